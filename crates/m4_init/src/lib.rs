@@ -1,0 +1,1 @@
+//! From depth and masks to the first splats.

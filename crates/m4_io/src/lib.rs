@@ -1,0 +1,1 @@
+//! Bytes to and from m4_scene: video, images, captures, scene files.

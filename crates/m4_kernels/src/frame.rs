@@ -1,0 +1,90 @@
+//! What goes into one frame and what comes out, shared by every twin.
+
+use m4_scene::{Camera, Splats};
+
+/// What to draw: a camera at an instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// Lens and pose; its width and height are those of the image.
+    pub camera: Camera,
+    /// Frames.
+    pub t: f64,
+    /// Colour behind everything, 0..1.
+    pub background: [f32; 3],
+    /// Splats with a z-depth of at most this are skipped, world units.
+    pub near: f32,
+    /// Opacity-compensated 2D filter (section 1.6).
+    pub mip: bool,
+    /// Period of the first temporal harmonic of the colour, frames.
+    pub period: f32,
+    /// Also composite the z-depth ([`Frame::depth`]).
+    pub with_depth: bool,
+}
+
+/// A rendered image, one plane a channel, `[height][width]` each, row by row.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Frame {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Colour, background included, not clamped.
+    pub rgb: [Vec<f32>; 3],
+    /// Light that passes every splat; alpha is one minus this.
+    pub transmittance: Vec<f32>,
+    /// Sum of blending weight times z-depth (not divided by alpha); empty unless asked for.
+    pub depth: Vec<f32>,
+}
+
+/// The gradient of a loss with respect to a [`Frame`]; same layout.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct FrameGradient {
+    /// With respect to [`Frame::rgb`].
+    pub rgb: [Vec<f32>; 3],
+    /// With respect to alpha (one minus transmittance); empty for none.
+    pub alpha: Vec<f32>,
+    /// With respect to [`Frame::depth`]; empty for none.
+    pub depth: Vec<f32>,
+}
+
+/// The gradient of a loss with respect to one camera.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct CameraGradient {
+    /// Left twist of the world-to-camera pose, translation part (section 1.6).
+    pub tau: [f64; 3],
+    /// Left twist, rotation part.
+    pub omega: [f64; 3],
+    /// fx, fy, cx, cy.
+    pub intrinsics: [f64; 4],
+}
+
+/// The gradient of a loss with respect to splats and camera.
+#[derive(Debug, Clone, Default)]
+pub struct Gradients {
+    /// Same columns as [`Splats::columns`]; rows that are not `touched` hold arbitrary values.
+    pub columns: Vec<Vec<f32>>,
+    /// `[n]`: 1 where the splat reached a pixel of this frame, else 0.
+    pub touched: Vec<u8>,
+    /// `[n]` gradient with respect to the projected centre, pixels; the densification statistic of 3DGS.
+    pub means2d: Vec<[f32; 2]>,
+    /// With respect to the camera.
+    pub camera: CameraGradient,
+    /// With respect to the background colour.
+    pub background: [f32; 3],
+}
+
+impl Gradients {
+    /// Makes room for the gradients of `splats`, all untouched.
+    pub fn reset(&mut self, splats: &Splats) {
+        self.columns.resize_with(splats.columns().len(), Vec::new);
+        for (gradient, column) in self.columns.iter_mut().zip(splats.columns()) {
+            gradient.resize(column.len(), 0.0);
+        }
+        self.touched.clear();
+        self.touched.resize(splats.n(), 0);
+        self.means2d.clear();
+        self.means2d.resize(splats.n(), [0.0; 2]);
+        self.camera = CameraGradient::default();
+        self.background = [0.0; 3];
+    }
+}

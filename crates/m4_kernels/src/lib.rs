@@ -1,0 +1,27 @@
+//! The numeric core: each kernel as a contract, a reference and a SIMD twin.
+//!
+//! One frame flows through the folders in this order, and its gradient flows back:
+//!
+//! ```text
+//! slice -> project -> shade -> bin -> blend -> photo          adam, score
+//! ```
+//!
+//! | folder | what it does |
+//! |---|---|
+//! | `slice` | 4D splat to 3D splat at an instant |
+//! | `project` | 3D splat to an ellipse on the image |
+//! | `shade` | 4D spherindrical harmonics to colour |
+//! | `bin` | ellipses to depth-ordered tile lists |
+//! | `blend` | tile lists to an image |
+//! | `photo` | L1 + SSIM and its gradient |
+//! | `adam` | sparse parameter update |
+//! | `score` | time-weighted error a splat (paper eq. 9, 10) |
+//!
+//! In each folder `mod.rs` is the contract, `reference.rs` the definition (generic over f32 and f64,
+//! slow on purpose, the oracle of the tests) and `cpu.rs` the SIMD twin that the product runs.
+//! [`Renderer`] strings the CPU twins together. Lengths are checked when data enters
+//! ([`m4_scene::Splats`], [`FrameGradient`]); inside, kernels index freely.
+
+mod frame;
+
+pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View};

@@ -1,0 +1,35 @@
+//! Frames with their geometry: what training needs.
+
+use crate::{Camera, DepthMap, Mask, RgbImage};
+
+/// One posed frame.
+#[derive(Debug, Clone)]
+pub struct CaptureFrame {
+    /// As in `file_path`, for messages and reports.
+    pub name: String,
+    /// Lens and pose.
+    pub camera: Camera,
+    /// When it was taken, in frames of the training video: `time * (frames - 1)` of a file's `time` in `[0, 1]`.
+    pub t: f64,
+    /// The picture.
+    pub rgb: RgbImage,
+    /// z-depth in the unit of the poses, 0 where unknown; the size may differ from that of `rgb`.
+    pub depth: Option<DepthMap>,
+    /// What moves; the size may differ from that of `rgb`.
+    pub mask: Option<Mask>,
+    /// Which held-out camera took it; `None` for training frames.
+    pub camera_index: Option<u32>,
+}
+
+/// A video with poses, depth and motion masks: the seam between geometry and training.
+#[derive(Debug, Clone)]
+pub struct Capture {
+    /// In order of time.
+    pub frames: Vec<CaptureFrame>,
+    /// Number of frames that the unit of time refers to: `t` runs from 0 to `time_frames - 1`.
+    pub time_frames: usize,
+    /// How long the video lasts from first to last frame, seconds, where that is known.
+    pub duration_s: Option<f64>,
+    /// True when depth and poses are metres; false when their scale is arbitrary.
+    pub metric: bool,
+}

@@ -1,0 +1,110 @@
+//! A dense two-dimensional array, row by row.
+
+use crate::ShapeError;
+
+/// `height` rows of `width` values.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plane<T> {
+    width: usize,
+    height: usize,
+    data: Vec<T>,
+}
+
+impl<T> Plane<T> {
+    /// Takes `data`, `[height][width]`.
+    ///
+    /// # Errors
+    ///
+    /// [`ShapeError`] if `data` does not hold `width * height` values.
+    pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Result<Self, ShapeError> {
+        ShapeError::check("plane", width * height, data.len())?;
+        Ok(Self { width, height, data })
+    }
+
+    /// A plane whose value at column `x` of row `y` is `f(x, y)`.
+    pub fn from_fn(width: usize, height: usize, mut f: impl FnMut(usize, usize) -> T) -> Self {
+        let data = (0..width * height).map(|i| f(i % width, i / width)).collect();
+        Self { width, height, data }
+    }
+
+    /// Columns.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// `(width, height)`.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// All values, row by row.
+    #[must_use]
+    pub fn data(&self) -> &[T] {
+        &self.data
+    }
+
+    /// All values, row by row.
+    pub fn data_mut(&mut self) -> &mut [T] {
+        &mut self.data
+    }
+
+    /// Gives the values up, row by row.
+    #[must_use]
+    pub fn into_vec(self) -> Vec<T> {
+        self.data
+    }
+
+    /// Row `y`.
+    #[must_use]
+    pub fn row(&self, y: usize) -> &[T] {
+        &self.data[y * self.width..(y + 1) * self.width]
+    }
+
+    /// Row `y`.
+    pub fn row_mut(&mut self, y: usize) -> &mut [T] {
+        &mut self.data[y * self.width..(y + 1) * self.width]
+    }
+
+    /// The same shape with every value replaced by `f` of it.
+    pub fn map<U>(&self, f: impl FnMut(&T) -> U) -> Plane<U> {
+        Plane {
+            width: self.width,
+            height: self.height,
+            data: self.data.iter().map(f).collect(),
+        }
+    }
+}
+
+impl<T: Clone> Plane<T> {
+    /// A plane of one value.
+    pub fn filled(width: usize, height: usize, value: T) -> Self {
+        Self {
+            width,
+            height,
+            data: vec![value; width * height],
+        }
+    }
+}
+
+impl<T> std::ops::Index<(usize, usize)> for Plane<T> {
+    type Output = T;
+
+    /// The value at `(x, y)`: column first.
+    fn index(&self, (x, y): (usize, usize)) -> &T {
+        &self.data[y * self.width + x]
+    }
+}
+
+impl<T> std::ops::IndexMut<(usize, usize)> for Plane<T> {
+    fn index_mut(&mut self, (x, y): (usize, usize)) -> &mut T {
+        &mut self.data[y * self.width + x]
+    }
+}

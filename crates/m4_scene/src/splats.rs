@@ -1,0 +1,309 @@
+//! 4D Gaussians in columns.
+//!
+//! A splat is *static* (it has no time parameters at all) or *dynamic*: then it also has a middle of
+//! its life, a duration and a velocity (section 1.4 of the optimiser's specification):
+//!
+//! ```text
+//! m(t) = mean + velocity (t - time_mean)          S = Q diag(exp(2 log_scale)) Q^T
+//! p(t) = exp(-(t - time_mean)^2 / (2 exp(2 log_time_sd)))      opacity(t) = sigmoid(opacity) p(t)
+//! ```
+//!
+//! Rows `0..n_static` are static, the dynamic rows follow. Every column is one `Vec<f32>`, so a
+//! kernel streams what it needs and a re-ordering is the same gather for each column.
+
+use crate::ShapeError;
+use std::ops::Range;
+
+/// Which columns a set of splats has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SplatLayout {
+    /// One scale and no rotation a splat, in place of three scales and a quaternion.
+    pub isotropic: bool,
+    /// Degree of the spatial harmonics of the colour, 0..=3.
+    pub sh_degree: usize,
+    /// Highest temporal harmonic of the colour, 0..=2.
+    pub time_degree: usize,
+}
+
+impl SplatLayout {
+    /// Spatial harmonics a colour channel: `(sh_degree + 1)^2`.
+    #[must_use]
+    pub fn sh_terms(&self) -> usize {
+        (self.sh_degree + 1) * (self.sh_degree + 1)
+    }
+
+    /// Colour coefficients a channel: spatial terms times temporal terms, temporal index major.
+    #[must_use]
+    pub fn colour_terms(&self) -> usize {
+        self.sh_terms() * (self.time_degree + 1)
+    }
+
+    /// Columns that every splat has.
+    #[must_use]
+    pub fn shared_columns(&self) -> usize {
+        self.column(Column::TimeMean)
+    }
+
+    /// All columns, those of dynamic splats included.
+    #[must_use]
+    pub fn columns(&self) -> usize {
+        self.shared_columns() + 5
+    }
+
+    /// Index of the first (for vectors: the x or w) column of a parameter.
+    #[must_use]
+    pub fn column(&self, column: Column) -> usize {
+        let shape = if self.isotropic { 1 } else { 3 + 4 };
+        match column {
+            Column::Mean => 0,
+            Column::LogScale => 3,
+            Column::Quat => 3 + if self.isotropic { 1 } else { 3 },
+            Column::Opacity => 3 + shape,
+            Column::Colour => 4 + shape,
+            Column::TimeMean => 4 + shape + 3 * self.colour_terms(),
+            Column::LogTimeSd => 5 + shape + 3 * self.colour_terms(),
+            Column::Velocity => 6 + shape + 3 * self.colour_terms(),
+        }
+    }
+
+    /// The columns of a parameter; empty for the quaternion of isotropic splats.
+    #[must_use]
+    pub fn range(&self, column: Column) -> Range<usize> {
+        let start = self.column(column);
+        let len = match column {
+            Column::Mean | Column::Velocity => 3,
+            Column::LogScale => {
+                if self.isotropic {
+                    1
+                } else {
+                    3
+                }
+            }
+            Column::Quat => {
+                if self.isotropic {
+                    0
+                } else {
+                    4
+                }
+            }
+            Column::Colour => 3 * self.colour_terms(),
+            Column::Opacity | Column::TimeMean | Column::LogTimeSd => 1,
+        };
+        start..start + len
+    }
+}
+
+/// A parameter of a splat. Lengths of columns: [`Splats::n`] for the first five, the number of
+/// dynamic splats for the last three.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Column {
+    /// 3 columns: x, y, z of the mean (of a dynamic splat: at `time_mean`), world units.
+    Mean,
+    /// 3 columns (isotropic: 1): natural logarithm of the standard deviation, world units.
+    LogScale,
+    /// 4 columns (isotropic: none): rotation as `(w, x, y, z)` of any length but 0.
+    Quat,
+    /// 1 column: logit of the opacity.
+    Opacity,
+    /// 3 x `colour_terms` columns, index `3 * term + channel`, `term = temporal * sh_terms + spatial`.
+    Colour,
+    /// 1 column, dynamic: the middle of the splat's life, frames.
+    TimeMean,
+    /// 1 column, dynamic: natural logarithm of the standard deviation in time, frames.
+    LogTimeSd,
+    /// 3 columns, dynamic: world units a frame.
+    Velocity,
+}
+
+/// A set of splats: the static ones first.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Splats {
+    layout: SplatLayout,
+    n_static: usize,
+    n_dynamic: usize,
+    columns: Vec<Vec<f32>>,
+}
+
+impl Splats {
+    /// Splats with every parameter 0.
+    #[must_use]
+    pub fn zeros(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Self {
+        let shared = layout.shared_columns();
+        let columns = (0..layout.columns())
+            .map(|c| vec![0.0; if c < shared { n_static + n_dynamic } else { n_dynamic }])
+            .collect();
+        Self {
+            layout,
+            n_static,
+            n_dynamic,
+            columns,
+        }
+    }
+
+    /// Takes columns in the order of [`SplatLayout::column`].
+    ///
+    /// # Errors
+    ///
+    /// [`ShapeError`] if a column is missing or has the wrong length.
+    pub fn from_columns(
+        layout: SplatLayout,
+        n_static: usize,
+        n_dynamic: usize,
+        columns: Vec<Vec<f32>>,
+    ) -> Result<Self, ShapeError> {
+        ShapeError::check("columns", layout.columns(), columns.len())?;
+        let shared = layout.shared_columns();
+        for (c, column) in columns.iter().enumerate() {
+            let expected = if c < shared { n_static + n_dynamic } else { n_dynamic };
+            ShapeError::check("column", expected, column.len())?;
+        }
+        Ok(Self {
+            layout,
+            n_static,
+            n_dynamic,
+            columns,
+        })
+    }
+
+    /// Which columns there are.
+    #[must_use]
+    pub fn layout(&self) -> SplatLayout {
+        self.layout
+    }
+
+    /// How many there are.
+    #[must_use]
+    pub fn n(&self) -> usize {
+        self.n_static + self.n_dynamic
+    }
+
+    /// How many have no time parameters: rows `0..n_static` of the shared columns.
+    #[must_use]
+    pub fn n_static(&self) -> usize {
+        self.n_static
+    }
+
+    /// How many have time parameters: row `i` of a time column is row `n_static + i` of the others.
+    #[must_use]
+    pub fn n_dynamic(&self) -> usize {
+        self.n_dynamic
+    }
+
+    /// Every column.
+    #[must_use]
+    pub fn columns(&self) -> &[Vec<f32>] {
+        &self.columns
+    }
+
+    /// Every column; lengths cannot change.
+    pub fn columns_mut(&mut self) -> impl ExactSizeIterator<Item = &mut [f32]> {
+        self.columns.iter_mut().map(Vec::as_mut_slice)
+    }
+
+    /// Column `offset` of a parameter.
+    #[must_use]
+    pub fn column(&self, column: Column, offset: usize) -> &[f32] {
+        &self.columns[self.layout.column(column) + offset]
+    }
+
+    /// Column `offset` of a parameter.
+    pub fn column_mut(&mut self, column: Column, offset: usize) -> &mut [f32] {
+        &mut self.columns[self.layout.column(column) + offset]
+    }
+
+    /// The rows named, in that order; a row may be named more than once. Static rows must come first.
+    ///
+    /// # Errors
+    ///
+    /// [`ShapeError`] if a row does not exist or a static row follows a dynamic one.
+    pub fn gather(&self, rows: &[u32]) -> Result<Self, ShapeError> {
+        let n_static = rows.iter().take_while(|&&r| (r as usize) < self.n_static).count();
+        for &r in &rows[n_static..] {
+            if (r as usize) < self.n_static || r as usize >= self.n() {
+                return Err(ShapeError {
+                    what: "gather: row",
+                    expected: self.n(),
+                    found: r as usize,
+                });
+            }
+        }
+        let shared = self.layout.shared_columns();
+        let columns = self.columns.iter().enumerate().map(|(c, column)| {
+            if c < shared {
+                rows.iter().map(|&r| column[r as usize]).collect()
+            } else {
+                rows[n_static..]
+                    .iter()
+                    .map(|&r| column[r as usize - self.n_static])
+                    .collect()
+            }
+        });
+        Ok(Self {
+            layout: self.layout,
+            n_static,
+            n_dynamic: rows.len() - n_static,
+            columns: columns.collect(),
+        })
+    }
+
+    /// True when every parameter is a finite number.
+    #[must_use]
+    pub fn is_finite(&self) -> bool {
+        self.columns.iter().flatten().all(|v| v.is_finite())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Column, SplatLayout, Splats};
+
+    #[test]
+    fn columns_are_contiguous_for_every_layout() {
+        for isotropic in [false, true] {
+            for sh_degree in 0..=3 {
+                for time_degree in 0..=2 {
+                    let layout = SplatLayout {
+                        isotropic,
+                        sh_degree,
+                        time_degree,
+                    };
+                    let order = [
+                        Column::Mean,
+                        Column::LogScale,
+                        Column::Quat,
+                        Column::Opacity,
+                        Column::Colour,
+                        Column::TimeMean,
+                        Column::LogTimeSd,
+                        Column::Velocity,
+                    ];
+                    let mut next = 0;
+                    for column in order {
+                        assert_eq!(layout.range(column).start, next, "{column:?} of {layout:?}");
+                        next = layout.range(column).end;
+                    }
+                    assert_eq!(next, layout.columns());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn gather_keeps_static_rows_first() {
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        let mut splats = Splats::zeros(layout, 2, 2);
+        splats
+            .column_mut(Column::Opacity, 0)
+            .copy_from_slice(&[0.0, 1.0, 2.0, 3.0]);
+        splats.column_mut(Column::TimeMean, 0).copy_from_slice(&[20.0, 30.0]);
+        let picked = splats.gather(&[1, 3, 3]).unwrap();
+        assert_eq!((picked.n_static(), picked.n_dynamic()), (1, 2));
+        assert_eq!(picked.column(Column::Opacity, 0), &[1.0, 3.0, 3.0]);
+        assert_eq!(picked.column(Column::TimeMean, 0), &[30.0, 30.0]);
+        assert!(splats.gather(&[3, 0]).is_err() && splats.gather(&[4]).is_err());
+    }
+}

@@ -1,0 +1,1 @@
+//! For tests only: synthetic scenes, tolerances, finite differences, fixture loading.

@@ -1,0 +1,1 @@
+//! The optimisation loop: schedule, loss, Adam, loss-guided density control, checkpoints.
