@@ -17,6 +17,7 @@ mod plane;
 mod progress;
 mod scene;
 mod splats;
+mod state;
 mod video;
 
 pub use camera::{Camera, Intrinsics};
@@ -26,6 +27,7 @@ pub use plane::Plane;
 pub use progress::{Progress, Silent};
 pub use scene::{Exposure, Scene, SourceFrame};
 pub use splats::{Column, SplatLayout, Splats};
+pub use state::{StateTensor, TrainState};
 pub use video::{Video, VideoFrame};
 
 /// An image with three 8-bit sRGB channels a pixel.

@@ -1,0 +1,132 @@
+//! Named arrays: how a stage hands its state to whoever writes checkpoints.
+
+use crate::ShapeError;
+use std::collections::BTreeMap;
+
+/// An array of numbers with a shape, row-major; the product of `shape` is the length of `data`.
+///
+/// Integers of 64 bits (counters, seeds) are stored as two entries of [`StateTensor::U32`], low half
+/// first; bits survive a round trip, NaN included.
+#[derive(Debug, Clone, PartialEq)]
+pub enum StateTensor {
+    /// 32-bit floats.
+    F32 {
+        /// Extent of each axis, outermost first.
+        shape: Vec<usize>,
+        /// The values.
+        data: Vec<f32>,
+    },
+    /// 32-bit unsigned integers.
+    U32 {
+        /// Extent of each axis, outermost first.
+        shape: Vec<usize>,
+        /// The values.
+        data: Vec<u32>,
+    },
+    /// Bytes: flags, or UTF-8 text.
+    U8 {
+        /// Extent of each axis, outermost first.
+        shape: Vec<usize>,
+        /// The values.
+        data: Vec<u8>,
+    },
+    /// 64-bit floats.
+    F64 {
+        /// Extent of each axis, outermost first.
+        shape: Vec<usize>,
+        /// The values.
+        data: Vec<f64>,
+    },
+}
+
+/// State by name, in the order of the names.
+pub type TrainState = BTreeMap<String, StateTensor>;
+
+impl StateTensor {
+    /// A vector of 32-bit floats.
+    #[must_use]
+    pub fn f32(data: Vec<f32>) -> Self {
+        Self::F32 {
+            shape: vec![data.len()],
+            data,
+        }
+    }
+
+    /// A vector of 32-bit unsigned integers.
+    #[must_use]
+    pub fn u32(data: Vec<u32>) -> Self {
+        Self::U32 {
+            shape: vec![data.len()],
+            data,
+        }
+    }
+
+    /// A vector of bytes.
+    #[must_use]
+    pub fn u8(data: Vec<u8>) -> Self {
+        Self::U8 {
+            shape: vec![data.len()],
+            data,
+        }
+    }
+
+    /// A vector of 64-bit floats.
+    #[must_use]
+    pub fn f64(data: Vec<f64>) -> Self {
+        Self::F64 {
+            shape: vec![data.len()],
+            data,
+        }
+    }
+
+    /// Extent of each axis, outermost first.
+    #[must_use]
+    pub fn shape(&self) -> &[usize] {
+        match self {
+            Self::F32 { shape, .. } | Self::U32 { shape, .. } | Self::U8 { shape, .. } | Self::F64 { shape, .. } => {
+                shape
+            }
+        }
+    }
+
+    /// How many numbers it holds.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        match self {
+            Self::F32 { data, .. } => data.len(),
+            Self::U32 { data, .. } => data.len(),
+            Self::U8 { data, .. } => data.len(),
+            Self::F64 { data, .. } => data.len(),
+        }
+    }
+
+    /// True when it holds none.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Fails unless the shape and the number of values agree.
+    ///
+    /// # Errors
+    ///
+    /// [`ShapeError`] when they do not, or when the product of the shape overflows.
+    pub fn check(&self) -> Result<(), ShapeError> {
+        let expected = self.shape().iter().try_fold(1usize, |n, &extent| n.checked_mul(extent));
+        ShapeError::check("state tensor", expected.unwrap_or(usize::MAX), self.len())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::StateTensor;
+
+    #[test]
+    fn a_shape_must_fit_its_values() {
+        assert!(StateTensor::f32(vec![1.0, 2.0]).check().is_ok());
+        let (shape, data) = (vec![2, 3], vec![0; 5]);
+        assert_eq!(StateTensor::U32 { shape, data }.check().unwrap_err().expected, 6);
+        let (shape, data) = (vec![usize::MAX, 2], vec![0; 5]);
+        assert!(StateTensor::U8 { shape, data }.check().is_err());
+    }
+}
