@@ -1,1 +1,94 @@
-fn main() {}
+//! `cargo xtask check`: every check that CI runs, in one program.
+#![forbid(unsafe_code)]
+#![expect(clippy::print_stderr, reason = "a program that reports to a terminal")]
+
+use anyhow::{Context, Result, bail};
+use std::path::Path;
+use std::process::{Command, ExitCode};
+use std::time::Instant;
+
+const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny>
+
+  check   fmt, clippy, docs, arrows, lock, deny and tests, as CI does
+  arrows  dependencies between crates against the table of ARCHITECTURE.md
+  lock    no git sources in Cargo.lock
+  deny    cargo-deny: licences, sources, duplicate versions (skipped where it is not installed)";
+
+fn main() -> ExitCode {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let args: Vec<&str> = args.iter().map(String::as_str).collect();
+    let root = xtask::root();
+    let result = match args[..] {
+        ["check"] => check(&root, true),
+        ["check", "--skip-tests"] => check(&root, false),
+        ["arrows"] => step("arrows", || xtask::arrows::check(&root)),
+        ["lock"] => step("lock", || xtask::lock::check(&root)),
+        ["deny"] => step("deny", || deny(&root)),
+        _ => {
+            eprintln!("{USAGE}");
+            return ExitCode::from(2);
+        }
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("xtask: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Everything that CI runs. Tests come last, so that a log ends with their summary.
+fn check(root: &Path, tests: bool) -> Result<()> {
+    step("fmt", || cargo(root, &["fmt", "--all", "--", "--check"], &[]))?;
+    step("arrows", || xtask::arrows::check(root))?;
+    step("lock", || xtask::lock::check(root))?;
+    step("deny", || deny(root))?;
+    let lints = ["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"];
+    step("clippy", || cargo(root, &lints, &[]))?;
+    let docs = ["doc", "--workspace", "--no-deps", "--document-private-items"];
+    step("docs", || cargo(root, &docs, &[("RUSTDOCFLAGS", "-D warnings")]))?;
+    if tests {
+        step("tests", || cargo(root, &["test", "--workspace"], &[]))?;
+    }
+    Ok(())
+}
+
+fn step(name: &str, run: impl FnOnce() -> Result<()>) -> Result<()> {
+    eprintln!("==> {name}");
+    let start = Instant::now();
+    run().with_context(|| format!("{name} failed"))?;
+    eprintln!("==> {name} ok, {:.1} s", start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+fn cargo(root: &Path, args: &[&str], env: &[(&str, &str)]) -> Result<()> {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let status = Command::new(cargo)
+        .args(args)
+        .envs(env.iter().copied())
+        .current_dir(root)
+        .status()
+        .context("cannot start cargo")?;
+    if status.success() {
+        Ok(())
+    } else {
+        bail!("cargo {} ended with {status}", args.join(" "))
+    }
+}
+
+/// Runs cargo-deny where it is installed. Advisories are left out: they need a database from the
+/// network, and a new advisory must not fail an unchanged commit.
+fn deny(root: &Path) -> Result<()> {
+    let installed = Command::new("cargo-deny")
+        .arg("--version")
+        .output()
+        .is_ok_and(|o| o.status.success());
+    if !installed {
+        eprintln!(
+            "    cargo-deny is not installed: licences and duplicates were NOT checked (cargo install cargo-deny)"
+        );
+        return Ok(());
+    }
+    cargo(root, &["deny", "check", "bans", "licenses", "sources"], &[])
+}

@@ -1,0 +1,161 @@
+//! Which crate may depend on which: the table of ARCHITECTURE.md against `cargo metadata`.
+
+use anyhow::{Context, Result, bail};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::process::Command;
+
+/// For each crate, the crates of this workspace that it depends on.
+pub type Arrows = BTreeMap<String, BTreeSet<String>>;
+
+/// The crate that only tests may use; every crate may have it as a dev-dependency.
+pub const TESTKIT: &str = "m4_testkit";
+
+/// Dependencies between the crates of a workspace, as they are.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Actual {
+    /// `[dependencies]` and `[build-dependencies]`.
+    pub normal: Arrows,
+    /// `[dev-dependencies]`.
+    pub dev: Arrows,
+}
+
+/// Asks `cargo metadata` for the crates under `root` and their dependencies on one another.
+///
+/// # Errors
+///
+/// If `cargo metadata` fails or prints something else than its documented JSON.
+pub fn actual(root: &Path) -> Result<Actual> {
+    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+    let output = Command::new(cargo)
+        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
+        .current_dir(root)
+        .output()
+        .context("cannot start cargo metadata")?;
+    if !output.status.success() {
+        bail!("cargo metadata failed: {}", String::from_utf8_lossy(&output.stderr));
+    }
+    from_metadata(&serde_json::from_slice(&output.stdout).context("cargo metadata printed no JSON")?)
+}
+
+/// Reads the arrows from the JSON of `cargo metadata --no-deps`; `xtask` itself is left out.
+///
+/// # Errors
+///
+/// If the JSON lacks a field that `cargo metadata` documents.
+pub fn from_metadata(metadata: &serde_json::Value) -> Result<Actual> {
+    let packages = metadata["packages"].as_array().context("metadata has no packages")?;
+    let text = |v: &serde_json::Value| v.as_str().map(str::to_owned);
+    let names: BTreeSet<String> = packages.iter().filter_map(|p| text(&p["name"])).collect();
+    let mut arrows = Actual::default();
+    for package in packages {
+        let name = text(&package["name"]).context("a package without a name")?;
+        if name == "xtask" {
+            continue;
+        }
+        arrows.normal.entry(name.clone()).or_default();
+        arrows.dev.entry(name.clone()).or_default();
+        for dependency in package["dependencies"]
+            .as_array()
+            .context("a package without dependencies")?
+        {
+            let to = text(&dependency["name"]).context("a dependency without a name")?;
+            if !names.contains(&to) {
+                continue;
+            }
+            let kind = if dependency["kind"] == "dev" {
+                &mut arrows.dev
+            } else {
+                &mut arrows.normal
+            };
+            kind.entry(name.clone()).or_default().insert(to);
+        }
+    }
+    Ok(arrows)
+}
+
+/// Reads the allowed arrows from the table of ARCHITECTURE.md.
+///
+/// A row counts when its first cell is the name of a crate, with or without backticks and the
+/// `m4_` prefix; its last cell names what that crate may depend on. `all` means every crate of the
+/// table but the row's own and those named after `but`. Words that name no crate mean nothing.
+#[must_use]
+pub fn allowed(markdown: &str, crates: &BTreeSet<String>) -> Arrows {
+    let crate_of = |word: &str| {
+        let prefixed = format!("m4_{word}");
+        [word.to_owned(), prefixed]
+            .into_iter()
+            .find(|name| crates.contains(name))
+    };
+    let mut arrows = Arrows::new();
+    for line in markdown.lines() {
+        let cells: Vec<&str> = line.trim().trim_matches('|').split('|').map(str::trim).collect();
+        let [first, .., last] = cells[..] else { continue };
+        let Some(name) = crate_of(first.trim_matches('`')) else {
+            continue;
+        };
+        let words: Vec<&str> = last.split(|c: char| !c.is_alphanumeric() && c != '_').collect();
+        let but = words.iter().position(|&w| w == "but").unwrap_or(words.len());
+        let named = |words: &[&str]| words.iter().filter_map(|w| crate_of(w)).collect::<BTreeSet<String>>();
+        let mut to = named(&words[..but]);
+        if words[..but].contains(&"all") {
+            let except = named(&words[but..]);
+            to.extend(
+                crates
+                    .iter()
+                    .filter(|&c| *c != name && !except.contains(c) && !c.starts_with("minute4d"))
+                    .cloned(),
+            );
+        }
+        arrows.entry(name).or_default().extend(to);
+    }
+    arrows
+}
+
+/// Compares what is with what may be; one line a mistake, empty when all is well.
+#[must_use]
+pub fn violations(actual: &Actual, allowed: &Arrows) -> Vec<String> {
+    let mut found = Vec::new();
+    for (kind, arrows) in [("", &actual.normal), ("dev-", &actual.dev)] {
+        for (from, targets) in arrows {
+            let Some(may) = allowed.get(from) else {
+                if kind.is_empty() {
+                    found.push(format!("{from} has no row in the table of ARCHITECTURE.md"));
+                }
+                continue;
+            };
+            for to in targets {
+                let testing = kind == "dev-" && to == TESTKIT;
+                if !testing && !may.contains(to) {
+                    found.push(format!(
+                        "{from} has a {kind}dependency on {to}, which ARCHITECTURE.md does not allow"
+                    ));
+                }
+            }
+        }
+    }
+    for name in allowed.keys().filter(|name| !actual.normal.contains_key(*name)) {
+        found.push(format!(
+            "ARCHITECTURE.md has a row for {name}, which is no crate of this workspace"
+        ));
+    }
+    found
+}
+
+/// Checks the workspace at `root` against its ARCHITECTURE.md.
+///
+/// # Errors
+///
+/// If the file or `cargo metadata` cannot be read, or with every arrow that is not allowed.
+pub fn check(root: &Path) -> Result<()> {
+    let path = root.join("ARCHITECTURE.md");
+    let markdown = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let actual = actual(root)?;
+    let crates = actual.normal.keys().cloned().collect();
+    let found = violations(&actual, &allowed(&markdown, &crates));
+    if found.is_empty() {
+        Ok(())
+    } else {
+        bail!("{}", found.join("\n"))
+    }
+}

@@ -1,0 +1,17 @@
+//! What the checks know: the allowed arrows between crates and the sources of dependencies.
+//!
+//! The program (`cargo xtask check`) runs these with formats, lints, docs and tests; CI runs the
+//! program and nothing else.
+#![forbid(unsafe_code)]
+
+pub mod arrows;
+pub mod lock;
+
+use std::path::{Path, PathBuf};
+
+/// The root of the workspace: the folder above this crate.
+#[must_use]
+pub fn root() -> PathBuf {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.parent().unwrap_or(here).to_path_buf()
+}
