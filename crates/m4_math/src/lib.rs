@@ -17,8 +17,10 @@ pub mod rotor;
 mod real;
 mod rng;
 mod se3;
+mod sim3;
 
 pub use nalgebra;
 pub use real::Real;
 pub use rng::CounterRng;
 pub use se3::{Se3, exp_so3, hat, log_so3};
+pub use sim3::Sim3;
