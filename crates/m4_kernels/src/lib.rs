@@ -22,6 +22,15 @@
 //! [`Renderer`] strings the CPU twins together. Lengths are checked when data enters
 //! ([`m4_scene::Splats`], [`FrameGradient`]); inside, kernels index freely.
 
+pub mod adam;
+pub mod bin;
+pub mod blend;
+pub mod photo;
+pub mod project;
+pub mod score;
+pub mod shade;
+pub mod slice;
+
 mod frame;
 
 pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View};

@@ -1,0 +1,27 @@
+//! Splats to pixels, front to back, and back again (section 1.7 of the optimiser's specification).
+//!
+//! For each pixel, splats near to far, `d = centre - pixel`, transmittance `T` from 1:
+//!
+//! ```text
+//! q = -(A00 dx^2 + A11 dy^2) / 2 - A01 dx dy        skip if q > 0
+//! alpha = min(ALPHA_MAX, opacity e^q)               skip if alpha < ALPHA_MIN
+//! if T (1 - alpha) < T_MIN: stop; this splat is not blended
+//! out += T alpha channel;  T *= 1 - alpha
+//! rgb += T background after the last splat
+//! ```
+//!
+//! Channels are red, green, blue, z-depth and 1 (whose sum is alpha, `1 - T`); the background adds to
+//! the colours alone. An alpha that was cut at [`ALPHA_MAX`] passes no gradient to opacity and shape.
+//!
+//! The gradient comes in two forms that agree to rounding: back to front, and the *replay* form,
+//! front to back with one scalar a pixel (`sigma = <g, C>` less what was seen so far), which needs the
+//! final image alone.
+
+pub mod reference;
+
+/// The largest alpha: keeps `1 - alpha` away from 0 (3DGS).
+pub const ALPHA_MAX: f64 = 0.99;
+/// Contributions under this are skipped (3DGS): half a grey level of 8 bits has no effect.
+pub const ALPHA_MIN: f64 = 1.0 / 255.0;
+/// A pixel is finished before its transmittance would fall under this (3DGS).
+pub const T_MIN: f64 = 1e-4;

@@ -1,0 +1,1 @@
+//! The definition of the photometric loss and its gradient.

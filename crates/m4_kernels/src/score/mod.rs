@@ -1,0 +1,13 @@
+//! The time-weighted error of each splat (section 4; paper eq. 6 to 10).
+//!
+//! For one frame and one plane of weights, `[height][width]` (the masked error of each pixel):
+//!
+//! ```text
+//! score[i] = p_i(t) sum of weight[q] over the pixels q that splat i is composited on
+//! ```
+//!
+//! *Composited* is what [`crate::blend`] says: `alpha >= ALPHA_MIN` and the pixel not finished. A
+//! splat that reaches no pixel scores 0. The result of a frame overwrites what was there; sums over
+//! frames and their factors (`1 / K`, the frame's loss) are the caller's.
+
+pub mod reference;

@@ -1,0 +1,1 @@
+//! The definition of slicing, forward and backward.
