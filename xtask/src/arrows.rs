@@ -76,8 +76,9 @@ pub fn from_metadata(metadata: &serde_json::Value) -> Result<Actual> {
 
 /// Reads the allowed arrows from the table of ARCHITECTURE.md.
 ///
-/// A row counts when its first cell is the name of a crate, with or without backticks and the
-/// `m4_` prefix; its last cell names what that crate may depend on. `all` means every crate of the
+/// Tables count whose header says `depend` in its last cell. A row's first cell is the name of a
+/// crate, with or without backticks and the `m4_` prefix; its last cell names what that crate may
+/// depend on. `all` means every crate of the
 /// table but the row's own and those named after `but`. Words that name no crate mean nothing.
 #[must_use]
 pub fn allowed(markdown: &str, crates: &BTreeSet<String>) -> Arrows {
@@ -88,9 +89,19 @@ pub fn allowed(markdown: &str, crates: &BTreeSet<String>) -> Arrows {
             .find(|name| crates.contains(name))
     };
     let mut arrows = Arrows::new();
+    let mut in_table = false;
     for line in markdown.lines() {
-        let cells: Vec<&str> = line.trim().trim_matches('|').split('|').map(str::trim).collect();
+        let line = line.trim();
+        let Some(inside) = line.strip_prefix('|').and_then(|l| l.strip_suffix('|')) else {
+            in_table = false;
+            continue;
+        };
+        let cells: Vec<&str> = inside.split('|').map(str::trim).collect();
         let [first, .., last] = cells[..] else { continue };
+        in_table |= last.contains("depend");
+        if !in_table {
+            continue;
+        }
         let Some(name) = crate_of(first.trim_matches('`')) else {
             continue;
         };

@@ -12,6 +12,10 @@ fn arrows(rows: &[(&str, &[&str])]) -> Arrows {
 }
 
 const TABLE: &str = "
+| crate | what it is |
+|---|---|
+| `m4_math` | Knows no scene and no io. |
+
 | crate | one sentence | depends on |
 |---|---|---|
 | `m4_math` | Vectors, or all of them. | nothing of ours |
