@@ -1,1 +1,2 @@
 //! The stages wired into one pipeline.
+pub mod settings;
