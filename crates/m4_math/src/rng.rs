@@ -22,7 +22,7 @@ impl CounterRng {
     #[must_use]
     pub fn new(seed: u64, purpose: u64, index: u64) -> Self {
         let key = mix(mix(seed ^ 0x9e37_79b9_7f4a_7c15).wrapping_add(purpose))
-            .wrapping_add(mix(index ^ 0x51_7cc1_b727_220a_95));
+            .wrapping_add(mix(index ^ 0x517c_c1b7_2722_0a95));
         Self { key, counter: 0 }
     }
 
