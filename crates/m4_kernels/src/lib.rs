@@ -23,14 +23,22 @@
 //! ([`m4_scene::Splats`], [`FrameGradient`]); inside, kernels index freely.
 
 pub mod adam;
+pub mod bench;
 pub mod bin;
 pub mod blend;
 pub mod photo;
 pub mod project;
+pub mod reference;
 pub mod score;
 pub mod shade;
 pub mod slice;
 
 mod frame;
+mod order;
+mod renderer;
+mod simd;
 
 pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View};
+pub use order::morton_order;
+pub use renderer::{FrameStats, Renderer};
+pub use simd::{ENV as SIMD_ENV, SimdLevel, SimdLevelError};

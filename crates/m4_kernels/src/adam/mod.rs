@@ -10,6 +10,7 @@
 //! one frame of twenty is not dragged on by old momentum in the other nineteen. `count` is the value
 //! *after* this step's increment.
 
+pub mod cpu;
 pub mod reference;
 
 /// The constants of Adam.

@@ -5,6 +5,7 @@
 //! may be smaller than the window), each channel alone, dynamic range 1. The gradient of `|d|` at
 //! `d = 0` is 0.
 
+pub mod cpu;
 pub mod reference;
 
 /// Taps of the window.
