@@ -1,1 +1,10 @@
 //! Metrics and the tables of a run.
+//!
+//! [`image`] scores rendered pictures against photographs (PSNR, SSIM, whole and inside a mask);
+//! [`geometry`] scores estimated cameras, depth and motion masks against known ones. Both give
+//! reports that serialise to JSON and say by which protocol they were made: a score without its
+//! protocol cannot be compared.
+#![forbid(unsafe_code)]
+
+pub mod geometry;
+pub mod image;

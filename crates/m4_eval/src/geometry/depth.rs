@@ -1,0 +1,148 @@
+//! Depth after one factor, and masks.
+
+use super::report::{DepthError, MaskScore, median_of_sorted};
+use m4_scene::{CaptureFrame, DepthMap, Mask};
+
+/// Pixels used for the common factor and for the error: every one of these columns and rows.
+const STRIDE_PX: usize = 2;
+
+/// Error sums of one region.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sum {
+    abs_rel: f64,
+    within: usize,
+    count: usize,
+    truth: usize,
+}
+
+impl Sum {
+    fn score(&self) -> Option<(f64, f64, f64)> {
+        let share = |part: usize, whole: usize| part as f64 / whole as f64;
+        (self.count > 0).then(|| {
+            (
+                self.abs_rel / self.count as f64,
+                share(self.within, self.count),
+                share(self.count, self.truth),
+            )
+        })
+    }
+}
+
+fn usable(z: f32) -> bool {
+    z.is_finite() && z > 0.0
+}
+
+/// The value of a plane of another size that covers the centre of pixel `(x, y)` of `(width, height)`.
+fn sample<T: Copy>(plane: &m4_scene::Plane<T>, x: usize, y: usize, width: usize, height: usize) -> Option<T> {
+    let at = |i: usize, n: usize, m: usize| (2 * i + 1) * m / (2 * n);
+    let (x, y) = (at(x, width, plane.width()), at(y, height, plane.height()));
+    (x < plane.width() && y < plane.height()).then(|| plane[(x, y)])
+}
+
+/// Visits `(estimate, truth, moving)` wherever the truth knows a depth.
+fn visit(estimate: &DepthMap, truth: &DepthMap, mask: Option<&Mask>, mut f: impl FnMut(f64, f64, bool)) {
+    let (width, height) = truth.size();
+    for y in (0..height).step_by(STRIDE_PX) {
+        for x in (0..width).step_by(STRIDE_PX) {
+            let z = truth[(x, y)];
+            if usable(z) {
+                let moving = mask
+                    .and_then(|m| sample(m, x, y, width, height))
+                    .is_some_and(|m| m != 0);
+                let e = sample(estimate, x, y, width, height)
+                    .filter(|&e| usable(e))
+                    .unwrap_or(0.0);
+                f(f64::from(e), f64::from(z), moving);
+            }
+        }
+    }
+}
+
+/// `None` if no pair of frames has depth on both sides.
+pub(super) fn depth_error(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<DepthError> {
+    let maps: Vec<_> = pairs
+        .iter()
+        .filter_map(|(e, t)| Some((e.depth.as_ref()?, t.depth.as_ref()?, t.mask.as_ref())))
+        .collect();
+    let mut ratios: Vec<f64> = Vec::new();
+    let mut any = Vec::new();
+    for &(e, t, mask) in &maps {
+        visit(e, t, mask, |e, z, moving| {
+            if e > 0.0 {
+                (if moving { &mut any } else { &mut ratios }).push(z / e);
+            }
+        });
+    }
+    if ratios.is_empty() {
+        ratios = any;
+    }
+    if ratios.is_empty() {
+        return None;
+    }
+    ratios.sort_by(f64::total_cmp);
+    let scale = median_of_sorted(&ratios);
+    let mut sums = [Sum::default(); 2];
+    for &(e, t, mask) in &maps {
+        visit(e, t, mask, |e, z, moving| {
+            let sum = &mut sums[usize::from(moving)];
+            sum.truth += 1;
+            if e > 0.0 {
+                sum.count += 1;
+                sum.abs_rel += (scale * e - z).abs() / z;
+                sum.within += usize::from((scale * e / z).max(z / (scale * e)) < 1.25);
+            }
+        });
+    }
+    let [fixed, moving] = sums.map(|s| s.score());
+    Some(DepthError {
+        frames: maps.len(),
+        scale,
+        static_abs_rel: fixed.map(|s| s.0),
+        static_within_25_percent: fixed.map(|s| s.1),
+        static_coverage: fixed.map(|s| s.2),
+        moving_abs_rel: moving.map(|s| s.0),
+        moving_within_25_percent: moving.map(|s| s.1),
+        moving_coverage: moving.map(|s| s.2),
+    })
+}
+
+/// `None` if no pair of frames has masks on both sides.
+pub(super) fn mask_score(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<MaskScore> {
+    let (mut both, mut estimated, mut truth, mut frames) = (0usize, 0usize, 0usize, 0usize);
+    let mut per_frame = Vec::new();
+    for (e, t) in pairs {
+        let (Some(e), Some(t)) = (&e.mask, &t.mask) else {
+            continue;
+        };
+        let (mut b, mut n_e, mut n_t) = (0usize, 0usize, 0usize);
+        for y in 0..t.height() {
+            for x in 0..t.width() {
+                let moving = t[(x, y)] != 0;
+                let found = sample(e, x, y, t.width(), t.height()).is_some_and(|m| m != 0);
+                b += usize::from(moving && found);
+                n_e += usize::from(found);
+                n_t += usize::from(moving);
+            }
+        }
+        frames += 1;
+        both += b;
+        estimated += n_e;
+        truth += n_t;
+        if n_e + n_t > b {
+            per_frame.push(b as f64 / (n_e + n_t - b) as f64);
+        } else {
+            per_frame.push(1.0);
+        }
+    }
+    if frames == 0 {
+        return None;
+    }
+    let share = |part: usize, whole: usize| if whole == 0 { 1.0 } else { part as f64 / whole as f64 };
+    Some(MaskScore {
+        frames,
+        iou: share(both, estimated + truth - both),
+        mean_frame_iou: per_frame.iter().sum::<f64>() / frames as f64,
+        precision: share(both, estimated),
+        recall: share(both, truth),
+    })
+}

@@ -1,0 +1,43 @@
+//! What makes two captures incomparable.
+
+/// Why an estimate could not be compared with the truth.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum GeometryError {
+    /// One side has no frames.
+    #[error("the {which} has no frames; nothing can be compared")]
+    Empty {
+        /// `"estimate"` or `"truth"`.
+        which: &'static str,
+    },
+    /// Frames could be paired neither by name, nor by order, nor by time.
+    #[error(
+        "the estimate has {estimate} frames and the truth {truth}; names such as {estimate_name:?} and \
+         {truth_name:?} do not pair them, nor do their times (frame {unpaired_name:?} is {distance_frames:.2} \
+         frames from the nearest true one): compare captures of the same frames of the same video"
+    )]
+    Unmatched {
+        /// Frames of the estimate.
+        estimate: usize,
+        /// Frames of the truth.
+        truth: usize,
+        /// A name of the estimate.
+        estimate_name: String,
+        /// A name of the truth.
+        truth_name: String,
+        /// The frame whose time is worst.
+        unpaired_name: String,
+        /// How far it is from the nearest true frame, in frames of the truth.
+        distance_frames: f64,
+    },
+    /// A pose, focal length or depth that is no number.
+    #[error("{what} of frame {name:?} of the {which} is not a finite number; the file is damaged or the run diverged")]
+    NotFinite {
+        /// `"estimate"` or `"truth"`.
+        which: &'static str,
+        /// The frame.
+        name: String,
+        /// What is not finite.
+        what: &'static str,
+    },
+}

@@ -1,0 +1,151 @@
+//! Which frame of the truth a frame of the estimate shows.
+
+use super::GeometryError;
+use m4_scene::{Capture, CaptureFrame};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// How frames were paired.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Matching {
+    /// By the file name without folder and extension.
+    Name,
+    /// First with first: the counts agree, the names do not.
+    Order,
+    /// By the nearest time, as a share of the clip.
+    Time,
+}
+
+/// Frames further apart than this are not the same frame, in frames of the truth.
+const TIME_TOLERANCE_FRAMES: f64 = 0.3;
+
+fn stem(name: &str) -> &str {
+    let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
+    file.rsplit_once('.').map_or(file, |(stem, _)| stem)
+}
+
+fn by_name(estimate: &Capture, truth: &Capture) -> Option<Vec<(usize, usize)>> {
+    let mut index = BTreeMap::new();
+    for (i, frame) in truth.frames.iter().enumerate() {
+        if index.insert(stem(&frame.name), i).is_some() {
+            return None;
+        }
+    }
+    let mut seen = vec![false; truth.frames.len()];
+    let mut pairs = Vec::with_capacity(estimate.frames.len());
+    for (i, frame) in estimate.frames.iter().enumerate() {
+        let &j = index.get(stem(&frame.name))?;
+        if std::mem::replace(&mut seen[j], true) {
+            return None;
+        }
+        pairs.push((i, j));
+    }
+    Some(pairs)
+}
+
+/// Pairs `(index in estimate, index in truth)`, in the order of the estimate.
+///
+/// # Errors
+///
+/// [`GeometryError::Empty`], or [`GeometryError::Unmatched`] if some frame of the estimate has no partner.
+pub(super) fn pair(estimate: &Capture, truth: &Capture) -> Result<(Matching, Vec<(usize, usize)>), GeometryError> {
+    for (which, capture) in [("estimate", estimate), ("truth", truth)] {
+        if capture.frames.is_empty() {
+            return Err(GeometryError::Empty { which });
+        }
+    }
+    if let Some(pairs) = by_name(estimate, truth) {
+        return Ok((Matching::Name, pairs));
+    }
+    if estimate.frames.len() == truth.frames.len() {
+        return Ok((Matching::Order, (0..truth.frames.len()).map(|i| (i, i)).collect()));
+    }
+    by_time(estimate, truth).map(|pairs| (Matching::Time, pairs))
+}
+
+fn by_time(estimate: &Capture, truth: &Capture) -> Result<Vec<(usize, usize)>, GeometryError> {
+    let share = |frame: &CaptureFrame, capture: &Capture| frame.t / (capture.time_frames.max(2) - 1) as f64;
+    let spacing = 1.0 / (truth.time_frames.max(2) - 1) as f64;
+    let (mut pairs, mut worst) = (Vec::new(), (0.0f64, 0usize));
+    for (i, frame) in estimate.frames.iter().enumerate() {
+        let at = share(frame, estimate);
+        let distance = |j: usize| (share(&truth.frames[j], truth) - at).abs() / spacing;
+        let nearest = (0..truth.frames.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+        let Some(j) = nearest else { continue };
+        if distance(j) >= worst.0 || distance(j).is_nan() {
+            worst = (distance(j), i);
+        }
+        pairs.push((i, j));
+    }
+    let twice = pairs.windows(2).any(|w| w[0].1 == w[1].1);
+    if worst.0 <= TIME_TOLERANCE_FRAMES && !twice {
+        return Ok(pairs);
+    }
+    Err(GeometryError::Unmatched {
+        estimate: estimate.frames.len(),
+        truth: truth.frames.len(),
+        estimate_name: estimate.frames[0].name.clone(),
+        truth_name: truth.frames[0].name.clone(),
+        unpaired_name: estimate.frames[worst.1].name.clone(),
+        distance_frames: worst.0,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Matching, pair};
+    use crate::geometry::GeometryError;
+    use crate::geometry::report::tests::capture;
+
+    fn named(names: &[&str]) -> m4_scene::Capture {
+        let mut c = capture(names.len());
+        for (frame, name) in c.frames.iter_mut().zip(names) {
+            frame.name = (*name).to_owned();
+        }
+        c
+    }
+
+    #[test]
+    fn names_win_over_order() {
+        let got = pair(
+            &named(&["b.png", "a.png"]),
+            &named(&["train/a.jpg", "train/b.jpg", "train/c.jpg"]),
+        )
+        .unwrap();
+        assert_eq!(got, (Matching::Name, vec![(0, 1), (1, 0)]));
+    }
+
+    #[test]
+    fn equal_counts_pair_by_order() {
+        let got = pair(&named(&["1", "2", "3"]), &named(&["0", "1", "2"])).unwrap();
+        assert_eq!(got, (Matching::Order, vec![(0, 0), (1, 1), (2, 2)]));
+    }
+
+    #[test]
+    fn every_second_frame_pairs_by_time() {
+        // Three frames that span the same clip as five.
+        let got = pair(&named(&["x", "y", "z"]), &named(&["0", "1", "2", "3", "4"])).unwrap();
+        assert_eq!(got, (Matching::Time, vec![(0, 0), (1, 2), (2, 4)]));
+    }
+
+    #[test]
+    fn other_counts_are_an_error_that_names_both() {
+        let error = pair(&named(&["x", "y", "z", "w"]), &named(&["0", "1", "2", "3", "4"])).unwrap_err();
+        assert!(
+            matches!(
+                error,
+                GeometryError::Unmatched {
+                    estimate: 4,
+                    truth: 5,
+                    ..
+                }
+            ),
+            "{error}"
+        );
+        assert!(matches!(
+            pair(&named(&[]), &named(&["a"])),
+            Err(GeometryError::Empty { which: "estimate" })
+        ));
+    }
+}

@@ -1,0 +1,21 @@
+//! How close reconstructed cameras, depth and motion masks are to known ones.
+//!
+//! A reconstruction from a video alone has its own origin, axes and unit, so cameras are compared
+//! after the similarity that fits them best (Umeyama 1991, over camera centres), rotations after the
+//! rotation that fits them best (chordal mean, over camera axes: a nearly straight path leaves the
+//! rotation about itself undetermined), and depth after one factor for the whole clip (the median
+//! of truth / estimate over static pixels). [`evaluate`] does all of it; [`llff_truth`] reads camera
+//! truth in the LLFF layout.
+
+mod depth;
+mod error;
+mod llff;
+mod matching;
+mod report;
+mod trajectory;
+
+pub use error::GeometryError;
+pub use llff::{LlffError, llff_truth};
+pub use matching::Matching;
+pub use report::{DepthError, GeometryReport, MaskScore, evaluate};
+pub use trajectory::{RotationError, TrajectoryError, align_cameras};

@@ -1,0 +1,134 @@
+//! The pixels that the metrics read.
+
+use m4_scene::{RgbImage, ShapeError};
+
+/// Why two pictures could not be compared.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImageError {
+    /// The number of values does not match the stated size.
+    #[error("a picture of {width}x{height} needs planes of {expected} values; channel {channel} has {found}")]
+    Length {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Which channel, 0..3.
+        channel: usize,
+        /// `width * height`.
+        expected: usize,
+        /// What was given.
+        found: usize,
+    },
+    /// Two things that must have one size do not.
+    #[error(
+        "{what} is {}x{} but the reference is {}x{}; render or resize to the size of the reference first",
+        found.0, found.1, expected.0, expected.1
+    )]
+    Size {
+        /// What differs from the reference.
+        what: &'static str,
+        /// Width and height of the reference.
+        expected: (usize, usize),
+        /// Width and height found.
+        found: (usize, usize),
+    },
+    /// No SSIM window fits in.
+    #[error("SSIM needs at least {window}x{window} pixels; the picture is {width}x{height}")]
+    TooSmall {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Side of the window.
+        window: usize,
+    },
+    /// A pixel that is no number.
+    #[error("pixel ({x}, {y}) of channel {channel} is {value}; only finite colours can be scored")]
+    NotFinite {
+        /// Column.
+        x: usize,
+        /// Row.
+        y: usize,
+        /// Which channel, 0..3.
+        channel: usize,
+        /// The value.
+        value: f32,
+    },
+}
+
+/// A colour picture in three planes, `[height][width]` each, sRGB values clamped to `[0, 1]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    width: usize,
+    height: usize,
+    planes: [Vec<f32>; 3],
+}
+
+impl Picture {
+    /// Takes planar colours, `[3][height][width]`, and clamps them to `[0, 1]`.
+    ///
+    /// # Errors
+    ///
+    /// [`ImageError::Length`] if a plane does not hold `width * height` values,
+    /// [`ImageError::NotFinite`] if a value is NaN or infinite.
+    pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, ImageError> {
+        for (channel, plane) in planes.iter().enumerate() {
+            if ShapeError::check("plane", width * height, plane.len()).is_err() {
+                let (expected, found) = (width * height, plane.len());
+                return Err(ImageError::Length {
+                    width,
+                    height,
+                    channel,
+                    expected,
+                    found,
+                });
+            }
+            if let Some(i) = plane.iter().position(|v| !v.is_finite()) {
+                return Err(ImageError::NotFinite {
+                    x: i % width,
+                    y: i / width,
+                    channel,
+                    value: plane[i],
+                });
+            }
+        }
+        let planes = planes.map(|plane| plane.iter().map(|v| v.clamp(0.0, 1.0)).collect());
+        Ok(Self { width, height, planes })
+    }
+
+    /// Columns.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// `(width, height)`.
+    #[must_use]
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// The three colour planes, `[height][width]` each, in `[0, 1]`.
+    #[must_use]
+    pub fn planes(&self) -> &[Vec<f32>; 3] {
+        &self.planes
+    }
+}
+
+impl From<&RgbImage> for Picture {
+    fn from(image: &RgbImage) -> Self {
+        let plane = |c: usize| image.data().iter().map(|rgb| f32::from(rgb[c]) / 255.0).collect();
+        Self {
+            width: image.width(),
+            height: image.height(),
+            planes: [plane(0), plane(1), plane(2)],
+        }
+    }
+}

@@ -1,0 +1,262 @@
+//! Scores of a set of views, with the protocol that made them.
+
+use super::metrics::same_size;
+use super::{ImageError, Picture, SSIM_SIGMA_PX, SSIM_WINDOW_PX, dilated, psnr_db, ssim_map};
+use m4_scene::Mask;
+use serde::{Deserialize, Serialize};
+
+/// How scores were made: two reports compare only if these agree.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImageProtocol {
+    /// Which views were scored, such as `"mill-1 held-out"`.
+    pub name: String,
+    /// Columns of the scored pictures, pixels; 0 until the first is added.
+    pub width: usize,
+    /// Rows of the scored pictures, pixels; 0 until the first is added.
+    pub height: usize,
+    /// By how many pixels masks were grown (square structuring element) before use.
+    pub mask_dilation_px: usize,
+    /// Side of the SSIM window, pixels.
+    pub ssim_window_px: usize,
+    /// Standard deviation of the SSIM window, pixels.
+    pub ssim_sigma_px: f64,
+    /// Which windows count: `"valid"`, those that lie wholly inside the picture.
+    pub ssim_region: String,
+    /// Channels share one mean squared error; colours are clamped to 0..1 first.
+    pub psnr: String,
+    /// How the mean line was made: `"mean over frames"`, of dB values for PSNR.
+    pub mean: String,
+}
+
+/// Scores of one view.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameScore {
+    /// The reference picture's name.
+    pub name: String,
+    /// When it was taken, frames of the training video.
+    pub t: f64,
+    /// Which held-out camera took it.
+    pub camera: Option<u32>,
+    /// Whole image, dB.
+    pub psnr_db: f64,
+    /// Whole image, valid region.
+    pub ssim: f64,
+    /// Inside the mask, where there was one with any pixel.
+    pub masked: Option<MaskedScore>,
+}
+
+/// Scores inside a mask.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct MaskedScore {
+    /// Over the pixels of the mask, dB.
+    pub psnr_db: f64,
+    /// SSIM map averaged over the mask; `None` if the mask lies outside the valid region.
+    pub ssim: Option<f64>,
+    /// Pixels of the (grown) mask.
+    pub pixels: usize,
+}
+
+/// Means over frames.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct MeanScore {
+    /// Views scored.
+    pub frames: usize,
+    /// Mean of the whole-image PSNR, dB.
+    pub psnr_db: f64,
+    /// Mean of the whole-image SSIM.
+    pub ssim: f64,
+    /// Views with a mask.
+    pub masked_frames: usize,
+    /// Mean PSNR inside the mask over those views, dB.
+    pub masked_psnr_db: Option<f64>,
+    /// Mean SSIM inside the mask over those views.
+    pub masked_ssim: Option<f64>,
+}
+
+/// The scores of a set of views of one size.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImageReport {
+    /// How the scores were made.
+    pub protocol: ImageProtocol,
+    /// One row a view, in the order added.
+    pub frames: Vec<FrameScore>,
+}
+
+impl ImageReport {
+    /// An empty report by the protocol of this crate.
+    #[must_use]
+    pub fn new(name: impl Into<String>, mask_dilation_px: usize) -> Self {
+        let protocol = ImageProtocol {
+            name: name.into(),
+            width: 0,
+            height: 0,
+            mask_dilation_px,
+            ssim_window_px: SSIM_WINDOW_PX,
+            ssim_sigma_px: SSIM_SIGMA_PX,
+            ssim_region: "valid".to_owned(),
+            psnr: "joint over channels, clamped to 0..1".to_owned(),
+            mean: "mean over frames".to_owned(),
+        };
+        Self {
+            protocol,
+            frames: Vec::new(),
+        }
+    }
+
+    /// Scores one picture; `mask` (not yet grown) is where its moving parts are.
+    ///
+    /// # Errors
+    ///
+    /// [`ImageError::Size`] if picture, mask and reference, or this and earlier views, differ in size;
+    /// [`ImageError::TooSmall`] if SSIM cannot be computed. A failed view leaves the report as it was.
+    pub fn add(
+        &mut self,
+        name: impl Into<String>,
+        t: f64,
+        camera: Option<u32>,
+        image: &Picture,
+        reference: &Picture,
+        mask: Option<&Mask>,
+    ) -> Result<&FrameScore, ImageError> {
+        if !self.frames.is_empty() {
+            same_size(
+                "this view",
+                (self.protocol.width, self.protocol.height),
+                reference.size(),
+            )?;
+        }
+        let map = ssim_map(image, reference)?;
+        let whole = psnr_db(image, reference, None)?.unwrap_or(f64::NAN);
+        let masked = match mask.map(|mask| dilated(mask, self.protocol.mask_dilation_px)) {
+            None => None,
+            Some(mask) => psnr_db(image, reference, Some(&mask))?.map(|psnr_db| MaskedScore {
+                psnr_db,
+                ssim: map.mean_inside(&mask),
+                pixels: mask.data().iter().filter(|&&m| m != 0).count(),
+            }),
+        };
+        (self.protocol.width, self.protocol.height) = reference.size();
+        self.frames.push(FrameScore {
+            name: name.into(),
+            t,
+            camera,
+            psnr_db: whole,
+            ssim: map.mean(),
+            masked,
+        });
+        Ok(&self.frames[self.frames.len() - 1])
+    }
+
+    /// Means over all views; `None` if there are none.
+    #[must_use]
+    pub fn mean(&self) -> Option<MeanScore> {
+        let mean = |values: Vec<f64>| (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64);
+        let masked: Vec<MaskedScore> = self.frames.iter().filter_map(|f| f.masked).collect();
+        Some(MeanScore {
+            frames: self.frames.len(),
+            psnr_db: mean(self.frames.iter().map(|f| f.psnr_db).collect())?,
+            ssim: mean(self.frames.iter().map(|f| f.ssim).collect())?,
+            masked_frames: masked.len(),
+            masked_psnr_db: mean(masked.iter().map(|m| m.psnr_db).collect()),
+            masked_ssim: mean(masked.iter().filter_map(|m| m.ssim).collect()),
+        })
+    }
+
+    /// The report as a table for people: one line a view, then the mean, then the protocol.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let cell = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+        let row = |name: &str, t: String, psnr: f64, ssim: f64, m_psnr: Option<f64>, m_ssim: Option<f64>| {
+            let (m_psnr, m_ssim) = (cell(m_psnr, 2), cell(m_ssim, 4));
+            format!("{name:<28} {t:>7} {psnr:>8.2} {ssim:>7.4} {m_psnr:>9} {m_ssim:>9}\n")
+        };
+        let mut out = format!(
+            "{:<28} {:>7} {:>8} {:>7} {:>9} {:>9}\n",
+            "view", "t", "PSNR dB", "SSIM", "mask PSNR", "mask SSIM"
+        );
+        for f in &self.frames {
+            let m = f.masked;
+            let t = format!("{:.1}", f.t);
+            out += &row(
+                &f.name,
+                t,
+                f.psnr_db,
+                f.ssim,
+                m.map(|m| m.psnr_db),
+                m.and_then(|m| m.ssim),
+            );
+        }
+        if let Some(m) = self.mean() {
+            out += &row(
+                "mean",
+                String::new(),
+                m.psnr_db,
+                m.ssim,
+                m.masked_psnr_db,
+                m.masked_ssim,
+            );
+        }
+        let p = &self.protocol;
+        out += &format!(
+            "protocol: {}, {}x{}, PSNR {}, SSIM {} window {} sd {} px, masks grown by {} px\n",
+            p.name, p.width, p.height, p.psnr, p.ssim_region, p.ssim_window_px, p.ssim_sigma_px, p.mask_dilation_px
+        );
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ImageReport;
+    use crate::image::{ImageError, Picture};
+    use m4_scene::Plane;
+
+    fn flat(width: usize, height: usize, value: f32) -> Picture {
+        let plane = vec![value; width * height];
+        Picture::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
+    }
+
+    #[test]
+    fn means_are_over_frames_and_over_masked_frames() {
+        let mut report = ImageReport::new("unit", 1);
+        let mask = Plane::from_fn(16, 16, |x, y| if (x, y) == (8, 8) { 255 } else { 0 });
+        let none = Plane::filled(16, 16, 0u8);
+        let reference = flat(16, 16, 0.5);
+        report
+            .add("a", 0.0, None, &flat(16, 16, 0.6), &reference, Some(&mask))
+            .unwrap();
+        report
+            .add("b", 1.0, Some(1), &flat(16, 16, 0.51), &reference, Some(&none))
+            .unwrap();
+        let mean = report.mean().unwrap();
+        assert!((mean.psnr_db - 30.0).abs() < 1e-3, "{mean:?}");
+        assert_eq!((mean.frames, mean.masked_frames), (2, 1));
+        assert!((mean.masked_psnr_db.unwrap() - 20.0).abs() < 1e-3);
+        assert_eq!(report.frames[0].masked.unwrap().pixels, 9);
+        assert_eq!((report.protocol.width, report.protocol.mask_dilation_px), (16, 1));
+        let table = report.table();
+        assert!(table.contains("mean") && table.contains("30.00"), "{table}");
+    }
+
+    #[test]
+    fn a_view_of_another_size_is_refused_and_leaves_no_trace() {
+        let mut report = ImageReport::new("unit", 0);
+        report
+            .add("a", 0.0, None, &flat(16, 16, 0.6), &flat(16, 16, 0.5), None)
+            .unwrap();
+        let other = report.add("b", 0.0, None, &flat(20, 16, 0.6), &flat(20, 16, 0.5), None);
+        assert!(matches!(other, Err(ImageError::Size { expected: (16, 16), .. })));
+        assert_eq!(report.frames.len(), 1);
+    }
+
+    #[test]
+    fn a_report_survives_json() {
+        let mut report = ImageReport::new("unit", 2);
+        report
+            .add("a", 0.5, Some(0), &flat(16, 16, 0.6), &flat(16, 16, 0.5), None)
+            .unwrap();
+        let text = serde_json::to_string(&report).unwrap();
+        assert_eq!(serde_json::from_str::<ImageReport>(&text).unwrap(), report);
+        assert!(ImageReport::new("none", 0).mean().is_none());
+    }
+}
