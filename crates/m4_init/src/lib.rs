@@ -1,1 +1,27 @@
-//! From depth and masks to the first splats.
+//! From posed frames with depth and motion masks to the first splats.
+//!
+//! [`initialise`] back-projects the depth of every frame, keeps what stands still and what moves
+//! apart, replaces the points of each voxel by their centroid and gives every centroid the size,
+//! opacity and time span that the optimiser starts from (section 2 of the specification of the
+//! optimiser; paper section 3.1).
+//!
+//! ```text
+//! cloud (depth -> points) -> voxel (points -> centroids) -> spacing (3-NN -> scale) -> assemble
+//!                                                        -> velocity (keyframe to keyframe)
+//! ```
+//!
+//! The result depends on the capture and the settings alone: points are merged by sorting 64-bit
+//! voxel keys, never through a hash map, and no random number is drawn.
+#![forbid(unsafe_code)]
+
+mod assemble;
+mod cloud;
+mod config;
+mod error;
+mod spacing;
+mod velocity;
+mod voxel;
+
+pub use assemble::initialise;
+pub use config::{CellSize, InitConfig, TimeSpread, VelocityInit};
+pub use error::InitError;

@@ -1,0 +1,266 @@
+//! Depth maps to coloured points in the world.
+
+use crate::{InitConfig, InitError};
+use m4_math::nalgebra::Vector3;
+use m4_scene::{Capture, CaptureFrame, DepthMap, Progress};
+use rayon::prelude::*;
+
+/// Coloured points of the world.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(crate) struct Cloud {
+    /// World units.
+    pub xyz: Vec<[f32; 3]>,
+    /// sRGB.
+    pub rgb: Vec<[u8; 3]>,
+}
+
+impl Cloud {
+    fn push(&mut self, p: Vector3<f64>, rgb: [u8; 3]) {
+        self.xyz.push([p.x as f32, p.y as f32, p.z as f32]);
+        self.rgb.push(rgb);
+    }
+
+    fn extend(&mut self, other: &Self) {
+        self.xyz.extend_from_slice(&other.xyz);
+        self.rgb.extend_from_slice(&other.rgb);
+    }
+}
+
+/// The moving points of one frame.
+#[derive(Debug, Clone)]
+pub(crate) struct Keyframe {
+    /// Frames.
+    pub t: f64,
+    /// Its points.
+    pub cloud: Cloud,
+}
+
+/// Everything that the depth maps say.
+#[derive(Debug)]
+pub(crate) struct Clouds {
+    /// What stands still.
+    pub standing: Cloud,
+    /// What moves, a cloud a keyframe, in order of time; keyframes without moving pixels included.
+    pub moving: Vec<Keyframe>,
+    /// Median z-depth of the sampled pixels, world units.
+    pub median_depth: f64,
+    /// Focal length at the size of the depth maps, pixels (mean of both axes and of the frames).
+    pub focal_px: f64,
+}
+
+/// Back-projects the frames that `config` picks.
+pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<Clouds, InitError> {
+    if capture.frames.is_empty() {
+        return Err(InitError::NoFrames);
+    }
+    if let Some(frame) = capture.frames.iter().find(|f| !camera_is_usable(f)) {
+        return Err(InitError::BadCamera {
+            frame: frame.name.clone(),
+        });
+    }
+    let with_depth: Vec<usize> = (0..capture.frames.len())
+        .filter(|&i| capture.frames[i].depth.is_some())
+        .collect();
+    if with_depth.is_empty() {
+        return Err(InitError::NoDepth {
+            frames: capture.frames.len(),
+        });
+    }
+    let picked = with_depth.len().min(config.static_frames);
+    let standing_rank: Vec<usize> = (0..picked)
+        .map(|i| {
+            if picked == 1 {
+                with_depth.len() / 2
+            } else {
+                i * (with_depth.len() - 1) / (picked - 1)
+            }
+        })
+        .collect();
+
+    let mut out = Clouds {
+        standing: Cloud::default(),
+        moving: Vec::new(),
+        median_depth: 0.0,
+        focal_px: 0.0,
+    };
+    let mut depths = Vec::new();
+    // A few frames at a time: in parallel, joined in order, without a second copy of everything.
+    const BATCH: usize = 8;
+    for (b, batch) in with_depth.chunks(BATCH).enumerate() {
+        if progress.cancelled() {
+            return Err(InitError::Stopped);
+        }
+        let parts: Vec<Part> = batch
+            .par_iter()
+            .enumerate()
+            .map(|(i, &frame)| {
+                let rank = b * BATCH + i;
+                let standing = standing_rank.binary_search(&rank).is_ok();
+                let moving = rank.is_multiple_of(config.dynamic_stride);
+                back_project(&capture.frames[frame], config, standing, moving)
+            })
+            .collect();
+        for (i, part) in parts.into_iter().enumerate() {
+            out.standing.extend(&part.standing);
+            depths.extend_from_slice(&part.depths);
+            out.focal_px += part.focal_px / with_depth.len() as f64;
+            if (b * BATCH + i).is_multiple_of(config.dynamic_stride) {
+                out.moving.push(Keyframe {
+                    t: capture.frames[batch[i]].t,
+                    cloud: part.moving,
+                });
+            }
+        }
+        let note = format!("{} points", out.standing.xyz.len());
+        progress.update(
+            "points",
+            (b * BATCH + batch.len()).min(with_depth.len()),
+            with_depth.len(),
+            &note,
+        );
+    }
+    if depths.is_empty() {
+        return Err(InitError::EmptyDepth {
+            frames: with_depth.len(),
+            first_frame: capture.frames[with_depth[0]].name.clone(),
+        });
+    }
+    let middle = depths.len() / 2;
+    out.median_depth = f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1);
+    Ok(out)
+}
+
+fn camera_is_usable(frame: &CaptureFrame) -> bool {
+    let (k, pose) = (&frame.camera.intrinsics, &frame.camera.c2w);
+    [k.fx, k.fy, k.cx, k.cy].iter().all(|v| v.is_finite())
+        && k.fx > 0.0
+        && k.fy > 0.0
+        && pose
+            .rotation
+            .iter()
+            .chain(pose.translation.iter())
+            .all(|v| v.is_finite())
+}
+
+/// What one frame contributes.
+struct Part {
+    standing: Cloud,
+    moving: Cloud,
+    /// Every 16th usable depth, for the median.
+    depths: Vec<f32>,
+    focal_px: f64,
+}
+
+fn back_project(frame: &CaptureFrame, config: &InitConfig, want_standing: bool, want_moving: bool) -> Part {
+    let mut part = Part {
+        standing: Cloud::default(),
+        moving: Cloud::default(),
+        depths: Vec::new(),
+        focal_px: 0.0,
+    };
+    let Some(depth) = &frame.depth else { return part };
+    let (w, h) = depth.size();
+    let camera = frame.camera.resized(w, h);
+    part.focal_px = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy);
+    let moves = moving_pixels(frame, w, h);
+    let near_moving = dilate(&moves, w, h, config.mask_margin_px);
+    let (rgb_w, rgb_h) = frame.rgb.size();
+    for y in 0..h {
+        for x in 0..w {
+            let z = depth[(x, y)];
+            if !is_depth(z) || hangs_in_air(depth, x, y, config.edge_jump) {
+                continue;
+            }
+            if (x + y * w).is_multiple_of(16) {
+                part.depths.push(z);
+            }
+            let moving = moves[y * w + x];
+            let keep = if moving {
+                want_moving
+            } else {
+                want_standing && !near_moving[y * w + x]
+            };
+            if keep {
+                let p = camera.unproject(x as f64, y as f64, f64::from(z));
+                let colour = frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))];
+                if moving { &mut part.moving } else { &mut part.standing }.push(p, colour);
+            }
+        }
+    }
+    part
+}
+
+fn is_depth(z: f32) -> bool {
+    z.is_finite() && z > 0.0
+}
+
+/// True where the depth lies strictly between two opposite neighbours and is far from both: such
+/// pixels are blends of two surfaces. A clean step keeps both of its sides.
+fn hangs_in_air(depth: &DepthMap, x: usize, y: usize, jump: f32) -> bool {
+    let z = depth[(x, y)];
+    let between = |a: f32, b: f32| {
+        let (low, high) = (a.min(b), a.max(b));
+        is_depth(a) && is_depth(b) && z - low > jump * z && high - z > jump * z
+    };
+    let (w, h) = depth.size();
+    (x > 0 && x + 1 < w && between(depth[(x - 1, y)], depth[(x + 1, y)]))
+        || (y > 0 && y + 1 < h && between(depth[(x, y - 1)], depth[(x, y + 1)]))
+}
+
+/// The mask at the size of the depth map; nothing moves where there is none.
+fn moving_pixels(frame: &CaptureFrame, w: usize, h: usize) -> Vec<bool> {
+    let Some(mask) = &frame.mask else {
+        return vec![false; w * h];
+    };
+    let (mw, mh) = mask.size();
+    (0..w * h)
+        .map(|i| mask[((2 * (i % w) + 1) * mw / (2 * w), (2 * (i / w) + 1) * mh / (2 * h))] >= 128)
+        .collect()
+}
+
+/// True within `radius` pixels (square) of a true pixel.
+fn dilate(mask: &[bool], w: usize, h: usize, radius: usize) -> Vec<bool> {
+    let mut wide = vec![false; w * h];
+    for y in 0..h {
+        for x in 0..w {
+            if mask[y * w + x] {
+                wide[y * w + x.saturating_sub(radius)..=y * w + (x + radius).min(w - 1)].fill(true);
+            }
+        }
+    }
+    let mut out = wide.clone();
+    for y in 0..h {
+        for other in y.saturating_sub(radius)..=(y + radius).min(h - 1) {
+            for x in 0..w {
+                out[y * w + x] |= wide[other * w + x];
+            }
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{dilate, hangs_in_air};
+    use m4_scene::Plane;
+
+    #[test]
+    fn a_clean_step_stays_and_a_blended_pixel_goes() {
+        let step = Plane::from_vec(4, 1, vec![2.0, 2.0, 5.0, 5.0]).unwrap();
+        assert!((0..4).all(|x| !hangs_in_air(&step, x, 0, 0.05)));
+        let blend = Plane::from_vec(5, 1, vec![2.0, 2.0, 3.3, 5.0, 5.0]).unwrap();
+        let dropped: Vec<bool> = (0..5).map(|x| hangs_in_air(&blend, x, 0, 0.05)).collect();
+        assert_eq!(dropped, [false, false, true, false, false]);
+    }
+
+    #[test]
+    fn dilation_is_a_square_that_stays_inside() {
+        let mut mask = vec![false; 5 * 4];
+        mask[0] = true;
+        mask[2 * 5 + 4] = true;
+        let wide = dilate(&mask, 5, 4, 1);
+        let got: Vec<usize> = (0..20).filter(|&i| wide[i]).collect();
+        assert_eq!(got, [0, 1, 5, 6, 8, 9, 13, 14, 18, 19]);
+        assert_eq!(dilate(&mask, 5, 4, 0), mask);
+    }
+}

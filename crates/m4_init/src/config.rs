@@ -1,0 +1,244 @@
+//! Settings of the initialisation, each with its source.
+
+use crate::InitError;
+use serde::{Deserialize, Serialize};
+
+/// How large a voxel is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CellSize {
+    /// `k * median depth / focal` everywhere (Instant4D; section 2.2).
+    Constant,
+    /// `k * distance to the nearest camera / focal`, in steps of a factor `sqrt(2)`: the same number
+    /// of pixels at every depth (section 2.2, our variant).
+    DepthProportional,
+}
+
+/// How long a dynamic splat lives at the start.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum TimeSpread {
+    /// Standard deviation in keyframe gaps, at least `min_frames` (section 2.4, our choice).
+    KeyframeGaps {
+        /// Standard deviations a gap between keyframes.
+        factor: f32,
+        /// Shortest standard deviation, frames.
+        min_frames: f32,
+    },
+    /// Variance `D / (10 (B - 1))` in the reference's time units, that is a standard deviation of
+    /// `sqrt((B - 1) / (10 D))` frames; standing points get variance `D`, that is
+    /// `(B - 1) / sqrt(D)` frames, about the time `D / 3` (Instant4D; section 2.4, decision D7).
+    Reference {
+        /// Length `D` of the reference's time axis: 3 for DyCheck and DAVIS, 1 for NVIDIA.
+        time_range: f32,
+    },
+}
+
+/// Where the first velocities come from.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum VelocityInit {
+    /// All 0: the optimiser finds them.
+    Zero,
+    /// The displacement to the most similar point (place and colour) of the keyframes before and
+    /// after, averaged over neighbours (section 2.6, without tracks).
+    Nearest {
+        /// Weight of colour beside place: this difference of colour (0..1, Euclidean) counts as much
+        /// as a displacement of one search radius.
+        colour_scale: f32,
+        /// Search radius, in medians of the depth.
+        radius: f32,
+        /// Points whose displacements are averaged (component-wise median).
+        neighbours: usize,
+    },
+}
+
+/// Settings of [`crate::initialise`]. Defaults are those of [`InitConfig::fast`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InitConfig {
+    /// Most static splats to start with; `static_pixels` is chosen to come close from below.
+    pub max_static: usize,
+    /// Most dynamic splats to start with, all keyframes together.
+    pub max_dynamic: usize,
+    /// Voxel edge of standing points, pixels at the median depth; 0 to derive it from `max_static`.
+    /// Instant4D: 2 to 6.
+    pub static_pixels: f32,
+    /// The same for moving points. Instant4D: 0.5, or no merging at all; 0 to derive it.
+    pub dynamic_pixels: f32,
+    /// Constant or depth-proportional voxels.
+    pub cells: CellSize,
+    /// Standing points are taken from at most this many frames, evenly spread. 48 frames of 480 x 360
+    /// are 8 million points, which is what 300 MB hold.
+    pub static_frames: usize,
+    /// Moving points are taken from every n-th frame. Instant4D: 10 (DyCheck), 3 (DAVIS), 1 (NVIDIA).
+    pub dynamic_stride: usize,
+    /// A pixel is dropped when its depth lies between those of two opposite neighbours and differs
+    /// from both by more than this share: it hangs in the air between two surfaces (our rule).
+    pub edge_jump: f32,
+    /// Standing points within this many pixels of a moving one are dropped: masks are never exact,
+    /// and a moving pixel taken for wall stays on the wall (our rule).
+    pub mask_margin_px: usize,
+    /// One scale a splat and no rotation (the paper's choice, as Instant4D; section 1.5).
+    pub isotropic: bool,
+    /// Standing points become rows with time parameters that fade towards the ends, as in the
+    /// reference (section 2.4); else they have no time at all.
+    pub static_fade: bool,
+    /// Opacity at the start, 0..1. Reference 0.1; section 2.5 recommends 0.5.
+    pub opacity: f32,
+    /// Standard deviation in units of the distance to the three nearest neighbours (root mean
+    /// square). Reference 1; section 2.5 recommends 0.75.
+    pub scale_factor: f32,
+    /// Largest standard deviation, in voxel edges: an isolated point must not become a cloud.
+    pub max_scale_cells: f32,
+    /// How long a dynamic splat lives.
+    pub time_spread: TimeSpread,
+    /// First velocities.
+    pub velocity: VelocityInit,
+}
+
+impl Default for InitConfig {
+    fn default() -> Self {
+        Self::fast()
+    }
+}
+
+impl InitConfig {
+    /// Static splats without time, dynamic ones in velocity form, anisotropic (section 9, D1).
+    #[must_use]
+    pub fn fast() -> Self {
+        Self {
+            max_static: 60_000,
+            max_dynamic: 40_000,
+            static_pixels: 0.0,
+            dynamic_pixels: 0.0,
+            cells: CellSize::DepthProportional,
+            static_frames: 48,
+            dynamic_stride: 1,
+            edge_jump: 0.05,
+            mask_margin_px: 2,
+            isotropic: false,
+            static_fade: false,
+            opacity: 0.5,
+            scale_factor: 0.75,
+            max_scale_cells: 3.0,
+            time_spread: TimeSpread::KeyframeGaps {
+                factor: 1.0,
+                min_frames: 1.0,
+            },
+            velocity: VelocityInit::Nearest {
+                colour_scale: 0.15,
+                radius: 0.05,
+                neighbours: 8,
+            },
+        }
+    }
+
+    /// The paper's letter, read as Instant4D (sections 1.5 and 2): isotropic, no velocity, every
+    /// splat with a time span, opacity 0.1, constant voxels, scale of the plain 3-NN distance.
+    #[must_use]
+    pub fn faithful() -> Self {
+        Self {
+            cells: CellSize::Constant,
+            static_frames: 40,
+            mask_margin_px: 0,
+            isotropic: true,
+            static_fade: true,
+            opacity: 0.1,
+            scale_factor: 1.0,
+            time_spread: TimeSpread::Reference { time_range: 3.0 },
+            velocity: VelocityInit::Zero,
+            ..Self::fast()
+        }
+    }
+
+    /// Refuses values that no run can use.
+    ///
+    /// # Errors
+    ///
+    /// [`InitError::BadSetting`] naming the first field out of range.
+    pub fn check(&self) -> Result<(), InitError> {
+        let positive = |field, value: f32| above(field, value, 0.0, "a number above 0");
+        let at_least_0 = |field, value: f32| {
+            if value.is_finite() && value >= 0.0 {
+                Ok(())
+            } else {
+                Err(bad(field, value, "a number of at least 0"))
+            }
+        };
+        let at_least_1 = |field, value: usize| {
+            if value >= 1 {
+                Ok(())
+            } else {
+                Err(bad(field, value, "at least 1"))
+            }
+        };
+        at_least_1("max_static", self.max_static)?;
+        at_least_1("max_dynamic", self.max_dynamic)?;
+        at_least_0("static_pixels", self.static_pixels)?;
+        at_least_0("dynamic_pixels", self.dynamic_pixels)?;
+        at_least_1("static_frames", self.static_frames)?;
+        at_least_1("dynamic_stride", self.dynamic_stride)?;
+        positive("edge_jump", self.edge_jump)?;
+        if !(self.opacity > 0.0 && self.opacity < 1.0) {
+            return Err(bad("opacity", self.opacity, "between 0 and 1, both excluded"));
+        }
+        positive("scale_factor", self.scale_factor)?;
+        positive("max_scale_cells", self.max_scale_cells)?;
+        match self.time_spread {
+            TimeSpread::KeyframeGaps { factor, min_frames } => {
+                positive("time_spread.factor", factor)?;
+                positive("time_spread.min_frames", min_frames)?;
+            }
+            TimeSpread::Reference { time_range } => positive("time_spread.time_range", time_range)?,
+        }
+        if let VelocityInit::Nearest {
+            colour_scale,
+            radius,
+            neighbours,
+        } = self.velocity
+        {
+            positive("velocity.colour_scale", colour_scale)?;
+            positive("velocity.radius", radius)?;
+            at_least_1("velocity.neighbours", neighbours)?;
+        }
+        Ok(())
+    }
+}
+
+fn above(field: &'static str, value: f32, low: f32, expected: &'static str) -> Result<(), InitError> {
+    if value.is_finite() && value > low {
+        Ok(())
+    } else {
+        Err(bad(field, value, expected))
+    }
+}
+
+fn bad(field: &'static str, value: impl ToString, expected: &'static str) -> InitError {
+    InitError::BadSetting {
+        field,
+        value: value.to_string(),
+        expected,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::InitConfig;
+
+    #[test]
+    fn the_profiles_are_valid_and_bad_values_are_named() {
+        InitConfig::fast().check().unwrap();
+        InitConfig::faithful().check().unwrap();
+        let broken = InitConfig {
+            opacity: 1.5,
+            ..InitConfig::fast()
+        };
+        assert!(broken.check().unwrap_err().to_string().contains("`opacity` is 1.5"));
+        let broken = InitConfig {
+            scale_factor: f32::NAN,
+            ..InitConfig::fast()
+        };
+        assert!(broken.check().is_err());
+    }
+}
