@@ -1,1 +1,19 @@
 //! For tests only: synthetic scenes, tolerances, finite differences, fixture loading.
+//!
+//! Knows the shared types alone, so every crate may use it as a dev-dependency. Functions here panic
+//! where a test should fail: that is what they are for.
+#![forbid(unsafe_code)]
+
+mod compare;
+mod differences;
+mod fixture;
+mod levels;
+mod shared;
+mod synthetic;
+
+pub use compare::{Agreement, Flips, assert_gradient, assert_image};
+pub use differences::{Differences, Side, central_differences};
+pub use fixture::{FixtureCamera, FixtureSplat, GradientCase, GradientFixtures, gradient_fixtures};
+pub use levels::on_every_level;
+pub use shared::shared_dir;
+pub use synthetic::{MovingScene, SceneSpec, camera_looking_at, moving_scene, random_camera, random_splats};

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! *Composited* is what [`crate::blend`] says: `alpha >= ALPHA_MIN` and the pixel not finished. A
-//! splat that reaches no pixel scores 0. The result of a frame overwrites what was there; sums over
-//! frames and their factors (`1 / K`, the frame's loss) are the caller's.
+//! splat that reaches no pixel scores 0. Sums over frames and their factors (`1 / K`, the frame's loss)
+//! are the caller's: a twin adds a frame's score to what is there.
 
 pub mod reference;

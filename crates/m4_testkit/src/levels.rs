@@ -1,0 +1,41 @@
+//! One test body, every instruction set.
+
+/// Runs `test` on every level of `available` and prints a line for each name of `wanted` that this
+/// machine lacks, so that a run shows what it did not cover.
+///
+/// # Panics
+///
+/// If `available` is empty: then nothing would be tested.
+#[expect(clippy::print_stderr, reason = "a level that was not tested has to be seen")]
+pub fn on_every_level<L: Copy>(
+    available: &[L],
+    name: impl Fn(L) -> &'static str,
+    wanted: &[&str],
+    mut test: impl FnMut(L),
+) {
+    assert!(!available.is_empty(), "no SIMD level: nothing would be tested");
+    for missing in wanted.iter().filter(|w| !available.iter().any(|&l| name(l) == **w)) {
+        eprintln!("not tested on {missing}: this machine does not have it");
+    }
+    for &level in available {
+        test(level);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::on_every_level;
+
+    #[test]
+    fn every_level_runs_once() {
+        let mut seen = Vec::new();
+        on_every_level(&["a", "b"], |l| l, &["a", "c"], |l| seen.push(l));
+        assert_eq!(seen, ["a", "b"]);
+    }
+
+    #[test]
+    #[should_panic(expected = "nothing would be tested")]
+    fn no_level_is_a_failure() {
+        on_every_level::<&'static str>(&[], |l| l, &[], |_| {});
+    }
+}

@@ -1,0 +1,238 @@
+//! Small scenes with known answers.
+
+use m4_math::{
+    CounterRng, Se3,
+    nalgebra::{Matrix3, Vector3, Vector6},
+};
+use m4_scene::{Camera, Column, Intrinsics, SplatLayout, Splats};
+
+/// What a random scene looks like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SceneSpec {
+    /// Which columns.
+    pub layout: SplatLayout,
+    /// Splats without time.
+    pub n_static: usize,
+    /// Splats with time.
+    pub n_dynamic: usize,
+    /// Lives are spread over `0..=time_frames - 1`.
+    pub time_frames: usize,
+    /// Range of the standard deviations on the image, pixels.
+    pub sd_px: [f64; 2],
+    /// Range of the logits of the opacity.
+    pub logit: [f64; 2],
+}
+
+impl Default for SceneSpec {
+    /// 40 static and 40 dynamic splats of 1 to 6 pixels, one colour each, faint to nearly opaque.
+    fn default() -> Self {
+        Self {
+            layout: SplatLayout {
+                isotropic: false,
+                sh_degree: 0,
+                time_degree: 0,
+            },
+            n_static: 40,
+            n_dynamic: 40,
+            time_frames: 10,
+            sd_px: [1.0, 6.0],
+            logit: [-2.0, 3.0],
+        }
+    }
+}
+
+/// A camera at `centre` that looks at `target`; y points down.
+#[must_use]
+pub fn camera_looking_at(intrinsics: Intrinsics, centre: [f64; 3], target: [f64; 3]) -> Camera {
+    let (centre, target) = (Vector3::from(centre), Vector3::from(target));
+    let z = (target - centre).normalize();
+    let down = if z.y.abs() > 0.99 { Vector3::z() } else { Vector3::y() };
+    let x = down.cross(&z).normalize();
+    let y = z.cross(&x);
+    Camera {
+        intrinsics,
+        c2w: Se3 {
+            rotation: Matrix3::from_columns(&[x, y, z]),
+            translation: centre,
+        },
+    }
+}
+
+/// A camera at a random pose within a unit of the origin, with unequal focal lengths and a principal
+/// point off the middle.
+#[must_use]
+pub fn random_camera(seed: u64, width: usize, height: usize) -> Camera {
+    let mut rng = CounterRng::new(seed, 0xca_3e_7a, 0);
+    let mut between = |low: f64, high: f64| low + (high - low) * rng.uniform();
+    let size = width.max(height) as f64;
+    let fx = size * between(0.8, 1.6);
+    let intrinsics = Intrinsics {
+        width,
+        height,
+        fx,
+        fy: fx * between(0.9, 1.1),
+        cx: width as f64 * between(0.4, 0.6),
+        cy: height as f64 * between(0.4, 0.6),
+    };
+    let twist = Vector6::from_fn(|_, _| between(-1.0, 1.0));
+    Camera {
+        intrinsics,
+        c2w: Se3::identity().retract(&twist),
+    }
+}
+
+/// Splats in front of `camera`, 2 to 6 units away, some past the edges of the image.
+#[must_use]
+pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
+    let mut splats = Splats::zeros(spec.layout, spec.n_static, spec.n_dynamic);
+    let k = &camera.intrinsics;
+    for row in 0..splats.n() {
+        let mut rng = CounterRng::new(seed, 0x5b1a7, row as u64);
+        let mut between = |low: f64, high: f64| low + (high - low) * rng.uniform();
+        let z = between(2.0, 6.0);
+        let u = between(-0.15, 1.15) * k.width as f64;
+        let v = between(-0.15, 1.15) * k.height as f64;
+        let mean = camera.unproject(u, v, z);
+        let log_scale: [f64; 3] = std::array::from_fn(|_| (between(spec.sd_px[0], spec.sd_px[1]) * z / k.fx).ln());
+        let quat: [f64; 4] = std::array::from_fn(|_| between(-1.0, 1.0));
+        let logit = between(spec.logit[0], spec.logit[1]);
+        let life = row.checked_sub(spec.n_static).map(|row| {
+            let time_mean = between(0.0, spec.time_frames.saturating_sub(1) as f64);
+            let log_sd = between(1.0f64.ln(), 5.0f64.ln());
+            let velocity: [f64; 3] = std::array::from_fn(|_| between(-0.05, 0.05));
+            (row, time_mean, log_sd, velocity)
+        });
+        let mut set = |column, values: &[f64], row: usize| {
+            for (k, &value) in values.iter().enumerate() {
+                splats.column_mut(column, k)[row] = value as f32;
+            }
+        };
+        set(Column::Mean, mean.as_slice(), row);
+        set(
+            Column::LogScale,
+            &log_scale[..spec.layout.range(Column::LogScale).len()],
+            row,
+        );
+        set(Column::Quat, &quat[..spec.layout.range(Column::Quat).len()], row);
+        set(Column::Opacity, &[logit], row);
+        let colour: Vec<f64> = (0..spec.layout.range(Column::Colour).len())
+            .map(|c| rng.normal() * if c < 3 { 0.8 } else { 0.2 })
+            .collect();
+        set(Column::Colour, &colour, row);
+        if let Some((row, time_mean, log_sd, velocity)) = life {
+            set(Column::TimeMean, &[time_mean], row);
+            set(Column::LogTimeSd, &[log_sd], row);
+            set(Column::Velocity, &velocity, row);
+        }
+    }
+    splats
+}
+
+/// A wall, a ball that crosses in front of it, and a camera that drifts.
+#[derive(Debug, Clone)]
+pub struct MovingScene {
+    /// The wall (static rows) and the ball (dynamic rows).
+    pub splats: Splats,
+    /// One a frame; frame `i` is at `t = i`.
+    pub cameras: Vec<Camera>,
+    /// Of the ball, world units a frame.
+    pub velocity: [f32; 3],
+    /// Of the ball at `t = 0`.
+    pub start: [f32; 3],
+    /// Of the ball, world units.
+    pub radius: f32,
+}
+
+/// A scene of `frames` frames: a patterned wall at depth 4 behind a ball of radius 0.4 at depth 2.5
+/// that moves 1.2 units to the right while the camera moves 0.3 to the left.
+#[must_use]
+pub fn moving_scene(intrinsics: Intrinsics, frames: usize) -> MovingScene {
+    const WALL: usize = 24;
+    const BALL: usize = 60;
+    let layout = SplatLayout {
+        isotropic: true,
+        sh_degree: 0,
+        time_degree: 0,
+    };
+    let last = frames.saturating_sub(1).max(1) as f32;
+    let (start, velocity, radius) = ([-0.6, 0.1, 2.5], [1.2 / last, 0.0, 0.0], 0.4f32);
+    let mut splats = Splats::zeros(layout, WALL * WALL, BALL);
+    let mut put = |row: usize, mean: [f32; 3], sd: f32, logit: f32, rgb: [f32; 3]| {
+        for k in 0..3 {
+            splats.column_mut(Column::Mean, k)[row] = mean[k];
+            splats.column_mut(Column::Colour, k)[row] = (rgb[k] - 0.5) / 0.282_094_8;
+        }
+        splats.column_mut(Column::LogScale, 0)[row] = sd.ln();
+        splats.column_mut(Column::Opacity, 0)[row] = logit;
+    };
+    let spacing = 6.0 / WALL as f32;
+    for row in 0..WALL * WALL {
+        let (i, j) = ((row % WALL) as f32, (row / WALL) as f32);
+        let mean = [(i + 0.5) * spacing - 3.0, (j + 0.5) * spacing - 3.0, 4.0];
+        let rgb = [
+            0.5 + 0.4 * (1.3 * i).sin(),
+            0.5 + 0.4 * (0.9 * j + 1.0).sin(),
+            0.5 + 0.4 * (0.7 * (i + j)).cos(),
+        ];
+        put(row, mean, 0.7 * spacing, 3.0, rgb);
+    }
+    for k in 0..BALL {
+        // a Fibonacci sphere: even spacing without chance
+        let y = 1.0 - 2.0 * (k as f32 + 0.5) / BALL as f32;
+        let (ring, angle) = ((1.0 - y * y).sqrt(), 2.399_963 * k as f32);
+        let unit = [ring * angle.cos(), y, ring * angle.sin()];
+        let mean = std::array::from_fn(|a| start[a] + radius * unit[a] + velocity[a] * 0.5 * last);
+        let rgb = [0.85, 0.45 + 0.35 * unit[0], 0.15 + 0.1 * unit[1]];
+        put(WALL * WALL + k, mean, 0.12, 3.0, rgb);
+    }
+    splats.column_mut(Column::TimeMean, 0).fill(0.5 * last);
+    // long enough to be there in every frame
+    splats.column_mut(Column::LogTimeSd, 0).fill((10.0 * last).ln());
+    for k in 0..3 {
+        splats.column_mut(Column::Velocity, k).fill(velocity[k]);
+    }
+    let cameras = (0..frames)
+        .map(|i| {
+            let x = 0.15 - 0.3 * i as f64 / f64::from(last);
+            camera_looking_at(intrinsics, [x, 0.0, 0.0], [0.0, 0.0, 3.5])
+        })
+        .collect();
+    MovingScene {
+        splats,
+        cameras,
+        velocity,
+        start,
+        radius,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{SceneSpec, moving_scene, random_camera, random_splats};
+    use m4_math::nalgebra::Vector3;
+    use m4_scene::{Column, Intrinsics};
+
+    #[test]
+    fn random_splats_are_in_front_of_the_camera() {
+        let camera = random_camera(3, 40, 30);
+        let splats = random_splats(3, &camera, &SceneSpec::default());
+        assert!(splats.is_finite());
+        for row in 0..splats.n() {
+            let mean = Vector3::from_fn(|k, _| f64::from(splats.column(Column::Mean, k)[row]));
+            let ([u, v], z) = camera.project(&mean);
+            assert!((1.99..6.01).contains(&z) && (-7.0..47.0).contains(&u) && (-6.0..36.0).contains(&v));
+        }
+    }
+
+    #[test]
+    fn the_ball_starts_where_it_says() {
+        let scene = moving_scene(Intrinsics::centred(64, 48, 60.0), 8);
+        assert_eq!(scene.cameras.len(), 8);
+        let (mut x, n) = (0.0, scene.splats.n_dynamic());
+        for row in 0..n {
+            let mean = scene.splats.column(Column::Mean, 0)[scene.splats.n_static() + row];
+            x += mean - scene.velocity[0] * scene.splats.column(Column::TimeMean, 0)[row];
+        }
+        assert!((x / n as f32 - scene.start[0]).abs() < 0.02);
+    }
+}
