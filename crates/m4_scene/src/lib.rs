@@ -10,6 +10,8 @@
 //! of the training video (real-valued; frame `i` is at `t = i` when frames are evenly spaced).
 #![forbid(unsafe_code)]
 
+pub mod covariance4;
+
 mod camera;
 mod capture;
 mod error;
