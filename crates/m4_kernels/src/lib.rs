@@ -37,6 +37,7 @@ mod frame;
 mod order;
 mod renderer;
 mod simd;
+mod stage;
 
 pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View};
 pub use order::morton_order;

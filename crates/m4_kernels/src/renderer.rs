@@ -1,23 +1,65 @@
 //! The CPU twins strung together: splats to a picture and back.
 
-use crate::{Frame, FrameGradient, Gradients, SimdLevel, View};
+use crate::{
+    CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View,
+    bin::cpu::{BAND_ROWS, Band},
+    blend::cpu::{self as blend, BandGradient, BandPlace, BandPlanes, Sums},
+    project::cpu::Eye,
+    slice::cpu::Columns,
+    stage::{CameraSums, Chunk, ChunkGradient},
+};
+use fearless_simd::dispatch;
 use m4_scene::Splats;
+use rayon::prelude::*;
+use std::time::{Duration, Instant};
 
-/// How much work a frame was.
+/// How much work a frame was and where its time went.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct FrameStats {
     /// Splats that reach the image.
     pub visible: usize,
     /// Entries of all tile lists.
     pub pairs: usize,
+    /// Entries of the tile lists before every pixel of the tile was finished.
+    pub used: usize,
+    /// Slice, project and shade, wall clock.
+    pub project: Duration,
+    /// Depth order and tile lists: a share of the wall clock of the bands, by time of the threads.
+    pub bin: Duration,
+    /// Blending, the other share.
+    pub blend: Duration,
+    /// Blending backward, wall clock.
+    pub blend_backward: Duration,
+    /// Shade, project and slice backward, wall clock.
+    pub project_backward: Duration,
+}
+
+/// A band's splats, lists and gradient.
+#[derive(Debug, Default)]
+struct BandWork {
+    band: Band,
+    used: Vec<u32>,
+    sums: Vec<Sums>,
+    scores: Vec<f32>,
+    background: [f64; 3],
+    bin: Duration,
+    blend: Duration,
 }
 
 /// Draws splats and takes the gradient of what it drew; keeps its memory from frame to frame.
+///
+/// Work is cut into fixed chunks of rows and fixed bands of the image, whose results are joined in
+/// order: same splats, view and level, same bits, on any number of threads. It runs on rayon's
+/// current pool.
 #[derive(Debug)]
 pub struct Renderer {
     level: SimdLevel,
     frame: Frame,
     stats: FrameStats,
+    eye: Eye,
+    background: [f32; 3],
+    chunks: Vec<Chunk>,
+    bands: Vec<BandWork>,
 }
 
 impl Renderer {
@@ -28,6 +70,10 @@ impl Renderer {
             level,
             frame: Frame::default(),
             stats: FrameStats::default(),
+            eye: Eye::default(),
+            background: [0.0; 3],
+            chunks: Vec::new(),
+            bands: Vec::new(),
         }
     }
 
@@ -39,20 +85,85 @@ impl Renderer {
 
     /// Draws `splats` as `view` sees them.
     pub fn render(&mut self, splats: &Splats, view: &View) -> &Frame {
-        let (width, height) = (view.camera.intrinsics.width, view.camera.intrinsics.height);
-        let _ = splats;
-        self.frame = Frame {
-            width,
-            height,
-            rgb: view.background.map(|c| vec![c; width * height]),
-            transmittance: vec![1.0; width * height],
-            depth: if view.with_depth {
-                vec![0.0; width * height]
-            } else {
-                Vec::new()
-            },
-        };
+        let start = Instant::now();
+        self.eye = Eye::new(view);
+        self.background = view.background;
+        let (width, height) = (self.eye.width, self.eye.height);
+        let pixels = width * height;
+        let frame = &mut self.frame;
+        (frame.width, frame.height) = (width, height);
+        for plane in frame.rgb.iter_mut().chain([&mut frame.transmittance]) {
+            plane.resize(pixels, 0.0);
+        }
+        frame.depth.resize(if view.with_depth { pixels } else { 0 }, 0.0);
+        let bands = if width == 0 { 0 } else { height.div_ceil(BAND_ROWS) };
+        self.bands.resize_with(bands, BandWork::default);
+        Chunk::plan(&mut self.chunks, splats.n_static(), splats.n_dynamic(), bands);
+
+        let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
+        self.chunks
+            .par_iter_mut()
+            .for_each(|chunk| dispatch!(level, s => chunk.forward(s, &columns, eye)));
+        let projected = Instant::now();
+        self.draw();
+
+        let stats = &mut self.stats;
+        stats.visible = self.chunks.iter().map(Chunk::visible).sum();
+        stats.pairs = self.bands.iter().map(|b| b.band.lists.len()).sum();
+        stats.used = self.bands.iter().flat_map(|b| &b.used).map(|&n| n as usize).sum();
+        stats.project = projected - start;
+        let wall = projected.elapsed();
+        let bin: Duration = self.bands.iter().map(|b| b.bin).sum();
+        let blend: Duration = self.bands.iter().map(|b| b.blend).sum();
+        let share = bin.as_secs_f64() / (bin + blend).as_secs_f64().max(1e-12);
+        stats.bin = wall.mul_f64(share);
+        stats.blend = wall.saturating_sub(stats.bin);
         &self.frame
+    }
+
+    /// Tile lists and blending, band by band.
+    fn draw(&mut self) {
+        if self.bands.is_empty() {
+            return;
+        }
+        let (level, background, eye) = (self.level.level(), self.background, &self.eye);
+        let size = BAND_ROWS * eye.width;
+        let Frame {
+            rgb: [red, green, blue],
+            transmittance,
+            depth,
+            ..
+        } = &mut self.frame;
+        // without depth the bands get empty slices
+        let depth_bands: Vec<&mut [f32]> = depth.chunks_mut(size).collect();
+        let mut depth_bands = depth_bands.into_iter();
+        let planes: Vec<BandPlanes<'_>> = red
+            .chunks_mut(size)
+            .zip(green.chunks_mut(size))
+            .zip(blue.chunks_mut(size))
+            .zip(transmittance.chunks_mut(size))
+            .map(|(((r, g), b), transmittance)| BandPlanes {
+                rgb: [r, g, b],
+                transmittance,
+                depth: depth_bands.next().unwrap_or_default(),
+            })
+            .collect();
+        let chunks = &self.chunks;
+        self.bands
+            .par_iter_mut()
+            .zip(planes)
+            .enumerate()
+            .with_max_len(1)
+            .for_each(|(index, (work, mut planes))| {
+                let start = Instant::now();
+                let place = place(eye, index);
+                work.band.collect(chunks.iter().map(|c| c.bands[index].as_slice()));
+                work.band.build(place.tiles_x());
+                work.bin = start.elapsed();
+                let (band, used) = (&work.band, &mut work.used);
+                dispatch!(level, s => blend::forward(s, band, place, background, &mut planes, used));
+                work.blend = start.elapsed() - work.bin;
+            });
     }
 
     /// What the last call of [`render`](Self::render) drew.
@@ -62,19 +173,132 @@ impl Renderer {
     }
 
     /// The gradient of a loss with respect to splats and camera, given that with respect to the frame
-    /// drawn last; `splats` are those that were drawn. Planes of `gradient` may be empty (no gradient)
-    /// for alpha and depth; depth needs [`View::with_depth`].
+    /// drawn last.
+    ///
+    /// # Panics
+    ///
+    /// If `splats` are not as many as those drawn, or a plane of `gradient` has another size than the
+    /// frame. Planes for alpha and depth may be empty (no gradient); depth needs
+    /// [`View::with_depth`].
     pub fn backward(&mut self, splats: &Splats, gradient: &FrameGradient, out: &mut Gradients) {
-        let _ = gradient;
+        let start = Instant::now();
+        self.check(splats.n());
         out.reset(splats);
+        self.blend_backward(gradient);
+        let blended = Instant::now();
+        for work in &self.bands {
+            for (sum, v) in out.background.iter_mut().zip(work.background) {
+                *sum += v as f32;
+            }
+        }
+        self.project_backward(splats, out);
+        self.stats.blend_backward = blended - start;
+        self.stats.project_backward = blended.elapsed();
+    }
+
+    /// Sums of every band.
+    fn blend_backward(&mut self, gradient: &FrameGradient) {
+        let (level, eye, frame) = (self.level.level(), &self.eye, &self.frame);
+        let pixels = frame.transmittance.len();
+        for plane in &gradient.rgb {
+            assert_eq!(plane.len(), pixels, "backward: the gradient has the frame's size");
+        }
+        for (plane, size) in [(&gradient.alpha, pixels), (&gradient.depth, frame.depth.len())] {
+            assert!(
+                plane.is_empty() || plane.len() == size,
+                "backward: the gradient of alpha or depth has the frame's size"
+            );
+        }
+        self.bands
+            .par_iter_mut()
+            .enumerate()
+            .with_max_len(1)
+            .for_each(|(index, work)| {
+                let place = place(eye, index);
+                let part = |plane: &'_ [f32]| -> std::ops::Range<usize> {
+                    let at = place.top * place.width;
+                    if plane.is_empty() { 0..0 } else { at..at + place.rows * place.width }
+                };
+                let rgb = |planes: &'_ [Vec<f32>; 3]| planes.each_ref().map(|p| part(p));
+                let (c, d) = (rgb(&frame.rgb), rgb(&gradient.rgb));
+                let g = BandGradient {
+                    rgb: std::array::from_fn(|k| &frame.rgb[k][c[k].clone()]),
+                    transmittance: &frame.transmittance[part(&frame.transmittance)],
+                    depth: &frame.depth[part(&frame.depth)],
+                    d_rgb: std::array::from_fn(|k| &gradient.rgb[k][d[k].clone()]),
+                    d_alpha: &gradient.alpha[part(&gradient.alpha)],
+                    d_depth: &gradient.depth[part(&gradient.depth)],
+                };
+                let (band, used, sums) = (&work.band, &work.used, &mut work.sums);
+                work.background = dispatch!(level, s => blend::backward(s, band, place, used, &g, sums));
+            });
+    }
+
+    /// Gradients of the columns, chunk by chunk; that of the camera added in the order of the chunks.
+    fn project_backward(&self, splats: &Splats, out: &mut Gradients) {
+        let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
+        let n_static = splats.n_static();
+        let mut parts = split(&self.chunks, n_static, out);
+        let camera: Vec<CameraSums> = self
+            .chunks
+            .par_iter()
+            .zip(parts.par_iter_mut())
+            .enumerate()
+            .map(|(index, (chunk, part))| {
+                let mut sums: Vec<&[Sums]> = self
+                    .bands
+                    .iter()
+                    .map(|work| &work.sums[work.band.chunk_start[index]..])
+                    .collect();
+                dispatch!(level, s => chunk.backward(s, &columns, eye, &mut sums, part))
+            })
+            .collect();
+        drop(parts);
+        let mut total = CameraSums::default();
+        for part in camera {
+            for (sum, v) in total.iter_mut().zip(part) {
+                *sum += v;
+            }
+        }
+        out.camera = CameraGradient {
+            tau: std::array::from_fn(|k| total[k]),
+            omega: std::array::from_fn(|k| total[3 + k]),
+            intrinsics: std::array::from_fn(|k| total[6 + k]),
+        };
     }
 
     /// Adds to `out[i]` the sum of `weight` over the pixels that splat `i` was composited on, times
     /// its temporal marginal ([`crate::score`]); of the frame drawn last.
     ///
     /// `weight` is `[height][width]`, `out` is `[n]`.
+    ///
+    /// # Panics
+    ///
+    /// If `weight` or `out` has another length than that.
     pub fn score(&mut self, weight: &[f32], out: &mut [f32]) {
-        let _ = (weight, out);
+        self.check(out.len());
+        assert_eq!(weight.len(), self.frame.transmittance.len(), "score: one weight a pixel");
+        let (level, eye) = (self.level.level(), &self.eye);
+        self.bands
+            .par_iter_mut()
+            .enumerate()
+            .with_max_len(1)
+            .for_each(|(index, work)| {
+                let place = place(eye, index);
+                let weight = &weight[place.top * place.width..][..place.rows * place.width];
+                let (band, used, scores) = (&work.band, &work.used, &mut work.scores);
+                dispatch!(level, s => blend::score(s, band, place, used, weight, scores));
+            });
+        let (bands, mut rest) = (&self.bands, out);
+        for (index, chunk) in self.chunks.iter().enumerate() {
+            let (rows, after) = rest.split_at_mut(chunk.rows.len());
+            rest = after;
+            let mut scores: Vec<&[f32]> = bands
+                .iter()
+                .map(|work| &work.scores[work.band.chunk_start[index]..])
+                .collect();
+            chunk.score(&mut scores, rows);
+        }
     }
 
     /// How much work the frame drawn last was.
@@ -82,4 +306,46 @@ impl Renderer {
     pub fn stats(&self) -> FrameStats {
         self.stats
     }
+
+    fn check(&self, n: usize) {
+        let drawn = self.chunks.last().map_or(0, |c| c.rows.end);
+        assert_eq!(n, drawn, "the renderer drew {drawn} splats last; draw these first");
+    }
+}
+
+/// Where band `index` lies.
+fn place(eye: &Eye, index: usize) -> BandPlace {
+    let top = index * BAND_ROWS;
+    BandPlace {
+        top,
+        rows: (eye.height - top).min(BAND_ROWS),
+        width: eye.width,
+    }
+}
+
+/// Cuts the gradients into the rows of each chunk.
+fn split<'a>(chunks: &[Chunk], n_static: usize, out: &'a mut Gradients) -> Vec<ChunkGradient<'a>> {
+    let mut columns: Vec<&mut [f32]> = out.columns.iter_mut().map(Vec::as_mut_slice).collect();
+    let n = out.touched.len();
+    // columns of dynamic splats are shorter: they start at the first dynamic row
+    let shared: Vec<bool> = columns.iter().map(|c| c.len() == n).collect();
+    let (mut touched, mut means2d) = (out.touched.as_mut_slice(), out.means2d.as_mut_slice());
+    let mut parts = Vec::with_capacity(chunks.len());
+    for chunk in chunks {
+        let len = chunk.rows.len();
+        let part = columns
+            .iter_mut()
+            .zip(&shared)
+            .map(|(column, &shared)| {
+                let take = if shared || chunk.rows.start >= n_static { len } else { 0 };
+                column.split_off_mut(..take).unwrap_or_default()
+            })
+            .collect();
+        parts.push(ChunkGradient {
+            columns: part,
+            touched: touched.split_off_mut(..len).unwrap_or_default(),
+            means2d: means2d.split_off_mut(..len).unwrap_or_default(),
+        });
+    }
+    parts
 }

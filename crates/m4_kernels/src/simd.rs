@@ -1,7 +1,6 @@
 //! Which vector instructions the kernels run on, and the helpers that every `cpu.rs` shares.
 
 use fearless_simd::{Level, Simd, f32x16, prelude::*, u32x16};
-use fearless_simd_macros::simd;
 
 /// The environment variable that picks a level for a whole process: `sse2`, `avx2`, `avx512` (or
 /// `neon` and so on, the names that [`SimdLevel::available`] gives).
@@ -157,14 +156,13 @@ pub(crate) fn store<S: Simd>(value: f32x16<S>, column: &mut [f32], at: usize) {
     rest.copy_from_slice(&lanes[..len]);
 }
 
-/// `2^x` for `x` in `-126..=127`, within 2e-7 of itself; `x` outside must be clamped by the caller.
-#[simd]
+/// `2^x` for `x` in `-125..=127`, within 2e-7 of itself; the caller clamps.
+#[inline(always)]
 pub(crate) fn exp2<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
     // adding 1.5 * 2^23 leaves round(x) in the low bits of the mantissa
     let magic = all(s, 12_582_912.0);
     let shifted = x + magic;
     let f = x - (shifted - magic);
-    // least squares on [-1/2, 1/2] weighted for relative error, exact at 0
     let p = all(s, 0.001_327_646)
         .mul_add(f, all(s, 0.009_675_541))
         .mul_add(f, all(s, 0.055_507_133))
@@ -173,4 +171,117 @@ pub(crate) fn exp2<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
         .mul_add(f, all(s, 1.0));
     let exponent: u32x16<S> = shifted.to_bits();
     f32x16::from_bits(p.to_bits() + (exponent << 23u32))
+}
+
+/// `e^x`, within 1e-6 of itself for `|x| < 20`; saturates near 2^-125 and 2^127.
+#[inline(always)]
+pub(crate) fn exp<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
+    let y = x * all(s, std::f32::consts::LOG2_E);
+    exp2(s, y.max(all(s, -125.0)).min(all(s, 127.0)))
+}
+
+/// `log2(x)` for normal `x` above 0, within 1e-7 of `1 + |log2 x|`.
+#[inline(always)]
+pub(crate) fn log2<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
+    // x = 2^k m with m in [sqrt(1/2), sqrt(2)), then log m = 2 atanh((m - 1) / (m + 1))
+    let bits: u32x16<S> = x.to_bits();
+    let half = u32x16::splat(s, 0x3f35_04f3);
+    let k = (bits - half) >> 23u32;
+    let m: f32x16<S> = f32x16::from_bits(bits - (k << 23u32));
+    let k: fearless_simd::i32x16<S> = ((k << 24u32).bitcast::<fearless_simd::i32x16<S>>()) >> 24u32;
+    let one = all(s, 1.0);
+    let z = (m - one) / (m + one);
+    let zz = z * z;
+    let scale = 2.0 * std::f32::consts::LOG2_E;
+    let p = all(s, scale / 9.0)
+        .mul_add(zz, all(s, scale / 7.0))
+        .mul_add(zz, all(s, scale / 5.0))
+        .mul_add(zz, all(s, scale / 3.0))
+        .mul_add(zz, all(s, scale));
+    z.mul_add(p, k.to_float::<f32x16<S>>())
+}
+
+/// Sine and cosine of `turns` full turns, within 2e-7 for `|turns|` up to some thousands.
+#[inline(always)]
+pub(crate) fn sin_cos_turns<S: Simd>(s: S, turns: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
+    // half the angle lies in [-pi/2, pi/2], where the series converge fast; then double it
+    let a = (turns - turns.round_ties_even()) * all(s, std::f32::consts::PI);
+    let b = a * a;
+    let k = |v: f64| all(s, v as f32);
+    let sin = k(-1.0 / 39_916_800.0)
+        .mul_add(b, k(1.0 / 362_880.0))
+        .mul_add(b, k(-1.0 / 5_040.0))
+        .mul_add(b, k(1.0 / 120.0))
+        .mul_add(b, k(-1.0 / 6.0))
+        .mul_add(b, k(1.0))
+        * a;
+    let cos = k(1.0 / 479_001_600.0)
+        .mul_add(b, k(-1.0 / 3_628_800.0))
+        .mul_add(b, k(1.0 / 40_320.0))
+        .mul_add(b, k(-1.0 / 720.0))
+        .mul_add(b, k(1.0 / 24.0))
+        .mul_add(b, k(-0.5))
+        .mul_add(b, k(1.0));
+    let twice = sin + sin;
+    (twice * cos, k(1.0) - twice * sin)
+}
+
+/// `1 / (1 + e^-x)`.
+#[inline(always)]
+pub(crate) fn sigmoid<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
+    let one = all(s, 1.0);
+    one / (one + exp(s, -x))
+}
+
+/// `a . b` of two 3-vectors.
+#[inline(always)]
+pub(crate) fn dot<S: Simd>(a: &[f32x16<S>; 3], b: &[f32x16<S>; 3]) -> f32x16<S> {
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+}
+
+/// The lanes of a mask that are set, as bits.
+#[inline(always)]
+pub(crate) fn bits<S: Simd>(mask: fearless_simd::mask32x16<S>) -> u16 {
+    mask.to_bitmask() as u16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{LANES, SimdLevel, all, exp, log2, sigmoid, sin_cos_turns};
+    use fearless_simd::{Simd, dispatch, f32x16, prelude::*};
+
+    #[inline(always)]
+    fn each<S: Simd>(s: S, x: f32) -> [f32; 5] {
+        let v = all(s, x);
+        let first = |v: f32x16<S>| v[LANES - 1];
+        let (sin, cos) = sin_cos_turns(s, v);
+        [first(exp(s, v)), first(log2(s, v.max(all(s, 1e-30)))), first(sin), first(cos), first(sigmoid(s, v))]
+    }
+
+    #[test]
+    fn functions_match_those_of_f64() {
+        for level in SimdLevel::available() {
+            for k in -4000..=4000 {
+                let x = k as f32 * 0.00497;
+                let got = dispatch!(level.level(), s => each(s, x));
+                let d = f64::from(x);
+                let turn = d * std::f64::consts::TAU;
+                let want = [d.exp(), d.max(1e-30).log2(), turn.sin(), turn.cos(), 1.0 / (1.0 + (-d).exp())];
+                let scale = [want[0], 1.0 + want[1].abs(), 1.0 + d.abs(), 1.0 + d.abs(), want[4]];
+                for i in 0..5 {
+                    let error = (f64::from(got[i]) - want[i]).abs() / scale[i];
+                    assert!(error < 2e-6, "{level}: function {i} of {x}: {} where {} was expected", got[i], want[i]);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_level_that_does_not_exist_is_an_error_that_names_those_that_do() {
+        let error = SimdLevel::named("avx1024").unwrap_err();
+        assert!(error.to_string().contains(SimdLevel::available()[0].name()), "{error}");
+        for level in SimdLevel::available() {
+            assert_eq!(SimdLevel::named(level.name()), Ok(level));
+        }
+    }
 }

@@ -6,6 +6,7 @@
 //! twin may list a splat in a tile that it does not reach, at a cost in time alone; it must not leave
 //! one out (up to the rounding of `alpha` at the threshold).
 
+pub(crate) mod cpu;
 pub mod reference;
 
 /// Edge of a tile, pixels: 8 keeps lanes busier than 16 (section 5.2).

@@ -17,6 +17,7 @@
 //! front to back with one scalar a pixel (`sigma = <g, C>` less what was seen so far), which needs the
 //! final image alone.
 
+pub(crate) mod cpu;
 pub mod reference;
 
 /// The largest alpha: keeps `1 - alpha` away from 0 (3DGS).

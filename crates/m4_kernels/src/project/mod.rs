@@ -18,6 +18,7 @@
 
 use m4_scene::Intrinsics;
 
+pub(crate) mod cpu;
 pub mod reference;
 
 /// Added to both diagonal entries of the image covariance, pixels squared (3DGS; a Gaussian of half

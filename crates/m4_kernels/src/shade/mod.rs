@@ -11,6 +11,7 @@
 //! splats have `dt = 0`: every cosine is 1. Where the sum is not above 0 the colour is 0 and has no
 //! gradient.
 
+pub(crate) mod cpu;
 pub mod reference;
 
 /// `Y_0`.

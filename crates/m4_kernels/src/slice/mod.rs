@@ -18,6 +18,7 @@
 //! [`mod@reference`] also slices the rotor-pair form (section 1.2), which has no twin: it is there to
 //! prove that the velocity form is the same model.
 
+pub(crate) mod cpu;
 pub mod reference;
 
 /// Splats whose temporal marginal is at most this are left out of a frame: `|dt| > 2.448 sd`
