@@ -73,12 +73,9 @@ fn draw<T: Real>(row: usize, splat: &Splat<T>, setup: &Setup<T>) -> Option<(Draw
     }
     let projected = project(&sliced.mean, &sliced.covariance, &setup.camera, setup.near, setup.mip)?;
     let opacity = sigmoid(splat.opacity) * sliced.marginal * projected.compensation;
-    let finite = projected
-        .centre
-        .iter()
-        .chain(projected.conic.iter())
-        .all(|v| v.is_finite());
-    if !finite || !projected.depth.is_finite() || !(opacity >= T::of(ALPHA_MIN)) {
+    let (centre, conic) = (&projected.centre, &projected.conic);
+    let mut numbers = centre.iter().chain(conic.iter()).chain([&projected.depth, &opacity]);
+    if numbers.any(|v| !v.is_finite()) || opacity < T::of(ALPHA_MIN) {
         return None;
     }
     let sight = Sight {

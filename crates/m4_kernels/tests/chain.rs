@@ -41,7 +41,7 @@ fn rebuild(like: &Splat<f64>, values: &[f64]) -> Splat<f64> {
         panic!("only the velocity form has columns")
     };
     let mut values = values.iter().copied();
-    let mut next = || values.next().unwrap();
+    let mut next = || values.next().expect("as many numbers as parameters");
     let mut vector = || Vector3::from_fn(|_, _| next());
     let mean = vector();
     let shape = match old.shape {
