@@ -442,7 +442,10 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         add(8 + i, d.centre[i]);
     }
     let centre = d.centre.map(|v| v.to_array());
-    for lane in lanes(group.seen) {
+    // composited somewhere: every blended pixel adds to a colour's sum, or had no gradient to give
+    let size = Sums::RGB.map(get).into_iter().fold(moments.weight.abs() + moments.depth.abs(), |a, v| a + v.abs());
+    let touched = bits(size.simd_gt(all(s, 0.0))) & group.seen;
+    for lane in lanes(touched) {
         out.touched[at + lane] = 1;
         out.means2d[at + lane] = [centre[0][lane], centre[1][lane]];
     }
