@@ -1,0 +1,145 @@
+//! Semi-global aggregation of a cost volume along eight directions (Hirschmueller 2008).
+
+/// Penalties, in the unit of the costs.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Penalties {
+    pub small: i16,
+    /// On a flat image; divided by the brightness step, never below `small`.
+    pub large: i16,
+}
+
+/// The disparity of least cost a pixel.
+pub(super) struct Winner {
+    /// `[height][width]`: index into the range, with a fraction.
+    pub index: Vec<f32>,
+    /// `[height][width]`: how much the next best, not neighbouring, disparity costs more, as a share.
+    pub margin: Vec<f32>,
+}
+
+/// Brightness step that halves the large penalty, 0..255.
+const EDGE: f32 = 10.0;
+/// Above every path cost, and small enough to have a penalty added.
+const FAR: i16 = 8000;
+
+struct Path {
+    /// One value a disparity, with one of `FAR` on either side.
+    values: Vec<i16>,
+    least: i16,
+}
+
+pub(super) fn aggregate(
+    width: usize,
+    height: usize,
+    count: usize,
+    volume: &[u8],
+    grey: &[f32],
+    penalties: Penalties,
+) -> Winner {
+    let mut total = vec![0i16; width * height * count];
+    for downwards in [true, false] {
+        pass(width, height, count, volume, grey, penalties, downwards, &mut total);
+    }
+    winner(width, height, count, &total)
+}
+
+/// Adds four directions: along the row, and from the three neighbours in the previous row.
+fn pass(
+    width: usize,
+    height: usize,
+    count: usize,
+    volume: &[u8],
+    grey: &[f32],
+    penalties: Penalties,
+    downwards: bool,
+    total: &mut [i16],
+) {
+    let fresh = || Path {
+        values: vec![FAR; count + 2],
+        least: 0,
+    };
+    let rows = |n: usize| (0..n).map(|_| fresh()).collect::<Vec<Path>>();
+    // [direction][column]; the row before and the row being made.
+    let mut before: [Vec<Path>; 3] = std::array::from_fn(|_| rows(width));
+    let mut current: [Vec<Path>; 3] = std::array::from_fn(|_| rows(width));
+    let (mut left, mut here) = (fresh(), fresh());
+    let start = fresh();
+    for k in 0..height {
+        let y = if downwards { k } else { height - 1 - k };
+        for m in 0..width {
+            let x = if downwards { m } else { width - 1 - m };
+            let i = y * width + x;
+            let cost = &volume[i * count..(i + 1) * count];
+            let out = &mut total[i * count..(i + 1) * count];
+            let step_back = |n: usize, size: usize| if downwards { n.checked_sub(1) } else { (n + 1 < size).then_some(n + 1) };
+            let ahead = |n: usize, size: usize| if downwards { (n + 1 < size).then_some(n + 1) } else { n.checked_sub(1) };
+            let large = |j: usize| {
+                let fade = 1.0 / (1.0 + (grey[i] - grey[j]).abs() / EDGE);
+                ((f32::from(penalties.large) * fade) as i16).max(penalties.small)
+            };
+            match step_back(x, width) {
+                Some(px) => extend(cost, &left, penalties.small, large(y * width + px), &mut here, out),
+                None => extend(cost, &start, 0, 0, &mut here, out),
+            }
+            std::mem::swap(&mut left, &mut here);
+            let py = step_back(y, height);
+            let columns = [Some(x), step_back(x, width), ahead(x, width)];
+            for (direction, column) in columns.into_iter().enumerate() {
+                let target = &mut current[direction][x];
+                match (py, column) {
+                    (Some(py), Some(px)) => {
+                        let p2 = large(py * width + px);
+                        extend(cost, &before[direction][px], penalties.small, p2, target, out);
+                    }
+                    _ => extend(cost, &start, 0, 0, target, out),
+                }
+            }
+        }
+        std::mem::swap(&mut before, &mut current);
+    }
+}
+
+/// One step of equation 13: `cost + min(same, neighbour + p1, least + p2) - least`.
+fn extend(cost: &[u8], from: &Path, p1: i16, p2: i16, to: &mut Path, total: &mut [i16]) {
+    let n = cost.len();
+    // A start holds FAR everywhere and a least of 0, so `least + p2` wins and the cost is plain.
+    let jump = from.least + p2;
+    let (down, same, up) = (&from.values[..n], &from.values[1..=n], &from.values[2..n + 2]);
+    let values = &mut to.values[1..=n];
+    let mut least = i16::MAX;
+    for d in 0..n {
+        let best = same[d].min(down[d] + p1).min(up[d] + p1).min(jump);
+        let value = i16::from(cost[d]) + best - from.least;
+        values[d] = value;
+        total[d] += value;
+        least = least.min(value);
+    }
+    to.least = least;
+}
+
+fn winner(width: usize, height: usize, count: usize, total: &[i16]) -> Winner {
+    let (mut index, mut margin) = (vec![0.0; width * height], vec![0.0; width * height]);
+    for (i, cost) in total.chunks_exact(count).enumerate() {
+        let (mut best, mut least) = (0, i16::MAX);
+        for (d, &c) in cost.iter().enumerate() {
+            if c < least {
+                (best, least) = (d, c);
+            }
+        }
+        let mut second = i16::MAX;
+        for (d, &c) in cost.iter().enumerate() {
+            if d.abs_diff(best) > 2 {
+                second = second.min(c);
+            }
+        }
+        margin[i] = f32::from(second.saturating_sub(least)) / f32::from(second.max(1));
+        index[i] = best as f32;
+        if best > 0 && best + 1 < count {
+            let (a, b, c) = (f32::from(cost[best - 1]), f32::from(least), f32::from(cost[best + 1]));
+            let bend = a + c - 2.0 * b;
+            if bend > 0.0 {
+                index[i] += (0.5 * (a - c) / bend).clamp(-0.5, 0.5);
+            }
+        }
+    }
+    Winner { index, margin }
+}

@@ -1,0 +1,167 @@
+//! Settings of the dense half.
+
+use super::DenseError;
+use serde::{Deserialize, Serialize};
+
+/// Settings of [`super::densify`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DenseConfig {
+    /// Longest side of the images that flow, depth and masks are computed on, pixels; frames that are
+    /// smaller are used as they are. Not in the specification beyond "320-384": 320 keeps 96 frames
+    /// under a minute on two cores.
+    pub working_side_px: usize,
+    /// Dense flow.
+    pub flow: FlowConfig,
+    /// Depth of what does not move.
+    pub static_depth: StaticDepthConfig,
+    /// What moves.
+    pub motion: MotionConfig,
+    /// Depth of what moves.
+    pub moving_depth: MovingDepthConfig,
+}
+
+impl Default for DenseConfig {
+    fn default() -> Self {
+        Self {
+            working_side_px: 320,
+            flow: FlowConfig::default(),
+            static_depth: StaticDepthConfig::default(),
+            motion: MotionConfig::default(),
+            moving_depth: MovingDepthConfig::default(),
+        }
+    }
+}
+
+/// Inverse-search flow with variational refinement (Kroeger et al. 2016).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FlowConfig {
+    /// Side of a patch, pixels. Kroeger et al. and the specification: 8.
+    pub patch_px: usize,
+    /// Distance of patches, pixels. Specification: 4.
+    pub stride_px: usize,
+    /// Gauss-Newton steps a patch and level. Kroeger et al.: 12.
+    pub iterations: usize,
+    /// Linearisations of the variational energy a level. Kroeger et al.: level + 1; 3 measured as good.
+    pub refinements: usize,
+    /// Relaxation sweeps a linearisation. Kroeger et al.: 3 to 5.
+    pub relaxations: usize,
+    /// Weight of smoothness. As in OpenCV's implementation of the paper: 20.
+    pub smoothness: f32,
+    /// Weight of equal brightness. Kroeger et al.: 5.
+    pub brightness: f32,
+    /// Weight of equal gradients. Kroeger et al.: 10.
+    pub gradient: f32,
+}
+
+impl Default for FlowConfig {
+    fn default() -> Self {
+        Self {
+            patch_px: 8,
+            stride_px: 4,
+            iterations: 12,
+            refinements: 3,
+            relaxations: 5,
+            smoothness: 20.0,
+            brightness: 5.0,
+            gradient: 10.0,
+        }
+    }
+}
+
+/// Plane sweep, aggregation, consistency and fill.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StaticDepthConfig {
+    /// Disparities tried between the farthest and the nearest surface.
+    pub hypotheses: usize,
+    /// Parallax of a point at median depth between a frame and its partners on each side, pixels at
+    /// the working size: one partner a target and side.
+    pub parallax_px: Vec<f64>,
+    /// How far away in time partners may be, frames. Specification: 8; slow cameras need more.
+    pub partner_frames: usize,
+    /// Least parallax of a partner, pixels at the working size.
+    pub least_parallax_px: f64,
+    /// Penalty of a disparity step of one between neighbours, census bits (Hirschmueller 2008, P1).
+    pub small_step: i16,
+    /// Penalty of a larger step on a flat image, census bits (P2).
+    pub large_step: i16,
+    /// Largest difference to a partner's disparity that counts as agreement, in hypothesis steps.
+    pub agree_steps: f32,
+    /// Weight of one sparse point in the fill; a pixel on which all partners agree has 1.
+    pub point_weight: f32,
+    /// Strength of the edge-aware fill, pixels squared (Min et al. 2014, lambda).
+    pub fill_lambda: f32,
+    /// Colour difference that stops the fill, 0..255 (Min et al. 2014, sigma).
+    pub fill_sigma: f32,
+}
+
+impl Default for StaticDepthConfig {
+    fn default() -> Self {
+        Self {
+            hypotheses: 64,
+            parallax_px: vec![6.0, 12.0],
+            partner_frames: 24,
+            least_parallax_px: 1.5,
+            small_step: 6,
+            large_step: 40,
+            agree_steps: 1.5,
+            point_weight: 4.0,
+            fill_lambda: 900.0,
+            fill_sigma: 8.0,
+        }
+    }
+}
+
+/// Motion evidence and masks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MotionConfig {
+    /// Noise of the flow, pixels at the working size.
+    pub flow_noise_px: f32,
+    /// Components below this share of the image are dropped. Specification: 0.2 %.
+    pub least_component: f32,
+}
+
+impl Default for MotionConfig {
+    fn default() -> Self {
+        Self {
+            flow_noise_px: 0.4,
+            least_component: 0.002,
+        }
+    }
+}
+
+/// Depth of what moves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MovingDepthConfig {
+    /// Time over which depth is smoothed along the flow, frames.
+    pub smooth_frames: f32,
+}
+
+impl Default for MovingDepthConfig {
+    fn default() -> Self {
+        Self { smooth_frames: 4.0 }
+    }
+}
+
+impl DenseConfig {
+    /// Rejects settings that no computation could use.
+    pub(super) fn check(&self) -> Result<(), DenseError> {
+        let need = |ok: bool, name: &'static str, value: f64, range: &'static str| {
+            if ok { Ok(()) } else { Err(DenseError::Setting { name, value, range }) }
+        };
+        let (f, s) = (&self.flow, &self.static_depth);
+        let side = self.working_side_px;
+        need((64..=2048).contains(&side), "dense.working_side_px", side as f64, "64 to 2048")?;
+        need((4..=16).contains(&f.patch_px), "dense.flow.patch_px", f.patch_px as f64, "4 to 16")?;
+        let stride = f.stride_px;
+        need((1..=f.patch_px).contains(&stride), "dense.flow.stride_px", stride as f64, "1 to patch_px")?;
+        let n = s.hypotheses;
+        need((8..=256).contains(&n), "dense.static_depth.hypotheses", n as f64, "8 to 256")?;
+        let parallax = s.parallax_px.iter().copied().fold(f64::INFINITY, f64::min);
+        need(parallax > 0.0 && parallax.is_finite(), "dense.static_depth.parallax_px", parallax, "a list above 0")
+    }
+}

@@ -1,0 +1,206 @@
+//! Inverse search: each patch of the first image is aligned to the second by Gauss-Newton with the
+//! Hessian of the first (Kroeger et al. 2016, section 2.1), then patches are averaged (section 2.2).
+
+use super::super::config::FlowConfig;
+use super::Flow;
+use super::pyramid::{BORDER, Level};
+
+/// A step shorter than this ends the search, pixels.
+const SMALL_STEP_PX: f32 = 0.01;
+
+struct Patch {
+    x: usize,
+    y: usize,
+    /// Inverse of the Hessian; `None` where the patch is too flat to be aligned.
+    inverse: Option<[f32; 3]>,
+    /// Sums of the gradient: brightness offsets are projected out.
+    sum: [f32; 2],
+}
+
+struct Search<'a> {
+    a: &'a Level,
+    b: &'a Level,
+    size: usize,
+    difference: Vec<f32>,
+}
+
+fn positions(n: usize, size: usize, stride: usize) -> Vec<usize> {
+    let last = n - size;
+    let mut out: Vec<usize> = (0..=last).step_by(stride).collect();
+    if last % stride != 0 {
+        out.push(last);
+    }
+    out
+}
+
+pub(super) fn search(a: &Level, b: &Level, start: &Flow, config: &FlowConfig) -> Flow {
+    let size = config.patch_px.min(a.width).min(a.height);
+    let (xs, ys) = (positions(a.width, size, config.stride_px), positions(a.height, size, config.stride_px));
+    let mut search = Search {
+        a,
+        b,
+        size,
+        difference: vec![0.0; size * size],
+    };
+    let patches: Vec<Patch> =
+        ys.iter().flat_map(|&y| xs.iter().map(move |&x| (x, y))).map(|(x, y)| Patch::new(a, x, y, size)).collect();
+    let centre = (size / 2) as f32 - 0.5;
+    let mut flow: Vec<[f32; 2]> = patches
+        .iter()
+        .map(|p| {
+            let (u, v) = start.at(p.x as f32 + centre, p.y as f32 + centre);
+            [u, v]
+        })
+        .collect();
+    let initial = flow.clone();
+    let mut cost: Vec<f32> = patches.iter().zip(&flow).map(|(p, &f)| search.cost(p, f)).collect();
+    let columns = xs.len();
+    // Forwards, candidates from left and above; then backwards, from right and below.
+    for backwards in [false, true] {
+        for k in 0..patches.len() {
+            let i = if backwards { patches.len() - 1 - k } else { k };
+            let (column, row) = (i % columns, i / columns);
+            let side = if backwards {
+                (column + 1 < columns).then(|| i + 1)
+            } else {
+                column.checked_sub(1).map(|_| i - 1)
+            };
+            let vertical = if backwards {
+                (row + 1 < ys.len()).then(|| i + columns)
+            } else {
+                row.checked_sub(1).map(|_| i - columns)
+            };
+            let mut improved = !backwards;
+            for j in [side, vertical].into_iter().flatten() {
+                let c = search.cost(&patches[i], flow[j]);
+                if c < cost[i] {
+                    (flow[i], cost[i], improved) = (flow[j], c, true);
+                }
+            }
+            if improved {
+                let found = search.descend(&patches[i], flow[i], config.iterations);
+                let moved = (found[0] - initial[i][0]).hypot(found[1] - initial[i][1]);
+                let c = search.cost(&patches[i], found);
+                if c < cost[i] && moved < 2.0 * size as f32 {
+                    (flow[i], cost[i]) = (found, c);
+                }
+            }
+        }
+    }
+    average(&mut search, &patches, &flow)
+}
+
+impl Patch {
+    fn new(a: &Level, x: usize, y: usize, size: usize) -> Self {
+        let (mut xx, mut xy, mut yy, mut sx, mut sy) = (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
+        for j in 0..size {
+            let row = (y + j) * a.width + x;
+            for (gx, gy) in a.dx[row..row + size].iter().zip(&a.dy[row..row + size]) {
+                xx += gx * gx;
+                xy += gx * gy;
+                yy += gy * gy;
+                sx += gx;
+                sy += gy;
+            }
+        }
+        let n = (size * size) as f32;
+        let (xx, xy, yy) = (xx - sx * sx / n, xy - sx * sy / n, yy - sy * sy / n);
+        // A little of the trace keeps the step along an edge finite.
+        let damp = 0.01 * (xx + yy) + 1e-3 * n;
+        let det = (xx + damp) * (yy + damp) - xy * xy;
+        let inverse = (xx + yy > 0.5 * n).then(|| [(yy + damp) / det, -xy / det, (xx + damp) / det]);
+        Self {
+            x,
+            y,
+            inverse,
+            sum: [sx, sy],
+        }
+    }
+}
+
+impl Search<'_> {
+    /// Fills `difference` with `b(x + f) - a(x)` and returns its mean.
+    fn sample(&mut self, patch: &Patch, f: [f32; 2]) -> f32 {
+        let (b, size) = (self.b, self.size);
+        let stride = b.width + 2 * BORDER;
+        let limit = |v: f32, n: usize| v.max(0.0).min((n + 2 * BORDER - size - 1) as f32 - 1e-3);
+        let x = limit(patch.x as f32 + f[0] + BORDER as f32, b.width);
+        let y = limit(patch.y as f32 + f[1] + BORDER as f32, b.height);
+        let (ix, iy) = (x as usize, y as usize);
+        let (fx, fy) = (x - ix as f32, y - iy as f32);
+        let (w00, w10) = ((1.0 - fx) * (1.0 - fy), fx * (1.0 - fy));
+        let (w01, w11) = ((1.0 - fx) * fy, fx * fy);
+        let mut sum = 0.0f32;
+        for j in 0..size {
+            let top = &b.padded[(iy + j) * stride + ix..][..size + 1];
+            let bottom = &b.padded[(iy + j + 1) * stride + ix..][..size + 1];
+            let a = &self.a.image[(patch.y + j) * self.a.width + patch.x..][..size];
+            let out = &mut self.difference[j * size..(j + 1) * size];
+            for i in 0..size {
+                let value = w00 * top[i] + w10 * top[i + 1] + w01 * bottom[i] + w11 * bottom[i + 1];
+                out[i] = value - a[i];
+                sum += out[i];
+            }
+        }
+        sum / (size * size) as f32
+    }
+
+    /// Sum of squared differences after removal of their mean.
+    fn cost(&mut self, patch: &Patch, f: [f32; 2]) -> f32 {
+        let mean = self.sample(patch, f);
+        let square: f32 = self.difference.iter().map(|d| d * d).sum();
+        square - mean * mean * self.difference.len() as f32
+    }
+
+    fn descend(&mut self, patch: &Patch, start: [f32; 2], iterations: usize) -> [f32; 2] {
+        let Some([ixx, ixy, iyy]) = patch.inverse else {
+            return start;
+        };
+        let (size, width) = (self.size, self.a.width);
+        let mut f = start;
+        for _ in 0..iterations {
+            let mean = self.sample(patch, f);
+            let (mut bx, mut by) = (0.0f32, 0.0f32);
+            for j in 0..size {
+                let row = (patch.y + j) * width + patch.x;
+                let d = &self.difference[j * size..(j + 1) * size];
+                let (gx, gy) = (&self.a.dx[row..row + size], &self.a.dy[row..row + size]);
+                for i in 0..size {
+                    bx += gx[i] * d[i];
+                    by += gy[i] * d[i];
+                }
+            }
+            let (bx, by) = (bx - patch.sum[0] * mean, by - patch.sum[1] * mean);
+            let (du, dv) = (ixx * bx + ixy * by, ixy * bx + iyy * by);
+            f = [f[0] - du, f[1] - dv];
+            if du * du + dv * dv < SMALL_STEP_PX * SMALL_STEP_PX {
+                break;
+            }
+        }
+        if f[0].is_finite() && f[1].is_finite() { f } else { start }
+    }
+}
+
+/// The mean of the patches over a pixel, weighted by how well each explains it.
+fn average(search: &mut Search<'_>, patches: &[Patch], flow: &[[f32; 2]]) -> Flow {
+    let (width, height, size) = (search.a.width, search.a.height, search.size);
+    let mut out = Flow::zero(width, height);
+    let mut weight = vec![0.0f32; width * height];
+    for (patch, &f) in patches.iter().zip(flow) {
+        let mean = search.sample(patch, f);
+        for j in 0..size {
+            let row = (patch.y + j) * width + patch.x;
+            for i in 0..size {
+                let w = 1.0 / (search.difference[j * size + i] - mean).abs().max(1.0);
+                weight[row + i] += w;
+                out.u[row + i] += w * f[0];
+                out.v[row + i] += w * f[1];
+            }
+        }
+    }
+    for ((u, v), w) in out.u.iter_mut().zip(&mut out.v).zip(&weight) {
+        *u /= w;
+        *v /= w;
+    }
+    out
+}

@@ -1,0 +1,39 @@
+//! Depth a pixel and motion masks, given cameras and tracks: classical, without weights.
+//!
+//! ```text
+//! frames -> working size -> flow to the neighbours ----------------------.
+//!              |                                                          v
+//!              '-> plane sweep -> consistency -> static depth -> motion evidence -> masks
+//!                                                     ^                              |
+//!                                                     '------- once more ------------|
+//!                                                                                    v
+//!                                           depth of the moving parts -> full size
+//! ```
+//!
+//! Everything happens at a working size ([`DenseConfig::working_side_px`]) and is brought to the size
+//! of the frames at the end, along the edges of the frames. Inside, depth is *disparity*, one over
+//! z-depth, in which both the noise of a stereo measurement and a plane are simple.
+//!
+//! Follows section 7.1 of the front-end specification: inverse search flow (Kroeger et al. 2016),
+//! plane sweep (Collins 1996) with census cost (Zabih and Woodfill 1994), semi-global aggregation
+//! (Hirschmueller 2008), and fast global smoothing (Min et al. 2014).
+
+mod aggregate;
+mod config;
+mod densify;
+mod error;
+mod flow;
+mod motion;
+mod pair;
+mod shot;
+mod smooth;
+mod static_depth;
+mod sweep;
+mod working;
+
+#[cfg(test)]
+mod bench_tests;
+
+pub use config::{DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, StaticDepthConfig};
+pub use densify::{DenseFrame, densify};
+pub use error::DenseError;

@@ -1,0 +1,145 @@
+//! Edge-aware smoothing and filling: the fast global smoother (Min et al. 2014).
+
+/// Rounds of row and column solves. Min et al.: 3.
+const ROUNDS: i32 = 3;
+/// Least coupling of neighbours: values pass even the hardest edge, so that filling has no holes.
+const LEAST_COUPLING: f32 = 1e-4;
+
+/// The couplings of an image, ready to smooth several planes.
+pub(super) struct Smoother {
+    width: usize,
+    height: usize,
+    /// Between a pixel and the next in its row; 0 in the last column.
+    right: Vec<f32>,
+    /// Between a pixel and the one below; 0 in the last row.
+    below: Vec<f32>,
+}
+
+impl Smoother {
+    /// `sigma`: the colour difference (0..255, largest channel) over which the coupling falls by e.
+    pub fn new(width: usize, height: usize, guide: &[[f32; 3]], sigma: f32) -> Self {
+        let couple = |a: [f32; 3], b: [f32; 3]| {
+            let d = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            (-d / sigma).exp().max(LEAST_COUPLING)
+        };
+        let n = width * height;
+        let (mut right, mut below) = (vec![0.0; n], vec![0.0; n]);
+        for y in 0..height {
+            for x in 0..width {
+                let i = y * width + x;
+                if x + 1 < width {
+                    right[i] = couple(guide[i], guide[i + 1]);
+                }
+                if y + 1 < height {
+                    below[i] = couple(guide[i], guide[i + width]);
+                }
+            }
+        }
+        Self {
+            width,
+            height,
+            right,
+            below,
+        }
+    }
+
+    /// Approximately minimises `sum (u - f)^2 + lambda sum coupling (u_i - u_j)^2`.
+    pub fn smooth(&self, values: &mut [f32], lambda: f32) {
+        let (w, h) = (self.width, self.height);
+        let mut ratio = vec![0.0f32; w.max(h) * w];
+        for round in 1..=ROUNDS {
+            let l = 1.5 * 4f32.powi(ROUNDS - round) / (4f32.powi(ROUNDS) - 1.0) * lambda;
+            for (row, right) in values.chunks_exact_mut(w).zip(self.right.chunks_exact(w)) {
+                solve_row(row, right, l, &mut ratio[..w]);
+            }
+            self.solve_columns(values, l, &mut ratio);
+        }
+    }
+
+    /// Weighted fill: values are averaged along the image with `weight`; returns the averages and how
+    /// much weight reached each pixel.
+    pub fn fill(&self, values: &[f32], weight: &[f32], lambda: f32) -> (Vec<f32>, Vec<f32>) {
+        let mut sum: Vec<f32> = values.iter().zip(weight).map(|(v, w)| v * w).collect();
+        let mut reach = weight.to_vec();
+        self.smooth(&mut sum, lambda);
+        self.smooth(&mut reach, lambda);
+        for (s, r) in sum.iter_mut().zip(&reach) {
+            *s /= r.max(1e-20);
+        }
+        (sum, reach)
+    }
+
+    /// All columns at once, row by row: the Thomas algorithm with a row as its scalar.
+    fn solve_columns(&self, u: &mut [f32], l: f32, ratio: &mut [f32]) {
+        let (w, h) = (self.width, self.height);
+        for y in 0..h {
+            for x in 0..w {
+                let i = y * w + x;
+                let after = l * self.below[i];
+                let (before, carried, above) = if y > 0 {
+                    (l * self.below[i - w], ratio[i - w], u[i - w])
+                } else {
+                    (0.0, 0.0, 0.0)
+                };
+                let pivot = 1.0 / (1.0 + before + after - before * carried);
+                ratio[i] = after * pivot;
+                u[i] = (u[i] + before * above) * pivot;
+            }
+        }
+        for y in (0..h.saturating_sub(1)).rev() {
+            for x in 0..w {
+                let i = y * w + x;
+                u[i] += ratio[i] * u[i + w];
+            }
+        }
+    }
+}
+
+/// Solves `(1 + l (c_before + c_after)) u - l c_before u_before - l c_after u_after = f` in place.
+fn solve_row(u: &mut [f32], right: &[f32], l: f32, ratio: &mut [f32]) {
+    let (mut before, mut carried, mut last) = (0.0, 0.0, 0.0);
+    for ((u, &right), ratio) in u.iter_mut().zip(right).zip(ratio.iter_mut()) {
+        let after = l * right;
+        let pivot = 1.0 / (1.0 + before + after - before * carried);
+        *ratio = after * pivot;
+        *u = (*u + before * last) * pivot;
+        (before, carried, last) = (after, *ratio, *u);
+    }
+    for i in (0..u.len().saturating_sub(1)).rev() {
+        u[i] += ratio[i] * u[i + 1];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Smoother;
+
+    #[test]
+    fn a_constant_stays_and_the_mean_is_kept() {
+        let (w, h) = (13, 9);
+        let guide: Vec<[f32; 3]> = (0..w * h).map(|i| [(i * 37 % 101) as f32; 3]).collect();
+        let smoother = Smoother::new(w, h, &guide, 20.0);
+        let mut flat = vec![3.0; w * h];
+        smoother.smooth(&mut flat, 100.0);
+        assert!(flat.iter().all(|v| (v - 3.0).abs() < 1e-4));
+        let mut dot = vec![0.0; w * h];
+        dot[40] = 1.0;
+        smoother.smooth(&mut dot, 100.0);
+        let sum: f32 = dot.iter().sum();
+        assert!((sum - 1.0).abs() < 1e-4 && dot[40] < 0.9, "{sum} {}", dot[40]);
+    }
+
+    #[test]
+    fn values_fill_their_own_side_of_an_edge() {
+        let (w, h) = (20, 8);
+        let guide: Vec<[f32; 3]> = (0..w * h).map(|i| if i % w < 10 { [0.0; 3] } else { [200.0; 3] }).collect();
+        let smoother = Smoother::new(w, h, &guide, 10.0);
+        let (mut values, mut weight) = (vec![0.0; w * h], vec![0.0; w * h]);
+        for (i, v) in [(3 * w + 2, 1.0), (5 * w + 17, 5.0)] {
+            (values[i], weight[i]) = (v, 1.0);
+        }
+        let (filled, _) = smoother.fill(&values, &weight, 500.0);
+        assert!((filled[7 * w + 8] - 1.0).abs() < 0.2, "{}", filled[7 * w + 8]);
+        assert!((filled[11] - 5.0).abs() < 0.2, "{}", filled[11]);
+    }
+}

@@ -1,0 +1,124 @@
+//! Depth of what does not move: sweep, agreement between frames, fill.
+
+use super::aggregate::{Penalties, aggregate};
+use super::config::StaticDepthConfig;
+use super::shot::Shot;
+use super::smooth::Smoother;
+use super::sweep::{Partner, cost_volume};
+
+/// What the sweep of one frame found.
+pub(super) struct Swept {
+    /// `[height][width]`: disparity.
+    pub disparity: Vec<f32>,
+    /// `[height][width]`: 0..1, how much worse the second best is.
+    pub margin: Vec<f32>,
+}
+
+/// A disparity a pixel and how far to trust it.
+#[derive(Clone)]
+pub(super) struct Measured {
+    /// `[height][width]`: mean of the agreeing frames.
+    pub disparity: Vec<f32>,
+    /// `[height][width]`: share of the partners that agree, 0 where fewer than two do.
+    pub confidence: Vec<f32>,
+}
+
+/// Sweeps one frame; all zero confidence later on if it has no partners.
+pub(super) fn sweep(shots: &[Shot], i: usize, config: &StaticDepthConfig) -> Swept {
+    let shot = &shots[i];
+    let (w, h) = (shot.frame.width, shot.frame.height);
+    let partners: Vec<Partner<'_>> = shot
+        .partners
+        .iter()
+        .map(|(j, pair)| Partner {
+            pair: *pair,
+            census: &shots[*j].census,
+        })
+        .collect();
+    if partners.is_empty() {
+        return Swept {
+            disparity: vec![shot.range.at(0.5 * shot.range.count as f32); w * h],
+            margin: vec![0.0; w * h],
+        };
+    }
+    let volume = cost_volume(w, h, &shot.census, &partners, &shot.range);
+    let penalties = Penalties {
+        small: config.small_step,
+        large: config.large_step,
+    };
+    let winner = aggregate(w, h, shot.range.count, &volume, &shot.frame.grey, penalties);
+    Swept {
+        disparity: winner.index.iter().map(|&k| shot.range.at(k)).collect(),
+        margin: winner.margin,
+    }
+}
+
+/// Keeps what the partners' own sweeps confirm. Moving pixels (`moving[frame]`, above 0) confirm nothing.
+pub(super) fn measure(
+    shots: &[Shot],
+    swept: &[Swept],
+    moving: Option<&[Vec<u8>]>,
+    i: usize,
+    config: &StaticDepthConfig,
+) -> Measured {
+    let shot = &shots[i];
+    let (w, h) = (shot.frame.width, shot.frame.height);
+    let mut out = Measured {
+        disparity: swept[i].disparity.clone(),
+        confidence: vec![0.0; w * h],
+    };
+    let needed = shot.partners.len().min(2);
+    if needed == 0 {
+        return out;
+    }
+    for y in 0..h {
+        for x in 0..w {
+            let p = y * w + x;
+            if moving.is_some_and(|m| m[i][p] > 0) {
+                continue;
+            }
+            let d = swept[i].disparity[p];
+            let (mut sum, mut agree) = (d, 0usize);
+            for (j, pair) in &shot.partners {
+                let seen = pair.project(x as f32, y as f32, d);
+                let (qx, qy) = (seen.x + 0.5, seen.y + 0.5);
+                let inside = seen.disparity > 0.0 && qx >= 0.0 && qy >= 0.0 && qx < w as f32 && qy < h as f32;
+                if !inside {
+                    continue;
+                }
+                let q = qy as usize * w + qx as usize;
+                let difference = swept[*j].disparity[q] - seen.disparity;
+                let tolerance = config.agree_steps * shots[*j].range.step;
+                if difference.abs() <= tolerance && moving.is_none_or(|m| m[*j][q] == 0) {
+                    sum += d + difference * d / seen.disparity;
+                    agree += 1;
+                }
+            }
+            if agree >= needed {
+                out.disparity[p] = sum / (agree + 1) as f32;
+                out.confidence[p] = agree as f32 / shot.partners.len() as f32;
+            }
+        }
+    }
+    out
+}
+
+/// A disparity for every pixel: measurements and sparse points where there are any, and between them
+/// what the image's edges let through.
+pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, config: &StaticDepthConfig) -> Vec<f32> {
+    /// Weight of the surroundings against a pixel on which all partners agree.
+    const SURROUNDINGS: f32 = 0.15;
+    let (mut values, mut weight) = (measured.disparity.clone(), measured.confidence.clone());
+    for point in &shot.points {
+        let total = weight[point.pixel] + config.point_weight;
+        let sum = values[point.pixel] * weight[point.pixel] + point.disparity * config.point_weight;
+        (values[point.pixel], weight[point.pixel]) = (sum / total, total);
+    }
+    let (mut filled, _) = smoother.fill(&values, &weight, config.fill_lambda);
+    let least = 0.5 * shot.range.least;
+    for i in 0..filled.len() {
+        let w = weight[i];
+        filled[i] = ((w * values[i] + SURROUNDINGS * filled[i]) / (w + SURROUNDINGS)).max(least);
+    }
+    filled
+}

@@ -1,0 +1,71 @@
+//! Frames at the working size.
+
+use m4_scene::{Camera, RgbImage};
+
+/// One frame at the working size.
+#[derive(Debug, Clone)]
+pub(super) struct WorkingFrame {
+    pub width: usize,
+    pub height: usize,
+    /// `[height][width][3]`, 0..255.
+    pub rgb: Vec<[f32; 3]>,
+    /// `[height][width]`, 0..255.
+    pub grey: Vec<f32>,
+    /// The frame's camera for this size.
+    pub camera: Camera,
+}
+
+/// The size whose longest side is `side`, or the size itself if it is smaller.
+pub(super) fn working_size(width: usize, height: usize, side: usize) -> (usize, usize) {
+    let longest = width.max(height);
+    if longest <= side {
+        return (width, height);
+    }
+    let scaled = |n: usize| ((n * side + longest / 2) / longest).max(1);
+    (scaled(width), scaled(height))
+}
+
+impl WorkingFrame {
+    pub fn new(image: &RgbImage, camera: &Camera, width: usize, height: usize) -> Self {
+        let rgb = shrink(image, width, height);
+        let grey = rgb.iter().map(|c| 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2]).collect();
+        Self {
+            width,
+            height,
+            rgb,
+            grey,
+            camera: camera.resized(width, height),
+        }
+    }
+}
+
+/// What share of source sample `i` lies in target cell `cell` of `n` source samples shared by `m` cells.
+fn overlap(cell: usize, n: usize, m: usize) -> Vec<(usize, f32)> {
+    let (start, end) = (cell as f64 * n as f64 / m as f64, (cell + 1) as f64 * n as f64 / m as f64);
+    (start as usize..(end.ceil() as usize).min(n))
+        .map(|i| {
+            let share = (end.min((i + 1) as f64) - start.max(i as f64)).max(0.0);
+            (i, (share / (end - start)) as f32)
+        })
+        .collect()
+}
+
+/// Area average; sizes must not grow.
+fn shrink(image: &RgbImage, width: usize, height: usize) -> Vec<[f32; 3]> {
+    let columns: Vec<_> = (0..width).map(|x| overlap(x, image.width(), width)).collect();
+    let mut out = vec![[0.0f32; 3]; width * height];
+    for y in 0..height {
+        let target = &mut out[y * width..(y + 1) * width];
+        for (sy, wy) in overlap(y, image.height(), height) {
+            let row = image.row(sy);
+            for (t, column) in target.iter_mut().zip(&columns) {
+                for &(sx, wx) in column {
+                    for (t, &v) in t.iter_mut().zip(&row[sx]) {
+                        *t += wy * wx * f32::from(v);
+                    }
+                }
+            }
+        }
+    }
+    out
+}
