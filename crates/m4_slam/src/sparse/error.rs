@@ -1,0 +1,72 @@
+//! Why no reconstruction came about.
+
+/// Why a clip could not be reconstructed; every message says what to do next.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SparseError {
+    /// A clip has at least two frames.
+    #[error("the clip has {found} frame(s); at least 2 are needed to see anything move")]
+    TooFewFrames {
+        /// Frames given.
+        found: usize,
+    },
+    /// All frames of a clip have one size.
+    #[error("frame {frame} is {found:?} pixels while frame 0 is {expected:?}; give frames of one size")]
+    FrameSize {
+        /// The frame at fault.
+        frame: usize,
+        /// Its width and height.
+        found: (usize, usize),
+        /// Those of frame 0.
+        expected: (usize, usize),
+    },
+    /// Pictures too small to follow anything.
+    #[error("frames of {width}x{height} pixels are too small to follow points; at least 64x64 are needed")]
+    FrameTooSmall {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// A setting out of its range.
+    #[error("{name} = {value} is out of range: {range}")]
+    Setting {
+        /// The setting at fault.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it may be.
+        range: &'static str,
+    },
+    /// Nothing to hold on to.
+    #[error(
+        "only {found} points could be followed from frame {frame} to the next, {needed} are needed (flat, dark or \
+         blurred pictures, or a cut); cut the clip there, or pass --static-camera if the camera stands still, or \
+         supply a capture with poses"
+    )]
+    TooFewTracks {
+        /// The frame at fault.
+        frame: usize,
+        /// Tracks that survive.
+        found: usize,
+        /// Tracks needed.
+        needed: usize,
+    },
+    /// Two views could not be related although the picture moves.
+    #[error(
+        "no two frames agree on a static scene: the best pair has {inliers} of {matches} points on one rigid motion, \
+         {needed} are needed (moving things fill the picture?); pass --fov with the true field of view, \
+         --static-camera if the camera stands still, or supply a capture with poses"
+    )]
+    NoStart {
+        /// Points that agree.
+        inliers: usize,
+        /// Points seen in both frames.
+        matches: usize,
+        /// Points needed.
+        needed: usize,
+    },
+    /// The user stopped the run.
+    #[error("stopped by the user")]
+    Cancelled,
+}

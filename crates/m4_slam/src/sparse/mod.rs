@@ -1,0 +1,43 @@
+//! Cameras, tracks and points from the frames of a video: corners, optical flow, epipolar geometry
+//! and bundle adjustment, without weights.
+//!
+//! ```text
+//! frames -> luma pyramids -> tracks (corners, klt, tracking)
+//!        -> does the camera move? (rotation)  -- no --> degenerate: one pose, or rotations
+//!        -> keyframes, focal scan, start pair (two_view, five_point), growth (resection, triangulate)
+//!        -> all frames, bundle adjustment and motion classification in turn (map, bundle, motion)
+//! ```
+//!
+//! Inside, lengths in pictures are *working pixels*: those of the shrunk picture, measured from the
+//! image centre (which is the principal point). Poses inside are world to camera.
+
+mod bundle;
+mod config;
+mod corners;
+mod degenerate;
+mod error;
+mod five_point;
+mod growth;
+mod klt;
+mod luma;
+mod map;
+mod motion;
+mod reconstruct;
+mod resection;
+mod rotation;
+mod tracking;
+mod triangulate;
+mod two_view;
+
+pub use config::{GeometryConfig, MotionConfig, SparseConfig, TrackingConfig};
+pub use error::SparseError;
+pub use reconstruct::reconstruct;
+
+/// Fails once the user asked to stop.
+fn stopped(progress: &dyn m4_scene::Progress) -> Result<(), SparseError> {
+    if progress.cancelled() {
+        Err(SparseError::Cancelled)
+    } else {
+        Ok(())
+    }
+}

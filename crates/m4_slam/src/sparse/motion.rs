@@ -1,0 +1,61 @@
+//! Which tracks move, judged by how badly a resting point explains them.
+
+use super::config::MotionConfig;
+use super::map::Map;
+use super::tracking::RawTrack;
+use super::triangulate::triangulate;
+use crate::reconstruction::Motion;
+use m4_math::nalgebra::Vector3;
+use rayon::prelude::*;
+
+/// Median of the length of a residual whose components have standard deviation 1 (Rayleigh).
+const RAYLEIGH_MEDIAN: f64 = 1.177_41;
+
+/// Judges every track: the best resting point is fitted to all its observations, also to those of
+/// tracks that the map gave up on; where rays do not meet, a point at infinity stands in.
+pub(crate) fn classify(map: &Map, tracks: &[RawTrack], config: &MotionConfig) -> Vec<Motion> {
+    let typical = map.median_error(tracks).unwrap_or(0.5);
+    let limit = (config.deviations * typical / RAYLEIGH_MEDIAN).max(config.min_residual_px);
+    tracks
+        .par_iter()
+        .map(|track| {
+            let errors = resting_errors(map, track, limit);
+            let seen = errors.len();
+            if seen < config.min_observations {
+                return Motion::Unknown;
+            }
+            let disagree = errors.iter().filter(|e| **e > limit).count();
+            if disagree as f64 >= config.share * seen as f64 {
+                Motion::Dynamic
+            } else {
+                Motion::Static
+            }
+        })
+        .collect()
+}
+
+/// Errors of the resting point that fits best.
+fn resting_errors(map: &Map, track: &RawTrack, limit: f64) -> Vec<f64> {
+    let views = map.views(track);
+    let above = |errors: &[f64]| errors.iter().filter(|e| **e > limit).count();
+    let near = triangulate(&views, map.focal, limit).map(|t| map.errors(track, &t.point));
+    let far = far_point(map, track).map(|x| map.errors(track, &x)).unwrap_or_default();
+    match near {
+        Some(near) if above(&near) <= above(&far) || far.is_empty() => near,
+        _ => far,
+    }
+}
+
+/// A point far away in the mean direction of the track's rays.
+fn far_point(map: &Map, track: &RawTrack) -> Option<Vector3<f64>> {
+    let views = map.views(track);
+    let ray = |at: &[f64; 2]| Vector3::new(at[0], at[1], map.focal).normalize();
+    let sum: Vector3<f64> = views.iter().map(|(pose, at)| pose.rotation.tr_mul(&ray(at))).sum();
+    let extent = map
+        .poses
+        .iter()
+        .flatten()
+        .map(|p| p.translation.norm())
+        .fold(1.0, f64::max);
+    (sum.norm() > 0.0).then(|| sum.normalize() * 1e5 * extent)
+}
