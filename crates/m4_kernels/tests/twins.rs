@@ -1,0 +1,287 @@
+//! The CPU twin against the reference, on every SIMD level of the machine: fixtures and random scenes.
+
+mod common;
+#[path = "common/twin.rs"]
+mod twin;
+
+use common::{Target, by_name};
+use m4_kernels::{
+    FrameGradient, Gradients, Renderer, SimdLevel, View, blend::reference::CHANNELS, reference::splats_of,
+};
+use m4_math::nalgebra::Vector4;
+use m4_scene::{
+    Column, SplatLayout, Splats,
+    covariance4::{Covariance4, VelocityForm},
+};
+use m4_testkit::{
+    FixtureSplat, GradientCase, GradientFixtures, SceneSpec, assert_gradient, gradient_fixtures, moving_scene,
+    random_camera, random_splats,
+};
+use twin::{compare, every_level, parameter, view};
+
+const TOLERANCE: f64 = 2e-3;
+
+/// The rotor pair of a fixture as the velocity form.
+fn converted(splat: &FixtureSplat) -> VelocityForm<f64> {
+    let (left, right) = (Vector4::from(splat.ql.unwrap()), Vector4::from(splat.qr.unwrap()));
+    let log_scale = Vector4::new(splat.ls[0], splat.ls[1], splat.ls[2], splat.lst[0]);
+    let mean = [splat.mu[0], splat.mu[1], splat.mu[2], splat.mt[0]];
+    Covariance4::from_rotor(mean, &log_scale, &left, &right, splat.o[0], splat.sh.clone())
+        .to_velocity()
+        .unwrap()
+}
+
+/// A fixture in columns.
+fn columns(case: &GradientCase) -> Splats {
+    let layout = SplatLayout {
+        isotropic: case.model == "isotropic",
+        sh_degree: 3,
+        time_degree: 2,
+    };
+    let mut splats = Splats::zeros(layout, 0, case.splats.len());
+    for (row, splat) in case.splats.iter().enumerate() {
+        if case.model == "rotor" {
+            converted(splat).write(&mut splats, row).unwrap();
+            continue;
+        }
+        let mut set = |column, values: &[f64]| {
+            for (k, &value) in values.iter().enumerate() {
+                splats.column_mut(column, k)[row] = value as f32;
+            }
+        };
+        set(Column::Mean, &splat.mu);
+        set(Column::LogScale, &splat.ls);
+        set(Column::Quat, splat.q.as_ref().map_or(&[], |q| q));
+        set(Column::Opacity, &splat.o);
+        set(Column::Colour, splat.sh.as_flattened());
+        set(Column::TimeMean, &splat.mt);
+        set(Column::LogTimeSd, &splat.lst);
+        set(Column::Velocity, splat.v.as_ref().map_or(&[], |v| v));
+    }
+    splats
+}
+
+fn fixture_view(case: &GradientCase) -> View {
+    View {
+        camera: common::camera(case),
+        t: case.time,
+        background: case.background.map(|c| c as f32),
+        near: 0.2,
+        mip: case.mip,
+        period: case.period as f32,
+        with_depth: true,
+    }
+}
+
+/// Frame, loss and gradients of one fixture against the numbers of the oracle itself.
+fn check_fixture(fixtures: &GradientFixtures, case: &GradientCase, level: SimdLevel) {
+    let name = format!("{} on {level}", case.name());
+    let (splats, view) = (columns(case), fixture_view(case));
+    let mut renderer = Renderer::new(level);
+    let frame = renderer.render(&splats, &view);
+    let pixels: Vec<[f64; CHANNELS]> = (0..case.width * case.height)
+        .map(|i| {
+            let at = |plane: &[f32]| f64::from(plane[i]);
+            let alpha = 1.0 - at(&frame.transmittance);
+            [
+                at(&frame.rgb[0]),
+                at(&frame.rgb[1]),
+                at(&frame.rgb[2]),
+                at(&frame.depth),
+                alpha,
+            ]
+        })
+        .collect();
+    let loss = Target::<f64>::new(fixtures, case).loss(&pixels, case.width, &case.exposure);
+    assert!(
+        (loss.value / case.loss - 1.0).abs() < 1e-5,
+        "{name}: loss {}",
+        loss.value
+    );
+
+    let plane = |c: usize| loss.pixels.iter().map(|p| p[c] as f32).collect::<Vec<_>>();
+    let gradient = FrameGradient {
+        rgb: [plane(0), plane(1), plane(2)],
+        alpha: plane(4),
+        depth: plane(3),
+    };
+    let mut got = Gradients::default();
+    renderer.backward(&splats, &gradient, &mut got);
+
+    let want: Vec<_> = case.grad_splats.iter().map(common::splat::<f64>).collect();
+    for (kind, want) in by_name(&want) {
+        let column = match kind {
+            "mean" => Column::Mean,
+            // shape and life of the rotor form are other parameters
+            "log_scale" | "log_time_sd" | "left" | "right" if case.model == "rotor" => continue,
+            // the oracle's isotropic model stands still
+            "velocity" if case.model == "isotropic" => continue,
+            "log_scale" => Column::LogScale,
+            "quat" => Column::Quat,
+            "opacity" => Column::Opacity,
+            "colour" => Column::Colour,
+            "time_mean" => Column::TimeMean,
+            "log_time_sd" => Column::LogTimeSd,
+            "velocity" => Column::Velocity,
+            other => panic!("no column for {other}"),
+        };
+        // ours is column by column, the fixture splat by splat
+        let ours = parameter(&got, &splats, column);
+        let n = splats.n();
+        let columns = ours.len() / n;
+        let ours: Vec<f64> = (0..ours.len()).map(|i| ours[i % columns * n + i / columns]).collect();
+        assert_gradient(&format!("{name}: {kind}"), &ours, &want, TOLERANCE);
+    }
+    let check = |what: &str, got: &[f64], want: &[f64]| {
+        assert_gradient(&format!("{name}: {what}"), got, want, TOLERANCE);
+    };
+    check("tau", &got.camera.tau, &case.grad_translation);
+    check("omega", &got.camera.omega, &case.grad_rotation);
+    check("intrinsics", &got.camera.intrinsics, &case.grad_intrinsics);
+    check("background", &got.background.map(f64::from), &case.grad_background);
+    let means: Vec<f64> = got.means2d.iter().flatten().map(|&v| f64::from(v)).collect();
+    check("means2d", &means, case.grad_means2d.as_flattened());
+}
+
+#[test]
+fn fixtures_of_the_oracle() {
+    let fixtures = gradient_fixtures();
+    every_level(|level| {
+        for case in &fixtures.cases {
+            check_fixture(&fixtures, case, level);
+        }
+    });
+}
+
+#[test]
+fn columns_of_a_fixture_are_the_fixture() {
+    // what the test above drives the twin with, to the rounding of f32
+    let fixtures = gradient_fixtures();
+    for case in fixtures.cases.iter().filter(|c| c.model != "rotor") {
+        let got: Vec<_> = splats_of::<f64>(&columns(case));
+        let want: Vec<_> = case.splats.iter().map(common::splat::<f64>).collect();
+        for ((kind, got), (_, want)) in by_name(&got).into_iter().zip(by_name(&want)) {
+            for (g, w) in got.iter().zip(&want) {
+                assert!((g - w).abs() <= 1e-7 * w.abs(), "{kind} of {}", case.name());
+            }
+        }
+    }
+}
+
+fn layout(isotropic: bool, sh_degree: usize, time_degree: usize) -> SplatLayout {
+    SplatLayout {
+        isotropic,
+        sh_degree,
+        time_degree,
+    }
+}
+
+#[test]
+fn random_scenes_of_every_layout_and_odd_sizes() {
+    let cases = [
+        (layout(false, 0, 0), 64, 48),
+        (layout(true, 0, 0), 37, 29),
+        (layout(false, 3, 2), 33, 25),
+        (layout(false, 1, 0), 16, 8),
+        (layout(true, 2, 1), 7, 5),
+        (layout(false, 0, 2), 1, 1),
+        (layout(false, 0, 0), 130, 3),
+        (layout(true, 1, 2), 3, 70),
+    ];
+    every_level(|level| {
+        for (seed, (layout, width, height)) in cases.into_iter().enumerate() {
+            let camera = random_camera(seed as u64, width, height);
+            let spec = SceneSpec {
+                layout,
+                n_static: 60 + 7 * seed,
+                n_dynamic: 45 + 5 * seed,
+                ..SceneSpec::default()
+            };
+            let splats = random_splats(seed as u64, &camera, &spec);
+            for mip in [false, true] {
+                let name = format!("scene {seed}, {width} x {height}, mip {mip}");
+                compare(&name, level, &splats, &View { mip, ..view(camera) }, TOLERANCE);
+            }
+        }
+    });
+}
+
+#[test]
+fn only_static_or_only_dynamic_splats() {
+    every_level(|level| {
+        for (n_static, n_dynamic) in [(70, 0), (0, 70), (1, 0), (0, 1), (16, 16), (17, 15)] {
+            let camera = random_camera(40, 30, 20);
+            let spec = SceneSpec {
+                n_static,
+                n_dynamic,
+                ..SceneSpec::default()
+            };
+            let splats = random_splats(4, &camera, &spec);
+            let name = format!("{n_static} static, {n_dynamic} dynamic");
+            compare(&name, level, &splats, &view(camera), TOLERANCE);
+        }
+    });
+}
+
+#[test]
+fn splats_of_a_fraction_of_a_pixel_and_of_the_whole_image() {
+    every_level(|level| {
+        for (seed, sd_px) in [[0.01, 0.3], [20.0, 60.0]].into_iter().enumerate() {
+            let camera = random_camera(50 + seed as u64, 45, 35);
+            let spec = SceneSpec {
+                sd_px,
+                ..SceneSpec::default()
+            };
+            let splats = random_splats(seed as u64, &camera, &spec);
+            compare(&format!("{sd_px:?} pixels"), level, &splats, &view(camera), TOLERANCE);
+        }
+    });
+}
+
+#[test]
+fn a_deep_opaque_stack() {
+    // pixels end early: the replay subtracts nearly all of the colour
+    every_level(|level| {
+        let camera = random_camera(61, 40, 30);
+        let spec = SceneSpec {
+            n_static: 400,
+            n_dynamic: 200,
+            sd_px: [4.0, 12.0],
+            logit: [1.0, 6.0],
+            ..SceneSpec::default()
+        };
+        let splats = random_splats(6, &camera, &spec);
+        compare("stack", level, &splats, &view(camera), TOLERANCE);
+    });
+}
+
+#[test]
+fn without_depth_the_colours_are_the_same() {
+    every_level(|level| {
+        let camera = random_camera(71, 50, 20);
+        let splats = random_splats(7, &camera, &SceneSpec::default());
+        let flat = View {
+            with_depth: false,
+            ..view(camera)
+        };
+        compare("no depth", level, &splats, &flat, TOLERANCE);
+        let rgb = Renderer::new(level).render(&splats, &view(camera)).rgb.clone();
+        let frame = Renderer::new(level).render(&splats, &flat).clone();
+        assert_eq!(frame.rgb, rgb);
+        assert!(frame.depth.is_empty());
+    });
+}
+
+#[test]
+fn a_moving_scene_at_every_frame() {
+    let scene = moving_scene(m4_scene::Intrinsics::centred(48, 36, 40.0), 6);
+    every_level(|level| {
+        for (i, &camera) in scene.cameras.iter().enumerate() {
+            let at = View {
+                t: i as f64,
+                ..view(camera)
+            };
+            compare(&format!("frame {i}"), level, &scene.splats, &at, TOLERANCE);
+        }
+    });
+}
