@@ -1,0 +1,169 @@
+//! Files that are written whole or not at all.
+//!
+//! The bytes go to `.NAME.tmp-PID` in the same folder, reach the disk (`fsync`) and only then take
+//! the place of `NAME`: whoever opens `NAME` sees the old file or the new one, never half of it.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// A file that does not exist under its own name until [`AtomicFile::commit`]; dropped before that,
+/// it leaves nothing behind.
+#[derive(Debug)]
+pub struct AtomicFile {
+    target: PathBuf,
+    temporary: PathBuf,
+    /// `None` once committed or abandoned.
+    writer: Option<BufWriter<File>>,
+}
+
+impl AtomicFile {
+    /// Starts to write `target`; makes its folder if that is missing.
+    ///
+    /// # Errors
+    ///
+    /// The failure of the file system; also when `target` names no file (`/`, `..`) or is a folder.
+    pub fn create(target: &Path) -> io::Result<Self> {
+        let name = target
+            .file_name()
+            .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "the path names no file"))?;
+        if target.is_dir() {
+            return Err(io::Error::new(
+                io::ErrorKind::IsADirectory,
+                "the path is a folder that exists",
+            ));
+        }
+        let folder = match target.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
+            _ => PathBuf::from("."),
+        };
+        fs::create_dir_all(&folder)?;
+        let mut hidden = OsString::from(".");
+        hidden.push(name);
+        hidden.push(format!(".tmp-{}", std::process::id()));
+        let temporary = folder.join(hidden);
+        let file = File::create(&temporary)?;
+        Ok(Self {
+            target: target.to_path_buf(),
+            temporary,
+            writer: Some(BufWriter::new(file)),
+        })
+    }
+
+    /// Where the bytes are until [`AtomicFile::commit`]: for checking them before they are published.
+    #[must_use]
+    pub fn temporary_path(&self) -> &Path {
+        &self.temporary
+    }
+
+    /// Writes out what is buffered, so that [`AtomicFile::temporary_path`] can be read back.
+    ///
+    /// # Errors
+    ///
+    /// The failure of the file system.
+    pub fn sync(&mut self) -> io::Result<()> {
+        let writer = self.open()?;
+        writer.flush()?;
+        writer.get_ref().sync_all()
+    }
+
+    /// Publishes the file under its own name, replacing what was there.
+    ///
+    /// # Errors
+    ///
+    /// The failure of the file system; `target` is then as it was before.
+    pub fn commit(mut self) -> io::Result<()> {
+        self.sync()?;
+        self.writer = None;
+        fs::rename(&self.temporary, &self.target).inspect_err(|_| {
+            let _ = fs::remove_file(&self.temporary);
+        })?;
+        sync_folder(&self.target);
+        Ok(())
+    }
+
+    fn open(&mut self) -> io::Result<&mut BufWriter<File>> {
+        self.writer
+            .as_mut()
+            .ok_or_else(|| io::Error::other("the file was closed already"))
+    }
+}
+
+impl Write for AtomicFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.open()?.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.open()?.flush()
+    }
+}
+
+impl Drop for AtomicFile {
+    fn drop(&mut self) {
+        if let Some(writer) = self.writer.take() {
+            // The buffered bytes are not wanted any more.
+            drop(writer.into_parts());
+            let _ = fs::remove_file(&self.temporary);
+        }
+    }
+}
+
+/// Makes the rename itself durable. Not every system lets a folder be opened, and the file's own
+/// bytes are safe by now, so a failure is not one of the write.
+fn sync_folder(target: &Path) {
+    let folder = target.parent().filter(|p| !p.as_os_str().is_empty());
+    if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
+        let _ = folder.sync_all();
+    }
+}
+
+/// Writes `bytes` to `path`, whole or not at all.
+///
+/// # Errors
+///
+/// The failure of the file system; `path` is then as it was before.
+pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = AtomicFile::create(path)?;
+    file.write_all(bytes)?;
+    file.commit()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{AtomicFile, write};
+    use std::fs;
+    use std::io::Write;
+
+    #[test]
+    fn a_file_appears_whole_and_replaces_the_old_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("deep/down/scene.bin");
+        write(&path, b"old").unwrap();
+        let mut file = AtomicFile::create(&path).unwrap();
+        file.write_all(b"new and longer").unwrap();
+        file.sync().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(fs::read(file.temporary_path()).unwrap(), b"new and longer");
+        file.commit().unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new and longer");
+        assert_eq!(fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_dropped_file_leaves_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut file = AtomicFile::create(&dir.path().join("x")).unwrap();
+        file.write_all(&[7; 100_000]).unwrap();
+        drop(file);
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_folder_is_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        assert!(write(dir.path(), b"x").is_err());
+        assert!(dir.path().is_dir());
+    }
+}

@@ -1,0 +1,40 @@
+//! Folders of posed frames: `transforms_train.json` beside pictures, depth maps and masks.
+//!
+//! The layout is nerfstudio's with a few keys more:
+//!
+//! ```text
+//! NAME/transforms_train.json      the training video (a lone transforms.json is read too)
+//! NAME/transforms_test.json       optional: held-out views
+//! fl_x fl_y cx cy w h             pixels; for all frames, or inside a frame for that one. fl_y, cx and cy
+//!                                 default to fl_x and the picture's centre, w and h to the picture's size
+//! k1 k2 k3 k4 p1 p2               must be 0: pictures are expected undistorted
+//! depth_unit_scale_factor         scene units a step of the depth maps, default 0.001
+//! axes                            "opengl" (default: x right, y up, z back) or "opencv"
+//! metric                          true when a scene unit is a metre; default false
+//! duration_s                      seconds from the first to the last frame
+//! time_frames                     of a test split without a training split: how many frames `time` spans
+//! frames[]  file_path             picture, relative to the JSON file; PNG or JPEG
+//!           transform_matrix      4x4 camera-to-world
+//!           time                  0..1, first to last training frame; default: the frame's index
+//!           depth_file_path       optional: 16-bit PNG of z-depth, 0 = unknown
+//!           mask_path             optional: 255 = moving
+//!           camera                optional: index of a held-out camera
+//! ```
+//!
+//! OpenGL axes are turned into OpenCV's here and nowhere else.
+
+mod axes;
+mod error;
+mod json;
+mod options;
+mod pose;
+mod read;
+mod write;
+
+pub use axes::Axes;
+pub use error::{ReadCaptureError, WriteCaptureError};
+pub use options::{CaptureOptions, Split};
+pub use read::read;
+pub use write::write;
+
+pub(crate) use pose::Pose;

@@ -1,0 +1,49 @@
+//! Which frames of a capture, and how much memory they may take.
+
+use serde::{Deserialize, Serialize};
+
+/// The two lists of frames that a capture has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Split {
+    /// The training video.
+    Train,
+    /// Held-out views, for scoring alone.
+    Test,
+}
+
+impl Split {
+    /// The JSON file that lists the frames.
+    #[must_use]
+    pub fn file_name(self) -> &'static str {
+        match self {
+            Self::Train => "transforms_train.json",
+            Self::Test => "transforms_test.json",
+        }
+    }
+
+    /// Folders of the pictures, depth maps and masks that are written.
+    pub(super) fn folders(self) -> [&'static str; 3] {
+        match self {
+            Self::Train => ["train", "depth", "mask"],
+            Self::Test => ["test", "test_depth", "test_mask"],
+        }
+    }
+}
+
+/// Limits of [`super::read`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CaptureOptions {
+    /// Bytes that the decoded frames (8 a pixel: colour, depth and mask) may take before reading is
+    /// refused. Default 4 GiB: half of the memory of a small laptop.
+    pub max_memory_bytes: u64,
+}
+
+impl Default for CaptureOptions {
+    fn default() -> Self {
+        Self {
+            max_memory_bytes: 4 << 30,
+        }
+    }
+}

@@ -1,0 +1,105 @@
+//! Why a picture could not be read or written.
+
+use crate::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a picture could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadImageError {
+    /// The file could not be opened or read.
+    #[error("cannot read the image {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is not a PNG or JPEG file.
+    #[error("{} is not a PNG or JPEG image; convert it to one of these", path.display())]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The bytes are not a picture.
+    #[error("the image {} is damaged ({reason}); export it again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What the decoder said.
+        reason: String,
+    },
+    /// The picture claims to be larger than the limit.
+    #[error("the image {} is {width} x {height} pixels, more than the {limit} pixels a side that are read; resize it", path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// Longest side that is read.
+        limit: u32,
+    },
+    /// A depth map that is not a 16-bit greyscale PNG.
+    #[error("the depth map {} is {found}; it must be a greyscale PNG with 16 bits a pixel", path.display())]
+    NotDepth {
+        /// The file.
+        path: PathBuf,
+        /// What the file holds.
+        found: String,
+    },
+}
+
+impl ReadImageError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } => ErrorKind::of_read(source),
+            Self::UnknownFormat { .. } => ErrorKind::Unsupported,
+            Self::Damaged { .. } | Self::TooLarge { .. } | Self::NotDepth { .. } => ErrorKind::BadData,
+        }
+    }
+}
+
+/// Why a picture could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteImageError {
+    /// The file system refused.
+    #[error("cannot write the image {}: {source}; check the folder's permissions and free space", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The extension names a format that is not written.
+    #[error("cannot write {}: the name must end in .png, .jpg or .jpeg", path.display())]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The picture cannot be stored in that format.
+    #[error("cannot encode the image {}: {reason}", path.display())]
+    Encode {
+        /// The file.
+        path: PathBuf,
+        /// What the encoder said.
+        reason: String,
+    },
+}
+
+impl WriteImageError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { .. } => ErrorKind::CannotWrite,
+            Self::UnknownFormat { .. } => ErrorKind::Unsupported,
+            Self::Encode { .. } => ErrorKind::BadData,
+        }
+    }
+}

@@ -1,0 +1,14 @@
+//! Pictures, depth maps and masks, one file each.
+//!
+//! Reading takes 8- and 16-bit PNG and JPEG. Transparent pixels are laid over black. Writing is
+//! atomic; the format follows the file name's extension.
+
+mod error;
+mod read;
+mod resize;
+mod write;
+
+pub use error::{ReadImageError, WriteImageError};
+pub use read::{read_depth, read_mask, read_rgb, size};
+pub use resize::resize_rgb;
+pub use write::{write_depth, write_mask, write_rgb};

@@ -1,0 +1,121 @@
+//! PNG and JPEG files to planes.
+
+use super::ReadImageError;
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use m4_scene::{DepthMap, Mask, Plane, RgbImage};
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+/// Longest side that is read, pixels: 16 times 1080p, and far under what overflows an index.
+const MAX_SIDE_PX: u32 = 32_768;
+
+/// Opens a picture and checks its format and size, from the header alone.
+fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
+    let io = |source| ReadImageError::Io {
+        path: path.to_path_buf(),
+        source,
+    };
+    let file = File::open(path).map_err(io)?;
+    if file.metadata().map_err(io)?.is_dir() {
+        return Err(io(std::io::Error::from(std::io::ErrorKind::IsADirectory)));
+    }
+    let reader = ImageReader::new(BufReader::new(file))
+        .with_guessed_format()
+        .map_err(io)?;
+    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
+        return Err(ReadImageError::UnknownFormat {
+            path: path.to_path_buf(),
+        });
+    }
+    let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
+    let (width, height) = decoder.dimensions();
+    if width > MAX_SIDE_PX || height > MAX_SIDE_PX {
+        return Err(ReadImageError::TooLarge {
+            path: path.to_path_buf(),
+            width,
+            height,
+            limit: MAX_SIDE_PX,
+        });
+    }
+    Ok(decoder)
+}
+
+fn decode(path: &Path) -> Result<DynamicImage, ReadImageError> {
+    DynamicImage::from_decoder(open(path)?).map_err(|e| damaged(path, &e))
+}
+
+fn damaged(path: &Path, error: &image::ImageError) -> ReadImageError {
+    ReadImageError::Damaged {
+        path: path.to_path_buf(),
+        reason: error.to_string(),
+    }
+}
+
+fn plane<T>(path: &Path, width: u32, height: u32, data: Vec<T>) -> Result<Plane<T>, ReadImageError> {
+    Plane::from_vec(width as usize, height as usize, data).map_err(|e| ReadImageError::Damaged {
+        path: path.to_path_buf(),
+        reason: e.to_string(),
+    })
+}
+
+/// Width and height of a picture in pixels, from its header.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if there is no such file or it is not a PNG or JPEG image.
+pub fn size(path: &Path) -> Result<(usize, usize), ReadImageError> {
+    let (width, height) = open(path)?.dimensions();
+    Ok((width as usize, height as usize))
+}
+
+/// Reads a colour picture; grey becomes colour, 16 bits become 8, transparency becomes black.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
+pub fn read_rgb(path: &Path) -> Result<RgbImage, ReadImageError> {
+    let image = decode(path)?;
+    let (width, height) = (image.width(), image.height());
+    let data: Vec<[u8; 3]> = if image.color().has_alpha() {
+        let over_black = |c: u8, a: u8| ((u32::from(c) * u32::from(a) + 127) / 255) as u8;
+        let rgba = image.into_rgba8();
+        rgba.pixels()
+            .map(|p| [over_black(p[0], p[3]), over_black(p[1], p[3]), over_black(p[2], p[3])])
+            .collect()
+    } else {
+        image.into_rgb8().pixels().map(|p| p.0).collect()
+    };
+    plane(path, width, height, data)
+}
+
+/// Reads a depth map: a greyscale PNG of 16 bits, times `unit` (scene units a step); 0 stays 0 = unknown.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if there is no such file or it is not a 16-bit greyscale PNG.
+pub fn read_depth(path: &Path, unit: f64) -> Result<DepthMap, ReadImageError> {
+    match decode(path)? {
+        DynamicImage::ImageLuma16(grey) => {
+            let (width, height) = grey.dimensions();
+            let data = grey.into_raw().into_iter().map(|v| (f64::from(v) * unit) as f32);
+            plane(path, width, height, data.collect())
+        }
+        other => Err(ReadImageError::NotDepth {
+            path: path.to_path_buf(),
+            found: format!("an image of type {:?}", other.color()),
+        }),
+    }
+}
+
+/// Reads a mask: 255 where the picture's brightness is at least 128, else 0.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
+pub fn read_mask(path: &Path) -> Result<Mask, ReadImageError> {
+    let grey = decode(path)?.into_luma8();
+    let (width, height) = grey.dimensions();
+    let data = grey.into_raw().into_iter().map(|v| if v >= 128 { 255 } else { 0 });
+    plane(path, width, height, data.collect())
+}

@@ -1,0 +1,11 @@
+//! Clips that `ffmpeg` decodes: a child process that sends raw pictures through a pipe.
+//!
+//! The child is a separate program of the user's machine: nothing is linked, and a decoder that
+//! crashes on a damaged file takes only itself down. It turns pictures upright itself.
+
+mod child;
+mod log;
+mod probe;
+mod read;
+
+pub use read::read;

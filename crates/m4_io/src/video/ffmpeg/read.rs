@@ -1,0 +1,304 @@
+//! Decodes a clip through `ffmpeg`.
+
+use super::child::{Guard, command};
+use super::log::{FrameInfo, Line, parse};
+use super::probe::{Description, describe};
+use crate::video::colour::ToneMap;
+use crate::video::plan::{self, Collector};
+use crate::video::{ReadVideoError, VideoOptions};
+use m4_scene::{Plane, Progress, RgbImage, Video};
+use std::io::{BufRead, BufReader, ErrorKind, Read};
+use std::path::Path;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+
+/// Largest picture that is taken from the pipe, pixels: 16384 x 16384.
+const MAX_PIXELS: usize = 1 << 28;
+/// Complaints that are kept for a message.
+const KEPT_COMPLAINTS: usize = 8;
+
+/// What went wrong inside the decoder.
+#[derive(Default)]
+struct Complaints {
+    count: usize,
+    first: Vec<String>,
+}
+
+/// Reads `path`; `what` names the codec or container and why it is not decoded without ffmpeg.
+pub fn read(path: &Path, what: &str, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
+    let description = describe(path, &options.ffmpeg, what)?;
+    let Some(description) = description.filter(|d| !d.codec.is_empty()) else {
+        return Err(ReadVideoError::NoVideoTrack {
+            path: path.to_path_buf(),
+            found: "ffprobe finds no video stream".into(),
+        });
+    };
+    if description.packets == 0 {
+        return Err(ReadVideoError::NoFrames {
+            path: path.to_path_buf(),
+            reason: format!("its {} stream is empty", description.codec),
+        });
+    }
+    Decoder::start(path, what, &description, options)?.run(progress)
+}
+
+struct Decoder<'a> {
+    path: &'a Path,
+    options: &'a VideoOptions,
+    description: &'a Description,
+    child: Guard,
+    frames: Receiver<FrameInfo>,
+    log: JoinHandle<Complaints>,
+    tone_map: Option<ToneMap>,
+    /// Frames between the start and the end.
+    in_range: usize,
+    /// Indices among the frames in the range, in order.
+    keep: Vec<usize>,
+}
+
+impl<'a> Decoder<'a> {
+    fn start(
+        path: &'a Path,
+        what: &str,
+        description: &'a Description,
+        options: &'a VideoOptions,
+    ) -> Result<Self, ReadVideoError> {
+        let in_range = match &description.times_s {
+            Some(times) => {
+                let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
+                if inside == 0 {
+                    let last = times.last().copied().unwrap_or(0.0);
+                    return Err(plan::nothing_in_range(path, last, options));
+                }
+                inside
+            }
+            None => description.packets,
+        };
+        let strict: &[&str] = if options.strict { &["-xerror"] } else { &[] };
+        let before: Vec<&str> = ["-nostdin", "-nostats", "-loglevel", "level+info"]
+            .iter()
+            .chain(strict)
+            .copied()
+            .collect();
+        let mut child = command(&options.ffmpeg, &before, path);
+        child
+            .args(["-map", "0:V:0", "-an", "-sn", "-dn", "-fps_mode", "passthrough", "-vf"])
+            .arg(filters(description))
+            .args(["-f", "rawvideo", "pipe:1"]);
+        let child = child.spawn().map_err(|e| ReadVideoError::NeedsFfmpeg {
+            path: path.to_path_buf(),
+            what: what.to_owned(),
+            ffmpeg: options.ffmpeg.clone(),
+            reason: e.to_string(),
+        })?;
+        let mut child = Guard(child);
+        let (sender, frames) = channel();
+        let stderr = child.0.stderr.take();
+        let log = std::thread::spawn(move || {
+            let mut complaints = Complaints::default();
+            let Some(stderr) = stderr else { return complaints };
+            for line in BufReader::new(stderr).split(b'\n') {
+                let Ok(line) = line else { break };
+                match parse(&String::from_utf8_lossy(&line)) {
+                    // The receiver is gone when the reader stopped early; the pipe is still drained.
+                    Line::Frame(info) => drop(sender.send(info)),
+                    Line::Error(message) => {
+                        complaints.count += 1;
+                        if complaints.first.len() < KEPT_COMPLAINTS {
+                            complaints.first.push(message);
+                        }
+                    }
+                    Line::Other => {}
+                }
+            }
+            complaints
+        });
+        Ok(Self {
+            path,
+            options,
+            description,
+            child,
+            frames,
+            log,
+            tone_map: description.hdr.map(ToneMap::new),
+            in_range,
+            keep: plan::evenly(in_range, options.max_frames),
+        })
+    }
+
+    fn run(mut self, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
+        let Some(mut pipe) = self.child.0.stdout.take() else {
+            return Err(self.failed("its output is not connected".into()));
+        };
+        let total = self.keep.last().map_or(0, |&i| i + 1);
+        let mut collector: Option<Collector> = None;
+        let mut first: Option<(FrameInfo, f64)> = None;
+        let (mut decoded, mut seen, mut next) = (0, 0, 0);
+        let mut bytes = Vec::new();
+        while next < self.keep.len() {
+            if progress.cancelled() {
+                return Err(ReadVideoError::Cancelled {
+                    path: self.path.to_path_buf(),
+                });
+            }
+            let Ok(info) = self.frames.recv() else { break };
+            let (start, origin_s) = *first.get_or_insert((info, info.time_s.unwrap_or(0.0)));
+            let time_s = info
+                .time_s
+                .map_or(decoded as f64 / self.options.folder_fps, |t| t - origin_s);
+            decoded += 1;
+            if (info.width, info.height) != (start.width, start.height) {
+                return Err(ReadVideoError::SizeChanges {
+                    path: self.path.to_path_buf(),
+                    from: (start.width, start.height),
+                    to: (info.width, info.height),
+                    time_s,
+                });
+            }
+            if !self.picture_bytes(&mut pipe, &info, &mut bytes)? {
+                break;
+            }
+            if !plan::in_range(time_s, self.options) {
+                continue;
+            }
+            if seen == self.keep[next] {
+                let collector = match &mut collector {
+                    Some(collector) => collector,
+                    None => collector.insert(self.collector(&info)?),
+                };
+                collector.push(self.picture(&info, &bytes)?, time_s);
+                next += 1;
+                progress.update("decode video", seen + 1, total, "");
+            }
+            seen += 1;
+        }
+        self.finish(collector, decoded, next)
+    }
+
+    fn collector(&self, info: &FrameInfo) -> Result<Collector, ReadVideoError> {
+        let width = info.width as f64 * info.pixel_aspect;
+        let size = plan::target_size(width, info.height as f64, self.options);
+        plan::check_memory(self.path, self.keep.len(), size, self.options)?;
+        Ok(Collector::new(size))
+    }
+
+    /// Reads one picture; false when the child ended before it was whole.
+    fn picture_bytes(
+        &self,
+        pipe: &mut impl Read,
+        info: &FrameInfo,
+        bytes: &mut Vec<u8>,
+    ) -> Result<bool, ReadVideoError> {
+        let pixels = info.width.saturating_mul(info.height);
+        if pixels == 0 || pixels > MAX_PIXELS {
+            let what = format!("its frames are {} x {} pixels", info.width, info.height);
+            return Err(self.failed(what));
+        }
+        bytes.resize(pixels * if self.tone_map.is_some() { 6 } else { 3 }, 0);
+        match pipe.read_exact(bytes) {
+            Ok(()) => Ok(true),
+            Err(e) if e.kind() == ErrorKind::UnexpectedEof => Ok(false),
+            Err(source) => Err(ReadVideoError::Io {
+                path: self.path.to_path_buf(),
+                source,
+            }),
+        }
+    }
+
+    fn picture(&self, info: &FrameInfo, bytes: &[u8]) -> Result<RgbImage, ReadVideoError> {
+        let picture = match &self.tone_map {
+            Some(map) => map.picture_16(info.width, info.height, bytes),
+            None => {
+                let pixels = bytes.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+                Plane::from_vec(info.width, info.height, pixels).ok()
+            }
+        };
+        picture.ok_or_else(|| self.failed("a picture has the wrong length".into()))
+    }
+
+    fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, ReadVideoError> {
+        let complete = kept == self.keep.len();
+        let status = if complete {
+            // What remains is not needed.
+            let _ = self.child.0.kill();
+            let _ = self.child.0.wait();
+            None
+        } else {
+            self.child.0.wait().ok()
+        };
+        let path = self.path.to_path_buf();
+        let description = self.description;
+        drop(self.frames);
+        let complaints = self.log.join().unwrap_or_default();
+        let said = complaints
+            .first
+            .first()
+            .cloned()
+            .unwrap_or_else(|| "no reason given".into());
+        if self.options.strict && (complaints.count > 0 || !complete) {
+            let reason = format!("{} errors with `strict`, the first: {said}", complaints.count.max(1));
+            return Err(ReadVideoError::Ffmpeg { path, reason });
+        }
+        let Some(mut collector) = collector else {
+            let reason = complaints.first.join("; ");
+            let reason = if reason.is_empty() { said } else { reason };
+            return Err(ReadVideoError::Ffmpeg { path, reason });
+        };
+        if let Some(hdr) = description.hdr {
+            let name = hdr.name();
+            collector
+                .warnings
+                .push(format!("high dynamic range ({name}) was tone-mapped to sRGB"));
+        }
+        if description.interlaced {
+            collector.warnings.push("interlaced video was deinterlaced".to_owned());
+        }
+        if complaints.count > 0 {
+            collector.warnings.push(format!(
+                "ffmpeg met {} errors while decoding, so frames may be damaged; the first: {said}",
+                complaints.count
+            ));
+        }
+        if !complete {
+            let ended = status.map_or_else(|| "the decoder was lost".to_owned(), |s| s.to_string());
+            collector.warnings.push(format!(
+                "only {decoded} of {} frames could be decoded ({ended})",
+                description.packets
+            ));
+        }
+        collector.warnings.extend(plan::thinned(self.keep.len(), self.in_range));
+        collector
+            .finish(None)
+            .ok_or(ReadVideoError::NoFrames { path, reason: said })
+    }
+
+    fn failed(&self, reason: String) -> ReadVideoError {
+        ReadVideoError::Ffmpeg {
+            path: self.path.to_path_buf(),
+            reason,
+        }
+    }
+}
+
+/// What happens to a picture before it enters the pipe.
+fn filters(description: &Description) -> String {
+    let mut filters = String::new();
+    if description.interlaced {
+        filters.push_str("bwdif=mode=send_frame,");
+    }
+    filters.push_str("showinfo=checksum=0,scale=flags=accurate_rnd+full_chroma_int+bicubic");
+    if !description.matrix_known {
+        // As players guess: see `YuvMatrix::from_code`.
+        filters.push_str(match description.hdr {
+            Some(_) => ":in_color_matrix=bt2020",
+            None if description.height >= 720 => ":in_color_matrix=bt709",
+            None => ":in_color_matrix=bt601",
+        });
+    }
+    filters.push_str(if description.hdr.is_some() {
+        ",format=rgb48le"
+    } else {
+        ",format=rgb24"
+    });
+    filters
+}

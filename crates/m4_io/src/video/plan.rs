@@ -1,0 +1,216 @@
+//! Which frames are kept, at which size, and whether they fit.
+
+use super::{ReadVideoError, VideoOptions};
+use m4_scene::{RgbImage, Video, VideoFrame};
+use std::path::Path;
+
+/// Slack when comparing times that went through text with microseconds.
+const TIME_SLACK_S: f64 = 1e-5;
+
+/// Fails unless every option can be.
+pub fn check_options(options: &VideoOptions) -> Result<(), ReadVideoError> {
+    let bad = |option, value: String, expected| ReadVideoError::BadOption {
+        option,
+        value,
+        expected,
+    };
+    if options.max_frames == Some(0) {
+        return Err(bad("max_frames", "0".into(), "at least 1 frame must be kept"));
+    }
+    if let Some(size) = options.size.filter(|&s| !(16..=16_384).contains(&s)) {
+        return Err(bad("size", size.to_string(), "16 to 16384 pixels were expected"));
+    }
+    for (option, value) in [("start_s", options.start_s), ("end_s", options.end_s)] {
+        if let Some(value) = value.filter(|v| !(v.is_finite() && *v >= 0.0)) {
+            return Err(bad(option, value.to_string(), "seconds, not below 0, were expected"));
+        }
+    }
+    if let (Some(start), Some(end)) = (options.start_s, options.end_s)
+        && start > end
+    {
+        return Err(bad(
+            "start_s",
+            start.to_string(),
+            "the start must come before the end (end_s)",
+        ));
+    }
+    if !(options.folder_fps.is_finite() && options.folder_fps > 0.0) {
+        let expected = "frames a second, above 0, were expected";
+        return Err(bad("folder_fps", options.folder_fps.to_string(), expected));
+    }
+    Ok(())
+}
+
+/// True for a moment between the start and the end that were asked for.
+pub fn in_range(time_s: f64, options: &VideoOptions) -> bool {
+    options.start_s.is_none_or(|s| time_s >= s - TIME_SLACK_S)
+        && options.end_s.is_none_or(|s| time_s <= s + TIME_SLACK_S)
+}
+
+/// Indices of `count` evenly spaced ones of `n` things, the first and the last among them.
+pub fn evenly(n: usize, count: Option<usize>) -> Vec<usize> {
+    match count {
+        Some(1) if n > 0 => vec![0],
+        Some(k) if k < n => (0..k).map(|i| (i * (n - 1) + (k - 1) / 2) / (k - 1)).collect(),
+        _ => (0..n).collect(),
+    }
+}
+
+/// Indices of the frames to keep, given when each is shown: seconds from the first, in order.
+pub fn select(path: &Path, times_s: &[f64], options: &VideoOptions) -> Result<Vec<usize>, ReadVideoError> {
+    let inside: Vec<usize> = (0..times_s.len()).filter(|&i| in_range(times_s[i], options)).collect();
+    if inside.is_empty() {
+        return Err(nothing_in_range(path, times_s.last().copied().unwrap_or(0.0), options));
+    }
+    Ok(evenly(inside.len(), options.max_frames)
+        .into_iter()
+        .map(|i| inside[i])
+        .collect())
+}
+
+/// The error of a range that holds no frame.
+pub fn nothing_in_range(path: &Path, duration_s: f64, options: &VideoOptions) -> ReadVideoError {
+    ReadVideoError::NothingInRange {
+        path: path.to_path_buf(),
+        duration_s,
+        start_s: options.start_s.unwrap_or(0.0),
+        end_s: options.end_s.unwrap_or(duration_s),
+    }
+}
+
+/// The size of kept frames: `width` x `height` as displayed, shrunk so that the longest side fits.
+pub fn target_size(width: f64, height: f64, options: &VideoOptions) -> (usize, usize) {
+    let longest = width.max(height);
+    let scale = match options.size {
+        Some(size) if (size as f64) < longest => size as f64 / longest,
+        _ => 1.0,
+    };
+    let side = |v: f64| ((v * scale).round() as usize).max(1);
+    (side(width), side(height))
+}
+
+/// Refuses before anything is decoded.
+pub fn check_memory(
+    path: &Path,
+    frames: usize,
+    size: (usize, usize),
+    options: &VideoOptions,
+) -> Result<(), ReadVideoError> {
+    let needed_bytes = [size.0, size.1, 3]
+        .iter()
+        .fold(frames as u64, |n, &side| n.saturating_mul(side as u64));
+    if needed_bytes > options.max_memory_bytes {
+        return Err(ReadVideoError::TooLarge {
+            path: path.to_path_buf(),
+            frames,
+            size,
+            needed_bytes,
+            limit_bytes: options.max_memory_bytes,
+        });
+    }
+    Ok(())
+}
+
+/// Gathers kept frames at the target size.
+pub struct Collector {
+    size: (usize, usize),
+    frames: Vec<VideoFrame>,
+    /// For [`Video::warnings`].
+    pub warnings: Vec<String>,
+}
+
+impl Collector {
+    pub fn new(size: (usize, usize)) -> Self {
+        Self {
+            size,
+            frames: Vec::new(),
+            warnings: Vec::new(),
+        }
+    }
+
+    pub fn len(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Takes an upright frame of any size.
+    pub fn push(&mut self, rgb: RgbImage, time_s: f64) {
+        let rgb = if rgb.size() == self.size {
+            Some(rgb)
+        } else {
+            crate::image::resize_rgb(&rgb, self.size.0, self.size.1)
+        };
+        // Both sizes are at least one pixel and at most what a decoder allows.
+        if let Some(rgb) = rgb {
+            self.frames.push(VideoFrame { rgb, time_s });
+        }
+    }
+
+    /// The clip, in order of time; `None` without frames.
+    pub fn finish(mut self, focal_px: Option<f64>) -> Option<Video> {
+        self.frames.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+        (!self.frames.is_empty()).then_some(Video {
+            frames: self.frames,
+            warnings: self.warnings,
+            focal_px,
+        })
+    }
+}
+
+/// The warning of a clip that was thinned.
+pub fn thinned(kept: usize, of: usize) -> Option<String> {
+    (kept < of).then(|| format!("kept {kept} of {of} frames, evenly spaced (max_frames)"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{evenly, select, target_size};
+    use crate::video::VideoOptions;
+    use std::path::Path;
+
+    #[test]
+    fn kept_frames_span_the_clip_evenly() {
+        assert_eq!(evenly(10, Some(4)), [0, 3, 6, 9]);
+        assert_eq!(evenly(96, Some(2)), [0, 95]);
+        assert_eq!(evenly(3, Some(9)), [0, 1, 2]);
+        assert_eq!(evenly(5, Some(1)), [0]);
+        for k in 2..50 {
+            let picked = evenly(50, Some(k));
+            assert_eq!((picked.len(), picked[0], picked[k - 1]), (k, 0, 49));
+            let steps: Vec<usize> = picked.windows(2).map(|w| w[1] - w[0]).collect();
+            assert!(
+                steps.iter().max().unwrap() - steps.iter().min().unwrap() <= 1,
+                "{k}: {steps:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_range_is_cut_before_it_is_thinned() {
+        let times: Vec<f64> = (0..100).map(|i| f64::from(i) / 25.0).collect();
+        let options = VideoOptions {
+            start_s: Some(1.0),
+            end_s: Some(2.0),
+            max_frames: Some(3),
+            ..VideoOptions::default()
+        };
+        assert_eq!(select(Path::new("x"), &times, &options).unwrap(), [25, 38, 50]);
+        let late = VideoOptions {
+            start_s: Some(9.0),
+            ..options.clone()
+        };
+        let late = VideoOptions { end_s: None, ..late };
+        let error = select(Path::new("x"), &times, &late).unwrap_err().to_string();
+        assert!(error.contains("lasts 3.96 s"), "{error}");
+    }
+
+    #[test]
+    fn frames_are_shrunk_but_never_enlarged() {
+        let options = VideoOptions {
+            size: Some(640),
+            ..VideoOptions::default()
+        };
+        assert_eq!(target_size(1920.0, 1080.0, &options), (640, 360));
+        assert_eq!(target_size(1080.0, 1920.0, &options), (360, 640));
+        assert_eq!(target_size(480.0, 360.0, &options), (480, 360));
+    }
+}
