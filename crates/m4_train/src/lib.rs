@@ -1,1 +1,35 @@
-//! The optimisation loop: schedule, loss, Adam, loss-guided density control, checkpoints.
+//! The optimisation loop: schedule, loss, sparse Adam, loss-guided density control, checkpoints.
+//!
+//! [`Trainer`] takes a capture and its first splats and makes them look like the frames: pick a frame
+//! ([`FrameChoice`]), draw it, compare (L1 + SSIM and depth), step every splat that was seen. Every
+//! hundred steps [`density`] looks at what is still wrong and adds or removes splats there (paper
+//! section 3.3).
+//!
+//! A run is a function of capture, first splats, settings and seed: the same bits come out for any
+//! number of threads, and a run that was stopped, saved ([`Trainer::state`]) and resumed
+//! ([`Trainer::resume`]) ends with the bits of the uninterrupted one.
+#![forbid(unsafe_code)]
+
+pub mod config;
+pub mod density;
+
+mod depth_loss;
+mod error;
+mod frames;
+mod metrics;
+mod pick;
+mod rates;
+mod refine;
+mod scale;
+mod schedule;
+mod state;
+mod trainer;
+
+pub use config::{
+    AdamSettings, DensityConfig, FrameChoice, LossConfig, PositionUnit, RateConfig, RefineConfig, ResolutionConfig,
+    TrainConfig,
+};
+pub use error::TrainError;
+pub use metrics::MetricsEvent;
+pub use scale::SceneScale;
+pub use trainer::{Outcome, Trainer};

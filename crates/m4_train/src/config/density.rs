@@ -1,0 +1,174 @@
+//! Settings of loss-guided density control (paper section 3.3, equations 6 to 10; section 4 of the
+//! specification).
+
+use serde::{Deserialize, Serialize};
+
+/// How an error map is brought to 0..1 before it is compared with the threshold.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum ErrorRange {
+    /// Smallest to largest error of the frame (paper eq. 7).
+    MinMax,
+    /// 0 to this quantile: one hot pixel does not hide all others (section 4.4).
+    Quantile {
+        /// 0..1.
+        high: f32,
+    },
+}
+
+/// Which splats the prune score removes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum PruneRule {
+    /// Every splat above the threshold; scores min-max normalised over all splats (paper eq. 10, to
+    /// the letter).
+    Literal,
+    /// Those above the threshold whose opacity is also low, and those of the very highest score; scores
+    /// normalised over the splats that have one, clipped at a quantile (section 4.4).
+    WithOpacity {
+        /// A splat above the threshold goes only when its opacity is below this.
+        opacity: f32,
+        /// Above this normalised score a splat goes whatever its opacity. FastGS: 0.9.
+        always: f32,
+        /// Scores above this quantile count as it.
+        quantile: f32,
+    },
+}
+
+/// The size at which a splat is split rather than cloned.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum SplitSize {
+    /// Largest standard deviation above this share of the extent. 0.01 (3DGS).
+    Extent {
+        /// Share.
+        share: f32,
+    },
+    /// Largest standard deviation above this many pixels as the nearest camera sees it.
+    Pixels {
+        /// Pixels.
+        pixels: f32,
+    },
+}
+
+/// The opacity of a clone and its parent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NewbornOpacity {
+    /// Both keep it (3DGS).
+    Keep,
+    /// `1 - sqrt(1 - o)` each: together they let as much light pass as one did (3DGS-MCMC).
+    Share,
+}
+
+/// Loss-guided density control. Defaults are those of [`DensityConfig::fast`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DensityConfig {
+    /// Off: the number of splats stays as initialised.
+    pub enabled: bool,
+    /// Frames scored at each round. Paper: K = 10.
+    pub frames: usize,
+    /// Normalised error above which a pixel counts, 0..1. Paper: 0.1.
+    pub error_threshold: f32,
+    /// How errors are normalised.
+    pub error_range: ErrorRange,
+    /// Score above which a splat is cloned or split (raw sums of error, mean over the frames). Paper:
+    /// tau_den = 0.001.
+    pub densify_threshold: f32,
+    /// Normalised score above which a splat is pruned. Paper: tau_pru = 0.009.
+    pub prune_threshold: f32,
+    /// Which splats the prune score removes.
+    pub prune_rule: PruneRule,
+    /// Draw other frames for the prune score (paper: "randomly sampled" for each).
+    pub prune_own_frames: bool,
+    /// First iteration of density control. 500 (3DGS, Instant4D).
+    pub from: usize,
+    /// Share of all iterations after which it ends. Section 4.4: 0.6; reference: 1.
+    pub until: f32,
+    /// Iterations between two rounds of densification. 100 (3DGS).
+    pub every: usize,
+    /// Iterations between two rounds of score pruning. Section 4.4: 500; literal: 100.
+    pub prune_every: usize,
+    /// At most this share of all splats is cloned or split in a round, those of the highest scores
+    /// (section 4.4: 0.05); 1 for no limit.
+    pub budget: f32,
+    /// At most this multiple of the first number of splats (section 4.4: 1.5).
+    pub max_growth: f32,
+    /// Clone or split.
+    pub split_size: SplitSize,
+    /// Scales of children are those of the parent over this; 1.6 (3DGS).
+    pub split_factor: f32,
+    /// Opacity of clones.
+    pub newborn_opacity: NewbornOpacity,
+    /// Splats below this opacity are removed at every round. 0.005 (3DGS).
+    pub min_opacity: f32,
+    /// Splats larger than this share of the extent are removed from `size_from` on. 0.1 (3DGS); 0 for
+    /// never.
+    pub max_size: f32,
+    /// First iteration of the size rule. 3000 (3DGS).
+    pub size_from: usize,
+    /// Splats below this opacity are removed at the end. Section 4.4: 0.02; 0 for none.
+    pub final_opacity: f32,
+}
+
+impl Default for DensityConfig {
+    fn default() -> Self {
+        Self::fast()
+    }
+}
+
+impl DensityConfig {
+    /// The recommended reading of section 4.4.
+    #[must_use]
+    pub fn fast() -> Self {
+        Self {
+            enabled: true,
+            frames: 10,
+            error_threshold: 0.1,
+            error_range: ErrorRange::Quantile { high: 0.995 },
+            densify_threshold: 0.001,
+            prune_threshold: 0.009,
+            prune_rule: PruneRule::WithOpacity {
+                opacity: 0.1,
+                always: 0.9,
+                quantile: 0.999,
+            },
+            prune_own_frames: false,
+            from: 500,
+            until: 0.6,
+            every: 100,
+            prune_every: 500,
+            budget: 0.05,
+            max_growth: 1.5,
+            split_size: SplitSize::Pixels { pixels: 2.0 },
+            split_factor: 1.6,
+            newborn_opacity: NewbornOpacity::Share,
+            min_opacity: 0.005,
+            max_size: 0.0,
+            size_from: 3000,
+            final_opacity: 0.02,
+        }
+    }
+
+    /// Equations 6 to 10 to the letter where they can be read, else as the code they derive from:
+    /// p(t) with peak 1, footprints of composited pixels, raw sums, both rounds every 100 iterations to
+    /// the end. The cap on the number of splats is a guard for memory and ours.
+    #[must_use]
+    pub fn faithful() -> Self {
+        Self {
+            error_range: ErrorRange::MinMax,
+            prune_rule: PruneRule::Literal,
+            prune_own_frames: true,
+            until: 1.0,
+            prune_every: 100,
+            budget: 1.0,
+            max_growth: 3.0,
+            split_size: SplitSize::Extent { share: 0.01 },
+            newborn_opacity: NewbornOpacity::Keep,
+            max_size: 0.1,
+            final_opacity: 0.0,
+            ..Self::fast()
+        }
+    }
+}

@@ -1,0 +1,280 @@
+//! Settings of the training, each with its source.
+
+mod density;
+mod rates;
+
+pub use density::{DensityConfig, ErrorRange, NewbornOpacity, PruneRule, SplitSize};
+pub use rates::{AdamSettings, PositionUnit, RateConfig, RefineConfig};
+
+use crate::TrainError;
+use serde::{Deserialize, Serialize};
+
+/// Which frame an iteration looks at.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum FrameChoice {
+    /// Every frame once an epoch, in an order drawn anew for each.
+    Shuffled,
+    /// After the first epoch: with probability `uniform` the next of the shuffled order, else a frame
+    /// drawn in proportion to its recent loss (section 8, item 6).
+    ErrorDriven {
+        /// Share of uniform draws, 0..1.
+        uniform: f32,
+    },
+}
+
+/// What is minimised.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LossConfig {
+    /// Weight of `1 - SSIM` beside L1. 0.2 (3DGS, Instant4D; the paper gives no value).
+    pub lambda_ssim: f32,
+    /// Weight of the relative depth residual at the start (section 8, item 11: 0.05).
+    pub depth_weight: f32,
+    /// Its weight at the end; between them it falls log-linearly.
+    pub depth_weight_end: f32,
+    /// Relative residual below which the depth loss is quadratic (Huber).
+    pub depth_huber: f32,
+    /// Weight of the light that passes where the depth says there is a surface.
+    pub alpha_weight: f32,
+}
+
+impl Default for LossConfig {
+    fn default() -> Self {
+        Self {
+            lambda_ssim: 0.2,
+            depth_weight: 0.1,
+            depth_weight_end: 0.02,
+            depth_huber: 0.01,
+            alpha_weight: 0.0,
+        }
+    }
+}
+
+/// Coarse-to-fine (section 8, item 5): shares of all iterations.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ResolutionConfig {
+    /// A quarter of the size until this share of the iterations. 0 for never (reference: full size throughout).
+    pub quarter_until: f32,
+    /// Half the size until this share.
+    pub half_until: f32,
+    /// Below this many pixels on the short side no frame is made smaller.
+    pub min_side_px: usize,
+}
+
+impl Default for ResolutionConfig {
+    fn default() -> Self {
+        Self {
+            quarter_until: 0.0,
+            half_until: 0.2,
+            min_side_px: 64,
+        }
+    }
+}
+
+/// Settings of a [`crate::Trainer`]. Defaults are those of [`TrainConfig::fast`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainConfig {
+    /// Steps, one frame each. Paper: 5000 (DyCheck, DAVIS), 1500 (NVIDIA).
+    pub iterations: usize,
+    /// Key of every random draw.
+    pub seed: u64,
+    /// Which frame next.
+    pub frame_choice: FrameChoice,
+    /// What is minimised.
+    pub loss: LossConfig,
+    /// How fast parameters move.
+    pub lr: RateConfig,
+    /// The optimiser.
+    pub adam: AdamSettings,
+    /// Adding and removing splats.
+    pub density: DensityConfig,
+    /// Coarse-to-fine.
+    pub resolution: ResolutionConfig,
+    /// Poses, focal length and exposure.
+    pub refine: RefineConfig,
+    /// Opacity-compensated 2D filter (section 1.6); false in the reference.
+    pub mip: bool,
+    /// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene
+    /// units whatever the scale (section 1.6).
+    pub near_share: f32,
+    /// Colour behind everything. `None`: the mean colour of pixels without a surface (depth 0) where at
+    /// least one in a thousand has none, else black (reference: black).
+    pub background: Option<[f32; 3]>,
+    /// Splats are laid out anew along a Morton curve every so many iterations, and whenever their
+    /// number changes. 0 for the latter only.
+    pub reorder_every: usize,
+    /// Iterations between two checks that every parameter is finite; the state of the last check is
+    /// kept in case one is not.
+    pub guard_every: usize,
+    /// Iterations between two [`crate::MetricsEvent`]s.
+    pub metrics_every: usize,
+    /// Memory for frames prepared for the loss, MB; frames beyond it are prepared anew at each use.
+    pub target_cache_mb: usize,
+}
+
+impl Default for TrainConfig {
+    fn default() -> Self {
+        Self::fast()
+    }
+}
+
+impl TrainConfig {
+    /// Our choices (section 9, D1): static splats without time, velocities, depth, coarse-to-fine,
+    /// budgeted density control.
+    #[must_use]
+    pub fn fast() -> Self {
+        Self {
+            iterations: 3000,
+            seed: 0,
+            frame_choice: FrameChoice::Shuffled,
+            loss: LossConfig::default(),
+            lr: RateConfig::default(),
+            adam: AdamSettings::default(),
+            density: DensityConfig::fast(),
+            resolution: ResolutionConfig::default(),
+            refine: RefineConfig::default(),
+            mip: true,
+            near_share: 0.05,
+            background: None,
+            reorder_every: 0,
+            guard_every: 100,
+            metrics_every: 50,
+            target_cache_mb: 512,
+        }
+    }
+
+    /// The paper's letter, read as Instant4D (section 3): photometric loss alone, frozen velocities,
+    /// dense Adam, full size, literal scores.
+    #[must_use]
+    pub fn faithful() -> Self {
+        Self {
+            iterations: 5000,
+            loss: LossConfig {
+                depth_weight: 0.0,
+                depth_weight_end: 0.0,
+                ..LossConfig::default()
+            },
+            lr: RateConfig::faithful(),
+            adam: AdamSettings {
+                sparse: false,
+                beta2_dynamic: 0.999,
+                ..AdamSettings::default()
+            },
+            density: DensityConfig::faithful(),
+            resolution: ResolutionConfig {
+                quarter_until: 0.0,
+                half_until: 0.0,
+                ..ResolutionConfig::default()
+            },
+            mip: false,
+            background: Some([0.0; 3]),
+            ..Self::fast()
+        }
+    }
+
+    /// Refuses values that no run can use.
+    ///
+    /// # Errors
+    ///
+    /// [`TrainError::BadSetting`] naming the first field out of range.
+    pub fn check(&self) -> Result<(), TrainError> {
+        let shares = [
+            ("loss.lambda_ssim", self.loss.lambda_ssim),
+            ("resolution.quarter_until", self.resolution.quarter_until),
+            ("resolution.half_until", self.resolution.half_until),
+            ("near_share", self.near_share),
+            ("density.until", self.density.until),
+            ("density.error_threshold", self.density.error_threshold),
+            ("density.budget", self.density.budget),
+            ("density.final_opacity", self.density.final_opacity),
+            (
+                "frame_choice.uniform",
+                match self.frame_choice {
+                    FrameChoice::Shuffled => 1.0,
+                    FrameChoice::ErrorDriven { uniform } => uniform,
+                },
+            ),
+        ];
+        for (field, value) in shares {
+            if !(0.0..=1.0).contains(&value) {
+                return Err(bad(field, value, "between 0 and 1"));
+            }
+        }
+        let not_negative = [
+            ("loss.depth_weight", self.loss.depth_weight),
+            ("loss.depth_weight_end", self.loss.depth_weight_end),
+            ("loss.alpha_weight", self.loss.alpha_weight),
+            ("lr.position", self.lr.position),
+            ("lr.position_end", self.lr.position_end),
+            ("lr.colour", self.lr.colour),
+            ("lr.colour_rest", self.lr.colour_rest),
+            ("lr.opacity", self.lr.opacity),
+            ("lr.scale", self.lr.scale),
+            ("lr.rotation", self.lr.rotation),
+            ("lr.time_mean", self.lr.time_mean),
+            ("lr.time_sd", self.lr.time_sd),
+            ("lr.velocity", self.lr.velocity),
+            ("refine.rotation_lr", self.refine.rotation_lr),
+            ("refine.translation_lr", self.refine.translation_lr),
+            ("refine.focal_lr", self.refine.focal_lr),
+            ("refine.exposure_lr", self.refine.exposure_lr),
+        ];
+        for (field, value) in not_negative {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(bad(field, value, "a number of at least 0"));
+            }
+        }
+        let positive = [
+            ("loss.depth_huber", self.loss.depth_huber),
+            ("density.split_factor", self.density.split_factor),
+            ("density.max_growth", self.density.max_growth),
+        ];
+        for (field, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(bad(field, value, "a number above 0"));
+            }
+        }
+        let counts = [
+            ("guard_every", self.guard_every),
+            ("metrics_every", self.metrics_every),
+            ("density.every", self.density.every),
+            ("density.prune_every", self.density.prune_every),
+            ("density.frames", self.density.frames),
+            ("iterations", self.iterations),
+        ];
+        for (field, value) in counts {
+            if value == 0 {
+                return Err(bad(field, value, "at least 1"));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn bad(field: &'static str, value: impl ToString, expected: &'static str) -> TrainError {
+    TrainError::BadSetting {
+        field,
+        value: value.to_string(),
+        expected,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TrainConfig;
+
+    #[test]
+    fn the_profiles_are_valid_and_bad_values_are_named() {
+        TrainConfig::fast().check().unwrap();
+        TrainConfig::faithful().check().unwrap();
+        let mut broken = TrainConfig::fast();
+        broken.lr.opacity = f32::NAN;
+        assert!(broken.check().unwrap_err().to_string().contains("`lr.opacity` is NaN"));
+        let mut broken = TrainConfig::fast();
+        broken.density.every = 0;
+        assert!(broken.check().is_err());
+    }
+}

@@ -1,0 +1,270 @@
+//! Scores to decisions: a pure function, so that it can be tested on made-up scores.
+
+use super::error_mask::quantile;
+use super::{Origin, Plan, Scores};
+use crate::config::{DensityConfig, PruneRule};
+
+/// What a decision looks at beside the scores; all `[n]`.
+#[derive(Debug, Clone, Copy)]
+pub struct SplatView<'a> {
+    /// How many rows are static.
+    pub n_static: usize,
+    /// Opacity, 0..1, without time.
+    pub opacity: &'a [f32],
+    /// True where the splat is large enough to be split rather than cloned.
+    pub large: &'a [bool],
+    /// True where a size rule wants the splat gone.
+    pub oversized: &'a [bool],
+}
+
+/// Which rounds are due.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Decision {
+    /// Clone and split.
+    pub densify: bool,
+    /// Prune by score; opacity and size rules apply in every round.
+    pub prune_by_score: bool,
+    /// Most splats that the next set may have.
+    pub max_splats: usize,
+}
+
+/// Who is cloned, split and pruned.
+///
+/// A splat is densified when its score is above the threshold and among the best `budget`; ties go to
+/// the lower row. Pruned are splats of low opacity or excessive size and, when due, those that the
+/// score rule names; in the literal rule a splat may be cloned and pruned in one round, then its clone
+/// takes its place.
+#[must_use]
+pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scores: &Scores) -> Plan {
+    let n = splats.opacity.len();
+    let grows = if due.densify {
+        best(config, &scores.densify, n, due.max_splats)
+    } else {
+        vec![false; n]
+    };
+    let by_score = if due.prune_by_score {
+        pruned_by_score(config, splats.opacity, &scores.prune)
+    } else {
+        vec![false; n]
+    };
+    let literal = config.prune_rule == PruneRule::Literal;
+
+    let mut plan = Plan::default();
+    for rows in [0..splats.n_static, splats.n_static..n] {
+        let mut newborns: Vec<(u32, Origin)> = Vec::new();
+        for row in rows {
+            let hopeless = splats.opacity[row] < config.min_opacity || splats.oversized[row];
+            let mut add = |origin| {
+                plan.rows.push(row as u32);
+                plan.origins.push(origin);
+            };
+            if hopeless && !(grows[row] && splats.large[row]) {
+                plan.pruned += 1;
+            } else if grows[row] && splats.large[row] {
+                newborns.extend([(row as u32, Origin::Child(0)), (row as u32, Origin::Child(1))]);
+                plan.split += 1;
+            } else if grows[row] {
+                newborns.push((row as u32, Origin::Clone));
+                plan.cloned += 1;
+                if literal && by_score[row] {
+                    plan.pruned += 1;
+                } else {
+                    add(Origin::Cloned);
+                }
+            } else if by_score[row] {
+                plan.pruned += 1;
+            } else {
+                add(Origin::Kept);
+            }
+        }
+        for (row, origin) in newborns {
+            plan.rows.push(row);
+            plan.origins.push(origin);
+        }
+    }
+    plan
+}
+
+/// True for the splats above the threshold that budget and cap allow.
+fn best(config: &DensityConfig, scores: &[f32], n: usize, max_splats: usize) -> Vec<bool> {
+    let budget = ((f64::from(config.budget) * n as f64) as usize).min(max_splats.saturating_sub(n));
+    let mut above: Vec<u32> = (0..n as u32)
+        .filter(|&i| scores[i as usize] > config.densify_threshold)
+        .collect();
+    // Each clone and each split makes one splat more.
+    if above.len() > budget {
+        above.sort_unstable_by(|&a, &b| scores[b as usize].total_cmp(&scores[a as usize]).then(a.cmp(&b)));
+        above.truncate(budget);
+    }
+    let mut out = vec![false; n];
+    above.iter().for_each(|&i| out[i as usize] = true);
+    out
+}
+
+fn pruned_by_score(config: &DensityConfig, opacity: &[f32], scores: &[f32]) -> Vec<bool> {
+    let (low, high) = match config.prune_rule {
+        PruneRule::Literal => scores
+            .iter()
+            .fold((f32::INFINITY, 0.0f32), |(a, b), &s| (a.min(s), b.max(s))),
+        PruneRule::WithOpacity { quantile: q, .. } => {
+            let some: Vec<f32> = scores.iter().copied().filter(|s| *s > 0.0).collect();
+            let low = some.iter().copied().fold(f32::INFINITY, f32::min);
+            (low, quantile(&some, q))
+        }
+    };
+    if high <= low {
+        return vec![false; scores.len()];
+    }
+    scores
+        .iter()
+        .zip(opacity)
+        .map(|(&s, &o)| {
+            let s = ((s - low) / (high - low)).clamp(0.0, 1.0);
+            match config.prune_rule {
+                PruneRule::Literal => s > config.prune_threshold,
+                PruneRule::WithOpacity { opacity, always, .. } => {
+                    (s > config.prune_threshold && o < opacity) || s > always
+                }
+            }
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Decision, SplatView, decide};
+    use crate::config::DensityConfig;
+    use crate::density::{Origin, Scores};
+
+    const DUE: Decision = Decision {
+        densify: true,
+        prune_by_score: true,
+        max_splats: 1000,
+    };
+
+    fn scores(densify: &[f32], prune: &[f32]) -> Scores {
+        Scores {
+            densify: densify.to_vec(),
+            prune: prune.to_vec(),
+        }
+    }
+
+    #[test]
+    fn small_splats_are_cloned_and_large_ones_split() {
+        let config = DensityConfig {
+            budget: 1.0,
+            ..DensityConfig::fast()
+        };
+        let view = SplatView {
+            n_static: 2,
+            opacity: &[0.5; 4],
+            large: &[false, true, false, true],
+            oversized: &[false; 4],
+        };
+        let due = Decision {
+            prune_by_score: false,
+            ..DUE
+        };
+        let plan = decide(&config, due, view, &scores(&[1.0, 0.0, 0.0005, 2.0], &[0.0; 4]));
+        assert_eq!(plan.rows, [0, 1, 0, 2, 3, 3]);
+        use Origin::{Child, Clone, Cloned, Kept};
+        assert_eq!(plan.origins, [Cloned, Kept, Clone, Kept, Child(0), Child(1)]);
+        assert_eq!((plan.cloned, plan.split, plan.pruned), (1, 1, 0));
+        assert_eq!(plan.newborn(), [false, false, true, false, true, true]);
+    }
+
+    #[test]
+    fn the_budget_takes_the_worst_and_the_cap_holds() {
+        let config = DensityConfig {
+            budget: 0.5,
+            ..DensityConfig::fast()
+        };
+        let n = 10;
+        let densify: Vec<f32> = (0..n).map(|i| 1.0 + ((i * 7) % n) as f32).collect();
+        let view = SplatView {
+            n_static: n,
+            opacity: &vec![0.5; n],
+            large: &vec![false; n],
+            oversized: &vec![false; n],
+        };
+        let count = |max_splats| {
+            let plan = decide(
+                &config,
+                Decision { max_splats, ..DUE },
+                view,
+                &scores(&densify, &vec![0.0; n]),
+            );
+            let worst = plan
+                .origins
+                .iter()
+                .zip(&plan.rows)
+                .filter(|(o, _)| **o == Origin::Clone);
+            assert!(worst.map(|(_, &r)| densify[r as usize]).all(|s| s > 5.0));
+            plan.rows.len()
+        };
+        assert_eq!(count(1000), 15);
+        assert_eq!(count(12), 12);
+        assert_eq!(count(3), 10, "a cap below the count adds none and removes none");
+    }
+
+    #[test]
+    fn pruning_spares_parents_of_clones_and_opaque_splats() {
+        let config = DensityConfig {
+            budget: 1.0,
+            ..DensityConfig::fast()
+        };
+        // 100 splats whose scores rise; the last is transparent as dust
+        let mut opacity = vec![0.5; 100];
+        opacity[10] = 0.05; // low score
+        opacity[60] = 0.05; // above the threshold and dim: goes
+        opacity[99] = 0.001; // goes by opacity
+        let prune: Vec<f32> = (0..100).map(|i| if i == 10 { 0.0 } else { i as f32 * 0.1 }).collect();
+        let mut densify = vec![0.0; 100];
+        densify[98] = 1.0; // among the highest prune scores, but a parent
+        let view = SplatView {
+            n_static: 40,
+            opacity: &opacity,
+            large: &[false; 100],
+            oversized: &[false; 100],
+        };
+        let plan = decide(&config, DUE, view, &scores(&densify, &prune));
+        let gone: Vec<u32> = (0..100).filter(|r| !plan.rows.contains(r)).collect();
+        assert_eq!(gone, [60, 90, 91, 92, 93, 94, 95, 96, 97, 99]);
+        assert_eq!(plan.rows.iter().filter(|&&r| r == 98).count(), 2);
+        assert_eq!(plan.rows.len() + plan.pruned - plan.cloned, 100);
+    }
+
+    #[test]
+    fn the_literal_rule_cuts_the_tail() {
+        let config = DensityConfig::faithful();
+        let view = SplatView {
+            n_static: 0,
+            opacity: &[0.5; 4],
+            large: &[false; 4],
+            oversized: &[false, false, false, true],
+        };
+        let plan = decide(
+            &config,
+            DUE,
+            view,
+            &scores(&[0.0, 0.0, 0.5, 0.0], &[0.0, 0.5, 100.0, 0.0]),
+        );
+        // row 1: 0.5 / 100 stays; row 2: pruned, its clone takes its place; row 3: too large
+        assert_eq!(plan.rows, [0, 1, 2]);
+        assert_eq!(plan.origins, [Origin::Kept, Origin::Kept, Origin::Clone]);
+        assert_eq!(plan.pruned, 2);
+    }
+
+    #[test]
+    fn nothing_wrong_changes_nothing() {
+        let view = SplatView {
+            n_static: 1,
+            opacity: &[0.5; 3],
+            large: &[true; 3],
+            oversized: &[false; 3],
+        };
+        let plan = decide(&DensityConfig::fast(), DUE, view, &scores(&[0.0; 3], &[0.0; 3]));
+        assert!(plan.changes_nothing());
+        assert_eq!(plan.rows, [0, 1, 2]);
+    }
+}

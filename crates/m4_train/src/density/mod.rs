@@ -1,0 +1,36 @@
+//! Loss-guided density control (paper section 3.3): where the picture is wrong, add splats; splats
+//! that keep being wrong, remove.
+//!
+//! | file | what it does |
+//! |---|---|
+//! | `error_mask` | error map to masked error (eq. 6, 7, 8) |
+//! | `score` | masked errors of K frames to two scores a splat (eq. 9, 10) |
+//! | `decide` | scores to who is cloned, split and pruned |
+//! | `plan` | decisions to rows: which splats the next set is made of |
+//! | `newborn` | what clones and children look like |
+//!
+//! Readings where the paper is open (section 4.4): p(t) is the marginal with peak 1; a splat's
+//! footprint are the pixels that it is composited on; scores are raw sums of error. Both scores are
+//! taken from the same state of the splats; newborns are never pruned in the round that made them,
+//! nor are parents of clones.
+
+mod decide;
+mod error_mask;
+mod newborn;
+mod plan;
+mod score;
+
+pub use decide::{Decision, SplatView, decide};
+pub use error_mask::masked_error;
+pub use newborn::apply;
+pub use plan::{Origin, Plan};
+pub(crate) use score::{ScoreInput, score};
+
+/// The two scores of every splat.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Scores {
+    /// `[n]` mean over the frames of the time-weighted masked error on the footprint (eq. 9).
+    pub densify: Vec<f32>,
+    /// `[n]` the same weighted by the frame's photometric loss, summed, not yet normalised (eq. 10).
+    pub prune: Vec<f32>,
+}

@@ -1,0 +1,186 @@
+//! What clones and children look like.
+
+use super::{Origin, Plan};
+use crate::config::{DensityConfig, NewbornOpacity};
+use crate::pick::purpose;
+use m4_kernels::adam::cpu::AdamState;
+use m4_math::CounterRng;
+use m4_math::nalgebra::{Vector3, Vector4};
+use m4_math::quat;
+use m4_scene::{Column, ShapeError, Splats};
+
+/// Carries a plan out: the next splats and their optimiser state.
+///
+/// Clones are copies; with [`NewbornOpacity::Share`] parent and clone pass together the light that the
+/// parent passed. Children of a split are drawn from the splat's Gaussian, in space and (dynamic
+/// splats) in time: `dt ~ N(0, w)`, `x = v dt + Q diag(s) e`; their scales, that in time included, are
+/// the parent's over `split_factor`. The draws depend on `seed`, `iteration` and the parent's row alone.
+/// Survivors keep their optimiser state, newborns start from nothing.
+///
+/// # Errors
+///
+/// [`ShapeError`] if the plan names rows that do not exist, or a static row after a dynamic one.
+pub fn apply(
+    config: &DensityConfig,
+    plan: &Plan,
+    splats: &Splats,
+    adam: &AdamState,
+    seed: u64,
+    iteration: usize,
+) -> Result<(Splats, AdamState), ShapeError> {
+    ShapeError::check("plan", plan.rows.len(), plan.origins.len())?;
+    let mut out = splats.gather(&plan.rows)?;
+    let adam = adam.gather(&plan.rows, &plan.newborn())?;
+    for row in 0..out.n() {
+        match plan.origins[row] {
+            Origin::Kept => {}
+            Origin::Cloned | Origin::Clone => {
+                if config.newborn_opacity == NewbornOpacity::Share {
+                    share_opacity(&mut out, row);
+                }
+            }
+            Origin::Child(k) => {
+                let key = (iteration as u64) << 8 | u64::from(k);
+                let parent = u64::from(plan.rows[row]);
+                let rng = CounterRng::new(seed, purpose::SPLIT.wrapping_add(key << 32), parent);
+                become_child(config, &mut out, row, rng);
+            }
+        }
+    }
+    Ok((out, adam))
+}
+
+/// `o -> 1 - sqrt(1 - o)`.
+fn share_opacity(splats: &mut Splats, row: usize) {
+    let logit = &mut splats.column_mut(Column::Opacity, 0)[row];
+    // 1 - o in a form that is exact for large logits
+    let pass = (1.0 / (1.0 + logit.exp())).sqrt();
+    let o = (1.0 - pass).clamp(1e-6, 1.0 - 1e-6);
+    *logit = (o / (1.0 - o)).ln();
+}
+
+fn become_child(config: &DensityConfig, splats: &mut Splats, row: usize, mut rng: CounterRng) {
+    let isotropic = splats.layout().isotropic;
+    let shrink = config.split_factor.ln();
+    let scale: [f32; 3] = [0, 1, 2].map(|k| splats.column(Column::LogScale, if isotropic { 0 } else { k })[row].exp());
+    let local = Vector3::from_fn(|k, _| scale[k] * rng.normal() as f32);
+    let mut shift = if isotropic {
+        local
+    } else {
+        let q = Vector4::from_fn(|k, _| splats.column(Column::Quat, k)[row]);
+        if q.norm() > 0.0 {
+            quat::rotation(&q) * local
+        } else {
+            local
+        }
+    };
+    if let Some(i) = row.checked_sub(splats.n_static()) {
+        let log_sd = &mut splats.column_mut(Column::LogTimeSd, 0)[i];
+        let dt = log_sd.exp() * rng.normal() as f32;
+        *log_sd -= shrink;
+        splats.column_mut(Column::TimeMean, 0)[i] += dt;
+        shift += Vector3::from_fn(|k, _| splats.column(Column::Velocity, k)[i] * dt);
+    }
+    for k in 0..3 {
+        splats.column_mut(Column::Mean, k)[row] += shift[k];
+    }
+    for k in 0..if isotropic { 1 } else { 3 } {
+        splats.column_mut(Column::LogScale, k)[row] -= shrink;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Origin, Plan, apply};
+    use crate::config::DensityConfig;
+    use m4_kernels::adam::cpu::AdamState;
+    use m4_scene::{Column, SplatLayout, Splats};
+
+    fn world() -> (Splats, AdamState) {
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        let mut splats = Splats::zeros(layout, 2, 2);
+        splats.column_mut(Column::Quat, 0).fill(1.0);
+        splats
+            .column_mut(Column::Opacity, 0)
+            .copy_from_slice(&[0.0, 1.0, 2.0, 30.0]);
+        splats.column_mut(Column::Velocity, 0).fill(0.5);
+        let mut adam = AdamState::new(&splats);
+        adam.m.columns_mut().for_each(|c| c.fill(0.25));
+        adam.v.columns_mut().for_each(|c| c.fill(0.5));
+        adam.step.copy_from_slice(&[1, 2, 3, 4]);
+        (splats, adam)
+    }
+
+    fn plan() -> Plan {
+        Plan {
+            rows: vec![0, 1, 1, 2, 3, 3],
+            origins: vec![
+                Origin::Kept,
+                Origin::Cloned,
+                Origin::Clone,
+                Origin::Kept,
+                Origin::Child(0),
+                Origin::Child(1),
+            ],
+            cloned: 1,
+            split: 1,
+            pruned: 0,
+        }
+    }
+
+    #[test]
+    fn survivors_keep_their_state_and_newborns_have_none() {
+        let (splats, adam) = world();
+        let (next, state) = apply(&DensityConfig::fast(), &plan(), &splats, &adam, 1, 700).unwrap();
+        assert_eq!((next.n_static(), next.n_dynamic()), (3, 3));
+        assert_eq!(state.step, [1, 2, 0, 3, 0, 0]);
+        let first = state.m.column(Column::Mean, 0);
+        assert_eq!(first, [0.25, 0.25, 0.0, 0.25, 0.0, 0.0]);
+        assert_eq!(state.v.column(Column::TimeMean, 0), [0.5, 0.0, 0.0]);
+        assert!(next.is_finite());
+        for k in 0..3 {
+            let (old, new) = (splats.column(Column::Mean, k), next.column(Column::Mean, k));
+            assert_eq!((new[0], new[1], new[3]), (old[0], old[1], old[2]));
+        }
+    }
+
+    #[test]
+    fn a_shared_opacity_passes_the_same_light() {
+        let (splats, adam) = world();
+        let (next, _) = apply(&DensityConfig::fast(), &plan(), &splats, &adam, 1, 700).unwrap();
+        let pass = |logit: f32| 1.0 / (1.0 + logit.exp());
+        let o = next.column(Column::Opacity, 0);
+        assert!((pass(o[1]) * pass(o[2]) - pass(1.0)).abs() < 1e-6);
+        assert_eq!(o[0], 0.0, "others keep theirs");
+        assert_eq!(o[4], 30.0, "children keep their parent's");
+    }
+
+    #[test]
+    fn children_are_smaller_and_drawn_around_their_parent() {
+        let (splats, adam) = world();
+        let config = DensityConfig::fast();
+        let (mut sum, mut square, mut time) = (0.0f64, 0.0f64, 0.0f64);
+        let rounds = 2000;
+        for i in 0..rounds {
+            let (next, _) = apply(&config, &plan(), &splats, &adam, 9, i).unwrap();
+            let (x, y) = (next.column(Column::Mean, 0)[4], next.column(Column::Mean, 1)[4]);
+            let dt = next.column(Column::TimeMean, 0)[1];
+            sum += f64::from(y);
+            square += f64::from(y) * f64::from(y);
+            // x = e + v dt: what is left without the drift has variance 1
+            let rest = f64::from(x - 0.5 * dt);
+            time += rest * rest;
+            assert!((next.column(Column::LogScale, 2)[4] + 1.6f32.ln()).abs() < 1e-6);
+            assert!((next.column(Column::LogTimeSd, 0)[1] + 1.6f32.ln()).abs() < 1e-6);
+        }
+        let n = rounds as f64;
+        assert!((sum / n).abs() < 0.1 && (square / n - 1.0).abs() < 0.1 && (time / n - 1.0).abs() < 0.1);
+        let twice = |i| apply(&config, &plan(), &splats, &adam, 9, i).unwrap().0;
+        assert_eq!(twice(5), twice(5));
+        assert_ne!(twice(5), twice(6));
+    }
+}

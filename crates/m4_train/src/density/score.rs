@@ -1,0 +1,68 @@
+//! Scores of every splat over some frames (paper equations 9 and 10).
+
+use super::{Scores, masked_error};
+use crate::config::DensityConfig;
+use crate::frames::FrameStore;
+use crate::refine::{Refinement, expose};
+use m4_kernels::photo::cpu::{PhotoScratch, error_map, loss};
+use m4_kernels::{Renderer, SimdLevel, View};
+use m4_scene::{ShapeError, Splats};
+
+/// What scoring needs beside splats and frames.
+pub(crate) struct ScoreInput<'a> {
+    pub level: SimdLevel,
+    pub config: &'a DensityConfig,
+    pub lambda_ssim: f32,
+    /// Frames are made smaller by this.
+    pub factor: usize,
+    pub store: &'a mut FrameStore,
+    /// Exposures; `None` when they are not corrected.
+    pub fit: Option<&'a Refinement>,
+    pub renderer: &'a mut Renderer,
+    pub scratch: &'a mut PhotoScratch,
+}
+
+/// Draws `splats` in each of `frames`, with the view that goes with it, and adds up what is wrong
+/// where they are.
+pub(crate) fn score(
+    input: &mut ScoreInput<'_>,
+    splats: &Splats,
+    frames: &[(usize, View)],
+) -> Result<Scores, ShapeError> {
+    let n = splats.n();
+    let mut scores = Scores {
+        densify: vec![0.0; n],
+        prune: vec![0.0; n],
+    };
+    let (mut one, mut errors) = (vec![0.0f32; n], Vec::new());
+    let (mut gradient, mut exposed): ([Vec<f32>; 3], [Vec<f32>; 3]) = Default::default();
+    let share = 1.0 / frames.len().max(1) as f32;
+    for (frame, view) in frames {
+        let target = &input.store.get(*frame, input.factor)?.target;
+        let drawn = input.renderer.render(splats, view);
+        let rgb = match input.fit {
+            Some(fit) => {
+                expose(&fit.frames[*frame].exposure, &drawn.rgb, &mut exposed);
+                &exposed
+            }
+            None => &drawn.rgb,
+        };
+        let photo = loss(
+            input.level,
+            target,
+            rgb,
+            input.lambda_ssim,
+            input.scratch,
+            &mut gradient,
+        );
+        error_map(input.level, target, rgb, &mut errors);
+        masked_error(&mut errors, input.config.error_threshold, input.config.error_range);
+        one.fill(0.0);
+        input.renderer.score(&errors, &mut one);
+        for i in 0..n {
+            scores.densify[i] += one[i] * share;
+            scores.prune[i] += one[i] * photo.total as f32;
+        }
+    }
+    Ok(scores)
+}

@@ -1,0 +1,83 @@
+//! Depth of the picture against depth of the capture.
+
+/// Adds the depth loss of a frame to its gradients and returns it.
+///
+/// The residual of a pixel is `r = (D - z A) / z`, with `D` the composited depth, `A` alpha and `z` the
+/// capture's depth (0: no residual): the blending-weighted relative error, without a division by alpha.
+/// The loss is `weight` times the mean over the pixels with depth of the Huber function of `r` (linear
+/// from `huber` on, slope 1), plus `alpha_weight` times their mean transmittance.
+///
+/// `depth`, `transmittance` and `z` are `[height][width]`; the gradients are overwritten.
+pub(crate) fn depth_loss(
+    depth: &[f32],
+    transmittance: &[f32],
+    z: &[f32],
+    (weight, huber, alpha_weight): (f32, f32, f32),
+    d_depth: &mut Vec<f32>,
+    d_alpha: &mut Vec<f32>,
+) -> f64 {
+    d_depth.clear();
+    d_alpha.clear();
+    d_depth.resize(depth.len(), 0.0);
+    d_alpha.resize(depth.len(), 0.0);
+    let valid = z.iter().filter(|z| **z > 0.0).count();
+    if valid == 0 {
+        return 0.0;
+    }
+    let per_pixel = 1.0 / valid as f32;
+    let mut sum = 0.0f64;
+    for i in 0..depth.len() {
+        if z[i] <= 0.0 {
+            continue;
+        }
+        let r = (depth[i] - z[i] * (1.0 - transmittance[i])) / z[i];
+        let (value, slope) = if r.abs() < huber {
+            (0.5 * r * r / huber, r / huber)
+        } else {
+            (r.abs() - 0.5 * huber, r.signum())
+        };
+        sum += f64::from(weight * value + alpha_weight * transmittance[i]);
+        d_depth[i] = weight * slope * per_pixel / z[i];
+        d_alpha[i] = -(weight * slope + alpha_weight) * per_pixel;
+    }
+    sum / valid as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::depth_loss;
+
+    #[test]
+    fn gradient_matches_central_differences() {
+        let (depth, t, z) = (
+            [2.0f32, 1.9, 3.0, 0.5],
+            [0.1f32, 0.05, 0.0, 0.9],
+            [2.1f32, 2.01, 0.0, 1.0],
+        );
+        let settings = (0.7, 0.1, 0.3);
+        let (mut dd, mut da) = (Vec::new(), Vec::new());
+        let value = |depth: &[f32], t: &[f32]| depth_loss(depth, t, &z, settings, &mut Vec::new(), &mut Vec::new());
+        depth_loss(&depth, &t, &z, settings, &mut dd, &mut da);
+        let h = 1e-3;
+        for i in 0..4 {
+            let step = |v: &[f32; 4], h: f32| {
+                let mut v = *v;
+                v[i] += h;
+                v
+            };
+            let want = (value(&step(&depth, h), &t) - value(&step(&depth, -h), &t)) / f64::from(2.0 * h);
+            assert!(
+                (f64::from(dd[i]) - want).abs() < 1e-4,
+                "depth {i}: {} for {want}",
+                dd[i]
+            );
+            let want = -(value(&depth, &step(&t, h)) - value(&depth, &step(&t, -h))) / f64::from(2.0 * h);
+            assert!(
+                (f64::from(da[i]) - want).abs() < 1e-4,
+                "alpha {i}: {} for {want}",
+                da[i]
+            );
+        }
+        assert_eq!((dd[2], da[2]), (0.0, 0.0), "no depth, no gradient");
+    }
+}

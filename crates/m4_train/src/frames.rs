@@ -1,0 +1,178 @@
+//! The training frames at the size that an iteration wants.
+
+use m4_kernels::photo::cpu::Target;
+use m4_scene::{Capture, DepthMap, Intrinsics, RgbImage, ShapeError};
+
+/// What the trainer keeps of a frame.
+#[derive(Debug)]
+struct Stored {
+    rgb: RgbImage,
+    depth: Option<DepthMap>,
+    cached: Option<Prepared>,
+}
+
+/// A frame ready for the loss.
+#[derive(Debug)]
+pub(crate) struct Prepared {
+    /// The picture.
+    pub target: Target,
+    /// z-depth at the size of the picture, 0 where unknown; empty when the frame has none.
+    pub depth: Vec<f32>,
+}
+
+/// All frames, and as many prepared ones as fit the budget.
+#[derive(Debug)]
+pub(crate) struct FrameStore {
+    frames: Vec<Stored>,
+    factor: usize,
+    budget: usize,
+    used: usize,
+    /// The frame prepared last that did not fit.
+    spare: Option<(usize, Prepared)>,
+}
+
+impl FrameStore {
+    pub fn new(capture: &Capture, budget_mb: usize) -> Self {
+        let frames = capture.frames.iter().map(|f| Stored {
+            rgb: f.rgb.clone(),
+            depth: f.depth.clone(),
+            cached: None,
+        });
+        Self {
+            frames: frames.collect(),
+            factor: 1,
+            budget: budget_mb * 1_000_000,
+            used: 0,
+            spare: None,
+        }
+    }
+
+    /// Frame `i`, each side divided by `factor`.
+    pub fn get(&mut self, i: usize, factor: usize) -> Result<&Prepared, ShapeError> {
+        if factor != self.factor {
+            self.frames.iter_mut().for_each(|f| f.cached = None);
+            (self.factor, self.used, self.spare) = (factor, 0, None);
+        }
+        if self.frames[i].cached.is_none() && self.spare.as_ref().is_none_or(|(k, _)| *k != i) {
+            let prepared = prepare(&self.frames[i], factor)?;
+            // colours, windowed means and variances, depth
+            let bytes = 10 * 4 * prepared.target.width() * prepared.target.height();
+            if self.used + bytes <= self.budget {
+                self.used += bytes;
+                self.frames[i].cached = Some(prepared);
+            } else {
+                self.spare = Some((i, prepared));
+            }
+        }
+        match (&self.frames[i].cached, &self.spare) {
+            (Some(prepared), _) | (None, Some((_, prepared))) => Ok(prepared),
+            (None, None) => Err(ShapeError {
+                what: "prepared frame",
+                expected: 1,
+                found: 0,
+            }),
+        }
+    }
+}
+
+/// The lens for frames whose sides are divided by `factor`; what does not divide is cut off at the
+/// right and the bottom.
+pub(crate) fn smaller(k: &Intrinsics, factor: usize) -> Intrinsics {
+    let f = factor as f64;
+    Intrinsics {
+        width: k.width / factor,
+        height: k.height / factor,
+        fx: k.fx / f,
+        fy: k.fy / f,
+        cx: k.cx / f,
+        cy: k.cy / f,
+    }
+}
+
+fn prepare(frame: &Stored, factor: usize) -> Result<Prepared, ShapeError> {
+    let (full_w, full_h) = frame.rgb.size();
+    let (w, h) = (full_w / factor, full_h / factor);
+    let scale = 1.0 / (255.0 * (factor * factor) as f32);
+    let mut rgb = [vec![0.0f32; w * h], vec![0.0; w * h], vec![0.0; w * h]];
+    for y in 0..h {
+        for x in 0..w {
+            let mut sum = [0u32; 3];
+            for dy in 0..factor {
+                for p in &frame.rgb.row(y * factor + dy)[x * factor..(x + 1) * factor] {
+                    for c in 0..3 {
+                        sum[c] += u32::from(p[c]);
+                    }
+                }
+            }
+            for c in 0..3 {
+                rgb[c][y * w + x] = sum[c] as f32 * scale;
+            }
+        }
+    }
+    let depth = frame.depth.as_ref().map_or_else(Vec::new, |depth| {
+        // The nearest sample: blends of two surfaces lie on neither.
+        let (dw, dh) = depth.size();
+        let at = |i: usize, n: usize, full: usize| {
+            let centre = (i as f64 + 0.5) * factor as f64 * n as f64 / full as f64;
+            (centre as usize).min(n - 1)
+        };
+        (0..w * h)
+            .map(|i| depth[(at(i % w, dw, full_w), at(i / w, dh, full_h))])
+            .map(|z| if z.is_finite() && z > 0.0 { z } else { 0.0 })
+            .collect()
+    });
+    Ok(Prepared {
+        target: Target::new(w, h, rgb)?,
+        depth,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::FrameStore;
+    use m4_math::Se3;
+    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+
+    fn capture() -> Capture {
+        let frame = |i: usize| CaptureFrame {
+            name: i.to_string(),
+            camera: Camera {
+                intrinsics: Intrinsics::centred(5, 4, 5.0),
+                c2w: Se3::identity(),
+            },
+            t: i as f64,
+            rgb: Plane::from_fn(5, 4, |x, y| [(x * 10) as u8, (y * 20) as u8, i as u8]),
+            depth: Some(Plane::from_fn(10, 8, |x, _| if x == 0 { f32::NAN } else { x as f32 })),
+            mask: None,
+            camera_index: None,
+        };
+        Capture {
+            frames: (0..3).map(frame).collect(),
+            time_frames: 3,
+            duration_s: None,
+            metric: false,
+        }
+    }
+
+    #[test]
+    fn half_size_is_the_mean_of_four() {
+        let mut store = FrameStore::new(&capture(), 100);
+        let half = store.get(1, 2).unwrap();
+        assert_eq!((half.target.width(), half.target.height()), (2, 2));
+        let close = |got: f32, want: f32| (got - want / 255.0).abs() < 1e-6;
+        assert!(close(half.target.rgb()[0][1], 25.0) && close(half.target.rgb()[1][2], 50.0));
+        assert_eq!(half.depth, [2.0, 6.0, 2.0, 6.0]);
+        let full = store.get(1, 1).unwrap();
+        assert_eq!(full.target.rgb()[0].len(), 20);
+        assert_eq!(full.depth[0], 1.0);
+    }
+
+    #[test]
+    fn frames_beyond_the_budget_are_prepared_anew() {
+        let mut store = FrameStore::new(&capture(), 0);
+        for i in [0, 1, 2, 1, 1] {
+            let blue = store.get(i, 1).unwrap().target.rgb()[2][0];
+            assert!((blue * 255.0 - i as f32).abs() < 1e-4);
+        }
+    }
+}

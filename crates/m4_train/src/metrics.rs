@@ -1,0 +1,55 @@
+//! What a run reports while it goes on.
+
+use serde::{Deserialize, Serialize};
+
+/// The state of a run after some iterations; one line of `metrics.jsonl`. Losses are means over the
+/// iterations since the event before.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct MetricsEvent {
+    /// Steps taken.
+    pub iteration: usize,
+    /// Everything that is minimised.
+    pub loss: f64,
+    /// Mean absolute error of the training frames, colours 0..1.
+    pub l1: f64,
+    /// Mean structural similarity of the training frames.
+    pub ssim: f64,
+    /// PSNR of the last frame, dB (colours clamped to 0..1), at the resolution of this iteration.
+    pub psnr: f64,
+    /// The depth term, weight included.
+    pub depth: f64,
+    /// Splats without time parameters.
+    pub splats_static: usize,
+    /// Splats with time parameters.
+    pub splats_dynamic: usize,
+    /// Splats that reached a pixel, mean.
+    pub touched: f64,
+    /// By how much frames are made smaller: 1, 2 or 4.
+    pub downscale: usize,
+    /// Seconds of training in this process.
+    pub seconds: f64,
+}
+
+/// Sums since the last event.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Totals {
+    pub steps: usize,
+    pub loss: f64,
+    pub l1: f64,
+    pub ssim: f64,
+    pub depth: f64,
+    pub touched: usize,
+}
+
+/// PSNR of two pictures of one plane a channel, the first clamped to 0..1; 100 dB for equal ones.
+pub(crate) fn psnr(rgb: &[Vec<f32>; 3], target: &[Vec<f32>; 3]) -> f64 {
+    let (mut sum, mut count) = (0.0f64, 0usize);
+    for (a, b) in rgb.iter().zip(target) {
+        for (a, b) in a.iter().zip(b) {
+            let d = f64::from(a.clamp(0.0, 1.0) - b);
+            sum += d * d;
+        }
+        count += a.len();
+    }
+    (-10.0 * (sum / count.max(1) as f64).log10()).min(100.0)
+}

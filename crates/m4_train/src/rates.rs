@@ -1,0 +1,94 @@
+//! One learning rate a column.
+
+use crate::config::{PositionUnit, RateConfig};
+use crate::scale::SceneScale;
+use crate::schedule::log_linear;
+use m4_scene::{Column, SplatLayout};
+
+/// What rates depend on beside the settings.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RateBasis {
+    /// Median of the first standard deviations in time, frames; 1 without dynamic splats.
+    pub time_sd: f32,
+    /// Frames of the video.
+    pub time_frames: usize,
+}
+
+/// The rates at `x` of the run (0..1), in the order of [`m4_scene::Splats::columns`].
+pub(crate) fn rates(
+    config: &RateConfig,
+    layout: SplatLayout,
+    scale: &SceneScale,
+    basis: RateBasis,
+    x: f32,
+) -> Vec<f32> {
+    let unit = match config.position_unit {
+        PositionUnit::Extent => scale.extent,
+        PositionUnit::MedianDepth => scale.median_depth,
+    };
+    let fall = log_linear(config.position, config.position_end, x);
+    let other = log_linear(1.0, config.other_end, x);
+    let velocity = if config.position > 0.0 {
+        config.velocity * fall / config.position
+    } else {
+        config.velocity
+    };
+    let time_mean = if config.time_mean_reference > 0.0 {
+        let last = basis.time_frames.max(2) - 1;
+        config.position * unit * last as f32 / config.time_mean_reference
+    } else {
+        config.time_mean * other
+    };
+    let mut out = vec![0.0; layout.columns()];
+    let mut set = |column, rate: f32| out[layout.range(column)].fill(rate);
+    set(Column::Mean, fall * unit);
+    set(Column::LogScale, config.scale * other);
+    set(Column::Quat, config.rotation * other);
+    set(Column::Opacity, config.opacity * other);
+    set(Column::Colour, config.colour_rest * other);
+    set(Column::TimeMean, time_mean);
+    set(Column::LogTimeSd, config.time_sd * other);
+    set(Column::Velocity, velocity * unit / basis.time_sd.max(1e-3));
+    let constant = layout.column(Column::Colour);
+    out[constant..constant + 3].fill(config.colour * other);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{RateBasis, rates};
+    use crate::config::RateConfig;
+    use crate::scale::SceneScale;
+    use m4_scene::{Column, SplatLayout};
+
+    #[test]
+    fn columns_get_their_rates() {
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 1,
+            time_degree: 0,
+        };
+        let scale = SceneScale {
+            extent: 2.0,
+            median_depth: 5.0,
+            focal_px: 100.0,
+            centres: vec![[0.0; 3]],
+        };
+        let basis = RateBasis {
+            time_sd: 2.0,
+            time_frames: 31,
+        };
+        let at = |config: &RateConfig, x, column| rates(config, layout, &scale, basis, x)[layout.column(column)];
+        let fast = RateConfig::default();
+        assert!((at(&fast, 0.0, Column::Mean) - 3.2e-4).abs() < 1e-9);
+        assert!((at(&fast, 1.0, Column::Mean) - 3.2e-6).abs() < 1e-10);
+        assert!((at(&fast, 1.0, Column::Velocity) - 1.6e-6).abs() < 1e-10);
+        assert_eq!(at(&fast, 0.5, Column::Opacity), 0.05);
+        let colour = rates(&fast, layout, &scale, basis, 0.0);
+        let first = layout.column(Column::Colour);
+        assert_eq!((colour[first + 2], colour[first + 3]), (2.5e-3, 1.25e-4));
+        let faithful = RateConfig::faithful();
+        assert_eq!(at(&faithful, 0.5, Column::Velocity), 0.0);
+        assert!((at(&faithful, 0.9, Column::TimeMean) - 1.6e-4 * 2.0 * 10.0).abs() < 1e-8);
+    }
+}

@@ -1,0 +1,223 @@
+//! Poses, focal length and exposure of the frames, by their own small Adam in f64.
+
+use crate::config::RefineConfig;
+use m4_kernels::CameraGradient;
+use m4_math::nalgebra::Vector6;
+use m4_scene::{Camera, Exposure};
+
+/// Adam over a few numbers.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct SmallAdam<const N: usize> {
+    pub m: [f64; N],
+    pub v: [f64; N],
+    pub step: u32,
+}
+
+impl<const N: usize> Default for SmallAdam<N> {
+    fn default() -> Self {
+        Self {
+            m: [0.0; N],
+            v: [0.0; N],
+            step: 0,
+        }
+    }
+}
+
+impl<const N: usize> SmallAdam<N> {
+    /// What to add to the parameters.
+    fn step(&mut self, g: &[f64; N], lr: &[f64; N]) -> [f64; N] {
+        const BETA1: f64 = 0.9;
+        const BETA2: f64 = 0.99;
+        self.step += 1;
+        let bias1 = 1.0 - BETA1.powf(f64::from(self.step));
+        let bias2 = 1.0 - BETA2.powf(f64::from(self.step));
+        std::array::from_fn(|k| {
+            self.m[k] = BETA1 * self.m[k] + (1.0 - BETA1) * g[k];
+            self.v[k] = BETA2 * self.v[k] + (1.0 - BETA2) * g[k] * g[k];
+            -lr[k] * (self.m[k] / bias1) / ((self.v[k] / bias2).sqrt() + 1e-15)
+        })
+    }
+}
+
+/// One frame's camera, exposure and their moments.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct FrameFit {
+    pub camera: Camera,
+    pub exposure: Exposure,
+    pub pose: SmallAdam<6>,
+    pub colour: SmallAdam<12>,
+}
+
+/// All frames, and the focal length that they share.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Refinement {
+    pub frames: Vec<FrameFit>,
+    /// Factor on every focal length, as a logarithm.
+    pub log_focal: f64,
+    pub focal: SmallAdam<1>,
+}
+
+impl Refinement {
+    pub fn new(cameras: impl Iterator<Item = Camera>) -> Self {
+        Self {
+            frames: cameras
+                .map(|camera| FrameFit {
+                    camera,
+                    exposure: Exposure::IDENTITY,
+                    pose: SmallAdam::default(),
+                    colour: SmallAdam::default(),
+                })
+                .collect(),
+            log_focal: 0.0,
+            focal: SmallAdam::default(),
+        }
+    }
+
+    /// The camera of a frame at full size, focal length corrected.
+    pub fn camera(&self, frame: usize) -> Camera {
+        let mut camera = self.frames[frame].camera;
+        let factor = self.log_focal.exp();
+        camera.intrinsics.fx *= factor;
+        camera.intrinsics.fy *= factor;
+        camera
+    }
+
+    /// One step along the gradient with respect to the camera `drawn` of frame `frame`.
+    pub fn step(
+        &mut self,
+        config: &RefineConfig,
+        frame: usize,
+        drawn: &Camera,
+        gradient: &CameraGradient,
+        median_depth: f64,
+    ) {
+        if config.poses && frame > 0 {
+            let (t, r) = (
+                f64::from(config.translation_lr) * median_depth,
+                f64::from(config.rotation_lr),
+            );
+            let [a, b, c] = gradient.tau;
+            let [d, e, f] = gradient.omega;
+            let fit = &mut self.frames[frame];
+            let delta = fit.pose.step(&[a, b, c, d, e, f], &[t, t, t, r, r, r]);
+            let w2c = fit.camera.w2c().retract(&Vector6::from_row_slice(&delta));
+            fit.camera.c2w = w2c.inverse();
+        }
+        if config.focal {
+            let k = &drawn.intrinsics;
+            let g = gradient.intrinsics[0] * k.fx + gradient.intrinsics[1] * k.fy;
+            self.log_focal += self.focal.step(&[g], &[f64::from(config.focal_lr)])[0];
+        }
+    }
+
+    /// One step of the exposure of `frame`: `g` is the gradient with respect to the corrected colours,
+    /// `rgb` the colours before. `g` becomes the gradient with respect to `rgb`.
+    pub fn step_exposure(&mut self, config: &RefineConfig, frame: usize, rgb: &[Vec<f32>; 3], g: &mut [Vec<f32>; 3]) {
+        let fit = &mut self.frames[frame];
+        let mut d = [0.0f64; 12];
+        let old = fit.exposure;
+        for i in 0..rgb[0].len() {
+            let gi = [g[0][i], g[1][i], g[2][i]];
+            for r in 0..3 {
+                for k in 0..3 {
+                    d[4 * r + k] += f64::from(gi[r] * rgb[k][i]);
+                }
+                d[4 * r + 3] += f64::from(gi[r]);
+            }
+            for k in 0..3 {
+                g[k][i] = (0..3).map(|r| old.matrix[r][k] * gi[r]).sum();
+            }
+        }
+        let pull = f64::from(config.exposure_pull);
+        for r in 0..3 {
+            for k in 0..3 {
+                let identity = if r == k { 1.0 } else { 0.0 };
+                d[4 * r + k] += pull * (f64::from(old.matrix[r][k]) - identity);
+            }
+            d[4 * r + 3] += pull * f64::from(old.offset[r]);
+        }
+        let delta = fit.colour.step(&d, &[f64::from(config.exposure_lr); 12]);
+        for r in 0..3 {
+            for k in 0..3 {
+                fit.exposure.matrix[r][k] += delta[4 * r + k] as f32;
+            }
+            fit.exposure.offset[r] += delta[4 * r + 3] as f32;
+        }
+    }
+}
+
+/// `out = matrix rgb + offset`, pixel by pixel.
+pub(crate) fn expose(exposure: &Exposure, rgb: &[Vec<f32>; 3], out: &mut [Vec<f32>; 3]) {
+    let n = rgb[0].len();
+    for (r, plane) in out.iter_mut().enumerate() {
+        let [a, b, c] = exposure.matrix[r];
+        plane.clear();
+        plane.extend((0..n).map(|i| a * rgb[0][i] + b * rgb[1][i] + c * rgb[2][i] + exposure.offset[r]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Refinement, expose};
+    use crate::config::RefineConfig;
+    use m4_math::Se3;
+    use m4_scene::{Camera, Exposure, Intrinsics};
+
+    #[test]
+    fn exposure_finds_a_colour_cast() {
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(8, 8, 8.0),
+            c2w: Se3::identity(),
+        };
+        let mut fit = Refinement::new(std::iter::once(camera));
+        let config = RefineConfig {
+            exposure: true,
+            exposure_lr: 5e-3,
+            exposure_pull: 0.0,
+            ..RefineConfig::default()
+        };
+        let rgb: [Vec<f32>; 3] = std::array::from_fn(|c| (0..64).map(|i| ((i * (c + 3)) % 17) as f32 / 17.0).collect());
+        let cast = Exposure {
+            matrix: [[0.8, 0.1, 0.0], [0.0, 1.1, 0.0], [0.0, 0.0, 0.9]],
+            offset: [0.02, 0.0, 0.05],
+        };
+        let (mut want, mut got) = (rgb.clone(), rgb.clone());
+        expose(&cast, &rgb, &mut want);
+        let mut error = 0.0;
+        for _ in 0..2000 {
+            expose(&fit.frames[0].exposure, &rgb, &mut got);
+            let mut g: [Vec<f32>; 3] =
+                std::array::from_fn(|c| got[c].iter().zip(&want[c]).map(|(a, b)| (a - b) / 64.0).collect());
+            error = g.iter().flatten().map(|v| v.abs()).fold(0.0, f32::max) * 64.0;
+            fit.step_exposure(&config, 0, &rgb, &mut g);
+        }
+        assert!(error < 0.02, "largest error {error}");
+    }
+
+    #[test]
+    fn the_first_frame_holds_the_world() {
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(8, 8, 8.0),
+            c2w: Se3::identity(),
+        };
+        let mut fit = Refinement::new([camera, camera].into_iter());
+        let config = RefineConfig {
+            poses: true,
+            ..RefineConfig::default()
+        };
+        let gradient = m4_kernels::CameraGradient {
+            tau: [1.0, 0.0, 0.0],
+            omega: [0.0, -2.0, 0.0],
+            intrinsics: [0.0; 4],
+        };
+        for frame in 0..2 {
+            fit.step(&config, frame, &camera, &gradient, 2.0);
+        }
+        assert_eq!(fit.frames[0].camera, camera);
+        let w2c = fit.frames[1].camera.w2c();
+        assert!(
+            (w2c.translation.x + 1e-4).abs() < 1e-9,
+            "against the gradient, one step"
+        );
+    }
+}

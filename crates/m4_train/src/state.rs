@@ -1,0 +1,148 @@
+//! The trainer's state as named arrays, and back.
+//!
+//! Splats and cameras travel in the scene; here is what the scene does not hold. Names:
+//!
+//! | name | type, shape | what |
+//! |---|---|---|
+//! | `train/iteration` | u32 `[1]` | steps taken |
+//! | `train/first_splats` | u32 `[1]` | splats that training started from |
+//! | `train/time_sd` | f32 `[1]` | median of the first standard deviations in time, frames |
+//! | `train/background` | f32 `[3]` | colour behind everything |
+//! | `adam/m/CC`, `adam/v/CC` | f32 `[column]` | moments of column CC |
+//! | `adam/step` | u32 `[n]` | steps of each splat |
+//! | `pick/loss` | f32 `[frames]` | smoothed loss, negative before the first visit |
+//! | `refine/c2w` | f64 `[frames, 12]` | rotation row by row, then translation |
+//! | `refine/exposure` | f32 `[frames, 12]` | matrix row by row, then offset |
+//! | `refine/pose`, `refine/colour` | f64 `[frames, 12 / 24]` | first, then second moments |
+//! | `refine/steps` | u32 `[frames, 2]` | steps of pose and exposure |
+//! | `refine/focal` | f64 `[3]`, `refine/focal_step` u32 `[1]` | log factor, moments, steps |
+
+use crate::TrainError;
+use crate::refine::Refinement;
+use m4_kernels::adam::cpu::AdamState;
+use m4_scene::{ShapeError, Splats, StateTensor, TrainState};
+
+/// Reads tensors of the expected type and length.
+pub(crate) struct Reader<'a>(pub &'a TrainState);
+
+impl Reader<'_> {
+    pub fn f32(&self, name: &str, len: usize) -> Result<&[f32], TrainError> {
+        match self.0.get(name) {
+            Some(StateTensor::F32 { data, .. }) if data.len() == len => Ok(data),
+            other => Err(wrong(name, len, other)),
+        }
+    }
+
+    pub fn u32(&self, name: &str, len: usize) -> Result<&[u32], TrainError> {
+        match self.0.get(name) {
+            Some(StateTensor::U32 { data, .. }) if data.len() == len => Ok(data),
+            other => Err(wrong(name, len, other)),
+        }
+    }
+
+    pub fn f64(&self, name: &str, len: usize) -> Result<&[f64], TrainError> {
+        match self.0.get(name) {
+            Some(StateTensor::F64 { data, .. }) if data.len() == len => Ok(data),
+            other => Err(wrong(name, len, other)),
+        }
+    }
+}
+
+fn wrong(name: &str, expected: usize, found: Option<&StateTensor>) -> TrainError {
+    match found {
+        Some(tensor) if tensor.len() != expected => TrainError::Shape(ShapeError {
+            what: "tensor of the training state",
+            expected,
+            found: tensor.len(),
+        }),
+        _ => TrainError::BadState { name: name.to_owned() },
+    }
+}
+
+pub(crate) fn write_adam(state: &mut TrainState, adam: &AdamState) {
+    for (kind, columns) in [("m", adam.m.columns()), ("v", adam.v.columns())] {
+        for (c, column) in columns.iter().enumerate() {
+            state.insert(format!("adam/{kind}/{c:02}"), StateTensor::f32(column.clone()));
+        }
+    }
+    state.insert("adam/step".to_owned(), StateTensor::u32(adam.step.clone()));
+}
+
+pub(crate) fn read_adam(reader: &Reader<'_>, splats: &Splats) -> Result<AdamState, TrainError> {
+    let moments = |kind: &str| -> Result<Splats, TrainError> {
+        let columns: Result<Vec<Vec<f32>>, TrainError> = splats
+            .columns()
+            .iter()
+            .enumerate()
+            .map(|(c, column)| Ok(reader.f32(&format!("adam/{kind}/{c:02}"), column.len())?.to_vec()))
+            .collect();
+        Ok(Splats::from_columns(
+            splats.layout(),
+            splats.n_static(),
+            splats.n_dynamic(),
+            columns?,
+        )?)
+    };
+    Ok(AdamState {
+        m: moments("m")?,
+        v: moments("v")?,
+        step: reader.u32("adam/step", splats.n())?.to_vec(),
+    })
+}
+
+pub(crate) fn write_refinement(state: &mut TrainState, fit: &Refinement) {
+    let n = fit.frames.len();
+    let (mut c2w, mut pose, mut colour) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut exposure, mut steps) = (Vec::new(), Vec::new());
+    for f in &fit.frames {
+        c2w.extend(f.camera.c2w.rotation.transpose().iter());
+        c2w.extend(f.camera.c2w.translation.iter());
+        exposure.extend(f.exposure.matrix.as_flattened());
+        exposure.extend(f.exposure.offset);
+        pose.extend(f.pose.m.iter().chain(&f.pose.v));
+        colour.extend(f.colour.m.iter().chain(&f.colour.v));
+        steps.extend([f.pose.step, f.colour.step]);
+    }
+    let f64s = |data, width| StateTensor::F64 {
+        shape: vec![n, width],
+        data,
+    };
+    let (shape, data) = (vec![n, 12], exposure);
+    state.insert("refine/exposure".to_owned(), StateTensor::F32 { shape, data });
+    let (shape, data) = (vec![n, 2], steps);
+    state.insert("refine/steps".to_owned(), StateTensor::U32 { shape, data });
+    state.insert("refine/c2w".to_owned(), f64s(c2w, 12));
+    state.insert("refine/pose".to_owned(), f64s(pose, 12));
+    state.insert("refine/colour".to_owned(), f64s(colour, 24));
+    let focal = vec![fit.log_focal, fit.focal.m[0], fit.focal.v[0]];
+    state.insert("refine/focal".to_owned(), StateTensor::f64(focal));
+    state.insert("refine/focal_step".to_owned(), StateTensor::u32(vec![fit.focal.step]));
+}
+
+/// Fills a fresh refinement.
+pub(crate) fn read_refinement(reader: &Reader<'_>, fit: &mut Refinement) -> Result<(), TrainError> {
+    let n = fit.frames.len();
+    let c2w = reader.f64("refine/c2w", 12 * n)?;
+    let exposure = reader.f32("refine/exposure", 12 * n)?;
+    let pose = reader.f64("refine/pose", 12 * n)?;
+    let colour = reader.f64("refine/colour", 24 * n)?;
+    let steps = reader.u32("refine/steps", 2 * n)?;
+    for (i, f) in fit.frames.iter_mut().enumerate() {
+        let at = &c2w[12 * i..12 * i + 12];
+        f.camera.c2w.rotation.copy_from_slice(&at[..9]);
+        f.camera.c2w.rotation.transpose_mut();
+        f.camera.c2w.translation.copy_from_slice(&at[9..]);
+        let at = &exposure[12 * i..12 * i + 12];
+        f.exposure.matrix.as_flattened_mut().copy_from_slice(&at[..9]);
+        f.exposure.offset.copy_from_slice(&at[9..]);
+        f.pose.m.copy_from_slice(&pose[12 * i..12 * i + 6]);
+        f.pose.v.copy_from_slice(&pose[12 * i + 6..12 * i + 12]);
+        f.colour.m.copy_from_slice(&colour[24 * i..24 * i + 12]);
+        f.colour.v.copy_from_slice(&colour[24 * i + 12..24 * i + 24]);
+        (f.pose.step, f.colour.step) = (steps[2 * i], steps[2 * i + 1]);
+    }
+    let focal = reader.f64("refine/focal", 3)?;
+    (fit.log_focal, fit.focal.m[0], fit.focal.v[0]) = (focal[0], focal[1], focal[2]);
+    fit.focal.step = reader.u32("refine/focal_step", 1)?[0];
+    Ok(())
+}

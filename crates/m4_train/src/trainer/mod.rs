@@ -1,0 +1,358 @@
+//! The loop.
+
+mod density;
+mod step;
+
+use crate::config::TrainConfig;
+use crate::frames::{FrameStore, smaller};
+use crate::metrics::Totals;
+use crate::pick::Picker;
+use crate::rates::RateBasis;
+use crate::refine::Refinement;
+use crate::scale::SceneScale;
+use crate::state::{Reader, read_adam, read_refinement, write_adam, write_refinement};
+use crate::{MetricsEvent, TrainError, schedule};
+use m4_kernels::adam::cpu::AdamState;
+use m4_kernels::photo::cpu::PhotoScratch;
+use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, morton_order};
+use m4_scene::{Capture, Column, Progress, Scene, SourceFrame, Splats, StateTensor, TrainState};
+use std::time::Instant;
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// All iterations that were asked for are done.
+    Finished,
+    /// The user asked to stop; what was learned so far is kept.
+    Stopped {
+        /// Steps taken.
+        iteration: usize,
+    },
+}
+
+/// A run of training: what is learned, and where it stands.
+#[derive(Debug)]
+pub struct Trainer {
+    config: TrainConfig,
+    level: SimdLevel,
+    store: FrameStore,
+    /// Frames, one a frame of the capture.
+    times: Vec<f64>,
+    time_frames: usize,
+    duration_s: Option<f64>,
+    scale: SceneScale,
+    splats: Splats,
+    adam: AdamState,
+    fit: Refinement,
+    picker: Picker,
+    iteration: usize,
+    background: [f32; 3],
+    first_splats: usize,
+    basis: RateBasis,
+    /// The last state that was checked to be finite.
+    good: Option<(usize, Splats, AdamState)>,
+    renderer: Renderer,
+    frame_gradient: FrameGradient,
+    gradients: Gradients,
+    photo: PhotoScratch,
+    exposed: [Vec<f32>; 3],
+    totals: Totals,
+    seconds: f64,
+}
+
+impl Trainer {
+    /// A run that starts from `splats`; the frames of `capture` are copied.
+    ///
+    /// # Errors
+    ///
+    /// [`TrainError`] if a setting is out of range, the capture has no frames, or the splats are none or
+    /// not finite.
+    pub fn new(capture: &Capture, splats: Splats, config: TrainConfig, level: SimdLevel) -> Result<Self, TrainError> {
+        config.check()?;
+        if capture.frames.is_empty() {
+            return Err(TrainError::NoFrames);
+        }
+        if splats.n() == 0 {
+            return Err(TrainError::NoSplats);
+        }
+        if !splats.is_finite() {
+            return Err(TrainError::BadSplats);
+        }
+        let splats = splats.gather(&morton_order(&splats))?;
+        let adam = AdamState::new(&splats);
+        let basis = RateBasis {
+            time_sd: median_time_sd(&splats),
+            time_frames: capture.time_frames,
+        };
+        let background = config.background.unwrap_or_else(|| background_of(capture));
+        let first_splats = splats.n();
+        Ok(Self::assemble(
+            capture,
+            splats,
+            adam,
+            basis,
+            background,
+            first_splats,
+            config,
+            level,
+        ))
+    }
+
+    /// A run that goes on from [`state`](Self::state); `splats` are those of the scene saved with it.
+    /// Capture and settings must be those of the saved run, else the result is not that of an
+    /// uninterrupted one.
+    ///
+    /// # Errors
+    ///
+    /// [`TrainError`] as [`new`](Self::new), or if the state lacks a part or belongs to other splats or
+    /// another capture.
+    pub fn resume(
+        capture: &Capture,
+        splats: Splats,
+        state: &TrainState,
+        config: TrainConfig,
+        level: SimdLevel,
+    ) -> Result<Self, TrainError> {
+        config.check()?;
+        if capture.frames.is_empty() {
+            return Err(TrainError::NoFrames);
+        }
+        if splats.n() == 0 {
+            return Err(TrainError::NoSplats);
+        }
+        if !splats.is_finite() {
+            return Err(TrainError::BadSplats);
+        }
+        let reader = Reader(state);
+        let adam = read_adam(&reader, &splats)?;
+        let basis = RateBasis {
+            time_sd: reader.f32("train/time_sd", 1)?[0],
+            time_frames: capture.time_frames,
+        };
+        let rgb = reader.f32("train/background", 3)?;
+        let background = [rgb[0], rgb[1], rgb[2]];
+        let first_splats = reader.u32("train/first_splats", 1)?[0] as usize;
+        let iteration = reader.u32("train/iteration", 1)?[0] as usize;
+        let mut out = Self::assemble(capture, splats, adam, basis, background, first_splats, config, level);
+        out.iteration = iteration;
+        let losses = reader.f32("pick/loss", out.times.len())?;
+        out.picker.loss.copy_from_slice(losses);
+        read_refinement(&reader, &mut out.fit)?;
+        Ok(out)
+    }
+
+    fn assemble(
+        capture: &Capture,
+        splats: Splats,
+        adam: AdamState,
+        basis: RateBasis,
+        background: [f32; 3],
+        first_splats: usize,
+        config: TrainConfig,
+        level: SimdLevel,
+    ) -> Self {
+        Self {
+            store: FrameStore::new(capture, config.target_cache_mb),
+            times: capture.frames.iter().map(|f| f.t).collect(),
+            time_frames: capture.time_frames,
+            duration_s: capture.duration_s,
+            scale: SceneScale::of(capture),
+            fit: Refinement::new(capture.frames.iter().map(|f| f.camera)),
+            picker: Picker::new(config.seed, config.frame_choice, capture.frames.len()),
+            iteration: 0,
+            good: None,
+            renderer: Renderer::new(level),
+            frame_gradient: FrameGradient::default(),
+            gradients: Gradients::default(),
+            photo: PhotoScratch::default(),
+            exposed: Default::default(),
+            totals: Totals::default(),
+            seconds: 0.0,
+            splats,
+            adam,
+            basis,
+            background,
+            first_splats,
+            config,
+            level,
+        }
+    }
+
+    /// Trains to the last iteration of the settings, see [`run_until`](Self::run_until).
+    ///
+    /// # Errors
+    ///
+    /// As [`run_until`](Self::run_until).
+    pub fn run(
+        &mut self,
+        progress: &dyn Progress,
+        metrics: &mut dyn FnMut(&MetricsEvent),
+    ) -> Result<Outcome, TrainError> {
+        self.run_until(self.config.iterations, progress, metrics)
+    }
+
+    /// Trains until `iteration` steps are taken in all (at most those of the settings): for saving in
+    /// between. `metrics` gets an event every [`TrainConfig::metrics_every`] steps and at the end.
+    ///
+    /// # Errors
+    ///
+    /// [`TrainError::Diverged`] when the loss or a parameter is no longer finite; the trainer is then back
+    /// in the last state that was.
+    pub fn run_until(
+        &mut self,
+        iteration: usize,
+        progress: &dyn Progress,
+        metrics: &mut dyn FnMut(&MetricsEvent),
+    ) -> Result<Outcome, TrainError> {
+        let end = iteration.min(self.config.iterations);
+        while self.iteration < end {
+            if progress.cancelled() {
+                return Ok(Outcome::Stopped {
+                    iteration: self.iteration,
+                });
+            }
+            let started = Instant::now();
+            let report = self.step()?;
+            self.seconds += started.elapsed().as_secs_f64();
+            let done = self.iteration;
+            if done.is_multiple_of(self.config.metrics_every) || done == end {
+                metrics(&self.event(report.psnr()));
+            }
+            if done.is_multiple_of(10) || done == end {
+                let note = format!("loss {:.4}, {} splats", report.loss, self.splats.n());
+                progress.update("train", done, self.config.iterations, &note);
+            }
+        }
+        Ok(Outcome::Finished)
+    }
+
+    /// Steps taken.
+    #[must_use]
+    pub fn iteration(&self) -> usize {
+        self.iteration
+    }
+
+    /// The splats as they are.
+    #[must_use]
+    pub fn splats(&self) -> &Splats {
+        &self.splats
+    }
+
+    /// The lengths that rates are measured in.
+    #[must_use]
+    pub fn scale(&self) -> &SceneScale {
+        &self.scale
+    }
+
+    /// What a renderer needs.
+    #[must_use]
+    pub fn scene(&self) -> Scene {
+        let source = self.times.iter().enumerate().map(|(i, &t)| SourceFrame {
+            camera: self.fit.camera(i),
+            t,
+            exposure: self.fit.frames[i].exposure,
+        });
+        Scene {
+            splats: self.splats.clone(),
+            background: self.background,
+            time_frames: self.time_frames,
+            duration_s: self.duration_s,
+            mip: self.config.mip,
+            near: self.near(),
+            source: source.collect(),
+        }
+    }
+
+    /// What [`resume`](Self::resume) needs beside the scene.
+    #[must_use]
+    pub fn state(&self) -> TrainState {
+        let mut state = TrainState::new();
+        let mut put = |name: &str, tensor| state.insert(name.to_owned(), tensor);
+        put("train/iteration", StateTensor::u32(vec![self.iteration as u32]));
+        put("train/first_splats", StateTensor::u32(vec![self.first_splats as u32]));
+        put("train/time_sd", StateTensor::f32(vec![self.basis.time_sd]));
+        put("train/background", StateTensor::f32(self.background.to_vec()));
+        put("pick/loss", StateTensor::f32(self.picker.loss.clone()));
+        write_adam(&mut state, &self.adam);
+        write_refinement(&mut state, &self.fit);
+        state
+    }
+
+    fn near(&self) -> f32 {
+        self.config.near_share * self.scale.median_depth
+    }
+
+    /// How frame `frame` is drawn at this point of the run.
+    fn view(&self, frame: usize, factor: usize, with_depth: bool) -> View {
+        let mut camera = self.fit.camera(frame);
+        camera.intrinsics = smaller(&camera.intrinsics, factor);
+        View {
+            camera,
+            t: self.times[frame],
+            background: self.background,
+            near: self.near(),
+            mip: self.config.mip,
+            period: (self.time_frames.max(2) - 1) as f32,
+            with_depth,
+        }
+    }
+
+    /// By how much frames are made smaller at this point of the run.
+    fn factor(&self) -> usize {
+        let k = &self.fit.frames[0].camera.intrinsics;
+        let x = schedule::progress(self.iteration, self.config.iterations);
+        schedule::downscale(&self.config.resolution, x, k.width, k.height)
+    }
+
+    fn event(&mut self, psnr: f64) -> MetricsEvent {
+        let t = std::mem::take(&mut self.totals);
+        let n = t.steps.max(1) as f64;
+        MetricsEvent {
+            iteration: self.iteration,
+            loss: t.loss / n,
+            l1: t.l1 / n,
+            ssim: t.ssim / n,
+            psnr,
+            depth: t.depth / n,
+            splats_static: self.splats.n_static(),
+            splats_dynamic: self.splats.n_dynamic(),
+            touched: t.touched as f64 / n,
+            downscale: self.factor(),
+            seconds: self.seconds,
+        }
+    }
+}
+
+/// Median standard deviation in time, frames; 1 without dynamic splats.
+fn median_time_sd(splats: &Splats) -> f32 {
+    let mut sd = splats.column(Column::LogTimeSd, 0).to_vec();
+    if sd.is_empty() {
+        return 1.0;
+    }
+    let middle = sd.len() / 2;
+    sd.select_nth_unstable_by(middle, f32::total_cmp).1.exp()
+}
+
+/// The mean colour of pixels without depth where there are enough of them, else black.
+fn background_of(capture: &Capture) -> [f32; 3] {
+    let (mut sum, mut empty, mut all) = ([0.0f64; 3], 0usize, 0usize);
+    for frame in &capture.frames {
+        let Some(depth) = &frame.depth else { continue };
+        let ((dw, dh), (w, h)) = (depth.size(), frame.rgb.size());
+        for y in (0..dh).step_by(2) {
+            for x in (0..dw).step_by(2) {
+                all += 1;
+                if depth[(x, y)] == 0.0 {
+                    let rgb = frame.rgb[((2 * x + 1) * w / (2 * dw), (2 * y + 1) * h / (2 * dh))];
+                    (0..3).for_each(|k| sum[k] += f64::from(rgb[k]) / 255.0);
+                    empty += 1;
+                }
+            }
+        }
+    }
+    if empty == 0 || empty * 1000 < all {
+        [0.0; 3]
+    } else {
+        sum.map(|s| (s / empty as f64) as f32)
+    }
+}

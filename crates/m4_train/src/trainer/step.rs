@@ -1,0 +1,155 @@
+//! One iteration.
+
+use super::Trainer;
+use crate::depth_loss::depth_loss;
+use crate::metrics::psnr;
+use crate::rates::rates;
+use crate::refine::expose;
+use crate::{TrainError, schedule};
+use m4_kernels::adam::cpu::step as adam_step;
+use m4_kernels::morton_order;
+use m4_kernels::photo::cpu::loss;
+
+/// What an iteration found.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct StepReport {
+    pub loss: f64,
+    psnr: f64,
+}
+
+impl StepReport {
+    /// Of the frame, dB; NaN unless an event is due.
+    pub fn psnr(&self) -> f64 {
+        self.psnr
+    }
+}
+
+impl Trainer {
+    /// Draws a frame, compares, and moves every splat that was seen.
+    pub(super) fn step(&mut self) -> Result<StepReport, TrainError> {
+        if self.good.is_none() {
+            self.good = Some((self.iteration, self.splats.clone(), self.adam.clone()));
+        }
+        let (i, n) = (self.iteration, self.config.iterations);
+        let x = schedule::progress(i, n);
+        let factor = self.factor();
+        let frame = self.picker.pick(i);
+        let weight = schedule::depth_weight(&self.config.loss, x);
+        let alpha_weight = self.config.loss.alpha_weight;
+        let refining = i >= self.config.refine.from;
+        let exposing = self.config.refine.exposure && refining;
+
+        let has_depth = !self.store.get(frame, factor)?.depth.is_empty();
+        let with_depth = has_depth && (weight > 0.0 || alpha_weight > 0.0);
+        let view = self.view(frame, factor, with_depth);
+        let prepared = self.store.get(frame, factor)?;
+        let drawn = self.renderer.render(&self.splats, &view);
+        let rgb = if self.config.refine.exposure {
+            expose(&self.fit.frames[frame].exposure, &drawn.rgb, &mut self.exposed);
+            &self.exposed
+        } else {
+            &drawn.rgb
+        };
+        let lambda = self.config.loss.lambda_ssim;
+        let out = &mut self.frame_gradient;
+        let photo = loss(self.level, &prepared.target, rgb, lambda, &mut self.photo, &mut out.rgb);
+        let (done, every) = (i + 1, self.config.metrics_every);
+        let psnr = if done.is_multiple_of(every) || done == n {
+            psnr(rgb, prepared.target.rgb())
+        } else {
+            f64::NAN
+        };
+        if exposing {
+            self.fit
+                .step_exposure(&self.config.refine, frame, &drawn.rgb, &mut out.rgb);
+        }
+        let depth = if with_depth {
+            depth_loss(
+                &drawn.depth,
+                &drawn.transmittance,
+                &prepared.depth,
+                (weight, self.config.loss.depth_huber, alpha_weight),
+                &mut out.depth,
+                &mut out.alpha,
+            )
+        } else {
+            out.depth.clear();
+            out.alpha.clear();
+            0.0
+        };
+        let total = photo.total + depth;
+        if !total.is_finite() {
+            return Err(self.back_to_good("the loss"));
+        }
+
+        self.renderer.backward(&self.splats, out, &mut self.gradients);
+        if refining && (self.config.refine.poses || self.config.refine.focal) {
+            self.fit.step(
+                &self.config.refine,
+                frame,
+                &view.camera,
+                &self.gradients.camera,
+                f64::from(self.scale.median_depth),
+            );
+        }
+        let lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
+        adam_step(
+            self.level,
+            &mut self.splats,
+            &self.gradients,
+            &mut self.adam,
+            &self.config.adam.kernel(),
+            &lr,
+        );
+        self.picker.seen(frame, photo.total as f32);
+        let t = &mut self.totals;
+        t.steps += 1;
+        t.loss += total;
+        t.l1 += photo.l1;
+        t.ssim += photo.ssim;
+        t.depth += depth;
+        t.touched += self.gradients.touched.iter().filter(|&&v| v != 0).count();
+
+        self.iteration += 1;
+        self.guard()?;
+        self.density_round()?;
+        let reorder = self.config.reorder_every;
+        if reorder > 0 && self.iteration.is_multiple_of(reorder) {
+            self.reorder()?;
+        }
+        Ok(StepReport { loss: total, psnr })
+    }
+
+    /// Lays splats and optimiser state out along a Morton curve.
+    pub(super) fn reorder(&mut self) -> Result<(), TrainError> {
+        let order = morton_order(&self.splats);
+        self.splats = self.splats.gather(&order)?;
+        self.adam = self.adam.gather(&order, &[])?;
+        Ok(())
+    }
+
+    /// Keeps the state if it is finite, and goes back to the one kept if it is not.
+    fn guard(&mut self) -> Result<(), TrainError> {
+        let due = self.iteration.is_multiple_of(self.config.guard_every) || self.iteration == self.config.iterations;
+        if !due {
+            return Ok(());
+        }
+        if !self.splats.is_finite() {
+            return Err(self.back_to_good("a parameter of a splat"));
+        }
+        self.good = Some((self.iteration, self.splats.clone(), self.adam.clone()));
+        Ok(())
+    }
+
+    fn back_to_good(&mut self, what: &'static str) -> TrainError {
+        let iteration = self.iteration;
+        if let Some((good, splats, adam)) = self.good.clone() {
+            (self.iteration, self.splats, self.adam) = (good, splats, adam);
+        }
+        TrainError::Diverged {
+            what,
+            iteration,
+            good_iteration: self.iteration,
+        }
+    }
+}
