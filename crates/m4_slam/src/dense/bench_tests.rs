@@ -3,7 +3,7 @@
 use super::config::DenseConfig;
 use super::densify::{Stages, run};
 use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
-use m4_math::nalgebra::Matrix4;
+use nalgebra::Matrix4;
 use m4_math::{CounterRng, Se3};
 use m4_scene::{Camera, Intrinsics, Plane, RgbImage, Silent};
 use std::path::{Path, PathBuf};
@@ -43,7 +43,7 @@ fn load(dir: &Path, limit: usize) -> Option<Truth> {
         let mask = open("mask_path").into_luma8();
         truth.moving.push(Plane::from_vec(w, h, mask.pixels().map(|p| p.0[0]).collect()).unwrap());
         let m = Matrix4::from_fn(|r, c| frame["transform_matrix"][r][c].as_f64().unwrap());
-        let flip = Matrix4::from_diagonal(&m4_math::nalgebra::Vector4::new(1.0, -1.0, -1.0, 1.0));
+        let flip = Matrix4::from_diagonal(&nalgebra::Vector4::new(1.0, -1.0, -1.0, 1.0));
         truth.cameras.push(Camera {
             intrinsics,
             c2w: Se3::from_matrix(&(m * flip)),
@@ -117,7 +117,7 @@ fn score(truth: &Truth, stages: &Stages, disparity: &[Vec<f32>], keep: &dyn Fn(u
                 let p = y * w + x;
                 let z = f64::from(truth.depth[i][at]);
                 total[usize::from(m)] += 1;
-                if keep(i, p) {
+                if z > 0.0 && keep(i, p) {
                     sum[usize::from(m)] += (1.0 / f64::from(disparity[i][p]) - z).abs() / z;
                     count[usize::from(m)] += 1;
                 }
@@ -182,6 +182,20 @@ fn montage(truth: &Truth, stages: &Stages, i: usize, path: &Path) {
     out.save(path).unwrap();
 }
 
+/// The default settings, changed by `DENSE_SET="motion.threshold=3 flow.patch_px=6"`.
+fn config() -> DenseConfig {
+    let mut json = serde_json::to_value(DenseConfig::default()).unwrap();
+    for set in std::env::var("DENSE_SET").unwrap_or_default().split_whitespace() {
+        let (path, value) = set.split_once('=').unwrap();
+        let mut at = &mut json;
+        for key in path.split('.') {
+            at = at.get_mut(key).unwrap();
+        }
+        *at = serde_json::from_str(value).unwrap();
+    }
+    serde_json::from_value(json).unwrap()
+}
+
 #[test]
 #[ignore = "a measurement, with pictures; needs the benchmark scenes"]
 fn measure_stages() {
@@ -197,7 +211,7 @@ fn measure_stages() {
         let sparse = oracle_sparse(&truth);
         let images: Vec<&RgbImage> = truth.images.iter().collect();
         let start = std::time::Instant::now();
-        let stages = run(&images, &sparse, &DenseConfig::default(), &Silent).unwrap();
+        let stages = run(&images, &sparse, &config(), &Silent).unwrap();
         let seconds = start.elapsed().as_secs_f64();
         let swept: Vec<Vec<f32>> = stages.swept.iter().map(|s| s.disparity.clone()).collect();
         let measured: Vec<Vec<f32>> = stages.measured.iter().map(|s| s.disparity.clone()).collect();

@@ -118,8 +118,27 @@ impl Default for StaticDepthConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MotionConfig {
+    /// Over how many frames flow is chained and compared, each both ways: the short for fast motion,
+    /// the long for slow.
+    pub spans: Vec<usize>,
     /// Noise of the flow, pixels at the working size.
     pub flow_noise_px: f32,
+    /// Noise of the flow that grows with its length, as a share of it.
+    pub flow_noise_share: f32,
+    /// Residual at which a pixel is as likely to move as not, in units of the noise. The
+    /// specification's 3 MAD are 2 standard deviations.
+    pub threshold: f32,
+    /// Strength of a vote for static against one for moving, 0..1: motion that one span alone can
+    /// see outvotes the rest.
+    pub static_vote: f32,
+    /// How often evidence is averaged with that of the frames before and after, along the flow.
+    pub votes: usize,
+    /// Strength of the edge-aware smoothing of evidence, pixels squared (Min et al. 2014, lambda).
+    pub smooth_lambda: f32,
+    /// Evidence of a pixel on which all partners agree that it does not move, 0..1.
+    pub agreement: f32,
+    /// Weight of a track's verdict; the flow between two frames has 1.
+    pub track_weight: f32,
     /// Components below this share of the image are dropped. Specification: 0.2 %.
     pub least_component: f32,
 }
@@ -127,7 +146,15 @@ pub struct MotionConfig {
 impl Default for MotionConfig {
     fn default() -> Self {
         Self {
+            spans: vec![1, 4],
             flow_noise_px: 0.4,
+            flow_noise_share: 0.05,
+            threshold: 2.5,
+            static_vote: 0.5,
+            votes: 2,
+            smooth_lambda: 100.0,
+            agreement: 1.0,
+            track_weight: 3.0,
             least_component: 0.002,
         }
     }
@@ -137,13 +164,27 @@ impl Default for MotionConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MovingDepthConfig {
-    /// Time over which depth is smoothed along the flow, frames.
+    /// Time over which depth is smoothed along the flow, frames (decay by e).
     pub smooth_frames: f32,
+    /// Flow whose round trip misses by more than this is not followed, pixels at the working size.
+    pub round_trip_px: f32,
+    /// Lowest share of a part's height in which it may touch the ground.
+    pub feet_share: f32,
+    /// How far under a part's lowest pixels the ground is read, pixels at the working size.
+    pub below_px: usize,
+    /// Share of the background behind a part that the part must be in front of.
+    pub hidden_quantile: f64,
 }
 
 impl Default for MovingDepthConfig {
     fn default() -> Self {
-        Self { smooth_frames: 4.0 }
+        Self {
+            smooth_frames: 4.0,
+            round_trip_px: 2.0,
+            feet_share: 0.1,
+            below_px: 3,
+            hidden_quantile: 0.9,
+        }
     }
 }
 

@@ -3,14 +3,14 @@
 use super::config::DenseConfig;
 use super::error::DenseError;
 use super::flow::{Flow, Pyramid, flow, round_trip_px};
-use super::motion::{self, Link};
-use super::pair::Pair;
+use super::motion;
+use super::moving_depth;
 use super::shot::{Shot, sparse_points};
 use super::smooth::Smoother;
 use super::static_depth::{self, Measured, Swept};
 use super::working::{WorkingFrame, working_size};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_scene::{DepthMap, Mask, Plane, Progress, RgbImage};
+use m4_scene::{Camera, DepthMap, Mask, Plane, Progress, RgbImage};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -165,6 +165,8 @@ pub(super) fn run(
     let smoothers: Vec<Smoother> = each(count, "reading edges", progress, |i| {
         Smoother::new(w, h, &shots[i].frame.rgb, config.static_depth.fill_sigma)
     })?;
+    let cameras: Vec<Camera> = working.iter().map(|f| f.camera).collect();
+    let verdicts = motion::verdicts(sparse, w, h);
     let mut moving: Option<Vec<Vec<u8>>> = None;
     let mut rounds = None;
     for _ in 0..2 {
@@ -174,34 +176,24 @@ pub(super) fn run(
         let filled = each(count, "filling depth", progress, |i| {
             static_depth::fill(&shots[i], &smoothers[i], &measured[i], &config.static_depth)
         })?;
-        let evidence = each(count, "finding motion", progress, |i| {
-            let mut links = Vec::new();
-            if let Some(f) = flows.get(i) {
-                links.push(Link {
-                    there: &f.forward,
-                    round_trip: &f.forward_round_trip,
-                    pair: Pair::new(&shots[i].frame.camera, &shots[i + 1].frame.camera),
-                });
-            }
-            if i > 0 {
-                links.push(Link {
-                    there: &flows[i - 1].backward,
-                    round_trip: &flows[i - 1].backward_round_trip,
-                    pair: Pair::new(&shots[i].frame.camera, &shots[i - 1].frame.camera),
-                });
-            }
-            let e = motion::evidence(w, h, &filled[i], &links, &config.motion);
-            let (value, _) = smoothers[i].fill(&e.value, &e.weight, 100.0);
-            value
+        let mut evidence = each(count, "finding motion", progress, |i| {
+            let (depth, tracks) = (&filled[i], &verdicts[i]);
+            motion::evidence(&cameras, &flows, i, depth, &measured[i], tracks, &smoothers[i], &config.motion)
         })?;
-        let masks: Vec<Vec<u8>> =
-            evidence.iter().map(|e| e.iter().map(|&e| if e > 0.0 { 255 } else { 0 }).collect()).collect();
+        for _ in 0..config.motion.votes {
+            evidence = each(count, "voting on motion", progress, |i| motion::vote(w, h, &evidence, &flows, i))?;
+        }
+        let masks = each(count, "cutting masks", progress, |i| motion::mask(w, h, &evidence[i], &config.motion))?;
         moving = Some(masks);
         rounds = Some((measured, filled, evidence));
     }
     let (Some((measured, filled, evidence)), Some(moving)) = (rounds, moving) else {
         return Err(DenseError::NoFrames);
     };
+    let touched = each(count, "placing moving parts", progress, |i| {
+        moving_depth::touch(w, h, &moving[i], &filled[i], &config.moving_depth)
+    })?;
+    let disparity = moving_depth::steady(w, h, &moving, &touched, &filled, &flows, &config.moving_depth);
     Ok(Stages {
         width: w,
         height: h,
@@ -209,7 +201,7 @@ pub(super) fn run(
         flows,
         swept,
         measured,
-        disparity: filled.clone(),
+        disparity,
         filled,
         evidence,
         moving,

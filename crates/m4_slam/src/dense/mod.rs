@@ -19,11 +19,13 @@
 //! (Hirschmueller 2008), and fast global smoothing (Min et al. 2014).
 
 mod aggregate;
+mod components;
 mod config;
 mod densify;
 mod error;
 mod flow;
 mod motion;
+mod moving_depth;
 mod pair;
 mod shot;
 mod smooth;

@@ -1,47 +1,186 @@
 //! What moves: flow that the camera and the depth do not explain.
 
+use super::components::clean;
 use super::config::MotionConfig;
+use super::densify::FlowPair;
 use super::flow::Flow;
 use super::pair::Pair;
+use super::smooth::Smoother;
+use super::static_depth::Measured;
+use crate::reconstruction::{Motion, SparseReconstruction};
+use m4_scene::Camera;
 
-/// Flow that leads from a frame to another, with the other's flow back.
-pub(super) struct Link<'a> {
-    pub there: &'a Flow,
-    /// `[height][width]`: distance after going there and back, pixels.
-    pub round_trip: &'a [f32],
-    pub pair: Pair,
+/// Flow that leads from a frame to another.
+struct Link {
+    there: Flow,
+    /// `[height][width]`: how far the way there and back misses, pixels, added up over the steps.
+    round_trip: Vec<f32>,
+    pair: Pair,
 }
 
-/// Evidence of one frame: `[height][width]`, below 0 for static, above for moving, and its weight.
-pub(super) struct Evidence {
-    pub value: Vec<f32>,
-    pub weight: Vec<f32>,
+/// A track's verdict at a pixel.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Verdict {
+    pub pixel: usize,
+    pub moves: bool,
 }
 
-/// Compares the flow to other frames with what depth and cameras predict.
-pub(super) fn evidence(width: usize, height: usize, disparity: &[f32], links: &[Link<'_>], config: &MotionConfig) -> Evidence {
-    let n = width * height;
-    let (mut value, mut weight) = (vec![0.0f32; n], vec![0.0f32; n]);
-    for link in links {
-        for y in 0..height {
-            for x in 0..width {
-                let i = y * width + x;
-                let seen = link.pair.project(x as f32, y as f32, disparity[i]);
-                if !(seen.disparity > 0.0) || !link.round_trip[i].is_finite() {
-                    continue;
-                }
-                let (u, v) = (link.there.u[i], link.there.v[i]);
-                let residual = (x as f32 + u - seen.x).hypot(y as f32 + v - seen.y);
-                let noise = config.flow_noise_px + 0.05 * u.hypot(v) + 0.5 * link.round_trip[i];
-                let e = (0.5 * (residual / noise - 2.5)).clamp(-1.0, 1.0);
-                let w = 1.0 / (1.0 + link.round_trip[i] * link.round_trip[i]);
-                value[i] += w * e;
-                weight[i] += w;
+/// The verdicts of all tracks, by frame.
+pub(super) fn verdicts(sparse: &SparseReconstruction, width: usize, height: usize) -> Vec<Vec<Verdict>> {
+    let mut out = vec![Vec::new(); sparse.cameras.len()];
+    for track in sparse.tracks.iter().filter(|t| t.motion != Motion::Unknown) {
+        let moves = track.motion == Motion::Dynamic;
+        for (k, seen) in track.observations.iter().enumerate() {
+            let Some(camera) = sparse.cameras.get(track.first_frame + k) else {
+                break;
+            };
+            let size = &camera.intrinsics;
+            let x = (f64::from(seen[0]) + 0.5) * width as f64 / size.width as f64;
+            let y = (f64::from(seen[1]) + 0.5) * height as f64 / size.height as f64;
+            if x >= 0.0 && y >= 0.0 && x < width as f64 && y < height as f64 {
+                let pixel = y as usize * width + x as usize;
+                out[track.first_frame + k].push(Verdict { pixel, moves });
             }
         }
     }
-    for (v, w) in value.iter_mut().zip(&weight) {
-        *v /= w.max(1e-6);
+    out
+}
+
+/// The flow from frame `i` over `span` frames, by chaining; `None` past the end of the clip.
+fn link(flows: &[FlowPair], cameras: &[Camera], i: usize, span: usize, later: bool) -> Option<Link> {
+    let target = if later { i + span } else { i.checked_sub(span)? };
+    let to = cameras.get(target)?;
+    let step = |k: usize| {
+        if later {
+            (&flows[i + k].forward, &flows[i + k].forward_round_trip)
+        } else {
+            (&flows[i - k - 1].backward, &flows[i - k - 1].backward_round_trip)
+        }
+    };
+    let (first, trip) = step(0);
+    let (mut there, mut round_trip) = (first.clone(), trip.clone());
+    let (w, h) = (there.width, there.height);
+    for k in 1..span {
+        let (flow, trip) = step(k);
+        for p in 0..w * h {
+            let (x, y) = ((p % w) as f32 + there.u[p], (p / w) as f32 + there.v[p]);
+            let (u, v) = flow.at(x, y);
+            let q = ((y + 0.5).max(0.0) as usize).min(h - 1) * w + ((x + 0.5).max(0.0) as usize).min(w - 1);
+            there.u[p] += u;
+            there.v[p] += v;
+            round_trip[p] += trip[q];
+        }
     }
-    Evidence { value, weight }
+    Some(Link {
+        there,
+        round_trip,
+        pair: Pair::new(&cameras[i], to),
+    })
+}
+
+/// Evidence of one frame, below 0 for static and above for moving, smoothed along the edges of the frame:
+/// flow against what depth and cameras predict, agreement of the partners, verdicts of tracks.
+pub(super) fn evidence(
+    cameras: &[Camera],
+    flows: &[FlowPair],
+    i: usize,
+    disparity: &[f32],
+    measured: &Measured,
+    verdicts: &[Verdict],
+    smoother: &Smoother,
+    config: &MotionConfig,
+) -> Vec<f32> {
+    let size = &cameras[i].intrinsics;
+    let (w, h) = (size.width, size.height);
+    let (mut value, mut weight) = (vec![0.0f32; w * h], vec![1e-3f32; w * h]);
+    for &span in &config.spans {
+        for later in [false, true] {
+            if let Some(link) = link(flows, cameras, i, span, later) {
+                add_link(&link, disparity, config, &mut value, &mut weight);
+            }
+        }
+    }
+    for p in 0..w * h {
+        let agreement = config.agreement * measured.confidence[p] * measured.confidence[p];
+        value[p] -= agreement;
+        weight[p] += agreement;
+    }
+    for verdict in verdicts {
+        add_verdict(verdict, w, h, config.track_weight, &mut value, &mut weight);
+    }
+    for (v, w) in value.iter_mut().zip(&weight) {
+        *v /= w;
+    }
+    smoother.fill(&value, &weight, config.smooth_lambda).0
+}
+
+fn add_link(link: &Link, disparity: &[f32], config: &MotionConfig, value: &mut [f32], weight: &mut [f32]) {
+    let width = link.there.width;
+    for i in 0..disparity.len() {
+        let (x, y) = ((i % width) as f32, (i / width) as f32);
+        let seen = link.pair.project(x, y, disparity[i]);
+        let trip = link.round_trip[i];
+        // Disparities behind the other camera and flow out of the image say nothing.
+        let usable = seen.disparity > 0.0 && trip.is_finite();
+        if !usable {
+            continue;
+        }
+        let (u, v) = (link.there.u[i], link.there.v[i]);
+        let residual = (x + u - seen.x).hypot(y + v - seen.y);
+        let noise = config.flow_noise_px + config.flow_noise_share * u.hypot(v) + 0.5 * trip;
+        let e = (0.5 * (residual / noise - config.threshold)).clamp(-config.static_vote, 1.0);
+        let w = 1.0 / (1.0 + trip * trip);
+        value[i] += w * e;
+        weight[i] += w;
+    }
+}
+
+/// A track speaks for its surroundings.
+fn add_verdict(verdict: &Verdict, w: usize, h: usize, strength: f32, value: &mut [f32], weight: &mut [f32]) {
+    const REACH: usize = 3;
+    let (x, y) = (verdict.pixel % w, verdict.pixel / w);
+    for ny in y.saturating_sub(REACH)..(y + REACH + 1).min(h) {
+        for nx in x.saturating_sub(REACH)..(x + REACH + 1).min(w) {
+            let square = (nx.abs_diff(x).pow(2) + ny.abs_diff(y).pow(2)) as f32;
+            let near = strength * (-square / 4.0).exp();
+            value[ny * w + nx] += if verdict.moves { near } else { -near };
+            weight[ny * w + nx] += near;
+        }
+    }
+}
+
+/// Averages evidence with that of the frames before and after, along the flow where its round trip closes.
+pub(super) fn vote(width: usize, height: usize, evidence: &[Vec<f32>], flows: &[FlowPair], i: usize) -> Vec<f32> {
+    let neighbour = |p: usize, flow: &Flow, trip: &[f32], other: &[f32]| {
+        let close = 1.0 / (1.0 + trip[p] * trip[p]);
+        if close < 0.1 {
+            return (0.0, 0.0);
+        }
+        let x = ((p % width) as f32 + flow.u[p] + 0.5).max(0.0) as usize;
+        let y = ((p / width) as f32 + flow.v[p] + 0.5).max(0.0) as usize;
+        (close * other[y.min(height - 1) * width + x.min(width - 1)], close)
+    };
+    (0..width * height)
+        .map(|p| {
+            let (mut sum, mut weight) = (evidence[i][p], 1.0);
+            if let Some(f) = flows.get(i) {
+                let (s, w) = neighbour(p, &f.forward, &f.forward_round_trip, &evidence[i + 1]);
+                (sum, weight) = (sum + s, weight + w);
+            }
+            if i > 0 {
+                let f = &flows[i - 1];
+                let (s, w) = neighbour(p, &f.backward, &f.backward_round_trip, &evidence[i - 1]);
+                (sum, weight) = (sum + s, weight + w);
+            }
+            sum / weight
+        })
+        .collect()
+}
+
+/// Where evidence is above 0, without specks and pinholes.
+pub(super) fn mask(width: usize, height: usize, evidence: &[f32], config: &MotionConfig) -> Vec<u8> {
+    let mut mask: Vec<u8> = evidence.iter().map(|&e| if e > 0.0 { 255 } else { 0 }).collect();
+    let least = (config.least_component * (width * height) as f32).ceil() as usize;
+    clean(width, height, &mut mask, least);
+    mask
 }

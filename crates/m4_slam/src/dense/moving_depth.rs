@@ -1,0 +1,106 @@
+//! Depth of what moves, which no stereo over time can measure: from where it touches the scene.
+
+use super::components::Components;
+use super::config::MovingDepthConfig;
+use super::densify::FlowPair;
+use super::shot::quantile;
+
+/// Disparity of each part: constant, in front of what it hides, and that of the ground under it.
+///
+/// `background` is the static disparity with moving parts filled from their surroundings, so its value
+/// at the bottom of a part is that of the ground on which the part stands.
+pub(super) fn touch(
+    width: usize,
+    height: usize,
+    moving: &[u8],
+    background: &[f32],
+    config: &MovingDepthConfig,
+) -> Vec<f32> {
+    let mut out = background.to_vec();
+    for pixels in Components::of(width, height, moving).pixels {
+        let row = |i: u32| i as usize / width;
+        // In order of rows, so the first and last pixels give the extent.
+        let (top, bottom) = (row(pixels[0]), row(pixels[pixels.len() - 1]));
+        let feet_from = bottom - ((bottom - top) as f32 * config.feet_share) as usize;
+        let below = |i: u32| {
+            // Just under the part, where the background was seen and not filled.
+            let y = (row(i) + config.below_px).min(height - 1);
+            background[y * width + i as usize % width]
+        };
+        let mut feet: Vec<f32> = pixels.iter().filter(|&&i| row(i) >= feet_from).map(|&i| below(i)).collect();
+        let mut hidden: Vec<f32> = pixels.iter().map(|&i| background[i as usize]).collect();
+        let feet = quantile(&mut feet, 0.5).unwrap_or(0.0);
+        let hidden = quantile(&mut hidden, config.hidden_quantile).unwrap_or(0.0);
+        let disparity = feet.max(hidden);
+        for i in pixels {
+            out[i as usize] = disparity;
+        }
+    }
+    out
+}
+
+/// A running mean along the flow, from one end of the clip.
+struct Running {
+    mean: Vec<f32>,
+    weight: Vec<f32>,
+}
+
+/// Means over time along the flow, forwards and backwards in time with the same decay, so that parts
+/// neither jump nor lag; in front of the background.
+pub(super) fn steady(
+    width: usize,
+    height: usize,
+    moving: &[Vec<u8>],
+    touched: &[Vec<f32>],
+    background: &[Vec<f32>],
+    flows: &[FlowPair],
+    config: &MovingDepthConfig,
+) -> Vec<Vec<f32>> {
+    let decay = (-1.0 / config.smooth_frames.max(1e-3)).exp();
+    let count = touched.len();
+    let follow = |order: &mut dyn Iterator<Item = usize>, earlier: bool| -> Vec<Running> {
+        let mut all: Vec<Running> = Vec::with_capacity(count);
+        for i in order {
+            let mut running = Running {
+                mean: touched[i].clone(),
+                weight: vec![1.0; width * height],
+            };
+            if let Some(last) = all.last() {
+                let (flow, trip, j) = if earlier {
+                    (&flows[i - 1].backward, &flows[i - 1].backward_round_trip, i - 1)
+                } else {
+                    (&flows[i].forward, &flows[i].forward_round_trip, i + 1)
+                };
+                for p in (0..width * height).filter(|&p| moving[i][p] > 0 && trip[p] < config.round_trip_px) {
+                    let (x, y) = ((p % width) as f32 + flow.u[p] + 0.5, (p / width) as f32 + flow.v[p] + 0.5);
+                    let q = (y.max(0.0) as usize).min(height - 1) * width + (x.max(0.0) as usize).min(width - 1);
+                    if moving[j][q] > 0 {
+                        let w = decay * last.weight[q];
+                        running.mean[p] = (running.mean[p] + w * last.mean[q]) / (1.0 + w);
+                        running.weight[p] = 1.0 + w;
+                    }
+                }
+            }
+            all.push(running);
+        }
+        all
+    };
+    let forward = follow(&mut (0..count), true);
+    let mut backward = follow(&mut (0..count).rev(), false);
+    backward.reverse();
+    (0..count)
+        .map(|i| {
+            let (f, b) = (&forward[i], &backward[i]);
+            (0..width * height)
+                .map(|p| {
+                    if moving[i][p] == 0 {
+                        return background[i][p];
+                    }
+                    // The frame's own value is in both sums.
+                    let sum = f.mean[p] * f.weight[p] + b.mean[p] * b.weight[p] - touched[i][p];
+                    (sum / (f.weight[p] + b.weight[p] - 1.0)).max(background[i][p])
+                })
+                .collect()
+        })
+        .collect()
+}
