@@ -173,11 +173,13 @@ pub(crate) fn exp2<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
     f32x16::from_bits(p.to_bits() + (exponent << 23u32))
 }
 
-/// `e^x`, within 1e-6 of itself for `|x| < 20`; saturates near 2^-125 and 2^127.
+/// `e^x`, within 1e-6 of itself for `|x| < 20`; saturates near 2^-125 and 2^127. NaN stays NaN, so
+/// that a broken parameter leaves its splat out instead of passing for a number.
 #[inline(always)]
 pub(crate) fn exp<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
     let y = x * all(s, std::f32::consts::LOG2_E);
-    exp2(s, y.max(all(s, -125.0)).min(all(s, 127.0)))
+    let power = exp2(s, y.max(all(s, -125.0)).min(all(s, 127.0)));
+    x.simd_eq(x).select(power, x)
 }
 
 /// `log2(x)` for normal `x` above 0, within 1e-7 of `1 + |log2 x|`.

@@ -1,6 +1,6 @@
 //! The SIMD twin: sixteen ellipses at a time.
 
-use super::{LOW_PASS, jacobian_limits};
+use super::{LOW_PASS, NEAR_MIN, jacobian_limits};
 use crate::{
     View,
     simd::{all, dot},
@@ -43,8 +43,7 @@ impl Eye {
             u0: (k.cx - 0.5) as f32,
             v0: (k.cy - 0.5) as f32,
             limits: jacobian_limits(k).map(|v| v as f32),
-            // a splat at depth 0 or behind has no picture, whatever `near` says
-            near: view.near.max(1e-6),
+            near: view.near.max(NEAR_MIN as f32),
             width: k.width,
             height: k.height,
             t: view.t as f32,

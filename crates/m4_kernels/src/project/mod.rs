@@ -1,7 +1,7 @@
 //! A 3D splat to an ellipse on the image (EWA; sections 0 and 1.6 of the optimiser's specification).
 //!
 //! ```text
-//! p_c = W m + T = (x, y, z)                      left out unless z > near
+//! p_c = W m + T = (x, y, z)                      left out unless z > max(near, NEAR_MIN)
 //! u = fx x / z + cx - 1/2, v = fy y / z + cy - 1/2        pixels, centre of the first pixel: 0, 0
 //! kx = clamp(x / z, limits.x), ky = clamp(y / z, limits.y)        for the Jacobian only
 //! J = [[fx / z, 0, -fx kx / z], [0, fy / z, -fy ky / z]]
@@ -20,6 +20,10 @@ use m4_scene::Intrinsics;
 
 pub(crate) mod cpu;
 pub mod reference;
+
+/// The smallest near plane, world units: a splat at depth 0 or behind has no picture, whatever the view
+/// says.
+pub const NEAR_MIN: f64 = 1e-6;
 
 /// Added to both diagonal entries of the image covariance, pixels squared (3DGS; a Gaussian of half
 /// a pixel's standard deviation, roughly the pixel's own footprint).

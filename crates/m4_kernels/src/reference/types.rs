@@ -2,7 +2,10 @@
 
 use crate::{
     View,
-    project::reference::{Pinhole, PinholeGradient},
+    project::{
+        NEAR_MIN,
+        reference::{Pinhole, PinholeGradient},
+    },
     slice::reference::{Gaussian, Life, RotorGaussian, Shape},
 };
 use m4_math::{
@@ -64,7 +67,7 @@ impl<T: Real> Setup<T> {
             height: view.camera.intrinsics.height,
             t: T::of(view.t),
             background: view.background.map(|c| T::of(f64::from(c))),
-            near: T::of(f64::from(view.near)),
+            near: T::of(f64::from(view.near).max(NEAR_MIN)),
             mip: view.mip,
             period: T::of(f64::from(view.period)),
         }

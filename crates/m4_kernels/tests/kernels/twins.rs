@@ -1,10 +1,7 @@
 //! The CPU twin against the reference, on every SIMD level of the machine: fixtures and random scenes.
 
-mod common;
-#[path = "common/twin.rs"]
-mod twin;
-
-use common::{Target, by_name};
+use crate::scenes::{Target, by_name};
+use crate::twin::{compare, every_level, parameter, view};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View, blend::reference::CHANNELS, reference::splats_of,
 };
@@ -17,18 +14,19 @@ use m4_testkit::{
     FixtureSplat, GradientCase, GradientFixtures, SceneSpec, assert_gradient, gradient_fixtures, moving_scene,
     random_camera, random_splats,
 };
-use twin::{compare, every_level, parameter, view};
 
-const TOLERANCE: f64 = 2e-3;
+/// Of the largest component. Rounding costs 1e-6 to 1e-5; a contribution that falls on the other side of
+/// the cut-off in f32 up to 2e-4.
+const TOLERANCE: f64 = 5e-4;
 
 /// The rotor pair of a fixture as the velocity form.
 fn converted(splat: &FixtureSplat) -> VelocityForm<f64> {
-    let (left, right) = (Vector4::from(splat.ql.unwrap()), Vector4::from(splat.qr.unwrap()));
+    let [left, right] = [splat.ql, splat.qr].map(|q| Vector4::from(q.expect("the rotor model has rotors")));
     let log_scale = Vector4::new(splat.ls[0], splat.ls[1], splat.ls[2], splat.lst[0]);
     let mean = [splat.mu[0], splat.mu[1], splat.mu[2], splat.mt[0]];
     Covariance4::from_rotor(mean, &log_scale, &left, &right, splat.o[0], splat.sh.clone())
         .to_velocity()
-        .unwrap()
+        .expect("a positive definite covariance")
 }
 
 /// A fixture in columns.
@@ -41,7 +39,7 @@ fn columns(case: &GradientCase) -> Splats {
     let mut splats = Splats::zeros(layout, 0, case.splats.len());
     for (row, splat) in case.splats.iter().enumerate() {
         if case.model == "rotor" {
-            converted(splat).write(&mut splats, row).unwrap();
+            converted(splat).write(&mut splats, row).expect("a row of this layout");
             continue;
         }
         let mut set = |column, values: &[f64]| {
@@ -63,7 +61,7 @@ fn columns(case: &GradientCase) -> Splats {
 
 fn fixture_view(case: &GradientCase) -> View {
     View {
-        camera: common::camera(case),
+        camera: crate::scenes::camera(case),
         t: case.time,
         background: case.background.map(|c| c as f32),
         near: 0.2,
@@ -108,7 +106,7 @@ fn check_fixture(fixtures: &GradientFixtures, case: &GradientCase, level: SimdLe
     let mut got = Gradients::default();
     renderer.backward(&splats, &gradient, &mut got);
 
-    let want: Vec<_> = case.grad_splats.iter().map(common::splat::<f64>).collect();
+    let want: Vec<_> = case.grad_splats.iter().map(crate::scenes::splat::<f64>).collect();
     for (kind, want) in by_name(&want) {
         let column = match kind {
             "mean" => Column::Mean,
@@ -159,7 +157,7 @@ fn columns_of_a_fixture_are_the_fixture() {
     let fixtures = gradient_fixtures();
     for case in fixtures.cases.iter().filter(|c| c.model != "rotor") {
         let got: Vec<_> = splats_of::<f64>(&columns(case));
-        let want: Vec<_> = case.splats.iter().map(common::splat::<f64>).collect();
+        let want: Vec<_> = case.splats.iter().map(crate::scenes::splat::<f64>).collect();
         for ((kind, got), (_, want)) in by_name(&got).into_iter().zip(by_name(&want)) {
             for (g, w) in got.iter().zip(&want) {
                 assert!((g - w).abs() <= 1e-7 * w.abs(), "{kind} of {}", case.name());

@@ -1,8 +1,6 @@
 //! The reference against the float64 oracle: `fixtures/gradients`, made by `oracles/check_4dgs_grads.py`.
 
-mod common;
-
-use common::{Run, by_name, run, splat};
+use crate::scenes::{Run, by_name, run, splat};
 use m4_kernels::{
     blend::{self, reference::Hard},
     project,
@@ -20,7 +18,7 @@ fn constants_are_those_of_the_oracle() {
     assert_eq!(fixtures.alpha_min, blend::ALPHA_MIN);
     assert_eq!(fixtures.t_min, blend::T_MIN);
     for case in &fixtures.cases {
-        let limits = project::jacobian_limits(&common::camera(case).intrinsics);
+        let limits = project::jacobian_limits(&crate::scenes::camera(case).intrinsics);
         let [x, y] = case.camera.tan.map(|tan| fixtures.jacobian_clamp * tan);
         for (got, want) in limits.into_iter().zip([-x, x, -y, y]) {
             assert!((got - want).abs() < 1e-14, "{got} where {want} was expected");

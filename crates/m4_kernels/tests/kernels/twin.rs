@@ -1,8 +1,4 @@
 //! The CPU twin beside the reference.
-#![expect(
-    dead_code,
-    reason = "each test program is a crate of its own and uses another part of this"
-)]
 
 use m4_kernels::{
     Frame, FrameGradient, Gradients, Renderer, SimdLevel, View,

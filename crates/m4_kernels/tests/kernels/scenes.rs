@@ -1,14 +1,10 @@
-//! What several test programs share.
-#![expect(
-    dead_code,
-    reason = "each test program is a crate of its own and uses another part of this"
-)]
+//! The scenes and the loss of the fixtures, in the types of the reference.
 
-use m4_kernels::blend::reference::{CHANNELS, Cutoff};
 use m4_kernels::{
+    blend::reference::{CHANNELS, Cutoff},
     photo::reference::photo,
     project::reference::Pinhole,
-    reference::{BackwardForm, Geometry, Rendered, SceneGradient, Setup, Splat, backward, expose, expose_vjp, render},
+    reference::{BackwardForm, Geometry, SceneGradient, Setup, Splat, backward, expose, expose_vjp, render},
     slice::reference::{Gaussian, Life, RotorGaussian, Shape},
 };
 use m4_math::{
@@ -160,7 +156,6 @@ pub fn setup<T: Real>(case: &GradientCase) -> Setup<T> {
 
 /// A fixture run forward and backward.
 pub struct Run<T: Real> {
-    pub rendered: Rendered<T>,
     pub loss: Loss<T>,
     pub gradient: SceneGradient<T>,
 }
@@ -173,11 +168,7 @@ pub fn run<T: Real, C: Cutoff>(fixtures: &GradientFixtures, case: &GradientCase,
     let exposure = case.exposure.map(|row| row.map(T::of));
     let loss = Target::new(fixtures, case).loss(&rendered.image.pixels, case.width, &exposure);
     let gradient = backward::<T, C>(&splats, &setup, &rendered, &loss.pixels, form);
-    Run {
-        rendered,
-        loss,
-        gradient,
-    }
+    Run { loss, gradient }
 }
 
 /// A gradient's parameters by name, one vector a kind over all splats.

@@ -1,0 +1,83 @@
+//! Same bits on any number of threads.
+
+use crate::twin::{every_level, frame_gradient, view};
+use m4_kernels::{Gradients, Renderer, SimdLevel, View};
+use m4_scene::{SplatLayout, Splats};
+use m4_testkit::{SceneSpec, random_camera, random_splats};
+
+/// Everything that a frame gives, as bits.
+fn bits(level: SimdLevel, splats: &Splats, view: &View) -> Vec<u64> {
+    let mut renderer = Renderer::new(level);
+    let frame = renderer.render(splats, view).clone();
+    let mut out = Gradients::default();
+    renderer.backward(splats, &frame_gradient(8, view), &mut out);
+    let mut score = vec![0.0; splats.n()];
+    renderer.score(&frame.rgb[1], &mut score);
+    let planes = frame.rgb.iter().chain([&frame.transmittance, &frame.depth, &score]);
+    let mut all: Vec<u64> = planes.flatten().map(|v| u64::from(v.to_bits())).collect();
+    for column in crate::twin::COLUMNS {
+        all.extend(crate::twin::parameter(&out, splats, column).iter().map(|v| v.to_bits()));
+    }
+    all.extend(out.touched.iter().map(|&t| u64::from(t)));
+    let seen = out.means2d.iter().zip(&out.touched).filter(|(_, t)| **t != 0);
+    all.extend(seen.flat_map(|(m, _)| m).map(|v| u64::from(v.to_bits())));
+    all.extend(out.background.map(|v| u64::from(v.to_bits())));
+    let camera = out
+        .camera
+        .tau
+        .iter()
+        .chain(&out.camera.omega)
+        .chain(&out.camera.intrinsics);
+    all.extend(camera.map(|v| v.to_bits()));
+    all
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 1,
+        time_degree: 1,
+    };
+    // small enough for one task, and large enough for many
+    for (n_static, n_dynamic, width, height) in [(40, 30, 31, 17), (9_000, 5_000, 150, 110)] {
+        let camera = random_camera(22, width, height);
+        let spec = SceneSpec {
+            layout,
+            n_static,
+            n_dynamic,
+            ..SceneSpec::default()
+        };
+        let splats = random_splats(22, &camera, &spec);
+        every_level(|level| {
+            let runs: Vec<Vec<u64>> = [1, 2, 3]
+                .iter()
+                .map(|&threads| {
+                    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+                    pool.install(|| bits(level, &splats, &view(camera)))
+                })
+                .collect();
+            assert!(runs[0] == runs[1], "{level}: 1 and 2 threads differ");
+            assert!(runs[0] == runs[2], "{level}: 1 and 3 threads differ");
+        });
+    }
+}
+
+#[test]
+fn the_order_of_the_rows_only_rounds() {
+    // two orders of the same splats are the same picture: nothing depends on the place in memory
+    let camera = random_camera(23, 60, 40);
+    let spec = SceneSpec {
+        n_static: 300,
+        n_dynamic: 200,
+        ..SceneSpec::default()
+    };
+    let splats = random_splats(23, &camera, &spec);
+    let rows: Vec<u32> = (0..300).rev().chain((300..500).rev()).collect();
+    let turned = splats.gather(&rows).unwrap();
+    every_level(|level| {
+        let a = Renderer::new(level).render(&splats, &view(camera)).clone();
+        let b = Renderer::new(level).render(&turned, &view(camera)).clone();
+        assert_eq!(a, b);
+    });
+}
