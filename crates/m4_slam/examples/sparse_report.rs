@@ -6,7 +6,9 @@
 //!
 //! `TRUTH.json` is a nerfstudio-style `transforms_train.json` (OpenGL camera-to-world; with `mask_path`
 //! the motion of tracks is scored too) or the `precomputed.json` of a capture in NR-NeRF style (columns
-//! right, up, back). Every n-th picture is used when the environment says `STEP=n`.
+//! right, up, back). Every n-th picture is used when the environment says `STEP=n`;
+//! with `OVERLAY=FOLDER` four frames are written there with their tracks: green rests, red moves, blue
+//! could not be told.
 #![expect(clippy::print_stdout, reason = "a report is its output")]
 
 use m4_math::nalgebra::{Matrix4, Vector3};
@@ -76,6 +78,9 @@ fn main() -> Result<(), Anything> {
         found.residual_px,
         found.cameras[0].intrinsics.fx,
     );
+    if let Ok(folder) = std::env::var("OVERLAY") {
+        overlay(&found, &pictures, Path::new(&folder))?;
+    }
     if let Some(path) = args.get(1) {
         let mut truth = read_truth(Path::new(path))?;
         truth.c2w = truth.c2w.into_iter().step_by(step).collect();
@@ -93,6 +98,33 @@ fn read(path: &Path) -> Result<RgbImage, Anything> {
         h as usize,
         picture.pixels().map(|p| p.0).collect(),
     )?)
+}
+
+fn overlay(found: &SparseReconstruction, pictures: &[RgbImage], folder: &Path) -> Result<(), Anything> {
+    std::fs::create_dir_all(folder)?;
+    for k in 0..4 {
+        let frame = k * (pictures.len() - 1) / 3;
+        let picture = &pictures[frame];
+        let (w, h) = (picture.width() as u32, picture.height() as u32);
+        let mut out = image::RgbImage::from_fn(w, h, |x, y| image::Rgb(picture[(x as usize, y as usize)]));
+        for t in &found.tracks {
+            let Some(p) = t.at(frame) else { continue };
+            let colour = match (t.motion, t.point) {
+                (Motion::Static, Some(_)) => [0, 255, 0],
+                (Motion::Static, None) => [255, 255, 0],
+                (Motion::Dynamic, _) => [255, 0, 0],
+                (Motion::Unknown, _) => [0, 128, 255],
+            };
+            for (dx, dy) in (-2..=2).flat_map(|y| (-2..=2).map(move |x| (x, y))) {
+                let (x, y) = ((p[0].round() as i64 + dx) as u32, (p[1].round() as i64 + dy) as u32);
+                if x < w && y < h {
+                    out.put_pixel(x, y, image::Rgb(colour));
+                }
+            }
+        }
+        out.save(folder.join(format!("{frame:05}.png")))?;
+    }
+    Ok(())
 }
 
 fn number(value: &Value) -> Result<f64, Anything> {

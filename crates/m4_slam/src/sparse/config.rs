@@ -74,7 +74,8 @@ pub struct GeometryConfig {
     /// Most keyframes; the clip is cut into this many where more are asked for.
     pub max_keyframes: usize,
     /// Below this greatest median parallax (share of the width, rotation taken out) nothing can be
-    /// triangulated and the camera counts as turning only.
+    /// triangulated and the camera counts as turning only. 0.004: 2 pixels of 480, some twenty times
+    /// the error of a track.
     pub min_parallax: f64,
     /// Below this motion of three quarters of all tracks over the clip the camera counts as still.
     pub static_motion_px: f64,
@@ -84,7 +85,9 @@ pub struct GeometryConfig {
     pub inlier_px: f64,
     /// Scale of the Cauchy loss of bundle adjustment.
     pub cauchy_px: f64,
-    /// Points whose rays meet at less than this are not triangulated, degrees. 1.5: section 7.1.
+    /// Points whose rays meet at less than this are not triangulated, degrees. 1.5: section 7.1. In
+    /// clips with so little parallax that this would leave few points, half the angle that the
+    /// greatest median parallax stands for.
     pub min_angle_deg: f64,
     /// Steps of the final bundle adjustments.
     pub bundle_iterations: usize,
@@ -102,7 +105,7 @@ impl Default for GeometryConfig {
             keyframe_parallax: 0.015,
             keyframe_survival: 0.6,
             max_keyframes: 40,
-            min_parallax: 0.01,
+            min_parallax: 0.004,
             static_motion_px: 1.0,
             two_view_samples: 150,
             inlier_px: 2.0,
@@ -124,7 +127,8 @@ pub struct MotionConfig {
     pub min_residual_px: f64,
     /// A track moves when at least this share of its observations disagrees. 0.3: section 7.1.
     pub share: f64,
-    /// Tracks with fewer observations are not judged.
+    /// Tracks with fewer observations are not judged. 3: the first number with more than one equation
+    /// to spare.
     pub min_observations: usize,
     /// How often classification and bundle adjustment alternate. 2: section 7.1.
     pub rounds: usize,
@@ -136,7 +140,7 @@ impl Default for MotionConfig {
             deviations: 3.0,
             min_residual_px: 1.0,
             share: 0.3,
-            min_observations: 4,
+            min_observations: 3,
             rounds: 2,
         }
     }

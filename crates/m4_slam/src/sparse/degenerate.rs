@@ -2,10 +2,12 @@
 
 use super::config::GeometryConfig;
 use super::map::Map;
+use super::motion::median_far_error;
 use super::rotation::{matches, turn};
 use super::tracking::RawTrack;
 use m4_math::nalgebra::{Matrix3, Vector3};
 use m4_math::{Se3, exp_so3, log_so3};
+use rayon::prelude::*;
 
 /// One pose for all frames.
 pub(crate) fn standing(tracks: &[RawTrack], frames: usize, focal: f64) -> Map {
@@ -16,12 +18,56 @@ pub(crate) fn standing(tracks: &[RawTrack], frames: usize, focal: f64) -> Map {
     }
 }
 
-/// Rotations of a camera that turns in place: chained from frame to frame, then refined so that every
-/// track has one direction in the world (alternating between directions and rotations).
-///
-/// Frames that share fewer than `min_matches` tracks with the one before keep its rotation; their
-/// number is returned.
+/// A camera that turns in place.
+#[derive(Debug, Clone)]
+pub(crate) struct Turning {
+    /// Rotations; no points.
+    pub map: Map,
+    /// Frames that took the rotation of the one before because they share too few tracks with it.
+    pub lost: usize,
+    /// False when the turn says so little about the focal length that the assumed one was kept.
+    pub focal_observed: bool,
+}
+
+/// Rotations for the focal length among `focals` that explains the tracks best, or for `assumed` when
+/// the best explains them hardly better.
 pub(crate) fn turning(
+    tracks: &[RawTrack],
+    frames: usize,
+    focals: &[f64],
+    assumed: f64,
+    min_matches: usize,
+    config: &GeometryConfig,
+) -> Turning {
+    let all: Vec<(f64, Map, usize)> = focals
+        .par_iter()
+        .chain(rayon::iter::once(&assumed))
+        .map(|&focal| {
+            let (map, lost) = rotations(tracks, frames, focal, min_matches, config);
+            (median_far_error(&map, tracks).unwrap_or(f64::INFINITY), map, lost)
+        })
+        .collect();
+    let error_assumed = all.last().map_or(f64::INFINITY, |(error, ..)| *error);
+    let best = all.iter().min_by(|a, b| a.0.total_cmp(&b.0));
+    let observed = best.filter(|(error, ..)| *error < 0.8 * error_assumed);
+    match observed.or(all.last()) {
+        Some((_, map, lost)) => Turning {
+            map: map.clone(),
+            lost: *lost,
+            focal_observed: observed.is_some(),
+        },
+        None => Turning {
+            map: standing(tracks, frames, assumed),
+            lost: 0,
+            focal_observed: false,
+        },
+    }
+}
+
+/// Rotations chained from frame to frame, then refined so that every track has one direction in the
+/// world (alternating between directions and rotations). Frames that share fewer than `min_matches`
+/// tracks with the one before keep its rotation; their number is returned.
+fn rotations(
     tracks: &[RawTrack],
     frames: usize,
     focal: f64,
@@ -32,11 +78,8 @@ pub(crate) fn turning(
     let mut lost = 0;
     for frame in 1..frames {
         let found = matches(tracks, frame - 1, frame);
-        let step = if found.len() >= min_matches {
-            turn(&found, focal)
-        } else {
-            None
-        };
+        let enough = found.len() >= min_matches;
+        let step = if enough { turn(&found, focal) } else { None };
         lost += usize::from(step.is_none());
         rotations[frame] = step.map_or(Matrix3::identity(), |t| t.rotation) * rotations[frame - 1];
     }

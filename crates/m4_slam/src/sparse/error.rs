@@ -66,6 +66,20 @@ pub enum SparseError {
         /// Points needed.
         needed: usize,
     },
+    /// Frames were related, yet hardly anything fits the result.
+    #[error(
+        "only {points} of {tracks} tracks fit a static scene after bundle adjustment, {needed} are needed (moving \
+         things fill the picture?); pass --fov with the true field of view, --static-camera if the camera stands \
+         still, or supply a capture with poses"
+    )]
+    TooFewPoints {
+        /// Points that fit.
+        points: usize,
+        /// Tracks long enough to be judged.
+        tracks: usize,
+        /// Points needed.
+        needed: usize,
+    },
     /// The user stopped the run.
     #[error("stopped by the user")]
     Cancelled,

@@ -39,6 +39,11 @@ impl Map {
         self.poses.iter().flatten().count()
     }
 
+    /// How many of `frames` have a pose.
+    pub fn registered_among(&self, frames: &[usize]) -> usize {
+        frames.iter().filter(|&&i| self.poses[i].is_some()).count()
+    }
+
     /// Triangulates every track that is `usable`, forgets the points of all others and of those whose
     /// rays are too parallel or disagree.
     pub fn triangulate(&mut self, tracks: &[RawTrack], usable: &[bool], config: &GeometryConfig) {

@@ -11,6 +11,7 @@
 //! Inside, lengths in pictures are *working pixels*: those of the shrunk picture, measured from the
 //! image centre (which is the principal point). Poses inside are world to camera.
 
+mod adjustment;
 mod bundle;
 mod config;
 mod corners;
@@ -22,6 +23,7 @@ mod klt;
 mod luma;
 mod map;
 mod motion;
+mod outcome;
 mod reconstruct;
 mod resection;
 mod rotation;

@@ -3,7 +3,7 @@
 use super::config::MotionConfig;
 use super::map::Map;
 use super::tracking::RawTrack;
-use super::triangulate::triangulate;
+use super::triangulate::{median, triangulate};
 use crate::reconstruction::Motion;
 use m4_math::nalgebra::Vector3;
 use rayon::prelude::*;
@@ -13,25 +13,39 @@ const RAYLEIGH_MEDIAN: f64 = 1.177_41;
 
 /// Judges every track: the best resting point is fitted to all its observations, also to those of
 /// tracks that the map gave up on; where rays do not meet, a point at infinity stands in.
+///
+/// What counts as disagreement follows the errors of the map's points, or, in a map without points,
+/// those of all tracks.
 pub(crate) fn classify(map: &Map, tracks: &[RawTrack], config: &MotionConfig) -> Vec<Motion> {
-    let typical = map.median_error(tracks).unwrap_or(0.5);
-    let limit = (config.deviations * typical / RAYLEIGH_MEDIAN).max(config.min_residual_px);
+    let limit_for = |typical: f64| (config.deviations * typical / RAYLEIGH_MEDIAN).max(config.min_residual_px);
+    let limit = match map.median_error(tracks) {
+        Some(typical) => limit_for(typical),
+        None => limit_for(median_far_error(map, tracks).unwrap_or(0.0)),
+    };
     tracks
         .par_iter()
         .map(|track| {
             let errors = resting_errors(map, track, limit);
             let seen = errors.len();
-            if seen < config.min_observations {
-                return Motion::Unknown;
-            }
             let disagree = errors.iter().filter(|e| **e > limit).count();
-            if disagree as f64 >= config.share * seen as f64 {
+            if seen < config.min_observations {
+                Motion::Unknown
+            } else if disagree as f64 >= config.share * seen as f64 {
                 Motion::Dynamic
             } else {
                 Motion::Static
             }
         })
         .collect()
+}
+
+/// Median over all tracks of the median error of a point at infinity.
+pub(crate) fn median_far_error(map: &Map, tracks: &[RawTrack]) -> Option<f64> {
+    let mut all: Vec<f64> = tracks
+        .par_iter()
+        .filter_map(|track| median(&mut map.errors(track, &far_point(map, track)?)))
+        .collect();
+    median(&mut all)
 }
 
 /// Errors of the resting point that fits best.
