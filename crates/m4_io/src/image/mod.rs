@@ -4,11 +4,12 @@
 //! atomic; the format follows the file name's extension.
 
 mod error;
+mod exif;
 mod read;
 mod resize;
 mod write;
 
 pub use error::{ReadImageError, WriteImageError};
-pub use read::{read_depth, read_mask, read_rgb, size};
+pub use read::{Photo, read_depth, read_mask, read_photo, read_rgb, size};
 pub use resize::resize_rgb;
 pub use write::{write_depth, write_mask, write_rgb};

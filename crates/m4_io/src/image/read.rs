@@ -1,6 +1,6 @@
 //! PNG and JPEG files to planes.
 
-use super::ReadImageError;
+use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use m4_scene::{DepthMap, Mask, Plane, RgbImage};
 use std::fs::File;
@@ -75,7 +75,40 @@ pub fn size(path: &Path) -> Result<(usize, usize), ReadImageError> {
 ///
 /// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
 pub fn read_rgb(path: &Path) -> Result<RgbImage, ReadImageError> {
-    let image = decode(path)?;
+    rgb(path, decode(path)?)
+}
+
+/// A picture as a camera took it.
+#[derive(Debug, Clone)]
+pub struct Photo {
+    /// Upright: turned as its EXIF block says.
+    pub rgb: RgbImage,
+    /// Focal length of `rgb` in pixels, where the EXIF block gives its equivalent on 35 mm film.
+    pub focal_px: Option<f64>,
+}
+
+/// Reads a colour picture with what its EXIF block says about the camera.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
+pub fn read_photo(path: &Path) -> Result<Photo, ReadImageError> {
+    let mut decoder = open(path)?;
+    let (width, height) = decoder.dimensions();
+    // A damaged EXIF block is none.
+    let exif = decoder.exif_metadata().ok().flatten();
+    let orientation = decoder.orientation().ok();
+    let mut image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
+    if let Some(orientation) = orientation {
+        image.apply_orientation(orientation);
+    }
+    Ok(Photo {
+        rgb: rgb(path, image)?,
+        focal_px: exif.and_then(|e| exif::focal_px(&e, width as usize, height as usize)),
+    })
+}
+
+fn rgb(path: &Path, image: DynamicImage) -> Result<RgbImage, ReadImageError> {
     let (width, height) = (image.width(), image.height());
     let data: Vec<[u8; 3]> = if image.color().has_alpha() {
         let over_black = |c: u8, a: u8| ((u32::from(c) * u32::from(a) + 127) / 255) as u8;

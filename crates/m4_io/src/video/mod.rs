@@ -6,7 +6,11 @@
 mod colour;
 mod error;
 mod ffmpeg;
+mod folder;
+mod h264;
+mod mp4;
 mod options;
+mod orient;
 mod plan;
 mod read;
 

@@ -1,9 +1,14 @@
 //! Which decoder reads a clip.
 
-use super::{ReadVideoError, VideoOptions, ffmpeg, plan};
+use super::mp4::{Movie, Mp4Error};
+use super::{ReadVideoError, VideoOptions, ffmpeg, folder, h264, mp4, plan};
 use m4_scene::{Progress, Video};
 use std::fs::File;
+use std::io::{ErrorKind, Read};
 use std::path::Path;
+
+/// Bytes of a file's start that tell what it is.
+const START_BYTES: u64 = 512;
 
 /// Reads a clip: a video file or a folder of pictures. Frames come upright (display matrix applied),
 /// in sRGB, in order of time, all of one size; what the user should know is in [`Video::warnings`].
@@ -13,16 +18,125 @@ use std::path::Path;
 /// [`ReadVideoError`], which names the file, what is wrong with it and what to do.
 pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
     plan::check_options(options)?;
+    if path.is_dir() {
+        return folder::read(path, options, progress);
+    }
     let io = |source| ReadVideoError::Io {
         path: path.to_path_buf(),
         source,
     };
-    let file = File::open(path).map_err(io)?;
+    let mut file = File::open(path).map_err(io)?;
     let meta = file.metadata().map_err(io)?;
+    if !meta.is_file() {
+        return Err(ReadVideoError::NotVideo {
+            path: path.to_path_buf(),
+            reason: "it is a device or a pipe; give a file or a folder of pictures".into(),
+        });
+    }
     if meta.len() == 0 {
         return Err(ReadVideoError::Empty {
             path: path.to_path_buf(),
         });
     }
-    ffmpeg::read(path, "a video", options, progress)
+    let mut start = Vec::new();
+    (&mut file).take(START_BYTES).read_to_end(&mut start).map_err(io)?;
+    if mp4::looks_like_mp4(&start) {
+        return mp4(path, &mut file, meta.len(), options, progress);
+    }
+    match container(&start) {
+        Ok(what) => ffmpeg::read(path, what, options, progress),
+        Err(reason) => match ffmpeg::read(path, "of an unknown kind", options, progress) {
+            // Without ffmpeg the file is most likely no video at all.
+            Err(ReadVideoError::NeedsFfmpeg { .. }) => Err(ReadVideoError::NotVideo {
+                path: path.to_path_buf(),
+                reason: reason.to_owned(),
+            }),
+            other => other,
+        },
+    }
+}
+
+/// The name of a container that only ffmpeg reads, or why the file is none that is known.
+fn container(start: &[u8]) -> Result<&'static str, &'static str> {
+    let known: [(&[u8], &str); 6] = [
+        (&[0x1a, 0x45, 0xdf, 0xa3], "a Matroska or WebM file"),
+        (b"FLV\x01", "a Flash video"),
+        (b"OggS", "an Ogg file"),
+        (b"GIF8", "an animated GIF"),
+        (&[0x00, 0x00, 0x01, 0xba], "an MPEG program stream"),
+        (&[0x30, 0x26, 0xb2, 0x75], "a Windows Media file"),
+    ];
+    if let Some((_, name)) = known.iter().find(|(magic, _)| start.starts_with(magic)) {
+        return Ok(name);
+    }
+    if start.starts_with(b"RIFF") && start.get(8..11) == Some(b"AVI") {
+        return Ok("an AVI file");
+    }
+    if start.first() == Some(&0x47) && start.get(188) == Some(&0x47) {
+        return Ok("an MPEG transport stream");
+    }
+    let pictures: [&[u8]; 2] = [b"\x89PNG", &[0xff, 0xd8, 0xff]];
+    if pictures.iter().any(|magic| start.starts_with(magic)) {
+        return Err("it is a single picture; give a video or the folder that holds all frames");
+    }
+    if start.iter().all(|&b| b == 0) {
+        return Err("it starts with zeros, as after a copy that was interrupted; copy it again");
+    }
+    Err("its first bytes are those of no known container; give an MP4, MOV, MKV, WebM or AVI file")
+}
+
+fn mp4(
+    path: &Path,
+    file: &mut File,
+    len: u64,
+    options: &VideoOptions,
+    progress: &dyn Progress,
+) -> Result<Video, ReadVideoError> {
+    let movie = match Movie::read(file, len) {
+        Ok(movie) => movie,
+        Err(Mp4Error::Fragmented) => return ffmpeg::read(path, "a fragmented MP4 file", options, progress),
+        Err(error) => {
+            return Err(match error {
+                Mp4Error::Io(source) if source.kind() != ErrorKind::UnexpectedEof => ReadVideoError::Io {
+                    path: path.to_path_buf(),
+                    source,
+                },
+                Mp4Error::Truncated(what) => ReadVideoError::Truncated {
+                    path: path.to_path_buf(),
+                    what,
+                },
+                other => ReadVideoError::Damaged {
+                    path: path.to_path_buf(),
+                    what: other.to_string(),
+                },
+            });
+        }
+    };
+    let Some(track) = movie.video() else {
+        let kinds: Vec<String> = movie.tracks.iter().map(|t| mp4::kind_name(t.handler)).collect();
+        return Err(ReadVideoError::NoVideoTrack {
+            path: path.to_path_buf(),
+            found: if kinds.is_empty() {
+                "it has no tracks at all".into()
+            } else {
+                format!("it has {}", kinds.join(", "))
+            },
+        });
+    };
+    if track.samples.is_empty() {
+        return Err(ReadVideoError::NoFrames {
+            path: path.to_path_buf(),
+            reason: "its video track is empty; record it again".into(),
+        });
+    }
+    let codec = track.entries[0].codec;
+    let h264::Unsupported(what) = if matches!(&codec, b"avc1" | b"avc3") {
+        match h264::read(path, file, track, options, progress)? {
+            h264::Outcome::Decoded(video) => return Ok(video),
+            h264::Outcome::Unsupported(unsupported) => unsupported,
+        }
+    } else {
+        h264::Unsupported(mp4::codec_name(codec))
+    };
+    ffmpeg::read(path, &what, options, progress)
 }

@@ -1,0 +1,161 @@
+//! A folder of pictures as a clip.
+
+use super::plan::{self, Collector};
+use super::{ReadVideoError, VideoOptions};
+use crate::image;
+use m4_scene::{Progress, Video};
+use rayon::prelude::*;
+use std::cmp::Ordering;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering as Atomic};
+
+/// Reads the pictures of a folder in natural order (`2.png` before `10.png`), evenly spaced in time.
+pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
+    let pictures = pictures(path)?;
+    let times: Vec<f64> = (0..pictures.len()).map(|i| i as f64 / options.folder_fps).collect();
+    let kept = plan::select(path, &times, options)?;
+    let expected = image::size(&pictures[0])?;
+    for picture in &pictures {
+        let found = image::size(picture)?;
+        if found != expected {
+            return Err(ReadVideoError::PictureSize {
+                path: picture.clone(),
+                expected,
+                found,
+            });
+        }
+    }
+    let longest = expected.0.max(expected.1) as f64;
+    let size = plan::target_size(expected.0 as f64, expected.1 as f64, options);
+    plan::check_memory(path, kept.len(), size, options)?;
+
+    let done = AtomicUsize::new(0);
+    let frames: Vec<Result<image::Photo, ReadVideoError>> = kept
+        .par_iter()
+        .map(|&i| {
+            if progress.cancelled() {
+                return Err(ReadVideoError::Cancelled {
+                    path: path.to_path_buf(),
+                });
+            }
+            let mut photo = image::read_photo(&pictures[i])?;
+            let (w, h) = photo.rgb.size();
+            let (width, height) = plan::target_size(w as f64, h as f64, options);
+            if let Some(small) = image::resize_rgb(&photo.rgb, width, height) {
+                photo.rgb = small;
+            }
+            progress.update("read pictures", done.fetch_add(1, Atomic::Relaxed) + 1, kept.len(), "");
+            Ok(photo)
+        })
+        .collect();
+    let frames = frames.into_iter().collect::<Result<Vec<_>, _>>()?;
+    // Pictures turned by their EXIF blocks may differ although the files agree.
+    let upright = frames.first().map_or(size, |f| f.rgb.size());
+    if let Some(i) = frames.iter().position(|f| f.rgb.size() != upright) {
+        return Err(ReadVideoError::PictureSize {
+            path: pictures[kept[i]].clone(),
+            expected: upright,
+            found: frames[i].rgb.size(),
+        });
+    }
+    let scale = upright.0.max(upright.1) as f64 / longest;
+    let focal_px = frames.first().and_then(|f| f.focal_px).map(|f| f * scale);
+    let mut collector = Collector::new(upright);
+    for (photo, &i) in frames.into_iter().zip(&kept) {
+        collector.push(photo.rgb, times[i]);
+    }
+    let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
+    collector.warnings.extend(plan::thinned(kept.len(), inside));
+    collector.finish(focal_px).ok_or_else(|| ReadVideoError::NoPictures {
+        path: path.to_path_buf(),
+    })
+}
+
+/// The pictures of a folder in natural order; at least one.
+fn pictures(path: &Path) -> Result<Vec<PathBuf>, ReadVideoError> {
+    let io = |source| ReadVideoError::Io {
+        path: path.to_path_buf(),
+        source,
+    };
+    let mut pictures = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(io)? {
+        let file = entry.map_err(io)?.path();
+        let hidden = file.file_name().is_none_or(|n| n.to_string_lossy().starts_with('.'));
+        let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        if !hidden && matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg")) && file.is_file() {
+            pictures.push(file);
+        }
+    }
+    if pictures.is_empty() {
+        return Err(ReadVideoError::NoPictures {
+            path: path.to_path_buf(),
+        });
+    }
+    pictures.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
+    Ok(pictures)
+}
+
+/// Compares text in which runs of digits count as numbers.
+fn natural(a: &str, b: &str) -> Ordering {
+    let (mut a_rest, mut b_rest) = (a, b);
+    loop {
+        let (a_text, a_digits, a_next) = split(a_rest);
+        let (b_text, b_digits, b_next) = split(b_rest);
+        // Numbers of any length: without leading zeros, the longer is the larger.
+        let number = |d: &str| {
+            let d = d.trim_start_matches('0').to_owned();
+            (d.len(), d)
+        };
+        let order = a_text.cmp(b_text).then_with(|| number(a_digits).cmp(&number(b_digits)));
+        if order != Ordering::Equal {
+            return order;
+        }
+        if a_next.is_empty() || b_next.is_empty() {
+            return a_next.len().cmp(&b_next.len()).then_with(|| a.cmp(b));
+        }
+        (a_rest, b_rest) = (a_next, b_next);
+    }
+}
+
+/// Text up to the first digit, the digits, and the rest.
+fn split(s: &str) -> (&str, &str, &str) {
+    let start = s.find(|c: char| c.is_ascii_digit()).unwrap_or(s.len());
+    let (text, rest) = s.split_at(start);
+    let end = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
+    let (digits, rest) = rest.split_at(end);
+    (text, digits, rest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::natural;
+    use std::cmp::Ordering;
+
+    #[test]
+    fn numbers_in_names_count_as_numbers() {
+        let mut names = [
+            "img10.png",
+            "img2.png",
+            "img002.png",
+            "img1a3.png",
+            "img1a20.png",
+            "abc",
+            "img",
+        ];
+        names.sort_by(|a, b| natural(a, b));
+        let want = [
+            "abc",
+            "img",
+            "img1a3.png",
+            "img1a20.png",
+            "img002.png",
+            "img2.png",
+            "img10.png",
+        ];
+        assert_eq!(names, want);
+        assert_eq!(
+            natural("99999999999999999999998", "99999999999999999999999"),
+            Ordering::Less
+        );
+    }
+}

@@ -1,0 +1,16 @@
+//! H.264 inside of MP4 files, decoded in this process.
+//!
+//! The decoder (OpenH264) takes 8-bit 4:2:0 progressive streams of the Baseline, Main and High
+//! profiles, B-frames included; [`Unsupported`] says why anything else is left to ffmpeg.
+
+mod bits;
+mod config;
+mod decode;
+mod read;
+mod sps;
+
+pub use read::{Outcome, read};
+
+/// Why a stream is not decoded here, for "the video is ...".
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unsupported(pub String);

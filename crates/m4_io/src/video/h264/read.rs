@@ -1,0 +1,268 @@
+//! A track of H.264 to a clip.
+
+use super::Unsupported;
+use super::config::Config;
+use super::decode::H264;
+use crate::video::colour::{Hdr, ToneMap};
+use crate::video::mp4::{Sample, SampleEntry, Track};
+use crate::video::orient::Orientation;
+use crate::video::plan::{self, Collector};
+use crate::video::{ReadVideoError, VideoOptions};
+use m4_scene::{Progress, Video};
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// Largest coded frame that is read, bytes: raw 4K is 12 MB.
+const MAX_SAMPLE_BYTES: u32 = 64 << 20;
+
+/// What became of a track.
+pub enum Outcome {
+    /// It was decoded.
+    Decoded(Video),
+    /// Another decoder must try.
+    Unsupported(Unsupported),
+}
+
+/// A frame that is shown.
+struct Shown {
+    /// Index in decoding order.
+    sample: usize,
+    /// Seconds from the first frame.
+    time_s: f64,
+}
+
+/// Reads the frames of `track`, which lie in `file`.
+pub fn read(
+    path: &Path,
+    file: &mut File,
+    track: &Track,
+    options: &VideoOptions,
+    progress: &dyn Progress,
+) -> Result<Outcome, ReadVideoError> {
+    let (entry, config) = match track.entries.as_slice() {
+        [entry] => match configure(entry) {
+            Ok(config) => (entry, config),
+            Err(unsupported) => return Ok(Outcome::Unsupported(unsupported)),
+        },
+        _ => {
+            let what = "H.264 with several decoder configurations";
+            return Ok(Outcome::Unsupported(Unsupported(what.into())));
+        }
+    };
+    let shown = presentation(track);
+    if shown.is_empty() {
+        return Err(ReadVideoError::NoFrames {
+            path: path.to_path_buf(),
+            reason: format!("its video track has {} samples and none is shown", track.samples.len()),
+        });
+    }
+    let times: Vec<f64> = shown.iter().map(|s| s.time_s).collect();
+    let kept = plan::select(path, &times, options)?;
+    let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
+
+    let sps = &config.sps;
+    let colours = entry.colours;
+    let matrix = if sps.matrix == 2 {
+        colours.map_or(2, |c| c.matrix)
+    } else {
+        sps.matrix
+    };
+    let transfer = if sps.transfer == 2 {
+        colours.map_or(2, |c| c.transfer)
+    } else {
+        sps.transfer
+    };
+    let full_range = sps.full_range.or(colours.and_then(|c| c.full_range)).unwrap_or(false);
+    let Some(decoder) = H264::new(&config, matrix, full_range) else {
+        let what = format!("H.264 with colours of an unusual kind (matrix {matrix})");
+        return Ok(Outcome::Unsupported(Unsupported(what)));
+    };
+    let orientation = Orientation::from_matrix(track.matrix);
+    let swaps = orientation.is_some_and(Orientation::swaps_sides);
+    let aspect = entry.pixel_aspect.or(sps.pixel_aspect).unwrap_or(1.0);
+    let (width, height) = (sps.width as f64 * aspect, sps.height as f64);
+    let (width, height) = if swaps { (height, width) } else { (width, height) };
+    let size = plan::target_size(width, height, options);
+    plan::check_memory(path, kept.len(), size, options)?;
+
+    let hdr = Hdr::from_code(transfer);
+    let mut run = Run {
+        path,
+        config: &config,
+        decoder,
+        orientation,
+        tone_map: hdr.map(ToneMap::new),
+        collector: Collector::new(size),
+        damaged: Vec::new(),
+    };
+    run.frames(file, &track.samples, &shown, &kept, progress)?;
+
+    let Run {
+        mut collector, damaged, ..
+    } = run;
+    if collector.len() == 0 {
+        let what = format!("H.264 of which none of {} frames could be decoded here", kept.len());
+        return Ok(Outcome::Unsupported(Unsupported(what)));
+    }
+    if !damaged.is_empty() {
+        let first_s = damaged.iter().fold(f64::INFINITY, |a, &b| a.min(b));
+        if options.strict {
+            return Err(ReadVideoError::DamagedFrames {
+                path: path.to_path_buf(),
+                damaged: damaged.len(),
+                total: shown.len(),
+                first_s,
+            });
+        }
+        collector.warnings.push(format!(
+            "{} of {} frames are damaged or missing and were left out, the first at {first_s:.2} s",
+            damaged.len(),
+            shown.len()
+        ));
+    }
+    if orientation.is_none() {
+        let message = "the display matrix is not a turn by a right angle; frames are as stored";
+        collector.warnings.push(message.to_owned());
+    }
+    if let Some(hdr) = hdr {
+        let name = hdr.name();
+        collector
+            .warnings
+            .push(format!("high dynamic range ({name}) was tone-mapped to sRGB"));
+    }
+    collector.warnings.extend(plan::thinned(kept.len(), inside));
+    collector
+        .finish(None)
+        .map(Outcome::Decoded)
+        .ok_or_else(|| ReadVideoError::NoFrames {
+            path: path.to_path_buf(),
+            reason: "none was kept".into(),
+        })
+}
+
+fn configure(entry: &SampleEntry) -> Result<Config, Unsupported> {
+    let avcc = entry.avcc.as_deref();
+    let config = Config::parse(avcc.ok_or_else(|| Unsupported("H.264 without a decoder configuration".into()))?)?;
+    config.check()?;
+    Ok(config)
+}
+
+/// The frames that the edit list shows, in order of time; the first is at 0 s.
+fn presentation(track: &Track) -> Vec<Shown> {
+    let mut shown: Vec<Shown> = track
+        .samples
+        .iter()
+        .enumerate()
+        .filter_map(|(sample, s)| {
+            let time_s = track.timeline.shown_s(s.ticks)?;
+            Some(Shown { sample, time_s })
+        })
+        .collect();
+    shown.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+    let first = shown.first().map_or(0.0, |s| s.time_s);
+    shown.iter_mut().for_each(|s| s.time_s -= first);
+    shown
+}
+
+struct Run<'a> {
+    path: &'a Path,
+    config: &'a Config,
+    decoder: H264,
+    orientation: Option<Orientation>,
+    tone_map: Option<ToneMap>,
+    collector: Collector,
+    /// Times of frames that did not decode, seconds.
+    damaged: Vec<f64>,
+}
+
+impl Run<'_> {
+    /// Decodes in the order of the file up to the last frame that is kept.
+    fn frames(
+        &mut self,
+        file: &mut File,
+        samples: &[Sample],
+        shown: &[Shown],
+        kept: &[usize],
+        progress: &dyn Progress,
+    ) -> Result<(), ReadVideoError> {
+        let mut time_of = vec![None; samples.len()];
+        for s in shown {
+            time_of[s.sample] = Some(s.time_s);
+        }
+        let mut keep = vec![false; samples.len()];
+        for &i in kept {
+            keep[shown[i].sample] = true;
+        }
+        let total = keep.iter().rposition(|&k| k).map_or(0, |i| i + 1);
+        let (mut coded, mut annex_b) = (Vec::new(), Vec::new());
+        let mut headers = true;
+        for (i, sample) in samples[..total].iter().enumerate() {
+            if progress.cancelled() {
+                return Err(ReadVideoError::Cancelled {
+                    path: self.path.to_path_buf(),
+                });
+            }
+            progress.update("decode video", i + 1, total, "");
+            let decoded = match self.coded(file, sample, &mut coded)? {
+                true => self.config.annex_b(&coded, headers, &mut annex_b),
+                false => None,
+            };
+            let decoded = match decoded {
+                Some(kind) => {
+                    if let Some(to) = kind.resizes {
+                        return Err(ReadVideoError::SizeChanges {
+                            path: self.path.to_path_buf(),
+                            from: (self.config.sps.width, self.config.sps.height),
+                            to,
+                            time_s: time_of[i].unwrap_or(0.0),
+                        });
+                    }
+                    if kind.disposable && !keep[i] {
+                        continue;
+                    }
+                    headers = false;
+                    self.decoder.decode(&annex_b, keep[i])
+                }
+                None => None,
+            };
+            // A decoder that met an error may have dropped its parameter sets.
+            headers |= decoded.is_none();
+            match (decoded, time_of[i]) {
+                (Some(Some(picture)), Some(time_s)) => {
+                    let picture = match &self.tone_map {
+                        Some(map) => map.picture_8(&picture),
+                        None => picture,
+                    };
+                    let picture = match self.orientation {
+                        Some(orientation) => orientation.apply(picture),
+                        None => picture,
+                    };
+                    self.collector.push(picture, time_s);
+                }
+                (None, Some(time_s)) => self.damaged.push(time_s),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the bytes of a sample; false when the file does not have them.
+    fn coded(&self, file: &mut File, sample: &Sample, bytes: &mut Vec<u8>) -> Result<bool, ReadVideoError> {
+        if sample.size == 0 || sample.size > MAX_SAMPLE_BYTES {
+            return Ok(false);
+        }
+        bytes.resize(sample.size as usize, 0);
+        let read = file
+            .seek(SeekFrom::Start(sample.offset))
+            .and_then(|_| file.read_exact(bytes));
+        match read {
+            Ok(()) => Ok(true),
+            Err(e) if matches!(e.kind(), io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidInput) => Ok(false),
+            Err(source) => Err(ReadVideoError::Io {
+                path: self.path.to_path_buf(),
+                source,
+            }),
+        }
+    }
+}

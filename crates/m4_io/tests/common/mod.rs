@@ -1,0 +1,55 @@
+//! What the tests of this crate share.
+
+use m4_scene::{RgbImage, Video};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// The example clip: 96 frames, 480x360, 24 a second, H.264 High with B-frames.
+pub fn pinwheel() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4"))
+}
+
+/// True when ffmpeg can be started; says so when not.
+pub fn have_ffmpeg() -> bool {
+    let there = Command::new("ffmpeg")
+        .arg("-version")
+        .output()
+        .is_ok_and(|o| o.status.success());
+    if !there {
+        eprintln!("not tested: ffmpeg is not on the PATH");
+    }
+    there
+}
+
+/// Runs ffmpeg with arguments separated by spaces, then `output`; false (and says so) where this
+/// build of ffmpeg cannot.
+pub fn ffmpeg(arguments: &str, output: &Path) -> bool {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-v", "error", "-nostdin", "-y", "-threads", "1"]);
+    command.args(arguments.split_whitespace()).arg(output);
+    match command.output() {
+        Ok(o) if o.status.success() => true,
+        Ok(o) => {
+            eprintln!("not tested: ffmpeg {arguments}: {}", String::from_utf8_lossy(&o.stderr));
+            false
+        }
+        Err(e) => {
+            eprintln!("not tested: ffmpeg: {e}");
+            false
+        }
+    }
+}
+
+/// Peak signal-to-noise ratio of two pictures of one size, dB.
+pub fn psnr(a: &RgbImage, b: &RgbImage) -> f64 {
+    assert_eq!(a.size(), b.size());
+    let square = |(a, b): (&u8, &u8)| (f64::from(*a) - f64::from(*b)).powi(2);
+    let pairs = a.data().as_flattened().iter().zip(b.data().as_flattened());
+    let mse = pairs.map(square).sum::<f64>() / (3 * a.data().len()) as f64;
+    10.0 * (255.0 * 255.0 / mse.max(1e-9)).log10()
+}
+
+/// Frame times, seconds.
+pub fn times(video: &Video) -> Vec<f64> {
+    video.frames.iter().map(|f| f.time_s).collect()
+}

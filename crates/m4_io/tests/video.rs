@@ -1,0 +1,435 @@
+//! Clips: both decoders, times, sizes, orientation, colours.
+
+mod common;
+
+use common::{ffmpeg, have_ffmpeg, pinwheel, psnr, times};
+use m4_io::video::{ReadVideoError, VideoOptions, read};
+use m4_scene::{Plane, RgbImage, Silent, Video};
+use std::path::{Path, PathBuf};
+
+fn all() -> VideoOptions {
+    VideoOptions {
+        size: None,
+        // Nothing here may depend on ffmpeg unless a test says so.
+        ffmpeg: PathBuf::from("/nonexistent/ffmpeg"),
+        ..VideoOptions::default()
+    }
+}
+
+fn with_ffmpeg() -> VideoOptions {
+    VideoOptions {
+        size: None,
+        ..VideoOptions::default()
+    }
+}
+
+fn clip(path: &Path, options: &VideoOptions) -> Video {
+    read(path, options, &Silent).unwrap_or_else(|e| panic!("{e}"))
+}
+
+#[test]
+fn the_example_is_read_whole_and_in_order() {
+    let video = clip(&pinwheel(), &all());
+    assert_eq!(video.frames.len(), 96);
+    assert_eq!(video.frames[0].rgb.size(), (480, 360));
+    assert!(video.warnings.is_empty(), "{:?}", video.warnings);
+    for (i, t) in times(&video).iter().enumerate() {
+        assert!((t - i as f64 / 24.0).abs() < 1e-6, "frame {i} at {t}");
+    }
+}
+
+#[test]
+fn frames_match_the_pictures_that_the_example_was_made_of() {
+    let folder = Path::new(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../../shared/bench/mill-1/train"
+    ));
+    if !folder.is_dir() {
+        eprintln!("not tested: {} is not there", folder.display());
+        return;
+    }
+    let video = clip(&pinwheel(), &all());
+    for (i, frame) in video.frames.iter().enumerate() {
+        let want = m4_io::image::read_rgb(&folder.join(format!("{i:05}.jpg"))).unwrap();
+        let (own, next) = (psnr(&frame.rgb, &want), psnr(&video.frames[(i + 3) % 96].rgb, &want));
+        assert!(
+            own > 33.0 && own > next + 3.0,
+            "frame {i}: {own:.1} dB, three frames later {next:.1} dB"
+        );
+    }
+}
+
+#[test]
+fn thinning_and_shrinking() {
+    let options = VideoOptions {
+        max_frames: Some(10),
+        size: Some(240),
+        ..all()
+    };
+    let video = clip(&pinwheel(), &options);
+    assert_eq!((video.frames.len(), video.frames[0].rgb.size()), (10, (240, 180)));
+    assert!((times(&video)[9] - 95.0 / 24.0).abs() < 1e-6);
+    assert!(
+        video.warnings.iter().any(|w| w.contains("10 of 96")),
+        "{:?}",
+        video.warnings
+    );
+    let whole = clip(&pinwheel(), &all());
+    let small = m4_io::image::resize_rgb(&whole.frames[95].rgb, 240, 180).unwrap();
+    assert_eq!(video.frames[9].rgb, small);
+
+    let part = VideoOptions {
+        start_s: Some(1.0),
+        end_s: Some(2.0),
+        ..all()
+    };
+    let video = clip(&pinwheel(), &part);
+    assert_eq!((video.frames.len(), times(&video)[0]), (25, 1.0));
+    assert_eq!(video.frames[0].rgb, whole.frames[24].rgb);
+}
+
+#[test]
+fn both_decoders_agree_on_the_example() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    // The same H.264 stream in a container that only ffmpeg reads.
+    let mkv = dir.path().join("clip.mkv");
+    assert!(ffmpeg(&format!("-i {} -c copy", pinwheel().display()), &mkv));
+    let (own, theirs) = (clip(&pinwheel(), &all()), clip(&mkv, &with_ffmpeg()));
+    assert_eq!(own.frames.len(), theirs.frames.len());
+    for (a, b) in own.frames.iter().zip(&theirs.frames) {
+        assert!((a.time_s - b.time_s).abs() < 2e-3, "{} {}", a.time_s, b.time_s);
+        // Chroma is interpolated with other filters; luma is the same.
+        assert!(
+            psnr(&a.rgb, &b.rgb) > 42.0,
+            "{} dB at {}",
+            psnr(&a.rgb, &b.rgb),
+            a.time_s
+        );
+    }
+}
+
+#[test]
+fn streams_of_many_encoders_settings_decode_like_in_ffmpeg() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let input = format!("-i {} -frames:v 40 -vf scale=240:-2", pinwheel().display());
+    let settings = [
+        "-c:v libx264 -profile:v baseline",
+        "-c:v libx264 -profile:v main -bf 3 -x264-params b-pyramid=normal:open-gop=1:keyint=12",
+        "-c:v libx264 -preset veryslow -bf 8 -refs 5 -x264-params b-adapt=2:weightp=2:8x8dct=1",
+        "-c:v libx264 -tune zerolatency -x264-params slices=4:intra-refresh=1",
+        "-c:v libx264 -bf 2 -x264-params cabac=0:keyint=7 -movflags +faststart -bsf:v dump_extra",
+    ];
+    for (i, setting) in settings.iter().enumerate() {
+        let mp4 = dir.path().join(format!("{i}.mp4"));
+        let mkv = dir.path().join(format!("{i}.mkv"));
+        if !ffmpeg(&format!("{input} {setting}"), &mp4) || !ffmpeg(&format!("-i {} -c copy", mp4.display()), &mkv) {
+            continue;
+        }
+        let (own, theirs) = (clip(&mp4, &all()), clip(&mkv, &with_ffmpeg()));
+        assert!(own.warnings.is_empty(), "{setting}: {:?}", own.warnings);
+        assert_eq!(own.frames.len(), 40, "{setting}");
+        for (a, b) in own.frames.iter().zip(&theirs.frames) {
+            assert!(
+                (a.time_s - b.time_s).abs() < 2e-3,
+                "{setting}: {} {}",
+                a.time_s,
+                b.time_s
+            );
+            assert!(
+                psnr(&a.rgb, &b.rgb) > 38.0,
+                "{setting}: {} dB at {}",
+                psnr(&a.rgb, &b.rgb),
+                a.time_s
+            );
+        }
+    }
+}
+
+/// The example with another display matrix (the first of the track header's nine numbers is at the
+/// byte after 40 bytes of version, times and volume).
+fn with_matrix(matrix: [i32; 4], path: &Path) {
+    let mut bytes = std::fs::read(pinwheel()).unwrap();
+    let at = bytes.windows(4).position(|w| w == b"tkhd").unwrap() + 4 + 40;
+    let [a, b, c, d] = matrix.map(|v| v * 65536);
+    for (i, v) in [a, b, 0, c, d, 0, 0, 0, 1 << 30].into_iter().enumerate() {
+        bytes[at + 4 * i..at + 4 * i + 4].copy_from_slice(&v.to_be_bytes());
+    }
+    std::fs::write(path, bytes).unwrap();
+}
+
+/// A picture mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the
+/// reader's own code.
+fn mapped(picture: &RgbImage, [a, b, c, d]: [i32; 4]) -> RgbImage {
+    let (w, h) = (picture.width() as i32, picture.height() as i32);
+    let (width, height) = ((a * w + c * h).abs(), (b * w + d * h).abs());
+    let mut out = Plane::filled(width as usize, height as usize, [0u8; 3]);
+    for y in 0..h {
+        for x in 0..w {
+            // Twice the distance from the middle, so that it is a whole number.
+            let (u, v) = (2 * x - w + 1, 2 * y - h + 1);
+            let (u, v) = (a * u + c * v, b * u + d * v);
+            let (u, v) = ((u + width - 1) / 2, (v + height - 1) / 2);
+            out[(u as usize, v as usize)] = picture[(x as usize, y as usize)];
+        }
+    }
+    out
+}
+
+const EIGHT: [[i32; 4]; 8] = [
+    [1, 0, 0, 1],
+    [0, 1, -1, 0],
+    [-1, 0, 0, -1],
+    [0, -1, 1, 0],
+    [-1, 0, 0, 1],
+    [1, 0, 0, -1],
+    [0, 1, 1, 0],
+    [0, -1, -1, 0],
+];
+
+#[test]
+fn all_eight_display_matrices_are_applied() {
+    let dir = tempfile::tempdir().unwrap();
+    let one = VideoOptions {
+        max_frames: Some(1),
+        ..all()
+    };
+    let plain = clip(&pinwheel(), &one);
+    for matrix in EIGHT {
+        let path = dir.path().join("turned.mp4");
+        with_matrix(matrix, &path);
+        let got = clip(&path, &one);
+        assert!(got.frames[0].rgb == mapped(&plain.frames[0].rgb, matrix), "{matrix:?}");
+    }
+}
+
+#[test]
+fn ffmpeg_turns_and_mirrors_alike() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let one = VideoOptions {
+        max_frames: Some(1),
+        ..with_ffmpeg()
+    };
+    // 10-bit HEVC, as phones write it, with the matrix of the container.
+    let hevc = dir.path().join("hevc.mp4");
+    let arguments = format!(
+        "-i {} -frames:v 3 -c:v libx265 -pix_fmt yuv420p10le -tag:v hvc1 -x265-params log-level=error:crf=10",
+        pinwheel().display()
+    );
+    if !ffmpeg(&arguments, &hevc) {
+        return;
+    }
+    let plain = clip(&hevc, &one);
+    for matrix in EIGHT {
+        let mut bytes = std::fs::read(&hevc).unwrap();
+        let at = bytes.windows(4).position(|w| w == b"tkhd").unwrap() + 4 + 40;
+        let [a, b, c, d] = matrix.map(|v| v * 65536);
+        for (i, v) in [a, b, 0, c, d].into_iter().enumerate() {
+            bytes[at + 4 * i..at + 4 * i + 4].copy_from_slice(&v.to_be_bytes());
+        }
+        let path = dir.path().join("turned.mp4");
+        std::fs::write(&path, bytes).unwrap();
+        let got = clip(&path, &one);
+        // Turned before chroma is interpolated, so not bit by bit.
+        let alike = psnr(&got.frames[0].rgb, &mapped(&plain.frames[0].rgb, matrix));
+        assert!(alike > 38.0, "{matrix:?}: {alike} dB");
+    }
+}
+
+#[test]
+fn without_ffmpeg_the_message_names_the_codec_and_the_way_out() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let hevc = dir.path().join("hevc.mp4");
+    let input = format!("-i {} -frames:v 2", pinwheel().display());
+    let mut cases = Vec::new();
+    for (setting, name) in [
+        ("-c:v libx265 -tag:v hvc1 -x265-params log-level=error", "HEVC"),
+        ("-c:v libx264 -pix_fmt yuv420p10le", "10-bit H.264"),
+        ("-c:v libx264 -pix_fmt yuv422p", "4:2:2"),
+        (
+            "-c:v libx264 -flags +ildct+ilme -x264-params interlaced=1",
+            "interlaced H.264",
+        ),
+    ] {
+        if ffmpeg(&format!("{input} {setting}"), &hevc) {
+            let error = read(&hevc, &all(), &Silent).unwrap_err();
+            assert!(matches!(error, ReadVideoError::NeedsFfmpeg { .. }), "{error}");
+            let text = error.to_string();
+            assert!(
+                text.contains(name) && text.contains("install ffmpeg") && text.contains("libx264"),
+                "{text}"
+            );
+            assert_eq!(clip(&hevc, &with_ffmpeg()).frames.len(), 2, "{name}");
+            cases.push(name);
+        }
+    }
+    assert!(!cases.is_empty());
+}
+
+#[test]
+fn variable_rate_and_edit_lists_keep_their_times() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("vfr.mp4");
+    // Every frame whose number is not 3, 4 or 7 modulo 10; times are those of the frames that stay.
+    let filter = "select=not(eq(mod(n\\,10)\\,3)+eq(mod(n\\,10)\\,4)+eq(mod(n\\,10)\\,7))";
+    let arguments = format!(
+        "-i {} -vf {filter} -fps_mode passthrough -c:v libx264 -bf 2",
+        pinwheel().display()
+    );
+    if ffmpeg(&arguments, &path) {
+        let video = clip(&path, &all());
+        let want: Vec<f64> = (0..96)
+            .filter(|n| ![3, 4, 7].contains(&(n % 10)))
+            .map(|n| f64::from(n) / 24.0)
+            .collect();
+        assert_eq!(video.frames.len(), want.len());
+        for (got, want) in times(&video).iter().zip(&want) {
+            assert!((got - want).abs() < 1e-3, "{got} {want}");
+        }
+    }
+    // Cut without coding again: the file holds frames before the start, which the edit list hides.
+    let cut = dir.path().join("cut.mp4");
+    if ffmpeg(&format!("-ss 1.0 -i {} -t 1.5 -c copy", pinwheel().display()), &cut) {
+        let (own, whole) = (clip(&cut, &all()), clip(&pinwheel(), &all()));
+        let mkv = dir.path().join("cut.mkv");
+        assert!(ffmpeg(&format!("-i {} -c:v ffv1", cut.display()), &mkv));
+        let theirs = clip(&mkv, &with_ffmpeg());
+        assert_eq!(own.frames.len(), theirs.frames.len());
+        assert_eq!(own.frames[0].rgb, whole.frames[24].rgb);
+        for (a, b) in own.frames.iter().zip(&theirs.frames) {
+            assert!((a.time_s - b.time_s).abs() < 2e-3);
+        }
+    }
+}
+
+#[test]
+fn matrix_and_range_are_those_of_the_stream() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    // Flat patches of known colours, coded almost without loss.
+    let colours = [
+        [250, 20, 30],
+        [20, 240, 40],
+        [30, 20, 230],
+        [128, 128, 128],
+        [255, 255, 255],
+        [0, 0, 0],
+    ];
+    let picture = Plane::from_fn(192, 64, |x, _| colours[x / 32]);
+    let png = dir.path().join("patches.png");
+    m4_io::image::write_rgb(&png, &picture).unwrap();
+    for (name, matrix, range, tags) in [
+        ("601-tv", "bt601", "tv", "-colorspace smpte170m -color_range tv"),
+        ("709-tv", "bt709", "tv", "-colorspace bt709 -color_range tv"),
+        ("709-pc", "bt709", "pc", "-colorspace bt709 -color_range pc"),
+        ("601-pc", "bt601", "pc", "-colorspace smpte170m -color_range pc"),
+    ] {
+        let path = dir.path().join(format!("{name}.mp4"));
+        let arguments = format!(
+            "-loop 1 -i {} -frames:v 2 -vf scale=out_color_matrix={matrix}:out_range={range},format=yuv420p -c:v libx264 -qp 1 {tags}",
+            png.display()
+        );
+        if !ffmpeg(&arguments, &path) {
+            continue;
+        }
+        let got = clip(&path, &all());
+        for (i, want) in colours.iter().enumerate() {
+            let pixel = got.frames[0].rgb[(32 * i + 16, 32)];
+            let off = pixel.iter().zip(want).map(|(a, b)| a.abs_diff(*b)).max();
+            assert!(off <= Some(4), "{name}: {pixel:?} where {want:?} was expected");
+        }
+    }
+}
+
+#[test]
+fn high_dynamic_range_is_tone_mapped_with_a_warning() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let grey = Plane::from_fn(256, 64, |x, _| [x as u8; 3]);
+    let png = dir.path().join("ramp.png");
+    m4_io::image::write_rgb(&png, &grey).unwrap();
+    for (name, transfer) in [("PQ", "smpte2084"), ("HLG", "arib-std-b67")] {
+        for (codec, format) in [
+            ("libx265 -x265-params log-level=error", "yuv420p10le"),
+            ("libx264", "yuv420p"),
+        ] {
+            let path = dir.path().join(format!("{name}-{format}.mp4"));
+            let arguments = format!(
+                "-loop 1 -i {} -frames:v 2 -vf scale=out_color_matrix=bt2020:out_range=tv,format={format} -c:v {codec} \
+                 -crf 4 -color_primaries bt2020 -color_trc {transfer} -colorspace bt2020nc -color_range tv",
+                png.display()
+            );
+            if !ffmpeg(&arguments, &path) {
+                continue;
+            }
+            let video = clip(&path, &with_ffmpeg());
+            assert!(
+                video.warnings.iter().any(|w| w.contains(name)),
+                "{name} {format}: {:?}",
+                video.warnings
+            );
+            let row = video.frames[0].rgb.row(32);
+            let white = if name == "PQ" { 148 } else { 191 };
+            assert!(
+                (205..=245).contains(&row[white][1]),
+                "{name} {format}: {:?}",
+                row[white]
+            );
+            for pair in row.windows(2) {
+                assert!(i32::from(pair[1][1]) - i32::from(pair[0][1]) > -6, "{name} {format}");
+            }
+        }
+    }
+}
+
+#[test]
+fn pixels_that_are_not_square_become_square() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let input = format!("-i {} -frames:v 2 -vf scale=360:360,setsar=4/3", pinwheel().display());
+    for (name, setting) in [("own.mp4", "-c:v libx264"), ("other.mkv", "-c:v ffv1")] {
+        let path = dir.path().join(name);
+        if ffmpeg(&format!("{input} {setting}"), &path) {
+            assert_eq!(clip(&path, &with_ffmpeg()).frames[0].rgb.size(), (480, 360), "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_folder_of_pictures_is_a_clip() {
+    let dir = tempfile::tempdir().unwrap();
+    for i in 0..12u8 {
+        let picture = Plane::filled(32, 24, [i * 20, 0, 0]);
+        m4_io::image::write_rgb(&dir.path().join(format!("f{i}.png")), &picture).unwrap();
+    }
+    std::fs::write(dir.path().join("notes.txt"), "not a picture").unwrap();
+    let options = VideoOptions {
+        folder_fps: 10.0,
+        ..all()
+    };
+    let video = clip(dir.path(), &options);
+    assert_eq!(video.frames.len(), 12);
+    for (i, frame) in video.frames.iter().enumerate() {
+        assert_eq!((frame.rgb[(0, 0)][0], frame.time_s), (i as u8 * 20, i as f64 / 10.0));
+    }
+}
