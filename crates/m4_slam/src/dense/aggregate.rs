@@ -8,14 +8,6 @@ pub(super) struct Penalties {
     pub large: i16,
 }
 
-/// The disparity of least cost a pixel.
-pub(super) struct Winner {
-    /// `[height][width]`: index into the range, with a fraction.
-    pub index: Vec<f32>,
-    /// `[height][width]`: how much the next best, not neighbouring, disparity costs more, as a share.
-    pub margin: Vec<f32>,
-}
-
 /// Brightness step that halves the large penalty, 0..255.
 const EDGE: f32 = 10.0;
 /// Above every path cost, and small enough to have a penalty added.
@@ -27,6 +19,7 @@ struct Path {
     least: i16,
 }
 
+/// The disparity of least aggregated cost a pixel, `[height][width]`: index into the range, with a fraction.
 pub(super) fn aggregate(
     width: usize,
     height: usize,
@@ -34,12 +27,12 @@ pub(super) fn aggregate(
     volume: &[u8],
     grey: &[f32],
     penalties: Penalties,
-) -> Winner {
+) -> Vec<f32> {
     let mut total = vec![0i16; width * height * count];
     for downwards in [true, false] {
         pass(width, height, count, volume, grey, penalties, downwards, &mut total);
     }
-    winner(width, height, count, &total)
+    winner(count, &total)
 }
 
 /// Adds four directions: along the row, and from the three neighbours in the previous row.
@@ -70,8 +63,20 @@ fn pass(
             let i = y * width + x;
             let cost = &volume[i * count..(i + 1) * count];
             let out = &mut total[i * count..(i + 1) * count];
-            let step_back = |n: usize, size: usize| if downwards { n.checked_sub(1) } else { (n + 1 < size).then_some(n + 1) };
-            let ahead = |n: usize, size: usize| if downwards { (n + 1 < size).then_some(n + 1) } else { n.checked_sub(1) };
+            let step_back = |n: usize, size: usize| {
+                if downwards {
+                    n.checked_sub(1)
+                } else {
+                    (n + 1 < size).then_some(n + 1)
+                }
+            };
+            let ahead = |n: usize, size: usize| {
+                if downwards {
+                    (n + 1 < size).then_some(n + 1)
+                } else {
+                    n.checked_sub(1)
+                }
+            };
             let large = |j: usize| {
                 let fade = 1.0 / (1.0 + (grey[i] - grey[j]).abs() / EDGE);
                 ((f32::from(penalties.large) * fade) as i16).max(penalties.small)
@@ -116,30 +121,24 @@ fn extend(cost: &[u8], from: &Path, p1: i16, p2: i16, to: &mut Path, total: &mut
     to.least = least;
 }
 
-fn winner(width: usize, height: usize, count: usize, total: &[i16]) -> Winner {
-    let (mut index, mut margin) = (vec![0.0; width * height], vec![0.0; width * height]);
-    for (i, cost) in total.chunks_exact(count).enumerate() {
+fn winner(count: usize, total: &[i16]) -> Vec<f32> {
+    let one = |cost: &[i16]| {
         let (mut best, mut least) = (0, i16::MAX);
         for (d, &c) in cost.iter().enumerate() {
             if c < least {
                 (best, least) = (d, c);
             }
         }
-        let mut second = i16::MAX;
-        for (d, &c) in cost.iter().enumerate() {
-            if d.abs_diff(best) > 2 {
-                second = second.min(c);
-            }
-        }
-        margin[i] = f32::from(second.saturating_sub(least)) / f32::from(second.max(1));
-        index[i] = best as f32;
+        let mut index = best as f32;
         if best > 0 && best + 1 < count {
+            // The vertex of the parabola through the three costs.
             let (a, b, c) = (f32::from(cost[best - 1]), f32::from(least), f32::from(cost[best + 1]));
             let bend = a + c - 2.0 * b;
             if bend > 0.0 {
-                index[i] += (0.5 * (a - c) / bend).clamp(-0.5, 0.5);
+                index += (0.5 * (a - c) / bend).clamp(-0.5, 0.5);
             }
         }
-    }
-    Winner { index, margin }
+        index
+    };
+    total.chunks_exact(count).map(one).collect()
 }

@@ -3,11 +3,12 @@
 use super::config::DenseConfig;
 use super::densify::{Stages, run};
 use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
-use nalgebra::Matrix4;
 use m4_math::{CounterRng, Se3};
 use m4_scene::{Camera, Intrinsics, Plane, RgbImage, Silent};
+use nalgebra::Matrix4;
 use std::path::{Path, PathBuf};
 
+/// `depth` and `moving` are empty for pictures without truth.
 struct Truth {
     images: Vec<RgbImage>,
     cameras: Vec<Camera>,
@@ -15,7 +16,26 @@ struct Truth {
     moving: Vec<Plane<u8>>,
 }
 
+fn pictures(dir: &Path, limit: usize) -> Option<Truth> {
+    let mut paths: Vec<PathBuf> = std::fs::read_dir(dir).ok()?.map(|e| e.unwrap().path()).collect();
+    paths.sort();
+    let open = |path: &PathBuf| {
+        let rgb = image::open(path).unwrap().into_rgb8();
+        let (w, h) = (rgb.width() as usize, rgb.height() as usize);
+        Plane::from_vec(w, h, rgb.pixels().map(|p| p.0).collect()).unwrap()
+    };
+    Some(Truth {
+        images: paths.iter().take(limit).map(open).collect(),
+        cameras: Vec::new(),
+        depth: Vec::new(),
+        moving: Vec::new(),
+    })
+}
+
 fn load(dir: &Path, limit: usize) -> Option<Truth> {
+    if !dir.join("transforms_train.json").exists() {
+        return pictures(dir, limit);
+    }
     let text = std::fs::read_to_string(dir.join("transforms_train.json")).ok()?;
     let json: serde_json::Value = serde_json::from_str(&text).unwrap();
     let number = |key: &str| json[key].as_f64().unwrap();
@@ -37,11 +57,17 @@ fn load(dir: &Path, limit: usize) -> Option<Truth> {
         let open = |key: &str| image::open(dir.join(frame[key].as_str().unwrap())).unwrap();
         let rgb = open("file_path").into_rgb8();
         let (w, h) = (rgb.width() as usize, rgb.height() as usize);
-        truth.images.push(Plane::from_vec(w, h, rgb.pixels().map(|p| p.0).collect()).unwrap());
+        truth
+            .images
+            .push(Plane::from_vec(w, h, rgb.pixels().map(|p| p.0).collect()).unwrap());
         let depth = open("depth_file_path").into_luma16();
-        truth.depth.push(Plane::from_vec(w, h, depth.pixels().map(|p| f32::from(p.0[0]) / 1000.0).collect()).unwrap());
+        truth
+            .depth
+            .push(Plane::from_vec(w, h, depth.pixels().map(|p| f32::from(p.0[0]) / 1000.0).collect()).unwrap());
         let mask = open("mask_path").into_luma8();
-        truth.moving.push(Plane::from_vec(w, h, mask.pixels().map(|p| p.0[0]).collect()).unwrap());
+        truth
+            .moving
+            .push(Plane::from_vec(w, h, mask.pixels().map(|p| p.0[0]).collect()).unwrap());
         let m = Matrix4::from_fn(|r, c| frame["transform_matrix"][r][c].as_f64().unwrap());
         let flip = Matrix4::from_diagonal(&nalgebra::Vector4::new(1.0, -1.0, -1.0, 1.0));
         truth.cameras.push(Camera {
@@ -104,9 +130,26 @@ struct Score {
     recall: f64,
 }
 
+/// Median of true over estimated disparity of static pixels.
+fn factor(truth: &Truth, stages: &Stages) -> f32 {
+    let (w, h) = (stages.width, stages.height);
+    let mut ratios = Vec::new();
+    for i in 0..truth.images.len() {
+        let (fw, fh) = truth.images[i].size();
+        for p in (0..w * h).step_by(7) {
+            let at = ((2 * (p % w) + 1) * fw / (2 * w), (2 * (p / w) + 1) * fh / (2 * h));
+            if truth.moving[i][at] == 0 && truth.depth[i][at] > 0.0 {
+                ratios.push(1.0 / truth.depth[i][at] / stages.filled[i][p]);
+            }
+        }
+    }
+    super::shot::quantile(&mut ratios, 0.5).unwrap_or(1.0)
+}
+
 fn score(truth: &Truth, stages: &Stages, disparity: &[Vec<f32>], keep: &dyn Fn(usize, usize) -> bool) -> Score {
     let (w, h) = (stages.width, stages.height);
     let (mut sum, mut count, mut total) = ([0.0f64; 2], [0usize; 2], [0usize; 2]);
+    let factor = f64::from(factor(truth, stages));
     let (mut both, mut found, mut there) = (0usize, 0usize, 0usize);
     for i in 0..truth.images.len() {
         let (fw, fh) = truth.images[i].size();
@@ -118,7 +161,7 @@ fn score(truth: &Truth, stages: &Stages, disparity: &[Vec<f32>], keep: &dyn Fn(u
                 let z = f64::from(truth.depth[i][at]);
                 total[usize::from(m)] += 1;
                 if z > 0.0 && keep(i, p) {
-                    sum[usize::from(m)] += (1.0 / f64::from(disparity[i][p]) - z).abs() / z;
+                    sum[usize::from(m)] += (1.0 / f64::from(disparity[i][p]) / factor - z).abs() / z;
                     count[usize::from(m)] += 1;
                 }
                 let f = stages.moving[i][p] != 0;
@@ -148,6 +191,11 @@ fn turbo(t: f32) -> [u8; 3] {
 fn montage(truth: &Truth, stages: &Stages, i: usize, path: &Path) {
     let (w, h) = (stages.width, stages.height);
     let (fw, fh) = truth.images[i].size();
+    let factor = if truth.depth.is_empty() {
+        1.0
+    } else {
+        factor(truth, stages)
+    };
     let r = stages.shots[i].range;
     let shade = |d: f32| turbo((d - r.least) / (r.step * r.count as f32));
     let mut out = image::RgbImage::new(3 * w as u32, 3 * h as u32);
@@ -164,15 +212,19 @@ fn montage(truth: &Truth, stages: &Stages, i: usize, path: &Path) {
             let tint = |m: bool| if m { [255, rgb[1] / 2, rgb[2] / 2] } else { rgb };
             let e = stages.evidence[i][p];
             let cells = [
-                tint(truth.moving[i][at] != 0),
-                shade(1.0 / truth.depth[i][at]),
+                tint(truth.moving.get(i).is_some_and(|m| m[at] != 0)),
+                truth.depth.get(i).map_or(rgb, |d| shade(1.0 / d[at] / factor)),
                 flow,
                 tint(stages.moving[i][p] != 0),
                 shade(stages.disparity[i][p]),
                 shade(stages.swept[i].disparity[p]),
                 [(127.0 + 127.0 * e.clamp(-1.0, 1.0)) as u8; 3],
                 shade(stages.filled[i][p]),
-                if confidence > 0.0 { shade(stages.measured[i].disparity[p]) } else { [0; 3] },
+                if confidence > 0.0 {
+                    shade(stages.measured[i].disparity[p])
+                } else {
+                    [0; 3]
+                },
             ];
             for (k, cell) in cells.into_iter().enumerate() {
                 out.put_pixel((x + (k % 3) * w) as u32, (y + (k / 3) * h) as u32, image::Rgb(cell));
@@ -208,11 +260,32 @@ fn measure_stages() {
             eprintln!("skipped: no {scene}");
             continue;
         };
-        let sparse = oracle_sparse(&truth);
         let images: Vec<&RgbImage> = truth.images.iter().collect();
+        let estimate = truth.cameras.is_empty() || std::env::var("DENSE_CAMERAS").is_ok();
+        let sparse = if estimate {
+            let found = crate::sparse::reconstruct(&images, &crate::sparse::SparseConfig::default(), &Silent).unwrap();
+            eprintln!(
+                "{scene}: {:?}, {:.2} px, {:?}",
+                found.camera_motion, found.residual_px, found.warnings
+            );
+            found
+        } else {
+            oracle_sparse(&truth)
+        };
         let start = std::time::Instant::now();
         let stages = run(&images, &sparse, &config(), &Silent).unwrap();
         let seconds = start.elapsed().as_secs_f64();
+        if let Some(out) = &out {
+            std::fs::create_dir_all(out).unwrap();
+            let name = Path::new(scene).file_name().unwrap().to_str().unwrap();
+            for i in [0, truth.images.len() / 3, 2 * truth.images.len() / 3] {
+                montage(&truth, &stages, i, &out.join(format!("{name}-{i:03}.png")));
+            }
+        }
+        if truth.depth.is_empty() {
+            eprintln!("{scene}: {} frames, {seconds:.1} s", truth.images.len());
+            continue;
+        }
         let swept: Vec<Vec<f32>> = stages.swept.iter().map(|s| s.disparity.clone()).collect();
         let measured: Vec<Vec<f32>> = stages.measured.iter().map(|s| s.disparity.clone()).collect();
         let any = |_: usize, _: usize| true;
@@ -230,12 +303,6 @@ fn measure_stages() {
                 "  {name:<12} static {:.4} moving {:.4} covered {:.3} | iou {:.3} precision {:.3} recall {:.3}",
                 s.fixed, s.moving, s.covered, s.iou, s.precision, s.recall
             );
-        }
-        if let Some(out) = &out {
-            std::fs::create_dir_all(out).unwrap();
-            for i in [0, truth.images.len() / 3, 2 * truth.images.len() / 3] {
-                montage(&truth, &stages, i, &out.join(format!("{scene}-{i:03}.png")));
-            }
         }
     }
 }

@@ -183,7 +183,7 @@ impl Default for MovingDepthConfig {
             round_trip_px: 2.0,
             feet_share: 0.1,
             below_px: 3,
-            hidden_quantile: 0.9,
+            hidden_quantile: 0.98,
         }
     }
 }
@@ -192,17 +192,46 @@ impl DenseConfig {
     /// Rejects settings that no computation could use.
     pub(super) fn check(&self) -> Result<(), DenseError> {
         let need = |ok: bool, name: &'static str, value: f64, range: &'static str| {
-            if ok { Ok(()) } else { Err(DenseError::Setting { name, value, range }) }
+            if ok {
+                Ok(())
+            } else {
+                Err(DenseError::Setting { name, value, range })
+            }
         };
         let (f, s) = (&self.flow, &self.static_depth);
         let side = self.working_side_px;
-        need((64..=2048).contains(&side), "dense.working_side_px", side as f64, "64 to 2048")?;
-        need((4..=16).contains(&f.patch_px), "dense.flow.patch_px", f.patch_px as f64, "4 to 16")?;
+        need(
+            (64..=2048).contains(&side),
+            "dense.working_side_px",
+            side as f64,
+            "64 to 2048",
+        )?;
+        need(
+            (4..=16).contains(&f.patch_px),
+            "dense.flow.patch_px",
+            f.patch_px as f64,
+            "4 to 16",
+        )?;
         let stride = f.stride_px;
-        need((1..=f.patch_px).contains(&stride), "dense.flow.stride_px", stride as f64, "1 to patch_px")?;
+        need(
+            (1..=f.patch_px).contains(&stride),
+            "dense.flow.stride_px",
+            stride as f64,
+            "1 to patch_px",
+        )?;
         let n = s.hypotheses;
-        need((8..=256).contains(&n), "dense.static_depth.hypotheses", n as f64, "8 to 256")?;
+        need(
+            (8..=256).contains(&n),
+            "dense.static_depth.hypotheses",
+            n as f64,
+            "8 to 256",
+        )?;
         let parallax = s.parallax_px.iter().copied().fold(f64::INFINITY, f64::min);
-        need(parallax > 0.0 && parallax.is_finite(), "dense.static_depth.parallax_px", parallax, "a list above 0")
+        need(
+            parallax > 0.0 && parallax.is_finite(),
+            "dense.static_depth.parallax_px",
+            parallax,
+            "a list above 0",
+        )
     }
 }

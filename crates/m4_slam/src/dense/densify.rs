@@ -1,16 +1,18 @@
 //! The dense half from end to end.
 
+use super::background::Background;
 use super::config::DenseConfig;
+use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
-use super::flow::{Flow, Pyramid, flow, round_trip_px};
-use super::motion;
+use super::flow::FlowPair;
+use super::motion::{self, Clues, Seen};
 use super::moving_depth;
 use super::shot::{Shot, sparse_points};
 use super::smooth::Smoother;
 use super::static_depth::{self, Measured, Swept};
 use super::working::{WorkingFrame, working_size};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_scene::{Camera, DepthMap, Mask, Plane, Progress, RgbImage};
+use m4_scene::{DepthMap, Mask, Plane, Progress, RgbImage};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -27,16 +29,13 @@ pub struct DenseFrame {
 
 /// Least side of a frame, pixels.
 const LEAST_SIDE: usize = 32;
+/// How often depth and motion are estimated in turn.
+const ROUNDS: usize = 2;
+/// Fewer frames have no background that is seen most of the time.
+const LEAST_BACKGROUND: usize = 8;
 
-/// Flow between a frame and the next, both ways.
-pub(super) struct FlowPair {
-    pub forward: Flow,
-    pub backward: Flow,
-    pub forward_round_trip: Vec<f32>,
-    pub backward_round_trip: Vec<f32>,
-}
-
-/// Everything in between, for the tests to look at.
+/// Everything in between.
+#[cfg_attr(not(test), expect(dead_code, reason = "the measurements look at every stage"))]
 pub(super) struct Stages {
     pub width: usize,
     pub height: usize,
@@ -62,17 +61,15 @@ pub fn densify(
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
     let stages = run(frames, sparse, config, progress)?;
-    let (w, h) = (stages.width, stages.height);
-    let out = (0..frames.len()).into_par_iter().map(|i| {
-        let (fw, fh) = frames[i].size();
-        let at = |x: usize, y: usize| ((2 * y + 1) * h / (2 * fh)) * w + (2 * x + 1) * w / (2 * fw);
-        DenseFrame {
-            depth: Plane::from_fn(fw, fh, |x, y| 1.0 / stages.disparity[i][at(x, y)]),
-            mask: Plane::from_fn(fw, fh, |x, y| stages.moving[i][at(x, y)]),
-            confidence: Plane::from_fn(fw, fh, |x, y| stages.measured[i].confidence[at(x, y)]),
-        }
-    });
-    Ok(out.collect())
+    each(frames.len(), "enlarging depth", progress, |i| {
+        let small = Small {
+            frame: &stages.shots[i].frame,
+            disparity: &stages.disparity[i],
+            moving: &stages.moving[i],
+            confidence: &stages.measured[i].confidence,
+        };
+        enlarge(frames[i], &small)
+    })
 }
 
 fn check(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Result<(usize, usize), DenseError> {
@@ -132,6 +129,7 @@ fn each<T: Send>(
     all.ok_or(DenseError::Cancelled { phase })
 }
 
+/// Everything but the enlargement.
 pub(super) fn run(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
@@ -143,57 +141,72 @@ pub(super) fn run(
     let (w, h) = working_size(full_w, full_h, config.working_side_px);
     let count = frames.len();
     let parallax = sparse.camera_motion == CameraMotion::Parallax;
+    if !parallax {
+        progress.warn(
+            "the camera hardly moves, so depth cannot be measured: everything is placed at distance 1; \
+             views from beside the camera will look flat (film again while walking sideways)",
+        );
+    }
     let working = each(count, "shrinking frames", progress, |i| {
         WorkingFrame::new(frames[i], &sparse.cameras[i], w, h)
+    })?;
+    let flows = each(count - 1, "computing flow", progress, |i| {
+        FlowPair::new(&working[i], &working[i + 1], config)
     })?;
     let points = sparse_points(sparse, w, h);
     let shots = each(count, "preparing frames", progress, |i| {
         Shot::new(&working, i, &points, &config.static_depth, parallax)
     })?;
-    let flows = each(count.saturating_sub(1), "computing flow", progress, |i| {
-        let pyramid = |i: usize| Pyramid::new(w, h, &working[i].grey);
-        let (a, b) = (pyramid(i), pyramid(i + 1));
-        let (forward, backward) = (flow(&a, &b, &config.flow), flow(&b, &a, &config.flow));
-        FlowPair {
-            forward_round_trip: round_trip_px(&forward, &backward),
-            backward_round_trip: round_trip_px(&backward, &forward),
-            forward,
-            backward,
-        }
+    let swept = each(count, "sweeping depth", progress, |i| {
+        static_depth::sweep(&shots, i, &config.static_depth)
     })?;
-    let swept = each(count, "sweeping depth", progress, |i| static_depth::sweep(&shots, i, &config.static_depth))?;
-    let smoothers: Vec<Smoother> = each(count, "reading edges", progress, |i| {
+    let smoothers = each(count, "reading edges", progress, |i| {
         Smoother::new(w, h, &shots[i].frame.rgb, config.static_depth.fill_sigma)
     })?;
-    let cameras: Vec<Camera> = working.iter().map(|f| f.camera).collect();
-    let verdicts = motion::verdicts(sparse, w, h);
+    let still = sparse.camera_motion == CameraMotion::Static && count >= LEAST_BACKGROUND;
+    let clues = Clues {
+        cameras: working.iter().map(|f| f.camera).collect(),
+        verdicts: motion::verdicts(sparse, w, h),
+        background: still.then(|| Background::new(&working)),
+    };
+    drop(working);
+
+    // Motion spoils depth and depth shows motion: the second round knows the masks of the first.
     let mut moving: Option<Vec<Vec<u8>>> = None;
-    let mut rounds = None;
-    for _ in 0..2 {
+    let mut last = None;
+    for _ in 0..ROUNDS {
         let measured = each(count, "comparing depth", progress, |i| {
             static_depth::measure(&shots, &swept, moving.as_deref(), i, &config.static_depth)
         })?;
         let filled = each(count, "filling depth", progress, |i| {
-            static_depth::fill(&shots[i], &smoothers[i], &measured[i], &config.static_depth)
+            if parallax {
+                static_depth::fill(&shots[i], &smoothers[i], &measured[i], &config.static_depth)
+            } else {
+                vec![1.0; w * h]
+            }
         })?;
         let mut evidence = each(count, "finding motion", progress, |i| {
-            let (depth, tracks) = (&filled[i], &verdicts[i]);
-            motion::evidence(&cameras, &flows, i, depth, &measured[i], tracks, &smoothers[i], &config.motion)
+            let seen = Seen {
+                frame: &shots[i].frame,
+                disparity: &filled[i],
+                confidence: &measured[i].confidence,
+            };
+            motion::evidence(&clues, &flows, i, &seen, &smoothers[i], &config.motion)
         })?;
         for _ in 0..config.motion.votes {
-            evidence = each(count, "voting on motion", progress, |i| motion::vote(w, h, &evidence, &flows, i))?;
+            evidence = each(count, "voting on motion", progress, |i| {
+                motion::vote(w, h, &evidence, &flows, i)
+            })?;
         }
-        let masks = each(count, "cutting masks", progress, |i| motion::mask(w, h, &evidence[i], &config.motion))?;
-        moving = Some(masks);
-        rounds = Some((measured, filled, evidence));
+        moving = Some(each(count, "cutting masks", progress, |i| {
+            motion::mask(w, h, &evidence[i], &config.motion)
+        })?);
+        last = Some((measured, filled, evidence));
     }
-    let (Some((measured, filled, evidence)), Some(moving)) = (rounds, moving) else {
+    let (Some((measured, filled, evidence)), Some(moving)) = (last, moving) else {
         return Err(DenseError::NoFrames);
     };
-    let touched = each(count, "placing moving parts", progress, |i| {
-        moving_depth::touch(w, h, &moving[i], &filled[i], &config.moving_depth)
-    })?;
-    let disparity = moving_depth::steady(w, h, &moving, &touched, &filled, &flows, &config.moving_depth);
+    let disparity = moving_depth::place(w, h, &moving, &filled, &flows, &config.moving_depth);
     Ok(Stages {
         width: w,
         height: h,
@@ -201,9 +214,9 @@ pub(super) fn run(
         flows,
         swept,
         measured,
-        disparity,
         filled,
         evidence,
         moving,
+        disparity,
     })
 }

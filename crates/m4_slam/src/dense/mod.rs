@@ -19,9 +19,11 @@
 //! (Hirschmueller 2008), and fast global smoothing (Min et al. 2014).
 
 mod aggregate;
+mod background;
 mod components;
 mod config;
 mod densify;
+mod enlarge;
 mod error;
 mod flow;
 mod motion;

@@ -1,12 +1,13 @@
 //! What moves: flow that the camera and the depth do not explain.
 
+use super::background::Background;
 use super::components::clean;
 use super::config::MotionConfig;
-use super::densify::FlowPair;
-use super::flow::Flow;
+use super::flow::{Flow, FlowPair};
 use super::pair::Pair;
+use super::shot::quantile;
 use super::smooth::Smoother;
-use super::static_depth::Measured;
+use super::working::WorkingFrame;
 use crate::reconstruction::{Motion, SparseReconstruction};
 use m4_scene::Camera;
 
@@ -23,6 +24,25 @@ struct Link {
 pub(super) struct Verdict {
     pub pixel: usize,
     pub moves: bool,
+}
+
+/// What is known of the clip as a whole.
+pub(super) struct Clues {
+    /// At the working size, one a frame.
+    pub cameras: Vec<Camera>,
+    /// By frame.
+    pub verdicts: Vec<Vec<Verdict>>,
+    /// Where the camera stands still.
+    pub background: Option<Background>,
+}
+
+/// What is known of one frame.
+pub(super) struct Seen<'a> {
+    pub frame: &'a WorkingFrame,
+    /// `[height][width]`: of everything as if it stood still.
+    pub disparity: &'a [f32],
+    /// `[height][width]`: share of the partners that agree on it.
+    pub confidence: &'a [f32],
 }
 
 /// The verdicts of all tracks, by frame.
@@ -48,6 +68,9 @@ pub(super) fn verdicts(sparse: &SparseReconstruction, width: usize, height: usiz
 
 /// The flow from frame `i` over `span` frames, by chaining; `None` past the end of the clip.
 fn link(flows: &[FlowPair], cameras: &[Camera], i: usize, span: usize, later: bool) -> Option<Link> {
+    if span == 0 {
+        return None;
+    }
     let target = if later { i + span } else { i.checked_sub(span)? };
     let to = cameras.get(target)?;
     let step = |k: usize| {
@@ -79,33 +102,40 @@ fn link(flows: &[FlowPair], cameras: &[Camera], i: usize, span: usize, later: bo
 }
 
 /// Evidence of one frame, below 0 for static and above for moving, smoothed along the edges of the frame:
-/// flow against what depth and cameras predict, agreement of the partners, verdicts of tracks.
+/// flow against what depth and cameras predict, agreement of the partners, verdicts of tracks, and, where
+/// the camera stands still, the difference to the background.
 pub(super) fn evidence(
-    cameras: &[Camera],
+    clues: &Clues,
     flows: &[FlowPair],
     i: usize,
-    disparity: &[f32],
-    measured: &Measured,
-    verdicts: &[Verdict],
+    seen: &Seen<'_>,
     smoother: &Smoother,
     config: &MotionConfig,
 ) -> Vec<f32> {
-    let size = &cameras[i].intrinsics;
-    let (w, h) = (size.width, size.height);
+    let (w, h) = (seen.frame.width, seen.frame.height);
     let (mut value, mut weight) = (vec![0.0f32; w * h], vec![1e-3f32; w * h]);
     for &span in &config.spans {
         for later in [false, true] {
-            if let Some(link) = link(flows, cameras, i, span, later) {
-                add_link(&link, disparity, config, &mut value, &mut weight);
+            if let Some(link) = link(flows, &clues.cameras, i, span, later) {
+                add_link(&link, seen.disparity, config, &mut value, &mut weight);
             }
         }
     }
     for p in 0..w * h {
-        let agreement = config.agreement * measured.confidence[p] * measured.confidence[p];
+        let agreement = config.agreement * seen.confidence[p] * seen.confidence[p];
         value[p] -= agreement;
         weight[p] += agreement;
     }
-    for verdict in verdicts {
+    if let Some(background) = &clues.background {
+        for ((v, w), e) in value
+            .iter_mut()
+            .zip(&mut weight)
+            .zip(background.evidence(seen.frame, config))
+        {
+            (*v, *w) = (*v + e, *w + 1.0);
+        }
+    }
+    for verdict in &clues.verdicts[i] {
         add_verdict(verdict, w, h, config.track_weight, &mut value, &mut weight);
     }
     for (v, w) in value.iter_mut().zip(&weight) {
@@ -116,19 +146,25 @@ pub(super) fn evidence(
 
 fn add_link(link: &Link, disparity: &[f32], config: &MotionConfig, value: &mut [f32], weight: &mut [f32]) {
     let width = link.there.width;
-    for i in 0..disparity.len() {
-        let (x, y) = ((i % width) as f32, (i / width) as f32);
-        let seen = link.pair.project(x, y, disparity[i]);
-        let trip = link.round_trip[i];
-        // Disparities behind the other camera and flow out of the image say nothing.
-        let usable = seen.disparity > 0.0 && trip.is_finite();
-        if !usable {
-            continue;
-        }
-        let (u, v) = (link.there.u[i], link.there.v[i]);
-        let residual = (x + u - seen.x).hypot(y + v - seen.y);
-        let noise = config.flow_noise_px + config.flow_noise_share * u.hypot(v) + 0.5 * trip;
-        let e = (0.5 * (residual / noise - config.threshold)).clamp(-config.static_vote, 1.0);
+    // Distance between where the flow and where the geometry says a pixel went; NaN for no answer.
+    let residual: Vec<f32> = (0..disparity.len())
+        .map(|i| {
+            let (x, y) = ((i % width) as f32, (i / width) as f32);
+            let seen = link.pair.project(x, y, disparity[i]);
+            if seen.disparity > 0.0 && link.round_trip[i].is_finite() {
+                (x + link.there.u[i] - seen.x).hypot(y + link.there.v[i] - seen.y)
+            } else {
+                f32::NAN
+            }
+        })
+        .collect();
+    // Most of a frame stands still, so what half of it exceeds is error of the cameras.
+    let mut known: Vec<f32> = residual.iter().copied().filter(|r| r.is_finite()).collect();
+    let floor = config.flow_noise_px.max(quantile(&mut known, 0.5).unwrap_or(0.0));
+    for i in (0..disparity.len()).filter(|&i| residual[i].is_finite()) {
+        let (u, v, trip) = (link.there.u[i], link.there.v[i], link.round_trip[i]);
+        let noise = floor + config.flow_noise_share * u.hypot(v) + 0.5 * trip;
+        let e = (0.5 * (residual[i] / noise - config.threshold)).clamp(-config.static_vote, 1.0);
         let w = 1.0 / (1.0 + trip * trip);
         value[i] += w * e;
         weight[i] += w;

@@ -2,20 +2,32 @@
 
 use super::components::Components;
 use super::config::MovingDepthConfig;
-use super::densify::FlowPair;
+use super::flow::FlowPair;
 use super::shot::quantile;
+use rayon::prelude::*;
+
+/// Disparity of every pixel of every frame: `background`, and in front of it what moves.
+pub(super) fn place(
+    width: usize,
+    height: usize,
+    moving: &[Vec<u8>],
+    background: &[Vec<f32>],
+    flows: &[FlowPair],
+    config: &MovingDepthConfig,
+) -> Vec<Vec<f32>> {
+    let touched: Vec<Vec<f32>> = moving
+        .par_iter()
+        .zip(background)
+        .map(|(moving, background)| touch(width, height, moving, background, config))
+        .collect();
+    steady(width, height, moving, &touched, background, flows, config)
+}
 
 /// Disparity of each part: constant, in front of what it hides, and that of the ground under it.
 ///
 /// `background` is the static disparity with moving parts filled from their surroundings, so its value
 /// at the bottom of a part is that of the ground on which the part stands.
-pub(super) fn touch(
-    width: usize,
-    height: usize,
-    moving: &[u8],
-    background: &[f32],
-    config: &MovingDepthConfig,
-) -> Vec<f32> {
+fn touch(width: usize, height: usize, moving: &[u8], background: &[f32], config: &MovingDepthConfig) -> Vec<f32> {
     let mut out = background.to_vec();
     for pixels in Components::of(width, height, moving).pixels {
         let row = |i: u32| i as usize / width;
@@ -27,7 +39,11 @@ pub(super) fn touch(
             let y = (row(i) + config.below_px).min(height - 1);
             background[y * width + i as usize % width]
         };
-        let mut feet: Vec<f32> = pixels.iter().filter(|&&i| row(i) >= feet_from).map(|&i| below(i)).collect();
+        let mut feet: Vec<f32> = pixels
+            .iter()
+            .filter(|&&i| row(i) >= feet_from)
+            .map(|&i| below(i))
+            .collect();
         let mut hidden: Vec<f32> = pixels.iter().map(|&i| background[i as usize]).collect();
         let feet = quantile(&mut feet, 0.5).unwrap_or(0.0);
         let hidden = quantile(&mut hidden, config.hidden_quantile).unwrap_or(0.0);
@@ -47,7 +63,7 @@ struct Running {
 
 /// Means over time along the flow, forwards and backwards in time with the same decay, so that parts
 /// neither jump nor lag; in front of the background.
-pub(super) fn steady(
+fn steady(
     width: usize,
     height: usize,
     moving: &[Vec<u8>],
@@ -72,7 +88,10 @@ pub(super) fn steady(
                     (&flows[i].forward, &flows[i].forward_round_trip, i + 1)
                 };
                 for p in (0..width * height).filter(|&p| moving[i][p] > 0 && trip[p] < config.round_trip_px) {
-                    let (x, y) = ((p % width) as f32 + flow.u[p] + 0.5, (p / width) as f32 + flow.v[p] + 0.5);
+                    let (x, y) = (
+                        (p % width) as f32 + flow.u[p] + 0.5,
+                        (p / width) as f32 + flow.v[p] + 0.5,
+                    );
                     let q = (y.max(0.0) as usize).min(height - 1) * width + (x.max(0.0) as usize).min(width - 1);
                     if moving[j][q] > 0 {
                         let w = decay * last.weight[q];

@@ -62,9 +62,8 @@ pub(super) fn quantile(values: &mut [f32], q: f64) -> Option<f32> {
 pub(super) fn range(points: &[Vec<SparsePoint>], i: usize, config: &StaticDepthConfig) -> (Range, f32) {
     const WINDOW: usize = 8;
     const ENOUGH: usize = 50;
-    let collect = |from: usize, to: usize| -> Vec<f32> {
-        points[from..to].iter().flatten().map(|p| p.disparity).collect()
-    };
+    let collect =
+        |from: usize, to: usize| -> Vec<f32> { points[from..to].iter().flatten().map(|p| p.disparity).collect() };
     let mut values = collect(i.saturating_sub(WINDOW), (i + WINDOW + 1).min(points.len()));
     if values.len() < ENOUGH {
         values = collect(0, points.len());
@@ -83,14 +82,34 @@ pub(super) fn range(points: &[Vec<SparsePoint>], i: usize, config: &StaticDepthC
 
 /// On each side in time, the frame whose parallax comes nearest to each target; where the clip ends,
 /// the other side serves twice as many.
-pub(super) fn partners(frames: &[WorkingFrame], i: usize, median: f32, config: &StaticDepthConfig) -> Vec<(usize, Pair)> {
+pub(super) fn partners(
+    frames: &[WorkingFrame],
+    i: usize,
+    median: f32,
+    config: &StaticDepthConfig,
+) -> Vec<(usize, Pair)> {
     let parallax = |j: usize| parallax_px(&frames[i].camera, &frames[j].camera, f64::from(median));
-    let side = |later: bool| -> Vec<(usize, f64)> {
-        (1..=config.partner_frames)
-            .map_while(|k| if later { (i + k < frames.len()).then_some(i + k) } else { i.checked_sub(k) })
+    let up_to = |reach: usize, later: bool| -> Vec<(usize, f64)> {
+        (1..=reach)
+            .map_while(|k| {
+                if later {
+                    (i + k < frames.len()).then_some(i + k)
+                } else {
+                    i.checked_sub(k)
+                }
+            })
             .map(|j| (j, parallax(j)))
             .filter(|&(_, p)| p >= config.least_parallax_px)
             .collect()
+    };
+    // Where the camera pauses, time goes on until it moves.
+    let side = |later: bool| {
+        let near = up_to(config.partner_frames, later);
+        if near.is_empty() {
+            up_to(frames.len(), later)
+        } else {
+            near
+        }
     };
     let (before, after) = (side(false), side(true));
     let mut chosen: Vec<usize> = Vec::new();
@@ -113,7 +132,10 @@ pub(super) fn partners(frames: &[WorkingFrame], i: usize, median: f32, config: &
         }
     }
     chosen.sort_unstable();
-    chosen.into_iter().map(|j| (j, Pair::new(&frames[i].camera, &frames[j].camera))).collect()
+    chosen
+        .into_iter()
+        .map(|j| (j, Pair::new(&frames[i].camera, &frames[j].camera)))
+        .collect()
 }
 
 impl Shot {

@@ -132,7 +132,9 @@ mod tests {
     #[test]
     fn values_fill_their_own_side_of_an_edge() {
         let (w, h) = (20, 8);
-        let guide: Vec<[f32; 3]> = (0..w * h).map(|i| if i % w < 10 { [0.0; 3] } else { [200.0; 3] }).collect();
+        let guide: Vec<[f32; 3]> = (0..w * h)
+            .map(|i| if i % w < 10 { [0.0; 3] } else { [200.0; 3] })
+            .collect();
         let smoother = Smoother::new(w, h, &guide, 10.0);
         let (mut values, mut weight) = (vec![0.0; w * h], vec![0.0; w * h]);
         for (i, v) in [(3 * w + 2, 1.0), (5 * w + 17, 5.0)] {

@@ -10,8 +10,6 @@ use super::sweep::{Partner, cost_volume};
 pub(super) struct Swept {
     /// `[height][width]`: disparity.
     pub disparity: Vec<f32>,
-    /// `[height][width]`: 0..1, how much worse the second best is.
-    pub margin: Vec<f32>,
 }
 
 /// A disparity a pixel and how far to trust it.
@@ -38,7 +36,6 @@ pub(super) fn sweep(shots: &[Shot], i: usize, config: &StaticDepthConfig) -> Swe
     if partners.is_empty() {
         return Swept {
             disparity: vec![shot.range.at(0.5 * shot.range.count as f32); w * h],
-            margin: vec![0.0; w * h],
         };
     }
     let volume = cost_volume(w, h, &shot.census, &partners, &shot.range);
@@ -46,10 +43,9 @@ pub(super) fn sweep(shots: &[Shot], i: usize, config: &StaticDepthConfig) -> Swe
         small: config.small_step,
         large: config.large_step,
     };
-    let winner = aggregate(w, h, shot.range.count, &volume, &shot.frame.grey, penalties);
+    let index = aggregate(w, h, shot.range.count, &volume, &shot.frame.grey, penalties);
     Swept {
-        disparity: winner.index.iter().map(|&k| shot.range.at(k)).collect(),
-        margin: winner.margin,
+        disparity: index.iter().map(|&k| shot.range.at(k)).collect(),
     }
 }
 
@@ -113,6 +109,13 @@ pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, config
         let total = weight[point.pixel] + config.point_weight;
         let sum = values[point.pixel] * weight[point.pixel] + point.disparity * config.point_weight;
         (values[point.pixel], weight[point.pixel]) = (sum / total, total);
+    }
+    // Where nothing at all was measured, the middle of the range is as good as any.
+    let anything = 1e-6;
+    let middle = shot.range.at(0.3 * shot.range.count as f32);
+    for (v, w) in values.iter_mut().zip(&mut weight) {
+        *v = (*v * *w + middle * anything) / (*w + anything);
+        *w += anything;
     }
     let (mut filled, _) = smoother.fill(&values, &weight, config.fill_lambda);
     let least = 0.5 * shot.range.least;

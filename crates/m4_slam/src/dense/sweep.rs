@@ -68,7 +68,11 @@ pub(super) fn cost_volume(
             for (slot, partner) in partners.iter().enumerate() {
                 let [mut qx, mut qy, mut qz] = partner.pair.ray(x as f32, y as f32);
                 let b = partner.pair.b;
-                (qx, qy, qz) = (qx + range.least * b[0], qy + range.least * b[1], qz + range.least * b[2]);
+                (qx, qy, qz) = (
+                    qx + range.least * b[0],
+                    qy + range.least * b[1],
+                    qz + range.least * b[2],
+                );
                 let (sx, sy, sz) = (range.step * b[0], range.step * b[1], range.step * b[2]);
                 for (k, cost) in costs.iter_mut().enumerate() {
                     let k = k as f32;

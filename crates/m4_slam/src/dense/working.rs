@@ -41,7 +41,10 @@ impl WorkingFrame {
 
 /// What share of source sample `i` lies in target cell `cell` of `n` source samples shared by `m` cells.
 fn overlap(cell: usize, n: usize, m: usize) -> Vec<(usize, f32)> {
-    let (start, end) = (cell as f64 * n as f64 / m as f64, (cell + 1) as f64 * n as f64 / m as f64);
+    let (start, end) = (
+        cell as f64 * n as f64 / m as f64,
+        (cell + 1) as f64 * n as f64 / m as f64,
+    );
     (start as usize..(end.ceil() as usize).min(n))
         .map(|i| {
             let share = (end.min((i + 1) as f64) - start.max(i as f64)).max(0.0);

@@ -4,9 +4,9 @@ mod pyramid;
 mod search;
 mod variational;
 
-pub(super) use pyramid::Pyramid;
-
-use super::config::FlowConfig;
+use super::config::{DenseConfig, FlowConfig};
+use super::working::WorkingFrame;
+use pyramid::Pyramid;
 
 /// Displacement a pixel, pixels.
 #[derive(Debug, Clone, Default)]
@@ -55,7 +55,7 @@ impl Flow {
 }
 
 /// The upper left pixel of the 2x2 cell around `(x, y)` and the weights of its right and lower pixels.
-pub(super) fn cell(width: usize, height: usize, x: f32, y: f32) -> (usize, f32, f32) {
+fn cell(width: usize, height: usize, x: f32, y: f32) -> (usize, f32, f32) {
     // A NaN becomes 0 in `max`, so the index is always inside.
     let x = x.max(0.0).min((width - 1) as f32);
     let y = y.max(0.0).min((height - 1) as f32);
@@ -63,8 +63,31 @@ pub(super) fn cell(width: usize, height: usize, x: f32, y: f32) -> (usize, f32, 
     (iy * width + ix, x - ix as f32, y - iy as f32)
 }
 
+/// Flow between a frame and the next, both ways.
+pub(super) struct FlowPair {
+    pub forward: Flow,
+    pub backward: Flow,
+    /// `[height][width]`: see [`round_trip_px`].
+    pub forward_round_trip: Vec<f32>,
+    pub backward_round_trip: Vec<f32>,
+}
+
+impl FlowPair {
+    pub fn new(a: &WorkingFrame, b: &WorkingFrame, config: &DenseConfig) -> Self {
+        let pyramid = |f: &WorkingFrame| Pyramid::new(f.width, f.height, &f.grey);
+        let (a, b) = (pyramid(a), pyramid(b));
+        let (forward, backward) = (flow(&a, &b, &config.flow), flow(&b, &a, &config.flow));
+        Self {
+            forward_round_trip: round_trip_px(&forward, &backward),
+            backward_round_trip: round_trip_px(&backward, &forward),
+            forward,
+            backward,
+        }
+    }
+}
+
 /// The flow from `a` to `b`.
-pub(super) fn flow(a: &Pyramid, b: &Pyramid, config: &FlowConfig) -> Flow {
+fn flow(a: &Pyramid, b: &Pyramid, config: &FlowConfig) -> Flow {
     let mut flow: Option<Flow> = None;
     for (a, b) in a.levels.iter().zip(&b.levels).rev() {
         let start = match &flow {
@@ -79,7 +102,7 @@ pub(super) fn flow(a: &Pyramid, b: &Pyramid, config: &FlowConfig) -> Flow {
 }
 
 /// How far a pixel lands from where it started after going there and back, pixels; infinite outside.
-pub(super) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
+fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
     let (w, h) = (there.width, there.height);
     let mut out = vec![0.0; w * h];
     for y in 0..h {

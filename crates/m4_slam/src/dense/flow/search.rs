@@ -35,15 +35,21 @@ fn positions(n: usize, size: usize, stride: usize) -> Vec<usize> {
 
 pub(super) fn search(a: &Level, b: &Level, start: &Flow, config: &FlowConfig) -> Flow {
     let size = config.patch_px.min(a.width).min(a.height);
-    let (xs, ys) = (positions(a.width, size, config.stride_px), positions(a.height, size, config.stride_px));
+    let (xs, ys) = (
+        positions(a.width, size, config.stride_px),
+        positions(a.height, size, config.stride_px),
+    );
     let mut search = Search {
         a,
         b,
         size,
         difference: vec![0.0; size * size],
     };
-    let patches: Vec<Patch> =
-        ys.iter().flat_map(|&y| xs.iter().map(move |&x| (x, y))).map(|(x, y)| Patch::new(a, x, y, size)).collect();
+    let patches: Vec<Patch> = ys
+        .iter()
+        .flat_map(|&y| xs.iter().map(move |&x| (x, y)))
+        .map(|(x, y)| Patch::new(a, x, y, size))
+        .collect();
     let centre = (size / 2) as f32 - 0.5;
     let mut flow: Vec<[f32; 2]> = patches
         .iter()

@@ -105,7 +105,9 @@ fn smoothness(flow: &Flow, weight: f32) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (flow.width, flow.height);
     let ((ux, uy), (vx, vy)) = (gradient(w, h, &flow.u), gradient(w, h, &flow.v));
     let psi: Vec<f32> = (0..w * h)
-        .map(|i| 0.5 * weight / (ux[i] * ux[i] + uy[i] * uy[i] + vx[i] * vx[i] + vy[i] * vy[i] + ROBUST * ROBUST).sqrt())
+        .map(|i| {
+            0.5 * weight / (ux[i] * ux[i] + uy[i] * uy[i] + vx[i] * vx[i] + vy[i] * vy[i] + ROBUST * ROBUST).sqrt()
+        })
         .collect();
     let (mut right, mut below) = (vec![0.0; w * h], vec![0.0; w * h]);
     for y in 0..h {
