@@ -147,3 +147,54 @@ pub(crate) fn follow(
     (found[0].is_finite() && found[1].is_finite() && inside(&to.levels[0], found, radius))
         .then_some((found, correlation))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Template, follow};
+    use crate::sparse::luma::Pyramid;
+    use m4_scene::Plane;
+
+    /// A smooth picture, seen through `x -> (x - t) / s`, scaled and offset in brightness.
+    fn picture(shift: [f32; 2], stretch: f32, gain: f32) -> Pyramid {
+        let value = |x: f32, y: f32| {
+            let wave = |a: f32, b: f32, c: f32| (a * x + b * y + c).sin();
+            128.0 + 30.0 * wave(0.31, 0.12, 0.3) + 25.0 * wave(-0.11, 0.27, 1.0) + 20.0 * wave(0.05, -0.07, 2.0)
+        };
+        let look = |x: usize, y: usize| {
+            let (u, v) = ((x as f32 - 80.0) / stretch, (y as f32 - 60.0) / stretch);
+            gain * value(u + 80.0 - shift[0], v + 60.0 - shift[1]) + 3.0
+        };
+        Pyramid::new(Plane::from_fn(160, 120, look), 4)
+    }
+
+    #[test]
+    fn a_shift_is_measured_to_a_fiftieth_of_a_pixel() {
+        let (a, b) = (picture([0.0, 0.0], 1.0, 1.0), picture([6.3, -4.8], 1.0, 1.0));
+        let (p, likeness) = follow(&a, &b, [70.0, 60.0], 7, 15).expect("texture");
+        assert!((p[0] - 76.3).abs() < 0.02 && (p[1] - 55.2).abs() < 0.02, "{p:?}");
+        assert!(likeness > 0.999);
+    }
+
+    #[test]
+    fn a_change_of_scale_and_brightness_leaves_the_centre_in_place() {
+        let (a, b) = (picture([0.0, 0.0], 1.0, 1.0), picture([2.0, 1.0], 1.03, 0.97));
+        let (p, _) = follow(&a, &b, [90.0, 50.0], 7, 15).expect("texture");
+        // u + 80 - 2 = 90 at x = 80 + 1.03 * 12, likewise y.
+        let want = [80.0 + 1.03 * 12.0, 60.0 + 1.03 * -9.0];
+        assert!(
+            (p[0] - want[0]).abs() < 0.15 && (p[1] - want[1]).abs() < 0.15,
+            "{p:?} {want:?}"
+        );
+    }
+
+    #[test]
+    fn edges_and_flat_patches_are_refused() {
+        let edge = Plane::from_fn(64, 64, |x, _| if x < 32 { 0.0 } else { 200.0 });
+        assert!(Template::new(&edge, [32.0, 32.0], 7).is_none());
+        assert!(Template::new(&Plane::filled(64, 64, 9.0), [32.0, 32.0], 7).is_none());
+        // Where the picture went flat there is nothing that looks alike.
+        let a = picture([0.0, 0.0], 1.0, 1.0);
+        let flat = Pyramid::new(Plane::filled(160, 120, 128.0), 4);
+        assert!(follow(&a, &flat, [80.0, 60.0], 7, 15).is_none_or(|(_, c)| c < 0.5));
+    }
+}

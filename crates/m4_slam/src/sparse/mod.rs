@@ -31,6 +31,9 @@ mod tracking;
 mod triangulate;
 mod two_view;
 
+#[cfg(test)]
+mod tests;
+
 pub use config::{GeometryConfig, MotionConfig, SparseConfig, TrackingConfig};
 pub use error::SparseError;
 pub use reconstruct::reconstruct;

@@ -35,9 +35,21 @@ pub fn reconstruct(
     let (width, height) = check(frames, config)?;
     let size = WorkingSize::new(width, height, config.tracking.longest_side_px);
     let tracks = track(frames, size, &config.tracking, progress)?;
+    from_tracks(tracks, frames.len(), [width, height], size, config, progress)
+}
+
+/// The same from tracks.
+pub(super) fn from_tracks(
+    tracks: Vec<RawTrack>,
+    frames: usize,
+    [width, height]: [usize; 2],
+    size: WorkingSize,
+    config: &SparseConfig,
+    progress: &dyn Progress,
+) -> Result<SparseReconstruction, SparseError> {
     let mut clip = Clip {
         tracks,
-        frames: frames.len(),
+        frames,
         size,
         width,
         height,

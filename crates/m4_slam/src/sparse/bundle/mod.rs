@@ -204,3 +204,108 @@ fn point_runs(observations: &[Observation], points: usize) -> Vec<std::ops::Rang
     }
     runs
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Bundle, BundleOptions, Observation};
+    use m4_math::nalgebra::{Vector3, Vector6};
+    use m4_math::{CounterRng, Se3, Sim3, exp_so3};
+
+    /// Eight cameras on an arc around 60 points, all seen everywhere, every tenth sighting wrong.
+    fn scene() -> Bundle {
+        let mut rng = CounterRng::new(11, 0, 0);
+        let poses: Vec<Se3<f64>> = (0..8)
+            .map(|i| Se3 {
+                rotation: exp_so3(&Vector3::new(0.02, 0.08 * f64::from(i), 0.01 * f64::from(i))),
+                translation: Vector3::new(0.05 * f64::from(i), 0.0, 5.0),
+            })
+            .collect();
+        let points: Vec<Vector3<f64>> = (0..60).map(|_| Vector3::from_fn(|_, _| 1.2 * rng.normal())).collect();
+        let mut observations = Vec::new();
+        for (point, x) in points.iter().enumerate() {
+            for (pose, w2c) in poses.iter().enumerate() {
+                let p = w2c.transform(x);
+                let off = if observations.len() % 10 == 9 {
+                    30.0 * rng.normal()
+                } else {
+                    0.0
+                };
+                observations.push(Observation {
+                    pose,
+                    point,
+                    at: [400.0 * p.x / p.z + off, 400.0 * p.y / p.z],
+                });
+            }
+        }
+        Bundle {
+            poses,
+            points,
+            log_focal: 400.0_f64.ln(),
+            observations,
+        }
+    }
+
+    fn options(free_focal: bool) -> BundleOptions {
+        BundleOptions {
+            cauchy_px: 1.0,
+            iterations: 60,
+            free_focal,
+            free_poses: true,
+        }
+    }
+
+    #[test]
+    fn poses_points_and_focal_length_return_to_the_truth() {
+        let truth = scene();
+        let mut rng = CounterRng::new(12, 0, 0);
+        let mut bundle = truth.clone();
+        for pose in bundle.poses.iter_mut().skip(1) {
+            *pose = pose.retract(&Vector6::from_fn(|_, _| 0.01 * rng.normal()));
+        }
+        for point in &mut bundle.points {
+            *point += Vector3::from_fn(|_, _| 0.03 * rng.normal());
+        }
+        bundle.log_focal += 0.08;
+        let report = bundle.adjust(&options(true));
+        assert!((bundle.focal() / 400.0 - 1.0).abs() < 2e-3, "{}", bundle.focal());
+        let fit = Sim3::umeyama(&bundle.points, &truth.points).expect("a cloud");
+        let worst = bundle
+            .points
+            .iter()
+            .zip(&truth.points)
+            .map(|(a, b)| (fit.transform(a) - b).norm())
+            .fold(0.0, f64::max);
+        assert!(worst < 0.02, "{worst}");
+        assert!(
+            report.log_focal_sigma > 1e-4 && report.log_focal_sigma < 0.05,
+            "{report:?}"
+        );
+        assert_eq!(bundle.poses[0], truth.poses[0]);
+    }
+
+    #[test]
+    fn what_is_held_stays_and_the_cost_never_rises() {
+        let mut bundle = scene();
+        bundle.log_focal += 0.05;
+        let before = bundle.cost(&options(false)) / bundle.observations.len() as f64;
+        let (focal, poses) = (bundle.log_focal, bundle.poses.clone());
+        let held = BundleOptions {
+            free_poses: false,
+            ..options(false)
+        };
+        let report = bundle.adjust(&held);
+        assert!(report.cost < before && report.log_focal_sigma.is_infinite());
+        assert_eq!((bundle.log_focal, &bundle.poses), (focal, &poses));
+    }
+
+    #[test]
+    fn nothing_to_adjust_is_no_error() {
+        let mut bundle = Bundle {
+            poses: Vec::new(),
+            points: Vec::new(),
+            log_focal: 6.0,
+            observations: Vec::new(),
+        };
+        assert_eq!(bundle.adjust(&options(true)).cost, 0.0);
+    }
+}

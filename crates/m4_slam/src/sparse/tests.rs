@@ -1,0 +1,304 @@
+//! From synthetic tracks to reconstructions with known answers.
+
+use super::luma::WorkingSize;
+use super::reconstruct::from_tracks;
+use super::tracking::RawTrack;
+use super::{SparseConfig, SparseError};
+use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction};
+use m4_math::nalgebra::Vector3;
+use m4_math::{CounterRng, Se3, Sim3, exp_so3, log_so3};
+use m4_scene::Silent;
+
+const WIDTH: usize = 640;
+const HEIGHT: usize = 480;
+
+/// What the camera and the points do.
+#[derive(Clone, Copy)]
+struct Scene {
+    frames: usize,
+    points: usize,
+    focal: f64,
+    /// Units a frame; the room is some 10 units deep.
+    step: f64,
+    /// Radians a frame.
+    turn: f64,
+    /// Share of points that move.
+    moving: f64,
+    noise_px: f64,
+}
+
+const ROOM: Scene = Scene {
+    frames: 30,
+    points: 500,
+    focal: 520.0,
+    step: 0.05,
+    turn: 0.006,
+    moving: 0.2,
+    noise_px: 0.15,
+};
+
+impl Scene {
+    fn pose(&self, frame: usize) -> Se3<f64> {
+        let t = frame as f64;
+        let sway = (0.3 * t).sin();
+        Se3 {
+            rotation: exp_so3(&(Vector3::new(0.3 * sway, t, 0.2 * sway) * self.turn)),
+            translation: Vector3::new(t, 0.6 * sway, 0.3 * t) * -self.step,
+        }
+    }
+
+    /// Tracks and, for each, whether its point moves.
+    fn tracks(&self) -> (Vec<RawTrack>, Vec<bool>) {
+        let mut rng = CounterRng::new(21, 0, 0);
+        let (mut tracks, mut moving) = (Vec::new(), Vec::new());
+        for i in 0..self.points {
+            let birth = rng.below(self.frames + 12).saturating_sub(12);
+            let life = 6 + rng.below(self.frames);
+            let depth = 3.0 + 7.0 * rng.uniform();
+            let pixel = [WIDTH, HEIGHT].map(|n| n as f64 * (rng.uniform() - 0.5));
+            let ray = Vector3::new(pixel[0] / self.focal, pixel[1] / self.focal, 1.0);
+            let x = self.pose(birth).inverse().transform(&(ray * depth));
+            let moves = (i as f64) < self.moving * self.points as f64;
+            let direction = Vector3::from_fn(|_, _| 0.06 * rng.normal());
+            let mut track = RawTrack {
+                first: birth,
+                seen: Vec::new(),
+            };
+            for frame in birth..(birth + life).min(self.frames) {
+                let t = (frame - birth) as f64;
+                let bend = Vector3::new((0.4 * t).sin(), (0.5 * t).cos(), 0.0) * 0.1;
+                let at = if moves { x + direction * t + bend } else { x };
+                let p = self.pose(frame).transform(&at);
+                let q = [self.focal * p.x / p.z, self.focal * p.y / p.z];
+                if p.z < 0.5 || q[0].abs() > WIDTH as f64 / 2.0 || q[1].abs() > HEIGHT as f64 / 2.0 {
+                    break;
+                }
+                track.seen.push(q.map(|v| v + self.noise_px * rng.normal()));
+            }
+            if track.seen.len() >= 2 {
+                tracks.push(track);
+                moving.push(moves);
+            }
+        }
+        (tracks, moving)
+    }
+}
+
+fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
+    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
+    from_tracks(tracks, frames, [WIDTH, HEIGHT], size, config, &Silent)
+}
+
+/// Trajectory error over path length after alignment, and the greatest rotation error in radians
+/// relative to frame 0.
+fn errors(found: &SparseReconstruction, scene: &Scene) -> (f64, f64) {
+    let want: Vec<Se3<f64>> = (0..scene.frames).map(|i| scene.pose(i).inverse()).collect();
+    let centres = |poses: &[Se3<f64>]| poses.iter().map(|p| p.translation).collect::<Vec<_>>();
+    let ours: Vec<Se3<f64>> = found.cameras.iter().map(|c| c.c2w).collect();
+    let turn = (0..scene.frames)
+        .map(|i| {
+            let a = ours[0].rotation.tr_mul(&ours[i].rotation);
+            let b = want[0].rotation.tr_mul(&want[i].rotation);
+            log_so3(&a.tr_mul(&b)).norm()
+        })
+        .fold(0.0, f64::max);
+    let want = centres(&want);
+    let path: f64 = want.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    let Some(fit) = Sim3::umeyama(&centres(&ours), &want) else {
+        return (f64::INFINITY, turn);
+    };
+    let squared: f64 = centres(&ours)
+        .iter()
+        .zip(&want)
+        .map(|(a, b)| (fit.transform(a) - b).norm_squared())
+        .sum();
+    ((squared / want.len() as f64).sqrt() / path, turn)
+}
+
+#[test]
+fn a_room_with_a_fifth_of_moving_points() {
+    let (tracks, moving) = ROOM.tracks();
+    let found = solve(tracks, ROOM.frames, &SparseConfig::default()).expect("a reconstruction");
+    let (trajectory, turn) = errors(&found, &ROOM);
+    let focal = found.cameras[0].intrinsics.fx;
+    assert_eq!(found.camera_motion, CameraMotion::Parallax);
+    assert!(trajectory < 0.004, "trajectory error {trajectory}");
+    assert!(turn < 0.005, "rotation error {turn}");
+    assert!((focal / ROOM.focal - 1.0).abs() < 0.02, "focal {focal}");
+    assert!(
+        found.residual_px < 0.3 && found.warnings.is_empty(),
+        "{:?}",
+        found.warnings
+    );
+    let judged = |motion: Motion, moves: bool| {
+        let pairs = found.tracks.iter().zip(&moving);
+        pairs.filter(|(t, m)| t.motion == motion && **m == moves).count() as f64
+    };
+    let (hit, miss) = (judged(Motion::Dynamic, true), judged(Motion::Static, true));
+    assert!(hit > 0.85 * (hit + miss), "{hit} of {} moving tracks found", hit + miss);
+    let (rest, wrong) = (judged(Motion::Static, false), judged(Motion::Dynamic, false));
+    assert!(
+        wrong < 0.02 * (rest + wrong),
+        "{wrong} of {} resting tracks called moving",
+        rest + wrong
+    );
+    // The world is the first camera, and the median depth is 1.
+    assert!((found.cameras[0].c2w.matrix() - Se3::identity().matrix()).norm() < 1e-9);
+    for (t, moves) in found.tracks.iter().zip(&moving) {
+        if let (Some(x), false) = (t.point, moves) {
+            let (p, z) = found.cameras[t.first_frame].project(&x);
+            let o = t.observations[0];
+            assert!(z > 0.0 && (p[0] - f64::from(o[0])).hypot(p[1] - f64::from(o[1])) < 3.0);
+        }
+    }
+}
+
+#[test]
+fn a_wide_and_a_long_lens_are_found() {
+    for (focal, tolerance) in [(300.0, 0.03), (900.0, 0.05)] {
+        let scene = Scene { focal, ..ROOM };
+        let found = solve(scene.tracks().0, scene.frames, &SparseConfig::default()).expect("a reconstruction");
+        let got = found.cameras[0].intrinsics.fx;
+        assert!(
+            (got / focal - 1.0).abs() < tolerance,
+            "{got} where {focal} was expected"
+        );
+        assert!(errors(&found, &scene).0 < 0.01, "{:?}", errors(&found, &scene));
+    }
+}
+
+#[test]
+fn a_given_focal_length_is_kept() {
+    let config = SparseConfig {
+        focal_px: Some(530.0),
+        fov_deg: Some(40.0),
+        ..SparseConfig::default()
+    };
+    let found = solve(ROOM.tracks().0, ROOM.frames, &config).expect("a reconstruction");
+    assert!((found.cameras[0].intrinsics.fx - 530.0).abs() < 1e-9);
+    assert!(errors(&found, &ROOM).0 < 0.02);
+}
+
+#[test]
+fn a_turning_camera_gives_rotations_and_says_so() {
+    let scene = Scene {
+        step: 0.0,
+        turn: 0.012,
+        moving: 0.1,
+        ..ROOM
+    };
+    let (tracks, moving) = scene.tracks();
+    let found = solve(tracks, scene.frames, &SparseConfig::default()).expect("rotations");
+    assert_eq!(found.camera_motion, CameraMotion::RotationOnly);
+    let focal = found.cameras[0].intrinsics.fx;
+    assert!((focal / scene.focal - 1.0).abs() < 0.15, "focal {focal}");
+    assert!(errors(&found, &scene).1 < 0.05, "{}", errors(&found, &scene).1);
+    assert!(found.cameras.iter().all(|c| c.centre().norm() == 0.0));
+    assert!(found.tracks.iter().all(|t| t.point.is_none()));
+    assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
+    let wrong = found
+        .tracks
+        .iter()
+        .zip(&moving)
+        .filter(|(t, m)| t.motion == Motion::Dynamic && !**m);
+    assert!(wrong.count() < 20);
+}
+
+#[test]
+fn a_camera_on_a_tripod_gives_one_pose() {
+    let scene = Scene {
+        step: 0.0,
+        turn: 0.0,
+        ..ROOM
+    };
+    let (tracks, moving) = scene.tracks();
+    let found = solve(tracks, scene.frames, &SparseConfig::default()).expect("a pose");
+    assert_eq!(found.camera_motion, CameraMotion::Static);
+    assert!(found.cameras.iter().all(|c| c.c2w == Se3::identity()));
+    assert!(found.warnings[0].contains("--fov"), "{:?}", found.warnings);
+    let dynamic = |moves: bool| {
+        let pairs = found.tracks.iter().zip(&moving);
+        pairs
+            .filter(|(t, m)| t.motion == Motion::Dynamic && **m == moves)
+            .count()
+    };
+    assert!(
+        dynamic(true) > 60 && dynamic(false) == 0,
+        "{} {}",
+        dynamic(true),
+        dynamic(false)
+    );
+}
+
+#[test]
+fn static_camera_overrules_what_is_seen() {
+    let config = SparseConfig {
+        static_camera: true,
+        fov_deg: Some(60.0),
+        ..SparseConfig::default()
+    };
+    let found = solve(ROOM.tracks().0, ROOM.frames, &config).expect("a pose");
+    assert_eq!(found.camera_motion, CameraMotion::Static);
+    let fov = found.cameras[0].intrinsics.horizontal_fov_rad().to_degrees();
+    assert!((fov - 60.0).abs() < 1e-9, "{fov}");
+}
+
+#[test]
+fn noise_is_refused_with_numbers() {
+    let mut rng = CounterRng::new(5, 0, 0);
+    let tracks: Vec<RawTrack> = (0..300)
+        .map(|_| {
+            let mut p = [600.0 * (rng.uniform() - 0.5), 440.0 * (rng.uniform() - 0.5)];
+            let speed = [6.0 * rng.normal(), 6.0 * rng.normal()];
+            let seen = (0..20)
+                .map(|_| {
+                    p = [0, 1].map(|k| p[k] + speed[k] + 4.0 * rng.normal());
+                    p
+                })
+                .collect();
+            RawTrack { first: 0, seen }
+        })
+        .collect();
+    match solve(tracks, 20, &SparseConfig::default()) {
+        Err(SparseError::NoStart { matches, .. }) => assert!(matches > 0),
+        Err(SparseError::TooFewPoints { tracks, .. }) => assert!(tracks > 0),
+        other => panic!("noise gave {other:?}"),
+    }
+}
+
+#[test]
+fn a_cut_is_reported_where_it_is() {
+    let (mut tracks, _) = ROOM.tracks();
+    for t in &mut tracks {
+        t.seen.truncate(14_usize.saturating_sub(t.first));
+    }
+    tracks.retain(|t| t.seen.len() >= 2);
+    let got = solve(tracks, ROOM.frames, &SparseConfig::default()).map(|_| ());
+    let Err(SparseError::TooFewTracks { frame, found, .. }) = got else {
+        panic!("{got:?}");
+    };
+    assert_eq!((frame, found), (13, 0));
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("a pool");
+        let found = pool.install(|| solve(ROOM.tracks().0, ROOM.frames, &SparseConfig::default()));
+        let found = found.expect("a reconstruction");
+        let bits: Vec<u64> = found
+            .cameras
+            .iter()
+            .flat_map(|c| c.c2w.matrix().iter().map(|v| v.to_bits()).collect::<Vec<_>>())
+            .collect();
+        (
+            bits,
+            found.cameras[0].intrinsics.fx.to_bits(),
+            found.residual_px.to_bits(),
+        )
+    };
+    assert_eq!(run(1), run(3));
+}
