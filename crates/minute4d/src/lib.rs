@@ -1,2 +1,62 @@
-//! The stages wired into one pipeline.
+//! The stages wired into one pipeline: a casual video in, a moving 3D scene out.
+//!
+//! ```text
+//! video --geometry--> capture --train--> scene.safetensors --render, preview, evaluate-->
+//! ```
+//!
+//! [`run`] does everything; [`geometry::make`], [`train::make`], [`render::make`] and the functions of
+//! [`evaluate`] each do one stage on what the one before wrote. A stage is a function of its input, its
+//! [`Settings`] and the seed: results are kept under a hash of those ([`record`]) and used again when
+//! nothing changed.
+//!
+//! ```no_run
+//! use minute4d::{Existing, Job, Settings, Silent};
+//! # fn main() -> Result<(), minute4d::Error> {
+//! let job = Job {
+//!     settings: Settings::fast(),
+//!     profile: "fast".to_owned(),
+//!     existing: Existing::Resume,
+//!     observer: &Silent,
+//! };
+//! let record = minute4d::run("clip.mp4".as_ref(), "out".as_ref(), &job)?;
+//! println!("{:?} splats in {:.0} s", record.splats, record.seconds);
+//! # Ok(())
+//! # }
+//! ```
+#![forbid(unsafe_code)]
+
+pub mod bench;
+pub mod evaluate;
+pub mod folder;
+pub mod geometry;
+pub mod inspect;
+pub mod preview;
+pub mod record;
+pub mod render;
 pub mod settings;
+pub mod train;
+
+mod error;
+mod hash;
+mod job;
+mod pipeline;
+mod progress;
+mod workspace;
+
+pub use error::{Category, Error};
+pub use folder::Existing;
+pub use job::{Job, threads, with_threads};
+pub use pipeline::{is_capture, run};
+pub use progress::{Keeper, Observer, StageEvent};
+pub use record::plain_json;
+pub use settings::Settings;
+
+pub use m4_eval as eval;
+pub use m4_init as init;
+pub use m4_io as io;
+pub use m4_kernels as kernels;
+pub use m4_math as math;
+pub use m4_scene as scene;
+pub use m4_scene::{Progress, Silent};
+pub use m4_slam as slam;
+pub use m4_train as training;

@@ -1,1 +1,56 @@
-fn main() {}
+//! The `minute4d` program: commands, messages, exit codes. The work is done by the library.
+#![forbid(unsafe_code)]
+
+mod args;
+mod commands;
+mod failure;
+mod output;
+mod panics;
+
+use args::Cli;
+use clap::Parser;
+use failure::Failure;
+use output::{Output, StopSignal};
+use std::ffi::OsString;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    panics::report_instead_of_abort();
+    let args: Vec<OsString> = std::env::args_os().collect();
+    let cli = match Cli::try_parse_from(&args) {
+        Ok(cli) => cli,
+        Err(error) => return refuse(&error, &args),
+    };
+    let output = Output::new(cli.common.json, cli.common.quiet, StopSignal::default());
+    output::watch_signals(&output);
+    let outcome = catch_unwind(AssertUnwindSafe(|| commands::run(&cli, &output)));
+    let (code, reason) = match outcome {
+        Ok(Ok(())) => (0, "done".to_owned()),
+        Ok(Err(Failure { code, reason })) => (code, reason),
+        Err(_) => (1, panics::last_report()),
+    };
+    output.end(code, &reason);
+    ExitCode::from(code)
+}
+
+/// Wrong arguments, or a question (`--help`, `--version`) that clap answers.
+fn refuse(error: &clap::Error, args: &[OsString]) -> ExitCode {
+    // Where the terminal is gone there is nobody to tell.
+    let _ = error.print();
+    if !error.use_stderr() {
+        return ExitCode::SUCCESS;
+    }
+    let json = args.iter().take_while(|arg| *arg != "--").any(|arg| arg == "--json");
+    if json {
+        let text = error.to_string();
+        let reason = text
+            .lines()
+            .next()
+            .unwrap_or_default()
+            .trim_start_matches("error: ")
+            .to_owned();
+        output::end_of_json(2, &reason);
+    }
+    ExitCode::from(2)
+}

@@ -66,7 +66,9 @@ pub enum SettingsError {
 }
 
 fn suggest(nearest: &Option<String>) -> String {
-    nearest.as_ref().map_or_else(String::new, |key| format!("; did you mean {key:?}?"))
+    nearest
+        .as_ref()
+        .map_or_else(String::new, |key| format!("; did you mean {key:?}?"))
 }
 
 /// Settings with their layers so far.
@@ -110,7 +112,9 @@ impl<T: Serialize + DeserializeOwned> Layers<T> {
     ///
     /// [`SettingsError`] naming the argument.
     pub fn set(self, given: &str) -> Result<Self, SettingsError> {
-        let form = || SettingsError::Form { given: given.to_owned() };
+        let form = || SettingsError::Form {
+            given: given.to_owned(),
+        };
         let (key, text) = given.split_once('=').ok_or_else(form)?;
         let parts: Vec<&str> = key.split('.').map(str::trim).collect();
         if parts.iter().any(|part| part.is_empty()) {
@@ -145,11 +149,15 @@ impl<T: Serialize + DeserializeOwned> Layers<T> {
     }
 }
 
-/// Tables are merged key by key; everything else is replaced.
+/// Tables are merged key by key; everything else is replaced. A choice between forms (a table with
+/// the name of the form as its only key) is replaced when another form is named.
 fn merge(base: &mut Table, layer: Table) {
+    let other_form = |inner: &Table, over: &Table| {
+        inner.len() == 1 && over.len() == 1 && inner.keys().ne(over.keys()) && inner.values().all(Value::is_table)
+    };
     for (key, value) in layer {
         match (base.get_mut(&key), value) {
-            (Some(Value::Table(inner)), Value::Table(over)) => merge(inner, over),
+            (Some(Value::Table(inner)), Value::Table(over)) if !other_form(inner, &over) => merge(inner, over),
             (_, value) => {
                 base.insert(key, value);
             }
@@ -165,10 +173,14 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
         let key = quoted.next().unwrap_or_default();
         let known: Vec<String> = quoted.collect();
         let parent = path.rsplit_once('.').map_or("", |(parent, _)| parent);
-        let dotted = |key: &str| if parent.is_empty() { key.to_owned() } else { format!("{parent}.{key}") };
-        let suggestion = nearest(&key, &known)
-            .map(dotted)
-            .or_else(|| elsewhere(&key, table, ""));
+        let dotted = |key: &str| {
+            if parent.is_empty() {
+                key.to_owned()
+            } else {
+                format!("{parent}.{key}")
+            }
+        };
+        let suggestion = nearest(&key, &known).map(dotted).or_else(|| elsewhere(&key, table, ""));
         return SettingsError::UnknownKey {
             layer,
             key: dotted(&key),
@@ -203,7 +215,11 @@ fn nearest<'a>(key: &str, known: &'a [String]) -> Option<&'a str> {
 fn elsewhere(key: &str, table: &Table, parent: &str) -> Option<String> {
     table.iter().find_map(|(name, value)| {
         let Value::Table(inner) = value else { return None };
-        let path = if parent.is_empty() { name.clone() } else { format!("{parent}.{name}") };
+        let path = if parent.is_empty() {
+            name.clone()
+        } else {
+            format!("{parent}.{name}")
+        };
         if inner.get(key).is_some_and(|v| !v.is_table()) {
             return Some(format!("{path}.{key}"));
         }
@@ -234,12 +250,32 @@ mod tests {
         }
     }
 
-    #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    enum Form {
+        Even { step: u32 },
+        Random { count: u32, spread: f32 },
+        None,
+    }
+
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     #[serde(default, deny_unknown_fields)]
     struct Outer {
         seed: u64,
         limit: Option<u32>,
         density: Inner,
+        form: Form,
+    }
+
+    impl Default for Outer {
+        fn default() -> Self {
+            Self {
+                seed: 0,
+                limit: None,
+                density: Inner::default(),
+                form: Form::Even { step: 2 },
+            }
+        }
     }
 
     fn layers() -> Layers<Outer> {
@@ -250,18 +286,43 @@ mod tests {
     fn later_layers_win_and_leave_the_rest() {
         let dir = std::env::temp_dir().join(format!("minute4d-layers-{}", std::process::id()));
         std::fs::write(&dir, "limit = 3\n[density]\nevery = 50\nthreshold = 1").unwrap();
-        let got = layers().file(&dir).unwrap().set("density.every=7").unwrap().set("density.name=a b").unwrap();
+        let got = layers()
+            .file(&dir)
+            .unwrap()
+            .set("density.every=7")
+            .unwrap()
+            .set("density.name=a b")
+            .unwrap();
         std::fs::remove_file(&dir).unwrap();
         let want = Outer {
-            seed: 0,
             limit: Some(3),
             density: Inner {
                 every: 7,
                 threshold: 1.0,
                 name: "a b".to_owned(),
             },
+            ..Outer::default()
         };
         assert_eq!(got.finish(), want);
+    }
+
+    #[test]
+    fn another_form_replaces_the_one_before() {
+        let form = |sets: &[&str]| {
+            let laid = sets.iter().try_fold(layers(), |layers, given| layers.set(given));
+            laid.map(|l| l.finish().form)
+        };
+        assert_eq!(form(&["form.even.step=5"]).unwrap(), Form::Even { step: 5 });
+        let random = form(&["form={random={count=3, spread=1.5}}", "form.random.count=4"]).unwrap();
+        assert_eq!(random, Form::Random { count: 4, spread: 1.5 });
+        assert_eq!(form(&["form=none"]).unwrap(), Form::None);
+        assert!(
+            form(&["form.random.count=3"])
+                .unwrap_err()
+                .to_string()
+                .contains("spread")
+        );
+        assert!(form(&["form=neither"]).unwrap_err().to_string().contains("`even`"));
     }
 
     #[test]
@@ -273,13 +334,19 @@ mod tests {
         let text = layers().set("threshold=2").unwrap_err().to_string();
         assert!(text.contains("did you mean \"density.threshold\"?"), "{text}");
         let text = layers().set("zzz=2").unwrap_err().to_string();
-        assert!(!text.contains("did you mean") && text.contains("seed, limit, density"), "{text}");
+        assert!(
+            !text.contains("did you mean") && text.contains("seed, limit, density, form"),
+            "{text}"
+        );
     }
 
     #[test]
     fn a_wrong_type_names_key_and_value() {
         let text = layers().set("density.every=often").unwrap_err().to_string();
-        assert!(text.contains("density.every = \"often\"") && text.contains("u32"), "{text}");
+        assert!(
+            text.contains("density.every = \"often\"") && text.contains("u32"),
+            "{text}"
+        );
         let text = layers().set("density.every=-1").unwrap_err().to_string();
         assert!(text.contains("density.every = -1"), "{text}");
         let text = layers().set("density=3").unwrap_err().to_string();
@@ -289,7 +356,10 @@ mod tests {
     #[test]
     fn a_set_without_a_value_is_refused() {
         for given in ["density.every", "=3", "density..every=3"] {
-            assert!(matches!(layers().set(given), Err(SettingsError::Form { .. })), "{given}");
+            assert!(
+                matches!(layers().set(given), Err(SettingsError::Form { .. })),
+                "{given}"
+            );
         }
     }
 }

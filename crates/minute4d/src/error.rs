@@ -1,0 +1,282 @@
+//! The one error of the library, and what sort of failure each is.
+
+use crate::render::TimeError;
+use crate::settings::SettingsError;
+use m4_eval::geometry::{GeometryError, LlffError};
+use m4_eval::image::ImageError;
+use m4_init::InitError;
+use m4_io::ErrorKind;
+use m4_io::capture::{ReadCaptureError, WriteCaptureError};
+use m4_io::image::{ReadImageError, WriteImageError};
+use m4_io::scene_file::{ReadSceneError, WriteSceneError};
+use m4_io::trajectory::ReadTrajectoryError;
+use m4_io::video::{ReadVideoError, WriteVideoError};
+use m4_kernels::SimdLevelError;
+use m4_slam::dense::DenseError;
+use m4_slam::sparse::SparseError;
+use m4_train::TrainError;
+use std::io;
+use std::path::PathBuf;
+
+/// The sort of a failure: what a program turns into its exit code.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Category {
+    /// A promise of the program itself is broken.
+    Internal,
+    /// An argument has no meaning.
+    Usage,
+    /// An input is damaged, incomplete or contradicts itself.
+    BadInput,
+    /// An input does not exist.
+    NoInput,
+    /// This machine cannot compute what was asked for.
+    NoDevice,
+    /// An output cannot be made.
+    CannotWrite,
+    /// The machine failed while reading.
+    Io,
+    /// A setting does not exist or has a value that cannot work.
+    BadSettings,
+    /// The caller asked to stop; what was finished is kept.
+    Stopped,
+}
+
+impl Category {
+    /// The exit code of this sort of failure, after `sysexits.h`. That of [`Category::Stopped`] depends
+    /// on the signal; 130 here.
+    #[must_use]
+    pub fn exit_code(self) -> u8 {
+        match self {
+            Self::Internal => 1,
+            Self::Usage => 2,
+            Self::BadInput => 65,
+            Self::NoInput => 66,
+            Self::NoDevice => 69,
+            Self::CannotWrite => 73,
+            Self::Io => 74,
+            Self::BadSettings => 78,
+            Self::Stopped => 130,
+        }
+    }
+}
+
+impl From<ErrorKind> for Category {
+    fn from(kind: ErrorKind) -> Self {
+        match kind {
+            ErrorKind::NotFound => Self::NoInput,
+            ErrorKind::BadData | ErrorKind::Unsupported => Self::BadInput,
+            ErrorKind::CannotWrite => Self::CannotWrite,
+            ErrorKind::Io => Self::Io,
+            ErrorKind::Cancelled => Self::Stopped,
+            _ => Self::Internal,
+        }
+    }
+}
+
+/// Why a stage failed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file or folder could not be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// What was to be read.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A file or folder could not be written.
+    #[error("cannot write {}: {source}; check the permissions and the free space, or choose another folder", path.display())]
+    Write {
+        /// What was to be written.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A folder was to be made where a file is.
+    #[error("{} is a file, and a folder of that name is to be made; choose another name", path.display())]
+    InTheWay {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A folder with things in it that are not ours.
+    #[error("the folder {} is not empty and not made by minute4d (it has no {missing}); choose another folder, or --force to write into it all the same", path.display())]
+    Foreign {
+        /// The folder.
+        path: PathBuf,
+        /// The record that it lacks.
+        missing: &'static str,
+    },
+    /// A folder with earlier work.
+    #[error("the folder {} holds {what}; --resume goes on with it, --force replaces it", path.display())]
+    Exists {
+        /// The folder.
+        path: PathBuf,
+        /// What is in it.
+        what: &'static str,
+    },
+    /// A file that would be replaced.
+    #[error("{} is already there; --force replaces it", path.display())]
+    WouldReplace {
+        /// The file or folder.
+        path: PathBuf,
+    },
+    /// An input that does not exist.
+    #[error("there is no {what} at {}", path.display())]
+    Missing {
+        /// What was expected there.
+        what: &'static str,
+        /// Where.
+        path: PathBuf,
+    },
+    /// A folder or file that is nothing this program knows.
+    #[error("{} is neither a video, a folder of pictures, a capture, a scene nor a run", path.display())]
+    Unknown {
+        /// What was given.
+        path: PathBuf,
+    },
+    /// A capture without held-out views.
+    #[error("{} has no transforms_test.json, so there are no held-out views to compare with; give a capture that has some", path.display())]
+    NoTestList {
+        /// The capture.
+        path: PathBuf,
+    },
+    /// The finished scene did not read back as it was written.
+    #[error("{} was written but does not read back as it was: {what}; check the disk", path.display())]
+    Verify {
+        /// The file.
+        path: PathBuf,
+        /// The difference.
+        what: String,
+    },
+    /// The caller asked to stop.
+    #[error("stopped during {stage}{}", if *saved { "; run the same command with --resume to go on" } else { "" })]
+    Stopped {
+        /// The stage that was at work.
+        stage: &'static str,
+        /// True when there is something to go on with.
+        saved: bool,
+    },
+    /// A bug.
+    #[error("internal error: {what}; this is a bug in minute4d, please report it")]
+    Internal {
+        /// What was seen.
+        what: String,
+    },
+    /// Settings.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// A time along a camera path.
+    #[error(transparent)]
+    Time(#[from] TimeError),
+    /// The instruction set that was asked for.
+    #[error(transparent)]
+    Simd(#[from] SimdLevelError),
+    /// Reading a clip.
+    #[error(transparent)]
+    ReadVideo(#[from] ReadVideoError),
+    /// Writing a clip.
+    #[error(transparent)]
+    WriteVideo(#[from] WriteVideoError),
+    /// Reading a picture.
+    #[error(transparent)]
+    ReadImage(#[from] ReadImageError),
+    /// Writing a picture.
+    #[error(transparent)]
+    WriteImage(#[from] WriteImageError),
+    /// Reading a capture.
+    #[error(transparent)]
+    ReadCapture(#[from] ReadCaptureError),
+    /// Writing a capture.
+    #[error(transparent)]
+    WriteCapture(#[from] WriteCaptureError),
+    /// Reading a scene.
+    #[error(transparent)]
+    ReadScene(#[from] ReadSceneError),
+    /// Writing a scene.
+    #[error(transparent)]
+    WriteScene(#[from] WriteSceneError),
+    /// Reading cameras.
+    #[error(transparent)]
+    ReadTrajectory(#[from] ReadTrajectoryError),
+    /// Cameras and tracks from a video.
+    #[error(transparent)]
+    Sparse(#[from] SparseError),
+    /// Depth and masks from a video.
+    #[error(transparent)]
+    Dense(#[from] DenseError),
+    /// The first splats.
+    #[error(transparent)]
+    Init(#[from] InitError),
+    /// Training.
+    #[error(transparent)]
+    Train(#[from] TrainError),
+    /// Scoring pictures.
+    #[error(transparent)]
+    Score(#[from] ImageError),
+    /// Scoring geometry.
+    #[error(transparent)]
+    ScoreGeometry(#[from] GeometryError),
+    /// Camera truth in the LLFF layout.
+    #[error("{}: {source}", path.display())]
+    Llff {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: LlffError,
+    },
+}
+
+impl Error {
+    /// What sort of failure this is.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::Read { source, .. } => ErrorKind::of_read(source).into(),
+            Self::Write { .. }
+            | Self::InTheWay { .. }
+            | Self::Foreign { .. }
+            | Self::Exists { .. }
+            | Self::WouldReplace { .. }
+            | Self::Verify { .. } => Category::CannotWrite,
+            Self::Missing { .. } => Category::NoInput,
+            Self::Unknown { .. }
+            | Self::NoTestList { .. }
+            | Self::Score(_)
+            | Self::ScoreGeometry(_)
+            | Self::Llff { .. } => Category::BadInput,
+            Self::Stopped { .. } => Category::Stopped,
+            Self::Internal { .. } => Category::Internal,
+            Self::Settings(SettingsError::Read { source, .. }) => ErrorKind::of_read(source).into(),
+            Self::Settings(SettingsError::Internal { .. }) => Category::Internal,
+            Self::Settings(_) => Category::BadSettings,
+            Self::Time(_) => Category::Usage,
+            Self::Simd(_) => Category::NoDevice,
+            Self::ReadVideo(ReadVideoError::BadOption { .. }) => Category::BadSettings,
+            Self::ReadVideo(e) => e.kind().into(),
+            Self::WriteVideo(e) => e.kind().into(),
+            Self::ReadImage(e) => e.kind().into(),
+            Self::WriteImage(e) => e.kind().into(),
+            Self::ReadCapture(e) => e.kind().into(),
+            Self::WriteCapture(e) => e.kind().into(),
+            Self::ReadScene(e) => e.kind().into(),
+            Self::WriteScene(e) => e.kind().into(),
+            Self::ReadTrajectory(e) => e.kind().into(),
+            Self::Sparse(SparseError::Setting { .. })
+            | Self::Dense(DenseError::Setting { .. })
+            | Self::Init(InitError::BadSetting { .. })
+            | Self::Train(TrainError::BadSetting { .. }) => Category::BadSettings,
+            Self::Sparse(SparseError::Cancelled)
+            | Self::Dense(DenseError::Cancelled { .. })
+            | Self::Init(InitError::Stopped) => Category::Stopped,
+            Self::Sparse(_) | Self::Dense(_) | Self::Init(_) | Self::Train(_) => Category::BadInput,
+        }
+    }
+
+    /// True when the caller asked to stop.
+    #[must_use]
+    pub fn is_stop(&self) -> bool {
+        self.category() == Category::Stopped
+    }
+}

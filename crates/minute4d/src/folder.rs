@@ -1,0 +1,149 @@
+//! The folder of a run: what may be replaced, and where its files are.
+
+use crate::record::{RUN_FILE, RunRecord, Status};
+use crate::{Error, geometry};
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+/// The trained scene.
+pub const SCENE_FILE: &str = "scene.safetensors";
+/// One JSON object a line: how training went.
+pub const METRICS_FILE: &str = "metrics.jsonl";
+/// Source, re-render and frozen time side by side.
+pub const PREVIEW_FILE: &str = "preview.mp4";
+/// Scores over the held-out views.
+pub const EVAL_FILE: &str = "eval.json";
+/// The capture that `run` makes of a video.
+pub const CAPTURE_FOLDER: &str = "capture";
+/// Scenes saved during training.
+pub const CHECKPOINT_FOLDER: &str = "checkpoints";
+
+/// What to do with a folder that holds something.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Existing {
+    /// Leave it alone and fail.
+    #[default]
+    Refuse,
+    /// Go on with the work of an earlier run.
+    Resume,
+    /// Replace what an earlier run left; files that are not ours stay.
+    Force,
+}
+
+/// Makes or takes over the folder of a run. With [`Existing::Resume`] gives the earlier record.
+///
+/// # Errors
+///
+/// [`Error::InTheWay`] for a file of that name, [`Error::Foreign`] for a folder with other things in
+/// it, [`Error::Exists`] for an earlier run that was not asked for, [`Error::Write`] where nothing can
+/// be made.
+pub fn open(folder: &Path, existing: Existing) -> Result<Option<RunRecord>, Error> {
+    if !make(folder)? {
+        return Ok(None);
+    }
+    let record = RunRecord::read(folder)?;
+    match (record, existing) {
+        (Some(record), Existing::Resume) => Ok(Some(record)),
+        // A failed attempt left nothing worth keeping.
+        (Some(record), Existing::Refuse) if record.status == Status::Failed && !has_results(folder) => {
+            clear(folder)?;
+            Ok(None)
+        }
+        (Some(record), Existing::Refuse) => Err(Error::Exists {
+            path: folder.to_path_buf(),
+            what: match record.status {
+                Status::Finished => "a finished run",
+                _ => "an unfinished run",
+            },
+        }),
+        (_, Existing::Force) => {
+            clear(folder)?;
+            Ok(None)
+        }
+        (None, _) => Err(Error::Foreign {
+            path: folder.to_path_buf(),
+            missing: RUN_FILE,
+        }),
+    }
+}
+
+fn has_results(folder: &Path) -> bool {
+    folder.join(SCENE_FILE).exists() || folder.join(CAPTURE_FOLDER).exists() || !checkpoints(folder).is_empty()
+}
+
+/// Makes the folder if it is missing; true if something is in it.
+pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
+    let write = |source| Error::Write {
+        path: folder.to_path_buf(),
+        source,
+    };
+    match fs::metadata(folder) {
+        Ok(kind) if !kind.is_dir() => Err(Error::InTheWay {
+            path: folder.to_path_buf(),
+        }),
+        Ok(_) => Ok(fs::read_dir(folder).map_err(write)?.next().is_some()),
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
+            fs::create_dir_all(folder).map_err(write)?;
+            Ok(false)
+        }
+        Err(error) => Err(write(error)),
+    }
+}
+
+/// Removes what a run writes, and nothing else.
+fn clear(folder: &Path) -> Result<(), Error> {
+    for file in [RUN_FILE, SCENE_FILE, METRICS_FILE, PREVIEW_FILE, EVAL_FILE] {
+        remove_file(&folder.join(file))?;
+    }
+    remove_checkpoints(folder)?;
+    let capture = folder.join(CAPTURE_FOLDER);
+    if capture.is_dir() {
+        geometry::clear(&capture)?;
+    }
+    Ok(())
+}
+
+/// Removes a file that may be missing.
+pub(crate) fn remove_file(path: &Path) -> Result<(), Error> {
+    match fs::remove_file(path) {
+        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write {
+            path: path.to_path_buf(),
+            source,
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// The file of the checkpoint after so many iterations.
+pub(crate) fn checkpoint_file(folder: &Path, iteration: usize) -> PathBuf {
+    folder
+        .join(CHECKPOINT_FOLDER)
+        .join(format!("{iteration:07}.safetensors"))
+}
+
+/// The checkpoints of a run and their iterations, oldest first.
+pub(crate) fn checkpoints(folder: &Path) -> Vec<(usize, PathBuf)> {
+    let Ok(entries) = fs::read_dir(folder.join(CHECKPOINT_FOLDER)) else {
+        return Vec::new();
+    };
+    let mut found: Vec<(usize, PathBuf)> = entries
+        .filter_map(|entry| {
+            let path = entry.ok()?.path();
+            let iteration = path.file_name()?.to_str()?.strip_suffix(".safetensors")?.parse().ok()?;
+            Some((iteration, path))
+        })
+        .collect();
+    found.sort();
+    found
+}
+
+/// Removes every checkpoint, and their folder if nothing else is in it.
+pub(crate) fn remove_checkpoints(folder: &Path) -> Result<(), Error> {
+    for (_, path) in checkpoints(folder) {
+        remove_file(&path)?;
+    }
+    // A folder with something else in it stays.
+    let _ = fs::remove_dir(folder.join(CHECKPOINT_FOLDER));
+    Ok(())
+}

@@ -1,0 +1,156 @@
+//! Hashes of inputs and settings: the keys by which finished stages are found again.
+
+use crate::Error;
+use m4_scene::{Capture, Plane};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+/// Records that the program itself writes beside an input; they are no part of it.
+const OWN_RECORDS: [&str; 1] = [crate::record::GEOMETRY_FILE];
+
+/// BLAKE3 of a file's bytes, or of the names and bytes of everything in a folder; hexadecimal.
+///
+/// Hidden files and the program's own records are left out.
+///
+/// # Errors
+///
+/// [`Error::Read`] naming the file that could not be read.
+pub fn of_path(path: &Path) -> Result<String, Error> {
+    let mut hasher = blake3::Hasher::new();
+    if path.is_dir() {
+        let mut files = Vec::new();
+        list(path, Path::new(""), &mut files)?;
+        files.sort();
+        for relative in files {
+            let name = relative.to_string_lossy().replace('\\', "/");
+            let mut inner = blake3::Hasher::new();
+            read_into(&path.join(&relative), &mut inner)?;
+            hasher.update(&(name.len() as u64).to_le_bytes());
+            hasher.update(name.as_bytes());
+            hasher.update(inner.finalize().as_bytes());
+        }
+    } else {
+        read_into(path, &mut hasher)?;
+    }
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// BLAKE3 of several texts; where one ends and the next begins matters.
+#[must_use]
+pub fn of_parts(parts: &[&str]) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for part in parts {
+        hasher.update(&(part.len() as u64).to_le_bytes());
+        hasher.update(part.as_bytes());
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+/// BLAKE3 of everything that training reads of a capture: cameras, times, pictures, depth and masks.
+#[must_use]
+pub fn of_capture(capture: &Capture) -> String {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&(capture.time_frames as u64).to_le_bytes());
+    for frame in &capture.frames {
+        let k = &frame.camera.intrinsics;
+        for n in [k.width, k.height] {
+            hasher.update(&(n as u64).to_le_bytes());
+        }
+        let pose = &frame.camera.c2w;
+        let numbers = [k.fx, k.fy, k.cx, k.cy, frame.t];
+        for x in numbers
+            .iter()
+            .chain(pose.rotation.iter())
+            .chain(pose.translation.iter())
+        {
+            hasher.update(&x.to_le_bytes());
+        }
+        size_into(frame.rgb.size(), &mut hasher);
+        hasher.update(frame.rgb.data().as_flattened());
+        let depth = frame.depth.as_ref();
+        size_into(depth.map_or((0, 0), Plane::size), &mut hasher);
+        if let Some(depth) = depth {
+            let bytes: Vec<u8> = depth.data().iter().flat_map(|z| z.to_le_bytes()).collect();
+            hasher.update(&bytes);
+        }
+        let mask = frame.mask.as_ref();
+        size_into(mask.map_or((0, 0), Plane::size), &mut hasher);
+        hasher.update(mask.map_or(&[], Plane::data));
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+fn size_into((width, height): (usize, usize), hasher: &mut blake3::Hasher) {
+    hasher.update(&(width as u64).to_le_bytes());
+    hasher.update(&(height as u64).to_le_bytes());
+}
+
+fn read_into(path: &Path, hasher: &mut blake3::Hasher) -> Result<(), Error> {
+    let failed = |source| Error::Read {
+        path: path.to_path_buf(),
+        source,
+    };
+    let file = File::open(path).map_err(failed)?;
+    hasher.update_reader(file).map_err(failed)?;
+    Ok(())
+}
+
+fn list(root: &Path, folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), Error> {
+    let full = root.join(folder);
+    let failed = |source| Error::Read {
+        path: full.clone(),
+        source,
+    };
+    for entry in fs::read_dir(&full).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let name = entry.file_name();
+        let text = name.to_string_lossy();
+        if text.starts_with('.') || OWN_RECORDS.contains(&text.as_ref()) {
+            continue;
+        }
+        let relative = folder.join(&name);
+        // `metadata` follows links, so that a folder of links counts by what it shows.
+        let kind = fs::metadata(entry.path()).map_err(failed)?;
+        if kind.is_dir() {
+            list(root, &relative, files)?;
+        } else if kind.is_file() {
+            files.push(relative);
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{of_parts, of_path};
+    use std::fs;
+
+    #[test]
+    fn a_folder_is_known_by_names_and_bytes() {
+        let dir = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| fs::write(dir.path().join(name), text).unwrap();
+        fs::create_dir(dir.path().join("in")).unwrap();
+        write("a", "1");
+        write("in/b", "2");
+        let first = of_path(dir.path()).unwrap();
+        write(".hidden", "3");
+        write("geometry.json", "{}");
+        assert_eq!(
+            of_path(dir.path()).unwrap(),
+            first,
+            "records and hidden files do not count"
+        );
+        write("in/b", "22");
+        let changed = of_path(dir.path()).unwrap();
+        assert_ne!(changed, first);
+        fs::rename(dir.path().join("a"), dir.path().join("c")).unwrap();
+        assert_ne!(of_path(dir.path()).unwrap(), changed);
+        assert!(of_path(&dir.path().join("missing")).is_err());
+    }
+
+    #[test]
+    fn borders_between_parts_count() {
+        assert_ne!(of_parts(&["ab", "c"]), of_parts(&["a", "bc"]));
+        assert_eq!(of_parts(&["ab", "c"]), of_parts(&["ab", "c"]));
+    }
+}

@@ -1,0 +1,355 @@
+//! What a file or folder holds.
+
+use crate::folder::SCENE_FILE;
+use crate::record::{RUN_FILE, RunRecord, Status};
+use crate::settings::Settings;
+use crate::{Error, Observer, hash, is_capture};
+use m4_io::capture::Split;
+use m4_io::scene_file;
+use m4_io::video::VideoOptions;
+use m4_scene::{Capture, Scene};
+use serde::Serialize;
+use std::fmt;
+use std::path::Path;
+
+/// What was found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Inspection {
+    /// A video, or a folder of pictures.
+    Video(VideoFacts),
+    /// Posed frames.
+    Capture(CaptureFacts),
+    /// A scene file.
+    Scene(SceneFacts),
+    /// The folder of a run.
+    Run(RunFacts),
+}
+
+/// Facts about a clip.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct VideoFacts {
+    /// Frames that can be decoded.
+    pub frames: usize,
+    /// Width and height, upright, pixels.
+    pub size: [usize; 2],
+    /// Seconds from the first to the last frame.
+    pub duration_s: f64,
+    /// Mean frames a second.
+    pub fps: Option<f64>,
+    /// Longest over median time between frames: 1 for an even clock.
+    pub longest_gap: Option<f64>,
+    /// Focal length of the frames as they are in the file, pixels, where the file states it.
+    pub focal_px: Option<f64>,
+    /// Damaged frames, tone mapping and the like.
+    pub warnings: Vec<String>,
+}
+
+/// Facts about a capture.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CaptureFacts {
+    /// Training frames.
+    pub frames: usize,
+    /// Width and height of the first, pixels.
+    pub size: [usize; 2],
+    /// Horizontal field of view of the first, degrees.
+    pub fov_deg: f64,
+    /// Seconds from the first to the last frame, where known.
+    pub duration_s: Option<f64>,
+    /// True when a unit is a metre.
+    pub metric: bool,
+    /// Length of the camera's path, units.
+    pub path_length: f64,
+    /// Frames with depth.
+    pub with_depth: usize,
+    /// Frames with a mask.
+    pub with_mask: usize,
+    /// Share of masked pixels that move.
+    pub moving_share: Option<f64>,
+    /// Held-out views listed, if the list can be read.
+    pub test_views: Option<usize>,
+}
+
+/// Facts about a scene.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SceneFacts {
+    /// Splats without time parameters.
+    pub splats_static: usize,
+    /// Splats with them.
+    pub splats_dynamic: usize,
+    /// One scale a splat.
+    pub isotropic: bool,
+    /// Degree of the spatial harmonics.
+    pub sh_degree: usize,
+    /// Highest temporal harmonic.
+    pub time_degree: usize,
+    /// Frames of the source video.
+    pub time_frames: usize,
+    /// Seconds, where known.
+    pub duration_s: Option<f64>,
+    /// Cameras of the source video.
+    pub cameras: usize,
+    /// True when it can be trained further.
+    pub with_optimiser: bool,
+    /// True when every number is finite.
+    pub finite: bool,
+}
+
+/// Facts about a run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RunFacts {
+    /// Its record.
+    pub record: RunRecord,
+    /// Files that are missing or not as they were written.
+    pub damaged: Vec<String>,
+    /// Its scene, if it has one that can be read.
+    pub scene: Option<SceneFacts>,
+}
+
+/// Finds out what `path` holds.
+///
+/// # Errors
+///
+/// [`Error`] naming what is wrong with it.
+pub fn inspect(path: &Path, observer: &dyn Observer) -> Result<Inspection, Error> {
+    if !path.exists() {
+        return Err(Error::Missing {
+            what: "file or folder",
+            path: path.to_path_buf(),
+        });
+    }
+    if path.join(RUN_FILE).is_file()
+        && let Some(record) = RunRecord::read(path)?
+    {
+        return run_facts(path, record);
+    }
+    if is_capture(path) {
+        let options = Settings::fast().capture;
+        let capture = m4_io::capture::read(path, Split::Train, &options, observer)?;
+        return Ok(Inspection::Capture(capture_facts(path, &capture)));
+    }
+    if path.extension().is_some_and(|e| e == "safetensors") {
+        return Ok(Inspection::Scene(scene_facts(path)?));
+    }
+    video_facts(path, observer)
+}
+
+fn run_facts(path: &Path, record: RunRecord) -> Result<Inspection, Error> {
+    let mut damaged = Vec::new();
+    for (name, file) in &record.files {
+        let full = path.join(name);
+        if !full.is_file() || hash::of_path(&full)? != file.blake3 {
+            damaged.push(name.clone());
+        }
+    }
+    let scene = path.join(SCENE_FILE);
+    let scene = if scene.is_file() {
+        Some(scene_facts(&scene)?)
+    } else {
+        None
+    };
+    Ok(Inspection::Run(RunFacts { record, damaged, scene }))
+}
+
+fn scene_facts(path: &Path) -> Result<SceneFacts, Error> {
+    let file = scene_file::read(path)?;
+    let scene: &Scene = &file.scene;
+    let splats = &scene.splats;
+    let layout = splats.layout();
+    Ok(SceneFacts {
+        splats_static: splats.n_static(),
+        splats_dynamic: splats.n_dynamic(),
+        isotropic: layout.isotropic,
+        sh_degree: layout.sh_degree,
+        time_degree: layout.time_degree,
+        time_frames: scene.time_frames,
+        duration_s: scene.duration_s,
+        cameras: scene.source.len(),
+        with_optimiser: file.state.is_some(),
+        finite: splats.is_finite(),
+    })
+}
+
+fn capture_facts(path: &Path, capture: &Capture) -> CaptureFacts {
+    let lens = capture.frames.first().map(|f| f.camera.intrinsics);
+    let centres = capture.frames.iter().map(|f| f.camera.centre());
+    let steps = centres.clone().zip(centres.skip(1)).map(|(a, b)| (b - a).norm());
+    let masks = || capture.frames.iter().filter_map(|f| f.mask.as_ref());
+    let pixels: usize = masks().map(|m| m.data().len()).sum();
+    let moving = masks().flat_map(|m| m.data()).filter(|&&m| m != 0).count();
+    CaptureFacts {
+        frames: capture.frames.len(),
+        size: lens.map_or([0, 0], |k| [k.width, k.height]),
+        fov_deg: lens.map_or(0.0, |k| k.horizontal_fov_rad().to_degrees()),
+        duration_s: capture.duration_s,
+        metric: capture.metric,
+        path_length: steps.sum(),
+        with_depth: capture.frames.iter().filter(|f| f.depth.is_some()).count(),
+        with_mask: masks().count(),
+        moving_share: (pixels > 0).then(|| moving as f64 / pixels as f64),
+        test_views: test_views(path),
+    }
+}
+
+/// The number of held-out views, from the list alone.
+fn test_views(path: &Path) -> Option<usize> {
+    let text = std::fs::read(path.join(Split::Test.file_name())).ok()?;
+    let list: serde_json::Value = serde_json::from_slice(&text).ok()?;
+    Some(list.get("frames")?.as_array()?.len())
+}
+
+fn video_facts(path: &Path, observer: &dyn Observer) -> Result<Inspection, Error> {
+    let options = VideoOptions {
+        size: None,
+        ..VideoOptions::default()
+    };
+    let video = m4_io::video::read(path, &options, observer)?;
+    let times: Vec<f64> = video.frames.iter().map(|f| f.time_s).collect();
+    let mut gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+    gaps.sort_by(f64::total_cmp);
+    let duration_s = times.last().zip(times.first()).map_or(0.0, |(b, a)| b - a);
+    let median = gaps.get(gaps.len() / 2).copied().filter(|&g| g > 0.0);
+    let size = video.frames.first().map_or([0, 0], |f| f.rgb.size().into());
+    Ok(Inspection::Video(VideoFacts {
+        frames: times.len(),
+        size,
+        duration_s,
+        fps: (duration_s > 0.0).then(|| (times.len() - 1) as f64 / duration_s),
+        longest_gap: median.zip(gaps.last()).map(|(median, longest)| longest / median),
+        focal_px: video.focal_px,
+        warnings: video.warnings,
+    }))
+}
+
+impl fmt::Display for Inspection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Video(facts) => facts.fmt(f),
+            Self::Capture(facts) => facts.fmt(f),
+            Self::Scene(facts) => facts.fmt(f),
+            Self::Run(facts) => facts.fmt(f),
+        }
+    }
+}
+
+/// ` (3.20 s)`, or nothing.
+fn seconds(duration_s: Option<f64>) -> String {
+    duration_s.map_or_else(String::new, |s| format!(", {s:.2} s"))
+}
+
+impl fmt::Display for VideoFacts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [w, h] = self.size;
+        write!(
+            f,
+            "video: {} frames of {w} x {h} pixels, {:.2} s",
+            self.frames, self.duration_s
+        )?;
+        if let Some(fps) = self.fps {
+            write!(f, ", {fps:.2} frames a second")?;
+        }
+        if let Some(gap) = self.longest_gap.filter(|&g| g > 1.5) {
+            write!(
+                f,
+                "\nuneven clock: the longest gap between frames is {gap:.1} times the usual one"
+            )?;
+        }
+        if let Some(focal) = self.focal_px {
+            write!(f, "\nfocal length stated in the file: {focal:.1} px")?;
+        }
+        self.warnings.iter().try_for_each(|w| write!(f, "\nwarning: {w}"))
+    }
+}
+
+impl fmt::Display for CaptureFacts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [w, h] = self.size;
+        writeln!(
+            f,
+            "capture: {} frames of {w} x {h} pixels{}, field of view {:.1} degrees",
+            self.frames,
+            seconds(self.duration_s),
+            self.fov_deg
+        )?;
+        let unit = if self.metric { "m" } else { "units (scale unknown)" };
+        write!(f, "camera path: {:.3} {unit}", self.path_length)?;
+        write!(
+            f,
+            "\ndepth: {} frames\nmasks: {} frames",
+            self.with_depth, self.with_mask
+        )?;
+        if let Some(share) = self.moving_share {
+            write!(f, ", {:.1} % of the pixels move", 100.0 * share)?;
+        }
+        match self.test_views {
+            Some(n) => write!(f, "\nheld-out views: {n}"),
+            None => write!(f, "\nheld-out views: none"),
+        }
+    }
+}
+
+impl fmt::Display for SceneFacts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let shape = if self.isotropic { "isotropic" } else { "anisotropic" };
+        writeln!(
+            f,
+            "scene: {} static and {} dynamic splats, {shape}, colour degree {} in space and {} in time",
+            self.splats_static, self.splats_dynamic, self.sh_degree, self.time_degree
+        )?;
+        write!(
+            f,
+            "time: {} frames{}, {} cameras",
+            self.time_frames,
+            seconds(self.duration_s),
+            self.cameras
+        )?;
+        if !self.finite {
+            write!(f, "\ndamaged: some numbers are not finite")?;
+        }
+        let optimiser = if self.with_optimiser {
+            "included"
+        } else {
+            "not included"
+        };
+        write!(f, "\nstate of the optimiser: {optimiser}")
+    }
+}
+
+impl fmt::Display for RunFacts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let record = &self.record;
+        let status = match record.status {
+            Status::Running => "unfinished (at work, or killed)",
+            Status::Stopped => "stopped, can be resumed",
+            Status::Failed => "failed",
+            Status::Finished => "finished",
+        };
+        writeln!(
+            f,
+            "run: {status}, profile {}, seed {}, minute4d {}",
+            record.profile, record.seed, record.minute4d
+        )?;
+        writeln!(f, "input: {}", record.input.path)?;
+        for (name, stage) in &record.stages {
+            let state = if stage.done { "done" } else { "not done" };
+            writeln!(f, "stage {name}: {state}, {:.1} s", stage.seconds)?;
+        }
+        if let Some(bytes) = record.peak_memory_bytes {
+            writeln!(f, "peak memory: {:.0} MiB", bytes as f64 / f64::from(1 << 20))?;
+        }
+        if let Some(error) = &record.error {
+            writeln!(f, "error: {error}")?;
+        }
+        for warning in &record.warnings {
+            writeln!(f, "warning: {warning}")?;
+        }
+        for name in &self.damaged {
+            writeln!(f, "damaged: {name} is missing or not as it was written")?;
+        }
+        match &self.scene {
+            Some(scene) => scene.fmt(f),
+            None => write!(f, "scene: none yet"),
+        }
+    }
+}

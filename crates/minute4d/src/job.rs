@@ -1,0 +1,48 @@
+//! What every stage is told.
+
+use crate::folder::Existing;
+use crate::{Error, Observer, Settings};
+use m4_kernels::SimdLevel;
+
+/// Settings of a run, what to do with earlier results, and who listens.
+pub struct Job<'a> {
+    /// Every setting.
+    pub settings: Settings,
+    /// Name of the built-in settings that they started from, for the record.
+    pub profile: String,
+    /// What to do with a folder that holds something.
+    pub existing: Existing,
+    /// Who is told how it goes, and who may say stop.
+    pub observer: &'a dyn Observer,
+}
+
+impl Job<'_> {
+    /// Refuses settings that no stage can use, before any of them starts.
+    pub(crate) fn check(&self) -> Result<SimdLevel, Error> {
+        self.settings.init.check()?;
+        self.settings.train.check()?;
+        Ok(SimdLevel::detect()?)
+    }
+}
+
+/// Calls `f` on a pool of so many threads; on all cores for `None`.
+///
+/// # Errors
+///
+/// [`Error::Internal`] if the system gives no threads.
+pub fn with_threads<R: Send>(threads: Option<usize>, f: impl FnOnce() -> R + Send) -> Result<R, Error> {
+    let Some(threads) = threads else { return Ok(f()) };
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|e| Error::Internal {
+            what: format!("cannot start {threads} threads: {e}"),
+        })?;
+    Ok(pool.install(f))
+}
+
+/// Threads of the current pool.
+#[must_use]
+pub fn threads() -> usize {
+    rayon::current_num_threads()
+}

@@ -1,0 +1,58 @@
+//! Everything in one go: geometry, train, preview.
+
+use crate::folder::CAPTURE_FOLDER;
+use crate::record::{Input, RunRecord, StageRecord};
+use crate::workspace::Workspace;
+use crate::{Error, Existing, Job, geometry, hash, preview, train};
+use std::path::Path;
+
+/// Makes a scene of a video, a folder of pictures, or a capture; what an earlier run finished is used
+/// again with [`Existing::Resume`].
+///
+/// # Errors
+///
+/// [`Error`] of the stage that failed; what was finished before stays in `out`.
+pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
+    if is_capture(input) {
+        return train::make(input, out, job);
+    }
+    if !input.exists() {
+        return Err(Error::Missing {
+            what: "video, folder of pictures or capture",
+            path: input.to_path_buf(),
+        });
+    }
+    job.check()?;
+    let source = Input {
+        path: input.display().to_string(),
+        blake3: hash::of_path(input)?,
+    };
+    Workspace::open(out, source, job)?.finish(|run| {
+        let folder = run.path(CAPTURE_FOLDER);
+        let stage_job = Job {
+            settings: job.settings.clone(),
+            profile: job.profile.clone(),
+            // The folder of the run was taken over; so is the capture in it.
+            existing: Existing::Resume,
+            observer: job.observer,
+        };
+        let made = geometry::make(input, &folder, &stage_job)?;
+        let stage = StageRecord {
+            key: made.key,
+            done: true,
+            seconds: made.seconds,
+            warnings: made.warnings,
+        };
+        run.record.stages.insert(geometry::STAGE.to_owned(), stage);
+        let capture = train::read(&folder, &job.settings, job.observer)?;
+        let scene = train::stage(run, &capture)?;
+        preview::stage(run, &capture, &scene)
+    })
+}
+
+/// True for a folder with a list of posed frames, or such a list itself.
+#[must_use]
+pub fn is_capture(path: &Path) -> bool {
+    let listed = ["transforms_train.json", "transforms.json"];
+    listed.iter().any(|name| path.join(name).is_file()) || path.extension().is_some_and(|e| e == "json")
+}

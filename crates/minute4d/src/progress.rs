@@ -1,0 +1,103 @@
+//! What a caller learns while a pipeline runs: stages beside the steps within them.
+
+use m4_scene::Progress;
+use std::sync::{Mutex, PoisonError};
+
+/// What happens to a stage.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum StageEvent<'a> {
+    /// It starts; `because` says why an earlier result could not be used, where there was one.
+    Started {
+        /// Why, for people.
+        because: Option<&'a str>,
+    },
+    /// It goes on where an earlier run was stopped.
+    Resumed {
+        /// Steps that were done before.
+        done: usize,
+        /// All steps.
+        total: usize,
+    },
+    /// An earlier result was used as it is.
+    Reused,
+    /// It is done.
+    Finished {
+        /// Wall-clock seconds.
+        seconds: f64,
+    },
+}
+
+/// A [`Progress`] that also follows stages.
+pub trait Observer: Progress {
+    /// Something happened to the stage named.
+    fn stage(&self, name: &str, event: StageEvent<'_>);
+}
+
+impl Observer for m4_scene::Silent {
+    fn stage(&self, _name: &str, _event: StageEvent<'_>) {}
+}
+
+/// Passes everything on, and keeps the warnings for the record.
+pub struct Keeper<'a> {
+    observer: &'a dyn Observer,
+    warnings: Mutex<Vec<String>>,
+}
+
+impl<'a> Keeper<'a> {
+    /// Passes on to `observer`.
+    #[must_use]
+    pub fn new(observer: &'a dyn Observer) -> Self {
+        Self {
+            observer,
+            warnings: Mutex::new(Vec::new()),
+        }
+    }
+
+    /// Every warning so far, each once, in the order of their first appearance.
+    #[must_use]
+    pub fn warnings(&self) -> Vec<String> {
+        self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl Progress for Keeper<'_> {
+    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
+        self.observer.update(phase, done, total, note);
+    }
+
+    fn warn(&self, message: &str) {
+        let mut warnings = self.warnings.lock().unwrap_or_else(PoisonError::into_inner);
+        if warnings.iter().any(|w| w == message) {
+            return;
+        }
+        warnings.push(message.to_owned());
+        drop(warnings);
+        self.observer.warn(message);
+    }
+
+    fn cancelled(&self) -> bool {
+        self.observer.cancelled()
+    }
+}
+
+impl Observer for Keeper<'_> {
+    fn stage(&self, name: &str, event: StageEvent<'_>) {
+        self.observer.stage(name, event);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Keeper;
+    use m4_scene::{Progress, Silent};
+
+    #[test]
+    fn a_warning_is_kept_once() {
+        let keeper = Keeper::new(&Silent);
+        for message in ["dark", "blurred", "dark"] {
+            keeper.warn(message);
+        }
+        assert_eq!(keeper.warnings(), ["dark", "blurred"]);
+    }
+}

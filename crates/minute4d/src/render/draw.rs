@@ -1,0 +1,79 @@
+//! One picture of a scene.
+
+use m4_kernels::{Frame, Renderer, SimdLevel, View};
+use m4_scene::{Camera, Exposure, Plane, RgbImage, Scene};
+
+/// Draws pictures of one scene, one after the other.
+pub struct Painter<'a> {
+    scene: &'a Scene,
+    renderer: Renderer,
+}
+
+impl<'a> Painter<'a> {
+    /// Draws `scene` on the vector instructions given.
+    #[must_use]
+    pub fn new(scene: &'a Scene, level: SimdLevel) -> Self {
+        Self {
+            scene,
+            renderer: Renderer::new(level),
+        }
+    }
+
+    /// What a camera sees at a moment (frames), before any exposure.
+    pub fn frame(&mut self, camera: &Camera, t: f64, with_depth: bool) -> &Frame {
+        let view = View {
+            with_depth,
+            ..view(self.scene, camera, t)
+        };
+        self.renderer.render(&self.scene.splats, &view)
+    }
+
+    /// The same as an 8-bit picture with an exposure.
+    pub fn picture(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> RgbImage {
+        to_rgb(self.frame(camera, t, false), exposure)
+    }
+
+    /// Median z-depth of what a camera sees at a moment, world units; `None` where it sees nothing.
+    pub fn median_depth(&mut self, camera: &Camera, t: f64) -> Option<f64> {
+        let frame = self.frame(camera, t, true);
+        let depth = frame.depth.iter().zip(&frame.transmittance);
+        let mut seen: Vec<f32> = depth
+            .filter(|&(_, &passed)| passed < 0.5)
+            .map(|(&sum, &passed)| sum / (1.0 - passed))
+            .filter(|z| z.is_finite() && *z > 0.0)
+            .collect();
+        if seen.is_empty() {
+            return None;
+        }
+        let middle = seen.len() / 2;
+        Some(f64::from(*seen.select_nth_unstable_by(middle, f32::total_cmp).1))
+    }
+}
+
+/// A view of a scene as it was trained to be seen.
+#[must_use]
+pub fn view(scene: &Scene, camera: &Camera, t: f64) -> View {
+    View {
+        camera: *camera,
+        t,
+        background: scene.background,
+        near: scene.near,
+        mip: scene.mip,
+        period: (scene.time_frames.max(2) - 1) as f32,
+        with_depth: false,
+    }
+}
+
+/// Exposed, clamped and rounded to 8 bits a channel.
+#[must_use]
+pub fn to_rgb(frame: &Frame, exposure: &Exposure) -> RgbImage {
+    let (m, o) = (&exposure.matrix, &exposure.offset);
+    Plane::from_fn(frame.width, frame.height, |x, y| {
+        let i = y * frame.width + x;
+        let c = [frame.rgb[0][i], frame.rgb[1][i], frame.rgb[2][i]];
+        std::array::from_fn(|r| {
+            let value = m[r][0] * c[0] + m[r][1] * c[1] + m[r][2] * c[2] + o[r];
+            (value.clamp(0.0, 1.0) * 255.0).round() as u8
+        })
+    })
+}

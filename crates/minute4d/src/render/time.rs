@@ -1,0 +1,216 @@
+//! When the views of a camera path are taken.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// A moment, as people write it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Moment {
+    /// `12` or `12.5`: frames of the training video, counted from 0.
+    Frames(f64),
+    /// `1.5s`: seconds from the first frame.
+    Seconds(f64),
+}
+
+/// How time goes on along a camera path.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TimePath {
+    /// `source`: every camera at its own moment.
+    Source,
+    /// `freeze@T`: one moment for all.
+    Freeze(Moment),
+    /// `A..B`: evenly from A at the first camera to B at the last; B may lie before A.
+    Range(Moment, Moment),
+}
+
+/// Why a time cannot be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TimeError {
+    /// Not one of the forms.
+    #[error(
+        "{given:?} is no time; write source, freeze@T or A..B, where T, A and B count frames (12.5), or seconds with an s behind (1.5s)"
+    )]
+    Form {
+        /// What was written.
+        given: String,
+    },
+    /// Before the first or after the last frame.
+    #[error(
+        "{moment} lies outside the scene, which has frames 0 to {last}{}",
+        seconds_of(duration_s)
+    )]
+    Outside {
+        /// The moment asked for.
+        moment: Moment,
+        /// The last frame.
+        last: usize,
+        /// Length of the clip, where known.
+        duration_s: Option<f64>,
+    },
+    /// Seconds in a scene that has none.
+    #[error("{moment} cannot be found: the scene does not say how many seconds it lasts; count frames, 0 to {last}")]
+    NoDuration {
+        /// The moment asked for.
+        moment: Moment,
+        /// The last frame.
+        last: usize,
+    },
+}
+
+fn seconds_of(duration_s: &Option<f64>) -> String {
+    duration_s.map_or_else(String::new, |s| format!(" (0s to {s:.3}s)"))
+}
+
+impl fmt::Display for Moment {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Frames(t) => write!(f, "frame {t}"),
+            Self::Seconds(s) => write!(f, "{s}s"),
+        }
+    }
+}
+
+impl FromStr for TimePath {
+    type Err = TimeError;
+
+    fn from_str(text: &str) -> Result<Self, TimeError> {
+        let form = || TimeError::Form { given: text.to_owned() };
+        let moment = |t: &str| parse_moment(t.trim()).ok_or_else(form);
+        if text == "source" {
+            return Ok(Self::Source);
+        }
+        if let Some(t) = text.strip_prefix("freeze@") {
+            return Ok(Self::Freeze(moment(t)?));
+        }
+        let (a, b) = text.split_once("..").ok_or_else(form)?;
+        Ok(Self::Range(moment(a)?, moment(b)?))
+    }
+}
+
+fn parse_moment(text: &str) -> Option<Moment> {
+    let (number, seconds) = match text.strip_suffix('s') {
+        Some(number) => (number, true),
+        None => (text, false),
+    };
+    let value: f64 = number.parse().ok().filter(|v: &f64| v.is_finite())?;
+    Some(if seconds {
+        Moment::Seconds(value)
+    } else {
+        Moment::Frames(value)
+    })
+}
+
+/// How long a scene lasts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Span {
+    /// Time runs from 0 to one less than this, frames.
+    pub time_frames: usize,
+    /// Seconds from the first to the last frame, where known.
+    pub duration_s: Option<f64>,
+}
+
+impl Span {
+    fn last(&self) -> usize {
+        self.time_frames.saturating_sub(1)
+    }
+
+    /// The moment in frames.
+    ///
+    /// # Errors
+    ///
+    /// [`TimeError`] if it lies outside the scene, or counts seconds that the scene does not know.
+    pub fn frames(&self, moment: Moment) -> Result<f64, TimeError> {
+        let last = self.last();
+        let t = match (moment, self.duration_s) {
+            (Moment::Frames(t), _) => t,
+            (Moment::Seconds(s), Some(duration_s)) if duration_s > 0.0 => s / duration_s * last as f64,
+            (Moment::Seconds(_), _) => return Err(TimeError::NoDuration { moment, last }),
+        };
+        // The last moment written in seconds may land a rounding error behind the last frame.
+        if (-1e-6..=last as f64 + 1e-3).contains(&t) {
+            Ok(t.clamp(0.0, last as f64))
+        } else {
+            let duration_s = self.duration_s;
+            Err(TimeError::Outside {
+                moment,
+                last,
+                duration_s,
+            })
+        }
+    }
+}
+
+impl TimePath {
+    /// The moment of each camera in frames, given each camera's own.
+    ///
+    /// # Errors
+    ///
+    /// [`TimeError`] if a moment lies outside `span`, or counts seconds that it does not know.
+    pub fn moments(&self, own: &[f64], span: &Span) -> Result<Vec<f64>, TimeError> {
+        let n = own.len();
+        match *self {
+            Self::Source => Ok(own.to_vec()),
+            Self::Freeze(moment) => Ok(vec![span.frames(moment)?; n]),
+            Self::Range(a, b) => {
+                let (a, b) = (span.frames(a)?, span.frames(b)?);
+                let share = |i: usize| if n > 1 { i as f64 / (n - 1) as f64 } else { 0.0 };
+                Ok((0..n).map(|i| a + (b - a) * share(i)).collect())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Moment, Span, TimeError, TimePath};
+
+    const SPAN: Span = Span {
+        time_frames: 31,
+        duration_s: Some(3.0),
+    };
+
+    #[test]
+    fn every_form_is_read() {
+        let read = |text: &str| text.parse::<TimePath>().unwrap();
+        assert_eq!(read("source"), TimePath::Source);
+        assert_eq!(read("freeze@12.5"), TimePath::Freeze(Moment::Frames(12.5)));
+        assert_eq!(read("freeze@1.5s"), TimePath::Freeze(Moment::Seconds(1.5)));
+        assert_eq!(
+            read("3..0.5s"),
+            TimePath::Range(Moment::Frames(3.0), Moment::Seconds(0.5))
+        );
+        for bad in [
+            "",
+            "now",
+            "freeze",
+            "freeze@",
+            "freeze@x",
+            "1..",
+            "..2",
+            "nan..2",
+            "1..2..3",
+            "freeze@1ms",
+        ] {
+            assert!(matches!(bad.parse::<TimePath>(), Err(TimeError::Form { .. })), "{bad}");
+        }
+    }
+
+    #[test]
+    fn moments_are_frames_within_the_scene() {
+        let own = [0.0, 1.0, 2.0];
+        let at = |text: &str| text.parse::<TimePath>().unwrap().moments(&own, &SPAN);
+        assert_eq!(at("source").unwrap(), own);
+        assert_eq!(at("freeze@1s").unwrap(), [10.0; 3]);
+        assert_eq!(at("30..0").unwrap(), [30.0, 15.0, 0.0]);
+        assert_eq!(at("0s..3s").unwrap(), [0.0, 15.0, 30.0]);
+        assert!(matches!(at("freeze@31"), Err(TimeError::Outside { last: 30, .. })));
+        assert!(matches!(at("freeze@-1"), Err(TimeError::Outside { .. })));
+        let unknown = Span {
+            duration_s: None,
+            ..SPAN
+        };
+        let seconds = "freeze@1s".parse::<TimePath>().unwrap().moments(&own, &unknown);
+        assert!(matches!(seconds, Err(TimeError::NoDuration { .. })));
+    }
+}

@@ -1,0 +1,145 @@
+//! Scenes saved while training goes on, and how training goes on from them.
+
+use crate::Error;
+use crate::folder;
+use m4_io::scene_file::{self, SceneFile};
+use m4_kernels::SimdLevel;
+use m4_scene::{Capture, Progress, Scene, TrainState};
+use m4_train::{TrainConfig, Trainer};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Name of the key in the metadata of a scene file.
+const KEY: &str = "minute4d.train_key";
+
+/// The checkpoints of a run.
+pub(super) struct Checkpoints {
+    folder: PathBuf,
+    key: String,
+    keep: usize,
+}
+
+impl Checkpoints {
+    /// Those in `folder` that belong to the stage with this key.
+    pub fn new(folder: &Path, key: &str, keep: usize) -> Self {
+        Self {
+            folder: folder.to_path_buf(),
+            key: key.to_owned(),
+            keep: keep.max(1),
+        }
+    }
+
+    /// A trainer that goes on from the newest checkpoint that can be read and belongs to this stage.
+    /// What could not be used is said.
+    pub fn latest(
+        &self,
+        capture: &Capture,
+        config: &TrainConfig,
+        level: SimdLevel,
+        progress: &dyn Progress,
+    ) -> Result<Option<Trainer>, Error> {
+        for (_, path) in folder::checkpoints(&self.folder).into_iter().rev() {
+            let file = match scene_file::read(&path) {
+                Ok(file) => file,
+                Err(error) => {
+                    progress.warn(&format!("a checkpoint cannot be used: {error}"));
+                    continue;
+                }
+            };
+            let SceneFile {
+                scene,
+                state: Some(state),
+                metadata,
+                ..
+            } = file
+            else {
+                continue;
+            };
+            if metadata.get(KEY) != Some(&self.key) {
+                continue;
+            }
+            return Ok(Some(Trainer::resume(
+                capture,
+                scene.splats,
+                &state,
+                config.clone(),
+                level,
+            )?));
+        }
+        Ok(None)
+    }
+
+    /// Saves, then removes all but the newest.
+    pub fn save(&mut self, trainer: &Trainer) -> Result<(), Error> {
+        let path = folder::checkpoint_file(&self.folder, trainer.iteration());
+        write(&path, &trainer.scene(), &trainer.state(), &self.key)?;
+        let all = folder::checkpoints(&self.folder);
+        for (_, old) in &all[..all.len().saturating_sub(self.keep)] {
+            folder::remove_file(old)?;
+        }
+        Ok(())
+    }
+}
+
+/// Writes a scene with the state of its optimiser and the key of its stage.
+pub(super) fn write(path: &Path, scene: &Scene, state: &TrainState, key: &str) -> Result<(), Error> {
+    let metadata = BTreeMap::from([(KEY.to_owned(), key.to_owned())]);
+    Ok(scene_file::write(path, scene, Some(state), &metadata)?)
+}
+
+/// Stops a trainer when it is time for a checkpoint, or when the user says so.
+pub(super) struct Patience<'a> {
+    inner: &'a dyn Progress,
+    until: Instant,
+    /// Training asks before every step; the first step is always taken, however short the wait.
+    asked: AtomicBool,
+}
+
+impl<'a> Patience<'a> {
+    /// Lasts for so many seconds.
+    pub fn new(inner: &'a dyn Progress, seconds: f64) -> Self {
+        const LONGEST: Duration = Duration::from_secs(1 << 31);
+        let wait = Duration::try_from_secs_f64(seconds).unwrap_or(LONGEST).min(LONGEST);
+        Self {
+            inner,
+            until: Instant::now() + wait,
+            asked: AtomicBool::new(false),
+        }
+    }
+
+    /// True if the user asked to stop.
+    pub fn stopped_by_user(&self) -> bool {
+        self.inner.cancelled()
+    }
+}
+
+impl Progress for Patience<'_> {
+    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
+        self.inner.update(phase, done, total, note);
+    }
+
+    fn warn(&self, message: &str) {
+        self.inner.warn(message);
+    }
+
+    fn cancelled(&self) -> bool {
+        self.inner.cancelled() || (self.asked.swap(true, Ordering::Relaxed) && Instant::now() >= self.until)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Patience;
+    use m4_scene::{Progress, Silent};
+
+    #[test]
+    fn even_no_patience_allows_a_step() {
+        let patience = Patience::new(&Silent, 0.0);
+        assert!(!patience.cancelled());
+        assert!(patience.cancelled() && !patience.stopped_by_user());
+        let endless = Patience::new(&Silent, f64::INFINITY);
+        assert!(!endless.cancelled() && !endless.cancelled());
+    }
+}

@@ -1,0 +1,193 @@
+//! Second stage: a capture to a scene.
+
+mod checkpoint;
+mod metrics;
+
+use crate::folder::{self, METRICS_FILE, SCENE_FILE};
+use crate::progress::Keeper;
+use crate::record::{Input, RunRecord, SplatCount};
+use crate::settings::part_to_toml;
+use crate::workspace::{Task, Workspace};
+use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview};
+use checkpoint::{Checkpoints, Patience};
+use m4_io::capture::Split;
+use m4_io::scene_file;
+use m4_scene::{Capture, Scene, Splats};
+use m4_train::{Outcome, TrainError, Trainer};
+use metrics::MetricsLog;
+use serde::Serialize;
+use std::path::Path;
+
+/// Name of the stage.
+pub const STAGE: &str = "train";
+
+/// The settings that this stage depends on.
+#[derive(Serialize)]
+struct Part<'a> {
+    init: &'a m4_init::InitConfig,
+    train: &'a m4_train::TrainConfig,
+}
+
+/// Trains a scene on a capture and makes the preview, or goes on where that was stopped.
+///
+/// # Errors
+///
+/// [`Error`]: the capture cannot be used, the folder cannot be used, or the user asked to stop.
+pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
+    if !capture.exists() {
+        return Err(Error::Missing {
+            what: "capture",
+            path: capture.to_path_buf(),
+        });
+    }
+    job.check()?;
+    // Read before the folder is made, so that a wrong path leaves nothing behind.
+    let data = read(capture, &job.settings, job.observer)?;
+    let input = Input {
+        path: capture.display().to_string(),
+        blake3: hash::of_capture(&data),
+    };
+    Workspace::open(out, input, job)?.finish(|run| {
+        let scene = stage(run, &data)?;
+        preview::stage(run, &data, &scene)
+    })
+}
+
+/// Reads the training frames of a capture.
+pub(crate) fn read(capture: &Path, settings: &Settings, observer: &dyn Observer) -> Result<Capture, Error> {
+    Ok(m4_io::capture::read(
+        capture,
+        Split::Train,
+        &settings.capture,
+        observer,
+    )?)
+}
+
+/// Trains within a run, unless that was done before.
+pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene, Error> {
+    let part = Part {
+        init: &run.job.settings.init,
+        train: &run.job.settings.train,
+    };
+    let key = hash::of_parts(&[
+        STAGE,
+        env!("CARGO_PKG_VERSION"),
+        &hash::of_capture(capture),
+        run.level.name(),
+        &part_to_toml(&part)?,
+    ]);
+    let files = [SCENE_FILE, METRICS_FILE];
+    let task = run.task(STAGE, &key, &files)?;
+    let (because, seconds) = match task {
+        Task::Reuse => {
+            run.job.observer.stage(STAGE, StageEvent::Reused);
+            return Ok(scene_file::read(&run.path(SCENE_FILE))?.scene);
+        }
+        Task::Work {
+            because,
+            seconds_before,
+        } => (because, seconds_before),
+    };
+    let same_key = key.clone();
+    run.stage(STAGE, key, (because, seconds), &files, |run, keeper| {
+        train(run, capture, &same_key, keeper)
+    })
+}
+
+fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<'_>) -> Result<Scene, Error> {
+    let settings = &run.job.settings;
+    folder::remove_file(&run.path(SCENE_FILE))?;
+    let mut checkpoints = Checkpoints::new(&run.folder, key, settings.checkpoint.keep);
+    let (mut trainer, mut log) = match checkpoints.latest(capture, &settings.train, run.level, keeper)? {
+        Some(trainer) => {
+            let (done, total) = (trainer.iteration(), settings.train.iterations);
+            run.job.observer.stage(STAGE, StageEvent::Resumed { done, total });
+            let log = MetricsLog::up_to(&run.path(METRICS_FILE), done);
+            (trainer, log)
+        }
+        None => {
+            folder::remove_checkpoints(&run.folder)?;
+            folder::remove_file(&run.path(METRICS_FILE))?;
+            let splats = m4_init::initialise(capture, &settings.init, keeper)?;
+            let trainer = Trainer::new(capture, splats, settings.train.clone(), run.level)?;
+            (trainer, MetricsLog::new(&run.path(METRICS_FILE)))
+        }
+    };
+    loop {
+        let patience = Patience::new(keeper, settings.checkpoint.every_s);
+        let outcome = match trainer.run(&patience, &mut |event| log.push(event)) {
+            Ok(outcome) => outcome,
+            Err(error @ TrainError::Diverged { .. }) => {
+                // The trainer is back in its last good state: worth keeping, not worth going on with.
+                save(run, &trainer, &mut checkpoints, &mut log)?;
+                return Err(error.into());
+            }
+            Err(error) => return Err(error.into()),
+        };
+        if outcome == Outcome::Finished {
+            break;
+        }
+        save(run, &trainer, &mut checkpoints, &mut log)?;
+        if patience.stopped_by_user() {
+            return Err(Error::Stopped {
+                stage: STAGE,
+                saved: true,
+            });
+        }
+    }
+    log.write()?;
+    let scene = trainer.scene();
+    note_progress(&mut run.record, &trainer);
+    publish(&run.path(SCENE_FILE), &scene, &trainer, key)?;
+    folder::remove_checkpoints(&run.folder)?;
+    Ok(scene)
+}
+
+/// A checkpoint: the scene so far, the metrics so far, the record.
+fn save(
+    run: &mut Workspace<'_>,
+    trainer: &Trainer,
+    checkpoints: &mut Checkpoints,
+    log: &mut MetricsLog,
+) -> Result<(), Error> {
+    checkpoints.save(trainer)?;
+    log.write()?;
+    note_progress(&mut run.record, trainer);
+    run.record.write(&run.folder)
+}
+
+fn note_progress(record: &mut RunRecord, trainer: &Trainer) {
+    let splats: &Splats = trainer.splats();
+    record.iterations = Some(trainer.iteration());
+    record.splats = Some(SplatCount {
+        r#static: splats.n_static(),
+        dynamic: splats.n_dynamic(),
+    });
+}
+
+/// Writes the finished scene, reads it back and compares: only then is it a success.
+fn publish(path: &Path, scene: &Scene, trainer: &Trainer, key: &str) -> Result<(), Error> {
+    let verify = |what: &str| Error::Verify {
+        path: path.to_path_buf(),
+        what: what.to_owned(),
+    };
+    if !scene.splats.is_finite() {
+        return Err(Error::Internal {
+            what: "training ended with values that are not finite".to_owned(),
+        });
+    }
+    let state = trainer.state();
+    checkpoint::write(path, scene, &state, key)?;
+    let back = scene_file::read(path)?;
+    let outcome = if back.scene != *scene {
+        Err(verify("the scene differs"))
+    } else if back.state.as_ref() != Some(&state) {
+        Err(verify("the state of the optimiser differs"))
+    } else {
+        Ok(())
+    };
+    if outcome.is_err() {
+        folder::remove_file(path)?;
+    }
+    outcome
+}

@@ -1,0 +1,187 @@
+//! A run at work: its folder, its record, and who listens.
+
+use crate::folder;
+use crate::progress::Keeper;
+use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status};
+use crate::{Error, Job, StageEvent, hash};
+use m4_kernels::SimdLevel;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// A run at work.
+pub(crate) struct Workspace<'a> {
+    pub folder: PathBuf,
+    pub job: &'a Job<'a>,
+    pub level: SimdLevel,
+    pub record: RunRecord,
+    /// What an earlier run left, when this one goes on with it.
+    pub earlier: Option<RunRecord>,
+}
+
+/// What a stage has to do.
+pub(crate) enum Task {
+    /// Nothing: an earlier result is whole and of the same input and settings.
+    Reuse,
+    /// All of it, or what an interruption left; so many seconds were spent on it before.
+    Work {
+        because: Option<&'static str>,
+        seconds_before: f64,
+    },
+}
+
+impl<'a> Workspace<'a> {
+    /// Makes or takes over a folder and writes that work has begun.
+    pub fn open(path: &Path, input: Input, job: &'a Job<'a>) -> Result<Self, Error> {
+        let level = job.check()?;
+        let earlier = folder::open(path, job.existing)?;
+        let mut record = RunRecord::begin(input, &job.profile, &job.settings, Device::here(level))?;
+        if let Some(earlier) = &earlier {
+            record.stages = earlier.stages.clone();
+            record.files = earlier.files.clone();
+            record.splats = earlier.splats;
+            record.iterations = earlier.iterations;
+        }
+        record.write(path)?;
+        Ok(Self {
+            folder: path.to_path_buf(),
+            job,
+            level,
+            record,
+            earlier,
+        })
+    }
+
+    /// Does the work and writes how it ended.
+    pub fn finish(mut self, work: impl FnOnce(&mut Self) -> Result<(), Error>) -> Result<RunRecord, Error> {
+        let outcome = work(&mut self);
+        match &outcome {
+            Ok(()) => self.record.status = Status::Finished,
+            Err(error) => {
+                self.record.status = if error.is_stop() {
+                    Status::Stopped
+                } else {
+                    Status::Failed
+                };
+                self.record.error = Some(error.to_string());
+            }
+        }
+        let written = self.record.write(&self.folder);
+        outcome?;
+        written?;
+        Ok(self.record)
+    }
+
+    /// A file of the run.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    /// Whether a stage with this key is done and its files are as they were written.
+    pub fn task(&self, stage: &str, key: &str, files: &[&str]) -> Result<Task, Error> {
+        let Some(earlier) = self.record.stages.get(stage) else {
+            return Ok(Task::Work {
+                because: None,
+                seconds_before: 0.0,
+            });
+        };
+        let because = if earlier.key != key {
+            Some(self.why_again())
+        } else if !earlier.done {
+            None
+        } else if !self.intact(files)? {
+            Some("because its files are missing or were changed")
+        } else {
+            return Ok(Task::Reuse);
+        };
+        Ok(Task::Work {
+            because,
+            seconds_before: if because.is_none() { earlier.seconds } else { 0.0 },
+        })
+    }
+
+    fn why_again(&self) -> &'static str {
+        let Some(earlier) = &self.earlier else {
+            return "because something changed";
+        };
+        if earlier.input.blake3 != self.record.input.blake3 {
+            "because the input changed"
+        } else if earlier.settings != self.record.settings {
+            "because the settings changed"
+        } else if earlier.device.simd != self.record.device.simd {
+            "because the vector instructions changed"
+        } else if earlier.minute4d != self.record.minute4d {
+            "because another version made it"
+        } else {
+            "because what it starts from changed"
+        }
+    }
+
+    fn intact(&self, files: &[&str]) -> Result<bool, Error> {
+        for &name in files {
+            let path = self.path(name);
+            let same = match self.record.files.get(name) {
+                Some(file) if path.is_file() => hash::of_path(&path)? == file.blake3,
+                _ => false,
+            };
+            if !same {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Runs a stage: says that it starts, keeps its warnings and seconds, notes its files.
+    pub fn stage<R>(
+        &mut self,
+        name: &'static str,
+        key: String,
+        task: (Option<&'static str>, f64),
+        files: &[&str],
+        work: impl FnOnce(&mut Self, &Keeper<'_>) -> Result<R, Error>,
+    ) -> Result<R, Error> {
+        let (because, seconds_before) = task;
+        let observer = self.job.observer;
+        observer.stage(name, StageEvent::Started { because });
+        let (start, keeper) = (Instant::now(), Keeper::new(observer));
+        let begun = StageRecord {
+            key,
+            done: false,
+            seconds: seconds_before,
+            warnings: Vec::new(),
+        };
+        self.record.stages.insert(name.to_owned(), begun);
+        self.record.write(&self.folder)?;
+        let outcome = work(self, &keeper);
+        let spent = start.elapsed().as_secs_f64();
+        if let Some(stage) = self.record.stages.get_mut(name) {
+            stage.seconds = seconds_before + spent;
+            stage.warnings = keeper.warnings();
+        }
+        let result = outcome.map_err(|error| match error {
+            error @ Error::Stopped { .. } => error,
+            error if error.is_stop() => Error::Stopped {
+                stage: name,
+                saved: true,
+            },
+            error => error,
+        })?;
+        for &file in files {
+            let path = self.path(file);
+            let bytes = fs::metadata(&path)
+                .map_err(|source| Error::Read {
+                    path: path.clone(),
+                    source,
+                })?
+                .len();
+            let blake3 = hash::of_path(&path)?;
+            self.record.files.insert(file.to_owned(), FileRecord { bytes, blake3 });
+        }
+        if let Some(stage) = self.record.stages.get_mut(name) {
+            stage.done = true;
+        }
+        self.record.write(&self.folder)?;
+        observer.stage(name, StageEvent::Finished { seconds: spent });
+        Ok(result)
+    }
+}

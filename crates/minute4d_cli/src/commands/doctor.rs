@@ -1,0 +1,187 @@
+//! `minute4d doctor`: what this machine has, and what that means for the program.
+
+use crate::failure::Failure;
+use crate::output::Output;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use sysinfo::{Disks, System};
+
+/// Less free memory than this is worth a warning, bytes.
+const LITTLE_MEMORY: u64 = 2 << 30;
+/// Less free disk than this is worth a warning, bytes.
+const LITTLE_DISK: u64 = 1 << 30;
+
+#[derive(Debug, Serialize)]
+struct Machine {
+    minute4d: &'static str,
+    platform: String,
+    cpu: Option<String>,
+    cores: Option<usize>,
+    threads: usize,
+    simd: String,
+    simd_available: Vec<&'static str>,
+    memory: Option<Memory>,
+    disk: Option<Disk>,
+    ffmpeg: Ffmpeg,
+    notes: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Memory {
+    total_bytes: u64,
+    available_bytes: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct Disk {
+    folder: PathBuf,
+    free_bytes: u64,
+}
+
+#[derive(Debug, Serialize)]
+struct Ffmpeg {
+    found: bool,
+    program: PathBuf,
+    version: Option<String>,
+}
+
+pub fn run(output: &Output) -> Result<(), Failure> {
+    let machine = examine()?;
+    let value = minute4d::plain_json(&machine)?;
+    output.result(&words(&machine), value);
+    Ok(())
+}
+
+fn examine() -> Result<Machine, Failure> {
+    // What the system does not tell is left out, not made up.
+    let system = System::new().ok().map(|mut system| {
+        system.refresh_memory();
+        system.refresh_cpu_all();
+        system
+    });
+    let cpu = system
+        .as_ref()
+        .and_then(|s| s.cpus().first())
+        .map(|cpu| cpu.brand().trim().to_owned());
+    let folder = std::env::current_dir().unwrap_or_default();
+    let simd = minute4d::kernels::SimdLevel::detect().map_err(minute4d::Error::from)?;
+    let mut machine = Machine {
+        minute4d: env!("CARGO_PKG_VERSION"),
+        platform: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
+        cpu: cpu.filter(|brand| !brand.is_empty()),
+        cores: System::physical_core_count().ok(),
+        threads: minute4d::threads(),
+        simd: simd.name().to_owned(),
+        simd_available: minute4d::kernels::SimdLevel::available()
+            .iter()
+            .map(|l| l.name())
+            .collect(),
+        memory: system.map(|s| Memory {
+            total_bytes: s.total_memory(),
+            available_bytes: s.available_memory(),
+        }),
+        disk: disk_of(&folder),
+        ffmpeg: ffmpeg(),
+        notes: Vec::new(),
+    };
+    machine.notes = notes(&machine);
+    Ok(machine)
+}
+
+/// The disk that a folder lies on: that of the longest mount point above it.
+fn disk_of(folder: &Path) -> Option<Disk> {
+    let disks = Disks::new_with_refreshed_list().ok()?;
+    let above = disks.iter().filter(|disk| folder.starts_with(disk.mount_point()));
+    let disk = above.max_by_key(|disk| disk.mount_point().as_os_str().len())?;
+    Some(Disk {
+        folder: folder.to_path_buf(),
+        free_bytes: disk.available_space(),
+    })
+}
+
+fn ffmpeg() -> Ffmpeg {
+    let program = PathBuf::from("ffmpeg");
+    let output = Command::new(&program).arg("-version").stdin(Stdio::null()).output();
+    let text = output
+        .ok()
+        .filter(|o| o.status.success())
+        .map(|o| String::from_utf8_lossy(&o.stdout).into_owned());
+    let version = text.as_deref().and_then(|text| {
+        let rest = text.lines().next()?.strip_prefix("ffmpeg version ")?;
+        rest.split_whitespace().next().map(str::to_owned)
+    });
+    Ffmpeg {
+        found: text.is_some(),
+        program,
+        version,
+    }
+}
+
+fn notes(machine: &Machine) -> Vec<String> {
+    let mut notes = Vec::new();
+    if !machine.ffmpeg.found {
+        notes.push(
+            "no ffmpeg: 8-bit H.264 in MP4 or MOV works without; HEVC, AV1, VP9 and others need it \
+             (apt, brew or winget install ffmpeg)"
+                .to_owned(),
+        );
+    }
+    if machine
+        .memory
+        .as_ref()
+        .is_some_and(|m| m.available_bytes < LITTLE_MEMORY)
+    {
+        notes.push("little free memory: use --max-frames and --size to keep clips small".to_owned());
+    }
+    if machine.disk.as_ref().is_some_and(|disk| disk.free_bytes < LITTLE_DISK) {
+        notes.push("little free disk: a run of a hundred frames writes about 100 MB".to_owned());
+    }
+    if machine.simd == "sse2" || machine.simd == "portable" {
+        notes.push("no wide vector instructions (AVX2 or better): training takes several times as long".to_owned());
+    }
+    notes
+}
+
+fn words(machine: &Machine) -> String {
+    let gib = |bytes: u64| bytes as f64 / f64::from(1u32 << 30);
+    let ffmpeg = match (&machine.ffmpeg.version, machine.ffmpeg.found) {
+        (Some(version), _) => version.clone(),
+        (None, true) => "found, version unknown".to_owned(),
+        (None, false) => "not found".to_owned(),
+    };
+    let mut rows = vec![
+        ("minute4d", format!("{} on {}", machine.minute4d, machine.platform)),
+        (
+            "processor",
+            format!(
+                "{}, {} cores, {} threads used",
+                machine.cpu.as_deref().unwrap_or("unknown"),
+                machine.cores.map_or_else(|| "unknown".to_owned(), |n| n.to_string()),
+                machine.threads
+            ),
+        ),
+        (
+            "instructions",
+            format!("{} (available: {})", machine.simd, machine.simd_available.join(", ")),
+        ),
+        (
+            "memory",
+            machine.memory.as_ref().map_or_else(
+                || "unknown".to_owned(),
+                |m| format!("{:.1} GiB, {:.1} GiB free", gib(m.total_bytes), gib(m.available_bytes)),
+            ),
+        ),
+        (
+            "disk",
+            machine.disk.as_ref().map_or_else(
+                || "unknown".to_owned(),
+                |disk| format!("{:.1} GiB free in {}", gib(disk.free_bytes), disk.folder.display()),
+            ),
+        ),
+        ("ffmpeg", ffmpeg),
+    ];
+    rows.extend(machine.notes.iter().map(|note| ("note", note.clone())));
+    let lines = rows.iter().map(|(name, text)| format!("{name:<13} {text}\n"));
+    lines.collect()
+}

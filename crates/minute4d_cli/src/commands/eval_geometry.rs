@@ -1,0 +1,12 @@
+//! `minute4d eval-geometry`: a capture against known geometry.
+
+use crate::args::EvalGeometry;
+use crate::failure::Failure;
+use crate::output::Output;
+
+pub fn run(args: &EvalGeometry, output: &Output) -> Result<(), Failure> {
+    let report = minute4d::evaluate::geometry(&args.capture, &args.truth, output)?;
+    let value = minute4d::plain_json(&report)?;
+    output.result(&format!("{value:#}"), value.clone());
+    Ok(())
+}

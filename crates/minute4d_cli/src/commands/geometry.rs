@@ -1,0 +1,32 @@
+//! `minute4d geometry`: a video to a capture.
+
+use super::settings::{job, print_config, settings};
+use crate::args::Geometry;
+use crate::failure::Failure;
+use crate::output::Output;
+use serde_json::json;
+
+pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
+    let settings = settings(&args.settings, Some(&args.video), None)?;
+    let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
+        return print_config(&settings, output);
+    };
+    let job = job(&args.settings, &args.existing, settings, output);
+    let record = minute4d::geometry::make(input, out, &job)?;
+    if let Some(found) = &record.found {
+        output.note(&format!(
+            "{} frames, {} x {} pixels, field of view {:.1} degrees, {:.1} % moving, reprojection error {:.2} px",
+            found.frames,
+            found.size[0],
+            found.size[1],
+            found.fov_deg,
+            100.0 * found.moving_share,
+            found.residual_px
+        ));
+    }
+    output.result(
+        &out.display().to_string(),
+        json!({"path": out, "record": minute4d::plain_json(&record)?}),
+    );
+    Ok(())
+}

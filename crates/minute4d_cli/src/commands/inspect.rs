@@ -1,0 +1,12 @@
+//! `minute4d inspect`: what a file or folder holds.
+
+use crate::args::Inspect;
+use crate::failure::Failure;
+use crate::output::Output;
+
+pub fn run(args: &Inspect, output: &Output) -> Result<(), Failure> {
+    let found = minute4d::inspect::inspect(&args.path, output)?;
+    let value = minute4d::plain_json(&found)?;
+    output.result(&found.to_string(), value);
+    Ok(())
+}

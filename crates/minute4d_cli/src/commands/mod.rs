@@ -1,0 +1,46 @@
+//! One file a command: arguments to a call of the library, and its result to words.
+
+mod bench;
+mod doctor;
+mod eval;
+mod eval_geometry;
+mod geometry;
+mod inspect;
+mod render;
+mod run;
+mod settings;
+mod train;
+
+use crate::args::{Cli, Command};
+use crate::failure::Failure;
+use crate::output::Output;
+
+/// Runs the command on the threads asked for.
+///
+/// # Errors
+///
+/// [`Failure`] with the exit code and what to tell the user.
+pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
+    let threads = cli.common.threads.map(usize::from);
+    let outcome = minute4d::with_threads(threads, || match &cli.command {
+        Command::Run(args) => run::run(args, output),
+        Command::Geometry(args) => geometry::run(args, output),
+        Command::Train(args) => train::run(args, output),
+        Command::Render(args) => render::run(args, output),
+        Command::Eval(args) => eval::run(args, output),
+        Command::EvalGeometry(args) => eval_geometry::run(args, output),
+        Command::Inspect(args) => inspect::run(args, output),
+        Command::Doctor => doctor::run(output),
+        Command::Bench(args) => bench::run(args, output),
+    })
+    .map_err(Failure::from)?;
+    outcome.map_err(|failure| stopped(failure, output))
+}
+
+/// A command that ended because of a signal ends with the code of that signal.
+fn stopped(failure: Failure, output: &Output) -> Failure {
+    match output.stop().code() {
+        Some(code) if failure.code == minute4d::Category::Stopped.exit_code() => Failure { code, ..failure },
+        _ => failure,
+    }
+}

@@ -1,0 +1,75 @@
+//! From options to settings: profile, file, `--set`, then the options with their own name.
+
+use crate::args::{OutArgs, Profile, SettingsArgs, VideoArgs};
+use crate::failure::Failure;
+use crate::output::Output;
+use minute4d::settings::{Layers, Settings};
+use minute4d::{Existing, Job};
+
+impl Profile {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Fast => "fast",
+            Self::Faithful => "faithful",
+        }
+    }
+}
+
+/// Puts the layers together.
+pub fn settings(args: &SettingsArgs, video: Option<&VideoArgs>, iterations: Option<u32>) -> Result<Settings, Failure> {
+    let base = match args.profile {
+        Profile::Fast => Settings::fast(),
+        Profile::Faithful => Settings::faithful(),
+    };
+    let mut layers = Layers::new(base)?;
+    if let Some(path) = &args.config {
+        layers = layers.file(path)?;
+    }
+    for given in &args.set {
+        layers = layers.set(given)?;
+    }
+    let mut settings = layers.finish();
+    if let Some(n) = iterations {
+        settings.train.iterations = n as usize;
+    }
+    if let Some(seed) = args.seed {
+        settings.set_seed(seed);
+    }
+    if let Some(video) = video {
+        lay_video(&mut settings, video);
+    }
+    Ok(settings)
+}
+
+fn lay_video(settings: &mut Settings, args: &VideoArgs) {
+    let video = &mut settings.video;
+    video.max_frames = args.max_frames.map(|n| n as usize).or(video.max_frames);
+    video.size = args.size.map(|px| px as usize).or(video.size);
+    video.start_s = args.start.or(video.start_s);
+    video.end_s = args.end.or(video.end_s);
+    video.strict |= args.strict_video;
+    settings.sparse.fov_deg = args.fov.or(settings.sparse.fov_deg);
+    settings.sparse.static_camera |= args.static_camera;
+}
+
+/// Everything that the stages of a run need to know.
+pub fn job<'a>(args: &SettingsArgs, existing: &OutArgs, settings: Settings, output: &'a Output) -> Job<'a> {
+    Job {
+        settings,
+        profile: args.profile.name().to_owned(),
+        existing: match (existing.resume, existing.force) {
+            (true, _) => Existing::Resume,
+            (_, true) => Existing::Force,
+            _ => Existing::Refuse,
+        },
+        observer: output,
+    }
+}
+
+/// `--print-config`: the settings in effect, as a file for `--config`.
+pub fn print_config(settings: &Settings, output: &Output) -> Result<(), Failure> {
+    let text = settings.to_toml()?;
+    let value = minute4d::plain_json(settings)?;
+    output.result(&text, value);
+    Ok(())
+}

@@ -1,0 +1,42 @@
+//! From an error of the library to an exit code and one line for people.
+
+use std::error::Error;
+
+/// Why a command failed.
+#[derive(Debug)]
+pub struct Failure {
+    /// The exit code.
+    pub code: u8,
+    /// What was wrong and what to do next.
+    pub reason: String,
+}
+
+impl From<minute4d::Error> for Failure {
+    fn from(error: minute4d::Error) -> Self {
+        Self {
+            code: error.category().exit_code(),
+            reason: chain(&error),
+        }
+    }
+}
+
+impl From<minute4d::settings::SettingsError> for Failure {
+    fn from(error: minute4d::settings::SettingsError) -> Self {
+        minute4d::Error::from(error).into()
+    }
+}
+
+/// The error and its causes in one line; causes that the message before already quotes are left out.
+pub fn chain(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(inner) = cause {
+        let more = inner.to_string();
+        if !text.contains(&more) {
+            text += ": ";
+            text += &more;
+        }
+        cause = inner.source();
+    }
+    text
+}

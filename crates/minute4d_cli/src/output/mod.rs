@@ -1,0 +1,207 @@
+//! How the program talks: the result on stdout, everything else on stderr, or events as JSON lines.
+
+mod events;
+mod lines;
+mod stop;
+mod terminal;
+
+pub use stop::{StopSignal, watch_signals};
+
+use events::Events;
+pub use events::end_of_json;
+use lines::Lines;
+use minute4d::{Observer, Progress, StageEvent};
+use serde_json::{Value, json};
+use std::io::{ErrorKind, IsTerminal, Write};
+use std::sync::{Arc, Mutex, PoisonError};
+use terminal::Bars;
+
+/// Where progress goes.
+enum Mode {
+    /// One JSON object a line on stdout.
+    Json(Events),
+    /// Bars on the terminal.
+    Bars(Bars),
+    /// A line now and then on stderr.
+    Lines(Lines),
+    /// Nowhere; warnings and errors still go to stderr.
+    Quiet,
+}
+
+/// The program's voice; shared by the stages, the signal watcher and the end of `main`.
+pub struct Output {
+    mode: Mode,
+    stop: StopSignal,
+    warned: Mutex<Vec<String>>,
+}
+
+impl Output {
+    /// Chooses how to talk: `json` and `quiet` as asked, else bars where stderr is a terminal that can
+    /// show them.
+    pub fn new(json: bool, quiet: bool, stop: StopSignal) -> Arc<Self> {
+        let dumb = std::env::var_os("TERM").is_some_and(|term| term == "dumb");
+        let mode = if json {
+            Mode::Json(Events::default())
+        } else if quiet {
+            Mode::Quiet
+        } else if std::io::stderr().is_terminal() && !dumb {
+            Mode::Bars(Bars::default())
+        } else {
+            Mode::Lines(Lines::default())
+        };
+        Arc::new(Self {
+            mode,
+            stop,
+            warned: Mutex::new(Vec::new()),
+        })
+    }
+
+    /// The signal that asked the program to stop, if one did.
+    pub fn stop(&self) -> &StopSignal {
+        &self.stop
+    }
+
+    /// True when a person reads along on stderr.
+    fn talks(&self) -> bool {
+        matches!(self.mode, Mode::Bars(_) | Mode::Lines(_))
+    }
+
+    /// Something that is neither progress nor result, for people alone.
+    pub fn note(&self, message: &str) {
+        if self.talks() {
+            self.say(message);
+        }
+    }
+
+    /// The result: `text` on stdout, or `value` in a `result` event.
+    pub fn result(&self, text: &str, value: Value) {
+        match &self.mode {
+            Mode::Json(events) => events.emit(&json!({"event": "result", "result": value})),
+            Mode::Bars(bars) => {
+                bars.clear();
+                print_result(text);
+            }
+            Mode::Lines(_) | Mode::Quiet => print_result(text),
+        }
+    }
+
+    /// The last event of `--json`; elsewhere a failure's reason on stderr.
+    pub fn end(&self, code: u8, reason: &str) {
+        match &self.mode {
+            Mode::Json(events) => events.end(code, reason),
+            Mode::Bars(bars) => bars.clear(),
+            Mode::Lines(_) | Mode::Quiet => {}
+        }
+        if code != 0 {
+            self.say(&format!("minute4d: {reason}"));
+        }
+    }
+
+    fn say(&self, message: &str) {
+        match &self.mode {
+            Mode::Bars(bars) => bars.say(message),
+            _ => to_stderr(message),
+        }
+    }
+}
+
+impl Progress for Output {
+    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
+        match &self.mode {
+            Mode::Json(events) => events.progress(phase, done, total, note),
+            Mode::Bars(bars) => bars.update(phase, done, total, note),
+            Mode::Lines(lines) => {
+                if let Some(line) = lines.update(phase, done, total, note) {
+                    to_stderr(&line);
+                }
+            }
+            Mode::Quiet => {}
+        }
+    }
+
+    fn warn(&self, message: &str) {
+        let mut warned = self.warned.lock().unwrap_or_else(PoisonError::into_inner);
+        if warned.iter().any(|w| w == message) {
+            return;
+        }
+        warned.push(message.to_owned());
+        drop(warned);
+        if let Mode::Json(events) = &self.mode {
+            events.emit(&json!({"event": "warning", "message": message}));
+        }
+        self.say(&format!("warning: {message}"));
+    }
+
+    fn cancelled(&self) -> bool {
+        self.stop.code().is_some()
+    }
+}
+
+impl Observer for Output {
+    fn stage(&self, name: &str, event: StageEvent<'_>) {
+        if let Mode::Json(events) = &self.mode {
+            events.stage(name, event);
+        }
+        if let Mode::Bars(bars) = &self.mode {
+            bars.clear();
+        }
+        if !self.talks() {
+            return;
+        }
+        match event {
+            StageEvent::Started { because: None } => self.say(&format!("{name}: started")),
+            StageEvent::Started { because: Some(why) } => self.say(&format!("{name}: started again, {why}")),
+            StageEvent::Resumed { done, total } => self.say(&format!("{name}: goes on at {done} of {total}")),
+            StageEvent::Reused => self.say(&format!("{name}: done before, nothing changed")),
+            StageEvent::Finished { seconds } => self.say(&format!("{name}: done in {}", duration(seconds))),
+            _ => {}
+        }
+    }
+}
+
+/// Seconds for people: `8.3 s`, `2m05s`, `1h02m`.
+pub fn duration(seconds: f64) -> String {
+    let whole = seconds.max(0.0).round() as u64;
+    match whole {
+        0..60 => format!("{seconds:.1} s"),
+        60..3600 => format!("{}m{:02}s", whole / 60, whole % 60),
+        _ => format!("{}h{:02}m", whole / 3600, whole % 3600 / 60),
+    }
+}
+
+/// Prints to stdout. A reader that went away has what it wanted, so that is success.
+fn print_result(text: &str) {
+    let mut stdout = std::io::stdout().lock();
+    let written = stdout
+        .write_all(text.as_bytes())
+        .and_then(|()| {
+            if text.ends_with('\n') {
+                Ok(())
+            } else {
+                stdout.write_all(b"\n")
+            }
+        })
+        .and_then(|()| stdout.flush());
+    if let Err(error) = written
+        && error.kind() != ErrorKind::BrokenPipe
+    {
+        to_stderr(&format!("minute4d: cannot write to stdout: {error}"));
+    }
+}
+
+/// Writes a line to stderr; when that is impossible there is nobody left to tell.
+pub fn to_stderr(line: &str) {
+    let _ = writeln!(std::io::stderr().lock(), "{line}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::duration;
+
+    #[test]
+    fn durations_are_short() {
+        assert_eq!(duration(8.26), "8.3 s");
+        assert_eq!(duration(125.4), "2m05s");
+        assert_eq!(duration(3720.0), "1h02m");
+    }
+}

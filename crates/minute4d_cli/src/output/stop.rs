@@ -1,0 +1,67 @@
+//! Ctrl-C and its kin: once to stop in good order, twice to stop at once.
+
+use super::Output;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+
+/// Whether, and by which signal, the program was asked to stop.
+#[derive(Debug, Clone, Default)]
+pub struct StopSignal(Arc<AtomicU8>);
+
+impl StopSignal {
+    /// The exit code that belongs to the signal (130 SIGINT, 143 SIGTERM), once there was one.
+    pub fn code(&self) -> Option<u8> {
+        match self.0.load(Ordering::SeqCst) {
+            0 => None,
+            code => Some(code),
+        }
+    }
+
+    /// Notes a request; true if it is the first.
+    fn request(&self, code: u8) -> bool {
+        self.0
+            .compare_exchange(0, code, Ordering::SeqCst, Ordering::SeqCst)
+            .is_ok()
+    }
+}
+
+/// Starts to listen for signals. Where that is impossible, the system's default stays: the process
+/// just ends.
+#[cfg(unix)]
+pub fn watch_signals(output: &Arc<Output>) {
+    use signal_hook::consts::{SIGINT, SIGTERM};
+    let Ok(mut signals) = signal_hook::iterator::Signals::new([SIGINT, SIGTERM]) else {
+        return;
+    };
+    let output = Arc::clone(output);
+    std::thread::spawn(move || {
+        for signal in signals.forever() {
+            let code = if signal == SIGINT { 130 } else { 143 };
+            if output.stop().request(code) {
+                output.note("stopping after this step, what is done will be saved; once more to stop at once");
+            } else {
+                output.end(code, "stopped at once, without saving");
+                std::process::exit(i32::from(code));
+            }
+        }
+    });
+}
+
+/// Starts to listen for signals: here the first is noted and the second ends the process.
+#[cfg(not(unix))]
+pub fn watch_signals(output: &Arc<Output>) {
+    use signal_hook::consts::{SIGINT, SIGTERM};
+    use std::sync::atomic::AtomicBool;
+    let again = Arc::new(AtomicBool::new(false));
+    let stop = output.stop().clone();
+    for (signal, code) in [(SIGINT, 130), (SIGTERM, 143)] {
+        let _ = signal_hook::flag::register_conditional_shutdown(signal, code, Arc::clone(&again));
+        let _ = signal_hook::flag::register(signal, Arc::clone(&again));
+    }
+    std::thread::spawn(move || {
+        while !again.load(Ordering::SeqCst) {
+            std::thread::sleep(std::time::Duration::from_millis(50));
+        }
+        stop.request(130);
+    });
+}

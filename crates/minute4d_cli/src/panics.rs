@@ -1,0 +1,35 @@
+//! A panic is a bug of ours: it ends in exit code 1 and a report, never in a bare abort.
+
+use std::backtrace::{Backtrace, BacktraceStatus};
+use std::sync::{Mutex, PoisonError};
+
+static LAST: Mutex<Option<String>> = Mutex::new(None);
+
+/// Replaces the standard panic message by a report that a user can act on.
+pub fn report_instead_of_abort() {
+    std::panic::set_hook(Box::new(|info| {
+        let message = info.payload_as_str().unwrap_or("no message");
+        let place = info
+            .location()
+            .map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
+        let report = format!(
+            "internal error: {message} (at {place}, minute4d {}); this is a bug in minute4d, please report it with the \
+             command line and run.json",
+            env!("CARGO_PKG_VERSION")
+        );
+        let backtrace = Backtrace::capture();
+        if backtrace.status() == BacktraceStatus::Captured {
+            crate::output::to_stderr(&backtrace.to_string());
+        }
+        let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+        // The first panic is the cause, later ones are its echo in other threads.
+        last.get_or_insert(report);
+    }));
+}
+
+/// The report of the first panic.
+pub fn last_report() -> String {
+    let last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
+    last.clone()
+        .unwrap_or_else(|| "internal error without a report".to_owned())
+}
