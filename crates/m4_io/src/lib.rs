@@ -10,6 +10,8 @@
 pub mod atomic;
 pub mod capture;
 pub mod image;
+pub mod scene_file;
+pub mod trajectory;
 pub mod video;
 
 mod error;

@@ -1,6 +1,7 @@
 //! The keys of `transforms*.json`, as they are in the file.
 
 use super::{Axes, ReadCaptureError};
+use m4_scene::Intrinsics;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::Read;
@@ -64,6 +65,37 @@ impl Lens {
             p1: self.p1.or(all.p1),
             p2: self.p2.or(all.p2),
         }
+    }
+
+    /// The pinhole of a picture of `width` x `height` pixels, or what is wrong with these values.
+    pub fn intrinsics(&self, (width, height): (usize, usize)) -> Result<Intrinsics, String> {
+        let (w, h) = (width as f64, height as f64);
+        let from_angle = |angle: f64| w / (2.0 * (angle / 2.0).tan());
+        let fx = self.fl_x.or(self.camera_angle_x.map(from_angle));
+        let fx = fx.ok_or_else(|| "fl_x, the focal length in pixels, is missing".to_owned())?;
+        let fy = self.fl_y.unwrap_or(fx);
+        for (key, focal) in [("fl_x", fx), ("fl_y", fy)] {
+            if !(focal.is_finite() && focal > 0.0) {
+                return Err(format!("{key} = {focal}; a focal length above 0 pixels was expected"));
+            }
+        }
+        let (cx, cy) = (self.cx.unwrap_or(w / 2.0), self.cy.unwrap_or(h / 2.0));
+        for (key, c, side) in [("cx", cx, w), ("cy", cy, h)] {
+            // A crop may put the principal point outside of the picture, but not far.
+            if !(c.is_finite() && c >= -side && c <= 2.0 * side) {
+                return Err(format!(
+                    "{key} = {c}; the principal point of a picture {side} pixels long was expected"
+                ));
+            }
+        }
+        Ok(Intrinsics {
+            width,
+            height,
+            fx,
+            fy,
+            cx,
+            cy,
+        })
     }
 
     /// The first distortion coefficient that is not 0.

@@ -37,4 +37,5 @@ pub use options::{CaptureOptions, Split};
 pub use read::read;
 pub use write::write;
 
+pub(crate) use json::Lens;
 pub(crate) use pose::Pose;

@@ -287,33 +287,7 @@ impl Reader {
                 found,
             });
         }
-        let from_angle = |angle: f64| expected.0 / (2.0 * (angle / 2.0).tan());
-        let fx = lens.fl_x.or(lens.camera_angle_x.map(from_angle));
-        let fx = fx.ok_or_else(|| fault("fl_x, the focal length in pixels, is missing".into()))?;
-        let fy = lens.fl_y.unwrap_or(fx);
-        for (key, focal) in [("fl_x", fx), ("fl_y", fy)] {
-            if !(focal.is_finite() && focal > 0.0) {
-                return Err(fault(format!(
-                    "{key} = {focal}; a focal length above 0 pixels was expected"
-                )));
-            }
-        }
-        let (cx, cy) = (lens.cx.unwrap_or(expected.0 / 2.0), lens.cy.unwrap_or(expected.1 / 2.0));
-        for (key, c, side) in [("cx", cx, expected.0), ("cy", cy, expected.1)] {
-            // A crop may put the principal point outside of the picture, but not far.
-            if !(c.is_finite() && c >= -side && c <= 2.0 * side) {
-                let what = format!("{key} = {c}; the principal point of a picture {side} pixels long was expected");
-                return Err(fault(what));
-            }
-        }
-        Ok(Intrinsics {
-            width: found.0,
-            height: found.1,
-            fx,
-            fy,
-            cx,
-            cy,
-        })
+        lens.intrinsics(found).map_err(fault)
     }
 
     fn bad(&self, frame: usize, name: &str, what: String) -> ReadCaptureError {

@@ -13,7 +13,9 @@ mod options;
 mod orient;
 mod plan;
 mod read;
+mod write;
 
 pub use error::{ReadVideoError, WriteVideoError};
 pub use options::VideoOptions;
 pub use read::read;
+pub use write::Mp4Writer;

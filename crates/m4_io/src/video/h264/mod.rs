@@ -9,7 +9,7 @@ mod decode;
 mod read;
 mod sps;
 
-pub use read::{Outcome, read};
+pub use read::{Outcome, count, read};
 
 /// Why a stream is not decoded here, for "the video is ...".
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -204,7 +204,11 @@ impl Run<'_> {
                 });
             }
             progress.update("decode video", i + 1, total, "");
-            let decoded = match self.coded(file, sample, &mut coded)? {
+            let there = coded_bytes(file, sample, &mut coded).map_err(|source| ReadVideoError::Io {
+                path: self.path.to_path_buf(),
+                source,
+            })?;
+            let decoded = match there {
                 true => self.config.annex_b(&coded, headers, &mut annex_b),
                 false => None,
             };
@@ -246,23 +250,37 @@ impl Run<'_> {
         }
         Ok(())
     }
+}
 
-    /// Reads the bytes of a sample; false when the file does not have them.
-    fn coded(&self, file: &mut File, sample: &Sample, bytes: &mut Vec<u8>) -> Result<bool, ReadVideoError> {
-        if sample.size == 0 || sample.size > MAX_SAMPLE_BYTES {
-            return Ok(false);
-        }
-        bytes.resize(sample.size as usize, 0);
-        let read = file
-            .seek(SeekFrom::Start(sample.offset))
-            .and_then(|_| file.read_exact(bytes));
-        match read {
-            Ok(()) => Ok(true),
-            Err(e) if matches!(e.kind(), io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidInput) => Ok(false),
-            Err(source) => Err(ReadVideoError::Io {
-                path: self.path.to_path_buf(),
-                source,
-            }),
+/// Reads the bytes of a sample; false when the file does not have them.
+fn coded_bytes(file: &mut File, sample: &Sample, bytes: &mut Vec<u8>) -> io::Result<bool> {
+    if sample.size == 0 || sample.size > MAX_SAMPLE_BYTES {
+        return Ok(false);
+    }
+    bytes.resize(sample.size as usize, 0);
+    let read = file
+        .seek(SeekFrom::Start(sample.offset))
+        .and_then(|_| file.read_exact(bytes));
+    match read {
+        Ok(()) => Ok(true),
+        Err(e) if matches!(e.kind(), io::ErrorKind::UnexpectedEof | io::ErrorKind::InvalidInput) => Ok(false),
+        Err(e) => Err(e),
+    }
+}
+
+/// Size of the pictures of a track and how many of them decode, or why none does.
+pub fn count(file: &mut File, track: &Track) -> Result<((usize, usize), usize), String> {
+    let entry = track.entries.first().ok_or("its track has no decoder configuration")?;
+    let config = configure(entry).map_err(|Unsupported(what)| format!("it is {what}"))?;
+    let sps = &config.sps;
+    let mut decoder = H264::new(&config, sps.matrix, false).ok_or("the decoder cannot be set up")?;
+    let (mut coded, mut annex_b, mut decoded) = (Vec::new(), Vec::new(), 0);
+    for (i, sample) in track.samples.iter().enumerate() {
+        let there = coded_bytes(file, sample, &mut coded).map_err(|e| e.to_string())?;
+        if there && config.annex_b(&coded, i == 0, &mut annex_b).is_some() && decoder.decode(&annex_b, false).is_some()
+        {
+            decoded += 1;
         }
     }
+    Ok(((sps.width, sps.height), decoded))
 }

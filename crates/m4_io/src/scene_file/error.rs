@@ -1,0 +1,147 @@
+//! Why a scene file could not be read or written.
+
+use crate::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a scene file could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadSceneError {
+    /// The file could not be opened or read.
+    #[error("cannot read the scene {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is no safetensors file.
+    #[error("{} is not a scene file: {reason}; give the scene.safetensors of a run", path.display())]
+    NotScene {
+        /// The file.
+        path: PathBuf,
+        /// How that is known.
+        reason: String,
+    },
+    /// The file ends too early or its parts overlap.
+    #[error("the scene {} is damaged: {reason}; copy it again or use the last checkpoint of the run", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What the parser said.
+        reason: String,
+    },
+    /// A newer program wrote the file.
+    #[error("the scene {} has format version {found}, and this program reads up to {known}; update minute4d", path.display())]
+    NewerVersion {
+        /// The file.
+        path: PathBuf,
+        /// Version of the file.
+        found: u32,
+        /// Newest version that is read.
+        known: u32,
+    },
+    /// The bytes are not those that were written.
+    #[error("the scene {} is damaged: its checksum is {found} where {expected} was written; copy it again or use the last checkpoint of the run", path.display())]
+    Checksum {
+        /// The file.
+        path: PathBuf,
+        /// As stored.
+        expected: String,
+        /// As computed.
+        found: String,
+    },
+    /// An array is missing.
+    #[error("the scene {} has no array {name:?}", path.display())]
+    MissingArray {
+        /// The file.
+        path: PathBuf,
+        /// Its name.
+        name: String,
+    },
+    /// An array has another type or shape than the rest implies.
+    #[error("array {name:?} of the scene {} is {found} where {expected} was expected", path.display())]
+    BadArray {
+        /// The file.
+        path: PathBuf,
+        /// Its name.
+        name: String,
+        /// Type and shape that it has.
+        found: String,
+        /// Type and shape that it should have.
+        expected: String,
+    },
+    /// A number that no scene holds.
+    #[error("splat {splat} of {} has {name} = {value}; {expected}", path.display())]
+    BadValue {
+        /// The file.
+        path: PathBuf,
+        /// Row of the array.
+        splat: usize,
+        /// The array.
+        name: &'static str,
+        /// What it holds.
+        value: String,
+        /// What was expected.
+        expected: String,
+    },
+}
+
+impl ReadSceneError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } => ErrorKind::of_read(source),
+            Self::NewerVersion { .. } => ErrorKind::Unsupported,
+            Self::NotScene { .. }
+            | Self::Damaged { .. }
+            | Self::Checksum { .. }
+            | Self::MissingArray { .. }
+            | Self::BadArray { .. }
+            | Self::BadValue { .. } => ErrorKind::BadData,
+        }
+    }
+}
+
+/// Why a scene file could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteSceneError {
+    /// The file system refused.
+    #[error("cannot write the scene {}: {source}; check the folder's permissions and free space", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The scene holds something that the format does not.
+    #[error("cannot write the scene {}: {what}", path.display())]
+    BadScene {
+        /// The file.
+        path: PathBuf,
+        /// What, and where.
+        what: String,
+    },
+    /// The file that was written reads back otherwise; it was removed.
+    #[error("the scene {} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
+    Verify {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        reason: String,
+    },
+}
+
+impl WriteSceneError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::BadScene { .. } => ErrorKind::BadData,
+        }
+    }
+}

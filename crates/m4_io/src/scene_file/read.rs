@@ -1,0 +1,156 @@
+//! A scene file to a scene.
+
+use super::ReadSceneError;
+use super::convert::{Arrays, Fault, arrays_to_source, arrays_to_splats};
+use super::header::{Header, KEY, VERSION, Version, checksum};
+use super::tensor;
+use m4_scene::{Scene, TrainState};
+use safetensors::SafeTensors;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// Highest degrees that a layout may have; see [`m4_scene::SplatLayout`].
+const MAX_DEGREES: (usize, usize) = (3, 2);
+
+/// What a scene file holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneFile {
+    /// The scene.
+    pub scene: Scene,
+    /// The state of training, where it was stored.
+    pub state: Option<TrainState>,
+    /// The pairs that the writer added.
+    pub metadata: BTreeMap<String, String>,
+}
+
+/// Reads a scene file and compares its checksum.
+///
+/// # Errors
+///
+/// [`ReadSceneError`] if the file is missing, damaged, or of a newer format.
+pub fn read(path: &Path) -> Result<SceneFile, ReadSceneError> {
+    let (header, arrays) = load(path)?;
+    let Some(header) = header else {
+        return Err(ReadSceneError::NotScene {
+            path: path.to_path_buf(),
+            reason: format!("its metadata has no {KEY:?}"),
+        });
+    };
+    let damaged = |reason: String| ReadSceneError::Damaged {
+        path: path.to_path_buf(),
+        reason,
+    };
+    let version: Version = serde_json::from_str(&header).map_err(|e| damaged(e.to_string()))?;
+    if version.version > VERSION {
+        return Err(ReadSceneError::NewerVersion {
+            path: path.to_path_buf(),
+            found: version.version,
+            known: VERSION,
+        });
+    }
+    let header: Header = serde_json::from_str(&header).map_err(|e| damaged(e.to_string()))?;
+    let found = checksum(&header.scene, &header.metadata, &arrays).map_err(|e| damaged(e.to_string()))?;
+    if found != header.blake3 {
+        return Err(ReadSceneError::Checksum {
+            path: path.to_path_buf(),
+            expected: header.blake3,
+            found,
+        });
+    }
+    scene(path, header, arrays)
+}
+
+/// The arrays of a safetensors file and the JSON under [`KEY`]. The format's parser compares every
+/// size with the bytes that are there.
+pub fn load(path: &Path) -> Result<(Option<String>, Arrays), ReadSceneError> {
+    let io = |source| ReadSceneError::Io {
+        path: path.to_path_buf(),
+        source,
+    };
+    let mut file = File::open(path).map_err(io)?;
+    let len = file.metadata().map_err(io)?.len();
+    let not_scene = |reason: String| ReadSceneError::NotScene {
+        path: path.to_path_buf(),
+        reason,
+    };
+    // The head first: a large file of another kind is not read whole.
+    let mut start = [0; 9];
+    if len < start.len() as u64 {
+        return Err(not_scene(format!("it is {len} bytes long")));
+    }
+    file.read_exact(&mut start).map_err(io)?;
+    let [head @ .., brace] = start;
+    let head = u64::from_le_bytes(head);
+    if brace != b'{' {
+        return Err(not_scene("it does not start like a safetensors file".into()));
+    }
+    let damaged = |reason: String| ReadSceneError::Damaged {
+        path: path.to_path_buf(),
+        reason,
+    };
+    if head > len - 8 {
+        return Err(damaged(format!("its header says {head} bytes and the file has {len}")));
+    }
+    let mut bytes = start.to_vec();
+    file.read_to_end(&mut bytes).map_err(io)?;
+    let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(|e| damaged(e.to_string()))?;
+    let header = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).cloned();
+    let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(e.to_string()))?;
+    let mut arrays = Arrays::new();
+    for (name, view) in tensors.iter() {
+        let array = tensor::load(view.dtype(), view.shape(), view.data());
+        let array = array.ok_or_else(|| damaged(format!("array {name:?} has the type {:?}", view.dtype())))?;
+        arrays.insert(name.to_owned(), array);
+    }
+    Ok((header, arrays))
+}
+
+fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, ReadSceneError> {
+    let facts = header.scene;
+    if facts.sh_degree > MAX_DEGREES.0 || facts.time_degree > MAX_DEGREES.1 {
+        return Err(ReadSceneError::Damaged {
+            path: path.to_path_buf(),
+            reason: format!(
+                "it says degree {} in space and {} in time",
+                facts.sh_degree, facts.time_degree
+            ),
+        });
+    }
+    let fault = |fault| fault_to_error(path, fault);
+    let splats = arrays_to_splats(&arrays, facts.layout(), facts.splats_static, facts.splats_dynamic).map_err(fault)?;
+    let source = arrays_to_source(&arrays).map_err(fault)?;
+    let state = facts.has_state.then(|| {
+        let named: Vec<String> = arrays.keys().filter(|n| n.starts_with("state.")).cloned().collect();
+        let take = |name: String| Some((name["state.".len()..].to_owned(), arrays.remove(&name)?));
+        named.into_iter().filter_map(take).collect()
+    });
+    Ok(SceneFile {
+        scene: Scene {
+            splats,
+            background: facts.background,
+            time_frames: facts.time_frames,
+            duration_s: facts.duration_s,
+            mip: facts.mip,
+            near: facts.near,
+            source,
+        },
+        state,
+        metadata: header.metadata,
+    })
+}
+
+/// A fault of arrays with the name of the file.
+pub fn fault_to_error(path: &Path, fault: Fault) -> ReadSceneError {
+    let path = path.to_path_buf();
+    match fault {
+        Fault::Missing(name) => ReadSceneError::MissingArray { path, name },
+        Fault::Other { name, found, expected } => ReadSceneError::BadArray {
+            path,
+            name,
+            found,
+            expected,
+        },
+    }
+}

@@ -1,0 +1,48 @@
+//! Why a camera path could not be read.
+
+use crate::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a camera path could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadTrajectoryError {
+    /// The file could not be opened or read.
+    #[error("cannot read the camera path {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is not JSON of a known layout.
+    #[error("{} is not a camera path: {reason}; give a nerfstudio transforms.json or camera_path.json", path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// What the parser said, or what is missing.
+        reason: String,
+    },
+    /// A camera is wrong.
+    #[error("{}, camera {camera}: {what}", path.display())]
+    BadCamera {
+        /// The file.
+        path: PathBuf,
+        /// Index in the list.
+        camera: usize,
+        /// The key, what it holds and what was expected.
+        what: String,
+    },
+}
+
+impl ReadTrajectoryError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } => ErrorKind::of_read(source),
+            Self::Json { .. } | Self::BadCamera { .. } => ErrorKind::BadData,
+        }
+    }
+}

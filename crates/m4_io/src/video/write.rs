@@ -1,0 +1,211 @@
+//! Pictures to an MP4 file that plays everywhere.
+
+use super::colour::{Planes420, Range, YuvMatrix};
+use super::mp4::Movie;
+use super::{WriteVideoError, h264};
+use crate::atomic::AtomicFile;
+use m4_scene::RgbImage;
+use muxide::api::{Muxer, MuxerBuilder, VideoCodec};
+use openh264::OpenH264API;
+use openh264::encoder::{
+    BitRate, Encoder, EncoderConfig, FrameRate, FrameType, IntraFramePeriod, Profile, QpRange, RateControlMode,
+    VuiConfig,
+};
+use openh264::formats::YUVSlices;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// Sides that the encoder takes, pixels: from one macroblock to level 5.2.
+const SIDES_PX: (usize, usize) = (16, 3840);
+/// Shorter side of the largest picture, pixels.
+const SHORT_SIDE_PX: usize = 2160;
+/// Bits a pixel that rate control aims at: some 4 Mbit/s at 480 x 360 and 24 frames a second, where
+/// coding is not seen.
+const BITS_PER_PIXEL: f64 = 1.0;
+/// Coarsest and finest quantisation: at 26 coding begins to be seen, under 10 it only costs bits.
+const QP: (u8, u8) = (10, 26);
+/// Seconds between frames at which a player can enter.
+const KEY_EVERY_S: f64 = 2.0;
+
+/// Writes frames of one size to an MP4 file: H.264 High profile, BT.709, index at the front. The file
+/// appears under its name only when [`Mp4Writer::finish`] has read it back.
+pub struct Mp4Writer {
+    path: PathBuf,
+    size: (usize, usize),
+    fps: f64,
+    frames: usize,
+    encoder: Encoder,
+    matrix: YuvMatrix,
+    muxer: Muxer<AtomicFile>,
+}
+
+impl std::fmt::Debug for Mp4Writer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self {
+            path,
+            size,
+            fps,
+            frames,
+            ..
+        } = self;
+        write!(f, "Mp4Writer({path:?}, {size:?}, {fps} fps, {frames} frames)")
+    }
+}
+
+impl Mp4Writer {
+    /// Starts a clip of `width` x `height` pixels (odd sides grow by one column or row) at `fps` frames
+    /// a second.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteVideoError`] for sizes or rates that H.264 does not have, and when the file system refuses.
+    pub fn create(path: &Path, width: usize, height: usize, fps: f64) -> Result<Self, WriteVideoError> {
+        let unsupported = |what: String| WriteVideoError::Unsupported {
+            path: path.to_path_buf(),
+            what,
+        };
+        let (even_width, even_height) = (width.next_multiple_of(2), height.next_multiple_of(2));
+        let (short, long) = (even_width.min(even_height), even_width.max(even_height));
+        if short < SIDES_PX.0 || long > SIDES_PX.1 || short > SHORT_SIDE_PX {
+            return Err(unsupported(format!(
+                "frames are {width} x {height} pixels; {} x {} to {} x {SHORT_SIDE_PX} can be encoded, so render at another size or to a folder of PNG files",
+                SIDES_PX.0, SIDES_PX.0, SIDES_PX.1
+            )));
+        }
+        if !(fps.is_finite() && (0.1..=1000.0).contains(&fps)) {
+            return Err(unsupported(format!("{fps} frames a second; 0.1 to 1000 were expected")));
+        }
+        let encode = |reason: String| WriteVideoError::Encode {
+            path: path.to_path_buf(),
+            reason,
+        };
+        let bits_per_s = (BITS_PER_PIXEL * (even_width * even_height) as f64 * fps).min(240e6);
+        let config = EncoderConfig::new()
+            .profile(Profile::High)
+            .vui(VuiConfig::bt709())
+            .max_frame_rate(FrameRate::from_hz(fps as f32))
+            .bitrate(BitRate::from_bps(bits_per_s as u32))
+            .rate_control_mode(RateControlMode::Quality)
+            .qp(QpRange::new(QP.0, QP.1))
+            .intra_frame_period(IntraFramePeriod::from_num_frames((KEY_EVERY_S * fps).ceil() as u32))
+            // Every frame counts, and one thread so that the bytes do not depend on the machine.
+            .skip_frames(false)
+            .background_detection(false)
+            .num_threads(1);
+        let encoder =
+            Encoder::with_api_config(OpenH264API::from_source(), config).map_err(|e| encode(e.to_string()))?;
+        let matrix = YuvMatrix::from_code(1, height, Range::Limited);
+        let matrix = matrix.ok_or_else(|| encode("BT.709 is not known".into()))?;
+        let file = AtomicFile::create(path).map_err(|source| WriteVideoError::Io {
+            path: path.to_path_buf(),
+            source,
+        })?;
+        let muxer = MuxerBuilder::new(file)
+            .video(VideoCodec::H264, even_width as u32, even_height as u32, fps)
+            .with_fast_start(true)
+            .build()
+            .map_err(|e| encode(e.to_string()))?;
+        Ok(Self {
+            path: path.to_path_buf(),
+            size: (width, height),
+            fps,
+            frames: 0,
+            encoder,
+            matrix,
+            muxer,
+        })
+    }
+
+    /// Adds a frame.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteVideoError`] if its size is not that of the clip or the encoder fails.
+    pub fn push(&mut self, picture: &RgbImage) -> Result<(), WriteVideoError> {
+        if picture.size() != self.size {
+            return Err(WriteVideoError::FrameSize {
+                path: self.path.clone(),
+                frame: self.frames,
+                expected: self.size,
+                found: picture.size(),
+            });
+        }
+        let encode = |reason: String| WriteVideoError::Encode {
+            path: self.path.clone(),
+            reason,
+        };
+        let planes = Planes420::new(picture, &self.matrix);
+        let [cb, cr] = &planes.chroma;
+        let half = planes.width / 2;
+        let source = YUVSlices::new(
+            (&planes.luma, cb, cr),
+            (planes.width, planes.height),
+            (planes.width, half, half),
+        );
+        let coded = self.encoder.encode(&source).map_err(|e| encode(e.to_string()))?;
+        let key = matches!(coded.frame_type(), FrameType::IDR | FrameType::I);
+        let bytes = coded.to_vec();
+        if bytes.is_empty() {
+            return Err(encode(format!("the encoder left out frame {}", self.frames)));
+        }
+        let time_s = self.frames as f64 / self.fps;
+        self.muxer
+            .write_video(time_s, &bytes, key)
+            .map_err(|e| encode(e.to_string()))?;
+        self.frames += 1;
+        Ok(())
+    }
+
+    /// Completes the file, decodes it again, and gives it its name.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteVideoError`] if there were no frames, the file system refuses, or the file does not hold
+    /// as many decodable frames as were pushed.
+    pub fn finish(self) -> Result<(), WriteVideoError> {
+        let Self {
+            path,
+            size,
+            frames,
+            mut muxer,
+            ..
+        } = self;
+        if frames == 0 {
+            return Err(WriteVideoError::NoFrames { path });
+        }
+        let io = |source| WriteVideoError::Io {
+            path: path.clone(),
+            source,
+        };
+        muxer.finish_in_place().map_err(|e| match e {
+            muxide::api::MuxerError::Io(source) => io(source),
+            other => WriteVideoError::Encode {
+                path: path.clone(),
+                reason: other.to_string(),
+            },
+        })?;
+        let mut file = muxer.into_writer();
+        file.sync().map_err(io)?;
+        verify(file.temporary_path(), size, frames).map_err(|reason| WriteVideoError::Verify {
+            path: path.clone(),
+            reason,
+        })?;
+        file.commit().map_err(io)
+    }
+}
+
+/// Decodes every frame of the file; what differs, if something does.
+fn verify(path: &Path, size: (usize, usize), frames: usize) -> Result<(), String> {
+    let mut file = File::open(path).map_err(|e| e.to_string())?;
+    let len = file.metadata().map_err(|e| e.to_string())?.len();
+    let movie = Movie::read(&mut file, len).map_err(|e| e.to_string())?;
+    let track = movie.video().ok_or("it has no video track")?;
+    let (found_size, found) = h264::count(&mut file, track)?;
+    let expected = (size.0.next_multiple_of(2), size.1.next_multiple_of(2));
+    if found_size != expected || found != frames {
+        return Err(format!(
+            "{found} frames of {found_size:?} where {frames} of {expected:?} were written"
+        ));
+    }
+    Ok(())
+}
