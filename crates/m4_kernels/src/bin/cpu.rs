@@ -28,7 +28,8 @@ pub(crate) struct Record {
     pub(crate) log_opacity: f32,
     pub(crate) rgb: [f32; 3],
     pub(crate) depth: f32,
-    /// Tiles of each tile row of the band that the splat reaches: [`span`].
+    /// Tiles of each tile row of the band that the splat reaches: first in the low half, end in the high
+    /// half, 0 for none.
     pub(crate) spans: [u32; BAND_TILES],
     pub(crate) unused: [u32; 3],
 }
@@ -39,7 +40,7 @@ pub(crate) fn span(first: u32, end: u32) -> u32 {
     end << 16 | first
 }
 
-/// First tile and end of a [`span`].
+/// First tile and end of an entry of [`Record::spans`].
 #[inline(always)]
 fn unspan(span: u32) -> (usize, usize) {
     ((span & 0xffff) as usize, (span >> 16) as usize)
