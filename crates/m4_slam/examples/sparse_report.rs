@@ -11,7 +11,7 @@
 //! could not be told.
 #![expect(clippy::print_stdout, reason = "a report is its output")]
 
-use m4_math::nalgebra::{Matrix4, Vector3};
+use m4_math::nalgebra::{Matrix3, Matrix4, Vector3};
 use m4_math::{Se3, Sim3, log_so3};
 use m4_scene::{Plane, Progress, RgbImage};
 use m4_slam::reconstruction::{Motion, SparseReconstruction};
@@ -192,10 +192,13 @@ fn compare(found: &SparseReconstruction, truth: &Truth) -> Result<(), Anything> 
                 .map(|(a, b)| (a.translation - b).norm_squared())
                 .sum();
             let rmse = (squared / want.len() as f64).sqrt();
-            let mut turns: Vec<f64> = aligned
+            // The path may be nearly straight, which leaves a turn about it open: rotations are
+            // compared after the turn that suits them all best.
+            let sum: Matrix3<f64> = ours.iter().zip(&truth.c2w).map(|(a, b)| b.rotation * a.rotation.transpose()).sum();
+            let mut turns: Vec<f64> = ours
                 .iter()
                 .zip(&truth.c2w)
-                .map(|(a, b)| log_so3(&(a.rotation * b.rotation.transpose())).norm().to_degrees())
+                .map(|(a, b)| log_so3(&(nearest_rotation(&sum) * a.rotation * b.rotation.transpose())).norm().to_degrees())
                 .collect();
             turns.sort_by(f64::total_cmp);
             println!(
@@ -208,6 +211,12 @@ fn compare(found: &SparseReconstruction, truth: &Truth) -> Result<(), Anything> 
         None => println!("no trajectory"),
     }
     score_motion(found, truth)
+}
+
+/// Of a sum of rotations.
+fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
+    let svd = m.svd(true, true);
+    svd.u.unwrap_or_default() * svd.v_t.unwrap_or_default()
 }
 
 /// Precision and recall of "moves" against masks: a track moves when most of its observations lie in them.

@@ -77,6 +77,7 @@ impl Clip<'_> {
         let GeometryConfig {
             cauchy_px,
             bundle_iterations,
+            bundle_tolerance,
             ..
         } = self.config.geometry;
         let mut usable = vec![true; self.tracks.len()];
@@ -85,6 +86,7 @@ impl Clip<'_> {
         let options = BundleOptions {
             cauchy_px,
             iterations: bundle_iterations,
+            tolerance: bundle_tolerance,
             free_focal,
             free_poses: true,
         };

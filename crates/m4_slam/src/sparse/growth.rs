@@ -147,6 +147,7 @@ pub(crate) fn grow(
     let options = |iterations: usize, free_focal: bool| BundleOptions {
         cauchy_px: config.cauchy_px,
         iterations,
+        tolerance: 1e-4,
         free_focal,
         free_poses: true,
     };

@@ -48,6 +48,8 @@ pub(crate) struct BundleOptions {
     pub cauchy_px: f64,
     /// Steps, rejected ones included.
     pub iterations: usize,
+    /// Ends when a step lowers the loss by less than this share.
+    pub tolerance: f64,
     /// False keeps the focal length.
     pub free_focal: bool,
     /// False keeps all poses: points alone move.
@@ -96,7 +98,7 @@ impl Bundle {
                 } else {
                     0.5
                 };
-                let small = (cost - trial_cost) < 1e-7 * cost;
+                let small = (cost - trial_cost) < options.tolerance * cost;
                 (*self, cost) = (trial, trial_cost);
                 damping = (damping * (1.0 - (2.0 * ratio - 1.0).powi(3)).max(1.0 / 3.0)).max(1e-12);
                 growth = 2.0;
@@ -249,6 +251,7 @@ mod tests {
         BundleOptions {
             cauchy_px: 1.0,
             iterations: 60,
+            tolerance: 1e-9,
             free_focal,
             free_poses: true,
         }
