@@ -1,10 +1,11 @@
 //! The reference against the float64 oracle: `fixtures/gradients`, made by `oracles/check_4dgs_grads.py`.
 
-use crate::scenes::{Run, by_name, run, splat};
+use crate::scenes::{Run, by_name, converted, run, setup, splat};
 use m4_kernels::{
     blend::{self, reference::Hard},
     project,
-    reference::BackwardForm,
+    reference::{BackwardForm, Geometry, Setup, Splat, render},
+    slice::reference::{Gaussian, Life, Shape},
 };
 use m4_math::Real;
 use m4_testkit::{GradientCase, assert_gradient, gradient_fixtures};
@@ -85,6 +86,50 @@ fn float32_reference_is_within_rounding_of_the_oracle() {
             let off = (run.loss.value.f64() / case.loss - 1.0).abs();
             assert!(off < 1e-5, "{}: loss off by {off:e}", case.name());
             check(case, &run, 2e-3);
+        }
+    }
+}
+
+/// Section 1.4: the velocity form is an exact reparametrisation of the rotor form.
+#[test]
+fn rotor_and_velocity_form_are_one_picture() {
+    let fixtures = gradient_fixtures();
+    for case in fixtures.cases.iter().filter(|c| c.model == "rotor") {
+        let rotor: Vec<_> = case.splats.iter().map(splat::<f64>).collect();
+        let velocity: Vec<_> = case
+            .splats
+            .iter()
+            .zip(&rotor)
+            .map(|(fixture, rotor)| {
+                let v = converted(fixture);
+                Splat {
+                    geometry: Geometry::Gaussian(Gaussian {
+                        mean: v.mean,
+                        shape: Shape::Anisotropic {
+                            log_scale: v.log_scale,
+                            quat: v.quat,
+                        },
+                        life: Some(Life {
+                            time_mean: v.time_mean,
+                            log_time_sd: v.log_time_sd,
+                            velocity: v.velocity,
+                        }),
+                    }),
+                    ..rotor.clone()
+                }
+            })
+            .collect();
+        for t in [0.0, 0.2, 0.55, 0.8, 1.1] {
+            let setup = Setup {
+                t,
+                ..setup::<f64>(case)
+            };
+            let [a, b] = [&rotor, &velocity].map(|splats| render::<f64, Hard>(splats, &setup));
+            assert_eq!(a.rows, b.rows, "{} at {t}", case.name());
+            assert!(a.rows.len() > 3, "{} at {t}", case.name());
+            for (x, y) in a.image.pixels.as_flattened().iter().zip(b.image.pixels.as_flattened()) {
+                assert!((x - y).abs() < 1e-12, "{} at {t}: {x} and {y}", case.name());
+            }
         }
     }
 }

@@ -11,6 +11,7 @@ use m4_math::{
     Real, Se3,
     nalgebra::{Matrix3, Vector3, Vector4},
 };
+use m4_scene::covariance4::{Covariance4, VelocityForm};
 use m4_testkit::{FixtureSplat, GradientCase, GradientFixtures};
 
 /// Spatial harmonics in the fixtures: degree 3.
@@ -117,6 +118,16 @@ pub fn splat<T: Real>(splat: &FixtureSplat) -> Splat<T> {
         coefficients: splat.sh.iter().map(|k| k.map(T::of)).collect(),
         sh_terms: SH_TERMS,
     }
+}
+
+/// The rotor pair of a fixture as the velocity form.
+pub fn converted(splat: &FixtureSplat) -> VelocityForm<f64> {
+    let [left, right] = [splat.ql, splat.qr].map(|q| Vector4::from(q.expect("the rotor model has rotors")));
+    let log_scale = Vector4::new(splat.ls[0], splat.ls[1], splat.ls[2], splat.lst[0]);
+    let mean = [splat.mu[0], splat.mu[1], splat.mu[2], splat.mt[0]];
+    Covariance4::from_rotor(mean, &log_scale, &left, &right, splat.o[0], splat.sh.clone())
+        .to_velocity()
+        .expect("a positive definite covariance")
 }
 
 /// The camera of a fixture as one of ours.

@@ -5,29 +5,15 @@ use crate::twin::{compare, every_level, parameter, view};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View, blend::reference::CHANNELS, reference::splats_of,
 };
-use m4_math::nalgebra::Vector4;
-use m4_scene::{
-    Column, SplatLayout, Splats,
-    covariance4::{Covariance4, VelocityForm},
-};
+use m4_scene::{Column, SplatLayout, Splats};
 use m4_testkit::{
-    FixtureSplat, GradientCase, GradientFixtures, SceneSpec, assert_gradient, gradient_fixtures, moving_scene,
-    random_camera, random_splats,
+    GradientCase, GradientFixtures, SceneSpec, assert_gradient, gradient_fixtures, moving_scene, random_camera,
+    random_splats,
 };
 
 /// Of the largest component. Rounding costs 1e-6 to 1e-5; a contribution that falls on the other side of
 /// the cut-off in f32 up to 2e-4.
 const TOLERANCE: f64 = 5e-4;
-
-/// The rotor pair of a fixture as the velocity form.
-fn converted(splat: &FixtureSplat) -> VelocityForm<f64> {
-    let [left, right] = [splat.ql, splat.qr].map(|q| Vector4::from(q.expect("the rotor model has rotors")));
-    let log_scale = Vector4::new(splat.ls[0], splat.ls[1], splat.ls[2], splat.lst[0]);
-    let mean = [splat.mu[0], splat.mu[1], splat.mu[2], splat.mt[0]];
-    Covariance4::from_rotor(mean, &log_scale, &left, &right, splat.o[0], splat.sh.clone())
-        .to_velocity()
-        .expect("a positive definite covariance")
-}
 
 /// A fixture in columns.
 fn columns(case: &GradientCase) -> Splats {
@@ -39,7 +25,9 @@ fn columns(case: &GradientCase) -> Splats {
     let mut splats = Splats::zeros(layout, 0, case.splats.len());
     for (row, splat) in case.splats.iter().enumerate() {
         if case.model == "rotor" {
-            converted(splat).write(&mut splats, row).expect("a row of this layout");
+            crate::scenes::converted(splat)
+                .write(&mut splats, row)
+                .expect("a row of this layout");
             continue;
         }
         let mut set = |column, values: &[f64]| {
