@@ -81,7 +81,8 @@ impl Trainer {
         let splats = splats.gather(&morton_order(&splats))?;
         let adam = AdamState::new(&splats);
         let basis = RateBasis {
-            time_sd: median_time_sd(&splats),
+            // a life longer than the video moves no further than the video lasts
+            time_sd: median_time_sd(&splats).min(0.25 * capture.time_frames as f32).max(0.5),
             time_frames: capture.time_frames,
         };
         let background = config.background.unwrap_or_else(|| background_of(capture));

@@ -1,0 +1,105 @@
+//! A made-up video whose splats, cameras and motion are known.
+
+use m4_kernels::{Renderer, SimdLevel, View};
+use m4_math::CounterRng;
+use m4_scene::{Capture, CaptureFrame, Column, Intrinsics, Plane, SplatLayout, Splats};
+use m4_testkit::{MovingScene, moving_scene};
+
+/// Frames of the video.
+pub const FRAMES: usize = 8;
+
+/// The scene, and the video that a renderer makes of it.
+pub fn video() -> (MovingScene, Capture) {
+    let mut scene = moving_scene(Intrinsics::centred(96, 72, 90.0), FRAMES);
+    // A wall of one depth has no order from front to back that a small step would not turn around.
+    let n_static = scene.splats.n_static();
+    for (i, z) in scene.splats.column_mut(Column::Mean, 2)[..n_static]
+        .iter_mut()
+        .enumerate()
+    {
+        *z += 0.2 * ((i * 7919) % 101) as f32 / 101.0;
+    }
+    scene.splats.column_mut(Column::LogScale, 0)[..n_static].fill(0.12f32.ln());
+    let level = SimdLevel::best();
+    let mut renderer = Renderer::new(level);
+    let frames = scene.cameras.iter().enumerate().map(|(i, camera)| {
+        let view = View {
+            camera: *camera,
+            t: i as f64,
+            background: [0.0; 3],
+            near: 0.1,
+            mip: true,
+            period: (FRAMES - 1) as f32,
+            with_depth: true,
+        };
+        let frame = renderer.render(&scene.splats, &view);
+        let (w, h) = (frame.width, frame.height);
+        let byte = |v: f32| (v * 255.0).round().clamp(0.0, 255.0) as u8;
+        let depth = |i: usize| {
+            let alpha = 1.0 - frame.transmittance[i];
+            if alpha > 0.5 { frame.depth[i] / alpha } else { 0.0 }
+        };
+        CaptureFrame {
+            name: format!("{i:03}"),
+            camera: *camera,
+            t: i as f64,
+            rgb: Plane::from_fn(w, h, |x, y| [0, 1, 2].map(|c| byte(frame.rgb[c][y * w + x]))),
+            depth: Some(Plane::from_fn(w, h, |x, y| depth(y * w + x))),
+            // the ball is nearer than 3.2, the wall farther
+            mask: Some(Plane::from_fn(w, h, |x, y| {
+                let z = depth(y * w + x);
+                if z > 0.0 && z < 3.2 { 255 } else { 0 }
+            })),
+            camera_index: None,
+        }
+    });
+    let frames = frames.collect();
+    let capture = Capture {
+        frames,
+        time_frames: FRAMES,
+        duration_s: None,
+        metric: true,
+    };
+    (scene, capture)
+}
+
+/// The splats of the scene with everything that can be learned disturbed; anisotropic, velocities 0.
+pub fn disturbed(scene: &MovingScene, seed: u64) -> Splats {
+    let from = &scene.splats;
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 0,
+        time_degree: 0,
+    };
+    let mut out = Splats::zeros(layout, from.n_static(), from.n_dynamic());
+    let mut rng = CounterRng::new(seed, 0, 0);
+    for column in [
+        Column::Mean,
+        Column::Colour,
+        Column::TimeMean,
+        Column::LogTimeSd,
+        Column::Opacity,
+    ] {
+        for k in 0..layout.range(column).len() {
+            out.column_mut(column, k).copy_from_slice(from.column(column, k));
+        }
+    }
+    for k in 0..3 {
+        out.column_mut(Column::LogScale, k)
+            .copy_from_slice(from.column(Column::LogScale, 0));
+        for c in out.column_mut(Column::Colour, k) {
+            *c += 0.5 * rng.normal() as f32;
+        }
+        for c in out.column_mut(Column::Mean, k) {
+            *c += 0.01 * rng.normal() as f32;
+        }
+    }
+    out.column_mut(Column::Opacity, 0).fill(1.0);
+    out.column_mut(Column::Quat, 0).fill(1.0);
+    out
+}
+
+/// Every number of `splats` as bits.
+pub fn bits(splats: &Splats) -> Vec<u32> {
+    splats.columns().iter().flatten().map(|v| v.to_bits()).collect()
+}

@@ -1,0 +1,102 @@
+//! The same seed gives the same bits: for any number of threads, and across a saved state.
+
+mod common;
+
+use common::{bits, disturbed, video};
+use m4_kernels::SimdLevel;
+use m4_scene::{Capture, Silent, Splats, StateTensor};
+use m4_train::{DensityConfig, FrameChoice, TrainConfig, TrainError, Trainer};
+
+/// Everything on: density control, refinement, error-driven frames, coarse-to-fine.
+fn config(iterations: usize) -> TrainConfig {
+    let mut config = TrainConfig::fast();
+    config.iterations = iterations;
+    config.seed = 11;
+    config.frame_choice = FrameChoice::ErrorDriven { uniform: 0.5 };
+    config.density = DensityConfig {
+        from: 20,
+        every: 20,
+        prune_every: 40,
+        ..DensityConfig::fast()
+    };
+    config.resolution.min_side_px = 16;
+    config.refine.poses = true;
+    config.refine.focal = true;
+    config.refine.exposure = true;
+    config.refine.from = 10;
+    config
+}
+
+fn finish(trainer: &mut Trainer) -> Splats {
+    trainer.run(&Silent, &mut |_| {}).unwrap();
+    trainer.splats().clone()
+}
+
+fn start(capture: &Capture, splats: Splats, config: TrainConfig) -> Trainer {
+    Trainer::new(capture, splats, config, SimdLevel::best()).unwrap()
+}
+
+#[test]
+fn threads_do_not_change_a_bit() {
+    let (scene, capture) = video();
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| finish(&mut start(&capture, disturbed(&scene, 2), config(100))))
+    };
+    let (one, two) = (run(1), run(2));
+    assert_ne!(one.n(), scene.splats.n(), "density control did something");
+    assert_eq!(one.n(), two.n());
+    assert!(bits(&one) == bits(&two));
+}
+
+#[test]
+fn a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one() {
+    let (scene, capture) = video();
+    let mut whole = start(&capture, disturbed(&scene, 3), config(200));
+    finish(&mut whole);
+
+    let mut half = start(&capture, disturbed(&scene, 3), config(200));
+    half.run_until(100, &Silent, &mut |_| {}).unwrap();
+    let (saved, state) = (half.scene(), half.state());
+    drop(half);
+    let mut rest = Trainer::resume(&capture, saved.splats, &state, config(200), SimdLevel::best()).unwrap();
+    assert_eq!(rest.iteration(), 100);
+    finish(&mut rest);
+
+    assert!(bits(whole.splats()) == bits(rest.splats()));
+    assert_eq!(whole.state(), rest.state());
+    assert_eq!(whole.scene(), rest.scene());
+}
+
+#[test]
+fn another_seed_gives_another_run() {
+    let (scene, capture) = video();
+    let run = |seed| {
+        let config = TrainConfig { seed, ..config(30) };
+        finish(&mut start(&capture, disturbed(&scene, 4), config))
+    };
+    assert!(bits(&run(1)) != bits(&run(2)));
+}
+
+#[test]
+fn a_state_that_does_not_fit_is_refused() {
+    let (scene, capture) = video();
+    let mut trainer = start(&capture, disturbed(&scene, 5), config(20));
+    trainer.run_until(5, &Silent, &mut |_| {}).unwrap();
+    let (saved, state) = (trainer.scene().splats, trainer.state());
+    let level = SimdLevel::best();
+    let resume = |splats: &Splats, state| Trainer::resume(&capture, splats.clone(), state, config(20), level);
+    let mut missing = state.clone();
+    missing.remove("adam/step");
+    assert_eq!(
+        resume(&saved, &missing).unwrap_err(),
+        TrainError::BadState {
+            name: "adam/step".to_owned()
+        }
+    );
+    let mut wrong = state.clone();
+    wrong.insert("train/iteration".to_owned(), StateTensor::f32(vec![5.0]));
+    assert!(matches!(resume(&saved, &wrong), Err(TrainError::BadState { .. })));
+    let fewer = saved.gather(&[0, 1, 2]).unwrap();
+    assert!(matches!(resume(&fewer, &state), Err(TrainError::Shape(_))));
+}
