@@ -16,7 +16,8 @@ fn config(iterations: usize) -> TrainConfig {
     config.lr.time_mean = 0.0;
     config.lr.position = 1e-3;
     config.lr.scale = 0.01;
-    config.lr.velocity = 1e-3;
+    config.lr.velocity = 1e-2;
+    config.lr.position_end = 1e-5;
     config.lr.other_end = 0.1;
     config.iterations = iterations;
     config.metrics_every = 40;
