@@ -142,3 +142,47 @@ fn winner(count: usize, total: &[i16]) -> Vec<f32> {
     };
     total.chunks_exact(count).map(one).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Penalties, aggregate};
+
+    const PENALTIES: Penalties = Penalties { small: 6, large: 40 };
+
+    #[test]
+    fn neighbours_outvote_a_wrong_pixel() {
+        let (w, h, n) = (9, 7, 16);
+        let mut volume = vec![20u8; w * h * n];
+        for i in 0..w * h {
+            volume[i * n + 5] = 4;
+        }
+        let odd = 3 * w + 4;
+        volume[odd * n + 5] = 8;
+        volume[odd * n + 12] = 2;
+        let index = aggregate(w, h, n, &volume, &vec![100.0; w * h], PENALTIES);
+        assert!(index.iter().all(|&k| (k - 5.0).abs() < 0.01), "{index:?}");
+    }
+
+    #[test]
+    fn a_step_at_an_edge_stays() {
+        let (w, h, n) = (12, 8, 16);
+        let grey: Vec<f32> = (0..w * h).map(|i| if i % w < 6 { 20.0 } else { 220.0 }).collect();
+        let mut volume = vec![20u8; w * h * n];
+        for i in 0..w * h {
+            volume[i * n + if i % w < 6 { 3 } else { 11 }] = 2;
+        }
+        let index = aggregate(w, h, n, &volume, &grey, PENALTIES);
+        for (i, k) in index.iter().enumerate() {
+            let want = if i % w < 6 { 3.0 } else { 11.0 };
+            assert!((k - want).abs() < 0.3, "pixel {i}: {k} where {want} was expected");
+        }
+    }
+
+    #[test]
+    fn fractions_come_from_the_parabola() {
+        let volume: Vec<u8> = [9u8, 4, 1, 2, 8].to_vec();
+        let index = aggregate(1, 1, 5, &volume, &[0.0], PENALTIES);
+        // (4 - 2) / (4 + 2 - 2) / 2 past the least.
+        assert!((index[0] - 2.25).abs() < 1e-6, "{}", index[0]);
+    }
+}

@@ -58,3 +58,37 @@ impl Background {
         out
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::Background;
+    use crate::dense::config::MotionConfig;
+    use crate::dense::working::WorkingFrame;
+    use m4_math::Se3;
+    use m4_scene::{Camera, Intrinsics, Plane};
+
+    #[test]
+    fn what_passes_by_stands_out() {
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(40, 32, 50.0),
+            c2w: Se3::identity(),
+        };
+        let frame = |k: usize| {
+            let image = Plane::from_fn(40, 32, |x, y| {
+                if (3 * k..3 * k + 4).contains(&x) && (10..20).contains(&y) {
+                    [250; 3]
+                } else {
+                    [(x * 3) as u8; 3]
+                }
+            });
+            WorkingFrame::new(&image, &camera, 40, 32)
+        };
+        let frames: Vec<WorkingFrame> = (0..11).map(frame).collect();
+        let evidence = Background::new(&frames).evidence(&frames[5], &MotionConfig::default());
+        for (i, e) in evidence.iter().enumerate() {
+            let (x, y) = (i % 40, i / 40);
+            let inside = (15..19).contains(&x) && (10..20).contains(&y);
+            assert_eq!(*e > 0.0, inside, "{x}, {y}: {e}");
+        }
+    }
+}

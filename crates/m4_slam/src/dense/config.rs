@@ -89,6 +89,8 @@ pub struct StaticDepthConfig {
     pub large_step: i16,
     /// Largest difference to a partner's disparity that counts as agreement, in hypothesis steps.
     pub agree_steps: f32,
+    /// Patches of agreement smaller than this are taken for chance, pixels at the working size.
+    pub least_patch_px: usize,
     /// Weight of one sparse point in the fill; a pixel on which all partners agree has 1.
     pub point_weight: f32,
     /// Strength of the edge-aware fill, pixels squared (Min et al. 2014, lambda).
@@ -107,6 +109,7 @@ impl Default for StaticDepthConfig {
             small_step: 6,
             large_step: 40,
             agree_steps: 1.5,
+            least_patch_px: 30,
             point_weight: 4.0,
             fill_lambda: 900.0,
             fill_sigma: 8.0,
@@ -137,6 +140,9 @@ pub struct MotionConfig {
     pub smooth_lambda: f32,
     /// Evidence of a pixel on which all partners agree that it does not move, 0..1.
     pub agreement: f32,
+    /// Weight of the belief that a pixel about which nothing is known does not move; the flow between
+    /// two frames has 1.
+    pub prior: f32,
     /// Weight of a track's verdict; the flow between two frames has 1.
     pub track_weight: f32,
     /// Components below this share of the image are dropped. Specification: 0.2 %.
@@ -154,6 +160,7 @@ impl Default for MotionConfig {
             votes: 2,
             smooth_lambda: 100.0,
             agreement: 1.0,
+            prior: 0.3,
             track_weight: 3.0,
             least_component: 0.002,
         }
@@ -232,6 +239,36 @@ impl DenseConfig {
             "dense.static_depth.parallax_px",
             parallax,
             "a list above 0",
+        )?;
+        let above_zero = [
+            ("dense.static_depth.fill_lambda", s.fill_lambda),
+            ("dense.static_depth.fill_sigma", s.fill_sigma),
+            ("dense.static_depth.agree_steps", s.agree_steps),
+            ("dense.motion.flow_noise_px", self.motion.flow_noise_px),
+            ("dense.motion.smooth_lambda", self.motion.smooth_lambda),
+            ("dense.flow.smoothness", f.smoothness),
+        ];
+        for (name, value) in above_zero {
+            need(
+                value > 0.0 && value.is_finite(),
+                name,
+                f64::from(value),
+                "a number above 0",
+            )?;
+        }
+        let steps = [
+            ("dense.static_depth.small_step", s.small_step),
+            ("dense.static_depth.large_step", s.large_step),
+        ];
+        for (name, value) in steps {
+            need((0..=1000).contains(&value), name, f64::from(value), "0 to 1000")?;
+        }
+        let q = self.moving_depth.hidden_quantile;
+        need(
+            (0.0..=1.0).contains(&q),
+            "dense.moving_depth.hidden_quantile",
+            q,
+            "0 to 1",
         )
     }
 }

@@ -103,3 +103,38 @@ fn neighbours(frame: &WorkingFrame, (x, y): (f32, f32), colour: [u8; 3]) -> Neig
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Small, enlarge};
+    use crate::dense::working::WorkingFrame;
+    use m4_math::Se3;
+    use m4_scene::{Camera, Intrinsics, Plane};
+
+    #[test]
+    fn an_edge_is_found_again_and_nothing_floats() {
+        // The edge lies at full-size column 22, inside small pixel 5 of 16 (columns 20 to 23).
+        let image = Plane::from_fn(64, 48, |x, _| if x < 22 { [30; 3] } else { [200; 3] });
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(64, 48, 50.0),
+            c2w: Se3::identity(),
+        };
+        let frame = WorkingFrame::new(&image, &camera, 16, 12);
+        let disparity: Vec<f32> = (0..16 * 12).map(|i| if i % 16 < 5 { 0.25 } else { 1.0 }).collect();
+        let moving: Vec<u8> = (0..16 * 12).map(|i| if i % 16 < 5 { 0 } else { 255 }).collect();
+        let confidence = vec![1.0; 16 * 12];
+        let small = Small {
+            frame: &frame,
+            disparity: &disparity,
+            moving: &moving,
+            confidence: &confidence,
+        };
+        let out = enlarge(&image, &small);
+        for x in 0..64 {
+            let (z, m) = (out.depth[(x, 20)], out.mask[(x, 20)]);
+            assert!((z - 4.0).abs() < 1e-3 || (z - 1.0).abs() < 1e-3, "column {x}: {z}");
+            let near = x >= 22;
+            assert_eq!((z < 2.0, m > 0), (near, near), "column {x}");
+        }
+    }
+}

@@ -113,7 +113,10 @@ pub(super) fn evidence(
     config: &MotionConfig,
 ) -> Vec<f32> {
     let (w, h) = (seen.frame.width, seen.frame.height);
-    let (mut value, mut weight) = (vec![0.0f32; w * h], vec![1e-3f32; w * h]);
+    let (mut value, mut weight) = (
+        vec![-config.prior * config.static_vote; w * h],
+        vec![config.prior.max(1e-3); w * h],
+    );
     for &span in &config.spans {
         for later in [false, true] {
             if let Some(link) = link(flows, &clues.cameras, i, span, later) {

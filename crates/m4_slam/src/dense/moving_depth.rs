@@ -123,3 +123,64 @@ fn steady(
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::place;
+    use crate::dense::config::MovingDepthConfig;
+    use crate::dense::flow::{Flow, FlowPair};
+
+    const W: usize = 24;
+    const H: usize = 20;
+
+    /// A wall above row 8, then ground that comes nearer downwards.
+    fn ground() -> Vec<f32> {
+        (0..W * H)
+            .map(|i| 0.2 + 0.05 * (i / W).saturating_sub(8) as f32)
+            .collect()
+    }
+
+    fn block(left: usize) -> Vec<u8> {
+        let inside = |x: usize, y: usize| (left..left + 5).contains(&x) && (4..14).contains(&y);
+        (0..W * H).map(|i| if inside(i % W, i / W) { 255 } else { 0 }).collect()
+    }
+
+    fn shift(u: f32) -> FlowPair {
+        let flow = |u: f32| Flow {
+            u: vec![u; W * H],
+            ..Flow::zero(W, H)
+        };
+        FlowPair {
+            forward: flow(u),
+            backward: flow(-u),
+            forward_round_trip: vec![0.0; W * H],
+            backward_round_trip: vec![0.0; W * H],
+        }
+    }
+
+    #[test]
+    fn what_stands_on_the_ground_is_as_near_as_the_ground_under_it() {
+        let out = place(W, H, &[block(6)], &[ground()], &[], &MovingDepthConfig::default());
+        let inside = out[0][6 * W + 8];
+        // The lowest row is 13; the ground is read 3 rows below.
+        assert!((inside - ground()[16 * W]).abs() < 0.06, "{inside}");
+        assert_eq!(out[0][6 * W + 2], ground()[6 * W]);
+    }
+
+    #[test]
+    fn a_jump_in_one_frame_is_spread_over_time_and_nothing_sinks_into_the_background() {
+        let moving: Vec<Vec<u8>> = (0..5).map(|k| block(4 + 2 * k)).collect();
+        let mut background = vec![ground(); 5];
+        for d in &mut background[2] {
+            *d *= 1.5;
+        }
+        let flows: Vec<FlowPair> = (0..4).map(|_| shift(2.0)).collect();
+        let out = place(W, H, &moving, &background, &flows, &MovingDepthConfig::default());
+        let at = |k: usize| out[k][6 * W + 6 + 2 * k];
+        let (calm, jump) = (at(0), at(2));
+        assert!(jump / calm < 1.35 && jump >= calm, "{calm} {jump}");
+        for k in 0..5 {
+            assert!(out[k].iter().zip(&background[k]).all(|(d, b)| d >= b), "frame {k}");
+        }
+    }
+}

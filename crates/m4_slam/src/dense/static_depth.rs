@@ -96,7 +96,44 @@ pub(super) fn measure(
             }
         }
     }
+    despeckle(w, h, &mut out, 2.0 * shot.range.step, config.least_patch_px);
     out
+}
+
+/// Distrusts patches of fewer than `least` pixels that continue nothing around them: chance agreement.
+fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32, least: usize) {
+    let (disparity, confidence) = (&measured.disparity, &mut measured.confidence);
+    let mut seen = vec![false; width * height];
+    let (mut open, mut patch) = (Vec::new(), Vec::new());
+    for seed in 0..width * height {
+        if seen[seed] || confidence[seed] == 0.0 {
+            continue;
+        }
+        patch.clear();
+        seen[seed] = true;
+        open.push(seed);
+        while let Some(i) = open.pop() {
+            patch.push(i);
+            let (x, y) = (i % width, i / width);
+            let neighbours = [
+                (x > 0).then(|| i - 1),
+                (x + 1 < width).then_some(i + 1),
+                y.checked_sub(1).map(|_| i - width),
+                (y + 1 < height).then_some(i + width),
+            ];
+            for n in neighbours.into_iter().flatten() {
+                if !seen[n] && confidence[n] > 0.0 && (disparity[n] - disparity[i]).abs() <= step {
+                    seen[n] = true;
+                    open.push(n);
+                }
+            }
+        }
+        if patch.len() < least {
+            for &i in &patch {
+                confidence[i] = 0.0;
+            }
+        }
+    }
 }
 
 /// A disparity for every pixel: measurements and sparse points where there are any, and between them

@@ -115,3 +115,31 @@ fn better_half(costs: &[u8; MAX_PARTNERS], count: usize) -> u8 {
     let sum: usize = sorted[..half].iter().map(|&c| usize::from(c)).sum();
     (2 * sum / half) as u8
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{MAX_PARTNERS, UNKNOWN, better_half, census};
+
+    #[test]
+    fn a_signature_ignores_brightness_and_contrast() {
+        let image: Vec<f32> = (0..20 * 15).map(|i| (i * 7919 % 97) as f32).collect();
+        let brighter: Vec<f32> = image.iter().map(|v| 2.0 * v + 20.0).collect();
+        let (a, b) = (census(20, 15, &image), census(20, 15, &brighter));
+        let differing: u32 = a.iter().zip(&b).map(|(a, b)| (a ^ b).count_ones()).sum();
+        // Steps of exactly one are told apart only when they are doubled.
+        assert!(differing < 300 * 24 / 50, "{differing}");
+        assert!(census(20, 15, &vec![5.0; 300]).iter().all(|&c| c == 0));
+    }
+
+    #[test]
+    fn what_is_hidden_from_some_partners_does_not_count() {
+        let costs = |v: [u8; 4]| {
+            let mut all = [u8::MAX; MAX_PARTNERS];
+            all[..4].copy_from_slice(&v);
+            better_half(&all, 4)
+        };
+        assert_eq!(costs([2, 20, 4, 19]), 6);
+        assert_eq!(costs([u8::MAX, 20, 4, u8::MAX]), 8);
+        assert_eq!(costs([u8::MAX; 4]), UNKNOWN);
+    }
+}

@@ -120,3 +120,78 @@ fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Pyramid, flow, round_trip_px};
+    use crate::dense::config::FlowConfig;
+
+    const W: usize = 96;
+    const H: usize = 72;
+
+    /// Waves of every length from 100 px down to 9 px, the longer the stronger, as pictures have.
+    fn texture(x: f32, y: f32) -> f32 {
+        let wave = |k: u32| {
+            let (length, turn) = (100.0 * 0.8f32.powi(k as i32), 2.4 * k as f32);
+            let phase = (x * turn.cos() + y * turn.sin()) * std::f32::consts::TAU / length;
+            length.sqrt() * (phase + 1.7 * k as f32).sin()
+        };
+        128.0 + 3.0 * (0..12).map(wave).sum::<f32>()
+    }
+
+    /// `b` shows at `p + motion(p)` what `a` shows at `p`; `inverse` undoes `p + motion(p)`.
+    fn error_px(
+        motion: impl Fn(f32, f32) -> (f32, f32),
+        inverse: impl Fn(f32, f32) -> (f32, f32),
+        gain: f32,
+    ) -> (f32, f32) {
+        let (mut a, mut b) = (Vec::new(), Vec::new());
+        for i in 0..W * H {
+            let (x, y) = ((i % W) as f32, (i / W) as f32);
+            let (bx, by) = inverse(x, y);
+            a.push(texture(x, y));
+            b.push(gain * texture(bx, by));
+        }
+        let (a, b) = (Pyramid::new(W, H, &a), Pyramid::new(W, H, &b));
+        let config = FlowConfig::default();
+        let (there, back) = (flow(&a, &b, &config), flow(&b, &a, &config));
+        let trip = round_trip_px(&there, &back);
+        let (mut sum, mut trips, mut count) = (0.0, 0.0, 0.0);
+        for y in 12..H - 12 {
+            for x in 12..W - 12 {
+                let (u, v) = motion(x as f32, y as f32);
+                sum += (there.u[y * W + x] - u).hypot(there.v[y * W + x] - v);
+                trips += trip[y * W + x];
+                count += 1.0;
+            }
+        }
+        (sum / count, trips / count)
+    }
+
+    #[test]
+    fn a_shift_is_found_to_a_tenth_of_a_pixel() {
+        let (error, trip) = error_px(|_, _| (3.4, -2.3), |x, y| (x - 3.4, y + 2.3), 1.0);
+        assert!(error < 0.1 && trip < 0.1, "{error} {trip}");
+    }
+
+    #[test]
+    fn a_large_shift_with_other_exposure_is_found() {
+        let (error, _) = error_px(|_, _| (-9.6, 4.2), |x, y| (x + 9.6, y - 4.2), 1.05);
+        assert!(error < 0.25, "{error}");
+    }
+
+    #[test]
+    fn a_zoom_is_found() {
+        let (cx, cy, s) = (48.0, 36.0, 1.06);
+        let motion = |x: f32, y: f32| ((s - 1.0) * (x - cx), (s - 1.0) * (y - cy));
+        let (error, _) = error_px(motion, |x, y| (cx + (x - cx) / s, cy + (y - cy) / s), 1.0);
+        assert!(error < 0.1, "{error}");
+    }
+
+    #[test]
+    fn flat_pictures_do_not_move() {
+        let flat = Pyramid::new(W, H, &vec![77.0; W * H]);
+        let found = flow(&flat, &flat, &FlowConfig::default());
+        assert!(found.u.iter().chain(&found.v).all(|v| v.abs() < 1e-3));
+    }
+}

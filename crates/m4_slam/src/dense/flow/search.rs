@@ -27,7 +27,7 @@ struct Search<'a> {
 fn positions(n: usize, size: usize, stride: usize) -> Vec<usize> {
     let last = n - size;
     let mut out: Vec<usize> = (0..=last).step_by(stride).collect();
-    if last % stride != 0 {
+    if !last.is_multiple_of(stride) {
         out.push(last);
     }
     out

@@ -1,0 +1,288 @@
+//! Depth and masks on a drawn scene whose answer is known: a textured wall, a box in front of it that
+//! stands still, and another that moves.
+
+use m4_math::Se3;
+use m4_math::nalgebra::Vector3;
+use m4_scene::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Silent};
+use m4_slam::dense::{DenseConfig, DenseError, DenseFrame, densify};
+use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use std::sync::Mutex;
+
+const SIZE: (usize, usize) = (128, 96);
+const FRAMES: usize = 12;
+
+struct Drawn {
+    images: Vec<RgbImage>,
+    depth: Vec<Plane<f32>>,
+    moving: Vec<Mask>,
+    cameras: Vec<Camera>,
+}
+
+/// Smooth noise with details of about 0.05 world units.
+fn texture(x: f64, y: f64, seed: f64) -> [u8; 3] {
+    let wave = |a: f64, b: f64, p: f64| (a * x + b * y + p + seed).sin();
+    let value = wave(31.0, 17.0, 0.3) + wave(-23.0, 41.0, 1.1) + wave(67.0, -53.0, 2.0) + wave(9.0, 83.0, 0.7);
+    let channel = |shift: f64| (128.0 + 28.0 * value + 20.0 * wave(13.0, 7.0, shift)).clamp(0.0, 255.0) as u8;
+    [channel(0.0), channel(2.0), channel(4.0)]
+}
+
+/// The camera steps to the right by `step` a frame; the moving box rises.
+fn draw(step: f64) -> Drawn {
+    let intrinsics = Intrinsics::centred(SIZE.0, SIZE.1, 110.0);
+    let mut out = Drawn {
+        images: Vec::new(),
+        depth: Vec::new(),
+        moving: Vec::new(),
+        cameras: Vec::new(),
+    };
+    for i in 0..FRAMES {
+        let t = i as f64;
+        let camera = Camera {
+            intrinsics,
+            c2w: Se3 {
+                translation: Vector3::new(step * t, 0.0, 0.0),
+                ..Se3::identity()
+            },
+        };
+        // Left, right, top, bottom, depth, what moves, and the shift of the texture with the box.
+        let lift = 0.05 * t;
+        let boxes = [
+            (-0.75, -0.2, 0.0, 0.6, 2.2, false, 0.0),
+            (0.35, 0.95, 0.3 - lift, 0.8 - lift, 2.4, true, lift),
+        ];
+        let see = |x: usize, y: usize| {
+            let (dx, dy) = (
+                (x as f64 + 0.5 - intrinsics.cx) / intrinsics.fx,
+                (y as f64 + 0.5 - intrinsics.cy) / intrinsics.fy,
+            );
+            for &(left, right, top, bottom, z, moves, shift) in &boxes {
+                let (wx, wy) = (step * t + dx * z, dy * z);
+                if (left..right).contains(&wx) && (top..bottom).contains(&wy) {
+                    return (texture(wx, wy + shift, 3.0 * z), z, moves);
+                }
+            }
+            let z = 4.0;
+            (texture(step * t + dx * z, dy * z, 0.0), z, false)
+        };
+        out.images.push(Plane::from_fn(SIZE.0, SIZE.1, |x, y| see(x, y).0));
+        out.depth
+            .push(Plane::from_fn(SIZE.0, SIZE.1, |x, y| see(x, y).1 as f32));
+        out.moving
+            .push(Plane::from_fn(SIZE.0, SIZE.1, |x, y| if see(x, y).2 { 255 } else { 0 }));
+        out.cameras.push(camera);
+    }
+    out
+}
+
+/// True cameras, and a grid of points that are seen in one frame each.
+fn sparse(drawn: &Drawn, camera_motion: CameraMotion) -> SparseReconstruction {
+    let mut tracks = Vec::new();
+    for i in 0..FRAMES {
+        for (x, y) in (0..SIZE.0)
+            .step_by(16)
+            .flat_map(|x| (0..SIZE.1).step_by(16).map(move |y| (x, y)))
+        {
+            if drawn.moving[i][(x, y)] == 0 && camera_motion == CameraMotion::Parallax {
+                let point = drawn.cameras[i].unproject(x as f64, y as f64, f64::from(drawn.depth[i][(x, y)]));
+                tracks.push(Track {
+                    first_frame: i,
+                    observations: vec![[x as f32, y as f32]],
+                    motion: Motion::Static,
+                    point: Some(point),
+                    residual_px: 0.1,
+                });
+            }
+        }
+    }
+    SparseReconstruction {
+        cameras: drawn.cameras.clone(),
+        tracks,
+        camera_motion,
+        residual_px: 0.1,
+        warnings: Vec::new(),
+    }
+}
+
+fn references(drawn: &Drawn) -> Vec<&RgbImage> {
+    drawn.images.iter().collect()
+}
+
+/// Mean relative depth error of static and of moving pixels, and intersection over union of the masks.
+fn score(drawn: &Drawn, found: &[DenseFrame]) -> ([f64; 2], f64) {
+    let (mut sum, mut count, mut both, mut either) = ([0.0; 2], [0.0; 2], 0.0, 0.0);
+    for (i, frame) in found.iter().enumerate() {
+        assert_eq!(
+            (frame.depth.size(), frame.mask.size(), frame.confidence.size()),
+            (SIZE, SIZE, SIZE)
+        );
+        for (x, y) in (0..SIZE.0).flat_map(|x| (0..SIZE.1).map(move |y| (x, y))) {
+            let (z, want) = (f64::from(frame.depth[(x, y)]), f64::from(drawn.depth[i][(x, y)]));
+            assert!(z.is_finite() && z > 0.0, "frame {i}, pixel {x}, {y}: depth {z}");
+            let confidence = frame.confidence[(x, y)];
+            assert!(
+                (0.0..=1.0).contains(&confidence),
+                "frame {i}, pixel {x}, {y}: confidence {confidence}"
+            );
+            let (m, f) = (drawn.moving[i][(x, y)] != 0, frame.mask[(x, y)] != 0);
+            sum[usize::from(m)] += (z - want).abs() / want;
+            count[usize::from(m)] += 1.0;
+            both += f64::from(u8::from(m && f));
+            either += f64::from(u8::from(m || f));
+        }
+    }
+    ([sum[0] / count[0], sum[1] / count[1]], both / either)
+}
+
+#[test]
+fn depth_and_masks_of_a_drawn_scene() {
+    let drawn = draw(0.06);
+    let found = densify(
+        &references(&drawn),
+        &sparse(&drawn, CameraMotion::Parallax),
+        &DenseConfig::default(),
+        &Silent,
+    )
+    .unwrap();
+    let ([fixed, moving], iou) = score(&drawn, &found);
+    eprintln!("static {fixed:.4}, moving {moving:.4}, masks {iou:.3}");
+    assert!(fixed < 0.03, "static depth is off by {fixed:.4}");
+    // The box floats before the wall: nothing says where, but never behind it.
+    assert!(moving < 4.0 / 2.4 - 1.0 + 0.05, "moving depth is off by {moving:.4}");
+    assert!(iou > 0.6, "masks overlap by {iou:.3}");
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let drawn = draw(0.06);
+    let frames = references(&drawn);
+    let reconstruction = sparse(&drawn, CameraMotion::Parallax);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            densify(
+                &frames[..6],
+                &first(&reconstruction, 6),
+                &DenseConfig::default(),
+                &Silent,
+            )
+            .unwrap()
+        })
+    };
+    assert_eq!(run(1), run(3));
+}
+
+fn first(sparse: &SparseReconstruction, n: usize) -> SparseReconstruction {
+    let mut sparse = sparse.clone();
+    sparse.cameras.truncate(n);
+    sparse.tracks.retain(|t| t.first_frame < n);
+    sparse
+}
+
+#[derive(Default)]
+struct Listener {
+    warnings: Mutex<Vec<String>>,
+    stop: bool,
+}
+
+impl Progress for Listener {
+    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
+
+    fn warn(&self, message: &str) {
+        self.warnings.lock().unwrap().push(message.to_owned());
+    }
+
+    fn cancelled(&self) -> bool {
+        self.stop
+    }
+}
+
+#[test]
+fn a_camera_that_stands_still_gives_masks_and_made_up_depth() {
+    let drawn = draw(0.0);
+    for camera_motion in [CameraMotion::Static, CameraMotion::RotationOnly] {
+        let listener = Listener::default();
+        let found = densify(
+            &references(&drawn),
+            &sparse(&drawn, camera_motion),
+            &DenseConfig::default(),
+            &listener,
+        )
+        .unwrap();
+        let (_, iou) = score(&drawn, &found);
+        assert!(iou > 0.5, "{camera_motion:?}: masks overlap by {iou:.3}");
+        assert!(found.iter().all(|f| f.depth.data().iter().all(|&z| z == 1.0)));
+        let warnings = listener.warnings.lock().unwrap();
+        assert!(warnings.len() == 1 && warnings[0].contains("depth"), "{warnings:?}");
+    }
+}
+
+#[test]
+fn one_frame_and_a_still_scene_are_no_trouble() {
+    let drawn = draw(0.06);
+    let frames = references(&drawn);
+    let all = sparse(&drawn, CameraMotion::Parallax);
+    let one = densify(&frames[..1], &first(&all, 1), &DenseConfig::default(), &Silent).unwrap();
+    assert!(one[0].depth.data().iter().all(|z| z.is_finite() && *z > 0.0));
+    let grey: Vec<RgbImage> = (0..3).map(|_| Plane::filled(SIZE.0, SIZE.1, [90; 3])).collect();
+    let mut blank = first(&all, 3);
+    blank.tracks.clear();
+    let found = densify(
+        &grey.iter().collect::<Vec<_>>(),
+        &blank,
+        &DenseConfig::default(),
+        &Silent,
+    )
+    .unwrap();
+    for frame in found {
+        assert!(frame.depth.data().iter().all(|z| z.is_finite() && *z > 0.0));
+        assert!(frame.mask.data().iter().all(|&m| m == 0));
+    }
+}
+
+#[test]
+fn bad_input_is_named() {
+    let drawn = draw(0.06);
+    let frames = references(&drawn);
+    let good = sparse(&drawn, CameraMotion::Parallax);
+    let config = DenseConfig::default();
+    let fails = |frames: &[&RgbImage], sparse: &SparseReconstruction, config: &DenseConfig| {
+        densify(frames, sparse, config, &Silent).unwrap_err()
+    };
+    assert_eq!(fails(&[], &good, &config), DenseError::NoFrames);
+    let count = fails(&frames[..5], &good, &config);
+    assert_eq!(count, DenseError::Count { frames: 5, cameras: 12 });
+    let small = Plane::filled(20, 20, [0; 3]);
+    let mut mixed = frames.clone();
+    mixed[3] = &small;
+    assert!(matches!(
+        fails(&mixed, &good, &config),
+        DenseError::Size {
+            frame: 3,
+            found: (20, 20),
+            ..
+        }
+    ));
+    let mut broken = good.clone();
+    broken.cameras[2].c2w.translation.y = f64::NAN;
+    assert!(matches!(
+        fails(&frames, &broken, &config),
+        DenseError::Camera { frame: 2, .. }
+    ));
+    let mut settings = config.clone();
+    settings.static_depth.hypotheses = 1;
+    assert!(matches!(
+        fails(&frames, &good, &settings),
+        DenseError::Setting {
+            name: "dense.static_depth.hypotheses",
+            ..
+        }
+    ));
+    let stop = Listener {
+        stop: true,
+        ..Listener::default()
+    };
+    assert!(matches!(
+        densify(&frames, &good, &config, &stop),
+        Err(DenseError::Cancelled { .. })
+    ));
+}
