@@ -1,8 +1,6 @@
 //! Clips: both decoders, times, sizes, orientation, colours.
 
-mod common;
-
-use common::{ffmpeg, have_ffmpeg, pinwheel, psnr, times};
+use crate::common::{ffmpeg, have_ffmpeg, pinwheel, psnr, times};
 use m4_io::video::{ReadVideoError, VideoOptions, read};
 use m4_scene::{Plane, RgbImage, Silent, Video};
 use std::path::{Path, PathBuf};

@@ -39,7 +39,14 @@ pub fn read(path: &Path, what: &str, options: &VideoOptions, progress: &dyn Prog
             reason: format!("its {} stream is empty", description.codec),
         });
     }
-    Decoder::start(path, what, &description, options)?.run(progress)
+    let first = Decoder::start(path, what, &description, options, ["-fps_mode", "passthrough"])?.run(progress);
+    match first {
+        // Before ffmpeg 5.1 the option had another name.
+        Err(ReadVideoError::Ffmpeg { reason, .. }) if reason.contains("fps_mode") => {
+            Decoder::start(path, what, &description, options, ["-vsync", "passthrough"])?.run(progress)
+        }
+        other => other,
+    }
 }
 
 struct Decoder<'a> {
@@ -62,6 +69,7 @@ impl<'a> Decoder<'a> {
         what: &str,
         description: &'a Description,
         options: &'a VideoOptions,
+        every_frame_once: [&str; 2],
     ) -> Result<Self, ReadVideoError> {
         let in_range = match &description.times_s {
             Some(times) => {
@@ -82,7 +90,9 @@ impl<'a> Decoder<'a> {
             .collect();
         let mut child = command(&options.ffmpeg, &before, path);
         child
-            .args(["-map", "0:V:0", "-an", "-sn", "-dn", "-fps_mode", "passthrough", "-vf"])
+            .args(["-map", "0:V:0", "-an", "-sn", "-dn"])
+            .args(every_frame_once)
+            .arg("-vf")
             .arg(filters(description))
             .args(["-f", "rawvideo", "pipe:1"]);
         let child = child.spawn().map_err(|e| ReadVideoError::NeedsFfmpeg {

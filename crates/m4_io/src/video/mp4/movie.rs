@@ -6,6 +6,9 @@ use super::samples::samples;
 use super::{Mp4Error, Sample, Timeline};
 use std::io::{Read, Seek};
 
+/// Most parts that a track may be cut into; each frame is looked up among them.
+const MAX_EDITS: usize = 1000;
+
 /// What is in a file.
 #[derive(Debug)]
 pub struct Movie {
@@ -133,6 +136,9 @@ fn track(trak: &[u8], movie_scale: u32, file_len: u64) -> Result<Track, Mp4Error
 fn edit_list(mut elst: Body<'_>) -> Result<Vec<Edit>, Mp4Error> {
     let wide = elst.version()? == 1;
     let count = elst.count(if wide { 20 } else { 12 })?;
+    if count > MAX_EDITS {
+        return Err(Mp4Error::Bad(format!("its edit list has {count} entries")));
+    }
     let mut edits = Vec::with_capacity(count);
     for _ in 0..count {
         let (duration, media_time) = if wide {

@@ -3,6 +3,9 @@
 use super::Mp4Error;
 use super::boxes::{Body, child, required};
 
+/// Most samples that are read: four days at 30 frames a second, and 240 MB here.
+const MAX_SAMPLES: usize = 10_000_000;
+
 /// One coded frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sample {
@@ -17,6 +20,9 @@ pub struct Sample {
 /// The samples of a `stbl` box in decoding order.
 pub fn samples(stbl: &[u8], file_len: u64) -> Result<Vec<Sample>, Mp4Error> {
     let sizes = Sizes::read(required(stbl, b"stsz", "the sample table")?, file_len)?;
+    if sizes.count > MAX_SAMPLES {
+        return Err(Mp4Error::Bad(format!("it has {} samples", sizes.count)));
+    }
     let mut samples = Vec::with_capacity(sizes.count);
     place(stbl, &sizes, &mut samples)?;
     time(stbl, &mut samples)?;

@@ -1,0 +1,14 @@
+//! Every test of this crate that works on files, in one program: they share their helpers.
+
+#[cfg(test)]
+mod bad_inputs;
+#[cfg(test)]
+mod capture;
+#[cfg(test)]
+mod common;
+#[cfg(test)]
+mod mp4_writer;
+#[cfg(test)]
+mod scene_file;
+#[cfg(test)]
+mod video;

@@ -1,0 +1,226 @@
+//! Scene files: every bit comes back, and no damaged file is taken for a whole one.
+
+use m4_io::scene_file::{ReadSceneError, read, read_covariance4, write, write_covariance4};
+use m4_math::{CounterRng, Se3, nalgebra::Vector6};
+use m4_scene::covariance4::VelocityForm;
+use m4_scene::{
+    Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats, StateTensor, TrainState,
+};
+use std::collections::BTreeMap;
+
+fn splats(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Splats {
+    let mut rng = CounterRng::new(5, 1, (layout.sh_degree + 10 * layout.time_degree) as u64);
+    let mut splats = Splats::zeros(layout, n_static, n_dynamic);
+    for column in splats.columns_mut() {
+        column.fill_with(|| rng.normal() as f32);
+    }
+    splats
+}
+
+fn scene(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Scene {
+    let source = |i: usize| SourceFrame {
+        camera: Camera {
+            intrinsics: Intrinsics {
+                width: 480,
+                height: 360,
+                fx: 374.714_591_263 + i as f64,
+                fy: 1.0 / 3.0,
+                cx: 240.1,
+                cy: 180.0,
+            },
+            c2w: Se3::identity().retract(&Vector6::new(0.1, 0.2, 0.3, 0.4, i as f64 * 0.1, 0.6)),
+        },
+        t: i as f64 * 1.01,
+        exposure: Exposure {
+            matrix: [[1.0, 0.1, 0.2], [0.3, 0.9, 1e-7], [-0.5, 0.0, 1.5]],
+            offset: [0.01, -0.02, i as f32],
+        },
+    };
+    Scene {
+        splats: splats(layout, n_static, n_dynamic),
+        background: [0.1, 0.2, 1.0 / 3.0],
+        time_frames: 96,
+        duration_s: Some(3.958_333_333_333_333_5),
+        mip: true,
+        near: 0.01,
+        source: (0..4).map(source).collect(),
+    }
+}
+
+fn layouts() -> impl Iterator<Item = SplatLayout> {
+    [(false, 0, 0), (true, 0, 0), (false, 3, 2), (true, 1, 1), (false, 2, 0)]
+        .into_iter()
+        .map(|(isotropic, sh_degree, time_degree)| SplatLayout {
+            isotropic,
+            sh_degree,
+            time_degree,
+        })
+}
+
+fn state() -> TrainState {
+    BTreeMap::from([
+        (
+            "adam.m".to_owned(),
+            StateTensor::f32(vec![1.0, f32::NAN, -0.0, f32::INFINITY]),
+        ),
+        (
+            "adam.v".to_owned(),
+            StateTensor::F32 {
+                shape: vec![2, 3],
+                data: vec![0.5; 6],
+            },
+        ),
+        ("rng".to_owned(), StateTensor::u32(vec![u32::MAX, 7])),
+        ("losses".to_owned(), StateTensor::f64(vec![0.1, 1e-300])),
+        ("config".to_owned(), StateTensor::u8(b"iterations = 5\n".to_vec())),
+        ("empty".to_owned(), StateTensor::f32(vec![])),
+    ])
+}
+
+#[test]
+fn every_layout_comes_back_bit_by_bit() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("deep/scene.safetensors");
+    let pairs = BTreeMap::from([("key".to_owned(), "wert \"ü\"\n".to_owned())]);
+    for layout in layouts() {
+        for (n_static, n_dynamic) in [(5, 3), (0, 4), (6, 0), (0, 0)] {
+            let scene = scene(layout, n_static, n_dynamic);
+            write(&path, &scene, Some(&state()), &pairs).unwrap();
+            let back = read(&path).unwrap();
+            assert_eq!(back.scene, scene, "{layout:?}");
+            let back_state = back.state.unwrap();
+            assert_eq!(format!("{back_state:?}"), format!("{:?}", state()));
+            assert_eq!(back.metadata, pairs);
+        }
+    }
+    write(&path, &scene(layouts().next().unwrap(), 2, 2), None, &BTreeMap::new()).unwrap();
+    let plain = read(&path).unwrap();
+    assert!(plain.state.is_none() && plain.metadata.is_empty());
+    let first = std::fs::read(&path).unwrap();
+    write(&path, &plain.scene, None, &BTreeMap::new()).unwrap();
+    assert!(
+        std::fs::read(&path).unwrap() == first,
+        "the same scene gave other bytes"
+    );
+    assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+}
+
+#[test]
+fn the_arrays_are_as_documented() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.safetensors");
+    let layout = layouts().nth(2).unwrap();
+    let scene = scene(layout, 5, 3);
+    write(&path, &scene, None, &BTreeMap::new()).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let shape = |name: &str| file.tensor(name).unwrap().shape().to_vec();
+    assert_eq!(shape("splats.mean"), [8, 3]);
+    assert_eq!(shape("splats.quat"), [8, 4]);
+    assert_eq!(shape("splats.colour"), [8, 3, 16, 3]);
+    assert_eq!(shape("splats.velocity"), [3, 3]);
+    assert_eq!(shape("source.c2w"), [4, 3, 4]);
+    let mean = file.tensor("splats.mean").unwrap();
+    let at = |row: usize, c: usize| f32::from_le_bytes(mean.data()[4 * (3 * row + c)..][..4].try_into().unwrap());
+    assert_eq!(at(6, 1), scene.splats.column(Column::Mean, 1)[6]);
+}
+
+#[test]
+fn no_damaged_file_is_taken_for_a_whole_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.safetensors");
+    let layout = layouts().next().unwrap();
+    write(&path, &scene(layout, 20, 10), Some(&state()), &BTreeMap::new()).unwrap();
+    let whole = std::fs::read(&path).unwrap();
+    let mut rng = CounterRng::new(9, 9, 9);
+    let mut outcomes = BTreeMap::new();
+    for i in 0..600 {
+        let mut bytes = whole.clone();
+        let at = if i < 200 { i * 3 } else { rng.below(whole.len()) };
+        if i % 3 == 0 {
+            bytes.truncate(at);
+        } else {
+            bytes[at] ^= 1 << rng.below(8);
+        }
+        std::fs::write(&path, &bytes).unwrap();
+        let error = match read(&path) {
+            Err(error) => error,
+            // Spaces that pad the header mean nothing, nor does the order of keys.
+            Ok(file) => {
+                assert!(
+                    whole[at] == b' ' || file.scene == scene(layout, 20, 10),
+                    "byte {at} of {}",
+                    whole.len()
+                );
+                continue;
+            }
+        };
+        let text = error.to_string();
+        assert!(text.contains("scene.safetensors"), "{text}");
+        let name = format!("{error:?}").split([' ', '{']).next().unwrap().to_owned();
+        *outcomes.entry(name).or_insert(0) += 1;
+    }
+    eprintln!("{outcomes:?}");
+    assert!(outcomes["Checksum"] > 100 && outcomes["Damaged"] > 50, "{outcomes:?}");
+}
+
+#[test]
+fn a_newer_format_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.safetensors");
+    write(&path, &scene(layouts().next().unwrap(), 1, 1), None, &BTreeMap::new()).unwrap();
+    let mut bytes = std::fs::read(&path).unwrap();
+    let key = br#"{\"version\":1,"#;
+    let at = bytes.windows(key.len()).position(|w| w == key).unwrap() + key.len() - 2;
+    bytes[at] = b'7';
+    std::fs::write(&path, bytes).unwrap();
+    let error = read(&path).unwrap_err();
+    assert!(
+        matches!(error, ReadSceneError::NewerVersion { found: 7, known: 1, .. }),
+        "{error}"
+    );
+    assert!(error.to_string().contains("update minute4d"), "{error}");
+}
+
+#[test]
+fn covariances_leave_and_come_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("splats.safetensors");
+    let layout = layouts().nth(2).unwrap();
+    let splats = splats(layout, 4, 9);
+    write_covariance4(&path, &splats).unwrap();
+    let back = read_covariance4(&path, layout).unwrap();
+    assert_eq!((back.n_static(), back.n_dynamic()), (0, 9));
+    for i in 0..9 {
+        let a = VelocityForm::<f64>::from_splats(&splats, i).unwrap();
+        let b = VelocityForm::<f64>::from_splats(&back, i).unwrap();
+        for t in [-1.0, 0.3, 2.0] {
+            let (a, b) = (a.slice(t), b.slice(t));
+            let scale = a.covariance.norm();
+            assert!((a.mean - b.mean).norm() < 1e-3 * (1.0 + a.mean.norm()), "splat {i}");
+            assert!(
+                (a.covariance - b.covariance).norm() < 1e-3 * scale.max(1.0),
+                "splat {i}"
+            );
+            assert!((a.marginal - b.marginal).abs() < 1e-4, "splat {i}");
+        }
+        assert_eq!(a.colour, b.colour);
+    }
+
+    // A covariance that is none.
+    let mut bytes = std::fs::read(&path).unwrap();
+    let head = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+    let json: serde_json::Value = serde_json::from_slice(&bytes[8..8 + head]).unwrap();
+    let start = json["covariance"]["data_offsets"][0].as_u64().unwrap() as usize + 8 + head;
+    // Entry tt of splat 2.
+    bytes[start + 4 * (10 * 2 + 9)..][..4].copy_from_slice(&(-1.0f32).to_le_bytes());
+    std::fs::write(&path, bytes).unwrap();
+    let error = read_covariance4(&path, layout).unwrap_err().to_string();
+    assert!(
+        error.contains("splat 2") && error.contains("variance in time"),
+        "{error}"
+    );
+    let other = SplatLayout { sh_degree: 0, ..layout };
+    let error = read_covariance4(&path, other).unwrap_err().to_string();
+    assert!(error.contains("\"colour\"") && error.contains("[9, 3, 3]"), "{error}");
+}
