@@ -1,7 +1,7 @@
 //! Which frame of the truth a frame of the estimate shows.
 
 use super::GeometryError;
-use m4_scene::{Capture, CaptureFrame};
+use m4_scene::CaptureFrame;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -25,7 +25,14 @@ fn stem(name: &str) -> &str {
     file.rsplit_once('.').map_or(file, |(stem, _)| stem)
 }
 
-fn by_name(estimate: &Capture, truth: &Capture) -> Option<Vec<(usize, usize)>> {
+/// The training frames of one side.
+pub(super) struct Side<'a> {
+    pub frames: Vec<&'a CaptureFrame>,
+    /// See [`m4_scene::Capture::time_frames`].
+    pub time_frames: usize,
+}
+
+fn by_name(estimate: &Side<'_>, truth: &Side<'_>) -> Option<Vec<(usize, usize)>> {
     let mut index = BTreeMap::new();
     for (i, frame) in truth.frames.iter().enumerate() {
         if index.insert(stem(&frame.name), i).is_some() {
@@ -49,9 +56,9 @@ fn by_name(estimate: &Capture, truth: &Capture) -> Option<Vec<(usize, usize)>> {
 /// # Errors
 ///
 /// [`GeometryError::Empty`], or [`GeometryError::Unmatched`] if some frame of the estimate has no partner.
-pub(super) fn pair(estimate: &Capture, truth: &Capture) -> Result<(Matching, Vec<(usize, usize)>), GeometryError> {
-    for (which, capture) in [("estimate", estimate), ("truth", truth)] {
-        if capture.frames.is_empty() {
+pub(super) fn pair(estimate: &Side<'_>, truth: &Side<'_>) -> Result<(Matching, Vec<(usize, usize)>), GeometryError> {
+    for (which, side) in [("estimate", estimate), ("truth", truth)] {
+        if side.frames.is_empty() {
             return Err(GeometryError::Empty { which });
         }
     }
@@ -64,13 +71,13 @@ pub(super) fn pair(estimate: &Capture, truth: &Capture) -> Result<(Matching, Vec
     by_time(estimate, truth).map(|pairs| (Matching::Time, pairs))
 }
 
-fn by_time(estimate: &Capture, truth: &Capture) -> Result<Vec<(usize, usize)>, GeometryError> {
-    let share = |frame: &CaptureFrame, capture: &Capture| frame.t / (capture.time_frames.max(2) - 1) as f64;
+fn by_time(estimate: &Side<'_>, truth: &Side<'_>) -> Result<Vec<(usize, usize)>, GeometryError> {
+    let share = |frame: &CaptureFrame, side: &Side<'_>| frame.t / (side.time_frames.max(2) - 1) as f64;
     let spacing = 1.0 / (truth.time_frames.max(2) - 1) as f64;
     let (mut pairs, mut worst) = (Vec::new(), (0.0f64, 0usize));
     for (i, frame) in estimate.frames.iter().enumerate() {
         let at = share(frame, estimate);
-        let distance = |j: usize| (share(&truth.frames[j], truth) - at).abs() / spacing;
+        let distance = |j: usize| (share(truth.frames[j], truth) - at).abs() / spacing;
         let nearest = (0..truth.frames.len()).min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
         let Some(j) = nearest else { continue };
         if distance(j) >= worst.0 || distance(j).is_nan() {
@@ -94,11 +101,16 @@ fn by_time(estimate: &Capture, truth: &Capture) -> Result<Vec<(usize, usize)>, G
 
 #[cfg(test)]
 mod tests {
-    use super::{Matching, pair};
+    use super::Matching;
     use crate::geometry::GeometryError;
-    use crate::geometry::report::tests::capture;
+    use crate::geometry::report::{tests::capture, training};
+    use m4_scene::Capture;
 
-    fn named(names: &[&str]) -> m4_scene::Capture {
+    fn pair(a: &Capture, b: &Capture) -> Result<(Matching, Vec<(usize, usize)>), GeometryError> {
+        super::pair(&training(a), &training(b))
+    }
+
+    fn named(names: &[&str]) -> Capture {
         let mut c = capture(names.len());
         for (frame, name) in c.frames.iter_mut().zip(names) {
             frame.name = (*name).to_owned();

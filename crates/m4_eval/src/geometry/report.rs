@@ -1,6 +1,6 @@
 //! The comparison of two captures.
 
-use super::matching::{Matching, pair};
+use super::matching::{Matching, Side, pair};
 use super::{GeometryError, RotationError, TrajectoryError, depth, trajectory};
 use m4_scene::{Camera, Capture, CaptureFrame};
 use serde::{Deserialize, Serialize};
@@ -73,13 +73,14 @@ pub struct GeometryReport {
 ///
 /// [`GeometryError`] if a side is empty, frames cannot be paired, or a camera is not finite.
 pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, GeometryError> {
+    let metric = truth.metric;
     let (estimate, truth) = (training(estimate), training(truth));
     check_finite("estimate", &estimate)?;
     check_finite("truth", &truth)?;
     let (matching, index) = pair(&estimate, &truth)?;
     let pairs: Vec<(&CaptureFrame, &CaptureFrame)> = index
         .iter()
-        .map(|&(e, t)| (&estimate.frames[e], &truth.frames[t]))
+        .map(|&(e, t)| (estimate.frames[e], truth.frames[t]))
         .collect();
     let cameras: (Vec<Camera>, Vec<Camera>) = pairs.iter().map(|(e, t)| (e.camera, t.camera)).unzip();
     let relative_focal = |c: &Camera| c.intrinsics.fx / c.intrinsics.width as f64;
@@ -88,7 +89,7 @@ pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, G
     let report = GeometryReport {
         frames: pairs.len(),
         matching,
-        metric: truth.metric,
+        metric,
         trajectory: trajectory::trajectory_error(&cameras.0, &cameras.1),
         rotation: trajectory::rotation_error(&cameras.0, &cameras.1),
         focal_error_percent: 100.0 * focal_sum / pairs.len() as f64,
@@ -99,7 +100,7 @@ pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, G
     Ok(with_notes(report, &truth))
 }
 
-fn with_notes(mut report: GeometryReport, truth: &Capture) -> GeometryReport {
+fn with_notes(mut report: GeometryReport, truth: &Side<'_>) -> GeometryReport {
     let mut note = |missing: bool, text: &str| {
         if missing {
             report.notes.push(text.to_owned());
@@ -124,14 +125,15 @@ fn with_notes(mut report: GeometryReport, truth: &Capture) -> GeometryReport {
     report
 }
 
-fn training(capture: &Capture) -> Capture {
-    let mut capture = capture.clone();
-    capture.frames.retain(|f| f.camera_index.is_none());
-    capture
+pub(super) fn training(capture: &Capture) -> Side<'_> {
+    Side {
+        frames: capture.frames.iter().filter(|f| f.camera_index.is_none()).collect(),
+        time_frames: capture.time_frames,
+    }
 }
 
-fn check_finite(which: &'static str, capture: &Capture) -> Result<(), GeometryError> {
-    for frame in &capture.frames {
+fn check_finite(which: &'static str, side: &Side<'_>) -> Result<(), GeometryError> {
+    for frame in &side.frames {
         let k = &frame.camera.intrinsics;
         let pose = &frame.camera.c2w;
         let finite_pose = pose
