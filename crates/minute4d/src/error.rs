@@ -36,6 +36,8 @@ pub enum Category {
     CannotWrite,
     /// The machine failed while reading.
     Io,
+    /// It may work later.
+    TryAgain,
     /// A setting does not exist or has a value that cannot work.
     BadSettings,
     /// The caller asked to stop; what was finished is kept.
@@ -55,6 +57,7 @@ impl Category {
             Self::NoDevice => 69,
             Self::CannotWrite => 73,
             Self::Io => 74,
+            Self::TryAgain => 75,
             Self::BadSettings => 78,
             Self::Stopped => 130,
         }
@@ -115,6 +118,12 @@ pub enum Error {
         path: PathBuf,
         /// What is in it.
         what: &'static str,
+    },
+    /// A folder that another process works in.
+    #[error("another minute4d is at work in {}; wait for it, or choose another folder", path.display())]
+    Busy {
+        /// The folder.
+        path: PathBuf,
     },
     /// A file that would be replaced.
     #[error("{} is already there; --force replaces it", path.display())]
@@ -240,6 +249,7 @@ impl Error {
             | Self::Exists { .. }
             | Self::WouldReplace { .. }
             | Self::Verify { .. } => Category::CannotWrite,
+            Self::Busy { .. } => Category::TryAgain,
             Self::Missing { .. } => Category::NoInput,
             Self::Unknown { .. }
             | Self::NoTestList { .. }

@@ -2,7 +2,7 @@
 
 use crate::record::{RUN_FILE, RunRecord, Status};
 use crate::{Error, geometry};
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -31,17 +31,22 @@ pub enum Existing {
     Force,
 }
 
-/// Makes or takes over the folder of a run. With [`Existing::Resume`] gives the earlier record.
+/// Makes or takes over the folder of a run, and locks it. With [`Existing::Resume`] gives the earlier record.
 ///
 /// # Errors
 ///
 /// [`Error::InTheWay`] for a file of that name, [`Error::Foreign`] for a folder with other things in
-/// it, [`Error::Exists`] for an earlier run that was not asked for, [`Error::Write`] where nothing can
+/// it, [`Error::Exists`] for an earlier run that was not asked for, [`Error::Busy`] for one that is at work,
+/// [`Error::Write`] where nothing can
 /// be made.
-pub fn open(folder: &Path, existing: Existing) -> Result<Option<RunRecord>, Error> {
-    if !make(folder)? {
-        return Ok(None);
-    }
+pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<RunRecord>), Error> {
+    let filled = make(folder)?;
+    let lock = Lock::take(folder)?;
+    let earlier = if filled { take_over(folder, existing)? } else { None };
+    Ok((lock, earlier))
+}
+
+fn take_over(folder: &Path, existing: Existing) -> Result<Option<RunRecord>, Error> {
     let record = RunRecord::read(folder)?;
     match (record, existing) {
         (Some(record), Existing::Resume) => Ok(Some(record)),
@@ -70,6 +75,28 @@ pub fn open(folder: &Path, existing: Existing) -> Result<Option<RunRecord>, Erro
 
 fn has_results(folder: &Path) -> bool {
     folder.join(SCENE_FILE).exists() || folder.join(CAPTURE_FOLDER).exists() || !checkpoints(folder).is_empty()
+}
+
+/// Keeps other processes out of a folder for as long as it lives.
+#[derive(Debug)]
+pub(crate) struct Lock {
+    _folder: Option<File>,
+}
+
+impl Lock {
+    /// Locks the folder itself, so that no file is left behind. Systems that do not let a folder be
+    /// locked go without.
+    pub fn take(folder: &Path) -> Result<Self, Error> {
+        let Ok(handle) = File::open(folder) else {
+            return Ok(Self { _folder: None });
+        };
+        match handle.try_lock() {
+            Err(TryLockError::WouldBlock) => Err(Error::Busy {
+                path: folder.to_path_buf(),
+            }),
+            _ => Ok(Self { _folder: Some(handle) }),
+        }
+    }
 }
 
 /// Makes the folder if it is missing; true if something is in it.

@@ -1,6 +1,6 @@
 //! First stage: a video to a capture (poses, focal length, depth, motion masks).
 
-use crate::folder::{self, Existing};
+use crate::folder::{self, Existing, Lock};
 use crate::record::{Found, GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::settings::part_to_toml;
 use crate::{Error, Job, Observer, Settings, StageEvent, hash, progress::Keeper};
@@ -47,7 +47,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
             path: input.to_path_buf(),
         });
     }
-    let earlier = open(capture, job.existing)?;
+    let (_lock, earlier) = open(capture, job.existing)?;
     let part = Part::of(&job.settings);
     let input_hash = hash::of_path(input)?;
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input_hash, &part_to_toml(&part)?]);
@@ -126,10 +126,14 @@ fn why_again(earlier: &GeometryRecord, now: &GeometryRecord) -> &'static str {
 }
 
 /// Makes or takes over the folder of a capture; gives the earlier record where it is to be used.
-fn open(capture: &Path, existing: Existing) -> Result<Option<GeometryRecord>, Error> {
-    if !folder::make(capture)? {
-        return Ok(None);
-    }
+fn open(capture: &Path, existing: Existing) -> Result<(Lock, Option<GeometryRecord>), Error> {
+    let filled = folder::make(capture)?;
+    let lock = Lock::take(capture)?;
+    let earlier = if filled { take_over(capture, existing)? } else { None };
+    Ok((lock, earlier))
+}
+
+fn take_over(capture: &Path, existing: Existing) -> Result<Option<GeometryRecord>, Error> {
     match (GeometryRecord::read(capture)?, existing) {
         (Some(record), Existing::Resume) => Ok(Some(record)),
         (_, Existing::Force) => Ok(None),

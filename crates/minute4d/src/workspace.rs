@@ -1,6 +1,6 @@
 //! A run at work: its folder, its record, and who listens.
 
-use crate::folder;
+use crate::folder::{self, Lock};
 use crate::progress::Keeper;
 use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status};
 use crate::{Error, Job, StageEvent, hash};
@@ -17,6 +17,7 @@ pub(crate) struct Workspace<'a> {
     pub record: RunRecord,
     /// What an earlier run left, when this one goes on with it.
     pub earlier: Option<RunRecord>,
+    _lock: Lock,
 }
 
 /// What a stage has to do.
@@ -34,7 +35,7 @@ impl<'a> Workspace<'a> {
     /// Makes or takes over a folder and writes that work has begun.
     pub fn open(path: &Path, input: Input, job: &'a Job<'a>) -> Result<Self, Error> {
         let level = job.check()?;
-        let earlier = folder::open(path, job.existing)?;
+        let (lock, earlier) = folder::open(path, job.existing)?;
         let mut record = RunRecord::begin(input, &job.profile, &job.settings, Device::here(level))?;
         if let Some(earlier) = &earlier {
             record.stages = earlier.stages.clone();
@@ -49,6 +50,7 @@ impl<'a> Workspace<'a> {
             level,
             record,
             earlier,
+            _lock: lock,
         })
     }
 

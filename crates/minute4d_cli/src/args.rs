@@ -11,8 +11,8 @@ use std::path::PathBuf;
     name = "minute4d",
     version,
     max_term_width = 100,
-    after_help = "Exit codes: 0 done; 1 a bug; 2 wrong arguments; 65 bad input; 66 no input; 73 cannot write; \
-                  74 reading failed; 78 bad settings; 130 and 143 stopped by a signal (run again with --resume)."
+    after_help = "Exit codes: 0 done; 1 a bug; 2 wrong arguments; 65 bad input; 66 no input; 69 no usable device; 73 cannot write; \
+                  74 reading failed; 75 try again later; 78 bad settings; 130 and 143 stopped by a signal (run again with --resume)."
 )]
 pub struct Cli {
     /// What to do.

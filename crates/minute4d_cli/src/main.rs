@@ -34,6 +34,16 @@ fn main() -> ExitCode {
     ExitCode::from(code)
 }
 
+/// What is wrong, without the usage that follows.
+fn first_paragraph(text: &str) -> String {
+    let words = text
+        .lines()
+        .take_while(|line| !line.trim().is_empty())
+        .flat_map(str::split_whitespace);
+    let joined = words.collect::<Vec<_>>().join(" ");
+    joined.strip_prefix("error: ").unwrap_or(&joined).to_owned()
+}
+
 /// Wrong arguments, or a question (`--help`, `--version`) that clap answers.
 fn refuse(error: &clap::Error, args: &[OsString]) -> ExitCode {
     // Where the terminal is gone there is nobody to tell.
@@ -43,14 +53,7 @@ fn refuse(error: &clap::Error, args: &[OsString]) -> ExitCode {
     }
     let json = args.iter().take_while(|arg| *arg != "--").any(|arg| arg == "--json");
     if json {
-        let text = error.to_string();
-        let reason = text
-            .lines()
-            .next()
-            .unwrap_or_default()
-            .trim_start_matches("error: ")
-            .to_owned();
-        output::end_of_json(2, &reason);
+        output::end_of_json(2, &first_paragraph(&error.to_string()));
     }
     ExitCode::from(2)
 }

@@ -33,3 +33,22 @@ pub fn last_report() -> String {
     last.clone()
         .unwrap_or_else(|| "internal error without a report".to_owned())
 }
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_panic_in_any_thread_becomes_a_report() {
+        super::report_instead_of_abort();
+        let caught = std::panic::catch_unwind(|| {
+            let thread = std::thread::spawn(|| panic!("the promise is broken"));
+            thread.join().unwrap();
+        });
+        assert!(caught.is_err());
+        let report = super::last_report();
+        assert!(
+            report.contains("the promise is broken") && report.contains("panics.rs"),
+            "{report}"
+        );
+        assert!(report.contains("please report"), "{report}");
+    }
+}

@@ -13,7 +13,12 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     };
     let job = job(&args.settings, &args.existing, settings, output);
     let done = minute4d::run(input, out, &job)?;
-    output.note(&format!("all done in {}", duration(done.seconds)));
+    let preview = out.join(minute4d::folder::PREVIEW_FILE);
+    output.note(&format!(
+        "{} of work in all; look at {}",
+        duration(done.seconds),
+        preview.display()
+    ));
     output.result(
         &out.display().to_string(),
         json!({"path": out, "record": minute4d::plain_json(&done)?}),

@@ -1,18 +1,17 @@
-//! Scores: of a scene over held-out views, of a capture against known geometry.
+//! A scene against the held-out views of a capture.
 
+use super::align::{self, Alignment};
 use crate::folder::{EVAL_FILE, SCENE_FILE};
 use crate::record::write_json;
 use crate::render::Painter;
 use crate::settings::Settings;
 use crate::{Error, Observer, hash};
-use m4_eval::geometry::{GeometryReport, evaluate, llff_truth};
 use m4_eval::image::{ImageReport, MeanScore, Picture};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::scene_file;
 use m4_kernels::SimdLevel;
-use m4_scene::{Capture, Exposure};
+use m4_scene::{Camera, Capture, Exposure};
 use serde::Serialize;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -27,6 +26,8 @@ pub struct EvalReport {
     pub scene_blake3: String,
     /// The capture whose held-out views were used.
     pub data: PathBuf,
+    /// How the held-out cameras were placed, where the scene has a world of its own.
+    pub alignment: Option<Alignment>,
     /// Splats of the scene.
     pub splats: usize,
     /// Means over all views.
@@ -40,8 +41,10 @@ pub struct EvalReport {
 /// Renders the held-out views of the capture `data` and compares them with its pictures; writes
 /// `eval.json` into the run `out`.
 ///
-/// Masks of moving parts are grown by `grow_mask` pixels first. Views must be in the world of the
-/// scene, as they are when the scene was trained on that capture.
+/// Masks of moving parts are grown by `grow_mask` pixels first. A scene that was trained on another
+/// capture of the same video has a world of its own; the held-out cameras are then placed by the
+/// similarity that takes the training cameras of `data` to those of the scene, and a warning says how
+/// well that fits.
 ///
 /// # Errors
 ///
@@ -52,6 +55,7 @@ pub fn views(out: &Path, data: &Path, grow_mask: usize, observer: &dyn Observer)
     let path = out.join(SCENE_FILE);
     let scene = scene_file::read(&path)?.scene;
     let test = test_views(data, &Settings::fast().capture, observer)?;
+    let alignment = align::between(&scene, data, observer)?;
     let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
     let mut images = ImageReport::new(data.display().to_string(), grow_mask);
     let mut painter = Painter::new(&scene, level);
@@ -63,10 +67,14 @@ pub fn views(out: &Path, data: &Path, grow_mask: usize, observer: &dyn Observer)
             });
         }
         let t = frame.t * stretch;
-        let drawn = painter.picture(&frame.camera, t, &Exposure::IDENTITY);
+        let camera = alignment.as_ref().map_or(frame.camera, |a| Camera {
+            c2w: a.similarity().transform_pose(&frame.camera.c2w),
+            ..frame.camera
+        });
+        let drawn = painter.picture(&camera, t, &Exposure::IDENTITY);
         let (image, reference) = (Picture::from(&drawn), Picture::from(&frame.rgb));
-        let camera = frame.camera_index;
-        let score = images.add(&frame.name, t, camera, &image, &reference, frame.mask.as_ref())?;
+        let index = frame.camera_index;
+        let score = images.add(&frame.name, t, index, &image, &reference, frame.mask.as_ref())?;
         let note = format!("{:.2} dB", score.psnr_db);
         observer.update("eval", i + 1, test.frames.len(), &note);
     }
@@ -75,6 +83,7 @@ pub fn views(out: &Path, data: &Path, grow_mask: usize, observer: &dyn Observer)
         scene_blake3: hash::of_path(&path)?,
         scene: path,
         data: data.to_path_buf(),
+        alignment,
         splats: scene.splats.n(),
         mean: images.mean(),
         images,
@@ -97,48 +106,4 @@ fn test_views(data: &Path, options: &CaptureOptions, observer: &dyn Observer) ->
         });
     }
     Ok(m4_io::capture::read(data, Split::Test, options, observer)?)
-}
-
-/// Compares the cameras, depth and masks of a capture with what is known of the same video: another
-/// capture, or a JSON file of LLFF poses.
-///
-/// # Errors
-///
-/// What could not be read, or why the two do not belong together.
-pub fn geometry(capture: &Path, truth: &Path, observer: &dyn Observer) -> Result<GeometryReport, Error> {
-    let options = Settings::fast().capture;
-    let estimate = m4_io::capture::read(capture, Split::Train, &options, observer)?;
-    let truth = known(truth, &options, observer)?;
-    Ok(evaluate(&estimate, &truth)?)
-}
-
-fn known(path: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
-    if !path.exists() {
-        return Err(Error::Missing {
-            what: "known geometry",
-            path: path.to_path_buf(),
-        });
-    }
-    if path.is_file() && holds_poses(path)? {
-        let text = read_text(path)?;
-        return llff_truth(&text).map_err(|source| Error::Llff {
-            path: path.to_path_buf(),
-            source,
-        });
-    }
-    Ok(m4_io::capture::read(path, Split::Train, options, observer)?)
-}
-
-/// True for JSON with `poses` and without `frames`: the LLFF layout.
-fn holds_poses(path: &Path) -> Result<bool, Error> {
-    let value: Option<serde_json::Value> = serde_json::from_str(&read_text(path)?).ok();
-    Ok(value.is_some_and(|v| v.get("poses").is_some() && v.get("frames").is_none()))
-}
-
-fn read_text(path: &Path) -> Result<String, Error> {
-    let bytes = fs::read(path).map_err(|source| Error::Read {
-        path: path.to_path_buf(),
-        source,
-    })?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
 }

@@ -1,0 +1,213 @@
+//! Where held-out cameras are in the world of a scene whose geometry came from the video alone.
+
+use crate::{Error, Observer};
+use m4_io::trajectory;
+use m4_math::Sim3;
+use m4_math::nalgebra::{Matrix3, Vector3};
+use m4_scene::{Camera, Scene};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Cameras closer than this share of their path's extent are the same cameras.
+const SAME_WORLD: f64 = 1e-4;
+/// Moments further apart than this are not the same frame, frames.
+const SAME_MOMENT: f64 = 0.3;
+
+/// A similarity from the world of a capture to that of a scene, and how well it fits.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Alignment {
+    /// Training cameras that it was fitted to.
+    pub cameras: usize,
+    /// Scene units in one unit of the capture.
+    pub scale: f64,
+    /// Row by row.
+    pub rotation: [[f64; 3]; 3],
+    /// Scene units.
+    pub translation: [f64; 3],
+    /// Root of the mean squared distance of camera centres afterwards, as a share of the length of the
+    /// path, per cent.
+    pub rmse_percent: f64,
+    /// Median angle between camera axes afterwards, degrees.
+    pub median_deg: f64,
+}
+
+impl Alignment {
+    /// As a map of points and poses.
+    #[must_use]
+    pub fn similarity(&self) -> Sim3 {
+        Sim3 {
+            scale: self.scale,
+            rotation: Matrix3::from_fn(|i, j| self.rotation[i][j]),
+            translation: self.translation.into(),
+        }
+    }
+
+    fn new(map: &Sim3, pairs: &[(Camera, Camera)]) -> Self {
+        let moved = |c: &Camera| map.transform_pose(&c.c2w);
+        let squared: f64 = pairs
+            .iter()
+            .map(|(d, s)| (moved(d).translation - s.centre()).norm_squared())
+            .sum();
+        let length: f64 = pairs
+            .windows(2)
+            .map(|w| (w[1].1.centre() - w[0].1.centre()).norm())
+            .sum();
+        let angle = |(d, s): &(Camera, Camera)| {
+            let turn = s.c2w.rotation.transpose() * moved(d).rotation;
+            (((turn.trace() - 1.0) / 2.0).clamp(-1.0, 1.0)).acos().to_degrees()
+        };
+        let mut angles: Vec<f64> = pairs.iter().map(angle).collect();
+        angles.sort_by(f64::total_cmp);
+        Self {
+            cameras: pairs.len(),
+            scale: map.scale,
+            rotation: std::array::from_fn(|i| std::array::from_fn(|j| map.rotation[(i, j)])),
+            translation: map.translation.into(),
+            rmse_percent: 100.0 * (squared / pairs.len() as f64).sqrt() / length.max(f64::MIN_POSITIVE),
+            median_deg: angles.get(angles.len() / 2).copied().unwrap_or(0.0),
+        }
+    }
+}
+
+/// The similarity from the capture `data` to `scene`; `None` when they share a world, or when that
+/// cannot be told (which is warned of).
+pub(super) fn between(scene: &Scene, data: &Path, observer: &dyn Observer) -> Result<Option<Alignment>, Error> {
+    let Some(list) = training_list(data) else {
+        observer.warn(
+            "the capture lists no training cameras, so it is taken for granted that its held-out cameras are in the world \
+             of the scene",
+        );
+        return Ok(None);
+    };
+    let known = trajectory::read(&list, scene.time_frames)?;
+    let pairs = pairs(&known, scene);
+    if same_world(&pairs) {
+        return Ok(None);
+    }
+    let Some(map) = fit(&pairs) else {
+        observer.warn(&format!(
+            "the scene has a world of its own and {} training cameras are not enough to place the held-out cameras in it; \
+             the scores mean nothing",
+            pairs.len()
+        ));
+        return Ok(None);
+    };
+    let alignment = Alignment::new(&map, &pairs);
+    observer.warn(&format!(
+        "the scene has a world of its own; the held-out cameras were placed by aligning {} training cameras (error {:.1} % \
+         of the path, {:.1} degrees), and the scores include the error of that",
+        alignment.cameras, alignment.rmse_percent, alignment.median_deg
+    ));
+    Ok(Some(alignment))
+}
+
+fn training_list(data: &Path) -> Option<PathBuf> {
+    let folder = if data.is_dir() { data } else { data.parent()? };
+    let names = ["transforms_train.json", "transforms.json"];
+    names.iter().map(|name| folder.join(name)).find(|path| path.is_file())
+}
+
+/// Cameras of the capture and of the scene that took the same frame.
+fn pairs(known: &[(Camera, f64)], scene: &Scene) -> Vec<(Camera, Camera)> {
+    let nearest = |t: f64| {
+        let closest = known
+            .iter()
+            .min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()))?;
+        ((closest.1 - t).abs() <= SAME_MOMENT).then_some(closest.0)
+    };
+    scene
+        .source
+        .iter()
+        .filter_map(|s| Some((nearest(s.t)?, s.camera)))
+        .collect()
+}
+
+fn same_world(pairs: &[(Camera, Camera)]) -> bool {
+    let Some(first) = pairs.first() else { return false };
+    let extent = pairs
+        .iter()
+        .map(|(d, _)| (d.centre() - first.0.centre()).norm())
+        .fold(0.0, f64::max);
+    // A camera that stands still has no extent; a unit of the world serves as well.
+    let limit = SAME_WORLD * if extent > 0.0 { extent } else { 1.0 };
+    pairs.iter().all(|(d, s)| {
+        (d.centre() - s.centre()).norm() <= limit && (d.c2w.rotation - s.c2w.rotation).norm() <= SAME_WORLD.sqrt()
+    })
+}
+
+/// Rotation from the cameras' axes, which determine it even where all centres lie on a line; scale
+/// and translation from their centres.
+fn fit(pairs: &[(Camera, Camera)]) -> Option<Sim3> {
+    if pairs.len() < 3 {
+        return None;
+    }
+    let sum: Matrix3<f64> = pairs
+        .iter()
+        .map(|(d, s)| s.c2w.rotation * d.c2w.rotation.transpose())
+        .sum();
+    let svd = sum.svd(true, true);
+    let (u, v_t) = (svd.u?, svd.v_t?);
+    let sign = (u * v_t).determinant().signum();
+    let rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
+    let n = pairs.len() as f64;
+    let mean = |f: &dyn Fn(&(Camera, Camera)) -> Vector3<f64>| pairs.iter().map(f).sum::<Vector3<f64>>() / n;
+    let (data, scene) = (mean(&|p| p.0.centre()), mean(&|p| p.1.centre()));
+    let (mut along, mut square) = (0.0, 0.0);
+    for (d, s) in pairs {
+        let turned = rotation * (d.centre() - data);
+        along += turned.dot(&(s.centre() - scene));
+        square += turned.norm_squared();
+    }
+    let scale = along / square;
+    (scale.is_finite() && scale > 0.0).then(|| Sim3 {
+        scale,
+        rotation,
+        translation: scene - rotation * data * scale,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Alignment, fit, same_world};
+    use m4_math::nalgebra::{Vector3, Vector6};
+    use m4_math::{Se3, Sim3, exp_so3};
+    use m4_scene::{Camera, Intrinsics};
+
+    fn camera(i: usize) -> Camera {
+        let a = i as f64 * 0.1;
+        Camera {
+            intrinsics: Intrinsics::centred(16, 12, 15.0),
+            // On a line: the centres alone would leave a rotation open.
+            c2w: Se3::identity().retract(&Vector6::new(2.0 * a, a, 0.0, 0.1 * a, 0.3 * a, 0.0)),
+        }
+    }
+
+    #[test]
+    fn a_similarity_is_found_even_on_a_straight_path() {
+        let map = Sim3 {
+            scale: 2.5,
+            rotation: exp_so3(&Vector3::new(0.3, -0.8, 0.4)),
+            translation: Vector3::new(1.0, -2.0, 0.5),
+        };
+        let moved = |c: Camera| Camera {
+            c2w: map.transform_pose(&c.c2w),
+            ..c
+        };
+        let pairs: Vec<(Camera, Camera)> = (0..8).map(|i| (camera(i), moved(camera(i)))).collect();
+        let found = fit(&pairs).unwrap();
+        assert!((found.scale - 2.5).abs() < 1e-9 && (found.rotation - map.rotation).norm() < 1e-9);
+        assert!((found.translation - map.translation).norm() < 1e-9);
+        let alignment = Alignment::new(&found, &pairs);
+        assert!(alignment.rmse_percent < 1e-6 && alignment.median_deg < 1e-4);
+        assert_eq!(alignment.similarity(), found);
+        assert!(!same_world(&pairs));
+    }
+
+    #[test]
+    fn one_world_is_recognised_and_a_still_camera_cannot_be_aligned() {
+        let same: Vec<(Camera, Camera)> = (0..4).map(|i| (camera(i), camera(i))).collect();
+        assert!(same_world(&same));
+        let still: Vec<(Camera, Camera)> = (0..4).map(|i| (camera(0), camera(i))).collect();
+        assert!(fit(&still).is_none() && fit(&same[..2]).is_none());
+    }
+}

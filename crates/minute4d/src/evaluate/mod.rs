@@ -1,0 +1,59 @@
+//! Scores: of a scene over held-out views, of a capture against known geometry.
+
+mod align;
+mod views;
+
+pub use align::Alignment;
+pub use views::{EvalReport, views};
+
+use crate::settings::Settings;
+use crate::{Error, Observer};
+use m4_eval::geometry::{GeometryReport, evaluate, llff_truth};
+use m4_io::capture::{CaptureOptions, Split};
+use m4_scene::Capture;
+use std::fs;
+use std::path::Path;
+
+/// Compares the cameras, depth and masks of a capture with what is known of the same video: another
+/// capture, or a JSON file of LLFF poses.
+///
+/// # Errors
+///
+/// What could not be read, or why the two do not belong together.
+pub fn geometry(capture: &Path, truth: &Path, observer: &dyn Observer) -> Result<GeometryReport, Error> {
+    let options = Settings::fast().capture;
+    let estimate = m4_io::capture::read(capture, Split::Train, &options, observer)?;
+    let truth = known(truth, &options, observer)?;
+    Ok(evaluate(&estimate, &truth)?)
+}
+
+fn known(path: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
+    if !path.exists() {
+        return Err(Error::Missing {
+            what: "known geometry",
+            path: path.to_path_buf(),
+        });
+    }
+    if path.is_file() && holds_poses(path)? {
+        let text = read_text(path)?;
+        return llff_truth(&text).map_err(|source| Error::Llff {
+            path: path.to_path_buf(),
+            source,
+        });
+    }
+    Ok(m4_io::capture::read(path, Split::Train, options, observer)?)
+}
+
+/// True for JSON with `poses` and without `frames`: the LLFF layout.
+fn holds_poses(path: &Path) -> Result<bool, Error> {
+    let value: Option<serde_json::Value> = serde_json::from_str(&read_text(path)?).ok();
+    Ok(value.is_some_and(|v| v.get("poses").is_some() && v.get("frames").is_none()))
+}
+
+fn read_text(path: &Path) -> Result<String, Error> {
+    let bytes = fs::read(path).map_err(|source| Error::Read {
+        path: path.to_path_buf(),
+        source,
+    })?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}

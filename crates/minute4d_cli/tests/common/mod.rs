@@ -1,0 +1,233 @@
+//! The program from outside: what it is given, how it ends, what it says.
+#![expect(dead_code, reason = "every test file uses its own part of this module")]
+
+use assert_cmd::cargo::cargo_bin;
+use minute4d::Silent;
+use minute4d::io::capture::{self, Split};
+use minute4d::io::image::write_rgb;
+use minute4d::io::video::Mp4Writer;
+use minute4d::math::Se3;
+use minute4d::math::nalgebra::Vector6;
+use minute4d::scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use tempfile::TempDir;
+
+/// Size of the pictures of every test.
+pub const SIZE: (usize, usize) = (64, 48);
+
+/// The program, without progress that depends on the terminal.
+pub fn program() -> Command {
+    let mut command = Command::new(cargo_bin("minute4d"));
+    command.env_remove("MINUTE4D_SIMD").env("TERM", "dumb");
+    command
+}
+
+/// How a call ended.
+#[derive(Debug)]
+pub struct Ended {
+    pub code: i32,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Ended {
+    pub fn of(output: Output) -> Self {
+        Self {
+            code: output.status.code().unwrap_or(-1),
+            stdout: String::from_utf8(output.stdout).unwrap(),
+            stderr: String::from_utf8(output.stderr).unwrap(),
+        }
+    }
+
+    /// The events of `--json`, each a line that is an object with a name.
+    pub fn events(&self) -> Vec<Value> {
+        let events: Vec<Value> = self
+            .stdout
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect();
+        assert!(events.iter().all(|e| e["event"].is_string()), "{}", self.stdout);
+        events
+    }
+
+    /// The last event, which must be `end`, the only one, and agree with the exit code.
+    pub fn end(&self) -> Value {
+        let events = self.events();
+        let ends = events.iter().filter(|e| e["event"] == "end").count();
+        let end = events.last().expect("no event at all").clone();
+        assert!(ends == 1 && end["event"] == "end", "{}", self.stdout);
+        assert_eq!(end["code"], self.code, "{end}");
+        assert_eq!(end["ok"], self.code == 0, "{end}");
+        end
+    }
+
+    /// The value of the `result` event.
+    pub fn result(&self) -> Value {
+        let events = self.events();
+        let found = events.iter().find(|e| e["event"] == "result");
+        found.unwrap_or_else(|| panic!("no result in {} {}", self.stdout, self.stderr))["result"].clone()
+    }
+}
+
+/// Calls the program.
+pub fn call(args: &[&str]) -> Ended {
+    Ended::of(program().args(args).output().unwrap())
+}
+
+/// Calls the program and expects success.
+pub fn succeed(args: &[&str]) -> Ended {
+    let ended = call(args);
+    assert_eq!(ended.code, 0, "{args:?}\n{}\n{}", ended.stdout, ended.stderr);
+    ended
+}
+
+/// Calls the program and expects it to refuse with that code and these words, on stderr and as events.
+pub fn refused(args: &[&str], code: i32, words: &[&str]) {
+    refused_with(args, &[], code, words);
+}
+
+/// As [`refused`], with environment variables.
+pub fn refused_with(args: &[&str], env: &[(&str, &str)], code: i32, words: &[&str]) {
+    let args: Vec<&str> = args.iter().copied().chain(["--json"]).collect();
+    let ended = Ended::of(program().args(&args).envs(env.iter().copied()).output().unwrap());
+    assert_eq!(ended.code, code, "{args:?}\n{}\n{}", ended.stdout, ended.stderr);
+    let end = ended.end();
+    let reason = end["reason"].as_str().unwrap();
+    for word in words {
+        assert!(reason.contains(word), "{args:?}: {word:?} is not in {reason:?}");
+        assert!(
+            ended.stderr.contains(word),
+            "{args:?}: {word:?} is not in {:?}",
+            ended.stderr
+        );
+    }
+    let lower = ended.stderr.to_lowercase();
+    assert!(
+        !lower.contains("panicked") && !lower.contains("internal error"),
+        "{}",
+        ended.stderr
+    );
+}
+
+/// The path as an argument.
+pub fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// A folder that is removed with the test, and paths in it.
+pub struct Scratch(TempDir);
+
+impl Scratch {
+    pub fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    /// A path as text, for arguments.
+    pub fn at(&self, name: &str) -> String {
+        text(&self.path(name)).to_owned()
+    }
+
+    pub fn write(&self, name: &str, bytes: impl AsRef<[u8]>) -> String {
+        std::fs::write(self.path(name), bytes).unwrap();
+        self.at(name)
+    }
+}
+
+/// What a camera sees of a textured wall at depth 4 and a square before it at depth 2.5 that moves to
+/// the right; picture, depth and mask.
+fn see(camera: &Camera, share: f64) -> (RgbImage, Plane<f32>, Plane<u8>) {
+    let (w, h) = SIZE;
+    let hit = |x: usize, y: usize| {
+        let at = |z: f64| camera.unproject(x as f64, y as f64, z);
+        let near = at(2.5);
+        let square = (near.x - (share - 0.5)).abs() < 0.35 && near.y.abs() < 0.35;
+        if square {
+            (near, 2.5, true)
+        } else {
+            (at(4.0), 4.0, false)
+        }
+    };
+    let wave = |v: f64| (127.5 + 110.0 * v.sin()) as u8;
+    let rgb = Plane::from_fn(w, h, |x, y| match hit(x, y) {
+        (p, _, true) => [230, wave(9.0 * (p.x - share)), wave(11.0 * p.y)],
+        (p, _, false) => [wave(5.0 * p.x + 2.0 * p.y), wave(6.0 * p.y), wave(4.0 * (p.x - p.y))],
+    });
+    let depth = Plane::from_fn(w, h, |x, y| hit(x, y).1 as f32);
+    let mask = Plane::from_fn(w, h, |x, y| if hit(x, y).2 { 255 } else { 0 });
+    (rgb, depth, mask)
+}
+
+fn frame(shift: f64, i: usize, n: usize, held_out: Option<u32>) -> CaptureFrame {
+    let share = i as f64 / (n - 1) as f64;
+    let camera = Camera {
+        intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 60.0),
+        c2w: Se3::identity().retract(&Vector6::new(0.4 * share + shift, 0.02 * share, 0.0, 0.0, 0.0, 0.0)),
+    };
+    let (rgb, depth, mask) = see(&camera, share);
+    CaptureFrame {
+        name: format!("{i:05}"),
+        camera,
+        t: i as f64,
+        rgb,
+        depth: held_out.is_none().then_some(depth),
+        mask: Some(mask),
+        camera_index: held_out,
+    }
+}
+
+/// A capture of `n` frames; with held-out views where `held_out`.
+pub fn capture(n: usize, held_out: bool) -> Capture {
+    let shift = if held_out { 0.1 } else { 0.0 };
+    Capture {
+        frames: (0..n).map(|i| frame(shift, i, n, held_out.then_some(0))).collect(),
+        time_frames: n,
+        duration_s: Some((n - 1) as f64 / 10.0),
+        metric: false,
+    }
+}
+
+/// Writes a capture of six frames, with or without held-out views.
+pub fn write_capture(folder: &Path, with_test: bool) {
+    capture::write(folder, &capture(6, false), Split::Train, &Silent).unwrap();
+    if with_test {
+        capture::write(folder, &capture(6, true), Split::Test, &Silent).unwrap();
+    }
+}
+
+/// Edits the list of training frames of a capture.
+pub fn edit_transforms(folder: &Path, edit: impl FnOnce(&mut Value)) {
+    let path = folder.join("transforms_train.json");
+    let mut list: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    edit(&mut list);
+    std::fs::write(&path, serde_json::to_vec(&list).unwrap()).unwrap();
+}
+
+/// A short H.264 clip of the same scene.
+pub fn write_video(path: &Path, n: usize) {
+    let mut writer = Mp4Writer::create(path, SIZE.0, SIZE.1, 10.0).unwrap();
+    for frame in capture(n, false).frames {
+        writer.push(&frame.rgb).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+/// The pictures of the same scene as a folder of PNG files.
+pub fn write_pictures(folder: &Path, n: usize) {
+    std::fs::create_dir_all(folder).unwrap();
+    for frame in capture(n, false).frames {
+        write_rgb(&folder.join(format!("{}.png", frame.name)), &frame.rgb).unwrap();
+    }
+}
+
+/// Trains quickly.
+pub fn train(capture: &str, out: &str, iterations: &str, more: &[&str]) -> Ended {
+    let args = ["train", capture, "-o", out, "--iterations", iterations];
+    let args: Vec<&str> = args.iter().chain(more).copied().collect();
+    call(&args)
+}

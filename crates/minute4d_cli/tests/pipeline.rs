@@ -1,0 +1,356 @@
+//! The happy path from outside: train, render, eval, inspect, stop, resume.
+
+mod common;
+
+use common::{Ended, Scratch, capture, program, succeed, text, train, write_capture, write_pictures};
+use serde_json::Value;
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+fn read_json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+#[test]
+fn train_render_eval_inspect() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), true);
+    let (data, out) = (dir.at("capture"), dir.at("out"));
+    let ended = train(&data, &out, "120", &["--seed", "3"]);
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    assert_eq!(ended.stdout.trim_end(), out, "the result is the path and nothing else");
+
+    let record = read_json(&dir.path("out/run.json"));
+    assert_eq!(record["status"], "finished");
+    assert_eq!((&record["seed"], &record["iterations"]), (&3.into(), &120.into()));
+    assert_eq!(record["settings"]["train"]["seed"], 3);
+    assert!(record["stages"]["train"]["seconds"].as_f64().unwrap() > 0.0);
+    assert!(record["splats"]["static"].as_u64().unwrap() > 0 && record["splats"]["dynamic"].as_u64().unwrap() > 0);
+    assert!(fs::metadata(dir.path("out/preview.mp4")).unwrap().len() > 1000);
+    let metrics = fs::read_to_string(dir.path("out/metrics.jsonl")).unwrap();
+    let losses: Vec<f64> = metrics
+        .lines()
+        .map(|l| serde_json::from_str::<Value>(l).unwrap()["loss"].as_f64().unwrap())
+        .collect();
+    assert!(losses.len() >= 2 && losses.last() < losses.first(), "{losses:?}");
+    assert!(!dir.path("out/checkpoints").exists(), "nothing is left over");
+
+    let (png, mp4) = (dir.at("png"), dir.at("swing.mp4"));
+    succeed(&["render", &out, "-o", &png]);
+    assert_eq!(fs::read_dir(&png).unwrap().count(), 6);
+    succeed(&["render", &out, "--path", "swing", "--time", "freeze@0.2s", "-o", &mp4]);
+    let list = format!("test:{data}/transforms_test.json");
+    succeed(&["render", &out, "--path", &list, "--time", "5..0", "-o", &dir.at("test")]);
+    assert_eq!(fs::read_dir(dir.path("test")).unwrap().count(), 6);
+
+    let report = succeed(&["eval", &out, "--data", &data, "--json"]).result();
+    let psnr = report["mean"]["psnr_db"].as_f64().unwrap();
+    assert!(psnr > 18.0, "{psnr} dB: the held-out views are hardly seen");
+    assert!(report["mean"]["masked_psnr_db"].is_number() && report["mean"]["masked_ssim"].is_number());
+    assert_eq!(read_json(&dir.path("out/eval.json"))["mean"], report["mean"]);
+
+    assert_eq!(succeed(&["inspect", &out, "--json"]).result()["kind"], "run");
+    assert_eq!(succeed(&["inspect", &data, "--json"]).result()["test_views"], 6);
+    assert_eq!(succeed(&["inspect", &mp4, "--json"]).result()["frames"], 120);
+    let scene = dir.at("out/scene.safetensors");
+    assert_eq!(succeed(&["inspect", &scene, "--json"]).result()["with_optimiser"], true);
+    let same = succeed(&["eval-geometry", &data, "--truth", &data, "--json"]).result();
+    assert!(same["trajectory"]["rmse"].as_f64().unwrap() < 1e-6, "{same}");
+}
+
+#[test]
+fn the_scene_does_not_depend_on_the_number_of_threads() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    let scene = |threads: &str| {
+        let out = dir.at(&format!("out{threads}"));
+        let more = [
+            "--threads",
+            threads,
+            "--set",
+            "train.density.from=20",
+            "--set",
+            "train.density.every=20",
+        ];
+        let ended = train(&dir.at("capture"), &out, "80", &more);
+        assert_eq!(ended.code, 0, "{}", ended.stderr);
+        fs::read(Path::new(&out).join("scene.safetensors")).unwrap()
+    };
+    let (one, two, three) = (scene("1"), scene("2"), scene("3"));
+    assert!(one == two && two == three, "the files differ");
+}
+
+/// Starts training and waits for its first steps.
+fn start(
+    data: &str,
+    out: &str,
+    iterations: &str,
+    more: &[&str],
+) -> (std::process::Child, BufReader<std::process::ChildStdout>) {
+    let args = ["train", data, "-o", out, "--iterations", iterations, "--json"];
+    let mut child = program()
+        .args(args)
+        .args(more)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut events = BufReader::new(child.stdout.take().unwrap());
+    let mut line = String::new();
+    loop {
+        line.clear();
+        assert!(
+            events.read_line(&mut line).unwrap() > 0,
+            "the program ended before it trained"
+        );
+        let event: Value = serde_json::from_str(&line).unwrap();
+        if event["phase"] == "train" && event["done"].as_u64().unwrap() > 0 {
+            return (child, events);
+        }
+    }
+}
+
+#[cfg(unix)]
+fn signal(child: &std::process::Child, name: &str) {
+    let status = Command::new("kill")
+        .args([name, &child.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(status.success());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_signal_saves_and_resume_gives_the_same_bits() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    let (data, whole, parts) = (dir.at("capture"), dir.at("whole"), dir.at("parts"));
+    assert_eq!(train(&data, &whole, "600", &[]).code, 0);
+
+    for (name, code) in [("-INT", 130), ("-TERM", 143)] {
+        let more: &[&str] = if name == "-INT" { &[] } else { &["--resume"] };
+        let (mut child, rest) = start(&data, &parts, "600", more);
+        signal(&child, name);
+        let rest: Vec<String> = rest.lines().map(Result::unwrap).collect();
+        assert_eq!(child.wait().unwrap().code(), Some(code));
+        let end: Value = serde_json::from_str(rest.last().unwrap()).unwrap();
+        assert_eq!((&end["ok"], &end["code"]), (&false.into(), &code.into()));
+        assert!(end["reason"].as_str().unwrap().contains("--resume"), "{end}");
+        assert!(fs::read_dir(dir.path("parts/checkpoints")).unwrap().count() > 0);
+        assert!(
+            !dir.path("parts/scene.safetensors").exists(),
+            "an unfinished run has no result"
+        );
+        assert_eq!(read_json(&dir.path("parts/run.json"))["status"], "stopped");
+    }
+    let ended = train(&data, &parts, "600", &["--resume", "--json"]);
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    let events = ended.events();
+    let resumed = events
+        .iter()
+        .find(|e| e["status"] == "resumed")
+        .expect("training started anew");
+    assert!(resumed["done"].as_u64().unwrap() > 0, "{resumed}");
+    let same = |name: &str| {
+        fs::read(dir.path(&format!("whole/{name}"))).unwrap() == fs::read(dir.path(&format!("parts/{name}"))).unwrap()
+    };
+    assert!(same("scene.safetensors"), "a resumed run must end with the same bits");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_killed_run_goes_on_from_its_last_checkpoint() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    let (data, whole, parts) = (dir.at("capture"), dir.at("whole"), dir.at("parts"));
+    assert_eq!(train(&data, &whole, "500", &[]).code, 0);
+    let often = ["--set", "checkpoint.every_s=0.02"];
+    let (mut child, _rest) = start(&data, &parts, "500", &often);
+    let saved = dir.path("parts/checkpoints");
+    while fs::read_dir(&saved).map_or(0, Iterator::count) < 2 {
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "it ended before it could be killed"
+        );
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    signal(&child, "-KILL");
+    child.wait().unwrap();
+    let left = fs::read_dir(&saved).unwrap().filter(|e| {
+        e.as_ref()
+            .is_ok_and(|e| e.path().extension().is_some_and(|x| x == "safetensors"))
+    });
+    assert!(
+        (1..=3).contains(&left.count()),
+        "the last two are kept, a third while it replaces the first"
+    );
+    assert_eq!(read_json(&dir.path("parts/run.json"))["status"], "running");
+
+    let refused = train(&data, &parts, "500", &[]);
+    assert_eq!(refused.code, 73);
+    assert!(refused.stderr.contains("an unfinished run") && refused.stderr.contains("--resume"));
+    let ended = train(&data, &parts, "500", &["--resume", "--json"]);
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    assert!(ended.events().iter().any(|e| e["status"] == "resumed"));
+    let scene = |run: &str| fs::read(dir.path(run).join("scene.safetensors")).unwrap();
+    assert!(
+        scene("whole") == scene("parts"),
+        "a resumed run must end with the same bits"
+    );
+}
+
+#[test]
+fn what_is_finished_is_not_done_again_unless_something_changed() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    let (data, out) = (dir.at("capture"), dir.at("out"));
+    let stages = |ended: &Ended| -> Vec<String> {
+        assert_eq!(ended.code, 0, "{}", ended.stderr);
+        let events = ended.events();
+        let stages = events
+            .iter()
+            .filter(|e| e["event"] == "stage" && e["status"] != "finished");
+        stages
+            .map(|e| format!("{} {} {}", e["stage"], e["status"], e["because"]).replace('"', ""))
+            .collect()
+    };
+    let first = stages(&train(&data, &out, "20", &["--json"]));
+    assert_eq!(first, ["train started null", "preview started null"]);
+    let again = stages(&train(&data, &out, "20", &["--json", "--resume"]));
+    assert_eq!(again, ["train reused null", "preview reused null"]);
+    let more = stages(&train(&data, &out, "21", &["--json", "--resume"]));
+    assert_eq!(more[0], "train started because the settings changed");
+
+    let mut changed = capture(6, false);
+    changed.frames[2].rgb.data_mut()[5] = [1, 2, 3];
+    let write = minute4d::io::capture::write;
+    write(
+        &dir.path("capture"),
+        &changed,
+        minute4d::io::capture::Split::Train,
+        &minute4d::Silent,
+    )
+    .unwrap();
+    let other = stages(&train(&data, &out, "21", &["--json", "--resume"]));
+    assert_eq!(other[0], "train started because the input changed");
+
+    fs::write(dir.path("out/metrics.jsonl"), "gone").unwrap();
+    let damaged = stages(&train(&data, &out, "21", &["--json", "--resume"]));
+    assert_eq!(
+        damaged[0],
+        "train started because its files are missing or were changed"
+    );
+}
+
+#[test]
+fn force_replaces_a_run_and_leaves_other_files() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    let (data, out) = (dir.at("capture"), dir.at("out"));
+    fs::create_dir(dir.path("out")).unwrap();
+    let mine = dir.write("out/notes.txt", "mine");
+    assert_eq!(train(&data, &out, "10", &[]).code, 73);
+    assert_eq!(train(&data, &out, "10", &["--force"]).code, 0);
+    assert_eq!(train(&data, &out, "10", &["--force"]).code, 0);
+    assert_eq!(fs::read_to_string(mine).unwrap(), "mine");
+}
+
+#[test]
+fn printed_settings_are_a_settings_file() {
+    let dir = Scratch::new();
+    for profile in ["fast", "faithful"] {
+        let printed = succeed(&[
+            "train",
+            "--print-config",
+            "--profile",
+            profile,
+            "--set",
+            "init.opacity=0.25",
+        ])
+        .stdout;
+        assert!(printed.contains("opacity = 0.25"), "{printed}");
+        let file = dir.write("settings.toml", &printed);
+        let again = succeed(&["run", "--print-config", "--profile", "fast", "--config", &file]).stdout;
+        assert_eq!(printed, again);
+    }
+    let layers = [
+        "train",
+        "--print-config",
+        "--set",
+        "train.iterations=5",
+        "--iterations",
+        "6",
+    ];
+    assert!(
+        succeed(&layers).stdout.contains("iterations = 6"),
+        "an option with its own name is the last word"
+    );
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_failure() {
+    let mut child = program()
+        .args(["train", "--print-config"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    assert!(child.wait().unwrap().success());
+}
+
+#[test]
+fn doctor_and_bench_tell_what_is_here() {
+    let machine = succeed(&["doctor", "--json"]).result();
+    assert!(machine["threads"].as_u64().unwrap() >= 1 && machine["simd"].is_string());
+    let levels = machine["simd_available"].as_array().unwrap();
+    assert!(levels.contains(&machine["simd"]), "{machine}");
+    let without = Ended::of(program().args(["doctor", "--json"]).env("PATH", "").output().unwrap());
+    assert_eq!(without.result()["ffmpeg"]["found"], false);
+    let bench = succeed(&["bench", "--splats", "500,1000", "--steps", "1", "--json"]).result();
+    assert_eq!(bench["rows"].as_array().unwrap().len(), 2);
+    assert!(bench["rows"][1]["step_ms"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn pictures_of_a_still_camera_become_a_scene() {
+    let dir = Scratch::new();
+    write_pictures(&dir.path("pictures"), 6);
+    let (input, out) = (dir.at("pictures"), dir.at("out"));
+    let args = [
+        "run",
+        &input,
+        "-o",
+        &out,
+        "--static-camera",
+        "--fov",
+        "56",
+        "--iterations",
+        "15",
+        "--json",
+    ];
+    let ended = succeed(&args);
+    ended.end();
+    let record = read_json(&dir.path("out/run.json"));
+    for stage in ["geometry", "train", "preview"] {
+        assert_eq!(record["stages"][stage]["done"], true, "{record}");
+    }
+    assert!(
+        !record["warnings"].as_array().unwrap().is_empty(),
+        "made-up depth is said"
+    );
+    for file in [
+        "scene.safetensors",
+        "preview.mp4",
+        "metrics.jsonl",
+        "capture/transforms_train.json",
+    ] {
+        assert!(dir.path("out").join(file).is_file(), "{file}");
+    }
+    let again: Vec<&str> = args.iter().copied().chain(["--resume"]).collect();
+    let events = succeed(&again).events();
+    let reused = events.iter().filter(|e| e["status"] == "reused").count();
+    assert_eq!(reused, 3, "{events:?}");
+    assert_eq!(text(&dir.path("out")), out);
+}
