@@ -1,15 +1,15 @@
 //! Clouds to splats.
 
+use crate::change::changes;
 use crate::cloud::{Clouds, clouds};
-use crate::spacing::spacing;
+use crate::shell::{Shell, shell};
 use crate::velocity::velocities;
 use crate::voxel::{Centroids, Grid, pixels_for};
+use crate::write::{BRIGHT, DARK, Writer};
 use crate::{InitConfig, InitError, TimeSpread, VelocityInit};
-use m4_scene::{Capture, Column, Progress, SplatLayout, Splats};
+use m4_scene::{Capture, Progress, SplatLayout, Splats};
 use rayon::prelude::*;
 
-/// Value of the constant spherical harmonic.
-const Y00: f32 = 0.282_094_8;
 /// Voxels below this many pixels are never tried: each pixel is its own point there.
 const LEAST_PIXELS: f32 = 0.5;
 
@@ -45,11 +45,12 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         0.0 => pixels_for(config.max_static, LEAST_PIXELS, |p| grid(p).occupied(&clouds.standing)),
         pixels => pixels,
     };
-    let standing = grid(static_pixels).merge(&clouds.standing);
+    let standing_grid = grid(static_pixels);
+    let standing = standing_grid.merge(&clouds.standing);
     if progress.cancelled() {
         return Err(InitError::Stopped);
     }
-    progress.update("voxels", 1, 2, &format!("{} static", standing.xyz.len()));
+    progress.update("voxels", 1, 3, &format!("{} static", standing.xyz.len()));
 
     let count = |p| {
         let grid = grid(p);
@@ -68,14 +69,56 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     if progress.cancelled() {
         return Err(InitError::Stopped);
     }
-    let n_moving: usize = moving.iter().map(|(_, c)| c.xyz.len()).sum();
-    progress.update(
-        "voxels",
-        2,
-        2,
-        &format!("{} static, {n_moving} dynamic", standing.xyz.len()),
+    progress.update("voxels", 2, 3, &format!("{} static", standing.xyz.len()));
+
+    let tint_grid = grid(config.change_pixels);
+    let tints: Vec<Tints> = clouds
+        .moving
+        .par_iter()
+        .map(|k| {
+            if config.change_threshold <= 0.0 {
+                return Tints::default();
+            }
+            let found = changes(&capture.frames[k.frame], config, &standing_grid, &standing);
+            Tints {
+                darker: tint_grid.merge(&found.darker),
+                brighter: tint_grid.merge(&found.brighter),
+            }
+        })
+        .collect();
+    let shell = shell(
+        capture,
+        config.shell_splats,
+        config.shell_radius * clouds.far_depth as f32,
     );
-    Ok(assemble(capture, config, &clouds, &standing, &moving))
+    let parts = Parts {
+        standing,
+        shell,
+        moving,
+        tints,
+    };
+    let splats = assemble(capture, config, &clouds, &parts);
+    let note = format!("{} static, {} dynamic", splats.n_static(), splats.n_dynamic());
+    progress.update("voxels", 3, 3, &note);
+    Ok(splats)
+}
+
+/// Splats that darken or brighten what is behind them, at one keyframe; the colour of a centroid is the
+/// share of light that it takes away or adds.
+#[derive(Debug, Default)]
+struct Tints {
+    darker: Centroids,
+    brighter: Centroids,
+}
+
+/// Everything that splats are made of.
+struct Parts {
+    standing: Centroids,
+    shell: Shell,
+    /// Time and points, one a keyframe.
+    moving: Vec<(f64, Centroids)>,
+    /// One a keyframe.
+    tints: Vec<Tints>,
 }
 
 /// At most `count` indices below `n`, evenly spread.
@@ -83,36 +126,36 @@ fn every_nth(n: usize, count: usize) -> impl Iterator<Item = usize> {
     (0..n).step_by(n.div_ceil(count).max(1))
 }
 
-fn assemble(
-    capture: &Capture,
-    config: &InitConfig,
-    clouds: &Clouds,
-    standing: &Centroids,
-    moving: &[(f64, Centroids)],
-) -> Splats {
+fn assemble(capture: &Capture, config: &InitConfig, clouds: &Clouds, parts: &Parts) -> Splats {
     let layout = SplatLayout {
         isotropic: config.isotropic,
         sh_degree: 0,
         time_degree: 0,
     };
-    let n_moving = moving.iter().map(|(_, c)| c.xyz.len()).sum::<usize>();
-    let (n_static, n_fading) = if config.static_fade {
-        (0, standing.xyz.len())
-    } else {
-        (standing.xyz.len(), 0)
-    };
-    let mut splats = Splats::zeros(layout, n_static, n_fading + n_moving);
+    let n_moving: usize = parts.moving.iter().map(|(_, c)| c.xyz.len()).sum();
+    let n_tints: usize = parts
+        .tints
+        .iter()
+        .map(|t| t.darker.xyz.len() + t.brighter.xyz.len())
+        .sum();
+    let n_standing = parts.standing.xyz.len() + parts.shell.xyz.len();
+    let n_static = if config.static_fade { 0 } else { n_standing };
+    let mut splats = Splats::zeros(layout, n_static, n_standing - n_static + n_moving + n_tints);
 
-    fill_shared(&mut splats, config, 0, standing);
-    let mut row = standing.xyz.len();
-    let spans = spans(capture, config, moving);
+    let mut writer = Writer {
+        splats: &mut splats,
+        config,
+        row: 0,
+    };
+    writer.surface(&parts.standing);
+    writer.shell(&parts.shell);
+    let spans = spans(capture, config, &parts.moving);
     if config.static_fade {
-        fill_time(&mut splats, 0, n_fading, spans.standing);
+        writer.time(0, spans.standing);
     }
-    for (i, (t, points)) in moving.iter().enumerate() {
-        fill_shared(&mut splats, config, row, points);
-        let time_row = row - n_static;
-        fill_time(&mut splats, time_row, points.xyz.len(), (*t as f32, spans.moving));
+    for (i, (t, points)) in parts.moving.iter().enumerate() {
+        let first = writer.row;
+        writer.surface(points);
         if let VelocityInit::Nearest {
             colour_scale,
             radius,
@@ -120,45 +163,13 @@ fn assemble(
         } = config.velocity
         {
             let radius = radius * clouds.median_depth as f32;
-            let v = velocities(moving, i, radius, colour_scale, neighbours);
-            for k in 0..3 {
-                let column = splats.column_mut(Column::Velocity, k);
-                for (out, v) in column[time_row..].iter_mut().zip(&v) {
-                    *out = v[k];
-                }
-            }
+            writer.velocity(first, &velocities(&parts.moving, i, radius, colour_scale, neighbours));
         }
-        row += points.xyz.len();
+        writer.tint(&parts.tints[i].darker, DARK);
+        writer.tint(&parts.tints[i].brighter, BRIGHT);
+        writer.time(first, (*t as f32, spans.moving));
     }
     splats
-}
-
-/// Mean, size, rotation, opacity and colour of `points`, from row `first` on.
-fn fill_shared(splats: &mut Splats, config: &InitConfig, first: usize, points: &Centroids) {
-    let size = spacing(&points.xyz, &points.edge);
-    let scales = if config.isotropic { 1 } else { 3 };
-    let logit = (config.opacity / (1.0 - config.opacity)).ln();
-    for (i, &p) in points.xyz.iter().enumerate() {
-        let row = first + i;
-        let scale = (config.scale_factor * size[i]).min(config.max_scale_cells * points.edge[i]);
-        for k in 0..3 {
-            splats.column_mut(Column::Mean, k)[row] = p[k];
-            splats.column_mut(Column::Colour, k)[row] = (points.rgb[i][k] - 0.5) / Y00;
-        }
-        for k in 0..scales {
-            splats.column_mut(Column::LogScale, k)[row] = scale.ln();
-        }
-        if !config.isotropic {
-            splats.column_mut(Column::Quat, 0)[row] = 1.0;
-        }
-        splats.column_mut(Column::Opacity, 0)[row] = logit;
-    }
-}
-
-/// Middle and logarithm of the standard deviation, frames, of `count` rows of the time columns.
-fn fill_time(splats: &mut Splats, first: usize, count: usize, (mean, log_sd): (f32, f32)) {
-    splats.column_mut(Column::TimeMean, 0)[first..first + count].fill(mean);
-    splats.column_mut(Column::LogTimeSd, 0)[first..first + count].fill(log_sd);
 }
 
 /// Time parameters: `(mean, log sd)` of standing points that fade, `log sd` of moving ones.

@@ -31,6 +31,8 @@ impl Cloud {
 pub(crate) struct Keyframe {
     /// Frames.
     pub t: f64,
+    /// Which frame of the capture it is.
+    pub frame: usize,
     /// Its points.
     pub cloud: Cloud,
 }
@@ -44,6 +46,8 @@ pub(crate) struct Clouds {
     pub moving: Vec<Keyframe>,
     /// Median z-depth of the sampled pixels, world units.
     pub median_depth: f64,
+    /// Depth below which 99 of 100 pixels lie, world units.
+    pub far_depth: f64,
     /// Focal length at the size of the depth maps, pixels (mean of both axes and of the frames).
     pub focal_px: f64,
 }
@@ -81,6 +85,7 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
         standing: Cloud::default(),
         moving: Vec::new(),
         median_depth: 0.0,
+        far_depth: 0.0,
         focal_px: 0.0,
     };
     let mut depths = Vec::new();
@@ -107,6 +112,7 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
             if (b * BATCH + i).is_multiple_of(config.dynamic_stride) {
                 out.moving.push(Keyframe {
                     t: capture.frames[batch[i]].t,
+                    frame: batch[i],
                     cloud: part.moving,
                 });
             }
@@ -127,6 +133,8 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
     }
     let middle = depths.len() / 2;
     out.median_depth = f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1);
+    let far = (depths.len() - 1) * 99 / 100;
+    out.far_depth = f64::from(*depths.select_nth_unstable_by(far, f32::total_cmp).1);
     Ok(out)
 }
 
@@ -188,6 +196,30 @@ fn back_project(frame: &CaptureFrame, config: &InitConfig, want_standing: bool, 
         }
     }
     part
+}
+
+/// Calls `visit(x, y, world point, colour)` for every `step`-th pixel of every `step`-th row of the depth
+/// map that stands still and is not near a moving one.
+pub(crate) fn standing_pixels(
+    frame: &CaptureFrame,
+    config: &InitConfig,
+    step: usize,
+    visit: &mut dyn FnMut(usize, usize, Vector3<f64>, [u8; 3]),
+) {
+    let Some(depth) = &frame.depth else { return };
+    let (w, h) = depth.size();
+    let camera = frame.camera.resized(w, h);
+    let near_moving = dilate(&moving_pixels(frame, w, h), w, h, config.mask_margin_px);
+    let (rgb_w, rgb_h) = frame.rgb.size();
+    for y in (0..h).step_by(step) {
+        for x in (0..w).step_by(step) {
+            let z = depth[(x, y)];
+            if !near_moving[y * w + x] && is_depth(z) && !hangs_in_air(depth, x, y, config.edge_jump) {
+                let colour = frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))];
+                visit(x, y, camera.unproject(x as f64, y as f64, f64::from(z)), colour);
+            }
+        }
+    }
 }
 
 fn is_depth(z: f32) -> bool {

@@ -79,6 +79,18 @@ pub struct InitConfig {
     /// Standing points within this many pixels of a moving one are dropped: masks are never exact,
     /// and a moving pixel taken for wall stays on the wall (our rule).
     pub mask_margin_px: usize,
+    /// A patch of standing surface whose brightness differs by more than this (0..1) from its mean over
+    /// all frames gets splats of its own for that time: moving shadows (our rule). 0 for none.
+    pub change_threshold: f32,
+    /// At most this share of a frame counts as changed.
+    pub change_max_share: f32,
+    /// Spacing of the splats of such patches, pixels at the median depth: they tint what is behind them.
+    pub change_pixels: f32,
+    /// Splats on a shell behind everything, coloured by what was seen in their direction (our rule). 0
+    /// for none.
+    pub shell_splats: usize,
+    /// Radius of the shell, in units of the depth below which 99 of 100 pixels lie.
+    pub shell_radius: f32,
     /// One scale a splat and no rotation (the paper's choice, as Instant4D; section 1.5).
     pub isotropic: bool,
     /// Standing points become rows with time parameters that fade towards the ends, as in the
@@ -117,6 +129,11 @@ impl InitConfig {
             dynamic_stride: 1,
             edge_jump: 0.05,
             mask_margin_px: 2,
+            change_threshold: 0.05,
+            change_max_share: 0.1,
+            change_pixels: 5.0,
+            shell_splats: 2000,
+            shell_radius: 2.0,
             isotropic: false,
             static_fade: false,
             opacity: 0.5,
@@ -142,6 +159,8 @@ impl InitConfig {
             cells: CellSize::Constant,
             static_frames: 40,
             mask_margin_px: 0,
+            change_threshold: 0.0,
+            shell_splats: 0,
             isotropic: true,
             static_fade: true,
             opacity: 0.1,
@@ -180,6 +199,12 @@ impl InitConfig {
         at_least_1("static_frames", self.static_frames)?;
         at_least_1("dynamic_stride", self.dynamic_stride)?;
         positive("edge_jump", self.edge_jump)?;
+        at_least_0("change_threshold", self.change_threshold)?;
+        if !(0.0..1.0).contains(&self.change_max_share) {
+            return Err(bad("change_max_share", self.change_max_share, "at least 0 and below 1"));
+        }
+        positive("change_pixels", self.change_pixels)?;
+        positive("shell_radius", self.shell_radius)?;
         if !(self.opacity > 0.0 && self.opacity < 1.0) {
             return Err(bad("opacity", self.opacity, "between 0 and 1, both excluded"));
         }

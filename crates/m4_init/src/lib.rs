@@ -8,6 +8,7 @@
 //! ```text
 //! cloud (depth -> points) -> voxel (points -> centroids) -> spacing (3-NN -> scale) -> assemble
 //!                                                        -> velocity (keyframe to keyframe)
+//! change (moving shadows on what stands still)    shell (something behind everything)
 //! ```
 //!
 //! The result depends on the capture and the settings alone: points are merged by sorting 64-bit
@@ -15,12 +16,15 @@
 #![forbid(unsafe_code)]
 
 mod assemble;
+mod change;
 mod cloud;
 mod config;
 mod error;
+mod shell;
 mod spacing;
 mod velocity;
 mod voxel;
+mod write;
 
 pub use assemble::initialise;
 pub use config::{CellSize, InitConfig, TimeSpread, VelocityInit};

@@ -18,6 +18,15 @@ pub(crate) struct Centroids {
     pub rgb: Vec<[f32; 3]>,
     /// Edge of the voxel, world units.
     pub edge: Vec<f32>,
+    /// Level and cell of the voxel.
+    pub key: Vec<(i16, u64)>,
+}
+
+impl Centroids {
+    /// The voxel that holds `p`; `grid` is the one that made these.
+    pub fn find(&self, grid: &Grid, p: [f32; 3]) -> Option<usize> {
+        self.key.binary_search(&grid.key(p)).ok()
+    }
 }
 
 /// The size of a cell at each point of the world.
@@ -110,6 +119,7 @@ impl Grid {
             let n = cell.len() as f64;
             let centroid = xyz.map(|v| (v / n) as f32);
             out.edge.push(self.unit * (0.5 * f32::from(cell[0].0.0)).exp2());
+            out.key.push(cell[0].0);
             out.xyz.push(centroid);
             out.rgb.push(rgb.map(|v| (v / n / 255.0) as f32));
         }

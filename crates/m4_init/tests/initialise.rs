@@ -66,6 +66,8 @@ fn fast() -> InitConfig {
     InitConfig {
         max_static: 2000,
         max_dynamic: 2000,
+        change_threshold: 0.0,
+        shell_splats: 0,
         ..InitConfig::fast()
     }
 }
@@ -137,6 +139,63 @@ fn the_faithful_profile_has_one_scale_and_fades_everything() {
     // moving: sqrt(7 / 30) frames
     let last = sd[sd.len() - 1];
     assert!((last.exp() - (7.0f32 / 30.0).sqrt()).abs() < 1e-4);
+}
+
+#[test]
+fn a_shadow_on_the_wall_is_laid_over_it() {
+    let mut capture = capture(8);
+    // from frame 4 on, the right quarter of the picture is in the shade
+    for frame in &mut capture.frames[4..] {
+        let lit = frame.rgb.clone();
+        frame.rgb = Plane::from_fn(96, 64, |x, y| lit[(x, y)].map(|c| if x >= 72 { c / 2 } else { c }));
+    }
+    let config = InitConfig {
+        change_threshold: 0.05,
+        change_max_share: 0.4,
+        velocity: VelocityInit::Zero,
+        ..fast()
+    };
+    let plain = initialise(
+        &capture,
+        &InitConfig {
+            change_threshold: 0.0,
+            ..config.clone()
+        },
+        &Silent,
+    )
+    .unwrap();
+    let splats = initialise(&capture, &config, &Silent).unwrap();
+    assert_eq!(splats.n_static(), plain.n_static());
+    assert!(splats.n_dynamic() > plain.n_dynamic() + 50);
+    // every splat that is not on the square lies just before the wall, on its right
+    let mut dark = 0;
+    for i in 0..splats.n_dynamic() {
+        let [x, _, z] = mean(&splats, splats.n_static() + i);
+        if z > 3.0 {
+            assert!(z < 4.0 && z > 3.9 && x > 0.5, "splat {i} at {x}, {z}");
+            let late = splats.column(Column::TimeMean, 0)[i] >= 4.0;
+            let black = splats.column(Column::Colour, 0)[splats.n_static() + i] < 0.0;
+            assert_eq!(late, black, "dark when the shadow is there, bright before");
+            dark += usize::from(black);
+        }
+    }
+    assert!(dark > 20);
+}
+
+#[test]
+fn the_shell_lies_behind_everything() {
+    let config = InitConfig {
+        shell_splats: 300,
+        ..fast()
+    };
+    let capture = capture(4);
+    let n = initialise(&capture, &fast(), &Silent).unwrap().n_static();
+    let splats = initialise(&capture, &config, &Silent).unwrap();
+    assert_eq!(splats.n_static(), n + 300);
+    for row in n..n + 300 {
+        let r = mean(&splats, row).iter().map(|v| v * v).sum::<f32>().sqrt();
+        assert!(r > 7.5, "radius {r} where the wall is at 4");
+    }
 }
 
 #[test]

@@ -1,0 +1,88 @@
+//! Points to rows of splats.
+
+use crate::InitConfig;
+use crate::shell::Shell;
+use crate::spacing::spacing;
+use crate::voxel::Centroids;
+use m4_scene::{Column, Splats};
+
+/// Value of the constant spherical harmonic.
+const Y00: f32 = 0.282_094_8;
+/// Grey of splats that take light away; a little above 0, where the gradient of the colour ends.
+pub(crate) const DARK: f32 = 0.02;
+/// Grey of splats that add light.
+pub(crate) const BRIGHT: f32 = 1.0;
+/// Opacity of the shell: behind it there is only the background.
+const SHELL_OPACITY: f32 = 0.9;
+/// Splats of standard deviation 0.75 of their spacing cover each place `2 pi 0.75^2` times.
+const COVER: f32 = 3.5;
+
+/// Fills rows one after the other.
+pub(crate) struct Writer<'a> {
+    pub splats: &'a mut Splats,
+    pub config: &'a InitConfig,
+    /// The next row.
+    pub row: usize,
+}
+
+impl Writer<'_> {
+    fn put(&mut self, mean: [f32; 3], rgb: [f32; 3], sd: f32, opacity: f32) {
+        let row = self.row;
+        for k in 0..3 {
+            self.splats.column_mut(Column::Mean, k)[row] = mean[k];
+            self.splats.column_mut(Column::Colour, k)[row] = (rgb[k] - 0.5) / Y00;
+        }
+        let isotropic = self.splats.layout().isotropic;
+        for k in 0..if isotropic { 1 } else { 3 } {
+            self.splats.column_mut(Column::LogScale, k)[row] = sd.ln();
+        }
+        if !isotropic {
+            self.splats.column_mut(Column::Quat, 0)[row] = 1.0;
+        }
+        self.splats.column_mut(Column::Opacity, 0)[row] = (opacity / (1.0 - opacity)).ln();
+        self.row += 1;
+    }
+
+    /// Points of a surface: as large as their spacing.
+    pub fn surface(&mut self, points: &Centroids) {
+        let size = spacing(&points.xyz, &points.edge);
+        for (i, &p) in points.xyz.iter().enumerate() {
+            let sd = (self.config.scale_factor * size[i]).min(self.config.max_scale_cells * points.edge[i]);
+            self.put(p, points.rgb[i], sd, self.config.opacity);
+        }
+    }
+
+    /// Splats that tint what is behind them; colours of `points` are shares of light.
+    pub fn tint(&mut self, points: &Centroids, grey: f32) {
+        for (i, &p) in points.xyz.iter().enumerate() {
+            let opacity = (points.rgb[i][0] / COVER).clamp(0.01, 0.5);
+            self.put(p, [grey; 3], 0.75 * points.edge[i], opacity);
+        }
+    }
+
+    /// What is behind everything.
+    pub fn shell(&mut self, shell: &Shell) {
+        for (&p, &rgb) in shell.xyz.iter().zip(&shell.rgb) {
+            self.put(p, rgb, shell.sd, SHELL_OPACITY);
+        }
+    }
+
+    /// Middle and logarithm of the standard deviation, frames, of the rows from `first` on.
+    pub fn time(&mut self, first: usize, (mean, log_sd): (f32, f32)) {
+        let n_static = self.splats.n_static();
+        let rows = first - n_static..self.row - n_static;
+        self.splats.column_mut(Column::TimeMean, 0)[rows.clone()].fill(mean);
+        self.splats.column_mut(Column::LogTimeSd, 0)[rows].fill(log_sd);
+    }
+
+    /// Velocities of the rows from `first` on.
+    pub fn velocity(&mut self, first: usize, velocities: &[[f32; 3]]) {
+        let n_static = self.splats.n_static();
+        for k in 0..3 {
+            let column = &mut self.splats.column_mut(Column::Velocity, k)[first - n_static..];
+            for (out, v) in column.iter_mut().zip(velocities) {
+                *out = v[k];
+            }
+        }
+    }
+}
