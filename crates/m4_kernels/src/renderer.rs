@@ -3,12 +3,15 @@
 use crate::{
     CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View,
     bin::cpu::{BAND_ROWS, Band},
-    blend::cpu::{self as blend, BandGradient, BandPlace, BandPlanes, Sums},
+    blend::{
+        cpu::{self as blend, Sums},
+        planes::{BandGradient, BandPlace, BandPlanes},
+    },
     project::cpu::Eye,
+    simd::dispatch,
     slice::cpu::Columns,
     stage::{CameraSums, Chunk, ChunkGradient},
 };
-use fearless_simd::dispatch;
 use m4_scene::Splats;
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
@@ -217,7 +220,11 @@ impl Renderer {
                 let place = place(eye, index);
                 let part = |plane: &'_ [f32]| -> std::ops::Range<usize> {
                     let at = place.top * place.width;
-                    if plane.is_empty() { 0..0 } else { at..at + place.rows * place.width }
+                    if plane.is_empty() {
+                        0..0
+                    } else {
+                        at..at + place.rows * place.width
+                    }
                 };
                 let rgb = |planes: &'_ [Vec<f32>; 3]| planes.each_ref().map(|p| part(p));
                 let (c, d) = (rgb(&frame.rgb), rgb(&gradient.rgb));
@@ -277,7 +284,11 @@ impl Renderer {
     /// If `weight` or `out` has another length than that.
     pub fn score(&mut self, weight: &[f32], out: &mut [f32]) {
         self.check(out.len());
-        assert_eq!(weight.len(), self.frame.transmittance.len(), "score: one weight a pixel");
+        assert_eq!(
+            weight.len(),
+            self.frame.transmittance.len(),
+            "score: one weight a pixel"
+        );
         let (level, eye) = (self.level.level(), &self.eye);
         self.bands
             .par_iter_mut()

@@ -100,11 +100,43 @@ impl SimdLevel {
         }
     }
 
-    /// What `dispatch!` takes.
+    /// What [`dispatch`] takes.
     pub(crate) fn level(self) -> Level {
         self.0
     }
 }
+
+/// `dispatch!(level, s => f(s, ..))` compiles the call for each level that has a name and runs that of
+/// `level`. Unlike `fearless_simd`'s it has no version for SSE4.2: processors without AVX2 are rare,
+/// and every version costs compile time.
+#[cfg(target_arch = "x86_64")]
+macro_rules! dispatch {
+    ($level:expr, $s:ident => $call:expr) => {{
+        use fearless_simd::Simd as _;
+        let level: fearless_simd::Level = $level;
+        if let Some($s) = level.as_avx512() {
+            $s.vectorize(
+                #[inline(always)]
+                || $call,
+            )
+        } else if let Some($s) = level.as_avx2() {
+            $s.vectorize(
+                #[inline(always)]
+                || $call,
+            )
+        } else if let Some($s) = level.as_sse2() {
+            $s.vectorize(
+                #[inline(always)]
+                || $call,
+            )
+        } else {
+            unreachable!("SSE2 is part of x86-64")
+        }
+    }};
+}
+pub(crate) use dispatch;
+#[cfg(not(target_arch = "x86_64"))]
+use fearless_simd::dispatch;
 
 impl PartialEq for SimdLevel {
     fn eq(&self, other: &Self) -> bool {
@@ -129,27 +161,110 @@ pub(crate) fn all<S: Simd>(s: S, value: f32) -> f32x16<S> {
     f32x16::splat(s, value)
 }
 
+/// `each!(3, k => f(k))` is `[f(0), f(1), f(2)]`. As `std::array::from_fn`, but certain to be compiled
+/// for the vector instructions of the function it stands in: a closure need not be.
+macro_rules! each {
+    (2, $i:ident => $value:expr) => {
+        [
+            {
+                let $i = 0;
+                $value
+            },
+            {
+                let $i = 1;
+                $value
+            },
+        ]
+    };
+    (3, $i:ident => $value:expr) => {
+        [
+            {
+                let $i = 0;
+                $value
+            },
+            {
+                let $i = 1;
+                $value
+            },
+            {
+                let $i = 2;
+                $value
+            },
+        ]
+    };
+    (4, $i:ident => $value:expr) => {
+        [
+            {
+                let $i = 0;
+                $value
+            },
+            {
+                let $i = 1;
+                $value
+            },
+            {
+                let $i = 2;
+                $value
+            },
+            {
+                let $i = 3;
+                $value
+            },
+        ]
+    };
+    ($n:expr, $i:ident => $value:expr) => {{
+        let mut out = [{
+            let $i = 0;
+            $value
+        }; $n];
+        for at in 1..$n {
+            out[at] = {
+                let $i = at;
+                $value
+            };
+        }
+        out
+    }};
+}
+pub(crate) use each;
+
+/// One value in every lane, three times.
+#[inline(always)]
+pub(crate) fn all3<S: Simd>(s: S, values: &[f32; 3]) -> [f32x16<S>; 3] {
+    [all(s, values[0]), all(s, values[1]), all(s, values[2])]
+}
+
 /// `column[at..at + LANES]`; past the end of the column the last lanes hold `fill`.
 #[inline(always)]
 pub(crate) fn load<S: Simd>(s: S, column: &[f32], at: usize, fill: f32) -> f32x16<S> {
-    if let Some(whole) = column.get(at..at + LANES) {
-        return f32x16::from_slice(s, whole);
+    match column.get(at..at + LANES) {
+        Some(whole) => f32x16::from_slice(s, whole),
+        None => f32x16::from_slice(s, &end_of(column, at, fill)),
     }
-    let mut lanes = [fill; LANES];
-    let rest = &column[at.min(column.len())..];
-    lanes[..rest.len()].copy_from_slice(rest);
-    f32x16::from_slice(s, &lanes)
 }
 
 /// Writes the lanes that fall into `column`.
 #[inline(always)]
 pub(crate) fn store<S: Simd>(value: f32x16<S>, column: &mut [f32], at: usize) {
-    if let Some(whole) = column.get_mut(at..at + LANES) {
-        value.store_slice(whole);
-        return;
+    match column.get_mut(at..at + LANES) {
+        Some(whole) => value.store_slice(whole),
+        None => store_end(column, at, &value.to_array()),
     }
-    let mut lanes = [0.0; LANES];
-    value.store_slice(&mut lanes);
+}
+
+// Cold, so that the compiler saves registers for these calls on this path alone.
+#[cold]
+#[inline(never)]
+fn end_of(column: &[f32], at: usize, fill: f32) -> [f32; LANES] {
+    let mut lanes = [fill; LANES];
+    let rest = &column[at.min(column.len())..];
+    lanes[..rest.len()].copy_from_slice(rest);
+    lanes
+}
+
+#[cold]
+#[inline(never)]
+fn store_end(column: &mut [f32], at: usize, lanes: &[f32; LANES]) {
     let at = at.min(column.len());
     let rest = &mut column[at..];
     let len = rest.len();
@@ -166,8 +281,8 @@ pub(crate) fn exp2<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
     let p = all(s, 0.001_327_646)
         .mul_add(f, all(s, 0.009_675_541))
         .mul_add(f, all(s, 0.055_507_133))
-        .mul_add(f, all(s, 0.240_221_197))
-        .mul_add(f, all(s, 0.693_146_967))
+        .mul_add(f, all(s, 0.240_221_2))
+        .mul_add(f, all(s, 0.693_146_95))
         .mul_add(f, all(s, 1.0));
     let exponent: u32x16<S> = shifted.to_bits();
     f32x16::from_bits(p.to_bits() + (exponent << 23u32))
@@ -247,17 +362,32 @@ pub(crate) fn bits<S: Simd>(mask: fearless_simd::mask32x16<S>) -> u16 {
     mask.to_bitmask() as u16
 }
 
+/// The lanes of a set of bits, in order.
+pub(crate) fn lanes(mut set: u16) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        let lane = set.trailing_zeros() as usize;
+        set &= set.wrapping_sub(1);
+        (lane < LANES).then_some(lane)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::{LANES, SimdLevel, all, exp, log2, sigmoid, sin_cos_turns};
-    use fearless_simd::{Simd, dispatch, f32x16, prelude::*};
+    use fearless_simd::{Simd, f32x16, prelude::*};
 
     #[inline(always)]
     fn each<S: Simd>(s: S, x: f32) -> [f32; 5] {
         let v = all(s, x);
         let first = |v: f32x16<S>| v[LANES - 1];
         let (sin, cos) = sin_cos_turns(s, v);
-        [first(exp(s, v)), first(log2(s, v.max(all(s, 1e-30)))), first(sin), first(cos), first(sigmoid(s, v))]
+        [
+            first(exp(s, v)),
+            first(log2(s, v.max(all(s, 1e-30)))),
+            first(sin),
+            first(cos),
+            first(sigmoid(s, v)),
+        ]
     }
 
     #[test]
@@ -268,11 +398,22 @@ mod tests {
                 let got = dispatch!(level.level(), s => each(s, x));
                 let d = f64::from(x);
                 let turn = d * std::f64::consts::TAU;
-                let want = [d.exp(), d.max(1e-30).log2(), turn.sin(), turn.cos(), 1.0 / (1.0 + (-d).exp())];
+                let want = [
+                    d.exp(),
+                    d.max(1e-30).log2(),
+                    turn.sin(),
+                    turn.cos(),
+                    1.0 / (1.0 + (-d).exp()),
+                ];
                 let scale = [want[0], 1.0 + want[1].abs(), 1.0 + d.abs(), 1.0 + d.abs(), want[4]];
                 for i in 0..5 {
                     let error = (f64::from(got[i]) - want[i]).abs() / scale[i];
-                    assert!(error < 2e-6, "{level}: function {i} of {x}: {} where {} was expected", got[i], want[i]);
+                    assert!(
+                        error < 2e-6,
+                        "{level}: function {i} of {x}: {} where {} was expected",
+                        got[i],
+                        want[i]
+                    );
                 }
             }
         }

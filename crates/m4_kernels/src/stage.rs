@@ -5,14 +5,17 @@
 //! from the bands, in the order of the bands, and turns them into gradients of the columns.
 
 use crate::{
-    bin::cpu::{BAND_TILES, Record},
+    bin::{
+        cpu::{BAND_TILES, Record},
+        extent::Extent,
+    },
     blend::{ALPHA_MIN, cpu::Sums},
-    project::cpu::{self as project, Ellipse, Eye, Moments},
+    project::cpu::{self as project, Eye, Moments},
     shade::cpu::{self as shade, Sight},
-    simd::{LANES, all, bits, dot, load, log2, sigmoid, store},
+    simd::{LANES, all, all3, bits, dot, each, lanes, load, log2, sigmoid, store},
     slice::cpu::{self as slice, Columns, Slice, SliceGradient},
 };
-use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
+use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use fearless_simd_macros::simd;
 use m4_scene::Column;
 use std::{f32::consts::LOG2_E, ops::Range};
@@ -130,15 +133,6 @@ pub(crate) struct ChunkGradient<'a> {
 /// One chunk's share of the camera's gradient: `tau`, `omega`, `fx, fy, cx, cy`.
 pub(crate) type CameraSums = [f64; 10];
 
-/// The lanes of a set of bits, in order.
-fn lanes(mut set: u16) -> impl Iterator<Item = usize> {
-    std::iter::from_fn(move || {
-        let lane = set.trailing_zeros() as usize;
-        set &= set.wrapping_sub(1);
-        (lane < LANES).then_some(lane)
-    })
-}
-
 /// The lanes of a group that are rows of the chunk.
 #[inline(always)]
 fn inside(left: usize) -> u16 {
@@ -165,7 +159,7 @@ fn sight<S: Simd>(s: S, c: &Columns<'_>, eye: &Eye, offset: &[f32x16<S>; 3], dt:
     let (mut direction, mut inverse_distance) = (*offset, all(s, 0.0));
     if c.layout.sh_degree > 0 {
         inverse_distance = all(s, 1.0) / dot(offset, offset).sqrt();
-        direction = offset.map(|v| v * inverse_distance);
+        direction = each!(3, k => offset[k] * inverse_distance);
     }
     Sight {
         direction,
@@ -204,7 +198,7 @@ fn group_forward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     let rgb = shade::shade(s, c, row, &sight(s, c, eye, &place.offset, splat.dt));
     let [a, b, d] = ellipse.conic;
     let half = all(s, 0.5 * LOG2_E);
-    let fields = [
+    let vectors = [
         ellipse.u,
         ellipse.v,
         half * a,
@@ -216,8 +210,8 @@ fn group_forward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         rgb[2],
         place.point[2],
         splat.marginal,
-    ]
-    .map(|v| v.to_array());
+    ];
+    let fields = each!(11, i => vectors[i].to_array());
     let mut seen = 0u16;
     for lane in lanes(candidates) {
         if emit(chunk, &extent, &fields, lane) {
@@ -235,7 +229,11 @@ fn emit<S: Simd>(chunk: &mut Chunk, extent: &Extent<S>, fields: &[[f32; LANES]; 
     let (top, bottom) = (extent.top[lane] as usize, extent.bottom[lane] as usize);
     let spans = &chunk.spans;
     let span = |ty: usize| {
-        if ty < top || ty > bottom { 0 } else { spans[ty - top][lane] }
+        if ty < top || ty > bottom {
+            0
+        } else {
+            spans[ty - top][lane]
+        }
     };
     let Some(first) = (top..=bottom).find(|&ty| span(ty) != 0) else {
         return false;
@@ -252,7 +250,7 @@ fn emit<S: Simd>(chunk: &mut Chunk, extent: &Extent<S>, fields: &[[f32; LANES]; 
         rgb: [get(6), get(7), get(8)],
         depth: get(9),
         spans: [0; BAND_TILES],
-        unused: [0; 3],
+        unused: [0; 4],
     };
     let (first_band, last_band) = (first / BAND_TILES, last / BAND_TILES);
     for band in first_band..=last_band {
@@ -265,90 +263,6 @@ fn emit<S: Simd>(chunk: &mut Chunk, extent: &Extent<S>, fields: &[[f32; LANES]; 
         marginal: get(10),
     });
     true
-}
-
-/// Which tile rows sixteen ellipses reach, and where.
-#[derive(Debug, Clone, Copy)]
-struct Extent<S: Simd> {
-    on: mask32x16<S>,
-    /// Squared Mahalanobis radius at which alpha falls under the threshold.
-    radius: f32x16<S>,
-    half_height: f32x16<S>,
-    /// Vertical offset of the rightmost point.
-    right_at: f32x16<S>,
-    /// Variance across at a fixed row, slope of the conditional mean.
-    across: f32x16<S>,
-    slope: f32x16<S>,
-    inverse_11: f32x16<S>,
-    top: [f32; LANES],
-    bottom: [f32; LANES],
-}
-
-/// Covers the rounding of coordinates, pixels.
-const SLACK_PX: f32 = 0.005;
-/// Covers the rounding of alpha, relative.
-const SLACK: f32 = 0.002;
-
-impl<S: Simd> Extent<S> {
-    #[inline(always)]
-    fn new(s: S, eye: &Eye, e: &Ellipse<S>, opacity: f32x16<S>, on: mask32x16<S>) -> Self {
-        let k = |v: f32| all(s, v);
-        let [v00, v01, v11] = e.covariance;
-        let strength = on.select(opacity, k(1.0)) * k(1.0 / ALPHA_MIN as f32);
-        let radius = (log2(s, strength) * k(2.0 * std::f32::consts::LN_2) + k(SLACK)).max(k(0.0));
-        let half_width = (radius * v00).sqrt() + k(SLACK_PX);
-        let half_height = (radius * v11).sqrt() + k(SLACK_PX);
-        let (w, h) = (eye.width as f32, eye.height as f32);
-        let top = (e.v - half_height).ceil().max(k(0.0));
-        let bottom = (e.v + half_height).floor().min(k(h - 1.0));
-        let left = (e.u - half_width).ceil().max(k(0.0));
-        let right = (e.u + half_width).floor().min(k(w - 1.0));
-        let on = on & top.simd_le(bottom) & left.simd_le(right);
-        let tile = |y: f32x16<S>| on.select((y * k(0.125)).floor(), k(0.0));
-        Self {
-            on,
-            radius,
-            half_height,
-            right_at: v01 * (radius / v00).sqrt(),
-            across: e.det / v11,
-            slope: v01 / v11,
-            inverse_11: k(1.0) / v11,
-            top: tile(top).to_array(),
-            bottom: tile(bottom).to_array(),
-        }
-    }
-
-    /// Fills `spans[k]` with the tiles of row `top + k`; lanes that are out hold anything.
-    #[inline(always)]
-    fn rows(&mut self, s: S, eye: &Eye, e: &Ellipse<S>, on: u16, spans: &mut Vec<[u32; LANES]>) {
-        let k = |v: f32| all(s, v);
-        let count = lanes(on)
-            .map(|lane| (self.bottom[lane] - self.top[lane]) as usize + 1)
-            .max()
-            .unwrap_or(0);
-        spans.resize(spans.len().max(count), [0; LANES]);
-        let top = f32x16::from_slice(s, &self.top) * k(8.0) - e.v;
-        let (w, zero) = (k(eye.width as f32 - 1.0), k(0.0));
-        for (row, out) in spans[..count].iter_mut().enumerate() {
-            let first = top + k(8.0 * row as f32);
-            let low = first.max(-self.half_height);
-            let high = (first + k(7.0)).min(self.half_height);
-            let edge = |at: f32x16<S>| {
-                let y = at.max(low).min(high);
-                let reach = ((self.radius - y * y * self.inverse_11) * self.across).max(zero).sqrt();
-                (e.u + self.slope * y, reach + k(SLACK_PX))
-            };
-            let (middle, reach) = edge(self.right_at);
-            let right = (middle + reach).floor().min(w);
-            let (middle, reach) = edge(-self.right_at);
-            let left = (middle - reach).ceil().max(zero);
-            let hit = low.simd_le(high) & left.simd_le(right);
-            let (left, right) = (hit.select(left, zero), hit.select(right, k(-8.0)));
-            let first: u32x16<S> = (left * k(0.125)).to_int::<u32x16<S>>();
-            let end: u32x16<S> = ((right + k(8.0)) * k(0.125)).to_int::<u32x16<S>>();
-            (first + (end << 16u32)).store_slice(out);
-        }
-    }
 }
 
 #[simd]
@@ -380,7 +294,8 @@ fn backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         }
         group_backward::<S, DYNAMIC, ISO>(s, chunk, c, eye, *group, &moments, out, &mut camera);
     }
-    camera.map(|v| v.to_array().iter().map(|&lane| f64::from(lane)).sum())
+    let camera: [[f32; LANES]; 10] = each!(10, i => camera[i].to_array());
+    camera.map(|lanes| lanes.iter().map(|&v| f64::from(v)).sum())
 }
 
 #[inline(always)]
@@ -396,34 +311,25 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
 ) {
     let at = group.at as usize;
     let row = chunk.rows.start + at;
-    let get = |index: usize| f32x16::from_slice(s, &sums[index]);
     let moments = Moments {
-        weight: get(Sums::WEIGHT),
-        first: Sums::FIRST.map(get),
-        second: Sums::SECOND.map(get),
-        depth: get(Sums::DEPTH),
+        weight: f32x16::from_slice(s, &sums[Sums::WEIGHT]),
+        first: each!(2, k => f32x16::from_slice(s, &sums[Sums::FIRST[k]])),
+        second: each!(3, k => f32x16::from_slice(s, &sums[Sums::SECOND[k]])),
+        depth: f32x16::from_slice(s, &sums[Sums::DEPTH]),
     };
+    let d_rgb: [f32x16<S>; 3] = each!(3, k => f32x16::from_slice(s, &sums[Sums::RGB[k]]));
     let mut splat: Slice<S> = slice::life::<S, DYNAMIC>(s, c, row, eye.t);
     let place = project::place(s, eye, &splat.mean);
     slice::shape::<S, ISO>(s, c, row, &mut splat);
     let ellipse = project::ellipse::<S, ISO>(s, eye, &place, &splat);
     let d = project::backward::<S, ISO>(s, eye, &place, &splat, &ellipse, &moments);
     let sight = sight(s, c, eye, &place.offset, splat.dt);
-    let seen_from = shade::backward(
-        s,
-        c,
-        row,
-        &sight,
-        eye.inverse_period,
-        &Sums::RGB.map(get),
-        &mut out.columns,
-        at,
-    );
+    let seen_from = shade::backward(s, c, row, &sight, eye.inverse_period, &d_rgb, &mut out.columns, at);
     let logit = load(s, c.get(Column::Opacity, 0), row, 0.0);
     let d_logit = moments.weight * (all(s, 1.0) - sigmoid(s, logit));
     store(d_logit, out.columns[c.layout.column(Column::Opacity)], at);
     let gradient = SliceGradient {
-        mean: std::array::from_fn(|k| d.mean[k] + seen_from.offset[k]),
+        mean: each!(3, k => d.mean[k] + seen_from.offset[k]),
         log_scale: d.log_scale,
         axes: d.axes,
         log_marginal: moments.weight,
@@ -432,19 +338,21 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     slice::backward::<S, DYNAMIC, ISO>(s, c, row, &splat, &gradient, &mut out.columns, at);
 
     let on = mask32x16::from_bitmask(s, u64::from(group.seen));
-    let mut add = |index: usize, v: f32x16<S>| camera[index] += on.select(v, all(s, 0.0));
+    let zero = all(s, 0.0);
     for i in 0..3 {
-        add(i, d.point[i] + dot(&eye.rotation[i].map(|v| all(s, v)), &seen_from.offset));
-        add(3 + i, d.omega[i]);
+        let tau = d.point[i] + dot(&all3(s, &eye.rotation[i]), &seen_from.offset);
+        camera[i] += on.select(tau, zero);
+        camera[3 + i] += on.select(d.omega[i], zero);
     }
     for i in 0..2 {
-        add(6 + i, d.focal[i]);
-        add(8 + i, d.centre[i]);
+        camera[6 + i] += on.select(d.focal[i], zero);
+        camera[8 + i] += on.select(d.centre[i], zero);
     }
-    let centre = d.centre.map(|v| v.to_array());
+    let centre = [d.centre[0].to_array(), d.centre[1].to_array()];
     // composited somewhere: every blended pixel adds to a colour's sum, or had no gradient to give
-    let size = Sums::RGB.map(get).into_iter().fold(moments.weight.abs() + moments.depth.abs(), |a, v| a + v.abs());
-    let touched = bits(size.simd_gt(all(s, 0.0))) & group.seen;
+    let colour = d_rgb[0].abs() + d_rgb[1].abs() + d_rgb[2].abs();
+    let size = moments.weight.abs() + moments.depth.abs() + colour;
+    let touched = bits(size.simd_gt(zero)) & group.seen;
     for lane in lanes(touched) {
         out.touched[at + lane] = 1;
         out.means2d[at + lane] = [centre[0][lane], centre[1][lane]];

@@ -3,12 +3,13 @@
 use super::AdamParams;
 use crate::{
     Gradients, SimdLevel,
-    simd::{LANES, all, load, store},
+    simd::{LANES, all, dispatch, load, store},
 };
-use fearless_simd::{Simd, dispatch, prelude::*};
+use fearless_simd::{Simd, prelude::*};
 use fearless_simd_macros::simd;
 use m4_scene::{ShapeError, Splats};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// The constants of Adam for a whole set of splats.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,8 +101,9 @@ impl AdamState {
     }
 }
 
-/// Rows a task.
-const CHUNK_ROWS: usize = 4096;
+/// Rows a task: long enough for the processor to stream, few enough that what all columns share stays
+/// in the second-level cache.
+const CHUNK_ROWS: usize = 16_384;
 
 /// One step of every splat that `gradients` touch (of every splat unless `config.sparse`).
 /// `lr` holds one learning rate a column, in the order of [`Splats::columns`].
@@ -125,42 +127,31 @@ pub fn step(
         state.step.len() == n && state.m.n_static() == n_static && state.m.layout() == layout,
         "adam: the state of these splats"
     );
-    let most = state.step.iter().copied().max().unwrap_or(0) + 1;
-    let first_bias = bias_table(config.beta1, most);
-    let bias = [
-        bias_table(config.beta2, most),
-        bias_table(config.beta2_dynamic, most),
-    ];
-    let mut counts = state.step.as_mut_slice();
+    let rows = rows(gradients, &mut state.step, config, n_static);
     let mut columns: Vec<Column<'_>> = splats
         .columns_mut()
         .zip(state.m.columns_mut().zip(state.v.columns_mut()))
         .zip(gradients.columns.iter().zip(lr))
         .map(|((x, (m, v)), (g, &lr))| Column { x, m, v, g, lr })
         .collect();
+    // chunk by chunk, all columns of one after the other: neighbours share the chunk's rows
     let mut tasks = Vec::new();
-    for (rows, dynamic) in [(0..n_static, false), (n_static..n, true)] {
-        for start in rows.clone().step_by(CHUNK_ROWS) {
-            let len = CHUNK_ROWS.min(rows.end - start);
-            let of_all = layout.shared_columns();
-            tasks.push(Task {
-                touched: &gradients.touched[start..start + len],
-                counts: counts.split_off_mut(..len).unwrap_or_default(),
-                columns: columns
-                    .iter_mut()
-                    .enumerate()
-                    .filter(|&(c, _)| c < of_all || dynamic)
-                    .map(|(_, column)| column.take(len))
-                    .collect(),
-                first_bias: &first_bias,
-                second_bias: &bias[usize::from(dynamic)],
-                beta2: (if dynamic { config.beta2_dynamic } else { config.beta2 }) as f32,
-            });
+    let mut cut = |from: usize, to: usize, dynamic: bool| {
+        for start in (from..to).step_by(CHUNK_ROWS) {
+            let end = to.min(start + CHUNK_ROWS);
+            let first = if dynamic { 0 } else { layout.shared_columns() };
+            let here = columns.iter_mut().enumerate();
+            let here = here.filter(|&(c, _)| dynamic || c < first);
+            tasks.extend(here.map(|(_, column)| (start..end, dynamic, column.take(end - start))));
         }
-    }
-    tasks
-        .into_par_iter()
-        .for_each(|task| dispatch!(level.level(), s => chunk(s, task, config)));
+    };
+    cut(0, n_static, false);
+    cut(n_static, n, true);
+    tasks.into_par_iter().for_each(|(range, dynamic, column)| {
+        let rows = rows.range(range);
+        let beta2 = if dynamic { config.beta2_dynamic } else { config.beta2 };
+        dispatch!(level.level(), s => update(s, column, &rows, config, beta2 as f32));
+    });
 }
 
 /// A parameter with its moments, gradient and learning rate.
@@ -187,14 +178,51 @@ impl<'a> Column<'a> {
     }
 }
 
-/// Some rows of all columns.
-struct Task<'a> {
-    touched: &'a [u8],
-    counts: &'a mut [u32],
-    columns: Vec<Column<'a>>,
-    first_bias: &'a [f32],
-    second_bias: &'a [f32],
-    beta2: f32,
+/// What all columns share, `[n]` each.
+#[derive(Debug, Default)]
+struct Rows<T> {
+    /// `1 / (1 - beta1^count)`; 0 for splats that are not stepped.
+    first: T,
+    /// `1 / (1 - beta2^count)`.
+    second: T,
+    /// 1 where the gradient counts, else 0; empty when that is where `first` is above 0.
+    live: T,
+}
+
+impl Rows<Vec<f32>> {
+    fn range(&self, range: Range<usize>) -> Rows<&[f32]> {
+        Rows {
+            first: &self.first[range.clone()],
+            second: &self.second[range.clone()],
+            live: self.live.get(range).unwrap_or_default(),
+        }
+    }
+}
+
+/// Counts the step and looks up the corrections of bias.
+fn rows(gradients: &Gradients, counts: &mut [u32], config: &AdamConfig, n_static: usize) -> Rows<Vec<f32>> {
+    let most = counts.iter().copied().max().unwrap_or(0) + 1;
+    let first = bias_table(config.beta1, most);
+    let second = [config.beta2, config.beta2_dynamic].map(|beta| bias_table(beta, most));
+    let n = counts.len();
+    let mut out = Rows {
+        first: vec![0.0; n],
+        second: vec![1.0; n],
+        live: Vec::new(),
+    };
+    for row in 0..n {
+        if gradients.touched[row] != 0 || !config.sparse {
+            counts[row] += 1;
+            let count = counts[row] as usize;
+            let second = &second[usize::from(row >= n_static)];
+            out.first[row] = first[count.min(first.len() - 1)];
+            out.second[row] = second[count.min(second.len() - 1)];
+        }
+    }
+    if !config.sparse {
+        out.live = gradients.touched.iter().map(|&t| f32::from(u8::from(t != 0))).collect();
+    }
+    out
 }
 
 /// `1 / (1 - beta^count)` for counts from 0 (unused) to where it is 1 in f32, or to `most`.
@@ -209,48 +237,33 @@ fn bias_table(beta: f64, most: u32) -> Vec<f32> {
 }
 
 #[simd]
-fn chunk<S: Simd>(s: S, task: Task<'_>, config: &AdamConfig) {
-    let rows = task.counts.len();
-    let padded = rows.next_multiple_of(LANES);
-    // per row: 1 to step it, 1 if its gradient counts, and the two bias corrections
-    let (mut active, mut live) = (vec![0.0f32; padded], vec![0.0f32; padded]);
-    let (mut first, mut second) = (vec![1.0f32; padded], vec![1.0f32; padded]);
-    for row in 0..rows {
-        let touched = task.touched[row] != 0;
-        if touched || !config.sparse {
-            task.counts[row] += 1;
-            let count = task.counts[row] as usize;
-            active[row] = 1.0;
-            live[row] = f32::from(u8::from(touched));
-            first[row] = task.first_bias[count.min(task.first_bias.len() - 1)];
-            second[row] = task.second_bias[count.min(task.second_bias.len() - 1)];
-        }
-    }
-    let groups: Vec<usize> = (0..padded)
-        .step_by(LANES)
-        .filter(|&at| active[at..at + LANES].iter().any(|&a| a != 0.0))
-        .collect();
-    let (beta1, beta2) = (all(s, config.beta1 as f32), all(s, task.beta2));
+fn update<S: Simd>(s: S, column: Column<'_>, rows: &Rows<&[f32]>, config: &AdamConfig, beta2: f32) {
+    let (beta1, beta2) = (all(s, config.beta1 as f32), all(s, beta2));
     let rest1 = all(s, (1.0 - config.beta1) as f32);
     let rest2 = all(s, 1.0) - beta2;
     let eps = all(s, config.eps as f32);
-    let zero = all(s, 0.0);
-    for column in task.columns {
-        let lr = all(s, column.lr);
-        for &at in &groups {
-            let on = load(s, &active, at, 0.0).simd_gt(zero);
-            let g = load(s, column.g, at, 0.0);
-            // untouched rows hold arbitrary gradients, NaN included
-            let g = load(s, &live, at, 0.0).simd_gt(zero).select(g, zero);
-            let (m0, v0) = (load(s, column.m, at, 0.0), load(s, column.v, at, 0.0));
-            let m = beta1.mul_add(m0, rest1 * g);
-            let v = beta2.mul_add(v0, rest2 * g * g);
-            let root = (v * load(s, &second, at, 1.0)).sqrt() + eps;
-            let x0 = load(s, column.x, at, 0.0);
-            let x = x0 - lr * (m * load(s, &first, at, 1.0)) / root;
-            store(on.select(x, x0), column.x, at);
-            store(on.select(m, m0), column.m, at);
-            store(on.select(v, v0), column.v, at);
+    let (zero, lr) = (all(s, 0.0), all(s, column.lr));
+    for at in (0..column.x.len()).step_by(LANES) {
+        let first = load(s, rows.first, at, 0.0);
+        let on = first.simd_gt(zero);
+        if !on.any_true() {
+            continue;
         }
+        let live = if rows.live.is_empty() {
+            first
+        } else {
+            load(s, rows.live, at, 0.0)
+        };
+        // untouched rows hold arbitrary gradients, NaN included
+        let g = live.simd_gt(zero).select(load(s, column.g, at, 0.0), zero);
+        let (m0, v0) = (load(s, column.m, at, 0.0), load(s, column.v, at, 0.0));
+        let m = beta1.mul_add(m0, rest1 * g);
+        let v = beta2.mul_add(v0, rest2 * g * g);
+        let root = (v * load(s, rows.second, at, 1.0)).sqrt() + eps;
+        let x0 = load(s, column.x, at, 0.0);
+        let x = x0 - lr * (m * first) / root;
+        store(on.select(x, x0), column.x, at);
+        store(on.select(m, m0), column.m, at);
+        store(on.select(v, v0), column.v, at);
     }
 }

@@ -9,7 +9,7 @@
 use super::TILE;
 
 /// Tile rows a band.
-pub(crate) const BAND_TILES: usize = 3;
+pub(crate) const BAND_TILES: usize = 2;
 /// Pixel rows a band.
 pub(crate) const BAND_ROWS: usize = BAND_TILES * TILE;
 
@@ -31,7 +31,7 @@ pub(crate) struct Record {
     /// Tiles of each tile row of the band that the splat reaches: first in the low half, end in the high
     /// half, 0 for none.
     pub(crate) spans: [u32; BAND_TILES],
-    pub(crate) unused: [u32; 3],
+    pub(crate) unused: [u32; 4],
 }
 
 /// Tiles `first..end` of a row as one number; 0 for none.
@@ -180,7 +180,7 @@ mod tests {
                 .collect();
             band.collect(records.chunks(100));
             band.build(tiles_x);
-            for tile in 0..21 {
+            for tile in 0..tiles_x * super::BAND_TILES {
                 let mut want: Vec<u32> = (0..n as u32)
                     .filter(|&i| {
                         let s = records[i as usize].spans[tile / tiles_x];

@@ -7,6 +7,7 @@
 //! one out (up to the rounding of `alpha` at the threshold).
 
 pub(crate) mod cpu;
+pub(crate) mod extent;
 pub mod reference;
 
 /// Edge of a tile, pixels: 8 keeps lanes busier than 16 (section 5.2).

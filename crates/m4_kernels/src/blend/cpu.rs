@@ -4,19 +4,17 @@
 //! pixel. A pixel that is finished keeps its transmittance with a *minus* sign: from then on it fails
 //! the test `T (1 - alpha) >= T_MIN` by itself, and its value stays known.
 
-use super::{ALPHA_MAX, ALPHA_MIN, T_MIN};
-use crate::{
-    bin::{
-        TILE,
-        cpu::{Band, Record},
-    },
-    simd::{all, exp2},
+use super::{
+    ALPHA_MAX, ALPHA_MIN, T_MIN,
+    planes::{BandGradient, BandPlace, BandPlanes, PIXELS},
 };
-use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
+use crate::{
+    bin::cpu::{BAND_TILES, Band, Record},
+    simd::{all, all3, each, exp2},
+};
+use fearless_simd::{Simd, f32x16, prelude::*};
 use fearless_simd_macros::simd;
 
-/// Pixels a tile.
-const PIXELS: usize = TILE * TILE;
 /// Vectors a tile.
 const QUADS: usize = PIXELS / 16;
 /// Column and row of each lane.
@@ -44,109 +42,12 @@ impl Sums {
     pub(crate) const DEPTH: usize = 5;
 }
 
-/// Where a tile lies in a band's planes.
-#[derive(Debug, Clone, Copy)]
-struct Window {
-    /// Of its first pixel in the band's planes.
-    offset: usize,
-    /// Columns and rows of it that lie in the image.
-    columns: usize,
-    rows: usize,
-    /// Columns of the image.
-    width: usize,
-}
-
-impl Window {
-    fn load(&self, plane: &[f32], fill: f32) -> [f32; PIXELS] {
-        let mut out = [fill; PIXELS];
-        for (y, row) in out.chunks_exact_mut(TILE).take(self.rows).enumerate() {
-            let at = self.offset + y * self.width;
-            row[..self.columns].copy_from_slice(&plane[at..at + self.columns]);
-        }
-        out
-    }
-
-    fn store(&self, tile: &[f32; PIXELS], plane: &mut [f32]) {
-        for (y, row) in tile.chunks_exact(TILE).take(self.rows).enumerate() {
-            let at = self.offset + y * self.width;
-            plane[at..at + self.columns].copy_from_slice(&row[..self.columns]);
-        }
-    }
-
-    /// 1 inside the image, -1 (finished) outside.
-    fn fresh(&self) -> [f32; PIXELS] {
-        let mut out = [-1.0; PIXELS];
-        for row in out.chunks_exact_mut(TILE).take(self.rows) {
-            row[..self.columns].fill(1.0);
-        }
-        out
-    }
-}
-
-/// The planes of one band, `[rows][width]` each.
-#[derive(Debug)]
-pub(crate) struct BandPlanes<'a> {
-    pub(crate) rgb: [&'a mut [f32]; 3],
-    pub(crate) transmittance: &'a mut [f32],
-    /// Empty unless depth is composited.
-    pub(crate) depth: &'a mut [f32],
-}
-
-/// The same, to read: a band's part of a frame and of its gradient.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct BandGradient<'a> {
-    pub(crate) rgb: [&'a [f32]; 3],
-    pub(crate) transmittance: &'a [f32],
-    pub(crate) depth: &'a [f32],
-    pub(crate) d_rgb: [&'a [f32]; 3],
-    /// Empty for none.
-    pub(crate) d_alpha: &'a [f32],
-    /// Empty for none.
-    pub(crate) d_depth: &'a [f32],
-}
-
-/// Where band `index` lies.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct BandPlace {
-    /// First pixel row.
-    pub(crate) top: usize,
-    /// Pixel rows in the image.
-    pub(crate) rows: usize,
-    /// Columns of the image.
-    pub(crate) width: usize,
-}
-
-impl BandPlace {
-    /// Tiles a row.
-    pub(crate) fn tiles_x(&self) -> usize {
-        self.width.div_ceil(TILE)
-    }
-
-    /// Every tile that has a pixel in the image: its index, the image coordinates of its first pixel
-    /// and its window.
-    fn tiles(self) -> impl Iterator<Item = (usize, f32, f32, Window)> {
-        let tiles_x = self.tiles_x();
-        (0..self.rows.div_ceil(TILE) * tiles_x).map(move |tile| {
-            let (x, y) = (tile % tiles_x * TILE, tile / tiles_x * TILE);
-            let window = Window {
-                offset: y * self.width + x,
-                columns: (self.width - x).min(TILE),
-                rows: (self.rows - y).min(TILE),
-                width: self.width,
-            };
-            (tile, x as f32, (self.top + y) as f32, window)
-        })
-    }
-}
-
 /// What sixteen pixels do with one splat.
 #[derive(Clone, Copy)]
 struct Blend<S: Simd> {
-    /// Blended here.
-    on: mask32x16<S>,
-    /// Cut at [`ALPHA_MAX`].
+    /// Cut at [`ALPHA_MAX`]; 0 where the splat is not blended.
     alpha: f32x16<S>,
-    /// `T alpha` where blended, else 0.
+    /// `T alpha`.
     weight: f32x16<S>,
     /// The transmittance after it.
     t: f32x16<S>,
@@ -173,20 +74,22 @@ impl<S: Simd> Limits<S> {
     }
 
     /// Section 1.7, for the exponent `e` (base 2) and the transmittance `t` before the splat.
+    ///
+    /// `t` is at least [`T_MIN`] until the pixel is finished and negative from then on, so one test
+    /// decides everything: a pixel that the splat does not reach keeps its `t`, which passes; one that
+    /// is finished cannot pass.
     #[inline(always)]
     fn blend(&self, s: S, e: f32x16<S>, t: f32x16<S>) -> Blend<S> {
-        let hit = e.simd_ge(self.e_min);
-        let alpha = exp2(s, e.max(self.e_min)).min(self.alpha_max);
-        let product = alpha * t;
-        let next = t - product;
+        // where e is below its limit the power may be anything, NaN too: it is not selected
+        let alpha = exp2(s, e).min(self.alpha_max);
+        let alpha = e.simd_ge(self.e_min).select(alpha, self.zero);
+        let weight = alpha * t;
+        let next = t - weight;
         let pass = next.simd_ge(self.t_min);
-        let on = hit & pass;
-        let stop = hit & !pass;
         Blend {
-            on,
-            alpha,
-            weight: on.select(product, self.zero),
-            t: stop.select(-t.abs(), on.select(next, t)),
+            alpha: pass.select(alpha, self.zero),
+            weight: pass.select(weight, self.zero),
+            t: pass.select(next, -t.abs()),
         }
     }
 }
@@ -194,7 +97,6 @@ impl<S: Simd> Limits<S> {
 /// One splat over a tile: what does not change from one pair of rows to the next.
 #[derive(Clone, Copy)]
 struct Brush<S: Simd> {
-    dx: f32x16<S>,
     dy: f32x16<S>,
     /// `log_opacity - a dx dx`.
     flat: f32x16<S>,
@@ -208,7 +110,6 @@ impl<S: Simd> Brush<S> {
     fn new(s: S, r: &Record, x0: f32, y0: f32, column: f32x16<S>, row: f32x16<S>) -> Self {
         let dx = all(s, r.x - x0) - column;
         Self {
-            dx,
             dy: all(s, r.y - y0) - row,
             flat: (dx * all(s, -r.a)).mul_add(dx, all(s, r.log_opacity)),
             shear: all(s, r.b) * dx,
@@ -227,6 +128,13 @@ impl<S: Simd> Brush<S> {
 #[inline(always)]
 fn quad<S: Simd>(s: S, tile: &[f32; PIXELS], q: usize) -> f32x16<S> {
     f32x16::from_slice(s, &tile[16 * q..16 * q + 16])
+}
+
+/// `1 / x`: the processor's estimate and a step of Newton's, good to a few units in the last place.
+#[inline(always)]
+fn reciprocal<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
+    let y = x.approximate_recip();
+    y * (-x).mul_add(y, all(s, 2.0))
 }
 
 #[inline(always)]
@@ -261,12 +169,13 @@ fn band_forward<S: Simd, const DEPTH: bool>(
     used: &mut Vec<u32>,
 ) {
     used.clear();
+    used.resize(place.tiles_x() * BAND_TILES, 0);
     for (tile, x0, y0, window) in place.tiles() {
         let fresh = window.fresh();
         let mut pixels = [[0.0; PIXELS]; 5];
         let list = band.list(tile);
         let count = tile_forward::<S, DEPTH>(s, list, &band.records, x0, y0, &fresh, background, &mut pixels);
-        used.push(count as u32);
+        used[tile] = count as u32;
         for (pixels, plane) in pixels.iter().zip(&mut out.rgb) {
             window.store(pixels, plane);
         }
@@ -292,14 +201,14 @@ fn tile_forward<S: Simd, const DEPTH: bool>(
     let limits = Limits::new(s);
     let (column, row) = (f32x16::from_slice(s, &COLUMN), f32x16::from_slice(s, &ROW));
     let zero = limits.zero;
-    let mut t: [f32x16<S>; QUADS] = std::array::from_fn(|q| quad(s, fresh, q));
+    let mut t: [f32x16<S>; QUADS] = each!(QUADS, q => quad(s, fresh, q));
     let mut sum = [[zero; QUADS]; 3];
     let mut depth = [zero; QUADS];
     let mut count = list.len();
     for (n, &index) in list.iter().enumerate() {
         let r = &records[index as usize];
         let brush = Brush::new(s, r, x0, y0, column, row);
-        let rgb = r.rgb.map(|c| all(s, c));
+        let rgb = all3(s, &r.rgb);
         for q in 0..QUADS {
             let (_, e) = brush.exponent(s, q);
             let b = limits.blend(s, e, t[q]);
@@ -369,6 +278,9 @@ fn band_backward<S: Simd, const EXTRA: bool>(
 ) -> [f64; 3] {
     sums.clear();
     sums.resize(band.records.len(), Sums::default());
+    // the tiles look records up out of order: read in order they come into the cache much faster, and
+    // there they stay for the band
+    std::hint::black_box(band.records.iter().fold(0.0, |sum, r| sum + r.x));
     let mut background = [0.0f64; 3];
     let mut tile_gradient = TileGradient {
         behind: [0.0; PIXELS],
@@ -379,11 +291,11 @@ fn band_backward<S: Simd, const EXTRA: bool>(
     for (tile, x0, y0, window) in place.tiles() {
         let fresh = window.fresh();
         let v = &mut tile_gradient;
-        let left = window.load(g.transmittance, 0.0);
+        let left = window.load(g.transmittance);
         v.behind = [0.0; PIXELS];
         for c in 0..3 {
-            v.rgb[c] = window.load(g.d_rgb[c], 0.0);
-            let colour = window.load(g.rgb[c], 0.0);
+            v.rgb[c] = window.load(g.d_rgb[c]);
+            let colour = window.load(g.rgb[c]);
             let mut sum = 0.0;
             for p in 0..PIXELS {
                 v.behind[p] += v.rgb[c][p] * colour[p];
@@ -393,14 +305,14 @@ fn band_backward<S: Simd, const EXTRA: bool>(
         }
         if EXTRA {
             if !g.d_alpha.is_empty() {
-                v.alpha = window.load(g.d_alpha, 0.0);
+                v.alpha = window.load(g.d_alpha);
                 for p in 0..PIXELS {
                     v.behind[p] += v.alpha[p] * (1.0 - left[p]);
                 }
             }
             if !g.d_depth.is_empty() {
-                v.depth = window.load(g.d_depth, 0.0);
-                let depth = window.load(g.depth, 0.0);
+                v.depth = window.load(g.d_depth);
+                let depth = window.load(g.depth);
                 for p in 0..PIXELS {
                     v.behind[p] += v.depth[p] * depth[p];
                 }
@@ -429,14 +341,14 @@ fn tile_backward<S: Simd, const EXTRA: bool>(
     let (zero, one) = (limits.zero, all(s, 1.0));
     // above it alpha was cut
     let e_max = all(s, (ALPHA_MAX as f32).log2());
-    let mut t: [f32x16<S>; QUADS] = std::array::from_fn(|q| quad(s, fresh, q));
-    let mut behind: [f32x16<S>; QUADS] = std::array::from_fn(|q| quad(s, &v.behind, q));
+    let mut t: [f32x16<S>; QUADS] = each!(QUADS, q => quad(s, fresh, q));
+    let mut behind: [f32x16<S>; QUADS] = each!(QUADS, q => quad(s, &v.behind, q));
     for &index in list {
         let r = &records[index as usize];
         let brush = Brush::new(s, r, x0, y0, column, row);
-        let rgb = r.rgb.map(|c| all(s, c));
+        let rgb = all3(s, &r.rgb);
         let depth = all(s, r.depth);
-        let mut acc = [zero; 7];
+        let (mut acc, mut of_depth) = ([zero; 6], zero);
         for q in 0..QUADS {
             let (dy, e) = brush.exponent(s, q);
             let b = limits.blend(s, e, t[q]);
@@ -445,13 +357,28 @@ fn tile_backward<S: Simd, const EXTRA: bool>(
             if EXTRA {
                 let vd = quad(s, &v.depth, q);
                 along = depth.mul_add(vd, along + quad(s, &v.alpha, q));
-                acc[6] = b.weight.mul_add(vd, acc[6]);
+                of_depth = b.weight.mul_add(vd, of_depth);
             }
             behind[q] = (-b.weight).mul_add(along, behind[q]);
-            let d_alpha = t[q].mul_add(along, -(behind[q] / (one - b.alpha)));
-            let omega = (b.on & e.simd_lt(e_max)).select(b.alpha * d_alpha, zero);
+            // alpha dL/d(alpha), 0 where nothing is blended and where alpha was cut
+            let omega = b
+                .weight
+                .mul_add(along, -(behind[q] * (b.alpha * reciprocal(s, one - b.alpha))));
+            let omega = e.simd_lt(e_max).select(omega, zero);
             t[q] = b.t;
             let omega_y = omega * dy;
+            if q == 0 {
+                // adding to zero is not free
+                acc = [
+                    omega,
+                    omega_y,
+                    omega_y * dy,
+                    b.weight * vr,
+                    b.weight * vg,
+                    b.weight * vb,
+                ];
+                continue;
+            }
             acc[0] += omega;
             acc[1] += omega_y;
             acc[2] = omega_y.mul_add(dy, acc[2]);
@@ -459,7 +386,7 @@ fn tile_backward<S: Simd, const EXTRA: bool>(
             acc[4] = b.weight.mul_add(vg, acc[4]);
             acc[5] = b.weight.mul_add(vb, acc[5]);
         }
-        let total = fold::<S, EXTRA>(&acc, all(s, r.x - x0) - zipped);
+        let total = fold::<S, EXTRA>(&acc, of_depth, all(s, r.x - x0) - zipped);
         let sum = &mut sums[index as usize].0;
         (f32x16::from_slice(s, sum) + total).store_slice(sum);
     }
@@ -468,7 +395,7 @@ fn tile_backward<S: Simd, const EXTRA: bool>(
 /// Adds the lanes of all sums at once, by a tree of pairwise sums; `dx` is that of the zipped columns.
 /// The result is in the order of [`Sums`].
 #[inline(always)]
-fn fold<S: Simd, const EXTRA: bool>(acc: &[f32x16<S>; 7], dx: f32x16<S>) -> f32x16<S> {
+fn fold<S: Simd, const EXTRA: bool>(acc: &[f32x16<S>; 6], depth: f32x16<S>, dx: f32x16<S>) -> f32x16<S> {
     // halves of both added: sums of a in the even lanes, of b in the odd ones
     let pair = |a: f32x16<S>, b: f32x16<S>| a.zip_low(b) + a.zip_high(b);
     let p0 = pair(acc[0], acc[1]);
@@ -476,7 +403,7 @@ fn fold<S: Simd, const EXTRA: bool>(acc: &[f32x16<S>; 7], dx: f32x16<S>) -> f32x
     let p2 = pair(acc[4], acc[5]);
     let p3 = p0 * dx;
     let p4 = p3 * dx;
-    let p5 = if EXTRA { pair(acc[6], acc[6]) } else { acc[6] };
+    let p5 = if EXTRA { pair(depth, depth) } else { depth };
     let q2 = pair(p4, p5);
     let r0 = pair(pair(p0, p1), pair(p2, p3));
     pair(r0, pair(q2, q2))
@@ -496,14 +423,14 @@ fn band_score<S: Simd>(s: S, band: &Band, place: BandPlace, used: &[u32], weight
     let (column, row) = (f32x16::from_slice(s, &COLUMN), f32x16::from_slice(s, &ROW));
     for (tile, x0, y0, window) in place.tiles() {
         let fresh = window.fresh();
-        let weight = window.load(weight, 0.0);
-        let mut t: [f32x16<S>; QUADS] = std::array::from_fn(|q| quad(s, &fresh, q));
+        let weight = window.load(weight);
+        let mut t: [f32x16<S>; QUADS] = each!(QUADS, q => quad(s, &fresh, q));
         for &index in &band.list(tile)[..used[tile] as usize] {
             let brush = Brush::new(s, &band.records[index as usize], x0, y0, column, row);
             let mut sum = limits.zero;
             for q in 0..QUADS {
                 let b = limits.blend(s, brush.exponent(s, q).1, t[q]);
-                sum += b.on.select(quad(s, &weight, q), limits.zero);
+                sum += b.alpha.simd_gt(limits.zero).select(quad(s, &weight, q), limits.zero);
                 t[q] = b.t;
             }
             scores[index as usize] += sum.reduce_sum();

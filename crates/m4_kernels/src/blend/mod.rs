@@ -18,6 +18,7 @@
 //! final image alone.
 
 pub(crate) mod cpu;
+pub(crate) mod planes;
 pub mod reference;
 
 /// The largest alpha: keeps `1 - alpha` away from 0 (3DGS).

@@ -7,15 +7,17 @@
 use super::{SSIM_C1, SSIM_C2, WINDOW, window};
 use crate::{
     SimdLevel,
-    simd::{LANES, all, load, store},
+    simd::{LANES, all, dispatch, each, load, store},
 };
-use fearless_simd::{Simd, dispatch, f32x16, prelude::*};
+use fearless_simd::{Simd, f32x16, prelude::*};
 use fearless_simd_macros::simd;
 use m4_scene::ShapeError;
 use rayon::prelude::*;
 
-/// Rows a task.
-const CHUNK_ROWS: usize = 24;
+/// Rows a task: a multiple of [`BLOCK`] whose buffers fit the second-level cache.
+const CHUNK_ROWS: usize = 16;
+/// Rows that are blurred along the columns at once.
+const BLOCK: usize = 4;
 /// Taps to either side.
 const REACH: usize = WINDOW / 2;
 /// Zeros to either side of a row buffer.
@@ -152,9 +154,9 @@ pub fn loss(
     }
     let sums: Vec<[f64; 2]> = tasks
         .into_par_iter()
-        .map(|(channel, top, maps)| {
+        .map_init(Buffers::default, |buffers, (channel, top, maps)| {
             let plane = Plane::new(target, rgb, channel);
-            dispatch!(level.level(), s => map_rows(s, &plane, top, maps))
+            dispatch!(level.level(), s => map_rows(s, &plane, top, maps, buffers))
         })
         .collect();
 
@@ -170,10 +172,13 @@ pub fn loss(
             parts.map(move |(k, rows)| (channel, k * CHUNK_ROWS, rows))
         })
         .collect();
-    tasks.into_par_iter().for_each(|(channel, top, rows)| {
-        let plane = Plane::new(target, rgb, channel);
-        dispatch!(level.level(), s => gradient_rows(s, &plane, &maps[channel], top, factors, rows));
-    });
+    tasks
+        .into_par_iter()
+        .for_each_init(Buffers::default, |buffers, (channel, top, rows)| {
+            let plane = Plane::new(target, rgb, channel);
+            let maps = &maps[channel];
+            dispatch!(level.level(), s => gradient_rows(s, &plane, maps, top, factors, rows, buffers));
+        });
 
     let (l1, ssim) = sums
         .iter()
@@ -207,9 +212,10 @@ pub fn error_map(level: SimdLevel, target: &Target, rgb: &[Vec<f32>; 3], out: &m
 #[simd]
 fn error_rows<S: Simd>(s: S, target: &Target, rgb: &[Vec<f32>; 3], first: usize, out: &mut [f32]) {
     for at in (0..out.len()).step_by(LANES) {
-        let sum = (0..3).fold(all(s, 0.0), |sum, c| {
-            sum + (load(s, &rgb[c], first + at, 0.0) - load(s, &target.rgb[c], first + at, 0.0)).abs()
-        });
+        let mut sum = all(s, 0.0);
+        for c in 0..3 {
+            sum += (load(s, &rgb[c], first + at, 0.0) - load(s, &target.rgb[c], first + at, 0.0)).abs();
+        }
         store(sum * all(s, 1.0 / 3.0), out, at);
     }
 }
@@ -237,60 +243,89 @@ impl<'a> Plane<'a> {
     }
 }
 
-/// Blurs `N` pictures at once: `fetch(i)` gives sixteen values of each from pixel `i` on.
-struct Blur<S: Simd, const N: usize> {
+/// Row buffers of the blurs; kept by a thread from task to task.
+#[derive(Default)]
+struct Buffers(Vec<f32>);
+
+/// Blurs `N` pictures at once, some rows of them.
+struct Blur<'a, S: Simd, const N: usize> {
     taps: [f32x16<S>; WINDOW],
     width: usize,
     height: usize,
-    rows: [Vec<f32>; N],
+    /// Of a row in the buffer.
+    stride: usize,
+    /// `[N][CHUNK_ROWS][stride]`, blurred along the columns.
+    rows: &'a mut [f32],
 }
 
-impl<S: Simd, const N: usize> Blur<S, N> {
+impl<'a, S: Simd, const N: usize> Blur<'a, S, N> {
     #[inline(always)]
-    fn new(s: S, width: usize, height: usize) -> Self {
-        let len = width.next_multiple_of(LANES) + 2 * PAD;
+    fn new(s: S, width: usize, height: usize, buffers: &'a mut Buffers) -> Self {
+        let stride = width.next_multiple_of(LANES) + 2 * PAD;
+        buffers.0.resize(N * CHUNK_ROWS * stride, 0.0);
+        let taps = window();
         Self {
-            taps: window().map(|tap| all(s, tap as f32)),
+            taps: each!(WINDOW, k => all(s, taps[k] as f32)),
             width,
             height,
-            rows: std::array::from_fn(|_| vec![0.0; len]),
+            stride,
+            rows: &mut buffers.0,
         }
     }
 
-    /// Along the columns: fills the row buffers with row `y`.
+    /// Along the columns: rows `top..top + count` of the pictures of which `fetch(i)` gives sixteen
+    /// values each, from pixel `i` on; [`BLOCK`] rows at once, so that a pixel is read less than four
+    /// times for its eleven uses.
     #[inline(always)]
-    fn row(&mut self, s: S, y: usize, fetch: impl Fn(usize) -> [f32x16<S>; N]) {
-        let first = y.saturating_sub(REACH);
-        let last = (y + REACH).min(self.height - 1);
-        for x in (0..self.width).step_by(LANES) {
-            let mut sum = [all(s, 0.0); N];
-            for from in first..=last {
-                let tap = self.taps[from + REACH - y];
-                let values = fetch(from * self.width + x);
-                for n in 0..N {
-                    sum[n] = values[n].mul_add(tap, sum[n]);
+    fn columns(&mut self, s: S, top: usize, count: usize, fetch: impl Fn(usize) -> [f32x16<S>; N]) {
+        let zero = all(s, 0.0);
+        // zeros before and after: a row of the window that a row of the block does not see
+        let mut padded = [zero; WINDOW + 2 * (BLOCK - 1)];
+        padded[BLOCK - 1..BLOCK - 1 + WINDOW].copy_from_slice(&self.taps);
+        for block in (0..count).step_by(BLOCK) {
+            for x in (0..self.width).step_by(LANES) {
+                let mut sum = [[zero; N]; BLOCK];
+                for k in 0..WINDOW + BLOCK - 1 {
+                    // wraps above the picture, which is then out of it as well
+                    let y = (top + block + k).wrapping_sub(REACH);
+                    if y >= self.height {
+                        continue;
+                    }
+                    let values = fetch(y * self.width + x);
+                    for row in 0..BLOCK {
+                        let tap = padded[k + BLOCK - 1 - row];
+                        for n in 0..N {
+                            sum[row][n] = values[n].mul_add(tap, sum[row][n]);
+                        }
+                    }
+                }
+                for row in 0..BLOCK {
+                    for n in 0..N {
+                        let at = (n * CHUNK_ROWS + block + row) * self.stride + PAD + x;
+                        sum[row][n].store_slice(&mut self.rows[at..at + LANES]);
+                    }
                 }
             }
-            for n in 0..N {
-                sum[n].store_slice(&mut self.rows[n][PAD + x..PAD + x + LANES]);
-            }
         }
-        // past the end of the row the lanes above saw the next one
-        for row in &mut self.rows {
+        // past the end of a row the lanes above saw the next one; and before it, an older picture
+        for row in self.rows.chunks_exact_mut(self.stride) {
+            row[..PAD].fill(0.0);
             row[PAD + self.width..].fill(0.0);
         }
     }
 
-    /// Along the row: sixteen columns from `x` on.
+    /// Along row `row` of those: sixteen columns from `x` on.
     #[inline(always)]
-    fn at(&self, s: S, x: usize) -> [f32x16<S>; N] {
-        std::array::from_fn(|n| {
-            let row = &self.rows[n][PAD + x - REACH..PAD + x + REACH + LANES];
-            let get = |k: usize| f32x16::from_slice(s, &row[k..k + LANES]);
-            let mut sum = get(REACH) * self.taps[REACH];
+    fn at(&self, s: S, row: usize, x: usize) -> [f32x16<S>; N] {
+        each!(N, n => {
+            let from = (n * CHUNK_ROWS + row) * self.stride + PAD + x - REACH;
+            let row = &self.rows[from..from + WINDOW - 1 + LANES];
+            let mut sum = f32x16::from_slice(s, &row[REACH..REACH + LANES]) * self.taps[REACH];
             for k in 0..REACH {
                 // the window is symmetric
-                sum = (get(k) + get(WINDOW - 1 - k)).mul_add(self.taps[k], sum);
+                let left = f32x16::from_slice(s, &row[k..k + LANES]);
+                let right = f32x16::from_slice(s, &row[WINDOW - 1 - k..WINDOW - 1 - k + LANES]);
+                sum = (left + right).mul_add(self.taps[k], sum);
             }
             sum
         })
@@ -307,14 +342,22 @@ fn target_rows<S: Simd>(
     mean: &mut [f32],
     variance: &mut [f32],
 ) {
-    let mut blur = Blur::<S, 2>::new(s, width, height);
-    for row in 0..mean.len() / width {
-        blur.row(s, top + row, |i| {
+    let mut buffers = Buffers::default();
+    let mut blur = Blur::<S, 2>::new(s, width, height, &mut buffers);
+    let rows = mean.len() / width;
+    blur.columns(
+        s,
+        top,
+        rows,
+        #[inline(always)]
+        |i| {
             let v = load(s, y, i, 0.0);
             [v, v * v]
-        });
+        },
+    );
+    for row in 0..rows {
         for x in (0..width).step_by(LANES) {
-            let [m, square] = blur.at(s, x);
+            let [m, square] = blur.at(s, row, x);
             store(m, mean, row * width + x);
             store(square - m * m, variance, row * width + x);
         }
@@ -323,23 +366,30 @@ fn target_rows<S: Simd>(
 
 /// Fills the three maps and returns the sums of `|x - y|` and of SSIM over the rows.
 #[simd]
-fn map_rows<S: Simd>(s: S, p: &Plane<'_>, top: usize, maps: [&mut [f32]; 3]) -> [f64; 2] {
+fn map_rows<S: Simd>(s: S, p: &Plane<'_>, top: usize, maps: [&mut [f32]; 3], buffers: &mut Buffers) -> [f64; 2] {
     let k = |v: f64| all(s, v as f32);
     let (two, c1, c2) = (k(2.0), k(SSIM_C1), k(SSIM_C2));
     let lane = f32x16::from_fn(s, |i| i as f32);
     let zero = k(0.0);
-    let mut blur = Blur::<S, 3>::new(s, p.width, p.height);
+    let mut blur = Blur::<S, 3>::new(s, p.width, p.height, buffers);
     let [of_mean, of_square, of_product] = maps;
-    let mut total = [0.0f64; 2];
-    for row in 0..of_mean.len() / p.width {
-        blur.row(s, top + row, |i| {
+    let rows = of_mean.len() / p.width;
+    blur.columns(
+        s,
+        top,
+        rows,
+        #[inline(always)]
+        |i| {
             let (x, y) = (load(s, p.x, i, 0.0), load(s, p.y, i, 0.0));
             [x, x * x, x * y]
-        });
+        },
+    );
+    let mut total = [0.0f64; 2];
+    for row in 0..rows {
         let (mut l1, mut ssim) = (zero, zero);
         for x in (0..p.width).step_by(LANES) {
             let from = (top + row) * p.width + x;
-            let [a, b, c] = blur.at(s, x);
+            let [a, b, c] = blur.at(s, row, x);
             let (m, v) = (load(s, p.mean, from, 0.0), load(s, p.variance, from, 0.0));
             let am = a * m;
             let n1 = two.mul_add(am, c1);
@@ -366,23 +416,38 @@ fn map_rows<S: Simd>(s: S, p: &Plane<'_>, top: usize, maps: [&mut [f32]; 3]) -> 
 }
 
 #[simd]
-fn gradient_rows<S: Simd>(s: S, p: &Plane<'_>, maps: &[Vec<f32>; 3], top: usize, factors: [f32; 2], out: &mut [f32]) {
+fn gradient_rows<S: Simd>(
+    s: S,
+    p: &Plane<'_>,
+    maps: &[Vec<f32>; 3],
+    top: usize,
+    factors: [f32; 2],
+    out: &mut [f32],
+    buffers: &mut Buffers,
+) {
     let zero = all(s, 0.0);
     let (of_l1, of_ssim) = (all(s, factors[0]), all(s, factors[1]));
-    let mut blur = Blur::<S, 3>::new(s, p.width, p.height);
+    let mut blur = Blur::<S, 3>::new(s, p.width, p.height, buffers);
     let [of_mean, of_square, of_product] = maps;
-    for row in 0..out.len() / p.width {
-        blur.row(s, top + row, |i| {
+    let rows = out.len() / p.width;
+    blur.columns(
+        s,
+        top,
+        rows,
+        #[inline(always)]
+        |i| {
             [
                 load(s, of_mean, i, 0.0),
                 load(s, of_square, i, 0.0),
                 load(s, of_product, i, 0.0),
             ]
-        });
+        },
+    );
+    for row in 0..rows {
         for column in (0..p.width).step_by(LANES) {
             let from = (top + row) * p.width + column;
             let (x, y) = (load(s, p.x, from, 0.0), load(s, p.y, from, 0.0));
-            let [a, b, c] = blur.at(s, column);
+            let [a, b, c] = blur.at(s, row, column);
             let d = x - y;
             let sign = d.simd_gt(zero).select(of_l1, d.simd_lt(zero).select(-of_l1, zero));
             let ssim = a + (x + x) * b + y * c;

@@ -3,7 +3,7 @@
 use super::{LOW_PASS, NEAR_MIN, jacobian_limits};
 use crate::{
     View,
-    simd::{all, dot},
+    simd::{all, all3, dot, each},
     slice::cpu::Slice,
 };
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
@@ -65,8 +65,8 @@ pub(crate) struct Place<S: Simd> {
 /// Turns means into camera coordinates.
 #[inline(always)]
 pub(crate) fn place<S: Simd>(s: S, eye: &Eye, mean: &[f32x16<S>; 3]) -> Place<S> {
-    let offset = std::array::from_fn(|k| mean[k] - all(s, eye.centre[k]));
-    let point = std::array::from_fn(|i| dot(&eye.rotation[i].map(|v| all(s, v)), &offset));
+    let offset = each!(3, k => mean[k] - all(s, eye.centre[k]));
+    let point = each!(3, i => dot(&all3(s, &eye.rotation[i]), &offset));
     Place { offset, point }
 }
 
@@ -105,21 +105,17 @@ pub(crate) fn ellipse<S: Simd, const ISO: bool>(s: S, eye: &Eye, place: &Place<S
         ray[1].max(k(eye.limits[2])).min(k(eye.limits[3])),
     ];
     let (jx, jy) = (k(eye.fx) * inverse_z, k(eye.fy) * inverse_z);
-    let w = eye.rotation.map(|row| row.map(k));
+    let w: [_; 3] = each!(3, i => all3(s, &eye.rotation[i]));
     let jw = [
-        std::array::from_fn(|i| jx * (w[0][i] - slope[0] * w[2][i])),
-        std::array::from_fn(|i| jy * (w[1][i] - slope[1] * w[2][i])),
+        each!(3, i => jx * (w[0][i] - slope[0] * w[2][i])),
+        each!(3, i => jy * (w[1][i] - slope[1] * w[2][i])),
     ];
-    let factor: [[f32x16<S>; 3]; 2] = std::array::from_fn(|r| {
-        std::array::from_fn(|c| {
-            if ISO {
-                jw[r][c] * slice.scale[0]
-            } else {
-                let axis = [slice.axes[0][c], slice.axes[1][c], slice.axes[2][c]];
-                dot(&jw[r], &axis) * slice.scale[c]
-            }
-        })
-    });
+    let factor: [[f32x16<S>; 3]; 2] = if ISO {
+        each!(2, r => each!(3, c => jw[r][c] * slice.scale[0]))
+    } else {
+        let axis: [[f32x16<S>; 3]; 3] = each!(3, c => [slice.axes[0][c], slice.axes[1][c], slice.axes[2][c]]);
+        each!(2, r => each!(3, c => dot(&jw[r], &axis[c]) * slice.scale[c]))
+    };
     let sharp = [
         dot(&factor[0], &factor[0]),
         dot(&factor[0], &factor[1]),
@@ -143,7 +139,11 @@ pub(crate) fn ellipse<S: Simd, const ISO: bool>(s: S, eye: &Eye, place: &Place<S
         v: (k(eye.fy) * ray[1]) + k(eye.v0),
         covariance,
         det,
-        conic: [covariance[2] * inverse, -(covariance[1] * inverse), covariance[0] * inverse],
+        conic: [
+            covariance[2] * inverse,
+            -(covariance[1] * inverse),
+            covariance[0] * inverse,
+        ],
         compensation,
         sharp,
         inverse_z,
@@ -198,10 +198,7 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
     let k = |v: f32| all(s, v);
     let (zero, half, two) = (k(0.0), k(0.5), k(2.0));
     let [a, b, c] = e.conic;
-    let centre = [
-        -(a * m.first[0] + b * m.first[1]),
-        -(b * m.first[0] + c * m.first[1]),
-    ];
+    let centre = [-(a * m.first[0] + b * m.first[1]), -(b * m.first[0] + c * m.first[1])];
     // G = A M A / 2
     let [xx, xy, yy] = m.second;
     let p = [[a * xx + b * xy, a * xy + b * yy], [b * xx + c * xy, b * xy + c * yy]];
@@ -220,28 +217,28 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
         g[2] += weight * (e.sharp[0] * inverse - c);
     }
     let d_factor: [[f32x16<S>; 3]; 2] = [
-        std::array::from_fn(|i| two * (g[0] * e.factor[0][i] + g[1] * e.factor[1][i])),
-        std::array::from_fn(|i| two * (g[1] * e.factor[0][i] + g[2] * e.factor[1][i])),
+        each!(3, i => two * (g[0] * e.factor[0][i] + g[1] * e.factor[1][i])),
+        each!(3, i => two * (g[1] * e.factor[0][i] + g[2] * e.factor[1][i])),
     ];
     let mut log_scale: [f32x16<S>; 3] =
-        std::array::from_fn(|i| d_factor[0][i] * e.factor[0][i] + d_factor[1][i] * e.factor[1][i]);
+        each!(3, i => d_factor[0][i] * e.factor[0][i] + d_factor[1][i] * e.factor[1][i]);
     let mut axes = [[zero; 3]; 3];
     let d_jw: [[f32x16<S>; 3]; 2];
     if ISO {
         log_scale[0] = log_scale[0] + log_scale[1] + log_scale[2];
-        d_jw = d_factor.map(|row| row.map(|v| v * slice.scale[0]));
+        d_jw = each!(2, r => each!(3, i => d_factor[r][i] * slice.scale[0]));
     } else {
-        let scaled: [[f32x16<S>; 3]; 2] = d_factor.map(|row| std::array::from_fn(|i| row[i] * slice.scale[i]));
-        d_jw = scaled.map(|row| std::array::from_fn(|i| dot(&row, &slice.axes[i])));
+        let scaled: [[f32x16<S>; 3]; 2] = each!(2, r => each!(3, i => d_factor[r][i] * slice.scale[i]));
+        d_jw = each!(2, r => each!(3, i => dot(&scaled[r], &slice.axes[i])));
         for i in 0..3 {
             for j in 0..3 {
                 axes[i][j] = e.jw[0][i] * scaled[0][j] + e.jw[1][i] * scaled[1][j];
             }
         }
     }
-    let w = eye.rotation.map(|row| row.map(k));
+    let w: [_; 3] = each!(3, i => all3(s, &eye.rotation[i]));
     // with respect to every entry of the Jacobian, the structural zeros too: the twist turns them
-    let d_j: [[f32x16<S>; 3]; 2] = d_jw.map(|row| std::array::from_fn(|j| dot(&row, &w[j])));
+    let d_j: [[f32x16<S>; 3]; 2] = each!(2, r => each!(3, j => dot(&d_jw[r], &w[j])));
     let (iz, ray, slope) = (e.inverse_z, e.ray, e.slope);
     let (jx, jy) = (k(eye.fx) * iz, k(eye.fy) * iz);
     let mut point = [
@@ -265,7 +262,7 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
     PlaceGradient {
         centre,
         point,
-        mean: std::array::from_fn(|i| w[0][i] * point[0] + w[1][i] * point[1] + w[2][i] * point[2]),
+        mean: each!(3, i => w[0][i] * point[0] + w[1][i] * point[1] + w[2][i] * point[2]),
         log_scale,
         axes,
         omega,

@@ -2,7 +2,7 @@
 
 use super::{C0, C1, C2, C3};
 use crate::{
-    simd::{all, dot, load, sin_cos_turns, store},
+    simd::{all, dot, each, load, sin_cos_turns, store},
     slice::cpu::Columns,
 };
 use fearless_simd::{Simd, f32x16, prelude::*};
@@ -62,12 +62,7 @@ fn harmonics<S: Simd>(s: S, d: &[f32x16<S>; 3], terms: usize, out: &mut [f32x16<
 
 /// `sum_l pull[l] grad Y_l(d)`, harmonics as polynomials.
 #[inline(always)]
-fn harmonics_backward<S: Simd>(
-    s: S,
-    d: &[f32x16<S>; 3],
-    terms: usize,
-    pull: &[f32x16<S>; 16],
-) -> [f32x16<S>; 3] {
+fn harmonics_backward<S: Simd>(s: S, d: &[f32x16<S>; 3], terms: usize, pull: &[f32x16<S>; 16]) -> [f32x16<S>; 3] {
     let k = |v: f64| all(s, v as f32);
     let [x, y, z] = *d;
     let mut g = [k(0.0); 3];
@@ -76,13 +71,13 @@ fn harmonics_backward<S: Simd>(
     }
     let two = k(2.0);
     if terms > 4 {
-        let a: [f32x16<S>; 5] = std::array::from_fn(|i| k(C2[i]) * pull[4 + i]);
+        let a: [f32x16<S>; 5] = each!(5, i => k(C2[i]) * pull[4 + i]);
         g[0] += y * a[0] - two * x * a[2] + z * a[3] + two * x * a[4];
         g[1] += x * a[0] + z * a[1] - two * y * a[2] - two * y * a[4];
         g[2] += y * a[1] + k(4.0) * z * a[2] + x * a[3];
     }
     if terms > 9 {
-        let a: [f32x16<S>; 7] = std::array::from_fn(|i| k(C3[i]) * pull[9 + i]);
+        let a: [f32x16<S>; 7] = each!(7, i => k(C3[i]) * pull[9 + i]);
         let (xx, yy, zz) = (x * x, y * y, z * z);
         let (xy, yz, xz) = (x * y, y * z, x * z);
         let (three, four, six, eight) = (k(3.0), k(4.0), k(6.0), k(8.0));
@@ -139,7 +134,8 @@ pub(crate) fn shade<S: Simd>(s: S, c: &Columns<'_>, row: usize, sight: &Sight<S>
     let mut basis = [zero; 16];
     harmonics(s, &sight.direction, c.layout.sh_terms(), &mut basis);
     let (cos, _) = temporal(s, sight.turns, c.layout.time_degree);
-    raw(s, c, row, &basis, &cos).map(|v| v.simd_gt(zero).select(v, zero))
+    let sum = raw(s, c, row, &basis, &cos);
+    each!(3, k => sum[k].simd_gt(zero).select(sum[k], zero))
 }
 
 /// Writes the gradient of the coefficients to the columns of a chunk and returns what geometry gets,
@@ -161,7 +157,7 @@ pub(crate) fn backward<S: Simd>(
     harmonics(s, &sight.direction, terms, &mut basis);
     let (cos, sin) = temporal(s, sight.turns, c.layout.time_degree);
     let value = raw(s, c, row, &basis, &cos);
-    let live: [f32x16<S>; 3] = std::array::from_fn(|k| value[k].simd_gt(zero).select(g[k], zero));
+    let live: [f32x16<S>; 3] = each!(3, k => value[k].simd_gt(zero).select(g[k], zero));
     let first = c.layout.column(Column::Colour);
     let (mut pull, mut time_mean) = ([zero; 16], zero);
     for n in 0..=c.layout.time_degree {
@@ -186,7 +182,7 @@ pub(crate) fn backward<S: Simd>(
     if terms > 1 {
         let d = harmonics_backward(s, &sight.direction, terms, &pull);
         let along = dot(&sight.direction, &d);
-        offset = std::array::from_fn(|k| (d[k] - sight.direction[k] * along) * sight.inverse_distance);
+        offset = each!(3, k => (d[k] - sight.direction[k] * along) * sight.inverse_distance);
     }
     SightGradient { offset, time_mean }
 }

@@ -1,7 +1,7 @@
 //! The SIMD twin: sixteen splats at a time, straight from the columns.
 
 use super::MARGINAL_MIN;
-use crate::simd::{all, exp, load, store};
+use crate::simd::{all, each, exp, load, store};
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use m4_scene::{Column, SplatLayout, Splats};
 
@@ -53,7 +53,7 @@ pub(crate) struct Slice<S: Simd> {
 #[inline(always)]
 pub(crate) fn life<S: Simd, const DYNAMIC: bool>(s: S, c: &Columns<'_>, row: usize, t: f32) -> Slice<S> {
     let zero = all(s, 0.0);
-    let mean = std::array::from_fn(|k| load(s, c.get(Column::Mean, k), row, 0.0));
+    let mean = each!(3, k => load(s, c.get(Column::Mean, k), row, 0.0));
     let mut out = Slice {
         mean,
         scale: [zero; 3],
@@ -90,17 +90,29 @@ pub(crate) fn shape<S: Simd, const ISO: bool>(s: S, c: &Columns<'_>, row: usize,
         out.scale = [exp(s, load(s, c.get(Column::LogScale, 0), row, 0.0)); 3];
         return;
     }
-    out.scale = std::array::from_fn(|k| exp(s, load(s, c.get(Column::LogScale, k), row, 0.0)));
+    out.scale = each!(3, k => exp(s, load(s, c.get(Column::LogScale, k), row, 0.0)));
     // past the end: a quaternion of length 1, so that no lane divides by 0
-    let q: [f32x16<S>; 4] = std::array::from_fn(|k| load(s, c.get(Column::Quat, k), row, 0.5));
+    let q: [f32x16<S>; 4] = each!(4, k => load(s, c.get(Column::Quat, k), row, 0.5));
     let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
     let inverse = all(s, 1.0) / length;
-    let [w, x, y, z] = q.map(|v| v * inverse);
+    let [w, x, y, z] = [q[0] * inverse, q[1] * inverse, q[2] * inverse, q[3] * inverse];
     let (one, two) = (all(s, 1.0), all(s, 2.0));
     out.axes = [
-        [one - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y)],
-        [two * (x * y + w * z), one - two * (x * x + z * z), two * (y * z - w * x)],
-        [two * (x * z - w * y), two * (y * z + w * x), one - two * (x * x + y * y)],
+        [
+            one - two * (y * y + z * z),
+            two * (x * y - w * z),
+            two * (x * z + w * y),
+        ],
+        [
+            two * (x * y + w * z),
+            one - two * (x * x + z * z),
+            two * (y * z - w * x),
+        ],
+        [
+            two * (x * z - w * y),
+            two * (y * z + w * x),
+            one - two * (x * x + y * y),
+        ],
     ];
     out.quat = [w, x, y, z];
     out.quat_inverse_norm = inverse;
@@ -173,5 +185,5 @@ fn quat_backward<S: Simd>(s: S, slice: &Slice<S>, g: &[[f32x16<S>; 3]; 3]) -> [f
             - two * z * (g[0][0] + g[1][1])),
     ];
     let along = w * d[0] + x * d[1] + y * d[2] + z * d[3];
-    std::array::from_fn(|k| (d[k] - slice.quat[k] * along) * slice.quat_inverse_norm)
+    each!(4, k => (d[k] - slice.quat[k] * along) * slice.quat_inverse_norm)
 }

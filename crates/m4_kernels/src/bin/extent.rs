@@ -1,0 +1,96 @@
+//! Exact extents: which tiles of each tile row an ellipse reaches (section 5.2).
+
+use crate::{
+    blend::ALPHA_MIN,
+    project::cpu::{Ellipse, Eye},
+    simd::{LANES, all, lanes, log2},
+};
+use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
+
+/// Which tile rows sixteen ellipses reach, and where.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Extent<S: Simd> {
+    /// Lanes that may reach the image.
+    pub(crate) on: mask32x16<S>,
+    /// Squared Mahalanobis radius at which alpha falls under the threshold.
+    radius: f32x16<S>,
+    half_height: f32x16<S>,
+    /// Vertical offset of the rightmost point.
+    right_at: f32x16<S>,
+    /// Variance across at a fixed row, slope of the conditional mean.
+    across: f32x16<S>,
+    slope: f32x16<S>,
+    inverse_11: f32x16<S>,
+    /// First and last tile row.
+    pub(crate) top: [f32; LANES],
+    pub(crate) bottom: [f32; LANES],
+}
+
+/// Covers the rounding of coordinates, pixels.
+const SLACK_PX: f32 = 0.005;
+/// Covers the rounding of alpha, relative.
+const SLACK: f32 = 0.002;
+
+impl<S: Simd> Extent<S> {
+    #[inline(always)]
+    pub(crate) fn new(s: S, eye: &Eye, e: &Ellipse<S>, opacity: f32x16<S>, on: mask32x16<S>) -> Self {
+        let k = |v: f32| all(s, v);
+        let [v00, v01, v11] = e.covariance;
+        let strength = on.select(opacity, k(1.0)) * k(1.0 / ALPHA_MIN as f32);
+        let radius = (log2(s, strength) * k(2.0 * std::f32::consts::LN_2) + k(SLACK)).max(k(0.0));
+        let half_width = (radius * v00).sqrt() + k(SLACK_PX);
+        let half_height = (radius * v11).sqrt() + k(SLACK_PX);
+        let (w, h) = (eye.width as f32, eye.height as f32);
+        let top = (e.v - half_height).ceil().max(k(0.0));
+        let bottom = (e.v + half_height).floor().min(k(h - 1.0));
+        let left = (e.u - half_width).ceil().max(k(0.0));
+        let right = (e.u + half_width).floor().min(k(w - 1.0));
+        let on = on & top.simd_le(bottom) & left.simd_le(right);
+        Self {
+            on,
+            radius,
+            half_height,
+            right_at: v01 * (radius / v00).sqrt(),
+            across: e.det / v11,
+            slope: v01 / v11,
+            inverse_11: k(1.0) / v11,
+            top: on.select((top * k(0.125)).floor(), k(0.0)).to_array(),
+            bottom: on.select((bottom * k(0.125)).floor(), k(0.0)).to_array(),
+        }
+    }
+
+    /// Middle and half width at the vertical offset `y`.
+    #[inline(always)]
+    fn across(&self, s: S, e: &Ellipse<S>, y: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
+        let left = (self.radius - y * y * self.inverse_11) * self.across;
+        let reach = left.max(all(s, 0.0)).sqrt() + all(s, SLACK_PX);
+        (e.u + self.slope * y, reach)
+    }
+
+    /// Fills `spans[k]` with the tiles of row `top + k`; lanes that are out hold anything.
+    #[inline(always)]
+    pub(crate) fn rows(&mut self, s: S, eye: &Eye, e: &Ellipse<S>, on: u16, spans: &mut Vec<[u32; LANES]>) {
+        let k = |v: f32| all(s, v);
+        let count = lanes(on)
+            .map(|lane| (self.bottom[lane] - self.top[lane]) as usize + 1)
+            .max()
+            .unwrap_or(0);
+        spans.resize(spans.len().max(count), [0; LANES]);
+        let top = f32x16::from_slice(s, &self.top) * k(8.0) - e.v;
+        let (w, zero) = (k(eye.width as f32 - 1.0), k(0.0));
+        for (row, out) in spans[..count].iter_mut().enumerate() {
+            let first = top + k(8.0 * row as f32);
+            let low = first.max(-self.half_height);
+            let high = (first + k(7.0)).min(self.half_height);
+            let (middle, reach) = self.across(s, e, self.right_at.max(low).min(high));
+            let right = (middle + reach).floor().min(w);
+            let (middle, reach) = self.across(s, e, (-self.right_at).max(low).min(high));
+            let left = (middle - reach).ceil().max(zero);
+            let hit = low.simd_le(high) & left.simd_le(right);
+            let (left, right) = (hit.select(left, zero), hit.select(right, k(-8.0)));
+            let first: u32x16<S> = (left * k(0.125)).to_int::<u32x16<S>>();
+            let end: u32x16<S> = ((right + k(8.0)) * k(0.125)).to_int::<u32x16<S>>();
+            (first + (end << 16u32)).store_slice(out);
+        }
+    }
+}
