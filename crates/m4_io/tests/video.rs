@@ -431,3 +431,46 @@ fn a_folder_of_pictures_is_a_clip() {
         assert_eq!((frame.rgb[(0, 0)][0], frame.time_s), (i as u8 * 20, i as f64 / 10.0));
     }
 }
+
+#[test]
+fn a_camera_s_exif_block_turns_pictures_and_tells_the_lens() {
+    // Orientation 6 (turn 90 degrees clockwise) and 26 mm on 35 mm film, as phones write them.
+    let mut tiff = b"II*\0\x08\0\0\0".to_vec();
+    tiff.extend([2, 0]);
+    tiff.extend([0x12, 0x01, 3, 0, 1, 0, 0, 0, 6, 0, 0, 0]);
+    tiff.extend([0x69, 0x87, 4, 0, 1, 0, 0, 0, 38, 0, 0, 0, 0, 0, 0, 0]);
+    tiff.extend([1, 0, 0x05, 0xa4, 3, 0, 1, 0, 0, 0, 26, 0, 0, 0, 0, 0, 0, 0]);
+    let dir = tempfile::tempdir().unwrap();
+    for i in 0..2 {
+        let path = dir.path().join(format!("IMG_{i}.JPG"));
+        // Dark on the left: after the turn, dark at the top.
+        let picture = Plane::from_fn(400, 300, |x, _| [if x < 200 { 20 } else { 220 }; 3]);
+        m4_io::image::write_rgb(&path, &picture).unwrap();
+        let jpeg = std::fs::read(&path).unwrap();
+        let mut with_exif = jpeg[..2].to_vec();
+        with_exif.extend([0xff, 0xe1]);
+        with_exif.extend((tiff.len() as u16 + 8).to_be_bytes());
+        with_exif.extend(b"Exif\0\0");
+        with_exif.extend(&tiff);
+        with_exif.extend(&jpeg[2..]);
+        std::fs::write(&path, with_exif).unwrap();
+    }
+    let half = VideoOptions {
+        size: Some(200),
+        ..all()
+    };
+    for (options, scale) in [(all(), 1.0), (half, 0.5)] {
+        let video = clip(dir.path(), &options);
+        let rgb = &video.frames[0].rgb;
+        let (w, h) = rgb.size();
+        assert_eq!((w, h), ((300.0 * scale) as usize, (400.0 * scale) as usize));
+        assert!(rgb[(w / 2, 5)][0] < 60 && rgb[(w / 2, h - 5)][0] > 180);
+        // The diagonal is 500 pixels.
+        let want = 26.0 / 43.266_615 * 500.0 * scale;
+        assert!(
+            (video.focal_px.unwrap() - want).abs() < 1e-6,
+            "{:?} {want}",
+            video.focal_px
+        );
+    }
+}

@@ -64,22 +64,17 @@ impl YuvMatrix {
             } else {
                 (near + 1).min(half_height - 1)
             };
-            let line = |plane: &[u8], out: &mut Vec<f32>| {
+            // Chroma of the whole row first, so that the arithmetic below runs over plain arrays.
+            let line = |plane: &[u8]| -> Vec<f32> {
                 let a = &plane[near * chroma_stride..][..half_width];
                 let b = &plane[far * chroma_stride..][..half_width];
-                out.extend(
-                    a.iter()
-                        .zip(b)
-                        .map(|(&a, &b)| 0.75 * f32::from(a) + 0.25 * f32::from(b)),
-                );
+                let blend = |(&a, &b)| 0.75 * f32::from(a) + 0.25 * f32::from(b);
+                let half: Vec<f32> = a.iter().zip(b).map(blend).collect();
+                let next = half[1..].iter().chain(half.last());
+                half.iter().zip(next).flat_map(|(&a, &b)| [a, 0.5 * (a + b)]).collect()
             };
-            let (mut u_line, mut v_line) = (Vec::with_capacity(half_width), Vec::with_capacity(half_width));
-            line(cb, &mut u_line);
-            line(cr, &mut v_line);
-            for (x, (pixel, &l)) in row.iter_mut().zip(luma).enumerate() {
-                let (i, j) = (x / 2, (x / 2 + x % 2).min(half_width - 1));
-                let u = 0.5 * (u_line[i] + u_line[j]);
-                let v = 0.5 * (v_line[i] + v_line[j]);
+            let (u, v) = (line(cb), line(cr));
+            for (((pixel, &l), &u), &v) in row.iter_mut().zip(luma).zip(&u).zip(&v) {
                 *pixel = k.rgb(f32::from(l), u, v);
             }
         });
