@@ -2,11 +2,12 @@
 
 use super::bundle::{BundleOptions, BundleReport};
 use super::config::GeometryConfig;
-use super::growth::{MIN_MATCHES, Start, grow, scan, start_pairs};
+use super::growth::{MIN_MATCHES, scan, start_pairs};
 use super::map::Map;
 use super::motion::classify;
 use super::reconstruct::Clip;
 use super::rotation::keyframes;
+use super::selection::{Selected, select};
 use super::{SparseError, stopped};
 use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction};
 
@@ -30,27 +31,17 @@ impl Clip<'_> {
         let keys = keyframes(&self.tracks, self.frames, self.size.width, likely_focal, geometry);
         let pairs = start_pairs(&self.tracks, &keys, likely_focal, self.size.width);
         let starts = scan(&self.tracks, &pairs, focals, geometry, self.progress)?;
-        let usable = vec![true; self.tracks.len()];
-        let mut best: Option<(f64, Map)> = None;
-        for start in picked_starts(&starts) {
-            let grown = grow(
-                &self.tracks,
-                &usable,
-                &keys,
-                start,
-                self.frames,
-                free_focal,
-                geometry,
-                self.progress,
-            )?;
-            let Some(map) = grown else { continue };
-            let explained = map.explained(&self.tracks, geometry.inlier_px);
-            if best.as_ref().is_none_or(|(e, _)| explained > *e) {
-                best = Some((explained, map));
-            }
-        }
-        let Some((_, mut map)) = best.filter(|(_, map)| 2 * map.registered_among(&keys) >= keys.len()) else {
-            let first = starts.first();
+        let selected = select(
+            &self.tracks,
+            &keys,
+            &starts,
+            self.frames,
+            free_focal,
+            geometry,
+            self.progress,
+        )?;
+        let Some(Selected { mut map, rival_focal }) = selected else {
+            let first = starts.iter().max_by_key(|s| s.view.inliers.len());
             return Ok(Err(SparseError::NoStart {
                 inliers: first.map_or(0, |s| s.view.inliers.len()),
                 matches: first.map_or(0, |s| s.pair.matches),
@@ -68,8 +59,45 @@ impl Clip<'_> {
                 needed,
             }));
         }
+        if let Some(rival) = rival_focal {
+            self.warn(format!(
+                "fields of view of {:.0} and {:.0} degrees explain the clip almost equally well, the first was taken; \
+                 pass --fov if the field of view is known",
+                self.fov_deg(map.focal),
+                self.fov_deg(rival)
+            ));
+        }
+        if !free_focal {
+            self.check_given_focal(&map);
+        }
         self.judge(&map, &motions, &report, free_focal);
         Ok(Ok(self.finish(map, motions, CameraMotion::Parallax)))
+    }
+
+    /// Warns when the clip fits another focal length than the given one clearly better.
+    fn check_given_focal(&mut self, map: &Map) {
+        let options = |free_focal| BundleOptions {
+            cauchy_px: self.geometry.cauchy_px,
+            iterations: self.geometry.bundle_iterations,
+            tolerance: self.geometry.bundle_tolerance,
+            free_focal,
+            free_poses: true,
+        };
+        let (mut held, mut freed) = (map.clone(), map.clone());
+        let (with, without) = (
+            held.adjust(&self.tracks, &options(false)),
+            freed.adjust(&self.tracks, &options(true)),
+        );
+        if (freed.focal / map.focal).ln().abs() > 0.1 && without.cost < 0.8 * with.cost {
+            self.warn(format!(
+                "the given field of view of {:.1} degrees was kept, but the clip fits one of {:.1} degrees better (mean \
+                 loss {:.3} instead of {:.3} px^2)",
+                self.fov_deg(map.focal),
+                self.fov_deg(freed.focal),
+                without.cost,
+                with.cost
+            ));
+        }
     }
 
     /// All frames, bundle adjustment and classification in turn.
@@ -131,16 +159,4 @@ impl Clip<'_> {
             }
         }
     }
-}
-
-/// The best start and up to two others whose focal lengths differ from those taken by a third.
-fn picked_starts(starts: &[Start]) -> Vec<&Start> {
-    let mut picked: Vec<&Start> = Vec::new();
-    for start in starts {
-        let apart = picked.iter().all(|p| (p.focal / start.focal).ln().abs() > 0.28);
-        if picked.len() < 3 && apart {
-            picked.push(start);
-        }
-    }
-    picked
 }

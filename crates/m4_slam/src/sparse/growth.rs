@@ -66,7 +66,8 @@ pub(crate) struct Start {
     pub view: TwoView,
 }
 
-/// For every focal length the score over the best few pairs and the pair to start from; best first.
+/// For every focal length the mean score over the best few pairs, and those pairs as starts; focal
+/// lengths with the best score first.
 pub(crate) fn scan(
     tracks: &[RawTrack],
     pairs: &[Pair],
@@ -102,18 +103,17 @@ pub(crate) fn scan(
             })
             .collect();
         let score = views.iter().flatten().map(|v| v.score).sum::<f64>() / picked.len().max(1) as f64;
-        let best = picked
-            .iter()
-            .zip(views)
-            .find_map(|((pair, _), view)| Some((*pair, view?)));
-        starts.extend(best.map(|(pair, view)| Start {
-            focal,
-            score,
-            pair,
-            view,
-        }));
+        for ((pair, _), view) in picked.iter().zip(views) {
+            starts.extend(view.map(|view| Start {
+                focal,
+                score,
+                pair: *pair,
+                view,
+            }));
+        }
     }
     progress.update("focal length", focals.len(), focals.len(), "");
+    // Stable: the pairs of a focal length stay in order.
     starts.sort_by(|a, b| b.score.total_cmp(&a.score).then(a.focal.total_cmp(&b.focal)));
     Ok(starts)
 }

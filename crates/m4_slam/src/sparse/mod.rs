@@ -27,6 +27,7 @@ mod outcome;
 mod reconstruct;
 mod resection;
 mod rotation;
+mod selection;
 mod tracking;
 mod triangulate;
 mod two_view;

@@ -11,6 +11,10 @@ use super::{SparseError, stopped};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_scene::{Progress, RgbImage};
 
+/// A camera declared to stand still is doubted when the picture moves by this many times
+/// `static_motion_px`.
+const DOUBTFUL: f64 = 5.0;
+
 /// Fewest tracks from one frame to the next.
 const MIN_TRACKS: usize = 20;
 
@@ -138,7 +142,16 @@ impl Clip<'_> {
 
     fn solve(&mut self) -> Result<SparseReconstruction, SparseError> {
         if self.config.static_camera {
-            return Ok(self.still("it was declared to stand still"));
+            let seen = sway(&self.tracks, self.frames, &[self.default_focal()], MIN_TRACKS);
+            let map = self.still("it was declared to stand still");
+            if let Some(seen) = seen.filter(|s| s.motion_px > DOUBTFUL * self.geometry.static_motion_px) {
+                self.warn(format!(
+                    "the camera was declared to stand still, but most of the picture moves, by up to {:.1} px (working \
+                     size); without --static-camera its motion would be reconstructed",
+                    seen.motion_px
+                ));
+            }
+            return Ok(self.without_points(map, CameraMotion::Static));
         }
         self.check_tracks()?;
         let focals = match self.given_focal() {
@@ -154,7 +167,8 @@ impl Clip<'_> {
                 "60 % of all points move by at most {:.2} px over the clip (working size), less than {} px",
                 sway.motion_px, self.geometry.static_motion_px
             );
-            return Ok(self.still(&why));
+            let map = self.still(&why);
+            return Ok(self.without_points(map, CameraMotion::Static));
         }
         let share = sway.parallax_px / self.size.width as f64;
         if share < self.geometry.min_parallax {
@@ -190,14 +204,14 @@ impl Clip<'_> {
         Ok(())
     }
 
-    /// One pose.
-    fn still(&mut self, why: &str) -> SparseReconstruction {
+    /// One pose for all frames, and a warning that says why.
+    fn still(&mut self, why: &str) -> Map {
         let map = standing(&self.tracks, self.frames, self.default_focal());
         self.warn(format!(
             "camera taken as standing still: {why}; depth cannot be measured and new views will be plausible at best{}",
             self.focal_note()
         ));
-        self.without_points(map, CameraMotion::Static)
+        map
     }
 
     /// Rotations alone.
