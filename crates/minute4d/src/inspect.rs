@@ -24,7 +24,7 @@ pub enum Inspection {
     /// A scene file.
     Scene(SceneFacts),
     /// The folder of a run.
-    Run(RunFacts),
+    Run(Box<RunFacts>),
 }
 
 /// Facts about a clip.
@@ -149,7 +149,7 @@ fn run_facts(path: &Path, record: RunRecord) -> Result<Inspection, Error> {
     } else {
         None
     };
-    Ok(Inspection::Run(RunFacts { record, damaged, scene }))
+    Ok(Inspection::Run(Box::new(RunFacts { record, damaged, scene })))
 }
 
 fn scene_facts(path: &Path) -> Result<SceneFacts, Error> {

@@ -1,4 +1,5 @@
 //! The happy path from outside: train, render, eval, inspect, stop, resume.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 mod common;
 
@@ -7,7 +8,7 @@ use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, ChildStdout, Command, Stdio};
 
 fn read_json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
@@ -82,22 +83,28 @@ fn the_scene_does_not_depend_on_the_number_of_threads() {
     assert!(one == two && two == three, "the files differ");
 }
 
-/// Starts training and waits for its first steps.
-fn start(
-    data: &str,
-    out: &str,
-    iterations: &str,
-    more: &[&str],
-) -> (std::process::Child, BufReader<std::process::ChildStdout>) {
+/// A program at work; killed and reaped when a test ends early.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It may have ended long ago.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Starts training and waits for its first steps; gives the rest of its events.
+fn start(data: &str, out: &str, iterations: &str, more: &[&str]) -> (Running, BufReader<ChildStdout>) {
     let args = ["train", data, "-o", out, "--iterations", iterations, "--json"];
-    let mut child = program()
+    let mut command = program();
+    command
         .args(args)
         .args(more)
         .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut events = BufReader::new(child.stdout.take().unwrap());
+        .stderr(Stdio::null());
+    let mut running = Running(command.spawn().unwrap());
+    let mut events = BufReader::new(running.0.stdout.take().unwrap());
     let mut line = String::new();
     loop {
         line.clear();
@@ -107,15 +114,15 @@ fn start(
         );
         let event: Value = serde_json::from_str(&line).unwrap();
         if event["phase"] == "train" && event["done"].as_u64().unwrap() > 0 {
-            return (child, events);
+            return (running, events);
         }
     }
 }
 
 #[cfg(unix)]
-fn signal(child: &std::process::Child, name: &str) {
+fn signal(running: &Running, name: &str) {
     let status = Command::new("kill")
-        .args([name, &child.id().to_string()])
+        .args([name, &running.0.id().to_string()])
         .status()
         .unwrap();
     assert!(status.success());
@@ -131,10 +138,10 @@ fn a_signal_saves_and_resume_gives_the_same_bits() {
 
     for (name, code) in [("-INT", 130), ("-TERM", 143)] {
         let more: &[&str] = if name == "-INT" { &[] } else { &["--resume"] };
-        let (mut child, rest) = start(&data, &parts, "600", more);
-        signal(&child, name);
+        let (mut running, rest) = start(&data, &parts, "600", more);
+        signal(&running, name);
         let rest: Vec<String> = rest.lines().map(Result::unwrap).collect();
-        assert_eq!(child.wait().unwrap().code(), Some(code));
+        assert_eq!(running.0.wait().unwrap().code(), Some(code));
         let end: Value = serde_json::from_str(rest.last().unwrap()).unwrap();
         assert_eq!((&end["ok"], &end["code"]), (&false.into(), &code.into()));
         assert!(end["reason"].as_str().unwrap().contains("--resume"), "{end}");
@@ -167,17 +174,17 @@ fn a_killed_run_goes_on_from_its_last_checkpoint() {
     let (data, whole, parts) = (dir.at("capture"), dir.at("whole"), dir.at("parts"));
     assert_eq!(train(&data, &whole, "500", &[]).code, 0);
     let often = ["--set", "checkpoint.every_s=0.02"];
-    let (mut child, _rest) = start(&data, &parts, "500", &often);
+    let (mut running, _rest) = start(&data, &parts, "500", &often);
     let saved = dir.path("parts/checkpoints");
     while fs::read_dir(&saved).map_or(0, Iterator::count) < 2 {
         assert!(
-            child.try_wait().unwrap().is_none(),
+            running.0.try_wait().unwrap().is_none(),
             "it ended before it could be killed"
         );
         std::thread::sleep(std::time::Duration::from_millis(2));
     }
-    signal(&child, "-KILL");
-    child.wait().unwrap();
+    signal(&running, "-KILL");
+    running.0.wait().unwrap();
     let left = fs::read_dir(&saved).unwrap().filter(|e| {
         e.as_ref()
             .is_ok_and(|e| e.path().extension().is_some_and(|x| x == "safetensors"))

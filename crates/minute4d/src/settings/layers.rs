@@ -180,7 +180,7 @@ fn explain(path: &str, message: &str, table: &Table, layer: &str) -> SettingsErr
                 format!("{parent}.{key}")
             }
         };
-        let suggestion = nearest(&key, &known).map(dotted).or_else(|| elsewhere(&key, table, ""));
+        let suggestion = nearest(&key, &known).map(dotted).or_else(|| elsewhere(&key, table));
         return SettingsError::UnknownKey {
             layer,
             key: dotted(&key),
@@ -211,20 +211,30 @@ fn nearest<'a>(key: &str, known: &'a [String]) -> Option<&'a str> {
         .map(|(_, word)| word)
 }
 
-/// A setting of that very name in another table: `--set iterations=10` meant `train.iterations`.
-fn elsewhere(key: &str, table: &Table, parent: &str) -> Option<String> {
-    table.iter().find_map(|(name, value)| {
-        let Value::Table(inner) = value else { return None };
-        let path = if parent.is_empty() {
-            name.clone()
-        } else {
-            format!("{parent}.{name}")
-        };
-        if inner.get(key).is_some_and(|v| !v.is_table()) {
+/// A setting of that very name in another table, the least deep one: `--set iterations=10` meant
+/// `train.iterations`.
+fn elsewhere(key: &str, table: &Table) -> Option<String> {
+    let mut level: Vec<(String, &Table)> = vec![(String::new(), table)];
+    while !level.is_empty() {
+        let inner = level.iter().flat_map(|(path, table)| {
+            table.iter().filter_map(move |(name, value)| {
+                let path = if path.is_empty() {
+                    name.clone()
+                } else {
+                    format!("{path}.{name}")
+                };
+                Some((path, value.as_table()?))
+            })
+        });
+        level = inner.collect();
+        let found = level
+            .iter()
+            .find(|(_, table)| table.get(key).is_some_and(|v| !v.is_table()));
+        if let Some((path, _)) = found {
             return Some(format!("{path}.{key}"));
         }
-        elsewhere(key, inner, &path)
-    })
+    }
+    None
 }
 
 #[cfg(test)]

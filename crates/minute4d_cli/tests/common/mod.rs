@@ -142,7 +142,7 @@ impl Scratch {
 /// What a camera sees of a textured wall at depth 4 and a square before it at depth 2.5 that moves to
 /// the right; picture, depth and mask.
 fn see(camera: &Camera, share: f64) -> (RgbImage, Plane<f32>, Plane<u8>) {
-    let (w, h) = SIZE;
+    let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
     let hit = |x: usize, y: usize| {
         let at = |z: f64| camera.unproject(x as f64, y as f64, z);
         let near = at(2.5);
@@ -163,10 +163,10 @@ fn see(camera: &Camera, share: f64) -> (RgbImage, Plane<f32>, Plane<u8>) {
     (rgb, depth, mask)
 }
 
-fn frame(shift: f64, i: usize, n: usize, held_out: Option<u32>) -> CaptureFrame {
+fn frame(size: (usize, usize), shift: f64, i: usize, n: usize, held_out: Option<u32>) -> CaptureFrame {
     let share = i as f64 / (n - 1) as f64;
     let camera = Camera {
-        intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 60.0),
+        intrinsics: Intrinsics::centred(size.0, size.1, 0.94 * size.0 as f64),
         c2w: Se3::identity().retract(&Vector6::new(0.4 * share + shift, 0.02 * share, 0.0, 0.0, 0.0, 0.0)),
     };
     let (rgb, depth, mask) = see(&camera, share);
@@ -181,11 +181,17 @@ fn frame(shift: f64, i: usize, n: usize, held_out: Option<u32>) -> CaptureFrame 
     }
 }
 
-/// A capture of `n` frames; with held-out views where `held_out`.
+/// A capture of `n` frames of [`SIZE`]; with held-out views where `held_out`.
 pub fn capture(n: usize, held_out: bool) -> Capture {
+    capture_of(SIZE, n, held_out)
+}
+
+fn capture_of(size: (usize, usize), n: usize, held_out: bool) -> Capture {
     let shift = if held_out { 0.1 } else { 0.0 };
     Capture {
-        frames: (0..n).map(|i| frame(shift, i, n, held_out.then_some(0))).collect(),
+        frames: (0..n)
+            .map(|i| frame(size, shift, i, n, held_out.then_some(0)))
+            .collect(),
         time_frames: n,
         duration_s: Some((n - 1) as f64 / 10.0),
         metric: false,
@@ -217,10 +223,10 @@ pub fn write_video(path: &Path, n: usize) {
     writer.finish().unwrap();
 }
 
-/// The pictures of the same scene as a folder of PNG files.
+/// The pictures of the same scene as a folder of PNG files, large enough for geometry.
 pub fn write_pictures(folder: &Path, n: usize) {
     std::fs::create_dir_all(folder).unwrap();
-    for frame in capture(n, false).frames {
+    for frame in capture_of((128, 96), n, false).frames {
         write_rgb(&folder.join(format!("{}.png", frame.name)), &frame.rgb).unwrap();
     }
 }
