@@ -5,6 +5,9 @@ use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::bench::BenchRow;
 
+/// Its name, and what it says of a row.
+type Column = (&'static str, fn(&BenchRow) -> String);
+
 pub fn run(args: &Bench, output: &Output) -> Result<(), Failure> {
     let splats: Vec<usize> = args.splats.iter().map(|&n| n as usize).collect();
     let report = minute4d::bench::run(&splats, args.steps as usize, output)?;
@@ -12,7 +15,7 @@ pub fn run(args: &Bench, output: &Output) -> Result<(), Failure> {
         "{} x {} pixels, {} threads, {}; fastest of {} steps, milliseconds\n",
         report.width, report.height, report.threads, report.simd, report.steps
     );
-    let columns: [(&str, fn(&BenchRow) -> String); 10] = [
+    let columns: [Column; 10] = [
         ("splats", |r| r.splats.to_string()),
         ("visible", |r| r.visible.to_string()),
         ("project", |r| ms(r.project_ms)),

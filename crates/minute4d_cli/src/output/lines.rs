@@ -40,7 +40,7 @@ impl Lines {
             return None;
         }
         entry.last_line = now;
-        let percent = if total == 0 { 0 } else { 100 * done / total };
+        let percent = (100 * done).checked_div(total).unwrap_or(0);
         let mut line = format!("{phase}: {done}/{total} ({percent} %)");
         let elapsed_s = now.saturating_duration_since(entry.started).as_secs_f64();
         if let Some(eta) = eta_s(
