@@ -47,7 +47,8 @@ impl Eye {
             width: k.width,
             height: k.height,
             t: view.t as f32,
-            inverse_period: 1.0 / view.period,
+            // a period of 0 is none: the harmonics stand still
+            inverse_period: if view.period > 0.0 { 1.0 / view.period } else { 0.0 },
             mip: view.mip,
         }
     }
