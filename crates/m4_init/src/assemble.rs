@@ -3,7 +3,7 @@
 use crate::change::changes;
 use crate::cloud::{Clouds, clouds};
 use crate::shell::{Shell, shell};
-use crate::velocity::velocities;
+use crate::velocity::{Registration, interpolated, velocities};
 use crate::voxel::{Centroids, Grid, pixels_for};
 use crate::write::{BRIGHT, DARK, Writer};
 use crate::{InitConfig, InitError, TimeSpread, VelocityInit};
@@ -71,6 +71,10 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     }
     progress.update("voxels", 2, 3, &format!("{} static", standing.xyz.len()));
 
+    let velocities = motion(config, &clouds, &moving, &grid);
+    if progress.cancelled() {
+        return Err(InitError::Stopped);
+    }
     let tint_grid = grid(config.change_pixels);
     let tints: Vec<Tints> = clouds
         .moving
@@ -95,9 +99,10 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         standing,
         shell,
         moving,
+        velocities,
         tints,
     };
-    let splats = assemble(capture, config, &clouds, &parts);
+    let splats = assemble(capture, config, &parts);
     let note = format!("{} static, {} dynamic", splats.n_static(), splats.n_dynamic());
     progress.update("voxels", 3, 3, &note);
     Ok(splats)
@@ -117,8 +122,49 @@ struct Parts {
     shell: Shell,
     /// Time and points, one a keyframe.
     moving: Vec<(f64, Centroids)>,
+    /// World units a frame, one a point of each keyframe.
+    velocities: Vec<Vec<[f32; 3]>>,
     /// One a keyframe.
     tints: Vec<Tints>,
+}
+
+/// Velocities of the points of every keyframe: found on a coarser grid, interpolated.
+fn motion(
+    config: &InitConfig,
+    clouds: &Clouds,
+    moving: &[(f64, Centroids)],
+    grid: &impl Fn(f32) -> Grid,
+) -> Vec<Vec<[f32; 3]>> {
+    match config.velocity {
+        VelocityInit::Zero => moving.iter().map(|(_, c)| vec![[0.0; 3]; c.xyz.len()]).collect(),
+        VelocityInit::Register {
+            pixels,
+            colour_scale,
+            reach_pixels,
+            neighbours,
+            rounds,
+        } => {
+            let coarse_grid = grid(pixels);
+            let coarse: Vec<(f64, Centroids)> = clouds
+                .moving
+                .iter()
+                .map(|k| (k.t, coarse_grid.merge(&k.cloud)))
+                .collect();
+            let by = Registration {
+                colour_scale,
+                reach: (f64::from(reach_pixels) * clouds.median_depth / clouds.focal_px) as f32,
+                neighbours,
+                rounds,
+            };
+            let found = velocities(&coarse, &by);
+            coarse
+                .iter()
+                .zip(&found)
+                .zip(moving)
+                .map(|(((_, c), v), (_, fine))| interpolated(&c.xyz, v, &fine.xyz))
+                .collect()
+        }
+    }
 }
 
 /// At most `count` indices below `n`, evenly spread.
@@ -126,7 +172,7 @@ fn every_nth(n: usize, count: usize) -> impl Iterator<Item = usize> {
     (0..n).step_by(n.div_ceil(count).max(1))
 }
 
-fn assemble(capture: &Capture, config: &InitConfig, clouds: &Clouds, parts: &Parts) -> Splats {
+fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
     let layout = SplatLayout {
         isotropic: config.isotropic,
         sh_degree: 0,
@@ -156,15 +202,7 @@ fn assemble(capture: &Capture, config: &InitConfig, clouds: &Clouds, parts: &Par
     for (i, (t, points)) in parts.moving.iter().enumerate() {
         let first = writer.row;
         writer.surface(points);
-        if let VelocityInit::Nearest {
-            colour_scale,
-            radius,
-            neighbours,
-        } = config.velocity
-        {
-            let radius = radius * clouds.median_depth as f32;
-            writer.velocity(first, &velocities(&parts.moving, i, radius, colour_scale, neighbours));
-        }
+        writer.velocity(first, &parts.velocities[i]);
         writer.tint(&parts.tints[i].darker, DARK);
         writer.tint(&parts.tints[i].brighter, BRIGHT);
         writer.time(first, (*t as f32, spans.moving));

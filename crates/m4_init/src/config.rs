@@ -40,16 +40,20 @@ pub enum TimeSpread {
 pub enum VelocityInit {
     /// All 0: the optimiser finds them.
     Zero,
-    /// The displacement to the most similar point (place and colour) of the keyframes before and
-    /// after, averaged over neighbours (section 2.6, without tracks).
-    Nearest {
-        /// Weight of colour beside place: this difference of colour (0..1, Euclidean) counts as much
-        /// as a displacement of one search radius.
+    /// Each keyframe's points are registered to those of the keyframes before and after: a smooth
+    /// displacement that brings similar colours together (section 2.6, without tracks).
+    Register {
+        /// Spacing of the points that are registered, pixels at the median depth.
+        pixels: f32,
+        /// A difference of colour of this size (0..1, Euclidean) counts as much as a displacement of
+        /// `reach_pixels`.
         colour_scale: f32,
-        /// Search radius, in medians of the depth.
-        radius: f32,
-        /// Points whose displacements are averaged (component-wise median).
+        /// Pixels at the median depth.
+        reach_pixels: f32,
+        /// Points whose displacements are averaged.
         neighbours: usize,
+        /// Rounds of match and average.
+        rounds: usize,
     },
 }
 
@@ -143,10 +147,12 @@ impl InitConfig {
                 factor: 1.0,
                 min_frames: 1.0,
             },
-            velocity: VelocityInit::Nearest {
-                colour_scale: 0.15,
-                radius: 0.05,
-                neighbours: 8,
+            velocity: VelocityInit::Register {
+                pixels: 4.0,
+                colour_scale: 0.1,
+                reach_pixels: 8.0,
+                neighbours: 20,
+                rounds: 15,
             },
         }
     }
@@ -217,15 +223,19 @@ impl InitConfig {
             }
             TimeSpread::Reference { time_range } => positive("time_spread.time_range", time_range)?,
         }
-        if let VelocityInit::Nearest {
+        if let VelocityInit::Register {
+            pixels,
             colour_scale,
-            radius,
+            reach_pixels,
             neighbours,
+            rounds,
         } = self.velocity
         {
+            positive("velocity.pixels", pixels)?;
             positive("velocity.colour_scale", colour_scale)?;
-            positive("velocity.radius", radius)?;
+            positive("velocity.reach_pixels", reach_pixels)?;
             at_least_1("velocity.neighbours", neighbours)?;
+            at_least_1("velocity.rounds", rounds)?;
         }
         Ok(())
     }
