@@ -1,18 +1,20 @@
 //! `cargo xtask check`: every check that CI runs, in one program.
 #![forbid(unsafe_code)]
-#![expect(clippy::print_stderr, reason = "a program that reports to a terminal")]
+#![expect(clippy::print_stderr, clippy::print_stdout, reason = "a program that reports to a terminal")]
 
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny>
+const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | results-held-out SCENE... | results-geometry INPUT=TRUTH...>
 
   check   fmt, clippy, docs, arrows, lock, deny and tests, as CI does
   arrows  dependencies between crates against the table of ARCHITECTURE.md
   lock    no git sources in Cargo.lock
-  deny    cargo-deny: licences, sources, duplicate versions (skipped where it is not installed)";
+  deny    cargo-deny: licences, sources, duplicate versions (skipped where it is not installed)
+  results-held-out  train each scene in every profile and score its held-out views (docs/results.md)
+  results-geometry  recover the geometry of each input and compare it with the truth (docs/results.md)";
 
 fn main() -> ExitCode {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -24,6 +26,12 @@ fn main() -> ExitCode {
         ["arrows"] => step("arrows", || xtask::arrows::check(&root)),
         ["lock"] => step("lock", || xtask::lock::check(&root)),
         ["deny"] => step("deny", || deny(&root)),
+        ["results-held-out", ref scenes @ ..] if !scenes.is_empty() => {
+            table(xtask::results::held_out(&root, scenes, &root.join("target/results")))
+        }
+        ["results-geometry", ref pairs @ ..] if !pairs.is_empty() => {
+            table(xtask::results::geometry(&root, pairs, &root.join("target/results")))
+        }
         _ => {
             eprintln!("{USAGE}");
             return ExitCode::from(2);
@@ -51,6 +59,12 @@ fn check(root: &Path, tests: bool) -> Result<()> {
     if tests {
         step("tests", || cargo(root, &["test", "--workspace"], &[]))?;
     }
+    Ok(())
+}
+
+/// Prints what was measured.
+fn table(rows: Result<String>) -> Result<()> {
+    print!("{}", rows?);
     Ok(())
 }
 
