@@ -95,6 +95,8 @@ pub struct StaticDepthConfig {
     pub point_weight: f32,
     /// Strength of the edge-aware fill, pixels squared (Min et al. 2014, lambda).
     pub fill_lambda: f32,
+    /// Strength of the last smoothing, pixels squared.
+    pub denoise_lambda: f32,
     /// Colour difference that stops the fill, 0..255 (Min et al. 2014, sigma).
     pub fill_sigma: f32,
 }
@@ -112,6 +114,7 @@ impl Default for StaticDepthConfig {
             least_patch_px: 30,
             point_weight: 4.0,
             fill_lambda: 900.0,
+            denoise_lambda: 4.0,
             fill_sigma: 8.0,
         }
     }
@@ -134,6 +137,11 @@ pub struct MotionConfig {
     /// Strength of a vote for static against one for moving, 0..1: motion that one span alone can
     /// see outvotes the rest.
     pub static_vote: f32,
+    /// Difference in brightness (0..255, mean of 5x5 pixels) between a pixel and its place in the
+    /// other frame if it stood still that clearly speaks against standing still.
+    pub brightness_step: f32,
+    /// Least weight of flow that says a pixel moves although the pixel looks as if it stood still, 0..1.
+    pub least_refuted: f32,
     /// How often evidence is averaged with that of the frames before and after, along the flow.
     pub votes: usize,
     /// Strength of the edge-aware smoothing of evidence, pixels squared (Min et al. 2014, lambda).
@@ -157,6 +165,8 @@ impl Default for MotionConfig {
             flow_noise_share: 0.05,
             threshold: 2.5,
             static_vote: 0.5,
+            brightness_step: 6.0,
+            least_refuted: 0.1,
             votes: 2,
             smooth_lambda: 100.0,
             agreement: 1.0,
@@ -242,9 +252,11 @@ impl DenseConfig {
         )?;
         let above_zero = [
             ("dense.static_depth.fill_lambda", s.fill_lambda),
+            ("dense.static_depth.denoise_lambda", s.denoise_lambda),
             ("dense.static_depth.fill_sigma", s.fill_sigma),
             ("dense.static_depth.agree_steps", s.agree_steps),
             ("dense.motion.flow_noise_px", self.motion.flow_noise_px),
+            ("dense.motion.brightness_step", self.motion.brightness_step),
             ("dense.motion.smooth_lambda", self.motion.smooth_lambda),
             ("dense.flow.smoothness", f.smoothness),
         ];

@@ -191,7 +191,7 @@ pub(super) fn run(
                 disparity: &filled[i],
                 confidence: &measured[i].confidence,
             };
-            motion::evidence(&clues, &flows, i, &seen, &smoothers[i], &config.motion)
+            motion::evidence(&clues, &shots, &flows, i, &seen, &smoothers[i], &config.motion)
         })?;
         for _ in 0..config.motion.votes {
             evidence = each(count, "voting on motion", progress, |i| {

@@ -3,10 +3,10 @@
 use super::background::Background;
 use super::components::clean;
 use super::config::MotionConfig;
-use super::flow::{Flow, FlowPair};
+use super::flow::{Flow, FlowPair, bilinear};
 use super::pair::Pair;
-use super::shot::quantile;
-use super::smooth::Smoother;
+use super::shot::{Shot, quantile};
+use super::smooth::{Smoother, box_blur};
 use super::working::WorkingFrame;
 use crate::reconstruction::{Motion, SparseReconstruction};
 use m4_scene::Camera;
@@ -106,6 +106,7 @@ fn link(flows: &[FlowPair], cameras: &[Camera], i: usize, span: usize, later: bo
 /// the camera stands still, the difference to the background.
 pub(super) fn evidence(
     clues: &Clues,
+    shots: &[Shot],
     flows: &[FlowPair],
     i: usize,
     seen: &Seen<'_>,
@@ -120,7 +121,9 @@ pub(super) fn evidence(
     for &span in &config.spans {
         for later in [false, true] {
             if let Some(link) = link(flows, &clues.cameras, i, span, later) {
-                add_link(&link, seen.disparity, config, &mut value, &mut weight);
+                let other = &shots[if later { i + span } else { i - span }].frame.grey;
+                let refuted = refuted(&seen.frame.grey, other, &link, seen.disparity, config);
+                add_link(&link, seen.disparity, &refuted, config, &mut value, &mut weight);
             }
         }
     }
@@ -147,7 +150,31 @@ pub(super) fn evidence(
     smoother.fill(&value, &weight, config.smooth_lambda).0
 }
 
-fn add_link(link: &Link, disparity: &[f32], config: &MotionConfig, value: &mut [f32], weight: &mut [f32]) {
+/// How clearly the picture says that a pixel is not where it would be if it stood still, 0..1: on a
+/// flat wall flow is a guess, and a pixel that looks the same at its static place need not have moved.
+fn refuted(grey: &[f32], other: &[f32], link: &Link, disparity: &[f32], config: &MotionConfig) -> Vec<f32> {
+    let (w, h) = (link.there.width, link.there.height);
+    let mut out: Vec<f32> = (0..w * h)
+        .map(|i| {
+            let seen = link.pair.project((i % w) as f32, (i / w) as f32, disparity[i]);
+            (bilinear(w, h, other, seen.x, seen.y) - grey[i]).abs()
+        })
+        .collect();
+    box_blur(w, h, &mut out);
+    for v in &mut out {
+        *v = (*v / config.brightness_step).clamp(config.least_refuted, 1.0);
+    }
+    out
+}
+
+fn add_link(
+    link: &Link,
+    disparity: &[f32],
+    refuted: &[f32],
+    config: &MotionConfig,
+    value: &mut [f32],
+    weight: &mut [f32],
+) {
     let width = link.there.width;
     // Distance between where the flow and where the geometry says a pixel went; NaN for no answer.
     let residual: Vec<f32> = (0..disparity.len())
@@ -168,7 +195,7 @@ fn add_link(link: &Link, disparity: &[f32], config: &MotionConfig, value: &mut [
         let (u, v, trip) = (link.there.u[i], link.there.v[i], link.round_trip[i]);
         let noise = floor + config.flow_noise_share * u.hypot(v) + 0.5 * trip;
         let e = (0.5 * (residual[i] / noise - config.threshold)).clamp(-config.static_vote, 1.0);
-        let w = 1.0 / (1.0 + trip * trip);
+        let w = 1.0 / (1.0 + trip * trip) * if e > 0.0 { refuted[i] } else { 1.0 };
         value[i] += w * e;
         weight[i] += w;
     }

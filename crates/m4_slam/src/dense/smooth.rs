@@ -110,6 +110,31 @@ fn solve_row(u: &mut [f32], right: &[f32], l: f32, ratio: &mut [f32]) {
     }
 }
 
+/// Mean over 5x5 pixels, fewer at the rim.
+pub(super) fn box_blur(width: usize, height: usize, values: &mut [f32]) {
+    const REACH: usize = 2;
+    let reach = |i: usize, n: usize| i.saturating_sub(REACH)..(i + REACH + 1).min(n);
+    let mut rows = vec![0.0f32; values.len()];
+    for y in 0..height {
+        let row = &values[y * width..(y + 1) * width];
+        for (x, out) in rows[y * width..(y + 1) * width].iter_mut().enumerate() {
+            let part = &row[reach(x, width)];
+            *out = part.iter().sum::<f32>() / part.len() as f32;
+        }
+    }
+    for y in 0..height {
+        let window = reach(y, height);
+        let share = 1.0 / window.len() as f32;
+        let target = &mut values[y * width..(y + 1) * width];
+        target.fill(0.0);
+        for v in window {
+            for (t, r) in target.iter_mut().zip(&rows[v * width..(v + 1) * width]) {
+                *t += share * r;
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::Smoother;

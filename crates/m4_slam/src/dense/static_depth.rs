@@ -154,11 +154,16 @@ pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, config
         *v = (*v * *w + middle * anything) / (*w + anything);
         *w += anything;
     }
-    let (mut filled, _) = smoother.fill(&values, &weight, config.fill_lambda);
+    let (surroundings, _) = smoother.fill(&values, &weight, config.fill_lambda);
+    for ((v, w), s) in values.iter_mut().zip(&mut weight).zip(&surroundings) {
+        *v = (*w * *v + SURROUNDINGS * s) / (*w + SURROUNDINGS);
+        *w += SURROUNDINGS;
+    }
+    // Noise goes where the image is flat and stays where it has edges.
+    let (mut filled, _) = smoother.fill(&values, &weight, config.denoise_lambda);
     let least = 0.5 * shot.range.least;
-    for i in 0..filled.len() {
-        let w = weight[i];
-        filled[i] = ((w * values[i] + SURROUNDINGS * filled[i]) / (w + SURROUNDINGS)).max(least);
+    for d in &mut filled {
+        *d = d.max(least);
     }
     filled
 }

@@ -31,12 +31,7 @@ impl Flow {
 
     /// Bilinear value at `(x, y)`, clamped to the image.
     pub fn at(&self, x: f32, y: f32) -> (f32, f32) {
-        let (i, wx, wy) = cell(self.width, self.height, x, y);
-        let mix = |p: &[f32]| {
-            let top = p[i] * (1.0 - wx) + p[i + 1] * wx;
-            let bottom = p[i + self.width] * (1.0 - wx) + p[i + self.width + 1] * wx;
-            top * (1.0 - wy) + bottom * wy
-        };
+        let mix = |p: &[f32]| bilinear(self.width, self.height, p, x, y);
         (mix(&self.u), mix(&self.v))
     }
 
@@ -61,6 +56,14 @@ fn cell(width: usize, height: usize, x: f32, y: f32) -> (usize, f32, f32) {
     let y = y.max(0.0).min((height - 1) as f32);
     let (ix, iy) = ((x as usize).min(width - 2), (y as usize).min(height - 2));
     (iy * width + ix, x - ix as f32, y - iy as f32)
+}
+
+/// Bilinear value of a plane at `(x, y)`, clamped to the image.
+pub(super) fn bilinear(width: usize, height: usize, plane: &[f32], x: f32, y: f32) -> f32 {
+    let (i, wx, wy) = cell(width, height, x, y);
+    let top = plane[i] * (1.0 - wx) + plane[i + 1] * wx;
+    let bottom = plane[i + width] * (1.0 - wx) + plane[i + width + 1] * wx;
+    top * (1.0 - wy) + bottom * wy
 }
 
 /// Flow between a frame and the next, both ways.
