@@ -188,7 +188,9 @@ impl Progress for Listener {
     fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
 
     fn warn(&self, message: &str) {
-        self.warnings.lock().unwrap().push(message.to_owned());
+        if let Ok(mut warnings) = self.warnings.lock() {
+            warnings.push(message.to_owned());
+        }
     }
 
     fn cancelled(&self) -> bool {

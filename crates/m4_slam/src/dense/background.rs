@@ -10,7 +10,7 @@ const NOISE: f32 = 4.0;
 
 /// The usual colour of every pixel, `[height][width]`.
 pub(super) struct Background {
-    rgb: Vec<[f32; 3]>,
+    rgb: Vec<[u8; 3]>,
 }
 
 impl Background {
@@ -18,14 +18,14 @@ impl Background {
     pub fn new(frames: &[WorkingFrame]) -> Self {
         let count = SAMPLES.min(frames.len());
         let chosen: Vec<&WorkingFrame> = (0..count).map(|k| &frames[k * frames.len() / count]).collect();
-        let mut values = vec![0.0f32; count];
+        let mut values = vec![0u8; count];
         let rgb = (0..frames[0].rgb.len())
             .map(|i| {
                 std::array::from_fn(|c| {
                     for (v, frame) in values.iter_mut().zip(&chosen) {
                         *v = frame.rgb[i][c];
                     }
-                    *values.select_nth_unstable_by(count / 2, f32::total_cmp).1
+                    *values.select_nth_unstable(count / 2).1
                 })
             })
             .collect();
@@ -36,17 +36,17 @@ impl Background {
     /// pixel nearby (a tripod shakes, too) in units of the noise.
     pub fn evidence(&self, frame: &WorkingFrame, config: &MotionConfig) -> Vec<f32> {
         let (w, h) = (frame.width, frame.height);
-        let difference = |a: [f32; 3], b: [f32; 3]| a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let difference = |a: [u8; 3], b: [u8; 3]| a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).fold(0, u8::max);
         let mut out: Vec<f32> = vec![0.0; w * h];
         for y in 0..h {
             for x in 0..w {
-                let mut least = f32::INFINITY;
+                let mut least = u8::MAX;
                 for ny in y.saturating_sub(1)..(y + 2).min(h) {
                     for nx in x.saturating_sub(1)..(x + 2).min(w) {
                         least = least.min(difference(frame.rgb[y * w + x], self.rgb[ny * w + nx]));
                     }
                 }
-                out[y * w + x] = least;
+                out[y * w + x] = f32::from(least);
             }
         }
         let mut sorted = out.clone();

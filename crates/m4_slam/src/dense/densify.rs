@@ -160,9 +160,8 @@ pub(super) fn run(
     let swept = each(count, "sweeping depth", progress, |i| {
         static_depth::sweep(&shots, i, &config.static_depth)
     })?;
-    let smoothers = each(count, "reading edges", progress, |i| {
-        Smoother::new(w, h, &shots[i].frame.rgb, config.static_depth.fill_sigma)
-    })?;
+    // Made anew where needed: cheaper than keeping them.
+    let smoother = |i: usize| Smoother::new(w, h, &shots[i].frame.rgb, config.static_depth.fill_sigma);
     let still = sparse.camera_motion == CameraMotion::Static && count >= LEAST_BACKGROUND;
     let clues = Clues {
         cameras: working.iter().map(|f| f.camera).collect(),
@@ -180,7 +179,7 @@ pub(super) fn run(
         })?;
         let filled = each(count, "filling depth", progress, |i| {
             if parallax {
-                static_depth::fill(&shots[i], &smoothers[i], &measured[i], &config.static_depth)
+                static_depth::fill(&shots[i], &smoother(i), &measured[i], &config.static_depth)
             } else {
                 vec![1.0; w * h]
             }
@@ -191,7 +190,7 @@ pub(super) fn run(
                 disparity: &filled[i],
                 confidence: &measured[i].confidence,
             };
-            motion::evidence(&clues, &shots, &flows, i, &seen, &smoothers[i], &config.motion)
+            motion::evidence(&clues, &shots, &flows, i, &seen, &smoother(i), &config.motion)
         })?;
         for _ in 0..config.motion.votes {
             evidence = each(count, "voting on motion", progress, |i| {

@@ -93,11 +93,8 @@ fn neighbours(frame: &WorkingFrame, (x, y): (f32, f32), colour: [u8; 3]) -> Neig
             // A tent two pixels wide, never 0, times the likeness of the colours.
             let (dx, dy) = (x - nx as f32, y - ny as f32);
             let space = (1.6 - dx.abs()).max(0.05) * (1.6 - dy.abs()).max(0.05);
-            let difference: f32 = frame.rgb[i]
-                .iter()
-                .zip(&colour)
-                .map(|(a, &b)| (a - f32::from(b)).abs())
-                .fold(0.0, f32::max);
+            let differences = frame.rgb[i].iter().zip(&colour).map(|(a, b)| a.abs_diff(*b));
+            let difference = f32::from(differences.fold(0, u8::max));
             out.weight[k] = space / (1.0 + (difference / COLOUR).powi(2));
         }
     }

@@ -61,6 +61,47 @@ struct Running {
     weight: Vec<f32>,
 }
 
+/// Everything that the running mean of a frame depends on but the frame before.
+struct Clip<'a> {
+    width: usize,
+    height: usize,
+    moving: &'a [Vec<u8>],
+    touched: &'a [Vec<f32>],
+    flows: &'a [FlowPair],
+    decay: f32,
+    round_trip_px: f32,
+}
+
+impl Clip<'_> {
+    /// The mean of frame `i` with those of `last`, which ends at frame `i - 1` or, `backwards`, at `i + 1`.
+    fn extend(&self, i: usize, last: Option<&Running>, backwards: bool) -> Running {
+        let (w, h) = (self.width, self.height);
+        let mut running = Running {
+            mean: self.touched[i].clone(),
+            weight: vec![1.0; w * h],
+        };
+        let Some(last) = last else {
+            return running;
+        };
+        let (flow, trip, j) = if backwards {
+            (&self.flows[i].forward, &self.flows[i].forward_round_trip, i + 1)
+        } else {
+            let f = &self.flows[i - 1];
+            (&f.backward, &f.backward_round_trip, i - 1)
+        };
+        for p in (0..w * h).filter(|&p| self.moving[i][p] > 0 && trip[p] < self.round_trip_px) {
+            let (x, y) = ((p % w) as f32 + flow.u[p] + 0.5, (p / w) as f32 + flow.v[p] + 0.5);
+            let q = (y.max(0.0) as usize).min(h - 1) * w + (x.max(0.0) as usize).min(w - 1);
+            if self.moving[j][q] > 0 {
+                let weight = self.decay * last.weight[q];
+                running.mean[p] = (running.mean[p] + weight * last.mean[q]) / (1.0 + weight);
+                running.weight[p] = 1.0 + weight;
+            }
+        }
+        running
+    }
+}
+
 /// Means over time along the flow, forwards and backwards in time with the same decay, so that parts
 /// neither jump nor lag; in front of the background.
 fn steady(
@@ -72,56 +113,38 @@ fn steady(
     flows: &[FlowPair],
     config: &MovingDepthConfig,
 ) -> Vec<Vec<f32>> {
-    let decay = (-1.0 / config.smooth_frames.max(1e-3)).exp();
-    let count = touched.len();
-    let follow = |order: &mut dyn Iterator<Item = usize>, earlier: bool| -> Vec<Running> {
-        let mut all: Vec<Running> = Vec::with_capacity(count);
-        for i in order {
-            let mut running = Running {
-                mean: touched[i].clone(),
-                weight: vec![1.0; width * height],
-            };
-            if let Some(last) = all.last() {
-                let (flow, trip, j) = if earlier {
-                    (&flows[i - 1].backward, &flows[i - 1].backward_round_trip, i - 1)
-                } else {
-                    (&flows[i].forward, &flows[i].forward_round_trip, i + 1)
-                };
-                for p in (0..width * height).filter(|&p| moving[i][p] > 0 && trip[p] < config.round_trip_px) {
-                    let (x, y) = (
-                        (p % width) as f32 + flow.u[p] + 0.5,
-                        (p / width) as f32 + flow.v[p] + 0.5,
-                    );
-                    let q = (y.max(0.0) as usize).min(height - 1) * width + (x.max(0.0) as usize).min(width - 1);
-                    if moving[j][q] > 0 {
-                        let w = decay * last.weight[q];
-                        running.mean[p] = (running.mean[p] + w * last.mean[q]) / (1.0 + w);
-                        running.weight[p] = 1.0 + w;
-                    }
-                }
-            }
-            all.push(running);
-        }
-        all
+    let clip = Clip {
+        width,
+        height,
+        moving,
+        touched,
+        flows,
+        decay: (-1.0 / config.smooth_frames.max(1e-3)).exp(),
+        round_trip_px: config.round_trip_px,
     };
-    let forward = follow(&mut (0..count), true);
-    let mut backward = follow(&mut (0..count).rev(), false);
-    backward.reverse();
-    (0..count)
-        .map(|i| {
-            let (f, b) = (&forward[i], &backward[i]);
-            (0..width * height)
-                .map(|p| {
-                    if moving[i][p] == 0 {
-                        return background[i][p];
-                    }
-                    // The frame's own value is in both sums.
-                    let sum = f.mean[p] * f.weight[p] + b.mean[p] * b.weight[p] - touched[i][p];
-                    (sum / (f.weight[p] + b.weight[p] - 1.0)).max(background[i][p])
-                })
-                .collect()
-        })
-        .collect()
+    let mut backward: Vec<Running> = Vec::with_capacity(touched.len());
+    for i in (0..touched.len()).rev() {
+        let next = clip.extend(i, backward.last(), true);
+        backward.push(next);
+    }
+    let mut forward: Option<Running> = None;
+    let mut out = Vec::with_capacity(touched.len());
+    for i in 0..touched.len() {
+        let f = clip.extend(i, forward.as_ref(), false);
+        // Backward means are consumed as the forward ones are made: they come out first frame first.
+        let Some(b) = backward.pop() else { break };
+        let disparity = |p: usize| {
+            if moving[i][p] == 0 {
+                return background[i][p];
+            }
+            // The frame's own value is in both sums.
+            let sum = f.mean[p] * f.weight[p] + b.mean[p] * b.weight[p] - touched[i][p];
+            (sum / (f.weight[p] + b.weight[p] - 1.0)).max(background[i][p])
+        };
+        out.push((0..width * height).map(disparity).collect());
+        forward = Some(f);
+    }
+    out
 }
 
 #[cfg(test)]

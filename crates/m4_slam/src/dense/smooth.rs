@@ -17,10 +17,14 @@ pub(super) struct Smoother {
 
 impl Smoother {
     /// `sigma`: the colour difference (0..255, largest channel) over which the coupling falls by e.
-    pub fn new(width: usize, height: usize, guide: &[[f32; 3]], sigma: f32) -> Self {
-        let couple = |a: [f32; 3], b: [f32; 3]| {
-            let d = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-            (-d / sigma).exp().max(LEAST_COUPLING)
+    pub fn new(width: usize, height: usize, guide: &[[u8; 3]], sigma: f32) -> Self {
+        // One entry a possible colour difference.
+        let coupling: Vec<f32> = (0..256)
+            .map(|d| (-(d as f32) / sigma).exp().max(LEAST_COUPLING))
+            .collect();
+        let couple = |a: [u8; 3], b: [u8; 3]| {
+            let d = a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).fold(0, u8::max);
+            coupling[usize::from(d)]
         };
         let n = width * height;
         let (mut right, mut below) = (vec![0.0; n], vec![0.0; n]);
@@ -142,7 +146,7 @@ mod tests {
     #[test]
     fn a_constant_stays_and_the_mean_is_kept() {
         let (w, h) = (13, 9);
-        let guide: Vec<[f32; 3]> = (0..w * h).map(|i| [(i * 37 % 101) as f32; 3]).collect();
+        let guide: Vec<[u8; 3]> = (0..w * h).map(|i| [(i * 37 % 101) as u8; 3]).collect();
         let smoother = Smoother::new(w, h, &guide, 20.0);
         let mut flat = vec![3.0; w * h];
         smoother.smooth(&mut flat, 100.0);
@@ -157,9 +161,7 @@ mod tests {
     #[test]
     fn values_fill_their_own_side_of_an_edge() {
         let (w, h) = (20, 8);
-        let guide: Vec<[f32; 3]> = (0..w * h)
-            .map(|i| if i % w < 10 { [0.0; 3] } else { [200.0; 3] })
-            .collect();
+        let guide: Vec<[u8; 3]> = (0..w * h).map(|i| if i % w < 10 { [0; 3] } else { [200; 3] }).collect();
         let smoother = Smoother::new(w, h, &guide, 10.0);
         let (mut values, mut weight) = (vec![0.0; w * h], vec![0.0; w * h]);
         for (i, v) in [(3 * w + 2, 1.0), (5 * w + 17, 5.0)] {

@@ -8,7 +8,7 @@ pub(super) struct WorkingFrame {
     pub width: usize,
     pub height: usize,
     /// `[height][width][3]`, 0..255.
-    pub rgb: Vec<[f32; 3]>,
+    pub rgb: Vec<[u8; 3]>,
     /// `[height][width]`, 0..255.
     pub grey: Vec<f32>,
     /// The frame's camera for this size.
@@ -27,12 +27,15 @@ pub(super) fn working_size(width: usize, height: usize, side: usize) -> (usize, 
 
 impl WorkingFrame {
     pub fn new(image: &RgbImage, camera: &Camera, width: usize, height: usize) -> Self {
-        let rgb = shrink(image, width, height);
-        let grey = rgb.iter().map(|c| 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2]).collect();
+        let exact = shrink(image, width, height);
+        let grey = exact
+            .iter()
+            .map(|c| 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2])
+            .collect();
         Self {
             width,
             height,
-            rgb,
+            rgb: exact.iter().map(|c| c.map(|v| v.round() as u8)).collect(),
             grey,
             camera: camera.resized(width, height),
         }
