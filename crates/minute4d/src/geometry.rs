@@ -101,7 +101,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     match failed {
         Some(error) if error.is_stop() => Err(Error::Stopped {
             stage: STAGE,
-            saved: false,
+            saved: true,
         }),
         Some(error) => Err(error),
         None => {

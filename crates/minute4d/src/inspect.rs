@@ -200,24 +200,31 @@ fn test_views(path: &Path) -> Option<usize> {
 }
 
 fn video_facts(path: &Path, observer: &dyn Observer) -> Result<Inspection, Error> {
-    let options = VideoOptions {
-        size: None,
+    // All frames, but small, so that a long clip fits the memory; then two at their own size.
+    let small = VideoOptions {
+        size: Some(64),
         ..VideoOptions::default()
     };
-    let video = m4_io::video::read(path, &options, observer)?;
+    let video = m4_io::video::read(path, &small, observer)?;
+    let full = VideoOptions {
+        size: None,
+        max_frames: Some(2),
+        ..VideoOptions::default()
+    };
+    let ends = m4_io::video::read(path, &full, observer)?;
     let times: Vec<f64> = video.frames.iter().map(|f| f.time_s).collect();
     let mut gaps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
     gaps.sort_by(f64::total_cmp);
     let duration_s = times.last().zip(times.first()).map_or(0.0, |(b, a)| b - a);
     let median = gaps.get(gaps.len() / 2).copied().filter(|&g| g > 0.0);
-    let size = video.frames.first().map_or([0, 0], |f| f.rgb.size().into());
+    let size = ends.frames.first().map_or([0, 0], |f| f.rgb.size().into());
     Ok(Inspection::Video(VideoFacts {
         frames: times.len(),
         size,
         duration_s,
         fps: (duration_s > 0.0).then(|| (times.len() - 1) as f64 / duration_s),
         longest_gap: median.zip(gaps.last()).map(|(median, longest)| longest / median),
-        focal_px: video.focal_px,
+        focal_px: ends.focal_px,
         warnings: video.warnings,
     }))
 }

@@ -4,6 +4,10 @@
 mod common;
 
 use common::{Ended, Scratch, capture, program, succeed, text, train, write_capture, write_pictures};
+use minute4d::Silent;
+use minute4d::io::capture::Split;
+use minute4d::math::nalgebra::Vector3;
+use minute4d::math::{Sim3, exp_so3};
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -59,6 +63,47 @@ fn train_render_eval_inspect() {
     assert_eq!(succeed(&["inspect", &scene, "--json"]).result()["with_optimiser"], true);
     let same = succeed(&["eval-geometry", &data, "--truth", &data, "--json"]).result();
     assert!(same["trajectory"]["rmse"].as_f64().unwrap() < 1e-6, "{same}");
+}
+
+#[test]
+fn held_out_views_are_found_in_a_world_of_its_own() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("truth"), true);
+    let mut own = capture(6, false);
+    let map = Sim3 {
+        scale: 2.5,
+        rotation: exp_so3(&Vector3::new(0.4, -0.9, 0.2)),
+        translation: Vector3::new(3.0, -1.0, 2.0),
+    };
+    for frame in &mut own.frames {
+        frame.camera.c2w = map.transform_pose(&frame.camera.c2w);
+        frame.depth = frame.depth.as_ref().map(|d| d.map(|z| z * 2.5));
+    }
+    minute4d::io::capture::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
+    let score = |data: &str, out: &str| {
+        let out = dir.at(out);
+        assert_eq!(train(&dir.at(data), &out, "120", &[]).code, 0);
+        let ended = succeed(&["eval", &out, "--data", &dir.at("truth"), "--json"]);
+        (ended.result(), ended.stderr)
+    };
+    let (same, quiet) = score("truth", "same");
+    let (moved, warned) = score("own", "moved");
+    assert!(
+        same["alignment"].is_null() && !quiet.contains("world of its own"),
+        "{quiet}"
+    );
+    assert!(
+        (moved["alignment"]["scale"].as_f64().unwrap() - 2.5).abs() < 1e-3,
+        "{moved}"
+    );
+    assert!(warned.contains("world of its own"), "{warned}");
+    let psnr = |report: &Value| report["mean"]["psnr_db"].as_f64().unwrap();
+    assert!(
+        (psnr(&same) - psnr(&moved)).abs() < 1.5,
+        "{} and {} dB",
+        psnr(&same),
+        psnr(&moved)
+    );
 }
 
 #[test]
@@ -172,9 +217,9 @@ fn a_killed_run_goes_on_from_its_last_checkpoint() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let (data, whole, parts) = (dir.at("capture"), dir.at("whole"), dir.at("parts"));
-    assert_eq!(train(&data, &whole, "500", &[]).code, 0);
+    assert_eq!(train(&data, &whole, "1200", &[]).code, 0);
     let often = ["--set", "checkpoint.every_s=0.02"];
-    let (mut running, _rest) = start(&data, &parts, "500", &often);
+    let (mut running, _rest) = start(&data, &parts, "1200", &often);
     let saved = dir.path("parts/checkpoints");
     while fs::read_dir(&saved).map_or(0, Iterator::count) < 2 {
         assert!(
@@ -183,6 +228,9 @@ fn a_killed_run_goes_on_from_its_last_checkpoint() {
         );
         std::thread::sleep(std::time::Duration::from_millis(2));
     }
+    let second = train(&data, &parts, "1200", &["--resume"]);
+    assert_eq!(second.code, 75, "one folder, one process: {}", second.stderr);
+    assert!(second.stderr.contains("another minute4d is at work"));
     signal(&running, "-KILL");
     running.0.wait().unwrap();
     let left = fs::read_dir(&saved).unwrap().filter(|e| {
@@ -195,10 +243,10 @@ fn a_killed_run_goes_on_from_its_last_checkpoint() {
     );
     assert_eq!(read_json(&dir.path("parts/run.json"))["status"], "running");
 
-    let refused = train(&data, &parts, "500", &[]);
+    let refused = train(&data, &parts, "1200", &[]);
     assert_eq!(refused.code, 73);
     assert!(refused.stderr.contains("an unfinished run") && refused.stderr.contains("--resume"));
-    let ended = train(&data, &parts, "500", &["--resume", "--json"]);
+    let ended = train(&data, &parts, "1200", &["--resume", "--json"]);
     assert_eq!(ended.code, 0, "{}", ended.stderr);
     assert!(ended.events().iter().any(|e| e["status"] == "resumed"));
     let scene = |run: &str| fs::read(dir.path(run).join("scene.safetensors")).unwrap();
@@ -232,14 +280,7 @@ fn what_is_finished_is_not_done_again_unless_something_changed() {
 
     let mut changed = capture(6, false);
     changed.frames[2].rgb.data_mut()[5] = [1, 2, 3];
-    let write = minute4d::io::capture::write;
-    write(
-        &dir.path("capture"),
-        &changed,
-        minute4d::io::capture::Split::Train,
-        &minute4d::Silent,
-    )
-    .unwrap();
+    minute4d::io::capture::write(&dir.path("capture"), &changed, Split::Train, &Silent).unwrap();
     let other = stages(&train(&data, &out, "21", &["--json", "--resume"]));
     assert_eq!(other[0], "train started because the input changed");
 

@@ -2,44 +2,59 @@
 
 use m4_scene::{Capture, CaptureFrame};
 
-/// Index of the frame with the greatest mean squared brightness gradient over what moves (over
-/// everything where nothing does), away from the ends of the clip, where the scene is seen least.
-pub(super) fn sharpest(capture: &Capture) -> usize {
-    let n = capture.frames.len();
-    let margin = n / 5;
-    let inner = margin..n - margin;
-    let score = |i: usize| sharpness(&capture.frames[i]);
-    inner
-        .map(|i| (score(i), i))
-        .max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1)))
-        .map_or(0, |(_, i)| i)
+/// Pixels looked at: every so many columns and rows.
+const STEP: usize = 2;
+
+/// What a frame shows of the moving parts.
+#[derive(Debug, Clone, Copy)]
+struct Look {
+    /// Pixels of the moving parts; all where there is no mask.
+    count: usize,
+    /// Mean squared brightness gradient over them.
+    sharpness: f64,
 }
 
-fn sharpness(frame: &CaptureFrame) -> f64 {
+/// Index of the frame in which the moving parts are sharpest (everything, where nothing moves). It is
+/// one that shows at least three quarters of what the middle frame by that measure shows, away from
+/// the ends of the clip, where the scene is seen least.
+pub(super) fn sharpest(capture: &Capture) -> usize {
+    let n = capture.frames.len();
+    let inner: Vec<usize> = (n / 5..n - n / 5).collect();
+    let all = looks(capture, &inner, true);
+    let moves = all.iter().any(|look| look.count > 0);
+    let looks = if moves { all } else { looks(capture, &inner, false) };
+    let mut counts: Vec<usize> = looks.iter().map(|look| look.count).collect();
+    counts.sort_unstable();
+    let enough = counts.get(counts.len() / 2).map_or(0, |median| median * 3 / 4);
+    let candidates = inner.iter().zip(&looks).filter(|(_, look)| look.count >= enough);
+    // The first of equals: the choice must not depend on chance.
+    let best = candidates.max_by(|(i, a), (j, b)| a.sharpness.total_cmp(&b.sharpness).then(j.cmp(i)));
+    best.map_or(0, |(&i, _)| i)
+}
+
+fn looks(capture: &Capture, frames: &[usize], masked: bool) -> Vec<Look> {
+    frames.iter().map(|&i| look(&capture.frames[i], masked)).collect()
+}
+
+fn look(frame: &CaptureFrame, masked: bool) -> Look {
     let (w, h) = frame.rgb.size();
     let brightness = |x: usize, y: usize| frame.rgb[(x, y)].iter().map(|&c| f64::from(c)).sum::<f64>();
-    let moving = |x: usize, y: usize| {
-        frame.mask.as_ref().is_none_or(|m| {
-            let at = (x * m.width() / w, y * m.height() / h);
-            m[at] != 0
-        })
+    let counts = |x: usize, y: usize| match frame.mask.as_ref().filter(|_| masked) {
+        Some(mask) => mask[(x * mask.width() / w, y * mask.height() / h)] != 0,
+        None => true,
     };
     let (mut sum, mut count) = (0.0, 0usize);
-    for y in (0..h.saturating_sub(1)).step_by(2) {
-        for x in (0..w.saturating_sub(1)).step_by(2) {
-            if moving(x, y) {
+    for y in (0..h.saturating_sub(1)).step_by(STEP) {
+        for x in (0..w.saturating_sub(1)).step_by(STEP) {
+            if counts(x, y) {
                 let here = brightness(x, y);
                 sum += (brightness(x + 1, y) - here).powi(2) + (brightness(x, y + 1) - here).powi(2);
                 count += 1;
             }
         }
     }
-    // A handful of moving pixels says nothing about the moment.
-    if count * 200 < (w * h) / 4 {
-        0.0
-    } else {
-        sum / count as f64
-    }
+    let sharpness = sum / count.max(1) as f64;
+    Look { count, sharpness }
 }
 
 #[cfg(test)]
@@ -57,14 +72,17 @@ mod tests {
                 c2w: Se3::identity(),
             },
             t: i as f64,
-            // Stripes to the left in frame 6, stronger ones to the right, where nothing moves, in frame 4.
+            // Stripes to the left in frame 6; stronger ones to the right, where nothing moves, in frame 4; and
+            // in frame 3, where next to nothing is masked.
             rgb: Plane::from_fn(32, 24, |x, _| {
-                let striped = if i == 6 { x < 16 } else { i == 4 && x >= 16 };
+                let striped = if i == 6 { x < 16 } else { i == 3 || i == 4 && x >= 16 };
                 let strength = if i == 6 { 100 } else { 255 };
                 [if striped && x % 2 == 0 { strength } else { 0 }; 3]
             }),
             depth: None,
-            mask: Some(Plane::from_fn(32, 24, |x, _| if x < 16 { 255 } else { 0 })),
+            mask: Some(Plane::from_fn(32, 24, |x, _| {
+                if x < if i == 3 { 2 } else { 16 } { 255 } else { 0 }
+            })),
             camera_index: None,
         };
         let capture = Capture {
