@@ -1,6 +1,10 @@
 //! `cargo xtask check`: every check that CI runs, in one program.
 #![forbid(unsafe_code)]
-#![expect(clippy::print_stderr, clippy::print_stdout, reason = "a program that reports to a terminal")]
+#![expect(
+    clippy::print_stderr,
+    clippy::print_stdout,
+    reason = "a program that reports to a terminal"
+)]
 
 use anyhow::{Context, Result, bail};
 use std::path::Path;

@@ -80,6 +80,24 @@ fn an_arrow_that_points_back_is_found() {
 }
 
 #[test]
+fn what_measures_may_read_data_in_its_tests_alone() {
+    let may = arrows(&[("m4_train", &[]), ("m4_math", &[])]);
+    let with = |normal: &[&str], dev: &[&str], from: &str| {
+        let mut actual = Actual {
+            normal: may.clone(),
+            dev: Arrows::new(),
+        };
+        actual.normal.insert(from.to_owned(), set(normal));
+        actual.dev.insert(from.to_owned(), set(dev));
+        violations(&actual, &may).len()
+    };
+    assert_eq!(with(&[], &["m4_io", "m4_eval"], "m4_train"), 0);
+    assert_eq!(with(&["m4_io"], &[], "m4_train"), 1);
+    assert_eq!(with(&[], &["m4_io"], "m4_math"), 1);
+    assert_eq!(with(&[], &["m4_slam"], "m4_train"), 1);
+}
+
+#[test]
 fn a_crate_without_a_row_and_a_row_without_a_crate_are_found() {
     let may = allowed(TABLE, &crates());
     let mut normal = may.clone();
