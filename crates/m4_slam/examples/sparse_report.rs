@@ -194,11 +194,19 @@ fn compare(found: &SparseReconstruction, truth: &Truth) -> Result<(), Anything> 
             let rmse = (squared / want.len() as f64).sqrt();
             // The path may be nearly straight, which leaves a turn about it open: rotations are
             // compared after the turn that suits them all best.
-            let sum: Matrix3<f64> = ours.iter().zip(&truth.c2w).map(|(a, b)| b.rotation * a.rotation.transpose()).sum();
+            let sum: Matrix3<f64> = ours
+                .iter()
+                .zip(&truth.c2w)
+                .map(|(a, b)| b.rotation * a.rotation.transpose())
+                .sum();
             let mut turns: Vec<f64> = ours
                 .iter()
                 .zip(&truth.c2w)
-                .map(|(a, b)| log_so3(&(nearest_rotation(&sum) * a.rotation * b.rotation.transpose())).norm().to_degrees())
+                .map(|(a, b)| {
+                    log_so3(&(nearest_rotation(&sum) * a.rotation * b.rotation.transpose()))
+                        .norm()
+                        .to_degrees()
+                })
                 .collect();
             turns.sort_by(f64::total_cmp);
             println!(

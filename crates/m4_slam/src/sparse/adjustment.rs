@@ -1,7 +1,6 @@
 //! A moving camera: growth from keyframes, then all frames, bundle adjustment and motion in turn.
 
 use super::bundle::{BundleOptions, BundleReport};
-use super::config::GeometryConfig;
 use super::growth::{MIN_MATCHES, scan, start_pairs};
 use super::map::Map;
 use super::motion::classify;
@@ -74,19 +73,22 @@ impl Clip<'_> {
         Ok(Ok(self.finish(map, motions, CameraMotion::Parallax)))
     }
 
-    /// Warns when the clip fits another focal length than the given one clearly better.
-    fn check_given_focal(&mut self, map: &Map) {
-        let options = |free_focal| BundleOptions {
+    fn bundle_options(&self, free_focal: bool) -> BundleOptions {
+        BundleOptions {
             cauchy_px: self.geometry.cauchy_px,
             iterations: self.geometry.bundle_iterations,
             tolerance: self.geometry.bundle_tolerance,
             free_focal,
             free_poses: true,
-        };
+        }
+    }
+
+    /// Warns when the clip fits another focal length than the given one clearly better.
+    fn check_given_focal(&mut self, map: &Map) {
         let (mut held, mut freed) = (map.clone(), map.clone());
         let (with, without) = (
-            held.adjust(&self.tracks, &options(false)),
-            freed.adjust(&self.tracks, &options(true)),
+            held.adjust(&self.tracks, &self.bundle_options(false)),
+            freed.adjust(&self.tracks, &self.bundle_options(true)),
         );
         if (freed.focal / map.focal).ln().abs() > 0.1 && without.cost < 0.8 * with.cost {
             self.warn(format!(
@@ -102,25 +104,12 @@ impl Clip<'_> {
 
     /// All frames, bundle adjustment and classification in turn.
     fn refine(&mut self, map: &mut Map, free_focal: bool) -> Result<(Vec<Motion>, BundleReport), SparseError> {
-        let GeometryConfig {
-            cauchy_px,
-            bundle_iterations,
-            bundle_tolerance,
-            ..
-        } = self.config.geometry;
         let mut usable = vec![true; self.tracks.len()];
         self.register_all(map)?;
         map.triangulate(&self.tracks, &usable, &self.geometry);
-        let options = BundleOptions {
-            cauchy_px,
-            iterations: bundle_iterations,
-            tolerance: bundle_tolerance,
-            free_focal,
-            free_poses: true,
-        };
         let rounds = self.config.motion.rounds.max(1);
         let mut motions = Vec::new();
-        let mut report = map.adjust(&self.tracks, &options);
+        let mut report = map.adjust(&self.tracks, &self.bundle_options(free_focal));
         for round in 0..rounds {
             stopped(self.progress)?;
             self.progress.update(
@@ -129,13 +118,16 @@ impl Clip<'_> {
                 rounds,
                 &format!("focal {:.1} px", map.focal / self.size.scale),
             );
+            if let Some(typical) = map.median_error(&self.tracks) {
+                self.geometry.sharpen(typical);
+            }
             motions = classify(map, &self.tracks, &self.config.motion);
             for (u, m) in usable.iter_mut().zip(&motions) {
                 *u = *m != Motion::Dynamic;
             }
             map.triangulate(&self.tracks, &usable, &self.geometry);
             self.register_all(map)?;
-            report = map.adjust(&self.tracks, &options);
+            report = map.adjust(&self.tracks, &self.bundle_options(free_focal));
         }
         map.triangulate(&self.tracks, &usable, &self.geometry);
         self.progress.update("bundle adjustment", rounds, rounds, "");

@@ -18,8 +18,8 @@ pub struct TrackingConfig {
     pub quality: f32,
     /// Corners with a lesser eigenvalue below this (squared grey levels) are noise.
     pub min_response: f32,
-    /// Side of the patch that is followed; odd. Section 7.1 has 21; 11 was more accurate on every clip
-    /// that was tried (docs/decisions/0001).
+    /// Side of the patch that is followed; odd. Section 7.1 has 21; 11 gave trajectories as good or
+    /// better, and is faster (docs/decisions/0001).
     pub window_px: usize,
     /// Levels of the pyramid, each half the size of the one below. 4: section 7.1.
     pub levels: usize,
@@ -84,8 +84,11 @@ pub struct GeometryConfig {
     pub two_view_samples: usize,
     /// Epipolar and reprojection errors above this do not count as agreement.
     pub inlier_px: f64,
-    /// Scale of the Cauchy loss of bundle adjustment.
+    /// Scale of the Cauchy loss of bundle adjustment while the map grows.
     pub cauchy_px: f64,
+    /// ... and, once all frames are placed, this many robust standard deviations of the residuals.
+    /// 2.385: 95 % efficiency on normal errors (Holland and Welsch 1977).
+    pub cauchy_deviations: f64,
     /// Points whose rays meet at less than this are not triangulated, degrees. 1.5: section 7.1. In
     /// clips with so little parallax that this would leave few points, half the angle that the
     /// greatest median parallax stands for.
@@ -113,11 +116,24 @@ impl Default for GeometryConfig {
             two_view_samples: 150,
             inlier_px: 2.0,
             cauchy_px: 1.0,
+            cauchy_deviations: 2.385,
             min_angle_deg: 1.5,
             bundle_iterations: 30,
             bundle_tolerance: 1e-6,
             seed: 0,
         }
+    }
+}
+
+/// Median of the length of a residual whose two components have standard deviation 1 (Rayleigh).
+pub(super) const RAYLEIGH_MEDIAN: f64 = 1.177_41;
+
+impl GeometryConfig {
+    /// Narrows the loss to residuals with this median, pixels: what a wide loss lets pass (slow
+    /// motion, patches on two surfaces) would pull at the focal length. Never under 0.05 pixels.
+    pub(super) fn sharpen(&mut self, median_px: f64) {
+        let scale = self.cauchy_deviations * median_px / RAYLEIGH_MEDIAN;
+        self.cauchy_px = self.cauchy_px.min(scale.max(0.05));
     }
 }
 

@@ -1,15 +1,12 @@
 //! Which tracks move, judged by how badly a resting point explains them.
 
-use super::config::MotionConfig;
+use super::config::{MotionConfig, RAYLEIGH_MEDIAN};
 use super::map::Map;
 use super::tracking::RawTrack;
 use super::triangulate::{median, triangulate};
 use crate::reconstruction::Motion;
 use m4_math::nalgebra::Vector3;
 use rayon::prelude::*;
-
-/// Median of the length of a residual whose components have standard deviation 1 (Rayleigh).
-const RAYLEIGH_MEDIAN: f64 = 1.177_41;
 
 /// Judges every track: the best resting point is fitted to all its observations, also to those of
 /// tracks that the map gave up on; where rays do not meet, a point at infinity stands in.

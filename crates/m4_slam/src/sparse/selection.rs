@@ -1,6 +1,7 @@
 //! Which of several starts the reconstruction goes on with.
 
 use super::SparseError;
+use super::bundle::BundleOptions;
 use super::config::GeometryConfig;
 use super::growth::{Start, grow};
 use super::map::Map;
@@ -54,7 +55,11 @@ pub(crate) fn select(
         }
     }
     let medians = maps.iter().filter_map(|m| m.median_error(tracks));
-    let scale = (3.0 * medians.fold(f64::INFINITY, f64::min)).clamp(0.1, config.inlier_px);
+    let least = medians.fold(f64::INFINITY, f64::min);
+    if maps.len() > 1 {
+        polish(&mut maps, tracks, least, free_focal, config);
+    }
+    let scale = (3.0 * least).clamp(0.1, config.inlier_px);
     let mut scored: Vec<(f64, Map)> = maps.into_iter().map(|m| (m.explained(tracks, scale), m)).collect();
     scored.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut scored = scored.into_iter();
@@ -65,6 +70,22 @@ pub(crate) fn select(
             rival_focal: rival.map(|(_, m)| m.focal),
         }
     }))
+}
+
+/// Bundle adjustment with the narrow loss, so that maps which only stopped short of one another meet.
+fn polish(maps: &mut [Map], tracks: &[RawTrack], median_px: f64, free_focal: bool, config: &GeometryConfig) {
+    let mut narrow = config.clone();
+    narrow.sharpen(median_px);
+    let options = BundleOptions {
+        cauchy_px: narrow.cauchy_px,
+        iterations: config.bundle_iterations,
+        tolerance: config.bundle_tolerance,
+        free_focal,
+        free_poses: true,
+    };
+    for map in maps {
+        map.adjust(tracks, &options);
+    }
 }
 
 /// Starts that are tried in any case.
