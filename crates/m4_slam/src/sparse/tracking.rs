@@ -147,7 +147,7 @@ fn without_collisions(
     done: &mut Vec<RawTrack>,
     finish: impl Fn(Live) -> RawTrack,
 ) -> Vec<Live> {
-    let reach = 0.5 * config.min_distance_px;
+    let reach = (0.5 * config.min_distance_px).max(0.5);
     // Oldest first: `live` is in order of birth already, since new tracks are appended.
     let mut buckets: std::collections::BTreeMap<(i32, i32), Vec<[f32; 2]>> = std::collections::BTreeMap::new();
     let mut kept = Vec::with_capacity(tracks.len());
