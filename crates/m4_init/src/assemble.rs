@@ -1,5 +1,6 @@
 //! Clouds to splats.
 
+use crate::carry::{Carry, Moving, hidden};
 use crate::change::changes;
 use crate::cloud::{Clouds, clouds};
 use crate::shell::{Shell, shell};
@@ -75,6 +76,16 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     if progress.cancelled() {
         return Err(InitError::Stopped);
     }
+    let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
+    let by = Carry {
+        keyframes: match config.velocity {
+            // What does not move is carried nowhere.
+            VelocityInit::Zero => 0,
+            VelocityInit::Register { .. } => config.carry_keyframes,
+        },
+        margin: config.carry_margin,
+    };
+    let hidden = hidden(capture, &frames, &moving, &velocities, &moving_grid, by);
     let tint_grid = grid(config.change_pixels);
     let tints: Vec<Tints> = clouds
         .moving
@@ -100,6 +111,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         shell,
         moving,
         velocities,
+        hidden,
         tints,
     };
     let splats = assemble(capture, config, &parts);
@@ -124,6 +136,8 @@ struct Parts {
     moving: Vec<(f64, Centroids)>,
     /// World units a frame, one a point of each keyframe.
     velocities: Vec<Vec<[f32; 3]>>,
+    /// Points that a keyframe cannot see.
+    hidden: Vec<Moving>,
     /// One a keyframe.
     tints: Vec<Tints>,
 }
@@ -179,6 +193,7 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
         time_degree: 0,
     };
     let n_moving: usize = parts.moving.iter().map(|(_, c)| c.xyz.len()).sum();
+    let n_hidden: usize = parts.hidden.iter().map(|m| m.points.xyz.len()).sum();
     let n_tints: usize = parts
         .tints
         .iter()
@@ -186,7 +201,7 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
         .sum();
     let n_standing = parts.standing.xyz.len() + parts.shell.xyz.len();
     let n_static = if config.static_fade { 0 } else { n_standing };
-    let mut splats = Splats::zeros(layout, n_static, n_standing - n_static + n_moving + n_tints);
+    let mut splats = Splats::zeros(layout, n_static, n_standing - n_static + n_moving + n_hidden + n_tints);
 
     let mut writer = Writer {
         splats: &mut splats,
@@ -203,6 +218,9 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
         let first = writer.row;
         writer.surface(points);
         writer.velocity(first, &parts.velocities[i]);
+        let first_hidden = writer.row;
+        writer.surface(&parts.hidden[i].points);
+        writer.velocity(first_hidden, &parts.hidden[i].velocity);
         writer.tint(&parts.tints[i].darker, DARK);
         writer.tint(&parts.tints[i].brighter, BRIGHT);
         writer.time(first, (*t as f32, spans.moving));

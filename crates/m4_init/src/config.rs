@@ -83,6 +83,13 @@ pub struct InitConfig {
     /// Standing points within this many pixels of a moving one are dropped: masks are never exact,
     /// and a moving pixel taken for wall stays on the wall (our rule).
     pub mask_margin_px: usize,
+    /// Moving points that leave the picture or go behind something are carried on, with their velocity,
+    /// into at most this many keyframes that cannot see them (section 2.6: occluded samples are kept).
+    /// They come on top of `max_dynamic`. 0 for none.
+    pub carry_keyframes: usize,
+    /// A carried point behind the depth map by more than this share of the depth is hidden. 0.05
+    /// (section 2.6).
+    pub carry_margin: f32,
     /// A patch of standing surface whose brightness differs by more than this (0..1) from its mean over
     /// all frames gets splats of its own for that time: moving shadows (our rule). 0 for none.
     pub change_threshold: f32,
@@ -133,6 +140,8 @@ impl InitConfig {
             dynamic_stride: 1,
             edge_jump: 0.05,
             mask_margin_px: 2,
+            carry_keyframes: 8,
+            carry_margin: 0.05,
             change_threshold: 0.05,
             change_max_share: 0.1,
             change_pixels: 5.0,
@@ -165,6 +174,7 @@ impl InitConfig {
             cells: CellSize::Constant,
             static_frames: 40,
             mask_margin_px: 0,
+            carry_keyframes: 0,
             change_threshold: 0.0,
             shell_splats: 0,
             isotropic: true,
@@ -205,6 +215,7 @@ impl InitConfig {
         at_least_1("static_frames", self.static_frames)?;
         at_least_1("dynamic_stride", self.dynamic_stride)?;
         positive("edge_jump", self.edge_jump)?;
+        at_least_0("carry_margin", self.carry_margin)?;
         at_least_0("change_threshold", self.change_threshold)?;
         if !(0.0..1.0).contains(&self.change_max_share) {
             return Err(bad("change_max_share", self.change_max_share, "at least 0 and below 1"));

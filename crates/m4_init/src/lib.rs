@@ -8,6 +8,7 @@
 //! ```text
 //! cloud (depth -> points) -> voxel (points -> centroids) -> spacing (3-NN -> scale) -> assemble
 //!                                                        -> velocity (keyframe to keyframe)
+//! carry (what a keyframe cannot see, from those that can)
 //! change (moving shadows on what stands still)    shell (something behind everything)
 //! ```
 //!
@@ -16,6 +17,7 @@
 #![forbid(unsafe_code)]
 
 mod assemble;
+mod carry;
 mod change;
 mod cloud;
 mod config;

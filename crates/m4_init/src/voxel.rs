@@ -77,7 +77,7 @@ impl Grid {
     }
 
     /// Sortable key of the cell of a point.
-    fn key(&self, p: [f32; 3]) -> (i16, u64) {
+    pub fn key(&self, p: [f32; 3]) -> (i16, u64) {
         let (level, edge) = self.level(p);
         let axis = |k: usize| {
             let cell = ((p[k] - self.origin[k]) / edge + 0.5 * CELLS).floor();

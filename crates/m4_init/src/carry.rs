@@ -1,0 +1,191 @@
+//! Moving points that a keyframe cannot see, carried over from keyframes that can.
+//!
+//! What leaves the picture, or goes behind something, is still there: a view from beside the video may
+//! see it (section 2.6: "keep occluded samples"). Points move on with their own velocity. In every
+//! keyframe they pass through, those that the camera would see are dropped, since the keyframe's own
+//! points are better; so are those that would float in front of something.
+
+use crate::voxel::{Centroids, Grid};
+use m4_scene::{Capture, CaptureFrame};
+
+/// What is carried, and how far.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Carry {
+    /// Keyframes that a point is carried on from the one that saw it.
+    pub keyframes: usize,
+    /// A point behind the depth map by more than this share of the depth is hidden.
+    pub margin: f32,
+}
+
+/// Points of one keyframe with their velocities, world units a frame.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Moving {
+    pub points: Centroids,
+    pub velocity: Vec<[f32; 3]>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Point {
+    xyz: [f32; 3],
+    rgb: [f32; 3],
+    edge: f32,
+    velocity: [f32; 3],
+    age: usize,
+}
+
+/// For every keyframe the points of others that it cannot see; `frames` are the frames of the keyframes.
+pub(crate) fn hidden(
+    capture: &Capture,
+    frames: &[usize],
+    moving: &[(f64, Centroids)],
+    velocities: &[Vec<[f32; 3]>],
+    grid: &Grid,
+    by: Carry,
+) -> Vec<Moving> {
+    let n = moving.len();
+    let mut out: Vec<Vec<Point>> = vec![Vec::new(); n];
+    if by.keyframes == 0 {
+        return vec![Moving::default(); n];
+    }
+    for forward in [true, false] {
+        let mut carried: Vec<Point> = Vec::new();
+        for step in 1..n {
+            let (from, to) = if forward {
+                (step - 1, step)
+            } else {
+                (n - step, n - 1 - step)
+            };
+            let gap = (moving[to].0 - moving[from].0) as f32;
+            let own = moving[from].1.xyz.iter().enumerate().map(|(i, &xyz)| Point {
+                xyz,
+                rgb: moving[from].1.rgb[i],
+                edge: moving[from].1.edge[i],
+                velocity: velocities[from][i],
+                age: 0,
+            });
+            let frame = &capture.frames[frames[to]];
+            let moved = own.chain(carried).map(|p| Point {
+                xyz: [0, 1, 2].map(|k| p.xyz[k] + gap * p.velocity[k]),
+                age: p.age + 1,
+                ..p
+            });
+            let unseen = moved.filter(|p| p.age <= by.keyframes && !is_seen(frame, p.xyz, by.margin));
+            carried = youngest(unseen.collect(), grid);
+            out[to].extend_from_slice(&carried);
+        }
+    }
+    out.into_iter().map(|points| collect(youngest(points, grid))).collect()
+}
+
+/// One point a cell: the one carried the shortest way.
+fn youngest(points: Vec<Point>, grid: &Grid) -> Vec<Point> {
+    let mut keys: Vec<((i16, u64), usize, usize)> = points
+        .iter()
+        .enumerate()
+        .map(|(i, p)| (grid.key(p.xyz), p.age, i))
+        .collect();
+    keys.sort_unstable();
+    keys.dedup_by_key(|k| k.0);
+    keys.iter().map(|&(_, _, i)| points[i]).collect()
+}
+
+fn collect(points: Vec<Point>) -> Moving {
+    let mut out = Moving::default();
+    for p in points {
+        out.points.xyz.push(p.xyz);
+        out.points.rgb.push(p.rgb);
+        out.points.edge.push(p.edge);
+        out.velocity.push(p.velocity);
+    }
+    out
+}
+
+/// True where the camera of `frame` looks at or through the point: inside the picture and not behind
+/// the depth map. A frame without depth sees everything inside its picture.
+fn is_seen(frame: &CaptureFrame, p: [f32; 3], margin: f32) -> bool {
+    let ([u, v], z) = frame.camera.project(&p.map(f64::from).into());
+    let (w, h) = frame.rgb.size();
+    let inside = z > 0.0 && u > -0.5 && v > -0.5 && u < w as f64 - 0.5 && v < h as f64 - 0.5;
+    if !inside {
+        return false;
+    }
+    frame.depth.as_ref().is_none_or(|depth| {
+        let (dw, dh) = depth.size();
+        let x = ((u + 0.5) * dw as f64 / w as f64) as usize;
+        let y = ((v + 0.5) * dh as f64 / h as f64) as usize;
+        let surface = depth[(x.min(dw - 1), y.min(dh - 1))];
+        // nothing known there: as likely seen as not
+        !(surface > 0.0 && z as f32 > surface * (1.0 + margin))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Carry, hidden};
+    use crate::CellSize;
+    use crate::voxel::{Centroids, Grid};
+    use m4_math::Se3;
+    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+
+    /// A point at depth 3 moves to the right by 0.5 a frame: it leaves the picture after frame 3, and a
+    /// pillar at depth 1 hides it in frame 2.
+    #[test]
+    fn points_are_carried_where_they_cannot_be_seen() {
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(40, 20, 30.0),
+            c2w: Se3::identity(),
+        };
+        let x_at = |t: usize| -0.5 + 0.5 * t as f32;
+        let seen = |t: usize| t != 2 && t < 5;
+        let frame = |t: usize| CaptureFrame {
+            name: t.to_string(),
+            camera,
+            t: t as f64,
+            rgb: Plane::filled(40, 20, [0; 3]),
+            depth: Some(Plane::from_fn(
+                40,
+                20,
+                |x, _| if (22..28).contains(&x) { 1.0 } else { 3.0 },
+            )),
+            mask: None,
+            camera_index: None,
+        };
+        let capture = Capture {
+            frames: (0..8).map(frame).collect(),
+            time_frames: 8,
+            duration_s: None,
+            metric: true,
+        };
+        let moving: Vec<(f64, Centroids)> = (0..8)
+            .map(|t| {
+                let mut points = Centroids::default();
+                if seen(t) {
+                    points.xyz.push([x_at(t), 0.0, 3.0]);
+                    points.rgb.push([0.1 * t as f32; 3]);
+                    points.edge.push(0.1);
+                }
+                (t as f64, points)
+            })
+            .collect();
+        let velocities: Vec<Vec<[f32; 3]>> = moving.iter().map(|(_, p)| vec![[0.5, 0.0, 0.0]; p.xyz.len()]).collect();
+        let grid = Grid::new(CellSize::Constant, 3.0, 30.0, 3.0, &[], [0.0; 3]);
+        let frames: Vec<usize> = (0..8).collect();
+        let by = |keyframes| Carry {
+            keyframes,
+            margin: 0.05,
+        };
+        let got = hidden(&capture, &frames, &moving, &velocities, &grid, by(2));
+        let counts: Vec<usize> = got.iter().map(|m| m.points.xyz.len()).collect();
+        assert_eq!(
+            counts,
+            [0, 0, 1, 0, 0, 1, 1, 0],
+            "hidden in 2, outside from 5 on, carried at most twice"
+        );
+        for t in [2, 5, 6] {
+            assert!((got[t].points.xyz[0][0] - x_at(t)).abs() < 1e-5);
+        }
+        assert_eq!(got[6].points.rgb[0][0], 0.4, "from the last keyframe that saw it");
+        let none = hidden(&capture, &frames, &moving, &velocities, &grid, by(0));
+        assert!(none.iter().all(|m| m.points.xyz.is_empty()));
+    }
+}
