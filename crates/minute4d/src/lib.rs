@@ -48,7 +48,7 @@ pub use folder::Existing;
 pub use job::{Job, threads, with_threads};
 pub use pipeline::{is_capture, run};
 pub use progress::{Keeper, Observer, StageEvent};
-pub use record::plain_json;
+pub use record::{plain_json, pretty_json};
 pub use settings::Settings;
 
 pub use m4_eval as eval;

@@ -279,11 +279,20 @@ pub fn plain_json(value: &impl Serialize) -> Result<Value, Error> {
     serde_json::from_str(&serde_json::to_string(value).map_err(internal)?).map_err(internal)
 }
 
+/// A value as indented JSON, keys in the order of its fields.
+///
+/// # Errors
+///
+/// [`Error::Internal`] if the value cannot be written as JSON.
+pub fn pretty_json(value: &impl Serialize) -> Result<String, Error> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| Error::Internal { what: e.to_string() })?;
+    Ok(text + "\n")
+}
+
 /// Writes `value` as indented JSON, whole or not at all.
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
-    let mut text = serde_json::to_vec_pretty(value).map_err(|e| Error::Internal { what: e.to_string() })?;
-    text.push(b'\n');
-    atomic::write(path, &text).map_err(|source| Error::Write {
+    let text = pretty_json(value)?;
+    atomic::write(path, text.as_bytes()).map_err(|source| Error::Write {
         path: path.to_path_buf(),
         source,
     })

@@ -94,8 +94,8 @@ pub(super) fn between(scene: &Scene, data: &Path, observer: &dyn Observer) -> Re
     };
     let alignment = Alignment::new(&map, &pairs);
     observer.warn(&format!(
-        "the scene has a world of its own; the held-out cameras were placed by aligning {} training cameras (error {:.1} % \
-         of the path, {:.1} degrees), and the scores include the error of that",
+        "the scene has a world of its own; the held-out cameras were placed by aligning {} training cameras (error {:.2} % \
+         of the path, {:.2} degrees), and the scores include the error of that",
         alignment.cameras, alignment.rmse_percent, alignment.median_deg
     ));
     Ok(Some(alignment))

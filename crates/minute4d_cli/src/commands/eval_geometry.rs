@@ -7,6 +7,7 @@ use crate::output::Output;
 pub fn run(args: &EvalGeometry, output: &Output) -> Result<(), Failure> {
     let report = minute4d::evaluate::geometry(&args.capture, &args.truth, output)?;
     let value = minute4d::plain_json(&report)?;
-    output.result(&format!("{value:#}"), value.clone());
+    // Indented, and in the order of the report.
+    output.result(&minute4d::pretty_json(&report)?, value);
     Ok(())
 }

@@ -7,6 +7,8 @@ use std::io::Write;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+/// Version of the events; it grows when a field changes its meaning or goes away.
+const SCHEMA: u32 = 1;
 /// Progress events of one phase are at least this far apart.
 const INTERVAL: Duration = Duration::from_millis(500);
 
@@ -28,11 +30,19 @@ struct Phase {
 pub struct Events(Mutex<State>);
 
 impl Events {
+    /// A stream that says who writes it, and in which version of these events.
+    pub fn start() -> Self {
+        let events = Self::default();
+        let release = Value::from(env!("CARGO_PKG_VERSION"));
+        events.emit("start", &[("schema", SCHEMA.into()), ("minute4d", release)]);
+        events
+    }
+
     /// Writes one event, unless the stream has ended.
-    pub fn emit(&self, event: &Value) {
+    pub fn emit(&self, event: &str, fields: &[(&str, Value)]) {
         let state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if !state.ended {
-            write_line(event);
+            write_line(event, fields);
         }
     }
 
@@ -66,9 +76,14 @@ impl Events {
             done.saturating_sub(first_done),
             total.saturating_sub(done),
         );
-        write_line(&json!({
-            "event": "progress", "phase": phase, "done": done, "total": total, "note": note, "eta_s": eta_s,
-        }));
+        let fields = [
+            ("phase", json!(phase)),
+            ("done", json!(done)),
+            ("total", json!(total)),
+            ("eta_s", json!(eta_s)),
+            ("note", json!(note)),
+        ];
+        write_line("progress", &fields);
         if done >= total {
             state.phases.remove(phase);
         }
@@ -76,18 +91,19 @@ impl Events {
 
     /// A stage began or ended.
     pub fn stage(&self, name: &str, event: StageEvent<'_>) {
-        let value = match event {
-            StageEvent::Started { because } => json!({"status": "started", "because": because}),
-            StageEvent::Resumed { done, total } => json!({"status": "resumed", "done": done, "total": total}),
-            StageEvent::Reused => json!({"status": "reused"}),
-            StageEvent::Finished { seconds } => json!({"status": "finished", "seconds": seconds}),
+        let status = |text: &str| ("status", Value::from(text));
+        let more = match event {
+            StageEvent::Started { because } => vec![status("started"), ("because", json!(because))],
+            StageEvent::Resumed { done, total } => {
+                vec![status("resumed"), ("done", json!(done)), ("total", json!(total))]
+            }
+            StageEvent::Reused => vec![status("reused")],
+            StageEvent::Finished { seconds } => vec![status("finished"), ("seconds", json!(seconds))],
             _ => return,
         };
-        let mut line = json!({"event": "stage", "stage": name});
-        if let (Value::Object(line), Value::Object(value)) = (&mut line, value) {
-            line.extend(value);
-        }
-        self.emit(&line);
+        let mut fields = vec![("stage", Value::from(name))];
+        fields.extend(more);
+        self.emit("stage", &fields);
     }
 
     /// The last event; later ones are dropped.
@@ -95,22 +111,33 @@ impl Events {
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if !state.ended {
             state.ended = true;
-            write_line(&end_event(code, reason));
+            write_end(code, reason);
         }
     }
 }
 
 /// The whole stream of a program that never got to work.
 pub fn end_of_json(code: u8, reason: &str) {
-    write_line(&end_event(code, reason));
+    Events::start();
+    write_end(code, reason);
 }
 
-fn end_event(code: u8, reason: &str) -> Value {
-    json!({"event": "end", "ok": code == 0, "code": code, "reason": reason})
+fn write_end(code: u8, reason: &str) {
+    let fields = [
+        ("ok", json!(code == 0)),
+        ("code", json!(code)),
+        ("reason", json!(reason)),
+    ];
+    write_line("end", &fields);
 }
 
-fn write_line(event: &Value) {
+/// The object is put together by hand so that its name comes first, for people who read along.
+fn write_line(event: &str, fields: &[(&str, Value)]) {
+    let fields = fields
+        .iter()
+        .map(|(name, value)| format!(",{}:{value}", Value::from(*name)));
+    let line = format!("{{\"event\":{}{}}}\n", Value::from(event), fields.collect::<String>());
     let mut stdout = std::io::stdout().lock();
     // A reader that went away wants no more events; the work goes on.
-    let _ = writeln!(stdout, "{event}").and_then(|()| stdout.flush());
+    let _ = stdout.write_all(line.as_bytes()).and_then(|()| stdout.flush());
 }

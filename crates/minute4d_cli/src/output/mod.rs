@@ -11,7 +11,7 @@ use events::Events;
 pub use events::end_of_json;
 use lines::Lines;
 use minute4d::{Observer, Progress, StageEvent};
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 use terminal::Bars;
@@ -41,7 +41,7 @@ impl Output {
     pub fn new(json: bool, quiet: bool, stop: StopSignal) -> Arc<Self> {
         let dumb = std::env::var_os("TERM").is_some_and(|term| term == "dumb");
         let mode = if json {
-            Mode::Json(Events::default())
+            Mode::Json(Events::start())
         } else if quiet {
             Mode::Quiet
         } else if std::io::stderr().is_terminal() && !dumb {
@@ -76,7 +76,7 @@ impl Output {
     /// The result: `text` on stdout, or `value` in a `result` event.
     pub fn result(&self, text: &str, value: Value) {
         match &self.mode {
-            Mode::Json(events) => events.emit(&json!({"event": "result", "result": value})),
+            Mode::Json(events) => events.emit("result", &[("result", value)]),
             Mode::Bars(bars) => {
                 bars.clear();
                 print_result(text);
@@ -127,7 +127,7 @@ impl Progress for Output {
         warned.push(message.to_owned());
         drop(warned);
         if let Mode::Json(events) = &self.mode {
-            events.emit(&json!({"event": "warning", "message": message}));
+            events.emit("warning", &[("message", message.into())]);
         }
         self.say(&format!("warning: {message}"));
     }
