@@ -15,10 +15,19 @@ pub(super) fn place(
     flows: &[FlowPair],
     config: &MovingDepthConfig,
 ) -> Vec<Vec<f32>> {
+    // Both readings are lower bounds of disparity, exact only while a part touches the scene: along
+    // time the greater ones say more, so means are taken of a power.
+    let power = config.power.max(1.0);
     let touched: Vec<Vec<f32>> = moving
         .par_iter()
         .zip(background)
-        .map(|(moving, background)| touch(width, height, moving, background, config))
+        .map(|(moving, background)| {
+            let mut disparity = touch(width, height, moving, background, config);
+            for d in &mut disparity {
+                *d = d.powf(power);
+            }
+            disparity
+        })
         .collect();
     steady(width, height, moving, &touched, background, flows, config)
 }
@@ -122,6 +131,7 @@ fn steady(
         decay: (-1.0 / config.smooth_frames.max(1e-3)).exp(),
         round_trip_px: config.round_trip_px,
     };
+    let power = config.power.max(1.0);
     let mut backward: Vec<Running> = Vec::with_capacity(touched.len());
     for i in (0..touched.len()).rev() {
         let next = clip.extend(i, backward.last(), true);
@@ -139,7 +149,8 @@ fn steady(
             }
             // The frame's own value is in both sums.
             let sum = f.mean[p] * f.weight[p] + b.mean[p] * b.weight[p] - touched[i][p];
-            (sum / (f.weight[p] + b.weight[p] - 1.0)).max(background[i][p])
+            let mean = (sum / (f.weight[p] + b.weight[p] - 1.0)).max(0.0);
+            mean.powf(1.0 / power).max(background[i][p])
         };
         out.push((0..width * height).map(disparity).collect());
         forward = Some(f);
