@@ -63,7 +63,8 @@ pub enum VelocityInit {
 pub struct InitConfig {
     /// Most static splats to start with; `static_pixels` is chosen to come close from below.
     pub max_static: usize,
-    /// Most dynamic splats to start with, all keyframes together.
+    /// Most dynamic splats to start with, all keyframes together; a frame draws those of a few keyframes
+    /// alone, so they cost memory rather than time.
     pub max_dynamic: usize,
     /// Voxel edge of standing points, pixels at the median depth; 0 to derive it from `max_static`.
     /// Instant4D: 2 to 6.
@@ -107,10 +108,11 @@ pub struct InitConfig {
     /// Standing points become rows with time parameters that fade towards the ends, as in the
     /// reference (section 2.4); else they have no time at all.
     pub static_fade: bool,
-    /// Opacity at the start, 0..1. Reference 0.1; section 2.5 recommends 0.5.
+    /// Opacity at the start, 0..1. Reference 0.1; section 2.5 recommends 0.5; 0.8 with small splats is
+    /// sharper from the start (measured: +0.05 SSIM inside moving parts before training).
     pub opacity: f32,
     /// Standard deviation in units of the distance to the three nearest neighbours (root mean
-    /// square). Reference 1; section 2.5 recommends 0.75.
+    /// square). Reference 1; section 2.5 recommends 0.75; 0.55 with opacity 0.8 (measured, as above).
     pub scale_factor: f32,
     /// Largest standard deviation, in voxel edges: an isolated point must not become a cloud.
     pub max_scale_cells: f32,
@@ -131,8 +133,8 @@ impl InitConfig {
     #[must_use]
     pub fn fast() -> Self {
         Self {
-            max_static: 60_000,
-            max_dynamic: 40_000,
+            max_static: 80_000,
+            max_dynamic: 250_000,
             static_pixels: 0.0,
             dynamic_pixels: 0.0,
             cells: CellSize::DepthProportional,
@@ -149,12 +151,12 @@ impl InitConfig {
             shell_radius: 2.0,
             isotropic: false,
             static_fade: false,
-            opacity: 0.5,
-            scale_factor: 0.75,
+            opacity: 0.8,
+            scale_factor: 0.55,
             max_scale_cells: 3.0,
             time_spread: TimeSpread::KeyframeGaps {
-                factor: 1.0,
-                min_frames: 1.0,
+                factor: 0.7,
+                min_frames: 0.7,
             },
             velocity: VelocityInit::Register {
                 pixels: 4.0,
@@ -171,6 +173,8 @@ impl InitConfig {
     #[must_use]
     pub fn faithful() -> Self {
         Self {
+            max_static: 60_000,
+            max_dynamic: 40_000,
             cells: CellSize::Constant,
             static_frames: 40,
             mask_margin_px: 0,

@@ -1,11 +1,17 @@
 //! The same seed gives the same bits: for any number of threads, and across a saved state.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 mod common;
 
-use common::{bits, disturbed, video};
+use common::{disturbed, video};
 use m4_kernels::SimdLevel;
 use m4_scene::{Capture, Silent, Splats, StateTensor};
 use m4_train::{DensityConfig, FrameChoice, TrainConfig, TrainError, Trainer};
+
+/// Every number of `splats` as bits.
+fn bits(splats: &Splats) -> Vec<u32> {
+    splats.columns().iter().flatten().map(|v| v.to_bits()).collect()
+}
 
 /// Everything on: density control, refinement, error-driven frames, coarse-to-fine.
 fn config(iterations: usize) -> TrainConfig {

@@ -42,7 +42,7 @@ fn mean_velocity(splats: &Splats) -> [f32; 3] {
 #[test]
 fn disturbed_splats_find_picture_and_motion() {
     let (scene, capture) = video();
-    let mut config = config(800);
+    let config = config(800);
     let mut splats = disturbed(&scene, 1);
     let at_start = 0.6 * scene.velocity[0];
     splats.column_mut(Column::Velocity, 0).fill(at_start);

@@ -91,7 +91,7 @@ pub struct DensityConfig {
     /// Iterations between two rounds of score pruning. Section 4.4: 500; literal: 100.
     pub prune_every: usize,
     /// At most this share of all splats is cloned or split in a round, those of the highest scores
-    /// (section 4.4: 0.05); 1 for no limit.
+    /// (section 4.4: 0.05); 1 for no limit. 0.02 here: the start is dense already.
     pub budget: f32,
     /// At most this multiple of the first number of splats (section 4.4: 1.5).
     pub max_growth: f32,
@@ -139,7 +139,7 @@ impl DensityConfig {
             until: 0.6,
             every: 100,
             prune_every: 500,
-            budget: 0.05,
+            budget: 0.02,
             max_growth: 1.5,
             split_size: SplitSize::Pixels { pixels: 2.0 },
             split_factor: 1.6,

@@ -98,8 +98,3 @@ pub fn disturbed(scene: &MovingScene, seed: u64) -> Splats {
     out.column_mut(Column::Quat, 0).fill(1.0);
     out
 }
-
-/// Every number of `splats` as bits.
-pub fn bits(splats: &Splats) -> Vec<u32> {
-    splats.columns().iter().flatten().map(|v| v.to_bits()).collect()
-}
