@@ -104,7 +104,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A folder with things in it that are not ours.
-    #[error("the folder {} is not empty and not made by minute4d (it has no {missing}); choose another folder, or --force to write into it all the same", path.display())]
+    #[error("the folder {} is not empty and not made by minute4d (it has no {missing} that can be used); choose another folder, or --force to write into it all the same", path.display())]
     Foreign {
         /// The folder.
         path: PathBuf,
