@@ -105,7 +105,7 @@ mod tests {
 
     fn cloud() -> Vec<Vector3<f64>> {
         (0..12)
-            .map(|i| f64::from(i))
+            .map(f64::from)
             .map(|i| Vector3::new((i * 1.3).sin(), (i * 0.7).cos() * 2.0, (i * 2.1).sin() - 0.4 * i))
             .collect()
     }

@@ -31,7 +31,7 @@ impl Split {
     }
 }
 
-/// Limits of [`super::read`].
+/// Limits of [`super::read()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CaptureOptions {

@@ -1,4 +1,4 @@
-//! Between a [`Scene`] and named arrays.
+//! Between a [`m4_scene::Scene`] and named arrays.
 
 use m4_math::{Se3, nalgebra::Matrix3, nalgebra::Vector3};
 use m4_scene::{Camera, Column, Exposure, Intrinsics, SourceFrame, SplatLayout, Splats, StateTensor};
