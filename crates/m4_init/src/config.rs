@@ -134,7 +134,7 @@ impl InitConfig {
     pub fn fast() -> Self {
         Self {
             max_static: 80_000,
-            max_dynamic: 250_000,
+            max_dynamic: 400_000,
             static_pixels: 0.0,
             dynamic_pixels: 0.0,
             cells: CellSize::DepthProportional,

@@ -44,6 +44,8 @@ fn main() -> Result<(), Anything> {
     }
     let capture = read(&folder, Split::Train, &CaptureOptions::default(), &Silent)?;
     let test = read(&folder, Split::Test, &CaptureOptions::default(), &Silent)?;
+    let mut fitted = capture.clone();
+    fitted.frames = fitted.frames.into_iter().step_by(8).collect();
     let level = SimdLevel::detect()?;
 
     let started = Instant::now();
@@ -56,7 +58,7 @@ fn main() -> Result<(), Anything> {
     );
     let iterations = train.iterations;
     let mut trainer = Trainer::new(&capture, splats, train, level)?;
-    println!("{}", scores(&trainer.scene(), &test, level, None)?);
+    println!("       test: {}", scores(&trainer.scene(), &test, level, None)?);
     let mut seconds = 0.0;
     while trainer.iteration() < iterations {
         let started = Instant::now();
@@ -73,7 +75,11 @@ fn main() -> Result<(), Anything> {
         }
         let done = trainer.iteration() >= iterations;
         let to = if done { out.as_deref() } else { None };
-        println!("{}", scores(&trainer.scene(), &test, level, to)?);
+        println!(
+            "       test: {} (fitted: {})",
+            scores(&trainer.scene(), &test, level, to)?,
+            scores(&trainer.scene(), &fitted, level, None)?
+        );
     }
     Ok(())
 }
@@ -130,7 +136,7 @@ fn scores(scene: &Scene, test: &Capture, level: SimdLevel, out: Option<&Path>) -
     }
     let m = report.mean().ok_or("no held-out views")?;
     Ok(format!(
-        "       test: {:.2} dB whole, {:.2} dB moving, ssim {:.4} / {:.4}",
+        "{:.2} dB whole, {:.2} dB moving, ssim {:.4} / {:.4}",
         m.psnr_db,
         m.masked_psnr_db.unwrap_or(f64::NAN),
         m.ssim,
