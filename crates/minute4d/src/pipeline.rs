@@ -41,6 +41,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
             key: made.key,
             done: true,
             seconds: made.seconds,
+            peak_memory_bytes: made.peak_memory_bytes,
             warnings: made.warnings,
         };
         run.record.stages.insert(geometry::STAGE.to_owned(), stage);

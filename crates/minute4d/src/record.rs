@@ -55,6 +55,8 @@ pub struct StageRecord {
     pub done: bool,
     /// Wall-clock seconds, those before an interruption included.
     pub seconds: f64,
+    /// Most memory that the process held up to the end of the stage, bytes; only where the system tells.
+    pub peak_memory_bytes: Option<u64>,
     /// What the user should know about its result.
     pub warnings: Vec<String>,
 }
@@ -133,7 +135,7 @@ pub struct RunRecord {
     pub stages: BTreeMap<String, StageRecord>,
     /// Wall-clock seconds of all stages.
     pub seconds: f64,
-    /// Most memory that the process held, bytes; only where the system tells.
+    /// Most memory that the process held in any stage, bytes; only where the system tells.
     pub peak_memory_bytes: Option<u64>,
     /// Iterations of training that are done.
     pub iterations: Option<usize>,
@@ -182,7 +184,7 @@ impl RunRecord {
     pub fn write(&mut self, folder: &Path) -> Result<(), Error> {
         self.seconds = self.stages.values().map(|s| s.seconds).sum();
         self.warnings = self.stages.values().flat_map(|s| s.warnings.iter().cloned()).collect();
-        self.peak_memory_bytes = peak_memory_bytes().max(self.peak_memory_bytes);
+        self.peak_memory_bytes = self.stages.values().filter_map(|s| s.peak_memory_bytes).max();
         write_json(&folder.join(RUN_FILE), self)
     }
 

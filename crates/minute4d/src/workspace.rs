@@ -2,7 +2,7 @@
 
 use crate::folder::{self, Lock};
 use crate::progress::Keeper;
-use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status};
+use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
 use crate::{Error, Job, StageEvent, hash};
 use m4_kernels::SimdLevel;
 use std::fs;
@@ -150,6 +150,7 @@ impl<'a> Workspace<'a> {
             key,
             done: false,
             seconds: seconds_before,
+            peak_memory_bytes: None,
             warnings: Vec::new(),
         };
         self.record.stages.insert(name.to_owned(), begun);
@@ -158,6 +159,7 @@ impl<'a> Workspace<'a> {
         let spent = start.elapsed().as_secs_f64();
         if let Some(stage) = self.record.stages.get_mut(name) {
             stage.seconds = seconds_before + spent;
+            stage.peak_memory_bytes = peak_memory_bytes();
             stage.warnings = keeper.warnings();
         }
         let result = outcome.map_err(|error| match error {
