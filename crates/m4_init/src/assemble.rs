@@ -11,9 +11,6 @@ use crate::{InitConfig, InitError, TimeSpread, VelocityInit};
 use m4_scene::{Capture, Progress, SplatLayout, Splats};
 use rayon::prelude::*;
 
-/// Voxels below this many pixels are never tried: each pixel is its own point there.
-const LEAST_PIXELS: f32 = 0.5;
-
 /// The first splats of a capture.
 ///
 /// Frames without a mask stand still everywhere; frames without depth are skipped. Static splats
@@ -43,7 +40,9 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     };
 
     let static_pixels = match config.static_pixels {
-        0.0 => pixels_for(config.max_static, LEAST_PIXELS, |p| grid(p).occupied(&clouds.standing)),
+        0.0 => pixels_for(config.max_static, config.min_pixels, |p| {
+            grid(p).occupied(&clouds.standing)
+        }),
         pixels => pixels,
     };
     let standing_grid = grid(static_pixels);
@@ -58,7 +57,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         clouds.moving.iter().map(|k| grid.occupied(&k.cloud)).sum()
     };
     let dynamic_pixels = match config.dynamic_pixels {
-        0.0 => pixels_for(config.max_dynamic, LEAST_PIXELS, count),
+        0.0 => pixels_for(config.max_dynamic, config.min_pixels, count),
         pixels => pixels,
     };
     let moving_grid = grid(dynamic_pixels);

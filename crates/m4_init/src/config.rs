@@ -71,6 +71,9 @@ pub struct InitConfig {
     pub static_pixels: f32,
     /// The same for moving points. Instant4D: 0.5, or no merging at all; 0 to derive it.
     pub dynamic_pixels: f32,
+    /// Voxels that are derived are never smaller than this, pixels at the median depth: splats finer than
+    /// the pixels leave cracks in views from the side (measured: -0.4 dB inside moving parts at 0.5).
+    pub min_pixels: f32,
     /// Constant or depth-proportional voxels.
     pub cells: CellSize,
     /// Standing points are taken from at most this many frames, evenly spread. 48 frames of 480 x 360
@@ -137,6 +140,7 @@ impl InitConfig {
             max_dynamic: 400_000,
             static_pixels: 0.0,
             dynamic_pixels: 0.0,
+            min_pixels: 1.25,
             cells: CellSize::DepthProportional,
             static_frames: 48,
             dynamic_stride: 1,
@@ -216,6 +220,7 @@ impl InitConfig {
         at_least_1("max_dynamic", self.max_dynamic)?;
         at_least_0("static_pixels", self.static_pixels)?;
         at_least_0("dynamic_pixels", self.dynamic_pixels)?;
+        positive("min_pixels", self.min_pixels)?;
         at_least_1("static_frames", self.static_frames)?;
         at_least_1("dynamic_stride", self.dynamic_stride)?;
         positive("edge_jump", self.edge_jump)?;

@@ -3,7 +3,7 @@
 mod density;
 mod rates;
 
-pub use density::{DensityConfig, ErrorRange, NewbornOpacity, PruneRule, SplitSize};
+pub use density::{DensityConfig, ErrorRange, NewbornOpacity, PruneRule, SplitPlacement, SplitSize};
 pub use rates::{AdamSettings, PositionUnit, RateConfig, RefineConfig};
 
 use crate::TrainError;

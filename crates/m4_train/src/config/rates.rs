@@ -18,9 +18,9 @@ pub enum PositionUnit {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RateConfig {
-    /// Of means, in units of `position_unit`. 1.6e-4 (3DGS); 8e-4 here, as for colours.
+    /// Of means, in units of `position_unit`. 1.6e-4 (3DGS); 4e-4 here, as for colours.
     pub position: f32,
-    /// Of means at the end; between them rates fall log-linearly. 1.6e-6 (3DGS); 1.6e-5
+    /// Of means at the end; between them rates fall log-linearly. 1.6e-6 (3DGS); 8e-6
     /// here, as for colours.
     pub position_end: f32,
     /// What `position`, `position_end` and `velocity` are measured in.
@@ -54,8 +54,8 @@ pub struct RateConfig {
 impl Default for RateConfig {
     fn default() -> Self {
         Self {
-            position: 8e-4,
-            position_end: 1.6e-5,
+            position: 4e-4,
+            position_end: 8e-6,
             position_unit: PositionUnit::Extent,
             colour: 0.03,
             colour_rest: 0.03 / 20.0,

@@ -1,7 +1,7 @@
 //! What clones and children look like.
 
 use super::{Origin, Plan};
-use crate::config::{DensityConfig, NewbornOpacity};
+use crate::config::{DensityConfig, NewbornOpacity, SplitPlacement};
 use crate::pick::purpose;
 use m4_kernels::adam::cpu::AdamState;
 use m4_math::CounterRng;
@@ -12,7 +12,7 @@ use m4_scene::{Column, ShapeError, Splats};
 /// Carries a plan out: the next splats and their optimiser state.
 ///
 /// Clones are copies; with [`NewbornOpacity::Share`] parent and clone pass together the light that the
-/// parent passed. Children of a split are drawn from the splat's Gaussian, in space and (dynamic
+/// parent passed. Children of a split lie as [`SplitPlacement`] says; drawn ones are taken from the splat's Gaussian, in space and (dynamic
 /// splats) in time: `dt ~ N(0, w)`, `x = v dt + Q diag(s) e`; their scales, that in time included, are
 /// the parent's over `split_factor`. The draws depend on `seed`, `iteration` and the parent's row alone.
 /// Survivors keep their optimiser state, newborns start from nothing.
@@ -39,6 +39,12 @@ pub fn apply(
                     share_opacity(&mut out, row);
                 }
             }
+            Origin::Child(k) if config.split_placement == SplitPlacement::LongestAxis => {
+                halve(&mut out, row, if k == 0 { 1.0 } else { -1.0 });
+                if config.newborn_opacity == NewbornOpacity::Share {
+                    share_opacity(&mut out, row);
+                }
+            }
             Origin::Child(k) => {
                 let key = (iteration as u64) << 8 | u64::from(k);
                 let parent = u64::from(plan.rows[row]);
@@ -59,21 +65,36 @@ fn share_opacity(splats: &mut Splats, row: usize) {
     *logit = (o / (1.0 - o)).ln();
 }
 
+/// One half of a splat: 0.6 standard deviations along the longest axis, to the side of `sign`, 0.8 as
+/// long there. `0.6^2 + 0.8^2 = 1`, so that both halves together have the parent's covariance.
+fn halve(splats: &mut Splats, row: usize, sign: f32) {
+    let isotropic = splats.layout().isotropic;
+    let scale = |k: usize| splats.column(Column::LogScale, if isotropic { 0 } else { k })[row].exp();
+    let axis = (1..3).fold(0, |best, k| if scale(k) > scale(best) { k } else { best });
+    let local = Vector3::from_fn(|k, _| if k == axis { sign * 0.6 * scale(k) } else { 0.0 });
+    let shift = if isotropic { local } else { turned(splats, row, local) };
+    for k in 0..3 {
+        splats.column_mut(Column::Mean, k)[row] += shift[k];
+    }
+    splats.column_mut(Column::LogScale, if isotropic { 0 } else { axis })[row] += 0.8f32.ln();
+}
+
+/// A vector of the splat's own axes, in the world.
+fn turned(splats: &Splats, row: usize, local: Vector3<f32>) -> Vector3<f32> {
+    let q = Vector4::from_fn(|k, _| splats.column(Column::Quat, k)[row]);
+    if q.norm() > 0.0 {
+        quat::rotation(&q) * local
+    } else {
+        local
+    }
+}
+
 fn become_child(config: &DensityConfig, splats: &mut Splats, row: usize, mut rng: CounterRng) {
     let isotropic = splats.layout().isotropic;
     let shrink = config.split_factor.ln();
     let scale: [f32; 3] = [0, 1, 2].map(|k| splats.column(Column::LogScale, if isotropic { 0 } else { k })[row].exp());
     let local = Vector3::from_fn(|k, _| scale[k] * rng.normal() as f32);
-    let mut shift = if isotropic {
-        local
-    } else {
-        let q = Vector4::from_fn(|k, _| splats.column(Column::Quat, k)[row]);
-        if q.norm() > 0.0 {
-            quat::rotation(&q) * local
-        } else {
-            local
-        }
-    };
+    let mut shift = if isotropic { local } else { turned(splats, row, local) };
     if let Some(i) = row.checked_sub(splats.n_static()) {
         let log_sd = &mut splats.column_mut(Column::LogTimeSd, 0)[i];
         let dt = log_sd.exp() * rng.normal() as f32;
@@ -92,7 +113,7 @@ fn become_child(config: &DensityConfig, splats: &mut Splats, row: usize, mut rng
 #[cfg(test)]
 mod tests {
     use super::{Origin, Plan, apply};
-    use crate::config::DensityConfig;
+    use crate::config::{DensityConfig, SplitPlacement};
     use m4_kernels::adam::cpu::AdamState;
     use m4_scene::{Column, SplatLayout, Splats};
 
@@ -151,7 +172,11 @@ mod tests {
     #[test]
     fn a_shared_opacity_passes_the_same_light() {
         let (splats, adam) = world();
-        let (next, _) = apply(&DensityConfig::fast(), &plan(), &splats, &adam, 1, 700).unwrap();
+        let config = DensityConfig {
+            split_placement: SplitPlacement::Sample,
+            ..DensityConfig::fast()
+        };
+        let (next, _) = apply(&config, &plan(), &splats, &adam, 1, 700).unwrap();
         let pass = |logit: f32| 1.0 / (1.0 + logit.exp());
         let o = next.column(Column::Opacity, 0);
         assert!((pass(o[1]) * pass(o[2]) - pass(1.0)).abs() < 1e-6);
@@ -160,9 +185,30 @@ mod tests {
     }
 
     #[test]
+    fn halves_have_the_covariance_of_their_parent() {
+        let (mut splats, adam) = world();
+        splats.column_mut(Column::LogScale, 1)[3] = 1.0;
+        splats.column_mut(Column::Opacity, 0)[3] = 1.0;
+        let (next, state) = apply(&DensityConfig::fast(), &plan(), &splats, &adam, 1, 700).unwrap();
+        let (y, sd) = (next.column(Column::Mean, 1), next.column(Column::LogScale, 1));
+        assert!((y[4] + y[5]).abs() < 1e-6 && y[4] > 0.0);
+        let variance = y[4] * y[4] + (2.0 * sd[4]).exp();
+        assert!((variance - 2.0f32.exp()).abs() < 1e-4, "{variance}");
+        assert_eq!(next.column(Column::LogScale, 0)[4], 0.0, "other axes keep their length");
+        assert_eq!(next.column(Column::TimeMean, 0)[1..], [0.0, 0.0]);
+        let pass = |logit: f32| 1.0 / (1.0 + logit.exp());
+        let o = next.column(Column::Opacity, 0);
+        assert!((pass(o[4]) * pass(o[5]) - pass(1.0)).abs() < 1e-6);
+        assert_eq!(state.step[4..], [0, 0]);
+    }
+
+    #[test]
     fn children_are_smaller_and_drawn_around_their_parent() {
         let (splats, adam) = world();
-        let config = DensityConfig::fast();
+        let config = DensityConfig {
+            split_placement: SplitPlacement::Sample,
+            ..DensityConfig::fast()
+        };
         let (mut sum, mut square, mut time) = (0.0f64, 0.0f64, 0.0f64);
         let rounds = 2000;
         for i in 0..rounds {
