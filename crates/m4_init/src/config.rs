@@ -111,11 +111,11 @@ pub struct InitConfig {
     /// Standing points become rows with time parameters that fade towards the ends, as in the
     /// reference (section 2.4); else they have no time at all.
     pub static_fade: bool,
-    /// Opacity at the start, 0..1. Reference 0.1; section 2.5 recommends 0.5; 0.8 with small splats is
+    /// Opacity at the start, 0..1. Reference 0.1; section 2.5 recommends 0.5; 0.9 with small splats is
     /// sharper from the start (measured: +0.05 SSIM inside moving parts before training).
     pub opacity: f32,
     /// Standard deviation in units of the distance to the three nearest neighbours (root mean
-    /// square). Reference 1; section 2.5 recommends 0.75; 0.55 with opacity 0.8 (measured, as above).
+    /// square). Reference 1; section 2.5 recommends 0.75; 0.55 with opacity 0.9 (measured, as above).
     pub scale_factor: f32,
     /// Largest standard deviation, in voxel edges: an isolated point must not become a cloud.
     pub max_scale_cells: f32,
@@ -137,7 +137,7 @@ impl InitConfig {
     pub fn fast() -> Self {
         Self {
             max_static: 80_000,
-            max_dynamic: 400_000,
+            max_dynamic: 600_000,
             static_pixels: 0.0,
             dynamic_pixels: 0.0,
             min_pixels: 1.25,
@@ -147,7 +147,7 @@ impl InitConfig {
             edge_jump: 0.05,
             mask_margin_px: 2,
             carry_keyframes: 8,
-            carry_margin: 0.05,
+            carry_margin: 0.02,
             change_threshold: 0.05,
             change_max_share: 0.1,
             change_pixels: 5.0,
@@ -155,12 +155,12 @@ impl InitConfig {
             shell_radius: 2.0,
             isotropic: false,
             static_fade: false,
-            opacity: 0.8,
+            opacity: 0.9,
             scale_factor: 0.55,
             max_scale_cells: 3.0,
             time_spread: TimeSpread::KeyframeGaps {
-                factor: 0.7,
-                min_frames: 0.7,
+                factor: 0.5,
+                min_frames: 0.5,
             },
             velocity: VelocityInit::Register {
                 pixels: 4.0,

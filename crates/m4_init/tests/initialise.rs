@@ -99,8 +99,8 @@ fn standing_and_moving_points_are_kept_apart() {
     }
     let sd = splats.column(Column::LogTimeSd, 0);
     assert!(
-        sd.iter().all(|&v| (v.exp() - 0.7).abs() < 1e-4),
-        "0.7 of a gap of one frame"
+        sd.iter().all(|&v| (v.exp() - 0.5).abs() < 1e-4),
+        "half a gap of one frame"
     );
     let times = splats.column(Column::TimeMean, 0);
     assert!(times.windows(2).all(|t| t[0] <= t[1]) && times[0] == 0.0 && times[times.len() - 1] == 7.0);

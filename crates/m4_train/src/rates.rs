@@ -83,7 +83,7 @@ mod tests {
         assert!((at(&fast, 0.0, Column::Mean) - 8e-4).abs() < 1e-8);
         assert!((at(&fast, 1.0, Column::Mean) - 1.6e-5).abs() < 1e-9);
         assert!((at(&fast, 1.0, Column::Velocity) - 3.2e-6).abs() < 1e-9);
-        let half = 0.3 * 0.05f32.sqrt();
+        let half = 0.05 * 0.05f32.sqrt();
         assert!((at(&fast, 0.5, Column::Opacity) - half).abs() < 1e-6);
         let colour = rates(&fast, layout, &scale, basis, 0.0);
         let first = layout.column(Column::Colour);

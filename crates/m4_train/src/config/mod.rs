@@ -127,7 +127,7 @@ impl TrainConfig {
     #[must_use]
     pub fn fast() -> Self {
         Self {
-            iterations: 3000,
+            iterations: 2000,
             seed: 0,
             frame_choice: FrameChoice::Shuffled,
             loss: LossConfig::default(),
@@ -142,7 +142,7 @@ impl TrainConfig {
             reorder_every: 0,
             guard_every: 100,
             metrics_every: 50,
-            target_cache_mb: 512,
+            target_cache_mb: 384,
         }
     }
 

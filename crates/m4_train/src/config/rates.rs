@@ -30,7 +30,8 @@ pub struct RateConfig {
     pub colour: f32,
     /// Of the other colour coefficients. A twentieth of the former (3DGS).
     pub colour_rest: f32,
-    /// Of opacities (logit). 0.05 (3DGS); 0.3 here, as for colours.
+    /// Of opacities (logit). 0.05 (3DGS): faster ones let what moves become glass that only its own camera
+    /// does not see through (measured on held-out views: -0.15 dB inside the moving parts at 0.3).
     pub opacity: f32,
     /// Of scales (logarithm). 0.005 (3DGS); 0.05 here, as for colours.
     pub scale: f32,
@@ -59,7 +60,7 @@ impl Default for RateConfig {
             position_unit: PositionUnit::Extent,
             colour: 0.03,
             colour_rest: 0.03 / 20.0,
-            opacity: 0.3,
+            opacity: 0.05,
             scale: 0.05,
             rotation: 0.01,
             time_mean: 0.0,
