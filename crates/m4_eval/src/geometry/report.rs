@@ -97,10 +97,10 @@ pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, G
         mask: depth::mask_score(&pairs),
         notes: Vec::new(),
     };
-    Ok(with_notes(report, &truth))
+    Ok(with_notes(report, &estimate, &truth))
 }
 
-fn with_notes(mut report: GeometryReport, truth: &Side<'_>) -> GeometryReport {
+fn with_notes(mut report: GeometryReport, estimate: &Side<'_>, truth: &Side<'_>) -> GeometryReport {
     let mut note = |missing: bool, text: &str| {
         if missing {
             report.notes.push(text.to_owned());
@@ -122,6 +122,15 @@ fn with_notes(mut report: GeometryReport, truth: &Side<'_>) -> GeometryReport {
         unknown,
         "depth: the truth has no masks, so every pixel counts as static",
     );
+    // a part of a clip is numbered anew: its 00001 need not be the whole clip's
+    let (part, whole) = (estimate.frames.len(), truth.frames.len());
+    if report.matching == Matching::Name && part != whole {
+        report.notes.push(format!(
+            "frames: {part} of the estimate were paired with {whole} of the truth by file name; if the estimate was \
+             made from a part of the clip (--start, --end, --max-frames), its names are numbered anew and the figures \
+             mean nothing"
+        ));
+    }
     report
 }
 
@@ -268,6 +277,15 @@ pub(super) mod tests {
             (report.depth, report.mask, report.notes)
         );
         assert!((back.trajectory.unwrap().scale - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_part_paired_with_a_whole_by_name_is_doubted() {
+        let doubted = |estimate, truth| {
+            let report = evaluate(&capture(estimate), &capture(truth)).unwrap();
+            report.notes.iter().any(|note| note.contains("numbered anew"))
+        };
+        assert!(doubted(3, 5) && !doubted(5, 5));
     }
 
     #[test]
