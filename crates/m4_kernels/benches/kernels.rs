@@ -1,4 +1,5 @@
-//! Every kernel of a training step on the synthetic scene of [`m4_kernels::bench`], 480x360 pixels.
+//! Kernels on the synthetic scenes of [`m4_kernels::bench`], 480x360 pixels, with criterion's statistics:
+//! for telling small differences apart. `minute4d bench` has the whole table.
 //!
 //! `cargo bench -p m4_kernels` times each on the threads of rayon's default pool, on the level that
 //! `MINUTE4D_SIMD` names or the best one; `RAYON_NUM_THREADS=1` gives figures a core.
@@ -7,7 +8,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel,
     adam::cpu::{self as adam, AdamConfig, AdamState},
-    bench::{BenchConfig, BenchScene},
+    bench::{BenchScene, SceneConfig, SceneKind},
     morton_order,
     photo::cpu::{self as photo, PhotoScratch},
 };
@@ -15,19 +16,26 @@ use std::hint::black_box;
 
 fn kernels(c: &mut Criterion) {
     let level = SimdLevel::detect().expect("MINUTE4D_SIMD names a level of this machine");
-    for (splats, sh_degree, dynamic) in [(20_000, 0, 0.0), (100_000, 0, 0.0), (100_000, 0, 0.5), (20_000, 3, 0.0)] {
-        let config = BenchConfig {
+    let cases = [
+        (20_000, 0, SceneKind::Static),
+        (100_000, 0, SceneKind::Static),
+        (100_000, 0, SceneKind::FourD),
+        (20_000, 3, SceneKind::Static),
+    ];
+    for (splats, sh_degree, kind) in cases {
+        let config = SceneConfig {
             splats,
             sh_degree,
-            dynamic,
-            ..BenchConfig::default()
+            kind,
+            ..SceneConfig::default()
         };
         let BenchScene {
             mut splats,
-            view,
+            views,
             target,
         } = BenchScene::new(&config).expect("the scene fits itself");
-        let name = format!("{}_splats_sh{sh_degree}_dynamic{dynamic}", config.splats);
+        let view = views[0];
+        let name = format!("{}_splats_sh{sh_degree}_{}", config.splats, kind.name());
         let id = |kernel: &str| format!("{kernel}/{name}");
         let mut renderer = Renderer::new(level);
         let (mut scratch, mut gradient) = (PhotoScratch::default(), FrameGradient::default());

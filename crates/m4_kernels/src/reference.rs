@@ -100,15 +100,25 @@ fn draw<T: Real>(row: usize, splat: &Splat<T>, setup: &Setup<T>) -> Option<(Draw
     Some((drawn, ellipse))
 }
 
-/// The image of `splats`.
-pub fn render<T: Real, C: Cutoff>(splats: &[Splat<T>], setup: &Setup<T>) -> Rendered<T> {
+/// The splats in the frame, near to far.
+fn draw_all<T: Real>(splats: &[Splat<T>], setup: &Setup<T>) -> (Vec<Drawn<T>>, Vec<Ellipse<T>>) {
     let all: Vec<_> = splats
         .iter()
         .enumerate()
         .filter_map(|(row, splat)| draw(row, splat, setup))
         .collect();
     let depths: Vec<T> = all.iter().map(|(drawn, _)| drawn.projected.depth).collect();
-    let (drawn, ellipses): (Vec<_>, Vec<_>) = depth_order(&depths).into_iter().map(|i| all[i].clone()).unzip();
+    depth_order(&depths).into_iter().map(|i| all[i].clone()).unzip()
+}
+
+/// The ellipses of the splats in the frame, near to far.
+pub(crate) fn ellipses<T: Real>(splats: &[Splat<T>], setup: &Setup<T>) -> Vec<Ellipse<T>> {
+    draw_all(splats, setup).1
+}
+
+/// The image of `splats`.
+pub fn render<T: Real, C: Cutoff>(splats: &[Splat<T>], setup: &Setup<T>) -> Rendered<T> {
+    let (drawn, ellipses) = draw_all(splats, setup);
     let image = blend::<T, C>(&ellipses, setup.width, setup.height, &setup.background);
     Rendered {
         image,

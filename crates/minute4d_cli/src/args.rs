@@ -246,13 +246,53 @@ pub struct Inspect {
 /// `minute4d bench`
 #[derive(Debug, Args)]
 pub struct Bench {
-    /// Sizes of the synthetic scenes, splats
-    #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [20_000, 100_000],
-          value_parser = clap::value_parser!(u32).range(1..=20_000_000))]
-    pub splats: Vec<u32>,
-    /// Steps to time; the fastest counts
-    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub steps: u32,
+    /// Splats in the synthetic scenes [default: 20000,100000,300000]
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..=20_000_000))]
+    pub splats: Option<Vec<u32>>,
+    /// Sizes of the image, pixels [default: 480x360,960x720]
+    #[arg(long, value_name = "WxH", value_delimiter = ',', value_parser = image_size)]
+    pub size: Option<Vec<(u16, u16)>>,
+    /// Scenes that stand still, scenes that move [default: both]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    pub scene: Option<Vec<BenchScene>>,
+    /// Times that each view is stepped; the fastest counts [default: 15]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub steps: Option<u32>,
+    /// Degree of the spherical harmonics of the colour
+    #[arg(long, value_name = "D", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub sh_degree: u8,
+    /// Composite the depth too, as training with a depth loss does
+    #[arg(long)]
+    pub depth: bool,
+    /// Draw alone: frames a second
+    #[arg(long)]
+    pub render: bool,
+    /// 100,000 splats at 480x360 and few steps, where nothing else is asked for
+    #[arg(long)]
+    pub quick: bool,
+    /// Write DATE-MACHINE.json and .md into a folder [default: bench/runs]
+    #[arg(long, value_name = "DIR", num_args = 0..=1, default_missing_value = "bench/runs")]
+    pub save: Option<PathBuf>,
+}
+
+/// A synthetic scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum BenchScene {
+    /// Every splat is there all the time
+    Static,
+    /// Four of five splats live for a frame or two of 64
+    #[value(name = "4d")]
+    FourD,
+}
+
+fn image_size(text: &str) -> Result<(u16, u16), String> {
+    let sides = text
+        .split_once('x')
+        .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    match sides {
+        Some((w, h)) if (16..=8192).contains(&w) && (16..=8192).contains(&h) => Ok((w, h)),
+        _ => Err("a size is WIDTHxHEIGHT, such as 480x360, each side 16 to 8192".to_owned()),
+    }
 }
 
 fn number(text: &str) -> Result<f64, String> {
@@ -312,6 +352,9 @@ mod tests {
             "run a -o b --profile best",
             "run a",
             "render a --fps 0 -o b",
+            "bench --size 480",
+            "bench --size 480x8",
+            "bench --scene 5d",
         ];
         for line in bad {
             let args = std::iter::once("minute4d").chain(line.split(' '));
@@ -320,7 +363,7 @@ mod tests {
         let good = [
             "run a -o b --start 1.5s --end 3 --threads 2 --json",
             "train --print-config",
-            "bench --splats 10,20",
+            "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick --save",
         ];
         for line in good {
             let args = std::iter::once("minute4d").chain(line.split(' '));

@@ -356,9 +356,37 @@ fn doctor_and_bench_tell_what_is_here() {
     assert!(levels.contains(&machine["simd"]), "{machine}");
     let without = Ended::of(program().args(["doctor", "--json"]).env("PATH", "").output().unwrap());
     assert_eq!(without.result()["ffmpeg"]["found"], false);
-    let bench = succeed(&["bench", "--splats", "500,1000", "--steps", "1", "--json"]).result();
-    assert_eq!(bench["rows"].as_array().unwrap().len(), 2);
-    assert!(bench["rows"][1]["step_ms"].as_f64().unwrap() > 0.0);
+    let dir = Scratch::new();
+    let runs = dir.at("runs");
+    let args = [
+        "bench",
+        "--splats",
+        "500,1000",
+        "--size",
+        "96x72",
+        "--steps",
+        "1",
+        "--threads",
+        "1",
+        "--json",
+        "--save",
+        &runs,
+    ];
+    let bench = succeed(&args).result();
+    let cases = bench["cases"].as_array().unwrap();
+    assert_eq!(cases.len(), 4, "two sizes, two scenes: {bench}");
+    for case in cases {
+        assert!(case["step"]["ms"].as_f64().unwrap() > 0.0 && case["frames_per_s"].as_f64().unwrap() > 0.0);
+        assert!((0.0..1.0).contains(&case["useful_share"].as_f64().unwrap()), "{case}");
+        assert_eq!(case["kernels"].as_array().unwrap().len(), 7);
+    }
+    let mut saved: Vec<_> = fs::read_dir(dir.path("runs"))
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
+    saved.sort();
+    assert_eq!(saved.len(), 2, "{saved:?}");
+    assert_eq!(read_json(&saved[0]), bench);
 }
 
 #[test]

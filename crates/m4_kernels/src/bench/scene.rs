@@ -1,6 +1,7 @@
-//! The synthetic scene that kernels are timed on: a room with six balls, sampled through three nearby
+//! The synthetic scenes that kernels are timed on: a room with six balls, sampled through three nearby
 //! cameras, so that a third of the splats is partly hidden, as in a video.
 
+use crate::View;
 use m4_math::{
     CounterRng,
     nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3},
@@ -26,8 +27,62 @@ const WALLS: [([f64; 3], f64); 5] = [
 ];
 const CAMERAS: [[f64; 3]; 3] = [[0.0, 0.0, 0.0], [0.35, 0.0, 0.1], [-0.35, 0.1, 0.1]];
 
+/// What the splats of a scene are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SceneKind {
+    /// Every splat is there all the time, on walls and balls alike.
+    Static,
+    /// As training has them: the walls are a fifth of the splats; the rest lies on the balls, each alive
+    /// for a frame or two out of [`FRAMES`], so that at any instant most of them are not there.
+    FourD,
+}
+
+impl SceneKind {
+    /// `static` or `4d`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Static => "static",
+            Self::FourD => "4d",
+        }
+    }
+}
+
+/// Frames of the clip of [`SceneKind::FourD`].
+pub const FRAMES: usize = 64;
+/// Instants at which that clip is timed, evenly spread.
+const INSTANTS: usize = 8;
+/// Share of its splats that is dynamic.
+const DYNAMIC: f64 = 0.8;
+/// Standard deviation in time of those, frames: what `init.time_spread` starts from.
+const TIME_SD: f64 = 0.5;
+/// A splat is alive this many standard deviations to either side ([`crate::slice::MARGINAL_MIN`]).
+const REACH: f64 = 2.448;
+/// How fast the balls drift, metres a frame (standard deviation an axis).
+const SPEED: f64 = 0.004;
+
 /// Where a ray first hits: distance, normal, a number for the surface.
-fn cast(origin: &Vector3<f64>, ray: &Vector3<f64>) -> (f64, Vector3<f64>, usize) {
+fn cast(
+    origin: &Vector3<f64>,
+    ray: &Vector3<f64>,
+    shift: impl Fn(usize) -> Vector3<f64>,
+) -> (f64, Vector3<f64>, usize) {
+    let mut best = cast_walls(origin, ray);
+    for (id, [x, y, z, r]) in BALLS.iter().enumerate() {
+        let to = origin - Vector3::new(*x, *y, *z) - shift(id);
+        let (b, c) = (ray.dot(&to), to.norm_squared() - r * r);
+        let t = -b - (b * b - c).max(0.0).sqrt();
+        if b * b > c && t > 1e-3 && t < best.0 {
+            best = (t, (to + ray * t) / *r, BALL + id);
+        }
+    }
+    best
+}
+
+/// Number of the first ball among the surfaces.
+const BALL: usize = 10;
+
+fn cast_walls(origin: &Vector3<f64>, ray: &Vector3<f64>) -> (f64, Vector3<f64>, usize) {
     let mut best = (f64::INFINITY, Vector3::z(), 0);
     for (id, (normal, offset)) in WALLS.iter().enumerate() {
         let n = Vector3::from(*normal);
@@ -36,15 +91,18 @@ fn cast(origin: &Vector3<f64>, ray: &Vector3<f64>) -> (f64, Vector3<f64>, usize)
             best = (t, n, id);
         }
     }
-    for (id, [x, y, z, r]) in BALLS.iter().enumerate() {
-        let to = origin - Vector3::new(*x, *y, *z);
-        let (b, c) = (ray.dot(&to), to.norm_squared() - r * r);
-        let t = -b - (b * b - c).max(0.0).sqrt();
-        if b * b > c && t > 1e-3 && t < best.0 {
-            best = (t, (to + ray * t) / *r, 10 + id);
-        }
-    }
     best
+}
+
+/// Velocity of a ball, metres a frame.
+fn velocity(ball: usize) -> Vector3<f64> {
+    let mut rng = CounterRng::new(11, 0, ball as u64);
+    Vector3::from_fn(|_, _| SPEED * rng.normal())
+}
+
+/// Where a ball is at an instant, relative to the middle of the clip.
+fn drift(ball: usize, t: f64) -> Vector3<f64> {
+    velocity(ball) * (t - 0.5 * FRAMES as f64)
 }
 
 fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
@@ -55,7 +113,7 @@ fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
 }
 
 /// The first camera: 60 degrees wide.
-pub(super) fn camera(width: usize, height: usize) -> Camera {
+fn camera(width: usize, height: usize) -> Camera {
     let focal_px = 0.5 * width as f64 / 30f64.to_radians().tan();
     Camera {
         intrinsics: Intrinsics::centred(width, height, focal_px),
@@ -63,13 +121,31 @@ pub(super) fn camera(width: usize, height: usize) -> Camera {
     }
 }
 
-/// What the first camera sees, 0..1.
-pub(super) fn picture(camera: &Camera) -> [Vec<f32>; 3] {
-    let k = &camera.intrinsics;
+/// What is drawn: one instant of a static scene, several of a clip.
+pub(super) fn views(width: usize, height: usize, kind: SceneKind, with_depth: bool) -> Vec<View> {
+    let count = match kind {
+        SceneKind::Static => 1,
+        SceneKind::FourD => INSTANTS,
+    };
+    let view = |i: usize| View {
+        camera: camera(width, height),
+        t: ((i as f64 + 0.5) * FRAMES as f64 / count as f64).floor(),
+        background: [0.0; 3],
+        near: 0.05,
+        mip: false,
+        period: FRAMES as f32,
+        with_depth,
+    };
+    (0..count).map(view).collect()
+}
+
+/// What the first camera sees in the middle of the clip, 0..1.
+pub(super) fn picture(width: usize, height: usize) -> [Vec<f32>; 3] {
+    let camera = camera(width, height);
     let mut planes: [Vec<f32>; 3] = Default::default();
-    for (x, y) in (0..k.width * k.height).map(|i| (i % k.width, i / k.width)) {
+    for (x, y) in (0..width * height).map(|i| (i % width, i / width)) {
         let ray = camera.unproject(x as f64, y as f64, 1.0).normalize();
-        let (t, _, id) = cast(&Vector3::zeros(), &ray);
+        let (t, _, id) = cast(&Vector3::zeros(), &ray, |_| Vector3::zeros());
         for (plane, c) in planes.iter_mut().zip(colour(&(ray * t), id)) {
             plane.push(c.clamp(0.0, 1.0) as f32);
         }
@@ -77,28 +153,66 @@ pub(super) fn picture(camera: &Camera) -> [Vec<f32>; 3] {
     planes
 }
 
-/// `n` flat discs on the surfaces, `n_dynamic` of them with a life around `t`, in no order.
-pub(super) fn splats(n: usize, n_dynamic: usize, camera: &Camera, sh_degree: usize, t: f64) -> Splats {
+/// A direction through the picture, and the camera it starts from.
+fn draw_ray(rng: &mut CounterRng, k: &Intrinsics) -> (Vector3<f64>, Vector3<f64>) {
+    let origin = Vector3::from(CAMERAS[rng.below(3)]);
+    let ray = Vector3::new(
+        (rng.uniform() - 0.5) * k.width as f64 / k.fx,
+        (rng.uniform() - 0.5) * k.height as f64 / k.fy,
+        1.0,
+    );
+    (origin, ray.normalize())
+}
+
+/// Share of the picture that balls cover, sampled.
+fn share_of_balls(k: &Intrinsics) -> f64 {
+    const SAMPLES: usize = 4096;
+    let mut rng = CounterRng::new(13, 0, 0);
+    let hits = (0..SAMPLES).filter(|_| {
+        let (origin, ray) = draw_ray(&mut rng, k);
+        cast(&origin, &ray, |_| Vector3::zeros()).2 >= BALL
+    });
+    hits.count() as f64 / SAMPLES as f64
+}
+
+/// `n` flat discs on the surfaces, in no order.
+pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind, sh_degree: usize) -> Splats {
     let layout = SplatLayout {
         isotropic: false,
         sh_degree,
         time_degree: 0,
     };
-    let n_static = n - n_dynamic.min(n);
+    let k = camera(width, height).intrinsics;
+    let n_static = match kind {
+        SceneKind::Static => n,
+        SceneKind::FourD => n - (n as f64 * DYNAMIC) as usize,
+    };
+    let pixels = (width * height) as f64;
+    // so that what is there at an instant covers the picture as densely as a static scene does
+    let alive = (n - n_static) as f64 * 2.0 * REACH * TIME_SD / FRAMES as f64;
+    let spacing_static = (pixels / n_static.max(1) as f64).sqrt();
+    let spacing_dynamic = (pixels * share_of_balls(&k) / alive.max(1.0)).sqrt();
     let mut out = Splats::zeros(layout, n_static, n - n_static);
-    let k = camera.intrinsics;
-    let spacing_px = (k.width as f64 * k.height as f64 / n.max(1) as f64).sqrt();
     for row in 0..n {
         let mut rng = CounterRng::new(7, 0, row as u64);
-        let origin = Vector3::from(CAMERAS[rng.below(3)]);
-        let ray = Vector3::new(
-            (rng.uniform() - 0.5) * k.width as f64 / k.fx,
-            (rng.uniform() - 0.5) * k.height as f64 / k.fy,
-            1.0,
-        )
-        .normalize();
-        let (distance, normal, id) = cast(&origin, &ray);
+        let dynamic = row >= n_static;
+        let time = rng.below(FRAMES) as f64;
+        let (mut origin, mut ray) = draw_ray(&mut rng, &k);
+        let mut hit = match kind {
+            SceneKind::Static => cast(&origin, &ray, |_| Vector3::zeros()),
+            SceneKind::FourD => cast_walls(&origin, &ray),
+        };
+        // a ray that meets no ball in so many attempts stays on the wall
+        for _ in 0..if dynamic { 100 } else { 0 } {
+            hit = cast(&origin, &ray, |ball| drift(ball, time));
+            if hit.2 >= BALL {
+                break;
+            }
+            (origin, ray) = draw_ray(&mut rng, &k);
+        }
+        let (distance, normal, id) = hit;
         let p = origin + ray * distance;
+        let spacing_px = if dynamic { spacing_dynamic } else { spacing_static };
         let size = spacing_px * p.z.abs() / k.fx;
         let (a, b) = (size * (0.4 * rng.normal()).exp(), size * (0.4 * rng.normal()).exp());
         let up = if normal.y.abs() < 0.9 {
@@ -126,11 +240,16 @@ pub(super) fn splats(n: usize, n_dynamic: usize, camera: &Camera, sh_degree: usi
         let mut coefficients = colour(&p, id).map(|c| (c - 0.5) / crate::shade::C0).to_vec();
         coefficients.extend((3..3 * layout.colour_terms()).map(|_| 0.03 * rng.normal()));
         set(Column::Colour, &coefficients, row);
-        if let Some(row) = row.checked_sub(n_static) {
-            set(Column::TimeMean, &[t + rng.normal()], row);
-            set(Column::LogTimeSd, &[1.0], row);
-            let velocity: [f64; 3] = std::array::from_fn(|_| 0.005 * rng.normal());
-            set(Column::Velocity, &velocity, row);
+        if dynamic {
+            let row = row - n_static;
+            let ball = id.checked_sub(BALL);
+            set(Column::TimeMean, &[time + 0.1 * rng.normal()], row);
+            set(Column::LogTimeSd, &[TIME_SD.ln() + 0.2 * rng.normal()], row);
+            set(
+                Column::Velocity,
+                ball.map_or(Vector3::zeros(), velocity).as_slice(),
+                row,
+            );
         }
     }
     out

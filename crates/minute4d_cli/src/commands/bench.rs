@@ -1,45 +1,54 @@
-//! `minute4d bench`: milliseconds a kernel.
+//! `minute4d bench`: milliseconds a kernel, beside what the machine can do.
 
-use crate::args::Bench;
+use super::doctor::processor;
+use crate::args::{Bench, BenchScene, Common};
 use crate::failure::Failure;
 use crate::output::Output;
-use minute4d::bench::BenchRow;
+use minute4d::bench::{self, BenchConfig};
+use minute4d::kernels::bench::SceneKind;
 
-/// Its name, and what it says of a row.
-type Column = (&'static str, fn(&BenchRow) -> String);
+/// Times that `--quick` steps each view.
+const QUICK_STEPS: usize = 5;
 
-pub fn run(args: &Bench, output: &Output) -> Result<(), Failure> {
-    let splats: Vec<usize> = args.splats.iter().map(|&n| n as usize).collect();
-    let report = minute4d::bench::run(&splats, args.steps as usize, output)?;
-    let mut text = format!(
-        "{} x {} pixels, {} threads, {}; fastest of {} steps, milliseconds\n",
-        report.width, report.height, report.threads, report.simd, report.steps
-    );
-    let columns: [Column; 10] = [
-        ("splats", |r| r.splats.to_string()),
-        ("visible", |r| r.visible.to_string()),
-        ("project", |r| ms(r.project_ms)),
-        ("bin", |r| ms(r.bin_ms)),
-        ("blend", |r| ms(r.blend_ms)),
-        ("photo", |r| ms(r.photo_ms)),
-        ("blend back", |r| ms(r.blend_backward_ms)),
-        ("project back", |r| ms(r.project_backward_ms)),
-        ("adam", |r| ms(r.adam_ms)),
-        ("step", |r| ms(r.step_ms)),
-    ];
-    for (name, _) in columns {
-        text += &format!("{name:>13}");
+pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure> {
+    let report = bench::run(&config(args, common), output)?;
+    if let Some(folder) = &args.save {
+        let path = bench::save(folder, &report)?;
+        output.note(&format!("written to {}", path.display()));
     }
-    for row in &report.rows {
-        text.push('\n');
-        for (_, cell) in columns {
-            text += &format!("{:>13}", cell(row));
-        }
-    }
-    output.result(&text, minute4d::plain_json(&report)?);
+    output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
     Ok(())
 }
 
-fn ms(value: f64) -> String {
-    format!("{value:.2}")
+fn config(args: &Bench, common: &Common) -> BenchConfig {
+    let mut config = BenchConfig::default();
+    if args.quick {
+        config.splats = vec![100_000];
+        config.sizes = vec![(480, 360)];
+        config.steps = QUICK_STEPS;
+    }
+    if let Some(splats) = &args.splats {
+        config.splats = splats.iter().map(|&n| n as usize).collect();
+    }
+    if let Some(sizes) = &args.size {
+        config.sizes = sizes.iter().map(|&(w, h)| (usize::from(w), usize::from(h))).collect();
+    }
+    if let Some(scenes) = &args.scene {
+        let kind = |scene: &BenchScene| match scene {
+            BenchScene::Static => SceneKind::Static,
+            BenchScene::FourD => SceneKind::FourD,
+        };
+        config.scenes = scenes.iter().map(kind).collect();
+    }
+    if let Some(threads) = common.threads {
+        config.threads = vec![usize::from(threads)];
+    }
+    if let Some(steps) = args.steps {
+        config.steps = steps as usize;
+    }
+    config.sh_degree = usize::from(args.sh_degree);
+    config.depth = args.depth;
+    config.render_only = args.render;
+    config.cpu = processor();
+    config
 }

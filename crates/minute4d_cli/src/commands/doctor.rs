@@ -57,19 +57,14 @@ fn examine() -> Result<Machine, Failure> {
     // What the system does not tell is left out, not made up.
     let system = System::new().ok().map(|mut system| {
         system.refresh_memory();
-        system.refresh_cpu_all();
         system
     });
-    let cpu = system
-        .as_ref()
-        .and_then(|s| s.cpus().first())
-        .map(|cpu| cpu.brand().trim().to_owned());
     let folder = std::env::current_dir().unwrap_or_default();
     let simd = minute4d::kernels::SimdLevel::detect().map_err(minute4d::Error::from)?;
     let mut machine = Machine {
         minute4d: env!("CARGO_PKG_VERSION"),
         platform: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
-        cpu: cpu.filter(|brand| !brand.is_empty()),
+        cpu: processor(),
         cores: System::physical_core_count().ok(),
         threads: minute4d::threads(),
         simd: simd.name().to_owned(),
@@ -87,6 +82,14 @@ fn examine() -> Result<Machine, Failure> {
     };
     machine.notes = notes(&machine);
     Ok(machine)
+}
+
+/// The name of the processor.
+pub(super) fn processor() -> Option<String> {
+    let mut system = System::new().ok()?;
+    system.refresh_cpu_all();
+    let brand = system.cpus().first()?.brand().trim().to_owned();
+    (!brand.is_empty()).then_some(brand)
 }
 
 /// The disk that a folder lies on: that of the longest mount point above it.

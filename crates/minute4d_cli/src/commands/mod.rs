@@ -31,7 +31,7 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::EvalGeometry(args) => eval_geometry::run(args, output),
         Command::Inspect(args) => inspect::run(args, output),
         Command::Doctor => doctor::run(output),
-        Command::Bench(args) => bench::run(args, output),
+        Command::Bench(args) => bench::run(args, &cli.common, output),
     })
     .map_err(Failure::from)?;
     outcome.map_err(|failure| stopped(failure, output))

@@ -1,0 +1,193 @@
+//! What a kernel has to do at least: bytes, operations, evaluations.
+//!
+//! **Bytes** are compulsory traffic: every input of the kernel read once and every output written once,
+//! in the layout that they have (`f32` columns, one line of 64 bytes a projected splat and as much for
+//! its sums, 4 bytes an entry of a tile list, `f32` planes). Of the columns only the rows count that
+//! the instant shows (forward) or that the frame touched (backward, Adam). What a kernel keeps for
+//! itself between its passes (keys of the sort, maps of SSIM) is not compulsory and does not count.
+//!
+//! **Operations** are those of the definition on one lane, counted by hand: a multiply-add, root,
+//! division or comparison is 1, an `exp` 11, a `log2` 14. Good to a fifth.
+//!
+//! **Evaluations** are pairs of a pixel and a splat that changes it
+//! ([`useful_evaluations`](super::useful_evaluations)).
+
+use crate::bin::TILE;
+
+/// A kernel of the training step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Kernel {
+    /// Slice, project and shade.
+    Project,
+    /// Depth order and tile lists.
+    Bin,
+    /// Tile lists to the image.
+    Blend,
+    /// L1 + SSIM and its gradient.
+    Photo,
+    /// Image gradient to ellipse gradients.
+    BlendBackward,
+    /// Ellipse gradients to parameter gradients.
+    ProjectBackward,
+    /// The optimiser.
+    Adam,
+}
+
+/// What a frame is made of.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Of the image.
+    pub pixels: usize,
+    /// Rows of the scene.
+    pub splats: usize,
+    /// Static splats, and dynamic ones that live at this instant.
+    pub alive: [usize; 2],
+    /// Splats that reach the image.
+    pub visible: usize,
+    /// Static and dynamic splats that changed a pixel.
+    pub touched: [usize; 2],
+    /// Entries of all tile lists.
+    pub pairs: usize,
+    /// Entries that were looked at before every pixel of the tile was finished.
+    pub used: usize,
+    /// Pairs of a pixel and a splat that changes it.
+    pub useful: u64,
+    /// Columns that every splat has.
+    pub shared_columns: usize,
+    /// Depth is composited too.
+    pub depth: bool,
+}
+
+impl Counts {
+    /// Share of the evaluated lanes that changed a pixel, 0..1.
+    #[must_use]
+    pub fn useful_share(&self) -> f64 {
+        self.useful as f64 / ((self.used * TILE * TILE) as f64).max(1.0)
+    }
+}
+
+/// What a kernel has to do for one frame.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Work {
+    /// Compulsory traffic.
+    pub bytes: f64,
+    /// On one lane each.
+    pub operations: f64,
+    /// Pixel-gaussian evaluations that change a pixel; 0 for kernels that do not blend.
+    pub evaluations: f64,
+    /// Things that the kernel goes through: see [`Kernel::item`].
+    pub items: f64,
+}
+
+/// Columns that dynamic splats have besides.
+const TIME_COLUMNS: usize = 5;
+/// A projected splat, or its sums, in bytes.
+const LINE: f64 = 64.0;
+/// A number, in bytes.
+const NUMBER: f64 = 4.0;
+
+impl Kernel {
+    /// In the order in which a step runs them.
+    pub const ALL: [Self; 7] = [
+        Self::Project,
+        Self::Bin,
+        Self::Blend,
+        Self::Photo,
+        Self::BlendBackward,
+        Self::ProjectBackward,
+        Self::Adam,
+    ];
+
+    /// As reports call it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Project => "project",
+            Self::Bin => "bin",
+            Self::Blend => "blend",
+            Self::Photo => "photo",
+            Self::BlendBackward => "blend backward",
+            Self::ProjectBackward => "project backward",
+            Self::Adam => "adam",
+        }
+    }
+
+    /// True for the kernels that a picture alone needs.
+    #[must_use]
+    pub fn renders(self) -> bool {
+        matches!(self, Self::Project | Self::Bin | Self::Blend)
+    }
+
+    /// What [`Work::items`] counts: a splat that lives at the instant (forward) or was touched, an entry
+    /// of a tile list that was looked at, a pixel.
+    #[must_use]
+    pub fn item(self) -> &'static str {
+        match self {
+            Self::Project | Self::ProjectBackward | Self::Adam => "splat",
+            Self::Bin | Self::Blend | Self::BlendBackward => "pair",
+            Self::Photo => "pixel",
+        }
+    }
+
+    /// What it has to do for a frame; see the head of this file for what counts.
+    #[must_use]
+    pub fn work(self, c: &Counts) -> Work {
+        let (shared, time) = (c.shared_columns as f64, TIME_COLUMNS as f64);
+        // numbers in the columns of so many static and dynamic splats
+        let columns =
+            |[n_static, n_dynamic]: [usize; 2]| (n_static + n_dynamic) as f64 * shared + n_dynamic as f64 * time;
+        let (alive, touched) = ((c.alive[0] + c.alive[1]) as f64, (c.touched[0] + c.touched[1]) as f64);
+        let (visible, pixels, used) = (c.visible as f64, c.pixels as f64, c.used as f64);
+        let colours = shared - 11.0;
+        let useful = c.useful as f64;
+        let planes = |n: usize| pixels * n as f64 * NUMBER;
+        match self {
+            // slice 70, life 35, place 12, ellipse 90, opacity 15, logarithm 14, extent 50, colour
+            Self::Project => Work {
+                bytes: columns(c.alive) * NUMBER + visible * LINE,
+                operations: alive * (251.0 + 2.0 * colours) + c.alive[1] as f64 * 35.0,
+                evaluations: 0.0,
+                items: alive,
+            },
+            Self::Bin => Work {
+                bytes: visible * LINE + c.pairs as f64 * NUMBER,
+                operations: 0.0,
+                evaluations: 0.0,
+                items: c.pairs as f64,
+            },
+            Self::Blend => Work {
+                bytes: visible * LINE + used * NUMBER + planes(if c.depth { 5 } else { 4 }),
+                operations: 0.0,
+                evaluations: useful,
+                items: used,
+            },
+            // a channel: two blurs of three pictures, 11 taps along each axis, 25 for SSIM, 10 for the rest
+            Self::Photo => Work {
+                bytes: planes(15),
+                operations: 3.0 * pixels * (2.0 * 3.0 * 22.0 + 35.0),
+                evaluations: 0.0,
+                items: pixels,
+            },
+            Self::BlendBackward => Work {
+                bytes: 2.0 * visible * LINE + used * NUMBER + planes(if c.depth { 10 } else { 7 }),
+                operations: 0.0,
+                evaluations: useful,
+                items: used,
+            },
+            // forward again without extent and colour, projection 200, slice 80, colour
+            Self::ProjectBackward => Work {
+                bytes: visible * LINE + 2.0 * columns(c.touched) * NUMBER + c.splats as f64 + 8.0 * touched,
+                operations: touched * (460.0 + 4.0 * colours) + c.touched[1] as f64 * 60.0,
+                evaluations: 0.0,
+                items: touched,
+            },
+            // parameter and moments read and written, gradient read; count; mark
+            Self::Adam => Work {
+                bytes: columns(c.touched) * 7.0 * NUMBER + 8.0 * touched + c.splats as f64,
+                operations: columns(c.touched) * 14.0,
+                evaluations: 0.0,
+                items: touched,
+            },
+        }
+    }
+}

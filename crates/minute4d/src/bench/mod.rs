@@ -1,0 +1,112 @@
+//! How long the kernels take on this machine, and how far that is from what it can do.
+//!
+//! [`run`] times training steps and rendering on synthetic scenes ([`m4_kernels::bench`]); the
+//! [`BenchReport`] is what the program prints, saves and compares. `docs/bench.md` explains every column.
+
+mod measure;
+mod report;
+mod save;
+mod table;
+
+pub use report::{BenchReport, Bound, Case, KernelRow, Machine, StepRow};
+pub use save::save;
+
+use crate::{Error, Observer, with_threads};
+use m4_kernels::SimdLevel;
+use m4_kernels::bench::{Bench, SceneConfig, SceneKind};
+
+/// What to time: every combination of the lists.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BenchConfig {
+    /// Gaussians in the scene.
+    pub splats: Vec<usize>,
+    /// Columns and rows of the image.
+    pub sizes: Vec<(usize, usize)>,
+    /// Static or moving.
+    pub scenes: Vec<SceneKind>,
+    /// Threads.
+    pub threads: Vec<usize>,
+    /// Times that each view is stepped; the fastest counts, kernel by kernel.
+    pub steps: usize,
+    /// Degree of the spatial harmonics of the colour, 0..=3.
+    pub sh_degree: usize,
+    /// Composite the depth too, and pass its gradient back.
+    pub depth: bool,
+    /// Draw alone, without the rest of a training step.
+    pub render_only: bool,
+    /// Name of the processor, for the report.
+    pub cpu: Option<String>,
+}
+
+impl Default for BenchConfig {
+    /// Three numbers of splats, two sizes, static and moving, one thread and all threads.
+    fn default() -> Self {
+        let all = rayon::current_num_threads();
+        Self {
+            splats: vec![20_000, 100_000, 300_000],
+            sizes: vec![(480, 360), (960, 720)],
+            scenes: vec![SceneKind::Static, SceneKind::FourD],
+            threads: if all > 1 { vec![1, all] } else { vec![1] },
+            steps: 15,
+            sh_degree: 0,
+            depth: false,
+            render_only: false,
+            cpu: None,
+        }
+    }
+}
+
+/// Times every case of `config`.
+///
+/// # Errors
+///
+/// [`Error::Simd`] if the instruction set asked for is not there, [`Error::Stopped`] on request,
+/// [`Error::Internal`] if the system gives no threads.
+pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport, Error> {
+    let level = SimdLevel::detect()?;
+    let mut scenes = Vec::new();
+    for &kind in &config.scenes {
+        for &(width, height) in &config.sizes {
+            scenes.extend(config.splats.iter().map(|&splats| SceneConfig {
+                splats,
+                width,
+                height,
+                sh_degree: config.sh_degree,
+                kind,
+                depth: config.depth,
+            }));
+        }
+    }
+    let total = scenes.len() * config.threads.len();
+    let mut cases = Vec::new();
+    for scene in &scenes {
+        let note = format!(
+            "{} splats, {} x {}, {}",
+            scene.splats,
+            scene.width,
+            scene.height,
+            scene.kind.name()
+        );
+        observer.update("bench", cases.len(), total, &note);
+        let mut bench = Bench::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
+        let counts: Vec<_> = (0..bench.views()).map(|view| bench.count(view)).collect();
+        for &threads in &config.threads {
+            if observer.cancelled() {
+                return Err(Error::Stopped {
+                    stage: "bench",
+                    saved: false,
+                });
+            }
+            let case = with_threads(Some(threads), || {
+                measure::case(level, scene, &counts, config, &mut bench)
+            })?;
+            cases.push(case);
+            observer.update("bench", cases.len(), total, &note);
+        }
+    }
+    Ok(BenchReport::new(
+        Machine::here(level, config.cpu.clone()),
+        config.steps,
+        cases,
+    ))
+}
