@@ -57,7 +57,7 @@ fn layouts() -> impl Iterator<Item = SplatLayout> {
         })
 }
 
-fn state() -> TrainState {
+fn state() -> TrainState<'static> {
     BTreeMap::from([
         (
             "adam.m".to_owned(),
@@ -67,7 +67,7 @@ fn state() -> TrainState {
             "adam.v".to_owned(),
             StateTensor::F32 {
                 shape: vec![2, 3],
-                data: vec![0.5; 6],
+                data: vec![0.5; 6].into(),
             },
         ),
         ("rng".to_owned(), StateTensor::u32(vec![u32::MAX, 7])),

@@ -116,12 +116,30 @@ pub enum Column {
 }
 
 /// A set of splats: the static ones first.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub struct Splats {
     layout: SplatLayout,
     n_static: usize,
     n_dynamic: usize,
     columns: Vec<Vec<f32>>,
+}
+
+impl Clone for Splats {
+    fn clone(&self) -> Self {
+        Self {
+            layout: self.layout,
+            n_static: self.n_static,
+            n_dynamic: self.n_dynamic,
+            columns: self.columns.clone(),
+        }
+    }
+
+    /// Uses the memory that is there.
+    fn clone_from(&mut self, source: &Self) {
+        self.layout = source.layout;
+        (self.n_static, self.n_dynamic) = (source.n_static, source.n_dynamic);
+        self.columns.clone_from(&source.columns);
+    }
 }
 
 impl Splats {
@@ -217,6 +235,42 @@ impl Splats {
     ///
     /// [`ShapeError`] if a row does not exist or a static row follows a dynamic one.
     pub fn gather(&self, rows: &[u32]) -> Result<Self, ShapeError> {
+        let (n_static, n_dynamic) = self.check_rows(rows)?;
+        let mut columns = Vec::with_capacity(self.columns.len());
+        for (c, column) in self.columns.iter().enumerate() {
+            let mut gathered = Vec::new();
+            self.gather_column(rows, n_static, c, column, &mut gathered);
+            columns.push(gathered);
+        }
+        Ok(Self {
+            layout: self.layout,
+            n_static,
+            n_dynamic,
+            columns,
+        })
+    }
+
+    /// Becomes [`gather`](Self::gather) of itself, one column after the other: with memory for one more
+    /// column in place of all.
+    ///
+    /// # Errors
+    ///
+    /// As [`gather`](Self::gather); nothing is changed then.
+    pub fn rearrange(&mut self, rows: &[u32]) -> Result<(), ShapeError> {
+        let (n_static, n_dynamic) = self.check_rows(rows)?;
+        let mut columns = std::mem::take(&mut self.columns);
+        let mut spare = Vec::new();
+        for (c, column) in columns.iter_mut().enumerate() {
+            self.gather_column(rows, n_static, c, column, &mut spare);
+            std::mem::swap(column, &mut spare);
+        }
+        self.columns = columns;
+        (self.n_static, self.n_dynamic) = (n_static, n_dynamic);
+        Ok(())
+    }
+
+    /// How many of the rows named are static and dynamic.
+    fn check_rows(&self, rows: &[u32]) -> Result<(usize, usize), ShapeError> {
         let n_static = rows.iter().take_while(|&&r| (r as usize) < self.n_static).count();
         for &r in &rows[n_static..] {
             if (r as usize) < self.n_static || r as usize >= self.n() {
@@ -227,23 +281,17 @@ impl Splats {
                 });
             }
         }
-        let shared = self.layout.shared_columns();
-        let columns = self.columns.iter().enumerate().map(|(c, column)| {
-            if c < shared {
-                rows.iter().map(|&r| column[r as usize]).collect()
-            } else {
-                rows[n_static..]
-                    .iter()
-                    .map(|&r| column[r as usize - self.n_static])
-                    .collect()
-            }
-        });
-        Ok(Self {
-            layout: self.layout,
-            n_static,
-            n_dynamic: rows.len() - n_static,
-            columns: columns.collect(),
-        })
+        Ok((n_static, rows.len() - n_static))
+    }
+
+    /// Fills `out` with the rows named of column `c`.
+    fn gather_column(&self, rows: &[u32], n_static: usize, c: usize, column: &[f32], out: &mut Vec<f32>) {
+        out.clear();
+        if c < self.layout.shared_columns() {
+            out.extend(rows.iter().map(|&r| column[r as usize]));
+        } else {
+            out.extend(rows[n_static..].iter().map(|&r| column[r as usize - self.n_static]));
+        }
     }
 
     /// True when every parameter is a finite number.
@@ -304,6 +352,12 @@ mod tests {
         assert_eq!((picked.n_static(), picked.n_dynamic()), (1, 2));
         assert_eq!(picked.column(Column::Opacity, 0), &[1.0, 3.0, 3.0]);
         assert_eq!(picked.column(Column::TimeMean, 0), &[30.0, 30.0]);
+        let mut moved = splats.clone();
+        moved.rearrange(&[1, 3, 3]).unwrap();
+        assert_eq!(moved, picked);
+        moved.clone_from(&splats);
+        assert!(moved.rearrange(&[3, 0]).is_err());
+        assert_eq!(moved, splats, "a failure changes nothing");
         assert!(splats.gather(&[3, 0]).is_err() && splats.gather(&[4]).is_err());
     }
 }

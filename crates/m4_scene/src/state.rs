@@ -1,51 +1,54 @@
 //! Named arrays: how a stage hands its state to whoever writes checkpoints.
 
 use crate::ShapeError;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-/// An array of numbers with a shape, row-major; the product of `shape` is the length of `data`.
+/// An array of numbers with a shape, row-major; the product of `shape` is the length of `data`. The numbers
+/// may be borrowed, so that a state can be written without a copy of it.
 ///
 /// Integers of 64 bits (counters, seeds) are stored as two entries of [`StateTensor::U32`], low half
 /// first; bits survive a round trip, NaN included.
 #[derive(Debug, Clone, PartialEq)]
-pub enum StateTensor {
+pub enum StateTensor<'a> {
     /// 32-bit floats.
     F32 {
         /// Extent of each axis, outermost first.
         shape: Vec<usize>,
         /// The values.
-        data: Vec<f32>,
+        data: Cow<'a, [f32]>,
     },
     /// 32-bit unsigned integers.
     U32 {
         /// Extent of each axis, outermost first.
         shape: Vec<usize>,
         /// The values.
-        data: Vec<u32>,
+        data: Cow<'a, [u32]>,
     },
     /// Bytes: flags, or UTF-8 text.
     U8 {
         /// Extent of each axis, outermost first.
         shape: Vec<usize>,
         /// The values.
-        data: Vec<u8>,
+        data: Cow<'a, [u8]>,
     },
     /// 64-bit floats.
     F64 {
         /// Extent of each axis, outermost first.
         shape: Vec<usize>,
         /// The values.
-        data: Vec<f64>,
+        data: Cow<'a, [f64]>,
     },
 }
 
 /// State by name, in the order of the names.
-pub type TrainState = BTreeMap<String, StateTensor>;
+pub type TrainState<'a> = BTreeMap<String, StateTensor<'a>>;
 
-impl StateTensor {
+impl<'a> StateTensor<'a> {
     /// A vector of 32-bit floats.
     #[must_use]
-    pub fn f32(data: Vec<f32>) -> Self {
+    pub fn f32(data: impl Into<Cow<'a, [f32]>>) -> Self {
+        let data = data.into();
         Self::F32 {
             shape: vec![data.len()],
             data,
@@ -54,7 +57,8 @@ impl StateTensor {
 
     /// A vector of 32-bit unsigned integers.
     #[must_use]
-    pub fn u32(data: Vec<u32>) -> Self {
+    pub fn u32(data: impl Into<Cow<'a, [u32]>>) -> Self {
+        let data = data.into();
         Self::U32 {
             shape: vec![data.len()],
             data,
@@ -63,7 +67,8 @@ impl StateTensor {
 
     /// A vector of bytes.
     #[must_use]
-    pub fn u8(data: Vec<u8>) -> Self {
+    pub fn u8(data: impl Into<Cow<'a, [u8]>>) -> Self {
+        let data = data.into();
         Self::U8 {
             shape: vec![data.len()],
             data,
@@ -72,10 +77,35 @@ impl StateTensor {
 
     /// A vector of 64-bit floats.
     #[must_use]
-    pub fn f64(data: Vec<f64>) -> Self {
+    pub fn f64(data: impl Into<Cow<'a, [f64]>>) -> Self {
+        let data = data.into();
         Self::F64 {
             shape: vec![data.len()],
             data,
+        }
+    }
+
+    /// The same array, borrowed from this one.
+    #[must_use]
+    pub fn view(&self) -> StateTensor<'_> {
+        let shape = self.shape().to_vec();
+        match self {
+            Self::F32 { data, .. } => StateTensor::F32 {
+                shape,
+                data: Cow::Borrowed(data),
+            },
+            Self::U32 { data, .. } => StateTensor::U32 {
+                shape,
+                data: Cow::Borrowed(data),
+            },
+            Self::U8 { data, .. } => StateTensor::U8 {
+                shape,
+                data: Cow::Borrowed(data),
+            },
+            Self::F64 { data, .. } => StateTensor::F64 {
+                shape,
+                data: Cow::Borrowed(data),
+            },
         }
     }
 
@@ -124,9 +154,9 @@ mod tests {
     #[test]
     fn a_shape_must_fit_its_values() {
         assert!(StateTensor::f32(vec![1.0, 2.0]).check().is_ok());
-        let (shape, data) = (vec![2, 3], vec![0; 5]);
+        let (shape, data) = (vec![2, 3], vec![0; 5].into());
         assert_eq!(StateTensor::U32 { shape, data }.check().unwrap_err().expected, 6);
-        let (shape, data) = (vec![usize::MAX, 2], vec![0; 5]);
+        let (shape, data) = (vec![usize::MAX, 2], vec![0; 5].into());
         assert!(StateTensor::U8 { shape, data }.check().is_err());
     }
 }

@@ -1,13 +1,12 @@
 //! The training frames at the size that an iteration wants.
 
 use m4_kernels::photo::cpu::Target;
-use m4_scene::{Capture, DepthMap, Intrinsics, RgbImage, ShapeError};
+use m4_scene::{Capture, CaptureFrame, Intrinsics, ShapeError};
 
-/// What the trainer keeps of a frame.
+/// A frame of the capture, and what the trainer keeps of it.
 #[derive(Debug)]
-struct Stored {
-    rgb: RgbImage,
-    depth: Option<DepthMap>,
+struct Stored<'a> {
+    frame: &'a CaptureFrame,
     cached: Option<Prepared>,
 }
 
@@ -22,8 +21,8 @@ pub(crate) struct Prepared {
 
 /// All frames, and as many prepared ones as fit the budget.
 #[derive(Debug)]
-pub(crate) struct FrameStore {
-    frames: Vec<Stored>,
+pub(crate) struct FrameStore<'a> {
+    frames: Vec<Stored<'a>>,
     factor: usize,
     budget: usize,
     used: usize,
@@ -31,13 +30,9 @@ pub(crate) struct FrameStore {
     spare: Option<(usize, Prepared)>,
 }
 
-impl FrameStore {
-    pub fn new(capture: &Capture, budget_mb: usize) -> Self {
-        let frames = capture.frames.iter().map(|f| Stored {
-            rgb: f.rgb.clone(),
-            depth: f.depth.clone(),
-            cached: None,
-        });
+impl<'a> FrameStore<'a> {
+    pub fn new(capture: &'a Capture, budget_mb: usize) -> Self {
+        let frames = capture.frames.iter().map(|frame| Stored { frame, cached: None });
         Self {
             frames: frames.collect(),
             factor: 1,
@@ -54,7 +49,7 @@ impl FrameStore {
             (self.factor, self.used, self.spare) = (factor, 0, None);
         }
         if self.frames[i].cached.is_none() && self.spare.as_ref().is_none_or(|(k, _)| *k != i) {
-            let prepared = prepare(&self.frames[i], factor)?;
+            let prepared = prepare(self.frames[i].frame, factor)?;
             // colours, windowed means and variances, depth
             let bytes = 10 * 4 * prepared.target.width() * prepared.target.height();
             if self.used + bytes <= self.budget {
@@ -89,7 +84,7 @@ pub(crate) fn smaller(k: &Intrinsics, factor: usize) -> Intrinsics {
     }
 }
 
-fn prepare(frame: &Stored, factor: usize) -> Result<Prepared, ShapeError> {
+fn prepare(frame: &CaptureFrame, factor: usize) -> Result<Prepared, ShapeError> {
     let (full_w, full_h) = frame.rgb.size();
     let (w, h) = (full_w / factor, full_h / factor);
     let scale = 1.0 / (255.0 * (factor * factor) as f32);
@@ -156,7 +151,8 @@ mod tests {
 
     #[test]
     fn half_size_is_the_mean_of_four() {
-        let mut store = FrameStore::new(&capture(), 100);
+        let capture = capture();
+        let mut store = FrameStore::new(&capture, 100);
         let half = store.get(1, 2).unwrap();
         assert_eq!((half.target.width(), half.target.height()), (2, 2));
         let close = |got: f32, want: f32| (got - want / 255.0).abs() < 1e-6;
@@ -169,7 +165,8 @@ mod tests {
 
     #[test]
     fn frames_beyond_the_budget_are_prepared_anew() {
-        let mut store = FrameStore::new(&capture(), 0);
+        let capture = capture();
+        let mut store = FrameStore::new(&capture, 0);
         for i in [0, 1, 2, 1, 1] {
             let blue = store.get(i, 1).unwrap().target.rgb()[2][0];
             assert!((blue * 255.0 - i as f32).abs() < 1e-4);

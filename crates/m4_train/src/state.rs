@@ -23,7 +23,7 @@ use m4_kernels::adam::cpu::AdamState;
 use m4_scene::{ShapeError, Splats, StateTensor, TrainState};
 
 /// Reads tensors of the expected type and length.
-pub(crate) struct Reader<'a>(pub &'a TrainState);
+pub(crate) struct Reader<'a>(pub &'a TrainState<'a>);
 
 impl Reader<'_> {
     pub fn f32(&self, name: &str, len: usize) -> Result<&[f32], TrainError> {
@@ -48,7 +48,7 @@ impl Reader<'_> {
     }
 }
 
-fn wrong(name: &str, expected: usize, found: Option<&StateTensor>) -> TrainError {
+fn wrong(name: &str, expected: usize, found: Option<&StateTensor<'_>>) -> TrainError {
     match found {
         Some(tensor) if tensor.len() != expected => TrainError::Shape(ShapeError {
             what: "tensor of the training state",
@@ -59,13 +59,13 @@ fn wrong(name: &str, expected: usize, found: Option<&StateTensor>) -> TrainError
     }
 }
 
-pub(crate) fn write_adam(state: &mut TrainState, adam: &AdamState) {
+pub(crate) fn write_adam<'a>(state: &mut TrainState<'a>, adam: &'a AdamState) {
     for (kind, columns) in [("m", adam.m.columns()), ("v", adam.v.columns())] {
         for (c, column) in columns.iter().enumerate() {
-            state.insert(format!("adam/{kind}/{c:02}"), StateTensor::f32(column.clone()));
+            state.insert(format!("adam/{kind}/{c:02}"), StateTensor::f32(column));
         }
     }
-    state.insert("adam/step".to_owned(), StateTensor::u32(adam.step.clone()));
+    state.insert("adam/step".to_owned(), StateTensor::u32(&adam.step));
 }
 
 pub(crate) fn read_adam(reader: &Reader<'_>, splats: &Splats) -> Result<AdamState, TrainError> {
@@ -90,7 +90,7 @@ pub(crate) fn read_adam(reader: &Reader<'_>, splats: &Splats) -> Result<AdamStat
     })
 }
 
-pub(crate) fn write_refinement(state: &mut TrainState, fit: &Refinement) {
+pub(crate) fn write_refinement(state: &mut TrainState<'_>, fit: &Refinement) {
     let n = fit.frames.len();
     let (mut c2w, mut pose, mut colour) = (Vec::new(), Vec::new(), Vec::new());
     let (mut exposure, mut steps) = (Vec::new(), Vec::new());
@@ -103,13 +103,13 @@ pub(crate) fn write_refinement(state: &mut TrainState, fit: &Refinement) {
         colour.extend(f.colour.m.iter().chain(&f.colour.v));
         steps.extend([f.pose.step, f.colour.step]);
     }
-    let f64s = |data, width| StateTensor::F64 {
+    let f64s = |data: Vec<f64>, width| StateTensor::F64 {
         shape: vec![n, width],
-        data,
+        data: data.into(),
     };
-    let (shape, data) = (vec![n, 12], exposure);
+    let (shape, data) = (vec![n, 12], exposure.into());
     state.insert("refine/exposure".to_owned(), StateTensor::F32 { shape, data });
-    let (shape, data) = (vec![n, 2], steps);
+    let (shape, data) = (vec![n, 2], steps.into());
     state.insert("refine/steps".to_owned(), StateTensor::U32 { shape, data });
     state.insert("refine/c2w".to_owned(), f64s(c2w, 12));
     state.insert("refine/pose".to_owned(), f64s(pose, 12));

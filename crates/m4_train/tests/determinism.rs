@@ -33,12 +33,12 @@ fn config(iterations: usize) -> TrainConfig {
     config
 }
 
-fn finish(trainer: &mut Trainer) -> Splats {
+fn finish(trainer: &mut Trainer<'_>) -> Splats {
     trainer.run(&Silent, &mut |_| {}).unwrap();
     trainer.splats().clone()
 }
 
-fn start(capture: &Capture, splats: Splats, config: TrainConfig) -> Trainer {
+fn start(capture: &Capture, splats: Splats, config: TrainConfig) -> Trainer<'_> {
     Trainer::new(capture, splats, config, SimdLevel::best()).unwrap()
 }
 
@@ -64,7 +64,6 @@ fn a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one() {
     let mut half = start(&capture, disturbed(&scene, 3), config(200));
     half.run_until(100, &Silent, &mut |_| {}).unwrap();
     let (saved, state) = (half.scene(), half.state());
-    drop(half);
     let mut rest = Trainer::resume(&capture, saved.splats, &state, config(200), SimdLevel::best()).unwrap();
     assert_eq!(rest.iteration(), 100);
     finish(&mut rest);

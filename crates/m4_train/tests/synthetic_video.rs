@@ -100,7 +100,7 @@ fn refinement_brings_a_pose_back() {
     let truth = capture.frames[3].camera;
     capture.frames[3].camera.c2w.translation.x += 0.03;
     // Turning and shifting look alike: what counts is where points land, at the depth of wall and ball.
-    let off_px = |t: &Trainer| {
+    let off_px = |t: &Trainer<'_>| {
         let fit = t.scene().source[3].camera;
         let corners = [
             [10.0, 10.0, 4.0],

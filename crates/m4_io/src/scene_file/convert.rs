@@ -1,11 +1,14 @@
 //! Between a [`m4_scene::Scene`] and named arrays.
 
+use super::tensor::Source;
 use m4_math::{Se3, nalgebra::Matrix3, nalgebra::Vector3};
 use m4_scene::{Camera, Column, Exposure, Intrinsics, SourceFrame, SplatLayout, Splats, StateTensor};
 use std::collections::BTreeMap;
 
-/// Named arrays.
-pub type Arrays = BTreeMap<String, StateTensor>;
+/// Named arrays of a file.
+pub type Arrays = BTreeMap<String, StateTensor<'static>>;
+/// Named arrays to write.
+pub type Sources<'a> = BTreeMap<String, Source<'a>>;
 
 /// An array that is missing or has another type or shape.
 #[derive(Debug)]
@@ -45,7 +48,7 @@ fn is_dynamic(column: Column) -> bool {
 }
 
 /// The arrays of splats: rows are splats, so the columns are woven together.
-pub fn splats_to_arrays(splats: &Splats, arrays: &mut Arrays) {
+pub fn splats_to_arrays<'a>(splats: &'a Splats, arrays: &mut Sources<'a>) {
     let layout = splats.layout();
     for (column, name) in COLUMNS {
         let columns = &splats.columns()[layout.range(column)];
@@ -57,15 +60,14 @@ pub fn splats_to_arrays(splats: &Splats, arrays: &mut Arrays) {
         } else {
             splats.n()
         };
-        let data = (0..rows).flat_map(|row| columns.iter().map(move |c| c[row])).collect();
         let shape = shape(layout, column, rows);
-        arrays.insert(name.to_owned(), StateTensor::F32 { shape, data });
+        arrays.insert(name.to_owned(), Source::Woven { shape, columns });
     }
 }
 
-/// The splats of arrays.
+/// The splats of arrays, which are taken out one by one.
 pub fn arrays_to_splats(
-    arrays: &Arrays,
+    arrays: &mut Arrays,
     layout: SplatLayout,
     n_static: usize,
     n_dynamic: usize,
@@ -80,6 +82,7 @@ pub fn arrays_to_splats(
         let rows = if is_dynamic(column) { n_dynamic } else { total };
         let data = f32_array(arrays, name, &shape(layout, column, rows))?;
         columns.extend((0..width).map(|c| data.iter().skip(c).step_by(width).copied().collect::<Vec<f32>>()));
+        arrays.remove(name);
     }
     // Every length was compared above, so this cannot fail.
     Splats::from_columns(layout, n_static, n_dynamic, columns).map_err(|e| Fault::Other {
@@ -90,7 +93,7 @@ pub fn arrays_to_splats(
 }
 
 /// The arrays of the training cameras.
-pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Arrays) {
+pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Sources<'_>) {
     let n = source.len();
     let lens = |f: &SourceFrame| {
         let k = f.camera.intrinsics;
@@ -116,7 +119,10 @@ pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Arrays) {
             }
         })
     };
-    let f64s = |shape: Vec<usize>, data: Vec<f64>| StateTensor::F64 { shape, data };
+    let f64s = |shape: Vec<usize>, data: Vec<f64>| {
+        let data = data.into();
+        Source::Array(StateTensor::F64 { shape, data })
+    };
     arrays.insert(
         "source.intrinsics".into(),
         f64s(vec![n, 6], source.iter().flat_map(lens).collect()),
@@ -129,10 +135,10 @@ pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Arrays) {
     let data = source.iter().flat_map(exposure).collect();
     arrays.insert(
         "source.exposure".into(),
-        StateTensor::F32 {
+        Source::Array(StateTensor::F32 {
             shape: vec![n, 3, 4],
             data,
-        },
+        }),
     );
 }
 
@@ -172,10 +178,10 @@ pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Fault> {
     Ok((0..n).map(frame).collect())
 }
 
-fn other(name: &str, found: &StateTensor, kind: &str, shape: &[usize]) -> Fault {
+fn other(name: &str, found: &StateTensor<'_>, kind: &str, shape: &[usize]) -> Fault {
     Fault::Other {
         name: name.to_owned(),
-        found: super::tensor::describe(found),
+        found: Source::Array(found.view()).describe(),
         expected: format!("{kind} {shape:?}"),
     }
 }

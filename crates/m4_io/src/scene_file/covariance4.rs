@@ -1,7 +1,8 @@
 //! Dynamic splats as 4x4 covariances: the form in which other programs hold 4D Gaussians.
 
-use super::convert::{Arrays, Fault, f32_array};
+use super::convert::{Arrays, Fault, Sources, f32_array};
 use super::read::{fault_to_error, load};
+use super::tensor::Source;
 use super::write::save;
 use super::{ReadSceneError, WriteSceneError};
 use m4_math::nalgebra::Matrix4;
@@ -40,11 +41,13 @@ pub fn write_covariance4(path: &Path, splats: &Splats) -> Result<(), WriteSceneE
         colour.extend(form.colour.iter().flatten().map(|&v| v as f32));
     }
     let terms = splats.layout().colour_terms();
-    let array = |shape: &[usize], data: Vec<f32>| StateTensor::F32 {
-        shape: shape.to_vec(),
-        data,
+    let array = |shape: &[usize], data: Vec<f32>| {
+        Source::Array(StateTensor::F32 {
+            shape: shape.to_vec(),
+            data: data.into(),
+        })
     };
-    let arrays = Arrays::from([
+    let arrays = Sources::from([
         ("mean".to_owned(), array(&[n, 4], mean)),
         ("covariance".to_owned(), array(&[n, 10], covariance)),
         ("opacity".to_owned(), array(&[n], opacity)),

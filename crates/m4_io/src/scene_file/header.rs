@@ -1,7 +1,7 @@
 //! What a scene file says besides its arrays.
 
-use super::tensor;
-use m4_scene::{SplatLayout, StateTensor};
+use super::convert::Sources;
+use m4_scene::SplatLayout;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -60,19 +60,24 @@ impl Facts {
 pub fn checksum(
     facts: &Facts,
     metadata: &BTreeMap<String, String>,
-    arrays: &BTreeMap<String, StateTensor>,
+    arrays: &Sources<'_>,
 ) -> Result<String, serde_json::Error> {
     let mut hasher = blake3::Hasher::new();
-    let mut part = |bytes: &[u8]| {
-        hasher.update(&(bytes.len() as u64).to_le_bytes());
-        hasher.update(bytes);
-    };
-    part(&serde_json::to_vec(facts)?);
-    part(&serde_json::to_vec(metadata)?);
+    part(&mut hasher, &serde_json::to_vec(facts)?);
+    part(&mut hasher, &serde_json::to_vec(metadata)?);
     for (name, array) in arrays {
-        part(name.as_bytes());
-        part(tensor::describe(array).as_bytes());
-        part(&tensor::bytes(array));
+        part(&mut hasher, name.as_bytes());
+        part(&mut hasher, array.describe().as_bytes());
+        hasher.update(&(array.bytes() as u64).to_le_bytes());
+        let Ok(()) = array.pieces(|piece| {
+            hasher.update(piece);
+            Ok::<(), std::convert::Infallible>(())
+        });
     }
     Ok(hasher.finalize().to_hex().to_string())
+}
+
+fn part(hasher: &mut blake3::Hasher, bytes: &[u8]) {
+    hasher.update(&(bytes.len() as u64).to_le_bytes());
+    hasher.update(bytes);
 }

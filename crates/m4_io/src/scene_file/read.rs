@@ -3,12 +3,12 @@
 use super::ReadSceneError;
 use super::convert::{Arrays, Fault, arrays_to_source, arrays_to_splats};
 use super::header::{Header, KEY, VERSION, Version, checksum};
-use super::tensor;
+use super::tensor::{self, Source};
 use m4_scene::{Scene, TrainState};
-use safetensors::SafeTensors;
+use safetensors::tensor::Metadata;
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::Read;
+use std::io::{BufReader, Read};
 use std::path::Path;
 
 /// Highest degrees that a layout may have; see [`m4_scene::SplatLayout`].
@@ -20,7 +20,7 @@ pub struct SceneFile {
     /// The scene.
     pub scene: Scene,
     /// The state of training, where it was stored.
-    pub state: Option<TrainState>,
+    pub state: Option<TrainState<'static>>,
     /// The pairs that the writer added.
     pub metadata: BTreeMap<String, String>,
 }
@@ -51,7 +51,10 @@ pub fn read(path: &Path) -> Result<SceneFile, ReadSceneError> {
         });
     }
     let header: Header = serde_json::from_str(&header).map_err(|e| damaged(e.to_string()))?;
-    let found = checksum(&header.scene, &header.metadata, &arrays).map_err(|e| damaged(e.to_string()))?;
+    let views = arrays
+        .iter()
+        .map(|(name, array)| (name.clone(), Source::Array(array.view())));
+    let found = checksum(&header.scene, &header.metadata, &views.collect()).map_err(|e| damaged(e.to_string()))?;
     if found != header.blake3 {
         return Err(ReadSceneError::Checksum {
             path: path.to_path_buf(),
@@ -62,15 +65,16 @@ pub fn read(path: &Path) -> Result<SceneFile, ReadSceneError> {
     scene(path, header, arrays)
 }
 
-/// The arrays of a safetensors file and the JSON under [`KEY`]. The format's parser compares every
-/// size with the bytes that are there.
+/// The arrays of a safetensors file and the JSON under [`KEY`], one array after the other. Sizes are
+/// compared with the bytes that are there before any array is read.
 pub fn load(path: &Path) -> Result<(Option<String>, Arrays), ReadSceneError> {
     let io = |source| ReadSceneError::Io {
         path: path.to_path_buf(),
         source,
     };
-    let mut file = File::open(path).map_err(io)?;
+    let file = File::open(path).map_err(io)?;
     let len = file.metadata().map_err(io)?.len();
+    let mut file = BufReader::new(file);
     let not_scene = |reason: String| ReadSceneError::NotScene {
         path: path.to_path_buf(),
         reason,
@@ -93,18 +97,36 @@ pub fn load(path: &Path) -> Result<(Option<String>, Arrays), ReadSceneError> {
     if head > len - 8 {
         return Err(damaged(format!("its header says {head} bytes and the file has {len}")));
     }
-    let mut bytes = start.to_vec();
-    file.read_to_end(&mut bytes).map_err(io)?;
-    let (_, metadata) = SafeTensors::read_metadata(&bytes).map_err(|e| damaged(e.to_string()))?;
-    let header = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).cloned();
-    let tensors = SafeTensors::deserialize(&bytes).map_err(|e| damaged(e.to_string()))?;
-    let mut arrays = Arrays::new();
-    for (name, view) in tensors.iter() {
-        let array = tensor::load(view.dtype(), view.shape(), view.data());
-        let array = array.ok_or_else(|| damaged(format!("array {name:?} has the type {:?}", view.dtype())))?;
-        arrays.insert(name.to_owned(), array);
+    let mut json = vec![brace];
+    let rest = file.by_ref().take(head.saturating_sub(1));
+    read_to_end(rest, &mut json).map_err(io)?;
+    let metadata: Metadata = serde_json::from_slice(&json).map_err(|e| damaged(e.to_string()))?;
+    let bytes = metadata.data_len() as u64;
+    if bytes != len - 8 - head {
+        return Err(damaged(format!(
+            "its arrays have {bytes} bytes and the file has {} for them",
+            len - 8 - head
+        )));
     }
+    let mut arrays = Arrays::new();
+    for name in metadata.offset_keys() {
+        let Some(info) = metadata.info(&name) else { continue };
+        let (from, to) = info.data_offsets;
+        let mut bytes = Vec::new();
+        read_to_end(file.by_ref().take((to - from) as u64), &mut bytes).map_err(io)?;
+        if bytes.len() != to - from {
+            return Err(damaged(format!("it ends within the array {name:?}")));
+        }
+        let array = tensor::load(info.dtype, &info.shape, bytes)
+            .ok_or_else(|| damaged(format!("array {name:?} has the type {:?}", info.dtype)))?;
+        arrays.insert(name, array);
+    }
+    let header = metadata.metadata().as_ref().and_then(|m| m.get(KEY)).cloned();
     Ok((header, arrays))
+}
+
+fn read_to_end(mut from: impl Read, to: &mut Vec<u8>) -> std::io::Result<()> {
+    from.read_to_end(to).map(|_| ())
 }
 
 fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, ReadSceneError> {
@@ -119,7 +141,8 @@ fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, R
         });
     }
     let fault = |fault| fault_to_error(path, fault);
-    let splats = arrays_to_splats(&arrays, facts.layout(), facts.splats_static, facts.splats_dynamic).map_err(fault)?;
+    let splats =
+        arrays_to_splats(&mut arrays, facts.layout(), facts.splats_static, facts.splats_dynamic).map_err(fault)?;
     let source = arrays_to_source(&arrays).map_err(fault)?;
     let state = facts.has_state.then(|| {
         let named: Vec<String> = arrays.keys().filter(|n| n.starts_with("state.")).cloned().collect();

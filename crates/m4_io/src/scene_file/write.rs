@@ -1,14 +1,15 @@
 //! A scene to a scene file.
 
 use super::WriteSceneError;
-use super::convert::{Arrays, source_to_arrays, splats_to_arrays};
+use super::convert::{Sources, source_to_arrays, splats_to_arrays};
 use super::header::{Facts, Header, KEY, VERSION, checksum};
-use super::read::load;
-use super::tensor::Stored;
+use super::tensor::Source;
 use crate::atomic::AtomicFile;
 use m4_scene::{Scene, TrainState};
+use safetensors::tensor::{Metadata, TensorInfo};
 use std::collections::{BTreeMap, HashMap};
-use std::io::Write;
+use std::fs::File;
+use std::io::{BufReader, Read, Write};
 use std::path::Path;
 
 /// Writes a scene, the state of its training where there is one, and pairs of the caller's own.
@@ -22,15 +23,15 @@ use std::path::Path;
 pub fn write(
     path: &Path,
     scene: &Scene,
-    state: Option<&TrainState>,
+    state: Option<&TrainState<'_>>,
     metadata: &BTreeMap<String, String>,
 ) -> Result<(), WriteSceneError> {
     check(path, scene, state)?;
-    let mut arrays = Arrays::new();
+    let mut arrays = Sources::new();
     splats_to_arrays(&scene.splats, &mut arrays);
     source_to_arrays(&scene.source, &mut arrays);
     for (name, array) in state.into_iter().flatten() {
-        arrays.insert(format!("state.{name}"), array.clone());
+        arrays.insert(format!("state.{name}"), Source::Array(array.view()));
     }
     let layout = scene.splats.layout();
     let facts = Facts {
@@ -61,7 +62,7 @@ pub fn write(
 }
 
 /// Refuses what would not come back, or would not render.
-fn check(path: &Path, scene: &Scene, state: Option<&TrainState>) -> Result<(), WriteSceneError> {
+fn check(path: &Path, scene: &Scene, state: Option<&TrainState<'_>>) -> Result<(), WriteSceneError> {
     let bad = |what: String| WriteSceneError::BadScene {
         path: path.to_path_buf(),
         what,
@@ -87,39 +88,78 @@ fn check(path: &Path, scene: &Scene, state: Option<&TrainState>) -> Result<(), W
     Ok(())
 }
 
-/// Writes arrays and reads them back before they are published.
-pub fn save(path: &Path, arrays: &Arrays, header: Option<String>) -> Result<(), WriteSceneError> {
+/// Writes arrays and reads them back before they are published. Arrays go to the file piece by piece, so
+/// that no copy of one is ever in memory.
+pub fn save(path: &Path, arrays: &Sources<'_>, header: Option<String>) -> Result<(), WriteSceneError> {
     let io = |source| WriteSceneError::Io {
         path: path.to_path_buf(),
         source,
     };
-    // One key alone: with more, their order would change from run to run.
-    let metadata = header.clone().map(|json| HashMap::from([(KEY.to_owned(), json)]));
-    let bytes = safetensors::serialize(arrays.iter().map(|(name, array)| (name, Stored(array))), metadata);
-    let bytes = bytes.map_err(|e| WriteSceneError::BadScene {
+    let bad = |what: String| WriteSceneError::BadScene {
         path: path.to_path_buf(),
-        what: e.to_string(),
-    })?;
+        what,
+    };
+    // By type, widest first, so that every array is aligned; then by name.
+    let mut order: Vec<(&String, &Source<'_>)> = arrays.iter().collect();
+    order.sort_by(|(a_name, a), (b_name, b)| b.dtype().cmp(&a.dtype()).then(a_name.cmp(b_name)));
+    let head = head(&order, header).map_err(bad)?;
+
     let mut file = AtomicFile::create(path).map_err(io)?;
-    file.write_all(&bytes).map_err(io)?;
-    drop(bytes);
+    file.write_all(&head).map_err(io)?;
+    for (_, array) in &order {
+        array.pieces(|piece| file.write_all(piece)).map_err(io)?;
+    }
     file.sync().map_err(io)?;
     let verify = |reason: String| WriteSceneError::Verify {
         path: path.to_path_buf(),
         reason,
     };
-    let (header_back, arrays_back) = load(file.temporary_path()).map_err(|e| verify(e.to_string()))?;
-    if header_back != header || !same(&arrays_back, arrays) {
-        return Err(verify("it holds other values".into()));
+    match holds(file.temporary_path(), &head, &order) {
+        Ok(true) => file.commit().map_err(io),
+        Ok(false) => Err(verify("it holds other values".into())),
+        Err(e) => Err(verify(e.to_string())),
     }
-    file.commit().map_err(io)
 }
 
-/// Bit by bit: a state may hold NaN.
-fn same(a: &Arrays, b: &Arrays) -> bool {
-    let parts = |arrays: &Arrays| arrays.len();
-    parts(a) == parts(b)
-        && a.iter().zip(b).all(|((a_name, a), (b_name, b))| {
-            a_name == b_name && a.shape() == b.shape() && super::tensor::bytes(a) == super::tensor::bytes(b)
-        })
+/// The head of a safetensors file: its length in 8 bytes, then JSON, padded with spaces so that arrays start
+/// at a multiple of 8.
+fn head(arrays: &[(&String, &Source<'_>)], header: Option<String>) -> Result<Vec<u8>, String> {
+    let mut offset = 0;
+    let mut infos = Vec::with_capacity(arrays.len());
+    for (name, array) in arrays {
+        let start = offset;
+        offset += array.bytes();
+        let info = TensorInfo {
+            dtype: array.dtype(),
+            shape: array.shape().to_vec(),
+            data_offsets: (start, offset),
+        };
+        infos.push(((*name).clone(), info));
+    }
+    // One key alone: with more, their order would change from run to run.
+    let pairs = header.map(|json| HashMap::from([(KEY.to_owned(), json)]));
+    let metadata = Metadata::new(pairs, infos).map_err(|e| e.to_string())?;
+    let mut json = serde_json::to_vec(&metadata).map_err(|e| e.to_string())?;
+    json.resize(json.len().next_multiple_of(8), b' ');
+    let mut head = (json.len() as u64).to_le_bytes().to_vec();
+    head.append(&mut json);
+    Ok(head)
+}
+
+/// True if the file holds these bytes, bit by bit, and no more.
+fn holds(path: &Path, head: &[u8], arrays: &[(&String, &Source<'_>)]) -> std::io::Result<bool> {
+    let mut file = BufReader::new(File::open(path)?);
+    let mut buffer = Vec::new();
+    let mut same = true;
+    let mut compare = |piece: &[u8]| {
+        buffer.resize(piece.len(), 0);
+        file.read_exact(&mut buffer)?;
+        same &= buffer == piece;
+        Ok::<(), std::io::Error>(())
+    };
+    compare(head)?;
+    for (_, array) in arrays {
+        array.pieces(&mut compare)?;
+    }
+    Ok(same && file.read(&mut [0])? == 0)
 }

@@ -9,7 +9,7 @@ use m4_math::nalgebra::{Vector3, Vector4};
 use m4_math::quat;
 use m4_scene::{Column, ShapeError, Splats};
 
-/// Carries a plan out: the next splats and their optimiser state.
+/// Carries a plan out: splats and optimiser state become the next ones, in place.
 ///
 /// Clones are copies; with [`NewbornOpacity::Share`] parent and clone pass together the light that the
 /// parent passed. Children of a split lie as [`SplitPlacement`] says; drawn ones are taken from the splat's Gaussian, in space and (dynamic
@@ -19,41 +19,54 @@ use m4_scene::{Column, ShapeError, Splats};
 ///
 /// # Errors
 ///
-/// [`ShapeError`] if the plan names rows that do not exist, or a static row after a dynamic one.
+/// [`ShapeError`] if the plan names rows that do not exist, or a static row after a dynamic one; nothing is
+/// changed then.
 pub fn apply(
     config: &DensityConfig,
     plan: &Plan,
-    splats: &Splats,
-    adam: &AdamState,
+    splats: &mut Splats,
+    adam: &mut AdamState,
     seed: u64,
     iteration: usize,
-) -> Result<(Splats, AdamState), ShapeError> {
+) -> Result<(), ShapeError> {
     ShapeError::check("plan", plan.rows.len(), plan.origins.len())?;
-    let mut out = splats.gather(&plan.rows)?;
-    let adam = adam.gather(&plan.rows, &plan.newborn())?;
+    splats.rearrange(&plan.rows)?;
+    rearrange(adam, &plan.rows)?;
+    for (row, _) in plan.newborn().iter().enumerate().filter(|&(_, &new)| new) {
+        adam.forget(row);
+    }
+    let out = splats;
     for row in 0..out.n() {
         match plan.origins[row] {
             Origin::Kept => {}
             Origin::Cloned | Origin::Clone => {
                 if config.newborn_opacity == NewbornOpacity::Share {
-                    share_opacity(&mut out, row);
+                    share_opacity(out, row);
                 }
             }
             Origin::Child(k) if config.split_placement == SplitPlacement::LongestAxis => {
-                halve(&mut out, row, if k == 0 { 1.0 } else { -1.0 });
+                halve(out, row, if k == 0 { 1.0 } else { -1.0 });
                 if config.newborn_opacity == NewbornOpacity::Share {
-                    share_opacity(&mut out, row);
+                    share_opacity(out, row);
                 }
             }
             Origin::Child(k) => {
                 let key = (iteration as u64) << 8 | u64::from(k);
                 let parent = u64::from(plan.rows[row]);
                 let rng = CounterRng::new(seed, purpose::SPLIT.wrapping_add(key << 32), parent);
-                become_child(config, &mut out, row, rng);
+                become_child(config, out, row, rng);
             }
         }
     }
-    Ok((out, adam))
+    Ok(())
+}
+
+/// The state of splats that were [rearranged](Splats::rearrange) in the same way.
+pub(crate) fn rearrange(adam: &mut AdamState, rows: &[u32]) -> Result<(), ShapeError> {
+    adam.m.rearrange(rows)?;
+    adam.v.rearrange(rows)?;
+    adam.step = rows.iter().map(|&r| adam.step[r as usize]).collect();
+    Ok(())
 }
 
 /// `o -> 1 - sqrt(1 - o)`.
@@ -136,6 +149,18 @@ mod tests {
         (splats, adam)
     }
 
+    /// The world after [`plan`].
+    fn applied(
+        config: &DensityConfig,
+        (splats, adam): &(Splats, AdamState),
+        seed: u64,
+        at: usize,
+    ) -> (Splats, AdamState) {
+        let (mut splats, mut adam) = (splats.clone(), adam.clone());
+        apply(config, &plan(), &mut splats, &mut adam, seed, at).unwrap();
+        (splats, adam)
+    }
+
     fn plan() -> Plan {
         Plan {
             rows: vec![0, 1, 1, 2, 3, 3],
@@ -155,8 +180,9 @@ mod tests {
 
     #[test]
     fn survivors_keep_their_state_and_newborns_have_none() {
-        let (splats, adam) = world();
-        let (next, state) = apply(&DensityConfig::fast(), &plan(), &splats, &adam, 1, 700).unwrap();
+        let world = world();
+        let (next, state) = applied(&DensityConfig::fast(), &world, 1, 700);
+        let splats = &world.0;
         assert_eq!((next.n_static(), next.n_dynamic()), (3, 3));
         assert_eq!(state.step, [1, 2, 0, 3, 0, 0]);
         let first = state.m.column(Column::Mean, 0);
@@ -171,12 +197,12 @@ mod tests {
 
     #[test]
     fn a_shared_opacity_passes_the_same_light() {
-        let (splats, adam) = world();
+        let world = world();
         let config = DensityConfig {
             split_placement: SplitPlacement::Sample,
             ..DensityConfig::fast()
         };
-        let (next, _) = apply(&config, &plan(), &splats, &adam, 1, 700).unwrap();
+        let (next, _) = applied(&config, &world, 1, 700);
         let pass = |logit: f32| 1.0 / (1.0 + logit.exp());
         let o = next.column(Column::Opacity, 0);
         assert!((pass(o[1]) * pass(o[2]) - pass(1.0)).abs() < 1e-6);
@@ -186,10 +212,11 @@ mod tests {
 
     #[test]
     fn halves_have_the_covariance_of_their_parent() {
-        let (mut splats, adam) = world();
+        let mut world = world();
+        let splats = &mut world.0;
         splats.column_mut(Column::LogScale, 1)[3] = 1.0;
         splats.column_mut(Column::Opacity, 0)[3] = 1.0;
-        let (next, state) = apply(&DensityConfig::fast(), &plan(), &splats, &adam, 1, 700).unwrap();
+        let (next, state) = applied(&DensityConfig::fast(), &world, 1, 700);
         let (y, sd) = (next.column(Column::Mean, 1), next.column(Column::LogScale, 1));
         assert!((y[4] + y[5]).abs() < 1e-6 && y[4] > 0.0);
         let variance = y[4] * y[4] + (2.0 * sd[4]).exp();
@@ -204,7 +231,7 @@ mod tests {
 
     #[test]
     fn children_are_smaller_and_drawn_around_their_parent() {
-        let (splats, adam) = world();
+        let world = world();
         let config = DensityConfig {
             split_placement: SplitPlacement::Sample,
             ..DensityConfig::fast()
@@ -212,7 +239,7 @@ mod tests {
         let (mut sum, mut square, mut time) = (0.0f64, 0.0f64, 0.0f64);
         let rounds = 2000;
         for i in 0..rounds {
-            let (next, _) = apply(&config, &plan(), &splats, &adam, 9, i).unwrap();
+            let (next, _) = applied(&config, &world, 9, i);
             let (x, y) = (next.column(Column::Mean, 0)[4], next.column(Column::Mean, 1)[4]);
             let dt = next.column(Column::TimeMean, 0)[1];
             sum += f64::from(y);
@@ -225,7 +252,7 @@ mod tests {
         }
         let n = rounds as f64;
         assert!((sum / n).abs() < 0.1 && (square / n - 1.0).abs() < 0.1 && (time / n - 1.0).abs() < 0.1);
-        let twice = |i| apply(&config, &plan(), &splats, &adam, 9, i).unwrap().0;
+        let twice = |i| applied(&config, &world, 9, i).0;
         assert_eq!(twice(5), twice(5));
         assert_ne!(twice(5), twice(6));
     }

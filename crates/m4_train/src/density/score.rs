@@ -9,13 +9,13 @@ use m4_kernels::{Renderer, SimdLevel, View};
 use m4_scene::{ShapeError, Splats};
 
 /// What scoring needs beside splats and frames.
-pub(crate) struct ScoreInput<'a> {
+pub(crate) struct ScoreInput<'a, 'c> {
     pub level: SimdLevel,
     pub config: &'a DensityConfig,
     pub lambda_ssim: f32,
     /// Frames are made smaller by this.
     pub factor: usize,
-    pub store: &'a mut FrameStore,
+    pub store: &'a mut FrameStore<'c>,
     /// Exposures; `None` when they are not corrected.
     pub fit: Option<&'a Refinement>,
     pub renderer: &'a mut Renderer,
@@ -25,7 +25,7 @@ pub(crate) struct ScoreInput<'a> {
 /// Draws `splats` in each of `frames`, with the view that goes with it, and adds up what is wrong
 /// where they are.
 pub(crate) fn score(
-    input: &mut ScoreInput<'_>,
+    input: &mut ScoreInput<'_, '_>,
     splats: &Splats,
     frames: &[(usize, View)],
 ) -> Result<Scores, ShapeError> {

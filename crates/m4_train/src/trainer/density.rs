@@ -8,7 +8,7 @@ use crate::pick::purpose;
 use m4_math::CounterRng;
 use m4_scene::Column;
 
-impl Trainer {
+impl Trainer<'_> {
     /// Adds and removes splats if this iteration is due.
     pub(super) fn density_round(&mut self) -> Result<(), TrainError> {
         let c = &self.config.density;
@@ -46,15 +46,14 @@ impl Trainer {
         if plan.changes_nothing() || plan.rows.is_empty() {
             return Ok(());
         }
-        let (splats, adam) = apply(
+        apply(
             &self.config.density,
             plan,
-            &self.splats,
-            &self.adam,
+            &mut self.splats,
+            &mut self.adam,
             self.config.seed,
             self.iteration,
         )?;
-        (self.splats, self.adam) = (splats, adam);
         self.reorder()
     }
 

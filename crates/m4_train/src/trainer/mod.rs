@@ -32,10 +32,10 @@ pub enum Outcome {
 
 /// A run of training: what is learned, and where it stands.
 #[derive(Debug)]
-pub struct Trainer {
+pub struct Trainer<'a> {
     config: TrainConfig,
     level: SimdLevel,
-    store: FrameStore,
+    store: FrameStore<'a>,
     /// Frames, one a frame of the capture.
     times: Vec<f64>,
     time_frames: usize,
@@ -49,8 +49,8 @@ pub struct Trainer {
     background: [f32; 3],
     first_splats: usize,
     basis: RateBasis,
-    /// The last state that was checked to be finite.
-    good: Option<(usize, Splats, AdamState)>,
+    /// The last splats that were checked to be finite, and their iteration.
+    good: Option<(usize, Splats)>,
     renderer: Renderer,
     frame_gradient: FrameGradient,
     gradients: Gradients,
@@ -60,14 +60,19 @@ pub struct Trainer {
     seconds: f64,
 }
 
-impl Trainer {
-    /// A run that starts from `splats`; the frames of `capture` are copied.
+impl<'a> Trainer<'a> {
+    /// A run that starts from `splats`.
     ///
     /// # Errors
     ///
     /// [`TrainError`] if a setting is out of range, the capture has no frames, or the splats are none or
     /// not finite.
-    pub fn new(capture: &Capture, splats: Splats, config: TrainConfig, level: SimdLevel) -> Result<Self, TrainError> {
+    pub fn new(
+        capture: &'a Capture,
+        splats: Splats,
+        config: TrainConfig,
+        level: SimdLevel,
+    ) -> Result<Self, TrainError> {
         config.check()?;
         if capture.frames.is_empty() {
             return Err(TrainError::NoFrames);
@@ -108,9 +113,9 @@ impl Trainer {
     /// [`TrainError`] as [`new`](Self::new), or if the state lacks a part or belongs to other splats or
     /// another capture.
     pub fn resume(
-        capture: &Capture,
+        capture: &'a Capture,
         splats: Splats,
-        state: &TrainState,
+        state: &TrainState<'_>,
         config: TrainConfig,
         level: SimdLevel,
     ) -> Result<Self, TrainError> {
@@ -143,7 +148,7 @@ impl Trainer {
     }
 
     fn assemble(
-        capture: &Capture,
+        capture: &'a Capture,
         splats: Splats,
         adam: AdamState,
         basis: RateBasis,
@@ -197,8 +202,8 @@ impl Trainer {
     ///
     /// # Errors
     ///
-    /// [`TrainError::Diverged`] when the loss or a parameter is no longer finite; the trainer is then back
-    /// in the last state that was.
+    /// [`TrainError::Diverged`] when the loss or a parameter is no longer finite; the trainer then has the last
+    /// splats that were, and an optimiser that starts from nothing.
     pub fn run_until(
         &mut self,
         iteration: usize,
@@ -245,16 +250,41 @@ impl Trainer {
         &self.scale
     }
 
-    /// What a renderer needs.
+    /// What a renderer needs, as a copy.
     #[must_use]
     pub fn scene(&self) -> Scene {
+        self.scene_of(self.splats.clone())
+    }
+
+    /// What a renderer needs; everything else is dropped.
+    #[must_use]
+    pub fn into_scene(mut self) -> Scene {
+        let splats = self.take_splats();
+        self.scene_of(splats)
+    }
+
+    /// Shows the scene and what [`resume`](Self::resume) needs beside it to `look`, without a copy of either.
+    pub fn save<R>(&mut self, look: impl FnOnce(&Scene, &TrainState<'_>) -> R) -> R {
+        let splats = self.take_splats();
+        let scene = self.scene_of(splats);
+        let out = look(&scene, &self.state());
+        self.splats = scene.splats;
+        out
+    }
+
+    fn take_splats(&mut self) -> Splats {
+        let nothing = Splats::zeros(self.splats.layout(), 0, 0);
+        std::mem::replace(&mut self.splats, nothing)
+    }
+
+    fn scene_of(&self, splats: Splats) -> Scene {
         let source = self.times.iter().enumerate().map(|(i, &t)| SourceFrame {
             camera: self.fit.camera(i),
             t,
             exposure: self.fit.frames[i].exposure,
         });
         Scene {
-            splats: self.splats.clone(),
+            splats,
             background: self.background,
             time_frames: self.time_frames,
             duration_s: self.duration_s,
@@ -264,16 +294,16 @@ impl Trainer {
         }
     }
 
-    /// What [`resume`](Self::resume) needs beside the scene.
+    /// What [`resume`](Self::resume) needs beside the scene; large arrays are borrowed.
     #[must_use]
-    pub fn state(&self) -> TrainState {
+    pub fn state(&self) -> TrainState<'_> {
         let mut state = TrainState::new();
         let mut put = |name: &str, tensor| state.insert(name.to_owned(), tensor);
         put("train/iteration", StateTensor::u32(vec![self.iteration as u32]));
         put("train/first_splats", StateTensor::u32(vec![self.first_splats as u32]));
         put("train/time_sd", StateTensor::f32(vec![self.basis.time_sd]));
         put("train/background", StateTensor::f32(self.background.to_vec()));
-        put("pick/loss", StateTensor::f32(self.picker.loss.clone()));
+        put("pick/loss", StateTensor::f32(&self.picker.loss));
         write_adam(&mut state, &self.adam);
         write_refinement(&mut state, &self.fit);
         state

@@ -1,12 +1,13 @@
 //! One iteration.
 
 use super::Trainer;
+use crate::density::rearrange;
 use crate::depth_loss::depth_loss;
 use crate::metrics::psnr;
 use crate::rates::rates;
 use crate::refine::expose;
 use crate::{TrainError, schedule};
-use m4_kernels::adam::cpu::step as adam_step;
+use m4_kernels::adam::cpu::{AdamState, step as adam_step};
 use m4_kernels::morton_order;
 use m4_kernels::photo::cpu::loss;
 
@@ -24,11 +25,11 @@ impl StepReport {
     }
 }
 
-impl Trainer {
+impl Trainer<'_> {
     /// Draws a frame, compares, and moves every splat that was seen.
     pub(super) fn step(&mut self) -> Result<StepReport, TrainError> {
         if self.good.is_none() {
-            self.good = Some((self.iteration, self.splats.clone(), self.adam.clone()));
+            self.good = Some((self.iteration, self.splats.clone()));
         }
         let (i, n) = (self.iteration, self.config.iterations);
         let x = schedule::progress(i, n);
@@ -123,12 +124,12 @@ impl Trainer {
     /// Lays splats and optimiser state out along a Morton curve.
     pub(super) fn reorder(&mut self) -> Result<(), TrainError> {
         let order = morton_order(&self.splats);
-        self.splats = self.splats.gather(&order)?;
-        self.adam = self.adam.gather(&order, &[])?;
+        self.splats.rearrange(&order)?;
+        rearrange(&mut self.adam, &order)?;
         Ok(())
     }
 
-    /// Keeps the state if it is finite, and goes back to the one kept if it is not.
+    /// Keeps the splats if they are finite, and goes back to those kept if they are not.
     fn guard(&mut self) -> Result<(), TrainError> {
         let due = self.iteration.is_multiple_of(self.config.guard_every) || self.iteration == self.config.iterations;
         if !due {
@@ -137,14 +138,19 @@ impl Trainer {
         if !self.splats.is_finite() {
             return Err(self.back_to_good("a parameter of a splat"));
         }
-        self.good = Some((self.iteration, self.splats.clone(), self.adam.clone()));
+        if let Some((iteration, splats)) = &mut self.good {
+            *iteration = self.iteration;
+            splats.clone_from(&self.splats);
+        }
         Ok(())
     }
 
     fn back_to_good(&mut self, what: &'static str) -> TrainError {
         let iteration = self.iteration;
-        if let Some((good, splats, adam)) = self.good.clone() {
-            (self.iteration, self.splats, self.adam) = (good, splats, adam);
+        if let Some((good, splats)) = self.good.take() {
+            // without the moments, which led here
+            self.adam = AdamState::new(&splats);
+            (self.iteration, self.splats) = (good, splats);
         }
         TrainError::Diverged {
             what,

@@ -4,7 +4,7 @@ use crate::Error;
 use crate::folder;
 use m4_io::scene_file::{self, SceneFile};
 use m4_kernels::SimdLevel;
-use m4_scene::{Capture, Progress, Scene, TrainState};
+use m4_scene::{Capture, Progress};
 use m4_train::{TrainConfig, Trainer};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -33,13 +33,13 @@ impl Checkpoints {
 
     /// A trainer that goes on from the newest checkpoint that can be read and belongs to this stage.
     /// What could not be used is said.
-    pub fn latest(
+    pub fn latest<'a>(
         &self,
-        capture: &Capture,
+        capture: &'a Capture,
         config: &TrainConfig,
         level: SimdLevel,
         progress: &dyn Progress,
-    ) -> Result<Option<Trainer>, Error> {
+    ) -> Result<Option<Trainer<'a>>, Error> {
         for (_, path) in folder::checkpoints(&self.folder).into_iter().rev() {
             let file = match scene_file::read(&path) {
                 Ok(file) => file,
@@ -72,21 +72,16 @@ impl Checkpoints {
     }
 
     /// Saves, then removes all but the newest.
-    pub fn save(&mut self, trainer: &Trainer) -> Result<(), Error> {
+    pub fn save(&mut self, trainer: &mut Trainer<'_>) -> Result<(), Error> {
         let path = folder::checkpoint_file(&self.folder, trainer.iteration());
-        write(&path, &trainer.scene(), &trainer.state(), &self.key)?;
+        let metadata = BTreeMap::from([(KEY.to_owned(), self.key.clone())]);
+        trainer.save(|scene, state| scene_file::write(&path, scene, Some(state), &metadata))?;
         let all = folder::checkpoints(&self.folder);
         for (_, old) in &all[..all.len().saturating_sub(self.keep)] {
             folder::remove_file(old)?;
         }
         Ok(())
     }
-}
-
-/// Writes a scene with the state of its optimiser and the key of its stage.
-pub(super) fn write(path: &Path, scene: &Scene, state: &TrainState, key: &str) -> Result<(), Error> {
-    let metadata = BTreeMap::from([(KEY.to_owned(), key.to_owned())]);
-    Ok(scene_file::write(path, scene, Some(state), &metadata)?)
 }
 
 /// Stops a trainer when it is time for a checkpoint, or when the user says so.

@@ -16,6 +16,7 @@ use m4_scene::{Capture, Scene, Splats};
 use m4_train::{Outcome, TrainError, Trainer};
 use metrics::MetricsLog;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Name of the stage.
@@ -119,7 +120,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
             Ok(outcome) => outcome,
             Err(error @ TrainError::Diverged { .. }) => {
                 // The trainer is back in its last good state: worth keeping, not worth going on with.
-                save(run, &trainer, &mut checkpoints, &mut log)?;
+                save(run, &mut trainer, &mut checkpoints, &mut log)?;
                 return Err(error.into());
             }
             Err(error) => return Err(error.into()),
@@ -127,7 +128,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
         if outcome == Outcome::Finished {
             break;
         }
-        save(run, &trainer, &mut checkpoints, &mut log)?;
+        save(run, &mut trainer, &mut checkpoints, &mut log)?;
         if patience.stopped_by_user() {
             return Err(Error::Stopped {
                 stage: STAGE,
@@ -136,9 +137,9 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
         }
     }
     log.write()?;
-    let scene = trainer.scene();
     note_progress(&mut run.record, &trainer);
-    publish(&run.path(SCENE_FILE), &scene, &trainer, key)?;
+    let scene = trainer.into_scene();
+    publish(&run.path(SCENE_FILE), &scene)?;
     folder::remove_checkpoints(&run.folder)?;
     Ok(scene)
 }
@@ -146,7 +147,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
 /// A checkpoint: the scene so far, the metrics so far, the record.
 fn save(
     run: &mut Workspace<'_>,
-    trainer: &Trainer,
+    trainer: &mut Trainer<'_>,
     checkpoints: &mut Checkpoints,
     log: &mut MetricsLog,
 ) -> Result<(), Error> {
@@ -156,7 +157,7 @@ fn save(
     run.record.write(&run.folder)
 }
 
-fn note_progress(record: &mut RunRecord, trainer: &Trainer) {
+fn note_progress(record: &mut RunRecord, trainer: &Trainer<'_>) {
     let splats: &Splats = trainer.splats();
     record.iterations = Some(trainer.iteration());
     record.splats = Some(SplatCount {
@@ -165,29 +166,22 @@ fn note_progress(record: &mut RunRecord, trainer: &Trainer) {
     });
 }
 
-/// Writes the finished scene, reads it back and compares: only then is it a success.
-fn publish(path: &Path, scene: &Scene, trainer: &Trainer, key: &str) -> Result<(), Error> {
-    let verify = |what: &str| Error::Verify {
-        path: path.to_path_buf(),
-        what: what.to_owned(),
-    };
+/// Writes the finished scene, reads it back and compares: only then is it a success. The state of the
+/// optimiser is not part of it: a finished run has nothing to go on with, and another number of
+/// iterations is another run.
+fn publish(path: &Path, scene: &Scene) -> Result<(), Error> {
     if !scene.splats.is_finite() {
         return Err(Error::Internal {
             what: "training ended with values that are not finite".to_owned(),
         });
     }
-    let state = trainer.state();
-    checkpoint::write(path, scene, &state, key)?;
-    let back = scene_file::read(path)?;
-    let outcome = if back.scene != *scene {
-        Err(verify("the scene differs"))
-    } else if back.state.as_ref() != Some(&state) {
-        Err(verify("the state of the optimiser differs"))
-    } else {
-        Ok(())
-    };
-    if outcome.is_err() {
-        folder::remove_file(path)?;
+    scene_file::write(path, scene, None, &BTreeMap::new())?;
+    if scene_file::read(path)?.scene == *scene {
+        return Ok(());
     }
-    outcome
+    folder::remove_file(path)?;
+    Err(Error::Verify {
+        path: path.to_path_buf(),
+        what: "the scene differs".to_owned(),
+    })
 }
