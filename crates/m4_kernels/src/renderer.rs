@@ -4,7 +4,7 @@ use crate::{
     CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View,
     bin::cpu::{BAND_ROWS, Band},
     blend::{
-        cpu::{self as blend, Sums},
+        cpu::{self as blend, Sums, Used},
         planes::{BandGradient, BandPlace, BandPlanes},
     },
     project::cpu::Eye,
@@ -41,7 +41,7 @@ pub struct FrameStats {
 #[derive(Debug, Default)]
 struct BandWork {
     band: Band,
-    used: Vec<u32>,
+    used: Used,
     sums: Vec<Sums>,
     scores: Vec<f32>,
     background: [f64; 3],
@@ -112,8 +112,8 @@ impl Renderer {
 
         let stats = &mut self.stats;
         stats.visible = self.chunks.iter().map(Chunk::visible).sum();
-        stats.pairs = self.bands.iter().map(|b| b.band.lists.len()).sum();
-        stats.used = self.bands.iter().flat_map(|b| &b.used).map(|&n| n as usize).sum();
+        stats.pairs = self.bands.iter().map(|b| b.band.pairs()).sum();
+        stats.used = self.bands.iter().map(|b| b.used.total()).sum();
         stats.project = projected - start;
         let wall = projected.elapsed();
         let bin: Duration = self.bands.iter().map(|b| b.bin).sum();
@@ -161,7 +161,7 @@ impl Renderer {
                 let start = Instant::now();
                 let place = place(eye, index);
                 work.band.collect(chunks.iter().map(|c| c.bands[index].as_slice()));
-                work.band.build(place.tiles_x());
+                dispatch!(level, s => work.band.build(s, place.blocks()));
                 work.bin = start.elapsed();
                 let (band, used) = (&work.band, &mut work.used);
                 dispatch!(level, s => blend::forward(s, band, place, background, &mut planes, used));

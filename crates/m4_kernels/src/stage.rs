@@ -250,7 +250,7 @@ fn emit<S: Simd>(chunk: &mut Chunk, extent: &Extent<S>, fields: &[[f32; LANES]; 
         rgb: [get(6), get(7), get(8)],
         depth: get(9),
         spans: [0; BAND_TILES],
-        unused: [0; 4],
+        unused: [0; 2],
     };
     let (first_band, last_band) = (first / BAND_TILES, last / BAND_TILES);
     for band in first_band..=last_band {

@@ -1,17 +1,30 @@
 //! The SIMD twin: bands of tile rows, each with its own copy of the splats that touch it.
 //!
 //! The image is cut into bands of [`BAND_TILES`] tile rows. A band holds the projected splats that
-//! reach it, one cache line each, in the order of their rows in memory; its tile lists name them by
-//! their place in the band, near to far. So a band's blending works on some hundred kilobytes that
-//! stay in the second-level cache, its gradients go to memory of its own, and no two threads write to
-//! the same place: bands are tasks, and results do not depend on how many threads there are.
+//! reach it, one cache line each, in the order of their rows in memory. So a band's blending works on
+//! some hundred kilobytes that stay in the second-level cache, its gradients go to memory of its own,
+//! and no two threads write to the same place: bands are tasks, and results do not depend on how many
+//! threads there are.
+//!
+//! A band is cut into blocks of two tile columns. A block's list names the splats that reach it by
+//! their place in the band, near to far, and with each the tiles of the block that it reaches, as
+//! bits ([`Entry`]): one entry stands for up to [`BLOCK_TILES`] entries of tile lists.
 
-use super::TILE;
+use super::{TILE, order::Order};
+use crate::simd::LANES;
+use fearless_simd::{Simd, prelude::*, u32x4, u32x16};
+use fearless_simd_macros::simd;
 
 /// Tile rows a band.
-pub(crate) const BAND_TILES: usize = 2;
+pub(crate) const BAND_TILES: usize = 4;
 /// Pixel rows a band.
 pub(crate) const BAND_ROWS: usize = BAND_TILES * TILE;
+/// Tile columns a block.
+pub(crate) const BLOCK_COLUMNS: usize = 2;
+/// Tiles a block, row by row.
+pub(crate) const BLOCK_TILES: usize = BLOCK_COLUMNS * BAND_TILES;
+/// Pixel columns a block.
+pub(crate) const BLOCK_WIDTH: usize = BLOCK_COLUMNS * TILE;
 
 /// One projected splat in one band: a cache line.
 ///
@@ -31,7 +44,7 @@ pub(crate) struct Record {
     /// Tiles of each tile row of the band that the splat reaches: first in the low half, end in the high
     /// half, 0 for none.
     pub(crate) spans: [u32; BAND_TILES],
-    pub(crate) unused: [u32; 4],
+    pub(crate) unused: [u32; 2],
 }
 
 /// Tiles `first..end` of a row as one number; 0 for none.
@@ -40,155 +53,229 @@ pub(crate) fn span(first: u32, end: u32) -> u32 {
     end << 16 | first
 }
 
-/// First tile and end of an entry of [`Record::spans`].
-#[inline(always)]
-fn unspan(span: u32) -> (usize, usize) {
-    ((span & 0xffff) as usize, (span >> 16) as usize)
+/// A splat in a block: its place in the band in the low half, above it a bit for each tile of the block
+/// that it reaches.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Entry(u64);
+
+impl Entry {
+    #[inline(always)]
+    pub(crate) fn new(index: u32, tiles: u32) -> Self {
+        Self(u64::from(tiles) << 32 | u64::from(index))
+    }
+
+    #[inline(always)]
+    pub(crate) fn index(self) -> usize {
+        self.0 as u32 as usize
+    }
+
+    #[inline(always)]
+    pub(crate) fn tiles(self) -> u32 {
+        (self.0 >> 32) as u32
+    }
 }
 
-/// The splats and tile lists of one band.
+/// The splats and lists of one band.
 #[derive(Debug, Default)]
 pub(crate) struct Band {
     /// In the order of the rows in memory.
     pub(crate) records: Vec<Record>,
     /// Where the splats of each chunk of rows start in `records`.
     pub(crate) chunk_start: Vec<usize>,
-    /// Indices into `records`, tile after tile, near to far.
-    pub(crate) lists: Vec<u32>,
-    /// `[tiles + 1]`: where each tile's list starts.
-    pub(crate) list_start: Vec<u32>,
-    keys: Vec<u64>,
-    keys_other: Vec<u64>,
+    /// Block after block, near to far.
+    pub(crate) lists: Vec<Entry>,
+    /// `[blocks + 1]`: where each block's list starts.
+    list_start: Vec<u32>,
+    order: Order,
+    /// Of each record: first block in the low half, end in the high half.
+    ranges: Vec<u32>,
+    /// Of each record: for each tile row sixteen bits, one for each of the first tiles of its range.
+    tiles: Vec<u64>,
     cursor: Vec<u32>,
 }
+
+/// Tiles of a row in [`Band::tiles`].
+const WINDOW: u32 = 16;
+/// Records whose spans are looked at together.
+const GROUP: usize = LANES / BAND_TILES;
 
 impl Band {
     /// Takes the splats of every chunk, in order.
     pub(crate) fn collect<'a>(&mut self, chunks: impl Iterator<Item = &'a [Record]>) {
         self.records.clear();
         self.chunk_start.clear();
+        self.order.clear();
         for part in chunks {
             self.chunk_start.push(self.records.len());
             self.records.extend_from_slice(part);
+            self.order.extend(part.iter().map(|r| r.depth));
         }
     }
 
-    /// Builds the tile lists of `tiles_x` tiles a row.
-    pub(crate) fn build(&mut self, tiles_x: usize) {
-        self.sort();
-        let tiles = tiles_x * BAND_TILES;
-        // a span adds 1 at its first tile and takes it off after its last; the running sum is the count
+    /// Builds the lists of `blocks_x` blocks.
+    #[inline(always)]
+    pub(crate) fn build<S: Simd>(&mut self, s: S, blocks_x: usize) {
+        footprints(s, &self.records, &mut self.ranges, &mut self.tiles);
+        // a range adds 1 at its first block and takes it off after its last; the running sum is the count
         self.cursor.clear();
-        self.cursor.resize((tiles_x + 1) * BAND_TILES, 0);
-        for record in &self.records {
-            for (row, &s) in record.spans.iter().enumerate() {
-                let (first, end) = unspan(s);
-                let row = &mut self.cursor[row * (tiles_x + 1)..][..tiles_x + 1];
-                row[first] = row[first].wrapping_add(1);
-                row[end] = row[end].wrapping_sub(1);
-            }
+        self.cursor.resize(blocks_x + 1, 0);
+        for &range in &self.ranges {
+            let (first, end) = unpack(range);
+            self.cursor[first] = self.cursor[first].wrapping_add(1);
+            self.cursor[end] = self.cursor[end].wrapping_sub(1);
         }
         self.list_start.clear();
-        let mut total = 0u32;
-        for row in 0..BAND_TILES {
-            let mut count = 0u32;
-            for x in 0..tiles_x {
-                count = count.wrapping_add(self.cursor[row * (tiles_x + 1) + x]);
-                self.list_start.push(total);
-                total += count;
-            }
+        let (mut total, mut count) = (0u32, 0u32);
+        for change in &mut self.cursor {
+            count = count.wrapping_add(*change);
+            *change = total;
+            self.list_start.push(total);
+            total += count;
         }
-        self.list_start.push(total);
-        self.cursor.clear();
-        self.cursor.extend_from_slice(&self.list_start[..tiles]);
-        self.lists.clear();
-        self.lists.resize(total as usize, 0);
-        for &key in &self.keys {
-            let index = key as u32;
-            let record = &self.records[index as usize];
-            for (row, &s) in record.spans.iter().enumerate() {
-                let (first, end) = unspan(s);
-                for at in &mut self.cursor[row * tiles_x + first..row * tiles_x + end] {
-                    self.lists[*at as usize] = index;
-                    *at += 1;
-                }
-            }
+        // one place more, for entries that are none
+        self.lists.resize(total as usize + 1, Entry::default());
+        self.order.sort();
+        for n in 0..self.order.len() {
+            let index = self.order.index(n);
+            self.enter(index, total);
         }
+        self.lists.truncate(total as usize);
     }
 
-    /// The list of a tile.
+    /// Enters a record into the lists of its blocks; `nowhere` is the place for entries that are none.
     #[inline(always)]
-    pub(crate) fn list(&self, tile: usize) -> &[u32] {
-        &self.lists[self.list_start[tile] as usize..self.list_start[tile + 1] as usize]
+    fn enter(&mut self, index: u32, nowhere: u32) {
+        let (first, end) = unpack(self.ranges[index as usize]);
+        let tiles = self.tiles[index as usize];
+        let blocks = end - first;
+        // few ranges are longer than two, and none of known length: two are entered always, and the
+        // second falls into nowhere where there is none
+        for k in 0..2 {
+            let inside = blocks > k;
+            let x = (first + k).min(self.cursor.len() - 1);
+            let at = if inside { self.cursor[x] } else { nowhere };
+            self.lists[at as usize] = Entry::new(index, block_tiles(tiles, k));
+            self.cursor[x] += u32::from(inside);
+        }
+        for k in 2..blocks {
+            let tiles = if k < WINDOW as usize / BLOCK_COLUMNS {
+                block_tiles(tiles, k)
+            } else {
+                far_tiles(&self.records[index as usize].spans, first + k)
+            };
+            let at = &mut self.cursor[first + k];
+            self.lists[*at as usize] = Entry::new(index, tiles);
+            *at += 1;
+        }
     }
 
-    /// Fills `keys` with the indices of the records, near to far, ties in the order of the rows:
-    /// a radix sort by the bits of the depth, which is above 0.
-    fn sort(&mut self) {
-        const DIGIT: u32 = 11;
-        const SIZE: usize = 1 << DIGIT;
-        let keys = self.records.iter().enumerate();
-        self.keys.clear();
-        self.keys
-            .extend(keys.map(|(i, r)| u64::from(r.depth.to_bits()) << 32 | i as u64));
-        if self.keys.len() < 512 {
-            self.keys.sort_unstable();
-            return;
+    /// Entries of all tile lists.
+    pub(crate) fn pairs(&self) -> usize {
+        self.lists.iter().map(|e| e.tiles().count_ones() as usize).sum()
+    }
+
+    /// The list of a block.
+    #[inline(always)]
+    pub(crate) fn list(&self, block: usize) -> &[Entry] {
+        &self.lists[self.list_start[block] as usize..self.list_start[block + 1] as usize]
+    }
+}
+
+/// First block and end.
+#[inline(always)]
+fn unpack(range: u32) -> (usize, usize) {
+    ((range & 0xffff) as usize, (range >> 16) as usize)
+}
+
+/// The bits of block `k` of a range: two of each of the four rows, next to each other.
+#[inline(always)]
+fn block_tiles(tiles: u64, k: usize) -> u32 {
+    let rows = tiles >> (BLOCK_COLUMNS * k) & 0x0003_0003_0003_0003;
+    // the product has row r at bit 48 + 2 r: it was at 16 r
+    (rows.wrapping_mul(1 << 48 | 1 << 34 | 1 << 20 | 1 << 6) >> 48) as u32 & 0xff
+}
+
+/// The same for blocks past [`WINDOW`].
+#[cold]
+fn far_tiles(spans: &[u32; BAND_TILES], block: usize) -> u32 {
+    let mut tiles = 0;
+    for (row, &s) in spans.iter().enumerate() {
+        for c in 0..BLOCK_COLUMNS {
+            let on = (s & 0xffff..s >> 16).contains(&((block * BLOCK_COLUMNS + c) as u32));
+            tiles |= u32::from(on) << (row * BLOCK_COLUMNS + c);
         }
-        let mut counts = [[0u32; SIZE]; 3];
-        for &key in &self.keys {
-            for (pass, count) in counts.iter_mut().enumerate() {
-                count[(key >> (32 + DIGIT as usize * pass)) as usize % SIZE] += 1;
-            }
-        }
-        self.keys_other.resize(self.keys.len(), 0);
-        for (pass, count) in counts.iter_mut().enumerate() {
-            let mut start = 0;
-            for c in count.iter_mut() {
-                (start, *c) = (start + *c, start);
-            }
-            for &key in &self.keys {
-                let at = &mut count[(key >> (32 + DIGIT as usize * pass)) as usize % SIZE];
-                self.keys_other[*at as usize] = key;
-                *at += 1;
-            }
-            std::mem::swap(&mut self.keys, &mut self.keys_other);
+    }
+    tiles
+}
+
+/// Fills [`Band::ranges`] and [`Band::tiles`].
+#[simd]
+fn footprints<S: Simd>(s: S, records: &[Record], ranges: &mut Vec<u32>, tiles: &mut Vec<u64>) {
+    ranges.clear();
+    tiles.clear();
+    let k = |v: u32| u32x16::splat(s, v);
+    let none = [0; BAND_TILES];
+    for group in records.chunks(GROUP) {
+        let row = |n: usize| u32x4::from_slice(s, group.get(n).map_or(&none, |r| &r.spans));
+        let spans: u32x16<S> = row(0).combine(row(1)).combine(row(2).combine(row(3)));
+        let end = spans >> 16u32;
+        let first = spans.simd_eq(k(0)).select(k(0xffff), spans & k(0xffff));
+        // the lanes of a record all get its least and its greatest
+        let least = first.min(first.slide_within_blocks::<1>(first));
+        let least = least.min(least.slide_within_blocks::<2>(least)) & k(!1);
+        let most = end.max(end.slide_within_blocks::<1>(end));
+        let most = most.max(most.slide_within_blocks::<2>(most));
+        let low = (first - least).min(k(WINDOW));
+        let high = (end.max(least) - least).min(k(WINDOW));
+        // bits low..high; none where the row has none: low is at its greatest there, high is 0
+        let bits = ((k(1) << high) - k(1)) & (k(0) - (k(1) << low));
+        let range_end = (most + k(1)) >> 1u32;
+        let range = (least >> 1u32).min(range_end) | range_end << 16u32;
+        let (bits, range): ([u32; LANES], [u32; LANES]) = (bits.to_array(), range.to_array());
+        for n in 0..group.len() {
+            let row = |r: usize| u64::from(bits[BAND_TILES * n + r]) << (WINDOW as usize * r);
+            tiles.push(row(0) | row(1) | row(2) | row(3));
+            ranges.push(range[BAND_TILES * n]);
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Band, Record, span};
+    use super::{BAND_TILES, BLOCK_COLUMNS, Band, Record, span};
+    use crate::simd::{SimdLevel, dispatch};
     use m4_math::CounterRng;
 
     #[test]
     fn lists_hold_every_pair_once_near_to_far() {
         for n in [0, 1, 700, 5000] {
             let mut rng = CounterRng::new(n as u64, 0, 0);
-            let tiles_x = 7;
+            let blocks_x = 30;
             let mut band = Band::default();
             let records: Vec<Record> = (0..n)
                 .map(|_| Record {
                     depth: 0.5 + (rng.uniform() * 20.0).floor() as f32,
                     spans: std::array::from_fn(|_| {
-                        let (a, b) = (rng.below(8) as u32, rng.below(8) as u32);
+                        let (a, b) = (rng.below(61) as u32, rng.below(61) as u32);
                         if a < b { span(a, b) } else { 0 }
                     }),
                     ..Record::default()
                 })
                 .collect();
             band.collect(records.chunks(100));
-            band.build(tiles_x);
-            for tile in 0..tiles_x * super::BAND_TILES {
-                let mut want: Vec<u32> = (0..n as u32)
+            dispatch!(SimdLevel::best().level(), s => band.build(s, blocks_x));
+            for (tile, row) in (0..BLOCK_COLUMNS * blocks_x).flat_map(|x| (0..BAND_TILES).map(move |y| (x, y))) {
+                let mut want: Vec<usize> = (0..n)
                     .filter(|&i| {
-                        let s = records[i as usize].spans[tile / tiles_x];
-                        (s & 0xffff..s >> 16).contains(&((tile % tiles_x) as u32))
+                        let s = records[i].spans[row];
+                        (s & 0xffff..s >> 16).contains(&(tile as u32))
                     })
                     .collect();
-                want.sort_by(|&i, &j| records[i as usize].depth.total_cmp(&records[j as usize].depth));
-                assert_eq!(band.list(tile), want, "tile {tile} of {n} splats");
+                want.sort_by(|&i, &j| records[i].depth.total_cmp(&records[j].depth));
+                let bit = 1 << (row * BLOCK_COLUMNS + tile % BLOCK_COLUMNS);
+                let list = band.list(tile / BLOCK_COLUMNS).iter();
+                let got: Vec<usize> = list.filter(|e| e.tiles() & bit != 0).map(|e| e.index()).collect();
+                assert_eq!(got, want, "tile {tile} of row {row} of {n} splats");
             }
         }
     }

@@ -1,5 +1,6 @@
 //! Exact extents: which tiles of each tile row an ellipse reaches (section 5.2).
 
+use super::TILE;
 use crate::{
     blend::ALPHA_MIN,
     project::cpu::{Ellipse, Eye},
@@ -26,6 +27,9 @@ pub(crate) struct Extent<S: Simd> {
     pub(crate) bottom: [f32; LANES],
 }
 
+/// The edge of a tile and its inverse.
+const EDGE: f32 = TILE as f32;
+const INVERSE_EDGE: f32 = 1.0 / EDGE;
 /// Covers the rounding of coordinates, pixels.
 const SLACK_PX: f32 = 0.005;
 /// Covers the rounding of alpha, relative.
@@ -54,8 +58,8 @@ impl<S: Simd> Extent<S> {
             across: e.det / v11,
             slope: v01 / v11,
             inverse_11: k(1.0) / v11,
-            top: on.select((top * k(0.125)).floor(), k(0.0)).to_array(),
-            bottom: on.select((bottom * k(0.125)).floor(), k(0.0)).to_array(),
+            top: on.select((top * k(INVERSE_EDGE)).floor(), k(0.0)).to_array(),
+            bottom: on.select((bottom * k(INVERSE_EDGE)).floor(), k(0.0)).to_array(),
         }
     }
 
@@ -76,20 +80,20 @@ impl<S: Simd> Extent<S> {
             .max()
             .unwrap_or(0);
         spans.resize(spans.len().max(count), [0; LANES]);
-        let top = f32x16::from_slice(s, &self.top) * k(8.0) - e.v;
+        let top = f32x16::from_slice(s, &self.top) * k(EDGE) - e.v;
         let (w, zero) = (k(eye.width as f32 - 1.0), k(0.0));
         for (row, out) in spans[..count].iter_mut().enumerate() {
-            let first = top + k(8.0 * row as f32);
+            let first = top + k(EDGE * row as f32);
             let low = first.max(-self.half_height);
-            let high = (first + k(7.0)).min(self.half_height);
+            let high = (first + k(EDGE - 1.0)).min(self.half_height);
             let (middle, reach) = self.across(s, e, self.right_at.max(low).min(high));
             let right = (middle + reach).floor().min(w);
             let (middle, reach) = self.across(s, e, (-self.right_at).max(low).min(high));
             let left = (middle - reach).ceil().max(zero);
             let hit = low.simd_le(high) & left.simd_le(right);
-            let (left, right) = (hit.select(left, zero), hit.select(right, k(-8.0)));
-            let first: u32x16<S> = (left * k(0.125)).to_int::<u32x16<S>>();
-            let end: u32x16<S> = ((right + k(8.0)) * k(0.125)).to_int::<u32x16<S>>();
+            let (left, right) = (hit.select(left, zero), hit.select(right, k(-EDGE)));
+            let first: u32x16<S> = (left * k(INVERSE_EDGE)).to_int::<u32x16<S>>();
+            let end: u32x16<S> = ((right + k(EDGE)) * k(INVERSE_EDGE)).to_int::<u32x16<S>>();
             (first + (end << 16u32)).store_slice(out);
         }
     }

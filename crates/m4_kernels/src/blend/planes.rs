@@ -1,8 +1,12 @@
 //! The part of an image that a band covers, and how tiles are cut from it.
 
-use crate::bin::TILE;
+use crate::bin::{
+    TILE,
+    cpu::{BLOCK_COLUMNS, BLOCK_TILES, BLOCK_WIDTH},
+};
+use fearless_simd::{Simd, f32x16, prelude::*};
 
-/// Pixels a tile.
+/// Pixels a tile: one vector.
 pub(super) const PIXELS: usize = TILE * TILE;
 
 /// Where a tile lies in a band's planes.
@@ -19,25 +23,31 @@ pub(super) struct Window {
 
 impl Window {
     #[inline(always)]
-    pub(super) fn load(&self, plane: &[f32]) -> [f32; PIXELS] {
+    fn whole(&self) -> bool {
+        self.columns == TILE && self.rows == TILE
+    }
+
+    /// The tile's pixels, row by row; 0 outside the image.
+    #[inline(always)]
+    pub(super) fn load<S: Simd>(&self, s: S, plane: &[f32]) -> f32x16<S> {
+        if self.whole() {
+            let row = |y: usize| fearless_simd::f32x4::from_slice(s, &plane[self.offset + y * self.width..][..TILE]);
+            return row(0).combine(row(1)).combine(row(2).combine(row(3)));
+        }
         let mut out = [0.0; PIXELS];
         for (y, row) in out.chunks_exact_mut(TILE).take(self.rows).enumerate() {
-            let from = &plane[self.offset + y * self.width..];
-            if self.columns == TILE {
-                // of known length: one instruction in place of a call
-                row.copy_from_slice(&from[..TILE]);
-            } else {
-                row[..self.columns].copy_from_slice(&from[..self.columns]);
-            }
+            row[..self.columns].copy_from_slice(&plane[self.offset + y * self.width..][..self.columns]);
         }
-        out
+        f32x16::from_slice(s, &out)
     }
 
     #[inline(always)]
-    pub(super) fn store(&self, tile: &[f32; PIXELS], plane: &mut [f32]) {
+    pub(super) fn store<S: Simd>(&self, tile: f32x16<S>, plane: &mut [f32]) {
+        let tile: [f32; PIXELS] = tile.to_array();
         for (y, row) in tile.chunks_exact(TILE).take(self.rows).enumerate() {
             let to = &mut plane[self.offset + y * self.width..];
             if self.columns == TILE {
+                // of known length: one instruction in place of a call
                 to[..TILE].copy_from_slice(row);
             } else {
                 to[..self.columns].copy_from_slice(&row[..self.columns]);
@@ -45,15 +55,15 @@ impl Window {
         }
     }
 
-    /// 1 inside the image, -1 (finished) outside.
+    /// `inside` in the image, `outside` elsewhere.
     #[inline(always)]
-    pub(super) fn fresh(&self) -> [f32; PIXELS] {
-        if self.columns == TILE && self.rows == TILE {
-            return [1.0; PIXELS];
+    pub(super) fn fresh(&self, inside: f32, outside: f32) -> [f32; PIXELS] {
+        if self.whole() {
+            return [inside; PIXELS];
         }
-        let mut out = [-1.0; PIXELS];
+        let mut out = [outside; PIXELS];
         for row in out.chunks_exact_mut(TILE).take(self.rows) {
-            row[..self.columns].fill(1.0);
+            row[..self.columns].fill(inside);
         }
         out
     }
@@ -81,7 +91,7 @@ pub(crate) struct BandGradient<'a> {
     pub(crate) d_depth: &'a [f32],
 }
 
-/// Where band `index` lies.
+/// Where a band lies.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct BandPlace {
     /// First pixel row.
@@ -93,27 +103,34 @@ pub(crate) struct BandPlace {
 }
 
 impl BandPlace {
-    /// Tiles a row.
-    pub(crate) fn tiles_x(&self) -> usize {
-        self.width.div_ceil(TILE)
+    /// Blocks in the band.
+    pub(crate) fn blocks(&self) -> usize {
+        self.width.div_ceil(BLOCK_WIDTH)
     }
 
-    /// Every tile that has a pixel in the image: its index, the image coordinates of its first pixel
-    /// and its window. Column by column: then a splat is needed again soon, while it is still in the
-    /// first-level cache.
-    pub(super) fn tiles(self) -> impl Iterator<Item = (usize, f32, f32, Window)> {
-        let (tiles_x, tiles_y) = (self.tiles_x(), self.rows.div_ceil(TILE));
-        (0..tiles_x * tiles_y).map(move |k| {
-            let (x, y) = (k / tiles_y, k % tiles_y);
-            let tile = y * tiles_x + x;
-            let (x, y) = (x * TILE, y * TILE);
-            let window = Window {
-                offset: y * self.width + x,
-                columns: (self.width - x).min(TILE),
-                rows: (self.rows - y).min(TILE),
-                width: self.width,
-            };
-            (tile, x as f32, (self.top + y) as f32, window)
-        })
+    /// First column and row of a tile in the image, pixels.
+    #[inline(always)]
+    pub(super) fn corner(&self, block: usize, tile: usize) -> (usize, usize) {
+        let (x, y) = (tile % BLOCK_COLUMNS, tile / BLOCK_COLUMNS);
+        (block * BLOCK_WIDTH + x * TILE, self.top + y * TILE)
+    }
+
+    /// Where a tile lies; none of it may be in the image.
+    #[inline(always)]
+    pub(super) fn window(&self, block: usize, tile: usize) -> Window {
+        debug_assert!(tile < BLOCK_TILES);
+        let (x, y) = self.corner(block, tile);
+        let y = y - self.top;
+        Window {
+            offset: y * self.width + x,
+            columns: self.width.saturating_sub(x).min(TILE),
+            // none where no column is: what lies there need not be in the planes
+            rows: if x < self.width {
+                self.rows.saturating_sub(y).min(TILE)
+            } else {
+                0
+            },
+            width: self.width,
+        }
     }
 }

@@ -1,0 +1,148 @@
+//! Near to far.
+
+/// Bits that one pass of the sort looks at.
+const DIGIT: u32 = 11;
+const SIZE: usize = 1 << DIGIT;
+/// Fewer are sorted by comparison.
+const FEW: usize = 256;
+
+/// Sorts by depth, ties in the order in which they came.
+///
+/// Two passes of a radix sort look at the top 22 bits of the depths' range; what these leave equal, a
+/// few neighbours at most in an ordinary scene, is put right by insertion.
+#[derive(Debug)]
+pub(super) struct Order {
+    /// Bits of the depth in the high half, index in the low half: all different.
+    keys: Vec<u64>,
+    other: Vec<u64>,
+    least: u32,
+    most: u32,
+}
+
+impl Default for Order {
+    fn default() -> Self {
+        Self {
+            keys: Vec::new(),
+            other: Vec::new(),
+            least: u32::MAX,
+            most: 0,
+        }
+    }
+}
+
+impl Order {
+    pub(super) fn clear(&mut self) {
+        self.keys.clear();
+        (self.least, self.most) = (u32::MAX, 0);
+    }
+
+    /// Adds depths, which are above 0: then their bits are in their order.
+    pub(super) fn extend(&mut self, depths: impl ExactSizeIterator<Item = f32>) {
+        let mut index = self.keys.len() as u64;
+        let (mut least, mut most) = (self.least, self.most);
+        self.keys.extend(depths.map(|depth| {
+            let bits = depth.to_bits();
+            (least, most) = (least.min(bits), most.max(bits));
+            let key = u64::from(bits) << 32 | index;
+            index += 1;
+            key
+        }));
+        (self.least, self.most) = (least, most);
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.keys.len()
+    }
+
+    /// What came as number `index(n)` is at place `n`, once [`sort`](Self::sort) has been called.
+    #[inline(always)]
+    pub(super) fn index(&self, n: usize) -> u32 {
+        self.keys[n] as u32
+    }
+
+    pub(super) fn sort(&mut self) {
+        if self.keys.len() < FEW {
+            self.keys.sort_unstable();
+        } else {
+            self.radix();
+            insert(&mut self.keys);
+        }
+    }
+
+    fn radix(&mut self) {
+        let range = self.most - self.least;
+        let shift = (u32::BITS - range.leading_zeros()).saturating_sub(2 * DIGIT);
+        let least = self.least;
+        let digit = |key: u64, pass: u32| (((key >> 32) as u32 - least) >> (shift + DIGIT * pass)) as usize % SIZE;
+        let mut counts = [[0u32; SIZE]; 2];
+        for &key in &self.keys {
+            counts[0][digit(key, 0)] += 1;
+            counts[1][digit(key, 1)] += 1;
+        }
+        self.other.resize(self.keys.len(), 0);
+        for (pass, count) in counts.iter_mut().enumerate() {
+            let mut start = 0;
+            for c in count.iter_mut() {
+                (start, *c) = (start + *c, start);
+            }
+            for &key in &self.keys {
+                let at = &mut count[digit(key, pass as u32)];
+                self.other[*at as usize] = key;
+                *at += 1;
+            }
+            std::mem::swap(&mut self.keys, &mut self.other);
+        }
+    }
+}
+
+/// Sorts what is nearly sorted; a wall seen head on is not, and goes to the general sort.
+fn insert(keys: &mut [u64]) {
+    let mut moves = 8 * keys.len();
+    for i in 1..keys.len() {
+        let key = keys[i];
+        let mut at = i;
+        while at > 0 && keys[at - 1] > key {
+            keys[at] = keys[at - 1];
+            at -= 1;
+        }
+        keys[at] = key;
+        moves = moves.saturating_sub(i - at);
+        if moves == 0 {
+            keys.sort_unstable();
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Order;
+    use m4_math::CounterRng;
+
+    #[test]
+    fn near_to_far_and_ties_as_they_came() {
+        let mut rng = CounterRng::new(3, 0, 0);
+        let far = |_: usize| 1e6f32;
+        let mut scenes: Vec<Vec<f32>> = vec![vec![], vec![2.0], vec![1.5; 3000]];
+        for n in [255, 256, 4000] {
+            scenes.push((0..n).map(|_| 0.05 + (30.0 * rng.uniform()) as f32).collect());
+            // many ties
+            scenes.push((0..n).map(|_| 1.0 + (8.0 * rng.uniform()).floor() as f32).collect());
+            // a wall seen head on, its depths apart by less than the passes can tell, and one splat far away
+            let wall = (0..n).map(|_| f32::from_bits(1.0f32.to_bits() + rng.below(64) as u32));
+            scenes.push(wall.chain([0].map(far)).collect());
+        }
+        let mut order = Order::default();
+        for depths in scenes {
+            order.clear();
+            let (a, b) = depths.split_at(depths.len() / 3);
+            order.extend(a.iter().copied());
+            order.extend(b.iter().copied());
+            let mut want: Vec<u32> = (0..depths.len() as u32).collect();
+            want.sort_by(|&i, &j| depths[i as usize].total_cmp(&depths[j as usize]));
+            order.sort();
+            let got: Vec<u32> = (0..order.len()).map(|n| order.index(n)).collect();
+            assert_eq!(got, want);
+        }
+    }
+}

@@ -1,0 +1,351 @@
+//! Pixels to splats: the replay form (section 1.7), front to back.
+//!
+//! Sums over pixels are products of matrices. For a splat on a tile there are two rows of sixteen
+//! numbers, `omega` and the weight `w`; the sums wanted are those of `omega` times `1, X, Y, XX, XY,
+//! YY` and of `w` times the gradients of the channels. So the rows are stored interleaved, and for each
+//! pixel the pair `(omega, w)` is loaded into all lanes and multiplied with a row of a table that has
+//! `1, v_red, X, v_green, Y, v_blue, ...` of that pixel: sixteen multiplications and additions, no
+//! shuffles, and the sums of a splat come out side by side, as [`Sums`] wants them.
+//!
+//! `X` and `Y` count from the middle of the block; the sums are moved to the splat's centre once a
+//! block.
+
+use super::{BATCH, BLOCK_TILES, CHUNK, COLUMN, Pixels, ROW, Rows, Shares, Sums, T_FLOOR, Used, alpha, step};
+use crate::{
+    bin::{
+        TILE,
+        cpu::{BAND_ROWS, BLOCK_COLUMNS, BLOCK_WIDTH, Band, Record},
+    },
+    blend::{
+        ALPHA_MAX,
+        planes::{BandGradient, BandPlace, PIXELS},
+    },
+    simd::{all, all3},
+};
+use fearless_simd::{Simd, f32x16, f64x8, prelude::*};
+use fearless_simd_macros::simd;
+
+/// The middle of a block, from its first pixel.
+const MIDDLE: [f32; 2] = [0.5 * (BLOCK_WIDTH - 1) as f32, 0.5 * (BAND_ROWS - 1) as f32];
+/// Lanes of the moments of `omega`, [`Sums`].
+const EVEN: [usize; 6] = [
+    Sums::WEIGHT,
+    Sums::FIRST[0],
+    Sums::FIRST[1],
+    Sums::SECOND[0],
+    Sums::SECOND[1],
+    Sums::SECOND[2],
+];
+/// For each pixel of each tile of a block: `1, X, Y, XX, XY, YY` in their lanes.
+static MOMENTS: [[[f32; 16]; PIXELS]; BLOCK_TILES] = moments();
+
+const fn moments() -> [[[f32; 16]; PIXELS]; BLOCK_TILES] {
+    let mut out = [[[0.0; 16]; PIXELS]; BLOCK_TILES];
+    let mut tile = 0;
+    while tile < BLOCK_TILES {
+        let mut p = 0;
+        while p < PIXELS {
+            let x = COLUMN[p] + (tile % BLOCK_COLUMNS * TILE) as f32 - MIDDLE[0];
+            let y = ROW[p] + (tile / BLOCK_COLUMNS * TILE) as f32 - MIDDLE[1];
+            let values = [1.0, x, y, x * x, x * y, y * y];
+            let mut k = 0;
+            while k < EVEN.len() {
+                out[tile][p][EVEN[k]] = values[k];
+                k += 1;
+            }
+            p += 1;
+        }
+        tile += 1;
+    }
+    out
+}
+
+/// 1 in the lane of a channel, 0 elsewhere.
+const fn unit(lane: usize) -> [f32; 16] {
+    let mut out = [0.0; 16];
+    out[lane] = 1.0;
+    out
+}
+const UNITS: [[f32; 16]; 4] = [
+    unit(Sums::RGB[0]),
+    unit(Sums::RGB[1]),
+    unit(Sums::RGB[2]),
+    unit(Sums::DEPTH),
+];
+
+/// Adds up a band's gradient: `sums[i]` for its record `i`; returns the gradient with respect to the
+/// background. `used` is what [`forward`](super::forward()) left.
+#[inline(always)]
+pub(crate) fn backward<S: Simd>(
+    s: S,
+    band: &Band,
+    place: BandPlace,
+    used: &Used,
+    g: &BandGradient<'_>,
+    sums: &mut Vec<Sums>,
+) -> [f64; 3] {
+    if g.d_alpha.is_empty() && g.d_depth.is_empty() {
+        band_backward::<S, false>(s, band, place, used, g, sums)
+    } else {
+        band_backward::<S, true>(s, band, place, used, g, sums)
+    }
+}
+
+/// The pixels of a tile: the gradient with respect to them, and how far they are.
+#[derive(Clone, Copy)]
+struct State<S: Simd> {
+    /// Falls on after the end.
+    t: f32x16<S>,
+    /// `<g, C>`, all channels together, of what is still behind.
+    behind: f32x16<S>,
+    rgb: [f32x16<S>; 3],
+    alpha: f32x16<S>,
+    depth: f32x16<S>,
+}
+
+/// What a batch hands from stage to stage.
+struct Stages {
+    alpha: Rows,
+    /// The splat's channels along the gradient.
+    along: Rows,
+    /// `(omega, w)` of each pixel; pairs as one number, to be loaded at once.
+    pairs: [[f64; PIXELS]; BATCH],
+}
+
+#[simd]
+fn band_backward<S: Simd, const EXTRA: bool>(
+    s: S,
+    band: &Band,
+    place: BandPlace,
+    used: &Used,
+    g: &BandGradient<'_>,
+    sums: &mut Vec<Sums>,
+) -> [f64; 3] {
+    sums.clear();
+    sums.resize(band.records.len(), Sums::default());
+    // blocks look records and pixels up out of order: read in order they come into the cache much
+    // faster, and there they stay for the band
+    touch(band.records.iter().map(|r| r.x));
+    for plane in g
+        .rgb
+        .iter()
+        .chain(&g.d_rgb)
+        .chain([&g.transmittance, &g.depth, &g.d_alpha, &g.d_depth])
+    {
+        touch(plane.iter().step_by(16).copied());
+    }
+    let zero = all(s, 0.0);
+    let mut background = [zero; 3];
+    let mut shares = Shares::new();
+    let mut stages = Stages {
+        alpha: [[0.0; PIXELS]; BATCH],
+        along: [[0.0; PIXELS]; BATCH],
+        pairs: [[0.0; PIXELS]; BATCH],
+    };
+    let mut totals = [Sums::default(); CHUNK];
+    for block in 0..place.blocks() {
+        let mut states = [State {
+            t: zero,
+            behind: zero,
+            rgb: [zero; 3],
+            alpha: zero,
+            depth: zero,
+        }; BLOCK_TILES];
+        for (tile, state) in states.iter_mut().enumerate() {
+            *state = fresh::<S, EXTRA>(s, place, block, tile, g, &mut background);
+        }
+        let mut rest = used.tiles[block];
+        for chunk in band.list(block)[..used.walked[block] as usize].chunks(CHUNK) {
+            shares.fill(chunk, &band.records);
+            totals[..chunk.len()].fill(Sums::default());
+            for (tile, state) in states.iter_mut().enumerate() {
+                let list = shares.of(tile);
+                let list = &list[..list.len().min(rest[tile] as usize)];
+                rest[tile] -= list.len() as u32;
+                let pixels = Pixels::new(s, place, block, tile);
+                let table = table::<S, EXTRA>(s, tile, state);
+                for batch in list.chunks(BATCH) {
+                    shapes::<S, EXTRA>(s, batch, &shares.records, &pixels, state, &mut stages);
+                    replay(s, batch.len(), state, &mut stages);
+                    add_sums(s, batch, &stages, &table, &mut totals);
+                }
+            }
+            let (x, y) = place.corner(block, 0);
+            let middle = [x as f32 + MIDDLE[0], y as f32 + MIDDLE[1]];
+            for ((entry, r), total) in chunk.iter().zip(&shares.records).zip(&totals) {
+                add_centred(r.x - middle[0], r.y - middle[1], &total.0, &mut sums[entry.index()].0);
+            }
+        }
+    }
+    background.map(|v| {
+        let lanes: [f32; 16] = v.to_array();
+        lanes.iter().map(|&v| f64::from(v)).sum()
+    })
+}
+
+/// Reads.
+fn touch(values: impl Iterator<Item = f32>) {
+    std::hint::black_box(values.fold(0u32, |sum, v| sum ^ v.to_bits()));
+}
+
+/// The state of a tile before the first splat; adds its pixels to the gradient of the background.
+#[inline(always)]
+fn fresh<S: Simd, const EXTRA: bool>(
+    s: S,
+    place: BandPlace,
+    block: usize,
+    tile: usize,
+    g: &BandGradient<'_>,
+    background: &mut [f32x16<S>; 3],
+) -> State<S> {
+    let window = place.window(block, tile);
+    let left = window.load(s, g.transmittance);
+    let zero = all(s, 0.0);
+    let mut state = State {
+        t: f32x16::from_slice(s, &window.fresh(1.0, T_FLOOR)),
+        behind: zero,
+        rgb: [zero; 3],
+        alpha: zero,
+        depth: zero,
+    };
+    for c in 0..3 {
+        let v = window.load(s, g.d_rgb[c]);
+        state.rgb[c] = v;
+        state.behind = v.mul_add(window.load(s, g.rgb[c]), state.behind);
+        background[c] = v.mul_add(left, background[c]);
+    }
+    if EXTRA {
+        if !g.d_alpha.is_empty() {
+            state.alpha = window.load(s, g.d_alpha);
+            state.behind = state.alpha.mul_add(all(s, 1.0) - left, state.behind);
+        }
+        if !g.d_depth.is_empty() {
+            state.depth = window.load(s, g.d_depth);
+            state.behind = state.depth.mul_add(window.load(s, g.depth), state.behind);
+        }
+    }
+    state
+}
+
+/// What the pairs of each pixel of a tile are multiplied with.
+#[inline(always)]
+fn table<S: Simd, const EXTRA: bool>(s: S, tile: usize, state: &State<S>) -> [f32x16<S>; PIXELS] {
+    let rgb: [[f32; PIXELS]; 3] = [
+        state.rgb[0].to_array(),
+        state.rgb[1].to_array(),
+        state.rgb[2].to_array(),
+    ];
+    let depth: [f32; PIXELS] = state.depth.to_array();
+    let mut out = [all(s, 0.0); PIXELS];
+    for p in 0..PIXELS {
+        let mut row = f32x16::from_slice(s, &MOMENTS[tile][p]);
+        for c in 0..3 {
+            row = all(s, rgb[c][p]).mul_add(f32x16::from_slice(s, &UNITS[c]), row);
+        }
+        if EXTRA {
+            row = all(s, depth[p]).mul_add(f32x16::from_slice(s, &UNITS[3]), row);
+        }
+        out[p] = row;
+    }
+    out
+}
+
+/// `1 / x`: the processor's estimate and a step of Newton's, good to a few units in the last place.
+#[inline(always)]
+fn reciprocal<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
+    let y = x.approximate_recip();
+    y * (-x).mul_add(y, all(s, 2.0))
+}
+
+/// What does not depend on the splats in front.
+#[inline(always)]
+fn shapes<S: Simd, const EXTRA: bool>(
+    s: S,
+    batch: &[u8],
+    records: &[Record; CHUNK],
+    pixels: &Pixels<S>,
+    state: &State<S>,
+    out: &mut Stages,
+) {
+    for (n, &place) in batch.iter().enumerate().take(BATCH) {
+        let r = &records[place as usize % CHUNK];
+        let alpha = alpha(s, r, pixels);
+        alpha.store_slice(&mut out.alpha[n]);
+        let rgb = all3(s, &r.rgb);
+        let mut along = rgb[0].mul_add(state.rgb[0], rgb[1].mul_add(state.rgb[1], rgb[2] * state.rgb[2]));
+        if EXTRA {
+            along = all(s, r.depth).mul_add(state.depth, along + state.alpha);
+        }
+        along.store_slice(&mut out.along[n]);
+    }
+}
+
+/// Walks on over a batch of `len`: from transmittance and light to `(omega, w)`.
+#[inline(always)]
+fn replay<S: Simd>(s: S, len: usize, state: &mut State<S>, stages: &mut Stages) {
+    let (alpha_max, zero, one) = (all(s, ALPHA_MAX as f32), all(s, 0.0), all(s, 1.0));
+    let (mut t, mut behind) = (state.t, state.behind);
+    for n in 0..len.min(BATCH) {
+        let alpha = f32x16::from_slice(s, &stages.alpha[n]);
+        let along = f32x16::from_slice(s, &stages.along[n]);
+        let step = step(s, alpha, t);
+        behind = (-step.weight).mul_add(along, behind);
+        // alpha dL/d(alpha), 0 where nothing is blended and where alpha was cut
+        let odds = alpha * reciprocal(s, one - alpha);
+        let omega = step.weight.mul_add(along, -(behind * odds));
+        let omega = (step.pass & alpha.simd_lt(alpha_max)).select(omega, zero);
+        t = step.t;
+        let (low, high) = stages.pairs[n].split_at_mut(PIXELS / 2);
+        let pairs = |v: f32x16<S>| -> f64x8<S> { v.bitcast() };
+        pairs(omega.zip_low(step.weight)).store_slice(low);
+        pairs(omega.zip_high(step.weight)).store_slice(high);
+    }
+    (state.t, state.behind) = (t.max(all(s, T_FLOOR)), behind);
+}
+
+/// Adds the sums of a batch to its entries' `totals`.
+#[inline(always)]
+fn add_sums<S: Simd>(s: S, batch: &[u8], stages: &Stages, table: &[f32x16<S>; PIXELS], totals: &mut [Sums; CHUNK]) {
+    for (&place, row) in batch.iter().zip(&stages.pairs) {
+        let pair = |p: usize| -> f32x16<S> { f64x8::splat(s, row[p]).bitcast() };
+        let mut sum = [
+            pair(0) * table[0],
+            pair(1) * table[1],
+            pair(2) * table[2],
+            pair(3) * table[3],
+        ];
+        for p in (4..PIXELS).step_by(4) {
+            for k in 0..4 {
+                sum[k] = pair(p + k).mul_add(table[p + k], sum[k]);
+            }
+        }
+        let total = &mut totals[place as usize % CHUNK].0;
+        let sum = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+        (f32x16::from_slice(s, total) + sum).store_slice(total);
+    }
+}
+
+/// Moves an entry's sums from the middle of the block to the splat's centre, `(dx, dy)` from there, and
+/// adds them to its splat.
+#[inline(always)]
+fn add_centred(dx: f32, dy: f32, total: &[f32; 16], sum: &mut [f32; 16]) {
+    let [weight, x, y, xx, xy, yy] = [
+        total[EVEN[0]],
+        total[EVEN[1]],
+        total[EVEN[2]],
+        total[EVEN[3]],
+        total[EVEN[4]],
+        total[EVEN[5]],
+    ];
+    let (to_x, to_y) = (dx.mul_add(weight, -x), dy.mul_add(weight, -y));
+    sum[EVEN[0]] += weight;
+    sum[EVEN[1]] += to_x;
+    sum[EVEN[2]] += to_y;
+    sum[EVEN[3]] += dx.mul_add(to_x - x, xx);
+    sum[EVEN[4]] += dx.mul_add(to_y, (-dy).mul_add(x, xy));
+    sum[EVEN[5]] += dy.mul_add(to_y - y, yy);
+    sum[Sums::RGB[0]] += total[Sums::RGB[0]];
+    sum[Sums::RGB[1]] += total[Sums::RGB[1]];
+    sum[Sums::RGB[2]] += total[Sums::RGB[2]];
+    sum[Sums::DEPTH] += total[Sums::DEPTH];
+}

@@ -1,0 +1,142 @@
+//! Splats to pixels.
+
+use super::{BATCH, CHUNK, Pixels, Rows, Shares, T_FLOOR, Used, alpha, step};
+use crate::{
+    bin::cpu::{BLOCK_TILES, Band, Record},
+    blend::{
+        T_MIN,
+        planes::{BandPlace, BandPlanes},
+    },
+    simd::{all, all3},
+};
+use fearless_simd::{Simd, f32x16, prelude::*};
+use fearless_simd_macros::simd;
+
+/// Draws a band; `used` is how much of its lists it needed.
+#[inline(always)]
+pub(crate) fn forward<S: Simd>(
+    s: S,
+    band: &Band,
+    place: BandPlace,
+    background: [f32; 3],
+    out: &mut BandPlanes<'_>,
+    used: &mut Used,
+) {
+    if out.depth.is_empty() {
+        band_forward::<S, false>(s, band, place, background, out, used);
+    } else {
+        band_forward::<S, true>(s, band, place, background, out, used);
+    }
+}
+
+/// The pixels of a tile between two chunks.
+#[derive(Clone, Copy)]
+struct State<S: Simd> {
+    /// Falls on after the end.
+    t: f32x16<S>,
+    /// What is left after the last splat that was blended.
+    left: f32x16<S>,
+    rgb: [f32x16<S>; 3],
+    depth: f32x16<S>,
+}
+
+#[simd]
+fn band_forward<S: Simd, const DEPTH: bool>(
+    s: S,
+    band: &Band,
+    place: BandPlace,
+    background: [f32; 3],
+    out: &mut BandPlanes<'_>,
+    used: &mut Used,
+) {
+    used.reset(place.blocks());
+    let mut shares = Shares::new();
+    let zero = all(s, 0.0);
+    for block in 0..place.blocks() {
+        let mut states = [State {
+            t: zero,
+            left: all(s, 1.0),
+            rgb: [zero; 3],
+            depth: zero,
+        }; BLOCK_TILES];
+        for (tile, state) in states.iter_mut().enumerate() {
+            state.t = f32x16::from_slice(s, &place.window(block, tile).fresh(1.0, T_FLOOR));
+        }
+        // a bit for each tile that has an unfinished pixel
+        let mut alive = u32::MAX >> (32 - BLOCK_TILES);
+        for chunk in band.list(block).chunks(CHUNK) {
+            used.walked[block] += chunk.len() as u32;
+            shares.fill(chunk, &band.records);
+            for (tile, state) in states.iter_mut().enumerate() {
+                if alive >> tile & 1 == 0 {
+                    continue;
+                }
+                let pixels = Pixels::new(s, place, block, tile);
+                let (count, finished) = tile_forward::<S, DEPTH>(s, shares.of(tile), &shares.records, &pixels, state);
+                used.tiles[block][tile] += count as u32;
+                alive &= !(u32::from(finished) << tile);
+            }
+            if alive == 0 {
+                break;
+            }
+        }
+        for (tile, state) in states.iter().enumerate() {
+            let window = place.window(block, tile);
+            for c in 0..3 {
+                let colour = state.left.mul_add(all(s, background[c]), state.rgb[c]);
+                window.store(colour, out.rgb[c]);
+            }
+            window.store(state.left, out.transmittance);
+            if DEPTH {
+                window.store(state.depth, out.depth);
+            }
+        }
+    }
+}
+
+/// Blends a list onto a tile; returns how much of it was needed and whether every pixel is finished.
+#[inline(always)]
+fn tile_forward<S: Simd, const DEPTH: bool>(
+    s: S,
+    list: &[u8],
+    records: &[Record; CHUNK],
+    pixels: &Pixels<S>,
+    state: &mut State<S>,
+) -> (usize, bool) {
+    let State {
+        mut t,
+        mut left,
+        mut rgb,
+        mut depth,
+    } = *state;
+    let (mut count, mut finished) = (0, false);
+    let mut alphas: Rows = [[0.0; 16]; BATCH];
+    for batch in list.chunks(BATCH) {
+        // two loops, because the processor looks only so many operations ahead: the second waits for
+        // itself, the first for nothing
+        for (&place, row) in batch.iter().zip(&mut alphas) {
+            alpha(s, &records[place as usize % CHUNK], pixels).store_slice(row);
+        }
+        for (&place, row) in batch.iter().zip(&alphas) {
+            let r = &records[place as usize % CHUNK];
+            let step = step(s, f32x16::from_slice(s, row), t);
+            let colour = all3(s, &r.rgb);
+            for c in 0..3 {
+                rgb[c] = step.weight.mul_add(colour[c], rgb[c]);
+            }
+            if DEPTH {
+                depth = step.weight.mul_add(all(s, r.depth), depth);
+            }
+            left = step.pass.select(step.t, left);
+            t = step.t;
+        }
+        t = t.max(all(s, T_FLOOR));
+        count += batch.len();
+        if !t.simd_ge(all(s, T_MIN as f32)).any_true() {
+            finished = true;
+            break;
+        }
+    }
+    *state = State { t, left, rgb, depth };
+    (count, finished)
+}
