@@ -1,10 +1,10 @@
 //! Clouds to splats.
 
-use crate::carry::{Carry, Moving, hidden};
+use crate::carry::{Carry, Moving, hidden, is_seen};
 use crate::change::changes;
 use crate::cloud::{Clouds, clouds};
+use crate::motion::{Field, Fields, Keypoints, Registration, fields};
 use crate::shell::{Shell, shell};
-use crate::velocity::{Registration, interpolated, velocities};
 use crate::voxel::{Centroids, Grid, pixels_for};
 use crate::write::{BRIGHT, DARK, Writer};
 use crate::{InitConfig, InitError, TimeSpread, VelocityInit};
@@ -71,7 +71,8 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     }
     progress.update("voxels", 2, 3, &format!("{} static", standing.xyz.len()));
 
-    let velocities = motion(config, &clouds, &moving, &grid);
+    let fields = motions(capture, config, &clouds, &moving, &grid);
+    let velocities = velocities(&moving, &fields);
     if progress.cancelled() {
         return Err(InitError::Stopped);
     }
@@ -83,8 +84,9 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
             VelocityInit::Register { .. } => config.carry_keyframes,
         },
         margin: config.carry_margin,
+        reach: (f64::from(config.carry_reach_pixels) * clouds.median_depth / clouds.focal_px) as f32,
     };
-    let hidden = hidden(capture, &frames, &moving, &velocities, &moving_grid, by);
+    let hidden = hidden(capture, &frames, &moving, &fields, &moving_grid, by);
     let tint_grid = grid(config.change_pixels);
     let tints: Vec<Tints> = clouds
         .moving
@@ -141,15 +143,19 @@ struct Parts {
     tints: Vec<Tints>,
 }
 
-/// Velocities of the points of every keyframe: found on a coarser grid, interpolated.
-fn motion(
+/// A place behind the depth map by this share of the depth is not looked for in a picture.
+const HIDDEN_BEHIND: f32 = 0.05;
+
+/// Motions between keyframes, found on a coarser grid; none where they are not asked for.
+fn motions(
+    capture: &Capture,
     config: &InitConfig,
     clouds: &Clouds,
     moving: &[(f64, Centroids)],
     grid: &impl Fn(f32) -> Grid,
-) -> Vec<Vec<[f32; 3]>> {
+) -> Vec<Fields> {
     match config.velocity {
-        VelocityInit::Zero => moving.iter().map(|(_, c)| vec![[0.0; 3]; c.xyz.len()]).collect(),
+        VelocityInit::Zero => vec![Fields::default(); moving.len().saturating_sub(1)],
         VelocityInit::Register {
             pixels,
             colour_scale,
@@ -158,26 +164,55 @@ fn motion(
             rounds,
         } => {
             let coarse_grid = grid(pixels);
-            let coarse: Vec<(f64, Centroids)> = clouds
-                .moving
-                .iter()
-                .map(|k| (k.t, coarse_grid.merge(&k.cloud)))
-                .collect();
+            let coarse: Vec<Centroids> = clouds.moving.iter().map(|k| coarse_grid.merge(&k.cloud)).collect();
             let by = Registration {
                 colour_scale,
                 reach: (f64::from(reach_pixels) * clouds.median_depth / clouds.focal_px) as f32,
                 neighbours,
                 rounds,
             };
-            let found = velocities(&coarse, &by);
-            coarse
+            let keyframes: Vec<Keypoints<'_>> = coarse
                 .iter()
-                .zip(&found)
                 .zip(moving)
-                .map(|(((_, c), v), (_, fine))| interpolated(&c.xyz, v, &fine.xyz))
-                .collect()
+                .map(|(nodes, (_, points))| Keypoints { nodes, points })
+                .collect();
+            let seen = |i: usize, p| is_seen(&capture.frames[clouds.moving[i].frame], p, HIDDEN_BEHIND);
+            fields(&keyframes, &seen, &by)
         }
     }
+}
+
+/// Velocities of the points of every keyframe, world units a frame: half the displacement from the
+/// keyframe before to the one after; one side at the ends; 0 for a lone keyframe.
+fn velocities(moving: &[(f64, Centroids)], fields: &[Fields]) -> Vec<Vec<[f32; 3]>> {
+    (0..moving.len())
+        .map(|i| {
+            let (t, points) = &moving[i];
+            let side = |field: &Field, other: f64| -> Vec<[f32; 3]> {
+                let gap = match (other - t) as f32 {
+                    0.0 => f32::INFINITY,
+                    gap => gap,
+                };
+                field
+                    .places(&points.xyz)
+                    .iter()
+                    .zip(&points.xyz)
+                    .map(|(q, p)| [0, 1, 2].map(|k| (q[k] - p[k]) / gap))
+                    .collect()
+            };
+            let before = (i > 0).then(|| side(&fields[i - 1].backward, moving[i - 1].0));
+            let after = (i + 1 < moving.len()).then(|| side(&fields[i].forward, moving[i + 1].0));
+            match (before, after) {
+                (Some(a), Some(b)) => a
+                    .iter()
+                    .zip(&b)
+                    .map(|(a, b)| [0, 1, 2].map(|k| 0.5 * (a[k] + b[k])))
+                    .collect(),
+                (Some(v), None) | (None, Some(v)) => v,
+                (None, None) => vec![[0.0; 3]; points.xyz.len()],
+            }
+        })
+        .collect()
 }
 
 /// At most `count` indices below `n`, evenly spread.

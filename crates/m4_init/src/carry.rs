@@ -1,12 +1,14 @@
 //! Moving points that a keyframe cannot see, carried over from keyframes that can.
 //!
 //! What leaves the picture, or goes behind something, is still there: a view from beside the video may
-//! see it (section 2.6: "keep occluded samples"). Points move on with their own velocity. In every
-//! keyframe they pass through, those that the camera would see are dropped, since the keyframe's own
+//! see it (section 2.6: "keep occluded samples"). Points move on with what can be seen of the body that they
+//! belong to, or, where nothing of it can be seen, as they moved last. In every keyframe they pass through, those that the camera would see are dropped, since the keyframe's own
 //! points are better; so are those that would float in front of something.
 
+use crate::motion::{Field, Fields, bodies};
 use crate::voxel::{Centroids, Grid};
 use m4_scene::{Capture, CaptureFrame};
+use rayon::prelude::*;
 
 /// What is carried, and how far.
 #[derive(Debug, Clone, Copy)]
@@ -15,6 +17,9 @@ pub(crate) struct Carry {
     pub keyframes: usize,
     /// A point behind the depth map by more than this share of the depth is hidden.
     pub margin: f32,
+    /// Points closer than this, world units, belong to one body; a hidden point goes with what is seen of its body
+    /// within this distance at least.
+    pub reach: f32,
 }
 
 /// Points of one keyframe with their velocities, world units a frame.
@@ -33,12 +38,25 @@ struct Point {
     age: usize,
 }
 
-/// For every keyframe the points of others that it cannot see; `frames` are the frames of the keyframes.
+impl Point {
+    /// The point after one more keyframe.
+    fn moved(self, to: [f32; 3], gap: f32) -> Self {
+        Self {
+            xyz: to,
+            velocity: [0, 1, 2].map(|k| (to[k] - self.xyz[k]) / gap),
+            age: self.age + 1,
+            ..self
+        }
+    }
+}
+
+/// For every keyframe the points of others that it cannot see; `frames` are the frames of the keyframes,
+/// `fields` the motions between them.
 pub(crate) fn hidden(
     capture: &Capture,
     frames: &[usize],
     moving: &[(f64, Centroids)],
-    velocities: &[Vec<[f32; 3]>],
+    fields: &[Fields],
     grid: &Grid,
     by: Carry,
 ) -> Vec<Moving> {
@@ -50,31 +68,55 @@ pub(crate) fn hidden(
     for forward in [true, false] {
         let mut carried: Vec<Point> = Vec::new();
         for step in 1..n {
-            let (from, to) = if forward {
-                (step - 1, step)
+            let (from, to, field) = if forward {
+                (step - 1, step, &fields[step - 1].forward)
             } else {
-                (n - step, n - 1 - step)
+                (n - step, n - 1 - step, &fields[n - 1 - step].backward)
             };
             let gap = (moving[to].0 - moving[from].0) as f32;
-            let own = moving[from].1.xyz.iter().enumerate().map(|(i, &xyz)| Point {
-                xyz,
-                rgb: moving[from].1.rgb[i],
-                edge: moving[from].1.edge[i],
-                velocity: velocities[from][i],
-                age: 0,
-            });
+            let points = &moving[from].1;
+            let own = points
+                .xyz
+                .iter()
+                .zip(field.places(&points.xyz))
+                .enumerate()
+                .map(|(i, (&xyz, to))| {
+                    let point = Point {
+                        xyz,
+                        rgb: points.rgb[i],
+                        edge: points.edge[i],
+                        velocity: [0.0; 3],
+                        age: 0,
+                    };
+                    point.moved(to, gap)
+                });
             let frame = &capture.frames[frames[to]];
-            let moved = own.chain(carried).map(|p| Point {
-                xyz: [0, 1, 2].map(|k| p.xyz[k] + gap * p.velocity[k]),
-                age: p.age + 1,
-                ..p
-            });
+            let moved = own.chain(go_on(&carried, field, gap, by.reach));
             let unseen = moved.filter(|p| p.age <= by.keyframes && !is_seen(frame, p.xyz, by.margin));
             carried = youngest(unseen.collect(), grid);
             out[to].extend_from_slice(&carried);
         }
     }
     out.into_iter().map(|points| collect(youngest(points, grid))).collect()
+}
+
+/// Points that nobody sees, moved with their bodies.
+fn go_on(carried: &[Point], field: &Field, gap: f32, reach: f32) -> Vec<Point> {
+    let n = field.nodes.len();
+    let all = field.nodes.iter().copied().chain(carried.iter().map(|p| p.xyz));
+    let body = bodies(all, reach);
+    let mut seen: Vec<Vec<u32>> = vec![Vec::new(); body.iter().max().map_or(0, |m| m + 1)];
+    for (i, &b) in body[..n].iter().enumerate() {
+        seen[b].push(i as u32);
+    }
+    carried
+        .par_iter()
+        .zip(&body[n..])
+        .map(|(p, &b)| {
+            let on = || [0, 1, 2].map(|k| p.xyz[k] + gap * p.velocity[k]);
+            p.moved(field.place_beyond(&seen[b], p.xyz, reach).unwrap_or_else(on), gap)
+        })
+        .collect()
 }
 
 /// One point a cell: the one carried the shortest way.
@@ -102,7 +144,7 @@ fn collect(points: Vec<Point>) -> Moving {
 
 /// True where the camera of `frame` looks at or through the point: inside the picture and not behind
 /// the depth map. A frame without depth sees everything inside its picture.
-fn is_seen(frame: &CaptureFrame, p: [f32; 3], margin: f32) -> bool {
+pub(crate) fn is_seen(frame: &CaptureFrame, p: [f32; 3], margin: f32) -> bool {
     let ([u, v], z) = frame.camera.project(&p.map(f64::from).into());
     let (w, h) = frame.rgb.size();
     let inside = z > 0.0 && u > -0.5 && v > -0.5 && u < w as f64 - 0.5 && v < h as f64 - 0.5;
@@ -123,6 +165,7 @@ fn is_seen(frame: &CaptureFrame, p: [f32; 3], margin: f32) -> bool {
 mod tests {
     use super::{Carry, hidden};
     use crate::CellSize;
+    use crate::motion::{Field, Fields, Rigid};
     use crate::voxel::{Centroids, Grid};
     use m4_math::Se3;
     use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
@@ -167,14 +210,28 @@ mod tests {
                 (t as f64, points)
             })
             .collect();
-        let velocities: Vec<Vec<[f32; 3]>> = moving.iter().map(|(_, p)| vec![[0.5, 0.0, 0.0]; p.xyz.len()]).collect();
+        let field = |t: usize, step: f32| {
+            let nodes = moving[t].1.xyz.clone();
+            let motion = nodes
+                .iter()
+                .map(|p| Rigid::shift(*p, [p[0] + step, p[1], p[2]]))
+                .collect();
+            Field { nodes, motion }
+        };
+        let fields: Vec<Fields> = (0..7)
+            .map(|t| Fields {
+                forward: field(t, 0.5),
+                backward: field(t + 1, -0.5),
+            })
+            .collect();
         let grid = Grid::new(CellSize::Constant, 3.0, 30.0, 3.0, &[], [0.0; 3]);
         let frames: Vec<usize> = (0..8).collect();
         let by = |keyframes| Carry {
             keyframes,
             margin: 0.05,
+            reach: 0.3,
         };
-        let got = hidden(&capture, &frames, &moving, &velocities, &grid, by(2));
+        let got = hidden(&capture, &frames, &moving, &fields, &grid, by(2));
         let counts: Vec<usize> = got.iter().map(|m| m.points.xyz.len()).collect();
         assert_eq!(
             counts,
@@ -185,7 +242,7 @@ mod tests {
             assert!((got[t].points.xyz[0][0] - x_at(t)).abs() < 1e-5);
         }
         assert_eq!(got[6].points.rgb[0][0], 0.4, "from the last keyframe that saw it");
-        let none = hidden(&capture, &frames, &moving, &velocities, &grid, by(0));
+        let none = hidden(&capture, &frames, &moving, &fields, &grid, by(0));
         assert!(none.iter().all(|m| m.points.xyz.is_empty()));
     }
 }

@@ -6,8 +6,8 @@
 //! optimiser; paper section 3.1).
 //!
 //! ```text
-//! cloud (depth -> points) -> voxel (points -> centroids) -> spacing (3-NN -> scale) -> assemble
-//!                                                        -> velocity (keyframe to keyframe)
+//! cloud (depth -> points) -> voxel (points -> centroids) -> spacing (neighbours -> discs) -> assemble
+//!                                                        -> motion (keyframe to keyframe)
 //! carry (what a keyframe cannot see, from those that can)
 //! change (moving shadows on what stands still)    shell (something behind everything)
 //! ```
@@ -22,9 +22,9 @@ mod change;
 mod cloud;
 mod config;
 mod error;
+mod motion;
 mod shell;
 mod spacing;
-mod velocity;
 mod voxel;
 mod write;
 

@@ -2,7 +2,7 @@
 
 use crate::InitConfig;
 use crate::shell::Shell;
-use crate::spacing::spacing;
+use crate::spacing::{spacing, spread};
 use crate::voxel::Centroids;
 use m4_scene::{Column, Splats};
 
@@ -16,6 +16,9 @@ pub(crate) const BRIGHT: f32 = 1.0;
 const SHELL_OPACITY: f32 = 0.9;
 /// Splats of standard deviation 0.75 of their spacing cover each place `2 pi 0.75^2` times.
 const COVER: f32 = 3.5;
+
+/// A disc is at most this much longer than a sphere would be wide.
+const MOST_STRETCHED: f32 = 3.0;
 
 /// Fills rows one after the other.
 pub(crate) struct Writer<'a> {
@@ -43,12 +46,31 @@ impl Writer<'_> {
         self.row += 1;
     }
 
-    /// Points of a surface: as large as their spacing.
+    /// Points of a surface: spheres as large as their spacing, or discs as their neighbours are spread.
     pub fn surface(&mut self, points: &Centroids) {
+        let config = self.config;
+        let first = self.row;
         let size = spacing(&points.xyz, &points.edge);
+        let largest = |i: usize| config.max_scale_cells * points.edge[i];
         for (i, &p) in points.xyz.iter().enumerate() {
-            let sd = (self.config.scale_factor * size[i]).min(self.config.max_scale_cells * points.edge[i]);
-            self.put(p, points.rgb[i], sd, self.config.opacity);
+            let sd = (config.scale_factor * size[i]).min(largest(i));
+            self.put(p, points.rgb[i], sd, config.opacity);
+        }
+        if config.isotropic || config.disc_neighbours <= 2 {
+            return;
+        }
+        for (i, spread) in spread(&points.xyz, config.disc_neighbours).into_iter().enumerate() {
+            let thinnest = config.disc_thickness * size[i];
+            let longest = (MOST_STRETCHED * config.scale_factor * size[i]).max(thinnest);
+            for k in 0..3 {
+                let sd = (config.scale_factor * spread.sd[k])
+                    .clamp(thinnest, longest)
+                    .min(largest(i));
+                self.splats.column_mut(Column::LogScale, k)[first + i] = sd.ln();
+            }
+            for k in 0..4 {
+                self.splats.column_mut(Column::Quat, k)[first + i] = spread.quat[k];
+            }
         }
     }
 

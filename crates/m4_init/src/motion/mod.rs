@@ -1,0 +1,17 @@
+//! First motions: how the moving points of a keyframe get to the next, without tracks (section 2.6).
+//!
+//! ```text
+//! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)
+//! bodies (what hangs together moves together, seen or not)
+//! ```
+
+mod bodies;
+mod field;
+mod register;
+mod rigid;
+
+pub(crate) use bodies::bodies;
+pub(crate) use field::{Field, Fields, Keypoints, fields};
+pub(crate) use register::Registration;
+#[cfg(test)]
+pub(crate) use rigid::Rigid;
