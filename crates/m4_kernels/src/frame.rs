@@ -76,13 +76,18 @@ pub struct Gradients {
 impl Gradients {
     /// Makes room for the gradients of `splats`, all untouched.
     pub fn reset(&mut self, splats: &Splats) {
+        self.resize(splats);
+        self.touched.fill(0);
+        self.means2d.fill([0.0; 2]);
+    }
+
+    /// Makes room for the gradients of `splats`; what the rows hold is anything.
+    pub(crate) fn resize(&mut self, splats: &Splats) {
         self.columns.resize_with(splats.columns().len(), Vec::new);
         for (gradient, column) in self.columns.iter_mut().zip(splats.columns()) {
             gradient.resize(column.len(), 0.0);
         }
-        self.touched.clear();
         self.touched.resize(splats.n(), 0);
-        self.means2d.clear();
         self.means2d.resize(splats.n(), [0.0; 2]);
         self.camera = CameraGradient::default();
         self.background = [0.0; 3];

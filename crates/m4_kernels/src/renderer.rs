@@ -106,14 +106,12 @@ impl Renderer {
         let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
         self.chunks
             .par_iter_mut()
+            .with_max_len(1)
             .for_each(|chunk| dispatch!(level, s => chunk.forward(s, &columns, eye)));
         let projected = Instant::now();
         self.draw();
 
         let stats = &mut self.stats;
-        stats.visible = self.chunks.iter().map(Chunk::visible).sum();
-        stats.pairs = self.bands.iter().map(|b| b.band.pairs()).sum();
-        stats.used = self.bands.iter().map(|b| b.used.total()).sum();
         stats.project = projected - start;
         let wall = projected.elapsed();
         let bin: Duration = self.bands.iter().map(|b| b.bin).sum();
@@ -152,21 +150,19 @@ impl Renderer {
             })
             .collect();
         let chunks = &self.chunks;
-        self.bands
-            .par_iter_mut()
-            .zip(planes)
-            .enumerate()
-            .with_max_len(1)
-            .for_each(|(index, (work, mut planes))| {
-                let start = Instant::now();
-                let place = place(eye, index);
-                work.band.collect(chunks.iter().map(|c| c.bands[index].as_slice()));
-                dispatch!(level, s => work.band.build(s, place.blocks()));
-                work.bin = start.elapsed();
-                let (band, used) = (&work.band, &mut work.used);
-                dispatch!(level, s => blend::forward(s, band, place, background, &mut planes, used));
-                work.blend = start.elapsed() - work.bin;
-            });
+        let splats = |index: usize| chunks.iter().map(|c| c.bands[index].len()).sum();
+        let tasks = self.bands.iter_mut().zip(planes).enumerate();
+        let tasks = tasks.map(|(index, task)| (splats(index), (index, task)));
+        heaviest_first(tasks.collect(), |(index, (work, mut planes))| {
+            let start = Instant::now();
+            let place = place(eye, index);
+            work.band.collect(chunks.iter().map(|c| c.bands[index].as_slice()));
+            dispatch!(level, s => work.band.build(s, place.blocks()));
+            work.bin = start.elapsed();
+            let (band, used) = (&work.band, &mut work.used);
+            dispatch!(level, s => blend::forward(s, band, place, background, &mut planes, used));
+            work.blend = start.elapsed() - work.bin;
+        });
     }
 
     /// What the last call of [`render`](Self::render) drew.
@@ -186,7 +182,7 @@ impl Renderer {
     pub fn backward(&mut self, splats: &Splats, gradient: &FrameGradient, out: &mut Gradients) {
         let start = Instant::now();
         self.check(splats.n());
-        out.reset(splats);
+        out.resize(splats);
         self.blend_backward(gradient);
         let blended = Instant::now();
         for work in &self.bands {
@@ -212,33 +208,31 @@ impl Renderer {
                 "backward: the gradient of alpha or depth has the frame's size"
             );
         }
-        self.bands
-            .par_iter_mut()
-            .enumerate()
-            .with_max_len(1)
-            .for_each(|(index, work)| {
-                let place = place(eye, index);
-                let part = |plane: &'_ [f32]| -> std::ops::Range<usize> {
-                    let at = place.top * place.width;
-                    if plane.is_empty() {
-                        0..0
-                    } else {
-                        at..at + place.rows * place.width
-                    }
-                };
-                let rgb = |planes: &'_ [Vec<f32>; 3]| planes.each_ref().map(|p| part(p));
-                let (c, d) = (rgb(&frame.rgb), rgb(&gradient.rgb));
-                let g = BandGradient {
-                    rgb: std::array::from_fn(|k| &frame.rgb[k][c[k].clone()]),
-                    transmittance: &frame.transmittance[part(&frame.transmittance)],
-                    depth: &frame.depth[part(&frame.depth)],
-                    d_rgb: std::array::from_fn(|k| &gradient.rgb[k][d[k].clone()]),
-                    d_alpha: &gradient.alpha[part(&gradient.alpha)],
-                    d_depth: &gradient.depth[part(&gradient.depth)],
-                };
-                let (band, used, sums) = (&work.band, &work.used, &mut work.sums);
-                work.background = dispatch!(level, s => blend::backward(s, band, place, used, &g, sums));
-            });
+        let tasks = self.bands.iter_mut().enumerate();
+        let tasks = tasks.map(|(index, work)| (work.band.lists.len(), (index, work)));
+        heaviest_first(tasks.collect(), |(index, work)| {
+            let place = place(eye, index);
+            let part = |plane: &'_ [f32]| -> std::ops::Range<usize> {
+                let at = place.top * place.width;
+                if plane.is_empty() {
+                    0..0
+                } else {
+                    at..at + place.rows * place.width
+                }
+            };
+            let rgb = |planes: &'_ [Vec<f32>; 3]| planes.each_ref().map(|p| part(p));
+            let (c, d) = (rgb(&frame.rgb), rgb(&gradient.rgb));
+            let g = BandGradient {
+                rgb: std::array::from_fn(|k| &frame.rgb[k][c[k].clone()]),
+                transmittance: &frame.transmittance[part(&frame.transmittance)],
+                depth: &frame.depth[part(&frame.depth)],
+                d_rgb: std::array::from_fn(|k| &gradient.rgb[k][d[k].clone()]),
+                d_alpha: &gradient.alpha[part(&gradient.alpha)],
+                d_depth: &gradient.depth[part(&gradient.depth)],
+            };
+            let (band, used, sums) = (&work.band, &work.used, &mut work.sums);
+            work.background = dispatch!(level, s => blend::backward(s, band, place, used, &g, sums));
+        });
     }
 
     /// Gradients of the columns, chunk by chunk; that of the camera added in the order of the chunks.
@@ -251,7 +245,10 @@ impl Renderer {
             .par_iter()
             .zip(parts.par_iter_mut())
             .enumerate()
+            .with_max_len(1)
             .map(|(index, (chunk, part))| {
+                part.touched.fill(0);
+                part.means2d.fill([0.0; 2]);
                 let mut sums: Vec<&[Sums]> = self
                     .bands
                     .iter()
@@ -315,13 +312,26 @@ impl Renderer {
     /// How much work the frame drawn last was.
     #[must_use]
     pub fn stats(&self) -> FrameStats {
-        self.stats
+        // counted when asked for: training does not ask
+        FrameStats {
+            visible: self.chunks.iter().map(Chunk::visible).sum(),
+            pairs: self.bands.iter().map(|b| b.band.pairs()).sum(),
+            used: self.bands.iter().map(|b| b.used.total()).sum(),
+            ..self.stats
+        }
     }
 
     fn check(&self, n: usize) {
         let drawn = self.chunks.last().map_or(0, |c| c.rows.end);
         assert_eq!(n, drawn, "the renderer drew {drawn} splats last; draw these first");
     }
+}
+
+/// Runs tasks on the threads of the pool, those of the greatest cost first: then no thread is left with
+/// a long one at the end. The order has no effect on what they compute.
+fn heaviest_first<T: Send>(mut tasks: Vec<(usize, T)>, run: impl Fn(T) + Send + Sync) {
+    tasks.sort_by_key(|&(cost, _)| std::cmp::Reverse(cost));
+    tasks.into_iter().par_bridge().for_each(|(_, task)| run(task));
 }
 
 /// Where band `index` lies.

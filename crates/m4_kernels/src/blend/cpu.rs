@@ -210,3 +210,6 @@ fn step<S: Simd>(s: S, alpha: f32x16<S>, t: f32x16<S>) -> Step<S> {
         pass,
     }
 }
+
+#[cfg(test)]
+mod tests;
