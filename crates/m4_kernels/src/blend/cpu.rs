@@ -28,7 +28,7 @@ const CHUNK: usize = 128;
 /// whether all pixels are finished.
 const BATCH: usize = 16;
 /// The transmittance of finished pixels is put back here after every batch: far down are numbers that
-/// are slow, and sixteen splats do not get there.
+/// are slow on some processors, and few batches get there.
 const T_FLOOR: f32 = 0.5 * T_MIN as f32;
 
 /// What a splat's gradient is made of: sums over pixels of
@@ -50,35 +50,71 @@ impl Sums {
     pub(crate) const DEPTH: usize = 7;
 }
 
-/// How much of its lists a band needed.
+/// What the forward pass leaves of a band's lists for the passes after it: the entries that each tile
+/// needed before all its pixels were finished, in whole batches.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Used {
     /// Of each block: entries of its list in chunks that some pixel was unfinished before.
     walked: Vec<u32>,
-    /// Of each tile: entries of its list before all its pixels were finished, in whole batches.
-    tiles: Vec<[u32; BLOCK_TILES]>,
+    /// Of each chunk of each block: entries of each tile.
+    len: Vec<[u8; BLOCK_TILES]>,
+    /// Their places in the chunk, tile after tile, chunk after chunk.
+    places: Vec<u8>,
 }
 
 impl Used {
-    fn reset(&mut self, blocks: usize) {
+    fn clear(&mut self) {
         self.walked.clear();
-        self.walked.resize(blocks, 0);
-        self.tiles.clear();
-        self.tiles.resize(blocks, [0; BLOCK_TILES]);
+        self.len.clear();
+        self.places.clear();
     }
 
-    /// Of all tiles.
+    /// Entries of all tiles.
     pub(crate) fn total(&self) -> usize {
-        self.tiles.iter().flatten().map(|&n| n as usize).sum()
+        self.places.len()
+    }
+
+    fn replay(&self) -> Replay<'_> {
+        Replay {
+            len: self.len.iter(),
+            places: &self.places,
+        }
     }
 }
 
-/// A chunk of a block's list: its records, and which of them reach each tile of the block.
+/// Reads [`Used`] again, in the order in which it was written.
+struct Replay<'a> {
+    len: std::slice::Iter<'a, [u8; BLOCK_TILES]>,
+    places: &'a [u8],
+}
+
+impl<'a> Replay<'a> {
+    /// The places of each tile in the next chunk.
+    fn chunk(&mut self) -> [&'a [u8]; BLOCK_TILES] {
+        let len = self.len.next().copied().unwrap_or_default();
+        len.map(|len| {
+            let (places, rest) = self.places.split_at(usize::from(len));
+            self.places = rest;
+            places
+        })
+    }
+}
+
+/// The records of a chunk of a block's list, copied side by side: the copies are many loads at once,
+/// where the blending would wait for each.
+type Copies = [Record; CHUNK];
+
+#[inline(always)]
+fn copy(chunk: &[Entry], records: &[Record], copies: &mut Copies) {
+    for (entry, copy) in chunk.iter().zip(copies) {
+        *copy = records[entry.index()];
+    }
+}
+
+/// Which entries of a chunk reach each tile of the block.
 #[derive(Debug)]
 struct Shares {
-    /// Copied side by side: the copies are many loads at once, where the blending would wait for each.
-    records: [Record; CHUNK],
-    /// For each tile places in `records`; one more is written than counts.
+    /// For each tile places in the chunk; one more is written than counts.
     places: [[u8; 256]; BLOCK_TILES],
     /// How many: a byte for each tile.
     len: u64,
@@ -102,7 +138,6 @@ static SPREAD: [u64; 1 << BLOCK_TILES] = {
 impl Shares {
     fn new() -> Self {
         Self {
-            records: [Record::default(); CHUNK],
             places: [[0; 256]; BLOCK_TILES],
             len: 0,
         }
@@ -110,10 +145,9 @@ impl Shares {
 
     /// Shares out a chunk: every tile is offered every entry, and moves on if the entry is its own.
     #[inline(always)]
-    fn fill(&mut self, chunk: &[Entry], records: &[Record]) {
+    fn fill(&mut self, chunk: &[Entry]) {
         let mut len = 0u64;
-        for (place, (entry, copy)) in chunk.iter().zip(&mut self.records).enumerate() {
-            *copy = records[entry.index()];
+        for (place, entry) in chunk.iter().take(CHUNK).enumerate() {
             for (tile, places) in self.places.iter_mut().enumerate() {
                 places[(len >> (8 * tile)) as u8 as usize] = place as u8;
             }
@@ -150,9 +184,6 @@ impl<S: Simd> Pixels<S> {
         }
     }
 }
-
-/// One vector for each splat of a batch.
-type Rows = [[f32; 16]; BATCH];
 
 /// The exponent of `alpha` (base 2) over a tile (section 1.7).
 #[inline(always)]

@@ -10,7 +10,7 @@
 //! `X` and `Y` count from the middle of the block; the sums are moved to the splat's centre once a
 //! block.
 
-use super::{BATCH, BLOCK_TILES, CHUNK, COLUMN, Pixels, ROW, Rows, Shares, Sums, T_FLOOR, Used, alpha, step};
+use super::{BLOCK_TILES, CHUNK, COLUMN, Copies, Pixels, ROW, Sums, T_FLOOR, Used, alpha, copy, step};
 use crate::{
     bin::{
         TILE,
@@ -25,6 +25,9 @@ use crate::{
 use fearless_simd::{Simd, f32x16, f64x8, prelude::*};
 use fearless_simd_macros::simd;
 
+/// Splats that go through one stage after another: as many as pays, unlike the forward pass this one
+/// knows where it ends.
+const BATCH: usize = 32;
 /// The middle of a block, from its first pixel.
 const MIDDLE: [f32; 2] = [0.5 * (BLOCK_WIDTH - 1) as f32, 0.5 * (BAND_ROWS - 1) as f32];
 /// Lanes of the moments of `omega`, [`Sums`].
@@ -105,9 +108,9 @@ struct State<S: Simd> {
 
 /// What a batch hands from stage to stage.
 struct Stages {
-    alpha: Rows,
+    alpha: [[f32; PIXELS]; BATCH],
     /// The splat's channels along the gradient.
-    along: Rows,
+    along: [[f32; PIXELS]; BATCH],
     /// `(omega, w)` of each pixel; pairs as one number, to be loaded at once.
     pairs: [[f64; PIXELS]; BATCH],
 }
@@ -136,7 +139,8 @@ fn band_backward<S: Simd, const EXTRA: bool>(
     }
     let zero = all(s, 0.0);
     let mut background = [zero; 3];
-    let mut shares = Shares::new();
+    let mut replayed = used.replay();
+    let mut records = [Record::default(); CHUNK];
     let mut stages = Stages {
         alpha: [[0.0; PIXELS]; BATCH],
         along: [[0.0; PIXELS]; BATCH],
@@ -154,26 +158,23 @@ fn band_backward<S: Simd, const EXTRA: bool>(
         for (tile, state) in states.iter_mut().enumerate() {
             *state = fresh::<S, EXTRA>(s, place, block, tile, g, &mut background);
         }
-        let mut rest = used.tiles[block];
         for chunk in band.list(block)[..used.walked[block] as usize].chunks(CHUNK) {
-            shares.fill(chunk, &band.records);
+            copy(chunk, &band.records, &mut records);
             totals[..chunk.len()].fill(Sums::default());
-            for (tile, state) in states.iter_mut().enumerate() {
-                let list = shares.of(tile);
-                let list = &list[..list.len().min(rest[tile] as usize)];
-                rest[tile] -= list.len() as u32;
+            for (tile, (state, list)) in states.iter_mut().zip(replayed.chunk()).enumerate() {
                 let pixels = Pixels::new(s, place, block, tile);
                 let table = table::<S, EXTRA>(s, tile, state);
                 for batch in list.chunks(BATCH) {
-                    shapes::<S, EXTRA>(s, batch, &shares.records, &pixels, state, &mut stages);
+                    shapes::<S, EXTRA>(s, batch, &records, &pixels, state, &mut stages);
                     replay(s, batch.len(), state, &mut stages);
                     add_sums(s, batch, &stages, &table, &mut totals);
                 }
             }
             let (x, y) = place.corner(block, 0);
-            let middle = [x as f32 + MIDDLE[0], y as f32 + MIDDLE[1]];
-            for ((entry, r), total) in chunk.iter().zip(&shares.records).zip(&totals) {
-                add_centred(r.x - middle[0], r.y - middle[1], &total.0, &mut sums[entry.index()].0);
+            let middle = [all(s, x as f32 + MIDDLE[0]), all(s, y as f32 + MIDDLE[1])];
+            for ((entry, r), total) in chunk.iter().zip(&records).zip(&totals) {
+                let (dx, dy) = (all(s, r.x) - middle[0], all(s, r.y) - middle[1]);
+                add_centred(s, dx, dy, &total.0, &mut sums[entry.index()].0);
             }
         }
     }
@@ -183,9 +184,11 @@ fn band_backward<S: Simd, const EXTRA: bool>(
     })
 }
 
-/// Reads.
+/// Reads, one after another: a sum would be read sixteen lines at a time, which is slower.
 fn touch(values: impl Iterator<Item = f32>) {
-    std::hint::black_box(values.fold(0u32, |sum, v| sum ^ v.to_bits()));
+    values.for_each(|value| {
+        std::hint::black_box(value);
+    });
 }
 
 /// The state of a tile before the first splat; adds its pixels to the gradient of the background.
@@ -262,7 +265,7 @@ fn reciprocal<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
 fn shapes<S: Simd, const EXTRA: bool>(
     s: S,
     batch: &[u8],
-    records: &[Record; CHUNK],
+    records: &Copies,
     pixels: &Pixels<S>,
     state: &State<S>,
     out: &mut Stages,
@@ -325,27 +328,48 @@ fn add_sums<S: Simd>(s: S, batch: &[u8], stages: &Stages, table: &[f32x16<S>; PI
     }
 }
 
+/// A vector with some lanes other than 0.
+const fn lanes<const N: usize>(values: [(usize, f32); N]) -> [f32; 16] {
+    let mut out = [0.0; 16];
+    let mut k = 0;
+    while k < N {
+        out[values[k].0] = values[k].1;
+        k += 1;
+    }
+    out
+}
+const X: usize = Sums::FIRST[0];
+const Y: usize = Sums::FIRST[1];
+const XX: usize = Sums::SECOND[0];
+const XY: usize = Sums::SECOND[1];
+const YY: usize = Sums::SECOND[2];
+
 /// Moves an entry's sums from the middle of the block to the splat's centre, `(dx, dy)` from there, and
 /// adds them to its splat.
+///
+/// With the sums `S, SX, SY, ...` about the middle, those about the centre are `dx S - SX`,
+/// `dx dx S - 2 dx SX + SXX`, `dx dy S - dy SX - dx SY + SXY` and so on: each of `S`, `SX` and `SY` times
+/// a vector, and the sums themselves with signs.
 #[inline(always)]
-fn add_centred(dx: f32, dy: f32, total: &[f32; 16], sum: &mut [f32; 16]) {
-    let [weight, x, y, xx, xy, yy] = [
-        total[EVEN[0]],
-        total[EVEN[1]],
-        total[EVEN[2]],
-        total[EVEN[3]],
-        total[EVEN[4]],
-        total[EVEN[5]],
-    ];
-    let (to_x, to_y) = (dx.mul_add(weight, -x), dy.mul_add(weight, -y));
-    sum[EVEN[0]] += weight;
-    sum[EVEN[1]] += to_x;
-    sum[EVEN[2]] += to_y;
-    sum[EVEN[3]] += dx.mul_add(to_x - x, xx);
-    sum[EVEN[4]] += dx.mul_add(to_y, (-dy).mul_add(x, xy));
-    sum[EVEN[5]] += dy.mul_add(to_y - y, yy);
-    sum[Sums::RGB[0]] += total[Sums::RGB[0]];
-    sum[Sums::RGB[1]] += total[Sums::RGB[1]];
-    sum[Sums::RGB[2]] += total[Sums::RGB[2]];
-    sum[Sums::DEPTH] += total[Sums::DEPTH];
+fn add_centred<S: Simd>(s: S, dx: f32x16<S>, dy: f32x16<S>, total: &[f32; 16], sum: &mut [f32; 16]) {
+    const SIGNS: [f32; 16] = {
+        let mut out = [1.0; 16];
+        (out[X], out[Y]) = (-1.0, -1.0);
+        out
+    };
+    let form = |x: &[f32; 16], y: &[f32; 16]| f32x16::from_slice(s, x) * dx + f32x16::from_slice(s, y) * dy;
+    // dx, dy, dx dx, dx dy, dy dy
+    let one = const { lanes([(X, 1.0), (Y, 1.0)]) };
+    let of_weight = form(
+        &const { lanes([(X, 1.0), (XX, 1.0), (XY, 1.0)]) },
+        &const { lanes([(Y, 1.0), (YY, 1.0)]) },
+    ) * (form(&const { lanes([(XX, 1.0)]) }, &const { lanes([(XY, 1.0), (YY, 1.0)]) })
+        + f32x16::from_slice(s, &one));
+    let of_x = form(&const { lanes([(XX, -2.0)]) }, &const { lanes([(XY, -1.0)]) });
+    let of_y = form(&const { lanes([(XY, -1.0)]) }, &const { lanes([(YY, -2.0)]) });
+    let mut moved = f32x16::from_slice(s, total).mul_add(f32x16::from_slice(s, &SIGNS), f32x16::from_slice(s, sum));
+    moved = all(s, total[Sums::WEIGHT]).mul_add(of_weight, moved);
+    moved = all(s, total[X]).mul_add(of_x, moved);
+    moved = all(s, total[Y]).mul_add(of_y, moved);
+    moved.store_slice(sum);
 }

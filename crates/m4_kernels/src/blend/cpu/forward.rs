@@ -1,6 +1,6 @@
 //! Splats to pixels.
 
-use super::{BATCH, CHUNK, Pixels, Rows, Shares, T_FLOOR, Used, alpha, step};
+use super::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step};
 use crate::{
     bin::cpu::{BLOCK_TILES, Band, Record},
     blend::{
@@ -49,8 +49,9 @@ fn band_forward<S: Simd, const DEPTH: bool>(
     out: &mut BandPlanes<'_>,
     used: &mut Used,
 ) {
-    used.reset(place.blocks());
+    used.clear();
     let mut shares = Shares::new();
+    let mut records = [Record::default(); CHUNK];
     let zero = all(s, 0.0);
     for block in 0..place.blocks() {
         let mut states = [State {
@@ -64,22 +65,29 @@ fn band_forward<S: Simd, const DEPTH: bool>(
         }
         // a bit for each tile that has an unfinished pixel
         let mut alive = u32::MAX >> (32 - BLOCK_TILES);
+        let mut walked = 0;
         for chunk in band.list(block).chunks(CHUNK) {
-            used.walked[block] += chunk.len() as u32;
-            shares.fill(chunk, &band.records);
+            walked += chunk.len() as u32;
+            shares.fill(chunk);
+            copy(chunk, &band.records, &mut records);
+            let mut len = [0; BLOCK_TILES];
             for (tile, state) in states.iter_mut().enumerate() {
                 if alive >> tile & 1 == 0 {
                     continue;
                 }
                 let pixels = Pixels::new(s, place, block, tile);
-                let (count, finished) = tile_forward::<S, DEPTH>(s, shares.of(tile), &shares.records, &pixels, state);
-                used.tiles[block][tile] += count as u32;
+                let list = shares.of(tile);
+                let (count, finished) = tile_forward::<S, DEPTH>(s, list, &records, &pixels, state);
+                used.places.extend_from_slice(&list[..count]);
+                len[tile] = count as u8;
                 alive &= !(u32::from(finished) << tile);
             }
+            used.len.push(len);
             if alive == 0 {
                 break;
             }
         }
+        used.walked.push(walked);
         for (tile, state) in states.iter().enumerate() {
             let window = place.window(block, tile);
             for c in 0..3 {
@@ -99,7 +107,7 @@ fn band_forward<S: Simd, const DEPTH: bool>(
 fn tile_forward<S: Simd, const DEPTH: bool>(
     s: S,
     list: &[u8],
-    records: &[Record; CHUNK],
+    records: &Copies,
     pixels: &Pixels<S>,
     state: &mut State<S>,
 ) -> (usize, bool) {
@@ -110,7 +118,7 @@ fn tile_forward<S: Simd, const DEPTH: bool>(
         mut depth,
     } = *state;
     let (mut count, mut finished) = (0, false);
-    let mut alphas: Rows = [[0.0; 16]; BATCH];
+    let mut alphas = [[0.0; 16]; BATCH];
     for batch in list.chunks(BATCH) {
         // two loops, because the processor looks only so many operations ahead: the second waits for
         // itself, the first for nothing

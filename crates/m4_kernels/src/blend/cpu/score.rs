@@ -1,8 +1,8 @@
 //! How much of a map of weights each splat is blended on.
 
-use super::{CHUNK, Pixels, Shares, T_FLOOR, Used, alpha, step};
+use super::{CHUNK, Pixels, T_FLOOR, Used, alpha, copy, step};
 use crate::{
-    bin::cpu::{BLOCK_TILES, Band},
+    bin::cpu::{BLOCK_TILES, Band, Record},
     blend::planes::BandPlace,
     simd::{all, each},
 };
@@ -20,22 +20,19 @@ fn band_score<S: Simd>(s: S, band: &Band, place: BandPlace, used: &Used, weight:
     scores.clear();
     scores.resize(band.records.len(), 0.0);
     let (zero, floor) = (all(s, 0.0), all(s, T_FLOOR));
-    let mut shares = Shares::new();
+    let mut replay = used.replay();
+    let mut records = [Record::default(); CHUNK];
     for block in 0..place.blocks() {
         let mut t: [f32x16<S>; BLOCK_TILES] =
             each!(BLOCK_TILES, tile => f32x16::from_slice(s, &place.window(block, tile).fresh(1.0, T_FLOOR)));
-        let mut left = used.tiles[block];
         for chunk in band.list(block)[..used.walked[block] as usize].chunks(CHUNK) {
-            shares.fill(chunk, &band.records);
-            for tile in 0..BLOCK_TILES {
-                let list = shares.of(tile);
-                let list = &list[..list.len().min(left[tile] as usize)];
-                left[tile] -= list.len() as u32;
+            copy(chunk, &band.records, &mut records);
+            for (tile, list) in replay.chunk().into_iter().enumerate() {
                 let pixels = Pixels::new(s, place, block, tile);
                 let weight = place.window(block, tile).load(s, weight);
                 for &place in list {
                     let place = place as usize % CHUNK;
-                    let step = step(s, alpha(s, &shares.records[place], &pixels), t[tile]);
+                    let step = step(s, alpha(s, &records[place], &pixels), t[tile]);
                     let sum = step.weight.simd_gt(zero).select(weight, zero);
                     scores[chunk[place].index()] += sum.reduce_sum();
                     t[tile] = step.t.max(floor);
