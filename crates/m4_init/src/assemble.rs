@@ -3,7 +3,7 @@
 use crate::carry::{Carry, Moving, hidden, is_seen};
 use crate::change::changes;
 use crate::cloud::{Clouds, clouds};
-use crate::motion::{Field, Fields, Keypoints, Registration, fields};
+use crate::motion::{Field, Fields, Look, Registration, View, fields};
 use crate::shell::{Shell, shell};
 use crate::voxel::{Centroids, Grid, pixels_for};
 use crate::write::{BRIGHT, DARK, Writer};
@@ -162,6 +162,7 @@ fn motions(
             reach_pixels,
             neighbours,
             rounds,
+            picture_rounds,
         } => {
             let coarse_grid = grid(pixels);
             let coarse: Vec<Centroids> = clouds.moving.iter().map(|k| coarse_grid.merge(&k.cloud)).collect();
@@ -170,14 +171,25 @@ fn motions(
                 reach: (f64::from(reach_pixels) * clouds.median_depth / clouds.focal_px) as f32,
                 neighbours,
                 rounds,
+                picture_rounds,
             };
-            let keyframes: Vec<Keypoints<'_>> = coarse
-                .iter()
-                .zip(moving)
-                .map(|(nodes, (_, points))| Keypoints { nodes, points })
+            let frames = || clouds.moving.iter().map(|k| &capture.frames[k.frame]);
+            let looks = match picture_rounds {
+                0 => vec![None; moving.len()],
+                _ => Look::all(frames()),
+            };
+            let sees: Vec<_> = frames()
+                .map(|frame| move |p| is_seen(frame, p, HIDDEN_BEHIND))
                 .collect();
-            let seen = |i: usize, p| is_seen(&capture.frames[clouds.moving[i].frame], p, HIDDEN_BEHIND);
-            fields(&keyframes, &seen, &by)
+            let keyframes: Vec<View<'_>> = (0..moving.len())
+                .map(|i| View {
+                    nodes: &coarse[i],
+                    points: &moving[i].1,
+                    look: looks[i].as_ref(),
+                    sees: &sees[i],
+                })
+                .collect();
+            fields(&keyframes, &by)
         }
     }
 }

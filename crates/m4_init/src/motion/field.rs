@@ -1,8 +1,8 @@
 //! Motions between keyframes that can be asked for at any place.
 
-use super::register::{Registration, register};
+use super::register::{Registration, View, register};
+
 use super::rigid::Rigid;
-use crate::voxel::Centroids;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_math::nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
@@ -24,24 +24,10 @@ pub(crate) struct Fields {
     pub backward: Field,
 }
 
-/// Moving points of one keyframe.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Keypoints<'a> {
-    /// Those whose motion is looked for.
-    pub nodes: &'a Centroids,
-    /// Those that nodes of other keyframes are brought onto.
-    pub points: &'a Centroids,
-}
-
-/// Motions between every keyframe and the next. `seen(i, p)` tells whether keyframe `i` would see the place `p`;
-/// what it would not see is not looked for there.
-pub(crate) fn fields(
-    keyframes: &[Keypoints<'_>],
-    seen: &(dyn Fn(usize, [f32; 3]) -> bool + Sync),
-    by: &Registration,
-) -> Vec<Fields> {
+/// Motions between every keyframe and the next.
+pub(crate) fn fields(keyframes: &[View<'_>], by: &Registration) -> Vec<Fields> {
     let mut out: Vec<Fields> = Vec::new();
-    for (i, pair) in keyframes.windows(2).enumerate() {
+    for pair in keyframes.windows(2) {
         let (a, b) = (&pair[0], &pair[1]);
         // What moved on goes on moving: the last motion is a good first guess.
         let guess = match out.last() {
@@ -50,12 +36,12 @@ pub(crate) fn fields(
         };
         let forward = Field {
             nodes: a.nodes.xyz.clone(),
-            motion: register(a.nodes, b.points, guess, &|p| seen(i + 1, p), by),
+            motion: register(a, b, guess, by),
         };
         let guess = shifts(&b.nodes.xyz, &forward.inverse().places(&b.nodes.xyz));
         let backward = Field {
             nodes: b.nodes.xyz.clone(),
-            motion: register(b.nodes, a.points, guess, &|p| seen(i, p), by),
+            motion: register(b, a, guess, by),
         };
         out.push(Fields { forward, backward });
     }
@@ -127,9 +113,9 @@ impl Field {
 
 #[cfg(test)]
 mod tests {
-    use super::{Field, Keypoints, fields};
-    use crate::motion::Registration;
+    use super::{Field, Fields, fields};
     use crate::motion::rigid::Rigid;
+    use crate::motion::{Registration, View};
     use crate::voxel::Centroids;
     use m4_math::CounterRng;
     use m4_math::nalgebra::{UnitQuaternion, Vector3};
@@ -139,6 +125,7 @@ mod tests {
         reach: 0.1,
         neighbours: 16,
         rounds: 15,
+        picture_rounds: 0,
     };
 
     /// Points of a unit cube, with colours that change smoothly over it.
@@ -166,9 +153,14 @@ mod tests {
         (Vector3::from(a) - Vector3::from(b)).norm()
     }
 
-    fn between(clouds: &[Centroids], seen: &(dyn Fn(usize, [f32; 3]) -> bool + Sync)) -> Vec<super::Fields> {
-        let keyframes: Vec<_> = clouds.iter().map(|c| Keypoints { nodes: c, points: c }).collect();
-        fields(&keyframes, seen, &BY)
+    fn between(clouds: &[Centroids], sees: &(dyn Fn([f32; 3]) -> bool + Sync)) -> Vec<Fields> {
+        let view = |c| View {
+            nodes: c,
+            points: c,
+            look: None,
+            sees,
+        };
+        fields(&clouds.iter().map(view).collect::<Vec<_>>(), &BY)
     }
 
     fn turn(p: [f32; 3], rad: f32) -> [f32; 3] {
@@ -187,7 +179,7 @@ mod tests {
             })
         };
         let clouds: Vec<_> = (0..4).map(|t| at(t as f32)).collect();
-        let found = between(&clouds, &|_, _| true);
+        let found = between(&clouds, &|_| true);
         for (i, f) in found.iter().enumerate().skip(1) {
             let ahead = f.forward.places(&clouds[i].xyz);
             let good = ahead
@@ -222,7 +214,7 @@ mod tests {
                 }
             })
             .collect();
-        let found = between(&clouds, &|_, p| in_picture(&p));
+        let found = between(&clouds, &|p| in_picture(&p));
         let field = &found[2].forward;
         let leaving: Vec<[f32; 3]> = clouds[2].xyz.iter().copied().filter(|p| p[0] > 0.8).collect();
         let places = field.places(&leaving);
@@ -252,7 +244,7 @@ mod tests {
 
     #[test]
     fn empty_keyframes_move_nothing() {
-        let found = between(&[cloud(), Centroids::default(), cloud()], &|_, _| true);
+        let found = between(&[cloud(), Centroids::default(), cloud()], &|_| true);
         let places = found[0].forward.places(&[[0.5; 3]]);
         assert!(distance(places[0], [0.5; 3]) < 1e-5);
         assert!(found[1].forward.nodes.is_empty());

@@ -2,16 +2,19 @@
 //!
 //! ```text
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)
+//! look (their pictures -> where patches went)
 //! bodies (what hangs together moves together, seen or not)
 //! ```
 
 mod bodies;
 mod field;
+mod look;
 mod register;
 mod rigid;
 
 pub(crate) use bodies::bodies;
-pub(crate) use field::{Field, Fields, Keypoints, fields};
-pub(crate) use register::Registration;
+pub(crate) use field::{Field, Fields, fields};
+pub(crate) use look::Look;
+pub(crate) use register::{Registration, View};
 #[cfg(test)]
 pub(crate) use rigid::Rigid;

@@ -1,5 +1,6 @@
 //! Two keyframes' moving points brought together.
 
+use super::look::Look;
 use super::rigid::Rigid;
 use crate::voxel::Centroids;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -18,6 +19,8 @@ pub(crate) struct Registration {
     pub neighbours: usize,
     /// Rounds of match and fit.
     pub rounds: usize,
+    /// Rounds in which the pictures say where points went.
+    pub picture_rounds: usize,
 }
 
 /// Coordinates in which a match is the nearest point: place over reach, colour over its scale.
@@ -29,32 +32,42 @@ fn joint(p: [f32; 3], rgb: [f32; 3], by: &Registration) -> [f32; 6] {
 /// How many more points move together in the first rounds than in the last.
 const FIRST: usize = 8;
 
-/// A motion for every point of `from`, that brings them onto `to`, starting from `guess`.
+/// One keyframe as its neighbours are registered to it.
+#[derive(Clone, Copy)]
+pub(crate) struct View<'a> {
+    /// Points whose motion is looked for.
+    pub nodes: &'a Centroids,
+    /// Points that nodes of other keyframes are brought onto.
+    pub points: &'a Centroids,
+    /// Its picture, if it has depth and mask.
+    pub look: Option<&'a Look>,
+    /// Whether it would see a place.
+    pub sees: &'a (dyn Fn([f32; 3]) -> bool + Sync),
+}
+
+/// A motion for every node of `from`, that brings them onto `to`, starting from `guess`.
 ///
-/// Each round matches every displaced point to the nearest of `to` in place and colour; then the motion of a
-/// point is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
-/// away weighing little, and points that go where they cannot be `seen` nothing at all. Neighbourhoods shrink from
-/// round to round: large pieces first, then their parts.
-pub(crate) fn register(
-    from: &Centroids,
-    to: &Centroids,
-    guess: Vec<Rigid>,
-    seen: &(dyn Fn([f32; 3]) -> bool + Sync),
-    by: &Registration,
-) -> Vec<Rigid> {
+/// Each round matches every displaced node to the nearest point of `to` in place and colour; then the motion of
+/// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
+/// away weighing little, and nodes that go where they cannot be seen nothing at all. Neighbourhoods shrink from
+/// round to round: large pieces first, then their parts. In the last rounds the pictures say where nodes went,
+/// which is exact to a fraction of a pixel.
+pub(crate) fn register(from: &View<'_>, to: &View<'_>, guess: Vec<Rigid>, by: &Registration) -> Vec<Rigid> {
+    let nodes = from.nodes;
     let mut motion = guess;
-    let targets: Vec<[f32; 6]> = to.xyz.iter().zip(&to.rgb).map(|(p, c)| joint(*p, *c, by)).collect();
+    let colours = to.points.xyz.iter().zip(&to.points.rgb);
+    let targets: Vec<[f32; 6]> = colours.map(|(p, c)| joint(*p, *c, by)).collect();
     let (Ok(tree), Ok(places), Some(count)) = (
         ImmutableKdTree::<f32, 6>::new_from_slice(&targets),
-        ImmutableKdTree::<f32, 3>::new_from_slice(&from.xyz),
-        NonZero::new((FIRST * by.neighbours).min(from.xyz.len())),
+        ImmutableKdTree::<f32, 3>::new_from_slice(&nodes.xyz),
+        NonZero::new((FIRST * by.neighbours).min(nodes.xyz.len())),
     ) else {
         return motion;
     };
     if targets.is_empty() {
         return motion;
     }
-    let near: Vec<Vec<u32>> = from
+    let near: Vec<Vec<u32>> = nodes
         .xyz
         .par_iter()
         .map(|p| {
@@ -63,37 +76,62 @@ pub(crate) fn register(
         })
         .collect();
     for round in 0..by.rounds {
-        let wanted: Vec<(Vector3<f32>, f32)> = from
-            .xyz
-            .par_iter()
-            .zip(&motion)
-            .zip(&from.rgb)
-            .map(|((p, m), rgb)| {
-                let place = m.apply(*p);
-                if !seen(place) {
-                    return (Vector3::zeros(), 0.0);
-                }
-                let n = tree
-                    .query(&joint(place, *rgb, by))
-                    .nearest_one::<SquaredEuclidean<f32>>()
-                    .execute();
-                (to.xyz[n.item as usize].into(), 1.0 / (1.0 + n.distance).powi(2))
-            })
-            .collect();
+        let wanted = wanted(nodes, &motion, |_, place, rgb| {
+            let n = tree
+                .query(&joint(place, rgb, by))
+                .nearest_one::<SquaredEuclidean<f32>>()
+                .execute();
+            let match_ = to.points.xyz[n.item as usize];
+            (to.sees)(place).then(|| (match_, 1.0 / (1.0 + n.distance).powi(2)))
+        });
         // from FIRST to 1 in the first two thirds of the rounds
         let left = 1.0 - (1.5 * round as f32 / by.rounds as f32).min(1.0);
-        let pieces = (by.neighbours as f32 * (FIRST as f32).powf(left)) as usize;
-        motion = near
-            .par_iter()
-            .zip(&motion)
-            .map(|(near, before)| {
-                let pairs = near[..pieces.clamp(1, near.len())].iter().map(|&i| {
-                    let (q, w) = wanted[i as usize];
-                    (Vector3::from(from.xyz[i as usize]), q, w)
-                });
-                Rigid::fit(pairs, before.rotation).unwrap_or(*before)
-            })
-            .collect();
+        let pieces = by.neighbours as f32 * (FIRST as f32).powf(left);
+        motion = fitted(nodes, &motion, &near, &wanted, pieces as usize);
+    }
+    if let (Some(here), Some(there)) = (from.look, to.look) {
+        for _ in 0..by.picture_rounds {
+            let wanted = wanted(nodes, &motion, |p, place, _| here.follow(there, p, place));
+            motion = fitted(nodes, &motion, &near, &wanted, by.neighbours);
+        }
     }
     motion
+}
+
+/// Where each node should go and how much that weighs, by `ask(node, its place so far, its colour)`.
+fn wanted(
+    nodes: &Centroids,
+    motion: &[Rigid],
+    ask: impl Fn([f32; 3], [f32; 3], [f32; 3]) -> Option<([f32; 3], f32)> + Sync,
+) -> Vec<(Vector3<f32>, f32)> {
+    nodes
+        .xyz
+        .par_iter()
+        .zip(&nodes.rgb)
+        .zip(motion)
+        .map(|((p, rgb), m)| match ask(*p, m.apply(*p), *rgb) {
+            Some((q, weight)) => (q.into(), weight),
+            None => (Vector3::zeros(), 0.0),
+        })
+        .collect()
+}
+
+/// The rigid motion of the `pieces` nearest nodes of each; where they say nothing, the one before.
+fn fitted(
+    nodes: &Centroids,
+    motion: &[Rigid],
+    near: &[Vec<u32>],
+    wanted: &[(Vector3<f32>, f32)],
+    pieces: usize,
+) -> Vec<Rigid> {
+    near.par_iter()
+        .zip(motion)
+        .map(|(near, before)| {
+            let pairs = near[..pieces.clamp(1, near.len())].iter().map(|&i| {
+                let (q, w) = wanted[i as usize];
+                (Vector3::from(nodes.xyz[i as usize]), q, w)
+            });
+            Rigid::fit(pairs, before.rotation).unwrap_or(*before)
+        })
+        .collect()
 }
