@@ -270,6 +270,12 @@ pub struct Bench {
     /// 100,000 splats at 480x360 and few steps, where nothing else is asked for
     #[arg(long)]
     pub quick: bool,
+    /// Peak memory of training on made-up clips instead
+    #[arg(long, conflicts_with_all = ["scene", "steps", "sh_degree", "depth", "render", "quick"])]
+    pub memory: bool,
+    /// Frames of those clips [default: 96,400]
+    #[arg(long, value_name = "N", value_delimiter = ',', requires = "memory", value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    pub frames: Option<Vec<u32>>,
     /// Write DATE-MACHINE.json and .md into a folder [default: bench/runs]
     #[arg(long, value_name = "DIR", num_args = 0..=1, default_missing_value = "bench/runs")]
     pub save: Option<PathBuf>,
@@ -355,6 +361,8 @@ mod tests {
             "bench --size 480",
             "bench --size 480x8",
             "bench --scene 5d",
+            "bench --frames 96",
+            "bench --memory --render",
         ];
         for line in bad {
             let args = std::iter::once("minute4d").chain(line.split(' '));

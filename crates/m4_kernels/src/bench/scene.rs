@@ -62,7 +62,7 @@ const REACH: f64 = 2.448;
 const SPEED: f64 = 0.004;
 
 /// Where a ray first hits: distance, normal, a number for the surface.
-fn cast(
+pub(super) fn cast(
     origin: &Vector3<f64>,
     ray: &Vector3<f64>,
     shift: impl Fn(usize) -> Vector3<f64>,
@@ -94,6 +94,11 @@ fn cast_walls(origin: &Vector3<f64>, ray: &Vector3<f64>) -> (f64, Vector3<f64>, 
     best
 }
 
+/// Which ball a surface is, if any.
+pub(super) fn is_ball(surface: usize) -> Option<usize> {
+    surface.checked_sub(BALL)
+}
+
 /// Velocity of a ball, metres a frame.
 fn velocity(ball: usize) -> Vector3<f64> {
     let mut rng = CounterRng::new(11, 0, ball as u64);
@@ -101,11 +106,11 @@ fn velocity(ball: usize) -> Vector3<f64> {
 }
 
 /// Where a ball is at an instant, relative to the middle of the clip.
-fn drift(ball: usize, t: f64) -> Vector3<f64> {
+pub(super) fn drift(ball: usize, t: f64) -> Vector3<f64> {
     velocity(ball) * (t - 0.5 * FRAMES as f64)
 }
 
-fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
+pub(super) fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
     std::array::from_fn(|k| {
         let phase = 3.0 * (p[k] + p[(k + 1) % 3]) + 2.0 * 1.7 * id as f64;
         0.5 + 0.35 * phase.sin()
@@ -113,7 +118,7 @@ fn colour(p: &Vector3<f64>, id: usize) -> [f64; 3] {
 }
 
 /// The first camera: 60 degrees wide.
-fn camera(width: usize, height: usize) -> Camera {
+pub(super) fn camera(width: usize, height: usize) -> Camera {
     let focal_px = 0.5 * width as f64 / 30f64.to_radians().tan();
     Camera {
         intrinsics: Intrinsics::centred(width, height, focal_px),
@@ -170,7 +175,7 @@ fn share_of_balls(k: &Intrinsics) -> f64 {
     let mut rng = CounterRng::new(13, 0, 0);
     let hits = (0..SAMPLES).filter(|_| {
         let (origin, ray) = draw_ray(&mut rng, k);
-        cast(&origin, &ray, |_| Vector3::zeros()).2 >= BALL
+        is_ball(cast(&origin, &ray, |_| Vector3::zeros()).2).is_some()
     });
     hits.count() as f64 / SAMPLES as f64
 }
@@ -205,7 +210,7 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
         // a ray that meets no ball in so many attempts stays on the wall
         for _ in 0..if dynamic { 100 } else { 0 } {
             hit = cast(&origin, &ray, |ball| drift(ball, time));
-            if hit.2 >= BALL {
+            if is_ball(hit.2).is_some() {
                 break;
             }
             (origin, ray) = draw_ray(&mut rng, &k);
@@ -242,7 +247,7 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
         set(Column::Colour, &coefficients, row);
         if dynamic {
             let row = row - n_static;
-            let ball = id.checked_sub(BALL);
+            let ball = is_ball(id);
             set(Column::TimeMean, &[time + 0.1 * rng.normal()], row);
             set(Column::LogTimeSd, &[TIME_SD.ln() + 0.2 * rng.normal()], row);
             set(

@@ -58,6 +58,18 @@ impl Target {
         Ok(out)
     }
 
+    /// Becomes another picture, in the memory that is there: `fill` writes the planes, `[height][width]`
+    /// each, 0..1, over whatever they hold.
+    pub fn replace(&mut self, width: usize, height: usize, fill: impl FnOnce([&mut [f32]; 3])) {
+        (self.width, self.height) = (width, height);
+        let planes = self.rgb.iter_mut().chain(&mut self.mean).chain(&mut self.variance);
+        planes.for_each(|plane| plane.resize(width * height, 0.0));
+        fill(self.rgb.each_mut().map(Vec::as_mut_slice));
+        if width * height > 0 {
+            self.moments();
+        }
+    }
+
     /// Fills mean and variance, at the level that the process runs on; a name in the environment that
     /// is none is somebody else's error to report.
     fn moments(&mut self) {

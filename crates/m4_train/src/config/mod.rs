@@ -111,7 +111,9 @@ pub struct TrainConfig {
     pub guard_every: usize,
     /// Iterations between two [`crate::MetricsEvent`]s.
     pub metrics_every: usize,
-    /// Memory for frames prepared for the loss, MB; frames beyond it are prepared anew at each use.
+    /// Memory for frames prepared for the loss, MB; frames beyond it are prepared anew at each use, which
+    /// costs a millisecond of one core at 480x360. 160: with 100 frames of that size and 100,000 splats training
+    /// stays below 500 MB.
     pub target_cache_mb: usize,
 }
 
@@ -142,7 +144,7 @@ impl TrainConfig {
             reorder_every: 0,
             guard_every: 100,
             metrics_every: 50,
-            target_cache_mb: 384,
+            target_cache_mb: 160,
         }
     }
 

@@ -6,7 +6,7 @@ use crate::frames::FrameStore;
 use crate::refine::{Refinement, expose};
 use m4_kernels::photo::cpu::{PhotoScratch, error_map, loss};
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_scene::{ShapeError, Splats};
+use m4_scene::Splats;
 
 /// What scoring needs beside splats and frames.
 pub(crate) struct ScoreInput<'a, 'c> {
@@ -24,11 +24,7 @@ pub(crate) struct ScoreInput<'a, 'c> {
 
 /// Draws `splats` in each of `frames`, with the view that goes with it, and adds up what is wrong
 /// where they are.
-pub(crate) fn score(
-    input: &mut ScoreInput<'_, '_>,
-    splats: &Splats,
-    frames: &[(usize, View)],
-) -> Result<Scores, ShapeError> {
+pub(crate) fn score(input: &mut ScoreInput<'_, '_>, splats: &Splats, frames: &[(usize, View)]) -> Scores {
     let n = splats.n();
     let mut scores = Scores {
         densify: vec![0.0; n],
@@ -38,7 +34,7 @@ pub(crate) fn score(
     let (mut gradient, mut exposed): ([Vec<f32>; 3], [Vec<f32>; 3]) = Default::default();
     let share = 1.0 / frames.len().max(1) as f32;
     for (frame, view) in frames {
-        let target = &input.store.get(*frame, input.factor)?.target;
+        let target = &input.store.get(*frame, input.factor).target;
         let drawn = input.renderer.render(splats, view);
         let rgb = match input.fit {
             Some(fit) => {
@@ -64,5 +60,5 @@ pub(crate) fn score(
             scores.prune[i] += one[i] * photo.total as f32;
         }
     }
-    Ok(scores)
+    scores
 }

@@ -21,7 +21,7 @@ impl Trainer<'_> {
         };
         let last = c.enabled && i == n && c.final_opacity > 0.0;
         if due.densify || due.prune_by_score {
-            let scores = self.scores(due.prune_by_score)?;
+            let scores = self.scores(due.prune_by_score);
             let plan = self.plan(due, self.config.density.min_opacity, &scores);
             self.carry_out(&plan)?;
         }
@@ -58,15 +58,15 @@ impl Trainer<'_> {
     }
 
     /// Both scores, over one or two draws of frames.
-    fn scores(&mut self, prune: bool) -> Result<Scores, TrainError> {
-        let mut scores = self.scores_of(purpose::DENSIFY_FRAMES)?;
+    fn scores(&mut self, prune: bool) -> Scores {
+        let mut scores = self.scores_of(purpose::DENSIFY_FRAMES);
         if prune && self.config.density.prune_own_frames {
-            scores.prune = self.scores_of(purpose::PRUNE_FRAMES)?.prune;
+            scores.prune = self.scores_of(purpose::PRUNE_FRAMES).prune;
         }
-        Ok(scores)
+        scores
     }
 
-    fn scores_of(&mut self, purpose: u64) -> Result<Scores, TrainError> {
+    fn scores_of(&mut self, purpose: u64) -> Scores {
         let mut rng = CounterRng::new(self.config.seed, purpose, self.iteration as u64);
         let picked = rng.sample(self.times.len(), self.config.density.frames);
         let factor = self.factor();
@@ -81,7 +81,7 @@ impl Trainer<'_> {
             renderer: &mut self.renderer,
             scratch: &mut self.photo,
         };
-        Ok(score(&mut input, &self.splats, &frames)?)
+        score(&mut input, &self.splats, &frames)
     }
 
     fn plan(&self, due: Decision, min_opacity: f32, scores: &Scores) -> Plan {

@@ -40,10 +40,10 @@ impl Trainer<'_> {
         let refining = i >= self.config.refine.from;
         let exposing = self.config.refine.exposure && refining;
 
-        let has_depth = !self.store.get(frame, factor)?.depth.is_empty();
+        let has_depth = !self.store.get(frame, factor).depth.is_empty();
         let with_depth = has_depth && (weight > 0.0 || alpha_weight > 0.0);
         let view = self.view(frame, factor, with_depth);
-        let prepared = self.store.get(frame, factor)?;
+        let prepared = self.store.get(frame, factor);
         let drawn = self.renderer.render(&self.splats, &view);
         let rgb = if self.config.refine.exposure {
             expose(&self.fit.frames[frame].exposure, &drawn.rgb, &mut self.exposed);

@@ -4,12 +4,14 @@
 //! [`BenchReport`] is what the program prints, saves and compares. `docs/bench.md` explains every column.
 
 mod measure;
+mod memory;
 mod report;
 mod save;
 mod table;
 
+pub use memory::{MemoryCase, MemoryConfig, MemoryReport, memory};
 pub use report::{BenchReport, Bound, Case, KernelRow, Machine, StepRow};
-pub use save::save;
+pub use save::{SavedReport, save};
 
 use crate::{Error, Observer, with_threads};
 use m4_kernels::SimdLevel;

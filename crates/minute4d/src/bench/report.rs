@@ -39,6 +39,20 @@ impl Machine {
             commit: save::commit(),
         }
     }
+
+    /// As one line.
+    #[must_use]
+    pub fn line(&self) -> String {
+        format!(
+            "{}, {} cores, {}, {}; minute4d {}{}",
+            self.cpu.as_deref().unwrap_or("unknown processor"),
+            self.cores,
+            self.simd,
+            self.platform,
+            self.minute4d,
+            self.commit.as_ref().map_or_else(String::new, |c| format!(" at {c}")),
+        )
+    }
 }
 
 /// What limits a kernel whose time cannot be shorter.

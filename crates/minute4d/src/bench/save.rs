@@ -1,12 +1,61 @@
 //! Reports as files: `DATE-MACHINE.json`, and the same as a table.
 
-use super::BenchReport;
+use super::{BenchReport, Machine, MemoryReport};
 use crate::Error;
 use crate::record::write_json;
 use m4_io::atomic;
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{SystemTime, UNIX_EPOCH};
+
+/// A report that can be saved.
+pub trait SavedReport: Serialize {
+    /// Part of the file's name that says what was measured; may be empty.
+    fn subject(&self) -> &'static str;
+    /// The day, `YYYY-MM-DD`.
+    fn date(&self) -> &str;
+    /// Where it was measured.
+    fn machine(&self) -> &Machine;
+    /// The report for people.
+    fn markdown(&self) -> String;
+}
+
+impl SavedReport for BenchReport {
+    fn subject(&self) -> &'static str {
+        ""
+    }
+
+    fn date(&self) -> &str {
+        &self.date
+    }
+
+    fn machine(&self) -> &Machine {
+        &self.machine
+    }
+
+    fn markdown(&self) -> String {
+        self.to_markdown()
+    }
+}
+
+impl SavedReport for MemoryReport {
+    fn subject(&self) -> &'static str {
+        "-memory"
+    }
+
+    fn date(&self) -> &str {
+        &self.date
+    }
+
+    fn machine(&self) -> &Machine {
+        &self.machine
+    }
+
+    fn markdown(&self) -> String {
+        self.to_markdown()
+    }
+}
 
 /// Writes the report as JSON and as Markdown into `folder`; returns the name of the JSON file. A
 /// report of the same day and machine is replaced.
@@ -14,18 +63,17 @@ use std::time::{SystemTime, UNIX_EPOCH};
 /// # Errors
 ///
 /// [`Error::Write`].
-pub fn save(folder: &Path, report: &BenchReport) -> Result<PathBuf, Error> {
-    let name = format!("{}-{}", report.date, slug(report));
+pub fn save(folder: &Path, report: &impl SavedReport) -> Result<PathBuf, Error> {
+    let name = format!("{}-{}{}", report.date(), slug(report.machine()), report.subject());
     let json = folder.join(format!("{name}.json"));
     write_json(&json, report)?;
     let path = folder.join(format!("{name}.md"));
-    atomic::write(&path, report.to_markdown().as_bytes()).map_err(|source| Error::Write { path, source })?;
+    atomic::write(&path, report.markdown().as_bytes()).map_err(|source| Error::Write { path, source })?;
     Ok(json)
 }
 
 /// Processor, cores and instructions in letters that every file system takes.
-fn slug(report: &BenchReport) -> String {
-    let m = &report.machine;
+fn slug(m: &Machine) -> String {
     let name = format!(
         "{} {} cores {}",
         m.cpu.as_deref().unwrap_or(&m.platform),

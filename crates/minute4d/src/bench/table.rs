@@ -6,16 +6,10 @@ impl BenchReport {
     /// The whole report: the machine, one row a case, then one table a case.
     #[must_use]
     pub fn to_markdown(&self) -> String {
-        let m = &self.machine;
         let mut text = format!(
-            "# Bench, {}\n\n{}, {} cores, {}, {}; minute4d {}{}; fastest of {} steps a view\n\n",
+            "# Bench, {}\n\n{}; fastest of {} steps a view\n\n",
             self.date,
-            m.cpu.as_deref().unwrap_or("unknown processor"),
-            m.cores,
-            m.simd,
-            m.platform,
-            m.minute4d,
-            m.commit.as_ref().map_or_else(String::new, |c| format!(" at {c}")),
+            self.machine.line(),
             self.steps,
         );
         text += &self.overview();
@@ -123,7 +117,7 @@ fn kernel_row(k: &KernelRow) -> Vec<String> {
 }
 
 /// A Markdown table whose cells are padded to the width of their column; the first row is the head.
-fn aligned(rows: &[Vec<String>]) -> String {
+pub(super) fn aligned(rows: &[Vec<String>]) -> String {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let cell = |row: &Vec<String>, c: usize| row.get(c).cloned().unwrap_or_default();
     let widths: Vec<usize> = (0..columns)

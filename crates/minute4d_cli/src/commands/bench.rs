@@ -4,19 +4,55 @@ use super::doctor::processor;
 use crate::args::{Bench, BenchScene, Common};
 use crate::failure::Failure;
 use crate::output::Output;
-use minute4d::bench::{self, BenchConfig};
+use minute4d::Error;
+use minute4d::bench::{self, BenchConfig, MemoryConfig, SavedReport};
 use minute4d::kernels::bench::SceneKind;
+use std::path::{Path, PathBuf};
 
 /// Times that `--quick` steps each view.
 const QUICK_STEPS: usize = 5;
 
 pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure> {
+    if args.memory {
+        return memory(args, output);
+    }
     let report = bench::run(&config(args, common), output)?;
     if let Some(folder) = &args.save {
-        let path = bench::save(folder, &report)?;
-        output.note(&format!("written to {}", path.display()));
+        save(folder, &report, output)?;
     }
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
+    Ok(())
+}
+
+fn memory(args: &Bench, output: &Output) -> Result<(), Failure> {
+    let mut config = MemoryConfig {
+        cpu: processor(),
+        ..MemoryConfig::default()
+    };
+    if let Some(frames) = &args.frames {
+        config.frames = frames.iter().map(|&n| n as usize).collect();
+    }
+    if let Some(&(width, height)) = args.size.as_ref().and_then(|sizes| sizes.first()) {
+        config.size = (usize::from(width), usize::from(height));
+    }
+    if let Some(&splats) = args.splats.as_ref().and_then(|splats| splats.first()) {
+        config.splats = splats as usize;
+    }
+    let program = std::env::current_exe().map_err(|source| Error::Read {
+        path: PathBuf::from("the program itself"),
+        source,
+    })?;
+    let report = bench::memory(&program, &config, output)?;
+    if let Some(folder) = &args.save {
+        save(folder, &report, output)?;
+    }
+    output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
+    Ok(())
+}
+
+fn save(folder: &Path, report: &impl SavedReport, output: &Output) -> Result<(), Failure> {
+    let path = bench::save(folder, report)?;
+    output.note(&format!("written to {}", path.display()));
     Ok(())
 }
 

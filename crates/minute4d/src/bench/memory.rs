@@ -1,0 +1,202 @@
+//! How much memory training takes: the program trains on a made-up clip, and its record says.
+
+use super::Machine;
+use super::save::today;
+use super::table::aligned;
+use crate::record::RunRecord;
+use crate::{Error, Observer};
+use m4_io::capture::Split;
+use m4_kernels::SimdLevel;
+use m4_kernels::bench::film;
+use m4_scene::Silent;
+use serde::Serialize;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+/// What to train on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MemoryConfig {
+    /// Frames of the clips, one run each.
+    pub frames: Vec<usize>,
+    /// Columns and rows of the frames.
+    pub size: (usize, usize),
+    /// Splats to start with, about, a third of them static.
+    pub splats: usize,
+    /// Name of the processor, for the report.
+    pub cpu: Option<String>,
+}
+
+impl Default for MemoryConfig {
+    /// 96 and 400 frames of 480x360, 100,000 splats.
+    fn default() -> Self {
+        Self {
+            frames: vec![96, 400],
+            size: (480, 360),
+            splats: 100_000,
+            cpu: None,
+        }
+    }
+}
+
+/// One run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MemoryCase {
+    /// Frames of the clip.
+    pub frames: usize,
+    /// Columns of a frame.
+    pub width: usize,
+    /// Rows of a frame.
+    pub height: usize,
+    /// Static splats at the end.
+    pub splats_static: usize,
+    /// Dynamic splats at the end.
+    pub splats_dynamic: usize,
+    /// Steps taken.
+    pub iterations: usize,
+    /// Most memory that the process held (resident set), bytes: reading, initialisation, training,
+    /// checkpoints, writing the scene and the preview. None where the system does not tell.
+    pub peak_bytes: Option<u64>,
+    /// Pictures, depth and masks in memory, bytes: part of the above.
+    pub capture_bytes: u64,
+    /// Size of the finished scene file, bytes.
+    pub scene_bytes: u64,
+    /// Seconds of initialisation and training.
+    pub seconds: f64,
+}
+
+/// What `minute4d bench --memory` measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MemoryReport {
+    /// `minute4d-bench-memory`.
+    pub format: String,
+    /// Of the format.
+    pub version: u32,
+    /// Day, UTC, `YYYY-MM-DD`.
+    pub date: String,
+    /// Where.
+    pub machine: Machine,
+    /// One a clip.
+    pub cases: Vec<MemoryCase>,
+}
+
+/// Trains `program` (the executable of minute4d) on each clip in a process of its own.
+///
+/// # Errors
+///
+/// [`Error`] if a clip cannot be written to the folder for temporary files, the program cannot be started
+/// or fails, or on request.
+pub fn memory(program: &Path, config: &MemoryConfig, observer: &dyn Observer) -> Result<MemoryReport, Error> {
+    let level = SimdLevel::detect()?;
+    let mut cases = Vec::new();
+    for (i, &frames) in config.frames.iter().enumerate() {
+        observer.update("bench", i, config.frames.len(), &format!("{frames} frames"));
+        if observer.cancelled() {
+            return Err(Error::Stopped {
+                stage: "bench",
+                saved: false,
+            });
+        }
+        cases.push(case(program, config, frames)?);
+        observer.update("bench", i + 1, config.frames.len(), &format!("{frames} frames"));
+    }
+    Ok(MemoryReport {
+        format: "minute4d-bench-memory".to_owned(),
+        version: 1,
+        date: today(),
+        machine: Machine::here(level, config.cpu.clone()),
+        cases,
+    })
+}
+
+fn case(program: &Path, config: &MemoryConfig, frames: usize) -> Result<MemoryCase, Error> {
+    let work = tempfile::tempdir().map_err(|source| Error::Write {
+        path: std::env::temp_dir(),
+        source,
+    })?;
+    let (clip, out) = (work.path().join("clip"), work.path().join("out"));
+    let (width, height) = config.size;
+    m4_io::capture::write(&clip, &film(frames, width, height), Split::Train, &Silent)?;
+    // so that every frame was seen at full size
+    let iterations = 2 * frames + 100;
+    let n_static = config.splats / 3;
+    let settings = [
+        "checkpoint.every_s=5".to_owned(),
+        format!("init.max_static={n_static}"),
+        format!("init.max_dynamic={}", config.splats - n_static),
+    ];
+    let mut command = Command::new(program);
+    command.arg("train").arg(&clip).arg("-o").arg(&out).arg("--quiet");
+    command.args(["--iterations", &iterations.to_string()]);
+    command.args(["--threads", &rayon::current_num_threads().to_string()]);
+    for setting in &settings {
+        command.args(["--set", setting]);
+    }
+    let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
+    let ended = ended.map_err(|source| Error::Read {
+        path: program.to_path_buf(),
+        source,
+    })?;
+    if !ended.status.success() {
+        return Err(Error::Internal {
+            what: format!(
+                "training on {frames} made-up frames failed: {}",
+                String::from_utf8_lossy(&ended.stderr).trim()
+            ),
+        });
+    }
+    let record = RunRecord::read(&out)?.ok_or_else(|| Error::Missing {
+        what: "record of the run",
+        path: out.clone(),
+    })?;
+    let (splats_static, splats_dynamic) = record.splats.map_or((0, 0), |s| (s.r#static, s.dynamic));
+    Ok(MemoryCase {
+        frames,
+        width,
+        height,
+        splats_static,
+        splats_dynamic,
+        iterations,
+        peak_bytes: record.peak_memory_bytes,
+        // colour, depth and mask
+        capture_bytes: (frames * width * height * (3 + 4 + 1)) as u64,
+        scene_bytes: record.files.get(crate::folder::SCENE_FILE).map_or(0, |f| f.bytes),
+        seconds: record.stages.get(crate::train::STAGE).map_or(0.0, |s| s.seconds),
+    })
+}
+
+impl MemoryReport {
+    /// One row a clip.
+    #[must_use]
+    pub fn to_markdown(&self) -> String {
+        let head = [
+            "frames",
+            "size",
+            "splats",
+            "steps",
+            "peak MB",
+            "of it pictures MB",
+            "scene file MB",
+            "train s",
+        ];
+        let mb = |bytes: u64| format!("{:.0}", bytes as f64 / 1e6);
+        let mut rows = vec![head.map(str::to_owned).to_vec()];
+        rows.extend(self.cases.iter().map(|c| {
+            vec![
+                c.frames.to_string(),
+                format!("{}x{}", c.width, c.height),
+                format!("{} + {}", c.splats_static, c.splats_dynamic),
+                c.iterations.to_string(),
+                c.peak_bytes.map_or_else(|| "unknown".to_owned(), mb),
+                mb(c.capture_bytes),
+                mb(c.scene_bytes),
+                format!("{:.0}", c.seconds),
+            ]
+        }));
+        format!(
+            "# Memory of training, {}\n\n{}\n\n{}",
+            self.date,
+            self.machine.line(),
+            aligned(&rows)
+        )
+    }
+}
