@@ -65,8 +65,9 @@ pub struct Gradients {
     pub columns: Vec<Vec<f32>>,
     /// `[n]`: 1 where the splat reached a pixel of this frame, else 0.
     pub touched: Vec<u8>,
-    /// `[n]` gradient with respect to the projected centre, pixels; the densification statistic of 3DGS.
-    pub means2d: Vec<[f32; 2]>,
+    /// x and y, `[n]` each: gradient with respect to the projected centre, pixels, the densification
+    /// statistic of 3DGS; rows that are not `touched` hold arbitrary values.
+    pub means2d: [Vec<f32>; 2],
     /// With respect to the camera.
     pub camera: CameraGradient,
     /// With respect to the background colour.
@@ -78,7 +79,7 @@ impl Gradients {
     pub fn reset(&mut self, splats: &Splats) {
         self.resize(splats);
         self.touched.fill(0);
-        self.means2d.fill([0.0; 2]);
+        self.means2d.iter_mut().for_each(|m| m.fill(0.0));
     }
 
     /// Makes room for the gradients of `splats`; what the rows hold is anything.
@@ -88,7 +89,9 @@ impl Gradients {
             gradient.resize(column.len(), 0.0);
         }
         self.touched.resize(splats.n(), 0);
-        self.means2d.resize(splats.n(), [0.0; 2]);
+        for gradient in &mut self.means2d {
+            gradient.resize(splats.n(), 0.0);
+        }
         self.camera = CameraGradient::default();
         self.background = [0.0; 3];
     }

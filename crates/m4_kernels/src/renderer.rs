@@ -247,8 +247,6 @@ impl Renderer {
             .enumerate()
             .with_max_len(1)
             .map(|(index, (chunk, part))| {
-                part.touched.fill(0);
-                part.means2d.fill([0.0; 2]);
                 let mut sums: Vec<&[Sums]> = self
                     .bands
                     .iter()
@@ -350,7 +348,8 @@ fn split<'a>(chunks: &[Chunk], n_static: usize, out: &'a mut Gradients) -> Vec<C
     let n = out.touched.len();
     // columns of dynamic splats are shorter: they start at the first dynamic row
     let shared: Vec<bool> = columns.iter().map(|c| c.len() == n).collect();
-    let (mut touched, mut means2d) = (out.touched.as_mut_slice(), out.means2d.as_mut_slice());
+    let mut touched = out.touched.as_mut_slice();
+    let mut means2d = out.means2d.each_mut().map(Vec::as_mut_slice);
     let mut parts = Vec::with_capacity(chunks.len());
     for chunk in chunks {
         let len = chunk.rows.len();
@@ -365,7 +364,7 @@ fn split<'a>(chunks: &[Chunk], n_static: usize, out: &'a mut Gradients) -> Vec<C
         parts.push(ChunkGradient {
             columns: part,
             touched: touched.split_off_mut(..len).unwrap_or_default(),
-            means2d: means2d.split_off_mut(..len).unwrap_or_default(),
+            means2d: means2d.each_mut().map(|m| m.split_off_mut(..len).unwrap_or_default()),
         });
     }
     parts

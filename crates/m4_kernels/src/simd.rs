@@ -271,6 +271,21 @@ fn store_end(column: &mut [f32], at: usize, lanes: &[f32; LANES]) {
     rest.copy_from_slice(&lanes[..len]);
 }
 
+/// Rows to columns: `out[i][k]` is lane `i` of `rows[k]`.
+#[inline(always)]
+pub(crate) fn transpose<S: Simd>(rows: &[f32x16<S>; LANES]) -> [[f32; LANES]; LANES] {
+    // a perfect shuffle rotates the eight bits of (row, lane) by one place
+    let mut turned = *rows;
+    for _ in 0..4 {
+        let old = turned;
+        for k in 0..LANES / 2 {
+            turned[2 * k] = old[k].zip_low(old[k + LANES / 2]);
+            turned[2 * k + 1] = old[k].zip_high(old[k + LANES / 2]);
+        }
+    }
+    each!(LANES, k => turned[k].to_array())
+}
+
 /// `2^x` for `x` in `-125..=127`, within 2e-7 of itself; the caller clamps.
 #[inline(always)]
 pub(crate) fn exp2<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {

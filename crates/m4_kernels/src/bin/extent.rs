@@ -4,7 +4,7 @@ use super::TILE;
 use crate::{
     blend::ALPHA_MIN,
     project::cpu::{Ellipse, Eye},
-    simd::{LANES, all, lanes, log2},
+    simd::{LANES, all, lanes},
 };
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
 
@@ -37,13 +37,14 @@ const SLACK: f32 = 0.002;
 
 impl<S: Simd> Extent<S> {
     #[inline(always)]
-    pub(crate) fn new(s: S, eye: &Eye, e: &Ellipse<S>, opacity: f32x16<S>, on: mask32x16<S>) -> Self {
+    pub(crate) fn new(s: S, eye: &Eye, e: &Ellipse<S>, log_opacity: f32x16<S>, on: mask32x16<S>) -> Self {
         let k = |v: f32| all(s, v);
         let [v00, v01, v11] = e.covariance;
-        let strength = on.select(opacity, k(1.0)) * k(1.0 / ALPHA_MIN as f32);
-        let radius = (log2(s, strength) * k(2.0 * std::f32::consts::LN_2) + k(SLACK)).max(k(0.0));
-        let half_width = (radius * v00).sqrt() + k(SLACK_PX);
-        let half_height = (radius * v11).sqrt() + k(SLACK_PX);
+        let strength = on.select(log_opacity, k(0.0)) - k((ALPHA_MIN as f32).log2());
+        let radius = (strength * k(2.0 * std::f32::consts::LN_2) + k(SLACK)).max(k(0.0));
+        let (reach_x, reach_y) = ((radius * v00).sqrt(), (radius * v11).sqrt());
+        let (half_width, half_height) = (reach_x + k(SLACK_PX), reach_y + k(SLACK_PX));
+        let inverse_11 = k(1.0) / v11;
         let (w, h) = (eye.width as f32, eye.height as f32);
         let top = (e.v - half_height).ceil().max(k(0.0));
         let bottom = (e.v + half_height).floor().min(k(h - 1.0));
@@ -54,10 +55,10 @@ impl<S: Simd> Extent<S> {
             on,
             radius,
             half_height,
-            right_at: v01 * (radius / v00).sqrt(),
-            across: e.det / v11,
-            slope: v01 / v11,
-            inverse_11: k(1.0) / v11,
+            right_at: v01 * reach_x / v00,
+            across: e.det * inverse_11,
+            slope: v01 * inverse_11,
+            inverse_11,
             top: on.select((top * k(INVERSE_EDGE)).floor(), k(0.0)).to_array(),
             bottom: on.select((bottom * k(INVERSE_EDGE)).floor(), k(0.0)).to_array(),
         }
@@ -71,18 +72,23 @@ impl<S: Simd> Extent<S> {
         (e.u + self.slope * y, reach)
     }
 
-    /// Fills `spans[k]` with the tiles of row `top + k`; lanes that are out hold anything.
+    /// Fills `spans[1 + k]` with the tiles of row `top + k` and returns how many rows that are; the
+    /// entries before and after are 0, and so is a lane's below its `bottom`. Lanes that are out hold
+    /// anything.
     #[inline(always)]
-    pub(crate) fn rows(&mut self, s: S, eye: &Eye, e: &Ellipse<S>, on: u16, spans: &mut Vec<[u32; LANES]>) {
+    pub(crate) fn rows(&self, s: S, eye: &Eye, e: &Ellipse<S>, on: u16, spans: &mut Vec<[u32; LANES]>) -> usize {
         let k = |v: f32| all(s, v);
         let count = lanes(on)
             .map(|lane| (self.bottom[lane] - self.top[lane]) as usize + 1)
             .max()
             .unwrap_or(0);
-        spans.resize(spans.len().max(count), [0; LANES]);
-        let top = f32x16::from_slice(s, &self.top) * k(EDGE) - e.v;
+        spans.resize(spans.len().max(count + 2), [0; LANES]);
+        spans[0] = [0; LANES];
+        spans[count + 1] = [0; LANES];
+        let (tile, last) = (f32x16::from_slice(s, &self.top), f32x16::from_slice(s, &self.bottom));
+        let top = tile * k(EDGE) - e.v;
         let (w, zero) = (k(eye.width as f32 - 1.0), k(0.0));
-        for (row, out) in spans[..count].iter_mut().enumerate() {
+        for (row, out) in spans[1..=count].iter_mut().enumerate() {
             let first = top + k(EDGE * row as f32);
             let low = first.max(-self.half_height);
             let high = (first + k(EDGE - 1.0)).min(self.half_height);
@@ -90,11 +96,13 @@ impl<S: Simd> Extent<S> {
             let right = (middle + reach).floor().min(w);
             let (middle, reach) = self.across(s, e, (-self.right_at).max(low).min(high));
             let left = (middle - reach).ceil().max(zero);
-            let hit = low.simd_le(high) & left.simd_le(right);
+            let inside = (tile + k(row as f32)).simd_le(last);
+            let hit = inside & low.simd_le(high) & left.simd_le(right);
             let (left, right) = (hit.select(left, zero), hit.select(right, k(-EDGE)));
             let first: u32x16<S> = (left * k(INVERSE_EDGE)).to_int::<u32x16<S>>();
             let end: u32x16<S> = ((right + k(EDGE)) * k(INVERSE_EDGE)).to_int::<u32x16<S>>();
             (first + (end << 16u32)).store_slice(out);
         }
+        count
     }
 }

@@ -40,7 +40,6 @@ pub(crate) struct Sums(pub(crate) [f32; 16]);
 
 impl Sums {
     // sums of omega in even lanes, of the weight in odd ones: see `backward`
-    pub(crate) const LEN: usize = 16;
     pub(crate) const WEIGHT: usize = 0;
     /// `dx`, `dy`.
     pub(crate) const FIRST: [usize; 2] = [2, 4];

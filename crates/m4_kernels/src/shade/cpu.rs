@@ -119,7 +119,7 @@ fn raw<S: Simd>(s: S, c: &Columns<'_>, row: usize, basis: &[f32x16<S>; 16], cos:
         for l in 0..terms {
             let weight = basis[l] * cos[n];
             for channel in 0..3 {
-                let k = load(s, c.get(Column::Colour, 3 * (n * terms + l) + channel), row, 0.0);
+                let k = load(s, &c.colour[3 * (n * terms + l) + channel], row, 0.0);
                 sum[channel] = k.mul_add(weight, sum[channel]);
             }
         }
@@ -169,7 +169,7 @@ pub(crate) fn backward<S: Simd>(
                 let index = 3 * (n * terms + l) + channel;
                 store(weight * live[channel], out[first + index], at);
                 if terms > 1 || n > 0 {
-                    along = load(s, c.get(Column::Colour, index), row, 0.0).mul_add(live[channel], along);
+                    along = load(s, &c.colour[index], row, 0.0).mul_add(live[channel], along);
                 }
             }
             pull[l] = along.mul_add(cos[n], pull[l]);

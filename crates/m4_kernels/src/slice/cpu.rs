@@ -10,21 +10,36 @@ use m4_scene::{Column, SplatLayout, Splats};
 pub(crate) struct Columns<'a> {
     pub(crate) layout: SplatLayout,
     pub(crate) n_static: usize,
-    pub(crate) columns: &'a [Vec<f32>],
+    pub(crate) mean: [&'a [f32]; 3],
+    /// Isotropic: the one scale, three times.
+    pub(crate) log_scale: [&'a [f32]; 3],
+    /// Isotropic: empty.
+    pub(crate) quat: [&'a [f32]; 4],
+    pub(crate) opacity: &'a [f32],
+    /// `3 * term + channel`.
+    pub(crate) colour: &'a [Vec<f32>],
+    pub(crate) time_mean: &'a [f32],
+    pub(crate) log_time_sd: &'a [f32],
+    pub(crate) velocity: [&'a [f32]; 3],
 }
 
 impl<'a> Columns<'a> {
     pub(crate) fn new(splats: &'a Splats) -> Self {
+        let layout = splats.layout();
+        let get = |column, k| splats.column(column, k);
+        let scales = layout.range(Column::LogScale).len();
         Self {
-            layout: splats.layout(),
+            layout,
             n_static: splats.n_static(),
-            columns: splats.columns(),
+            mean: [0, 1, 2].map(|k| get(Column::Mean, k)),
+            log_scale: [0, 1, 2].map(|k| get(Column::LogScale, k.min(scales - 1))),
+            quat: [0, 1, 2, 3].map(|k| if layout.isotropic { &[] } else { get(Column::Quat, k) }),
+            opacity: get(Column::Opacity, 0),
+            colour: &splats.columns()[layout.range(Column::Colour)],
+            time_mean: get(Column::TimeMean, 0),
+            log_time_sd: get(Column::LogTimeSd, 0),
+            velocity: [0, 1, 2].map(|k| get(Column::Velocity, k)),
         }
-    }
-
-    #[inline(always)]
-    pub(crate) fn get(&self, column: Column, offset: usize) -> &'a [f32] {
-        &self.columns[self.layout.column(column) + offset]
     }
 }
 
@@ -36,9 +51,9 @@ pub(crate) struct Slice<S: Simd> {
     pub(crate) scale: [f32x16<S>; 3],
     /// Columns are the axes; isotropic: zeros that nobody reads.
     pub(crate) axes: [[f32x16<S>; 3]; 3],
-    /// The normalised quaternion and one over its length; isotropic: zeros.
-    pub(crate) quat: [f32x16<S>; 4],
-    pub(crate) quat_inverse_norm: f32x16<S>,
+    /// The quaternion as it is and two over its square; isotropic: zeros.
+    quat: [f32x16<S>; 4],
+    quat_scale: f32x16<S>,
     /// Peak 1; 1 for static splats.
     pub(crate) marginal: f32x16<S>,
     /// `t - time_mean`, frames; 0 for static splats.
@@ -49,17 +64,47 @@ pub(crate) struct Slice<S: Simd> {
     pub(crate) alive: mask32x16<S>,
 }
 
+/// Whether one of sixteen dynamic splats is there at `t`, from the two columns that decide it: most
+/// splats of a long video are not, and what they cost is the reading of eight bytes.
+#[inline(always)]
+pub(crate) fn any_alive<S: Simd>(s: S, c: &Columns<'_>, row: usize, t: f32) -> bool {
+    marginal(s, c, row - c.n_static, t)
+        .marginal
+        .simd_gt(all(s, MARGINAL_MIN as f32))
+        .any_true()
+}
+
+/// The place in time of sixteen dynamic splats.
+#[derive(Debug, Clone, Copy)]
+struct Moment<S: Simd> {
+    dt: f32x16<S>,
+    inverse_variance: f32x16<S>,
+    marginal: f32x16<S>,
+}
+
+#[inline(always)]
+fn marginal<S: Simd>(s: S, c: &Columns<'_>, at: usize, t: f32) -> Moment<S> {
+    let dt = all(s, t) - load(s, c.time_mean, at, 0.0);
+    let log_sd = load(s, c.log_time_sd, at, 0.0);
+    let inverse_variance = exp(s, log_sd * all(s, -2.0));
+    Moment {
+        dt,
+        inverse_variance,
+        marginal: exp(s, dt * dt * inverse_variance * all(s, -0.5)),
+    }
+}
+
 /// Moves to the instant: mean, marginal. Cheap, so that most dynamic splats go no further.
 #[inline(always)]
 pub(crate) fn life<S: Simd, const DYNAMIC: bool>(s: S, c: &Columns<'_>, row: usize, t: f32) -> Slice<S> {
     let zero = all(s, 0.0);
-    let mean = each!(3, k => load(s, c.get(Column::Mean, k), row, 0.0));
+    let mean = each!(3, k => load(s, c.mean[k], row, 0.0));
     let mut out = Slice {
         mean,
         scale: [zero; 3],
         axes: [[zero; 3]; 3],
         quat: [zero; 4],
-        quat_inverse_norm: zero,
+        quat_scale: zero,
         marginal: all(s, 1.0),
         dt: zero,
         inverse_variance: zero,
@@ -67,12 +112,13 @@ pub(crate) fn life<S: Simd, const DYNAMIC: bool>(s: S, c: &Columns<'_>, row: usi
     };
     if DYNAMIC {
         let at = row - c.n_static;
-        let dt = all(s, t) - load(s, c.get(Column::TimeMean, 0), at, 0.0);
-        let log_sd = load(s, c.get(Column::LogTimeSd, 0), at, 0.0);
-        let inverse_variance = exp(s, log_sd * all(s, -2.0));
-        let marginal = exp(s, dt * dt * inverse_variance * all(s, -0.5));
+        let Moment {
+            dt,
+            inverse_variance,
+            marginal,
+        } = marginal(s, c, at, t);
         for k in 0..3 {
-            let velocity = load(s, c.get(Column::Velocity, k), at, 0.0);
+            let velocity = load(s, c.velocity[k], at, 0.0);
             out.mean[k] = velocity.mul_add(dt, out.mean[k]);
         }
         out.alive = marginal.simd_gt(all(s, MARGINAL_MIN as f32));
@@ -87,35 +133,27 @@ pub(crate) fn life<S: Simd, const DYNAMIC: bool>(s: S, c: &Columns<'_>, row: usi
 #[inline(always)]
 pub(crate) fn shape<S: Simd, const ISO: bool>(s: S, c: &Columns<'_>, row: usize, out: &mut Slice<S>) {
     if ISO {
-        out.scale = [exp(s, load(s, c.get(Column::LogScale, 0), row, 0.0)); 3];
+        out.scale = [exp(s, load(s, c.log_scale[0], row, 0.0)); 3];
         return;
     }
-    out.scale = each!(3, k => exp(s, load(s, c.get(Column::LogScale, k), row, 0.0)));
+    out.scale = each!(3, k => exp(s, load(s, c.log_scale[k], row, 0.0)));
     // past the end: a quaternion of length 1, so that no lane divides by 0
-    let q: [f32x16<S>; 4] = each!(4, k => load(s, c.get(Column::Quat, k), row, 0.5));
-    let length = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]).sqrt();
-    let inverse = all(s, 1.0) / length;
-    let [w, x, y, z] = [q[0] * inverse, q[1] * inverse, q[2] * inverse, q[3] * inverse];
-    let (one, two) = (all(s, 1.0), all(s, 2.0));
+    let q: [f32x16<S>; 4] = each!(4, k => load(s, c.quat[k], row, 0.5));
+    let [w, x, y, z] = q;
+    let one = all(s, 1.0);
+    // no root: every entry is a product of two, so the square of the length divides it
+    let scale = all(s, 2.0) / (w * w + x * x + y * y + z * z);
+    let (sx, sy, sz) = (scale * x, scale * y, scale * z);
+    let (xx, yy, zz) = (sx * x, sy * y, sz * z);
+    let (xy, xz, yz) = (sx * y, sx * z, sy * z);
+    let (wx, wy, wz) = (sx * w, sy * w, sz * w);
     out.axes = [
-        [
-            one - two * (y * y + z * z),
-            two * (x * y - w * z),
-            two * (x * z + w * y),
-        ],
-        [
-            two * (x * y + w * z),
-            one - two * (x * x + z * z),
-            two * (y * z - w * x),
-        ],
-        [
-            two * (x * z - w * y),
-            two * (y * z + w * x),
-            one - two * (x * x + y * y),
-        ],
+        [one - (yy + zz), xy - wz, xz + wy],
+        [xy + wz, one - (xx + zz), yz - wx],
+        [xz - wy, yz + wx, one - (xx + yy)],
     ];
-    out.quat = [w, x, y, z];
-    out.quat_inverse_norm = inverse;
+    out.quat = q;
+    out.quat_scale = scale;
 }
 
 /// The gradient with respect to what [`life`] and [`shape`] give.
@@ -160,7 +198,7 @@ pub(crate) fn backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         let from = row - c.n_static;
         let mut time_mean = g.time_mean + g.log_marginal * slice.dt * slice.inverse_variance;
         for k in 0..3 {
-            let velocity = load(s, c.get(Column::Velocity, k), from, 0.0);
+            let velocity = load(s, c.velocity[k], from, 0.0);
             time_mean -= g.mean[k] * velocity;
             store(g.mean[k] * slice.dt, out[first(Column::Velocity) + k], at);
         }
@@ -170,20 +208,23 @@ pub(crate) fn backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     }
 }
 
-/// As [`m4_math::quat::rotation_vjp`].
+/// As [`m4_math::quat::rotation_vjp`], with `R = I + scale B(q)`, `scale = 2 / |q|^2`: the derivative of
+/// the products less the part along `q`, which the scale takes off.
 #[inline(always)]
 fn quat_backward<S: Simd>(s: S, slice: &Slice<S>, g: &[[f32x16<S>; 3]; 3]) -> [f32x16<S>; 4] {
     let [w, x, y, z] = slice.quat;
     let two = all(s, 2.0);
+    let (xy, xz, yz) = (g[0][1] + g[1][0], g[0][2] + g[2][0], g[1][2] + g[2][1]);
+    let (wx, wy, wz) = (g[2][1] - g[1][2], g[0][2] - g[2][0], g[1][0] - g[0][1]);
     let d = [
-        two * (z * (g[1][0] - g[0][1]) + y * (g[0][2] - g[2][0]) + x * (g[2][1] - g[1][2])),
-        two * (y * (g[0][1] + g[1][0]) + z * (g[0][2] + g[2][0]) + w * (g[2][1] - g[1][2])
-            - two * x * (g[1][1] + g[2][2])),
-        two * (x * (g[0][1] + g[1][0]) + z * (g[1][2] + g[2][1]) + w * (g[0][2] - g[2][0])
-            - two * y * (g[0][0] + g[2][2])),
-        two * (x * (g[0][2] + g[2][0]) + y * (g[1][2] + g[2][1]) + w * (g[1][0] - g[0][1])
-            - two * z * (g[0][0] + g[1][1])),
+        x * wx + y * wy + z * wz,
+        y * xy + z * xz + w * wx - two * x * (g[1][1] + g[2][2]),
+        x * xy + z * yz + w * wy - two * y * (g[0][0] + g[2][2]),
+        x * xz + y * yz + w * wz - two * z * (g[0][0] + g[1][1]),
     ];
-    let along = w * d[0] + x * d[1] + y * d[2] + z * d[3];
-    each!(4, k => (d[k] - slice.quat[k] * along) * slice.quat_inverse_norm)
+    let scale = slice.quat_scale;
+    // scaled before it is multiplied: a length that overflows must not make its gradient NaN
+    let unit: [f32x16<S>; 4] = each!(4, k => scale * all(s, 0.5) * slice.quat[k]);
+    let along = unit[0] * d[0] + unit[1] * d[1] + unit[2] * d[2] + unit[3] * d[3];
+    each!(4, k => scale * (d[k] - slice.quat[k] * along))
 }

@@ -19,8 +19,7 @@ fn bits(level: SimdLevel, splats: &Splats, view: &View) -> Vec<u64> {
         all.extend(crate::twin::parameter(&out, splats, column).iter().map(|v| v.to_bits()));
     }
     all.extend(out.touched.iter().map(|&t| u64::from(t)));
-    let seen = out.means2d.iter().zip(&out.touched).filter(|(_, t)| **t != 0);
-    all.extend(seen.flat_map(|(m, _)| m).map(|v| u64::from(v.to_bits())));
+    all.extend(crate::twin::means2d(&out).iter().map(|v| v.to_bits()));
     all.extend(out.background.map(|v| u64::from(v.to_bits())));
     let camera = out
         .camera

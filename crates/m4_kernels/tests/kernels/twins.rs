@@ -1,7 +1,7 @@
 //! The CPU twin against the reference, on every SIMD level of the machine: fixtures and random scenes.
 
 use crate::scenes::{Target, by_name};
-use crate::twin::{compare, every_level, parameter, view};
+use crate::twin::{means2d, compare, every_level, parameter, view};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View, blend::reference::CHANNELS, reference::splats_of,
 };
@@ -125,7 +125,7 @@ fn check_fixture(fixtures: &GradientFixtures, case: &GradientCase, level: SimdLe
     check("omega", &got.camera.omega, &case.grad_rotation);
     check("intrinsics", &got.camera.intrinsics, &case.grad_intrinsics);
     check("background", &got.background.map(f64::from), &case.grad_background);
-    let means: Vec<f64> = got.means2d.iter().flatten().map(|&v| f64::from(v)).collect();
+    let means = means2d(&got);
     check("means2d", &means, case.grad_means2d.as_flattened());
 }
 

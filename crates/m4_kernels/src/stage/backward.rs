@@ -1,0 +1,115 @@
+//! From the sums of the bands to gradients of the columns.
+
+use super::{CameraSums, Chunk, ChunkGradient, Group, forward::sight};
+use crate::{
+    blend::cpu::Sums,
+    project::cpu::{self as project, Eye, Moments},
+    shade::cpu as shade,
+    simd::{LANES, all, all3, bits, dot, each, lanes, load, sigmoid, store, transpose},
+    slice::cpu::{self as slice, Columns, Slice, SliceGradient},
+};
+use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
+use fearless_simd_macros::simd;
+use m4_scene::Column;
+
+#[simd]
+pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(
+    s: S,
+    chunk: &Chunk,
+    c: &Columns<'_>,
+    eye: &Eye,
+    sums: &mut [&[Sums]],
+    out: &mut ChunkGradient<'_>,
+) -> CameraSums {
+    let zero = all(s, 0.0);
+    let mut camera = [zero; 10];
+    let mut from = 0;
+    for group in &chunk.groups {
+        let mut totals = [zero; LANES];
+        for part in &chunk.parts[from..group.parts_end as usize] {
+            let band = &mut sums[usize::from(part.band)];
+            let (here, rest) = band.split_at(part.lanes.count_ones() as usize);
+            for (lane, sum) in lanes(part.lanes).zip(here) {
+                totals[lane] += f32x16::from_slice(s, &sum.0);
+            }
+            *band = rest;
+        }
+        from = group.parts_end as usize;
+        group_backward::<S, DYNAMIC, ISO>(s, chunk, c, eye, *group, &totals, out, &mut camera);
+    }
+    let camera: [[f32; LANES]; 10] = each!(10, i => camera[i].to_array());
+    camera.map(|lanes| lanes.iter().map(|&v| f64::from(v)).sum())
+}
+
+/// `totals[lane]` holds the sums of that splat, in the order of [`Sums`].
+#[inline(always)]
+fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
+    s: S,
+    chunk: &Chunk,
+    c: &Columns<'_>,
+    eye: &Eye,
+    group: Group,
+    totals: &[f32x16<S>; LANES],
+    out: &mut ChunkGradient<'_>,
+    camera: &mut [f32x16<S>; 10],
+) {
+    let at = group.at as usize;
+    let row = chunk.rows.start + at;
+    let sums = transpose(totals);
+    let sum = |k: usize| f32x16::from_slice(s, &sums[k]);
+    let moments = Moments {
+        weight: sum(Sums::WEIGHT),
+        first: each!(2, k => sum(Sums::FIRST[k])),
+        second: each!(3, k => sum(Sums::SECOND[k])),
+        depth: sum(Sums::DEPTH),
+    };
+    let d_rgb: [f32x16<S>; 3] = each!(3, k => sum(Sums::RGB[k]));
+    let mut splat: Slice<S> = slice::life::<S, DYNAMIC>(s, c, row, eye.t);
+    let place = project::place(s, eye, &splat.mean);
+    slice::shape::<S, ISO>(s, c, row, &mut splat);
+    let ellipse = project::ellipse::<S, ISO>(s, eye, &place, &splat);
+    let d = project::backward::<S, ISO>(s, eye, &place, &splat, &ellipse, &moments);
+    let sight = sight(s, c, eye, &place.offset, splat.dt);
+    let seen_from = shade::backward(s, c, row, &sight, eye.inverse_period, &d_rgb, &mut out.columns, at);
+    let logit = load(s, c.opacity, row, 0.0);
+    let d_logit = moments.weight * (all(s, 1.0) - sigmoid(s, logit));
+    store(d_logit, out.columns[c.layout.column(Column::Opacity)], at);
+    let gradient = SliceGradient {
+        mean: each!(3, k => d.mean[k] + seen_from.offset[k]),
+        log_scale: d.log_scale,
+        axes: d.axes,
+        log_marginal: moments.weight,
+        time_mean: seen_from.time_mean,
+    };
+    slice::backward::<S, DYNAMIC, ISO>(s, c, row, &splat, &gradient, &mut out.columns, at);
+    store(d.centre[0], out.means2d[0], at);
+    store(d.centre[1], out.means2d[1], at);
+
+    let on = mask32x16::from_bitmask(s, u64::from(group.seen));
+    let zero = all(s, 0.0);
+    for i in 0..3 {
+        let tau = d.point[i] + dot(&all3(s, &eye.rotation[i]), &seen_from.offset);
+        camera[i] += on.select(tau, zero);
+        camera[3 + i] += on.select(d.omega[i], zero);
+    }
+    for i in 0..2 {
+        camera[6 + i] += on.select(d.focal[i], zero);
+        camera[8 + i] += on.select(d.centre[i], zero);
+    }
+    // composited somewhere: every blended pixel adds to a colour's sum, or had no gradient to give
+    let colour = d_rgb[0].abs() + d_rgb[1].abs() + d_rgb[2].abs();
+    let size = moments.weight.abs() + moments.depth.abs() + colour;
+    let touched = bits(size.simd_gt(zero)) & group.seen;
+    match out.touched.get_mut(at..at + LANES) {
+        Some(flags) => {
+            for (lane, flag) in flags.iter_mut().enumerate() {
+                *flag = (touched >> lane & 1) as u8;
+            }
+        }
+        None => {
+            for (lane, flag) in out.touched[at..].iter_mut().enumerate() {
+                *flag = (touched >> lane & 1) as u8;
+            }
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Slice, project and shade in one pass over the columns, and the same way back.
+//!
+//! Rows are cut into fixed chunks, static and dynamic rows apart; a chunk is a task. Forward, it hands
+//! one [`Record`] to every band that a splat reaches. Backward, it collects the moments of its splats
+//! from the bands, in the order of the bands, and turns them into gradients of the columns.
+//!
+//! Sixteen rows are a group. Splats of a group go to their bands one band after the other, not one splat
+//! after the other: neighbours in memory are neighbours in the picture, so a group reaches few bands,
+//! and the length of the loops is guessed right far more often.
+
+mod backward;
+mod forward;
+
+use crate::{bin::cpu::Record, blend::cpu::Sums, project::cpu::Eye, simd::LANES, slice::cpu::Columns};
+use fearless_simd::Simd;
+use std::ops::Range;
+
+/// Rows a chunk: enough to make the task worth it, few enough to share the work evenly.
+const CHUNK_ROWS: usize = 2048;
+
+/// Sixteen rows of which at least one is seen.
+#[derive(Debug, Clone, Copy)]
+struct Group {
+    /// From the first row of the chunk.
+    at: u32,
+    /// Lanes that reach a tile.
+    seen: u16,
+    /// Where the group's entries of [`Chunk::parts`] end; they start where those of the one before end.
+    parts_end: u32,
+}
+
+/// The splats of a group that one band got.
+#[derive(Debug, Clone, Copy)]
+struct Part {
+    band: u16,
+    lanes: u16,
+}
+
+/// One chunk of rows and what it showed in the last frame.
+#[derive(Debug, Default)]
+pub(crate) struct Chunk {
+    pub(crate) rows: Range<usize>,
+    pub(crate) dynamic: bool,
+    /// Records for each band, in the order of the rows.
+    pub(crate) bands: Vec<Vec<Record>>,
+    groups: Vec<Group>,
+    parts: Vec<Part>,
+    /// Temporal marginals of each group; empty for static rows, where they are 1.
+    marginals: Vec<[f32; LANES]>,
+    spans: Vec<[u32; LANES]>,
+}
+
+/// One chunk's rows of [`crate::Gradients`].
+#[derive(Debug)]
+pub(crate) struct ChunkGradient<'a> {
+    pub(crate) columns: Vec<&'a mut [f32]>,
+    pub(crate) touched: &'a mut [u8],
+    pub(crate) means2d: [&'a mut [f32]; 2],
+}
+
+/// One chunk's share of the camera's gradient: `tau`, `omega`, `fx, fy, cx, cy`.
+pub(crate) type CameraSums = [f64; 10];
+
+impl Chunk {
+    /// Cuts rows into chunks, keeping the memory of those that were there.
+    pub(crate) fn plan(chunks: &mut Vec<Self>, n_static: usize, n_dynamic: usize, bands: usize) {
+        let cut = |rows: Range<usize>, dynamic: bool| {
+            rows.clone()
+                .step_by(CHUNK_ROWS)
+                .map(move |start| (start..rows.end.min(start + CHUNK_ROWS), dynamic))
+        };
+        let plan = cut(0..n_static, false).chain(cut(n_static..n_static + n_dynamic, true));
+        let mut count = 0;
+        for (rows, dynamic) in plan {
+            if chunks.len() == count {
+                chunks.push(Self::default());
+            }
+            let chunk = &mut chunks[count];
+            (chunk.rows, chunk.dynamic) = (rows, dynamic);
+            chunk.bands.resize_with(bands, Vec::new);
+            count += 1;
+        }
+        chunks.truncate(count);
+    }
+
+    /// Splats that reach the image.
+    pub(crate) fn visible(&self) -> usize {
+        self.groups.iter().map(|g| g.seen.count_ones() as usize).sum()
+    }
+
+    /// Fills `bands`.
+    #[inline(always)]
+    pub(crate) fn forward<S: Simd>(&mut self, s: S, c: &Columns<'_>, eye: &Eye) {
+        match (self.dynamic, c.layout.isotropic) {
+            (false, false) => forward::chunk::<S, false, false>(s, self, c, eye),
+            (false, true) => forward::chunk::<S, false, true>(s, self, c, eye),
+            (true, false) => forward::chunk::<S, true, false>(s, self, c, eye),
+            (true, true) => forward::chunk::<S, true, true>(s, self, c, eye),
+        }
+    }
+
+    /// Fills the chunk's part of the gradients; `sums[band]` starts at this chunk's first record.
+    #[inline(always)]
+    pub(crate) fn backward<S: Simd>(
+        &self,
+        s: S,
+        c: &Columns<'_>,
+        eye: &Eye,
+        sums: &mut [&[Sums]],
+        out: &mut ChunkGradient<'_>,
+    ) -> CameraSums {
+        out.touched.fill(0);
+        match (self.dynamic, c.layout.isotropic) {
+            (false, false) => backward::chunk::<S, false, false>(s, self, c, eye, sums, out),
+            (false, true) => backward::chunk::<S, false, true>(s, self, c, eye, sums, out),
+            (true, false) => backward::chunk::<S, true, false>(s, self, c, eye, sums, out),
+            (true, true) => backward::chunk::<S, true, true>(s, self, c, eye, sums, out),
+        }
+    }
+
+    /// Adds marginal times score to the chunk's rows; `scores[band]` starts at its first record.
+    pub(crate) fn score(&self, scores: &mut [&[f32]], out: &mut [f32]) {
+        let mut from = 0;
+        for (index, group) in self.groups.iter().enumerate() {
+            let mut sums = [0.0f32; LANES];
+            for part in &self.parts[from..group.parts_end as usize] {
+                let band = &mut scores[usize::from(part.band)];
+                let (first, rest) = band.split_at(part.lanes.count_ones() as usize);
+                for (lane, score) in crate::simd::lanes(part.lanes).zip(first) {
+                    sums[lane] += score;
+                }
+                *band = rest;
+            }
+            from = group.parts_end as usize;
+            let marginals = self.marginals.get(index).unwrap_or(&[1.0; LANES]);
+            for lane in crate::simd::lanes(group.seen) {
+                out[group.at as usize + lane] += marginals[lane] * sums[lane];
+            }
+        }
+    }
+}
