@@ -3,7 +3,7 @@
 /// Adds the depth loss of a frame to its gradients and returns it.
 ///
 /// The residual of a pixel is `r = (D - z A) / z`, with `D` the composited depth, `A` alpha and `z` the
-/// capture's depth (0: no residual): the blending-weighted relative error, without a division by alpha.
+/// capture's depth (0 or not finite: no residual): the blending-weighted relative error, without a division by alpha.
 /// The loss is `weight` times the mean over the pixels with depth of the Huber function of `r` (linear
 /// from `huber` on, slope 1), plus `alpha_weight` times their mean transmittance.
 ///
@@ -20,14 +20,15 @@ pub(crate) fn depth_loss(
     d_alpha.clear();
     d_depth.resize(depth.len(), 0.0);
     d_alpha.resize(depth.len(), 0.0);
-    let valid = z.iter().filter(|z| **z > 0.0).count();
+    let known = |z: f32| z > 0.0 && z.is_finite();
+    let valid = z.iter().filter(|z| known(**z)).count();
     if valid == 0 {
         return 0.0;
     }
     let per_pixel = 1.0 / valid as f32;
     let mut sum = 0.0f64;
     for i in 0..depth.len() {
-        if z[i] <= 0.0 {
+        if !known(z[i]) {
             continue;
         }
         let r = (depth[i] - z[i] * (1.0 - transmittance[i])) / z[i];
@@ -79,5 +80,17 @@ mod tests {
             );
         }
         assert_eq!((dd[2], da[2]), (0.0, 0.0), "no depth, no gradient");
+    }
+
+    #[test]
+    fn unknown_depth_has_no_residual() {
+        let (depth, t, settings) = ([1.5f32, 2.5], [0.2f32, 0.3], (0.7, 0.1, 0.3));
+        for unknown in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            let (mut dd, mut da) = (Vec::new(), Vec::new());
+            let got = depth_loss(&depth, &t, &[unknown, 2.0], settings, &mut dd, &mut da);
+            let want = depth_loss(&depth[1..], &t[1..], &[2.0], settings, &mut Vec::new(), &mut Vec::new());
+            assert_eq!(got, want, "{unknown}");
+            assert_eq!((dd[0], da[0]), (0.0, 0.0), "{unknown}");
+        }
     }
 }

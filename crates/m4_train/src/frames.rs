@@ -1,7 +1,7 @@
 //! The training frames at the size that an iteration wants.
 
 use m4_kernels::photo::cpu::Target;
-use m4_scene::{Capture, CaptureFrame, Intrinsics, RgbImage};
+use m4_scene::{Capture, CaptureFrame, DepthMap, Intrinsics, RgbImage};
 use rayon::prelude::*;
 
 /// A frame of the capture, and what the trainer keeps of it.
@@ -11,13 +11,21 @@ struct Stored<'a> {
     cached: Option<Prepared>,
 }
 
-/// A frame ready for the loss.
+/// What is made of a frame.
 #[derive(Debug, Default)]
-pub(crate) struct Prepared {
+struct Prepared {
+    target: Target,
+    /// Empty when the frame has none, or its own has the right size.
+    depth: Vec<f32>,
+}
+
+/// A frame ready for the loss.
+#[derive(Debug)]
+pub(crate) struct FrameView<'a> {
     /// The picture.
-    pub target: Target,
-    /// z-depth at the size of the picture, 0 where unknown; empty when the frame has none.
-    pub depth: Vec<f32>,
+    pub target: &'a Target,
+    /// z-depth at the size of the picture, 0 or not finite where unknown; empty when the frame has none.
+    pub depth: &'a [f32],
 }
 
 /// All frames, and as many prepared ones as fit the budget.
@@ -46,16 +54,14 @@ impl<'a> FrameStore<'a> {
     }
 
     /// Frame `i`, each side divided by `factor`.
-    pub fn get(&mut self, i: usize, factor: usize) -> &Prepared {
+    pub fn get(&mut self, i: usize, factor: usize) -> FrameView<'_> {
         if factor != self.factor {
             self.frames.iter_mut().for_each(|f| f.cached = None);
             (self.factor, self.used, self.spare_of) = (factor, 0, None);
         }
         let frame = self.frames[i].frame;
         if self.frames[i].cached.is_none() && self.spare_of != Some(i) {
-            let (width, height) = frame.rgb.size();
-            // colours, windowed means and variances, depth
-            let bytes = 10 * 4 * (width / factor) * (height / factor);
+            let bytes = bytes(frame, factor);
             if self.used + bytes <= self.budget {
                 self.used += bytes;
                 let mut prepared = Prepared::default();
@@ -66,8 +72,30 @@ impl<'a> FrameStore<'a> {
                 self.spare_of = Some(i);
             }
         }
-        self.frames[i].cached.as_ref().unwrap_or(&self.spare)
+        let prepared = self.frames[i].cached.as_ref().unwrap_or(&self.spare);
+        FrameView {
+            target: &prepared.target,
+            depth: match own_depth(frame, factor) {
+                Some(depth) => depth.data(),
+                None => &prepared.depth,
+            },
+        }
     }
+}
+
+/// The frame's depth if it has the size of the picture already.
+fn own_depth(frame: &CaptureFrame, factor: usize) -> Option<&DepthMap> {
+    let (width, height) = frame.rgb.size();
+    let depth = frame.depth.as_ref();
+    depth.filter(|depth| depth.size() == (width / factor, height / factor))
+}
+
+/// What a prepared frame takes: a byte a colour (two where bytes are added up), and the depth.
+fn bytes(frame: &CaptureFrame, factor: usize) -> usize {
+    let (width, height) = frame.rgb.size();
+    let colours = if factor == 1 { 3 } else { 6 };
+    let has_depth = frame.depth.is_some() && own_depth(frame, factor).is_none();
+    (colours + if has_depth { 4 } else { 0 }) * (width / factor) * (height / factor)
 }
 
 /// The lens for frames whose sides are divided by `factor`; what does not divide is cut off at the
@@ -87,17 +115,19 @@ pub(crate) fn smaller(k: &Intrinsics, factor: usize) -> Intrinsics {
 fn prepare(frame: &CaptureFrame, factor: usize, out: &mut Prepared) {
     let (full_w, full_h) = frame.rgb.size();
     let (w, h) = (full_w / factor, full_h / factor);
-    let size = w.max(1);
-    out.target.replace(w, h, |[red, green, blue]| {
-        let rows = red.par_chunks_mut(size).zip(green.par_chunks_mut(size));
-        rows.zip(blue.par_chunks_mut(size))
-            .enumerate()
-            .for_each(|(y, ((red, green), blue))| colours(&frame.rgb, factor, y, [red, green, blue]));
-    });
-    let Some(depth) = &frame.depth else {
-        out.depth.clear();
+    if factor == 1 {
+        out.target
+            .replace(w, h, |planes| by_rows(w, planes, |y, row| split(frame.rgb.row(y), row)));
+    } else {
+        out.target.replace_sums(w, h, factor * factor, |planes| {
+            by_rows(w, planes, |y, row| add_up(&frame.rgb, factor, y, row));
+        });
+    }
+    out.depth.clear();
+    let Some(depth) = &frame.depth else { return };
+    if own_depth(frame, factor).is_some() {
         return;
-    };
+    }
     // The nearest sample: blends of two surfaces lie on neither.
     let (dw, dh) = depth.size();
     let at = |i: usize, n: usize, full: usize| {
@@ -106,39 +136,37 @@ fn prepare(frame: &CaptureFrame, factor: usize, out: &mut Prepared) {
     };
     let columns: Vec<usize> = (0..w).map(|x| at(x, dw, full_w)).collect();
     out.depth.resize(w * h, 0.0);
-    out.depth.par_chunks_mut(size).enumerate().for_each(|(y, row)| {
+    out.depth.par_chunks_mut(w.max(1)).enumerate().for_each(|(y, row)| {
         let from = depth.row(at(y, dh, full_h));
-        for (z, &x) in row.iter_mut().zip(&columns) {
-            *z = if from[x].is_finite() && from[x] > 0.0 {
-                from[x]
-            } else {
-                0.0
-            };
-        }
+        row.iter_mut().zip(&columns).for_each(|(z, &x)| *z = from[x]);
     });
 }
 
-/// Row `y` of the picture whose sides are divided by `factor`: means of whole blocks of pixels, 0..1.
-fn colours(picture: &RgbImage, factor: usize, y: usize, planes: [&mut [f32]; 3]) {
-    let [red, green, blue] = planes;
-    let scale = 1.0 / (255.0 * (factor * factor) as f32);
-    let pixels = red.iter_mut().zip(green).zip(blue).enumerate();
-    if factor == 1 {
-        for ((_, ((r, g), b)), p) in pixels.zip(picture.row(y)) {
-            [*r, *g, *b] = p.map(|v| f32::from(v) * scale);
-        }
-        return;
+/// Calls `fill` with each row of three planes of `width` columns.
+fn by_rows<T: Send>(width: usize, planes: [&mut [T]; 3], fill: impl Fn(usize, [&mut [T]; 3]) + Sync) {
+    let [red, green, blue] = planes.map(|plane| plane.par_chunks_mut(width.max(1)));
+    let rows = red.zip(green).zip(blue).enumerate();
+    rows.for_each(|(y, ((red, green), blue))| fill(y, [red, green, blue]));
+}
+
+/// A row of a picture, one plane a channel.
+fn split(pixels: &[[u8; 3]], [red, green, blue]: [&mut [u8]; 3]) {
+    for (((r, g), b), pixel) in red.iter_mut().zip(green).zip(blue).zip(pixels) {
+        [*r, *g, *b] = *pixel;
     }
-    for (x, ((r, g), b)) in pixels {
-        let mut sum = [0u32; 3];
+}
+
+/// Row `y` of a picture whose sides are divided by `factor`: sums over whole blocks of pixels.
+fn add_up(picture: &RgbImage, factor: usize, y: usize, [red, green, blue]: [&mut [u16]; 3]) {
+    for (x, ((r, g), b)) in red.iter_mut().zip(green).zip(blue).enumerate() {
+        // at most 4 x 4 bytes
+        let mut sum = [0u16; 3];
         for dy in 0..factor {
-            for p in &picture.row(y * factor + dy)[x * factor..(x + 1) * factor] {
-                for c in 0..3 {
-                    sum[c] += u32::from(p[c]);
-                }
+            for pixel in &picture.row(y * factor + dy)[x * factor..(x + 1) * factor] {
+                sum.iter_mut().zip(pixel).for_each(|(sum, &v)| *sum += u16::from(v));
             }
         }
-        [*r, *g, *b] = sum.map(|v| v as f32 * scale);
+        [*r, *g, *b] = sum;
     }
 }
 

@@ -7,6 +7,8 @@
 
 pub mod cpu;
 pub mod reference;
+mod segment;
+mod target;
 
 /// Taps of the window.
 pub const WINDOW: usize = 11;

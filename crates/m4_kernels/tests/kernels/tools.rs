@@ -33,6 +33,50 @@ fn exact(planes: &[Vec<f32>; 3]) -> [Vec<f64>; 3] {
 }
 
 #[test]
+fn a_photograph_is_the_picture_of_its_bytes() {
+    let (width, height) = (37, 22);
+    let bytes: [Vec<u8>; 3] = [0, 1, 2].map(|k| (0..width * height).map(|i| ((i * (k + 3)) % 256) as u8).collect());
+    let floats = bytes
+        .each_ref()
+        .map(|p| p.iter().map(|&v| f32::from(v) / 255.0).collect());
+    let photograph = Target::from_bytes(width, height, bytes.clone()).unwrap();
+    let floating = Target::new(width, height, floats).unwrap();
+    assert_eq!((photograph.bytes(), floating.bytes()), (3 * 37 * 22, 12 * 37 * 22));
+    // sums of two and of one
+    let mut sums = [Target::default(), photograph.clone()];
+    sums[0].replace_sums(width, height, 2, |planes| {
+        for (to, from) in planes.into_iter().zip(&bytes) {
+            to.iter_mut()
+                .zip(from)
+                .for_each(|(to, &from)| *to = 2 * u16::from(from));
+        }
+    });
+    sums[1].replace(width, height, |planes| {
+        planes
+            .into_iter()
+            .zip(&bytes)
+            .for_each(|(to, from)| to.copy_from_slice(from));
+    });
+    let x = picture(90, width * height);
+    for target in [&photograph, &sums[0], &sums[1]] {
+        let colours = target.rgb();
+        for (a, b) in colours.iter().flatten().zip(floating.rgb().iter().flatten()) {
+            assert!((a - b).abs() < 1e-6, "{a} for {b}");
+        }
+        every_level(|level| {
+            let [a, b] = [target, &floating].map(|target| {
+                let mut gradient = Default::default();
+                let loss = loss(level, target, &x, 0.2, &mut PhotoScratch::default(), &mut gradient);
+                (loss.total, exact(&gradient).concat())
+            });
+            assert!((a.0 - b.0).abs() < 1e-6, "{level}: {} for {}", a.0, b.0);
+            assert_gradient(&format!("bytes on {level}"), &a.1, &b.1, 1e-4);
+        });
+    }
+    assert!(Target::from_bytes(3, 3, Default::default()).is_err());
+}
+
+#[test]
 fn photo_of_every_size() {
     let sizes = [
         (1, 1),
@@ -62,7 +106,9 @@ fn photo_of_every_size() {
                     f64::from(lambda),
                 );
                 let name = format!("{width} x {height}, lambda {lambda} on {level}");
-                assert!((parts.total - want).abs() < 2e-6 * want, "{name}: {parts:?}, {want}");
+                // SSIM near 1 is known to the last bits of 1
+                let allowed = 2e-6 * want + 2e-7;
+                assert!((parts.total - want).abs() < allowed, "{name}: {parts:?}, {want}");
                 let lambda = f64::from(lambda);
                 let sum = (1.0 - lambda) * parts.l1 + lambda * (1.0 - parts.ssim);
                 assert!((parts.total - sum).abs() < 1e-6, "{name}: {parts:?} does not add up");

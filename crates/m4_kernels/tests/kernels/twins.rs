@@ -1,7 +1,7 @@
 //! The CPU twin against the reference, on every SIMD level of the machine: fixtures and random scenes.
 
 use crate::scenes::{Target, by_name};
-use crate::twin::{means2d, compare, every_level, parameter, view};
+use crate::twin::{compare, every_level, means2d, parameter, view};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View, blend::reference::CHANNELS, reference::splats_of,
 };

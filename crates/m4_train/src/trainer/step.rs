@@ -53,10 +53,10 @@ impl Trainer<'_> {
         };
         let lambda = self.config.loss.lambda_ssim;
         let out = &mut self.frame_gradient;
-        let photo = loss(self.level, &prepared.target, rgb, lambda, &mut self.photo, &mut out.rgb);
+        let photo = loss(self.level, prepared.target, rgb, lambda, &mut self.photo, &mut out.rgb);
         let (done, every) = (i + 1, self.config.metrics_every);
         let psnr = if done.is_multiple_of(every) || done == n {
-            psnr(rgb, prepared.target.rgb())
+            psnr(rgb, &prepared.target.rgb())
         } else {
             f64::NAN
         };
@@ -68,7 +68,7 @@ impl Trainer<'_> {
             depth_loss(
                 &drawn.depth,
                 &drawn.transmittance,
-                &prepared.depth,
+                prepared.depth,
                 (weight, self.config.loss.depth_huber, alpha_weight),
                 &mut out.depth,
                 &mut out.alpha,

@@ -1,0 +1,144 @@
+//! A picture to compare with, kept small.
+
+use crate::simd::{LANES, all, store};
+use fearless_simd::{Simd, f32x16, prelude::*};
+use m4_scene::ShapeError;
+
+/// A picture to compare with: one plane a channel, `[height][width]` each, 0..1.
+///
+/// A video is kept whole, so what a frame takes counts: a photograph is three bytes a pixel. What SSIM
+/// needs of the target alone is blurred anew at each comparison: one of eight blurs, and cheaper than
+/// fetching it from memory for every frame of a video.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Target {
+    width: usize,
+    height: usize,
+    samples: Samples,
+}
+
+/// What the planes hold: values 0..1, or integers and what one of them is worth.
+#[derive(Debug, Clone, PartialEq)]
+enum Samples {
+    Floats([Vec<f32>; 3]),
+    Words([Vec<u16>; 3], f32),
+    Bytes([Vec<u8>; 3]),
+}
+
+impl Default for Samples {
+    fn default() -> Self {
+        Self::Bytes(Default::default())
+    }
+}
+
+impl Target {
+    /// Takes the planes of a picture, 0..1.
+    ///
+    /// # Errors
+    ///
+    /// [`ShapeError`] if a plane does not hold `width * height` values.
+    pub fn new(width: usize, height: usize, rgb: [Vec<f32>; 3]) -> Result<Self, ShapeError> {
+        Self::check(width, height, rgb.each_ref().map(Vec::len), Samples::Floats(rgb))
+    }
+
+    /// Takes the planes of a photograph, 0..=255.
+    ///
+    /// # Errors
+    ///
+    /// As [`new`](Self::new).
+    pub fn from_bytes(width: usize, height: usize, rgb: [Vec<u8>; 3]) -> Result<Self, ShapeError> {
+        Self::check(width, height, rgb.each_ref().map(Vec::len), Samples::Bytes(rgb))
+    }
+
+    fn check(width: usize, height: usize, lengths: [usize; 3], samples: Samples) -> Result<Self, ShapeError> {
+        for length in lengths {
+            ShapeError::check("target plane", width * height, length)?;
+        }
+        Ok(Self { width, height, samples })
+    }
+
+    /// Becomes a photograph, in the memory that is there: `fill` writes the planes, 0..=255, over whatever
+    /// they hold.
+    pub fn replace(&mut self, width: usize, height: usize, fill: impl FnOnce([&mut [u8]; 3])) {
+        (self.width, self.height) = (width, height);
+        let mut planes = match std::mem::take(&mut self.samples) {
+            Samples::Bytes(planes) => planes,
+            _ => Default::default(),
+        };
+        planes.iter_mut().for_each(|plane| plane.resize(width * height, 0));
+        fill(planes.each_mut().map(Vec::as_mut_slice));
+        self.samples = Samples::Bytes(planes);
+    }
+
+    /// Becomes a photograph that was made smaller, in the memory that is there: `fill` writes the planes,
+    /// sums of bytes of which `count` fall together, over whatever they hold.
+    pub fn replace_sums(&mut self, width: usize, height: usize, count: usize, fill: impl FnOnce([&mut [u16]; 3])) {
+        (self.width, self.height) = (width, height);
+        let mut planes = match std::mem::take(&mut self.samples) {
+            Samples::Words(planes, _) => planes,
+            _ => Default::default(),
+        };
+        planes.iter_mut().for_each(|plane| plane.resize(width * height, 0));
+        fill(planes.each_mut().map(Vec::as_mut_slice));
+        self.samples = Samples::Words(planes, BYTE / count as f32);
+    }
+
+    /// Columns.
+    #[must_use]
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Bytes that the planes take.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let each = match self.samples {
+            Samples::Floats(_) => 4,
+            Samples::Words(..) => 2,
+            Samples::Bytes(_) => 1,
+        };
+        3 * self.width * self.height * each
+    }
+
+    /// The picture, one plane a channel, 0..1.
+    #[must_use]
+    pub fn rgb(&self) -> [Vec<f32>; 3] {
+        match &self.samples {
+            Samples::Floats(rgb) => rgb.clone(),
+            Samples::Words(rgb, unit) => rgb.each_ref().map(|p| p.iter().map(|&v| f32::from(v) * unit).collect()),
+            Samples::Bytes(rgb) => rgb.each_ref().map(|p| p.iter().map(|&v| f32::from(v) * BYTE).collect()),
+        }
+    }
+
+    /// Values `from..from + out.len()` of a plane.
+    #[inline(always)]
+    pub(super) fn read<S: Simd>(&self, s: S, channel: usize, from: usize, out: &mut [f32]) {
+        let range = from..from + out.len();
+        match &self.samples {
+            Samples::Floats(rgb) => out.copy_from_slice(&rgb[channel][range]),
+            Samples::Words(rgb, unit) => widen(s, &rgb[channel][range], *unit, out),
+            Samples::Bytes(rgb) => widen(s, &rgb[channel][range], BYTE, out),
+        }
+    }
+}
+
+/// What a step of a byte is worth.
+const BYTE: f32 = 1.0 / 255.0;
+
+/// Integers times `unit`.
+#[inline(always)]
+fn widen<S: Simd, T: Copy + Into<f32>>(s: S, values: &[T], unit: f32, out: &mut [f32]) {
+    let scale = all(s, unit);
+    for (at, part) in values.chunks(LANES).enumerate() {
+        let mut wide = [0.0f32; LANES];
+        for (w, &v) in wide.iter_mut().zip(part) {
+            *w = v.into();
+        }
+        store(f32x16::from_slice(s, &wide) * scale, out, at * LANES);
+    }
+}
