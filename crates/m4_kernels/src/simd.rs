@@ -243,6 +243,18 @@ pub(crate) fn load<S: Simd>(s: S, column: &[f32], at: usize, fill: f32) -> f32x1
     }
 }
 
+/// Rows that are fetched together, see [`touch`].
+pub(crate) const FETCH_ROWS: usize = 8 * LANES;
+
+/// Reads one value of each cache line of `column[at..at + FETCH_ROWS]`. More columns than the processor
+/// follows on its own come into the cache much faster in such bunches of independent reads than line by
+/// line when they are needed.
+#[inline(always)]
+pub(crate) fn touch(column: &[f32], at: usize) -> u32 {
+    let lines = column[at.min(column.len())..column.len().min(at + FETCH_ROWS)].iter().step_by(LANES);
+    lines.fold(0, |sum, v| sum ^ v.to_bits())
+}
+
 /// Writes the lanes that fall into `column`.
 #[inline(always)]
 pub(crate) fn store<S: Simd>(value: f32x16<S>, column: &mut [f32], at: usize) {
@@ -310,6 +322,25 @@ pub(crate) fn exp<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
     let y = x * all(s, std::f32::consts::LOG2_E);
     let power = exp2(s, y.max(all(s, -125.0)).min(all(s, 127.0)));
     x.simd_eq(x).select(power, x)
+}
+
+/// `e^x - 1` for `x <= 0`, within 2e-7 of itself.
+#[inline(always)]
+pub(crate) fn exp_m1<S: Simd>(s: S, x: f32x16<S>) -> f32x16<S> {
+    let x = x.max(all(s, -80.0));
+    let k = (x * all(s, std::f32::consts::LOG2_E)).round_ties_even();
+    // ln 2 in two parts, so that nothing is lost where the result is small
+    let f = k.mul_add(all(s, -1.428_606_8e-6), k.mul_add(all(s, -0.693_145_75), x));
+    let p = all(s, 1.0 / 5040.0)
+        .mul_add(f, all(s, 1.0 / 720.0))
+        .mul_add(f, all(s, 1.0 / 120.0))
+        .mul_add(f, all(s, 1.0 / 24.0))
+        .mul_add(f, all(s, 1.0 / 6.0))
+        .mul_add(f, all(s, 0.5))
+        .mul_add(f, all(s, 1.0))
+        * f;
+    let power = exp2(s, k);
+    power.mul_add(p, power - all(s, 1.0))
 }
 
 /// `log2(x)` for normal `x` above 0, within 1e-7 of `1 + |log2 x|`.
@@ -388,11 +419,11 @@ pub(crate) fn lanes(mut set: u16) -> impl Iterator<Item = usize> {
 
 #[cfg(test)]
 mod tests {
-    use super::{LANES, SimdLevel, all, exp, log2, sigmoid, sin_cos_turns};
+    use super::{LANES, SimdLevel, all, exp, exp_m1, log2, sigmoid, sin_cos_turns};
     use fearless_simd::{Simd, f32x16, prelude::*};
 
     #[inline(always)]
-    fn each<S: Simd>(s: S, x: f32) -> [f32; 5] {
+    fn each<S: Simd>(s: S, x: f32) -> [f32; 6] {
         let v = all(s, x);
         let first = |v: f32x16<S>| v[LANES - 1];
         let (sin, cos) = sin_cos_turns(s, v);
@@ -402,6 +433,7 @@ mod tests {
             first(sin),
             first(cos),
             first(sigmoid(s, v)),
+            first(exp_m1(s, v.min(-v))),
         ]
     }
 
@@ -419,9 +451,17 @@ mod tests {
                     turn.sin(),
                     turn.cos(),
                     1.0 / (1.0 + (-d).exp()),
+                    (-d.abs()).exp_m1(),
                 ];
-                let scale = [want[0], 1.0 + want[1].abs(), 1.0 + d.abs(), 1.0 + d.abs(), want[4]];
-                for i in 0..5 {
+                let scale = [
+                    want[0],
+                    1.0 + want[1].abs(),
+                    1.0 + d.abs(),
+                    1.0 + d.abs(),
+                    want[4],
+                    want[5].abs().max(1e-30),
+                ];
+                for i in 0..6 {
                     let error = (f64::from(got[i]) - want[i]).abs() / scale[i];
                     assert!(
                         error < 2e-6,

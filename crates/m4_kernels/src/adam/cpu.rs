@@ -3,13 +3,12 @@
 use super::AdamParams;
 use crate::{
     Gradients, SimdLevel,
-    simd::{LANES, all, dispatch, load, store},
+    simd::{LANES, all, dispatch, each, exp_m1},
 };
-use fearless_simd::{Simd, prelude::*};
+use fearless_simd::{Simd, f32x16, prelude::*, u32x16};
 use fearless_simd_macros::simd;
 use m4_scene::{ShapeError, Splats};
 use rayon::prelude::*;
-use std::ops::Range;
 
 /// The constants of Adam for a whole set of splats.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -101,9 +100,9 @@ impl AdamState {
     }
 }
 
-/// Rows a task: long enough for the processor to stream, few enough that what all columns share stays
-/// in the second-level cache.
-const CHUNK_ROWS: usize = 16_384;
+/// Rows a task: every column of them is long enough for the processor to stream, and what the columns
+/// share stays in the first-level cache.
+const CHUNK_ROWS: usize = 8192;
 
 /// One step of every splat that `gradients` touch (of every splat unless `config.sparse`).
 /// `lr` holds one learning rate a column, in the order of [`Splats::columns`].
@@ -127,31 +126,39 @@ pub fn step(
         state.step.len() == n && state.m.n_static() == n_static && state.m.layout() == layout,
         "adam: the state of these splats"
     );
-    let rows = rows(gradients, &mut state.step, config, n_static);
     let mut columns: Vec<Column<'_>> = splats
         .columns_mut()
         .zip(state.m.columns_mut().zip(state.v.columns_mut()))
         .zip(gradients.columns.iter().zip(lr))
         .map(|((x, (m, v)), (g, &lr))| Column { x, m, v, g, lr })
         .collect();
-    // chunk by chunk, all columns of one after the other: neighbours share the chunk's rows
-    let mut tasks = Vec::new();
-    let mut cut = |from: usize, to: usize, dynamic: bool| {
-        for start in (from..to).step_by(CHUNK_ROWS) {
-            let end = to.min(start + CHUNK_ROWS);
-            let first = if dynamic { 0 } else { layout.shared_columns() };
-            let here = columns.iter_mut().enumerate();
-            let here = here.filter(|&(c, _)| dynamic || c < first);
-            tasks.extend(here.map(|(_, column)| (start..end, dynamic, column.take(end - start))));
+    let (mut touched, mut counts) = (gradients.touched.as_slice(), state.step.as_mut_slice());
+    let mut chunks = Vec::new();
+    for (rows, dynamic) in [(n_static, false), (n - n_static, true)] {
+        let present = if dynamic { columns.len() } else { layout.shared_columns() };
+        for start in (0..rows).step_by(CHUNK_ROWS) {
+            let len = CHUNK_ROWS.min(rows - start);
+            let here = touched.split_off(..len).unwrap_or_default();
+            let count = counts.split_off_mut(..len).unwrap_or_default();
+            let parts = columns[..present].iter_mut().map(|column| column.take(len));
+            // of a long video most chunks lie in other frames
+            if config.sparse && here.iter().all(|&t| t == 0) {
+                parts.for_each(drop);
+            } else {
+                chunks.push(Chunk {
+                    dynamic,
+                    touched: here,
+                    counts: count,
+                    columns: parts.collect(),
+                });
+            }
         }
-    };
-    cut(0, n_static, false);
-    cut(n_static, n, true);
-    tasks.into_par_iter().for_each(|(range, dynamic, column)| {
-        let rows = rows.range(range);
-        let beta2 = if dynamic { config.beta2_dynamic } else { config.beta2 };
-        dispatch!(level.level(), s => update(s, column, &rows, config, beta2 as f32));
-    });
+    }
+    chunks
+        .into_par_iter()
+        .for_each_init(Bias::default, |bias, chunk| {
+            dispatch!(level.level(), s => update(s, chunk, config, bias));
+        });
 }
 
 /// A parameter with its moments, gradient and learning rate.
@@ -166,104 +173,179 @@ struct Column<'a> {
 impl<'a> Column<'a> {
     /// Cuts the first `len` rows off.
     fn take(&mut self, len: usize) -> Self {
-        let (g, rest) = self.g.split_at(len);
-        self.g = rest;
         Self {
             x: self.x.split_off_mut(..len).unwrap_or_default(),
             m: self.m.split_off_mut(..len).unwrap_or_default(),
             v: self.v.split_off_mut(..len).unwrap_or_default(),
-            g,
+            g: self.g.split_off(..len).unwrap_or_default(),
             lr: self.lr,
         }
     }
 }
 
-/// What all columns share, `[n]` each.
+/// Some rows of every column that they have.
+struct Chunk<'a> {
+    dynamic: bool,
+    touched: &'a [u8],
+    counts: &'a mut [u32],
+    columns: Vec<Column<'a>>,
+}
+
+/// What the columns of a chunk share, a value a row.
 #[derive(Debug, Default)]
-struct Rows<T> {
+struct Bias {
     /// `1 / (1 - beta1^count)`; 0 for splats that are not stepped.
-    first: T,
+    first: Vec<f32>,
     /// `1 / (1 - beta2^count)`.
-    second: T,
-    /// 1 where the gradient counts, else 0; empty when that is where `first` is above 0.
-    live: T,
+    second: Vec<f32>,
+    /// Above 0 where the gradient counts.
+    live: Vec<f32>,
 }
 
-impl Rows<Vec<f32>> {
-    fn range(&self, range: Range<usize>) -> Rows<&[f32]> {
-        Rows {
-            first: &self.first[range.clone()],
-            second: &self.second[range.clone()],
-            live: self.live.get(range).unwrap_or_default(),
+impl Bias {
+    /// Counts the step and fills in the corrections of bias.
+    #[inline(always)]
+    fn fill<S: Simd>(&mut self, s: S, chunk: &mut Chunk<'_>, config: &AdamConfig, beta2: f64) {
+        let rows = chunk.touched.len();
+        for column in [&mut self.first, &mut self.second, &mut self.live] {
+            column.clear();
+            column.resize(rows.next_multiple_of(LANES), 0.0);
+        }
+        let (real, zero) = (all(s, 1.0), all(s, 0.0));
+        let (log1, log2) = (all(s, config.beta1.ln() as f32), all(s, beta2.ln() as f32));
+        let (one, none) = (u32x16::splat(s, 1), u32x16::splat(s, 0));
+        for at in (0..rows).step_by(LANES) {
+            let (mut counts, mut marks) = ([0u32; LANES], [0u32; LANES]);
+            match (chunk.counts.get(at..at + LANES), chunk.touched.get(at..at + LANES)) {
+                (Some(here), Some(touched)) => {
+                    counts.copy_from_slice(here);
+                    for k in 0..LANES {
+                        marks[k] = u32::from(touched[k]);
+                    }
+                }
+                _ => {
+                    for k in 0..rows - at {
+                        (counts[k], marks[k]) = (chunk.counts[at + k], u32::from(chunk.touched[at + k]));
+                    }
+                }
+            }
+            let live = u32x16::from_slice(s, &marks).simd_gt(none);
+            let step = if config.sparse { live.select(one, none) } else { one };
+            let counts = u32x16::from_slice(s, &counts) + step;
+            match chunk.counts.get_mut(at..at + LANES) {
+                Some(here) => counts.store_slice(here),
+                None => chunk.counts[at..].copy_from_slice(&counts.to_array()[..rows - at]),
+            }
+            let on = step.simd_gt(none);
+            let counts = counts.to_float::<f32x16<S>>();
+            let first = real / (zero - exp_m1(s, counts * log1));
+            let second = real / (zero - exp_m1(s, counts * log2));
+            live.select(real, zero).store_slice(&mut self.live[at..at + LANES]);
+            on.select(first, zero).store_slice(&mut self.first[at..at + LANES]);
+            on.select(second, real).store_slice(&mut self.second[at..at + LANES]);
         }
     }
-}
-
-/// Counts the step and looks up the corrections of bias.
-fn rows(gradients: &Gradients, counts: &mut [u32], config: &AdamConfig, n_static: usize) -> Rows<Vec<f32>> {
-    let most = counts.iter().copied().max().unwrap_or(0) + 1;
-    let first = bias_table(config.beta1, most);
-    let second = [config.beta2, config.beta2_dynamic].map(|beta| bias_table(beta, most));
-    let n = counts.len();
-    let mut out = Rows {
-        first: vec![0.0; n],
-        second: vec![1.0; n],
-        live: Vec::new(),
-    };
-    for row in 0..n {
-        if gradients.touched[row] != 0 || !config.sparse {
-            counts[row] += 1;
-            let count = counts[row] as usize;
-            let second = &second[usize::from(row >= n_static)];
-            out.first[row] = first[count.min(first.len() - 1)];
-            out.second[row] = second[count.min(second.len() - 1)];
-        }
-    }
-    if !config.sparse {
-        out.live = gradients.touched.iter().map(|&t| f32::from(u8::from(t != 0))).collect();
-    }
-    out
-}
-
-/// `1 / (1 - beta^count)` for counts from 0 (unused) to where it is 1 in f32, or to `most`.
-fn bias_table(beta: f64, most: u32) -> Vec<f32> {
-    let mut power = 1.0;
-    let mut table = vec![1.0f32];
-    while table.len() <= most as usize && power > 1e-9 {
-        power *= beta;
-        table.push((1.0 / (1.0 - power)) as f32);
-    }
-    table
 }
 
 #[simd]
-fn update<S: Simd>(s: S, column: Column<'_>, rows: &Rows<&[f32]>, config: &AdamConfig, beta2: f32) {
-    let (beta1, beta2) = (all(s, config.beta1 as f32), all(s, beta2));
-    let rest1 = all(s, (1.0 - config.beta1) as f32);
-    let rest2 = all(s, 1.0) - beta2;
-    let eps = all(s, config.eps as f32);
-    let (zero, lr) = (all(s, 0.0), all(s, column.lr));
-    for at in (0..column.x.len()).step_by(LANES) {
-        let first = load(s, rows.first, at, 0.0);
+fn update<S: Simd>(s: S, mut chunk: Chunk<'_>, config: &AdamConfig, bias: &mut Bias) {
+    let beta2 = if chunk.dynamic { config.beta2_dynamic } else { config.beta2 };
+    bias.fill(s, &mut chunk, config, beta2);
+    for column in chunk.columns {
+        let rule = Rule::new(s, config, beta2, column.lr);
+        let whole = column.x.len() / LANES * LANES;
+        let (x, x_end) = column.x.split_at_mut(whole);
+        let (m, m_end) = column.m.split_at_mut(whole);
+        let (v, v_end) = column.v.split_at_mut(whole);
+        let (g, g_end) = column.g.split_at(whole);
+        let rows = x.chunks_exact_mut(LANES).zip(m.chunks_exact_mut(LANES));
+        let rows = rows.zip(v.chunks_exact_mut(LANES)).zip(g.chunks_exact(LANES));
+        let shared = bias.first.chunks_exact(LANES).zip(bias.second.chunks_exact(LANES));
+        let shared = shared.zip(bias.live.chunks_exact(LANES));
+        for ((((x, m), v), g), ((first, second), live)) in rows.zip(shared) {
+            rule.apply(s, x, m, v, g, [first, second, live]);
+        }
+        if !x_end.is_empty() {
+            let parts: [&[f32]; 4] = [&*x_end, &*m_end, &*v_end, g_end];
+            let mut padded = [[0.0f32; LANES]; 4];
+            for (padded, part) in padded.iter_mut().zip(parts) {
+                padded[..part.len()].copy_from_slice(part);
+            }
+            let [x, m, v, g] = &mut padded;
+            let shared = [&bias.first[whole..], &bias.second[whole..], &bias.live[whole..]];
+            rule.apply(s, x, m, v, g, shared);
+            for (padded, part) in padded.iter().zip([x_end, m_end, v_end]) {
+                part.copy_from_slice(&padded[..part.len()]);
+            }
+        }
+    }
+}
+
+/// The constants of one column.
+#[derive(Debug, Clone, Copy)]
+struct Rule<S: Simd> {
+    beta: [f32x16<S>; 2],
+    /// One minus those.
+    rest: [f32x16<S>; 2],
+    eps: f32x16<S>,
+    lr: f32x16<S>,
+}
+
+impl<S: Simd> Rule<S> {
+    #[inline(always)]
+    fn new(s: S, config: &AdamConfig, beta2: f64, lr: f32) -> Self {
+        let beta2 = all(s, beta2 as f32);
+        Self {
+            beta: [all(s, config.beta1 as f32), beta2],
+            rest: [all(s, (1.0 - config.beta1) as f32), all(s, 1.0) - beta2],
+            eps: all(s, config.eps as f32),
+            lr: all(s, lr),
+        }
+    }
+
+    /// Sixteen rows; `shared` holds those of [`Bias`].
+    #[inline(always)]
+    fn apply(&self, s: S, x: &mut [f32], m: &mut [f32], v: &mut [f32], g: &[f32], shared: [&[f32]; 3]) {
+        let zero = all(s, 0.0);
+        let [first, second, live] = shared;
+        let first = f32x16::from_slice(s, first);
         let on = first.simd_gt(zero);
         if !on.any_true() {
-            continue;
+            return;
         }
-        let live = if rows.live.is_empty() {
-            first
-        } else {
-            load(s, rows.live, at, 0.0)
-        };
         // untouched rows hold arbitrary gradients, NaN included
-        let g = live.simd_gt(zero).select(load(s, column.g, at, 0.0), zero);
-        let (m0, v0) = (load(s, column.m, at, 0.0), load(s, column.v, at, 0.0));
-        let m = beta1.mul_add(m0, rest1 * g);
-        let v = beta2.mul_add(v0, rest2 * g * g);
-        let root = (v * load(s, rows.second, at, 1.0)).sqrt() + eps;
-        let x0 = load(s, column.x, at, 0.0);
-        let x = x0 - lr * (m * first) / root;
-        store(on.select(x, x0), column.x, at);
-        store(on.select(m, m0), column.m, at);
-        store(on.select(v, v0), column.v, at);
+        let live = f32x16::from_slice(s, live).simd_gt(zero);
+        let second = f32x16::from_slice(s, second);
+        let gradient = f32x16::from_slice(s, g);
+        let old = [
+            f32x16::from_slice(s, x),
+            f32x16::from_slice(s, m),
+            f32x16::from_slice(s, v),
+        ];
+        // neighbours are mostly seen together; loads and stores under a mask cost
+        let new = if live.all_true() {
+            self.next(&old, gradient, first, second)
+        } else {
+            let new = self.next(&old, live.select(gradient, zero), first, second);
+            each!(3, k => on.select(new[k], old[k]))
+        };
+        new[0].store_slice(x);
+        new[1].store_slice(m);
+        new[2].store_slice(v);
+    }
+
+    /// Parameter and moments after the step.
+    #[inline(always)]
+    fn next(
+        &self,
+        [x, m, v]: &[f32x16<S>; 3],
+        g: f32x16<S>,
+        first: f32x16<S>,
+        second: f32x16<S>,
+    ) -> [f32x16<S>; 3] {
+        let m = self.beta[0].mul_add(*m, self.rest[0] * g);
+        let v = self.beta[1].mul_add(*v, self.rest[1] * g * g);
+        let root = (v * second).sqrt() + self.eps;
+        [*x - self.lr * (m * first) / root, m, v]
     }
 }

@@ -1,7 +1,7 @@
 //! The SIMD twin: sixteen splats at a time, straight from the columns.
 
 use super::MARGINAL_MIN;
-use crate::simd::{all, each, exp, load, store};
+use crate::simd::{all, each, exp, load, store, touch};
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use m4_scene::{Column, SplatLayout, Splats};
 
@@ -40,6 +40,27 @@ impl<'a> Columns<'a> {
             log_time_sd: get(Column::LogTimeSd, 0),
             velocity: [0, 1, 2].map(|k| get(Column::Velocity, k)),
         }
+    }
+}
+
+impl Columns<'_> {
+    /// Brings the next [`FETCH_ROWS`] rows of every column that a frame reads into the cache.
+    #[inline(always)]
+    pub(crate) fn fetch<const DYNAMIC: bool>(&self, row: usize) {
+        let mut sum = touch(self.opacity, row);
+        let shape = if self.layout.isotropic { 1 } else { 3 };
+        for column in self.mean.iter().chain(&self.log_scale[..shape]).chain(&self.quat) {
+            sum ^= touch(column, row);
+        }
+        for column in self.colour {
+            sum ^= touch(column, row);
+        }
+        if DYNAMIC {
+            for column in [self.time_mean, self.log_time_sd].iter().chain(&self.velocity) {
+                sum ^= touch(column, row - self.n_static);
+            }
+        }
+        std::hint::black_box(sum);
     }
 }
 

@@ -9,7 +9,7 @@ use crate::{
     blend::ALPHA_MIN,
     project::cpu::{self as project, Eye},
     shade::cpu::{self as shade, Sight},
-    simd::{LANES, all, bits, dot, each, lanes, load, log2, sigmoid, transpose},
+    simd::{FETCH_ROWS, LANES, all, bits, dot, each, lanes, load, log2, sigmoid, transpose},
     slice::cpu::{self as slice, Columns},
 };
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
@@ -29,9 +29,16 @@ pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     for band in &mut chunk.bands {
         band.clear();
     }
+    // the few columns of one colour a splat the processor fetches as well on its own
+    let many = c.layout.colour_terms() > 1;
+    let mut fetched = 0;
     for at in (0..chunk.rows.len()).step_by(LANES) {
         let row = chunk.rows.start + at;
         if !DYNAMIC || slice::any_alive(s, c, row, eye.t) {
+            if many && at >= fetched {
+                c.fetch::<DYNAMIC>(row);
+                fetched = at + FETCH_ROWS;
+            }
             group::<S, DYNAMIC, ISO>(s, chunk, c, eye, at);
         }
     }
