@@ -2,7 +2,7 @@
 
 use crate::carry::{Carry, Moving, hidden, is_seen};
 use crate::change::changes;
-use crate::cloud::{Clouds, clouds};
+use crate::cloud::{Cloud, Clouds, clouds};
 use crate::motion::{Field, Fields, Look, Registration, View, fields};
 use crate::shell::{Shell, shell};
 use crate::voxel::{Centroids, Grid, pixels_for};
@@ -22,22 +22,14 @@ use rayon::prelude::*;
 /// is not finite, or `progress` asked to stop.
 pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<Splats, InitError> {
     config.check()?;
-    let clouds = clouds(capture, config, progress)?;
+    let mut clouds = clouds(capture, config, progress)?;
+    let (focal_px, median_depth) = (clouds.focal_px, clouds.median_depth);
     let centres: Vec<[f32; 3]> = every_nth(capture.frames.len(), 16)
         .map(|i| capture.frames[i].camera.centre())
         .map(|c| [c.x as f32, c.y as f32, c.z as f32])
         .collect();
     let origin = centres[0];
-    let grid = |pixels| {
-        Grid::new(
-            config.cells,
-            pixels,
-            clouds.focal_px,
-            clouds.median_depth,
-            &centres,
-            origin,
-        )
-    };
+    let grid = |pixels| Grid::new(config.cells, pixels, focal_px, median_depth, &centres, origin);
 
     let static_pixels = match config.static_pixels {
         0.0 => pixels_for(config.max_static, config.min_pixels, |p| {
@@ -47,6 +39,8 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     };
     let standing_grid = grid(static_pixels);
     let standing = standing_grid.merge(&clouds.standing);
+    // millions of points that are not needed again
+    clouds.standing = Cloud::default();
     if progress.cancelled() {
         return Err(InitError::Stopped);
     }
@@ -77,6 +71,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         return Err(InitError::Stopped);
     }
     let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
+    clouds.moving = Vec::new();
     let by = Carry {
         keyframes: match config.velocity {
             // What does not move is carried nowhere.
@@ -84,18 +79,17 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
             VelocityInit::Register { .. } => config.carry_keyframes,
         },
         margin: config.carry_margin,
-        reach: (f64::from(config.carry_reach_pixels) * clouds.median_depth / clouds.focal_px) as f32,
+        reach: (f64::from(config.carry_reach_pixels) * median_depth / focal_px) as f32,
     };
     let hidden = hidden(capture, &frames, &moving, &fields, &moving_grid, by);
     let tint_grid = grid(config.change_pixels);
-    let tints: Vec<Tints> = clouds
-        .moving
+    let tints: Vec<Tints> = frames
         .par_iter()
-        .map(|k| {
+        .map(|&frame| {
             if config.change_threshold <= 0.0 {
                 return Tints::default();
             }
-            let found = changes(&capture.frames[k.frame], config, &standing_grid, &standing);
+            let found = changes(&capture.frames[frame], config, &standing_grid, &standing);
             Tints {
                 darker: tint_grid.merge(&found.darker),
                 brighter: tint_grid.merge(&found.brighter),
