@@ -156,8 +156,9 @@ impl Renderer {
         heaviest_first(tasks.collect(), |(index, (work, mut planes))| {
             let start = Instant::now();
             let place = place(eye, index);
-            work.band.collect(chunks.iter().map(|c| c.bands[index].as_slice()));
-            dispatch!(level, s => work.band.build(s, place.blocks()));
+            let (band, records) = (&mut work.band, chunks.iter().map(|c| c.bands[index].as_slice()));
+            dispatch!(level, s => band.collect(s, records));
+            band.build(place.blocks());
             work.bin = start.elapsed();
             let (band, used) = (&work.band, &mut work.used);
             dispatch!(level, s => blend::forward(s, band, place, background, &mut planes, used));

@@ -87,40 +87,55 @@ pub(crate) struct Band {
     /// `[blocks + 1]`: where each block's list starts.
     list_start: Vec<u32>,
     order: Order,
-    /// Of each record: first block in the low half, end in the high half.
-    ranges: Vec<u32>,
-    /// Of each record: for each tile row sixteen bits, one for each of the first tiles of its range.
-    tiles: Vec<u64>,
+    /// Of each record.
+    footprints: Vec<Footprint>,
     cursor: Vec<u32>,
 }
 
-/// Tiles of a row in [`Band::tiles`].
+/// The blocks and tiles that a record reaches.
+#[derive(Debug, Clone, Copy, Default)]
+struct Footprint {
+    /// For each tile row [`WINDOW`] bits, one for each of the first tiles of its range of blocks.
+    tiles: u64,
+    index: u32,
+    /// The range of blocks.
+    first: u16,
+    end: u16,
+}
+
+/// Tiles of a row in [`Footprint::tiles`].
 const WINDOW: u32 = 16;
+/// Footprints that are looked up together, in the order of depth: many loads at once, where entering
+/// one would wait for each.
+const BATCH: usize = 64;
 /// Records whose spans are looked at together.
 const GROUP: usize = LANES / BAND_TILES;
 
 impl Band {
     /// Takes the splats of every chunk, in order.
-    pub(crate) fn collect<'a>(&mut self, chunks: impl Iterator<Item = &'a [Record]>) {
+    #[inline(always)]
+    pub(crate) fn collect<'a, S: Simd>(&mut self, s: S, chunks: impl Iterator<Item = &'a [Record]>) {
         self.records.clear();
+        self.footprints.clear();
         self.chunk_start.clear();
         self.order.clear();
         for part in chunks {
-            self.chunk_start.push(self.records.len());
+            let start = self.records.len();
+            self.chunk_start.push(start);
             self.records.extend_from_slice(part);
             self.order.extend(part.iter().map(|r| r.depth));
+            self.footprints.resize(self.records.len(), Footprint::default());
+            footprints(s, part, start as u32, &mut self.footprints[start..]);
         }
     }
 
     /// Builds the lists of `blocks_x` blocks.
-    #[inline(always)]
-    pub(crate) fn build<S: Simd>(&mut self, s: S, blocks_x: usize) {
-        footprints(s, &self.records, &mut self.ranges, &mut self.tiles);
+    pub(crate) fn build(&mut self, blocks_x: usize) {
         // a range adds 1 at its first block and takes it off after its last; the running sum is the count
         self.cursor.clear();
         self.cursor.resize(blocks_x + 1, 0);
-        for &range in &self.ranges {
-            let (first, end) = unpack(range);
+        for footprint in &self.footprints {
+            let (first, end) = (usize::from(footprint.first), usize::from(footprint.end));
             self.cursor[first] = self.cursor[first].wrapping_add(1);
             self.cursor[end] = self.cursor[end].wrapping_sub(1);
         }
@@ -135,18 +150,24 @@ impl Band {
         // one place more, for entries that are none
         self.lists.resize(total as usize + 1, Entry::default());
         self.order.sort();
-        for n in 0..self.order.len() {
-            let index = self.order.index(n);
-            self.enter(index, total);
+        let mut batch = [Footprint::default(); BATCH];
+        for start in (0..self.order.len()).step_by(BATCH) {
+            let count = (self.order.len() - start).min(BATCH);
+            for (n, footprint) in batch[..count].iter_mut().enumerate() {
+                *footprint = self.footprints[self.order.index(start + n) as usize];
+            }
+            for footprint in &batch[..count] {
+                self.enter(footprint, total);
+            }
         }
         self.lists.truncate(total as usize);
     }
 
     /// Enters a record into the lists of its blocks; `nowhere` is the place for entries that are none.
     #[inline(always)]
-    fn enter(&mut self, index: u32, nowhere: u32) {
-        let (first, end) = unpack(self.ranges[index as usize]);
-        let tiles = self.tiles[index as usize];
+    fn enter(&mut self, footprint: &Footprint, nowhere: u32) {
+        let (first, end) = (usize::from(footprint.first), usize::from(footprint.end));
+        let Footprint { tiles, index, .. } = *footprint;
         let blocks = end - first;
         // few ranges are longer than two, and none of known length: two are entered always, and the
         // second falls into nowhere where there is none
@@ -181,12 +202,6 @@ impl Band {
     }
 }
 
-/// First block and end.
-#[inline(always)]
-fn unpack(range: u32) -> (usize, usize) {
-    ((range & 0xffff) as usize, (range >> 16) as usize)
-}
-
 /// The bits of block `k` of a range: two of each of the four rows, next to each other.
 #[inline(always)]
 fn block_tiles(tiles: u64, k: usize) -> u32 {
@@ -208,14 +223,13 @@ fn far_tiles(spans: &[u32; BAND_TILES], block: usize) -> u32 {
     tiles
 }
 
-/// Fills [`Band::ranges`] and [`Band::tiles`].
+/// What each record of a chunk reaches; `start` is the index of the first.
 #[simd]
-fn footprints<S: Simd>(s: S, records: &[Record], ranges: &mut Vec<u32>, tiles: &mut Vec<u64>) {
-    ranges.clear();
-    tiles.clear();
+fn footprints<S: Simd>(s: S, records: &[Record], start: u32, out: &mut [Footprint]) {
     let k = |v: u32| u32x16::splat(s, v);
     let none = [0; BAND_TILES];
-    for group in records.chunks(GROUP) {
+    let mut index = start;
+    for (group, out) in records.chunks(GROUP).zip(out.chunks_mut(GROUP)) {
         let row = |n: usize| u32x4::from_slice(s, group.get(n).map_or(&none, |r| &r.spans));
         let spans: u32x16<S> = row(0).combine(row(1)).combine(row(2).combine(row(3)));
         let end = spans >> 16u32;
@@ -232,10 +246,16 @@ fn footprints<S: Simd>(s: S, records: &[Record], ranges: &mut Vec<u32>, tiles: &
         let range_end = (most + k(1)) >> 1u32;
         let range = (least >> 1u32).min(range_end) | range_end << 16u32;
         let (bits, range): ([u32; LANES], [u32; LANES]) = (bits.to_array(), range.to_array());
-        for n in 0..group.len() {
+        for (n, footprint) in out.iter_mut().enumerate() {
             let row = |r: usize| u64::from(bits[BAND_TILES * n + r]) << (WINDOW as usize * r);
-            tiles.push(row(0) | row(1) | row(2) | row(3));
-            ranges.push(range[BAND_TILES * n]);
+            let range = range[BAND_TILES * n];
+            *footprint = Footprint {
+                tiles: row(0) | row(1) | row(2) | row(3),
+                index,
+                first: range as u16,
+                end: (range >> 16) as u16,
+            };
+            index += 1;
         }
     }
 }
@@ -262,8 +282,8 @@ mod tests {
                     ..Record::default()
                 })
                 .collect();
-            band.collect(records.chunks(100));
-            dispatch!(SimdLevel::best().level(), s => band.build(s, blocks_x));
+            dispatch!(SimdLevel::best().level(), s => band.collect(s, records.chunks(100)));
+            band.build(blocks_x);
             for (tile, row) in (0..BLOCK_COLUMNS * blocks_x).flat_map(|x| (0..BAND_TILES).map(move |y| (x, y))) {
                 let mut want: Vec<usize> = (0..n)
                     .filter(|&i| {

@@ -73,8 +73,8 @@ fn run(level: SimdLevel, records: &[Record], everything: bool, extra: bool) -> (
             ..*r
         })
         .collect();
-    band.collect([records.as_slice()].into_iter());
-    dispatch!(level.level(), s => band.build(s, PLACE.blocks()));
+    dispatch!(level.level(), s => band.collect(s, records.chunks(50)));
+    band.build(PLACE.blocks());
     let mut planes = vec![vec![0.0f32; n]; 5];
     let mut used = Used::default();
     let [r, g, b, t, z] = planes.get_disjoint_mut([0, 1, 2, 3, 4]).unwrap();
