@@ -1,5 +1,10 @@
 //! Depth of the picture against depth of the capture.
 
+use rayon::prelude::*;
+
+/// Pixels a task; their sums are added in order.
+const CHUNK_PIXELS: usize = 8192;
+
 /// Adds the depth loss of a frame to its gradients and returns it.
 ///
 /// The residual of a pixel is `r = (D - z A) / z`, with `D` the composited depth, `A` alpha and `z` the
@@ -16,32 +21,41 @@ pub(crate) fn depth_loss(
     d_depth: &mut Vec<f32>,
     d_alpha: &mut Vec<f32>,
 ) -> f64 {
-    d_depth.clear();
-    d_alpha.clear();
     d_depth.resize(depth.len(), 0.0);
     d_alpha.resize(depth.len(), 0.0);
     let known = |z: f32| z > 0.0 && z.is_finite();
-    let valid = z.iter().filter(|z| known(**z)).count();
-    if valid == 0 {
-        return 0.0;
-    }
-    let per_pixel = 1.0 / valid as f32;
-    let mut sum = 0.0f64;
-    for i in 0..depth.len() {
-        if !known(z[i]) {
-            continue;
-        }
-        let r = (depth[i] - z[i] * (1.0 - transmittance[i])) / z[i];
-        let (value, slope) = if r.abs() < huber {
-            (0.5 * r * r / huber, r / huber)
-        } else {
-            (r.abs() - 0.5 * huber, r.signum())
-        };
-        sum += f64::from(weight * value + alpha_weight * transmittance[i]);
-        d_depth[i] = weight * slope * per_pixel / z[i];
-        d_alpha[i] = -(weight * slope + alpha_weight) * per_pixel;
-    }
-    sum / valid as f64
+    let count = |z: &[f32]| z.iter().filter(|z| known(**z)).count();
+    let valid: usize = z.par_chunks(CHUNK_PIXELS).map(count).sum();
+    let per_pixel = 1.0 / valid.max(1) as f32;
+    let gradients = d_depth
+        .par_chunks_mut(CHUNK_PIXELS)
+        .zip(d_alpha.par_chunks_mut(CHUNK_PIXELS));
+    let pictures = depth
+        .par_chunks(CHUNK_PIXELS)
+        .zip(transmittance.par_chunks(CHUNK_PIXELS));
+    let sums: Vec<f64> = gradients
+        .zip(pictures.zip(z.par_chunks(CHUNK_PIXELS)))
+        .map(|((d_depth, d_alpha), ((depth, transmittance), z))| {
+            let mut sum = 0.0f64;
+            for i in 0..z.len() {
+                if !known(z[i]) {
+                    (d_depth[i], d_alpha[i]) = (0.0, 0.0);
+                    continue;
+                }
+                let r = (depth[i] - z[i] * (1.0 - transmittance[i])) / z[i];
+                let (value, slope) = if r.abs() < huber {
+                    (0.5 * r * r / huber, r / huber)
+                } else {
+                    (r.abs() - 0.5 * huber, r.signum())
+                };
+                sum += f64::from(weight * value + alpha_weight * transmittance[i]);
+                d_depth[i] = weight * slope * per_pixel / z[i];
+                d_alpha[i] = -(weight * slope + alpha_weight) * per_pixel;
+            }
+            sum
+        })
+        .collect();
+    sums.iter().sum::<f64>() / valid.max(1) as f64
 }
 
 #[cfg(test)]

@@ -135,7 +135,11 @@ pub fn step(
     let (mut touched, mut counts) = (gradients.touched.as_slice(), state.step.as_mut_slice());
     let mut chunks = Vec::new();
     for (rows, dynamic) in [(n_static, false), (n - n_static, true)] {
-        let present = if dynamic { columns.len() } else { layout.shared_columns() };
+        let present = if dynamic {
+            columns.len()
+        } else {
+            layout.shared_columns()
+        };
         for start in (0..rows).step_by(CHUNK_ROWS) {
             let len = CHUNK_ROWS.min(rows - start);
             let here = touched.split_off(..len).unwrap_or_default();
@@ -154,11 +158,9 @@ pub fn step(
             }
         }
     }
-    chunks
-        .into_par_iter()
-        .for_each_init(Bias::default, |bias, chunk| {
-            dispatch!(level.level(), s => update(s, chunk, config, bias));
-        });
+    chunks.into_par_iter().for_each_init(Bias::default, |bias, chunk| {
+        dispatch!(level.level(), s => update(s, chunk, config, bias));
+    });
 }
 
 /// A parameter with its moments, gradient and learning rate.
@@ -249,7 +251,11 @@ impl Bias {
 
 #[simd]
 fn update<S: Simd>(s: S, mut chunk: Chunk<'_>, config: &AdamConfig, bias: &mut Bias) {
-    let beta2 = if chunk.dynamic { config.beta2_dynamic } else { config.beta2 };
+    let beta2 = if chunk.dynamic {
+        config.beta2_dynamic
+    } else {
+        config.beta2
+    };
     bias.fill(s, &mut chunk, config, beta2);
     for column in chunk.columns {
         let rule = Rule::new(s, config, beta2, column.lr);
@@ -336,13 +342,7 @@ impl<S: Simd> Rule<S> {
 
     /// Parameter and moments after the step.
     #[inline(always)]
-    fn next(
-        &self,
-        [x, m, v]: &[f32x16<S>; 3],
-        g: f32x16<S>,
-        first: f32x16<S>,
-        second: f32x16<S>,
-    ) -> [f32x16<S>; 3] {
+    fn next(&self, [x, m, v]: &[f32x16<S>; 3], g: f32x16<S>, first: f32x16<S>, second: f32x16<S>) -> [f32x16<S>; 3] {
         let m = self.beta[0].mul_add(*m, self.rest[0] * g);
         let v = self.beta[1].mul_add(*v, self.rest[1] * g * g);
         let root = (v * second).sqrt() + self.eps;

@@ -144,15 +144,15 @@ pub(super) fn views(width: usize, height: usize, kind: SceneKind, with_depth: bo
     (0..count).map(view).collect()
 }
 
-/// What the first camera sees in the middle of the clip, 0..1.
-pub(super) fn picture(width: usize, height: usize) -> [Vec<f32>; 3] {
+/// What the first camera sees in the middle of the clip, as a photograph.
+pub(super) fn picture(width: usize, height: usize) -> [Vec<u8>; 3] {
     let camera = camera(width, height);
-    let mut planes: [Vec<f32>; 3] = Default::default();
+    let mut planes: [Vec<u8>; 3] = Default::default();
     for (x, y) in (0..width * height).map(|i| (i % width, i / width)) {
         let ray = camera.unproject(x as f64, y as f64, 1.0).normalize();
         let (t, _, id) = cast(&Vector3::zeros(), &ray, |_| Vector3::zeros());
         for (plane, c) in planes.iter_mut().zip(colour(&(ray * t), id)) {
-            plane.push(c.clamp(0.0, 1.0) as f32);
+            plane.push((255.0 * c.clamp(0.0, 1.0)).round() as u8);
         }
     }
     planes

@@ -163,7 +163,8 @@ impl Kernel {
             },
             // a channel: two blurs of three pictures, 11 taps along each axis, 25 for SSIM, 10 for the rest
             Self::Photo => Work {
-                bytes: planes(15),
+                // the picture, its gradient, three bytes of the target
+                bytes: planes(6) + 3.0 * pixels,
                 operations: 3.0 * pixels * (2.0 * 3.0 * 22.0 + 35.0),
                 evaluations: 0.0,
                 items: pixels,

@@ -5,7 +5,7 @@ use crate::{
     blend::cpu::Sums,
     project::cpu::{self as project, Eye, Moments},
     shade::cpu as shade,
-    simd::{FETCH_ROWS, LANES, touch, all, all3, bits, dot, each, lanes, load, sigmoid, store, transpose},
+    simd::{FETCH_ROWS, LANES, all, all3, bits, dot, each, lanes, load, sigmoid, store, touch, transpose},
     slice::cpu::{self as slice, Columns, Slice, SliceGradient},
 };
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
@@ -24,7 +24,10 @@ pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     let zero = all(s, 0.0);
     let mut camera = [zero; 10];
     // groups jump between the bands: read in order, their sums come from far memory much faster
-    let lines = sums.iter().zip(&chunk.bands).flat_map(|(sums, records)| &sums[..records.len()]);
+    let lines = sums
+        .iter()
+        .zip(&chunk.bands)
+        .flat_map(|(sums, records)| &sums[..records.len()]);
     std::hint::black_box(lines.fold(0, |all, line| all ^ line.0[0].to_bits()));
     // the few columns of one colour a splat the processor fetches as well on its own
     let many = c.layout.colour_terms() > 1;
@@ -33,8 +36,8 @@ pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         if many && group.at as usize >= fetched {
             let at = group.at as usize;
             c.fetch::<DYNAMIC>(chunk.rows.start + at);
-            let columns = out.columns.iter().fold(0, |sum, column| sum ^ touch(column, at));
-            std::hint::black_box(columns ^ touch(out.means2d[0], at) ^ touch(out.means2d[1], at));
+            out.columns.iter().for_each(|column| touch(column, at));
+            out.means2d.iter().for_each(|column| touch(column, at));
             fetched = at + FETCH_ROWS;
         }
         let mut totals = [zero; LANES];

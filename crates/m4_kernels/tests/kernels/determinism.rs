@@ -1,8 +1,12 @@
 //! Same bits on any number of threads.
 
 use crate::twin::{every_level, frame_gradient, view};
-use m4_kernels::{Gradients, Renderer, SimdLevel, View};
-use m4_scene::{SplatLayout, Splats};
+use m4_kernels::{
+    Gradients, Renderer, SimdLevel, View,
+    adam::cpu::{AdamConfig, AdamState, step},
+};
+use m4_math::CounterRng;
+use m4_scene::{Column, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, random_camera, random_splats};
 
 /// Everything that a frame gives, as bits.
@@ -78,5 +82,70 @@ fn the_order_of_the_rows_only_rounds() {
         let a = Renderer::new(level).render(&splats, &view(camera)).clone();
         let b = Renderer::new(level).render(&turned, &view(camera)).clone();
         assert_eq!(a, b);
+    });
+}
+
+#[test]
+fn splats_of_other_frames_change_nothing_and_are_left_alone() {
+    let camera = random_camera(24, 90, 60);
+    let spec = SceneSpec {
+        n_static: 300,
+        n_dynamic: 9_000,
+        ..SceneSpec::default()
+    };
+    let mut splats = random_splats(24, &camera, &spec);
+    let view = view(camera);
+    // some live now, in runs and alone; the others never at this instant, by a little or by far
+    let (mut rng, t) = (CounterRng::new(24, 0, 0), view.t as f32);
+    let mut alive = Vec::new();
+    for i in 0..spec.n_dynamic {
+        let sd = splats.column(Column::LogTimeSd, 0)[i].exp();
+        let now = i < 700 || i % 61 == 0;
+        let away = if now {
+            2.4 * rng.uniform()
+        } else {
+            2.5 + 200.0 * rng.uniform().powi(4)
+        };
+        splats.column_mut(Column::TimeMean, 0)[i] = t + sd * away as f32;
+        if now {
+            alive.push((spec.n_static + i) as u32);
+        }
+    }
+    let rows: Vec<u32> = (0..spec.n_static as u32).chain(alive).collect();
+    let few = splats.gather(&rows).unwrap();
+    every_level(|level| {
+        let frame = Renderer::new(level).render(&splats, &view).clone();
+        let mut renderer = Renderer::new(level);
+        assert!(frame == *renderer.render(&few, &view), "{level}: the pictures differ");
+
+        let (mut renderer, mut gradients) = (Renderer::new(level), Gradients::default());
+        renderer.render(&splats, &view);
+        renderer.backward(&splats, &frame_gradient(9, &view), &mut gradients);
+        let (mut stepped, mut state) = (splats.clone(), AdamState::new(&splats));
+        let rates = vec![0.01; splats.columns().len()];
+        step(
+            level,
+            &mut stepped,
+            &gradients,
+            &mut state,
+            &AdamConfig::default(),
+            &rates,
+        );
+        let mut moved = 0;
+        for row in 0..splats.n() {
+            let opacity = |s: &Splats| s.column(Column::Opacity, 0)[row].to_bits();
+            let touched = gradients.touched[row] != 0;
+            assert!(
+                !touched || rows.contains(&(row as u32)),
+                "{level}: row {row} is of another frame"
+            );
+            assert_eq!(state.step[row], u32::from(touched), "{level}: row {row}");
+            assert!(
+                touched || opacity(&splats) == opacity(&stepped),
+                "{level}: row {row} moved"
+            );
+            moved += usize::from(touched);
+        }
+        assert!(moved > 300, "{level}: {moved} rows moved");
     });
 }
