@@ -3,7 +3,7 @@
 use crate::carry::{Carry, Moving, hidden, is_seen};
 use crate::change::changes;
 use crate::cloud::{Cloud, Clouds, clouds};
-use crate::motion::{Field, Fields, Look, Registration, View, fields};
+use crate::motion::{Field, Fields, Registration, View, fields};
 use crate::shell::{Shell, shell};
 use crate::voxel::{Centroids, Grid, pixels_for};
 use crate::write::{BRIGHT, DARK, Writer};
@@ -168,18 +168,15 @@ fn motions(
                 picture_rounds,
             };
             let frames = || clouds.moving.iter().map(|k| &capture.frames[k.frame]);
-            let looks = match picture_rounds {
-                0 => vec![None; moving.len()],
-                _ => Look::all(frames()),
-            };
             let sees: Vec<_> = frames()
                 .map(|frame| move |p| is_seen(frame, p, HIDDEN_BEHIND))
                 .collect();
-            let keyframes: Vec<View<'_>> = (0..moving.len())
-                .map(|i| View {
+            let keyframes: Vec<View<'_>> = frames()
+                .enumerate()
+                .map(|(i, frame)| View {
                     nodes: &coarse[i],
                     points: &moving[i].1,
-                    look: looks[i].as_ref(),
+                    frame: (picture_rounds > 0).then_some(frame),
                     sees: &sees[i],
                 })
                 .collect();

@@ -17,6 +17,7 @@ mod depth_loss;
 mod error;
 mod frames;
 mod metrics;
+mod pace;
 mod pick;
 mod rates;
 mod refine;
@@ -31,5 +32,6 @@ pub use config::{
 };
 pub use error::TrainError;
 pub use metrics::MetricsEvent;
+pub use pace::affordable_iterations;
 pub use scale::SceneScale;
 pub use trainer::{Outcome, Trainer};

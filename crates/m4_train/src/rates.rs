@@ -80,14 +80,14 @@ mod tests {
         };
         let at = |config: &RateConfig, x, column| rates(config, layout, &scale, basis, x)[layout.column(column)];
         let fast = RateConfig::default();
-        assert!((at(&fast, 0.0, Column::Mean) - 8e-4).abs() < 1e-8);
+        assert!((at(&fast, 0.0, Column::Mean) - 6e-4).abs() < 1e-8);
         assert!((at(&fast, 1.0, Column::Mean) - 1.6e-5).abs() < 1e-9);
-        assert!((at(&fast, 1.0, Column::Velocity) - 3.2e-6).abs() < 1e-9);
+        assert!((at(&fast, 1.0, Column::Velocity) - 1.6e-4 * 8e-6 / 3e-4).abs() < 1e-9);
         let half = 0.05 * 0.05f32.sqrt();
         assert!((at(&fast, 0.5, Column::Opacity) - half).abs() < 1e-6);
         let colour = rates(&fast, layout, &scale, basis, 0.0);
         let first = layout.column(Column::Colour);
-        assert!((colour[first + 2] - 0.03).abs() < 1e-8 && (colour[first + 3] - 1.5e-3).abs() < 1e-9);
+        assert!((colour[first + 2] - 0.02).abs() < 1e-8 && (colour[first + 3] - 1e-3).abs() < 1e-9);
         let faithful = RateConfig::faithful();
         assert_eq!(at(&faithful, 0.5, Column::Velocity), 0.0);
         assert!((at(&faithful, 0.9, Column::TimeMean) - 1.6e-4 * 2.0 * 10.0).abs() < 1e-8);

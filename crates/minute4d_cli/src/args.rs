@@ -86,12 +86,15 @@ pub struct VideoArgs {
     pub strict_video: bool,
 }
 
-/// Settings in layers: profile, then file, then --set, then the options with their own name.
+/// Settings in layers: profile, preset, file, --set, then the options with their own name.
 #[derive(Debug, Args)]
 pub struct SettingsArgs {
     /// The built-in settings to start from
     #[arg(long, value_enum, default_value = "fast")]
     pub profile: Profile,
+    /// How long optimisation may take on this machine, with the fast profile; --iterations goes first
+    #[arg(long, value_enum, default_value = "default")]
+    pub preset: Preset,
     /// A TOML file laid over the profile; --print-config shows every key
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
@@ -113,6 +116,17 @@ pub enum Profile {
     Fast,
     /// The paper to the letter
     Faithful,
+}
+
+/// Time against quality.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Preset {
+    /// A look: ten seconds, a third of the splats
+    Draft,
+    /// The best scene within sixty seconds
+    Default,
+    /// Five minutes
+    Quality,
 }
 
 /// What may happen to a folder that is already there.

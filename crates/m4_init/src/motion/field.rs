@@ -1,5 +1,6 @@
 //! Motions between keyframes that can be asked for at any place.
 
+use super::look::Look;
 use super::register::{Registration, View, register};
 
 use super::rigid::Rigid;
@@ -27,8 +28,13 @@ pub(crate) struct Fields {
 /// Motions between every keyframe and the next.
 pub(crate) fn fields(keyframes: &[View<'_>], by: &Registration) -> Vec<Fields> {
     let mut out: Vec<Fields> = Vec::new();
+    let look = |view: &View<'_>| view.frame.and_then(Look::new);
+    // two pictures at a time: all of them would be most of the memory of a run
+    let mut ahead = keyframes.first().and_then(look);
     for pair in keyframes.windows(2) {
         let (a, b) = (&pair[0], &pair[1]);
+        let behind = std::mem::replace(&mut ahead, look(b));
+        let looks = behind.as_ref().zip(ahead.as_ref());
         // What moved on goes on moving: the last motion is a good first guess.
         let guess = match out.last() {
             Some(last) => shifts(&a.nodes.xyz, &last.forward.onward(&a.nodes.xyz)),
@@ -36,12 +42,12 @@ pub(crate) fn fields(keyframes: &[View<'_>], by: &Registration) -> Vec<Fields> {
         };
         let forward = Field {
             nodes: a.nodes.xyz.clone(),
-            motion: register(a, b, guess, by),
+            motion: register(a, b, looks.map(|(a, b)| [a, b]), guess, by),
         };
         let guess = shifts(&b.nodes.xyz, &forward.inverse().places(&b.nodes.xyz));
         let backward = Field {
             nodes: b.nodes.xyz.clone(),
-            motion: register(b, a, guess, by),
+            motion: register(b, a, looks.map(|(a, b)| [b, a]), guess, by),
         };
         out.push(Fields { forward, backward });
     }
@@ -157,7 +163,7 @@ mod tests {
         let view = |c| View {
             nodes: c,
             points: c,
-            look: None,
+            frame: None,
             sees,
         };
         fields(&clouds.iter().map(view).collect::<Vec<_>>(), &BY)

@@ -1,7 +1,6 @@
 //! A frame as the follower of patches sees it.
 
 use m4_scene::{Camera, CaptureFrame, DepthMap, Plane};
-use rayon::prelude::*;
 
 /// Half the side of a patch, pixels.
 const RADIUS: i32 = 3;
@@ -43,18 +42,14 @@ impl Look {
         let (w, h) = frame.rgb.size();
         let at =
             |x: usize, y: usize, (sw, sh): (usize, usize)| ((2 * x + 1) * sw / (2 * w), (2 * y + 1) * sh / (2 * h));
+        let channel = |c: usize| smooth(&frame.rgb.map(|p| f32::from(p[c]) / 255.0));
+        let ((r, g), b) = rayon::join(|| rayon::join(|| channel(0), || channel(1)), || channel(2));
         Some(Self {
             camera: frame.camera,
-            rgb: [0, 1, 2].map(|c| smooth(&frame.rgb.map(|p| f32::from(p[c]) / 255.0))),
+            rgb: [r, g, b],
             depth: Plane::from_fn(w, h, |x, y| depth[at(x, y, depth.size())]),
             moves: Plane::from_fn(w, h, |x, y| mask[at(x, y, mask.size())] >= 128),
         })
-    }
-
-    /// One a frame, in order.
-    pub fn all<'a>(frames: impl IntoIterator<Item = &'a CaptureFrame>) -> Vec<Option<Self>> {
-        let frames: Vec<_> = frames.into_iter().collect();
-        frames.into_par_iter().map(Self::new).collect()
     }
 
     /// Whether a whole patch around the place, and its slopes, are in the picture.

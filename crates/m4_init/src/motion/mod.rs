@@ -14,7 +14,6 @@ mod rigid;
 
 pub(crate) use bodies::bodies;
 pub(crate) use field::{Field, Fields, fields};
-pub(crate) use look::Look;
 pub(crate) use register::{Registration, View};
 #[cfg(test)]
 pub(crate) use rigid::Rigid;

@@ -5,6 +5,7 @@ use super::rigid::Rigid;
 use crate::voxel::Centroids;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_math::nalgebra::Vector3;
+use m4_scene::CaptureFrame;
 use rayon::prelude::*;
 use std::num::NonZero;
 
@@ -39,8 +40,8 @@ pub(crate) struct View<'a> {
     pub nodes: &'a Centroids,
     /// Points that nodes of other keyframes are brought onto.
     pub points: &'a Centroids,
-    /// Its picture, if it has depth and mask.
-    pub look: Option<&'a Look>,
+    /// Its frame, for a look at the picture; `None` to do without.
+    pub frame: Option<&'a CaptureFrame>,
     /// Whether it would see a place.
     pub sees: &'a (dyn Fn([f32; 3]) -> bool + Sync),
 }
@@ -50,9 +51,15 @@ pub(crate) struct View<'a> {
 /// Each round matches every displaced node to the nearest point of `to` in place and colour; then the motion of
 /// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
 /// away weighing little, and nodes that go where they cannot be seen nothing at all. Neighbourhoods shrink from
-/// round to round: large pieces first, then their parts. In the last rounds the pictures say where nodes went,
-/// which is exact to a fraction of a pixel.
-pub(crate) fn register(from: &View<'_>, to: &View<'_>, guess: Vec<Rigid>, by: &Registration) -> Vec<Rigid> {
+/// round to round: large pieces first, then their parts. In the last rounds the pictures, `looks`, say where nodes
+/// went, which is exact to a fraction of a pixel.
+pub(crate) fn register(
+    from: &View<'_>,
+    to: &View<'_>,
+    looks: Option<[&Look; 2]>,
+    guess: Vec<Rigid>,
+    by: &Registration,
+) -> Vec<Rigid> {
     let nodes = from.nodes;
     let mut motion = guess;
     let colours = to.points.xyz.iter().zip(&to.points.rgb);
@@ -89,7 +96,7 @@ pub(crate) fn register(from: &View<'_>, to: &View<'_>, guess: Vec<Rigid>, by: &R
         let pieces = by.neighbours as f32 * (FIRST as f32).powf(left);
         motion = fitted(nodes, &motion, &near, &wanted, pieces as usize);
     }
-    if let (Some(here), Some(there)) = (from.look, to.look) {
+    if let Some([here, there]) = looks {
         for _ in 0..by.picture_rounds {
             let wanted = wanted(nodes, &motion, |p, place, _| here.follow(there, p, place));
             motion = fitted(nodes, &motion, &near, &wanted, by.neighbours);

@@ -18,24 +18,25 @@ pub enum PositionUnit {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RateConfig {
-    /// Of means, in units of `position_unit`. 1.6e-4 (3DGS); 4e-4 here, as for colours.
+    /// Of means, in units of `position_unit`. 1.6e-4 (3DGS); 3e-4 here, as for colours.
     pub position: f32,
     /// Of means at the end; between them rates fall log-linearly. 1.6e-6 (3DGS); 8e-6
     /// here, as for colours.
     pub position_end: f32,
     /// What `position`, `position_end` and `velocity` are measured in.
     pub position_unit: PositionUnit,
-    /// Of constant colours. 2.5e-3 (3DGS); 0.03 here: a dynamic splat is seen in a few dozen steps
-    /// (measured on held-out views: +1 to +2 dB after 500 steps, with the other rates alike).
+    /// Of constant colours. 2.5e-3 (3DGS); 0.02 here: a dynamic splat is seen in a few dozen steps
+    /// (measured on held-out views: +1 to +2 dB after 500 steps, with the other rates alike; faster than this costs
+    /// moving parts 0.1 to 0.2 dB in longer runs).
     pub colour: f32,
     /// Of the other colour coefficients. A twentieth of the former (3DGS).
     pub colour_rest: f32,
     /// Of opacities (logit). 0.05 (3DGS): faster ones let what moves become glass that only its own camera
     /// does not see through (measured on held-out views: -0.15 dB inside the moving parts at 0.3).
     pub opacity: f32,
-    /// Of scales (logarithm). 0.005 (3DGS); 0.05 here, as for colours.
+    /// Of scales (logarithm). 0.005 (3DGS); 0.03 here, as for colours.
     pub scale: f32,
-    /// Of quaternions. 0.001 (3DGS); 0.01 here, as for colours.
+    /// Of quaternions. 0.001 (3DGS); 0.006 here, as for colours.
     pub rotation: f32,
     /// Of the middle of a life, frames. Section 3 proposes 0.02, but with a velocity the step moves the
     /// splat along its path, faster than `position` allows: 0 here.
@@ -55,14 +56,14 @@ pub struct RateConfig {
 impl Default for RateConfig {
     fn default() -> Self {
         Self {
-            position: 4e-4,
+            position: 3e-4,
             position_end: 8e-6,
             position_unit: PositionUnit::Extent,
-            colour: 0.03,
-            colour_rest: 0.03 / 20.0,
+            colour: 0.02,
+            colour_rest: 0.02 / 20.0,
             opacity: 0.05,
-            scale: 0.05,
-            rotation: 0.01,
+            scale: 0.03,
+            rotation: 0.006,
             time_mean: 0.0,
             time_mean_reference: 0.0,
             time_sd: 0.005,

@@ -133,7 +133,7 @@ fn pruned_by_score(config: &DensityConfig, opacity: &[f32], scores: &[f32]) -> V
 #[cfg(test)]
 mod tests {
     use super::{Decision, SplatView, decide};
-    use crate::config::DensityConfig;
+    use crate::config::{DensityConfig, PruneRule};
     use crate::density::{Origin, Scores};
 
     const DUE: Decision = Decision {
@@ -211,6 +211,11 @@ mod tests {
     fn pruning_spares_parents_of_clones_and_opaque_splats() {
         let config = DensityConfig {
             budget: 1.0,
+            prune_rule: PruneRule::WithOpacity {
+                opacity: 0.1,
+                always: 0.9,
+                quantile: 0.999,
+            },
             ..DensityConfig::fast()
         };
         // 100 splats whose scores rise; the last is transparent as dust

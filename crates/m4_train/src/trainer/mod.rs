@@ -106,7 +106,7 @@ impl<'a> Trainer<'a> {
 
     /// A run that goes on from [`state`](Self::state); `splats` are those of the scene saved with it.
     /// Capture and settings must be those of the saved run, else the result is not that of an
-    /// uninterrupted one.
+    /// uninterrupted one; the number of iterations is taken from the saved run.
     ///
     /// # Errors
     ///
@@ -139,6 +139,10 @@ impl<'a> Trainer<'a> {
         let background = [rgb[0], rgb[1], rgb[2]];
         let first_splats = reader.u32("train/first_splats", 1)?[0] as usize;
         let iteration = reader.u32("train/iteration", 1)?[0] as usize;
+        let config = TrainConfig {
+            iterations: reader.u32("train/iterations", 1)?[0] as usize,
+            ..config
+        };
         let mut out = Self::assemble(capture, splats, adam, basis, background, first_splats, config, level);
         out.iteration = iteration;
         let losses = reader.f32("pick/loss", out.times.len())?;
@@ -232,6 +236,12 @@ impl<'a> Trainer<'a> {
         Ok(Outcome::Finished)
     }
 
+    /// Steps of the whole run.
+    #[must_use]
+    pub fn iterations(&self) -> usize {
+        self.config.iterations
+    }
+
     /// Steps taken.
     #[must_use]
     pub fn iteration(&self) -> usize {
@@ -300,6 +310,7 @@ impl<'a> Trainer<'a> {
         let mut state = TrainState::new();
         let mut put = |name: &str, tensor| state.insert(name.to_owned(), tensor);
         put("train/iteration", StateTensor::u32(vec![self.iteration as u32]));
+        put("train/iterations", StateTensor::u32(vec![self.config.iterations as u32]));
         put("train/first_splats", StateTensor::u32(vec![self.first_splats as u32]));
         put("train/time_sd", StateTensor::f32(vec![self.basis.time_sd]));
         put("train/background", StateTensor::f32(self.background.to_vec()));

@@ -13,7 +13,7 @@ use m4_kernels::photo::cpu::loss;
 
 /// What an iteration found.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct StepReport {
+pub(crate) struct StepReport {
     pub loss: f64,
     psnr: f64,
 }
@@ -27,7 +27,7 @@ impl StepReport {
 
 impl Trainer<'_> {
     /// Draws a frame, compares, and moves every splat that was seen.
-    pub(super) fn step(&mut self) -> Result<StepReport, TrainError> {
+    pub(crate) fn step(&mut self) -> Result<StepReport, TrainError> {
         if self.good.is_none() {
             self.good = Some((self.iteration, self.splats.clone()));
         }

@@ -1,8 +1,10 @@
 //! Every setting of the pipeline, and how layers of them are put together.
 
 mod layers;
+mod preset;
 
 pub use layers::{Layers, SettingsError};
+pub use preset::Preset;
 
 use crate::preview::PreviewConfig;
 use m4_init::InitConfig;

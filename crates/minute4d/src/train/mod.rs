@@ -12,7 +12,7 @@ use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview};
 use checkpoint::{Checkpoints, Patience};
 use m4_io::capture::Split;
 use m4_io::scene_file;
-use m4_scene::{Capture, Scene, Splats};
+use m4_scene::{Capture, Progress, Scene, Splats};
 use m4_train::{Outcome, TrainError, Trainer};
 use metrics::MetricsLog;
 use serde::Serialize;
@@ -101,7 +101,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
     let mut checkpoints = Checkpoints::new(&run.folder, key, settings.checkpoint.keep);
     let (mut trainer, mut log) = match checkpoints.latest(capture, &settings.train, run.level, keeper)? {
         Some(trainer) => {
-            let (done, total) = (trainer.iteration(), settings.train.iterations);
+            let (done, total) = (trainer.iteration(), trainer.iterations());
             run.job.observer.stage(STAGE, StageEvent::Resumed { done, total });
             let log = MetricsLog::up_to(&run.path(METRICS_FILE), done);
             (trainer, log)
@@ -110,7 +110,15 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
             folder::remove_checkpoints(&run.folder)?;
             folder::remove_file(&run.path(METRICS_FILE))?;
             let splats = m4_init::initialise(capture, &settings.init, keeper)?;
-            let trainer = Trainer::new(capture, splats, settings.train.clone(), run.level)?;
+            let mut config = settings.train.clone();
+            if config.budget_s > 0.0 {
+                config.iterations =
+                    m4_train::affordable_iterations(capture, &splats, &config, run.level, config.budget_s)?;
+                let (n, s) = (config.iterations, config.budget_s);
+                let note = format!("{n} iterations fit into {s:.0} s here; --iterations {n} repeats this run");
+                keeper.update(STAGE, 0, n, &note);
+            }
+            let trainer = Trainer::new(capture, splats, config, run.level)?;
             (trainer, MetricsLog::new(&run.path(METRICS_FILE)))
         }
     };

@@ -1,9 +1,9 @@
-//! From options to settings: profile, file, `--set`, then the options with their own name.
+//! From options to settings: profile, preset, file, `--set`, then the options with their own name.
 
-use crate::args::{OutArgs, Profile, SettingsArgs, VideoArgs};
+use crate::args::{self, OutArgs, Profile, SettingsArgs, VideoArgs};
 use crate::failure::Failure;
 use crate::output::Output;
-use minute4d::settings::{Layers, Settings};
+use minute4d::settings::{Layers, Preset, Settings};
 use minute4d::{Existing, Job};
 
 impl Profile {
@@ -15,12 +15,28 @@ impl Profile {
     }
 }
 
+impl args::Preset {
+    fn apply(self, settings: &mut Settings) {
+        let preset = match self {
+            Self::Draft => Preset::Draft,
+            Self::Default => Preset::Default,
+            Self::Quality => Preset::Quality,
+        };
+        preset.apply(settings);
+    }
+}
+
 /// Puts the layers together.
 pub fn settings(args: &SettingsArgs, video: Option<&VideoArgs>, iterations: Option<u32>) -> Result<Settings, Failure> {
     let base = match args.profile {
-        Profile::Fast => Settings::fast(),
+        Profile::Fast => {
+            let mut settings = Settings::fast();
+            args.preset.apply(&mut settings);
+            settings
+        }
         Profile::Faithful => Settings::faithful(),
     };
+    let given = (base.train.iterations, base.train.budget_s);
     let mut layers = Layers::new(base)?;
     if let Some(path) = &args.config {
         layers = layers.file(path)?;
@@ -31,6 +47,10 @@ pub fn settings(args: &SettingsArgs, video: Option<&VideoArgs>, iterations: Opti
     let mut settings = layers.finish();
     if let Some(n) = iterations {
         settings.train.iterations = n as usize;
+    }
+    // who asks for a number of iterations and no time gets that number
+    if settings.train.iterations != given.0 && settings.train.budget_s == given.1 || iterations.is_some() {
+        settings.train.budget_s = 0.0;
     }
     if let Some(seed) = args.seed {
         settings.set_seed(seed);

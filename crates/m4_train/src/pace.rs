@@ -1,0 +1,91 @@
+//! How many iterations fit into a given time on this machine.
+
+use crate::config::{DensityConfig, RefineConfig, ResolutionConfig, TrainConfig};
+use crate::trainer::Trainer;
+use crate::{TrainError, schedule};
+use m4_kernels::SimdLevel;
+use m4_scene::{Capture, Splats};
+use std::time::Instant;
+
+/// Trial steps at each size of the frames; the first of them prepare memory and are not counted.
+const STEPS: usize = 24;
+const WARM_UP: usize = 8;
+/// Share of the time that is planned with; the rest is for density control, checks and checkpoints, and for what
+/// other programs take away.
+const PLANNED: f64 = 0.9;
+/// Fewer iterations than this are no training.
+const LEAST: usize = 50;
+
+/// The number of iterations that take `seconds` on rayon's current pool: trial steps on a copy of `splats`, at every
+/// size of the frames that the schedule of `config` has, weighted by how long it stays there. A multiple of 10, at least
+/// 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
+/// training is a function of its inputs again.
+///
+/// # Errors
+///
+/// As [`Trainer::new`] and [`Trainer::run`].
+pub fn affordable_iterations(
+    capture: &Capture,
+    splats: &Splats,
+    config: &TrainConfig,
+    level: SimdLevel,
+    seconds: f64,
+) -> Result<usize, TrainError> {
+    let camera = capture.frames.first().ok_or(TrainError::NoFrames)?.camera;
+    let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
+    let resolution = &config.resolution;
+    let quarter = resolution.quarter_until;
+    let half = resolution.half_until.max(quarter);
+    let mut step_s = 0.0;
+    for (share, x) in [(quarter, 0.0), (half - quarter, quarter), (1.0 - half, half)] {
+        if share > 0.0 {
+            let factor = schedule::downscale(resolution, x, w, h);
+            step_s += f64::from(share) * trial(capture, splats, config, level, factor)?;
+        }
+    }
+    let count = (PLANNED * seconds / step_s.max(1e-6)) as usize;
+    Ok((count / 10 * 10).max(LEAST))
+}
+
+/// Median seconds of a step with frames made smaller by `factor`.
+fn trial(
+    capture: &Capture,
+    splats: &Splats,
+    config: &TrainConfig,
+    level: SimdLevel,
+    factor: usize,
+) -> Result<f64, TrainError> {
+    let (quarter_until, half_until) = match factor {
+        4 => (1.0, 1.0),
+        2 => (0.0, 1.0),
+        _ => (0.0, 0.0),
+    };
+    let config = TrainConfig {
+        // never the last: that one does more
+        iterations: STEPS + 1,
+        resolution: ResolutionConfig {
+            quarter_until,
+            half_until,
+            ..config.resolution.clone()
+        },
+        density: DensityConfig {
+            enabled: false,
+            ..config.density.clone()
+        },
+        refine: RefineConfig {
+            from: 0,
+            ..config.refine.clone()
+        },
+        ..config.clone()
+    };
+    let mut trainer = Trainer::new(capture, splats.clone(), config, level)?;
+    let mut times = Vec::with_capacity(STEPS);
+    for _ in 0..STEPS {
+        let start = Instant::now();
+        trainer.step()?;
+        times.push(start.elapsed().as_secs_f64());
+    }
+    let times = &mut times[WARM_UP..];
+    let middle = times.len() / 2;
+    Ok(*times.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
