@@ -11,13 +11,14 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | results-held-out SCENE... | results-geometry INPUT=TRUTH...>
+const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry INPUT=TRUTH...>
 
   check   fmt, clippy, docs, arrows, lock, deny and tests, as CI does
   arrows  dependencies between crates against the table of ARCHITECTURE.md
   lock    no git sources in Cargo.lock
   deny    cargo-deny: licences, sources, duplicate versions (skipped where it is not installed)
   results-held-out  train each scene in every profile and score its held-out views (docs/results.md)
+  results-time      train each scene in both profiles for so many seconds each and score its held-out views
   results-geometry  recover the geometry of each input and compare it with the truth (docs/results.md)";
 
 fn main() -> ExitCode {
@@ -32,6 +33,17 @@ fn main() -> ExitCode {
         ["deny"] => step("deny", || deny(&root)),
         ["results-held-out", ref scenes @ ..] if !scenes.is_empty() => {
             table(xtask::results::held_out(&root, scenes, &root.join("target/results")))
+        }
+        ["results-time", seconds, ref scenes @ ..] if !scenes.is_empty() => {
+            match seconds.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>() {
+                Ok(seconds) => table(xtask::results::time_to_quality(
+                    &root,
+                    &seconds,
+                    scenes,
+                    &root.join("target/results"),
+                )),
+                Err(error) => Err(error).context(format!("{seconds}: expected seconds such as 5,15,60")),
+            }
         }
         ["results-geometry", ref pairs @ ..] if !pairs.is_empty() => {
             table(xtask::results::geometry(&root, pairs, &root.join("target/results")))

@@ -3,6 +3,7 @@
 //! Everything goes through the program as a user would run it; rows are read from the files it leaves
 //! (`run.json`, `eval.json`) or prints (`eval-geometry`).
 
+use crate::plot::{self, Curve};
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -67,6 +68,59 @@ pub fn held_out(root: &Path, scenes: &[&str], work: &Path) -> Result<String> {
             );
         }
     }
+    Ok(table)
+}
+
+/// Trains each scene in both profiles for so many seconds of optimisation and scores the held-out views: one Markdown
+/// row each, returned together, and `time-to-quality.svg` in `work`.
+///
+/// # Errors
+///
+/// As [`held_out`].
+pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Path) -> Result<String> {
+    let program = program(root)?;
+    let mut curves = Vec::new();
+    let mut table = String::from(
+        "| scene | profile | seconds asked | iterations | PSNR | SSIM | PSNR moving |\n|---|---|---|---|---|---|---|\n",
+    );
+    for scene in scenes {
+        let name = stem(scene);
+        for profile in ["fast", "faithful"] {
+            let mut curve = Curve {
+                name: format!("{name}, {profile}"),
+                points: Vec::new(),
+            };
+            for &s in seconds {
+                let out = work.join(format!("{name}-{profile}-{s}s"));
+                let out_text = out.to_string_lossy().into_owned();
+                let budget = format!("train.budget_s={s:?}");
+                let train = [
+                    "train",
+                    scene,
+                    "-o",
+                    &out_text,
+                    "--force",
+                    "--quiet",
+                    "--profile",
+                    profile,
+                ];
+                run(&program, &[&train[..], &["--set", &budget]].concat())?;
+                run(&program, &["eval", &out_text, "--data", scene, "--quiet"])?;
+                let (record, eval) = (json(&out.join("run.json"))?, json(&out.join("eval.json"))?);
+                let mean = &eval["mean"];
+                let psnr = number(&mean["psnr_db"]);
+                curve.points.push((s, psnr));
+                table += &format!(
+                    "| {name} | {profile} | {s} | {} | {psnr:.2} | {:.3} | {:.2} |\n",
+                    record["iterations"],
+                    number(&mean["ssim"]),
+                    number(&mean["masked_psnr_db"]),
+                );
+            }
+            curves.push(curve);
+        }
+    }
+    plot::time_to_quality(&work.join("time-to-quality.svg"), &curves)?;
     Ok(table)
 }
 

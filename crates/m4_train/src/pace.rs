@@ -16,7 +16,7 @@ const PLANNED: f64 = 0.9;
 /// Fewer iterations than this are no training.
 const LEAST: usize = 50;
 
-/// The number of iterations that take `seconds` on rayon's current pool: trial steps on a copy of `splats`, at every
+/// The number of iterations that take `seconds` on rayon's current pool: trial steps on a copy of `splats` with what density control may add, at every
 /// size of the frames that the schedule of `config` has, weighted by how long it stays there. A multiple of 10, at least
 /// 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
 /// training is a function of its inputs again.
@@ -36,15 +36,32 @@ pub fn affordable_iterations(
     let resolution = &config.resolution;
     let quarter = resolution.quarter_until;
     let half = resolution.half_until.max(quarter);
+    let grown = grown(splats, config)?;
     let mut step_s = 0.0;
     for (share, x) in [(quarter, 0.0), (half - quarter, quarter), (1.0 - half, half)] {
         if share > 0.0 {
             let factor = schedule::downscale(resolution, x, w, h);
-            step_s += f64::from(share) * trial(capture, splats, config, level, factor)?;
+            step_s += f64::from(share) * trial(capture, &grown, config, level, factor)?;
         }
     }
     let count = (PLANNED * seconds / step_s.max(1e-6)) as usize;
     Ok((count / 10 * 10).max(LEAST))
+}
+
+/// The splats that density control may make of these: most of a run has as many. What is wrong is mostly in what
+/// stands still, so static rows are repeated, evenly.
+fn grown(splats: &Splats, config: &TrainConfig) -> Result<Splats, TrainError> {
+    let (n, n_static) = (splats.n(), splats.n_static());
+    let growth = match config.density.enabled {
+        true => f64::from(config.density.max_growth) - 1.0,
+        false => 0.0,
+    };
+    // a clone a round and row at most; more than one of each is not planned with
+    let extra = ((growth * n as f64) as usize).min(n_static);
+    let mut rows: Vec<u32> = (0..n_static as u32).collect();
+    rows.extend((0..extra).map(|i| (i * n_static / extra) as u32));
+    rows.extend(n_static as u32..n as u32);
+    Ok(splats.gather(&rows)?)
 }
 
 /// Median seconds of a step with frames made smaller by `factor`.
@@ -88,4 +105,35 @@ fn trial(
     let times = &mut times[WARM_UP..];
     let middle = times.len() / 2;
     Ok(*times.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::grown;
+    use crate::TrainConfig;
+    use m4_scene::{SplatLayout, Splats};
+
+    #[test]
+    fn trial_steps_have_as_many_splats_as_the_run_will() {
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        let splats = Splats::zeros(layout, 100, 400);
+        let mut config = TrainConfig::fast();
+        config.density.max_growth = 1.1;
+        let more = grown(&splats, &config).unwrap();
+        assert_eq!((more.n_static(), more.n_dynamic()), (150, 400));
+        config.density.max_growth = 3.0;
+        assert_eq!(
+            grown(&splats, &config).unwrap().n_static(),
+            200,
+            "each row at most twice"
+        );
+        config.density.enabled = false;
+        assert_eq!(grown(&splats, &config).unwrap().n(), 500);
+        config.density.enabled = true;
+        assert_eq!(grown(&Splats::zeros(layout, 0, 7), &config).unwrap().n(), 7);
+    }
 }

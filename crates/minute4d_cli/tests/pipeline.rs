@@ -60,7 +60,7 @@ fn train_render_eval_inspect() {
     assert_eq!(succeed(&["inspect", &data, "--json"]).result()["test_views"], 6);
     assert_eq!(succeed(&["inspect", &mp4, "--json"]).result()["frames"], 120);
     let scene = dir.at("out/scene.safetensors");
-    assert_eq!(succeed(&["inspect", &scene, "--json"]).result()["with_optimiser"], false);
+    assert_eq!(succeed(&["inspect", &scene, "--json"]).result()["with_optimiser"], true);
     let same = succeed(&["eval-geometry", &data, "--truth", &data, "--json"]).result();
     assert!(same["trajectory"]["rmse"].as_f64().unwrap() < 1e-6, "{same}");
 }

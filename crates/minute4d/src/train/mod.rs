@@ -12,7 +12,7 @@ use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview};
 use checkpoint::{Checkpoints, Patience};
 use m4_io::capture::Split;
 use m4_io::scene_file;
-use m4_scene::{Capture, Progress, Scene, Splats};
+use m4_scene::{Capture, Progress, Scene, Splats, TrainState};
 use m4_train::{Outcome, TrainError, Trainer};
 use metrics::MetricsLog;
 use serde::Serialize;
@@ -146,10 +146,10 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
     }
     log.write()?;
     note_progress(&mut run.record, &trainer);
-    let scene = trainer.into_scene();
-    publish(&run.path(SCENE_FILE), &scene)?;
+    let path = run.path(SCENE_FILE);
+    trainer.save(|scene, state| publish(&path, scene, state))?;
     folder::remove_checkpoints(&run.folder)?;
-    Ok(scene)
+    Ok(trainer.into_scene())
 }
 
 /// A checkpoint: the scene so far, the metrics so far, the record.
@@ -174,22 +174,26 @@ fn note_progress(record: &mut RunRecord, trainer: &Trainer<'_>) {
     });
 }
 
-/// Writes the finished scene, reads it back and compares: only then is it a success. The state of the
-/// optimiser is not part of it: a finished run has nothing to go on with, and another number of
-/// iterations is another run.
-fn publish(path: &Path, scene: &Scene) -> Result<(), Error> {
+/// Writes the finished scene with the state of the optimiser, reads both back and compares: only then is it
+/// a success.
+fn publish(path: &Path, scene: &Scene, state: &TrainState<'_>) -> Result<(), Error> {
     if !scene.splats.is_finite() {
         return Err(Error::Internal {
             what: "training ended with values that are not finite".to_owned(),
         });
     }
-    scene_file::write(path, scene, None, &BTreeMap::new())?;
-    if scene_file::read(path)?.scene == *scene {
+    scene_file::write(path, scene, Some(state), &BTreeMap::new())?;
+    let back = scene_file::read(path)?;
+    let differs = if back.scene != *scene {
+        "the scene differs"
+    } else if back.state.as_ref() != Some(state) {
+        "the state of the optimiser differs"
+    } else {
         return Ok(());
-    }
+    };
     folder::remove_file(path)?;
     Err(Error::Verify {
         path: path.to_path_buf(),
-        what: "the scene differs".to_owned(),
+        what: differs.to_owned(),
     })
 }
