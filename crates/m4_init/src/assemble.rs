@@ -78,6 +78,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
             VelocityInit::Zero => 0,
             VelocityInit::Register { .. } => config.carry_keyframes,
         },
+        most: config.carry_max,
         margin: config.carry_margin,
         reach: (f64::from(config.carry_reach_pixels) * median_depth / focal_px) as f32,
     };

@@ -15,6 +15,8 @@ use rayon::prelude::*;
 pub(crate) struct Carry {
     /// Keyframes that a point is carried on from the one that saw it.
     pub keyframes: usize,
+    /// Most points, all keyframes together; those carried the longest way are left out.
+    pub most: usize,
     /// A point behind the depth map by more than this share of the depth is hidden.
     pub margin: f32,
     /// Points closer than this, world units, belong to one body; a hidden point goes with what is seen of its body
@@ -97,7 +99,28 @@ pub(crate) fn hidden(
             out[to].extend_from_slice(&carried);
         }
     }
-    out.into_iter().map(|points| collect(youngest(points, grid))).collect()
+    let mut out: Vec<Vec<Point>> = out.into_iter().map(|points| youngest(points, grid)).collect();
+    let oldest = oldest_kept(out.iter().flatten().map(|p| p.age), by);
+    for points in &mut out {
+        points.retain(|p| p.age <= oldest);
+    }
+    out.into_iter().map(collect).collect()
+}
+
+/// The age up to which all points together are no more than may be kept.
+fn oldest_kept(ages: impl Iterator<Item = usize>, by: Carry) -> usize {
+    let mut count = vec![0usize; by.keyframes + 1];
+    for age in ages {
+        count[age.min(by.keyframes)] += 1;
+    }
+    let mut sum = 0;
+    for (age, n) in count.iter().enumerate() {
+        sum += n;
+        if sum > by.most {
+            return age.saturating_sub(1);
+        }
+    }
+    by.keyframes
 }
 
 /// Points that nobody sees, moved with their bodies.
@@ -228,6 +251,7 @@ mod tests {
         let frames: Vec<usize> = (0..8).collect();
         let by = |keyframes| Carry {
             keyframes,
+            most: usize::MAX,
             margin: 0.05,
             reach: 0.3,
         };
@@ -242,6 +266,10 @@ mod tests {
             assert!((got[t].points.xyz[0][0] - x_at(t)).abs() < 1e-5);
         }
         assert_eq!(got[6].points.rgb[0][0], 0.4, "from the last keyframe that saw it");
+        let few = Carry { most: 2, ..by(2) };
+        let got = hidden(&capture, &frames, &moving, &fields, &grid, few);
+        let counts: Vec<usize> = got.iter().map(|m| m.points.xyz.len()).collect();
+        assert_eq!(counts, [0, 0, 1, 0, 0, 1, 0, 0], "those carried twice are one too many");
         let none = hidden(&capture, &frames, &moving, &fields, &grid, by(0));
         assert!(none.iter().all(|m| m.points.xyz.is_empty()));
     }

@@ -94,6 +94,9 @@ pub struct InitConfig {
     /// their body, into at most this many keyframes that cannot see them (section 2.6: occluded samples are kept).
     /// They come on top of `max_dynamic`. 0 for none.
     pub carry_keyframes: usize,
+    /// Most points that are carried, all keyframes together; those carried the longest way are left out. Depth that
+    /// does not agree from frame to frame makes many of them.
+    pub carry_max: usize,
     /// A carried point behind the depth map by more than this share of the depth is hidden. Section 2.6
     /// has 0.05; limbs are thinner than that (measured: +0.3 dB inside moving parts from 0.05 to 0.004).
     pub carry_margin: f32,
@@ -159,6 +162,7 @@ impl InitConfig {
             edge_jump: 0.05,
             mask_margin_px: 2,
             carry_keyframes: 24,
+            carry_max: 300_000,
             carry_margin: 0.004,
             carry_reach_pixels: 6.0,
             change_threshold: 0.05,
