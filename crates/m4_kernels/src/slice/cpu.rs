@@ -44,7 +44,7 @@ impl<'a> Columns<'a> {
 }
 
 impl Columns<'_> {
-    /// Brings the next [`FETCH_ROWS`] rows of every column that a frame reads into the cache.
+    /// Brings the next `FETCH_ROWS` rows of every column that a frame reads into the cache.
     #[inline(always)]
     pub(crate) fn fetch<const DYNAMIC: bool>(&self, row: usize) {
         touch(self.opacity, row);
