@@ -7,7 +7,7 @@ use crate::{
 };
 use fearless_simd::{Simd, f32x16, prelude::*, u32x16};
 use fearless_simd_macros::simd;
-use m4_scene::{ShapeError, Splats};
+use m4_scene::Splats;
 use rayon::prelude::*;
 
 /// The constants of Adam for a whole set of splats.
@@ -61,27 +61,6 @@ impl AdamState {
             v: zero,
             step: vec![0; splats.n()],
         }
-    }
-
-    /// The state of `splats.gather(rows)`. Rows for which `newborn` is set start from nothing; the
-    /// others keep moments and count. `newborn` may be empty: then nobody is new.
-    ///
-    /// # Errors
-    ///
-    /// [`ShapeError`] as [`Splats::gather`], or if `newborn` is neither empty nor as long as `rows`.
-    pub fn gather(&self, rows: &[u32], newborn: &[bool]) -> Result<Self, ShapeError> {
-        if !newborn.is_empty() {
-            ShapeError::check("newborn", rows.len(), newborn.len())?;
-        }
-        let mut out = Self {
-            m: self.m.gather(rows)?,
-            v: self.v.gather(rows)?,
-            step: rows.iter().map(|&r| self.step[r as usize]).collect(),
-        };
-        for (row, _) in newborn.iter().enumerate().filter(|&(_, &new)| new) {
-            out.forget(row);
-        }
-        Ok(out)
     }
 
     /// Sets the moments and the count of one splat back to nothing.
