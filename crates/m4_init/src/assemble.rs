@@ -192,20 +192,15 @@ fn velocities(moving: &[(f64, Centroids)], fields: &[Fields]) -> Vec<Vec<[f32; 3
     (0..moving.len())
         .map(|i| {
             let (t, points) = &moving[i];
-            let side = |field: &Field, other: f64| -> Vec<[f32; 3]> {
-                let gap = match (other - t) as f32 {
-                    0.0 => f32::INFINITY,
-                    gap => gap,
-                };
-                field
-                    .places(&points.xyz)
-                    .iter()
-                    .zip(&points.xyz)
-                    .map(|(q, p)| [0, 1, 2].map(|k| (q[k] - p[k]) / gap))
-                    .collect()
+            // a keyframe of the same instant, from another camera, says nothing of velocities
+            let side = |field: &Field, other: f64| -> Option<Vec<[f32; 3]>> {
+                let gap = (other - t) as f32;
+                let places = (gap != 0.0).then(|| field.places(&points.xyz))?;
+                let pairs = places.iter().zip(&points.xyz);
+                Some(pairs.map(|(q, p)| [0, 1, 2].map(|k| (q[k] - p[k]) / gap)).collect())
             };
-            let before = (i > 0).then(|| side(&fields[i - 1].backward, moving[i - 1].0));
-            let after = (i + 1 < moving.len()).then(|| side(&fields[i].forward, moving[i + 1].0));
+            let before = i.checked_sub(1).and_then(|j| side(&fields[j].backward, moving[j].0));
+            let after = moving.get(i + 1).and_then(|next| side(&fields[i].forward, next.0));
             match (before, after) {
                 (Some(a), Some(b)) => a
                     .iter()

@@ -41,11 +41,14 @@ struct Point {
 }
 
 impl Point {
-    /// The point after one more keyframe.
+    /// The point after one more keyframe, `gap` frames on; one of the same instant says nothing of its velocity.
     fn moved(self, to: [f32; 3], gap: f32) -> Self {
         Self {
             xyz: to,
-            velocity: [0, 1, 2].map(|k| (to[k] - self.xyz[k]) / gap),
+            velocity: match gap {
+                0.0 => self.velocity,
+                _ => [0, 1, 2].map(|k| (to[k] - self.xyz[k]) / gap),
+            },
             age: self.age + 1,
             ..self
         }

@@ -270,3 +270,30 @@ fn threads_do_not_change_a_bit() {
     let still = initialise(&capture, &other, &Silent).unwrap();
     assert!((still.column(Column::LogTimeSd, 0)[0] - 2.0f32.ln()).abs() < 1e-6);
 }
+
+/// Two cameras film the same instants: what lies between them is no motion.
+#[test]
+fn frames_of_one_instant_make_no_endless_velocities() {
+    let mut capture = capture(8);
+    for (i, frame) in capture.frames.iter_mut().enumerate() {
+        frame.t = (i / 2) as f64;
+    }
+    capture.time_frames = 4;
+    let splats = initialise(
+        &capture,
+        &InitConfig {
+            carry_margin: 0.05,
+            ..fast()
+        },
+        &Silent,
+    )
+    .unwrap();
+    assert!(splats.n_dynamic() > 100 && splats.is_finite());
+    for k in 0..3 {
+        let fastest = splats
+            .column(Column::Velocity, k)
+            .iter()
+            .fold(0.0f32, |m, v| m.max(v.abs()));
+        assert!(fastest < 1.0, "{fastest} world units a frame");
+    }
+}

@@ -92,9 +92,6 @@ pub struct SettingsArgs {
     /// The built-in settings to start from
     #[arg(long, value_enum, default_value = "fast")]
     pub profile: Profile,
-    /// How long optimisation may take on this machine, with the fast profile; --iterations goes first
-    #[arg(long, value_enum, default_value = "default")]
-    pub preset: Preset,
     /// A TOML file laid over the profile; --print-config shows every key
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
@@ -116,6 +113,17 @@ pub enum Profile {
     Fast,
     /// The paper to the letter
     Faithful,
+}
+
+/// How long optimisation goes on.
+#[derive(Debug, Args)]
+pub struct LengthArgs {
+    /// How long it may take on this machine, with the fast profile [default: default]
+    #[arg(long, value_enum)]
+    pub preset: Option<Preset>,
+    /// So many iterations, however long they take
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub iterations: Option<u32>,
 }
 
 /// Time against quality.
@@ -149,9 +157,9 @@ pub struct Run {
     /// Folder for everything: scene.safetensors, preview.mp4, run.json, metrics.jsonl, capture/
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// Training iterations
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub iterations: Option<u32>,
+    /// How long to train.
+    #[command(flatten)]
+    pub length: LengthArgs,
     /// Which part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
@@ -192,9 +200,9 @@ pub struct Train {
     /// Folder for the scene and its records
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// Training iterations
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub iterations: Option<u32>,
+    /// How long to train.
+    #[command(flatten)]
+    pub length: LengthArgs,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,

@@ -11,6 +11,16 @@ pub struct Failure {
     pub reason: String,
 }
 
+impl Failure {
+    /// Arguments that contradict one another.
+    pub fn usage(reason: &str) -> Self {
+        Self {
+            code: 2,
+            reason: reason.to_owned(),
+        }
+    }
+}
+
 impl From<minute4d::Error> for Failure {
     fn from(error: minute4d::Error) -> Self {
         Self {

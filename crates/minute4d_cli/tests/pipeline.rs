@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Ended, Scratch, capture, program, succeed, text, train, write_capture, write_pictures};
+use common::{Ended, Scratch, capture, program, refused, succeed, text, train, write_capture, write_pictures};
 use minute4d::Silent;
 use minute4d::io::capture::Split;
 use minute4d::math::nalgebra::Vector3;
@@ -429,4 +429,39 @@ fn pictures_of_a_still_camera_become_a_scene() {
     let reused = events.iter().filter(|e| e["status"] == "reused").count();
     assert_eq!(reused, 3, "{events:?}");
     assert_eq!(text(&dir.path("out")), out);
+}
+
+/// A time for training is a number of iterations: asked for by that number, the run ends with the same bits.
+#[test]
+fn a_timed_run_is_repeated_by_its_iterations() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("data"), true);
+    let (data, timed, counted) = (dir.at("data"), dir.at("timed"), dir.at("counted"));
+    succeed(&["train", &data, "-o", &timed, "--set", "train.budget_s=0.2"]);
+    let n = read_json(&dir.path("timed/run.json"))["iterations"].as_u64().unwrap();
+    assert!(n >= 50);
+    succeed(&["train", &data, "-o", &counted, "--iterations", &n.to_string()]);
+    let scene = |run: &str| fs::read(dir.path(run).join("scene.safetensors")).unwrap();
+    assert!(scene("timed") == scene("counted"), "{n} iterations differ");
+}
+
+#[test]
+fn time_and_iterations_do_not_overrule_each_other_in_silence() {
+    let budget = |more: &[&str]| {
+        let out = succeed(&[&["train", "--print-config"], more].concat()).stdout;
+        let line = out.lines().find(|l| l.starts_with("budget_s")).unwrap().to_owned();
+        line["budget_s = ".len()..].parse::<f64>().unwrap()
+    };
+    assert_eq!(budget(&[]), 60.0);
+    assert_eq!(budget(&["--preset", "draft"]), 10.0);
+    assert_eq!(budget(&["--iterations", "5"]), 0.0);
+    // the number that it would have been anyway is asked for too
+    assert_eq!(budget(&["--set", "train.iterations=2000"]), 0.0);
+    assert_eq!(
+        budget(&["--set", "train.iterations=9", "--set", "train.budget_s=7"]),
+        7.0
+    );
+    assert_eq!(budget(&["--profile", "faithful"]), 0.0);
+    let both = ["train", "--print-config", "--profile", "faithful", "--preset", "draft"];
+    refused(&both, 2, &["--preset", "fast profile", "--iterations"]);
 }

@@ -76,6 +76,8 @@ fn suggest(nearest: &Option<String>) -> String {
 pub struct Layers<T> {
     table: Table,
     value: T,
+    /// What the layers over the first one named.
+    named: Table,
 }
 
 impl<T: Serialize + DeserializeOwned> Layers<T> {
@@ -86,7 +88,11 @@ impl<T: Serialize + DeserializeOwned> Layers<T> {
     /// [`SettingsError::Internal`] if `base` cannot be written as TOML.
     pub fn new(base: T) -> Result<Self, SettingsError> {
         let table = Table::try_from(&base).map_err(|e| SettingsError::Internal { reason: e.to_string() })?;
-        Ok(Self { table, value: base })
+        Ok(Self {
+            table,
+            value: base,
+            named: Table::new(),
+        })
     }
 
     /// Lays a TOML file over what is there.
@@ -141,7 +147,18 @@ impl<T: Serialize + DeserializeOwned> Layers<T> {
         self.value
     }
 
+    /// Whether a file or a `--set` named the key, dotted, whatever value it gave it.
+    #[must_use]
+    pub fn named(&self, key: &str) -> bool {
+        let mut parts = key.split('.');
+        let first = parts.next().and_then(|part| self.named.get(part));
+        parts
+            .fold(first, |at, part| at.and_then(|value| value.get(part)))
+            .is_some()
+    }
+
     fn lay(mut self, layer: Table, name: &str) -> Result<Self, SettingsError> {
+        merge(&mut self.named, layer.clone());
         merge(&mut self.table, layer);
         self.value = serde_path_to_error::deserialize(self.table.clone())
             .map_err(|e| explain(&e.path().to_string(), e.inner().message(), &self.table, name))?;

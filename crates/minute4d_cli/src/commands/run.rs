@@ -7,7 +7,7 @@ use crate::output::{Output, duration};
 use serde_json::json;
 
 pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
-    let settings = settings(&args.settings, Some(&args.video), args.iterations)?;
+    let settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
     let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };

@@ -1,10 +1,13 @@
 //! From options to settings: profile, preset, file, `--set`, then the options with their own name.
 
-use crate::args::{self, OutArgs, Profile, SettingsArgs, VideoArgs};
+use crate::args::{self, LengthArgs, OutArgs, Profile, SettingsArgs, VideoArgs};
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::settings::{Layers, Preset, Settings};
 use minute4d::{Existing, Job};
+
+const PRESET_OF_FAITHFUL: &str = "--preset goes with the fast profile; give the faithful one --iterations N, or seconds with \
+     --set train.budget_s=60";
 
 impl Profile {
     fn name(self) -> &'static str {
@@ -26,17 +29,22 @@ impl args::Preset {
     }
 }
 
-/// Puts the layers together.
-pub fn settings(args: &SettingsArgs, video: Option<&VideoArgs>, iterations: Option<u32>) -> Result<Settings, Failure> {
+/// Puts the layers together; `length` where the command trains.
+pub fn settings(
+    args: &SettingsArgs,
+    video: Option<&VideoArgs>,
+    length: Option<&LengthArgs>,
+) -> Result<Settings, Failure> {
+    let preset = length.and_then(|l| l.preset);
     let base = match args.profile {
         Profile::Fast => {
             let mut settings = Settings::fast();
-            args.preset.apply(&mut settings);
+            preset.unwrap_or(args::Preset::Default).apply(&mut settings);
             settings
         }
+        Profile::Faithful if preset.is_some() => return Err(Failure::usage(PRESET_OF_FAITHFUL)),
         Profile::Faithful => Settings::faithful(),
     };
-    let given = (base.train.iterations, base.train.budget_s);
     let mut layers = Layers::new(base)?;
     if let Some(path) = &args.config {
         layers = layers.file(path)?;
@@ -44,12 +52,14 @@ pub fn settings(args: &SettingsArgs, video: Option<&VideoArgs>, iterations: Opti
     for given in &args.set {
         layers = layers.set(given)?;
     }
+    // who asks for a number of iterations and no time gets that number
+    let counted = layers.named("train.iterations") && !layers.named("train.budget_s");
     let mut settings = layers.finish();
+    let iterations = length.and_then(|l| l.iterations);
     if let Some(n) = iterations {
         settings.train.iterations = n as usize;
     }
-    // who asks for a number of iterations and no time gets that number
-    if settings.train.iterations != given.0 && settings.train.budget_s == given.1 || iterations.is_some() {
+    if counted || iterations.is_some() {
         settings.train.budget_s = 0.0;
     }
     if let Some(seed) = args.seed {

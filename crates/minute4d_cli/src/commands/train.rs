@@ -7,7 +7,7 @@ use crate::output::Output;
 use serde_json::json;
 
 pub fn run(args: &Train, output: &Output) -> Result<(), Failure> {
-    let settings = settings(&args.settings, None, args.iterations)?;
+    let settings = settings(&args.settings, None, Some(&args.length))?;
     let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
