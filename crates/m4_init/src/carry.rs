@@ -269,6 +269,12 @@ mod tests {
             assert!((got[t].points.xyz[0][0] - x_at(t)).abs() < 1e-5);
         }
         assert_eq!(got[6].points.rgb[0][0], 0.4, "from the last keyframe that saw it");
+        // keyframes of one instant, from several cameras: points are handed on, and have no endless velocity
+        let at_once: Vec<(f64, Centroids)> = moving.iter().map(|(_, points)| (0.0, points.clone())).collect();
+        let got_at_once = hidden(&capture, &frames, &at_once, &fields, &grid, by(2));
+        let all: Vec<&[f32; 3]> = got_at_once.iter().flat_map(|m| &m.velocity).collect();
+        assert!(!all.is_empty());
+        assert!(all.iter().all(|v| **v == [0.0; 3]), "{all:?}");
         let few = Carry { most: 2, ..by(2) };
         let got = hidden(&capture, &frames, &moving, &fields, &grid, few);
         let counts: Vec<usize> = got.iter().map(|m| m.points.xyz.len()).collect();
