@@ -52,6 +52,7 @@ pub use record::{plain_json, pretty_json};
 pub use settings::Settings;
 
 pub use m4_eval as eval;
+pub use m4_formats as formats;
 pub use m4_init as init;
 pub use m4_io as io;
 pub use m4_kernels as kernels;
@@ -60,3 +61,4 @@ pub use m4_scene as scene;
 pub use m4_scene::{Progress, Silent};
 pub use m4_slam as slam;
 pub use m4_train as training;
+pub use m4_viewer as viewer;
