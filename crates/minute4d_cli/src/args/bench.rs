@@ -1,0 +1,53 @@
+//! `minute4d bench`
+
+use super::values::image_size;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// `minute4d bench`
+#[derive(Debug, Args)]
+pub struct Bench {
+    /// Splats in the synthetic scenes [default: 20000,100000,300000]
+    #[arg(long, value_name = "N", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..=20_000_000))]
+    pub splats: Option<Vec<u32>>,
+    /// Sizes of the image, pixels [default: 480x360,960x720]
+    #[arg(long, value_name = "WxH", value_delimiter = ',', value_parser = image_size)]
+    pub size: Option<Vec<(u16, u16)>>,
+    /// Scenes that stand still, scenes that move [default: both]
+    #[arg(long, value_enum, value_delimiter = ',')]
+    pub scene: Option<Vec<BenchScene>>,
+    /// Times that each view is stepped; the fastest counts [default: 15]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub steps: Option<u32>,
+    /// Degree of the spherical harmonics of the colour
+    #[arg(long, value_name = "D", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub sh_degree: u8,
+    /// Composite the depth too, as training with a depth loss does
+    #[arg(long)]
+    pub depth: bool,
+    /// Draw alone: frames a second
+    #[arg(long)]
+    pub render: bool,
+    /// 100,000 splats at 480x360 and few steps, where nothing else is asked for
+    #[arg(long)]
+    pub quick: bool,
+    /// Peak memory of training on made-up clips instead
+    #[arg(long, conflicts_with_all = ["scene", "steps", "sh_degree", "depth", "render", "quick"])]
+    pub memory: bool,
+    /// Frames of those clips [default: 96,400]
+    #[arg(long, value_name = "N", value_delimiter = ',', requires = "memory", value_parser = clap::value_parser!(u32).range(2..=10_000))]
+    pub frames: Option<Vec<u32>>,
+    /// Write DATE-MACHINE.json and .md into a folder [default: bench/runs]
+    #[arg(long, value_name = "DIR", num_args = 0..=1, default_missing_value = "bench/runs")]
+    pub save: Option<PathBuf>,
+}
+
+/// A synthetic scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum BenchScene {
+    /// Every splat is there all the time
+    Static,
+    /// Four of five splats live for a frame or two of 64
+    #[value(name = "4d")]
+    FourD,
+}

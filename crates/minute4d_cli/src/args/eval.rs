@@ -1,0 +1,27 @@
+//! `minute4d eval` and `minute4d eval-geometry`
+
+use clap::Args;
+use std::path::PathBuf;
+
+/// `minute4d eval`
+#[derive(Debug, Args)]
+pub struct Eval {
+    /// The folder of a run; eval.json is written into it
+    pub out: PathBuf,
+    /// The capture whose transforms_test.json lists the held-out views
+    #[arg(long, value_name = "CAPTURE")]
+    pub data: PathBuf,
+    /// Grow the masks of moving parts by this much first, pixels
+    #[arg(long, value_name = "PX", default_value_t = 0)]
+    pub grow_mask: usize,
+}
+
+/// `minute4d eval-geometry`
+#[derive(Debug, Args)]
+pub struct EvalGeometry {
+    /// The capture to judge
+    pub capture: PathBuf,
+    /// What is true: a capture folder, a transforms file, or a JSON file of LLFF poses
+    #[arg(long, value_name = "SCENE")]
+    pub truth: PathBuf,
+}

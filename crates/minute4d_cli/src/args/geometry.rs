@@ -1,0 +1,25 @@
+//! `minute4d geometry`
+
+use super::{OutArgs, SettingsArgs, VideoArgs};
+use clap::Args;
+use std::path::PathBuf;
+
+/// `minute4d geometry`
+#[derive(Debug, Args)]
+pub struct Geometry {
+    /// A video or a folder of images
+    #[arg(required_unless_present = "print_config")]
+    pub input: Option<PathBuf>,
+    /// Folder for the capture
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    /// Which part of the video.
+    #[command(flatten)]
+    pub video: VideoArgs,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: SettingsArgs,
+    /// An existing folder.
+    #[command(flatten)]
+    pub existing: OutArgs,
+}

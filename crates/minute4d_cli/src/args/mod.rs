@@ -1,0 +1,128 @@
+//! The command line, as clap reads it: what holds for all commands, and a file for each.
+
+mod bench;
+mod eval;
+mod existing;
+mod geometry;
+mod inspect;
+mod render;
+mod run;
+mod settings;
+mod train;
+mod values;
+mod video;
+
+pub use bench::{Bench, BenchScene};
+pub use eval::{Eval, EvalGeometry};
+pub use existing::OutArgs;
+pub use geometry::Geometry;
+pub use inspect::Inspect;
+pub use render::Render;
+pub use run::Run;
+pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
+pub use train::Train;
+pub use video::VideoArgs;
+
+use clap::{Args, Parser, Subcommand};
+
+/// Makes a moving 3D scene out of one casual video, on a plain CPU.
+///
+/// The result goes to stdout, everything else to stderr.
+#[derive(Debug, Parser)]
+#[command(
+    name = "minute4d",
+    version,
+    max_term_width = 100,
+    after_help = "Exit codes: 0 done; 1 a bug; 2 wrong arguments; 65 bad input; 66 no input; 69 no usable device; 73 cannot write; \
+                  74 reading failed; 75 try again later; 78 bad settings; 130 and 143 stopped by a signal (run again with --resume)."
+)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// How to talk and how many threads to use.
+    #[command(flatten)]
+    pub common: Common,
+}
+
+/// Options of every command.
+#[derive(Debug, Args)]
+pub struct Common {
+    /// One JSON object a line on stdout; the last is {"event":"end","ok":..,"code":..,"reason":..}
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// No progress; warnings and errors are still shown
+    #[arg(long, short, global = true)]
+    pub quiet: bool,
+    /// Threads to compute on; the result does not depend on it [default: all cores]
+    #[arg(long, global = true, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// What the program does.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// From a video to a scene: geometry, train and a preview
+    Run(Run),
+    /// From a video to a capture: poses, focal length, depth, motion masks
+    Geometry(Geometry),
+    /// From a capture to a scene
+    Train(Train),
+    /// Pictures or a video of a trained scene
+    Render(Render),
+    /// Compare a trained scene with the held-out views of a capture
+    Eval(Eval),
+    /// Compare the cameras, depth and masks of a capture with known ones
+    EvalGeometry(EvalGeometry),
+    /// Say what a video, a capture, a scene file or a run holds
+    Inspect(Inspect),
+    /// Say what this machine has: cores, instructions, memory, disk, ffmpeg
+    Doctor,
+    /// Time the kernels on this machine
+    Bench(Bench),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Cli;
+    use clap::{CommandFactory, Parser};
+
+    #[test]
+    fn the_definition_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn numbers_are_checked_where_they_are_given() {
+        let bad = [
+            "run a -o b --iterations 0",
+            "run a -o b --threads 0",
+            "run a -o b --fov 200",
+            "run a -o b --fov nan",
+            "run a -o b --start -1",
+            "run a -o b --max-frames 1",
+            "run a -o b --resume --force",
+            "run a -o b --profile best",
+            "run a",
+            "render a --fps 0 -o b",
+            "bench --size 480",
+            "bench --size 480x8",
+            "bench --scene 5d",
+            "bench --frames 96",
+            "bench --memory --render",
+        ];
+        for line in bad {
+            let args = std::iter::once("minute4d").chain(line.split(' '));
+            assert!(Cli::try_parse_from(args).is_err(), "{line}");
+        }
+        let good = [
+            "run a -o b --start 1.5s --end 3 --threads 2 --json",
+            "train --print-config",
+            "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick --save",
+        ];
+        for line in good {
+            let args = std::iter::once("minute4d").chain(line.split(' '));
+            assert!(Cli::try_parse_from(args).is_ok(), "{line}");
+        }
+    }
+}

@@ -1,0 +1,28 @@
+//! `minute4d run`
+
+use super::{LengthArgs, OutArgs, SettingsArgs, VideoArgs};
+use clap::Args;
+use std::path::PathBuf;
+
+/// `minute4d run`
+#[derive(Debug, Args)]
+pub struct Run {
+    /// A video, a folder of images, or a capture folder (then geometry is taken from it)
+    #[arg(required_unless_present = "print_config")]
+    pub input: Option<PathBuf>,
+    /// Folder for everything: scene.safetensors, preview.mp4, run.json, metrics.jsonl, capture/
+    #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
+    pub out: Option<PathBuf>,
+    /// How long to train.
+    #[command(flatten)]
+    pub length: LengthArgs,
+    /// Which part of the video.
+    #[command(flatten)]
+    pub video: VideoArgs,
+    /// Settings.
+    #[command(flatten)]
+    pub settings: SettingsArgs,
+    /// An existing folder.
+    #[command(flatten)]
+    pub existing: OutArgs,
+}

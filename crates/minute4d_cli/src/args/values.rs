@@ -1,0 +1,50 @@
+//! Values that are checked where they are given.
+
+/// A size such as 480x360, pixels.
+pub fn image_size(text: &str) -> Result<(u16, u16), String> {
+    let sides = text
+        .split_once('x')
+        .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    match sides {
+        Some((w, h)) if (16..=8192).contains(&w) && (16..=8192).contains(&h) => Ok((w, h)),
+        _ => Err("a size is WIDTHxHEIGHT, such as 480x360, each side 16 to 8192".to_owned()),
+    }
+}
+
+/// A finite number.
+pub fn number(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ => Err(format!("{text:?} is not a number")),
+    }
+}
+
+/// Seconds from 0 on; an `s` behind is allowed.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    let value = number(text.strip_suffix('s').unwrap_or(text))?;
+    if value >= 0.0 {
+        Ok(value)
+    } else {
+        Err("it must be at least 0".to_owned())
+    }
+}
+
+/// A field of view.
+pub fn degrees(text: &str) -> Result<f64, String> {
+    let value = number(text)?;
+    if (5.0..=170.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err("a field of view lies between 5 and 170 degrees".to_owned())
+    }
+}
+
+/// Frames a second.
+pub fn rate(text: &str) -> Result<f64, String> {
+    let value = number(text)?;
+    if (0.1..=240.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err("it must lie between 0.1 and 240".to_owned())
+    }
+}
