@@ -1,0 +1,60 @@
+/** Text in the page to bytes: base64, then gzip. */
+
+import { PageError, messageOf } from "./errors";
+
+/** Characters that are decoded at a time; a multiple of 4. */
+const CHUNK = 1 << 20;
+
+/** Lets the page paint. */
+export const breath = (): Promise<void> => new Promise((resolve) => setTimeout(resolve, 0));
+
+function damaged(what: string, cause: unknown): PageError {
+  return new PageError(
+    "The data in this page is damaged",
+    `The ${what} could not be read (${messageOf(cause)}). The file was cut off or changed on its way: fetch it again, or write it again from the scene.`,
+    { cause },
+  );
+}
+
+/** Decodes base64; calls `progress` with 0..1 and lets the page paint in between. */
+export async function fromBase64(
+  text: string,
+  what: string,
+  progress: (share: number) => void = () => undefined,
+): Promise<Uint8Array<ArrayBuffer>> {
+  const clean = /\s/.test(text) ? text.replace(/\s+/g, "") : text;
+  const padding = clean.endsWith("==") ? 2 : clean.endsWith("=") ? 1 : 0;
+  const out = new Uint8Array(Math.max(0, (clean.length / 4) * 3 - padding) | 0);
+  let at = 0;
+  try {
+    for (let i = 0; i < clean.length; i += CHUNK) {
+      const piece = atob(clean.slice(i, i + CHUNK));
+      for (let k = 0; k < piece.length; k++) out[at++] = piece.charCodeAt(k);
+      progress(Math.min(1, (i + CHUNK) / clean.length));
+      await breath();
+    }
+  } catch (error) {
+    throw damaged(what, error);
+  }
+  if (at !== out.length) throw damaged(what, `${at} bytes in place of ${out.length}`);
+  return out;
+}
+
+/** Whether bytes begin as gzip does. */
+export const isGzip = (bytes: Uint8Array): boolean => bytes[0] === 0x1f && bytes[1] === 0x8b;
+
+/** Inflates gzip. */
+export async function gunzip(bytes: Uint8Array<ArrayBuffer>, what: string): Promise<Uint8Array<ArrayBuffer>> {
+  if (typeof DecompressionStream === "undefined") {
+    throw new PageError(
+      "This browser is too old for the page",
+      "It cannot unpack gzip. Chrome 80, Firefox 113 and Safari 16.4 or newer can.",
+    );
+  }
+  try {
+    const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+  } catch (error) {
+    throw damaged(what, error);
+  }
+}

@@ -1,0 +1,192 @@
+// The splats of a scene from the bytes that the program wrote into the page: the other side of
+// crates/m4_viewer/src/payload/mod.rs, which describes them byte for byte.
+
+import { PageError } from "./errors";
+import type { Manifest, SceneData } from "./scene";
+
+const HEADER_BYTES = 136;
+const VERSION = 1;
+const MAGIC = "M4SP";
+const MIDDLE_24 = 2 ** 23;
+const MIDDLE_16 = 2 ** 15;
+
+function damaged(what: string, cause?: unknown): PageError {
+  return new PageError(
+    "The scene in this page is damaged",
+    `The splats cannot be read: ${what}. Write the page again from the scene it was made of.`,
+    { cause },
+  );
+}
+
+/** Takes one component after the other; each has one plane a byte, the least significant first. */
+class Planes {
+  constructor(
+    private readonly bytes: Uint8Array,
+    private at: number,
+  ) {}
+
+  /** The next component: `rows` values of `width` bytes. */
+  next(width: number, rows: number): (row: number) => number {
+    const { bytes, at } = this;
+    this.at += width * rows;
+    const byte = (plane: number, row: number): number => bytes[at + plane * rows + row] as number;
+    switch (width) {
+      case 1:
+        return (row) => byte(0, row);
+      case 2:
+        return (row) => byte(0, row) | (byte(1, row) << 8);
+      case 3:
+        return (row) => byte(0, row) | (byte(1, row) << 8) | (byte(2, row) << 16);
+      default:
+        return (row) =>
+          (byte(0, row) | (byte(1, row) << 8) | (byte(2, row) << 16) | (byte(3, row) << 24)) >>> 0;
+    }
+  }
+
+  get end(): number {
+    return this.at;
+  }
+}
+
+/**
+ * The splats in `bytes` (without gzip), which must be as many as `manifest` says.
+ *
+ * @throws PageError if the bytes are of another kind, version or length.
+ */
+export function decodePayload(bytes: Uint8Array, manifest: Pick<Manifest, "splats">): SceneData {
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  if (bytes.length < HEADER_BYTES || String.fromCharCode(...bytes.subarray(0, 4)) !== MAGIC) {
+    throw damaged(`these ${bytes.length} bytes do not begin with the header of a minute4d page`);
+  }
+  const version = view.getUint32(4, true);
+  if (version !== VERSION) {
+    throw damaged(`the splats are of version ${version}, this page reads version ${VERSION}`);
+  }
+  const nStatic = view.getUint32(8, true);
+  const nDynamic = view.getUint32(12, true);
+  const shDegree = view.getUint8(16);
+  const timeDegree = view.getUint8(17);
+  const isotropic = view.getUint8(18) === 1;
+  const told = manifest.splats;
+  if (
+    told.static !== nStatic ||
+    told.dynamic !== nDynamic ||
+    told.sh_degree !== shDegree ||
+    told.time_degree !== timeDegree ||
+    told.isotropic !== isotropic
+  ) {
+    throw damaged("the splats are not those that the manifest describes");
+  }
+  const n = nStatic + nDynamic;
+  const colours = 3 * (shDegree + 1) ** 2 * (timeDegree + 1);
+  const shared = isotropic ? 3 * 3 + 1 + 1 + 2 * colours : 3 * 3 + 3 + 4 + 1 + 2 * colours;
+  const expected = HEADER_BYTES + n * shared + nDynamic * (2 + 1 + 3 * 2);
+  if (bytes.length !== expected) {
+    throw damaged(`${expected} bytes of splats were expected, and ${bytes.length} are there`);
+  }
+  const number = (index: number): number => view.getFloat64(24 + 8 * index, true);
+  const planes = new Planes(bytes, HEADER_BYTES);
+
+  const meanSpread = number(3);
+  const meanStep = number(4);
+  const mean = new Float32Array(3 * n);
+  for (let k = 0; k < 3; k++) {
+    const q = planes.next(3, n);
+    const centre = number(k);
+    for (let i = 0; i < n; i++) mean[3 * i + k] = centre + meanSpread * Math.sinh(meanStep * (q(i) - MIDDLE_24));
+  }
+
+  // a byte has few values: exponentials are looked up
+  const table = (low: number, step: number): Float32Array =>
+    Float32Array.from({ length: 256 }, (_, q) => Math.exp(low + step * q));
+  const scale = new Float32Array(3 * n);
+  const sizes = table(number(5), number(6));
+  if (isotropic) {
+    const q = planes.next(1, n);
+    for (let i = 0; i < n; i++) scale.fill(sizes[q(i)] as number, 3 * i, 3 * i + 3);
+  } else {
+    for (let k = 0; k < 3; k++) {
+      const q = planes.next(1, n);
+      for (let i = 0; i < n; i++) scale[3 * i + k] = sizes[q(i)] as number;
+    }
+  }
+
+  const quat = new Float32Array(4 * n);
+  if (isotropic) {
+    for (let i = 0; i < n; i++) quat[4 * i] = 1;
+  } else {
+    readRotations(planes.next(4, n), quat, n);
+  }
+
+  const opacity = new Float32Array(n);
+  const opacityCode = planes.next(1, n);
+  for (let i = 0; i < n; i++) opacity[i] = opacityCode(i) / 255;
+
+  const colourStep = number(7);
+  const colour = new Float32Array(colours * n);
+  for (let k = 0; k < colours; k++) {
+    const q = planes.next(2, n);
+    for (let i = 0; i < n; i++) colour[colours * i + k] = colourStep * (q(i) - MIDDLE_16);
+  }
+
+  const timeMean = new Float32Array(nDynamic);
+  const timeLow = number(8);
+  const timeStep = number(9);
+  const timeCode = planes.next(2, nDynamic);
+  for (let i = 0; i < nDynamic; i++) timeMean[i] = timeLow + timeStep * timeCode(i);
+
+  const timeSd = new Float32Array(nDynamic);
+  const lives = table(number(10), number(11));
+  const sdCode = planes.next(1, nDynamic);
+  for (let i = 0; i < nDynamic; i++) timeSd[i] = lives[sdCode(i)] as number;
+
+  const velocity = new Float32Array(3 * nDynamic);
+  const velocitySpread = number(12);
+  const velocityStep = number(13);
+  for (let k = 0; k < 3; k++) {
+    const q = planes.next(2, nDynamic);
+    for (let i = 0; i < nDynamic; i++) {
+      velocity[3 * i + k] = velocitySpread * Math.sinh(velocityStep * (q(i) - MIDDLE_16));
+    }
+  }
+  if (planes.end !== bytes.length) throw damaged("the splats end before their last column");
+  return { nStatic, nDynamic, mean, scale, quat, opacity, colour, timeMean, timeSd, velocity };
+}
+
+/** Smallest three components of 10 bits each; the upper two bits name the one that was left out. */
+function readRotations(q: (row: number) => number, quat: Float32Array, n: number): void {
+  const values = Float64Array.from({ length: 1024 }, (_, v) => ((v / 1023) * 2 - 1) * Math.SQRT1_2);
+  for (let i = 0; i < n; i++) {
+    const bits = q(i);
+    const largest = bits >>> 30;
+    const a = values[bits & 1023] as number;
+    const b = values[(bits >>> 10) & 1023] as number;
+    const c = values[(bits >>> 20) & 1023] as number;
+    const squares = a * a + b * b + c * c;
+    const rest = Math.sqrt(Math.max(0, 1 - squares));
+    const scale = 1 / Math.sqrt(squares + rest * rest);
+    quat[4 * i + largest] = rest * scale;
+    quat[4 * i + ((largest + 1) & 3)] = a * scale;
+    quat[4 * i + ((largest + 2) & 3)] = b * scale;
+    quat[4 * i + ((largest + 3) & 3)] = c * scale;
+  }
+}
+
+/**
+ * Takes apart what the server answers where `live.scene` points: the length of a manifest (u32, little
+ * endian), that manifest as JSON (of the same kind as the one in the page, and describing this scene),
+ * and the splats without gzip for [decodePayload].
+ *
+ * @throws PageError if the answer is something else.
+ */
+export function splitLiveScene(answer: Uint8Array): { manifest: unknown; payload: Uint8Array } {
+  const view = new DataView(answer.buffer, answer.byteOffset, answer.byteLength);
+  const end = answer.length < 4 ? Infinity : 4 + view.getUint32(0, true);
+  if (end > answer.length) throw damaged(`the server sent ${answer.length} bytes, which hold no manifest`);
+  try {
+    const manifest: unknown = JSON.parse(new TextDecoder().decode(answer.subarray(4, end)));
+    return { manifest, payload: answer.subarray(end) };
+  } catch (cause) {
+    throw damaged("the manifest that the server sent is no JSON", cause);
+  }
+}

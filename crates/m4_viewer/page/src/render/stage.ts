@@ -1,0 +1,273 @@
+/** The picture: WebGL2, Spark for slicing and sorting, our shaders for drawing. */
+
+import { SparkRenderer } from "@sparkjsdev/spark";
+import {
+  Camera,
+  Color,
+  ColorManagement,
+  GLSL3,
+  HalfFloatType,
+  LinearSRGBColorSpace,
+  Matrix4,
+  Mesh,
+  NearestFilter,
+  NoBlending,
+  PlaneGeometry,
+  RGBAFormat,
+  Scene,
+  ShaderMaterial,
+  UnsignedByteType,
+  Vector2,
+  Vector3,
+  Vector4,
+  WebGLRenderTarget,
+  WebGLRenderer,
+} from "three";
+import type { Lens } from "../camera/path";
+import { PageError } from "../errors";
+import { type Pose, matrixOf } from "../maths";
+import { type Manifest, type SceneData, colourTerms, splatCount } from "../scene";
+import { type Instant, instantOf } from "./generator";
+import { LOW_PASS, PRESENT_FRAGMENT, PRESENT_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./shaders";
+import { type SplatTextures, disposeTextures, splatTextures } from "./textures";
+
+/** All that decides the picture. */
+export interface View {
+  readonly t: number;
+  readonly pose: Pose;
+  /** For the whole of the canvas, its pixels. */
+  readonly lens: Lens;
+  /** Focal length of the training over that of the lens; the filter grows with the picture. */
+  readonly magnification: number;
+  /** 0..1: how much of the picture is gone. */
+  readonly fade: number;
+}
+
+const SORT_TIMEOUT_MS = 60_000;
+const POLL_MS = 4;
+
+// sRGB values go through as they are: the scene was trained on them
+ColorManagement.enabled = false;
+
+interface Loaded {
+  readonly manifest: Manifest;
+  readonly empty: boolean;
+  readonly instant: Instant;
+  readonly textures: SplatTextures;
+}
+
+export class Stage {
+  private readonly renderer: WebGLRenderer;
+  private readonly spark: SparkRenderer;
+  private readonly scene = new Scene();
+  private readonly camera = new Camera();
+  private readonly target: WebGLRenderTarget;
+  private readonly present: Mesh<PlaneGeometry, ShaderMaterial>;
+  private readonly presentScene = new Scene();
+  private readonly uniforms = {
+    m4Shape: { value: null as unknown },
+    m4View: { value: new Matrix4() },
+    m4Lens: { value: new Vector4() },
+    m4Size: { value: new Vector2() },
+    m4Near: { value: 0 },
+    m4LowPass: { value: LOW_PASS },
+    m4Mip: { value: false },
+  };
+  /** What Spark slices and sorts, and what the shaders draw; they differ while a new scene is sorted first. */
+  private loaded: Loaded | null = null;
+  private bound: Loaded | null = null;
+  /** An update came while Spark could not take it. */
+  private stale = false;
+  private readonly background = new Color(0, 0, 0);
+  private shown: View | null = null;
+  private lost = false;
+
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    /** A better order or a first picture is there to be drawn. */
+    onDirty: () => void,
+    onLost: () => void,
+  ) {
+    const context = canvas.getContext("webgl2", {
+      alpha: false,
+      antialias: false,
+      depth: false,
+      stencil: false,
+      preserveDrawingBuffer: true,
+      powerPreference: "high-performance",
+    });
+    if (!context) {
+      throw new PageError(
+        "This browser cannot draw the scene",
+        "It has no WebGL2, or it is switched off. A current Chrome, Edge, Firefox or Safari with hardware acceleration shows it.",
+      );
+    }
+    canvas.addEventListener("webglcontextlost", () => {
+      this.lost = true;
+      onLost();
+    });
+    this.renderer = new WebGLRenderer({ canvas, context });
+    this.renderer.outputColorSpace = LinearSRGBColorSpace;
+    this.renderer.autoClear = false;
+    this.camera.matrixAutoUpdate = false;
+
+    const fine = context.getExtension("EXT_color_buffer_float") ?? context.getExtension("EXT_color_buffer_half_float");
+    this.target = new WebGLRenderTarget(1, 1, {
+      format: RGBAFormat,
+      type: fine ? HalfFloatType : UnsignedByteType,
+      minFilter: NearestFilter,
+      magFilter: NearestFilter,
+      depthBuffer: false,
+      stencilBuffer: false,
+    });
+    this.spark = new SparkRenderer({
+      renderer: this.renderer,
+      autoUpdate: false,
+      accumExtSplats: true,
+      enableLod: false,
+      sortRadial: false,
+      depthTest: false,
+      vertexShader: SPLAT_VERTEX,
+      fragmentShader: SPLAT_FRAGMENT,
+      extraUniforms: this.uniforms,
+      onDirty,
+    });
+    this.scene.add(this.spark);
+    this.present = new Mesh(
+      new PlaneGeometry(2, 2),
+      new ShaderMaterial({
+        glslVersion: GLSL3,
+        vertexShader: PRESENT_VERTEX,
+        fragmentShader: PRESENT_FRAGMENT,
+        uniforms: {
+          picture: { value: this.target.texture },
+          fadeTo: { value: new Vector3() },
+          fade: { value: 0 },
+        },
+        blending: NoBlending,
+        depthTest: false,
+        depthWrite: false,
+      }),
+    );
+    this.present.frustumCulled = false;
+    this.presentScene.add(this.present);
+  }
+
+  /** Shows another scene, as soon as it is sorted; what is shown now stays until then. */
+  load(manifest: Manifest, data: SceneData): void {
+    const most = this.renderer.capabilities.maxTextureSize;
+    const textures = splatTextures(data, colourTerms(manifest), most);
+    const instant = instantOf(manifest, data, textures);
+    if (this.loaded) {
+      this.scene.remove(this.loaded.instant.splats);
+      if (this.loaded !== this.bound) disposeTextures(this.loaded.textures);
+    }
+    this.loaded = { manifest, empty: splatCount(data) === 0, instant, textures };
+    this.scene.add(instant.splats);
+    this.shown = null;
+    if (!this.bound || this.loaded.empty) this.bind(this.loaded);
+  }
+
+  private bind(next: Loaded): void {
+    if (this.bound && this.bound !== next) disposeTextures(this.bound.textures);
+    this.bound = next;
+    const { manifest, textures } = next;
+    this.background.setRGB(...manifest.background);
+    this.uniforms.m4Shape.value = textures.shape;
+    this.uniforms.m4Near.value = manifest.near;
+    this.uniforms.m4Mip.value = manifest.mip;
+    const fadeTo = this.present.material.uniforms["fadeTo"];
+    if (fadeTo) fadeTo.value = new Vector3(...manifest.background);
+    this.spark.visible = !next.empty;
+  }
+
+  /** Size of the canvas in its own pixels. */
+  resize(width: number, height: number): void {
+    if (this.canvas.width === width && this.canvas.height === height) return;
+    this.renderer.setSize(width, height, false);
+    this.target.setSize(width, height);
+  }
+
+  /** Draws with the order there is; a better one follows by itself and calls `onDirty`. */
+  draw(view: View): void {
+    if (!this.loaded || this.lost) return;
+    const moved = this.stale || !this.shown || !sameSplats(this.shown, view);
+    this.shown = view;
+    const m = matrixOf(view.pose);
+    this.camera.matrix.set(
+      m[0] ?? 1, -(m[1] ?? 0), -(m[2] ?? 0), m[3] ?? 0,
+      m[4] ?? 0, -(m[5] ?? 1), -(m[6] ?? 0), m[7] ?? 0,
+      m[8] ?? 0, -(m[9] ?? 0), -(m[10] ?? 1), m[11] ?? 0,
+      0, 0, 0, 1,
+    );
+    this.camera.updateMatrixWorld(true);
+    this.uniforms.m4View.value.set(
+      m[0] ?? 1, m[1] ?? 0, m[2] ?? 0, m[3] ?? 0,
+      m[4] ?? 0, m[5] ?? 1, m[6] ?? 0, m[7] ?? 0,
+      m[8] ?? 0, m[9] ?? 0, m[10] ?? 1, m[11] ?? 0,
+      0, 0, 0, 1,
+    ).invert();
+    const { lens } = view;
+    this.uniforms.m4Lens.value.set(lens.fx, lens.fy, lens.cx, lens.cy);
+    this.uniforms.m4Size.value.set(lens.width, lens.height);
+    this.uniforms.m4LowPass.value = LOW_PASS * Math.max(view.magnification, 1) ** 2;
+    if (moved && !this.loaded.empty) {
+      // while a first order of a new scene is on its way Spark takes nothing else
+      this.stale = this.spark.sorting && !this.displayed;
+      this.loaded.instant.set(view.t, view.pose.position);
+      // the sort goes on in a worker; what fails there shows as an error of the page
+      void this.spark.update({ scene: this.scene, camera: this.camera });
+    }
+    if (this.bound !== this.loaded && this.displayed) this.bind(this.loaded);
+    this.renderer.setRenderTarget(this.target);
+    this.renderer.setClearColor(this.background, 1);
+    this.renderer.clear(true, false, false);
+    this.renderer.render(this.scene, this.camera);
+    this.renderer.setRenderTarget(null);
+    const fade = this.present.material.uniforms["fade"];
+    if (fade) fade.value = view.fade;
+    this.renderer.render(this.presentScene, this.camera);
+  }
+
+  /** Whether what Spark shows is the scene that was loaded last. */
+  private get displayed(): boolean {
+    const splats = this.loaded?.instant.splats;
+    return this.spark.display.mapping.some((m) => m.node === splats);
+  }
+
+  /** Whether the picture is drawn in the order of the splats as they are now. */
+  get sorted(): boolean {
+    if (!this.loaded || this.loaded.empty) return true;
+    const s = this.spark;
+    return !s.sorting && !s.sortDirty && !this.stale && this.displayed && s.orderingTexture !== null;
+  }
+
+  /** How many splats take part in the picture. */
+  get active(): number {
+    return this.spark.activeSplats;
+  }
+
+  /** Draws until the order is that of the splats as they are. */
+  async settle(view: View): Promise<void> {
+    this.draw(view);
+    const started = performance.now();
+    while (!this.sorted) {
+      if (this.lost) return;
+      if (performance.now() - started > SORT_TIMEOUT_MS) {
+        throw new PageError("Sorting the splats takes too long", "The worker did not answer within a minute. Reload the page.");
+      }
+      await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+      if (this.stale) this.draw(view);
+    }
+    this.draw(view);
+  }
+}
+
+/** Whether splats, their colours and their order are the same in two views. */
+function sameSplats(a: View, b: View): boolean {
+  return (
+    a.t === b.t &&
+    a.pose.position.every((v, i) => v === b.pose.position[i]) &&
+    a.pose.rotation.every((v, i) => v === b.pose.rotation[i])
+  );
+}

@@ -1,0 +1,78 @@
+/** The panel that says what can be done, and with which keys. */
+
+import { find, icon, make } from "./dom";
+
+type Line = readonly [what: string, ...keys: string[]];
+
+const TIME: readonly Line[] = [
+  ["Play or pause", "Space"],
+  ["Freeze time, move around it", "F"],
+  ["Frame back, frame on", ",", "."],
+  ["Start, end", "Home", "End"],
+  ["Slower, faster", "−", "+"],
+  ["Loop, to and fro, once", "L"],
+];
+const CAMERA: readonly Line[] = [
+  ["Source camera", "C"],
+  ["Orbit", "O"],
+  ["Fly", "G"],
+  ["Fly ahead, back, aside", "W", "A", "S", "D"],
+  ["Down, up", "Q", "E"],
+  ["Faster", "Shift"],
+  ["Reset", "R"],
+];
+const PAGE: readonly Line[] = [
+  ["Compare with the input", "V"],
+  ["Copy a link", "K"],
+  ["Save a picture", "P"],
+  ["Light or dark", "T"],
+  ["Full screen", "Enter"],
+  ["This help", "?"],
+];
+
+function list(title: string, lines: readonly Line[]): HTMLElement {
+  const entries = lines.flatMap(([what, ...keys]) => [
+    make("dt", "", what),
+    make("dd", "", ...keys.map((k) => make("kbd", "", k))),
+  ]);
+  return make("section", "", make("h3", "", title), make("dl", "", ...entries));
+}
+
+export class Help {
+  private readonly dialog = find(HTMLDialogElement, "#help");
+
+  constructor() {
+    const close = make("button", "icon", icon("close"));
+    close.type = "button";
+    close.setAttribute("aria-label", "Close");
+    close.dataset["control"] = "help-close";
+    close.addEventListener("click", () => this.dialog.close());
+    const heading = make("h2", "", "How to look around");
+    heading.id = "help-title";
+    const about = make(
+      "p",
+      "",
+      "Drag to orbit, scroll or pinch to come nearer, drag with two fingers or the right button to shift. " +
+        "A scene made of one clip is right near the places it was filmed from; further out the picture fades.",
+    );
+    const keys = make(
+      "div",
+      "keys",
+      make("div", "", list("Time", TIME), list("Page", PAGE)),
+      make("div", "", list("Camera", CAMERA)),
+    );
+    this.dialog.append(make("header", "", heading, close), about, keys);
+    this.dialog.addEventListener("click", (event) => {
+      if (event.target === this.dialog) this.dialog.close();
+    });
+  }
+
+  get open(): boolean {
+    return this.dialog.open;
+  }
+
+  toggle(): void {
+    if (this.dialog.open) this.dialog.close();
+    else this.dialog.showModal();
+  }
+}

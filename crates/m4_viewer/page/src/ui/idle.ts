@@ -1,0 +1,34 @@
+/** Controls step aside while the scene plays and nobody touches anything. */
+
+const WAIT_MS = 2600;
+
+export class Idle {
+  private timer = 0;
+
+  constructor(
+    private readonly root: HTMLElement,
+    /** Whether controls may go now. */
+    private readonly allowed: () => boolean,
+  ) {
+    for (const type of ["pointermove", "pointerdown", "keydown", "focusin", "wheel"]) {
+      window.addEventListener(type, () => this.wake(), { passive: true });
+    }
+    this.wake();
+  }
+
+  get idle(): boolean {
+    return this.root.classList.contains("idle");
+  }
+
+  /** Shows the controls and counts from the beginning. */
+  wake(): void {
+    this.root.classList.remove("idle");
+    window.clearTimeout(this.timer);
+    this.timer = window.setTimeout(() => this.rest(), WAIT_MS);
+  }
+
+  private rest(): void {
+    if (this.allowed()) this.root.classList.add("idle");
+    else this.timer = window.setTimeout(() => this.rest(), WAIT_MS);
+  }
+}

@@ -1,0 +1,24 @@
+/** Short words over the picture. */
+
+import { find, setText } from "./dom";
+
+const TOAST_MS = 2600;
+let toastTimer = 0;
+
+/** Says that something was done, for a moment. */
+export function toast(text: string): void {
+  const element = find(HTMLElement, "#toast");
+  setText(element, text);
+  element.hidden = false;
+  window.clearTimeout(toastTimer);
+  toastTimer = window.setTimeout(() => {
+    element.hidden = true;
+  }, TOAST_MS);
+}
+
+/** Says something for as long as it is so; `null` when it is not any more. */
+export function hint(text: string | null): void {
+  const element = find(HTMLElement, "#hint");
+  if (text !== null) setText(element, text);
+  if (element.hidden !== (text === null)) element.hidden = text === null;
+}
