@@ -1,2 +1,20 @@
 //! The page that shows a scene: one self-contained HTML file, or the same page from a local server.
+//!
+//! ```text
+//! Scene --payload::encode--> Payload --+
+//!       --Manifest::new-----> Manifest +--page::compose--> viewer.html --page::read--> the same again
+//! pictures --encode_frames--> Frames --+
+//! ```
+//!
+//! The page itself is TypeScript in `crates/m4_viewer/page`, built and kept as `page.html`.
 #![forbid(unsafe_code)]
+
+pub mod live;
+pub mod page;
+pub mod payload;
+
+mod frames;
+mod manifest;
+
+pub use frames::{FrameLimits, Frames, FramesError, encode_frames};
+pub use manifest::{About, FrameIndex, Live, MANIFEST_VERSION, Manifest, SafeOrbit, SourceCamera, SplatFacts};

@@ -1,0 +1,209 @@
+//! The frames of the source beside the re-render: small JPEGs, one after the other.
+
+use crate::manifest::FrameIndex;
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+use m4_io::image::resize_rgb;
+use m4_scene::RgbImage;
+use std::borrow::Cow;
+
+/// How large the frames may be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameLimits {
+    /// Longest side, pixels. 480: as the panels of the preview.
+    pub side_px: usize,
+    /// All of them together, bytes; where that is not enough, quality and then size are lowered.
+    pub bytes: usize,
+    /// JPEG quality to begin with, 1 to 100. 80: blocks are not seen at this size.
+    pub quality: u8,
+}
+
+impl Default for FrameLimits {
+    fn default() -> Self {
+        Self {
+            side_px: 480,
+            bytes: 6_000_000,
+            quality: 80,
+        }
+    }
+}
+
+/// Frames as JPEGs.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Frames {
+    /// Where each begins.
+    pub index: FrameIndex,
+    /// One after the other.
+    pub bytes: Vec<u8>,
+}
+
+/// Why frames cannot be put into the page.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum FramesError {
+    /// A picture without pixels.
+    #[error("frame {index} is {width} x {height} pixels; it must have some")]
+    Empty {
+        /// Which.
+        index: usize,
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// The encoder.
+    #[error("frame {index} cannot be written as a JPEG: {reason}")]
+    Encode {
+        /// Which.
+        index: usize,
+        /// What it said.
+        reason: String,
+    },
+}
+
+/// Quality is lowered by this much at a time, down to [`LEAST_QUALITY`]; after that the size.
+const QUALITY_STEP: u8 = 15;
+const LEAST_QUALITY: u8 = 50;
+/// No frame is made smaller than this, however many there are.
+const LEAST_SIDE_PX: usize = 96;
+/// Frames that are tried before all are written.
+const SAMPLES: usize = 8;
+
+/// The pictures as JPEGs of one size within the limits, as far as those can be held; `None` for none.
+///
+/// # Errors
+///
+/// [`FramesError`] naming the frame.
+pub fn encode_frames(pictures: &[&RgbImage], limits: &FrameLimits) -> Result<Option<Frames>, FramesError> {
+    for (index, picture) in pictures.iter().enumerate() {
+        let (width, height) = picture.size();
+        if width == 0 || height == 0 {
+            return Err(FramesError::Empty { index, width, height });
+        }
+    }
+    let Some(first) = pictures.first() else { return Ok(None) };
+    let mut side = limits.side_px.max(LEAST_SIDE_PX);
+    let mut quality = limits.quality.clamp(1, 100);
+    // a few frames tell how large all will be
+    let step = pictures.len().div_ceil(SAMPLES);
+    loop {
+        let size = fit(first.size(), side);
+        let mut sampled = Vec::new();
+        for index in (0..pictures.len()).step_by(step) {
+            append(&mut sampled, pictures, index, size, quality)?;
+        }
+        let samples = pictures.len().div_ceil(step);
+        let expected = sampled.len() as f64 / samples as f64 * pictures.len() as f64;
+        if expected <= limits.bytes as f64 || side <= LEAST_SIDE_PX {
+            break;
+        }
+        if quality >= LEAST_QUALITY + QUALITY_STEP {
+            quality -= QUALITY_STEP;
+        } else {
+            side = (side * 3 / 4).max(LEAST_SIDE_PX);
+        }
+    }
+    let size = fit(first.size(), side);
+    let (mut bytes, mut offsets) = (Vec::new(), vec![0]);
+    for index in 0..pictures.len() {
+        append(&mut bytes, pictures, index, size, quality)?;
+        offsets.push(bytes.len());
+    }
+    let index = FrameIndex {
+        width: size.0,
+        height: size.1,
+        offsets,
+    };
+    Ok(Some(Frames { index, bytes }))
+}
+
+/// The size with the longest side at most `side`.
+fn fit((width, height): (usize, usize), side: usize) -> (usize, usize) {
+    let scale = (side as f64 / width.max(height) as f64).min(1.0);
+    let scaled = |n: usize| ((n as f64 * scale).round() as usize).max(1);
+    (scaled(width), scaled(height))
+}
+
+fn append(
+    out: &mut Vec<u8>,
+    pictures: &[&RgbImage],
+    index: usize,
+    (width, height): (usize, usize),
+    quality: u8,
+) -> Result<(), FramesError> {
+    let failed = |reason: &dyn std::fmt::Display| FramesError::Encode {
+        index,
+        reason: reason.to_string(),
+    };
+    let picture = pictures[index];
+    let small = if picture.size() == (width, height) {
+        Cow::Borrowed(picture)
+    } else {
+        Cow::Owned(resize_rgb(picture, width, height).ok_or_else(|| failed(&"it cannot be made smaller"))?)
+    };
+    let side = |n: usize| u32::try_from(n).map_err(|e| failed(&e));
+    JpegEncoder::new_with_quality(out, quality)
+        .write_image(
+            small.data().as_flattened(),
+            side(width)?,
+            side(height)?,
+            ExtendedColorType::Rgb8,
+        )
+        .map_err(|e| failed(&e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FrameLimits, encode_frames};
+    use m4_math::CounterRng;
+    use m4_scene::{Plane, RgbImage};
+
+    fn noise(index: u64) -> RgbImage {
+        let mut rng = CounterRng::new(1, 2, index);
+        Plane::from_fn(640, 360, |_, _| std::array::from_fn(|_| (255.0 * rng.uniform()) as u8))
+    }
+
+    #[test]
+    fn frames_come_back_at_their_offsets() {
+        let grey = |v: u8| Plane::filled(200, 100, [v; 3]);
+        let pictures: Vec<RgbImage> = [10, 120, 250].map(grey).into();
+        let frames = encode_frames(&pictures.iter().collect::<Vec<_>>(), &FrameLimits::default())
+            .unwrap()
+            .unwrap();
+        assert_eq!((frames.index.width, frames.index.height), (200, 100));
+        assert_eq!(frames.index.offsets.len(), 4);
+        assert_eq!(frames.index.offsets[3], frames.bytes.len());
+        for (i, value) in [10u8, 120, 250].into_iter().enumerate() {
+            let jpeg = &frames.bytes[frames.index.offsets[i]..frames.index.offsets[i + 1]];
+            let picture = image::load_from_memory(jpeg).unwrap().to_rgb8();
+            assert_eq!(picture.dimensions(), (200, 100));
+            assert!(picture.as_raw().iter().all(|v| v.abs_diff(value) <= 2), "frame {i}");
+        }
+    }
+
+    #[test]
+    fn too_many_bytes_cost_quality_and_size() {
+        let pictures: Vec<RgbImage> = (0..20).map(noise).collect();
+        let pictures: Vec<&RgbImage> = pictures.iter().collect();
+        let whole = encode_frames(&pictures, &FrameLimits::default()).unwrap().unwrap();
+        assert_eq!((whole.index.width, whole.index.height), (480, 270));
+        let limits = FrameLimits {
+            bytes: whole.bytes.len() / 6,
+            ..FrameLimits::default()
+        };
+        let tight = encode_frames(&pictures, &limits).unwrap().unwrap();
+        assert!(
+            tight.bytes.len() < limits.bytes * 11 / 10,
+            "{} bytes",
+            tight.bytes.len()
+        );
+        assert!(tight.index.width < 480);
+    }
+
+    #[test]
+    fn no_frames_and_empty_frames() {
+        assert_eq!(encode_frames(&[], &FrameLimits::default()), Ok(None));
+        let empty = Plane::filled(0, 4, [0; 3]);
+        assert!(encode_frames(&[&empty], &FrameLimits::default()).is_err());
+    }
+}

@@ -1,0 +1,217 @@
+//! What the page is told of a scene besides its splats.
+
+use crate::payload::Payload;
+use m4_scene::{Camera, Scene};
+use serde::{Deserialize, Serialize};
+
+/// Version of the manifest; a page reads one.
+pub const MANIFEST_VERSION: u32 = 1;
+
+/// The JSON in the page. Axes, units and colours are those of [`m4_scene`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// [`MANIFEST_VERSION`].
+    pub version: u32,
+    /// For the title of the page.
+    pub title: String,
+    /// What the payload holds.
+    pub splats: SplatFacts,
+    /// Colour behind everything, 0..1.
+    pub background: [f32; 3],
+    /// Time runs from 0 to one less than this, frames.
+    pub time_frames: usize,
+    /// Seconds from the first to the last frame, where known.
+    pub duration_s: Option<f64>,
+    /// Frames a second of the source; a guess where the scene does not say.
+    pub fps: f64,
+    /// Opacity-compensated 2D filter on.
+    pub mip: bool,
+    /// Splats nearer than this z-depth are not drawn, world units.
+    pub near: f32,
+    /// Period of the first temporal harmonic of the colour, frames.
+    pub period_frames: f64,
+    /// Those of the source, in order of time.
+    pub cameras: Vec<SourceCamera>,
+    /// The point at the median depth on the axis of the middle camera: what an orbit goes about.
+    pub centre: [f64; 3],
+    /// How far from the source cameras the scene can be looked at.
+    pub safe: SafeOrbit,
+    /// The frames of the source in the page, one a camera.
+    pub frames: Option<FrameIndex>,
+    /// Where the page hears of newer scenes; none in a file.
+    pub live: Option<Live>,
+}
+
+/// How many splats of which kind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SplatFacts {
+    /// Without time parameters.
+    pub r#static: usize,
+    /// With them.
+    pub dynamic: usize,
+    /// Degree of the spatial harmonics of the colour.
+    pub sh_degree: usize,
+    /// Highest temporal harmonic of the colour.
+    pub time_degree: usize,
+    /// One scale a splat and no rotation.
+    pub isotropic: bool,
+    /// Bytes of the payload before gzip.
+    pub bytes: usize,
+}
+
+impl From<&Payload> for SplatFacts {
+    fn from(payload: &Payload) -> Self {
+        Self {
+            r#static: payload.n_static,
+            dynamic: payload.n_dynamic,
+            sh_degree: payload.layout.sh_degree,
+            time_degree: payload.layout.time_degree,
+            isotropic: payload.layout.isotropic,
+            bytes: payload.bytes.len(),
+        }
+    }
+}
+
+/// A camera of the source.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SourceCamera {
+    /// Frames.
+    pub t: f64,
+    /// Camera to world, 4x4 row-major, OpenCV axes.
+    pub c2w: [f64; 16],
+    /// Horizontal focal length, pixels.
+    pub fx: f64,
+    /// Vertical focal length, pixels.
+    pub fy: f64,
+    /// Principal point from the left edge, pixels.
+    pub cx: f64,
+    /// Principal point from the top edge, pixels.
+    pub cy: f64,
+    /// Columns of its pictures.
+    pub width: usize,
+    /// Rows of its pictures.
+    pub height: usize,
+}
+
+impl SourceCamera {
+    fn new(camera: &Camera, t: f64) -> Self {
+        let k = &camera.intrinsics;
+        let m = camera.c2w.matrix();
+        Self {
+            t,
+            c2w: std::array::from_fn(|i| m[(i / 4, i % 4)]),
+            fx: k.fx,
+            fy: k.fy,
+            cx: k.cx,
+            cy: k.cy,
+            width: k.width,
+            height: k.height,
+        }
+    }
+}
+
+/// How far a camera may go before the page begins to fade.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SafeOrbit {
+    /// From the nearest source camera, world units.
+    pub radius: f64,
+}
+
+/// Where each frame begins in the run of JPEGs.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FrameIndex {
+    /// Columns of every frame.
+    pub width: usize,
+    /// Rows of every frame.
+    pub height: usize,
+    /// Bytes from the first; one more than there are frames.
+    pub offsets: Vec<usize>,
+}
+
+/// Where a page from a server hears of newer scenes.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Live {
+    /// Address of an event stream; each event is a JSON object with an `event`.
+    pub events: String,
+    /// Address of the newest scene, see [`crate::live`].
+    pub scene: String,
+    /// What every request must carry.
+    pub token: String,
+}
+
+/// What a scene does not say of itself.
+#[derive(Debug, Clone, PartialEq)]
+pub struct About<'a> {
+    /// For the title of the page.
+    pub title: &'a str,
+    /// Median z-depth of what the middle source camera sees, world units.
+    pub median_depth: f64,
+    /// Frames a second of the source.
+    pub fps: f64,
+}
+
+impl Manifest {
+    /// Describes a scene and its payload; without frames and without a server.
+    #[must_use]
+    pub fn new(scene: &Scene, payload: &Payload, about: &About<'_>) -> Self {
+        let middle = scene.source.get(scene.source.len() / 2).map(|s| s.camera);
+        let depth = usable_depth(about.median_depth);
+        let centre = middle.map_or([0.0; 3], |camera| {
+            let axis: [f64; 3] = camera.c2w.rotation.column(2).into_owned().into();
+            let eye: [f64; 3] = camera.centre().into();
+            std::array::from_fn(|k| eye[k] + depth * axis[k])
+        });
+        Self {
+            version: MANIFEST_VERSION,
+            title: about.title.to_owned(),
+            splats: payload.into(),
+            background: scene.background,
+            time_frames: scene.time_frames,
+            duration_s: scene.duration_s,
+            fps: about.fps,
+            mip: scene.mip,
+            near: scene.near,
+            period_frames: (scene.time_frames.max(2) - 1) as f64,
+            cameras: scene.source.iter().map(|s| SourceCamera::new(&s.camera, s.t)).collect(),
+            centre,
+            safe: SafeOrbit::new(scene, depth),
+            frames: None,
+            live: None,
+        }
+    }
+}
+
+pub(crate) fn usable_depth(median_depth: f64) -> f64 {
+    if median_depth.is_finite() && median_depth > 0.0 {
+        median_depth
+    } else {
+        1.0
+    }
+}
+
+/// Tangent of 8 degrees: by so much the preview swings about the middle of any scene without tearing it open.
+const LEAST_SHARE: f64 = 0.140_540_834_702_391_4;
+/// Past half of the median depth nearer things leave their place in the picture altogether.
+const MOST_SHARE: f64 = 0.5;
+/// How far beyond its ends a path may be left, as a share of its extent: what lies behind an edge has
+/// been seen as far as the camera moved, and half of that is guessed well from what is beside it.
+const PATH_SHARE: f64 = 0.5;
+
+impl SafeOrbit {
+    /// Half of the extent of the camera's path (the diagonal of the box about it), and at least
+    /// `tan(8 degrees)`, at most half, of the median depth.
+    fn new(scene: &Scene, median_depth: f64) -> Self {
+        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        for source in &scene.source {
+            let eye: [f64; 3] = source.camera.centre().into();
+            for k in 0..3 {
+                low[k] = low[k].min(eye[k]);
+                high[k] = high[k].max(eye[k]);
+            }
+        }
+        let extent = (0..3).map(|k| (high[k] - low[k]).max(0.0).powi(2)).sum::<f64>().sqrt();
+        Self {
+            radius: (PATH_SHARE * extent).clamp(LEAST_SHARE * median_depth, MOST_SHARE * median_depth),
+        }
+    }
+}

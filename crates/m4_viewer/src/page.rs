@@ -1,0 +1,192 @@
+//! The page with a scene in it, and what is in such a page.
+//!
+//! The page as it is built ([`TEMPLATE`]) has one marker. In its place go
+//!
+//! ```html
+//! <script type="application/json" id="m4-manifest">{..}</script>
+//! <script type="text/plain" id="m4-splats">BASE64 of gzip of the payload</script>
+//! <script type="text/plain" id="m4-frames">BASE64 of the JPEGs</script>
+//! ```
+//!
+//! the last two only where there is something. `</` in the JSON is written `<\/`, so that nothing in it
+//! ends the element.
+
+use crate::frames::Frames;
+use crate::manifest::Manifest;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
+use std::io::{Read, Write};
+
+/// The page without a scene, as `crates/m4_viewer/page` builds it.
+pub const TEMPLATE: &str = include_str!("../page.html");
+/// What the scene takes the place of.
+pub const MARKER: &str = "<!--minute4d-data-->";
+
+const MANIFEST: (&str, &str) = ("application/json", "m4-manifest");
+const SPLATS: (&str, &str) = ("text/plain", "m4-splats");
+const FRAMES: (&str, &str) = ("text/plain", "m4-frames");
+const END: &str = "</script>";
+
+/// How hard gzip tries.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Effort {
+    /// For a page that goes no further than this machine.
+    Quick,
+    /// For a file.
+    Small,
+}
+
+impl From<Effort> for Compression {
+    fn from(effort: Effort) -> Self {
+        match effort {
+            Effort::Quick => Self::fast(),
+            Effort::Small => Self::default(),
+        }
+    }
+}
+
+/// Why a page cannot be made or read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PageError {
+    /// The template has no single marker.
+    #[error("the page has {found} places for a scene where it must have one; build crates/m4_viewer/page again")]
+    Marker {
+        /// How many.
+        found: usize,
+    },
+    /// The manifest cannot be written or read as JSON.
+    #[error("the manifest of the page is not as it should be: {source}")]
+    Manifest {
+        /// What is wrong.
+        #[from]
+        source: serde_json::Error,
+    },
+    /// Compression, in memory.
+    #[error("the splats cannot be packed or unpacked: {source}")]
+    Gzip {
+        /// What is wrong.
+        #[from]
+        source: std::io::Error,
+    },
+    /// An element that is missing.
+    #[error("the page has no element {id}; it was not written by minute4d, or only in part")]
+    Missing {
+        /// Which.
+        id: &'static str,
+    },
+    /// An element that is not base64.
+    #[error("the element {id} of the page is damaged: {source}")]
+    Base64 {
+        /// Which.
+        id: &'static str,
+        /// What is wrong.
+        source: base64::DecodeError,
+    },
+}
+
+/// What a page is made of.
+#[derive(Debug, Clone, Copy)]
+pub struct Parts<'a> {
+    /// What it is told.
+    pub manifest: &'a Manifest,
+    /// The payload before gzip; `None` for a page that waits for the first scene of a server.
+    pub payload: Option<&'a [u8]>,
+    /// The frames that the manifest describes.
+    pub frames: Option<&'a Frames>,
+}
+
+/// The page as bytes of HTML.
+///
+/// # Errors
+///
+/// [`PageError::Marker`] for a template that is none.
+pub fn compose(template: &str, parts: &Parts<'_>, effort: Effort) -> Result<Vec<u8>, PageError> {
+    let found = template.matches(MARKER).count();
+    let Some((before, after)) = template.split_once(MARKER).filter(|_| found == 1) else {
+        return Err(PageError::Marker { found });
+    };
+    let json = serde_json::to_string(parts.manifest)?.replace("</", "<\\/");
+    let mut out = before.as_bytes().to_vec();
+    element(&mut out, MANIFEST, &json);
+    if let Some(payload) = parts.payload {
+        let mut gzip = GzEncoder::new(Vec::with_capacity(payload.len()), effort.into());
+        gzip.write_all(payload)?;
+        element(&mut out, SPLATS, &STANDARD.encode(gzip.finish()?));
+    }
+    if let Some(frames) = parts.frames {
+        element(&mut out, FRAMES, &STANDARD.encode(&frames.bytes));
+    }
+    out.extend_from_slice(after.as_bytes());
+    Ok(out)
+}
+
+fn opening((kind, id): (&str, &str)) -> String {
+    format!("<script type=\"{kind}\" id=\"{id}\">")
+}
+
+fn element(out: &mut Vec<u8>, name: (&str, &str), text: &str) {
+    out.extend_from_slice(opening(name).as_bytes());
+    out.extend_from_slice(text.as_bytes());
+    out.extend_from_slice(END.as_bytes());
+}
+
+/// What a page holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contents {
+    /// What it is told.
+    pub manifest: Manifest,
+    /// The payload without gzip, for [`crate::payload::decode`]; `None` where there is none.
+    pub payload: Option<Vec<u8>>,
+    /// The frames, where there are some.
+    pub frames: Option<Frames>,
+}
+
+/// Most bytes that the splats of a page may unpack to: a hundred million splats.
+const MOST_BYTES: u64 = 4 << 30;
+
+/// Takes a page apart.
+///
+/// # Errors
+///
+/// [`PageError`] saying which element is missing or damaged.
+pub fn read(html: &str) -> Result<Contents, PageError> {
+    let text = find(html, MANIFEST).ok_or(PageError::Missing { id: MANIFEST.1 })?;
+    let manifest: Manifest = serde_json::from_str(text)?;
+    let payload = match find(html, SPLATS) {
+        Some(text) => {
+            let mut payload = Vec::new();
+            let gzip = bytes(SPLATS.1, text)?;
+            GzDecoder::new(gzip.as_slice())
+                .take(MOST_BYTES)
+                .read_to_end(&mut payload)?;
+            Some(payload)
+        }
+        None => None,
+    };
+    let frames = match (find(html, FRAMES), manifest.frames.clone()) {
+        (Some(text), Some(index)) => Some(Frames {
+            index,
+            bytes: bytes(FRAMES.1, text)?,
+        }),
+        (None, Some(_)) => return Err(PageError::Missing { id: FRAMES.1 }),
+        _ => None,
+    };
+    Ok(Contents {
+        manifest,
+        payload,
+        frames,
+    })
+}
+
+fn find<'a>(html: &'a str, name: (&str, &str)) -> Option<&'a str> {
+    let (_, rest) = html.split_once(opening(name).as_str())?;
+    rest.split_once(END).map(|(text, _)| text)
+}
+
+fn bytes(id: &'static str, text: &str) -> Result<Vec<u8>, PageError> {
+    STANDARD.decode(text).map_err(|source| PageError::Base64 { id, source })
+}

@@ -1,0 +1,230 @@
+//! Splats to bytes.
+
+use super::codec::{Linear, Planes, Sinh, rotation_code};
+use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, bytes_per_splat};
+use m4_scene::{Column, Scene, SplatLayout, Splats};
+
+/// How finely the splats are kept.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PayloadConfig {
+    /// Steps of a position to a pixel of the source video at the median depth. 32: at 16 the loss is
+    /// first seen beside that of the scales.
+    pub position_steps_per_px: f64,
+    /// Steps of a colour from black to white. 255: that of the source video.
+    pub colour_steps: f64,
+    /// Steps of a small displacement in a splat's life to a pixel, and of a large one to its size over e.
+    pub velocity_steps: f64,
+    /// Coarsest step of the logarithm of a scale. 0.055: from the largest splat down to a millionth of it.
+    pub scale_step: f64,
+}
+
+impl Default for PayloadConfig {
+    fn default() -> Self {
+        Self {
+            position_steps_per_px: 32.0,
+            colour_steps: 255.0,
+            velocity_steps: 64.0,
+            scale_step: 0.055,
+        }
+    }
+}
+
+/// The splats of a scene as bytes, and what is in them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Payload {
+    /// As described in [`crate::payload`].
+    pub bytes: Vec<u8>,
+    /// Splats without time parameters.
+    pub n_static: usize,
+    /// Splats with them.
+    pub n_dynamic: usize,
+    /// Which columns.
+    pub layout: SplatLayout,
+}
+
+/// `Y_0` of the spherical harmonics: colours are `1/2 + Y_0 K + ...`.
+const SH_C0: f64 = 0.282_094_791_773_878_14;
+/// Positions are spaced evenly within this share of the median depth about the cameras.
+const EVEN_SHARE: f64 = 0.1;
+/// The least opacity that is drawn (section 1.7).
+const ALPHA_MIN: f64 = 1.0 / 255.0;
+
+/// The splats that can be seen. Those whose opacity never exceeds 1/255 in the time of the scene, or
+/// that have a parameter which is no finite number, are left out. `median_depth` is that of what the
+/// source cameras see, world units: it sets what a pixel is.
+#[must_use]
+pub fn encode(scene: &Scene, median_depth: f64, config: &PayloadConfig) -> Payload {
+    let splats = &scene.splats;
+    let rows = visible_rows(scene);
+    let n_static = rows.iter().take_while(|&&r| r < splats.n_static()).count();
+    let (layout, n, n_dynamic) = (splats.layout(), rows.len(), rows.len() - n_static);
+    let codes = Codes::of(scene, &rows, n_static, median_depth, config);
+
+    let (a, b) = bytes_per_splat(layout);
+    let mut bytes = Vec::with_capacity(super::HEADER_BYTES + n_static * a + n_dynamic * b);
+    bytes.extend_from_slice(MAGIC);
+    for v in [VERSION, n_static as u32, n_dynamic as u32] {
+        bytes.extend_from_slice(&v.to_le_bytes());
+    }
+    let kinds = [
+        layout.sh_degree as u8,
+        layout.time_degree as u8,
+        u8::from(layout.isotropic),
+    ];
+    bytes.extend_from_slice(&kinds);
+    bytes.extend_from_slice(&[0; 5]);
+    for v in codes.numbers() {
+        bytes.extend_from_slice(&v.to_le_bytes());
+    }
+
+    let mut planes = Planes::after(bytes);
+    let mut values = vec![0u32; n];
+    let mut column = |width: usize, rows: &[usize], code: &dyn Fn(usize) -> u32| {
+        values.resize(rows.len(), 0);
+        for (value, &row) in values.iter_mut().zip(rows) {
+            *value = code(row);
+        }
+        planes.push(width, &values);
+    };
+    for (k, sinh) in codes.mean.iter().enumerate() {
+        let from = splats.column(Column::Mean, k);
+        column(3, &rows, &|r| sinh.code(from[r]));
+    }
+    for k in 0..layout.range(Column::LogScale).len() {
+        let from = splats.column(Column::LogScale, k);
+        column(1, &rows, &|r| codes.scale.code(from[r]));
+    }
+    if !layout.isotropic {
+        let quat: [&[f32]; 4] = std::array::from_fn(|k| splats.column(Column::Quat, k));
+        column(4, &rows, &|r| rotation_code(quat.map(|c| c[r])));
+    }
+    let logit = splats.column(Column::Opacity, 0);
+    column(1, &rows, &|r| (sigmoid(logit[r]) * 255.0).round() as u32);
+    for k in 0..layout.range(Column::Colour).len() {
+        let from = splats.column(Column::Colour, k);
+        column(2, &rows, &|r| {
+            (f64::from(from[r]) / codes.colour_step + MIDDLE_16)
+                .round()
+                .clamp(0.0, 65535.0) as u32
+        });
+    }
+    let late: Vec<usize> = rows[n_static..].iter().map(|r| r - splats.n_static()).collect();
+    let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
+    column(2, &late, &|r| codes.time.code(time[r]));
+    column(1, &late, &|r| codes.sd.code(sd[r]));
+    for k in 0..3 {
+        let from = splats.column(Column::Velocity, k);
+        column(2, &late, &|r| codes.velocity.code(from[r]));
+    }
+    Payload {
+        bytes: planes.finish(),
+        n_static,
+        n_dynamic,
+        layout,
+    }
+}
+
+/// How every parameter of a scene is written.
+struct Codes {
+    mean: [Sinh; 3],
+    scale: Linear,
+    colour_step: f64,
+    time: Linear,
+    sd: Linear,
+    velocity: Sinh,
+}
+
+impl Codes {
+    fn of(scene: &Scene, rows: &[usize], n_static: usize, median_depth: f64, config: &PayloadConfig) -> Self {
+        let splats = &scene.splats;
+        let depth = if median_depth.is_finite() && median_depth > 0.0 {
+            median_depth
+        } else {
+            1.0
+        };
+        let middle = scene.source.get(scene.source.len() / 2).map(|s| s.camera);
+        let centre = middle.map_or([0.0; 3], |c| c.centre().into());
+        // where no camera says what a pixel is: that of a phone's video at 480 pixels
+        let focal_px = middle.map_or(400.0, |c| c.intrinsics.fx).max(1.0);
+        let step = 1.0 / (focal_px * config.position_steps_per_px);
+        let scales = splats.layout().range(Column::LogScale).len();
+        let late = || rows[n_static..].iter().map(|r| r - splats.n_static());
+        let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
+        let mut lives: Vec<f64> = late()
+            .map(|r| (LIFE_SDS * f64::from(sd[r]).exp()).min(scene.time_frames.max(1) as f64))
+            .collect();
+        let half = lives.len() / 2;
+        let life = if lives.is_empty() {
+            1.0
+        } else {
+            *lives.select_nth_unstable_by(half, f64::total_cmp).1
+        };
+        Self {
+            mean: std::array::from_fn(|k| Sinh::mean(centre[k], EVEN_SHARE * depth, step)),
+            scale: Linear::over(
+                (0..scales).flat_map(|k| rows.iter().map(move |&r| splats.column(Column::LogScale, k)[r])),
+                255.0,
+                config.scale_step,
+            ),
+            colour_step: 1.0 / (SH_C0 * config.colour_steps),
+            time: Linear::over(late().map(|r| time[r]), 65535.0, f64::INFINITY),
+            sd: Linear::over(late().map(|r| sd[r]), 255.0, f64::INFINITY),
+            velocity: Sinh::velocity(depth / focal_px / life.max(1e-3), 1.0 / config.velocity_steps),
+        }
+    }
+
+    /// In the order of the header.
+    fn numbers(&self) -> [f64; 14] {
+        let [x, y, z] = &self.mean;
+        [
+            x.centre,
+            y.centre,
+            z.centre,
+            x.spread,
+            x.step,
+            self.scale.low,
+            self.scale.step,
+            self.colour_step,
+            self.time.low,
+            self.time.step,
+            self.sd.low,
+            self.sd.step,
+            self.velocity.spread,
+            self.velocity.step,
+        ]
+    }
+}
+
+fn sigmoid(logit: f32) -> f64 {
+    1.0 / (1.0 + (-f64::from(logit)).exp())
+}
+
+/// The rows of the splats that a frame can show, in order.
+fn visible_rows(scene: &Scene) -> Vec<usize> {
+    let splats = &scene.splats;
+    let (n, n_static) = (splats.n(), splats.n_static());
+    let mut finite = vec![true; n];
+    let shared = splats.layout().shared_columns();
+    for (c, column) in splats.columns().iter().enumerate() {
+        let first = if c < shared { 0 } else { n_static };
+        for (ok, v) in finite[first..].iter_mut().zip(column) {
+            *ok &= v.is_finite();
+        }
+    }
+    let logit = splats.column(Column::Opacity, 0);
+    let last = scene.time_frames.saturating_sub(1) as f64;
+    let seen = |row: usize| finite[row] && sigmoid(logit[row]) * peak(splats, row, last) > ALPHA_MIN;
+    (0..n).filter(|&row| seen(row)).collect()
+}
+
+/// The largest temporal marginal of a splat from frame 0 to `last`; 0 where it is not drawn.
+fn peak(splats: &Splats, row: usize, last: f64) -> f64 {
+    let Some(i) = row.checked_sub(splats.n_static()) else {
+        return 1.0;
+    };
+    let mean = f64::from(splats.column(Column::TimeMean, 0)[i]);
+    let sd = f64::from(splats.column(Column::LogTimeSd, 0)[i]).exp();
+    let away = (mean.clamp(0.0, last) - mean) / sd;
+    let marginal = (-0.5 * away * away).exp();
+    if marginal > MARGINAL_MIN { marginal } else { 0.0 }
+}

@@ -1,0 +1,108 @@
+//! The splats of a scene as bytes for the page: columns, quantised where it cannot be seen.
+//!
+//! Everything is little endian. A header of [`HEADER_BYTES`] bytes:
+//!
+//! | offset | type | what |
+//! |---|---|---|
+//! | 0 | 4 bytes | `M4SP` |
+//! | 4 | u32 | version, [`VERSION`] |
+//! | 8 | u32 | static splats |
+//! | 12 | u32 | dynamic splats |
+//! | 16 | u8 | `sh_degree`, 0..=3 |
+//! | 17 | u8 | `time_degree`, 0..=2 |
+//! | 18 | u8 | 1 if isotropic, else 0 |
+//! | 19 | 5 bytes | 0 |
+//! | 24 | 3 x f64 | `mean_centre`, world units |
+//! | 48 | f64 | `mean_spread`, world units |
+//! | 56 | f64 | `mean_step` |
+//! | 64 | 2 x f64 | `scale_low`, `scale_step` |
+//! | 80 | f64 | `colour_step` |
+//! | 88 | 2 x f64 | `time_low`, `time_step`, frames |
+//! | 104 | 2 x f64 | `sd_low`, `sd_step` |
+//! | 120 | f64 | `velocity_spread`, world units a frame |
+//! | 128 | f64 | `velocity_step` |
+//!
+//! Then the parameters in this order, `n` = static + dynamic splats, static ones first. A parameter has
+//! components, each an unsigned integer `q` of so many bytes. For each component in turn, and for each
+//! of its bytes in turn (the least significant first), there is one plane with a byte a splat: the
+//! upper bytes, which hardly differ, lie together and all but vanish under gzip.
+//!
+//! | parameter | components | bytes | splats | value |
+//! |---|---|---|---|---|
+//! | mean | 3 | 3 | n | `mean_centre + mean_spread sinh(mean_step (q - 2^23))` |
+//! | scale | 3 (isotropic: 1) | 1 | n | `exp(scale_low + scale_step q)`, standard deviation, world units |
+//! | rotation | 1 (isotropic: none) | 4 | n | see below |
+//! | opacity | 1 | 1 | n | `q / 255` at the peak in time |
+//! | colour | 3 x terms | 2 | n | `colour_step (q - 2^15)`, component `3 term + channel` |
+//! | time mean | 1 | 2 | dynamic | `time_low + time_step q`, frames |
+//! | time sd | 1 | 1 | dynamic | `exp(sd_low + sd_step q)`, frames |
+//! | velocity | 3 | 2 | dynamic | `velocity_spread sinh(velocity_step (q - 2^15))`, world units a frame |
+//!
+//! `terms = (sh_degree + 1)^2 (time_degree + 1)`, temporal index major, as in [`m4_scene::Column::Colour`].
+//! Nothing follows the last plane.
+//!
+//! A rotation is a unit quaternion without its largest component, which is made positive: bits 30 and
+//! 31 say which of `(w, x, y, z)` that is; bits `10 k ..= 10 k + 9` hold the component `k + 1` places
+//! after it (cyclically), as `(v sqrt(2) + 1) / 2 x 1023`.
+//!
+//! # Why these steps
+//!
+//! A coordinate needs to be known to a share of the distance from which it is seen, so means and
+//! velocities are spaced evenly in `asinh`: evenly near the cameras, by a constant ratio far from them.
+//! [`PayloadConfig`] says how fine. Where the numbers end is measured, not assumed: a scene goes through
+//! [`encode`] and [`decode`], is rendered from its source cameras and compared
+//! (`crates/minute4d/tests/viewer_quality.rs`).
+
+mod codec;
+mod decode;
+mod encode;
+
+#[cfg(test)]
+mod tests;
+
+pub use decode::{PayloadError, decode};
+pub use encode::{Payload, PayloadConfig, encode};
+
+use m4_scene::SplatLayout;
+
+/// Bytes before the first plane.
+pub const HEADER_BYTES: usize = 136;
+/// Version of the layout described here.
+pub const VERSION: u32 = 1;
+/// The first bytes.
+const MAGIC: &[u8; 4] = b"M4SP";
+/// Splats are not drawn where their temporal marginal is at most this (section 1.3).
+const MARGINAL_MIN: f64 = 0.05;
+/// Standard deviations in time that a splat is drawn for, to either side: `sqrt(-2 ln 0.05)`.
+const LIFE_SDS: f64 = 2.447_746_830_680_816;
+/// `q` of the value 0 of components of three and of two bytes.
+const MIDDLE_24: f64 = (1u32 << 23) as f64;
+const MIDDLE_16: f64 = (1u32 << 15) as f64;
+
+/// Components and bytes of each parameter that every splat has: mean, scale, rotation, opacity, colour.
+fn shared_parts(layout: SplatLayout) -> [(usize, usize); 5] {
+    let (scales, rotations) = if layout.isotropic { (1, 0) } else { (3, 1) };
+    [
+        (3, 3),
+        (scales, 1),
+        (rotations, 4),
+        (1, 1),
+        (3 * layout.colour_terms(), 2),
+    ]
+}
+
+/// The same for what dynamic splats have beside: time mean, time sd, velocity.
+const TIME_PARTS: [(usize, usize); 3] = [(1, 2), (1, 1), (3, 2)];
+
+/// Bytes of a static and of a dynamic splat.
+#[must_use]
+pub fn bytes_per_splat(layout: SplatLayout) -> (usize, usize) {
+    let sum = |parts: &[(usize, usize)]| {
+        parts
+            .iter()
+            .map(|&(components, bytes)| components * bytes)
+            .sum::<usize>()
+    };
+    let shared = sum(&shared_parts(layout));
+    (shared, shared + sum(&TIME_PARTS))
+}
