@@ -45,14 +45,15 @@ export class Follower {
     const event = typeof data === "string" ? readEvent(data) : null;
     if (!event) return;
     if (event.event === "metrics") {
-      if (!this.ended) this.panel.set("training");
+      this.ended = false;
+      this.panel.set("training");
       this.panel.push(event);
     } else if (event.event === "scene") {
       void this.load();
     } else {
+      // the stream stays: a run that begins again in the same folder tells of itself
       this.ended = true;
       this.panel.set(event.ok ? "finished" : "failed");
-      this.stream.close();
     }
   }
 
