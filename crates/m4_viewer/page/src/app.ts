@@ -234,13 +234,17 @@ export class App {
   }
 
   private draw(quality: number): void {
+    this.view = this.prepare(quality);
+    this.stage.draw(this.view);
+  }
+
+  private prepare(quality: number): View {
     const canvas = this.stage.canvas;
     const ratio = Math.min(window.devicePixelRatio || 1, PIXEL_RATIO_MOST) * quality;
     const width = Math.max(1, Math.round(canvas.clientWidth * ratio));
     const height = Math.max(1, Math.round(canvas.clientHeight * ratio));
     this.stage.resize(width, height);
-    this.view = this.viewFor(width, height, canvas.clientWidth);
-    this.stage.draw(this.view);
+    return this.viewFor(width, height, canvas.clientWidth);
   }
 
   private viewFor(width: number, height: number, cssWidth: number): View {
@@ -262,8 +266,8 @@ export class App {
 
   /** Draws everything there is to draw, in full size and in the right order. */
   async settle(): Promise<void> {
-    this.draw(1);
-    if (this.view) await this.stage.settle(this.view);
+    this.view = this.prepare(1);
+    await this.stage.settle(this.view);
     this.changed();
   }
 

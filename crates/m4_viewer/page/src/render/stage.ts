@@ -76,6 +76,8 @@ export class Stage {
   /** What Spark slices and sorts, and what the shaders draw; they differ while a new scene is sorted first. */
   private loaded: Loaded | null = null;
   private bound: Loaded | null = null;
+  /** Spark's own word that something changed is no news while it is being told so. */
+  private slicing = false;
   /** An update came while Spark could not take it. */
   private stale = false;
   private readonly background = new Color(0, 0, 0);
@@ -130,7 +132,9 @@ export class Stage {
       vertexShader: SPLAT_VERTEX,
       fragmentShader: SPLAT_FRAGMENT,
       extraUniforms: this.uniforms,
-      onDirty,
+      onDirty: () => {
+        if (!this.slicing) onDirty();
+      },
     });
     this.scene.add(this.spark);
     this.present = new Mesh(
@@ -190,6 +194,12 @@ export class Stage {
 
   /** Draws with the order there is; a better one follows by itself and calls `onDirty`. */
   draw(view: View): void {
+    this.slice(view);
+    this.paint(view);
+  }
+
+  /** Splats to their places at the view's time, and the sort on its way. */
+  private slice(view: View): void {
     if (!this.loaded || this.lost) return;
     const moved = this.stale || !this.shown || !sameSplats(this.shown, view);
     this.shown = view;
@@ -201,6 +211,19 @@ export class Stage {
       0, 0, 0, 1,
     );
     this.camera.updateMatrixWorld(true);
+    if (!moved || this.loaded.empty) return;
+    // while a first order of a new scene is on its way Spark takes nothing else
+    this.stale = this.spark.sorting && !this.displayed;
+    this.loaded.instant.set(view.t, view.pose.position);
+    this.slicing = true;
+    // the sort goes on in a worker; what fails there shows as an error of the page
+    void this.spark.update({ scene: this.scene, camera: this.camera });
+    this.slicing = false;
+  }
+
+  private paint(view: View): void {
+    if (!this.loaded || this.lost) return;
+    const m = matrixOf(view.pose);
     this.uniforms.m4View.value.set(
       m[0] ?? 1, m[1] ?? 0, m[2] ?? 0, m[3] ?? 0,
       m[4] ?? 0, m[5] ?? 1, m[6] ?? 0, m[7] ?? 0,
@@ -211,13 +234,6 @@ export class Stage {
     this.uniforms.m4Lens.value.set(lens.fx, lens.fy, lens.cx, lens.cy);
     this.uniforms.m4Size.value.set(lens.width, lens.height);
     this.uniforms.m4LowPass.value = LOW_PASS * Math.max(view.magnification, 1) ** 2;
-    if (moved && !this.loaded.empty) {
-      // while a first order of a new scene is on its way Spark takes nothing else
-      this.stale = this.spark.sorting && !this.displayed;
-      this.loaded.instant.set(view.t, view.pose.position);
-      // the sort goes on in a worker; what fails there shows as an error of the page
-      void this.spark.update({ scene: this.scene, camera: this.camera });
-    }
     if (this.bound !== this.loaded && this.displayed) this.bind(this.loaded);
     this.renderer.setRenderTarget(this.target);
     this.renderer.setClearColor(this.background, 1);
@@ -249,7 +265,7 @@ export class Stage {
 
   /** Draws until the order is that of the splats as they are. */
   async settle(view: View): Promise<void> {
-    this.draw(view);
+    this.slice(view);
     const started = performance.now();
     while (!this.sorted) {
       if (this.lost) return;
@@ -257,9 +273,9 @@ export class Stage {
         throw new PageError("Sorting the splats takes too long", "The worker did not answer within a minute. Reload the page.");
       }
       await new Promise((resolve) => setTimeout(resolve, POLL_MS));
-      if (this.stale) this.draw(view);
+      if (this.stale) this.slice(view);
     }
-    this.draw(view);
+    this.paint(view);
   }
 }
 
