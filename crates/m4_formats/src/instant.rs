@@ -4,10 +4,12 @@ use m4_scene::{Column, SplatLayout, Splats};
 
 /// Opacities below this are not drawn at any place (the cut-off of the renderer, 1/255).
 const LEAST_OPACITY: f32 = 1.0 / 255.0;
+/// Splats whose marginal in time is at most this are left out of a frame (section 1.3).
+const LEAST_MARGINAL: f64 = 0.05;
 
 /// The splats that time `t` (frames) sees, all of them static: means moved along their velocities,
 /// opacities times the marginal in time, the harmonics of time summed up. Splats that time has faded
-/// below 1/255 are left out. Isotropic splats get three equal scales and no rotation.
+/// to a marginal of 0.05 or an opacity below 1/255 are left out, as they are when the scene is rendered. Isotropic splats get three equal scales and no rotation.
 /// `period_frames` is that of the harmonics of time (section 1.8: the length of the clip).
 #[must_use]
 pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
@@ -27,7 +29,11 @@ pub fn instant(splats: &Splats, t: f64, period_frames: f64) -> Splats {
             };
             let dt = t - f64::from(value(Column::TimeMean, 0, d));
             let z = dt / f64::from(value(Column::LogTimeSd, 0, d)).exp();
-            let seen = (-0.5 * z * z).exp() / (1.0 + (-f64::from(opacity)).exp());
+            let marginal = (-0.5 * z * z).exp();
+            if marginal <= LEAST_MARGINAL {
+                return None;
+            }
+            let seen = marginal / (1.0 + (-f64::from(opacity)).exp());
             // a logit of exactly 1 would be infinite
             let seen = seen.min(1.0 - f64::from(f32::EPSILON)) as f32;
             (seen >= LEAST_OPACITY).then(|| Moment {

@@ -3,12 +3,30 @@
 //! A writer takes a [`m4_scene::Scene`], writes the file whole or not at all, and returns what it
 //! wrote and what the format could not hold ([`Written`]). A format with one instant, or one a frame,
 //! is given splats without time by [`instant`]. A reader takes untrusted bytes: whatever they are, it
-//! returns a scene or an error that names the field, and allocates no more than a small multiple of
-//! the file.
+//! returns a scene ([`Imported`]) or an error that names the field, and allocates no more than a small
+//! multiple of the file.
 #![forbid(unsafe_code)]
 
+pub mod fourdgs;
+pub mod ply;
+pub mod splatv;
+
+mod cameras_check;
+mod clock;
+mod file;
 mod instant;
+mod peak;
+mod row;
+mod verified;
+mod words;
 mod written;
 
+pub use clock::DEFAULT_FPS;
 pub use instant::instant;
-pub use written::{Loss, Written};
+pub use peak::at_peak;
+pub use written::{Imported, Loss, Written};
+
+pub(crate) use words::plural;
+
+/// The constant harmonic: a colour is `1/2 + C0` times the first coefficient (section 1.8).
+pub(crate) const C0: f64 = 0.282_094_791_773_878_14;

@@ -1,8 +1,9 @@
-//! What a writer says of its file.
+//! What a writer says of its file, and a reader of the scene it found.
 
+use m4_scene::Scene;
 use std::path::PathBuf;
 
-/// What a file holds differently from the scene that it was written from.
+/// What a file holds differently from the scene that it was written from, or a scene from the file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Loss {
     /// Evaluated at fixed instants: what it was, and at which.
@@ -33,5 +34,16 @@ pub struct Written {
     /// Splats in the file; for a sequence the sum over its files.
     pub splats: usize,
     /// What the format could not hold.
+    pub losses: Vec<Loss>,
+}
+
+/// A scene from a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Imported {
+    /// The scene. `source` is empty where the file has no cameras.
+    pub scene: Scene,
+    /// Unit vector that points up, where the file says so.
+    pub up: Option<[f64; 3]>,
+    /// What of the file a scene cannot hold.
     pub losses: Vec<Loss>,
 }

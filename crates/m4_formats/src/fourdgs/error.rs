@@ -1,0 +1,108 @@
+//! Why a `.4dgs` file could not be read or written.
+
+use m4_io::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a `.4dgs` file could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadFourdgsError {
+    /// The file could not be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is of another kind, or of a version, model or codec that is not known here.
+    #[error("{} cannot be imported: {reason}; write it again as .4dgs version 1 with the model gaussian-birth and deflate streams", path.display())]
+    Unsupported {
+        /// The file.
+        path: PathBuf,
+        /// What the file says.
+        reason: String,
+    },
+    /// The file ends too early or contradicts itself.
+    #[error("{} is damaged: {reason}; copy or export it again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What the parser said.
+        reason: String,
+    },
+    /// The file claims more than it can hold.
+    #[error("{} claims splats that need {needed} bytes of memory, and a file of {len} bytes may ask for {allowed}; it is damaged or made to exhaust the machine", path.display())]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Memory that decoding would take, bytes.
+        needed: u64,
+        /// Memory that a file of this size may ask for, bytes.
+        allowed: u64,
+        /// Size of the file, bytes.
+        len: u64,
+    },
+    /// A number that no splat or camera can have.
+    #[error("{} is damaged: {field} of splat {splat} is {value}; export it again", path.display())]
+    BadValue {
+        /// The file.
+        path: PathBuf,
+        /// Which splat, in the order of the file.
+        splat: usize,
+        /// Which of its parameters.
+        field: &'static str,
+        /// As found.
+        value: f32,
+    },
+}
+
+impl ReadFourdgsError {
+    /// What sort of failure this is.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } => ErrorKind::of_read(source),
+            Self::Unsupported { .. } => ErrorKind::Unsupported,
+            Self::Damaged { .. } | Self::TooLarge { .. } | Self::BadValue { .. } => ErrorKind::BadData,
+        }
+    }
+}
+
+/// Why a `.4dgs` file could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteFourdgsError {
+    /// The file system refused.
+    #[error("cannot write {}: {source}; check the permissions and the free space, or choose another folder", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The scene has values that no file can hold.
+    #[error("the scene cannot be written as .4dgs: {reason}")]
+    BadScene {
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The bytes that were made do not decode to the scene within the declared bounds.
+    #[error("the .4dgs file that was made does not decode to the scene: {reason}; this is a bug, please report it")]
+    Verify {
+        /// What differs, and by how much.
+        reason: String,
+    },
+}
+
+impl WriteFourdgsError {
+    /// What sort of failure this is.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::BadScene { .. } => ErrorKind::BadData,
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! Why a PLY file could not be read or written.
+
+use m4_io::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a PLY file could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadPlyError {
+    /// The file could not be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is of another kind.
+    #[error("{} is not a PLY file: {reason}; check the name, or import it as another format", path.display())]
+    NotPly {
+        /// The file.
+        path: PathBuf,
+        /// How that is known.
+        reason: String,
+    },
+    /// A PLY file without splats, or with splats in a layout that is not known here.
+    #[error("{} cannot be imported: {reason}; give a PLY file of splats as 3DGS writes it", path.display())]
+    Unsupported {
+        /// The file.
+        path: PathBuf,
+        /// What is missing or not known.
+        reason: String,
+    },
+    /// The header makes no sense, or the file ends too early.
+    #[error("{} is damaged: {reason}; copy or export it again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        reason: String,
+    },
+    /// A number that no splat can have.
+    #[error("{} is damaged: {property} of splat {splat} is {value}; export it again", path.display())]
+    BadValue {
+        /// The file.
+        path: PathBuf,
+        /// Which splat, in the order of the file.
+        splat: usize,
+        /// Which of its properties.
+        property: String,
+        /// As found.
+        value: f32,
+    },
+}
+
+impl ReadPlyError {
+    /// What sort of failure this is.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } => ErrorKind::of_read(source),
+            Self::Unsupported { .. } => ErrorKind::Unsupported,
+            Self::NotPly { .. } | Self::Damaged { .. } | Self::BadValue { .. } => ErrorKind::BadData,
+        }
+    }
+}
+
+/// Why a PLY file or a folder of them could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WritePlyError {
+    /// The file system refused.
+    #[error("cannot write {}: {source}; check the permissions and the free space, or choose another folder", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The scene has values that would not render.
+    #[error("the scene cannot be written as PLY: {reason}")]
+    BadScene {
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+impl WritePlyError {
+    /// What sort of failure this is.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { .. } => ErrorKind::CannotWrite,
+            Self::BadScene { .. } => ErrorKind::BadData,
+        }
+    }
+}
