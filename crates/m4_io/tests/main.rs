@@ -11,4 +11,6 @@ mod mp4_writer;
 #[cfg(test)]
 mod scene_file;
 #[cfg(test)]
+mod trajectory;
+#[cfg(test)]
 mod video;

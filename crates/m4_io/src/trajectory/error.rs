@@ -17,7 +17,7 @@ pub enum ReadTrajectoryError {
         source: io::Error,
     },
     /// The file is not JSON of a known layout.
-    #[error("{} is not a camera path: {reason}; give a nerfstudio transforms.json or camera_path.json", path.display())]
+    #[error("{} is not a camera path: {reason}; give a nerfstudio transforms.json or camera_path.json, a path of LichtFeld Studio, or keyframes as docs/paths.md describes them", path.display())]
     Json {
         /// The file.
         path: PathBuf,

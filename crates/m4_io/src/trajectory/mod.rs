@@ -1,17 +1,31 @@
 //! Camera paths to render along.
 //!
-//! Three layouts of JSON are read, told apart by their keys:
+//! Five layouts of JSON are read, told apart by their keys. Two list a camera a picture:
 //!
 //! ```text
 //! transforms.json   frames[].transform_matrix, fl_x .. h, time (nerfstudio; as in crate::capture,
 //!                   without pictures)
-//! camera_path.json  camera_path[] or keyframes[]: camera_to_world or matrix (16 numbers, row-major;
-//!                   matrix: column-major text, as the nerfstudio viewer writes keyframes), fov
-//!                   (vertical, degrees); render_width, render_height; OpenGL axes
+//! camera_path.json  camera_path[].camera_to_world (16 numbers, row-major), fov (vertical, degrees),
+//!                   render_time; render_width, render_height, fps, camera_type; OpenGL axes
+//! ```
+//!
+//! and three hold keyframes, between which the caller interpolates ([`Keyed`]):
+//!
+//! ```text
+//! minute4d-path     our own, described in docs/paths.md
+//! camera_path.json  keyframes[].matrix without camera_path: row-major numbers, or column-major text
+//!                   as the viewer wrote them up to version 0.3
+//! LichtFeld Studio  keyframes[].time, position, rotation (w, x, y, z), focal_length_mm, easing
 //! ```
 
 mod error;
-mod read;
+mod file;
+mod keyed;
+mod lichtfeld;
+mod listed;
+mod nerfstudio;
+mod own;
 
 pub use error::ReadTrajectoryError;
-pub use read::read;
+pub use file::{Listed, Trajectory, load, read};
+pub use keyed::{KeyPose, Keyed, Keyframe, SceneTime};
