@@ -71,8 +71,10 @@ export class Compare {
     style.height = `${height}px`;
     style.clipPath = `inset(0 ${clamp(x + width - at, 0, width)}px 0 0)`;
     this.divider.style.left = `${at}px`;
+    this.divider.style.top = `${Math.max(y, 0)}px`;
+    this.divider.style.bottom = `${Math.max(window.innerHeight - y - height, 0)}px`;
     setAttribute(this.divider, "aria-valuenow", String(Math.round(100 * this.split)));
-    const top = `${Math.max(y, 0) + 72}px`;
+    const top = `${Math.max(y + 12, 72)}px`;
     this.tag.style.top = this.sceneTag.style.top = top;
     this.tag.style.left = `${at - this.tag.offsetWidth - 12}px`;
     this.sceneTag.style.left = `${at + 12}px`;

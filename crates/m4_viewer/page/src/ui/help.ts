@@ -4,9 +4,15 @@ import { find, icon, make } from "./dom";
 
 type Line = readonly [what: string, ...keys: string[]];
 
+const HANDS: readonly Line[] = [
+  ["Orbit", "Drag"],
+  ["Shift", "Two fingers", "Right drag"],
+  ["Nearer, further", "Pinch", "Wheel"],
+  ["Hide the controls", "Tap"],
+];
 const TIME: readonly Line[] = [
   ["Play or pause", "Space"],
-  ["Freeze time, move around it", "F"],
+  ["Freeze time", "F"],
   ["Frame back, frame on", ",", "."],
   ["Start, end", "Home", "End"],
   ["Slower, faster", "−", "+"],
@@ -16,10 +22,10 @@ const CAMERA: readonly Line[] = [
   ["Source camera", "C"],
   ["Orbit", "O"],
   ["Fly", "G"],
-  ["Fly ahead, back, aside", "W", "A", "S", "D"],
+  ["Ahead, left, back, right", "W", "A", "S", "D"],
   ["Down, up", "Q", "E"],
-  ["Faster", "Shift"],
-  ["Reset", "R"],
+  ["Fly faster", "Shift"],
+  ["Back to the beginning", "R"],
 ];
 const PAGE: readonly Line[] = [
   ["Compare with the input", "V"],
@@ -52,14 +58,14 @@ export class Help {
     const about = make(
       "p",
       "",
-      "Drag to orbit, scroll or pinch to come nearer, drag with two fingers or the right button to shift. " +
-        "A scene made of one clip is right near the places it was filmed from; further out the picture fades.",
+      "A scene made of one clip is right near the places it was filmed from. Further out the picture fades, " +
+        "and the camera stops where nothing is known any more.",
     );
     const keys = make(
       "div",
       "keys",
+      make("div", "", list("Mouse and touch", HANDS), list("Camera", CAMERA)),
       make("div", "", list("Time", TIME), list("Page", PAGE)),
-      make("div", "", list("Camera", CAMERA)),
     );
     this.dialog.append(make("header", "", heading, close), about, keys);
     this.dialog.addEventListener("click", (event) => {
