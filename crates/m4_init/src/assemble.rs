@@ -2,7 +2,7 @@
 
 use crate::carry::{Carry, Moving, hidden, is_seen};
 use crate::change::changes;
-use crate::cloud::{Cloud, Clouds, clouds};
+use crate::cloud::{Clouds, Pixels, clouds};
 use crate::motion::{Field, Fields, Registration, View, fields};
 use crate::shell::{Shell, shell};
 use crate::voxel::{Centroids, Grid, pixels_for};
@@ -22,7 +22,7 @@ use rayon::prelude::*;
 /// is not finite, or `progress` asked to stop.
 pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<Splats, InitError> {
     config.check()?;
-    let mut clouds = clouds(capture, config, progress)?;
+    let clouds = clouds(capture, config, progress)?;
     let (focal_px, median_depth) = (clouds.focal_px, clouds.median_depth);
     let centres: Vec<[f32; 3]> = every_nth(capture.frames.len(), 16)
         .map(|i| capture.frames[i].camera.centre())
@@ -30,17 +30,16 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         .collect();
     let origin = centres[0];
     let grid = |pixels| Grid::new(config.cells, pixels, focal_px, median_depth, &centres, origin);
+    let points = |pixels: &Pixels| pixels.cloud(capture);
 
     let static_pixels = match config.static_pixels {
         0.0 => pixels_for(config.max_static, config.min_pixels, |p| {
-            grid(p).occupied(&clouds.standing)
+            grid(p).occupied_by(&clouds.standing, points)
         }),
         pixels => pixels,
     };
     let standing_grid = grid(static_pixels);
-    let standing = standing_grid.merge(&clouds.standing);
-    // millions of points that are not needed again
-    clouds.standing = Cloud::default();
+    let standing = standing_grid.merge_all(&clouds.standing, points);
     if progress.cancelled() {
         return Err(InitError::Stopped);
     }
@@ -48,7 +47,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
 
     let count = |p| {
         let grid = grid(p);
-        clouds.moving.iter().map(|k| grid.occupied(&k.cloud)).sum()
+        clouds.moving.par_iter().map(|k| grid.occupied(&points(k))).sum()
     };
     let dynamic_pixels = match config.dynamic_pixels {
         0.0 => pixels_for(config.max_dynamic, config.min_pixels, count),
@@ -58,7 +57,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let moving: Vec<(f64, Centroids)> = clouds
         .moving
         .par_iter()
-        .map(|k| (k.t, moving_grid.merge(&k.cloud)))
+        .map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k))))
         .collect();
     if progress.cancelled() {
         return Err(InitError::Stopped);
@@ -71,7 +70,6 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         return Err(InitError::Stopped);
     }
     let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
-    clouds.moving = Vec::new();
     let by = Carry {
         keyframes: match config.velocity {
             // What does not move is carried nowhere.
@@ -160,7 +158,8 @@ fn motions(
             picture_rounds,
         } => {
             let coarse_grid = grid(pixels);
-            let coarse: Vec<Centroids> = clouds.moving.iter().map(|k| coarse_grid.merge(&k.cloud)).collect();
+            let coarse = clouds.moving.par_iter().map(|k| coarse_grid.merge(&k.cloud(capture)));
+            let coarse: Vec<Centroids> = coarse.collect();
             let by = Registration {
                 colour_scale,
                 reach: (f64::from(reach_pixels) * clouds.median_depth / clouds.focal_px) as f32,

@@ -181,7 +181,7 @@ pub(crate) fn is_seen(frame: &CaptureFrame, p: [f32; 3], margin: f32) -> bool {
         let (dw, dh) = depth.size();
         let x = ((u + 0.5) * dw as f64 / w as f64) as usize;
         let y = ((v + 0.5) * dh as f64 / h as f64) as usize;
-        let surface = depth[(x.min(dw - 1), y.min(dh - 1))];
+        let surface = depth.at(x.min(dw - 1), y.min(dh - 1));
         // nothing known there: as likely seen as not
         !(surface > 0.0 && z as f32 > surface * (1.0 + margin))
     })
@@ -211,11 +211,7 @@ mod tests {
             camera,
             t: t as f64,
             rgb: Plane::filled(40, 20, [0; 3]),
-            depth: Some(Plane::from_fn(
-                40,
-                20,
-                |x, _| if (22..28).contains(&x) { 1.0 } else { 3.0 },
-            )),
+            depth: Some(Plane::from_fn(40, 20, |x, _| if (22..28).contains(&x) { 1.0 } else { 3.0 }).into()),
             mask: None,
             camera_index: None,
         };

@@ -2,7 +2,7 @@
 
 use crate::{InitConfig, InitError};
 use m4_math::nalgebra::Vector3;
-use m4_scene::{Capture, CaptureFrame, DepthMap, Progress};
+use m4_scene::{Capture, CaptureFrame, CompactMask, DepthMap, Progress};
 use rayon::prelude::*;
 
 /// Coloured points of the world.
@@ -19,31 +19,47 @@ impl Cloud {
         self.xyz.push([p.x as f32, p.y as f32, p.z as f32]);
         self.rgb.push(rgb);
     }
-
-    fn extend(&mut self, other: &Self) {
-        self.xyz.extend_from_slice(&other.xyz);
-        self.rgb.extend_from_slice(&other.rgb);
-    }
 }
 
-/// The moving points of one frame.
+/// Points of one frame that are made when they are looked at: a bit a pixel in place of 15 bytes a point, which for
+/// all frames together would be a good part of the memory of a run.
 #[derive(Debug, Clone)]
-pub(crate) struct Keyframe {
-    /// Frames.
-    pub t: f64,
+pub(crate) struct Pixels {
     /// Which frame of the capture it is.
     pub frame: usize,
-    /// Its points.
-    pub cloud: Cloud,
+    /// Pixels of its depth map that are points.
+    pub kept: CompactMask,
+}
+
+impl Pixels {
+    /// The points, row by row.
+    pub fn cloud(&self, capture: &Capture) -> Cloud {
+        let frame = &capture.frames[self.frame];
+        let mut out = Cloud::default();
+        let Some(depth) = &frame.depth else { return out };
+        let ((w, h), (rgb_w, rgb_h)) = (depth.size(), frame.rgb.size());
+        let camera = frame.camera.resized(w, h);
+        let count = self.kept.count();
+        out.xyz.reserve_exact(count);
+        out.rgb.reserve_exact(count);
+        for (x, y) in self.kept.set_pixels() {
+            let p = camera.unproject(x as f64, y as f64, f64::from(depth.at(x, y)));
+            out.push(
+                p,
+                frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))],
+            );
+        }
+        out
+    }
 }
 
 /// Everything that the depth maps say.
 #[derive(Debug)]
 pub(crate) struct Clouds {
-    /// What stands still.
-    pub standing: Cloud,
-    /// What moves, a cloud a keyframe, in order of time; keyframes without moving pixels included.
-    pub moving: Vec<Keyframe>,
+    /// What stands still, in the frames that it is taken from.
+    pub standing: Vec<Pixels>,
+    /// What moves, one a keyframe, in order of time; keyframes without moving pixels included.
+    pub moving: Vec<Pixels>,
     /// Median z-depth of the sampled pixels, world units.
     pub median_depth: f64,
     /// Depth below which 99 of 100 pixels lie, world units.
@@ -82,13 +98,13 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
         .collect();
 
     let mut out = Clouds {
-        standing: Cloud::default(),
+        standing: Vec::new(),
         moving: Vec::new(),
         median_depth: 0.0,
         far_depth: 0.0,
         focal_px: 0.0,
     };
-    let mut depths = Vec::new();
+    let (mut depths, mut points) = (Vec::new(), 0);
     // A few frames at a time: in parallel, joined in order, without a second copy of everything.
     const BATCH: usize = 8;
     for (b, batch) in with_depth.chunks(BATCH).enumerate() {
@@ -102,22 +118,19 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
                 let rank = b * BATCH + i;
                 let standing = standing_rank.binary_search(&rank).is_ok();
                 let moving = rank.is_multiple_of(config.dynamic_stride);
-                back_project(&capture.frames[frame], config, standing, moving)
+                look_at(&capture.frames[frame], config, standing, moving)
             })
             .collect();
         for (i, part) in parts.into_iter().enumerate() {
-            out.standing.extend(&part.standing);
             depths.extend_from_slice(&part.depths);
             out.focal_px += part.focal_px / with_depth.len() as f64;
-            if (b * BATCH + i).is_multiple_of(config.dynamic_stride) {
-                out.moving.push(Keyframe {
-                    t: capture.frames[batch[i]].t,
-                    frame: batch[i],
-                    cloud: part.moving,
-                });
-            }
+            let frame = batch[i];
+            let pixels = |kept| Pixels { frame, kept };
+            points += part.standing.as_ref().map_or(0, CompactMask::count);
+            out.standing.extend(part.standing.map(pixels));
+            out.moving.extend(part.moving.map(pixels));
         }
-        let note = format!("{} points", out.standing.xyz.len());
+        let note = format!("{points} points");
         progress.update(
             "points",
             (b * BATCH + batch.len()).min(with_depth.len()),
@@ -152,48 +165,40 @@ fn camera_is_usable(frame: &CaptureFrame) -> bool {
 
 /// What one frame contributes.
 struct Part {
-    standing: Cloud,
-    moving: Cloud,
+    /// Pixels that are points, where they are asked for.
+    standing: Option<CompactMask>,
+    moving: Option<CompactMask>,
     /// Every 16th usable depth, for the median.
     depths: Vec<f32>,
     focal_px: f64,
 }
 
-fn back_project(frame: &CaptureFrame, config: &InitConfig, want_standing: bool, want_moving: bool) -> Part {
+fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool, want_moving: bool) -> Part {
     let mut part = Part {
-        standing: Cloud::default(),
-        moving: Cloud::default(),
+        standing: None,
+        moving: None,
         depths: Vec::new(),
         focal_px: 0.0,
     };
     let Some(depth) = &frame.depth else { return part };
+    let depth = &depth.to_map();
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
     part.focal_px = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy);
+    let usable: Vec<bool> = (0..w * h)
+        .map(|i| is_depth(depth.data()[i]) && !hangs_in_air(depth, i % w, i / w, config.edge_jump))
+        .collect();
+    let sampled = (0..w * h).step_by(16).filter(|&i| usable[i]);
+    part.depths = sampled.map(|i| depth.data()[i]).collect();
     let moves = moving_pixels(frame, w, h);
-    let near_moving = dilate(&moves, w, h, config.mask_margin_px);
-    let (rgb_w, rgb_h) = frame.rgb.size();
-    for y in 0..h {
-        for x in 0..w {
-            let z = depth[(x, y)];
-            if !is_depth(z) || hangs_in_air(depth, x, y, config.edge_jump) {
-                continue;
-            }
-            if (x + y * w).is_multiple_of(16) {
-                part.depths.push(z);
-            }
-            let moving = moves[y * w + x];
-            let keep = if moving {
-                want_moving
-            } else {
-                want_standing && !near_moving[y * w + x]
-            };
-            if keep {
-                let p = camera.unproject(x as f64, y as f64, f64::from(z));
-                let colour = frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))];
-                if moving { &mut part.moving } else { &mut part.standing }.push(p, colour);
-            }
-        }
+    if want_standing {
+        let near_moving = dilate(&moves, w, h, config.mask_margin_px);
+        let still = |i: usize| usable[i] && !near_moving[i];
+        part.standing = Some(CompactMask::from_fn(w, h, |x, y| still(y * w + x)));
+    }
+    if want_moving {
+        let moving = |i: usize| usable[i] && moves[i];
+        part.moving = Some(CompactMask::from_fn(w, h, |x, y| moving(y * w + x)));
     }
     part
 }
@@ -207,6 +212,7 @@ pub(crate) fn standing_pixels(
     visit: &mut dyn FnMut(usize, usize, Vector3<f64>, [u8; 3]),
 ) {
     let Some(depth) = &frame.depth else { return };
+    let depth = &depth.to_map();
     let (w, h) = depth.size();
     let camera = frame.camera.resized(w, h);
     let near_moving = dilate(&moving_pixels(frame, w, h), w, h, config.mask_margin_px);
@@ -246,7 +252,7 @@ fn moving_pixels(frame: &CaptureFrame, w: usize, h: usize) -> Vec<bool> {
     };
     let (mw, mh) = mask.size();
     (0..w * h)
-        .map(|i| mask[((2 * (i % w) + 1) * mw / (2 * w), (2 * (i / w) + 1) * mh / (2 * h))] >= 128)
+        .map(|i| mask.at((2 * (i % w) + 1) * mw / (2 * w), (2 * (i / w) + 1) * mh / (2 * h)))
         .collect()
 }
 

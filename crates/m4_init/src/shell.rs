@@ -55,7 +55,7 @@ pub(crate) fn shell(capture: &Capture, count: usize, radius: f32) -> Shell {
                 let colour = frame.rgb[(x, y)];
                 let nothing = frame.depth.as_ref().is_some_and(|depth| {
                     let (dw, dh) = depth.size();
-                    depth[((2 * x + 1) * dw / (2 * w), (2 * y + 1) * dh / (2 * h))] <= 0.0
+                    depth.at((2 * x + 1) * dw / (2 * w), (2 * y + 1) * dh / (2 * h)) <= 0.0
                 });
                 let add = |sums: &mut [[f64; 4]]| {
                     (0..3).for_each(|k| sums[cell][k] += f64::from(colour[k]) / 255.0);
@@ -148,7 +148,7 @@ mod tests {
             },
             t: 0.0,
             rgb: Plane::from_fn(64, 64, |x, _| if x < 32 { [255, 0, 0] } else { [0, 0, 255] }),
-            depth: Some(Plane::from_fn(64, 64, |x, _| if x < 32 { 2.0 } else { 0.0 })),
+            depth: Some(Plane::from_fn(64, 64, |x, _| if x < 32 { 2.0 } else { 0.0 }).into()),
             mask: None,
             camera_index: None,
         };

@@ -8,6 +8,8 @@ use rayon::prelude::*;
 const BITS: u32 = 21;
 /// Cells along one axis; points beyond are counted to the outermost cell.
 const CELLS: f32 = (1u32 << BITS) as f32;
+/// Clouds that are made at a time.
+const BATCH: usize = 4;
 
 /// One centroid a voxel, sorted by voxel.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -86,45 +88,109 @@ impl Grid {
         (level, (axis(2) << (2 * BITS)) | (axis(1) << BITS) | axis(0))
     }
 
+    /// The cells that hold a point, sorted.
+    fn cells(&self, cloud: &Cloud) -> Vec<(i16, u64)> {
+        let mut keys: Vec<_> = cloud.xyz.iter().map(|&p| self.key(p)).collect();
+        keys.sort_unstable();
+        keys.dedup();
+        keys
+    }
+
+    /// The cell and the index of each point, sorted by cell, points of a cell in order.
     fn sorted_keys(&self, cloud: &Cloud) -> Vec<((i16, u64), u32)> {
-        let mut keys: Vec<_> = (0..cloud.xyz.len() as u32)
-            .into_par_iter()
-            .map(|i| (self.key(cloud.xyz[i as usize]), i))
-            .collect();
+        let keyed = |i: u32| (self.key(cloud.xyz[i as usize]), i);
+        let mut keys: Vec<_> = (0..cloud.xyz.len() as u32).map(keyed).collect();
         // The index makes every entry unique, so an unstable sort has one result.
-        keys.par_sort_unstable();
+        keys.sort_unstable();
         keys
     }
 
     /// Number of cells that hold a point.
     pub fn occupied(&self, cloud: &Cloud) -> usize {
-        let mut keys: Vec<_> = cloud.xyz.par_iter().map(|&p| self.key(p)).collect();
-        keys.par_sort_unstable();
-        keys.dedup();
-        keys.len()
+        self.cells(cloud).len()
+    }
+
+    /// Number of cells that hold a point of any of `parts`, which `cloud` makes points of.
+    pub fn occupied_by<T: Sync>(&self, parts: &[T], cloud: impl Fn(&T) -> Cloud + Sync) -> usize {
+        let mut all: Vec<(i16, u64)> = Vec::new();
+        for batch in parts.chunks(BATCH) {
+            let found: Vec<_> = batch.par_iter().map(|part| self.cells(&cloud(part))).collect();
+            all.extend(found.iter().flatten());
+            all.par_sort_unstable();
+            all.dedup();
+        }
+        all.len()
     }
 
     /// The centroid of each occupied cell.
     pub fn merge(&self, cloud: &Cloud) -> Centroids {
-        let keys = self.sorted_keys(cloud);
-        let mut out = Centroids::default();
-        for cell in keys.chunk_by(|a, b| a.0 == b.0) {
-            let (mut xyz, mut rgb) = ([0.0f64; 3], [0.0f64; 3]);
-            for &(_, i) in cell {
-                for k in 0..3 {
-                    xyz[k] += f64::from(cloud.xyz[i as usize][k]);
-                    rgb[k] += f64::from(cloud.rgb[i as usize][k]);
-                }
-            }
-            let n = cell.len() as f64;
-            let centroid = xyz.map(|v| (v / n) as f32);
-            out.edge.push(self.unit * (0.5 * f32::from(cell[0].0.0)).exp2());
-            out.key.push(cell[0].0);
-            out.xyz.push(centroid);
-            out.rgb.push(rgb.map(|v| (v / n / 255.0) as f32));
-        }
-        out
+        self.centroids(&added(&[], cloud, &self.sorted_keys(cloud)))
     }
+
+    /// The centroid of each cell that holds a point of any of `parts`, which `cloud` makes points of: the bits that
+    /// [`merge`](Self::merge) makes of all their points in a row, without all of them in memory at once.
+    pub fn merge_all<T: Sync>(&self, parts: &[T], cloud: impl Fn(&T) -> Cloud + Sync) -> Centroids {
+        let mut all = Vec::new();
+        for batch in parts.chunks(BATCH) {
+            let sorted = |part| {
+                let cloud = cloud(part);
+                let keys = self.sorted_keys(&cloud);
+                (cloud, keys)
+            };
+            let found: Vec<_> = batch.par_iter().map(sorted).collect();
+            all = found.iter().fold(all, |all, (cloud, keys)| added(&all, cloud, keys));
+        }
+        self.centroids(&all)
+    }
+
+    fn centroids(&self, sums: &[Sum]) -> Centroids {
+        let of = |f: fn(&Sum) -> [f32; 3]| sums.iter().map(f).collect();
+        let edge = |s: &Sum| self.unit * (0.5 * f32::from(s.key.0)).exp2();
+        Centroids {
+            xyz: of(|s| s.xyz.map(|v| (v / s.n) as f32)),
+            rgb: of(|s| s.rgb.map(|v| (v / s.n / 255.0) as f32)),
+            edge: sums.iter().map(edge).collect(),
+            key: sums.iter().map(|s| s.key).collect(),
+        }
+    }
+}
+
+/// What is added up over the points of a cell.
+#[derive(Debug, Clone, Copy)]
+struct Sum {
+    key: (i16, u64),
+    xyz: [f64; 3],
+    /// 0..255.
+    rgb: [f64; 3],
+    n: f64,
+}
+
+/// `sums`, sorted by cell, with the points of one more cloud, whose cells are `keys`, added one after the other.
+fn added(sums: &[Sum], cloud: &Cloud, keys: &[((i16, u64), u32)]) -> Vec<Sum> {
+    let mut out = Vec::with_capacity(sums.len());
+    let mut rest = sums.iter().copied().peekable();
+    for cell in keys.chunk_by(|a, b| a.0 == b.0) {
+        let key = cell[0].0;
+        while let Some(sum) = rest.next_if(|sum| sum.key < key) {
+            out.push(sum);
+        }
+        let mut sum = rest.next_if(|sum| sum.key == key).unwrap_or(Sum {
+            key,
+            xyz: [0.0; 3],
+            rgb: [0.0; 3],
+            n: 0.0,
+        });
+        for &(_, i) in cell {
+            for k in 0..3 {
+                sum.xyz[k] += f64::from(cloud.xyz[i as usize][k]);
+                sum.rgb[k] += f64::from(cloud.rgb[i as usize][k]);
+            }
+        }
+        sum.n += cell.len() as f64;
+        out.push(sum);
+    }
+    out.extend(rest);
+    out
 }
 
 /// The smallest number of pixels (at least `least`) whose grid has at most `target` cells, by `count`.
@@ -235,12 +301,31 @@ mod tests {
     }
 
     #[test]
+    fn parts_are_merged_to_the_same_bits_as_the_whole() {
+        let whole = noise(20_000);
+        // uneven parts, one of them empty
+        let cuts = [0, 1, 7_000, 7_000, 7_100, 15_000, 19_999, 20_000];
+        let parts: Vec<_> = cuts.windows(2).map(|w| w[0]..w[1]).collect();
+        let part = |range: &std::ops::Range<usize>| Cloud {
+            xyz: whole.xyz[range.clone()].to_vec(),
+            rgb: whole.rgb[range.clone()].to_vec(),
+        };
+        for pixels in [0.01, 3.0, 1000.0] {
+            let grid = Grid::new(CellSize::Constant, pixels, 100.0, 2.0, &[], [0.0; 3]);
+            assert_eq!(grid.merge_all(&parts, part), grid.merge(&whole));
+            assert_eq!(grid.occupied_by(&parts, part), grid.occupied(&whole));
+        }
+        let grid = Grid::new(CellSize::Constant, 1.0, 100.0, 2.0, &[], [0.0; 3]);
+        assert_eq!(grid.merge_all(&parts[..0], part), grid.merge(&Cloud::default()));
+    }
+
+    #[test]
     fn threads_do_not_change_the_result() {
-        let cloud = noise(50_000);
         let grid = Grid::new(CellSize::Constant, 3.0, 100.0, 2.0, &[], [0.0; 3]);
         let run = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            pool.install(|| grid.merge(&cloud))
+            let parts: Vec<usize> = (0..9).collect();
+            pool.install(|| grid.merge_all(&parts, |&i| noise(5_000 + i)))
         };
         assert_eq!(run(1), run(3));
     }

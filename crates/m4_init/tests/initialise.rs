@@ -3,7 +3,7 @@
 use m4_init::{InitConfig, InitError, TimeSpread, VelocityInit, initialise};
 use m4_math::Se3;
 use m4_math::nalgebra::Vector3;
-use m4_scene::{Camera, Capture, CaptureFrame, Column, Intrinsics, Plane, Silent, Splats};
+use m4_scene::{Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, Silent, Splats};
 
 const WALL: f64 = 4.0;
 const SQUARE: f64 = 2.0;
@@ -34,23 +34,17 @@ fn capture(frames: usize) -> Capture {
             let p = camera.unproject(x as f64, y as f64, WALL);
             texture(0.3 * p.x + 5.0, p.y)
         };
+        let depth = Plane::from_fn(w, h, |x, y| match square(x, y) {
+            Some(_) => SQUARE as f32,
+            None => WALL as f32,
+        });
         CaptureFrame {
             name: format!("{i:03}"),
             camera,
             t: i as f64,
             rgb: Plane::from_fn(w, h, |x, y| square(x, y).unwrap_or_else(|| wall(x, y))),
-            depth: Some(Plane::from_fn(w, h, |x, y| {
-                if square(x, y).is_some() {
-                    SQUARE as f32
-                } else {
-                    WALL as f32
-                }
-            })),
-            mask: Some(Plane::from_fn(
-                w,
-                h,
-                |x, y| if square(x, y).is_some() { 255 } else { 0 },
-            )),
+            depth: Some(depth.into()),
+            mask: Some(CompactMask::from_fn(w, h, |x, y| square(x, y).is_some())),
             camera_index: None,
         }
     };
@@ -222,7 +216,7 @@ fn missing_and_useless_depth_are_clear_errors() {
     let mut zero = capture(2);
     zero.frames
         .iter_mut()
-        .for_each(|f| f.depth = Some(Plane::filled(96, 64, f32::NAN)));
+        .for_each(|f| f.depth = Some(Plane::filled(96, 64, f32::NAN).into()));
     let message = initialise(&zero, &fast(), &Silent).unwrap_err().to_string();
     assert!(message.contains("no usable depth in 2 depth maps"), "{message}");
     let mut bad = capture(2);
@@ -243,7 +237,7 @@ fn missing_and_useless_depth_are_clear_errors() {
 #[test]
 fn one_frame_is_enough_and_depth_may_have_its_own_size() {
     let mut one = capture(1);
-    one.frames[0].depth = Some(Plane::filled(48, 32, WALL as f32));
+    one.frames[0].depth = Some(Plane::filled(48, 32, WALL as f32).into());
     let splats = initialise(&one, &fast(), &Silent).unwrap();
     assert!(splats.is_finite() && splats.n_static() > 500 && splats.n_dynamic() > 10);
 }

@@ -1,6 +1,6 @@
 //! Frames with their geometry: what training needs.
 
-use crate::{Camera, DepthMap, Mask, RgbImage};
+use crate::{Camera, CompactDepth, CompactMask, RgbImage};
 
 /// One posed frame.
 #[derive(Debug, Clone)]
@@ -14,9 +14,9 @@ pub struct CaptureFrame {
     /// The picture.
     pub rgb: RgbImage,
     /// z-depth in the unit of the poses, 0 where unknown; the size may differ from that of `rgb`.
-    pub depth: Option<DepthMap>,
+    pub depth: Option<CompactDepth>,
     /// What moves; the size may differ from that of `rgb`.
-    pub mask: Option<Mask>,
+    pub mask: Option<CompactMask>,
     /// Which held-out camera took it; `None` for training frames.
     pub camera_index: Option<u32>,
 }

@@ -14,6 +14,8 @@ pub mod covariance4;
 
 mod camera;
 mod capture;
+mod compact_depth;
+mod compact_mask;
 mod error;
 mod plane;
 mod progress;
@@ -24,6 +26,8 @@ mod video;
 
 pub use camera::{Camera, Intrinsics};
 pub use capture::{Capture, CaptureFrame};
+pub use compact_depth::CompactDepth;
+pub use compact_mask::CompactMask;
 pub use error::ShapeError;
 pub use plane::Plane;
 pub use progress::{Progress, Silent};

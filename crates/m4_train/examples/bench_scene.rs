@@ -15,7 +15,7 @@ use m4_init::{InitConfig, initialise};
 use m4_io::capture::{CaptureOptions, Split, read};
 use m4_io::image::write_rgb;
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_scene::{Capture, Plane, RgbImage, Scene, Silent};
+use m4_scene::{Capture, CompactMask, Plane, RgbImage, Scene, Silent};
 use m4_train::{MetricsEvent, TrainConfig, Trainer};
 use serde::{Serialize, de::DeserializeOwned};
 use std::path::{Path, PathBuf};
@@ -123,7 +123,7 @@ fn scores(scene: &Scene, test: &Capture, level: SimdLevel, out: Option<&Path>) -
             frame.camera_index,
             &picture,
             &Picture::from(&frame.rgb),
-            frame.mask.as_ref(),
+            frame.mask.as_ref().map(CompactMask::to_mask).as_ref(),
         )?;
         if let Some(out) = out {
             std::fs::create_dir_all(out)?;

@@ -1,22 +1,17 @@
 //! The training frames at the size that an iteration wants.
 
 use m4_kernels::photo::cpu::Target;
-use m4_scene::{Capture, CaptureFrame, DepthMap, Intrinsics, RgbImage};
+use m4_scene::{Capture, CaptureFrame, CompactDepth, Intrinsics, RgbImage};
 use rayon::prelude::*;
+
+/// Rows of depth that one task makes at least.
+const ROWS: usize = 32;
 
 /// A frame of the capture, and what the trainer keeps of it.
 #[derive(Debug)]
 struct Stored<'a> {
     frame: &'a CaptureFrame,
-    cached: Option<Prepared>,
-}
-
-/// What is made of a frame.
-#[derive(Debug, Default)]
-struct Prepared {
-    target: Target,
-    /// Empty when the frame has none, or its own has the right size.
-    depth: Vec<f32>,
+    cached: Option<Target>,
 }
 
 /// A frame ready for the loss.
@@ -28,16 +23,21 @@ pub(crate) struct FrameView<'a> {
     pub depth: &'a [f32],
 }
 
-/// All frames, and as many prepared ones as fit the budget.
+/// All frames, and as many prepared pictures as fit the budget.
+///
+/// Depth is made of what the capture holds at each use: it takes a hundredth of a step, and four bytes a pixel to keep.
 #[derive(Debug)]
 pub(crate) struct FrameStore<'a> {
     frames: Vec<Stored<'a>>,
     factor: usize,
     budget: usize,
     used: usize,
-    /// The frame prepared last that did not fit; its memory is used again for the next.
-    spare: Prepared,
+    /// The picture prepared last that did not fit; its memory is used again for the next.
+    spare: Target,
     spare_of: Option<usize>,
+    /// Depth of the frame asked for last; empty when it has none.
+    depth: Vec<f32>,
+    depth_of: Option<usize>,
 }
 
 impl<'a> FrameStore<'a> {
@@ -48,8 +48,10 @@ impl<'a> FrameStore<'a> {
             factor: 1,
             budget: budget_mb * 1_000_000,
             used: 0,
-            spare: Prepared::default(),
+            spare: Target::default(),
             spare_of: None,
+            depth: Vec::new(),
+            depth_of: None,
         }
     }
 
@@ -57,14 +59,14 @@ impl<'a> FrameStore<'a> {
     pub fn get(&mut self, i: usize, factor: usize) -> FrameView<'_> {
         if factor != self.factor {
             self.frames.iter_mut().for_each(|f| f.cached = None);
-            (self.factor, self.used, self.spare_of) = (factor, 0, None);
+            (self.factor, self.used, self.spare_of, self.depth_of) = (factor, 0, None, None);
         }
         let frame = self.frames[i].frame;
         if self.frames[i].cached.is_none() && self.spare_of != Some(i) {
             let bytes = bytes(frame, factor);
             if self.used + bytes <= self.budget {
                 self.used += bytes;
-                let mut prepared = Prepared::default();
+                let mut prepared = Target::default();
                 prepare(frame, factor, &mut prepared);
                 self.frames[i].cached = Some(prepared);
             } else {
@@ -72,30 +74,25 @@ impl<'a> FrameStore<'a> {
                 self.spare_of = Some(i);
             }
         }
-        let prepared = self.frames[i].cached.as_ref().unwrap_or(&self.spare);
+        if self.depth_of != Some(i) {
+            match &frame.depth {
+                Some(depth) => resample(depth, frame.rgb.size(), factor, &mut self.depth),
+                None => self.depth.clear(),
+            }
+            self.depth_of = Some(i);
+        }
         FrameView {
-            target: &prepared.target,
-            depth: match own_depth(frame, factor) {
-                Some(depth) => depth.data(),
-                None => &prepared.depth,
-            },
+            target: self.frames[i].cached.as_ref().unwrap_or(&self.spare),
+            depth: &self.depth,
         }
     }
 }
 
-/// The frame's depth if it has the size of the picture already.
-fn own_depth(frame: &CaptureFrame, factor: usize) -> Option<&DepthMap> {
-    let (width, height) = frame.rgb.size();
-    let depth = frame.depth.as_ref();
-    depth.filter(|depth| depth.size() == (width / factor, height / factor))
-}
-
-/// What a prepared frame takes: a byte a colour (two where bytes are added up), and the depth.
+/// What a prepared picture takes: a byte a colour, two where bytes are added up.
 fn bytes(frame: &CaptureFrame, factor: usize) -> usize {
     let (width, height) = frame.rgb.size();
     let colours = if factor == 1 { 3 } else { 6 };
-    let has_depth = frame.depth.is_some() && own_depth(frame, factor).is_none();
-    (colours + if has_depth { 4 } else { 0 }) * (width / factor) * (height / factor)
+    colours * (width / factor) * (height / factor)
 }
 
 /// The lens for frames whose sides are divided by `factor`; what does not divide is cut off at the
@@ -112,33 +109,37 @@ pub(crate) fn smaller(k: &Intrinsics, factor: usize) -> Intrinsics {
     }
 }
 
-fn prepare(frame: &CaptureFrame, factor: usize, out: &mut Prepared) {
+fn prepare(frame: &CaptureFrame, factor: usize, out: &mut Target) {
     let (full_w, full_h) = frame.rgb.size();
     let (w, h) = (full_w / factor, full_h / factor);
     if factor == 1 {
-        out.target
-            .replace(w, h, |planes| by_rows(w, planes, |y, row| split(frame.rgb.row(y), row)));
+        out.replace(w, h, |planes| by_rows(w, planes, |y, row| split(frame.rgb.row(y), row)));
     } else {
-        out.target.replace_sums(w, h, factor * factor, |planes| {
+        out.replace_sums(w, h, factor * factor, |planes| {
             by_rows(w, planes, |y, row| add_up(&frame.rgb, factor, y, row));
         });
     }
-    out.depth.clear();
-    let Some(depth) = &frame.depth else { return };
-    if own_depth(frame, factor).is_some() {
+}
+
+/// Depth at the size of the picture with its sides divided by `factor`: the nearest sample, since blends of two
+/// surfaces lie on neither.
+fn resample(depth: &CompactDepth, (full_w, full_h): (usize, usize), factor: usize, out: &mut Vec<f32>) {
+    let (w, h) = (full_w / factor, full_h / factor);
+    let (dw, dh) = depth.size();
+    out.resize(w * h, 0.0);
+    let rows = out.par_chunks_mut(w.max(1)).with_min_len(ROWS).enumerate();
+    if (dw, dh) == (w, h) {
+        rows.for_each(|(y, row)| depth.row_into(y, row));
         return;
     }
-    // The nearest sample: blends of two surfaces lie on neither.
-    let (dw, dh) = depth.size();
     let at = |i: usize, n: usize, full: usize| {
         let centre = (i as f64 + 0.5) * factor as f64 * n as f64 / full as f64;
         (centre as usize).min(n - 1)
     };
     let columns: Vec<usize> = (0..w).map(|x| at(x, dw, full_w)).collect();
-    out.depth.resize(w * h, 0.0);
-    out.depth.par_chunks_mut(w.max(1)).enumerate().for_each(|(y, row)| {
-        let from = depth.row(at(y, dh, full_h));
-        row.iter_mut().zip(&columns).for_each(|(z, &x)| *z = from[x]);
+    rows.for_each(|(y, row)| {
+        let y = at(y, dh, full_h);
+        row.iter_mut().zip(&columns).for_each(|(z, &x)| *z = depth.at(x, y));
     });
 }
 
@@ -174,7 +175,7 @@ fn add_up(picture: &RgbImage, factor: usize, y: usize, [red, green, blue]: [&mut
 mod tests {
     use super::FrameStore;
     use m4_math::Se3;
-    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+    use m4_scene::{Camera, Capture, CaptureFrame, CompactDepth, Intrinsics, Plane};
 
     fn capture() -> Capture {
         let frame = |i: usize| CaptureFrame {
@@ -185,7 +186,7 @@ mod tests {
             },
             t: i as f64,
             rgb: Plane::from_fn(5, 4, |x, y| [(x * 10) as u8, (y * 20) as u8, i as u8]),
-            depth: Some(Plane::from_fn(10, 8, |x, _| if x == 0 { f32::NAN } else { x as f32 })),
+            depth: Some(Plane::from_fn(10, 8, |x, _| if x == 0 { f32::NAN } else { x as f32 }).into()),
             mask: None,
             camera_index: None,
         };
@@ -218,6 +219,24 @@ mod tests {
         for i in [0, 1, 2, 1, 1] {
             let blue = store.get(i, 1).target.rgb()[2][0];
             assert!((blue * 255.0 - i as f32).abs() < 1e-4);
+        }
+    }
+
+    #[test]
+    fn depth_is_that_of_the_frame_and_the_size_asked_for() {
+        let mut capture = capture();
+        // as large as the half-size picture, in steps; smaller than the picture, as floats; none
+        let steps = Plane::from_fn(2, 2, |x, y| (10 * x + y) as u16);
+        capture.frames[0].depth = Some(CompactDepth::from_steps(steps, 0.5));
+        capture.frames[1].depth = Some(Plane::filled(1, 1, 3.0).into());
+        capture.frames[2].depth = None;
+        let mut store = FrameStore::new(&capture, 100);
+        for _ in 0..2 {
+            assert_eq!(store.get(0, 2).depth, [0.0, 5.0, 0.5, 5.5]);
+            assert_eq!(store.get(1, 2).depth, [3.0; 4]);
+            assert!(store.get(2, 2).depth.is_empty());
+            assert_eq!(store.get(0, 1).depth[..5], [0.0, 0.0, 5.0, 5.0, 5.0]);
+            assert_eq!(store.get(0, 4).depth, [0.5]);
         }
     }
 }

@@ -26,7 +26,7 @@ impl SceneScale {
         let cameras = 1.1 * centres.iter().map(|c| (c - mean).norm()).fold(0.0, f64::max);
         let mut depths: Vec<f32> = Vec::new();
         for depth in capture.frames.iter().filter_map(|f| f.depth.as_ref()) {
-            depths.extend(depth.data().iter().step_by(37).filter(|z| z.is_finite() && **z > 0.0));
+            depths.extend(depth.every(37).filter(|z| z.is_finite() && *z > 0.0));
         }
         let middle = depths.len() / 2;
         let median_depth = if depths.is_empty() {

@@ -206,8 +206,8 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>)
         camera: *camera,
         t: moment(i, frame.time_s),
         rgb: frame.rgb,
-        depth: Some(dense.depth),
-        mask: Some(dense.mask),
+        depth: Some(dense.depth.into()),
+        mask: Some(dense.mask.into()),
         camera_index: None,
     });
     Capture {

@@ -1,7 +1,7 @@
 //! Hashes of inputs and settings: the keys by which finished stages are found again.
 
 use crate::Error;
-use m4_scene::{Capture, Plane};
+use m4_scene::{Capture, CompactDepth, CompactMask, Plane};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
@@ -68,14 +68,14 @@ pub fn of_capture(capture: &Capture) -> String {
         size_into(frame.rgb.size(), &mut hasher);
         hasher.update(frame.rgb.data().as_flattened());
         let depth = frame.depth.as_ref();
-        size_into(depth.map_or((0, 0), Plane::size), &mut hasher);
+        size_into(depth.map_or((0, 0), CompactDepth::size), &mut hasher);
         if let Some(depth) = depth {
-            let bytes: Vec<u8> = depth.data().iter().flat_map(|z| z.to_le_bytes()).collect();
+            let bytes: Vec<u8> = depth.every(1).flat_map(f32::to_le_bytes).collect();
             hasher.update(&bytes);
         }
-        let mask = frame.mask.as_ref();
-        size_into(mask.map_or((0, 0), Plane::size), &mut hasher);
-        hasher.update(mask.map_or(&[], Plane::data));
+        let mask = frame.mask.as_ref().map(CompactMask::to_mask);
+        size_into(mask.as_ref().map_or((0, 0), Plane::size), &mut hasher);
+        hasher.update(mask.as_ref().map_or(&[], Plane::data));
     }
     hasher.finalize().to_hex().to_string()
 }

@@ -7,7 +7,7 @@ use crate::{Error, Observer, hash, is_capture};
 use m4_io::capture::Split;
 use m4_io::scene_file;
 use m4_io::video::VideoOptions;
-use m4_scene::{Capture, Scene};
+use m4_scene::{Capture, CompactMask, Scene};
 use serde::Serialize;
 use std::fmt;
 use std::path::Path;
@@ -176,8 +176,8 @@ fn capture_facts(path: &Path, capture: &Capture) -> CaptureFacts {
     let centres = capture.frames.iter().map(|f| f.camera.centre());
     let steps = centres.clone().zip(centres.skip(1)).map(|(a, b)| (b - a).norm());
     let masks = || capture.frames.iter().filter_map(|f| f.mask.as_ref());
-    let pixels: usize = masks().map(|m| m.data().len()).sum();
-    let moving = masks().flat_map(|m| m.data()).filter(|&&m| m != 0).count();
+    let pixels: usize = masks().map(|m| m.size().0 * m.size().1).sum();
+    let moving: usize = masks().map(CompactMask::count).sum();
     CaptureFacts {
         frames: capture.frames.len(),
         size: lens.map_or([0, 0], |k| [k.width, k.height]),

@@ -77,7 +77,7 @@ fn held_out_views_are_found_in_a_world_of_its_own() {
     };
     for frame in &mut own.frames {
         frame.camera.c2w = map.transform_pose(&frame.camera.c2w);
-        frame.depth = frame.depth.as_ref().map(|d| d.map(|z| z * 2.5));
+        frame.depth = frame.depth.as_ref().map(|d| d.to_map().map(|z| z * 2.5).into());
     }
     minute4d::io::capture::write(&dir.path("own"), &own, Split::Train, &Silent).unwrap();
     let score = |data: &str, out: &str| {

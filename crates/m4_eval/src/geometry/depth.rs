@@ -1,7 +1,7 @@
 //! Depth after one factor, and masks.
 
 use super::report::{DepthError, MaskScore, median_of_sorted};
-use m4_scene::{CaptureFrame, DepthMap, Mask};
+use m4_scene::{CaptureFrame, CompactDepth, CompactMask};
 
 /// Pixels used for the common factor and for the error: every one of these columns and rows.
 const STRIDE_PX: usize = 2;
@@ -32,24 +32,28 @@ fn usable(z: f32) -> bool {
     z.is_finite() && z > 0.0
 }
 
-/// The value of a plane of another size that covers the centre of pixel `(x, y)` of `(width, height)`.
-fn sample<T: Copy>(plane: &m4_scene::Plane<T>, x: usize, y: usize, width: usize, height: usize) -> Option<T> {
+/// The pixel of a plane of size `to` that covers the centre of pixel `(x, y)` of one of size `from`.
+fn covering((x, y): (usize, usize), from: (usize, usize), to: (usize, usize)) -> Option<(usize, usize)> {
     let at = |i: usize, n: usize, m: usize| (2 * i + 1) * m / (2 * n);
-    let (x, y) = (at(x, width, plane.width()), at(y, height, plane.height()));
-    (x < plane.width() && y < plane.height()).then(|| plane[(x, y)])
+    let (x, y) = (at(x, from.0, to.0), at(y, from.1, to.1));
+    (x < to.0 && y < to.1).then_some((x, y))
+}
+
+/// Whether a mask of any size is set at pixel `at` of `size`.
+fn is_set(mask: &CompactMask, at: (usize, usize), size: (usize, usize)) -> bool {
+    covering(at, size, mask.size()).is_some_and(|(x, y)| mask.at(x, y))
 }
 
 /// Visits `(estimate, truth, moving)` wherever the truth knows a depth.
-fn visit(estimate: &DepthMap, truth: &DepthMap, mask: Option<&Mask>, mut f: impl FnMut(f64, f64, bool)) {
-    let (width, height) = truth.size();
-    for y in (0..height).step_by(STRIDE_PX) {
-        for x in (0..width).step_by(STRIDE_PX) {
-            let z = truth[(x, y)];
+fn visit(estimate: &CompactDepth, truth: &CompactDepth, mask: Option<&CompactMask>, mut f: impl FnMut(f64, f64, bool)) {
+    let size = truth.size();
+    for y in (0..size.1).step_by(STRIDE_PX) {
+        for x in (0..size.0).step_by(STRIDE_PX) {
+            let z = truth.at(x, y);
             if usable(z) {
-                let moving = mask
-                    .and_then(|m| sample(m, x, y, width, height))
-                    .is_some_and(|m| m != 0);
-                let e = sample(estimate, x, y, width, height)
+                let moving = mask.is_some_and(|m| is_set(m, (x, y), size));
+                let e = covering((x, y), size, estimate.size())
+                    .map(|(x, y)| estimate.at(x, y))
                     .filter(|&e| usable(e))
                     .unwrap_or(0.0);
                 f(f64::from(e), f64::from(z), moving);
@@ -115,10 +119,10 @@ pub(super) fn mask_score(pairs: &[(&CaptureFrame, &CaptureFrame)]) -> Option<Mas
             continue;
         };
         let (mut b, mut n_e, mut n_t) = (0usize, 0usize, 0usize);
-        for y in 0..t.height() {
-            for x in 0..t.width() {
-                let moving = t[(x, y)] != 0;
-                let found = sample(e, x, y, t.width(), t.height()).is_some_and(|m| m != 0);
+        for y in 0..t.size().1 {
+            for x in 0..t.size().0 {
+                let moving = t.at(x, y);
+                let found = is_set(e, (x, y), t.size());
                 b += usize::from(moving && found);
                 n_e += usize::from(found);
                 n_t += usize::from(moving);

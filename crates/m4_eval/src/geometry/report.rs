@@ -181,7 +181,7 @@ pub(super) mod tests {
     use crate::geometry::GeometryError;
     use m4_math::Se3;
     use m4_math::nalgebra::Vector6;
-    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+    use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane};
 
     /// `n` frames on a curve, depth 2 everywhere but 4 in the moving left half; 16x12.
     pub(crate) fn capture(n: usize) -> Capture {
@@ -195,8 +195,8 @@ pub(super) mod tests {
                 },
                 t: i as f64,
                 rgb: Plane::filled(16, 12, [0; 3]),
-                depth: Some(Plane::from_fn(16, 12, |x, _| if x < 8 { 4.0 } else { 2.0 })),
-                mask: Some(Plane::from_fn(16, 12, |x, _| if x < 8 { 255 } else { 0 })),
+                depth: Some(Plane::from_fn(16, 12, |x, _| if x < 8 { 4.0 } else { 2.0 }).into()),
+                mask: Some(CompactMask::from_fn(16, 12, |x, _| x < 8)),
                 camera_index: None,
             }
         };
@@ -224,7 +224,7 @@ pub(super) mod tests {
         let mut estimate = capture(3);
         for frame in &mut estimate.frames {
             // A quarter of the size; static depth halved, moving depth 1 in place of 4, one column unknown.
-            frame.depth = Some(Plane::from_fn(8, 6, |x, _| if x == 7 { 0.0 } else { 1.0 }));
+            frame.depth = Some(Plane::from_fn(8, 6, |x, _| if x == 7 { 0.0 } else { 1.0 }).into());
         }
         let depth = evaluate(&estimate, &capture(3)).unwrap().depth.unwrap();
         assert!((depth.scale - 2.0).abs() < 1e-12);
@@ -238,11 +238,7 @@ pub(super) mod tests {
     fn masks_are_compared_by_overlap() {
         let mut estimate = capture(2);
         for frame in &mut estimate.frames {
-            frame.mask = Some(Plane::from_fn(
-                16,
-                12,
-                |x, _| if (4..12).contains(&x) { 255 } else { 0 },
-            ));
+            frame.mask = Some(CompactMask::from_fn(16, 12, |x, _| (4..12).contains(&x)));
         }
         let mask = evaluate(&estimate, &capture(2)).unwrap().mask.unwrap();
         assert!((mask.iou - 4.0 / 12.0).abs() < 1e-12 && (mask.mean_frame_iou - mask.iou).abs() < 1e-12);

@@ -47,8 +47,14 @@ impl Look {
         Some(Self {
             camera: frame.camera,
             rgb: [r, g, b],
-            depth: Plane::from_fn(w, h, |x, y| depth[at(x, y, depth.size())]),
-            moves: Plane::from_fn(w, h, |x, y| mask[at(x, y, mask.size())] >= 128),
+            depth: Plane::from_fn(w, h, |x, y| {
+                let (x, y) = at(x, y, depth.size());
+                depth.at(x, y)
+            }),
+            moves: Plane::from_fn(w, h, |x, y| {
+                let (x, y) = at(x, y, mask.size());
+                mask.at(x, y)
+            }),
         })
     }
 
@@ -158,7 +164,7 @@ fn smooth(plane: &Plane<f32>) -> Plane<f32> {
 mod tests {
     use super::Look;
     use m4_math::Se3;
-    use m4_scene::{Camera, CaptureFrame, Intrinsics, Plane};
+    use m4_scene::{Camera, CaptureFrame, CompactMask, Intrinsics, Plane};
 
     /// A textured wall at depth 2 that moves by `shift` pixels; the left third stands still.
     fn frame(shift: [f64; 2], flat: bool) -> CaptureFrame {
@@ -177,8 +183,8 @@ mod tests {
                 let v = texture(x as f64 - shift[0], y as f64 - shift[1]);
                 [v, 0.8 * v, 1.0 - v].map(|v| (255.0 * v).round() as u8)
             }),
-            depth: Some(Plane::filled(60, 40, 2.0)),
-            mask: Some(Plane::from_fn(60, 40, |x, _| if x < 20 { 0 } else { 255 })),
+            depth: Some(Plane::filled(60, 40, 2.0).into()),
+            mask: Some(CompactMask::from_fn(60, 40, |x, _| x >= 20)),
             camera_index: None,
         }
     }

@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Scene units a step of a depth map when the file does not say: millimetres where the unit is a metre.
 const DEFAULT_DEPTH_UNIT: f64 = 1e-3;
-/// Colour, depth and mask: 3 + 4 + 1.
-const BYTES_PER_PIXEL: u64 = 8;
+/// What eight pixels take, bytes: colour, depth and mask, 3 + 2 + 1/8 a pixel.
+const BYTES_PER_8_PIXELS: u64 = 41;
 
 /// Reads a split of a capture: `path` is its folder or one of its JSON files. The layout is that of
 /// [the module](super); frames come sorted by time, poses in OpenCV axes.
@@ -236,8 +236,9 @@ impl Reader {
         let Some(first) = entries.first() else { return Ok(()) };
         let size = image::size(&first.picture).map_err(|e| self.image(first, e))?;
         let needed_bytes = (size.0 as u64 * size.1 as u64)
-            .saturating_mul(BYTES_PER_PIXEL)
-            .saturating_mul(entries.len() as u64);
+            .saturating_mul(BYTES_PER_8_PIXELS)
+            .saturating_mul(entries.len() as u64)
+            .div_ceil(8);
         if needed_bytes > options.max_memory_bytes {
             return Err(ReadCaptureError::TooLarge {
                 path: self.path.clone(),

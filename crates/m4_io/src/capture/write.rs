@@ -141,12 +141,13 @@ fn pictures(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Re
     }
     let mut clipped = 0;
     if let (Some(path), Some(depth)) = (&entry.depth_file_path, &frame.depth) {
-        image::write_depth(&folder.join(path), depth, unit)?;
+        let depth = depth.to_map();
+        image::write_depth(&folder.join(path), &depth, unit)?;
         let limit = (MAX_STEPS + 0.5) * unit;
         clipped = depth.data().iter().filter(|&&z| f64::from(z) > limit).count();
     }
     if let (Some(path), Some(mask)) = (&entry.mask_path, &frame.mask) {
-        image::write_mask(&folder.join(path), mask)?;
+        image::write_mask(&folder.join(path), &mask.to_mask())?;
     }
     Ok(clipped)
 }
@@ -159,16 +160,16 @@ fn depth_unit(capture: &Capture) -> f64 {
         .iter()
         .filter_map(|f| f.depth.as_ref())
         // Every 16th pixel is plenty for a percentile; the maximum is taken over all of them below.
-        .flat_map(|d| d.data().iter().step_by(16).copied())
+        .flat_map(|d| d.every(16))
         .filter(|z| z.is_finite() && *z > 0.0)
         .collect();
     let farthest = capture
         .frames
         .iter()
         .filter_map(|f| f.depth.as_ref())
-        .flat_map(|d| d.data())
+        .flat_map(|d| d.every(1))
         .filter(|z| z.is_finite())
-        .fold(0.0f32, |a, &b| a.max(b));
+        .fold(0.0f32, f32::max);
     if known.is_empty() || farthest <= 0.0 {
         return 1e-3;
     }

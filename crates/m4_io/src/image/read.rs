@@ -2,7 +2,7 @@
 
 use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
-use m4_scene::{DepthMap, Mask, Plane, RgbImage};
+use m4_scene::{CompactDepth, CompactMask, Plane, RgbImage};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
@@ -127,12 +127,12 @@ fn rgb(path: &Path, image: DynamicImage) -> Result<RgbImage, ReadImageError> {
 /// # Errors
 ///
 /// [`ReadImageError`] if there is no such file or it is not a 16-bit greyscale PNG.
-pub fn read_depth(path: &Path, unit: f64) -> Result<DepthMap, ReadImageError> {
+pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadImageError> {
     match decode(path)? {
         DynamicImage::ImageLuma16(grey) => {
             let (width, height) = grey.dimensions();
-            let data = grey.into_raw().into_iter().map(|v| (f64::from(v) * unit) as f32);
-            plane(path, width, height, data.collect())
+            let steps = plane(path, width, height, grey.into_raw())?;
+            Ok(CompactDepth::from_steps(steps, unit))
         }
         other => Err(ReadImageError::NotDepth {
             path: path.to_path_buf(),
@@ -141,14 +141,13 @@ pub fn read_depth(path: &Path, unit: f64) -> Result<DepthMap, ReadImageError> {
     }
 }
 
-/// Reads a mask: 255 where the picture's brightness is at least 128, else 0.
+/// Reads a mask: set where the picture's brightness is at least 128.
 ///
 /// # Errors
 ///
 /// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
-pub fn read_mask(path: &Path) -> Result<Mask, ReadImageError> {
+pub fn read_mask(path: &Path) -> Result<CompactMask, ReadImageError> {
     let grey = decode(path)?.into_luma8();
     let (width, height) = grey.dimensions();
-    let data = grey.into_raw().into_iter().map(|v| if v >= 128 { 255 } else { 0 });
-    plane(path, width, height, data.collect())
+    Ok(plane(path, width, height, grey.into_raw())?.into())
 }

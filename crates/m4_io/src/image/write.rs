@@ -110,7 +110,7 @@ mod tests {
         let mask = Plane::from_fn(5, 4, |x, y| if (x + y) % 2 == 0 { 255 } else { 0 });
         let path = dir.path().join("m.png");
         write_mask(&path, &mask).unwrap();
-        assert_eq!(read_mask(&path).unwrap(), mask);
+        assert_eq!(read_mask(&path).unwrap().to_mask(), mask);
     }
 
     #[test]
@@ -120,7 +120,7 @@ mod tests {
         let depth = Plane::from_vec(3, 2, vec![0.0, 1e-9, 1.2344, 65.535, 1e9, f32::NAN]).unwrap();
         write_depth(&path, &depth, 0.001).unwrap();
         let got = read_depth(&path, 0.001).unwrap();
-        assert_eq!(got.data(), [0.0, 0.001, 1.234, 65.535, 65.535, 0.0]);
+        assert_eq!(got.to_map().data(), [0.0, 0.001, 1.234, 65.535, 65.535, 0.0]);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::scene::{FRAMES, camera, cast, colour, drift, is_ball};
 use m4_math::{Se3, nalgebra::Vector3};
-use m4_scene::{Camera, Capture, CaptureFrame, Plane};
+use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Plane};
 use rayon::prelude::*;
 
 /// The first balls, which are the largest in the picture, stand still: an eighth of the picture moves.
@@ -58,8 +58,8 @@ fn frame(camera: Camera, i: usize, t: f64) -> CaptureFrame {
         rgb: Plane::from_fn(width, height, |x, y| {
             at(x, y).1.map(|c| (255.0 * c.clamp(0.0, 1.0)).round() as u8)
         }),
-        depth: Some(Plane::from_fn(width, height, |x, y| at(x, y).0 as f32)),
-        mask: Some(Plane::from_fn(width, height, |x, y| if at(x, y).2 { 255 } else { 0 })),
+        depth: Some(Plane::from_fn(width, height, |x, y| at(x, y).0 as f32).into()),
+        mask: Some(CompactMask::from_fn(width, height, |x, y| at(x, y).2)),
         camera_index: None,
     }
 }
@@ -73,11 +73,11 @@ mod tests {
         let capture = film(3, 64, 48);
         assert_eq!((capture.frames.len(), capture.time_frames), (3, 3));
         let share = |i: usize| {
-            let mask = capture.frames[i].mask.as_ref().unwrap().data();
-            mask.iter().filter(|&&m| m != 0).count() as f64 / mask.len() as f64
+            let mask = capture.frames[i].mask.as_ref().unwrap();
+            mask.count() as f64 / (mask.size().0 * mask.size().1) as f64
         };
         assert!((0.05..0.3).contains(&share(1)), "{}", share(1));
-        let depth = |i: usize| capture.frames[i].depth.as_ref().unwrap().data().to_vec();
+        let depth = |i: usize| capture.frames[i].depth.as_ref().unwrap().to_map().into_vec();
         assert!(depth(0).iter().all(|z| (1.0..7.0).contains(z)), "inside the room");
         assert_ne!(depth(0), depth(2));
     }

@@ -2,7 +2,7 @@
 
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_math::CounterRng;
-use m4_scene::{Capture, CaptureFrame, Column, Intrinsics, Plane, SplatLayout, Splats};
+use m4_scene::{Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, SplatLayout, Splats};
 use m4_testkit::{MovingScene, moving_scene};
 
 /// Frames of the video.
@@ -44,11 +44,11 @@ pub fn video() -> (MovingScene, Capture) {
             camera: *camera,
             t: i as f64,
             rgb: Plane::from_fn(w, h, |x, y| [0, 1, 2].map(|c| byte(frame.rgb[c][y * w + x]))),
-            depth: Some(Plane::from_fn(w, h, |x, y| depth(y * w + x))),
+            depth: Some(Plane::from_fn(w, h, |x, y| depth(y * w + x)).into()),
             // the ball is nearer than 3.2, the wall farther
-            mask: Some(Plane::from_fn(w, h, |x, y| {
+            mask: Some(CompactMask::from_fn(w, h, |x, y| {
                 let z = depth(y * w + x);
-                if z > 0.0 && z < 3.2 { 255 } else { 0 }
+                z > 0.0 && z < 3.2
             })),
             camera_index: None,
         }

@@ -157,8 +157,8 @@ fn case(program: &Path, config: &MemoryConfig, frames: usize) -> Result<MemoryCa
         splats_dynamic,
         iterations,
         peak_bytes: record.peak_memory_bytes,
-        // colour, depth and mask
-        capture_bytes: (frames * width * height * (3 + 4 + 1)) as u64,
+        // colour, depth in steps of 16 bits, a bit of mask
+        capture_bytes: (frames * (width * height * (3 + 2) + (width * height).div_ceil(64) * 8)) as u64,
         scene_bytes: record.files.get(crate::folder::SCENE_FILE).map_or(0, |f| f.bytes),
         seconds: record.stages.get(crate::train::STAGE).map_or(0.0, |s| s.seconds),
     })

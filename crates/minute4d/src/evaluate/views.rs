@@ -10,7 +10,7 @@ use m4_eval::image::{ImageReport, MeanScore, Picture};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::scene_file;
 use m4_kernels::SimdLevel;
-use m4_scene::{Camera, Capture, Exposure};
+use m4_scene::{Camera, Capture, CompactMask, Exposure};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -74,7 +74,8 @@ pub fn views(out: &Path, data: &Path, grow_mask: usize, observer: &dyn Observer)
         let drawn = painter.picture(&camera, t, &Exposure::IDENTITY);
         let (image, reference) = (Picture::from(&drawn), Picture::from(&frame.rgb));
         let index = frame.camera_index;
-        let score = images.add(&frame.name, t, index, &image, &reference, frame.mask.as_ref())?;
+        let mask = frame.mask.as_ref().map(CompactMask::to_mask);
+        let score = images.add(&frame.name, t, index, &image, &reference, mask.as_ref())?;
         let note = format!("{:.2} dB", score.psnr_db);
         observer.update("eval", i + 1, test.frames.len(), &note);
     }

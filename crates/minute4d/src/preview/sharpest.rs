@@ -40,7 +40,7 @@ fn look(frame: &CaptureFrame, masked: bool) -> Look {
     let (w, h) = frame.rgb.size();
     let brightness = |x: usize, y: usize| frame.rgb[(x, y)].iter().map(|&c| f64::from(c)).sum::<f64>();
     let counts = |x: usize, y: usize| match frame.mask.as_ref().filter(|_| masked) {
-        Some(mask) => mask[(x * mask.width() / w, y * mask.height() / h)] != 0,
+        Some(mask) => mask.at(x * mask.size().0 / w, y * mask.size().1 / h),
         None => true,
     };
     let (mut sum, mut count) = (0.0, 0usize);
@@ -61,7 +61,7 @@ fn look(frame: &CaptureFrame, masked: bool) -> Look {
 mod tests {
     use super::sharpest;
     use m4_math::Se3;
-    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+    use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane};
 
     #[test]
     fn the_frame_with_most_detail_where_it_moves_wins() {
@@ -80,9 +80,7 @@ mod tests {
                 [if striped && x % 2 == 0 { strength } else { 0 }; 3]
             }),
             depth: None,
-            mask: Some(Plane::from_fn(32, 24, |x, _| {
-                if x < if i == 3 { 2 } else { 16 } { 255 } else { 0 }
-            })),
+            mask: Some(CompactMask::from_fn(32, 24, |x, _| x < if i == 3 { 2 } else { 16 })),
             camera_index: None,
         };
         let capture = Capture {

@@ -175,8 +175,8 @@ fn frame(size: (usize, usize), shift: f64, i: usize, n: usize, held_out: Option<
         camera,
         t: i as f64,
         rgb,
-        depth: held_out.is_none().then_some(depth),
-        mask: Some(mask),
+        depth: held_out.is_none().then(|| depth.into()),
+        mask: Some(mask.into()),
         camera_index: held_out,
     }
 }
