@@ -13,6 +13,8 @@
 pub mod config;
 pub mod density;
 
+mod batch;
+mod colour_fit;
 mod depth_loss;
 mod error;
 mod frames;
@@ -27,8 +29,8 @@ mod state;
 mod trainer;
 
 pub use config::{
-    AdamSettings, DensityConfig, FrameChoice, LossConfig, PositionUnit, RateConfig, RefineConfig, ResolutionConfig,
-    TrainConfig,
+    AdamSettings, ColourFitConfig, DensityConfig, FrameChoice, LossConfig, PositionUnit, RateConfig, RefineConfig,
+    ResolutionConfig, TrainConfig,
 };
 pub use error::TrainError;
 pub use metrics::MetricsEvent;

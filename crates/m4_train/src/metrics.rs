@@ -14,7 +14,7 @@ pub struct MetricsEvent {
     pub l1: f64,
     /// Mean structural similarity of the training frames.
     pub ssim: f64,
-    /// PSNR of the last frame, dB (colours clamped to 0..1), at the resolution of this iteration.
+    /// PSNR of the frame looked at last, dB (colours clamped to 0..1), at the resolution of this iteration.
     pub psnr: f64,
     /// The depth term, weight included.
     pub depth: f64,
@@ -22,7 +22,7 @@ pub struct MetricsEvent {
     pub splats_static: usize,
     /// Splats with time parameters.
     pub splats_dynamic: usize,
-    /// Splats that reached a pixel, mean.
+    /// Splats that a step moved, mean.
     pub touched: f64,
     /// By how much frames are made smaller: 1, 2 or 4.
     pub downscale: usize,
@@ -34,6 +34,8 @@ pub struct MetricsEvent {
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Totals {
     pub steps: usize,
+    /// Frames looked at: as many a step as a batch has.
+    pub frames: usize,
     pub loss: f64,
     pub l1: f64,
     pub ssim: f64,

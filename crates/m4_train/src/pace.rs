@@ -1,6 +1,6 @@
 //! How many iterations fit into a given time on this machine.
 
-use crate::config::{DensityConfig, RefineConfig, ResolutionConfig, TrainConfig};
+use crate::config::{ColourFitConfig, DensityConfig, RefineConfig, ResolutionConfig, TrainConfig};
 use crate::trainer::Trainer;
 use crate::{TrainError, schedule};
 use m4_kernels::SimdLevel;
@@ -44,7 +44,8 @@ pub fn affordable_iterations(
             step_s += f64::from(share) * trial(capture, &grown, config, level, factor)?;
         }
     }
-    let count = (PLANNED * seconds / step_s.max(1e-6)) as usize;
+    let fits = config.colour_fit.frames_drawn(capture.frames.len()) / config.batch as f64;
+    let count = (PLANNED * seconds / step_s.max(1e-6) - fits).max(0.0) as usize;
     Ok((count / 10 * 10).max(LEAST))
 }
 
@@ -89,6 +90,7 @@ fn trial(
             enabled: false,
             ..config.density.clone()
         },
+        colour_fit: ColourFitConfig::off(),
         refine: RefineConfig {
             from: 0,
             ..config.refine.clone()

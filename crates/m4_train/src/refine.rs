@@ -124,10 +124,8 @@ impl Refinement {
                 }
                 d[4 * r + 3] += f64::from(gi[r]);
             }
-            for k in 0..3 {
-                g[k][i] = (0..3).map(|r| old.matrix[r][k] * gi[r]).sum();
-            }
         }
+        pull_back(&old, g);
         let pull = f64::from(config.exposure_pull);
         for r in 0..3 {
             for k in 0..3 {
@@ -142,6 +140,16 @@ impl Refinement {
                 fit.exposure.matrix[r][k] += delta[4 * r + k] as f32;
             }
             fit.exposure.offset[r] += delta[4 * r + 3] as f32;
+        }
+    }
+}
+
+/// Turns a gradient with respect to corrected colours into that with respect to the colours before.
+pub(crate) fn pull_back(exposure: &Exposure, g: &mut [Vec<f32>; 3]) {
+    for i in 0..g[0].len() {
+        let gi = [g[0][i], g[1][i], g[2][i]];
+        for k in 0..3 {
+            g[k][i] = (0..3).map(|r| exposure.matrix[r][k] * gi[r]).sum();
         }
     }
 }

@@ -1,8 +1,10 @@
 //! Settings of the training, each with its source.
 
+mod colour;
 mod density;
 mod rates;
 
+pub use colour::ColourFitConfig;
 pub use density::{DensityConfig, ErrorRange, NewbornOpacity, PruneRule, SplitPlacement, SplitSize};
 pub use rates::{AdamSettings, PositionUnit, RateConfig, RefineConfig};
 
@@ -78,8 +80,13 @@ impl Default for ResolutionConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
-    /// Steps, one frame each. Paper: 5000 (DyCheck, DAVIS), 1500 (NVIDIA).
+    /// Steps of [`batch`](Self::batch) frames each. Paper: 5000 (DyCheck, DAVIS), 1500 (NVIDIA).
     pub iterations: usize,
+    /// Frames a step; their gradients are added up before splats move. Reference: 1.
+    pub batch: usize,
+    /// Rates are multiplied by `batch` to this power: with more frames a step is surer, and there are fewer of them. 0.5
+    /// (the square-root rule for Adam, Malladi et al. 2022).
+    pub batch_rate_power: f32,
     /// Seconds that the optimisation may take, 0 for as many as `iterations` need. Where it is above 0, `iterations` is
     /// replaced by what [`crate::affordable_iterations`] finds before training starts; [`crate::Trainer`] itself
     /// knows iterations alone.
@@ -88,6 +95,8 @@ pub struct TrainConfig {
     pub seed: u64,
     /// Which frame next.
     pub frame_choice: FrameChoice,
+    /// Colours by least squares.
+    pub colour_fit: ColourFitConfig,
     /// What is minimised.
     pub loss: LossConfig,
     /// How fast parameters move.
@@ -135,9 +144,12 @@ impl TrainConfig {
     pub fn fast() -> Self {
         Self {
             iterations: 2000,
+            batch: 1,
+            batch_rate_power: 0.5,
             budget_s: 0.0,
             seed: 0,
             frame_choice: FrameChoice::Shuffled,
+            colour_fit: ColourFitConfig::default(),
             loss: LossConfig::default(),
             lr: RateConfig::default(),
             adam: AdamSettings::default(),
@@ -170,9 +182,11 @@ impl TrainConfig {
             adam: AdamSettings {
                 sparse: false,
                 beta2_dynamic: 0.999,
+                per_splat_steps: false,
                 ..AdamSettings::default()
             },
             density: DensityConfig::faithful(),
+            colour_fit: ColourFitConfig::off(),
             resolution: ResolutionConfig {
                 quarter_until: 0.0,
                 half_until: 0.0,
@@ -212,6 +226,11 @@ impl TrainConfig {
                 return Err(bad(field, value, "between 0 and 1"));
             }
         }
+        for &at in &self.colour_fit.at {
+            if !(0.0..=1.0).contains(&at) {
+                return Err(bad("colour_fit.at", at, "between 0 and 1"));
+            }
+        }
         if !(self.budget_s.is_finite() && self.budget_s >= 0.0) {
             return Err(bad("budget_s", self.budget_s, "a number of at least 0"));
         }
@@ -219,6 +238,9 @@ impl TrainConfig {
             ("loss.depth_weight", self.loss.depth_weight),
             ("loss.depth_weight_end", self.loss.depth_weight_end),
             ("loss.alpha_weight", self.loss.alpha_weight),
+            ("batch_rate_power", self.batch_rate_power),
+            ("colour_fit.damping_px", self.colour_fit.damping_px),
+            ("colour_fit.relax", self.colour_fit.relax),
             ("lr.position", self.lr.position),
             ("lr.position_end", self.lr.position_end),
             ("lr.colour", self.lr.colour),
@@ -256,6 +278,7 @@ impl TrainConfig {
             ("density.prune_every", self.density.prune_every),
             ("density.frames", self.density.frames),
             ("iterations", self.iterations),
+            ("batch", self.batch),
         ];
         for (field, value) in counts {
             if value == 0 {

@@ -106,9 +106,11 @@ pub struct AdamSettings {
     pub beta2_dynamic: f64,
     /// Added to the root of the second moment. 1e-15 (3DGS).
     pub eps: f64,
-    /// Step only the splats that the frame saw, each with its own count (section 3); false: the dense
-    /// Adam of the reference.
+    /// Step only the splats that the frame saw (section 3); false: the dense Adam of the reference.
     pub sparse: bool,
+    /// Correct the bias of the moments by each splat's own number of steps, 0 for newborn ones (section 3). false: by
+    /// that of the run, as the reference does, where the first step of a newborn is three times its rate.
+    pub per_splat_steps: bool,
 }
 
 impl Default for AdamSettings {
@@ -119,6 +121,7 @@ impl Default for AdamSettings {
             beta2_dynamic: 0.99,
             eps: 1e-15,
             sparse: true,
+            per_splat_steps: true,
         }
     }
 }

@@ -1,6 +1,8 @@
 //! The loop.
 
+mod colour;
 mod density;
+mod save;
 mod step;
 
 use crate::config::TrainConfig;
@@ -10,12 +12,12 @@ use crate::pick::Picker;
 use crate::rates::RateBasis;
 use crate::refine::Refinement;
 use crate::scale::SceneScale;
-use crate::state::{Reader, read_adam, read_refinement, write_adam, write_refinement};
+use crate::state::{Reader, read_adam, read_refinement};
 use crate::{MetricsEvent, TrainError, schedule};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::PhotoScratch;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, morton_order};
-use m4_scene::{Capture, Column, Progress, Scene, SourceFrame, Splats, StateTensor, TrainState};
+use m4_scene::{Capture, Column, Progress, Splats, TrainState};
 use std::time::Instant;
 
 /// How a run ended.
@@ -54,6 +56,8 @@ pub struct Trainer<'a> {
     renderer: Renderer,
     frame_gradient: FrameGradient,
     gradients: Gradients,
+    /// Sum over the frames of a step; empty while a step is one frame.
+    batch_sum: Gradients,
     photo: PhotoScratch,
     exposed: [Vec<f32>; 3],
     totals: Totals,
@@ -174,6 +178,7 @@ impl<'a> Trainer<'a> {
             renderer: Renderer::new(level),
             frame_gradient: FrameGradient::default(),
             gradients: Gradients::default(),
+            batch_sum: Gradients::default(),
             photo: PhotoScratch::default(),
             exposed: Default::default(),
             totals: Totals::default(),
@@ -260,69 +265,6 @@ impl<'a> Trainer<'a> {
         &self.scale
     }
 
-    /// What a renderer needs, as a copy.
-    #[must_use]
-    pub fn scene(&self) -> Scene {
-        self.scene_of(self.splats.clone())
-    }
-
-    /// What a renderer needs; everything else is dropped.
-    #[must_use]
-    pub fn into_scene(mut self) -> Scene {
-        let splats = self.take_splats();
-        self.scene_of(splats)
-    }
-
-    /// Shows the scene and what [`resume`](Self::resume) needs beside it to `look`, without a copy of either.
-    pub fn save<R>(&mut self, look: impl FnOnce(&Scene, &TrainState<'_>) -> R) -> R {
-        let splats = self.take_splats();
-        let scene = self.scene_of(splats);
-        let out = look(&scene, &self.state());
-        self.splats = scene.splats;
-        out
-    }
-
-    fn take_splats(&mut self) -> Splats {
-        let nothing = Splats::zeros(self.splats.layout(), 0, 0);
-        std::mem::replace(&mut self.splats, nothing)
-    }
-
-    fn scene_of(&self, splats: Splats) -> Scene {
-        let source = self.times.iter().enumerate().map(|(i, &t)| SourceFrame {
-            camera: self.fit.camera(i),
-            t,
-            exposure: self.fit.frames[i].exposure,
-        });
-        Scene {
-            splats,
-            background: self.background,
-            time_frames: self.time_frames,
-            duration_s: self.duration_s,
-            mip: self.config.mip,
-            near: self.near(),
-            source: source.collect(),
-        }
-    }
-
-    /// What [`resume`](Self::resume) needs beside the scene; large arrays are borrowed.
-    #[must_use]
-    pub fn state(&self) -> TrainState<'_> {
-        let mut state = TrainState::new();
-        let mut put = |name: &str, tensor| state.insert(name.to_owned(), tensor);
-        put("train/iteration", StateTensor::u32(vec![self.iteration as u32]));
-        put(
-            "train/iterations",
-            StateTensor::u32(vec![self.config.iterations as u32]),
-        );
-        put("train/first_splats", StateTensor::u32(vec![self.first_splats as u32]));
-        put("train/time_sd", StateTensor::f32(vec![self.basis.time_sd]));
-        put("train/background", StateTensor::f32(self.background.to_vec()));
-        put("pick/loss", StateTensor::f32(&self.picker.loss));
-        write_adam(&mut state, &self.adam);
-        write_refinement(&mut state, &self.fit);
-        state
-    }
-
     fn near(&self) -> f32 {
         self.config.near_share * self.scale.median_depth
     }
@@ -351,7 +293,7 @@ impl<'a> Trainer<'a> {
 
     fn event(&mut self, psnr: f64) -> MetricsEvent {
         let t = std::mem::take(&mut self.totals);
-        let n = t.steps.max(1) as f64;
+        let n = t.frames.max(1) as f64;
         MetricsEvent {
             iteration: self.iteration,
             loss: t.loss / n,
@@ -361,7 +303,7 @@ impl<'a> Trainer<'a> {
             depth: t.depth / n,
             splats_static: self.splats.n_static(),
             splats_dynamic: self.splats.n_dynamic(),
-            touched: t.touched as f64 / n,
+            touched: t.touched as f64 / t.steps.max(1) as f64,
             downscale: self.factor(),
             seconds: self.seconds,
         }
@@ -387,7 +329,7 @@ fn background_of(capture: &Capture) -> [f32; 3] {
         for y in (0..dh).step_by(2) {
             for x in (0..dw).step_by(2) {
                 all += 1;
-                if depth.at(x, y) == 0.0 {
+                if depth[(x, y)] == 0.0 {
                     let rgb = frame.rgb[((2 * x + 1) * w / (2 * dw), (2 * y + 1) * h / (2 * dh))];
                     (0..3).for_each(|k| sum[k] += f64::from(rgb[k]) / 255.0);
                     empty += 1;

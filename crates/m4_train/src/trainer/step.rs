@@ -1,6 +1,8 @@
 //! One iteration.
 
 use super::Trainer;
+use crate::batch::add_touched;
+use crate::config::AdamSettings;
 use crate::density::rearrange;
 use crate::depth_loss::depth_loss;
 use crate::metrics::psnr;
@@ -25,17 +27,77 @@ impl StepReport {
     }
 }
 
+/// What drawing one frame found.
+#[derive(Debug, Clone, Copy)]
+struct Look {
+    loss: f64,
+    photo: f64,
+    psnr: f64,
+}
+
 impl Trainer<'_> {
-    /// Draws a frame, compares, and moves every splat that was seen.
+    /// Draws the frames of a step, compares, and moves every splat that was seen.
     pub(crate) fn step(&mut self) -> Result<StepReport, TrainError> {
         if self.good.is_none() {
             self.good = Some((self.iteration, self.splats.clone()));
         }
-        let (i, n) = (self.iteration, self.config.iterations);
+        let (i, n, batch) = (self.iteration, self.config.iterations, self.config.batch);
+        if self.colours_are_due(i) {
+            self.fit_colours();
+        }
+        let (mut total, mut last) = (0.0, f64::NAN);
+        for k in 0..batch {
+            let frame = self.picker.pick(i * batch + k);
+            if k == 1 {
+                // the first frame starts the sum; what comes back is written over
+                std::mem::swap(&mut self.gradients, &mut self.batch_sum);
+            }
+            let look = self.look(frame)?;
+            if k > 0 {
+                add_touched(&mut self.batch_sum, &self.gradients, self.splats.n_static());
+            }
+            self.picker.seen(frame, look.photo as f32);
+            total += look.loss / batch as f64;
+            last = look.psnr;
+        }
+        let gradients = if batch > 1 { &self.batch_sum } else { &self.gradients };
         let x = schedule::progress(i, n);
+        let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
+        let faster = (batch as f32).powf(self.config.batch_rate_power);
+        lr.iter_mut().for_each(|rate| *rate *= faster);
+        share_steps(&self.config.adam, &mut self.adam, i);
+        adam_step(
+            self.level,
+            &mut self.splats,
+            gradients,
+            &mut self.adam,
+            &self.config.adam.kernel(),
+            &lr,
+        );
+        self.totals.steps += 1;
+        self.totals.touched += gradients.touched.iter().filter(|&&v| v != 0).count();
+
+        self.iteration += 1;
+        self.guard()?;
+        self.density_round()?;
+        let reorder = self.config.reorder_every;
+        if reorder > 0 && self.iteration.is_multiple_of(reorder) {
+            self.reorder()?;
+        }
+        if self.iteration == n && self.colours_are_due(n) {
+            self.fit_colours();
+        }
+        Ok(StepReport {
+            loss: total,
+            psnr: last,
+        })
+    }
+
+    /// Draws a frame, compares, and leaves the gradients of the splats; cameras are corrected at once.
+    fn look(&mut self, frame: usize) -> Result<Look, TrainError> {
+        let (i, n) = (self.iteration, self.config.iterations);
         let factor = self.factor();
-        let frame = self.picker.pick(i);
-        let weight = schedule::depth_weight(&self.config.loss, x);
+        let weight = schedule::depth_weight(&self.config.loss, schedule::progress(i, n));
         let alpha_weight = self.config.loss.alpha_weight;
         let refining = i >= self.config.refine.from;
         let exposing = self.config.refine.exposure && refining;
@@ -93,32 +155,17 @@ impl Trainer<'_> {
                 f64::from(self.scale.median_depth),
             );
         }
-        let lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
-        adam_step(
-            self.level,
-            &mut self.splats,
-            &self.gradients,
-            &mut self.adam,
-            &self.config.adam.kernel(),
-            &lr,
-        );
-        self.picker.seen(frame, photo.total as f32);
         let t = &mut self.totals;
-        t.steps += 1;
+        t.frames += 1;
         t.loss += total;
         t.l1 += photo.l1;
         t.ssim += photo.ssim;
         t.depth += depth;
-        t.touched += self.gradients.touched.iter().filter(|&&v| v != 0).count();
-
-        self.iteration += 1;
-        self.guard()?;
-        self.density_round()?;
-        let reorder = self.config.reorder_every;
-        if reorder > 0 && self.iteration.is_multiple_of(reorder) {
-            self.reorder()?;
-        }
-        Ok(StepReport { loss: total, psnr })
+        Ok(Look {
+            loss: total,
+            photo: photo.total,
+            psnr,
+        })
     }
 
     /// Lays splats and optimiser state out along a Morton curve.
@@ -157,5 +204,12 @@ impl Trainer<'_> {
             iteration,
             good_iteration: self.iteration,
         }
+    }
+}
+
+/// Counts of steps as the optimiser is to see them at iteration `iteration`: those of each splat, or that of the run.
+pub(super) fn share_steps(config: &AdamSettings, adam: &mut AdamState, iteration: usize) {
+    if !config.per_splat_steps {
+        adam.step.fill(u32::try_from(iteration).unwrap_or(u32::MAX - 1));
     }
 }

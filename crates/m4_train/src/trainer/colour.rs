@@ -1,0 +1,81 @@
+//! When colours are fitted, and to what.
+
+use super::Trainer;
+use crate::colour_fit::{ColourSums, Sum};
+use crate::refine::{expose, pull_back};
+use m4_scene::Column;
+
+impl Trainer<'_> {
+    /// Whether a fit belongs before step `iteration`, or after the last.
+    pub(super) fn colours_are_due(&self, iteration: usize) -> bool {
+        let (c, n) = (&self.config.colour_fit, self.config.iterations);
+        let step = |at: f32| (f64::from(at) * n as f64).round() as usize;
+        c.rounds > 0 && c.at.iter().any(|&at| step(at) == iteration)
+    }
+
+    /// Solves for the colours, and returns the mean squared error of the frames before each round.
+    pub(super) fn fit_colours(&mut self) -> Vec<f64> {
+        let (config, factor) = (self.config.colour_fit.clone(), self.factor());
+        let (all, n) = (self.times.len(), self.splats.n());
+        let count = if config.frames == 0 {
+            all
+        } else {
+            config.frames.min(all)
+        };
+        let mut sums = ColourSums::new(n);
+        let mut errors = Vec::with_capacity(config.rounds);
+        for round in 0..config.rounds {
+            let (mut squares, mut values) = (0.0f64, 0usize);
+            sums.next_round();
+            for k in 0..count {
+                let frame = k * all / count;
+                squares += self.residual(frame, factor);
+                values += self.frame_gradient.rgb.iter().map(Vec::len).sum::<usize>();
+                self.add_colours(&mut sums, Sum::Residual);
+                if round == 0 {
+                    self.frame_gradient.rgb.iter_mut().for_each(|plane| plane.fill(1.0));
+                    self.add_colours(&mut sums, Sum::Weight);
+                }
+            }
+            sums.apply(&mut self.splats, config.relax, config.damping_px);
+            errors.push(squares / values.max(1) as f64);
+        }
+        errors
+    }
+
+    /// Draws a frame, leaves what it has too much as the gradient, and returns its sum of squares.
+    fn residual(&mut self, frame: usize, factor: usize) -> f64 {
+        let view = self.view(frame, factor, false);
+        let target = self.store.get(frame, factor).target.rgb();
+        let drawn = self.renderer.render(&self.splats, &view);
+        let exposure = self.config.refine.exposure.then(|| &self.fit.frames[frame].exposure);
+        let rgb = match exposure {
+            Some(exposure) => {
+                expose(exposure, &drawn.rgb, &mut self.exposed);
+                &self.exposed
+            }
+            None => &drawn.rgb,
+        };
+        let out = &mut self.frame_gradient;
+        out.alpha.clear();
+        out.depth.clear();
+        let mut squares = 0.0f64;
+        for ((out, rgb), target) in out.rgb.iter_mut().zip(rgb).zip(&target) {
+            out.clear();
+            out.extend(rgb.iter().zip(target).map(|(a, b)| a - b));
+            squares += out.iter().map(|&d| f64::from(d) * f64::from(d)).sum::<f64>();
+        }
+        if let Some(exposure) = exposure {
+            pull_back(exposure, &mut out.rgb);
+        }
+        squares
+    }
+
+    fn add_colours(&mut self, sums: &mut ColourSums, which: Sum) {
+        self.renderer
+            .backward(&self.splats, &self.frame_gradient, &mut self.gradients);
+        let first = self.splats.layout().column(Column::Colour);
+        let columns = &self.gradients.columns[first..first + 3];
+        sums.add(which, columns, &self.gradients.touched);
+    }
+}

@@ -1,0 +1,257 @@
+//! What makes more of an iteration: several frames a step, colours by least squares, own counts of steps.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+mod common;
+
+use common::{FRAMES, disturbed, video};
+use m4_kernels::SimdLevel;
+use m4_math::CounterRng;
+use m4_scene::{Capture, Column, Silent, Splats, StateTensor, TrainState};
+use m4_train::{ColourFitConfig, DensityConfig, FrameChoice, MetricsEvent, RateConfig, TrainConfig, Trainer};
+
+/// Nothing moves and nothing changes over the run.
+fn frozen(iterations: usize) -> TrainConfig {
+    let mut config = TrainConfig::fast();
+    config.iterations = iterations;
+    config.density.enabled = false;
+    config.resolution.half_until = 0.0;
+    config.loss.depth_weight_end = config.loss.depth_weight;
+    config.lr = RateConfig {
+        position: 0.0,
+        position_end: 0.0,
+        colour: 0.0,
+        colour_rest: 0.0,
+        opacity: 0.0,
+        scale: 0.0,
+        rotation: 0.0,
+        time_mean: 0.0,
+        time_sd: 0.0,
+        velocity: 0.0,
+        ..RateConfig::default()
+    };
+    config
+}
+
+fn start(capture: &Capture, splats: Splats, config: TrainConfig) -> Trainer<'_> {
+    Trainer::new(capture, splats, config, SimdLevel::best()).unwrap()
+}
+
+/// First moments of all splats, column after column.
+fn moments(state: &TrainState<'_>, columns: usize) -> Vec<f32> {
+    let column = |c: usize| match &state[&format!("adam/m/{c:02}")] {
+        StateTensor::F32 { data, .. } => data.to_vec(),
+        other => panic!("moments are f32, not {other:?}"),
+    };
+    (0..columns).flat_map(column).collect()
+}
+
+#[test]
+fn the_gradient_of_a_batch_is_the_sum_of_those_of_its_frames() {
+    let (scene, capture) = video();
+    let splats = disturbed(&scene, 6);
+    let columns = splats.columns().len();
+    // the moments after a step from nothing are half of the gradient, and halve where a splat is not seen
+    let mut config = frozen(20);
+    config.adam.beta1 = 0.5;
+    config.adam.sparse = false;
+    let after = |batch: usize, steps: usize| {
+        let config = TrainConfig {
+            batch,
+            ..config.clone()
+        };
+        let mut trainer = start(&capture, splats.clone(), config);
+        trainer.run_until(steps, &Silent, &mut |_| {}).unwrap();
+        moments(&trainer.state(), columns)
+    };
+    for batch in [2, 3] {
+        let together = after(batch, 1);
+        let mut sum = vec![0.0f32; together.len()];
+        let mut before = sum.clone();
+        for k in 1..=batch {
+            let now = after(1, k);
+            for ((sum, now), before) in sum.iter_mut().zip(&now).zip(&before) {
+                *sum += now - 0.5 * before;
+            }
+            before = now;
+        }
+        let largest = sum.iter().fold(0.0f32, |a, v| a.max(v.abs()));
+        assert!(largest > 0.0);
+        for (i, (got, want)) in together.iter().zip(&sum).enumerate() {
+            let near = 1e-5 * want.abs() + 1e-7 * largest;
+            assert!((got - want).abs() <= near, "batch {batch}, value {i}: {got} for {want}");
+        }
+    }
+}
+
+#[test]
+fn a_batch_looks_at_the_frames_that_as_many_steps_would() {
+    let (scene, capture) = video();
+    let loss = |batch: usize| {
+        let config = TrainConfig {
+            batch,
+            ..frozen(FRAMES)
+        };
+        let mut events: Vec<MetricsEvent> = Vec::new();
+        let mut trainer = start(&capture, disturbed(&scene, 7), config);
+        trainer
+            .run_until(FRAMES / batch, &Silent, &mut |e| events.push(*e))
+            .unwrap();
+        events.last().unwrap().l1
+    };
+    // one epoch of splats that do not move: the mean over all frames
+    let one = loss(1);
+    for batch in [2, 4] {
+        let got = loss(batch);
+        assert!((got - one).abs() < 1e-6, "batch {batch}: {got} for {one}");
+    }
+}
+
+/// Everything of this page at once.
+fn everything(iterations: usize) -> TrainConfig {
+    let mut config = TrainConfig::fast();
+    config.iterations = iterations;
+    config.batch = 2;
+    config.frame_choice = FrameChoice::ErrorDriven { uniform: 0.5 };
+    config.colour_fit = ColourFitConfig {
+        rounds: 2,
+        frames: 5,
+        at: vec![0.0, 0.5, 0.75, 1.0],
+        ..ColourFitConfig::default()
+    };
+    config.density = DensityConfig {
+        from: 10,
+        every: 10,
+        prune_every: 20,
+        ..DensityConfig::fast()
+    };
+    config.resolution.min_side_px = 16;
+    config.refine.poses = true;
+    config.refine.exposure = true;
+    config.refine.from = 5;
+    config
+}
+
+fn bits(splats: &Splats) -> Vec<u32> {
+    splats.columns().iter().flatten().map(|v| v.to_bits()).collect()
+}
+
+#[test]
+fn threads_do_not_change_a_bit() {
+    let (scene, capture) = video();
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut trainer = start(&capture, disturbed(&scene, 2), everything(40));
+            trainer.run(&Silent, &mut |_| {}).unwrap();
+            bits(trainer.splats())
+        })
+    };
+    assert!(run(1) == run(2));
+}
+
+#[test]
+fn a_resumed_run_ends_with_the_bits_of_an_uninterrupted_one() {
+    let (scene, capture) = video();
+    let mut whole = start(&capture, disturbed(&scene, 3), everything(60));
+    whole.run(&Silent, &mut |_| {}).unwrap();
+    // 30 is where a fit of colours is due
+    for stop in [30, 37] {
+        let mut half = start(&capture, disturbed(&scene, 3), everything(60));
+        half.run_until(stop, &Silent, &mut |_| {}).unwrap();
+        let (saved, state) = (half.scene(), half.state());
+        let mut rest = Trainer::resume(&capture, saved.splats, &state, everything(60), SimdLevel::best()).unwrap();
+        rest.run(&Silent, &mut |_| {}).unwrap();
+        assert!(bits(whole.splats()) == bits(rest.splats()), "stopped at {stop}");
+        assert_eq!(whole.state(), rest.state());
+    }
+}
+
+#[test]
+fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
+    let (scene, capture) = video();
+    // nothing but the colours is wrong
+    let mut splats = scene.splats.clone();
+    let mut rng = CounterRng::new(8, 0, 0);
+    for k in 0..3 {
+        let column = splats.column_mut(Column::Colour, k);
+        column.iter_mut().for_each(|c| *c += 0.5 * rng.normal() as f32);
+    }
+    let run = |rounds: usize, relax: f32| {
+        let mut config = frozen(FRAMES);
+        config.metrics_every = FRAMES;
+        config.colour_fit = ColourFitConfig {
+            rounds,
+            relax,
+            ..ColourFitConfig::default()
+        };
+        let mut last = None;
+        let mut trainer = start(&capture, splats.clone(), config);
+        trainer.run(&Silent, &mut |e| last = Some(*e)).unwrap();
+        (last.unwrap().l1, trainer.into_scene().splats)
+    };
+    let (before, start) = run(0, 1.0);
+    let (one, fitted) = run(1, 1.0);
+    let (eight, _) = run(8, 1.0);
+    let (none, still) = run(3, 0.0);
+    let (faster, _) = run(8, 1.8);
+    assert!(one < 0.6 * before, "l1 {before} to {one}");
+    assert!(eight < 0.3 * one, "l1 {one} to {eight}");
+    assert!(faster < 0.8 * eight, "l1 {eight} to {faster}");
+    assert!(
+        none == before && bits(&still) == bits(&start),
+        "nothing of what is missing is nothing"
+    );
+    let layout = splats.layout();
+    let colour = layout.range(Column::Colour);
+    for (c, (a, b)) in start.columns().iter().zip(fitted.columns()).enumerate() {
+        assert_eq!(a == b, !colour.contains(&c), "column {c}");
+    }
+}
+
+#[test]
+fn a_newborn_moves_by_its_rate_at_first() {
+    let (scene, capture) = video();
+    // half of the run is over when the splats of a round are born
+    let mut config = frozen(40);
+    config.adam.sparse = false;
+    config.adam.beta2_dynamic = config.adam.beta2;
+    config.lr.opacity = 0.01;
+    config.lr.other_end = 1.0;
+    config.density = DensityConfig {
+        from: 20,
+        every: 20,
+        until: 0.5,
+        prune_every: 1000,
+        min_opacity: 0.0,
+        final_opacity: 0.0,
+        ..DensityConfig::fast()
+    };
+    let step = |per_splat_steps: bool| {
+        let mut config = config.clone();
+        config.adam.per_splat_steps = per_splat_steps;
+        let mut trainer = start(&capture, disturbed(&scene, 9), config);
+        let opacity = |splats: &Splats| splats.column(Column::Opacity, 0).to_vec();
+        trainer.run_until(20, &Silent, &mut |_| {}).unwrap();
+        let before = opacity(trainer.splats());
+        let newborn: Vec<bool> = match &trainer.state()["adam/v/00"] {
+            StateTensor::F32 { data, .. } => data.iter().map(|&v| v == 0.0).collect(),
+            other => panic!("moments are f32, not {other:?}"),
+        };
+        trainer.run_until(21, &Silent, &mut |_| {}).unwrap();
+        let after = opacity(trainer.splats());
+        let steps = before.iter().zip(&after).zip(&newborn);
+        let steps = steps.filter(|&(_, &new)| new).map(|((a, b), _)| (b - a).abs());
+        // what no frame sees has no moments either, and stays where it is
+        let mut steps: Vec<f32> = steps.filter(|&step| step > 0.0).collect();
+        steps.sort_by(f32::total_cmp);
+        assert!(steps.len() > 10, "{} newborns", steps.len());
+        steps[steps.len() / 2]
+    };
+    let own = step(true);
+    assert!((own - 0.01).abs() < 1e-4, "{own}");
+    // 0.1 g over the root of 0.001 g g, with corrections of 1 - 0.9^21 and 1 - 0.999^21
+    let correction = (1.0 - 0.9f32.powi(21), (1.0 - 0.999f32.powi(21)).sqrt());
+    let want = 0.01 * 0.1 / correction.0 / (0.001f32.sqrt() / correction.1);
+    let shared = step(false);
+    assert!((shared - want).abs() < 0.02 * want, "{shared} for {want}");
+}
