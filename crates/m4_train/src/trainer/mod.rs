@@ -329,7 +329,7 @@ fn background_of(capture: &Capture) -> [f32; 3] {
         for y in (0..dh).step_by(2) {
             for x in (0..dw).step_by(2) {
                 all += 1;
-                if depth[(x, y)] == 0.0 {
+                if depth.at(x, y) == 0.0 {
                     let rgb = frame.rgb[((2 * x + 1) * w / (2 * dw), (2 * y + 1) * h / (2 * dh))];
                     (0..3).for_each(|k| sum[k] += f64::from(rgb[k]) / 255.0);
                     empty += 1;
