@@ -3,6 +3,10 @@
 //! Everything goes through the program as a user would run it; rows are read from the files it leaves
 //! (`run.json`, `eval.json`) or prints (`eval-geometry`).
 
+mod ablation;
+
+pub use ablation::ablation;
+
 use crate::plot::{self, Curve};
 use anyhow::{Context, Result, bail};
 use serde_json::Value;

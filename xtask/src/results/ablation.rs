@@ -1,0 +1,346 @@
+//! What each choice is worth: trainings with one thing changed each.
+
+use super::{json, number, program, run, stem};
+use anyhow::{Context, Result, bail};
+use std::path::Path;
+
+/// Steps of every row unless the command says otherwise.
+const ITERATIONS: usize = 1200;
+
+/// A training that differs from the default in one thing.
+struct Row {
+    /// What `--rows` calls it.
+    name: &'static str,
+    /// What the table calls it.
+    what: &'static str,
+    sets: &'static [&'static str],
+    /// Frames a step: rows with several take as many steps fewer, and density control goes by frames.
+    batch: usize,
+}
+
+const fn row(name: &'static str, what: &'static str, sets: &'static [&'static str]) -> Row {
+    Row {
+        name,
+        what,
+        sets,
+        batch: 1,
+    }
+}
+
+const ROWS: &[Row] = &[
+    row("default", "default", &[]),
+    row(
+        "full-size",
+        "full size throughout",
+        &["train.resolution.quarter_until=0", "train.resolution.half_until=0"],
+    ),
+    row(
+        "quarter-half",
+        "quarter size to 15 %, half to 40 %",
+        &["train.resolution.quarter_until=0.15", "train.resolution.half_until=0.4"],
+    ),
+    row(
+        "error-driven",
+        "half of the frames by their error",
+        &["train.frame_choice={error_driven={uniform=0.5}}"],
+    ),
+    Row {
+        name: "batch-2",
+        what: "two frames a step, half the steps",
+        sets: &["train.batch=2"],
+        batch: 2,
+    },
+    Row {
+        name: "batch-4",
+        what: "four frames a step, a quarter of the steps",
+        sets: &["train.batch=4"],
+        batch: 4,
+    },
+    row(
+        "colour-fit",
+        "colours by least squares first, 3 rounds",
+        &["train.colour_fit.rounds=3", "train.colour_fit.at=[0.0]"],
+    ),
+    row(
+        "colour-fit-last",
+        "colours by least squares last, 1 round",
+        &["train.colour_fit.rounds=1", "train.colour_fit.at=[1.0]"],
+    ),
+    row(
+        "shared-steps",
+        "one count of steps for all splats",
+        &["train.adam.per_splat_steps=false"],
+    ),
+    row(
+        "dense-adam",
+        "Adam moves unseen splats too",
+        &["train.adam.sparse=false"],
+    ),
+    row(
+        "soft-start",
+        "opacity 0.5, 0.75 of the spacing",
+        &["init.opacity=0.5", "init.scale_factor=0.75"],
+    ),
+    row("spheres", "spheres, not discs", &["init.disc_neighbours=0"]),
+    row(
+        "short-lives",
+        "lives of 0.35 frames",
+        &["init.time_spread.keyframe_gaps={factor=0.35, min_frames=0.35}"],
+    ),
+    row(
+        "long-lives",
+        "lives of 1 frame",
+        &["init.time_spread.keyframe_gaps={factor=1.0, min_frames=1.0}"],
+    ),
+    row("no-velocity", "no first velocities", &["init.velocity=\"zero\""]),
+    row("no-carry", "no points carried over", &["init.carry_keyframes=0"]),
+    row("no-density", "no density control", &["train.density.enabled=false"]),
+    row(
+        "no-depth",
+        "no loss of depth",
+        &["train.loss.depth_weight=0", "train.loss.depth_weight_end=0"],
+    ),
+];
+
+/// What the command was asked for.
+#[derive(Debug, PartialEq)]
+struct Ask<'a> {
+    iterations: usize,
+    /// Names of rows; empty for all.
+    rows: Vec<&'a str>,
+    /// Rows that were trained before with the same settings are only scored again.
+    reuse: bool,
+    scenes: Vec<&'a str>,
+}
+
+impl<'a> Ask<'a> {
+    fn parse(words: &[&'a str]) -> Result<Self> {
+        let mut ask = Self {
+            iterations: ITERATIONS,
+            rows: Vec::new(),
+            reuse: false,
+            scenes: Vec::new(),
+        };
+        let mut words = words.iter();
+        while let Some(&word) = words.next() {
+            match word {
+                "--iterations" => {
+                    let value = words.next().context("--iterations: expected a number")?;
+                    ask.iterations = value
+                        .parse()
+                        .with_context(|| format!("--iterations {value}: expected a number"))?;
+                }
+                "--rows" => {
+                    ask.rows = words
+                        .next()
+                        .context("--rows: expected names, NAME,NAME")?
+                        .split(',')
+                        .collect();
+                }
+                "--reuse" => ask.reuse = true,
+                other if other.starts_with("--") => {
+                    bail!("{other}: expected --iterations N, --rows NAME,... or --reuse")
+                }
+                scene => ask.scenes.push(scene),
+            }
+        }
+        let known: Vec<&str> = ROWS.iter().map(|r| r.name).collect();
+        if let Some(unknown) = ask.rows.iter().find(|name| !known.contains(name)) {
+            bail!("there is no row {unknown:?}; the rows are {}", known.join(", "));
+        }
+        if ask.scenes.is_empty() {
+            bail!("which scenes? expected the folders of captures");
+        }
+        if ask.iterations < 4 {
+            bail!("--iterations {}: expected at least 4", ask.iterations);
+        }
+        Ok(ask)
+    }
+
+    /// The default, which all others are compared with, and those asked for.
+    fn rows(&self) -> impl Iterator<Item = &'static Row> {
+        let asked = |row: &&Row| row.name == "default" || self.rows.is_empty() || self.rows.contains(&row.name);
+        ROWS.iter().filter(asked)
+    }
+}
+
+impl Row {
+    /// Every setting of a training of as many frames as `iterations` steps of the default look at.
+    fn settings(&self, iterations: usize) -> Vec<String> {
+        let mut out = vec![
+            format!("train.iterations={}", iterations / self.batch),
+            "train.budget_s=0".to_owned(),
+        ];
+        if self.batch > 1 {
+            for (key, steps) in [("from", 500), ("every", 100), ("prune_every", 500)] {
+                out.push(format!("train.density.{key}={}", steps / self.batch));
+            }
+        }
+        out.extend(self.sets.iter().map(|&set| set.to_owned()));
+        out
+    }
+}
+
+/// What one row measured.
+#[derive(Debug, Clone, Copy)]
+struct Figures {
+    psnr: f64,
+    moving: f64,
+    ssim: f64,
+    seconds: f64,
+    splats: u64,
+}
+
+/// Trains each scene in every row, for as many frames each, and scores the held-out views: one Markdown row each,
+/// returned together, with the difference to the default in brackets. Splats and figures are the same on any number of
+/// threads and however busy the machine is; seconds are those of the optimisation alone and need an idle one.
+///
+/// # Errors
+///
+/// As [`held_out`](super::held_out), or if `words` (`[--iterations N] [--rows NAME,...] [--reuse] SCENE...`) are not understood.
+pub fn ablation(root: &Path, words: &[&str], work: &Path) -> Result<String> {
+    let ask = Ask::parse(words)?;
+    let program = program(root)?;
+    // a row that the program does not know must not be found out after an hour
+    for row in ask.rows() {
+        let settings = row.settings(ask.iterations);
+        let sets = settings.iter().flat_map(|set| ["--set", set]);
+        let words: Vec<&str> = ["train", ask.scenes[0], "-o", "unused", "--print-config"]
+            .into_iter()
+            .chain(sets)
+            .collect();
+        run(&program, &words).with_context(|| format!("row {}", row.name))?;
+    }
+    let mut table = format!(
+        "| scene | {} steps of one frame | PSNR | PSNR moving | SSIM | seconds | splats |\n|---|---|---|---|---|---|---|\n",
+        ask.iterations
+    );
+    for scene in &ask.scenes {
+        let name = stem(scene);
+        let mut default = None;
+        for row in ask.rows() {
+            let out = work.join(format!("ablation-{name}-{}", row.name));
+            let figures = measure(&program, scene, row, &ask, &out)?;
+            table += &line(&name, row.what, figures, default);
+            default.get_or_insert(figures);
+        }
+    }
+    Ok(table)
+}
+
+fn measure(program: &Path, scene: &str, row: &Row, ask: &Ask<'_>, out: &Path) -> Result<Figures> {
+    let out_text = out.to_string_lossy().into_owned();
+    let existing = if ask.reuse { "--resume" } else { "--force" };
+    let settings = row.settings(ask.iterations);
+    let sets = settings.iter().flat_map(|set| ["--set", set]);
+    let train: Vec<&str> = ["train", scene, "-o", &out_text, existing, "--quiet"]
+        .into_iter()
+        .chain(sets)
+        .collect();
+    run(program, &train)?;
+    run(program, &["eval", &out_text, "--data", scene, "--quiet"])?;
+    let eval = json(&out.join("eval.json"))?;
+    let metrics = out.join("metrics.jsonl");
+    let text = std::fs::read_to_string(&metrics).with_context(|| format!("cannot read {}", metrics.display()))?;
+    let last = text
+        .lines()
+        .last()
+        .with_context(|| format!("{} is empty", metrics.display()))?;
+    let last: serde_json::Value =
+        serde_json::from_str(last).with_context(|| format!("{}: the last line is not JSON", metrics.display()))?;
+    let mean = &eval["mean"];
+    Ok(Figures {
+        psnr: number(&mean["psnr_db"]),
+        moving: number(&mean["masked_psnr_db"]),
+        ssim: number(&mean["ssim"]),
+        seconds: number(&last["seconds"]),
+        splats: eval["splats"].as_u64().unwrap_or_default(),
+    })
+}
+
+fn line(scene: &str, what: &str, f: Figures, default: Option<Figures>) -> String {
+    let with = |digits: usize, pick: fn(&Figures) -> f64| {
+        let value = pick(&f);
+        match default.as_ref().map(|d| value - pick(d)) {
+            Some(delta) => format!("{value:.digits$} ({delta:+.digits$})"),
+            None => format!("{value:.digits$}"),
+        }
+    };
+    format!(
+        "| {scene} | {what} | {} | {} | {} | {} | {} |\n",
+        with(2, |f| f.psnr),
+        with(2, |f| f.moving),
+        with(3, |f| f.ssim),
+        with(1, |f| f.seconds),
+        f.splats
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Ask, Figures, ITERATIONS, ROWS, line};
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn words_choose_rows_and_steps() {
+        let ask = Ask::parse(&["--rows", "batch-2,spheres", "a", "--iterations", "400", "b"]).unwrap();
+        assert_eq!(
+            (ask.iterations, ask.reuse, ask.scenes.as_slice()),
+            (400, false, ["a", "b"].as_slice())
+        );
+        let names: Vec<&str> = ask.rows().map(|r| r.name).collect();
+        assert_eq!(
+            names,
+            ["default", "batch-2", "spheres"],
+            "the default is always there to compare with"
+        );
+        let all = Ask::parse(&["a", "--reuse"]).unwrap();
+        assert!(all.reuse && all.iterations == ITERATIONS);
+        assert_eq!(all.rows().count(), ROWS.len());
+        for wrong in [
+            &["--rows", "cubes", "a"][..],
+            &["--iterations", "many", "a"],
+            &["--fast", "a"],
+            &[],
+        ] {
+            assert!(Ask::parse(wrong).is_err(), "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn every_row_looks_at_as_many_frames() {
+        let names: BTreeSet<&str> = ROWS.iter().map(|r| r.name).collect();
+        assert_eq!(names.len(), ROWS.len());
+        for row in ROWS {
+            let settings = row.settings(1200);
+            let steps: usize = settings[0].strip_prefix("train.iterations=").unwrap().parse().unwrap();
+            let batch = format!("train.batch={}", row.batch);
+            assert_eq!(steps * row.batch, 1200);
+            assert_eq!(settings.contains(&batch), row.batch > 1, "{}", row.name);
+        }
+    }
+
+    #[test]
+    fn differences_have_a_sign() {
+        let default = Figures {
+            psnr: 31.0,
+            moving: 23.5,
+            ssim: 0.95,
+            seconds: 20.0,
+            splats: 7,
+        };
+        let other = Figures {
+            psnr: 30.5,
+            seconds: 22.04,
+            ..default
+        };
+        assert_eq!(
+            line("mill-1", "spheres", other, Some(default)),
+            "| mill-1 | spheres | 30.50 (-0.50) | 23.50 (+0.00) | 0.950 (+0.000) | 22.0 (+2.0) | 7 |\n"
+        );
+        assert_eq!(
+            line("mill-1", "default", default, None),
+            "| mill-1 | default | 31.00 | 23.50 | 0.950 | 20.0 | 7 |\n"
+        );
+    }
+}
