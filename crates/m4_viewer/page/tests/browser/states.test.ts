@@ -1,0 +1,80 @@
+/** A message in place of a blank page, whatever is wrong. */
+
+import type { Page } from "playwright-core";
+import { afterAll, afterEach, beforeAll, expect, test } from "vitest";
+import { Bench, ready } from "./browser";
+import { type Elements, elements, fixture, pageWith } from "./fixture";
+
+const scene = fixture();
+const good = elements(scene);
+let bench: Bench;
+
+beforeAll(async () => {
+  bench = await Bench.start();
+});
+afterEach(() => bench.clear());
+afterAll(() => bench.stop());
+
+async function message(page: Page): Promise<string> {
+  await page.waitForSelector(".card.message");
+  expect(await page.isVisible('[data-control="reload"]')).toBe(true);
+  return page.innerText(".card.message");
+}
+
+const packed = Buffer.from(good.splats ?? "", "base64");
+const flipped = Buffer.from(packed);
+flipped[packed.length >> 1] = (flipped[packed.length >> 1] ?? 0) ^ 255;
+
+test.each<[string, Partial<Elements>, RegExp]>([
+  ["no manifest", { manifest: null }, /no scene in this page/],
+  ["no JSON", { manifest: "{" }, /not JSON/],
+  ["another version", { manifest: '{"version":2}' }, /another version/],
+  ["a field that is missing", { manifest: '{"version":1}' }, /`splats`/],
+  ["no splats", { splats: null }, /cut off/],
+  ["half of the splats", { splats: (good.splats ?? "").slice(0, 4000) }, /damaged/],
+  ["other bytes", { splats: flipped.toString("base64") }, /damaged/],
+  ["no base64", { splats: "%%%%" }, /damaged/],
+])("%s", async (name, change, expected) => {
+  const { page } = await bench.open(bench.file(`${name}.html`, pageWith({ ...good, ...change })));
+  expect(await message(page)).toMatch(expected);
+  const reason = await page.evaluate(() => window.minute4d.ready.then(() => "ready", (e: unknown) => String(e)));
+  expect(reason, "whoever waits hears of it too").toMatch(/PageError/);
+});
+
+test("input frames that are cut off cost only themselves", async () => {
+  const frames = (good.frames ?? "").slice(0, 200);
+  const { page } = await bench.open(bench.file("frames.html", pageWith({ ...good, frames })));
+  await ready(page);
+  await page.waitForSelector("#toast:not([hidden])");
+  expect(await page.innerText("#toast")).toMatch(/input frames/);
+  expect(await page.isVisible('[data-control="side"]')).toBe(false);
+});
+
+test("a scene without input frames has nothing to compare with", async () => {
+  const { page } = await bench.open(bench.file("alone.html", pageWith({ ...good, frames: null })), {
+    viewport: { width: 1000, height: 600 },
+  });
+  await ready(page);
+  expect(await page.isVisible('[data-control="reset"]')).toBe(true);
+  expect(await page.isVisible('[data-control="side"]')).toBe(false);
+});
+
+test("a graphics context that is lost", async () => {
+  const { page } = await bench.open(bench.file("lost.html", pageWith(good)));
+  await ready(page);
+  await page.evaluate(() => {
+    const canvas = document.querySelector<HTMLCanvasElement>("#view");
+    canvas?.getContext("webgl2")?.getExtension("WEBGL_lose_context")?.loseContext();
+  });
+  expect(await message(page)).toMatch(/graphics driver/);
+});
+
+test("a browser without WebGL2", async () => {
+  const plain = await Bench.start(["--disable-3d-apis"]);
+  try {
+    const { page } = await plain.open(plain.file("plain.html", pageWith(good)));
+    expect(await message(page)).toMatch(/WebGL2/);
+  } finally {
+    await plain.stop();
+  }
+});
