@@ -7,9 +7,13 @@
 //! multiple of the file.
 #![forbid(unsafe_code)]
 
+pub mod cameras;
 pub mod fourdgs;
+pub mod gltf;
 pub mod ply;
 pub mod splatv;
+pub mod spz;
+pub mod usd;
 
 mod cameras_check;
 mod clock;
@@ -17,6 +21,7 @@ mod file;
 mod instant;
 mod peak;
 mod row;
+mod rub;
 mod verified;
 mod words;
 mod written;

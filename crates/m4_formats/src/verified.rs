@@ -35,7 +35,9 @@ impl VerifiedFile {
             };
         }
         if read.finalize() != self.hash.finalize() {
-            return Err(io::Error::other("the bytes on the disk are not those that were written"));
+            return Err(io::Error::other(
+                "the bytes on the disk are not those that were written",
+            ));
         }
         Ok(self.file.temporary_path())
     }

@@ -1,0 +1,189 @@
+//! The three tables as binary files.
+
+use super::model::{CameraRow, ColmapPoint, ImageRow, lens};
+use std::io::{self, Write};
+
+/// COLMAP's numbers of the models that are read, with their names and parameters.
+const MODELS: [(i32, &str, usize); 2] = [(0, "SIMPLE_PINHOLE", 3), (1, "PINHOLE", 4)];
+
+/// Why a file could not be parsed, and where: line or byte.
+#[derive(Debug, PartialEq)]
+pub enum Fault {
+    Damaged { place: String, reason: String },
+    Unsupported(String),
+}
+
+pub fn write_cameras(out: &mut impl Write, rows: &[CameraRow]) -> io::Result<()> {
+    out.write_all(&(rows.len() as u64).to_le_bytes())?;
+    for CameraRow { id, lens } in rows {
+        out.write_all(&id.to_le_bytes())?;
+        out.write_all(&1i32.to_le_bytes())?;
+        out.write_all(&(lens.width as u64).to_le_bytes())?;
+        out.write_all(&(lens.height as u64).to_le_bytes())?;
+        numbers(out, &[lens.fx, lens.fy, lens.cx, lens.cy])?;
+    }
+    Ok(())
+}
+
+pub fn write_images(out: &mut impl Write, rows: &[ImageRow]) -> io::Result<()> {
+    out.write_all(&(rows.len() as u64).to_le_bytes())?;
+    for row in rows {
+        out.write_all(&row.id.to_le_bytes())?;
+        numbers(out, &row.rotation)?;
+        numbers(out, &row.translation)?;
+        out.write_all(&row.camera.to_le_bytes())?;
+        out.write_all(row.name.as_bytes())?;
+        out.write_all(&[0])?;
+        out.write_all(&0u64.to_le_bytes())?;
+    }
+    Ok(())
+}
+
+pub fn write_points(out: &mut impl Write, rows: &[ColmapPoint]) -> io::Result<()> {
+    out.write_all(&(rows.len() as u64).to_le_bytes())?;
+    for (i, row) in rows.iter().enumerate() {
+        out.write_all(&(i as u64 + 1).to_le_bytes())?;
+        numbers(out, &row.position)?;
+        out.write_all(&row.colour)?;
+        numbers(out, &[-1.0])?;
+        out.write_all(&0u64.to_le_bytes())?;
+    }
+    Ok(())
+}
+
+fn numbers(out: &mut impl Write, values: &[f64]) -> io::Result<()> {
+    values.iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))
+}
+
+pub fn read_cameras(bytes: &[u8]) -> Result<Vec<CameraRow>, Fault> {
+    let mut from = Cursor { bytes, at: 0 };
+    let count = from.u64()?;
+    let mut rows = Vec::new();
+    for _ in 0..count {
+        let (id, model) = (from.u32()?, from.u32()? as i32);
+        let (width, height) = (from.u64()?, from.u64()?);
+        let known = MODELS.iter().find(|(number, _, _)| *number == model);
+        let &(_, name, len) = known.ok_or_else(|| Fault::Unsupported(format!("model {model}")))?;
+        let parameters: Vec<f64> = (0..len).map(|_| from.f64()).collect::<Result<_, _>>()?;
+        let lens = lens(name, width, height, &parameters).map_err(|reason| from.damaged(reason))?;
+        rows.push(CameraRow { id, lens });
+    }
+    from.end()?;
+    Ok(rows)
+}
+
+pub fn read_images(bytes: &[u8]) -> Result<Vec<ImageRow>, Fault> {
+    let mut from = Cursor { bytes, at: 0 };
+    let count = from.u64()?;
+    let mut rows = Vec::new();
+    for _ in 0..count {
+        let id = from.u32()?;
+        let rotation = from.array()?;
+        let translation = from.array()?;
+        let camera = from.u32()?;
+        let name = from.name()?;
+        let seen = from.u64()?;
+        from.skip(seen, 24)?;
+        rows.push(ImageRow {
+            id,
+            rotation,
+            translation,
+            camera,
+            name,
+        });
+    }
+    from.end()?;
+    Ok(rows)
+}
+
+pub fn read_points(bytes: &[u8]) -> Result<Vec<ColmapPoint>, Fault> {
+    let mut from = Cursor { bytes, at: 0 };
+    let count = from.u64()?;
+    let mut rows = Vec::new();
+    for _ in 0..count {
+        from.u64()?;
+        let position = from.array()?;
+        let colour = from.take(3)?;
+        let colour = [colour[0], colour[1], colour[2]];
+        from.f64()?;
+        let track = from.u64()?;
+        from.skip(track, 8)?;
+        rows.push(ColmapPoint { position, colour });
+    }
+    from.end()?;
+    Ok(rows)
+}
+
+/// A place in a file. Every row takes bytes, so tables grow no larger than the file.
+struct Cursor<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Cursor<'a> {
+    fn damaged(&self, reason: String) -> Fault {
+        Fault::Damaged {
+            place: format!("byte {}", self.at),
+            reason,
+        }
+    }
+
+    fn take(&mut self, len: usize) -> Result<&'a [u8], Fault> {
+        let found = self.bytes.get(self.at..).and_then(|rest| rest.get(..len));
+        let Some(found) = found else {
+            let rest = self.bytes.len() - self.at;
+            return Err(self.damaged(format!("{rest} bytes are left where {len} were expected")));
+        };
+        self.at += len;
+        Ok(found)
+    }
+
+    fn fixed<const N: usize>(&mut self) -> Result<[u8; N], Fault> {
+        let bytes = self.take(N)?;
+        Ok(std::array::from_fn(|i| bytes[i]))
+    }
+
+    fn u32(&mut self) -> Result<u32, Fault> {
+        self.fixed().map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Result<u64, Fault> {
+        self.fixed().map(u64::from_le_bytes)
+    }
+
+    fn f64(&mut self) -> Result<f64, Fault> {
+        self.fixed().map(f64::from_le_bytes)
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[f64; N], Fault> {
+        let mut values = [0.0; N];
+        for v in &mut values {
+            *v = self.f64()?;
+        }
+        Ok(values)
+    }
+
+    /// `count` records of `width` bytes.
+    fn skip(&mut self, count: u64, width: u64) -> Result<(), Fault> {
+        let len = count.checked_mul(width).and_then(|n| usize::try_from(n).ok());
+        let len = len.ok_or_else(|| self.damaged(format!("a list of {count} records")))?;
+        self.take(len).map(|_| ())
+    }
+
+    fn name(&mut self) -> Result<String, Fault> {
+        let rest = &self.bytes[self.at..];
+        let end = rest.iter().position(|&b| b == 0);
+        let end = end.ok_or_else(|| self.damaged("a name does not end".into()))?;
+        let name = std::str::from_utf8(&rest[..end]);
+        let name = name.map_err(|_| self.damaged("a name is not UTF-8".into()))?;
+        self.at += end + 1;
+        Ok(name.to_owned())
+    }
+
+    fn end(&self) -> Result<(), Fault> {
+        match self.bytes.len() - self.at {
+            0 => Ok(()),
+            n => Err(self.damaged(format!("{n} bytes follow the last record"))),
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Why a sparse model could not be read or written.
+
+use crate::cameras::BadName;
+use m4_io::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a sparse model could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadColmapError {
+    /// A file could not be opened or read.
+    #[error("cannot read {}: {source}; a sparse model is a folder with cameras, images and points3D, all .bin or all .txt", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A file ends too early or holds what it cannot.
+    #[error("{} is damaged at {place}: {reason}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Line or byte.
+        place: String,
+        /// What was found.
+        reason: String,
+    },
+    /// A lens with distortion, or one that is unknown.
+    #[error("{} has a camera that is not read: {what}; PINHOLE and SIMPLE_PINHOLE are (`colmap image_undistorter` makes such)", path.display())]
+    Unsupported {
+        /// The file.
+        path: PathBuf,
+        /// The model and its parameters.
+        what: String,
+    },
+    /// The files contradict each other.
+    #[error("the sparse model {} contradicts itself: {reason}", path.display())]
+    Inconsistent {
+        /// The folder.
+        path: PathBuf,
+        /// What, and where.
+        reason: String,
+    },
+}
+
+impl ReadColmapError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } => ErrorKind::of_read(source),
+            Self::Unsupported { .. } => ErrorKind::Unsupported,
+            Self::Damaged { .. } | Self::Inconsistent { .. } => ErrorKind::BadData,
+        }
+    }
+}
+
+/// Why a sparse model could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteColmapError {
+    /// The file system refused.
+    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The scene has no cameras, or one that is no camera.
+    #[error("cannot write {}: {what}", path.display())]
+    BadScene {
+        /// The folder.
+        path: PathBuf,
+        /// What, and where.
+        what: String,
+    },
+    /// The names do not fit.
+    #[error("cannot write {}: {source}", path.display())]
+    Names {
+        /// The folder.
+        path: PathBuf,
+        /// What is wrong with them.
+        source: BadName,
+    },
+    /// What was written reads back otherwise; it was removed.
+    #[error("{} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
+    Verify {
+        /// The folder or file.
+        path: PathBuf,
+        /// What was found.
+        reason: String,
+    },
+}
+
+impl WriteColmapError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::BadScene { .. } | Self::Names { .. } => ErrorKind::BadData,
+        }
+    }
+}

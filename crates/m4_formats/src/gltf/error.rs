@@ -1,0 +1,112 @@
+//! Why a glTF file could not be read or written.
+
+use m4_io::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a glTF file could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadGltfError {
+    /// The file could not be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is something else.
+    #[error("{} is not binary glTF: {reason}", path.display())]
+    NotGlb {
+        /// The file.
+        path: PathBuf,
+        /// How that is known.
+        reason: String,
+    },
+    /// Splats in a form that is allowed but not read.
+    #[error("{} has {what}, which is not read; {instead}", path.display())]
+    Unsupported {
+        /// The file.
+        path: PathBuf,
+        /// What it has.
+        what: String,
+        /// What to do.
+        instead: &'static str,
+    },
+    /// The file ends too early or contradicts itself.
+    #[error("{} is damaged: {reason}; copy it again or write it anew", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What was found, and where.
+        reason: String,
+    },
+    /// A number that no splat has.
+    #[error("splat {splat} of {} has {attribute} = {value}; {expected} was expected", path.display())]
+    BadValue {
+        /// The file.
+        path: PathBuf,
+        /// Its row.
+        splat: usize,
+        /// The attribute.
+        attribute: String,
+        /// What it holds.
+        value: f32,
+        /// What was expected.
+        expected: &'static str,
+    },
+}
+
+impl ReadGltfError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } => ErrorKind::of_read(source),
+            Self::Unsupported { .. } => ErrorKind::Unsupported,
+            Self::NotGlb { .. } | Self::Damaged { .. } | Self::BadValue { .. } => ErrorKind::BadData,
+        }
+    }
+}
+
+/// Why a glTF file could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteGltfError {
+    /// The file system refused.
+    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The scene holds something that the format does not.
+    #[error("cannot write {}: {what}", path.display())]
+    BadScene {
+        /// The file.
+        path: PathBuf,
+        /// What, and what to do.
+        what: String,
+    },
+    /// The file that was written reads back otherwise; it was removed.
+    #[error("{} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
+    Verify {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        reason: String,
+    },
+}
+
+impl WriteGltfError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::BadScene { .. } => ErrorKind::BadData,
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! Why an SPZ file could not be read or written.
+
+use m4_io::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why an SPZ file could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadSpzError {
+    /// The file could not be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is something else.
+    #[error("{} is not an SPZ file: {reason}", path.display())]
+    NotSpz {
+        /// The file.
+        path: PathBuf,
+        /// How that is known.
+        reason: String,
+    },
+    /// A version or a degree that is not read.
+    #[error("{} has {what}, and this program reads versions 2 and 3 with harmonics up to degree 3; convert it with `splat-transform IN.spz OUT.ply`", path.display())]
+    Unsupported {
+        /// The file.
+        path: PathBuf,
+        /// What it has.
+        what: String,
+    },
+    /// The header contradicts the rest, or the stream is broken.
+    #[error("{} is damaged: {reason}; copy it again or write it anew", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What was found, and where.
+        reason: String,
+    },
+}
+
+impl ReadSpzError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } => ErrorKind::of_read(source),
+            Self::Unsupported { .. } => ErrorKind::Unsupported,
+            Self::NotSpz { .. } | Self::Damaged { .. } => ErrorKind::BadData,
+        }
+    }
+}
+
+/// Why an SPZ file could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteSpzError {
+    /// The file system refused.
+    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The scene holds something that the format does not.
+    #[error("cannot write {}: {what}", path.display())]
+    BadScene {
+        /// The file.
+        path: PathBuf,
+        /// What, and where.
+        what: String,
+    },
+    /// A setting is out of range.
+    #[error("cannot write {}: {setting} = {value}; {expected} was expected", path.display())]
+    BadOption {
+        /// The file.
+        path: PathBuf,
+        /// The field of [`super::SpzOptions`].
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What was expected.
+        expected: &'static str,
+    },
+    /// The file that was written reads back otherwise; it was removed.
+    #[error("{} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
+    Verify {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        reason: String,
+    },
+}
+
+impl WriteSpzError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::BadScene { .. } | Self::BadOption { .. } => ErrorKind::BadData,
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! Why a USD file could not be written.
+
+use m4_io::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a USD file could not be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteUsdError {
+    /// The file system refused.
+    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The name says another form of USD.
+    #[error("cannot write {}: USD is written as text, in files that end in .usda; `usdcat` makes .usdc and .usdz of them", path.display())]
+    NotText {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The scene holds something that the format does not.
+    #[error("cannot write {}: {what}", path.display())]
+    BadScene {
+        /// The file.
+        path: PathBuf,
+        /// What, and where.
+        what: String,
+    },
+    /// A setting is out of range.
+    #[error("cannot write {}: {setting} = {value}; {expected} was expected", path.display())]
+    BadOption {
+        /// The file.
+        path: PathBuf,
+        /// The field of [`super::UsdOptions`].
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What was expected.
+        expected: &'static str,
+    },
+    /// The file that was written reads back otherwise; it was removed.
+    #[error("{} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
+    Verify {
+        /// The file.
+        path: PathBuf,
+        /// What was found.
+        reason: String,
+    },
+}
+
+impl WriteUsdError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::NotText { .. } | Self::BadScene { .. } | Self::BadOption { .. } => ErrorKind::BadData,
+        }
+    }
+}

@@ -1,0 +1,215 @@
+//! Files that were damaged or made to do harm: an error or a sound scene, and little memory.
+//!
+//! The allocator counts for the whole process, so everything happens in one test.
+
+use m4_formats::{Imported, fourdgs, ply, splatv};
+use m4_math::CounterRng;
+use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
+use m4_testkit::{SceneSpec, camera_looking_at, random_camera, random_splats};
+use peak_alloc::PeakAlloc;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+#[global_allocator]
+static MEMORY: PeakAlloc = PeakAlloc;
+
+/// Damaged files a format.
+const FILES: u64 = 400;
+/// Memory that reading may take, bytes: this, and so many times the file.
+const FREE: usize = 64 << 20;
+const TIMES: usize = 64;
+
+fn scene(sh_degree: usize) -> Scene {
+    let spec = SceneSpec {
+        layout: SplatLayout {
+            isotropic: false,
+            sh_degree,
+            time_degree: 0,
+        },
+        n_static: 60,
+        n_dynamic: 80,
+        time_frames: 11,
+        ..SceneSpec::default()
+    };
+    let frame = |i: usize| SourceFrame {
+        camera: camera_looking_at(
+            Intrinsics::centred(64, 48, 50.0),
+            [0.1 * i as f64, -0.2, -3.0],
+            [0.0, 0.1, 1.0],
+        ),
+        t: i as f64,
+        exposure: Exposure::IDENTITY,
+    };
+    Scene {
+        splats: random_splats(5, &random_camera(3, 64, 48), &spec),
+        background: [0.1, 0.2, 0.3],
+        time_frames: 11,
+        duration_s: Some(0.5),
+        mip: true,
+        near: 0.02,
+        source: (0..11).map(frame).collect(),
+    }
+}
+
+type Parse = fn(&[u8]) -> Result<Imported, String>;
+
+/// Sound files of every format that is read from bytes.
+fn formats(folder: &Path) -> Vec<(&'static str, Vec<Vec<u8>>, Parse)> {
+    let path = folder.join("file");
+    let bytes = || std::fs::read(&path).unwrap();
+    let (mut clips, mut instants, mut textures) = (Vec::new(), Vec::new(), Vec::new());
+    for sh_degree in [0, 2] {
+        let scene = scene(sh_degree);
+        clips.push(fourdgs::encode(&scene, &fourdgs::FourdgsConfig::default()).unwrap().0);
+        ply::write(&path, &scene, 5.0).unwrap();
+        instants.push(bytes());
+        splatv::write(&path, &scene).unwrap();
+        textures.push(bytes());
+    }
+    instants.push(text_of(&instants[0]));
+    vec![
+        ("4dgs", clips, |b| {
+            fourdgs::parse(Path::new("file"), b).map_err(|e| e.to_string())
+        }),
+        ("ply", instants, |b| {
+            ply::parse(Path::new("file"), b).map_err(|e| e.to_string())
+        }),
+        ("splatv", textures, |b| {
+            splatv::parse(Path::new("file"), b).map_err(|e| e.to_string())
+        }),
+    ]
+}
+
+/// A binary PLY file of 32-bit numbers as text.
+fn text_of(binary: &[u8]) -> Vec<u8> {
+    let end = b"end_header\n";
+    let at = binary.windows(end.len()).position(|w| w == end).unwrap() + end.len();
+    let head = std::str::from_utf8(&binary[..at]).unwrap();
+    let mut text = head.replace("binary_little_endian", "ascii");
+    for word in binary[at..].as_chunks::<4>().0 {
+        text.push_str(&format!("{} ", f32::from_le_bytes(*word)));
+    }
+    text.into_bytes()
+}
+
+/// One way of doing harm to a file.
+fn damage(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
+    let n = bytes.len();
+    // half of the harm goes to the start, where the counts are
+    let place = |rng: &mut CounterRng| {
+        let within = if rng.below(2) == 0 { n.min(2048) } else { n };
+        rng.below(within)
+    };
+    match rng.below(8) {
+        0 => {
+            for _ in 0..=rng.below(4) {
+                let at = place(rng);
+                bytes[at] ^= 1 << rng.below(8);
+            }
+            "flipped bits"
+        }
+        1 => {
+            let at = place(rng);
+            bytes[at] = rng.next_u64() as u8;
+            "another byte"
+        }
+        2 => {
+            bytes.truncate(rng.below(n));
+            "a cut"
+        }
+        3 => {
+            // a count of 32 or 64 bits that is far too large
+            let (at, wide) = (place(rng), rng.below(2) == 0);
+            let value = [u64::MAX, 1 << 31, 0x7fff_ffff, 1 << 20, 1 << 24, 1 << 40][rng.below(6)];
+            let value = value.to_le_bytes();
+            let width = if wide { 8 } else { 4 }.min(n - at);
+            bytes[at..at + width].copy_from_slice(&value[..width]);
+            "an inflated count"
+        }
+        4 => {
+            // a number of a text: more digits
+            let digits: Vec<usize> = (0..n.min(2048)).filter(|&i| bytes[i].is_ascii_digit()).collect();
+            if let Some(&at) = digits.get(rng.below(digits.len())) {
+                let more = b"99999999999999999999";
+                let count = 1 + rng.below(more.len());
+                bytes.splice(at..at, more[..count].iter().copied());
+            }
+            "more digits"
+        }
+        5 => {
+            let (from, len, to) = (place(rng), rng.below(64), place(rng));
+            let piece = bytes[from..(from + len).min(n)].to_vec();
+            bytes.splice(to..to, piece);
+            "a piece twice"
+        }
+        6 => {
+            let (from, len) = (place(rng), 1 + rng.below(64));
+            bytes.drain(from..(from + len).min(n));
+            "a piece missing"
+        }
+        _ => {
+            let at = place(rng);
+            let end = (at + rng.below(16)).min(n);
+            for byte in &mut bytes[at..end] {
+                *byte = rng.next_u64() as u8;
+            }
+            "noise"
+        }
+    }
+}
+
+/// Parses within the memory allowed.
+fn parse_bounded(name: &str, parse: Parse, bytes: &[u8], what: &str) -> Result<Imported, String> {
+    let before = MEMORY.current_usage();
+    MEMORY.reset_peak_usage();
+    let outcome = catch_unwind(AssertUnwindSafe(|| parse(bytes)));
+    let used = MEMORY.peak_usage().saturating_sub(before);
+    assert!(
+        used <= FREE + TIMES * bytes.len(),
+        "{name} with {what}: {used} bytes of memory for a file of {}",
+        bytes.len()
+    );
+    outcome.unwrap_or_else(|_| panic!("{name} with {what}: a panic"))
+}
+
+#[test]
+fn damage_is_an_error_or_a_sound_scene() {
+    let dir = tempfile::tempdir().unwrap();
+    for (name, files, parse) in formats(dir.path()) {
+        for bytes in &files {
+            let sound = parse_bounded(name, parse, bytes, "no damage").unwrap();
+            assert!(sound.scene.splats.n() > 60, "{name}");
+        }
+        let (mut refused, mut read) = (0, 0);
+        for i in 0..FILES {
+            let mut rng = CounterRng::new(7, 0xc0_44_09_7e, i);
+            let mut bytes = files[rng.below(files.len())].clone();
+            let mut what = damage(&mut bytes, &mut rng);
+            if rng.below(4) == 0 && !bytes.is_empty() {
+                what = damage(&mut bytes, &mut rng);
+            }
+            match parse_bounded(name, parse, &bytes, &format!("{what}, file {i}")) {
+                Err(reason) => {
+                    assert!(reason.contains("file") && reason.len() < 1000, "{name} {i}: {reason}");
+                    refused += 1;
+                }
+                Ok(Imported { scene, .. }) => {
+                    assert!(scene.splats.is_finite(), "{name} with {what}, file {i}: not finite");
+                    assert!(scene.near.is_finite() && scene.background.iter().all(|v| v.is_finite()));
+                    assert!((1..=100_000).contains(&scene.time_frames), "{name} {i}");
+                    assert!(scene.duration_s.is_none_or(f64::is_finite));
+                    for frame in &scene.source {
+                        assert!(frame.t.is_finite() && frame.camera.intrinsics.fx > 0.0);
+                        assert!(frame.camera.c2w.matrix().iter().all(|v| v.is_finite()));
+                    }
+                    read += 1;
+                }
+            }
+        }
+        println!("{name}: {refused} refused, {read} read");
+        assert!(
+            refused > FILES / 5,
+            "{name}: only {refused} of {FILES} refused: does the damage reach the reader?"
+        );
+    }
+}

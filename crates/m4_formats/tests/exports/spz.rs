@@ -1,0 +1,195 @@
+//! SPZ: bytes worked out by hand, round trips, and files that are broken.
+
+use crate::common::{self, Mutation, asymmetric_scene, mutations};
+use m4_formats::spz::{self, SpzAxes, SpzOptions};
+use m4_scene::Column;
+use std::io::Read;
+
+fn unpacked(path: &std::path::Path) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    flate2::read::GzDecoder::new(std::fs::File::open(path).unwrap())
+        .read_to_end(&mut bytes)
+        .unwrap();
+    bytes
+}
+
+#[test]
+fn the_bytes_of_two_splats() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("two.spz");
+    let scene = asymmetric_scene(0);
+    let written = spz::write(
+        &path,
+        &scene,
+        &SpzOptions {
+            t: 4.0,
+            ..SpzOptions::default()
+        },
+    )
+    .unwrap();
+    assert_eq!(written.splats, 2);
+    assert_eq!(written.bytes, std::fs::metadata(&path).unwrap().len());
+    let bytes = unpacked(&path);
+    assert_eq!(&bytes[..12], b"NGSP\x03\0\0\0\x02\0\0\0");
+    // the farthest coordinate is 6: 2^20 * 6 < 2^23, 2^21 * 6 is not
+    assert_eq!(&bytes[12..16], &[0, 20, 1, 0]);
+    let at = |i: usize| i32::from_le_bytes([0, bytes[i], bytes[i + 1], bytes[i + 2]]) >> 8;
+    let one = 1 << 20;
+    // (1, 2, 6) with y down and z forward is (1, -2, -6) with y up and z back
+    assert_eq!([at(16), at(19), at(22)], [one, -2 * one, -6 * one]);
+    // moved from (-1, 0.5, 3) by (0.25, 0, -0.5) a frame for two frames: (-0.5, 0.5, 2)
+    assert_eq!([at(25), at(28), at(31)], [-one / 2, -one / 2, -2 * one]);
+    // opacity 0.8 = 204/255; 0.5 e^-0.5 = 0.3033 = 77/255
+    assert_eq!(&bytes[34..36], &[204, 77]);
+    // colours 0.5 + 0.2821 c with c = (1, 0, -1): (0.15 c + 0.5) 255 = 166, 128 (127.5 away from 0), 89
+    assert_eq!(&bytes[36..39], &[166, 128, 89]);
+    // ln scales -1, -2, -3: 9, 8, 7 times 16
+    assert_eq!(&bytes[42..45], &[144, 128, 112]);
+    // turned half about x after a quarter about y, see the scene: (w, x, y, z) = (1, 0, 1, 0)/sqrt(2)
+    // becomes (1, 0, -1, 0)/sqrt(2); y is the largest (index 1) and negative, so all signs turn
+    let packed = u32::from_le_bytes([bytes[48], bytes[49], bytes[50], bytes[51]]);
+    assert_eq!(packed >> 30, 1);
+    assert_eq!(packed & 0x3ff, 1 << 9 | 511, "w is -1/sqrt(2) when y is positive");
+    assert_eq!(bytes.len(), 16 + 2 * 20);
+    // a player that takes the file for a PLY
+    let options = SpzOptions {
+        t: 4.0,
+        axes: SpzAxes::Rdf,
+        ..SpzOptions::default()
+    };
+    spz::write(&path, &scene, &options).unwrap();
+    let bytes = unpacked(&path);
+    let y = i32::from_le_bytes([0, bytes[19], bytes[20], bytes[21]]) >> 8;
+    assert_eq!(y, 2 * one);
+}
+
+#[test]
+fn what_is_read_is_what_was_written_to_within_half_a_step() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.spz");
+    for axes in [SpzAxes::Rub, SpzAxes::Rdf] {
+        let scene = common::random_scene(3, 200, 300);
+        let options = SpzOptions {
+            t: 7.5,
+            axes,
+            sh1_bits: 8,
+            sh_rest_bits: 8,
+            ..SpzOptions::default()
+        };
+        let written = spz::write(&path, &scene, &options).unwrap();
+        let expected = m4_formats::instant(&scene.splats, 7.5, scene.time_frames as f64);
+        let got = spz::read(&path, axes).unwrap();
+        assert_eq!((got.n(), written.splats), (expected.n(), expected.n()));
+        let far = (0..3)
+            .flat_map(|k| expected.column(Column::Mean, k))
+            .fold(0f32, |a, v| a.max(v.abs()));
+        common::assert_columns(&got, &expected, Column::Mean, far / 8_388_607.0);
+        common::assert_columns(&got, &expected, Column::LogScale, 0.5 / 16.0 + 1e-6);
+        let sigmoid = |v: f32| 1.0 / (1.0 + (-v).exp());
+        for (a, b) in got
+            .column(Column::Opacity, 0)
+            .iter()
+            .zip(expected.column(Column::Opacity, 0))
+        {
+            assert!((sigmoid(*a) - sigmoid(*b)).abs() < 0.51 / 255.0);
+        }
+        for c in 0..48 {
+            let tolerance = if c < 3 { 0.51 / 255.0 / 0.15 } else { 0.51 / 128.0 };
+            for (a, b) in got
+                .column(Column::Colour, c)
+                .iter()
+                .zip(expected.column(Column::Colour, c))
+            {
+                assert!((a - b).abs() <= tolerance, "colour {c}: {a} and {b}");
+            }
+        }
+        common::assert_rotations(&got, &expected, 0.003);
+        // the same bytes for the same scene
+        let first = std::fs::read(&path).unwrap();
+        spz::write(&path, &scene, &options).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), first);
+    }
+}
+
+#[test]
+fn settings_out_of_range_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("x.spz");
+    let scene = asymmetric_scene(0);
+    for (options, name) in [
+        (
+            SpzOptions {
+                sh1_bits: 0,
+                ..SpzOptions::default()
+            },
+            "sh1_bits = 0",
+        ),
+        (
+            SpzOptions {
+                gzip_level: 10,
+                ..SpzOptions::default()
+            },
+            "gzip_level = 10",
+        ),
+        (
+            SpzOptions {
+                t: f64::NAN,
+                ..SpzOptions::default()
+            },
+            "t = NaN",
+        ),
+    ] {
+        let error = spz::write(&path, &scene, &options).unwrap_err().to_string();
+        assert!(error.contains(name), "{error}");
+    }
+    let mut far = asymmetric_scene(0);
+    far.splats.column_mut(Column::Mean, 1)[0] = 1e7;
+    let error = spz::write(&path, &far, &SpzOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("splat 0") && error.contains("axis 1"), "{error}");
+    assert_eq!(
+        std::fs::read_dir(dir.path()).unwrap().count(),
+        0,
+        "nothing is left behind"
+    );
+}
+
+#[test]
+fn broken_files_are_refused_without_much_memory() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.spz");
+    spz::write(&path, &common::random_scene(1, 50, 50), &SpzOptions::default()).unwrap();
+    let file = std::fs::read(&path).unwrap();
+    let packed = unpacked(&path);
+    let mut refused = 0;
+    for (i, Mutation { bytes, what }) in mutations(&file, 200).into_iter().enumerate() {
+        std::fs::write(&path, &bytes).unwrap();
+        if let Err(e) = spz::read(&path, SpzAxes::Rub) {
+            refused += 1;
+            assert!(e.to_string().contains("scene.spz"), "{i} {what}: {e}");
+        }
+    }
+    assert!(refused > 150, "the checksum of gzip sees a flip: {refused}");
+    // inside the stream, where no checksum helps
+    for Mutation { bytes, what } in mutations(&packed, 200) {
+        let mut gz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+        std::io::Write::write_all(&mut gz, &bytes).unwrap();
+        std::fs::write(&path, gz.finish().unwrap()).unwrap();
+        match spz::read(&path, SpzAxes::Rub) {
+            Ok(splats) => assert!(splats.is_finite() && splats.n() <= 20 * bytes.len(), "{what}"),
+            Err(e) => assert!(e.to_string().contains("scene.spz"), "{what}: {e}"),
+        }
+    }
+}
+
+#[test]
+fn a_count_that_the_file_cannot_hold_is_seen_before_anything_is_unpacked() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bomb.spz");
+    let mut head = b"NGSP\x03\0\0\0\xff\xff\xff\xff\x03\x0c\0\0".to_vec();
+    head.extend([0; 64]);
+    let mut gz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut gz, &head).unwrap();
+    std::fs::write(&path, gz.finish().unwrap()).unwrap();
+    let error = spz::read(&path, SpzAxes::Rub).unwrap_err().to_string();
+    assert!(error.contains("4294967295 splats"), "{error}");
+}
