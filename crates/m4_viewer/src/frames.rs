@@ -5,10 +5,12 @@ use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use m4_io::image::resize_rgb;
 use m4_scene::RgbImage;
+use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
 /// How large the frames may be.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct FrameLimits {
     /// Longest side, pixels. 480: as the panels of the preview.
     pub side_px: usize,

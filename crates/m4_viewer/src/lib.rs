@@ -12,9 +12,12 @@
 pub mod live;
 pub mod page;
 pub mod payload;
+pub mod server;
 
 mod frames;
 mod manifest;
 
 pub use frames::{FrameLimits, Frames, FramesError, encode_frames};
-pub use manifest::{About, FrameIndex, Live, MANIFEST_VERSION, Manifest, SafeOrbit, SourceCamera, SplatFacts};
+pub use manifest::{
+    About, FrameIndex, Live, MANIFEST_VERSION, Manifest, SafeConfig, SafeOrbit, SourceCamera, SplatFacts,
+};

@@ -148,6 +148,8 @@ pub struct About<'a> {
     pub median_depth: f64,
     /// Frames a second of the source.
     pub fps: f64,
+    /// How far from the source cameras the scene may be looked at.
+    pub safe: SafeConfig,
 }
 
 impl Manifest {
@@ -174,7 +176,38 @@ impl Manifest {
             period_frames: (scene.time_frames.max(2) - 1) as f64,
             cameras: scene.source.iter().map(|s| SourceCamera::new(&s.camera, s.t)).collect(),
             centre,
-            safe: SafeOrbit::new(scene, depth),
+            safe: SafeOrbit::new(scene, depth, &about.safe),
+            frames: None,
+            live: None,
+        }
+    }
+}
+
+impl Manifest {
+    /// Describes nothing yet: for the page of a server whose first scene is still to come.
+    #[must_use]
+    pub fn waiting(title: &str) -> Self {
+        Self {
+            version: MANIFEST_VERSION,
+            title: title.to_owned(),
+            splats: SplatFacts {
+                r#static: 0,
+                dynamic: 0,
+                sh_degree: 0,
+                time_degree: 0,
+                isotropic: false,
+                bytes: 0,
+            },
+            background: [0.0; 3],
+            time_frames: 1,
+            duration_s: None,
+            fps: 30.0,
+            mip: true,
+            near: 0.0,
+            period_frames: 1.0,
+            cameras: Vec::new(),
+            centre: [0.0; 3],
+            safe: SafeOrbit { radius: 0.0 },
             frames: None,
             live: None,
         }
@@ -189,18 +222,35 @@ pub(crate) fn usable_depth(median_depth: f64) -> f64 {
     }
 }
 
-/// Tangent of 8 degrees: by so much the preview swings about the middle of any scene without tearing it open.
-const LEAST_SHARE: f64 = 0.140_540_834_702_391_4;
-/// Past half of the median depth nearer things leave their place in the picture altogether.
-const MOST_SHARE: f64 = 0.5;
-/// How far beyond its ends a path may be left, as a share of its extent: what lies behind an edge has
-/// been seen as far as the camera moved, and half of that is guessed well from what is beside it.
-const PATH_SHARE: f64 = 0.5;
+/// How far from the source cameras a scene may be looked at, as shares of what the video tells.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SafeConfig {
+    /// Share of the extent of the camera's path. 0.5: what lies behind an edge was seen as far as the
+    /// camera moved, and half as far again what is there is guessed well from what is beside it.
+    pub path_share: f64,
+    /// At least this share of the median depth. 0.14: the tangent of the 8 degrees by which the preview
+    /// swings about any scene.
+    pub least_share: f64,
+    /// At most this share of the median depth. 0.5: beyond it nearer things leave their place in the
+    /// picture altogether.
+    pub most_share: f64,
+}
+
+impl Default for SafeConfig {
+    fn default() -> Self {
+        Self {
+            path_share: 0.5,
+            least_share: 0.14,
+            most_share: 0.5,
+        }
+    }
+}
 
 impl SafeOrbit {
-    /// Half of the extent of the camera's path (the diagonal of the box about it), and at least
-    /// `tan(8 degrees)`, at most half, of the median depth.
-    fn new(scene: &Scene, median_depth: f64) -> Self {
+    /// A share of the extent of the camera's path (the diagonal of the box about it), between two shares
+    /// of the median depth.
+    fn new(scene: &Scene, median_depth: f64, config: &SafeConfig) -> Self {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for source in &scene.source {
             let eye: [f64; 3] = source.camera.centre().into();
@@ -210,8 +260,9 @@ impl SafeOrbit {
             }
         }
         let extent = (0..3).map(|k| (high[k] - low[k]).max(0.0).powi(2)).sum::<f64>().sqrt();
+        let radius = (config.path_share * extent).max(config.least_share * median_depth);
         Self {
-            radius: (PATH_SHARE * extent).clamp(LEAST_SHARE * median_depth, MOST_SHARE * median_depth),
+            radius: radius.min(config.most_share * median_depth),
         }
     }
 }

@@ -78,6 +78,12 @@ pub enum PageError {
         /// Which.
         id: &'static str,
     },
+    /// Offsets that do not fit the frames.
+    #[error("the offsets of the frames do not divide the {found} bytes of the frames; the page is damaged")]
+    Offsets {
+        /// Bytes of all frames.
+        found: usize,
+    },
     /// An element that is not base64.
     #[error("the element {id} of the page is damaged: {source}")]
     Base64 {
@@ -154,8 +160,7 @@ const MOST_BYTES: u64 = 4 << 30;
 ///
 /// [`PageError`] saying which element is missing or damaged.
 pub fn read(html: &str) -> Result<Contents, PageError> {
-    let text = find(html, MANIFEST).ok_or(PageError::Missing { id: MANIFEST.1 })?;
-    let manifest: Manifest = serde_json::from_str(text)?;
+    let manifest = manifest_of(html)?;
     let payload = match find(html, SPLATS) {
         Some(text) => {
             let mut payload = Vec::new();
@@ -167,19 +172,39 @@ pub fn read(html: &str) -> Result<Contents, PageError> {
         }
         None => None,
     };
-    let frames = match (find(html, FRAMES), manifest.frames.clone()) {
-        (Some(text), Some(index)) => Some(Frames {
-            index,
-            bytes: bytes(FRAMES.1, text)?,
-        }),
-        (None, Some(_)) => return Err(PageError::Missing { id: FRAMES.1 }),
-        _ => None,
-    };
+    let frames = frames_of(html, &manifest)?;
     Ok(Contents {
         manifest,
         payload,
         frames,
     })
+}
+
+/// The frames of a page, without its splats.
+///
+/// # Errors
+///
+/// As [`read`].
+pub fn read_frames(html: &str) -> Result<Option<Frames>, PageError> {
+    frames_of(html, &manifest_of(html)?)
+}
+
+fn manifest_of(html: &str) -> Result<Manifest, PageError> {
+    let text = find(html, MANIFEST).ok_or(PageError::Missing { id: MANIFEST.1 })?;
+    Ok(serde_json::from_str(text)?)
+}
+
+fn frames_of(html: &str, manifest: &Manifest) -> Result<Option<Frames>, PageError> {
+    let Some(index) = manifest.frames.clone() else {
+        return Ok(None);
+    };
+    let text = find(html, FRAMES).ok_or(PageError::Missing { id: FRAMES.1 })?;
+    let bytes = bytes(FRAMES.1, text)?;
+    let ordered = index.offsets.windows(2).all(|w| w[0] <= w[1]);
+    if !ordered || index.offsets.last() != Some(&bytes.len()) {
+        return Err(PageError::Offsets { found: bytes.len() });
+    }
+    Ok(Some(Frames { index, bytes }))
 }
 
 fn find<'a>(html: &'a str, name: (&str, &str)) -> Option<&'a str> {

@@ -3,9 +3,11 @@
 use super::codec::{Linear, Planes, Sinh, rotation_code};
 use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, bytes_per_splat};
 use m4_scene::{Column, Scene, SplatLayout, Splats};
+use serde::{Deserialize, Serialize};
 
 /// How finely the splats are kept.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct PayloadConfig {
     /// Steps of a position to a pixel of the source video at the median depth. 32: at 16 the loss is
     /// first seen beside that of the scales.
