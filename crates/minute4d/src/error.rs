@@ -1,6 +1,6 @@
 //! The one error of the library, and what sort of failure each is.
 
-use crate::render::TimeError;
+use crate::render::{PathError, TimeError};
 use crate::settings::SettingsError;
 use m4_eval::geometry::{GeometryError, LlffError};
 use m4_eval::image::ImageError;
@@ -179,6 +179,9 @@ pub enum Error {
     /// A time along a camera path.
     #[error(transparent)]
     Time(#[from] TimeError),
+    /// A camera path.
+    #[error(transparent)]
+    Path(#[from] PathError),
     /// The instruction set that was asked for.
     #[error(transparent)]
     Simd(#[from] SimdLevelError),
@@ -261,7 +264,8 @@ impl Error {
             Self::Settings(SettingsError::Read { source, .. }) => ErrorKind::of_read(source).into(),
             Self::Settings(SettingsError::Internal { .. }) => Category::Internal,
             Self::Settings(_) => Category::BadSettings,
-            Self::Time(_) => Category::Usage,
+            Self::Path(PathError::NoSource { .. }) => Category::BadInput,
+            Self::Time(_) | Self::Path(_) => Category::Usage,
             Self::Simd(_) => Category::NoDevice,
             Self::ReadVideo(ReadVideoError::BadOption { .. }) => Category::BadSettings,
             Self::ReadVideo(e) => e.kind().into(),

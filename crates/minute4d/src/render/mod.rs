@@ -1,21 +1,33 @@
 //! Pictures of a trained scene: along which cameras, at which moments, into which files.
 
 mod draw;
+mod error;
+mod options;
 mod path;
+mod region;
+mod sink;
+mod size;
+mod spline;
 mod swing;
 mod time;
 
 pub use draw::{Painter, to_rgb, view};
-pub use path::{CameraPath, Stop};
+pub use error::PathError;
+pub use options::{PathConfig, PathOptions};
+pub use path::{CameraPath, Plan, SourcePath, Stop};
+pub use region::Region;
+pub use size::{Fit, fitted, zoomed};
+pub use spline::{PoseSpline, Spline};
 pub use swing::{SwingConfig, swing};
 pub use time::{Moment, Span, TimeError, TimePath};
 
-use crate::folder::{self, SCENE_FILE};
+use crate::folder::SCENE_FILE;
 use crate::{Error, Observer};
-use m4_io::{image, scene_file, video::Mp4Writer};
+use m4_io::scene_file;
 use m4_kernels::SimdLevel;
-use m4_scene::{RgbImage, Scene};
-use std::path::{Path, PathBuf};
+use m4_scene::Scene;
+use sink::Sink;
+use std::path::Path;
 use std::time::Instant;
 
 /// Frames a second where the scene does not say.
@@ -26,12 +38,61 @@ pub const DEFAULT_FPS: f64 = 30.0;
 pub struct RenderJob {
     /// Cameras.
     pub path: CameraPath,
+    /// What is asked of the path.
+    pub options: PathOptions,
+    /// Its defaults.
+    pub config: PathConfig,
     /// Moments.
     pub time: TimePath,
-    /// Frames a second of an MP4; `None` for that of the source.
+    /// Frames a second; `None` for that of the file of cameras or of the source.
     pub fps: Option<f64>,
+    /// Columns and rows of the pictures; `None` for those of the cameras.
+    pub size: Option<(usize, usize)>,
+    /// What happens where that is another shape.
+    pub fit: Fit,
+    /// Times the focal length.
+    pub zoom: f64,
     /// Replace what is there.
     pub replace: bool,
+}
+
+impl RenderJob {
+    /// A path as it is by itself.
+    #[must_use]
+    pub fn new(path: CameraPath) -> Self {
+        Self {
+            path,
+            options: PathOptions::default(),
+            config: PathConfig::default(),
+            time: TimePath::Source,
+            fps: None,
+            size: None,
+            fit: Fit::default(),
+            zoom: 1.0,
+            replace: false,
+        }
+    }
+
+    /// Every camera and moment of the pictures.
+    ///
+    /// # Errors
+    ///
+    /// As [`CameraPath::plan`]; [`Error::Time`] if a moment lies outside the scene, [`PathError::Size`] for
+    /// sizes that are not rendered.
+    pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>) -> Result<Plan, Error> {
+        let mut plan = self.path.plan(scene, painter, self)?;
+        let own: Vec<f64> = plan.stops.iter().map(|stop| stop.t).collect();
+        let moments = self.time.moments(&own, plan.fps, &path::span(scene))?;
+        for (stop, t) in plan.stops.iter_mut().zip(moments) {
+            stop.t = t;
+            let k = &mut stop.camera.intrinsics;
+            *k = zoomed(k, self.zoom);
+            if let Some(size) = self.size {
+                *k = fitted(k, size, self.fit)?;
+            }
+        }
+        Ok(plan)
+    }
 }
 
 /// What was rendered.
@@ -39,19 +100,25 @@ pub struct RenderJob {
 pub struct Rendered {
     /// Pictures written.
     pub frames: usize,
+    /// Pictures a second of the path.
+    pub fps: f64,
+    /// Columns and rows of the first picture.
+    pub size: (usize, usize),
     /// Wall-clock seconds.
     pub seconds: f64,
 }
 
-/// Renders a scene (a file, or the folder of a run) to a folder of PNG pictures, or to an MP4 where
-/// `out` ends in `.mp4`.
+/// Renders a scene (a file, or the folder of a run) to a folder of PNG pictures, to an MP4 where `out`
+/// ends in `.mp4`, or to one picture where it ends in `.png` or `.jpg`. An MP4 is read back and its frames
+/// are counted before it gets its name.
 ///
 /// # Errors
 ///
-/// [`Error`]: the scene or the cameras cannot be read, a moment lies outside the scene, or the
-/// pictures cannot be written.
+/// [`Error`]: the scene or the cameras cannot be read, a moment lies outside the scene, options cannot
+/// work, or the pictures cannot be written.
 pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) -> Result<Rendered, Error> {
     let start = Instant::now();
+    Sink::check(out, job.replace)?;
     let level = SimdLevel::detect()?;
     let file = if scene.is_dir() {
         scene.join(SCENE_FILE)
@@ -60,30 +127,30 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     };
     let scene = scene_file::read(&file)?.scene;
     let mut painter = Painter::new(&scene, level);
-    let config = SwingConfig::default();
-    let stops = job.path.stops(&scene, &config, |stop| {
-        painter.median_depth(&stop.camera, stop.t).unwrap_or(1.0)
-    })?;
-    let own: Vec<f64> = stops.iter().map(|stop| stop.t).collect();
-    let span = Span {
-        time_frames: scene.time_frames,
-        duration_s: scene.duration_s,
-    };
-    let moments = job.time.moments(&own, &span)?;
-    let mut sink = Sink::open(out, &stops, job.fps.unwrap_or_else(|| source_fps(&scene)), job.replace)?;
-    for (i, (stop, t)) in stops.iter().zip(moments).enumerate() {
+    let plan = job.plan(&scene, &mut painter)?;
+    for remark in &plan.remarks {
+        observer.warn(remark);
+    }
+    let stops = &plan.stops;
+    let mut sink = Sink::open(out, stops, plan.fps, job.replace)?;
+    for (i, stop) in stops.iter().enumerate() {
         if observer.cancelled() {
             return Err(Error::Stopped {
                 stage: "render",
                 saved: false,
             });
         }
-        sink.push(&painter.picture(&stop.camera, t, &stop.exposure))?;
+        sink.push(&painter.picture(&stop.camera, stop.t, &stop.exposure))?;
         observer.update("render", i + 1, stops.len(), "");
     }
     sink.finish()?;
+    let size = stops
+        .first()
+        .map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
     Ok(Rendered {
         frames: stops.len(),
+        fps: plan.fps,
+        size,
         seconds: start.elapsed().as_secs_f64(),
     })
 }
@@ -95,55 +162,5 @@ pub fn source_fps(scene: &Scene) -> f64 {
     match scene.duration_s {
         Some(duration_s) if duration_s > 0.0 && steps > 0.0 => (steps / duration_s).clamp(1.0, 240.0),
         _ => DEFAULT_FPS,
-    }
-}
-
-/// Where pictures go.
-enum Sink {
-    Folder { path: PathBuf, next: usize },
-    Video(Box<Mp4Writer>),
-}
-
-impl Sink {
-    fn open(out: &Path, stops: &[Stop], fps: f64, replace: bool) -> Result<Self, Error> {
-        let would_replace = || Error::WouldReplace {
-            path: out.to_path_buf(),
-        };
-        let is_video = out.extension().is_some_and(|e| e.eq_ignore_ascii_case("mp4"));
-        if !is_video {
-            if folder::make(out)? && !replace {
-                return Err(would_replace());
-            }
-            return Ok(Self::Folder {
-                path: out.to_path_buf(),
-                next: 0,
-            });
-        }
-        if out.exists() && !replace {
-            return Err(would_replace());
-        }
-        let size = stops
-            .first()
-            .map_or((0, 0), |s| (s.camera.intrinsics.width, s.camera.intrinsics.height));
-        Ok(Self::Video(Box::new(Mp4Writer::create(out, size.0, size.1, fps)?)))
-    }
-
-    fn push(&mut self, picture: &RgbImage) -> Result<(), Error> {
-        match self {
-            Self::Folder { path, next } => {
-                image::write_rgb(&path.join(format!("{next:05}.png")), picture)?;
-                *next += 1;
-            }
-            Self::Video(writer) => writer.push(picture)?,
-        }
-        Ok(())
-    }
-
-    fn finish(self) -> Result<(), Error> {
-        match self {
-            Self::Folder { .. } => {}
-            Self::Video(writer) => writer.finish()?,
-        }
-        Ok(())
     }
 }

@@ -21,6 +21,8 @@ pub enum TimePath {
     Freeze(Moment),
     /// `A..B`: evenly from A at the first camera to B at the last; B may lie before A.
     Range(Moment, Moment),
+    /// `play`: from the first frame at the speed of the source, over and over.
+    Play,
 }
 
 /// Why a time cannot be used.
@@ -29,9 +31,15 @@ pub enum TimePath {
 pub enum TimeError {
     /// Not one of the forms.
     #[error(
-        "{given:?} is no time; write source, freeze@T or A..B, where T, A and B count frames (12.5), or seconds with an s behind (1.5s)"
+        "{given:?} is no time; write source, play, freeze@T or A..B, where T, A and B count frames (12.5), or seconds with an s behind (1.5s)"
     )]
     Form {
+        /// What was written.
+        given: String,
+    },
+    /// Not a moment.
+    #[error("{given:?} is no moment; count frames (12.5), or seconds with an s behind (1.5s)")]
+    Moment {
         /// What was written.
         given: String,
     },
@@ -71,6 +79,14 @@ impl fmt::Display for Moment {
     }
 }
 
+impl FromStr for Moment {
+    type Err = TimeError;
+
+    fn from_str(text: &str) -> Result<Self, TimeError> {
+        parse_moment(text.trim()).ok_or_else(|| TimeError::Moment { given: text.to_owned() })
+    }
+}
+
 impl FromStr for TimePath {
     type Err = TimeError;
 
@@ -79,6 +95,9 @@ impl FromStr for TimePath {
         let moment = |t: &str| parse_moment(t.trim()).ok_or_else(form);
         if text == "source" {
             return Ok(Self::Source);
+        }
+        if text == "play" {
+            return Ok(Self::Play);
         }
         if let Some(t) = text.strip_prefix("freeze@") {
             return Ok(Self::Freeze(moment(t)?));
@@ -142,16 +161,26 @@ impl Span {
 }
 
 impl TimePath {
-    /// The moment of each camera in frames, given each camera's own.
+    /// The moment of each camera in frames, given each camera's own and their number a second.
     ///
     /// # Errors
     ///
     /// [`TimeError`] if a moment lies outside `span`, or counts seconds that it does not know.
-    pub fn moments(&self, own: &[f64], span: &Span) -> Result<Vec<f64>, TimeError> {
+    pub fn moments(&self, own: &[f64], fps: f64, span: &Span) -> Result<Vec<f64>, TimeError> {
         let n = own.len();
         match *self {
             Self::Source => Ok(own.to_vec()),
             Self::Freeze(moment) => Ok(vec![span.frames(moment)?; n]),
+            Self::Play => {
+                let last = span.last() as f64;
+                let per_s = match span.duration_s {
+                    Some(duration_s) if duration_s > 0.0 => last / duration_s,
+                    _ => super::DEFAULT_FPS,
+                };
+                // The last frame lasts as long as the others before the first one comes again.
+                let moment = |i: usize| (i as f64 * per_s / fps) % (last + 1.0);
+                Ok((0..n).map(|i| moment(i).min(last)).collect())
+            }
             Self::Range(a, b) => {
                 let (a, b) = (span.frames(a)?, span.frames(b)?);
                 let share = |i: usize| if n > 1 { i as f64 / (n - 1) as f64 } else { 0.0 };
@@ -197,11 +226,23 @@ mod tests {
     }
 
     #[test]
+    fn a_moment_stands_alone() {
+        assert_eq!("1.5s".parse(), Ok(Moment::Seconds(1.5)));
+        assert_eq!(" 7 ".parse(), Ok(Moment::Frames(7.0)));
+        for bad in ["", "s", "inf", "1..2", "freeze@2"] {
+            assert!(matches!(bad.parse::<Moment>(), Err(TimeError::Moment { .. })), "{bad}");
+        }
+    }
+
+    #[test]
     fn moments_are_frames_within_the_scene() {
         let own = [0.0, 1.0, 2.0];
-        let at = |text: &str| text.parse::<TimePath>().unwrap().moments(&own, &SPAN);
+        let at = |text: &str| text.parse::<TimePath>().unwrap().moments(&own, 20.0, &SPAN);
         assert_eq!(at("source").unwrap(), own);
         assert_eq!(at("freeze@1s").unwrap(), [10.0; 3]);
+        assert_eq!(at("play").unwrap(), [0.0, 0.5, 1.0]);
+        let long = TimePath::Play.moments(&[0.0; 70], 20.0, &SPAN).unwrap();
+        assert_eq!((long[60], long[61], long[62], long[64]), (30.0, 30.0, 0.0, 1.0));
         assert_eq!(at("30..0").unwrap(), [30.0, 15.0, 0.0]);
         assert_eq!(at("0s..3s").unwrap(), [0.0, 15.0, 30.0]);
         assert!(matches!(at("freeze@31"), Err(TimeError::Outside { last: 30, .. })));
@@ -210,7 +251,7 @@ mod tests {
             duration_s: None,
             ..SPAN
         };
-        let seconds = "freeze@1s".parse::<TimePath>().unwrap().moments(&own, &unknown);
+        let seconds = "freeze@1s".parse::<TimePath>().unwrap().moments(&own, 20.0, &unknown);
         assert!(matches!(seconds, Err(TimeError::NoDuration { .. })));
     }
 }

@@ -17,7 +17,7 @@ pub use eval::{Eval, EvalGeometry};
 pub use existing::OutArgs;
 pub use geometry::Geometry;
 pub use inspect::Inspect;
-pub use render::Render;
+pub use render::{FitArg, Render};
 pub use run::Run;
 pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
 pub use train::Train;

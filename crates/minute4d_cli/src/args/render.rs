@@ -1,7 +1,7 @@
 //! `minute4d render`
 
-use super::values::rate;
-use clap::Args;
+use super::values::{number, picture_size, rate};
+use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
 /// `minute4d render`
@@ -9,21 +9,83 @@ use std::path::PathBuf;
 pub struct Render {
     /// The folder of a run, or a scene file
     pub scene: PathBuf,
-    /// Cameras: `train` (those of the video), `swing` (an arc about the middle of the scene),
-    /// `test:TRANSFORMS` (a file of held-out views), or a transforms file
+    /// Cameras: `train` (every frame of the video), `source` (the same camera at any frame rate), `stabilised`,
+    /// `swing`, `arc`, `spiral`, `dolly`, `bullet`, `test:TRANSFORMS` (a file of held-out views), or a file of
+    /// cameras or keyframes (docs/paths.md)
     #[arg(long, value_name = "PATH", default_value = "train")]
     pub path: String,
-    /// Time: `source` (each camera's own), `freeze@T`, or `A..B`; T, A and B count frames, or seconds
-    /// with an `s` behind, as in freeze@1.5s
+    /// Time: `source` (each camera's own), `play` (the speed of the source, over and over), `freeze@T`, or `A..B`;
+    /// T, A and B count frames, or seconds with an `s` behind, as in freeze@1.5s
     #[arg(long, value_name = "TIME", default_value = "source")]
     pub time: String,
-    /// A folder for PNG pictures, or a name that ends in .mp4
-    #[arg(long, short, value_name = "DIR|FILE.mp4")]
+    /// A folder for PNG pictures, a name that ends in .mp4, or one in .png where there is one picture
+    #[arg(long, short, value_name = "DIR|FILE.mp4|FILE.png")]
     pub out: PathBuf,
-    /// Frames a second of an MP4 [default: that of the source]
+    /// Pictures a second [default: those of the file of cameras or of the source]
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
+    /// Size of the pictures, pixels [default: that of the cameras]
+    #[arg(long, value_name = "WxH", value_parser = picture_size)]
+    pub size: Option<(usize, usize)>,
+    /// Where that is another shape: cut the view off, or show more of it
+    #[arg(long, value_enum, default_value = "crop", requires = "size")]
+    pub fit: FitArg,
+    /// Longer (above 1) or shorter lens
+    #[arg(long, value_name = "F", default_value_t = 1.0, value_parser = zoom)]
+    pub zoom: f64,
+    /// Length, seconds; `source`, `stabilised` and keyframes are played slower or faster
+    #[arg(long, value_name = "S", allow_negative_numbers = true, help_heading = "Camera paths")]
+    pub seconds: Option<f64>,
+    /// The moment of the video whose camera a path starts from [default: the middle; that of freeze@T]. For `bullet`,
+    /// where time stands still; for `train`, `source` and `stabilised`, the one picture that is wanted
+    #[arg(long, value_name = "T", help_heading = "Camera paths")]
+    pub at: Option<String>,
+    /// Times the motion that is good for the scene, -10 to 10
+    #[arg(long, value_name = "F", allow_negative_numbers = true, help_heading = "Camera paths")]
+    pub amount: Option<f64>,
+    /// `swing`, `arc`, `bullet`: greatest turn to either side
+    #[arg(
+        long,
+        value_name = "DEG",
+        allow_negative_numbers = true,
+        help_heading = "Camera paths"
+    )]
+    pub degrees: Option<f64>,
+    /// `spiral`: half its width, as a share of the distance to what is seen
+    #[arg(long, value_name = "R", help_heading = "Camera paths")]
+    pub radius: Option<f64>,
+    /// `spiral`: rounds [default: 2]
+    #[arg(long, value_name = "N", help_heading = "Camera paths")]
+    pub turns: Option<u32>,
+    /// `stabilised`: seconds that are averaged over, standard deviation [default: 0.5]
+    #[arg(long, value_name = "S", help_heading = "Camera paths")]
+    pub smooth_s: Option<f64>,
+    /// `stabilised`: from 0, the source, to 1 [default: 1]
+    #[arg(long, value_name = "F", help_heading = "Camera paths")]
+    pub strength: Option<f64>,
+    /// `bullet`: seconds for which time stands still [default: 4]
+    #[arg(long, value_name = "S", help_heading = "Camera paths")]
+    pub hold_s: Option<f64>,
+    /// `dolly`: keep what is in the middle as large as it is
+    #[arg(long, help_heading = "Camera paths")]
+    pub dolly_zoom: bool,
     /// Replace pictures or a video that are already there
     #[arg(long)]
     pub force: bool,
+}
+
+/// What happens where pictures have another shape than the cameras.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FitArg {
+    /// The middle of the view fills the picture
+    Crop,
+    /// All of the view is in the picture, and more beside it
+    Extend,
+}
+
+fn zoom(text: &str) -> Result<f64, String> {
+    match number(text)? {
+        factor if (0.1..=10.0).contains(&factor) => Ok(factor),
+        _ => Err("it must lie between 0.1 and 10".to_owned()),
+    }
 }

@@ -48,3 +48,14 @@ pub fn rate(text: &str) -> Result<f64, String> {
         Err("it must lie between 0.1 and 240".to_owned())
     }
 }
+
+/// A size such as 480x360 of pictures to render, pixels.
+pub fn picture_size(text: &str) -> Result<(usize, usize), String> {
+    let sides = text
+        .split_once('x')
+        .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    match sides {
+        Some((w, h)) if (1..=16_384).contains(&w) && (1..=16_384).contains(&h) => Ok((w, h)),
+        _ => Err("a size is WIDTHxHEIGHT, such as 480x360, each side 1 to 16384".to_owned()),
+    }
+}

@@ -1,23 +1,49 @@
 //! `minute4d render`: pictures or a video of a scene.
 
-use crate::args::Render;
+use crate::args::{FitArg, Render};
 use crate::failure::Failure;
 use crate::output::Output;
-use minute4d::render::{CameraPath, RenderJob, TimePath};
+use minute4d::render::{CameraPath, Fit, Moment, PathOptions, RenderJob};
 use serde_json::json;
 
 pub fn run(args: &Render, output: &Output) -> Result<(), Failure> {
-    let time: TimePath = args.time.parse().map_err(minute4d::Error::from)?;
+    let usage = minute4d::Error::from;
+    let at = args.at.as_deref().map(str::parse::<Moment>).transpose();
     let job = RenderJob {
-        path: CameraPath::named(&args.path),
-        time,
+        options: PathOptions {
+            seconds: args.seconds,
+            at: at.map_err(usage)?,
+            amount: args.amount,
+            degrees: args.degrees,
+            radius: args.radius,
+            turns: args.turns,
+            smooth_s: args.smooth_s,
+            strength: args.strength,
+            hold_s: args.hold_s,
+            dolly_zoom: args.dolly_zoom,
+        },
+        time: args.time.parse().map_err(usage)?,
         fps: args.fps,
+        size: args.size,
+        fit: match args.fit {
+            FitArg::Crop => Fit::Crop,
+            FitArg::Extend => Fit::Extend,
+        },
+        zoom: args.zoom,
         replace: args.force,
+        ..RenderJob::new(CameraPath::named(&args.path))
     };
     let done = minute4d::render::make(&args.scene, &args.out, &job, output)?;
     output.result(
         &args.out.display().to_string(),
-        json!({"path": args.out, "frames": done.frames, "seconds": done.seconds}),
+        json!({
+            "path": args.out,
+            "frames": done.frames,
+            "fps": done.fps,
+            "width": done.size.0,
+            "height": done.size.1,
+            "seconds": done.seconds,
+        }),
     );
     Ok(())
 }

@@ -1,0 +1,101 @@
+//! Why a camera path cannot be rendered.
+
+use std::path::PathBuf;
+
+/// Why a camera path cannot be rendered.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PathError {
+    /// An option of another path.
+    #[error("{option} has no meaning for the camera path {path}; it takes {}", takes(known))]
+    Unused {
+        /// The option, as the program calls it.
+        option: &'static str,
+        /// The path.
+        path: String,
+        /// The options of the path.
+        known: &'static [&'static str],
+    },
+    /// A number that cannot work.
+    #[error("{option} is {value}; {expected} was expected")]
+    Range {
+        /// The option.
+        option: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is possible.
+        expected: &'static str,
+    },
+    /// More pictures than anyone wants.
+    #[error(
+        "the path takes {seconds} s, which is {frames} pictures at {fps} a second; at most {limit} are rendered, so ask for fewer with --seconds or --fps"
+    )]
+    TooManyFrames {
+        /// Length, seconds.
+        seconds: f64,
+        /// Pictures a second.
+        fps: f64,
+        /// Pictures.
+        frames: f64,
+        /// Most pictures.
+        limit: usize,
+    },
+    /// A bullet path that is over before time stands still.
+    #[error(
+        "--seconds {seconds} leaves nothing beside the {hold_s} s for which time stands still; ask for more, or for less with --hold-s"
+    )]
+    TooShort {
+        /// Length asked for.
+        seconds: f64,
+        /// Length of the frozen part and of the ways into and out of it.
+        hold_s: f64,
+    },
+    /// A scene without its cameras.
+    #[error(
+        "the scene does not say from where it was filmed, so there is no camera path {path}; give a file of cameras with --path"
+    )]
+    NoSource {
+        /// The path.
+        path: String,
+    },
+    /// Neither a path nor a file.
+    #[error("there is no camera path {name:?}; write {}, or the name of a file", super::path::WORDS.join(", "))]
+    Unknown {
+        /// What was given.
+        name: String,
+    },
+    /// Many pictures into one file.
+    #[error("{} is one picture, but the path has {frames}; name a folder or an .mp4 file, or ask for one moment with --path source --at T", path.display())]
+    OnePicture {
+        /// The file.
+        path: PathBuf,
+        /// Pictures of the path.
+        frames: usize,
+    },
+    /// A name that promises another sort of video.
+    #[error("{} would be a {extension} file, which is not written; name an .mp4 file, a .png file or a folder", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// Its extension.
+        extension: String,
+    },
+    /// A picture too small or too large.
+    #[error("pictures of {width} x {height} pixels are not rendered; each side must have 1 to {limit}")]
+    Size {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Longest side.
+        limit: usize,
+    },
+}
+
+fn takes(known: &[&str]) -> String {
+    if known.is_empty() {
+        "none of these options".to_owned()
+    } else {
+        known.join(", ")
+    }
+}

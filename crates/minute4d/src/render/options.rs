@@ -1,0 +1,198 @@
+//! What can be asked of a camera path, and what happens where nothing is asked.
+
+use super::{CameraPath, Moment, PathError, SwingConfig};
+use serde::{Deserialize, Serialize};
+
+/// What was asked for; `None` leaves it to [`PathConfig`] and the scene.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct PathOptions {
+    /// Length of the video, seconds.
+    pub seconds: Option<f64>,
+    /// The moment of the source whose camera a path starts from; for the bullet, where time stands still;
+    /// for the source and its like, the one picture that is wanted.
+    pub at: Option<Moment>,
+    /// Times the motion that the scene is good for; below 0 the other way round.
+    pub amount: Option<f64>,
+    /// Greatest turn to either side, degrees.
+    pub degrees: Option<f64>,
+    /// Half width of the spiral, as a share of the distance to what is seen.
+    pub radius: Option<f64>,
+    /// Rounds of the spiral.
+    pub turns: Option<u32>,
+    /// Standard deviation of the smoothing, seconds.
+    pub smooth_s: Option<f64>,
+    /// From 0, the source, to 1, all of the smoothing.
+    pub strength: Option<f64>,
+    /// Seconds for which time stands still.
+    pub hold_s: Option<f64>,
+    /// Keep what is in the middle as large as it is.
+    pub dolly_zoom: bool,
+}
+
+/// Defaults of the camera paths. Lengths are shares of the median depth that the camera sees where the
+/// path starts, so that they do not depend on the unit of the scene; where two numbers are given, the
+/// reach of the source camera in that direction is used within these limits. They are narrow, because what
+/// moves was seen from one side alone at each moment, wherever the camera was before and after: beyond 6
+/// degrees the pinwheel of the examples begins to come apart (ours, judged by eye).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PathConfig {
+    /// The swing; two of its periods are rendered.
+    pub swing: SwingConfig,
+    /// Length of a swing, a spiral, a dolly or an arc, seconds.
+    pub seconds: f64,
+    /// Smallest and greatest turn of an arc or a bullet to either side, degrees.
+    pub side_deg: [f64; 2],
+    /// Turn of a bullet up and down, as a share of the turn to the side.
+    pub up_share: f64,
+    /// Smallest and greatest half width of a spiral.
+    pub spiral_across: [f64; 2],
+    /// Smallest and greatest half height of a spiral.
+    pub spiral_up: [f64; 2],
+    /// Smallest and greatest way of a spiral ahead.
+    pub spiral_ahead: [f64; 2],
+    /// Rounds of a spiral.
+    pub turns: u32,
+    /// Smallest and greatest way of a dolly.
+    pub dolly: [f64; 2],
+    /// Share of the way to the nearest things that no path enters.
+    pub clear: f64,
+    /// Seconds for which a bullet stands still in time.
+    pub hold_s: f64,
+    /// Seconds in which time slows down before, and speeds up after.
+    pub ease_s: f64,
+    /// Standard deviation of the smoothing, seconds.
+    pub smooth_s: f64,
+    /// Furthest that the smoothed camera leaves the source, as a share of the distance.
+    pub stray: f64,
+    /// Furthest that it turns away from the source, degrees.
+    pub stray_deg: f64,
+}
+
+impl Default for PathConfig {
+    fn default() -> Self {
+        Self {
+            swing: SwingConfig::default(),
+            seconds: 4.0,
+            side_deg: [4.0, 6.0],
+            up_share: 0.3,
+            spiral_across: [0.04, 0.06],
+            spiral_up: [0.02, 0.035],
+            spiral_ahead: [0.02, 0.05],
+            turns: 2,
+            dolly: [0.12, 0.3],
+            clear: 0.5,
+            hold_s: 4.0,
+            ease_s: 0.4,
+            smooth_s: 0.5,
+            stray: 0.08,
+            stray_deg: 5.0,
+        }
+    }
+}
+
+impl CameraPath {
+    /// The options that mean something for this path.
+    #[must_use]
+    pub fn takes(&self) -> &'static [&'static str] {
+        match self {
+            Self::Train => &["--at"],
+            Self::Source => &["--seconds", "--at"],
+            Self::Stabilised => &["--seconds", "--at", "--smooth-s", "--strength"],
+            Self::Swing | Self::Arc => &["--seconds", "--at", "--amount", "--degrees"],
+            Self::Spiral => &["--seconds", "--at", "--amount", "--radius", "--turns"],
+            Self::Dolly => &["--seconds", "--at", "--amount", "--dolly-zoom"],
+            Self::Bullet => &["--seconds", "--at", "--amount", "--degrees", "--hold-s"],
+            Self::File(_) => &["--seconds"],
+        }
+    }
+}
+
+impl PathOptions {
+    /// Refuses what means nothing for the path, and numbers that cannot work.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError::Unused`] and [`PathError::Range`].
+    pub fn check(&self, path: &CameraPath) -> Result<(), PathError> {
+        let given = [
+            ("--seconds", self.seconds.is_some()),
+            ("--at", self.at.is_some()),
+            ("--amount", self.amount.is_some()),
+            ("--degrees", self.degrees.is_some()),
+            ("--radius", self.radius.is_some()),
+            ("--turns", self.turns.is_some()),
+            ("--smooth-s", self.smooth_s.is_some()),
+            ("--strength", self.strength.is_some()),
+            ("--hold-s", self.hold_s.is_some()),
+            ("--dolly-zoom", self.dolly_zoom),
+        ];
+        let known = path.takes();
+        if let Some((option, _)) = given.into_iter().find(|(name, given)| *given && !known.contains(name)) {
+            return Err(PathError::Unused {
+                option,
+                path: path.to_string(),
+                known,
+            });
+        }
+        let numbers = [
+            ("--seconds", self.seconds, 0.01, 3600.0, "0.01 to 3600 seconds"),
+            ("--amount", self.amount, -10.0, 10.0, "a factor from -10 to 10"),
+            ("--degrees", self.degrees, -60.0, 60.0, "at most 60 degrees"),
+            (
+                "--radius",
+                self.radius,
+                0.001,
+                1.0,
+                "a share of the distance, 0.001 to 1,",
+            ),
+            ("--turns", self.turns.map(f64::from), 1.0, 100.0, "1 to 100"),
+            ("--smooth-s", self.smooth_s, 0.02, 10.0, "0.02 to 10 seconds"),
+            ("--strength", self.strength, 0.0, 1.0, "0 to 1"),
+            ("--hold-s", self.hold_s, 0.1, 600.0, "0.1 to 600 seconds"),
+        ];
+        for (option, value, least, most, expected) in numbers {
+            if let Some(value) = value.filter(|v| !(*v >= least && *v <= most)) {
+                return Err(PathError::Range {
+                    option,
+                    value,
+                    expected,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{CameraPath, PathOptions};
+    use crate::render::PathError;
+
+    #[test]
+    fn nothing_that_is_given_is_left_out_in_silence() {
+        let turns = PathOptions {
+            turns: Some(3),
+            ..PathOptions::default()
+        };
+        assert_eq!(turns.check(&CameraPath::Spiral), Ok(()));
+        let error = turns.check(&CameraPath::Arc).unwrap_err();
+        assert!(
+            error.to_string().contains("--turns") && error.to_string().contains("--degrees"),
+            "{error}"
+        );
+        let strong = PathOptions {
+            strength: Some(1.5),
+            ..PathOptions::default()
+        };
+        assert!(matches!(
+            strong.check(&CameraPath::Stabilised),
+            Err(PathError::Range { value: 1.5, .. })
+        ));
+        let nan = PathOptions {
+            amount: Some(f64::NAN),
+            ..PathOptions::default()
+        };
+        assert!(matches!(nan.check(&CameraPath::Dolly), Err(PathError::Range { .. })));
+    }
+}

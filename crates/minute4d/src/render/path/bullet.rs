@@ -1,0 +1,115 @@
+//! Bullet time: play, stand still while the camera goes round, go on.
+
+use super::shapes::side_rad;
+use super::{PathConfig, PathError, PathOptions, SourcePath, Stop};
+use crate::render::Region;
+use crate::render::swing::orbit;
+use std::f64::consts::TAU;
+
+/// When a bullet path does what; seconds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bullet {
+    /// The moment that stands still, from the first frame of the source.
+    freeze_s: f64,
+    /// Seconds of the source that are played before it and after it.
+    played_s: [f64; 2],
+    /// In which time slows down, and speeds up again.
+    ease_s: [f64; 2],
+    /// For which time stands still.
+    hold_s: f64,
+}
+
+impl Bullet {
+    /// A bullet that stands still at `freeze_s` of a source of `source_s`; with a length asked for, less of the
+    /// source is played, or time stands still for longer.
+    ///
+    /// # Errors
+    ///
+    /// [`PathError::TooShort`].
+    pub fn new(freeze_s: f64, source_s: f64, options: &PathOptions, config: &PathConfig) -> Result<Self, PathError> {
+        let all = [freeze_s, (source_s - freeze_s).max(0.0)];
+        // Slowing down over e seconds covers e / 2 seconds of the source.
+        let ease_s = all.map(|s| config.ease_s.min(2.0 * s).max(0.0));
+        let mut bullet = Self {
+            freeze_s,
+            played_s: all,
+            ease_s,
+            hold_s: options.hold_s.unwrap_or(config.hold_s),
+        };
+        if let Some(seconds) = options.seconds {
+            let short = seconds - bullet.seconds();
+            let kept = source_s + short;
+            if short > 0.0 && options.hold_s.is_none() {
+                bullet.hold_s += short;
+            } else if short < 0.0 {
+                let least: f64 = ease_s.iter().sum::<f64>() * 0.5;
+                if kept < least {
+                    return Err(PathError::TooShort {
+                        seconds,
+                        hold_s: bullet.hold_s + 2.0 * least,
+                    });
+                }
+                // Both sides give in proportion, but keep what the slowing down needs.
+                let spare = all.iter().zip(ease_s).map(|(a, e)| a - 0.5 * e).sum::<f64>();
+                let share = if spare > 0.0 { (kept - least) / spare } else { 0.0 };
+                bullet.played_s = std::array::from_fn(|i| 0.5 * ease_s[i] + share * (all[i] - 0.5 * ease_s[i]));
+            }
+        }
+        Ok(bullet)
+    }
+
+    /// Length of the path.
+    pub fn seconds(&self) -> f64 {
+        self.lead_s() + self.hold_s + self.played_s[1] + 0.5 * self.ease_s[1]
+    }
+
+    /// When time begins to stand still.
+    fn lead_s(&self) -> f64 {
+        self.played_s[0] + 0.5 * self.ease_s[0]
+    }
+
+    /// The moment of the source at a time of the path, and how far the camera is on its way round, 0..1.
+    pub fn at(&self, path_s: f64) -> (f64, f64) {
+        let left = self.lead_s() - path_s;
+        if left > 0.0 {
+            return (self.freeze_s - eased(left, self.ease_s[0]), 0.0);
+        }
+        let held = -left;
+        if held <= self.hold_s {
+            return (self.freeze_s, held / self.hold_s);
+        }
+        (self.freeze_s + eased(held - self.hold_s, self.ease_s[1]), 1.0)
+    }
+
+    /// The camera at a time of the path; `region` is where time stands still.
+    pub fn stop(
+        &self,
+        path_s: f64,
+        source: &SourcePath,
+        region: &Region,
+        options: &PathOptions,
+        config: &PathConfig,
+    ) -> Stop {
+        let (source_s, round) = self.at(path_s);
+        if round <= 0.0 || round >= 1.0 {
+            return source.at(source.moment(source_s));
+        }
+        // At rest at both ends.
+        let phase = TAU * round * round * (3.0 - 2.0 * round);
+        let side = side_rad(region, options, config);
+        let (side, up) = (side * phase.sin(), side.abs() * config.up_share * (2.0 * phase).sin());
+        Stop {
+            camera: orbit(&region.stop.camera, &region.pivot(), side, up),
+            ..region.stop
+        }
+    }
+}
+
+/// Seconds of the source in `s` seconds after standing still, with speed growing evenly for `ease_s`.
+fn eased(s: f64, ease_s: f64) -> f64 {
+    if s < ease_s {
+        s * s / (2.0 * ease_s)
+    } else {
+        s - 0.5 * ease_s
+    }
+}

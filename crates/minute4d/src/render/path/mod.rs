@@ -1,0 +1,352 @@
+//! Which cameras look, and when.
+
+mod bullet;
+mod keyed;
+mod shapes;
+mod source;
+mod stabilised;
+
+pub use source::SourcePath;
+
+use super::{Painter, PathConfig, PathError, PathOptions, Region, RenderJob, Span, TimePath, source_fps};
+use crate::Error;
+use bullet::Bullet;
+use keyed::KeyedPath;
+use m4_io::trajectory::{self, Trajectory};
+use m4_scene::{Camera, Exposure, Scene};
+use stabilised::Smoothing;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Most pictures of a path.
+const MAX_FRAMES: usize = 100_000;
+/// Sources with fewer frames a second than this do not look smooth, so paths that can have more get
+/// [`super::DEFAULT_FPS`].
+const SMOOTH_FPS: f64 = 20.0;
+/// The words for camera paths.
+pub const WORDS: [&str; 8] = [
+    "train",
+    "source",
+    "stabilised",
+    "swing",
+    "arc",
+    "spiral",
+    "dolly",
+    "bullet",
+];
+
+/// A row of cameras.
+#[derive(Debug, Clone, PartialEq)]
+pub enum CameraPath {
+    /// `train`: those that took the video, each once, with their exposures.
+    Train,
+    /// `source`: the camera that took the video, at any frame rate.
+    Source,
+    /// `stabilised`: the same without its tremble.
+    Stabilised,
+    /// `swing`: a figure of eight about what one camera sees.
+    Swing,
+    /// `arc`: from one side to the other about what one camera sees.
+    Arc,
+    /// `spiral`: round an ellipse, looking at what one camera sees.
+    Spiral,
+    /// `dolly`: in along the view of one camera, and back.
+    Dolly,
+    /// `bullet`: the source, which stands still in time once while the camera goes round.
+    Bullet,
+    /// `test:TRANSFORMS` or another file: the cameras or keyframes there, in the scene's world.
+    File(PathBuf),
+}
+
+impl fmt::Display for CameraPath {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Train => "train",
+            Self::Source => "source",
+            Self::Stabilised => "stabilised",
+            Self::Swing => "swing",
+            Self::Arc => "arc",
+            Self::Spiral => "spiral",
+            Self::Dolly => "dolly",
+            Self::Bullet => "bullet",
+            Self::File(path) => return write!(f, "{}", path.display()),
+        })
+    }
+}
+
+/// A camera on a path.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stop {
+    /// Lens and pose.
+    pub camera: Camera,
+    /// Its own moment, frames.
+    pub t: f64,
+    /// Colour correction of what it sees.
+    pub exposure: Exposure,
+}
+
+/// Every camera of a path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plan {
+    /// One a picture.
+    pub stops: Vec<Stop>,
+    /// Pictures a second.
+    pub fps: f64,
+    /// What had no effect, for people.
+    pub remarks: Vec<String>,
+}
+
+impl CameraPath {
+    /// The path of that name; a name that is none of the words is a file.
+    #[must_use]
+    pub fn named(name: &str) -> Self {
+        match name {
+            "train" => Self::Train,
+            "source" => Self::Source,
+            "stabilised" | "stabilized" => Self::Stabilised,
+            "swing" => Self::Swing,
+            "arc" => Self::Arc,
+            "spiral" => Self::Spiral,
+            "dolly" => Self::Dolly,
+            "bullet" => Self::Bullet,
+            _ => Self::File(name.strip_prefix("test:").unwrap_or(name).into()),
+        }
+    }
+
+    /// Its cameras in a scene.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Path`] for options that cannot work, [`Error::Time`] for moments outside the scene,
+    /// [`Error::ReadTrajectory`] for a file that cannot be used.
+    pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>, job: &RenderJob) -> Result<Plan, Error> {
+        job.options.check(self)?;
+        let fps = job.fps.unwrap_or_else(|| self.own_fps(scene));
+        if let Self::File(path) = self {
+            return file(path, scene, job);
+        }
+        let source = SourcePath::new(scene, &self.to_string())?;
+        let made = Maker {
+            scene,
+            source: &source,
+            options: &job.options,
+            config: &job.config,
+            fps,
+            at: anchor(job, &span(scene))?,
+        };
+        Ok(Plan {
+            stops: made.stops(self, painter)?,
+            fps,
+            remarks: Vec::new(),
+        })
+    }
+
+    fn own_fps(&self, scene: &Scene) -> f64 {
+        let own = source_fps(scene);
+        if *self == Self::Train || own >= SMOOTH_FPS {
+            own
+        } else {
+            super::DEFAULT_FPS
+        }
+    }
+}
+
+/// How long a scene lasts.
+pub fn span(scene: &Scene) -> Span {
+    Span {
+        time_frames: scene.time_frames,
+        duration_s: scene.duration_s,
+    }
+}
+
+/// The moment that was asked for, frames: where to start, or where time stands still.
+fn anchor(job: &RenderJob, span: &Span) -> Result<Option<f64>, Error> {
+    let frozen = match job.time {
+        TimePath::Freeze(moment) => Some(moment),
+        _ => None,
+    };
+    Ok(job.options.at.or(frozen).map(|m| span.frames(m)).transpose()?)
+}
+
+/// Pictures of an open path: one at both ends, if the rate meets them.
+fn open_frames(seconds: f64, fps: f64) -> Result<usize, PathError> {
+    limited((seconds * fps + 1e-6).floor() + 1.0, seconds, fps)
+}
+
+/// Pictures of a path that is closed: the last is the one before the first.
+fn closed_frames(seconds: f64, fps: f64) -> Result<usize, PathError> {
+    limited((seconds * fps).round().max(1.0), seconds, fps)
+}
+
+fn limited(frames: f64, seconds: f64, fps: f64) -> Result<usize, PathError> {
+    if frames <= MAX_FRAMES as f64 {
+        Ok(frames as usize)
+    } else {
+        Err(PathError::TooManyFrames {
+            seconds,
+            fps,
+            frames,
+            limit: MAX_FRAMES,
+        })
+    }
+}
+
+/// What a path is made of.
+struct Maker<'a> {
+    scene: &'a Scene,
+    source: &'a SourcePath,
+    options: &'a PathOptions,
+    config: &'a PathConfig,
+    fps: f64,
+    /// Frames.
+    at: Option<f64>,
+}
+
+impl Maker<'_> {
+    fn stops(&self, path: &CameraPath, painter: &mut Painter<'_>) -> Result<Vec<Stop>, PathError> {
+        match path {
+            // A file does not come here: it has no need of a maker.
+            CameraPath::Train | CameraPath::File(_) => Ok(match self.options.at {
+                Some(_) => vec![self.source.at(self.at.unwrap_or(0.0))],
+                None => self.scene.source.iter().map(stop_of).collect(),
+            }),
+            CameraPath::Source => self.along(|t| self.source.at(t)),
+            CameraPath::Stabilised => self.stabilised(painter),
+            CameraPath::Bullet => self.bullet(painter),
+            CameraPath::Swing => self.about(painter, true, shapes::swing),
+            CameraPath::Spiral => self.about(painter, true, shapes::spiral),
+            CameraPath::Dolly => self.about(painter, true, shapes::dolly),
+            CameraPath::Arc => self.about(painter, false, shapes::arc),
+        }
+    }
+
+    /// From the first to the last frame of the source, or the one moment that is asked for.
+    fn along(&self, stop: impl Fn(f64) -> Stop) -> Result<Vec<Stop>, PathError> {
+        if let (Some(t), Some(_)) = (self.at, self.options.at) {
+            return Ok(vec![stop(t)]);
+        }
+        let own_s = self.source.seconds();
+        let seconds = self.options.seconds.unwrap_or(own_s);
+        let pace = if seconds > 0.0 { own_s / seconds } else { 0.0 };
+        let n = open_frames(seconds, self.fps)?;
+        Ok((0..n)
+            .map(|i| stop(self.source.moment(pace * i as f64 / self.fps)))
+            .collect())
+    }
+
+    fn stabilised(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, PathError> {
+        let region = self.region(painter);
+        let smoothing = Smoothing {
+            sigma_s: self.options.smooth_s.unwrap_or(self.config.smooth_s),
+            strength: self.options.strength.unwrap_or(1.0),
+            stray: self.config.stray * region.distance,
+            stray_rad: self.config.stray_deg.to_radians(),
+        };
+        let smoothed = stabilised::stabilised(self.source, &smoothing);
+        self.along(|t| {
+            let mut stop = self.source.at(t);
+            stop.camera.c2w = smoothed.at(t);
+            stop
+        })
+    }
+
+    /// A shape about what one camera sees, in the moment of that camera.
+    fn about(
+        &self,
+        painter: &mut Painter<'_>,
+        closed: bool,
+        shape: impl Fn(&Region, f64, &PathOptions, &PathConfig) -> Camera,
+    ) -> Result<Vec<Stop>, PathError> {
+        let region = self.region(painter);
+        let seconds = self.options.seconds.unwrap_or(self.config.seconds);
+        let n = closed_frames(seconds, self.fps)?;
+        let whole = if closed { n } else { n.max(2) - 1 } as f64;
+        let stops = (0..n).map(|i| Stop {
+            camera: shape(&region, i as f64 / whole, self.options, self.config),
+            t: region.stop.t,
+            exposure: Exposure::IDENTITY,
+        });
+        Ok(stops.collect())
+    }
+
+    fn bullet(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, PathError> {
+        let region = self.region(painter);
+        let (first, _) = self.source.span();
+        let freeze_s = (region.stop.t - first) / self.source.frames_per_s;
+        let bullet = Bullet::new(freeze_s, self.source.seconds(), self.options, self.config)?;
+        let n = open_frames(bullet.seconds(), self.fps)?;
+        let stop = |i: usize| bullet.stop(i as f64 / self.fps, self.source, &region, self.options, self.config);
+        Ok((0..n).map(stop).collect())
+    }
+
+    /// Where a path starts: at the moment asked for, or at the source's middle frame.
+    fn region(&self, painter: &mut Painter<'_>) -> Region {
+        let middle = self.scene.source.get(self.scene.source.len() / 2).map_or(0.0, |s| s.t);
+        let stop = self.source.at(self.at.unwrap_or(middle));
+        Region::of(self.scene, painter, stop)
+    }
+}
+
+fn stop_of(frame: &m4_scene::SourceFrame) -> Stop {
+    Stop {
+        camera: frame.camera,
+        t: frame.t,
+        exposure: frame.exposure,
+    }
+}
+
+fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
+    if path.extension().is_none() && !path.exists() {
+        return Err(PathError::Unknown {
+            name: path.display().to_string(),
+        }
+        .into());
+    }
+    match trajectory::load(path, scene.time_frames)? {
+        Trajectory::Listed(listed) => {
+            if job.options.seconds.is_some() {
+                return Err(PathError::Unused {
+                    option: "--seconds",
+                    path: path.display().to_string(),
+                    known: &[],
+                }
+                .into());
+            }
+            let stops = listed.cameras.into_iter().map(|(camera, t)| Stop {
+                camera,
+                t,
+                exposure: Exposure::IDENTITY,
+            });
+            Ok(Plan {
+                stops: stops.collect(),
+                fps: job.fps.or(listed.fps).unwrap_or_else(|| source_fps(scene)),
+                remarks: listed.remarks,
+            })
+        }
+        Trajectory::Keyed(keyed) => {
+            let source = SourcePath::new(scene, &path.display().to_string())?;
+            let through = KeyedPath::new(&keyed, &source, &span(scene))?;
+            let fps = job
+                .fps
+                .or(keyed.fps)
+                .unwrap_or_else(|| CameraPath::Source.own_fps(scene));
+            let seconds = job.options.seconds.unwrap_or(through.seconds);
+            let pace = if seconds > 0.0 { through.seconds / seconds } else { 0.0 };
+            let n = if through.closed {
+                closed_frames(seconds, fps)?
+            } else if through.seconds > 0.0 {
+                open_frames(seconds, fps)?
+            } else {
+                1
+            };
+            Ok(Plan {
+                stops: (0..n).map(|i| through.at(pace * i as f64 / fps)).collect(),
+                fps,
+                remarks: keyed.remarks,
+            })
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;
