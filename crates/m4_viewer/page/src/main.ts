@@ -98,7 +98,9 @@ async function start(): Promise<App> {
   control(HTMLElement, "side").hidden = true;
   addFrames(app, manifest).catch((error: unknown) => toast(toPageError(error).title));
   if (manifest.live) {
-    new Follower(app, manifest.live, new LivePanel(), () => title(app.manifest));
+    const panel = new LivePanel();
+    if (!data) panel.show();
+    new Follower(app, manifest.live, panel, () => title(app.manifest));
   }
 
   find(HTMLElement, ".dock").hidden = false;

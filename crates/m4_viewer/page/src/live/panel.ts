@@ -72,7 +72,6 @@ export class LivePanel {
     const body = make("div", "body", make("div", "bar", this.fill));
     body.append(...Object.values(this.plots).map((p) => p.element));
     this.root.append(header, body);
-    this.root.hidden = false;
     this.fold(NARROW.matches);
     this.set("waiting");
   }
@@ -80,6 +79,11 @@ export class LivePanel {
   private fold(folded: boolean): void {
     this.root.classList.toggle("folded", folded);
     this.root.querySelector("button")?.setAttribute("aria-expanded", String(!folded));
+  }
+
+  /** A page without a run has nothing to tell. */
+  show(): void {
+    this.root.hidden = false;
   }
 
   set(state: RunState): void {
@@ -92,6 +96,7 @@ export class LivePanel {
   }
 
   push(metrics: Metrics): void {
+    this.show();
     const { iteration, iterations } = metrics;
     const known = Number.isFinite(iterations) && iterations > 0;
     setText(this.count, known ? `${count(iteration)} / ${count(iterations)}` : count(iteration));

@@ -7,6 +7,11 @@ import { Bench, ready } from "./browser";
 import { elements, fixture, pageWith } from "./fixture";
 
 const TOKEN = "secret";
+/** What the program's own server allows the page. */
+const POLICY =
+  "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob: data:; style-src 'unsafe-inline'; " +
+  "img-src data: blob:; font-src data:; connect-src 'self' data: blob:; worker-src blob: data:; base-uri 'none'; " +
+  "form-action 'none'; frame-ancestors 'none'";
 const scene = fixture();
 let bench: Bench;
 let server: Server;
@@ -29,6 +34,7 @@ beforeAll(async () => {
     if (url.pathname === "/") {
       const live = { events: "/events", scene: "/scene", token: TOKEN };
       response.setHeader("content-type", "text/html");
+      response.setHeader("content-security-policy", POLICY);
       const parts = elements({ ...scene, manifest: { ...scene.manifest, live } });
       response.end(pageWith({ ...parts, splats: null }));
     } else if (url.searchParams.get("token") !== TOKEN) {
