@@ -1,0 +1,49 @@
+//! Settings of the page.
+
+use m4_viewer::payload::PayloadConfig;
+use m4_viewer::{FrameLimits, SafeConfig};
+use serde::{Deserialize, Serialize};
+
+/// What goes into the page of a scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ViewerConfig {
+    /// Write `viewer.html` at the end of a run.
+    pub write: bool,
+    /// How finely the splats are kept.
+    pub splats: PayloadConfig,
+    /// The frames of the source, shown beside the scene.
+    pub frames: FrameLimits,
+    /// How far from the source cameras the scene is shown without a fade.
+    pub safe: SafeConfig,
+}
+
+impl Default for ViewerConfig {
+    fn default() -> Self {
+        Self {
+            write: true,
+            splats: PayloadConfig::default(),
+            frames: FrameLimits::default(),
+            safe: SafeConfig::default(),
+        }
+    }
+}
+
+/// How often a page that is open is shown how training goes on; no part of the result.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LiveConfig {
+    /// Least seconds between two scenes. 2: a person does not follow more.
+    pub every_s: f64,
+    /// Most of the machine's time that scenes for the page may take; when they would take more there are
+    /// fewer. 0.03: not noticed.
+    pub share: f64,
+}
+
+impl Default for LiveConfig {
+    fn default() -> Self {
+        Self {
+            every_s: 2.0,
+            share: 0.03,
+        }
+    }
+}

@@ -1,0 +1,20 @@
+//! Scenes in a browser: `viewer.html` of a run, and the same page from a local server.
+//!
+//! [`stage`](self) writes the page as the last stage of a run. [`view`] serves a scene that is there and
+//! shows every newer one; [`Broadcast`] does so from within the process that trains.
+
+mod broadcast;
+mod config;
+mod file;
+mod pack;
+mod source;
+mod view;
+
+pub use broadcast::Broadcast;
+pub use config::{LiveConfig, ViewerConfig};
+pub(crate) use file::stage;
+pub use file::title;
+pub use view::{Viewing, view};
+
+/// Name of the stage.
+pub const STAGE: &str = "viewer";

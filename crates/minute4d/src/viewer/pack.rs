@@ -1,0 +1,38 @@
+//! A scene to what the page is given.
+
+use super::ViewerConfig;
+use crate::Error;
+use crate::render::{Painter, source_fps};
+use m4_kernels::SimdLevel;
+use m4_scene::{Capture, RgbImage, Scene};
+use m4_viewer::payload::{Payload, encode};
+use m4_viewer::{About, Frames, Manifest, encode_frames};
+
+/// The splats for the page, and what it is told of them. `median_depth`: of what the middle camera
+/// sees, world units.
+pub(super) fn pack(scene: &Scene, title: &str, median_depth: f64, config: &ViewerConfig) -> (Manifest, Payload) {
+    let payload = encode(scene, median_depth, &config.splats);
+    let about = About {
+        title,
+        median_depth,
+        fps: source_fps(scene),
+        safe: config.safe,
+    };
+    (Manifest::new(scene, &payload, &about), payload)
+}
+
+/// Median z-depth of what the middle camera of a scene sees, world units; 1 where it sees nothing.
+pub(super) fn median_depth(scene: &Scene, level: SimdLevel) -> f64 {
+    let middle = scene.source.get(scene.source.len() / 2);
+    let depth = middle.and_then(|s| Painter::new(scene, level).median_depth(&s.camera, s.t));
+    depth.unwrap_or(1.0)
+}
+
+/// The frames of a capture for the page of a scene; `None` where they are not those of its cameras.
+pub(super) fn frames(capture: &Capture, scene: &Scene, config: &ViewerConfig) -> Result<Option<Frames>, Error> {
+    if capture.frames.len() != scene.source.len() {
+        return Ok(None);
+    }
+    let pictures: Vec<&RgbImage> = capture.frames.iter().map(|f| &f.rgb).collect();
+    Ok(encode_frames(&pictures, &config.frames)?)
+}

@@ -1,0 +1,68 @@
+//! `minute4d view`, and `--view` of the commands that train.
+
+use crate::args::{PageArgs, View};
+use crate::failure::Failure;
+use crate::output::Output;
+use minute4d::record::RunRecord;
+use minute4d::viewer::{Broadcast, LiveConfig, title};
+use minute4d::{Error, Observer};
+use serde_json::json;
+use std::io::IsTerminal;
+use std::path::Path;
+
+pub fn run(args: &View, output: &Output) -> Result<(), Failure> {
+    let mut viewing = minute4d::viewer::view(&args.scene, args.port.unwrap_or(0), output)?;
+    output.result(viewing.url(), json!({"url": viewing.url()}));
+    output.note("the page shows newer scenes by itself; Ctrl-C ends it");
+    open(viewing.url(), args.no_open, output);
+    output.stop().nothing_to_save();
+    viewing.follow(output);
+    Ok(())
+}
+
+/// Trains with `work`, which is given who listens; with `--view` pages listen too, and stay until
+/// Ctrl-C where somebody sits at a terminal. `report` says the result before that.
+pub fn while_training(
+    args: &PageArgs,
+    (input, out): (&Path, &Path),
+    output: &Output,
+    work: impl FnOnce(&dyn Observer) -> Result<RunRecord, Error>,
+    report: impl FnOnce(&RunRecord) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    if !args.view {
+        return report(&work(output)?);
+    }
+    let name = title(out, &input.display().to_string());
+    let mut live = Broadcast::start(output, &name, args.port.unwrap_or(0), LiveConfig::default())?;
+    output.address(live.url());
+    open(live.url(), args.no_open, output);
+    let done = work(&live);
+    let shown = live.finish(out, done.is_ok());
+    report(&done?)?;
+    // a scene that cannot be shown is there all the same
+    if let Err(error) = shown {
+        output.note(&format!("the page does not show the result: {error}"));
+    }
+    let briefly = !std::io::stdout().is_terminal() || output.is_json();
+    if !briefly {
+        output.note("the page stays; Ctrl-C ends it");
+        output.stop().nothing_to_save();
+    }
+    live.stay(briefly);
+    Ok(())
+}
+
+/// Opens the browser where somebody sits before one.
+fn open(url: &str, no_open: bool, output: &Output) {
+    // without a screen the system would start a browser in the terminal
+    let screen = cfg!(any(windows, target_os = "macos"))
+        || ["DISPLAY", "WAYLAND_DISPLAY"]
+            .iter()
+            .any(|name| std::env::var_os(name).is_some());
+    if no_open || !screen || !std::io::stdout().is_terminal() {
+        return;
+    }
+    if let Err(error) = open::that_detached(url) {
+        output.note(&format!("no browser opens ({error}); open the address yourself"));
+    }
+}
