@@ -15,6 +15,9 @@ use m4_kernels::SimdLevelError;
 use m4_slam::dense::DenseError;
 use m4_slam::sparse::SparseError;
 use m4_train::TrainError;
+use m4_viewer::FramesError;
+use m4_viewer::page::PageError;
+use m4_viewer::server::ServeError;
 use std::io;
 use std::path::PathBuf;
 
@@ -224,6 +227,15 @@ pub enum Error {
     /// Training.
     #[error(transparent)]
     Train(#[from] TrainError),
+    /// The page of a scene.
+    #[error(transparent)]
+    Page(#[from] PageError),
+    /// The frames in it.
+    #[error(transparent)]
+    Frames(#[from] FramesError),
+    /// The server of the page.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
     /// Scoring pictures.
     #[error(transparent)]
     Score(#[from] ImageError),
@@ -252,7 +264,7 @@ impl Error {
             | Self::Exists { .. }
             | Self::WouldReplace { .. }
             | Self::Verify { .. } => Category::CannotWrite,
-            Self::Busy { .. } => Category::TryAgain,
+            Self::Busy { .. } | Self::Serve(_) => Category::TryAgain,
             Self::Missing { .. } => Category::NoInput,
             Self::Unknown { .. }
             | Self::NoTestList { .. }
@@ -260,7 +272,8 @@ impl Error {
             | Self::ScoreGeometry(_)
             | Self::Llff { .. } => Category::BadInput,
             Self::Stopped { .. } => Category::Stopped,
-            Self::Internal { .. } => Category::Internal,
+            Self::Internal { .. } | Self::Frames(_) => Category::Internal,
+            Self::Page(_) => Category::BadInput,
             Self::Settings(SettingsError::Read { source, .. }) => ErrorKind::of_read(source).into(),
             Self::Settings(SettingsError::Internal { .. }) => Category::Internal,
             Self::Settings(_) => Category::BadSettings,

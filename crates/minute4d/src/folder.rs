@@ -12,6 +12,8 @@ pub const SCENE_FILE: &str = "scene.safetensors";
 pub const METRICS_FILE: &str = "metrics.jsonl";
 /// Source, re-render and frozen time side by side.
 pub const PREVIEW_FILE: &str = "preview.mp4";
+/// The page that shows the scene in a browser.
+pub const VIEWER_FILE: &str = "viewer.html";
 /// Scores over the held-out views.
 pub const EVAL_FILE: &str = "eval.json";
 /// The capture that `run` makes of a video.
@@ -120,7 +122,7 @@ pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
 
 /// Removes what a run writes, and nothing else.
 fn clear(folder: &Path) -> Result<(), Error> {
-    for file in [RUN_FILE, SCENE_FILE, METRICS_FILE, PREVIEW_FILE, EVAL_FILE] {
+    for file in [RUN_FILE, SCENE_FILE, METRICS_FILE, PREVIEW_FILE, VIEWER_FILE, EVAL_FILE] {
         remove_file(&folder.join(file))?;
     }
     remove_checkpoints(folder)?;

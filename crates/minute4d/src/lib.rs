@@ -1,7 +1,7 @@
 //! The stages wired into one pipeline: a casual video in, a moving 3D scene out.
 //!
 //! ```text
-//! video --geometry--> capture --train--> scene.safetensors --render, preview, evaluate-->
+//! video --geometry--> capture --train--> scene.safetensors --render, preview, viewer, evaluate-->
 //! ```
 //!
 //! [`run`] does everything; [`geometry::make`], [`train::make`], [`render::make`] and the functions of
@@ -35,6 +35,7 @@ pub mod record;
 pub mod render;
 pub mod settings;
 pub mod train;
+pub mod viewer;
 
 mod error;
 mod hash;
@@ -61,4 +62,4 @@ pub use m4_scene as scene;
 pub use m4_scene::{Progress, Silent};
 pub use m4_slam as slam;
 pub use m4_train as training;
-pub use m4_viewer as viewer;
+pub use m4_viewer as page;

@@ -1,9 +1,9 @@
-//! Everything in one go: geometry, train, preview.
+//! Everything in one go: geometry, train, preview, viewer.
 
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{Input, RunRecord, StageRecord};
 use crate::workspace::Workspace;
-use crate::{Error, Existing, Job, geometry, hash, preview, train};
+use crate::{Error, Existing, Job, geometry, hash, preview, train, viewer};
 use std::path::Path;
 
 /// Makes a scene of a video, a folder of pictures, or a capture; what an earlier run finished is used
@@ -47,7 +47,8 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
         run.record.stages.insert(geometry::STAGE.to_owned(), stage);
         let capture = train::read(&folder, &job.settings, job.observer)?;
         let scene = train::stage(run, &capture)?;
-        preview::stage(run, &capture, &scene)
+        preview::stage(run, &capture, &scene)?;
+        viewer::stage(run, &capture, &scene)
     })
 }
 

@@ -1,6 +1,7 @@
 //! What a caller learns while a pipeline runs: stages beside the steps within them.
 
-use m4_scene::Progress;
+use m4_scene::{Progress, Scene};
+use m4_train::MetricsEvent;
 use std::sync::{Mutex, PoisonError};
 
 /// What happens to a stage.
@@ -32,6 +33,23 @@ pub enum StageEvent<'a> {
 pub trait Observer: Progress {
     /// Something happened to the stage named.
     fn stage(&self, name: &str, event: StageEvent<'_>);
+
+    /// How training goes on, of so many iterations.
+    fn metrics(&self, metrics: &MetricsEvent, iterations: usize) {
+        let _ = (metrics, iterations);
+    }
+
+    /// True when [`scene`](Self::scene) is to be called; training asks between two steps, so the answer
+    /// must be cheap.
+    fn wants_scene(&self) -> bool {
+        false
+    }
+
+    /// The scene as it is now, where that is wanted: `copy` makes a copy, which training waits for.
+    /// `median_depth` is that of the capture, world units.
+    fn scene(&self, copy: &mut dyn FnMut() -> Scene, median_depth: f64) {
+        let _ = (copy, median_depth);
+    }
 }
 
 impl Observer for m4_scene::Silent {

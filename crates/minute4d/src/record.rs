@@ -131,7 +131,7 @@ pub struct RunRecord {
     /// `bitwise`: the same input, settings, seed and SIMD level give the same bits on any number of
     /// threads.
     pub determinism: String,
-    /// By name: `geometry`, `train`, `preview`.
+    /// By name: `geometry`, `train`, `preview`, `viewer`.
     pub stages: BTreeMap<String, StageRecord>,
     /// Wall-clock seconds of all stages.
     pub seconds: f64,

@@ -272,9 +272,15 @@ fn what_is_finished_is_not_done_again_unless_something_changed() {
             .collect()
     };
     let first = stages(&train(&data, &out, "20", &["--json"]));
-    assert_eq!(first, ["train started null", "preview started null"]);
+    assert_eq!(
+        first,
+        ["train started null", "preview started null", "viewer started null"]
+    );
     let again = stages(&train(&data, &out, "20", &["--json", "--resume"]));
-    assert_eq!(again, ["train reused null", "preview reused null"]);
+    assert_eq!(
+        again,
+        ["train reused null", "preview reused null", "viewer reused null"]
+    );
     let more = stages(&train(&data, &out, "21", &["--json", "--resume"]));
     assert_eq!(more[0], "train started because the settings changed");
 
@@ -409,7 +415,7 @@ fn pictures_of_a_still_camera_become_a_scene() {
     let ended = succeed(&args);
     ended.end();
     let record = read_json(&dir.path("out/run.json"));
-    for stage in ["geometry", "train", "preview"] {
+    for stage in ["geometry", "train", "preview", "viewer"] {
         assert_eq!(record["stages"][stage]["done"], true, "{record}");
     }
     assert!(
@@ -419,6 +425,7 @@ fn pictures_of_a_still_camera_become_a_scene() {
     for file in [
         "scene.safetensors",
         "preview.mp4",
+        "viewer.html",
         "metrics.jsonl",
         "capture/transforms_train.json",
     ] {
@@ -427,7 +434,7 @@ fn pictures_of_a_still_camera_become_a_scene() {
     let again: Vec<&str> = args.iter().copied().chain(["--resume"]).collect();
     let events = succeed(&again).events();
     let reused = events.iter().filter(|e| e["status"] == "reused").count();
-    assert_eq!(reused, 3, "{events:?}");
+    assert_eq!(reused, 4, "{events:?}");
     assert_eq!(text(&dir.path("out")), out);
 }
 

@@ -7,6 +7,7 @@ pub use layers::{Layers, SettingsError};
 pub use preset::Preset;
 
 use crate::preview::PreviewConfig;
+use crate::viewer::ViewerConfig;
 use m4_init::InitConfig;
 use m4_io::capture::CaptureOptions;
 use m4_io::video::VideoOptions;
@@ -35,6 +36,8 @@ pub struct Settings {
     pub checkpoint: CheckpointConfig,
     /// The clip that shows the result.
     pub preview: PreviewConfig,
+    /// The page that shows the result.
+    pub viewer: ViewerConfig,
 }
 
 /// When training is saved.
@@ -72,6 +75,7 @@ impl Settings {
             train: TrainConfig::fast(),
             checkpoint: CheckpointConfig::default(),
             preview: PreviewConfig::default(),
+            viewer: ViewerConfig::default(),
         }
     }
 

@@ -1,7 +1,7 @@
 //! Scenes saved while training goes on, and how training goes on from them.
 
-use crate::Error;
 use crate::folder;
+use crate::{Error, Observer};
 use m4_io::scene_file::{self, SceneFile};
 use m4_kernels::SimdLevel;
 use m4_scene::{Capture, Progress};
@@ -84,9 +84,11 @@ impl Checkpoints {
     }
 }
 
-/// Stops a trainer when it is time for a checkpoint, or when the user says so.
+/// Stops a trainer when it is time for a checkpoint, when somebody wants to see the scene, or when the
+/// user says so.
 pub(super) struct Patience<'a> {
     inner: &'a dyn Progress,
+    observer: &'a dyn Observer,
     until: Instant,
     /// Training asks before every step; the first step is always taken, however short the wait.
     asked: AtomicBool,
@@ -94,14 +96,25 @@ pub(super) struct Patience<'a> {
 
 impl<'a> Patience<'a> {
     /// Lasts for so many seconds.
-    pub fn new(inner: &'a dyn Progress, seconds: f64) -> Self {
+    pub fn new(inner: &'a dyn Progress, observer: &'a dyn Observer, seconds: f64) -> Self {
         const LONGEST: Duration = Duration::from_secs(1 << 31);
         let wait = Duration::try_from_secs_f64(seconds).unwrap_or(LONGEST).min(LONGEST);
         Self {
             inner,
+            observer,
             until: Instant::now() + wait,
             asked: AtomicBool::new(false),
         }
+    }
+
+    /// True when it is time for a checkpoint.
+    pub fn is_over(&self) -> bool {
+        Instant::now() >= self.until
+    }
+
+    /// Allows the trainer another step, whatever the time is.
+    pub fn take_a_step(&self) {
+        self.asked.store(false, Ordering::Relaxed);
     }
 
     /// True if the user asked to stop.
@@ -120,7 +133,8 @@ impl Progress for Patience<'_> {
     }
 
     fn cancelled(&self) -> bool {
-        self.inner.cancelled() || (self.asked.swap(true, Ordering::Relaxed) && Instant::now() >= self.until)
+        let due = || self.is_over() || self.observer.wants_scene();
+        self.inner.cancelled() || (self.asked.swap(true, Ordering::Relaxed) && due())
     }
 }
 
@@ -131,10 +145,12 @@ mod tests {
 
     #[test]
     fn even_no_patience_allows_a_step() {
-        let patience = Patience::new(&Silent, 0.0);
+        let patience = Patience::new(&Silent, &Silent, 0.0);
         assert!(!patience.cancelled());
-        assert!(patience.cancelled() && !patience.stopped_by_user());
-        let endless = Patience::new(&Silent, f64::INFINITY);
+        assert!(patience.cancelled() && !patience.stopped_by_user() && patience.is_over());
+        patience.take_a_step();
+        assert!(!patience.cancelled(), "one more");
+        let endless = Patience::new(&Silent, &Silent, f64::INFINITY);
         assert!(!endless.cancelled() && !endless.cancelled());
     }
 }

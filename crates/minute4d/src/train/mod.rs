@@ -3,17 +3,17 @@
 mod checkpoint;
 mod metrics;
 
-use crate::folder::{self, METRICS_FILE, SCENE_FILE};
+use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::progress::Keeper;
 use crate::record::{Input, RunRecord, SplatCount};
 use crate::settings::part_to_toml;
 use crate::workspace::{Task, Workspace};
-use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview};
+use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
 use checkpoint::{Checkpoints, Patience};
 use m4_io::capture::Split;
 use m4_io::scene_file;
 use m4_scene::{Capture, Progress, Scene, Splats, TrainState};
-use m4_train::{Outcome, TrainError, Trainer};
+use m4_train::{MetricsEvent, Outcome, TrainError, Trainer};
 use metrics::MetricsLog;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -50,7 +50,8 @@ pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Erro
     };
     Workspace::open(out, input, job)?.finish(|run| {
         let scene = stage(run, &data)?;
-        preview::stage(run, &data, &scene)
+        preview::stage(run, &data, &scene)?;
+        viewer::stage(run, &data, &scene)
     })
 }
 
@@ -98,6 +99,10 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene,
 fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<'_>) -> Result<Scene, Error> {
     let settings = &run.job.settings;
     folder::remove_file(&run.path(SCENE_FILE))?;
+    // it would show another scene
+    folder::remove_file(&run.path(VIEWER_FILE))?;
+    run.record.files.remove(VIEWER_FILE);
+    run.record.stages.remove(viewer::STAGE);
     let mut checkpoints = Checkpoints::new(&run.folder, key, settings.checkpoint.keep);
     let (mut trainer, mut log) = match checkpoints.latest(capture, &settings.train, run.level, keeper)? {
         Some(trainer) => {
@@ -122,9 +127,15 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
             (trainer, MetricsLog::new(&run.path(METRICS_FILE)))
         }
     };
+    let observer = run.job.observer;
+    let total = trainer.iterations();
+    let mut patience = Patience::new(keeper, observer, settings.checkpoint.every_s);
     loop {
-        let patience = Patience::new(keeper, settings.checkpoint.every_s);
-        let outcome = match trainer.run(&patience, &mut |event| log.push(event)) {
+        let mut note = |event: &MetricsEvent| {
+            log.push(event);
+            observer.metrics(event, total);
+        };
+        let outcome = match trainer.run(&patience, &mut note) {
             Ok(outcome) => outcome,
             Err(error @ TrainError::Diverged { .. }) => {
                 // The trainer is back in its last good state: worth keeping, not worth going on with.
@@ -136,13 +147,21 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
         if outcome == Outcome::Finished {
             break;
         }
-        save(run, &mut trainer, &mut checkpoints, &mut log)?;
-        if patience.stopped_by_user() {
-            return Err(Error::Stopped {
-                stage: STAGE,
-                saved: true,
-            });
+        if observer.wants_scene() {
+            let depth = f64::from(trainer.scale().median_depth);
+            observer.scene(&mut || trainer.scene(), depth);
         }
+        if patience.stopped_by_user() || patience.is_over() {
+            save(run, &mut trainer, &mut checkpoints, &mut log)?;
+            if patience.stopped_by_user() {
+                return Err(Error::Stopped {
+                    stage: STAGE,
+                    saved: true,
+                });
+            }
+            patience = Patience::new(keeper, observer, settings.checkpoint.every_s);
+        }
+        patience.take_a_step();
     }
     log.write()?;
     note_progress(&mut run.record, &trainer);

@@ -11,6 +11,7 @@ mod settings;
 mod train;
 mod values;
 mod video;
+mod view;
 
 pub use bench::{Bench, BenchScene};
 pub use eval::{Eval, EvalGeometry};
@@ -22,6 +23,7 @@ pub use run::Run;
 pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
 pub use train::Train;
 pub use video::VideoArgs;
+pub use view::{PageArgs, View};
 
 use clap::{Args, Parser, Subcommand};
 
@@ -62,7 +64,7 @@ pub struct Common {
 /// What the program does.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// From a video to a scene: geometry, train and a preview
+    /// From a video to a scene: geometry, train, a preview and a page
     Run(Run),
     /// From a video to a capture: poses, focal length, depth, motion masks
     Geometry(Geometry),
@@ -70,6 +72,8 @@ pub enum Command {
     Train(Train),
     /// Pictures or a video of a trained scene
     Render(Render),
+    /// A scene in the browser, from a server on this machine; newer scenes appear by themselves
+    View(View),
     /// Compare a trained scene with the held-out views of a capture
     Eval(Eval),
     /// Compare the cameras, depth and masks of a capture with known ones
@@ -110,6 +114,10 @@ mod tests {
             "bench --scene 5d",
             "bench --frames 96",
             "bench --memory --render",
+            "view",
+            "view a --port 0",
+            "train a -o b --port 8000",
+            "run a -o b --no-open",
         ];
         for line in bad {
             let args = std::iter::once("minute4d").chain(line.split(' '));
@@ -118,6 +126,8 @@ mod tests {
         let good = [
             "run a -o b --start 1.5s --end 3 --threads 2 --json",
             "train --print-config",
+            "view a --port 8000 --no-open",
+            "train a -o b --view --port 8000 --no-open --no-viewer",
             "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick --save",
         ];
         for line in good {

@@ -1,6 +1,6 @@
 //! `minute4d run`
 
-use super::{LengthArgs, OutArgs, SettingsArgs, VideoArgs};
+use super::{LengthArgs, OutArgs, PageArgs, SettingsArgs, VideoArgs};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ pub struct Run {
     /// A video, a folder of images, or a capture folder (then geometry is taken from it)
     #[arg(required_unless_present = "print_config")]
     pub input: Option<PathBuf>,
-    /// Folder for everything: scene.safetensors, preview.mp4, run.json, metrics.jsonl, capture/
+    /// Folder for everything: scene.safetensors, viewer.html, preview.mp4, run.json, metrics.jsonl, capture/
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
     /// How long to train.
@@ -22,6 +22,9 @@ pub struct Run {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,
+    /// The page.
+    #[command(flatten)]
+    pub page: PageArgs,
     /// An existing folder.
     #[command(flatten)]
     pub existing: OutArgs,

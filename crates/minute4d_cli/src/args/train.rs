@@ -1,6 +1,6 @@
 //! `minute4d train`
 
-use super::{LengthArgs, OutArgs, SettingsArgs};
+use super::{LengthArgs, OutArgs, PageArgs, SettingsArgs};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -19,6 +19,9 @@ pub struct Train {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,
+    /// The page.
+    #[command(flatten)]
+    pub page: PageArgs,
     /// An existing folder.
     #[command(flatten)]
     pub existing: OutArgs,

@@ -10,6 +10,7 @@ mod render;
 mod run;
 mod settings;
 mod train;
+mod view;
 
 use crate::args::{Cli, Command};
 use crate::failure::Failure;
@@ -27,6 +28,7 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Geometry(args) => geometry::run(args, output),
         Command::Train(args) => train::run(args, output),
         Command::Render(args) => render::run(args, output),
+        Command::View(args) => view::run(args, output),
         Command::Eval(args) => eval::run(args, output),
         Command::EvalGeometry(args) => eval_geometry::run(args, output),
         Command::Inspect(args) => inspect::run(args, output),

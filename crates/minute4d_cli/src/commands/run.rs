@@ -1,27 +1,38 @@
 //! `minute4d run`: a video to a scene.
 
 use super::settings::{job, print_config, settings};
+use super::view::while_training;
 use crate::args::Run;
 use crate::failure::Failure;
 use crate::output::{Output, duration};
+use minute4d::Observer;
+use minute4d::folder::{PREVIEW_FILE, VIEWER_FILE};
+use minute4d::record::RunRecord;
 use serde_json::json;
+use std::path::Path;
 
 pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
-    let settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
+    let mut settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
+    settings.viewer.write &= !args.page.no_viewer;
     let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
-    let job = job(&args.settings, &args.existing, settings, output);
-    let done = minute4d::run(input, out, &job)?;
-    let preview = out.join(minute4d::folder::PREVIEW_FILE);
-    output.note(&format!(
-        "{} of work in all; look at {}",
-        duration(done.seconds),
-        preview.display()
-    ));
+    let work = |observer: &dyn Observer| {
+        let job = job(&args.settings, &args.existing, settings, observer);
+        minute4d::run(input, out, &job)
+    };
+    while_training(&args.page, (input, out), output, work, |done| report(out, done, output))
+}
+
+/// What was made, where it is and how to look at it.
+pub fn report(out: &Path, done: &RunRecord, output: &Output) -> Result<(), Failure> {
+    let look = [VIEWER_FILE, PREVIEW_FILE];
+    let look = look.into_iter().find(|name| done.files.contains_key(*name));
+    let look = look.map_or_else(String::new, |name| format!("; open {}", out.join(name).display()));
+    output.note(&format!("{} of work in all{look}", duration(done.seconds)));
     output.result(
         &out.display().to_string(),
-        json!({"path": out, "record": minute4d::plain_json(&done)?}),
+        json!({"path": out, "record": minute4d::plain_json(done)?}),
     );
     Ok(())
 }

@@ -4,7 +4,7 @@ use crate::args::{self, LengthArgs, OutArgs, Profile, SettingsArgs, VideoArgs};
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::settings::{Layers, Preset, Settings};
-use minute4d::{Existing, Job};
+use minute4d::{Existing, Job, Observer};
 
 const PRESET_OF_FAITHFUL: &str = "--preset goes with the fast profile; give the faithful one --iterations N, or seconds with \
      --set train.budget_s=60";
@@ -83,7 +83,7 @@ fn lay_video(settings: &mut Settings, args: &VideoArgs) {
 }
 
 /// Everything that the stages of a run need to know.
-pub fn job<'a>(args: &SettingsArgs, existing: &OutArgs, settings: Settings, output: &'a Output) -> Job<'a> {
+pub fn job<'a>(args: &SettingsArgs, existing: &OutArgs, settings: Settings, observer: &'a dyn Observer) -> Job<'a> {
     Job {
         settings,
         profile: args.profile.name().to_owned(),
@@ -92,7 +92,7 @@ pub fn job<'a>(args: &SettingsArgs, existing: &OutArgs, settings: Settings, outp
             (_, true) => Existing::Force,
             _ => Existing::Refuse,
         },
-        observer: output,
+        observer,
     }
 }
 

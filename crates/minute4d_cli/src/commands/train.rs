@@ -1,21 +1,24 @@
 //! `minute4d train`: a capture to a scene.
 
+use super::run::report;
 use super::settings::{job, print_config, settings};
+use super::view::while_training;
 use crate::args::Train;
 use crate::failure::Failure;
 use crate::output::Output;
-use serde_json::json;
+use minute4d::Observer;
 
 pub fn run(args: &Train, output: &Output) -> Result<(), Failure> {
-    let settings = settings(&args.settings, None, Some(&args.length))?;
+    let mut settings = settings(&args.settings, None, Some(&args.length))?;
+    settings.viewer.write &= !args.page.no_viewer;
     let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
-    let job = job(&args.settings, &args.existing, settings, output);
-    let record = minute4d::train::make(capture, out, &job)?;
-    output.result(
-        &out.display().to_string(),
-        json!({"path": out, "record": minute4d::plain_json(&record)?}),
-    );
-    Ok(())
+    let work = |observer: &dyn Observer| {
+        let job = job(&args.settings, &args.existing, settings, observer);
+        minute4d::train::make(capture, out, &job)
+    };
+    while_training(&args.page, (capture, out), output, work, |done| {
+        report(out, done, output)
+    })
 }

@@ -73,6 +73,19 @@ impl Output {
         }
     }
 
+    /// Where a page is while work goes on: an event, or a line on stderr, also when nothing else is said.
+    pub fn address(&self, url: &str) {
+        match &self.mode {
+            Mode::Json(events) => events.emit("view", &[("url", url.into())]),
+            _ => self.say(&format!("the scene is shown at {url}")),
+        }
+    }
+
+    /// True for `--json`.
+    pub fn is_json(&self) -> bool {
+        matches!(self.mode, Mode::Json(_))
+    }
+
     /// The result: `text` on stdout, or `value` in a `result` event.
     pub fn result(&self, text: &str, value: Value) {
         match &self.mode {

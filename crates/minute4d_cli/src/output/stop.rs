@@ -2,24 +2,32 @@
 
 use super::Output;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
 /// Whether, and by which signal, the program was asked to stop.
 #[derive(Debug, Clone, Default)]
-pub struct StopSignal(Arc<AtomicU8>);
+pub struct StopSignal {
+    code: Arc<AtomicU8>,
+    idle: Arc<AtomicBool>,
+}
 
 impl StopSignal {
     /// The exit code that belongs to the signal (130 SIGINT, 143 SIGTERM), once there was one.
     pub fn code(&self) -> Option<u8> {
-        match self.0.load(Ordering::SeqCst) {
+        match self.code.load(Ordering::SeqCst) {
             0 => None,
             code => Some(code),
         }
     }
 
+    /// From now on nothing is lost by stopping, so nothing is said about it.
+    pub fn nothing_to_save(&self) {
+        self.idle.store(true, Ordering::SeqCst);
+    }
+
     /// Notes a request; true if it is the first.
     fn request(&self, code: u8) -> bool {
-        self.0
+        self.code
             .compare_exchange(0, code, Ordering::SeqCst, Ordering::SeqCst)
             .is_ok()
     }
@@ -38,7 +46,9 @@ pub fn watch_signals(output: &Arc<Output>) {
         for signal in signals.forever() {
             let code = if signal == SIGINT { 130 } else { 143 };
             if output.stop().request(code) {
-                output.note("stopping after this step, what is done will be saved; once more to stop at once");
+                if !output.stop().idle.load(Ordering::SeqCst) {
+                    output.note("stopping after this step, what is done will be saved; once more to stop at once");
+                }
             } else {
                 output.end(code, "stopped at once, without saving");
                 std::process::exit(i32::from(code));
@@ -51,7 +61,6 @@ pub fn watch_signals(output: &Arc<Output>) {
 #[cfg(not(unix))]
 pub fn watch_signals(output: &Arc<Output>) {
     use signal_hook::consts::{SIGINT, SIGTERM};
-    use std::sync::atomic::AtomicBool;
     let again = Arc::new(AtomicBool::new(false));
     let stop = output.stop().clone();
     for (signal, code) in [(SIGINT, 130), (SIGTERM, 143)] {

@@ -1,0 +1,57 @@
+//! A small scene and what the page is told of it.
+#![expect(dead_code, reason = "every test file uses its own part of this module")]
+
+use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
+use m4_testkit::synthetic::{SceneSpec, camera_looking_at, random_splats};
+use m4_viewer::payload::{Payload, PayloadConfig, encode};
+use m4_viewer::{About, Manifest, SafeConfig};
+
+const FRAMES: usize = 6;
+
+/// Splats in front of a camera that stands still.
+pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
+    let camera = camera_looking_at(Intrinsics::centred(160, 120, 140.0), [0.3, 0.1, -0.5], [0.3, 0.1, 4.0]);
+    let spec = SceneSpec {
+        layout: SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        },
+        n_static,
+        n_dynamic,
+        time_frames: FRAMES,
+        ..SceneSpec::default()
+    };
+    let source = (0..FRAMES).map(|i| SourceFrame {
+        camera,
+        t: i as f64,
+        exposure: Exposure::IDENTITY,
+    });
+    Scene {
+        splats: random_splats(5, &camera, &spec),
+        background: [0.1, 0.2, 0.3],
+        time_frames: FRAMES,
+        duration_s: Some(0.5),
+        mip: true,
+        near: 0.05,
+        source: source.collect(),
+    }
+}
+
+/// What a page is told of a scene with a median depth of 4.
+pub fn manifest_of(scene: &Scene, payload: &Payload) -> Manifest {
+    let about = About {
+        title: "a test",
+        median_depth: 4.0,
+        fps: 10.0,
+        safe: SafeConfig::default(),
+    };
+    Manifest::new(scene, payload, &about)
+}
+
+/// Both, for a server.
+pub fn shown(n_static: usize) -> (Manifest, Vec<u8>) {
+    let scene = scene(n_static, 3);
+    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    (manifest_of(&scene, &payload), payload.bytes)
+}

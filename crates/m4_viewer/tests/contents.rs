@@ -1,0 +1,132 @@
+//! The page with a scene in it, and what comes out of it again.
+
+mod common;
+
+use common::{manifest_of, scene};
+use m4_scene::{Plane, RgbImage};
+use m4_viewer::page::{self, Effort, MARKER, PageError, Parts, TEMPLATE, compose};
+use m4_viewer::payload::{PayloadConfig, decode, encode};
+use m4_viewer::{FrameLimits, SafeConfig, encode_frames};
+
+#[test]
+fn the_page_has_one_place_for_a_scene() {
+    assert_eq!(TEMPLATE.matches(MARKER).count(), 1);
+}
+
+#[test]
+fn a_scene_comes_back_out_of_the_page() {
+    let scene = scene(40, 30);
+    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let mut manifest = manifest_of(&scene, &payload);
+    manifest.title = "</script><script>alert(1)</script> \"ä\"".to_owned();
+    let pictures: Vec<RgbImage> = (0..scene.source.len())
+        .map(|i| Plane::filled(60, 40, [20 * i as u8; 3]))
+        .collect();
+    let frames = encode_frames(&pictures.iter().collect::<Vec<_>>(), &FrameLimits::default()).unwrap();
+    manifest.frames = frames.as_ref().map(|f| f.index.clone());
+    let parts = Parts {
+        manifest: &manifest,
+        payload: Some(&payload.bytes),
+        frames: frames.as_ref(),
+    };
+    for effort in [Effort::Quick, Effort::Small] {
+        let html = String::from_utf8(compose(TEMPLATE, &parts, effort).unwrap()).unwrap();
+        assert!(!html.contains(MARKER) && !html.contains("</script><script>alert"));
+        let back = page::read(&html).unwrap();
+        assert_eq!(back.manifest, manifest);
+        assert_eq!(back.frames, frames);
+        assert_eq!(page::read_frames(&html).unwrap(), frames);
+        let bytes = back.payload.unwrap();
+        assert_eq!(bytes, payload.bytes);
+        assert_eq!(decode(&bytes).unwrap().n(), 70);
+    }
+}
+
+#[test]
+fn a_page_that_waits_has_no_splats() {
+    let manifest = m4_viewer::Manifest::waiting("later");
+    let parts = Parts {
+        manifest: &manifest,
+        payload: None,
+        frames: None,
+    };
+    let html = String::from_utf8(compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
+    let back = page::read(&html).unwrap();
+    assert_eq!((back.payload, back.frames, back.manifest), (None, None, manifest));
+}
+
+#[test]
+fn damaged_pages_are_errors() {
+    let scene = scene(4, 3);
+    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let manifest = manifest_of(&scene, &payload);
+    let parts = Parts {
+        manifest: &manifest,
+        payload: Some(&payload.bytes),
+        frames: None,
+    };
+    for template in ["<html></html>".to_owned(), MARKER.repeat(2)] {
+        assert!(matches!(
+            compose(&template, &parts, Effort::Quick),
+            Err(PageError::Marker { .. })
+        ));
+    }
+    let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+    assert!(matches!(page::read("<html></html>"), Err(PageError::Missing { .. })));
+    let start = html.find("m4-splats\">").unwrap() + "m4-splats\">".len();
+    let with = |at: usize, text: &str| {
+        let mut html = html.clone();
+        html.replace_range(at..at + text.len(), text);
+        html
+    };
+    assert!(matches!(
+        page::read(&with(start + 20, "!")),
+        Err(PageError::Base64 { .. })
+    ));
+    // half of the bytes turned around: gzip has a checksum
+    assert!(matches!(
+        page::read(&with(start + 40, "AAAAAAAAAAAA")),
+        Err(PageError::Gzip { .. })
+    ));
+    let mut told = manifest.clone();
+    told.frames = Some(m4_viewer::FrameIndex {
+        width: 4,
+        height: 4,
+        offsets: vec![0, 9],
+    });
+    let lies = Parts {
+        manifest: &told,
+        ..parts
+    };
+    let html = String::from_utf8(compose(MARKER, &lies, Effort::Quick).unwrap()).unwrap();
+    assert!(matches!(page::read(&html), Err(PageError::Missing { .. })));
+}
+
+#[test]
+fn the_safe_radius_is_between_shares_of_the_depth() {
+    let mut scene = scene(3, 0);
+    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let config = SafeConfig::default();
+    let still = manifest_of(&scene, &payload);
+    assert!(
+        (still.safe.radius - 4.0 * config.least_share).abs() < 1e-12,
+        "the camera stands still"
+    );
+    // the middle camera looks from z = -0.5 to z = 4: the centre lies 4 units along that
+    assert!((still.centre[2] - 3.5).abs() < 0.02, "{:?}", still.centre);
+    let n = scene.source.len();
+    for (i, source) in scene.source.iter_mut().enumerate() {
+        source.camera.c2w.translation.x += 2.4 * i as f64 / (n - 1) as f64;
+    }
+    assert!(
+        (manifest_of(&scene, &payload).safe.radius - 1.2).abs() < 1e-9,
+        "half of the path"
+    );
+    for source in &mut scene.source {
+        source.camera.c2w.translation.x *= 100.0;
+    }
+    assert!(
+        (manifest_of(&scene, &payload).safe.radius - 2.0).abs() < 1e-12,
+        "half of the depth"
+    );
+}

@@ -1,0 +1,338 @@
+//! The page of a run and its server, from outside.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use common::{Scratch, program, refused, succeed, text, train, write_capture};
+use minute4d::io::scene_file;
+use minute4d::page::page;
+use minute4d::page::payload::decode;
+use serde_json::Value;
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{Ipv4Addr, TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::Duration;
+
+fn read_json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+/// A program at work; killed and reaped when a test ends early.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It may have ended long ago.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn start(args: &[&str]) -> (Running, BufReader<ChildStdout>) {
+    let mut child = program()
+        .args(args)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let stdout = BufReader::new(child.stdout.take().unwrap());
+    (Running(child), stdout)
+}
+
+/// Port and token of an address that the program printed.
+struct Place {
+    port: u16,
+    token: String,
+}
+
+impl Place {
+    fn of(url: &str) -> Self {
+        let rest = url.trim().strip_prefix("http://127.0.0.1:").unwrap();
+        let (port, token) = rest.split_once("/?token=").unwrap();
+        Self {
+            port: port.parse().unwrap(),
+            token: token.to_owned(),
+        }
+    }
+
+    fn send(&self, target: &str, host: &str) -> TcpStream {
+        let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, self.port)).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        write!(
+            stream,
+            "GET {target} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n"
+        )
+        .unwrap();
+        stream
+    }
+
+    /// Status and body of an answer to a request with the token.
+    fn ask(&self, path: &str) -> (u16, Vec<u8>) {
+        self.ask_as(
+            &format!("{path}?token={}", self.token),
+            &format!("127.0.0.1:{}", self.port),
+        )
+    }
+
+    fn ask_as(&self, target: &str, host: &str) -> (u16, Vec<u8>) {
+        let mut all = Vec::new();
+        self.send(target, host).read_to_end(&mut all).unwrap();
+        let end = all.windows(4).position(|w| w == b"\r\n\r\n").unwrap();
+        let head = String::from_utf8(all[..end].to_vec()).unwrap();
+        (
+            head.split(' ').nth(1).unwrap().parse().unwrap(),
+            all[end + 4..].to_vec(),
+        )
+    }
+
+    fn page(&self) -> page::Contents {
+        let (status, html) = self.ask("/");
+        assert_eq!(status, 200);
+        page::read(std::str::from_utf8(&html).unwrap()).unwrap()
+    }
+
+    fn listen(&self, events: &str) -> BufReader<TcpStream> {
+        BufReader::new(self.send(events, &format!("127.0.0.1:{}", self.port)))
+    }
+}
+
+/// The data of the next event; `None` when the stream ends.
+fn next_event(stream: &mut BufReader<TcpStream>) -> Option<Value> {
+    loop {
+        let mut line = String::new();
+        if stream.read_line(&mut line).unwrap_or(0) == 0 {
+            return None;
+        }
+        if let Some(data) = line.strip_prefix("data: ") {
+            return Some(serde_json::from_str(data).unwrap());
+        }
+    }
+}
+
+#[test]
+fn a_run_writes_a_page_that_holds_its_scene() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    let (data, out) = (dir.at("capture"), dir.at("out"));
+    assert_eq!(train(&data, &out, "60", &[]).code, 0);
+    let file = dir.path("out/viewer.html");
+    let html = fs::read_to_string(&file).unwrap();
+    let record = read_json(&dir.path("out/run.json"));
+    assert_eq!(record["files"]["viewer.html"]["bytes"], html.len());
+    assert!(record["stages"]["viewer"]["seconds"].as_f64().unwrap() > 0.0);
+    let held = page::read(&html).unwrap();
+    let scene = scene_file::read(&dir.path("out/scene.safetensors")).unwrap().scene;
+    let splats = decode(&held.payload.unwrap()).unwrap();
+    // those that nobody can see are left out
+    assert!(splats.n() <= scene.splats.n() && splats.n() > scene.splats.n() / 2);
+    assert_eq!(held.manifest.cameras.len(), 6);
+    assert_eq!(held.frames.unwrap().index.offsets.len(), 7);
+    assert!(held.manifest.live.is_none() && held.manifest.safe.radius > 0.0);
+
+    // another scene: the page of the old one must not stay
+    let more = ["--force", "--no-viewer"];
+    assert_eq!(train(&data, &out, "30", &more).code, 0);
+    assert!(!file.exists());
+    assert!(read_json(&dir.path("out/run.json"))["files"]["viewer.html"].is_null());
+    let again = train(&data, &out, "30", &["--resume"]);
+    assert_eq!(again.code, 0, "{}", again.stderr);
+    assert!(file.exists(), "asked for later, it is made of the scene that is there");
+    assert!(
+        again.stderr.contains("train: done before") && again.stderr.contains("viewer.html"),
+        "{}",
+        again.stderr
+    );
+}
+
+#[cfg(unix)]
+fn interrupt(running: &Running) {
+    let status = Command::new("kill")
+        .args(["-INT", &running.0.id().to_string()])
+        .status();
+    assert!(status.unwrap().success());
+}
+
+#[test]
+fn view_shows_the_scene_and_the_one_that_takes_its_place() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    let (data, out, other) = (dir.at("capture"), dir.at("out"), dir.at("other"));
+    assert_eq!(train(&data, &out, "30", &["--no-viewer"]).code, 0);
+    assert_eq!(train(&data, &other, "40", &["--no-viewer"]).code, 0);
+
+    #[cfg_attr(not(unix), expect(unused_mut, reason = "waited for on Unix alone"))]
+    let (mut running, mut stdout) = start(&["view", &out, "--no-open"]);
+    let mut url = String::new();
+    stdout.read_line(&mut url).unwrap();
+    let place = Place::of(&url);
+
+    // who may not, and what is not there
+    assert_eq!(place.ask_as("/", &format!("127.0.0.1:{}", place.port)).0, 403);
+    let wrong = format!("/?token={}", "f".repeat(32));
+    assert_eq!(place.ask_as(&wrong, &format!("127.0.0.1:{}", place.port)).0, 403);
+    let right = format!("/?token={}", place.token);
+    assert_eq!(place.ask_as(&right, "example.com").0, 403);
+    for path in [
+        "/run.json",
+        "/scene.safetensors",
+        "/../run.json",
+        "/..%2frun.json",
+        "/etc/passwd",
+    ] {
+        assert_eq!(place.ask(path).0, 404, "{path}");
+    }
+    assert!(
+        TcpStream::connect(("127.0.0.2", place.port)).is_err(),
+        "127.0.0.1 alone"
+    );
+
+    let first = place.page();
+    let live = first.manifest.live.clone().unwrap();
+    assert_eq!(
+        first.frames.unwrap().index.offsets.len(),
+        7,
+        "the frames of the capture it was made of"
+    );
+    let mut events = place.listen(&live.events);
+    let heard: Vec<Value> = (0..2).map(|_| next_event(&mut events).unwrap()).collect();
+    assert_eq!(
+        (&heard[0]["event"], &heard[0]["iteration"]),
+        (&"metrics".into(), &30.into())
+    );
+    assert_eq!((&heard[1]["event"], &heard[1]["ok"]), (&"end".into(), &true.into()));
+
+    // a broken file is not shown, a whole one is
+    let scene = dir.path("out/scene.safetensors");
+    fs::write(&scene, b"not a scene").unwrap();
+    std::thread::sleep(Duration::from_millis(1500));
+    assert_eq!(place.page().payload, first.payload, "the scene before stays");
+    fs::copy(dir.path("other/scene.safetensors"), dir.path("out/new")).unwrap();
+    fs::rename(dir.path("out/new"), &scene).unwrap();
+    let event = next_event(&mut events).unwrap();
+    assert_eq!((&event["event"], &event["version"]), (&"scene".into(), &2.into()));
+    let (status, answer) = place.ask("/scene");
+    assert_eq!(status, 200);
+    let second = place.page().payload.unwrap();
+    assert_ne!(Some(&second), first.payload.as_ref());
+    assert!(answer.ends_with(&second));
+
+    #[cfg(unix)]
+    {
+        interrupt(&running);
+        assert_eq!(running.0.wait().unwrap().code(), Some(0));
+    }
+}
+
+#[test]
+fn view_says_what_is_wrong() {
+    let dir = Scratch::new();
+    let broken = dir.write("broken.safetensors", b"not a scene");
+    refused(&["view", &broken, "--no-open"], 65, &["broken.safetensors"]);
+    refused(
+        &["view", &dir.at("nowhere"), "--no-open"],
+        66,
+        &["no scene or run", "nowhere"],
+    );
+    fs::create_dir(dir.path("empty")).unwrap();
+    refused(&["view", &dir.at("empty"), "--no-open"], 66, &["no scene or run"]);
+    write_capture(&dir.path("capture"), false);
+    assert_eq!(
+        train(&dir.at("capture"), &dir.at("out"), "20", &["--no-viewer"]).code,
+        0
+    );
+    let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    let port = taken.local_addr().unwrap().port().to_string();
+    let args = ["view", &dir.at("out"), "--no-open", "--port", &port];
+    refused(&args, 75, &["in use", "--port", &port]);
+}
+
+#[test]
+fn training_in_view_of_a_page_gives_the_same_bits() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    let (data, alone, seen) = (dir.at("capture"), dir.at("alone"), dir.at("seen"));
+    assert_eq!(train(&data, &alone, "1500", &[]).code, 0);
+    let args = [
+        "train",
+        &data,
+        "-o",
+        &seen,
+        "--iterations",
+        "1500",
+        "--view",
+        "--no-open",
+        "--json",
+    ];
+    let (mut running, mut stdout) = start(&args);
+    let url = loop {
+        let mut line = String::new();
+        assert!(stdout.read_line(&mut line).unwrap() > 0, "no address");
+        let event: Value = serde_json::from_str(&line).unwrap();
+        if event["event"] == "view" {
+            break event["url"].as_str().unwrap().to_owned();
+        }
+    };
+    let reader = std::thread::spawn(move || stdout.lines().map_while(Result::ok).collect::<Vec<String>>());
+    let place = Place::of(&url);
+    let mut events = place.listen(&place.page().manifest.live.unwrap().events);
+    let heard: Vec<Value> = std::iter::from_fn(|| next_event(&mut events)).collect();
+    assert_eq!(
+        running.0.wait().unwrap().code(),
+        Some(0),
+        "without a terminal it ends by itself"
+    );
+    let last: Value = serde_json::from_str(reader.join().unwrap().last().unwrap()).unwrap();
+    assert_eq!((&last["event"], &last["ok"]), (&"end".into(), &true.into()));
+
+    let names: Vec<&str> = heard.iter().map(|e| e["event"].as_str().unwrap()).collect();
+    let first_scene = names.iter().position(|n| *n == "scene").unwrap();
+    assert!(first_scene + 2 < names.len(), "a scene while it trained: {names:?}");
+    assert_eq!(&names[names.len() - 2..], ["scene", "end"], "the result, then the end");
+    let metrics = heard.iter().filter(|e| e["event"] == "metrics").last().unwrap();
+    assert_eq!(
+        (&metrics["iteration"], &metrics["iterations"]),
+        (&1500.into(), &1500.into())
+    );
+    let bytes = |run: &str, file: &str| fs::read(Path::new(run).join(file)).unwrap();
+    assert!(
+        bytes(&alone, "scene.safetensors") == bytes(&seen, "scene.safetensors"),
+        "the scenes differ"
+    );
+    let mut pages = [&alone, &seen].map(|run| {
+        let html = String::from_utf8(bytes(run, "viewer.html")).unwrap();
+        page::read(&html).unwrap()
+    });
+    pages[0].manifest.title.clone_from(&pages[1].manifest.title);
+    assert!(pages[0] == pages[1], "the pages differ");
+}
+
+#[test]
+fn a_scene_file_alone_is_shown() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    assert_eq!(
+        train(&dir.at("capture"), &dir.at("out"), "20", &["--no-viewer"]).code,
+        0
+    );
+    let scene = dir.path("out/scene.safetensors");
+    let (_running, mut stdout) = start(&["view", text(&scene), "--no-open", "--json"]);
+    let url = loop {
+        let mut line = String::new();
+        assert!(stdout.read_line(&mut line).unwrap() > 0, "no address");
+        let event: Value = serde_json::from_str(&line).unwrap();
+        if event["event"] == "result" {
+            break event["result"]["url"].as_str().unwrap().to_owned();
+        }
+    };
+    let page = Place::of(&url).page();
+    assert!(page.payload.is_some() && page.frames.is_none());
+    assert_eq!(page.manifest.title, "scene");
+}
+
+#[test]
+fn help_names_the_page() {
+    assert!(succeed(&["run", "--help"]).stdout.contains("--no-viewer"));
+    assert!(succeed(&["view", "--help"]).stdout.contains("--no-open"));
+}
