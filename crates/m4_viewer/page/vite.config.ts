@@ -40,7 +40,8 @@ function oneFile(output: string): Plugin {
       const html = String(page.source)
         .replace(/\s*<script type="module"[^>]*><\/script>/, "")
         .replace(/\s*<link rel="stylesheet"[^>]*>/, () => `\n    <style>${String(style.source)}</style>`)
-        .replace("<head>", () => `<head>\n    <!--\n${licences()}\n-->`)
+        // after the charset, which must be among the first 1024 bytes
+        .replace("</title>", () => `</title>\n    <!--\n${licences()}\n-->`)
         .replace("</body>", () => `<script type="module">${code}</script>\n  </body>`);
       const markers = html.split(MARKER).length - 1;
       if (markers !== 1) this.error(`the page has ${markers} places for a scene where it must have one`);

@@ -17,11 +17,19 @@ interface Finger {
   y: number;
 }
 
-/** Drags on the picture. `onTap` is a touch that did not move. */
-export function startPointer(canvas: HTMLCanvasElement, app: App, onTap: () => void): void {
+/** Whether the controls are out of sight, and a touch that did not move. */
+export interface Taps {
+  hidden(): boolean;
+  /** `wasHidden`: when the finger came down, which by itself brings the controls back. */
+  tap(wasHidden: boolean): void;
+}
+
+/** Drags on the picture. */
+export function startPointer(canvas: HTMLCanvasElement, app: App, taps: Taps): void {
   const fingers = new Map<number, Finger>();
   let travelled = 0;
   let began = 0;
+  let wasHidden = false;
   let spin = { yaw: 0, pitch: 0, at: 0 };
 
   const shorter = (): number => Math.max(1, Math.min(canvas.clientWidth, canvas.clientHeight));
@@ -44,6 +52,7 @@ export function startPointer(canvas: HTMLCanvasElement, app: App, onTap: () => v
     if (fingers.size === 0) {
       travelled = 0;
       began = event.timeStamp;
+      wasHidden = taps.hidden();
     }
     fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     spin = { yaw: 0, pitch: 0, at: event.timeStamp };
@@ -86,7 +95,7 @@ export function startPointer(canvas: HTMLCanvasElement, app: App, onTap: () => v
     if (fingers.size > 0) return;
     canvas.classList.remove("dragging");
     const quick = event.timeStamp - began < TAP_MS;
-    if (travelled < TAP_PX && quick && event.pointerType !== "mouse") onTap();
+    if (travelled < TAP_PX && quick && event.pointerType !== "mouse") taps.tap(wasHidden);
     else if (event.timeStamp - spin.at < 60 && event.type === "pointerup" && (spin.yaw !== 0 || spin.pitch !== 0)) {
       app.rig.release(spin.yaw, spin.pitch);
       app.invalidate();

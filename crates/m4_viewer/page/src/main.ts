@@ -8,7 +8,7 @@ import { embeddedFrames, embeddedManifest, embeddedScene } from "./embedded";
 import { PageError, toPageError } from "./errors";
 import { SourceFrames } from "./frames";
 import { isSlider, startFlying, startPointer } from "./input";
-import { fromFragment } from "./link";
+import { type Place, fromFragment } from "./link";
 import { Follower } from "./live/follow";
 import { LivePanel } from "./live/panel";
 import { Stage } from "./render/stage";
@@ -27,6 +27,7 @@ import { startScrubThumb } from "./ui/scrub-thumb";
 import { startTips } from "./ui/tips";
 import { startTheme } from "./ui/theme";
 
+const FADE_TOLD = 0.05;
 const OUTSIDE = "Outside of what was filmed: the scene is a guess from here";
 
 function title(manifest: Manifest): void {
@@ -45,6 +46,25 @@ async function addFrames(app: App, manifest: Manifest): Promise<void> {
   side.hidden = false;
   new Compare(app, frames);
   startScrubThumb(app, frames);
+}
+
+/** The scene in the page onto the stage; false where there is none yet. Nothing keeps its columns afterwards. */
+async function fill(app: App, place: Place | null): Promise<boolean> {
+  const data = await embeddedScene(app.manifest, showProgress);
+  if (!data) return false;
+  showProgress(0.85, "Preparing");
+  await breath();
+  app.stage.load(app.manifest, data);
+  showProgress(0.95, "Sorting");
+  if (place) app.go(place);
+  await app.settle();
+  return true;
+}
+
+/** What is said over the picture. */
+function wordsFor(app: App): string | null {
+  if (app.manifest.live && app.stage.active === 0) return "Waiting for the first splats";
+  return (app.view?.fade ?? 0) > FADE_TOLD ? OUTSIDE : null;
 }
 
 async function start(): Promise<App> {
@@ -70,43 +90,37 @@ async function start(): Promise<App> {
   const app = new App(manifest, stage, calm);
   invalidate = app.invalidate;
 
-  const data = await embeddedScene(manifest, showProgress);
-  if (data) {
-    showProgress(0.85, "Preparing");
-    await breath();
-    app.stage.load(manifest, data);
-    showProgress(0.95, "Sorting");
-    const place = fromFragment(location.hash);
-    if (place) app.go(place);
-    await app.settle();
-  }
+  const place = fromFragment(location.hash);
+  const filled = await fill(app, place);
 
   const popovers = new Popovers();
   const help = new Help();
   const actions = new Actions(app, root, help, popovers);
   const dock = new Dock(app, actions);
   const idle = new Idle(root, () => app.moving && !actions.open);
-  startPointer(stage.canvas, app, () => {
-    if (idle.idle) idle.wake();
-    else if (app.moving) root.classList.add("idle");
+  startPointer(stage.canvas, app, {
+    hidden: () => idle.idle,
+    tap: (wasHidden) => {
+      if (!wasHidden && app.moving) idle.hide();
+    },
   });
   startFlying(app, () => !actions.busy && !isSlider(document.activeElement));
   startTips(root);
   new ResizeObserver(app.invalidate).observe(stage.canvas);
-  app.onChange(() => hint(!data && app.stage.active === 0 ? "Waiting for the first splats" : (app.view?.fade ?? 0) > 0.05 ? OUTSIDE : null));
+  app.onChange(() => hint(wordsFor(app)));
 
   control(HTMLElement, "side").hidden = true;
   addFrames(app, manifest).catch((error: unknown) => toast(toPageError(error).title));
   if (manifest.live) {
     const panel = new LivePanel();
-    if (!data) panel.show();
+    if (!filled) panel.show();
     new Follower(app, manifest.live, panel, () => title(app.manifest));
   }
 
   find(HTMLElement, ".dock").hidden = false;
   dock.refresh();
   uncover();
-  if (!calm && !fromFragment(location.hash) && data) app.togglePlay();
+  if (!calm && !place && filled) app.togglePlay();
   app.invalidate();
   return app;
 }

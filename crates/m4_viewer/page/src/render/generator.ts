@@ -23,6 +23,9 @@ const sampler = (key: string, value: DataTexture): dyno.DynoSampler2D<string, Da
   new dyno.DynoSampler2D({ key, value });
 
 export function instantOf(manifest: Manifest, data: SceneData, textures: SplatTextures): Instant {
+  // the columns themselves are not kept
+  const { nStatic } = data;
+  const numSplats = splatCount(data);
   const time = new dyno.DynoFloat({ key: "m4Time", value: 0 });
   const eye = new dyno.DynoVec3({ key: "m4Eye", value: new Vector3() });
   const inputs = {
@@ -57,8 +60,8 @@ export function instantOf(manifest: Manifest, data: SceneData, textures: SplatTe
         "vec3 mean = placed.xyz;",
         "float marginal = 1.0;",
         "float turns = 0.0;",
-        `if (index >= ${data.nStatic}) {`,
-        `  vec4 life = ${fetchTexel(i.life ?? "", `index - ${data.nStatic}`)};`,
+        `if (index >= ${nStatic}) {`,
+        `  vec4 life = ${fetchTexel(i.life ?? "", `index - ${nStatic}`)};`,
         `  float third = ${fetchTexel(i.shape ?? "", "2 * index")}.w;`,
         `  float dt = ${i.time} - life.x;`,
         "  float r = dt / life.y;",
@@ -79,7 +82,7 @@ export function instantOf(manifest: Manifest, data: SceneData, textures: SplatTe
     });
     return { gsplat: slice.outputs.gsplat };
   });
-  const splats = new SplatGenerator({ numSplats: splatCount(data), generator });
+  const splats = new SplatGenerator({ numSplats, generator });
   return {
     splats,
     set(t, centre) {

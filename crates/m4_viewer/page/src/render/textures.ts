@@ -40,6 +40,10 @@ function texture(name: string, texels: number, mostRows: number, fill: (out: Flo
   out.magFilter = NearestFilter;
   out.generateMipmaps = false;
   out.needsUpdate = true;
+  // the device has it then; a context that is lost is a page that is loaded again
+  out.onUpdate = () => {
+    out.image.data = null;
+  };
   return out;
 }
 

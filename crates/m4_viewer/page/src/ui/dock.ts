@@ -41,6 +41,13 @@ export class Dock {
     on("fullscreen", () => void actions.toggleFullscreen());
     this.speed.addEventListener("input", () => app.setSpeed(Number(this.speed.value)));
     this.startScrub();
+    // a button that was clicked does not keep the keys: the next Space plays
+    document.addEventListener("click", (event) => {
+      const button = event.target instanceof Element ? event.target.closest("button") : null;
+      if (event.detail > 0 && button && !button.hasAttribute("aria-expanded") && !actions.busy) {
+        app.stage.canvas.focus({ preventScroll: true });
+      }
+    });
     window.addEventListener("keydown", (event) => this.key(event));
     app.onChange(() => this.refresh());
   }

@@ -27,8 +27,14 @@ export class Idle {
     this.timer = window.setTimeout(() => this.rest(), WAIT_MS);
   }
 
+  /** Hides the controls at once. */
+  hide(): void {
+    window.clearTimeout(this.timer);
+    this.root.classList.add("idle");
+  }
+
   private rest(): void {
-    if (this.allowed()) this.root.classList.add("idle");
+    if (this.allowed()) this.hide();
     else this.timer = window.setTimeout(() => this.rest(), WAIT_MS);
   }
 }

@@ -203,6 +203,45 @@ test("controls step aside while it plays, and come back", async () => {
   expect((await state(page)).idle).toBe(false);
 });
 
+test("a button that was clicked keeps neither the controls nor the keys", async () => {
+  const page = await desk("no-preference");
+  await page.click(control("loop"));
+  await page.mouse.move(400, 150);
+  await expect.poll(() => page.isVisible(control("play")), { timeout: 10_000 }).toBe(false);
+  const { repeat } = await state(page);
+  await page.keyboard.press("Space");
+  expect(await state(page)).toMatchObject({ repeat, playing: false });
+});
+
+test("fingers: one turns, two come nearer, a tap hides the controls", async () => {
+  const { page } = await bench.open(url, { ...PHONE, reducedMotion: "no-preference" });
+  await ready(page);
+  const device = await page.context().newCDPSession(page);
+  const touch = (type: "touchStart" | "touchMove" | "touchEnd", ...points: [number, number][]): Promise<unknown> =>
+    device.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+
+  await page.tap("#view");
+  expect((await state(page)).idle).toBe(true);
+  await page.tap("#view");
+  expect((await state(page)).idle).toBe(false);
+
+  const before = await state(page);
+  await touch("touchStart", [180, 300]);
+  for (const x of [170, 160, 150]) await touch("touchMove", [x, 300]);
+  await touch("touchEnd");
+  const turned = await state(page);
+  expect(turned.mode).toBe("orbit");
+  expect(position(turned)[0]).toBeGreaterThan(position(before)[0] ?? 0);
+
+  await touch("touchStart", [150, 300], [210, 300]);
+  for (const d of [10, 20, 30]) await touch("touchMove", [150 - d, 300], [210 + d, 300]);
+  await touch("touchEnd");
+  const near = await state(page);
+  expect(near.mode).toBe("orbit");
+  const far = (s: PageState): number => Math.hypot(...position(s).map((v, i) => v - (scene.manifest.centre[i] ?? 0)));
+  expect(far(near)).toBeLessThan(far(before) - 0.2);
+});
+
 test("on a small phone everything is there, large enough and inside", async () => {
   const { page } = await bench.open(url, PHONE);
   await ready(page);
