@@ -29,8 +29,8 @@ pub struct PathOptions {
     pub dolly_zoom: bool,
 }
 
-/// Defaults of the camera paths. Lengths are shares of the median depth that the camera sees where the
-/// path starts, so that they do not depend on the unit of the scene; where two numbers are given, the
+/// Defaults of the camera paths. Lengths are shares of the median depth of what moves (of everything, where
+/// nothing does) in the picture of the camera where the path starts, so that they do not depend on the unit of the scene; where two numbers are given, the
 /// reach of the source camera in that direction is used within these limits. They are narrow, because what
 /// moves was seen from one side alone at each moment, wherever the camera was before and after: beyond 6
 /// degrees the pinwheel of the examples begins to come apart (ours, judged by eye).

@@ -3,19 +3,24 @@
 use super::Painter;
 use super::Stop;
 use m4_math::nalgebra::Vector3;
-use m4_scene::Scene;
+use m4_scene::{Column, Scene};
 
 /// Share of the source cameras that counts as the reach of the source.
 const REACH_SHARE: f64 = 0.8;
 /// What share of the picture is nearer than the nearest things that a path must not enter.
 const NEAR_SHARE: f64 = 0.03;
 
+/// Opacity, faded by time, from which a moving splat counts.
+const SEEN_OPACITY: f64 = 0.2;
+/// Fewest splats that make something that moves.
+const LEAST_MOVING: usize = 50;
+
 /// The surroundings of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Region {
     /// Where a path starts.
     pub stop: Stop,
-    /// Median z-depth of what it sees, world units.
+    /// Median z-depth of what moves in the picture, or of the whole picture where nothing does; world units.
     pub distance: f64,
     /// Z-depth of the nearest things that it sees, world units.
     pub near: f64,
@@ -28,7 +33,9 @@ impl Region {
     #[must_use]
     pub fn of(scene: &Scene, painter: &mut Painter<'_>, stop: Stop) -> Self {
         let depths = painter.depth_quantiles(&stop.camera, stop.t, [NEAR_SHARE, 0.5]);
-        let [near, distance] = depths.unwrap_or([1.0, 1.0]);
+        let [near, all] = depths.unwrap_or([1.0, 1.0]);
+        // What moves is what one looks at, and what bears a turn of the camera least: the turn is about it.
+        let distance = moving_depth(scene, &stop).unwrap_or(all);
         let centres: Vec<Vector3<f64>> = scene.source.iter().map(|s| s.camera.centre()).collect();
         Self {
             stop,
@@ -51,6 +58,39 @@ impl Region {
     }
 }
 
+/// Median z-depth of the moving splats that the camera sees; `None` where there are next to none.
+fn moving_depth(scene: &Scene, stop: &Stop) -> Option<f64> {
+    let splats = &scene.splats;
+    let n_static = splats.n_static();
+    let column = |column, offset| splats.column(column, offset);
+    let (life, log_sd) = (column(Column::TimeMean, 0), column(Column::LogTimeSd, 0));
+    let means: [&[f32]; 3] = std::array::from_fn(|k| column(Column::Mean, k));
+    let velocities: [&[f32]; 3] = std::array::from_fn(|k| column(Column::Velocity, k));
+    let opacity = column(Column::Opacity, 0);
+    let size = &stop.camera.intrinsics;
+    let (w, h) = (size.width as f64, size.height as f64);
+    let w2c = stop.camera.w2c();
+    let mut depths: Vec<f64> = (0..splats.n_dynamic())
+        .filter_map(|d| {
+            let row = n_static + d;
+            let dt = stop.t - f64::from(life[d]);
+            let marginal = (-0.5 * (dt / f64::from(log_sd[d]).exp()).powi(2)).exp();
+            if marginal / (1.0 + (-f64::from(opacity[row])).exp()) < SEEN_OPACITY {
+                return None;
+            }
+            let mean = Vector3::from_fn(|k, _| f64::from(means[k][row]) + f64::from(velocities[k][d]) * dt);
+            let p = w2c.transform(&mean);
+            let (x, y) = (size.fx * p.x / p.z + size.cx, size.fy * p.y / p.z + size.cy);
+            (p.z > 0.0 && (0.0..w).contains(&x) && (0.0..h).contains(&y)).then_some(p.z)
+        })
+        .collect();
+    if depths.len() < LEAST_MOVING {
+        return None;
+    }
+    let middle = depths.len() / 2;
+    Some(*depths.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
 fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> [f64; 3] {
     let axes = &stop.camera.c2w.rotation;
     std::array::from_fn(|axis| {
@@ -65,4 +105,56 @@ fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> [f64; 3] {
             .copied()
             .unwrap_or(0.0)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::moving_depth;
+    use crate::render::Stop;
+    use m4_math::Se3;
+    use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SplatLayout, Splats};
+
+    #[test]
+    fn the_depth_is_that_of_what_moves_now_and_is_seen() {
+        let layout = SplatLayout {
+            isotropic: true,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        // 100 static splats at 9; 60 moving ones that are at 4 in frame 10; 60 beside the picture; 60 of frame 30.
+        let mut splats = Splats::zeros(layout, 100, 180);
+        splats.column_mut(Column::Opacity, 0).fill(3.0);
+        let z = splats.column_mut(Column::Mean, 2);
+        z.fill(9.0);
+        z[100..160].fill(3.0);
+        z[160..220].fill(1.0);
+        z[220..].fill(2.0);
+        splats.column_mut(Column::Mean, 0)[160..220].fill(5.0);
+        splats.column_mut(Column::TimeMean, 0)[..120].fill(8.0);
+        splats.column_mut(Column::TimeMean, 0)[120..].fill(30.0);
+        splats.column_mut(Column::LogTimeSd, 0).fill(1.0);
+        splats.column_mut(Column::Velocity, 2)[..60].fill(0.5);
+        let mut scene = Scene {
+            splats,
+            background: [0.0; 3],
+            time_frames: 31,
+            duration_s: None,
+            mip: false,
+            near: 0.01,
+            source: Vec::new(),
+        };
+        let stop = Stop {
+            camera: Camera {
+                intrinsics: Intrinsics::centred(64, 48, 50.0),
+                c2w: Se3::identity(),
+            },
+            t: 10.0,
+            exposure: Exposure::IDENTITY,
+        };
+        assert_eq!(moving_depth(&scene, &stop), Some(4.0));
+        let later = Stop { t: 30.0, ..stop };
+        assert_eq!(moving_depth(&scene, &later), Some(2.0));
+        scene.splats.column_mut(Column::Opacity, 0).fill(-6.0);
+        assert_eq!(moving_depth(&scene, &stop), None, "nothing can be seen");
+    }
 }

@@ -22,7 +22,7 @@ fn a_bullet_stands_still_in_time_while_the_camera_goes_round() {
     for pair in frozen.windows(2).skip(6).take(46) {
         assert!(difference(pair[0], pair[1]) > 1e-5, "it moves");
     }
-    assert!(difference(frozen[0], frozen[frozen.len() - 1]) < 1e-3, "and comes back");
+    assert!(difference(frozen[0], frozen[frozen.len() - 1]) < 3e-3, "and comes back");
     let furthest = frozen.iter().map(|s| difference(s, frozen[0])).fold(0.0, f64::max);
     assert!(furthest > 0.05, "{furthest}");
     // Time never goes back, and never faster than the source.
