@@ -75,7 +75,7 @@ pub fn keyed(mut file: KeyFile) -> Result<Keyed, Fault> {
 
 impl Key {
     fn keyframe(&self, start_s: f64) -> Result<Keyframe, String> {
-        if !(self.time.abs() <= MAX_SECONDS) {
+        if !(-MAX_SECONDS..=MAX_SECONDS).contains(&self.time) {
             return Err(format!("time = {}; at most {MAX_SECONDS} s were expected", self.time));
         }
         let position = keyed::vector("position", &self.position)?;

@@ -94,7 +94,7 @@ impl Key {
         if !(0.0..=MAX_SECONDS).contains(&self.time_s) {
             return Err(format!("time_s = {}; 0 to {MAX_SECONDS} was expected", self.time_s));
         }
-        if let Some(speed) = self.speed.filter(|v| !(v.abs() <= MAX_SPEED)) {
+        if let Some(speed) = self.speed.filter(|v| !(-MAX_SPEED..=MAX_SPEED).contains(v)) {
             return Err(format!("speed = {speed}; at most {MAX_SPEED} was expected"));
         }
         Ok(Keyframe {
