@@ -286,9 +286,9 @@ fn store_end(column: &mut [f32], at: usize, lanes: &[f32; LANES]) {
     rest.copy_from_slice(&lanes[..len]);
 }
 
-/// Rows to columns: `out[i][k]` is lane `i` of `rows[k]`.
+/// Rows to columns: lane `k` of `out[i]` is lane `i` of `rows[k]`.
 #[inline(always)]
-pub(crate) fn transpose<S: Simd>(rows: &[f32x16<S>; LANES]) -> [[f32; LANES]; LANES] {
+pub(crate) fn turn<S: Simd>(rows: &[f32x16<S>; LANES]) -> [f32x16<S>; LANES] {
     // a perfect shuffle rotates the eight bits of (row, lane) by one place
     let mut turned = *rows;
     for _ in 0..4 {
@@ -298,6 +298,13 @@ pub(crate) fn transpose<S: Simd>(rows: &[f32x16<S>; LANES]) -> [[f32; LANES]; LA
             turned[2 * k + 1] = old[k].zip_high(old[k + LANES / 2]);
         }
     }
+    turned
+}
+
+/// Rows to columns: `out[i][k]` is lane `i` of `rows[k]`.
+#[inline(always)]
+pub(crate) fn transpose<S: Simd>(rows: &[f32x16<S>; LANES]) -> [[f32; LANES]; LANES] {
+    let turned = turn(rows);
     each!(LANES, k => turned[k].to_array())
 }
 

@@ -1,13 +1,13 @@
 //! A picture to compare with, kept small.
 
-use crate::simd::{LANES, all, store};
+use crate::simd::{LANES, all, each};
 use fearless_simd::{Simd, f32x16, prelude::*};
 use m4_scene::ShapeError;
 
 /// A picture to compare with: one plane a channel, `[height][width]` each, 0..1.
 ///
 /// A video is kept whole, so what a frame takes counts: a photograph is three bytes a pixel. What SSIM
-/// needs of the target alone is blurred anew at each comparison: one of eight blurs, and cheaper than
+/// needs of the target alone is blurred anew at each comparison: one of seven blurs, and cheaper than
 /// fetching it from memory for every frame of a video.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Target {
@@ -134,11 +134,13 @@ const BYTE: f32 = 1.0 / 255.0;
 #[inline(always)]
 fn widen<S: Simd, T: Copy + Into<f32>>(s: S, values: &[T], unit: f32, out: &mut [f32]) {
     let scale = all(s, unit);
-    for (at, part) in values.chunks(LANES).enumerate() {
-        let mut wide = [0.0f32; LANES];
-        for (w, &v) in wide.iter_mut().zip(part) {
-            *w = v.into();
-        }
-        store(f32x16::from_slice(s, &wide) * scale, out, at * LANES);
+    let (whole, rest) = values.as_chunks::<LANES>();
+    for (part, out) in whole.iter().zip(out.chunks_exact_mut(LANES)) {
+        let wide: [f32; LANES] = each!(LANES, k => part[k].into());
+        (f32x16::from_slice(s, &wide) * scale).store_slice(out);
+    }
+    let done = whole.len() * LANES;
+    for (&v, out) in rest.iter().zip(&mut out[done..]) {
+        *out = v.into() * unit;
     }
 }
