@@ -8,7 +8,7 @@ use m4_scene::{Column, Splats};
 /// Steps of a coordinate on either side of 0.
 const POSITION_STEPS: f64 = ((1 << 23) - 1) as f64;
 /// Most fractional bits that are used: steps of a four-millionth of a unit.
-const MAX_FRACTIONAL_BITS: u8 = 22;
+pub const MAX_FRACTIONAL_BITS: u8 = 22;
 /// Step of an ln scale: 1/16.
 const SCALES_A_STEP: f32 = 16.0;
 
@@ -32,7 +32,7 @@ pub fn encode(splats: &Splats, mip: bool, options: &SpzOptions) -> Result<Encode
         version: VERSION,
         splats: u32::try_from(n).map_err(|_| format!("it has {n} splats; the format counts up to 2^32 - 1"))?,
         sh_degree: splats.layout().sh_degree as u8,
-        fractional_bits: fractional_bits(splats)?,
+        fractional_bits: fractional_bits(splats, options.fractional_bits)?,
         flags: if mip { FLAG_ANTIALIASED } else { 0 },
     };
     let mut out = Encoded {
@@ -87,25 +87,26 @@ pub fn encode(splats: &Splats, mip: bool, options: &SpzOptions) -> Result<Encode
     Ok(out)
 }
 
-/// As many as the farthest splat leaves.
-fn fractional_bits(splats: &Splats) -> Result<u8, String> {
-    let mut farthest = 0f64;
+/// Those asked for, or as many as the farthest splat leaves.
+fn fractional_bits(splats: &Splats, asked: Option<u8>) -> Result<u8, String> {
+    let bits_of = |v: f64| {
+        (0..=MAX_FRACTIONAL_BITS)
+            .rev()
+            .find(|&b| v * f64::from(1u32 << b) <= POSITION_STEPS)
+    };
+    let mut bits = asked.unwrap_or(MAX_FRACTIONAL_BITS);
     for k in 0..3 {
         for (row, v) in splats.column(Column::Mean, k).iter().enumerate() {
             let v = f64::from(*v).abs();
-            if !v.is_finite() || v > POSITION_STEPS {
-                return Err(format!(
-                    "splat {row} lies at {v} along axis {k}; up to {POSITION_STEPS} fits"
-                ));
-            }
-            farthest = farthest.max(v);
+            let fit = bits_of(v).filter(|&b| asked.is_none_or(|asked| b >= asked));
+            let Some(fit) = fit else {
+                let reach = POSITION_STEPS / f64::from(1u32 << asked.unwrap_or(0));
+                return Err(format!("splat {row} lies at {v} along axis {k}; up to {reach} fits"));
+            };
+            bits = bits.min(fit);
         }
     }
-    let bits = (0..=MAX_FRACTIONAL_BITS).rev();
-    Ok(bits
-        .into_iter()
-        .find(|&b| farthest * f64::from(1u32 << b) <= POSITION_STEPS)
-        .unwrap_or(0))
+    Ok(bits)
 }
 
 /// A quaternion `(w, x, y, z)` of any length in 32 bits; 0 or no number is no rotation.

@@ -1,6 +1,6 @@
 //! One instant of a scene to an SPZ file.
 
-use super::encode::{Encoded, encode};
+use super::encode::{Encoded, MAX_FRACTIONAL_BITS, encode};
 use super::error::{ReadSpzError, WriteSpzError};
 use super::options::{SpzAxes, SpzOptions};
 use crate::rub::turn_splats;
@@ -74,6 +74,11 @@ fn check(path: &Path, options: &SpzOptions) -> Result<(), WriteSpzError> {
         if !(1..=8).contains(&bits) {
             return bad(setting, bits.to_string(), "1 to 8");
         }
+    }
+    if let Some(bits) = options.fractional_bits
+        && bits > MAX_FRACTIONAL_BITS
+    {
+        return bad("fractional_bits", bits.to_string(), "0 to 22");
     }
     if options.gzip_level > 9 {
         return bad("gzip_level", options.gzip_level.to_string(), "0 to 9");

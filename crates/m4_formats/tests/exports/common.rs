@@ -160,7 +160,11 @@ pub fn mutations(bytes: &[u8], count: usize) -> Vec<Mutation> {
     let mut rng = CounterRng::new(11, 5, bytes.len() as u64);
     let mutate = |i: usize| {
         let mut out = bytes.to_vec();
-        let reach = if i.is_multiple_of(2) { bytes.len().min(256) } else { bytes.len() };
+        let reach = if i.is_multiple_of(2) {
+            bytes.len().min(256)
+        } else {
+            bytes.len()
+        };
         let at = rng.below(reach);
         let to = at + rng.below(bytes.len() - at).min(64);
         let what = match i % 6 {

@@ -142,6 +142,18 @@ fn settings_out_of_range_are_named() {
         let error = spz::write(&path, &scene, &options).unwrap_err().to_string();
         assert!(error.contains(name), "{error}");
     }
+    let coarse = |bits| SpzOptions {
+        fractional_bits: Some(bits),
+        ..SpzOptions::default()
+    };
+    let error = spz::write(&path, &scene, &coarse(23)).unwrap_err().to_string();
+    assert!(error.contains("fractional_bits = 23"), "{error}");
+    // the farthest coordinate is 6, and 22 bits reach to 2
+    let error = spz::write(&path, &scene, &coarse(22)).unwrap_err().to_string();
+    assert!(
+        error.contains("splat 0 lies at 2 along axis 1; up to 1.99999"),
+        "{error}"
+    );
     let mut far = asymmetric_scene(0);
     far.splats.column_mut(Column::Mean, 1)[0] = 1e7;
     let error = spz::write(&path, &far, &SpzOptions::default()).unwrap_err().to_string();
