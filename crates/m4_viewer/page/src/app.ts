@@ -259,9 +259,10 @@ export class App {
       height: fitted.placement.height * css,
     };
     const pose = this.pose;
-    if (this.fixed) return { t, pose, lens: { ...this.fixed.lens, width, height }, magnification: 1, fade: 0 };
+    if (this.fixed) return { t, pose, lens: { ...this.fixed.lens, width, height }, magnification: 1, fade: 0, frame: null };
     const fade = this.rig.mode === "ride" ? 0 : this.rig.safe.fade(pose.position);
-    return { t, pose, lens: fitted.lens, magnification: fitted.lens.fx / source.fx, fade };
+    const magnification = fitted.lens.fx / source.fx;
+    return { t, pose, lens: fitted.lens, magnification, fade, frame: fitted.placement };
   }
 
   /** Draws everything there is to draw, in full size and in the right order. */

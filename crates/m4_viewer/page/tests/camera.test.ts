@@ -233,9 +233,9 @@ describe("fitting the frame into the window", () => {
     expect(placement).toEqual({ x: 0, y: 0, width: 1280, height: 720 });
   });
 
-  test("upright, the frame is cut a little and the scene goes on above and below", () => {
+  test("upright, the frame is cut a little and the window is empty above and below", () => {
     const { placement } = fitLens(lens, 360, 640);
-    expect(placement.width).toBeCloseTo(1.3 * 360);
+    expect(placement.width).toBeCloseTo(1.6 * 360);
     expect(placement.height).toBeLessThan(640);
     expect(placement.x).toBeLessThan(0);
   });

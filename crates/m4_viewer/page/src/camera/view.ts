@@ -10,8 +10,8 @@ export interface Placement {
   readonly height: number;
 }
 
-/** How much wider than the whole frame the picture may be drawn, so that less of the window is empty. */
-const CROP_MOST = 1.3;
+/** How much larger than the whole frame the picture may be drawn, so that less of the window is empty. */
+const CROP_MOST = 1.6;
 
 /** A lens for the window under which the source frame is `placement`. */
 export interface Fitted {
@@ -21,7 +21,7 @@ export interface Fitted {
 
 /**
  * The source lens on a window of `width x height` pixels: the frame fills it where the shapes are
- * alike; else it is cut by no more than `CROP_MOST`, and the scene goes on beyond its edges.
+ * alike; else it is cut by no more than `CROP_MOST`, and the rest of the window stays empty.
  */
 export function fitLens(source: Lens, width: number, height: number): Fitted {
   const [sx, sy] = [width / source.width, height / source.height];

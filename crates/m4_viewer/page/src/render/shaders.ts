@@ -109,18 +109,27 @@ void main() {
 }
 `;
 
-/** The picture to the screen as it is, less what the safe region takes away. */
+/**
+ * The picture to the screen as it is, less what the safe region takes away and what lies outside of
+ * the frame of the source camera: nothing was ever seen there.
+ */
 export const PRESENT_FRAGMENT = /* glsl */ `
 precision highp float;
 uniform sampler2D picture;
 uniform vec3 fadeTo;
 uniform float fade;
+uniform vec4 frame;    // left, bottom, right, top, pixels
+uniform float feather; // pixels
+uniform vec3 outside;
 in vec2 vPlace;
 out vec4 fragColour;
 
 void main() {
   vec3 colour = texelFetch(picture, ivec2(gl_FragCoord.xy), 0).rgb;
   float edge = smoothstep(0.2, 1.2, length(vPlace));
-  fragColour = vec4(mix(colour, fadeTo, fade * mix(0.75, 1.0, edge)), 1.0);
+  colour = mix(colour, fadeTo, fade * mix(0.75, 1.0, edge));
+  vec2 beyond = max(max(frame.xy - gl_FragCoord.xy, gl_FragCoord.xy - frame.zw), 0.0);
+  float gone = feather > 0.0 ? smoothstep(0.0, 1.0, length(beyond) / feather) : 0.0;
+  fragColour = vec4(mix(colour, outside, gone), 1.0);
 }
 `;

@@ -24,6 +24,7 @@ import {
   WebGLRenderer,
 } from "three";
 import type { Lens } from "../camera/path";
+import type { Placement } from "../camera/view";
 import { PageError } from "../errors";
 import { type Pose, matrixOf } from "../maths";
 import { type Manifest, type SceneData, colourTerms, splatCount } from "../scene";
@@ -41,8 +42,14 @@ export interface View {
   readonly magnification: number;
   /** 0..1: how much of the picture is gone. */
   readonly fade: number;
+  /** The frame of the source camera, pixels of the canvas; what lies further out is not shown. */
+  readonly frame: Placement | null;
 }
 
+/** Beyond the frame of the source camera: the dark page, in either theme. */
+const OUTSIDE = [13 / 255, 14 / 255, 17 / 255] as const;
+/** How softly the picture ends there, as a share of the shorter side of the frame. */
+const FEATHER = 0.08;
 const SORT_TIMEOUT_MS = 60_000;
 const POLL_MS = 4;
 
@@ -147,6 +154,9 @@ export class Stage {
           picture: { value: this.target.texture },
           fadeTo: { value: new Vector3() },
           fade: { value: 0 },
+          frame: { value: new Vector4() },
+          feather: { value: 0 },
+          outside: { value: new Vector3(...OUTSIDE) },
         },
         blending: NoBlending,
         depthTest: false,
@@ -240,9 +250,23 @@ export class Stage {
     this.renderer.clear(true, false, false);
     this.renderer.render(this.scene, this.camera);
     this.renderer.setRenderTarget(null);
-    const fade = this.present.material.uniforms["fade"];
-    if (fade) fade.value = view.fade;
+    this.showThrough(view);
     this.renderer.render(this.presentScene, this.camera);
+  }
+
+  private showThrough({ fade, frame, lens }: View): void {
+    const uniforms = this.present.material.uniforms;
+    const set = (name: string, value: number): void => {
+      const uniform = uniforms[name];
+      if (uniform) uniform.value = value;
+    };
+    set("fade", fade);
+    set("feather", frame ? FEATHER * Math.min(frame.width, frame.height) : 0);
+    const rectangle: unknown = uniforms["frame"]?.value;
+    if (frame && rectangle instanceof Vector4) {
+      const bottom = lens.height - frame.y - frame.height;
+      rectangle.set(frame.x, bottom, frame.x + frame.width, bottom + frame.height);
+    }
   }
 
   /** Whether what Spark shows is the scene that was loaded last. */

@@ -6,9 +6,9 @@ type Line = readonly [what: string, ...keys: string[]];
 
 const HANDS: readonly Line[] = [
   ["Orbit", "Drag"],
-  ["Shift", "Two fingers", "Right drag"],
-  ["Nearer, further", "Pinch", "Wheel"],
-  ["Hide the controls", "Tap"],
+  ["Move aside", "Two fingers", "Right drag"],
+  ["Come nearer", "Pinch", "Wheel"],
+  ["Hide controls", "Tap"],
 ];
 const TIME: readonly Line[] = [
   ["Play or pause", "Space"],
@@ -22,8 +22,8 @@ const CAMERA: readonly Line[] = [
   ["Source camera", "C"],
   ["Orbit", "O"],
   ["Fly", "G"],
-  ["Ahead, left, back, right", "W", "A", "S", "D"],
-  ["Down, up", "Q", "E"],
+  ["Fly ahead and aside", "W", "A", "S", "D"],
+  ["Fly down, up", "Q", "E"],
   ["Fly faster", "Shift"],
   ["Back to the beginning", "R"],
 ];
