@@ -10,7 +10,8 @@
 //! /scene/source_camera   a UsdGeomCamera with a pose a frame
 //! ```
 //!
-//! Time codes are frames, `timeCodesPerSecond` is the speed of the clip. The stage has y up; a unit is
+//! What has time samples also has a value without time, that of the middle of the clip, for tools that read
+//! still splats. Time codes are frames, `timeCodesPerSecond` is the speed of the clip. The stage has y up; a unit is
 //! called a metre, which is true of captures with metric depth. Splats that no sample sees are left out.
 //! Text is large; `usdcat scene.usda -o scene.usdc` makes it three times smaller.
 //!

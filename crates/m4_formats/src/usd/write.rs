@@ -177,16 +177,17 @@ fn field(
             significant(out, moving.log_scale(row, k).exp())
         })
     })?;
+    let middle = samples[samples.len() / 2];
     let ends = [samples[0], samples[samples.len() - 1]];
     let places = match positions {
         UsdPositions::Ends if samples.len() > 1 => &ends,
         _ => samples,
     };
-    sampled(out, "point3f[] positions", rows, places, |out, row, t| {
+    sampled(out, "point3f[] positions", rows, places, middle, |out, row, t| {
         // as short as reads back to the same f32
         tuple(out, moving.mean(row, t), |out, v| write!(out, "{}", v as f32 + 0.0))
     })?;
-    sampled(out, "float[] opacities", rows, samples, |out, row, t| {
+    sampled(out, "float[] opacities", rows, samples, middle, |out, row, t| {
         decimals::<3>(out, moving.opacity(row, t))
     })?;
     let name = "float3[] radiance:sphericalHarmonicsCoefficients";
@@ -200,7 +201,7 @@ fn field(
         Ok(())
     };
     if layout.time_degree > 0 {
-        sampled(out, name, rows, samples, colour)?;
+        sampled(out, name, rows, samples, middle, colour)?;
     } else {
         constant(out, name, rows, |out, row| colour(out, row, 0.0))?;
     }
@@ -219,14 +220,17 @@ fn constant<W: Write>(
     writeln!(out)
 }
 
+/// `NAME = [...]` in the middle of the clip, for tools that ask for no time, and
 /// `NAME.timeSamples = { t: [...], }`.
 fn sampled<W: Write>(
     out: &mut W,
     name: &str,
     rows: &[usize],
     samples: &[f64],
+    middle: f64,
     value: impl Fn(&mut W, usize, f64) -> io::Result<()>,
 ) -> io::Result<()> {
+    constant(out, name, rows, |out, row| value(out, row, middle))?;
     writeln!(out, "        {name}.timeSamples = {{")?;
     for &t in samples {
         write!(out, "            {t}: ")?;

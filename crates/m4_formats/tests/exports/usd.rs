@@ -51,6 +51,9 @@ fn the_text_of_two_splats() {
         samples(&text, "positions"),
         ["0: [(1,-2,-6),(-1.5,-0.5,-4)],", "8: [(1,-2,-6),(0.5,-0.5,0)],"]
     );
+    // without a time: as at the sample in the middle, frame 6
+    assert_eq!(after(&text, "positions = "), "[(1,-2,-6),(0,-0.5,-1)]");
+    assert_eq!(after(&text, "opacities = "), "[0.8,0.068]");
     // 0.5 exp(-(t - 2)^2 / 8) at 0, 3, 6 and 8; at 8 the marginal of 0.0111 is below 0.05
     assert_eq!(
         samples(&text, "opacities"),
