@@ -5,7 +5,10 @@
 //! channel. Both sums are what the renderer's backward pass returns, of the residual and of ones.
 
 use m4_scene::{Column, Splats};
+use rayon::prelude::*;
 
+/// Rows a task.
+const CHUNK_ROWS: usize = 8192;
 /// Value of the constant spherical harmonic: a coefficient of the colour counts so much.
 const Y00: f32 = m4_kernels::shade::C0 as f32;
 /// Least colour that a fit leaves, 0..1: at 0 and below a colour has no gradient any more.
@@ -50,9 +53,17 @@ impl ColourSums {
             Sum::Weight => &mut self.weight,
         };
         for (sum, column) in sums.iter_mut().zip(columns) {
-            for ((sum, &g), &touched) in sum.iter_mut().zip(column).zip(touched) {
-                *sum += if touched == 0 { 0.0 } else { g };
-            }
+            let rows = column.par_chunks(CHUNK_ROWS).zip(touched.par_chunks(CHUNK_ROWS));
+            let chunks = sum.par_chunks_mut(CHUNK_ROWS).zip(rows);
+            chunks.for_each(|(sum, (column, touched))| {
+                // of a long video most chunks lie in other frames
+                if touched.iter().all(|&t| t == 0) {
+                    return;
+                }
+                for ((sum, &g), &touched) in sum.iter_mut().zip(column).zip(touched) {
+                    *sum += if touched == 0 { 0.0 } else { g };
+                }
+            });
         }
     }
 

@@ -25,6 +25,7 @@ fn config(iterations: usize) -> TrainConfig {
         prune_every: 40,
         ..DensityConfig::fast()
     };
+    config.resolution.half_until = 0.2;
     config.resolution.min_side_px = 16;
     config.refine.poses = true;
     config.refine.focal = true;

@@ -15,6 +15,7 @@ fn frozen(iterations: usize) -> TrainConfig {
     config.iterations = iterations;
     config.density.enabled = false;
     config.resolution.half_until = 0.0;
+    config.colour_fit = ColourFitConfig::off();
     config.loss.depth_weight_end = config.loss.depth_weight;
     config.lr = RateConfig {
         position: 0.0,
@@ -124,6 +125,7 @@ fn everything(iterations: usize) -> TrainConfig {
         prune_every: 20,
         ..DensityConfig::fast()
     };
+    config.resolution.half_until = 0.2;
     config.resolution.min_side_px = 16;
     config.refine.poses = true;
     config.refine.exposure = true;
@@ -182,6 +184,7 @@ fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
         config.colour_fit = ColourFitConfig {
             rounds,
             relax,
+            at: vec![0.0],
             ..ColourFitConfig::default()
         };
         let mut last = None;

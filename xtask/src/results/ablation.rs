@@ -29,11 +29,7 @@ const fn row(name: &'static str, what: &'static str, sets: &'static [&'static st
 
 const ROWS: &[Row] = &[
     row("default", "default", &[]),
-    row(
-        "full-size",
-        "full size throughout",
-        &["train.resolution.quarter_until=0", "train.resolution.half_until=0"],
-    ),
+    row("half", "half size to 20 %", &["train.resolution.half_until=0.2"]),
     row(
         "quarter-half",
         "quarter size to 15 %, half to 40 %",
@@ -57,15 +53,16 @@ const ROWS: &[Row] = &[
         batch: 4,
     },
     row(
-        "colour-fit",
-        "colours by least squares first, 3 rounds",
-        &["train.colour_fit.rounds=3", "train.colour_fit.at=[0.0]"],
+        "colour-fit-first",
+        "colours by least squares first and last",
+        &["train.colour_fit.at=[0.0, 1.0]"],
     ),
     row(
-        "colour-fit-last",
-        "colours by least squares last, 1 round",
-        &["train.colour_fit.rounds=1", "train.colour_fit.at=[1.0]"],
+        "no-colour-fit",
+        "no colours by least squares last",
+        &["train.colour_fit.rounds=0"],
     ),
+    row("colour-fit-3", "3 rounds of it last", &["train.colour_fit.rounds=3"]),
     row(
         "shared-steps",
         "one count of steps for all splats",

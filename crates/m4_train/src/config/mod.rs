@@ -54,13 +54,14 @@ impl Default for LossConfig {
     }
 }
 
-/// Coarse-to-fine (section 8, item 5): shares of all iterations.
+/// Coarse-to-fine (section 8, item 5): shares of all iterations. Off by default: the first splats are as fine as the
+/// pixels, and what a smaller picture teaches them has to be unlearned (`docs/decisions/0005`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ResolutionConfig {
     /// A quarter of the size until this share of the iterations. 0 for never (reference: full size throughout).
     pub quarter_until: f32,
-    /// Half the size until this share.
+    /// Half the size until this share; 0 for never.
     pub half_until: f32,
     /// Below this many pixels on the short side no frame is made smaller.
     pub min_side_px: usize,
@@ -70,7 +71,7 @@ impl Default for ResolutionConfig {
     fn default() -> Self {
         Self {
             quarter_until: 0.0,
-            half_until: 0.2,
+            half_until: 0.0,
             min_side_px: 64,
         }
     }
@@ -138,8 +139,8 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// Our choices (section 9, D1): static splats without time, velocities, depth, coarse-to-fine,
-    /// budgeted density control.
+    /// Our choices (section 9, D1): static splats without time, velocities, depth, budgeted density control, colours by
+    /// least squares at the end.
     #[must_use]
     pub fn fast() -> Self {
         Self {

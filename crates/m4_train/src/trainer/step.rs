@@ -86,6 +86,7 @@ impl Trainer<'_> {
         }
         if self.iteration == n && self.colours_are_due(n) {
             self.fit_colours();
+            self.guard()?;
         }
         Ok(StepReport {
             loss: total,
