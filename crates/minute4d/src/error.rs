@@ -1,5 +1,7 @@
 //! The one error of the library, and what sort of failure each is.
 
+use crate::export::ExportError;
+use crate::import::ImportError;
 use crate::render::{PathError, TimeError};
 use crate::settings::SettingsError;
 use m4_eval::geometry::{GeometryError, LlffError};
@@ -188,6 +190,12 @@ pub enum Error {
     /// The instruction set that was asked for.
     #[error(transparent)]
     Simd(#[from] SimdLevelError),
+    /// Exporting a scene.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// Importing a file.
+    #[error(transparent)]
+    Import(#[from] ImportError),
     /// Reading a clip.
     #[error(transparent)]
     ReadVideo(#[from] ReadVideoError),
@@ -280,6 +288,8 @@ impl Error {
             Self::Path(PathError::NoSource { .. }) => Category::BadInput,
             Self::Time(_) | Self::Path(_) => Category::Usage,
             Self::Simd(_) => Category::NoDevice,
+            Self::Export(e) => e.category(),
+            Self::Import(e) => e.category(),
             Self::ReadVideo(ReadVideoError::BadOption { .. }) => Category::BadSettings,
             Self::ReadVideo(e) => e.kind().into(),
             Self::WriteVideo(e) => e.kind().into(),

@@ -27,8 +27,10 @@
 
 pub mod bench;
 pub mod evaluate;
+pub mod export;
 pub mod folder;
 pub mod geometry;
+pub mod import;
 pub mod inspect;
 pub mod preview;
 pub mod record;

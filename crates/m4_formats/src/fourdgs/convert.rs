@@ -130,7 +130,9 @@ pub(super) fn from_set(set: &GaussianSet, clip: &Clip, cutoff: f64) -> Result<(S
         let whole = from <= 0.0 && to > last_s;
         let velocity = motion.map(|v| (f64::from(v) * clip.step_s) as f32);
         let life = if sigma.is_finite() {
-            cut += usize::from(from > (mu - k * sigma).max(0.0) || to <= (mu + k * sigma).min(last_s));
+            // a grid may have moved the ends a little
+            let seen = (k - 0.1) * sigma;
+            cut += usize::from(from > (mu - seen).max(0.0) || to <= (mu + seen).min(last_s));
             Some((mu, sigma))
         } else if !whole {
             // There for a while and gone: a Gaussian that the renderer cuts off at the same two moments.

@@ -3,7 +3,9 @@
 mod bench;
 mod eval;
 mod existing;
+mod export;
 mod geometry;
+mod import;
 mod inspect;
 mod render;
 mod run;
@@ -16,7 +18,9 @@ mod view;
 pub use bench::{Bench, BenchScene};
 pub use eval::{Eval, EvalGeometry};
 pub use existing::OutArgs;
+pub use export::{Export, PrecisionArg};
 pub use geometry::Geometry;
+pub use import::Import;
 pub use inspect::Inspect;
 pub use render::{FitArg, Render};
 pub use run::Run;
@@ -72,6 +76,10 @@ pub enum Command {
     Train(Train),
     /// Pictures or a video of a trained scene
     Render(Render),
+    /// A scene as a file that other tools play
+    Export(Export),
+    /// A splat file of another tool as a scene
+    Import(Import),
     /// A scene in the browser, from a server on this machine; newer scenes appear by themselves
     View(View),
     /// Compare a trained scene with the held-out views of a capture
@@ -114,6 +122,9 @@ mod tests {
             "bench --scene 5d",
             "bench --frames 96",
             "bench --memory --render",
+            "export a --fps 0",
+            "import a.ply",
+            "import a.ply -o b --format mp5",
             "view",
             "view a --port 0",
             "train a -o b --port 8000",

@@ -4,7 +4,9 @@ mod bench;
 mod doctor;
 mod eval;
 mod eval_geometry;
+mod export;
 mod geometry;
+mod import;
 mod inspect;
 mod render;
 mod run;
@@ -28,6 +30,8 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Geometry(args) => geometry::run(args, output),
         Command::Train(args) => train::run(args, output),
         Command::Render(args) => render::run(args, output),
+        Command::Export(args) => export::run(args, output),
+        Command::Import(args) => import::run(args, output),
         Command::View(args) => view::run(args, output),
         Command::Eval(args) => eval::run(args, output),
         Command::EvalGeometry(args) => eval_geometry::run(args, output),

@@ -1,0 +1,149 @@
+//! A scene as a file that other tools play, with what that costs: bytes, seconds, and decibels against
+//! our own render.
+//!
+//! Adding a format: a variant of [`Format`] with its row in `format.rs`, an arm in `write.rs`, and, where
+//! there is a reader, one in `crate::import`.
+
+mod compare;
+mod error;
+mod format;
+mod report;
+mod video;
+mod write;
+
+pub use compare::Comparison;
+pub use error::ExportError;
+pub use format::{Format, Time};
+pub use report::{ExportReport, Losses};
+
+use crate::folder::SCENE_FILE;
+use crate::render::{Moment, Span};
+use crate::{Error, Observer};
+use m4_io::scene_file;
+use m4_scene::Scene;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What to export.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExportJob {
+    /// As what.
+    pub format: Format,
+    /// Where to; `None` for the usual name beside the scene.
+    pub out: Option<PathBuf>,
+    /// The moment of a format that has one; `None` for the middle of the clip.
+    pub time: Option<Moment>,
+    /// Frames a second of a format that has many; `None` for those of the source.
+    pub fps: Option<f64>,
+    /// Replace what is there.
+    pub replace: bool,
+    /// Render what was written and compare it with the scene.
+    pub compare: bool,
+    /// Settings of single formats.
+    pub fourdgs: m4_formats::fourdgs::FourdgsConfig,
+}
+
+impl ExportJob {
+    /// The format as it is by itself.
+    #[must_use]
+    pub fn new(format: Format) -> Self {
+        Self {
+            format,
+            out: None,
+            time: None,
+            fps: None,
+            replace: false,
+            compare: true,
+            fourdgs: m4_formats::fourdgs::FourdgsConfig::default(),
+        }
+    }
+}
+
+/// Exports a scene (a file, or the folder of a run).
+///
+/// # Errors
+///
+/// [`Error`]: the scene cannot be read, the moment lies outside it, options and format do not go together,
+/// or the file cannot be written.
+pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
+    job.check()?;
+    let (folder, file) = if input.is_dir() {
+        (input.to_path_buf(), input.join(SCENE_FILE))
+    } else {
+        let folder = input.parent().unwrap_or(Path::new("")).to_path_buf();
+        (folder, input.to_path_buf())
+    };
+    let out = match &job.out {
+        Some(out) => out.clone(),
+        None => folder.join(job.format.file_name()),
+    };
+    if !job.replace && occupied(&out) {
+        return Err(Error::WouldReplace { path: out });
+    }
+    let scene = scene_file::read(&file)?.scene;
+    scene_to(&scene, &out, job, observer)
+}
+
+/// Exports a scene in memory to `out`; what is there is replaced.
+///
+/// # Errors
+///
+/// As [`make`].
+pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
+    job.check()?;
+    let moments = job.moments(scene)?;
+    let start = Instant::now();
+    let written = write::write(scene, out, &moments, job, observer)?;
+    let encode_s = start.elapsed().as_secs_f64();
+    let comparison = if job.compare {
+        compare::compare(scene, &written.path, job.format, &moments, observer)?
+    } else {
+        None
+    };
+    Ok(ExportReport::new(
+        scene, job.format, &moments, written, encode_s, comparison,
+    ))
+}
+
+impl ExportJob {
+    fn check(&self) -> Result<(), ExportError> {
+        let time = self.format.time();
+        if self.time.is_some() && time != Time::Instant {
+            return Err(ExportError::NoInstant { format: self.format });
+        }
+        if self.fps.is_some() && !matches!(time, Time::Sequence | Time::Video) {
+            return Err(ExportError::NoRate { format: self.format });
+        }
+        Ok(())
+    }
+
+    /// The moments that are written, frames: one, or those of a sequence; none for a format with time.
+    fn moments(&self, scene: &Scene) -> Result<Vec<f64>, Error> {
+        let span = Span {
+            time_frames: scene.time_frames,
+            duration_s: scene.duration_s,
+        };
+        let last = scene.time_frames.saturating_sub(1) as f64;
+        match self.format.time() {
+            Time::Instant => Ok(vec![match self.time {
+                Some(moment) => span.frames(moment)?,
+                None => (last / 2.0).round(),
+            }]),
+            Time::Sequence => {
+                // as many frames of the scene from one file to the next
+                let step = self.fps.map_or(1.0, |fps| crate::render::source_fps(scene) / fps);
+                let count = (last / step + 1e-9).floor() as usize + 1;
+                Ok((0..count).map(|i| (i as f64 * step).min(last)).collect())
+            }
+            Time::Clip | Time::Video | Time::Cameras => Ok(Vec::new()),
+        }
+    }
+}
+
+/// True for a file, and for a folder with something in it.
+fn occupied(path: &Path) -> bool {
+    match std::fs::read_dir(path) {
+        Ok(mut entries) => entries.next().is_some(),
+        Err(_) => path.exists(),
+    }
+}

@@ -1,0 +1,119 @@
+//! Files of other tools as the folder of a run, which can be rendered, viewed and exported.
+
+mod cameras;
+mod error;
+mod read;
+
+pub use cameras::default_cameras;
+pub use error::ImportError;
+pub(crate) use read::read_back;
+
+use crate::export::{Format, Losses};
+use crate::folder::{Existing, SCENE_FILE};
+use crate::record::{Input, RunRecord, SplatCount};
+use crate::workspace::Workspace;
+use crate::{Error, Job, Observer, Settings, hash};
+use m4_formats::Imported;
+use m4_io::scene_file;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Name of the stage.
+pub const STAGE: &str = "import";
+
+/// What was imported.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ImportReport {
+    /// The format that was read.
+    pub format: Format,
+    /// The folder that was made.
+    pub path: PathBuf,
+    /// Splats without time parameters.
+    pub splats_static: usize,
+    /// Splats with them.
+    pub splats_dynamic: usize,
+    /// Frames of the clip.
+    pub time_frames: usize,
+    /// Cameras of the file; 0 where they were made up.
+    pub cameras: usize,
+    /// What of the file a scene cannot hold.
+    pub losses: Losses,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+/// Imports a file into the folder `out`. A file without cameras gets some that look at its middle.
+///
+/// # Errors
+///
+/// [`Error`]: the file cannot be read or is of no known format, or the folder cannot be used.
+pub fn make(
+    file: &Path,
+    out: &Path,
+    format: Option<Format>,
+    existing: Existing,
+    observer: &dyn Observer,
+) -> Result<ImportReport, Error> {
+    if !file.exists() {
+        return Err(Error::Missing {
+            what: "file to import",
+            path: file.to_path_buf(),
+        });
+    }
+    let format = read::format(file, format)?;
+    let job = Job {
+        settings: Settings::fast(),
+        profile: STAGE.to_owned(),
+        existing,
+        observer,
+    };
+    // Read before the folder is made, so that a wrong file leaves nothing behind.
+    let Imported { mut scene, up, losses } = read::read(format, file)?;
+    if scene.splats.n() == 0 {
+        return Err(ImportError::NoSplats {
+            path: file.to_path_buf(),
+        }
+        .into());
+    }
+    let cameras = scene.source.len();
+    if cameras == 0 {
+        default_cameras(&mut scene, up);
+    }
+    let input = Input {
+        path: file.display().to_string(),
+        blake3: hash::of_path(file)?,
+    };
+    let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, format.name()]);
+    let record: RunRecord = Workspace::open(out, input, &job)?.finish(|run| {
+        run.record.splats = Some(SplatCount {
+            r#static: scene.splats.n_static(),
+            dynamic: scene.splats.n_dynamic(),
+        });
+        run.stage(STAGE, key, (None, 0.0), &[SCENE_FILE], |run, keeper| {
+            use m4_scene::Progress;
+            for loss in &losses {
+                keeper.warn(&loss.to_string());
+            }
+            if cameras == 0 {
+                keeper.warn("the file has no cameras; some that look at its middle were made up");
+            }
+            Ok(scene_file::write(
+                &run.path(SCENE_FILE),
+                &scene,
+                None,
+                &BTreeMap::new(),
+            )?)
+        })
+    })?;
+    Ok(ImportReport {
+        format,
+        path: out.to_path_buf(),
+        splats_static: scene.splats.n_static(),
+        splats_dynamic: scene.splats.n_dynamic(),
+        time_frames: scene.time_frames,
+        cameras,
+        losses: Losses::of(losses),
+        seconds: record.seconds,
+    })
+}

@@ -1,0 +1,40 @@
+//! `minute4d export`: a scene as a file that other tools play.
+
+use crate::args::{Export, PrecisionArg};
+use crate::failure::Failure;
+use crate::output::Output;
+use minute4d::export::{ExportJob, Format};
+use minute4d::formats::fourdgs::{FourdgsConfig, Precision};
+use minute4d::render::{Moment, TimePath};
+
+pub fn run(args: &Export, output: &Output) -> Result<(), Failure> {
+    let named = args.out.as_deref().and_then(Format::of_path);
+    let job = ExportJob {
+        out: args.out.clone(),
+        time: args.time.as_deref().map(moment).transpose()?,
+        fps: args.fps,
+        replace: args.force,
+        compare: !args.no_compare,
+        fourdgs: FourdgsConfig {
+            precision: match args.precision {
+                PrecisionArg::Fine => Precision::Fine,
+                PrecisionArg::Normal => Precision::Normal,
+                PrecisionArg::Coarse => Precision::Coarse,
+            },
+            ..FourdgsConfig::default()
+        },
+        ..ExportJob::new(args.format.or(named).unwrap_or(Format::Fourdgs))
+    };
+    let report = minute4d::export::make(&args.scene, &job, output)?;
+    output.note(&report.to_string());
+    output.result(&report.path.display().to_string(), minute4d::plain_json(&report)?);
+    Ok(())
+}
+
+/// `12.5` or `1.5s`.
+fn moment(text: &str) -> Result<Moment, Failure> {
+    match format!("freeze@{text}").parse().map_err(minute4d::Error::from)? {
+        TimePath::Freeze(moment) => Ok(moment),
+        _ => Err(Failure::usage(&format!("{text:?} is no moment"))),
+    }
+}

@@ -1,0 +1,254 @@
+//! Scenes to the files of other tools and back, from outside.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use common::{Scratch, refused, succeed};
+use m4_testkit::{SceneSpec, moving_scene, random_camera, random_splats};
+use minute4d::io::scene_file;
+use minute4d::scene::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fs;
+
+const FRAMES: usize = 12;
+
+/// A ball in front of a wall, trained without the Mip filter, or with it and of small splats.
+fn write_scene(dir: &Scratch, mip: bool) {
+    let mut made = moving_scene(Intrinsics::centred(96, 72, 90.0), FRAMES);
+    if mip {
+        // a fifth of a pixel: what the filter is for
+        let sizes = made.splats.column_mut(Column::LogScale, 0);
+        sizes.iter_mut().for_each(|size| *size -= 3.0);
+    }
+    let frame = |(i, camera)| SourceFrame {
+        camera,
+        t: i as f64,
+        exposure: Exposure::IDENTITY,
+    };
+    let scene = Scene {
+        splats: made.splats,
+        background: [0.2, 0.3, 0.4],
+        time_frames: FRAMES,
+        duration_s: Some(0.5),
+        mip,
+        near: 0.02,
+        source: made.cameras.into_iter().enumerate().map(frame).collect(),
+    };
+    fs::create_dir_all(dir.path("out")).unwrap();
+    scene_file::write(&dir.path("out/scene.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+#[test]
+fn every_format_shows_the_scene_that_it_was_made_of() {
+    let dir = Scratch::new();
+    write_scene(&dir, false);
+    let out = dir.at("out");
+    // Least PSNR of the worst view. What is rounded: colours and opacities to 1/255 or 1/510, places to a
+    // twentieth of a median scale; PLY rounds nothing.
+    for (format, file, least_db) in [
+        ("4dgs", "scene.4dgs", 40.0),
+        ("splatv", "scene.splatv", 45.0),
+        ("ply", "scene.ply", 90.0),
+        ("ply-sequence", "ply", 90.0),
+        ("spz", "scene.spz", 35.0),
+        ("gltf", "scene.glb", 90.0),
+    ] {
+        let report = succeed(&["export", &out, "--format", format, "--json"]).result();
+        assert_eq!(report["path"], dir.at(&format!("out/{file}")));
+        assert_eq!(report["format"], format);
+        assert!(number(&report["bytes"]) > 1000.0 && number(&report["bytes_per_splat"]) > 5.0);
+        let compared = &report["comparison"];
+        assert_eq!(compared["views"], 4);
+        let worst = number(&compared["lowest_psnr_db"]);
+        assert!(worst > least_db, "{format}: {worst:.2} dB in the worst view");
+        assert!(compared["without_mip_psnr_db"].is_null());
+        refused(&["export", &out, "--format", format], 73, &["--force"]);
+    }
+    for (format, file) in [
+        ("usd", "scene.usda"),
+        ("colmap", "colmap"),
+        ("nerfstudio", "transforms.json"),
+    ] {
+        let report = succeed(&["export", &out, "--format", format, "--json"]).result();
+        assert_eq!(report["path"], dir.at(&format!("out/{file}")));
+        assert!(number(&report["bytes"]) > 1000.0 && report["comparison"].is_null());
+    }
+    assert_eq!(fs::read_dir(dir.path("out/ply")).unwrap().count(), FRAMES);
+    let half = succeed(&[
+        "export",
+        &out,
+        "--format",
+        "ply-sequence",
+        "--fps",
+        "11",
+        "--force",
+        "--no-compare",
+        "--json",
+    ]);
+    assert_eq!(half.result()["moments"].as_array().unwrap().len(), 6);
+    assert_eq!(fs::read_dir(dir.path("out/ply")).unwrap().count(), 6);
+    assert!(half.result()["comparison"].is_null());
+
+    let ended = succeed(&["export", &out, "-o", &dir.at("clip.mp4")]);
+    assert_eq!(
+        ended.stdout.trim_end(),
+        dir.at("clip.mp4"),
+        "the result is the path and nothing else"
+    );
+    assert_eq!(
+        succeed(&["inspect", &dir.at("clip.mp4"), "--json"]).result()["frames"],
+        FRAMES
+    );
+}
+
+#[test]
+fn the_mip_filter_is_counted_where_players_lack_it() {
+    let dir = Scratch::new();
+    write_scene(&dir, true);
+    let report = succeed(&["export", &dir.at("out"), "--json"]).result();
+    let compared = &report["comparison"];
+    assert!(number(&compared["without_mip_psnr_db"]) < number(&compared["psnr_db"]));
+    let dropped = report["losses"]["dropped"].to_string();
+    assert!(dropped.contains("Mip filter"), "{dropped}");
+}
+
+#[test]
+fn what_was_exported_is_imported_rendered_and_exported_again() {
+    let dir = Scratch::new();
+    write_scene(&dir, false);
+    let out = dir.at("out");
+    for (format, file) in [("4dgs", "scene.4dgs"), ("splatv", "scene.splatv")] {
+        succeed(&["export", &out, "--format", format, "--no-compare"]);
+        let back = dir.at(format);
+        let report = succeed(&["import", &dir.at(&format!("out/{file}")), "-o", &back, "--json"]).result();
+        assert_eq!(
+            (&report["cameras"], &report["time_frames"]),
+            (&FRAMES.into(), &FRAMES.into())
+        );
+        assert_eq!(
+            (&report["splats_static"], &report["splats_dynamic"]),
+            (&576.into(), &60.into())
+        );
+        let facts = succeed(&["inspect", &back, "--json"]).result();
+        assert_eq!(
+            (&facts["kind"], &facts["record"]["status"]),
+            (&"run".into(), &"finished".into())
+        );
+        assert_eq!(facts["scene"]["cameras"], FRAMES);
+        succeed(&["render", &back, "-o", &dir.at(&format!("{format}-png"))]);
+        assert_eq!(
+            fs::read_dir(dir.path(&format!("{format}-png"))).unwrap().count(),
+            FRAMES
+        );
+        // what has been rounded once is hardly changed by being rounded again
+        let again = succeed(&["export", &back, "--format", format, "--json"]).result();
+        assert!(number(&again["comparison"]["psnr_db"]) > 40.0, "{again}");
+        refused(
+            &["import", &dir.at(&format!("out/{file}")), "-o", &back],
+            73,
+            &["--force"],
+        );
+        succeed(&["import", &dir.at(&format!("out/{file}")), "-o", &back, "--force"]);
+    }
+}
+
+#[test]
+fn a_still_ply_of_another_program_gets_cameras() {
+    let dir = Scratch::new();
+    let spec = SceneSpec {
+        layout: SplatLayout {
+            isotropic: false,
+            sh_degree: 2,
+            time_degree: 0,
+        },
+        n_static: 200,
+        n_dynamic: 0,
+        ..SceneSpec::default()
+    };
+    let scene = Scene {
+        splats: random_splats(5, &random_camera(3, 64, 48), &spec),
+        background: [0.0; 3],
+        time_frames: 1,
+        duration_s: None,
+        mip: false,
+        near: 0.01,
+        source: Vec::new(),
+    };
+    scene_file::write(&dir.path("a.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
+    // without cameras there is nothing to compare from, and no clip
+    let report = succeed(&[
+        "export",
+        &dir.at("a.safetensors"),
+        "--format",
+        "ply",
+        "-o",
+        &dir.at("a.ply"),
+        "--json",
+    ])
+    .result();
+    assert!(report["comparison"].is_null() && report["bytes_per_s"].is_null());
+    refused(
+        &["export", &dir.at("a.safetensors"), "-o", &dir.at("a.mp4")],
+        65,
+        &["no cameras"],
+    );
+
+    let ended = succeed(&["import", &dir.at("a.ply"), "-o", &dir.at("in")]);
+    assert!(ended.stderr.contains("no cameras"), "{}", ended.stderr);
+    let facts = succeed(&["inspect", &dir.at("in"), "--json"]).result();
+    assert_eq!(
+        (&facts["scene"]["cameras"], &facts["scene"]["sh_degree"]),
+        (&60.into(), &2.into())
+    );
+    let picture = dir.at("png");
+    succeed(&["render", &dir.at("in"), "-o", &picture]);
+    let middle = fs::metadata(dir.path("png/00000.png")).unwrap().len();
+    assert!(middle > 20_000, "the splats are in the picture: {middle} bytes");
+}
+
+#[test]
+fn wrong_requests_are_refused_with_advice() {
+    let dir = Scratch::new();
+    write_scene(&dir, false);
+    let out = dir.at("out");
+    fs::write(dir.path("a.obj"), "v 0 0 0\n").unwrap();
+    fs::write(
+        dir.path("a.ply"),
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n",
+    )
+    .unwrap();
+    let (nowhere, at) = (dir.at("nowhere"), dir.at("in"));
+    let [obj, ply, gone_ply, gone_mp4] = ["a.obj", "a.ply", "gone.ply", "gone.mp4"].map(|name| dir.at(name));
+    for (args, code, says) in [
+        (
+            vec!["export", &*out, "--time", "3"],
+            2,
+            "--time has no meaning for 4dgs",
+        ),
+        (vec!["export", &out, "--fps", "10"], 2, "--fps has no meaning for 4dgs"),
+        (
+            vec!["export", &out, "--format", "ply", "--time", "99"],
+            2,
+            "frames 0 to 11",
+        ),
+        (vec!["export", &out, "--format", "ply", "--time", "soon"], 2, "soon"),
+        (vec!["export", &out, "--format", "obj"], 2, "choose one of 4dgs"),
+        (vec!["export", &nowhere], 66, "nowhere"),
+        (vec!["import", &obj, "-o", &at], 2, "add --format"),
+        (vec!["import", &ply, "-o", &at], 65, "has no property scale_0"),
+        (vec!["import", &out, "-o", &at], 65, "is a folder"),
+        (vec!["import", &gone_ply, "-o", &at], 66, "gone.ply"),
+        (vec!["import", &gone_mp4, "-o", &at], 66, "gone.mp4"),
+    ] {
+        refused(&args, code, &[says]);
+    }
+    assert!(
+        !dir.path("in").exists(),
+        "a file that cannot be used leaves nothing behind"
+    );
+}
