@@ -16,8 +16,15 @@ const MEASURING: [&str; 3] = ["m4_slam", "m4_init", "m4_train"];
 /// ... and the crates that they may use for that, beside their row of the table.
 const FOR_MEASURING: [&str; 3] = ["m4_io", "m4_init", "m4_eval"];
 
+/// Crates whose tests compare what they made with what our own renderer draws of it ...
+const DRAWING: [&str; 2] = ["m4_formats", "m4_viewer"];
+/// ... and where that is.
+const RENDERER: &str = "m4_kernels";
+
 fn for_tests(from: &str, to: &str) -> bool {
-    to == TESTKIT || (MEASURING.contains(&from) && FOR_MEASURING.contains(&to))
+    to == TESTKIT
+        || (MEASURING.contains(&from) && FOR_MEASURING.contains(&to))
+        || (DRAWING.contains(&from) && to == RENDERER)
 }
 
 /// Dependencies between the crates of a workspace, as they are.

@@ -7,6 +7,7 @@
 
 pub mod arrows;
 pub mod lock;
+pub mod page;
 pub mod plot;
 pub mod results;
 

@@ -11,12 +11,13 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry INPUT=TRUTH... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
+const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | page | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry INPUT=TRUTH... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
 
   check   fmt, clippy, docs, arrows, lock, deny and tests, as CI does
   arrows  dependencies between crates against the table of ARCHITECTURE.md
   lock    no git sources in Cargo.lock
   deny    cargo-deny: licences, sources, duplicate versions (skipped where it is not installed)
+  page    build the viewer's page from crates/m4_viewer/page (needs npm)
   results-held-out  train each scene in every profile and score its held-out views (docs/results.md)
   results-time      train each scene in both profiles for so many seconds each and score its held-out views
   results-geometry  recover the geometry of each input and compare it with the truth (docs/results.md)
@@ -32,6 +33,7 @@ fn main() -> ExitCode {
         ["arrows"] => step("arrows", || xtask::arrows::check(&root)),
         ["lock"] => step("lock", || xtask::lock::check(&root)),
         ["deny"] => step("deny", || deny(&root)),
+        ["page"] => step("page", || xtask::page::build(&root, &root.join("target/page"))),
         ["results-held-out", ref scenes @ ..] if !scenes.is_empty() => {
             table(xtask::results::held_out(&root, scenes, &root.join("target/results")))
         }

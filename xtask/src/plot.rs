@@ -28,12 +28,12 @@ pub fn time_to_quality(path: &Path, curves: &[Curve]) -> Result<()> {
         return Err(anyhow!("nothing to plot"));
     };
     let failed = |e: &dyn std::fmt::Display| anyhow!("{}: {e}", path.display());
-    let root = SVGBackend::new(path, (760, 420)).into_drawing_area();
+    let root = SVGBackend::new(path, (860, 480)).into_drawing_area();
     root.fill(&WHITE).map_err(|e| failed(&e))?;
     let mut chart = ChartBuilder::on(&root)
         .margin(16)
-        .x_label_area_size(44)
-        .y_label_area_size(52)
+        .x_label_area_size(56)
+        .y_label_area_size(68)
         .build_cartesian_2d((0.9 * x.0..1.1 * x.1).log_scale(), y.0 - 0.5..y.1 + 0.5)
         .map_err(|e| failed(&e))?;
     chart
@@ -42,6 +42,8 @@ pub fn time_to_quality(path: &Path, curves: &[Curve]) -> Result<()> {
         .y_desc("PSNR of held-out views, dB")
         .x_label_formatter(&|s| format!("{s:.0}"))
         .light_line_style(TRANSPARENT)
+        .label_style(("sans-serif", 18))
+        .axis_desc_style(("sans-serif", 18))
         .draw()
         .map_err(|e| failed(&e))?;
     for (i, curve) in curves.iter().enumerate() {
@@ -55,6 +57,7 @@ pub fn time_to_quality(path: &Path, curves: &[Curve]) -> Result<()> {
     chart
         .configure_series_labels()
         .position(SeriesLabelPosition::LowerRight)
+        .label_font(("sans-serif", 17))
         .background_style(WHITE)
         .border_style(BLACK.mix(0.2))
         .draw()

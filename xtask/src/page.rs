@@ -1,0 +1,125 @@
+//! The viewer's page: built from its sources, and compared with the one that is kept.
+//!
+//! The sources are TypeScript in `crates/m4_viewer/page`; the built page is kept beside them, so that
+//! nobody needs Node.js to build the program.
+
+use anyhow::{Context, Result, bail};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const SOURCES: &str = "crates/m4_viewer/page";
+const KEPT: &str = "crates/m4_viewer/page.html";
+/// What is made, not written.
+const MADE: [&str; 2] = ["node_modules", "dist"];
+
+/// What a comparison came to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Outcome {
+    /// The page that is kept is what its sources build to.
+    Same,
+    /// It is not.
+    Differs {
+        /// Bytes of the page that is kept.
+        kept: usize,
+        /// Bytes of the page that was built.
+        built: usize,
+    },
+    /// Nothing was compared.
+    Skipped {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// Builds the page from its sources and keeps it.
+///
+/// # Errors
+///
+/// If npm is missing, a package cannot be had, or the sources do not build.
+pub fn build(root: &Path, work: &Path) -> Result<()> {
+    let folder = copied(root, work)?;
+    npm(&folder, &["ci", "--no-audit", "--no-fund"])?;
+    npm(&folder, &["run", "build"])?;
+    std::fs::copy(work.join("page.html"), root.join(KEPT)).with_context(|| format!("cannot write {KEPT}"))?;
+    Ok(())
+}
+
+/// Builds the page in `work`, runs its own tests, and compares it byte for byte with the one that is kept.
+///
+/// # Errors
+///
+/// If the sources do not build, a test of theirs fails, or a file cannot be read. A missing npm, and packages that
+/// cannot be had, are [`Outcome::Skipped`].
+pub fn compare(root: &Path, work: &Path) -> Result<Outcome> {
+    let found = Command::new("npm").arg("--version").output();
+    if !found.is_ok_and(|o| o.status.success()) {
+        return Ok(Outcome::Skipped {
+            reason: "npm is not installed".to_owned(),
+        });
+    }
+    let folder = copied(root, work)?;
+    if let Err(error) = npm(&folder, &["ci", "--no-audit", "--no-fund"]) {
+        return Ok(Outcome::Skipped {
+            reason: format!("the packages cannot be had: {error:#}"),
+        });
+    }
+    npm(&folder, &["test"])?;
+    npm(&folder, &["run", "build"])?;
+    let kept = read(&root.join(KEPT))?;
+    let built = read(&work.join("page.html"))?;
+    Ok(if kept == built {
+        Outcome::Same
+    } else {
+        Outcome::Differs {
+            kept: kept.len(),
+            built: built.len(),
+        }
+    })
+}
+
+/// A fresh copy of the sources, and of nothing that was built from them.
+fn copied(root: &Path, work: &Path) -> Result<PathBuf> {
+    let folder = work.join("page");
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder).with_context(|| format!("cannot empty {}", folder.display()))?;
+    }
+    copy(&root.join(SOURCES), &folder)?;
+    Ok(folder)
+}
+
+fn copy(from: &Path, to: &Path) -> Result<()> {
+    std::fs::create_dir_all(to).with_context(|| format!("cannot make {}", to.display()))?;
+    for entry in std::fs::read_dir(from).with_context(|| format!("cannot list {}", from.display()))? {
+        let entry = entry?;
+        let (name, target) = (entry.file_name(), to.join(entry.file_name()));
+        if MADE.iter().any(|made| name == *made) {
+            continue;
+        }
+        if entry.file_type()?.is_dir() {
+            copy(&entry.path(), &target)?;
+        } else {
+            std::fs::copy(entry.path(), &target).with_context(|| format!("cannot copy {}", entry.path().display()))?;
+        }
+    }
+    Ok(())
+}
+
+fn npm(folder: &Path, args: &[&str]) -> Result<()> {
+    let output = Command::new("npm")
+        .args(args)
+        .current_dir(folder)
+        .output()
+        .context("cannot start npm")?;
+    if !output.status.success() {
+        let (out, err) = (
+            String::from_utf8_lossy(&output.stdout),
+            String::from_utf8_lossy(&output.stderr),
+        );
+        bail!("npm {} ended with {}\n{out}{err}", args.join(" "), output.status);
+    }
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<Vec<u8>> {
+    std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))
+}

@@ -1,0 +1,14 @@
+//! The page that is kept is the one that its sources build to.
+
+use xtask::page::{Outcome, compare};
+
+#[test]
+fn the_page_is_what_its_sources_build_to() {
+    let root = xtask::root();
+    let work = root.join("target/page");
+    match compare(&root, &work).unwrap() {
+        Outcome::Same => {}
+        Outcome::Skipped { reason } => eprintln!("SKIPPED: {reason}"),
+        differs @ Outcome::Differs { .. } => panic!("{differs:?}: run `cargo xtask page` and commit what it writes"),
+    }
+}
