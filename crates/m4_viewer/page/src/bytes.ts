@@ -16,6 +16,17 @@ function damaged(what: string, cause: unknown): PageError {
   );
 }
 
+/** The browser's own decoder, where it has one: many times as fast. */
+const native = (Uint8Array as { fromBase64?: (text: string) => Uint8Array }).fromBase64;
+
+function decodePiece(text: string): Uint8Array {
+  if (native) return native.call(Uint8Array, text);
+  const characters = atob(text);
+  const out = new Uint8Array(characters.length);
+  for (let k = 0; k < characters.length; k++) out[k] = characters.charCodeAt(k);
+  return out;
+}
+
 /** Decodes base64; calls `progress` with 0..1 and lets the page paint in between. */
 export async function fromBase64(
   text: string,
@@ -28,8 +39,9 @@ export async function fromBase64(
   let at = 0;
   try {
     for (let i = 0; i < clean.length; i += CHUNK) {
-      const piece = atob(clean.slice(i, i + CHUNK));
-      for (let k = 0; k < piece.length; k++) out[at++] = piece.charCodeAt(k);
+      const piece = decodePiece(clean.slice(i, i + CHUNK));
+      out.set(piece, at);
+      at += piece.length;
       progress(Math.min(1, (i + CHUNK) / clean.length));
       await breath();
     }

@@ -20,7 +20,7 @@ export function embeddedManifest(): Manifest {
   if (json === null) {
     throw new PageError(
       "There is no scene in this page",
-      "It is the empty viewer. `minute4d view SCENE` writes one with a scene in it.",
+      "It is the empty viewer. `minute4d run` writes one with a scene in it, `minute4d view` shows one.",
     );
   }
   try {

@@ -1,6 +1,9 @@
 /** Starts the page: reads what it carries, shows it, and hands it to the user. */
 
-import "./style.css";
+import "./style/base.css";
+import "./style/overlays.css";
+import "./style/bars.css";
+import "./style/wishes.css";
 import { pageApi } from "./api";
 import { App } from "./app";
 import { breath } from "./bytes";

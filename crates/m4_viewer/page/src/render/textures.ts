@@ -57,26 +57,33 @@ export function splatTextures(data: SceneData, terms: number, mostRows: number):
     texels,
     place: texture("places", n, mostRows, (out) => {
       for (let i = 0; i < n; i++) {
-        out.set([v(mean, 3 * i), v(mean, 3 * i + 1), v(mean, 3 * i + 2), v(opacity, i)], 4 * i);
+        for (let k = 0; k < 3; k++) out[4 * i + k] = v(mean, 3 * i + k);
+        out[4 * i + 3] = v(opacity, i);
       }
     }),
     shape: texture("shapes", 2 * n, mostRows, (out) => {
       for (let i = 0; i < n; i++) {
         const d = i - nStatic;
-        const third = d >= 0 ? v(velocity, 3 * d + 2) : 0;
-        out.set([v(scale, 3 * i), v(scale, 3 * i + 1), v(scale, 3 * i + 2), third], 8 * i);
-        out.set([v(quat, 4 * i + 1), v(quat, 4 * i + 2), v(quat, 4 * i + 3), v(quat, 4 * i)], 8 * i + 4);
+        for (let k = 0; k < 3; k++) {
+          out[8 * i + k] = v(scale, 3 * i + k);
+          out[8 * i + 4 + k] = v(quat, 4 * i + 1 + k);
+        }
+        out[8 * i + 3] = d >= 0 ? v(velocity, 3 * d + 2) : 0;
+        out[8 * i + 7] = v(quat, 4 * i);
       }
     }),
     life: texture("lives", nDynamic, mostRows, (out) => {
       for (let d = 0; d < nDynamic; d++) {
-        out.set([v(timeMean, d), v(timeSd, d), v(velocity, 3 * d), v(velocity, 3 * d + 1)], 4 * d);
+        out[4 * d] = v(timeMean, d);
+        out[4 * d + 1] = v(timeSd, d);
+        out[4 * d + 2] = v(velocity, 3 * d);
+        out[4 * d + 3] = v(velocity, 3 * d + 1);
       }
     }),
     colour: texture("colours", texels * n, mostRows, (out) => {
       const length = 3 * terms;
       for (let i = 0; i < n; i++) {
-        out.set(colour.subarray(length * i, length * (i + 1)), 4 * texels * i);
+        for (let k = 0; k < length; k++) out[4 * texels * i + k] = v(colour, length * i + k);
       }
     }),
   };

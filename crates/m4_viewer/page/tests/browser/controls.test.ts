@@ -127,7 +127,8 @@ test("the picture fades outside of what was filmed, and the camera stops", async
   const away = Math.hypot(Math.max(Math.abs(x) - 0.3, 0), y - 0.05, z + 0.1);
   expect(away).toBeLessThan(1.6 * scene.manifest.safe.radius + 1e-3);
   await page.click(control("reset"));
-  expect(await state(page)).toMatchObject({ fade: 0, mode: "ride", time: 0 });
+  expect(await state(page)).toMatchObject({ mode: "ride", time: 0 });
+  await expect.poll(async () => (await state(page)).fade).toBe(0);
   await expect.poll(() => page.isVisible("#hint")).toBe(false);
 });
 
