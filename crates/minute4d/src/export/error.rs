@@ -22,7 +22,7 @@ pub enum ExportError {
         format: Format,
     },
     /// A rate for a format without frames.
-    #[error("--fps has no meaning for {}, which has no frames; leave it out, or choose ply-sequence or mp4", format.name())]
+    #[error("--fps has no meaning for {}, which has no frames; leave it out, or choose ply-sequence, usd or mp4", format.name())]
     NoRate {
         /// The format.
         format: Format,

@@ -111,7 +111,8 @@ impl ExportJob {
         if self.time.is_some() && time != Time::Instant {
             return Err(ExportError::NoInstant { format: self.format });
         }
-        if self.fps.is_some() && !matches!(time, Time::Sequence | Time::Video) {
+        let is_sampled = matches!(time, Time::Sequence | Time::Video) || self.format == Format::Usd;
+        if self.fps.is_some() && !is_sampled {
             return Err(ExportError::NoRate { format: self.format });
         }
         Ok(())

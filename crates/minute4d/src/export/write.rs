@@ -44,14 +44,23 @@ pub(super) fn write(
             spz::write(out, scene, &options).map_err(ExportError::from)?
         }
         Format::Gltf => gltf::write(out, scene, &gltf::GltfOptions { t }).map_err(ExportError::from)?,
-        Format::Usd => usd::write(out, scene, &usd::UsdOptions::default()).map_err(ExportError::from)?,
+        Format::Usd => {
+            // samples lie on whole frames
+            let step = job.fps.map_or(1.0, |fps| crate::render::source_fps(scene) / fps);
+            let options = usd::UsdOptions {
+                step_frames: (step.round() as usize).max(1),
+                ..usd::UsdOptions::default()
+            };
+            usd::write(out, scene, &options).map_err(ExportError::from)?
+        }
         Format::Colmap => {
             let options = colmap::ColmapOptions {
                 // the points are those of the middle of the clip
                 t: (scene.time_frames.saturating_sub(1) / 2) as f64,
                 ..colmap::ColmapOptions::default()
             };
-            colmap::write(out, scene, &options).map_err(ExportError::from)?
+            // where COLMAP and those who read its models look
+            colmap::write(&out.join("sparse/0"), scene, &options).map_err(ExportError::from)?
         }
         Format::Nerfstudio => {
             let options = nerfstudio::NerfstudioOptions::default();

@@ -20,7 +20,7 @@ pub struct Export {
     /// The instant of a format that has one: a frame, or seconds with an `s` behind, as in 1.5s [default: the middle]
     #[arg(long, value_name = "T")]
     pub time: Option<String>,
-    /// Files or pictures a second of a format that has many [default: the frames of the source]
+    /// Files, samples (usd) or pictures a second of a format that has many [default: the frames of the source]
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
     /// How finely a .4dgs file is written
