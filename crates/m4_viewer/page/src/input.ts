@@ -2,9 +2,13 @@
 
 import type { App } from "./app";
 import { flies, pushOf } from "./camera/fly";
+import { clamp } from "./maths";
 
-/** A drag over the shorter side of the window turns by this, radians. */
-const TURN_ACROSS = 2.4;
+/** A drag over the shorter side of the window turns by this at most and at least, radians. */
+const TURN_MOST = 2.4;
+const TURN_LEAST = 0.6;
+/** In between it is so many times the way to where the camera stops: little room, fine steps. */
+const TURN_ROOMS = 2.5;
 const WHEEL = 0.0012;
 /** A wheel that counts lines turns by as many pixels each. */
 const LINE_PX = 16;
@@ -37,7 +41,7 @@ export function startPointer(canvas: HTMLCanvasElement, app: App, taps: Taps): v
   const perPixel = (): number => {
     const lens = app.view?.lens;
     if (app.rig.mode === "fly" && lens) return lens.width / canvas.clientWidth / lens.fx;
-    return TURN_ACROSS / shorter();
+    return clamp(TURN_ROOMS * app.rig.turnRoom, TURN_LEAST, TURN_MOST) / shorter();
   };
   /** Pixels of the window a focal length. */
   const focal = (): number => {
@@ -112,7 +116,7 @@ export function startPointer(canvas: HTMLCanvasElement, app: App, taps: Taps): v
       const px = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? event.deltaY * LINE_PX : event.deltaY;
       // a pinch on a touch pad comes as a wheel with ctrl and small numbers
       const factor = Math.exp(px * WHEEL * (event.ctrlKey ? 6 : 1));
-      app.touch((rig, t) => rig.zoom(Math.min(Math.max(factor, 0.5), 2), t));
+      app.touch((rig, t) => rig.zoom(clamp(factor, 0.5, 2), t));
     },
     { passive: false },
   );

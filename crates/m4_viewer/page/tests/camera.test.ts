@@ -215,6 +215,16 @@ describe("the rig", () => {
     expect(r.mode).toBe("fly");
   });
 
+  test("the room to turn is known before", () => {
+    const r = rig();
+    r.free("orbit", 0);
+    const room = r.turnRoom;
+    r.turn(-0.98 * room, 0, 0);
+    const inside = path.nearest(r.at(0).position).distance;
+    expect(inside).toBeLessThan(r.safe.stop);
+    expect(inside).toBeGreaterThan(0.9 * r.safe.stop);
+  });
+
   test("at the edge it can still turn back", () => {
     const r = rig();
     r.turn(3, 0, 0);

@@ -5,6 +5,7 @@ import {
   type Vec3,
   add,
   axis,
+  clamp,
   distance,
   mixPose,
   norm,
@@ -130,6 +131,12 @@ export class CameraRig {
   /** Lets a turn go at this speed, radians a second. */
   release(yaw: number, pitch: number): void {
     if (this.lively && this.current === "orbit") this.coast = [yaw, pitch];
+  }
+
+  /** How far the camera can turn about its pivot to one side until it stops, radians. */
+  get turnRoom(): number {
+    const arm = distance(this.pose.position, this.pivot);
+    return arm > 0 ? 2 * Math.asin(clamp(this.safe.stop / (2 * arm), 0, 1)) : Math.PI;
   }
 
   /** Nearer (below 1) or further (above 1). */
