@@ -1,6 +1,7 @@
 //! Files that were damaged or made to do harm: an error or a sound scene, and little memory.
 //!
 //! The allocator counts for the whole process, so everything happens in one test.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_formats::{Imported, fourdgs, ply, splatv};
 use m4_math::CounterRng;

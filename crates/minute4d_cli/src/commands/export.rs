@@ -5,13 +5,15 @@ use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::export::{ExportJob, Format};
 use minute4d::formats::fourdgs::{FourdgsConfig, Precision};
-use minute4d::render::{Moment, TimePath};
+use minute4d::render::Moment;
 
 pub fn run(args: &Export, output: &Output) -> Result<(), Failure> {
     let named = args.out.as_deref().and_then(Format::of_path);
+    let time = args.time.as_deref().map(str::parse::<Moment>).transpose();
+    let time = time.map_err(minute4d::Error::from)?;
     let job = ExportJob {
         out: args.out.clone(),
-        time: args.time.as_deref().map(moment).transpose()?,
+        time,
         fps: args.fps,
         replace: args.force,
         compare: !args.no_compare,
@@ -29,12 +31,4 @@ pub fn run(args: &Export, output: &Output) -> Result<(), Failure> {
     output.note(&report.to_string());
     output.result(&report.path.display().to_string(), minute4d::plain_json(&report)?);
     Ok(())
-}
-
-/// `12.5` or `1.5s`.
-fn moment(text: &str) -> Result<Moment, Failure> {
-    match format!("freeze@{text}").parse().map_err(minute4d::Error::from)? {
-        TimePath::Freeze(moment) => Ok(moment),
-        _ => Err(Failure::usage(&format!("{text:?} is no moment"))),
-    }
 }
