@@ -17,9 +17,17 @@ const scene = new SPLAT.Scene();
 const camera = new SPLAT.Camera();
 const splatv = await SPLAT.SplatvLoader.LoadFromFileAsync(file, scene, camera);
 const data = splatv.data;
-const texture = data.data;
-const float = new Float32Array(texture.buffer, texture.byteOffset, texture.length);
+// The texture that the player draws from: 16 words a splat, the mean first. (data.positions, which serves
+// to sort, has word 3 in place of x in gsplat.js 1.2.9.)
+const float = new Float32Array(data.data.buffer, data.data.byteOffset, data.data.length);
+const low = [Infinity, Infinity, Infinity];
+const high = [-Infinity, -Infinity, -Infinity];
 const means = [];
-for (let i = 0; i < data.vertexCount; i++) means.push([float[16 * i], float[16 * i + 1], float[16 * i + 2]]);
-const bounds = [0, 1, 2].map((k) => means.reduce(([a, b], m) => [Math.min(a, m[k]), Math.max(b, m[k])], [Infinity, -Infinity]));
-console.log(JSON.stringify({ splats: data.vertexCount, width: data.width, height: data.height, bounds, first: means.slice(0, 4) }));
+for (let i = 0; i < data.vertexCount; i++) {
+    for (let k = 0; k < 3; k++) {
+        low[k] = Math.min(low[k], float[16 * i + k]);
+        high[k] = Math.max(high[k], float[16 * i + k]);
+    }
+    if (i % 1000 === 0) means.push(Array.from(float.slice(16 * i, 16 * i + 3)));
+}
+console.log(JSON.stringify({ splats: data.vertexCount, low, high, means }));
