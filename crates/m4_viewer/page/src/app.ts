@@ -19,6 +19,8 @@ const SLOW_MS = 48;
 const FAST_MS = 24;
 const QUALITIES = [1, 0.75, 0.5] as const;
 const FRAMES_TO_JUDGE = 12;
+/** A drag counts as movement until nothing came for so long, milliseconds. */
+const HANDS_OFF_MS = 160;
 const REPEATS: readonly Repeat[] = ["loop", "swing", "once"];
 
 /** A camera that was set from outside and stays until somebody moves. */
@@ -40,6 +42,8 @@ export class App {
   private last = 0;
   private quality = 0;
   private paces: number[] = [];
+  private touched = Number.NEGATIVE_INFINITY;
+  private finish = 0;
   private readonly listeners: (() => void)[] = [];
 
   constructor(
@@ -146,6 +150,10 @@ export class App {
       this.fixed = null;
     }
     move(this.rig, this.clock.time);
+    this.touched = performance.now();
+    // the last picture of a drag is drawn in full
+    window.clearTimeout(this.finish);
+    this.finish = window.setTimeout(this.invalidate, HANDS_OFF_MS + 20);
     this.moved();
   }
 
@@ -214,12 +222,13 @@ export class App {
     const seconds = Math.min(pace / 1000, STEP_MOST_S);
     const playing = this.clock.advance(seconds);
     const moving = this.rig.advance(seconds, this.clock.time) || playing;
-    if (moving) this.judge(pace);
+    const handled = now - this.touched < HANDS_OFF_MS;
+    if (moving || handled) this.judge(pace);
     else this.paces = [];
-    this.draw(moving ? (QUALITIES[this.quality] ?? 1) : 1);
+    this.draw(moving || handled ? (QUALITIES[this.quality] ?? 1) : 1);
     this.changed();
     if (moving || this.clock.playing) this.invalidate();
-    else this.last = Number.NEGATIVE_INFINITY;
+    else if (!handled) this.last = Number.NEGATIVE_INFINITY;
   }
 
   /** Chooses how large the picture is drawn while it moves. */
