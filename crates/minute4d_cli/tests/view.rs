@@ -304,7 +304,9 @@ fn training_in_view_of_a_page_gives_the_same_bits() {
         let html = String::from_utf8(bytes(run, "viewer.html")).unwrap();
         page::read(&html).unwrap()
     });
-    pages[0].manifest.title.clone_from(&pages[1].manifest.title);
+    for page in &mut pages {
+        page.manifest.title.clear();
+    }
     assert!(pages[0] == pages[1], "the pages differ");
 }
 
