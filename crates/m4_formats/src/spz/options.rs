@@ -23,7 +23,7 @@ pub struct SpzOptions {
     /// Axes of the world. Default: right, up, back, the convention of the format.
     pub axes: SpzAxes,
     /// Bits behind the point of a coordinate, 0..=22. Default: as many as the farthest splat leaves. The
-    /// reference encoder takes 12, steps of 1/4096 of a unit: files are a fifth smaller, and fine for
+    /// reference encoder takes 12, steps of 1/4096 of a unit: files are a sixth smaller, and fine for
     /// scenes in metres.
     pub fractional_bits: Option<u8>,
     /// Bits that are kept of a harmonic of degree 1, 1..=8. Default 5, that of the reference encoder.

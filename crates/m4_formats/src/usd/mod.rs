@@ -13,7 +13,7 @@
 //! What has time samples also has a value without time, that of the middle of the clip, for tools that read
 //! still splats. Time codes are frames, `timeCodesPerSecond` is the speed of the clip. The stage has y up; a unit is
 //! called a metre, which is true of captures with metric depth. Splats that no sample sees are left out.
-//! Text is large; `usdcat scene.usda -o scene.usdc` makes it three times smaller.
+//! Text is large; `usdcat scene.usda -o scene.usdc` packs it.
 //!
 //! Source: `usdVol` of OpenUSD 26.03, where the schema appeared; names checked with `usd-core` 26.11.
 

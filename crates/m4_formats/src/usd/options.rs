@@ -9,7 +9,7 @@ pub enum UsdPositions {
     /// At the two ends of the clip: exact, since splats move along lines and USD interpolates linearly.
     #[default]
     Ends,
-    /// At every sample, for tools that read samples and do not interpolate. Up to six times larger.
+    /// At every sample, for tools that read samples and do not interpolate. Several times larger.
     EverySample,
 }
 
