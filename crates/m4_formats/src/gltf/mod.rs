@@ -15,7 +15,7 @@
 //!
 //! Status of the extension: Release Candidate in the specification's snapshot of July 2026
 //! ([`EXTENSION_STATUS`], which is also in the file). An earlier draft had the logarithm of the scale;
-//! the players of today (three r187, PlayCanvas 2.22, CesiumJS) read it as it is written here.
+//! the readers of today (three r187 and fourdgs 0.6 were checked) take it as it is written here.
 //!
 //! Source: `extensions/2.0/Khronos/KHR_gaussian_splatting` of `KhronosGroup/glTF`.
 

@@ -9,8 +9,8 @@ pub enum SpzAxes {
     /// Right, up, back: what the format's README says.
     #[default]
     Rub,
-    /// Right, down, forward, as in a PLY: what tools expect that show SPZ and PLY alike
-    /// (`splat-transform`, SuperSplat).
+    /// Right, down, forward, as in a PLY: what tools expect that treat SPZ and PLY alike
+    /// (`splat-transform` 3.7).
     Rdf,
 }
 
