@@ -18,7 +18,7 @@ pub struct ExportReport {
     pub bytes: u64,
     /// Splats in the file; in a sequence the sum over its files.
     pub splats: usize,
-    /// Bytes a splat of the scene; `None` for files without splats.
+    /// Bytes a splat: of the scene, or, for one instant, of those that it sees; `None` for files without splats.
     pub bytes_per_splat: Option<f64>,
     /// Bytes a second of the clip, where its length is known and the file has time.
     pub bytes_per_s: Option<f64>,
@@ -69,13 +69,17 @@ impl ExportReport {
         comparison: Option<Comparison>,
     ) -> Self {
         let per = |whole: f64| (whole > 0.0).then(|| written.bytes as f64 / whole);
+        let splats = match format.time() {
+            Time::Instant => written.splats,
+            _ => scene.splats.n(),
+        };
         let has_splats = !matches!(format.time(), Time::Video | Time::Cameras);
         let has_time = matches!(format.time(), Time::Clip | Time::Sequence | Time::Video);
         Self {
             format,
             bytes: written.bytes,
             splats: written.splats,
-            bytes_per_splat: per(scene.splats.n() as f64).filter(|_| has_splats),
+            bytes_per_splat: per(splats as f64).filter(|_| has_splats),
             bytes_per_s: scene.duration_s.filter(|_| has_time).and_then(per),
             moments: moments.to_vec(),
             encode_s,
