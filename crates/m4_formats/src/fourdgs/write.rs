@@ -78,7 +78,7 @@ pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Writt
 ///
 /// # Errors
 ///
-/// As [`write`].
+/// As [`write()`].
 pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Loss>), WriteFourdgsError> {
     if !scene.splats.is_finite() {
         return Err(WriteFourdgsError::BadScene {
