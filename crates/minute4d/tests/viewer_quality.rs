@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 #![expect(clippy::print_stdout, reason = "figures are read by people")]
 
-use m4_testkit::synthetic::{SceneSpec, camera_looking_at, random_splats};
+use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 use minute4d::io::scene_file;
 use minute4d::kernels::SimdLevel;
 use minute4d::page::payload::{PayloadConfig, bytes_per_splat, decode, encode};

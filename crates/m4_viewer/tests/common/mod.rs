@@ -2,7 +2,7 @@
 #![expect(dead_code, reason = "every test file uses its own part of this module")]
 
 use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
-use m4_testkit::synthetic::{SceneSpec, camera_looking_at, random_splats};
+use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 use m4_viewer::payload::{Payload, PayloadConfig, encode};
 use m4_viewer::{About, Manifest, SafeConfig};
 
