@@ -94,8 +94,9 @@ fn rotations_come_back_with_either_sign_and_any_length() {
         let back = rotation_value(rotation_code(quat));
         let length = quat.iter().map(|v| v * v).sum::<f32>().sqrt();
         let dot: f32 = quat.iter().zip(back).map(|(a, b)| a / length * b).sum();
-        // half of the angle, radians
-        assert!(dot.abs().min(1.0).acos() < 0.0015, "{quat:?} {back:?}");
+        // half of the angle, radians: three halves of a step (sqrt(2) / 1023), and as much as all of
+        // them together on the component that is left out, where all four are alike
+        assert!(dot.abs().min(1.0).acos() < 0.0025, "{quat:?} {back:?}");
         assert!((back.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5);
     }
     assert_eq!(
