@@ -116,8 +116,7 @@ impl Hub {
 
     /// Tells that the run has ended; [`metrics`](Self::metrics) begin another one.
     pub fn end(&self, ok: bool) {
-        self.pulse
-            .send_if_modified(|pulse| std::mem::replace(&mut pulse.end, Some(ok)) != Some(ok));
+        self.pulse.send_if_modified(|pulse| pulse.end.replace(ok) != Some(ok));
     }
 
     /// How many pages listen.
