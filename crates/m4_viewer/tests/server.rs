@@ -4,14 +4,22 @@
 
 mod common;
 
-use common::shown;
+use common::{manifest_of, scene};
+use m4_viewer::Manifest;
 use m4_viewer::page;
-use m4_viewer::payload::decode;
+use m4_viewer::payload::{PayloadConfig, decode, encode};
 use m4_viewer::server::{Hub, Metrics, ServeError, Server};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::time::Duration;
+
+/// A scene and what a page is told of it.
+fn shown(n_static: usize) -> (Manifest, Vec<u8>) {
+    let scene = scene(n_static, 3);
+    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    (manifest_of(&scene, &payload), payload.bytes)
+}
 
 /// Address, token and host of a server.
 struct Place {
@@ -165,7 +173,7 @@ fn the_page_holds_the_newest_scene_and_says_where_the_next_will_be() {
     let (_, head, answer) = place.ask("GET", &live.scene, &place.host());
     assert!(head.contains("application/octet-stream"));
     let end = 4 + u32::from_le_bytes(answer[..4].try_into().unwrap()) as usize;
-    let told: m4_viewer::Manifest = serde_json::from_slice(&answer[4..end]).unwrap();
+    let told: Manifest = serde_json::from_slice(&answer[4..end]).unwrap();
     assert_eq!(told.splats, manifest.splats);
     assert_eq!(decode(&answer[end..]).unwrap().n(), 23);
     drop(server);

@@ -290,7 +290,7 @@ fn training_in_view_of_a_page_gives_the_same_bits() {
     let first_scene = names.iter().position(|n| *n == "scene").unwrap();
     assert!(first_scene + 2 < names.len(), "a scene while it trained: {names:?}");
     assert_eq!(&names[names.len() - 2..], ["scene", "end"], "the result, then the end");
-    let metrics = heard.iter().filter(|e| e["event"] == "metrics").last().unwrap();
+    let metrics = heard.iter().rfind(|e| e["event"] == "metrics").unwrap();
     assert_eq!(
         (&metrics["iteration"], &metrics["iterations"]),
         (&1500.into(), &1500.into())

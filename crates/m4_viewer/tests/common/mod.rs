@@ -1,9 +1,8 @@
 //! A small scene and what the page is told of it.
-#![expect(dead_code, reason = "every test file uses its own part of this module")]
 
 use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
-use m4_viewer::payload::{Payload, PayloadConfig, encode};
+use m4_viewer::payload::Payload;
 use m4_viewer::{About, Manifest, SafeConfig};
 
 const FRAMES: usize = 6;
@@ -47,11 +46,4 @@ pub fn manifest_of(scene: &Scene, payload: &Payload) -> Manifest {
         safe: SafeConfig::default(),
     };
     Manifest::new(scene, payload, &about)
-}
-
-/// Both, for a server.
-pub fn shown(n_static: usize) -> (Manifest, Vec<u8>) {
-    let scene = scene(n_static, 3);
-    let payload = encode(&scene, 4.0, &PayloadConfig::default());
-    (manifest_of(&scene, &payload), payload.bytes)
 }
