@@ -1,26 +1,39 @@
-//! A headless Chromium that draws WebGL2 in software.
+//! A headless Chromium that draws WebGL2 in software, spoken to by its DevTools protocol.
 
-use headless_chrome::protocol::cdp::Emulation;
-use headless_chrome::{Browser, LaunchOptions, Tab};
-use serde_json::Value;
-use std::ffi::OsStr;
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader};
+use std::net::TcpStream;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
+use tungstenite::{Message, WebSocket};
 
 /// Columns and rows of the window.
 const WINDOW: (u32, u32) = (960, 600);
-
-/// A browser with one page open.
-pub struct Chromium {
-    tab: Arc<Tab>,
-    // closes when dropped
-    _browser: Browser,
-}
-
 /// Names under which distributions install it, and the variable that overrules them.
 const NAMES: [&str; 4] = ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"];
 const VARIABLE: &str = "MINUTE4D_CHROMIUM";
+/// An answer that takes longer than this does not come.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+const FLAGS: [&str; 14] = [
+    "--headless",
+    // the sandbox wants a user other than root
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    // whoever likes things to keep still: nothing plays by itself
+    "--force-prefers-reduced-motion",
+    "--hide-scrollbars",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-dev-shm-usage",
+    "--disable-quic",
+    "--disable-sync",
+    "--remote-debugging-port=0",
+];
 
 /// The program, if this machine has it; else says that the test did not run.
 pub fn find() -> Option<PathBuf> {
@@ -39,57 +52,94 @@ pub fn find() -> Option<PathBuf> {
     found
 }
 
+/// A browser with one page open; closes when dropped.
+pub struct Chromium {
+    process: Child,
+    socket: WebSocket<TcpStream>,
+    session: String,
+    next: u64,
+    _profile: tempfile::TempDir,
+}
+
 impl Chromium {
-    /// Opens `url` for somebody who likes things to keep still: nothing plays by itself.
+    /// Opens `url`.
     pub fn open(program: PathBuf, url: &str) -> Self {
-        let args = [
-            "--use-gl=angle",
-            "--use-angle=swiftshader",
-            "--enable-unsafe-swiftshader",
-            "--disable-quic",
-            "--no-first-run",
-            "--hide-scrollbars",
-        ];
-        let options = LaunchOptions::default_builder()
-            .path(Some(program))
-            // the sandbox wants a user other than root
-            .sandbox(false)
-            .enable_gpu(true)
-            .window_size(Some(WINDOW))
-            .idle_browser_timeout(Duration::from_secs(300))
-            .args(args.iter().map(OsStr::new).collect())
-            .build()
+        let profile = tempfile::tempdir().unwrap();
+        let mut process = Command::new(program)
+            .args(FLAGS)
+            .arg(format!("--window-size={},{}", WINDOW.0, WINDOW.1))
+            .arg(format!("--user-data-dir={}", profile.path().display()))
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
             .unwrap();
-        let browser = Browser::new(options).unwrap();
-        let tab = browser.new_tab().unwrap();
-        tab.set_default_timeout(Duration::from_secs(120));
-        let page = Self { tab, _browser: browser };
-        page.keep_still();
-        page.tab.navigate_to(url).unwrap().wait_until_navigated().unwrap();
+        let mut lines = BufReader::new(process.stderr.take().unwrap()).lines();
+        let address = lines
+            .by_ref()
+            .map_while(Result::ok)
+            .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
+            .expect("Chromium says where it listens");
+        // a full pipe would stop it
+        std::thread::spawn(move || lines.map_while(Result::ok).for_each(drop));
+
+        let host = address.strip_prefix("ws://").unwrap().split('/').next().unwrap();
+        let stream = TcpStream::connect(host).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        let (socket, _) = tungstenite::client(address.as_str(), stream).unwrap();
+        let mut page = Self {
+            process,
+            socket,
+            session: String::new(),
+            next: 0,
+            _profile: profile,
+        };
+        let target = page.call("Target.createTarget", json!({"url": "about:blank"}));
+        let attach = json!({"targetId": target["targetId"], "flatten": true});
+        let session = page.call("Target.attachToTarget", attach)["sessionId"].take();
+        page.session = session.as_str().unwrap().to_owned();
+        page.call("Page.enable", json!({}));
+        page.call("Page.navigate", json!({ "url": url }));
+        page.eval("(async () => { while (!window.minute4d) await new Promise(r => setTimeout(r, 50)); })()");
         page
     }
 
-    fn keep_still(&self) {
-        let media = Emulation::SetEmulatedMedia {
-            media: None,
-            features: Some(vec![Emulation::MediaFeature {
-                name: "prefers-reduced-motion".to_owned(),
-                value: "reduce".to_owned(),
-            }]),
-        };
-        self.tab.call_method(media).unwrap();
+    /// The result of a method; panics with the message of an error.
+    fn call(&mut self, method: &str, params: Value) -> Value {
+        self.next += 1;
+        let mut request = json!({"id": self.next, "method": method, "params": params});
+        if !self.session.is_empty() {
+            request["sessionId"] = json!(self.session);
+        }
+        self.socket.send(Message::text(request.to_string())).unwrap();
+        loop {
+            let Message::Text(text) = self.socket.read().unwrap() else {
+                continue;
+            };
+            let mut answer: Value = serde_json::from_str(&text).unwrap();
+            if answer["id"] == json!(self.next) {
+                assert!(answer["error"].is_null(), "{method}: {}", answer["error"]);
+                return answer["result"].take();
+            }
+        }
     }
 
-    /// The value of a JavaScript expression, awaited where it is a promise; panics with the message of
-    /// what it threw.
-    pub fn eval(&self, expression: &str) -> Value {
-        let wrapped = format!(
-            "(async () => {{ try {{ return JSON.stringify({{ok: (await ({expression})) ?? null}}); }} \
-             catch (e) {{ return JSON.stringify({{error: String(e && e.stack || e)}}); }} }})()"
+    /// The value of a JavaScript expression, awaited where it is a promise; panics with what it threw.
+    pub fn eval(&mut self, expression: &str) -> Value {
+        let params = json!({"expression": expression, "awaitPromise": true, "returnByValue": true});
+        let mut answer = self.call("Runtime.evaluate", params);
+        assert!(
+            answer["exceptionDetails"].is_null(),
+            "{expression}\n{}",
+            answer["exceptionDetails"]
         );
-        let text = self.tab.evaluate(&wrapped, true).unwrap().value.unwrap();
-        let mut value: Value = serde_json::from_str(text.as_str().unwrap()).unwrap();
-        assert!(value["error"].is_null(), "{expression}\n{}", value["error"]);
-        value["ok"].take()
+        answer["result"]["value"].take()
+    }
+}
+
+impl Drop for Chromium {
+    fn drop(&mut self) {
+        // nothing can be done if it has gone already
+        let _gone = self.process.kill();
+        let _ended = self.process.wait();
     }
 }

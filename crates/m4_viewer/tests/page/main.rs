@@ -112,7 +112,7 @@ fn written(scene: &Scene, folder: &Path) -> String {
 }
 
 /// The settled picture of the page as the browser encodes it.
-fn capture(page: &Chromium) -> Vec<u8> {
+fn capture(page: &mut Chromium) -> Vec<u8> {
     let url = page.eval("minute4d.capture()");
     let (_, data) = url.as_str().unwrap().split_once("base64,").unwrap();
     base64::engine::general_purpose::STANDARD.decode(data).unwrap()
@@ -124,7 +124,7 @@ fn decoded(png: &[u8]) -> RgbImage {
     RgbImage::from_fn(w as usize, h as usize, |x, y| picture.get_pixel(x as u32, y as u32).0)
 }
 
-fn stand(page: &Chromium, camera: &Camera, t: f64) {
+fn stand(page: &mut Chromium, camera: &Camera, t: f64) {
     let (k, m) = (&camera.intrinsics, camera.c2w.matrix());
     let c2w: Vec<f64> = (0..16).map(|i| m[(i / 4, i % 4)]).collect();
     let (fx, fy, cx, cy) = (k.fx, k.fy, k.cx, k.cy);
@@ -136,8 +136,8 @@ fn stand(page: &Chromium, camera: &Camera, t: f64) {
 
 /// A camera for the window of the page, rolled, and with a principal point off the middle: nothing may
 /// be taken for granted.
-fn camera_for(page: &Chromium) -> Camera {
-    let size = |name: &str| page.eval(&format!("minute4d.state().{name}")).as_u64().unwrap() as usize;
+fn camera_for(page: &mut Chromium) -> Camera {
+    let mut size = |name: &str| page.eval(&format!("minute4d.state().{name}")).as_u64().unwrap() as usize;
     let (width, height) = (size("width"), size("height"));
     let mut camera = camera_looking_at(
         Intrinsics::centred(width, height, 0.9 * width as f64),
@@ -165,18 +165,18 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
     let Some(program) = browser::find() else { return };
     let scene = scene();
     let folder = tempfile::tempdir().unwrap();
-    let page = Chromium::open(program.clone(), &written(&scene, folder.path()));
+    let mut page = Chromium::open(program.clone(), &written(&scene, folder.path()));
     page.eval("minute4d.ready");
-    let camera = camera_for(&page);
-    let look = |page: &Chromium| {
+    let camera = camera_for(&mut page);
+    let look = |page: &mut Chromium| {
         TIMES.map(|t| {
             stand(page, &camera, t);
             capture(page)
         })
     };
-    let first = look(&page);
+    let first = look(&mut page);
     assert!(
-        first == look(&page),
+        first == look(&mut page),
         "the settled picture of a time is the same, bit for bit"
     );
     let pictures: Vec<RgbImage> = first.iter().map(|png| decoded(png)).collect();
@@ -211,7 +211,7 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
     };
     show(&earlier);
     let server = Server::start(Arc::clone(&hub), 0).unwrap();
-    let page = Chromium::open(program, server.url());
+    let mut page = Chromium::open(program, server.url());
     page.eval("minute4d.ready");
     assert_eq!(page.eval("minute4d.state().splats"), json!(100));
     show(&scene);
@@ -219,7 +219,7 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
         "(async () => { while (minute4d.state().splats === 100) await new Promise(r => setTimeout(r, 100)); })()",
     );
     assert!(
-        first == look(&page),
+        first == look(&mut page),
         "the server's page draws other pictures than the file"
     );
 }
