@@ -3,11 +3,15 @@
 //! The sources are TypeScript in `crates/m4_viewer/page`; the built page is kept beside them, so that
 //! nobody needs Node.js to build the program.
 
+#![expect(clippy::print_stderr, reason = "what was not run is said")]
+
 use anyhow::{Context, Result, bail};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const SOURCES: &str = "crates/m4_viewer/page";
+/// What the tests of the page share with those of the crate; it lies beside the page's folder in the copy too.
+const SHARED: &str = "crates/m4_viewer/tests/payload";
 const KEPT: &str = "crates/m4_viewer/page.html";
 /// What is made, not written.
 const MADE: [&str; 2] = ["node_modules", "dist"];
@@ -44,7 +48,7 @@ pub fn build(root: &Path, work: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Builds the page in `work`, runs its own tests, and compares it byte for byte with the one that is kept.
+/// Builds the page in `work`, runs its own tests (those in a browser where there is one), and compares it byte for byte with the one that is kept.
 ///
 /// # Errors
 ///
@@ -65,6 +69,13 @@ pub fn compare(root: &Path, work: &Path) -> Result<Outcome> {
     }
     npm(&folder, &["test"])?;
     npm(&folder, &["run", "build"])?;
+    if let Some(chromium) = chromium() {
+        npm_with(&folder, &["run", "test:browser"], &[("CHROMIUM", chromium.as_path())])?;
+    } else {
+        eprintln!(
+            "SKIPPED: no Chromium on the PATH, so nothing of the page was clicked; install Debian's package `chromium`"
+        );
+    }
     let kept = read(&root.join(KEPT))?;
     let built = read(&work.join("page.html"))?;
     Ok(if kept == built {
@@ -84,6 +95,7 @@ fn copied(root: &Path, work: &Path) -> Result<PathBuf> {
         std::fs::remove_dir_all(&folder).with_context(|| format!("cannot empty {}", folder.display()))?;
     }
     copy(&root.join(SOURCES), &folder)?;
+    copy(&root.join(SHARED), &work.join("tests/payload"))?;
     Ok(folder)
 }
 
@@ -104,9 +116,22 @@ fn copy(from: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Where Chromium is, if this machine has it.
+fn chromium() -> Option<PathBuf> {
+    let folders = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&folders)
+        .flat_map(|folder| ["chromium", "chromium-browser", "google-chrome"].map(|name| folder.join(name)))
+        .find(|path| path.is_file())
+}
+
 fn npm(folder: &Path, args: &[&str]) -> Result<()> {
+    npm_with(folder, args, &[])
+}
+
+fn npm_with(folder: &Path, args: &[&str], env: &[(&str, &Path)]) -> Result<()> {
     let output = Command::new("npm")
         .args(args)
+        .envs(env.iter().copied())
         .current_dir(folder)
         .output()
         .context("cannot start npm")?;

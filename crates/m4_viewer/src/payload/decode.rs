@@ -61,7 +61,7 @@ const OPAQUE: f64 = 1.0 - 1.0 / 2048.0;
 ///
 /// # Errors
 ///
-/// [`PayloadError`] if the bytes are not what [`super::encode`] makes.
+/// [`PayloadError`] if the bytes are not what [`super::encode()`] makes.
 pub fn decode(bytes: &[u8]) -> Result<Splats, PayloadError> {
     let header = bytes.first_chunk::<HEADER_BYTES>().filter(|h| h.starts_with(MAGIC));
     let header = header.ok_or(PayloadError::Header { bytes: bytes.len() })?;

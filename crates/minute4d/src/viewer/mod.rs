@@ -1,6 +1,6 @@
 //! Scenes in a browser: `viewer.html` of a run, and the same page from a local server.
 //!
-//! [`stage`](self) writes the page as the last stage of a run. [`view`] serves a scene that is there and
+//! [`stage`](self) writes the page as the last stage of a run. [`view()`] serves a scene that is there and
 //! shows every newer one; [`Broadcast`] does so from within the process that trains.
 
 mod broadcast;
