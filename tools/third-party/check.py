@@ -6,10 +6,12 @@ import csv
 import json
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 import time
 
+import cv2
 import numpy as np
 
 from scene import C0, TURN, Scene, covariances
@@ -124,6 +126,29 @@ def check_ply(checks, export, scene, tools, t):
         transform(tools, path, export.files / target)
         size = (export.files / target).stat().st_size
         checks.add("splat-transform 3.7.0, PLY", f"converts to .{target.split('.')[1]}", size > 1000, f"{size:,} bytes")
+
+
+def check_sequence(checks, export, scene, tools):
+    folder, _ = export("ply-sequence", "sequence")
+    files = sorted(folder.glob("*.ply"))
+    tool = "splat-transform 3.7.0, PLY sequence"
+    checks.equal(tool, "files", len(files), scene.frames)
+    for frame in (0, scene.frames - 1):
+        transform(tools, files[frame], export.files / "frame.csv")
+        columns = table(export.files / "frame.csv")
+        check_table(checks, f"{tool}, frame {frame}", columns, scene, frame, np.ones(3), 1e-4, (1e-4, None), 1e-4, (1e-4, None), 1e-3)
+    # the largest by far
+    shutil.rmtree(folder)
+
+
+def check_mp4(checks, export, scene):
+    path, _ = export("mp4", "scene.mp4")
+    video = cv2.VideoCapture(str(path))
+    tool = f"OpenCV {cv2.__version__}"
+    found = 0
+    while video.grab():
+        found += 1
+    checks.equal(tool, "frames of the video", found, scene.frames)
 
 
 def check_spz(checks, export, scene, tools, t):
@@ -333,11 +358,13 @@ def main():
         lambda: check_fourdgs(checks, export, scene),
         lambda: check_splatv(checks, export, scene, args.tools),
         lambda: check_ply(checks, export, scene, args.tools, t),
+        lambda: check_sequence(checks, export, scene, args.tools),
         lambda: check_spz(checks, export, scene, args.tools, t),
         lambda: check_gltf(checks, export, scene, args.tools, t),
         lambda: check_usd(checks, export, scene),
         lambda: check_colmap(checks, export, scene),
         lambda: check_nerfstudio(checks, export, scene),
+        lambda: check_mp4(checks, export, scene),
     ]
     for step in steps:
         try:

@@ -56,7 +56,7 @@ pub fn time_to_quality(path: &Path, curves: &[Curve]) -> Result<()> {
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
+        .position(SeriesLabelPosition::MiddleRight)
         .label_font(("sans-serif", 17))
         .background_style(WHITE)
         .border_style(BLACK.mix(0.2))
