@@ -63,6 +63,10 @@ pub fn compare(root: &Path, work: &Path) -> Result<Outcome> {
     }
     let folder = copied(root, work)?;
     if let Err(error) = npm(&folder, &["ci", "--no-audit", "--no-fund"]) {
+        // the lock file and package.json disagree: no network would help
+        if error.to_string().contains("EUSAGE") {
+            return Err(error);
+        }
         return Ok(Outcome::Skipped {
             reason: format!("the packages cannot be had: {error:#}"),
         });

@@ -25,7 +25,7 @@ pub(crate) struct FrameView<'a> {
 
 /// All frames, and as many prepared pictures as fit the budget.
 ///
-/// Depth is made of what the capture holds at each use: it takes a hundredth of a step, and four bytes a pixel to keep.
+/// Depth is made of what the capture holds at each use, which spares the four bytes a pixel of keeping it.
 #[derive(Debug)]
 pub(crate) struct FrameStore<'a> {
     frames: Vec<Stored<'a>>,
