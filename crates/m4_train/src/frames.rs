@@ -14,18 +14,9 @@ struct Stored<'a> {
     cached: Option<Target>,
 }
 
-/// A frame ready for the loss.
-#[derive(Debug)]
-pub(crate) struct FrameView<'a> {
-    /// The picture.
-    pub target: &'a Target,
-    /// z-depth at the size of the picture, 0 or not finite where unknown; empty when the frame has none.
-    pub depth: &'a [f32],
-}
-
 /// All frames, and as many prepared pictures as fit the budget.
 ///
-/// Depth is made of what the capture holds at each use, which spares the four bytes a pixel of keeping it.
+/// Depth is made of what the capture holds where it is asked for, which spares the four bytes a pixel of keeping it.
 #[derive(Debug)]
 pub(crate) struct FrameStore<'a> {
     frames: Vec<Stored<'a>>,
@@ -55,12 +46,21 @@ impl<'a> FrameStore<'a> {
         }
     }
 
-    /// Frame `i`, each side divided by `factor`.
-    pub fn get(&mut self, i: usize, factor: usize) -> FrameView<'_> {
-        if factor != self.factor {
-            self.frames.iter_mut().for_each(|f| f.cached = None);
-            (self.factor, self.used, self.spare_of, self.depth_of) = (factor, 0, None, None);
+    /// Prepares every picture, as the first epoch would.
+    pub fn prepare_all(&mut self, factor: usize) {
+        for i in 0..self.frames.len() {
+            self.target(i, factor);
         }
+    }
+
+    /// Whether frame `i` has depth.
+    pub fn has_depth(&self, i: usize) -> bool {
+        self.frames[i].frame.depth.is_some()
+    }
+
+    /// The picture of frame `i`, each side divided by `factor`.
+    pub fn target(&mut self, i: usize, factor: usize) -> &Target {
+        self.resize(factor);
         let frame = self.frames[i].frame;
         if self.frames[i].cached.is_none() && self.spare_of != Some(i) {
             let bytes = bytes(frame, factor);
@@ -74,16 +74,28 @@ impl<'a> FrameStore<'a> {
                 self.spare_of = Some(i);
             }
         }
+        self.frames[i].cached.as_ref().unwrap_or(&self.spare)
+    }
+
+    /// z-depth of frame `i` at the size of its picture, 0 or not finite where unknown; empty when the frame has none.
+    pub fn depth(&mut self, i: usize, factor: usize) -> &[f32] {
+        self.resize(factor);
         if self.depth_of != Some(i) {
+            let frame = self.frames[i].frame;
             match &frame.depth {
                 Some(depth) => resample(depth, frame.rgb.size(), factor, &mut self.depth),
                 None => self.depth.clear(),
             }
             self.depth_of = Some(i);
         }
-        FrameView {
-            target: self.frames[i].cached.as_ref().unwrap_or(&self.spare),
-            depth: &self.depth,
+        &self.depth
+    }
+
+    /// Forgets everything prepared at another size.
+    fn resize(&mut self, factor: usize) {
+        if factor != self.factor {
+            self.frames.iter_mut().for_each(|f| f.cached = None);
+            (self.factor, self.used, self.spare_of, self.depth_of) = (factor, 0, None, None);
         }
     }
 }
@@ -202,14 +214,13 @@ mod tests {
     fn half_size_is_the_mean_of_four() {
         let capture = capture();
         let mut store = FrameStore::new(&capture, 100);
-        let half = store.get(1, 2);
-        assert_eq!((half.target.width(), half.target.height()), (2, 2));
+        let half = store.target(1, 2);
+        assert_eq!((half.width(), half.height()), (2, 2));
         let close = |got: f32, want: f32| (got - want / 255.0).abs() < 1e-6;
-        assert!(close(half.target.rgb()[0][1], 25.0) && close(half.target.rgb()[1][2], 50.0));
-        assert_eq!(half.depth, [2.0, 6.0, 2.0, 6.0]);
-        let full = store.get(1, 1);
-        assert_eq!(full.target.rgb()[0].len(), 20);
-        assert_eq!(full.depth[0], 1.0);
+        assert!(close(half.rgb()[0][1], 25.0) && close(half.rgb()[1][2], 50.0));
+        assert_eq!(store.depth(1, 2), [2.0, 6.0, 2.0, 6.0]);
+        assert_eq!(store.target(1, 1).rgb()[0].len(), 20);
+        assert_eq!(store.depth(1, 1)[0], 1.0);
     }
 
     #[test]
@@ -217,7 +228,7 @@ mod tests {
         let capture = capture();
         let mut store = FrameStore::new(&capture, 0);
         for i in [0, 1, 2, 1, 1] {
-            let blue = store.get(i, 1).target.rgb()[2][0];
+            let blue = store.target(i, 1).rgb()[2][0];
             assert!((blue * 255.0 - i as f32).abs() < 1e-4);
         }
     }
@@ -232,11 +243,11 @@ mod tests {
         capture.frames[2].depth = None;
         let mut store = FrameStore::new(&capture, 100);
         for _ in 0..2 {
-            assert_eq!(store.get(0, 2).depth, [0.0, 5.0, 0.5, 5.5]);
-            assert_eq!(store.get(1, 2).depth, [3.0; 4]);
-            assert!(store.get(2, 2).depth.is_empty());
-            assert_eq!(store.get(0, 1).depth[..5], [0.0, 0.0, 5.0, 5.0, 5.0]);
-            assert_eq!(store.get(0, 4).depth, [0.5]);
+            assert_eq!(store.depth(0, 2), [0.0, 5.0, 0.5, 5.5]);
+            assert_eq!(store.depth(1, 2), [3.0; 4]);
+            assert!(store.depth(2, 2).is_empty());
+            assert_eq!(store.depth(0, 1)[..5], [0.0, 0.0, 5.0, 5.0, 5.0]);
+            assert_eq!(store.depth(0, 4), [0.5]);
         }
     }
 }

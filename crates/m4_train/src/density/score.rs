@@ -34,7 +34,7 @@ pub(crate) fn score(input: &mut ScoreInput<'_, '_>, splats: &Splats, frames: &[(
     let (mut gradient, mut exposed): ([Vec<f32>; 3], [Vec<f32>; 3]) = Default::default();
     let share = 1.0 / frames.len().max(1) as f32;
     for (frame, view) in frames {
-        let target = input.store.get(*frame, input.factor).target;
+        let target = input.store.target(*frame, input.factor);
         let drawn = input.renderer.render(splats, view);
         let rgb = match input.fit {
             Some(fit) => {

@@ -46,7 +46,7 @@ impl Trainer<'_> {
     /// Draws a frame, leaves what it has too much as the gradient, and returns its sum of squares.
     fn residual(&mut self, frame: usize, factor: usize) -> f64 {
         let view = self.view(frame, factor, false);
-        let target = self.store.get(frame, factor).target.rgb();
+        let target = self.store.target(frame, factor).rgb();
         let drawn = self.renderer.render(&self.splats, &view);
         let exposure = self.config.refine.exposure.then(|| &self.fit.frames[frame].exposure);
         let rgb = match exposure {

@@ -103,10 +103,9 @@ impl Trainer<'_> {
         let refining = i >= self.config.refine.from;
         let exposing = self.config.refine.exposure && refining;
 
-        let has_depth = !self.store.get(frame, factor).depth.is_empty();
-        let with_depth = has_depth && (weight > 0.0 || alpha_weight > 0.0);
+        let with_depth = self.store.has_depth(frame) && (weight > 0.0 || alpha_weight > 0.0);
         let view = self.view(frame, factor, with_depth);
-        let prepared = self.store.get(frame, factor);
+        let target = self.store.target(frame, factor);
         let drawn = self.renderer.render(&self.splats, &view);
         let rgb = if self.config.refine.exposure {
             expose(&self.fit.frames[frame].exposure, &drawn.rgb, &mut self.exposed);
@@ -116,10 +115,10 @@ impl Trainer<'_> {
         };
         let lambda = self.config.loss.lambda_ssim;
         let out = &mut self.frame_gradient;
-        let photo = loss(self.level, prepared.target, rgb, lambda, &mut self.photo, &mut out.rgb);
+        let photo = loss(self.level, target, rgb, lambda, &mut self.photo, &mut out.rgb);
         let (done, every) = (i + 1, self.config.metrics_every);
         let psnr = if done.is_multiple_of(every) || done == n {
-            psnr(rgb, &prepared.target.rgb())
+            psnr(rgb, &target.rgb())
         } else {
             f64::NAN
         };
@@ -131,7 +130,7 @@ impl Trainer<'_> {
             depth_loss(
                 &drawn.depth,
                 &drawn.transmittance,
-                prepared.depth,
+                self.store.depth(frame, factor),
                 (weight, self.config.loss.depth_huber, alpha_weight),
                 &mut out.depth,
                 &mut out.alpha,
@@ -167,6 +166,11 @@ impl Trainer<'_> {
             photo: photo.total,
             psnr,
         })
+    }
+
+    /// Prepares every picture at the present size, so that steps cost what they cost after the first epoch.
+    pub(crate) fn prepare_frames(&mut self) {
+        self.store.prepare_all(self.factor());
     }
 
     /// Lays splats and optimiser state out along a Morton curve.
