@@ -16,7 +16,7 @@ fn frozen(iterations: usize) -> TrainConfig {
     config.density.enabled = false;
     config.resolution.half_until = 0.0;
     config.colour_fit = ColourFitConfig::off();
-    config.loss.depth_weight_end = config.loss.depth_weight;
+    (config.loss.depth_weight, config.loss.depth_weight_end) = (0.1, 0.1);
     config.lr = RateConfig {
         position: 0.0,
         position_end: 0.0,
@@ -130,6 +130,7 @@ fn everything(iterations: usize) -> TrainConfig {
     config.refine.poses = true;
     config.refine.exposure = true;
     config.refine.from = 5;
+    (config.loss.depth_weight, config.loss.depth_weight_end) = (0.1, 0.02);
     config
 }
 

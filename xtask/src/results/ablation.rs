@@ -93,9 +93,9 @@ const ROWS: &[Row] = &[
     row("no-carry", "no points carried over", &["init.carry_keyframes=0"]),
     row("no-density", "no density control", &["train.density.enabled=false"]),
     row(
-        "no-depth",
-        "no loss of depth",
-        &["train.loss.depth_weight=0", "train.loss.depth_weight_end=0"],
+        "depth-loss",
+        "a loss of depth, 0.1 to 0.02",
+        &["train.loss.depth_weight=0.1", "train.loss.depth_weight_end=0.02"],
     ),
 ];
 
