@@ -28,6 +28,10 @@ pub struct MetricsEvent {
     pub downscale: usize,
     /// Seconds of training in this process.
     pub seconds: f64,
+    /// Seconds of processor time of all threads of this process during those: what training costs however busy the machine
+    /// is. 0 where the system does not count it.
+    #[serde(default)]
+    pub processor_seconds: f64,
 }
 
 /// Sums since the last event.

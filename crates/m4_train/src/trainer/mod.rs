@@ -14,6 +14,7 @@ use crate::refine::Refinement;
 use crate::scale::SceneScale;
 use crate::state::{Reader, read_adam, read_refinement};
 use crate::{MetricsEvent, TrainError, schedule};
+use cpu_time::ProcessTime;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::PhotoScratch;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, morton_order};
@@ -62,6 +63,7 @@ pub struct Trainer<'a> {
     exposed: [Vec<f32>; 3],
     totals: Totals,
     seconds: f64,
+    processor_seconds: f64,
 }
 
 impl<'a> Trainer<'a> {
@@ -183,6 +185,7 @@ impl<'a> Trainer<'a> {
             exposed: Default::default(),
             totals: Totals::default(),
             seconds: 0.0,
+            processor_seconds: 0.0,
             splats,
             adam,
             basis,
@@ -226,9 +229,11 @@ impl<'a> Trainer<'a> {
                     iteration: self.iteration,
                 });
             }
-            let started = Instant::now();
+            let (started, processor) = (Instant::now(), ProcessTime::try_now());
             let report = self.step()?;
             self.seconds += started.elapsed().as_secs_f64();
+            let spent = processor.and_then(|start| start.try_elapsed());
+            self.processor_seconds += spent.unwrap_or_default().as_secs_f64();
             let done = self.iteration;
             if done.is_multiple_of(self.config.metrics_every) || done == end {
                 metrics(&self.event(report.psnr()));
@@ -306,6 +311,7 @@ impl<'a> Trainer<'a> {
             touched: t.touched as f64 / t.steps.max(1) as f64,
             downscale: self.factor(),
             seconds: self.seconds,
+            processor_seconds: self.processor_seconds,
         }
     }
 }

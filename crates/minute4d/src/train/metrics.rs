@@ -68,6 +68,7 @@ mod tests {
             touched: 4.0,
             downscale: 1,
             seconds: 1.0,
+            processor_seconds: 2.0,
         }
     }
 
