@@ -3,7 +3,7 @@
 //! The allocator counts for the whole process, so everything happens in one test.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use m4_formats::{Imported, fourdgs, ply, splatv};
+use m4_formats::{fourdgs, ply, splatv, usd};
 use m4_math::CounterRng;
 use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use m4_testkit::{SceneSpec, camera_looking_at, random_camera, random_splats};
@@ -52,13 +52,14 @@ fn scene(sh_degree: usize) -> Scene {
     }
 }
 
-type Parse = fn(&[u8]) -> Result<Imported, String>;
+type Parse = fn(&[u8]) -> Result<Scene, String>;
 
 /// Sound files of every format that is read from bytes.
 fn formats(folder: &Path) -> Vec<(&'static str, Vec<Vec<u8>>, Parse)> {
     let path = folder.join("file");
     let bytes = || std::fs::read(&path).unwrap();
-    let (mut clips, mut instants, mut textures) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut clips, mut instants, mut textures, mut stages) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let stage = folder.join("file.usda");
     for sh_degree in [0, 2] {
         let scene = scene(sh_degree);
         clips.push(fourdgs::encode(&scene, &fourdgs::FourdgsConfig::default()).unwrap().0);
@@ -66,17 +67,30 @@ fn formats(folder: &Path) -> Vec<(&'static str, Vec<Vec<u8>>, Parse)> {
         instants.push(bytes());
         splatv::write(&path, &scene).unwrap();
         textures.push(bytes());
+        let options = usd::UsdOptions {
+            step_frames: 3,
+            ..usd::UsdOptions::default()
+        };
+        usd::write(&stage, &scene, &options).unwrap();
+        stages.push(std::fs::read(&stage).unwrap());
     }
     instants.push(text_of(&instants[0]));
     vec![
         ("4dgs", clips, |b| {
-            fourdgs::parse(Path::new("file"), b).map_err(|e| e.to_string())
+            let read = fourdgs::parse(Path::new("file"), b).map_err(|e| e.to_string())?;
+            Ok(read.scene)
         }),
         ("ply", instants, |b| {
-            ply::parse(Path::new("file"), b).map_err(|e| e.to_string())
+            let read = ply::parse(Path::new("file"), b).map_err(|e| e.to_string())?;
+            Ok(read.scene)
         }),
         ("splatv", textures, |b| {
-            splatv::parse(Path::new("file"), b).map_err(|e| e.to_string())
+            let read = splatv::parse(Path::new("file"), b).map_err(|e| e.to_string())?;
+            Ok(read.scene)
+        }),
+        ("usd", stages, |b| {
+            let splats = usd::parse(Path::new("file"), b, 4.5).map_err(|e| e.to_string())?;
+            Ok(Scene { splats, ..scene(0) })
         }),
     ]
 }
@@ -160,7 +174,7 @@ fn damage(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
 }
 
 /// Parses within the memory allowed.
-fn parse_bounded(name: &str, parse: Parse, bytes: &[u8], what: &str) -> Result<Imported, String> {
+fn parse_bounded(name: &str, parse: Parse, bytes: &[u8], what: &str) -> Result<Scene, String> {
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
     let outcome = catch_unwind(AssertUnwindSafe(|| parse(bytes)));
@@ -179,7 +193,7 @@ fn damage_is_an_error_or_a_sound_scene() {
     for (name, files, parse) in formats(dir.path()) {
         for bytes in &files {
             let sound = parse_bounded(name, parse, bytes, "no damage").unwrap();
-            assert!(sound.scene.splats.n() > 60, "{name}");
+            assert!(sound.splats.n() > 60, "{name}");
         }
         let (mut refused, mut read) = (0, 0);
         for i in 0..FILES {
@@ -194,7 +208,7 @@ fn damage_is_an_error_or_a_sound_scene() {
                     assert!(reason.contains("file") && reason.len() < 1000, "{name} {i}: {reason}");
                     refused += 1;
                 }
-                Ok(Imported { scene, .. }) => {
+                Ok(scene) => {
                     assert!(scene.splats.is_finite(), "{name} with {what}, file {i}: not finite");
                     assert!(scene.near.is_finite() && scene.background.iter().all(|v| v.is_finite()));
                     assert!((1..=100_000).contains(&scene.time_frames), "{name} {i}");

@@ -1,8 +1,56 @@
-//! Why a USD file could not be written.
+//! Why a USD file could not be read or written.
 
 use m4_io::ErrorKind;
 use std::io;
 use std::path::PathBuf;
+
+/// Why a USD file could not be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadUsdError {
+    /// The file could not be opened or read.
+    #[error("cannot read {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is something else.
+    #[error("{} is no USD text: it does not start with #usda; `usdcat IN.usdc -o OUT.usda` makes text of the other forms", path.display())]
+    NotUsda {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file ends too early or contradicts itself.
+    #[error("{} is damaged: {reason}; copy or export it again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What was found, and where.
+        reason: String,
+    },
+    /// It uses parts of USD that are not read.
+    #[error("{} has {what}; only the layout that `minute4d export` writes is read", path.display())]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// What it has.
+        what: String,
+    },
+}
+
+impl ReadUsdError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } => ErrorKind::of_read(source),
+            Self::Foreign { .. } => ErrorKind::Unsupported,
+            Self::NotUsda { .. } | Self::Damaged { .. } => ErrorKind::BadData,
+        }
+    }
+}
 
 /// Why a USD file could not be written.
 #[derive(Debug, thiserror::Error)]

@@ -15,15 +15,22 @@
 //! called a metre, which is true of captures with metric depth. Splats that no sample sees are left out.
 //! Text is large; `usdcat scene.usda -o scene.usdc` packs it.
 //!
+//! What was written is read back at an instant ([`read()`]), so that an export can be drawn and compared; that is no
+//! reader of USD at large.
+//!
 //! Source: `usdVol` of OpenUSD 26.03, where the schema appeared; names checked with `usd-core` 26.11.
 
 mod camera;
 mod error;
+mod lexer;
 mod moving;
 mod number;
 mod options;
+mod read;
+mod samples;
 mod write;
 
-pub use error::WriteUsdError;
+pub use error::{ReadUsdError, WriteUsdError};
 pub use options::{UsdOptions, UsdPositions};
+pub use read::{parse, read};
 pub use write::write;

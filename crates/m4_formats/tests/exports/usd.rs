@@ -1,8 +1,10 @@
 //! USD: text worked out by hand.
 
 use crate::common::{self, asymmetric_scene};
+use m4_formats::instant;
 use m4_formats::usd::{self, UsdOptions, UsdPositions};
 use m4_scene::{Column, SplatLayout, Splats};
+use std::path::Path;
 
 fn text(scene: &m4_scene::Scene, options: &UsdOptions) -> (String, m4_formats::Written) {
     let dir = tempfile::tempdir().unwrap();
@@ -81,6 +83,97 @@ fn the_text_of_two_splats() {
     let poses = samples(&text, "xformOp:transform");
     assert_eq!(poses.len(), 9);
     assert_eq!(poses[3], "3: ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (3, 0, 0, 1)),");
+}
+
+#[test]
+fn what_was_written_is_read_back_at_any_instant() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("scene.usda");
+    let scene = common::random_scene(2, 40, 60);
+    usd::write(&path, &scene, &UsdOptions::default()).unwrap();
+    for t in [0.0, 7.0, 15.0] {
+        let expected = instant(&scene.splats, t, 16.0);
+        let read = usd::read(&path, t).unwrap();
+        assert_eq!(read.n(), expected.n(), "frame {t}");
+        common::assert_columns(&read, &expected, Column::Mean, 2e-6);
+        common::assert_columns(&read, &expected, Column::LogScale, 6e-4);
+        common::assert_columns(&read, &expected, Column::Colour, 6e-5);
+        common::assert_rotations(&read, &expected, 1e-3);
+        let opacity = |s: &Splats, i: usize| 1.0 / (1.0 + (-s.column(Column::Opacity, 0)[i]).exp());
+        for i in 0..read.n() {
+            let (got, wanted) = (opacity(&read, i), opacity(&expected, i));
+            assert!((got - wanted).abs() < 6e-4, "splat {i} at {t}: {got}, not {wanted}");
+        }
+    }
+    // between two samples, by hand: opacities 0.303 at frame 0 and 0.441 at 3, places at -1.5 and 0.5 at 0 and 8
+    let every_third = UsdOptions {
+        step_frames: 3,
+        ..UsdOptions::default()
+    };
+    usd::write(&path, &asymmetric_scene(0), &every_third).unwrap();
+    let read = usd::read(&path, 1.0).unwrap();
+    let logit = read.column(Column::Opacity, 0)[1];
+    assert!((1.0 / (1.0 + (-logit).exp()) - 0.349).abs() < 1e-6, "{logit}");
+    assert!((read.column(Column::Mean, 0)[1] + 1.25).abs() < 1e-6);
+    assert_eq!(read.column(Column::Mean, 1)[1], 0.5, "our y points down");
+    assert_eq!(usd::read(&path, 8.0).unwrap().n(), 1, "the second has no opacity left");
+}
+
+#[test]
+fn other_uses_of_usd_are_named() {
+    let (text, _) = text(&asymmetric_scene(0), &UsdOptions::default());
+    let error = |from: &str, to: &str| {
+        assert!(text.contains(from), "{from}");
+        let changed = text.replacen(from, to, 1);
+        let error = usd::parse(Path::new("a.usda"), changed.as_bytes(), 0.0).unwrap_err();
+        error.to_string()
+    };
+    for (from, to, says) in [
+        ("#usda", "PXR-USDC", "no USD text"),
+        ("\"Y\"", "\"Z\"", "up axis \"Z\""),
+        ("def Particle", "def Cube \"c\" { }\n def Particle", ""),
+        (
+            "ParticleField3DGaussianSplat",
+            "Points",
+            "no ParticleField3DGaussianSplat",
+        ),
+        ("(\n    kind", "( # prim\n kind", ""),
+        (
+            "    def Camera",
+            "    uniform token[] xformOpOrder = []\n    def Camera",
+            "moved by a transform",
+        ),
+        ("float3[] scales", "half3[] scalesh", "splats without scales"),
+        (
+            "sphericalHarmonicsDegree = 0",
+            "sphericalHarmonicsDegree = 4",
+            "degree 4",
+        ),
+        ("[(1,0,-1),", "[", "1 radiance"),
+        ("[0.8,0.303]", "[0.8,0.3o3]", "\"0.3o3\""),
+        (
+            "    def Camera",
+            "    variantSet \"v\" = {}\n    def Camera",
+            "variants",
+        ),
+        (
+            "quatf[] orientations = ",
+            "quatf[] orientations.timeSamples = ",
+            "that turn",
+        ),
+    ] {
+        if says.is_empty() {
+            let changed = text.replacen(from, to, 1);
+            assert_eq!(usd::parse(Path::new("a.usda"), changed.as_bytes(), 0.0).unwrap().n(), 2);
+        } else {
+            let error = error(from, to);
+            assert!(error.contains(says) && error.contains("a.usda"), "{error}");
+        }
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let error = usd::read(&dir.path().join("gone.usda"), 0.0).unwrap_err().to_string();
+    assert!(error.contains("gone.usda"), "{error}");
+    assert!(usd::read(dir.path(), 0.0).is_err());
 }
 
 #[test]

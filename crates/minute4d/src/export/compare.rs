@@ -62,7 +62,7 @@ pub(super) fn compare(
             });
         }
         if last.as_ref().is_none_or(|(moment, _)| *moment != look.moment) {
-            let Some(read) = read_back(format, path, look.moment) else {
+            let Some(read) = read_back(format, path, look.moment, look.t) else {
                 return Ok(None);
             };
             let read = read.map_err(|source| ExportError::ReadBack {
@@ -115,13 +115,15 @@ fn looks(scene: &Scene, format: Format, moments: &[f64]) -> Vec<Look> {
     let nearest =
         |t: f64| (0..moments.len()).min_by(|&a, &b| (moments[a] - t).abs().total_cmp(&(moments[b] - t).abs()));
     sources
-        .filter_map(|frame| {
+        .enumerate()
+        .filter_map(|(k, frame)| {
             let camera = frame.camera;
             match format.time() {
                 Time::Clip => Some(Look {
                     camera,
                     t: frame.t,
-                    moment: 0,
+                    // USD is read at one instant after the other
+                    moment: if format == Format::Usd { k } else { 0 },
                 }),
                 Time::Instant | Time::Sequence => {
                     let moment = nearest(frame.t)?;

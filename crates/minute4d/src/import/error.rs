@@ -6,6 +6,7 @@ use m4_formats::gltf::ReadGltfError;
 use m4_formats::ply::ReadPlyError;
 use m4_formats::splatv::ReadSplatvError;
 use m4_formats::spz::ReadSpzError;
+use m4_formats::usd::ReadUsdError;
 use std::path::PathBuf;
 
 /// Why an import failed.
@@ -57,6 +58,9 @@ pub enum ImportError {
     /// Reading glTF.
     #[error(transparent)]
     Gltf(#[from] ReadGltfError),
+    /// Reading back USD.
+    #[error(transparent)]
+    Usd(#[from] ReadUsdError),
 }
 
 fn example(first: &Option<PathBuf>) -> String {
@@ -77,6 +81,7 @@ impl ImportError {
             Self::Splatv(e) => e.kind().into(),
             Self::Spz(e) => e.kind().into(),
             Self::Gltf(e) => e.kind().into(),
+            Self::Usd(e) => e.kind().into(),
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::ImportError;
 use crate::export::Format;
 use m4_formats::ply::frame_name;
-use m4_formats::{Imported, fourdgs, gltf, ply, splatv, spz};
+use m4_formats::{Imported, fourdgs, gltf, ply, splatv, spz, usd};
 use m4_scene::{Scene, Splats};
 use std::path::Path;
 
@@ -40,7 +40,7 @@ pub(super) fn format(file: &Path, asked: Option<Format>) -> Result<Format, Impor
 
 /// The scene in a file.
 pub(super) fn read(format: Format, path: &Path) -> Result<Imported, ImportError> {
-    read_back(format, path, 0).unwrap_or_else(|| {
+    read_back(format, path, 0, 0.0).unwrap_or_else(|| {
         Err(ImportError::WriteOnly {
             name: format.name(),
             known: known(),
@@ -48,8 +48,9 @@ pub(super) fn read(format: Format, path: &Path) -> Result<Imported, ImportError>
     })
 }
 
-/// The scene in what was exported; of a sequence that of file `moment`. `None` for formats that are not read.
-pub(crate) fn read_back(format: Format, path: &Path, moment: usize) -> Option<Result<Imported, ImportError>> {
+/// The scene in what was exported; of a sequence that of file `moment`, of USD the splats at frame `t`. `None`
+/// for formats that are not read.
+pub(crate) fn read_back(format: Format, path: &Path, moment: usize, t: f64) -> Option<Result<Imported, ImportError>> {
     Some(match format {
         Format::Fourdgs => fourdgs::read(path).map_err(ImportError::from),
         Format::Splatv => splatv::read(path).map_err(ImportError::from),
@@ -57,7 +58,8 @@ pub(crate) fn read_back(format: Format, path: &Path, moment: usize) -> Option<Re
         Format::PlySequence => ply::read(&path.join(frame_name(moment))).map_err(ImportError::from),
         Format::Spz => spz::read(path, spz::SpzAxes::Rub).map(still).map_err(ImportError::from),
         Format::Gltf => gltf::read(path).map(still).map_err(ImportError::from),
-        Format::Usd | Format::Colmap | Format::Nerfstudio | Format::Mp4 => return None,
+        Format::Usd => usd::read(path, t).map(still).map_err(ImportError::from),
+        Format::Colmap | Format::Nerfstudio | Format::Mp4 => return None,
     })
 }
 
