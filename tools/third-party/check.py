@@ -58,7 +58,9 @@ class Exporter:
 
     def __call__(self, name, file, *more):
         out = self.files / file
-        command = [self.program, "export", self.scene, "--format", name, "--out", str(out), "--json", "--no-compare", *more]
+        # the opacities of the scene are what is compared
+        options = ["--out", str(out), "--json", "--no-compare", "--keep-mip", *more]
+        command = [self.program, "export", self.scene, "--format", name, *options]
         run = subprocess.run(command, capture_output=True, text=True)
         if run.returncode:
             raise SystemExit(f"{' '.join(command)} failed with {run.returncode}:\n{run.stderr}\n{run.stdout[-2000:]}")

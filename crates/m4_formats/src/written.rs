@@ -14,6 +14,14 @@ pub enum Loss {
     Quantised(String),
 }
 
+impl Loss {
+    /// The Mip filter, for a format that has no place for it; `None` for a scene without one.
+    pub(crate) fn of_mip(scene: &Scene) -> Option<Self> {
+        let what = "the Mip filter: splats smaller than a pixel are drawn too thick";
+        scene.mip.then(|| Self::Dropped(what.to_owned()))
+    }
+}
+
 impl std::fmt::Display for Loss {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {

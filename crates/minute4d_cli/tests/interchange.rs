@@ -108,14 +108,39 @@ fn every_format_shows_the_scene_that_it_was_made_of() {
 }
 
 #[test]
-fn the_mip_filter_is_counted_where_players_lack_it() {
+fn the_mip_filter_is_baked_for_players_that_lack_it_or_counted() {
     let dir = Scratch::new();
     write_scene(&dir, true);
-    let report = succeed(&["export", &dir.at("out"), "--json"]).result();
-    let compared = &report["comparison"];
-    assert!(number(&compared["without_mip_psnr_db"]) < number(&compared["psnr_db"]));
-    let dropped = report["losses"]["dropped"].to_string();
-    assert!(dropped.contains("Mip filter"), "{dropped}");
+    let out = dir.at("out");
+    let report = |more: &[&str]| {
+        let args: Vec<&str> = ["export", &out, "--force", "--json"]
+            .iter()
+            .chain(more)
+            .copied()
+            .collect();
+        let report = succeed(&args).result();
+        let losses = ["baked", "dropped"].map(|sort| report["losses"][sort].to_string());
+        (report["comparison"].clone(), losses)
+    };
+    let (kept, [baked, dropped]) = report(&["--keep-mip"]);
+    let plain_db = number(&kept["without_mip_psnr_db"]);
+    assert!(plain_db < number(&kept["psnr_db"]));
+    assert!(
+        dropped.contains("Mip filter") && !baked.contains("Mip filter"),
+        "{dropped}"
+    );
+    for format in ["4dgs", "splatv", "ply", "ply-sequence", "spz", "gltf", "usd"] {
+        let (compared, [baked, dropped]) = report(&["--format", format]);
+        let db = number(&compared["psnr_db"]);
+        println!("{format}: {db:.2} dB where {plain_db:.2} dB were without");
+        assert!(db > plain_db + 5.0, "{format}: {db:.2} dB, {plain_db:.2} dB without");
+        assert!(compared["without_mip_psnr_db"].is_null(), "the file asks for no filter");
+        assert!(baked.contains("Mip filter"), "{format}: {baked}");
+        assert!(
+            !dropped.contains("Mip") && !dropped.contains("opacity-compensated"),
+            "{format}: {dropped}"
+        );
+    }
 }
 
 #[test]

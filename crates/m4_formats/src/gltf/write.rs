@@ -88,17 +88,16 @@ pub fn write(path: &Path, scene: &Scene, options: &GltfOptions) -> Result<Writte
     if back.n() != count {
         return Err(verify(format!("it has {} splats where {count} were written", back.n())));
     }
+    let mut losses = vec![
+        Loss::Baked(format!("everything, at frame {}", options.t)),
+        Loss::Dropped("motion, the background and the colour corrections of the frames".into()),
+    ];
+    losses.extend(Loss::of_mip(scene));
     Ok(Written {
         path: path.to_path_buf(),
         bytes: file.commit().map_err(io)?,
         splats: count,
-        losses: vec![
-            Loss::Baked(format!("everything, at frame {}", options.t)),
-            Loss::Dropped(
-                "motion, the opacity-compensated filter, the background and the colour corrections of the frames"
-                    .into(),
-            ),
-        ],
+        losses,
     })
 }
 

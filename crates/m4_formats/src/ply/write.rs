@@ -57,12 +57,7 @@ pub(super) fn seen(scene: &Scene, t: f64) -> Splats {
 
 /// What no PLY file holds.
 pub(super) fn unheld(scene: &Scene) -> Vec<Loss> {
-    let mut losses = Vec::new();
-    if scene.mip {
-        losses.push(Loss::Dropped(
-            "the Mip filter: splats smaller than a pixel are drawn too thick".to_owned(),
-        ));
-    }
+    let mut losses = Vec::from_iter(Loss::of_mip(scene));
     if !scene.source.is_empty() {
         losses.push(Loss::Dropped("the cameras of the video".to_owned()));
     }

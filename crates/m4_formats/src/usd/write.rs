@@ -63,10 +63,11 @@ pub fn write(path: &Path, scene: &Scene, options: &UsdOptions) -> Result<Written
         )),
         Loss::Quantised("opacities to 0.001, rotations and colours to 0.0001, scales to 0.05 %".into()),
         Loss::Dropped(format!(
-            "{} that no sample sees, the opacity-compensated filter, the background and the colour corrections of the frames",
+            "{} that no sample sees, the background and the colour corrections of the frames",
             plural(dropped, "splat")
         )),
     ];
+    losses.extend(Loss::of_mip(scene));
     if scene.splats.layout().time_degree > 0 {
         losses.push(Loss::Baked(format!(
             "the harmonics of time, at {} frames",

@@ -4,6 +4,7 @@
 //! Adding a format: a variant of [`Format`] with its row in `format.rs`, an arm in `write.rs`, and, where
 //! there is a reader, one in `crate::import`.
 
+mod bake;
 mod compare;
 mod error;
 mod format;
@@ -39,6 +40,9 @@ pub struct ExportJob {
     pub replace: bool,
     /// Render what was written and compare it with the scene.
     pub compare: bool,
+    /// Leave the opacities as they were trained, for players with a Mip filter and for [`crate::import`]; else
+    /// what the filter does to them is baked into them.
+    pub keep_mip: bool,
     /// Settings of single formats.
     pub fourdgs: m4_formats::fourdgs::FourdgsConfig,
 }
@@ -54,6 +58,7 @@ impl ExportJob {
             fps: None,
             replace: false,
             compare: true,
+            keep_mip: false,
             fourdgs: m4_formats::fourdgs::FourdgsConfig::default(),
         }
     }
@@ -93,7 +98,12 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
     job.check()?;
     let moments = job.moments(scene)?;
     let start = Instant::now();
-    let written = write::write(scene, out, &moments, job, observer)?;
+    let has_splats = !matches!(job.format.time(), Time::Video | Time::Cameras);
+    let baked = if has_splats && !job.keep_mip { bake::bake(scene) } else { None };
+    let (plain, loss) = baked.unzip();
+    let mut written = write::write(plain.as_ref().unwrap_or(scene), out, &moments, job, observer)?;
+    written.losses.splice(0..0, loss);
+    drop(plain);
     let encode_s = start.elapsed().as_secs_f64();
     let comparison = if job.compare {
         compare::compare(scene, &written.path, job.format, &moments, observer)?

@@ -32,6 +32,10 @@ pub struct Export {
     /// Do not read the file back, render it and compare it with the scene
     #[arg(long)]
     pub no_compare: bool,
+    /// Write the opacities as they were trained, for players with a Mip filter and for `import`; else what the filter does to
+    /// them is baked in, as the cameras of the source see it
+    #[arg(long)]
+    pub keep_mip: bool,
 }
 
 /// How finely a `.4dgs` file is written.

@@ -17,6 +17,7 @@ pub fn run(args: &Export, output: &Output) -> Result<(), Failure> {
         fps: args.fps,
         replace: args.force,
         compare: !args.no_compare,
+        keep_mip: args.keep_mip,
         fourdgs: FourdgsConfig {
             precision: match args.precision {
                 PrecisionArg::Fine => Precision::Fine,

@@ -1,0 +1,211 @@
+//! The Mip filter for players that have none.
+
+use m4_formats::Loss;
+use m4_kernels::project::reference::{Pinhole, project};
+use m4_math::nalgebra::{Matrix3, Vector3, Vector4};
+use m4_math::quat;
+use m4_scene::{Column, Scene};
+use rayon::prelude::*;
+
+/// Cameras that a splat is looked at from.
+const CAMERAS: usize = 16;
+/// Standard deviations in time after which a splat is not drawn: a marginal of 0.05 (section 1.3).
+const REACH_SD: f64 = 2.447_746_83;
+/// Least opacity that is kept apart from nothing.
+const LEAST_OPACITY: f64 = 1e-6;
+
+/// The scene for a renderer without Mip filter. Both renderers widen a splat by the same low pass, but the
+/// filter also makes it fainter, by the area that it gained (section 1.6): by how much depends on where it
+/// is seen from. Here that factor, averaged over up to 16 of the source cameras that see the splat while it
+/// lives, goes into its opacity. `None` for scenes without filter or without cameras.
+pub(super) fn bake(scene: &Scene) -> Option<(Scene, Loss)> {
+    if !scene.mip || scene.source.is_empty() {
+        return None;
+    }
+    let mut views: Vec<View> = scene.source.iter().map(View::new).collect();
+    views.sort_by(|a, b| a.t.total_cmp(&b.t));
+    let factors: Vec<f64> = (0..scene.splats.n())
+        .into_par_iter()
+        .map(|row| factor(scene, &views, row))
+        .collect();
+    let mut baked = scene.clone();
+    baked.mip = false;
+    for (logit, factor) in baked.splats.column_mut(Column::Opacity, 0).iter_mut().zip(&factors) {
+        let opacity = factor / (1.0 + (-f64::from(*logit)).exp());
+        let opacity = opacity.clamp(LEAST_OPACITY, 1.0 - LEAST_OPACITY);
+        *logit = (opacity / (1.0 - opacity)).ln() as f32;
+    }
+    let mut sorted = factors;
+    let middle = sorted.len() / 2;
+    let median = if sorted.is_empty() {
+        1.0
+    } else {
+        *sorted.select_nth_unstable_by(middle, f64::total_cmp).1
+    };
+    let loss = Loss::Baked(format!(
+        "the Mip filter, into the opacities, as the source cameras see it on average (half of the splats keep less than {:.0} % of theirs)",
+        100.0 * median
+    ));
+    Some((baked, loss))
+}
+
+/// A camera of the source.
+struct View {
+    t: f64,
+    camera: Pinhole<f64>,
+    size_px: [f64; 2],
+}
+
+impl View {
+    fn new(frame: &m4_scene::SourceFrame) -> Self {
+        let k = &frame.camera.intrinsics;
+        Self {
+            t: frame.t,
+            camera: Pinhole::new(&frame.camera),
+            size_px: [k.width as f64, k.height as f64],
+        }
+    }
+}
+
+/// What the filter leaves of the opacity of a splat, 0..1; 1 where no camera is in front of it.
+fn factor(scene: &Scene, views: &[View], row: usize) -> f64 {
+    let splats = &scene.splats;
+    let value = |column, k, i: usize| f64::from(splats.column(column, k)[i]);
+    let mean = Vector3::from_fn(|k, _| value(Column::Mean, k, row));
+    let covariance = covariance(scene, row);
+    let life = row.checked_sub(splats.n_static());
+    let centre_and_sd = life.map(|d| (value(Column::TimeMean, 0, d), value(Column::LogTimeSd, 0, d).exp()));
+    let velocity = life.map_or(Vector3::zeros(), |d| {
+        Vector3::from_fn(|k, _| value(Column::Velocity, k, d))
+    });
+    let range = match centre_and_sd {
+        Some((centre, sd)) => {
+            let reach = REACH_SD * sd;
+            let first = views.partition_point(|v| v.t < centre - reach);
+            let end = views.partition_point(|v| v.t <= centre + reach);
+            // between two frames, or outside the clip: the next one
+            if first < end {
+                first..end
+            } else {
+                let one = first.min(views.len() - 1);
+                one..one + 1
+            }
+        }
+        None => 0..views.len(),
+    };
+    let count = range.len().min(CAMERAS);
+    let [mut inside, mut in_front] = [(0.0, 0.0); 2];
+    for k in 0..count {
+        let view = &views[range.start + (2 * k + 1) * range.len() / (2 * count)];
+        let (at, weight) = match centre_and_sd {
+            Some((centre, sd)) => {
+                let dt = view.t - centre;
+                (mean + velocity * dt, (-0.5 * (dt / sd).powi(2)).exp())
+            }
+            None => (mean, 1.0),
+        };
+        let Some(seen) = project(&at, &covariance, &view.camera, f64::from(scene.near), true) else {
+            continue;
+        };
+        // a weight of 0 (far outside the clip) would leave nothing to divide by
+        let weight = weight.max(f64::MIN_POSITIVE);
+        let add = |sum: &mut (f64, f64)| {
+            sum.0 += weight * seen.compensation;
+            sum.1 += weight;
+        };
+        add(&mut in_front);
+        if (0..2).all(|k| (-0.5..view.size_px[k] - 0.5).contains(&seen.centre[k])) {
+            add(&mut inside);
+        }
+    }
+    let (sum, weight) = if inside.1 > 0.0 { inside } else { in_front };
+    let factor = sum / weight;
+    if factor.is_finite() {
+        factor.clamp(0.0, 1.0)
+    } else {
+        1.0
+    }
+}
+
+/// World units squared.
+fn covariance(scene: &Scene, row: usize) -> Matrix3<f64> {
+    let splats = &scene.splats;
+    let isotropic = splats.layout().isotropic;
+    let value = |column, k| f64::from(splats.column(column, k)[row]);
+    let variances = Vector3::from_fn(|k, _| (2.0 * value(Column::LogScale, if isotropic { 0 } else { k })).exp());
+    let scales = Matrix3::from_diagonal(&variances);
+    if isotropic {
+        return scales;
+    }
+    let q = Vector4::from_fn(|k, _| value(Column::Quat, k));
+    let r = quat::rotation(&(q / q.norm().max(f64::MIN_POSITIVE)));
+    r * scales * r.transpose()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::bake;
+    use m4_math::Se3;
+    use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
+
+    /// A splat of a pixel wide and one that lives while the camera is twice as near.
+    fn scene() -> Scene {
+        let layout = SplatLayout {
+            isotropic: true,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        let mut splats = Splats::zeros(layout, 1, 1);
+        splats.column_mut(Column::Mean, 2).fill(10.0);
+        splats.column_mut(Column::LogScale, 0).fill(0.1f32.ln());
+        splats.column_mut(Column::TimeMean, 0)[0] = 1.0;
+        splats.column_mut(Column::LogTimeSd, 0)[0] = 0.1f32.ln();
+        let frame = |t: f64| SourceFrame {
+            camera: Camera {
+                intrinsics: Intrinsics::centred(64, 48, 100.0),
+                c2w: Se3 {
+                    translation: m4_math::nalgebra::Vector3::new(0.0, 0.0, 5.0 * t),
+                    ..Se3::identity()
+                },
+            },
+            t,
+            exposure: Exposure::IDENTITY,
+        };
+        Scene {
+            splats,
+            background: [0.0; 3],
+            time_frames: 2,
+            duration_s: None,
+            mip: true,
+            near: 0.01,
+            source: vec![frame(1.0), frame(0.0)],
+        }
+    }
+
+    #[test]
+    fn opacities_are_those_that_the_cameras_see() {
+        let (baked, _) = bake(&scene()).unwrap();
+        assert!(!baked.mip);
+        let opacity = |i: usize| 1.0 / (1.0 + (-f64::from(baked.splats.column(Column::Opacity, 0)[i])).exp());
+        // variances of 1 and 4 pixels and the low pass of 0.3; both opacities were 1/2
+        let (far, near) = (1.0 / 1.3, 4.0 / 4.3);
+        assert!((opacity(0) - 0.5 * (far + near) / 2.0).abs() < 1e-6, "{}", opacity(0));
+        assert!((opacity(1) - 0.5 * near).abs() < 1e-6, "{}", opacity(1));
+    }
+
+    #[test]
+    fn scenes_without_the_filter_stay() {
+        let mut plain = scene();
+        plain.mip = false;
+        assert!(bake(&plain).is_none());
+        let mut blind = scene();
+        blind.source.clear();
+        assert!(bake(&blind).is_none());
+        let mut behind = scene();
+        for frame in &mut behind.source {
+            frame.camera.c2w.translation.z = 20.0;
+        }
+        let (baked, _) = bake(&behind).unwrap();
+        assert_eq!(baked.splats, behind.splats, "nobody sees them");
+    }
+}
