@@ -4,6 +4,8 @@
 //! where a test should fail: that is what they are for.
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "browser")]
+mod browser;
 mod compare;
 mod differences;
 mod fixture;
@@ -11,6 +13,8 @@ mod levels;
 mod shared;
 mod synthetic;
 
+#[cfg(feature = "browser")]
+pub use browser::{Chromium, find_chromium};
 pub use compare::{Agreement, Flips, assert_gradient, assert_image};
 pub use differences::{Differences, Side, central_differences};
 pub use fixture::{FixtureCamera, FixtureSplat, GradientCase, GradientFixtures, gradient_fixtures};

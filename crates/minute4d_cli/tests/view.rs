@@ -4,6 +4,7 @@
 mod common;
 
 use common::{Scratch, program, refused, succeed, text, train, write_capture};
+use m4_testkit::{Chromium, find_chromium};
 use minute4d::io::scene_file;
 use minute4d::page::page;
 use minute4d::page::payload::decode;
@@ -13,7 +14,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 fn read_json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
@@ -223,6 +224,59 @@ fn view_shows_the_scene_and_the_one_that_takes_its_place() {
         interrupt(&running);
         assert_eq!(running.0.wait().unwrap().code(), Some(0));
     }
+}
+
+#[test]
+fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
+    let Some(chromium) = find_chromium() else { return };
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    let (data, out, other) = (dir.at("capture"), dir.at("out"), dir.at("other"));
+    assert_eq!(train(&data, &out, "30", &["--no-viewer"]).code, 0);
+    assert_eq!(train(&data, &other, "60", &["--no-viewer"]).code, 0);
+    // a folder in which training goes on: no scene yet, a checkpoint
+    fs::create_dir(dir.path("out/checkpoints")).unwrap();
+    fs::rename(
+        dir.path("out/scene.safetensors"),
+        dir.path("out/checkpoints/0000030.safetensors"),
+    )
+    .unwrap();
+
+    let (_running, mut stdout) = start(&["view", &out, "--no-open"]);
+    let mut url = String::new();
+    stdout.read_line(&mut url).unwrap();
+    let mut page = Chromium::open(chromium, url.trim());
+    page.eval("minute4d.ready");
+    let picture = |page: &mut Chromium, t: f64| {
+        page.eval(&format!("minute4d.setTime({t})"));
+        let picture = page.eval("minute4d.capture()").as_str().unwrap().to_owned();
+        assert!(picture.starts_with("data:image/png;base64,") && picture.len() > 2000);
+        picture
+    };
+    let first = [0.0, 2.0, 5.0].map(|t| picture(&mut page, t));
+    assert!(
+        first[0] != first[1] && first[1] != first[2] && first[2] != first[0],
+        "three instants look alike"
+    );
+    assert!(
+        first[1] == picture(&mut page, 2.0),
+        "an instant is drawn as before, bit for bit"
+    );
+
+    // the page stays the same document, its scene does not
+    page.eval("window.stayed = true");
+    fs::copy(dir.path("other/scene.safetensors"), dir.path("out/checkpoints/new")).unwrap();
+    fs::rename(
+        dir.path("out/checkpoints/new"),
+        dir.path("out/checkpoints/0000060.safetensors"),
+    )
+    .unwrap();
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while picture(&mut page, 2.0) == first[1] {
+        assert!(Instant::now() < deadline, "the page still shows the checkpoint before");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    assert_eq!(page.eval("window.stayed"), true);
 }
 
 #[test]

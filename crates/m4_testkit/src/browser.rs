@@ -1,5 +1,8 @@
 //! A headless Chromium that draws WebGL2 in software, spoken to by its DevTools protocol.
 
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+#![expect(clippy::print_stderr, reason = "a test that does not run says so")]
+
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
@@ -35,8 +38,9 @@ const FLAGS: [&str; 14] = [
     "--remote-debugging-port=0",
 ];
 
-/// The program, if this machine has it; else says that the test did not run.
-pub fn find() -> Option<PathBuf> {
+/// The program, if this machine has it; else says on stderr that the test did not run.
+#[must_use]
+pub fn find_chromium() -> Option<PathBuf> {
     if let Some(path) = std::env::var_os(VARIABLE) {
         return Some(path.into());
     }
@@ -52,7 +56,8 @@ pub fn find() -> Option<PathBuf> {
     found
 }
 
-/// A browser with one page open; closes when dropped.
+/// A browser with one page of the viewer open; closes when dropped.
+#[derive(Debug)]
 pub struct Chromium {
     process: Child,
     socket: WebSocket<TcpStream>,
@@ -62,7 +67,8 @@ pub struct Chromium {
 }
 
 impl Chromium {
-    /// Opens `url`.
+    /// Opens `url` and waits until its script has run, not until a scene is there.
+    #[must_use]
     pub fn open(program: PathBuf, url: &str) -> Self {
         let profile = tempfile::tempdir().unwrap();
         let mut process = Command::new(program)
@@ -99,7 +105,7 @@ impl Chromium {
         page.session = session.as_str().unwrap().to_owned();
         page.call("Page.enable", json!({}));
         page.call("Page.navigate", json!({ "url": url }));
-        page.eval("(async () => { while (!window.minute4d) await new Promise(r => setTimeout(r, 50)); })()");
+        page.wait_for("window.minute4d");
         page
     }
 
@@ -121,6 +127,13 @@ impl Chromium {
                 return answer["result"].take();
             }
         }
+    }
+
+    /// Waits until a JavaScript expression is true.
+    pub fn wait_for(&mut self, condition: &str) {
+        self.eval(&format!(
+            "(async () => {{ while (!({condition})) await new Promise(r => setTimeout(r, 50)); }})()"
+        ));
     }
 
     /// The value of a JavaScript expression, awaited where it is a promise; panics with what it threw.

@@ -4,15 +4,12 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 #![expect(clippy::print_stderr, reason = "what was not run, and what was measured, is said")]
 
-mod browser;
-
 use base64::Engine;
-use browser::Chromium;
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_math::Se3;
 use m4_math::nalgebra::{Matrix3, Vector3};
 use m4_scene::{Camera, Exposure, Intrinsics, RgbImage, Scene, SourceFrame, SplatLayout};
-use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
+use m4_testkit::{Chromium, SceneSpec, camera_looking_at, find_chromium, random_splats};
 use m4_viewer::page::{self, Effort, Parts, TEMPLATE};
 use m4_viewer::payload::{PayloadConfig, decode, encode};
 use m4_viewer::server::{Hub, Server};
@@ -163,7 +160,7 @@ const TIMES: [f64; 3] = [0.0, 4.25, 9.0];
 
 #[test]
 fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
-    let Some(program) = browser::find() else { return };
+    let Some(program) = find_chromium() else { return };
     let scene = scene();
     let folder = tempfile::tempdir().unwrap();
     let mut page = Chromium::open(program.clone(), &written(&scene, folder.path()));
@@ -216,9 +213,7 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
     page.eval("minute4d.ready");
     assert_eq!(page.eval("minute4d.state().splats"), json!(100));
     show(&scene);
-    page.eval(
-        "(async () => { while (minute4d.state().splats === 100) await new Promise(r => setTimeout(r, 100)); })()",
-    );
+    page.wait_for("minute4d.state().splats !== 100");
     assert!(
         first == look(&mut page),
         "the server's page draws other pictures than the file"
