@@ -2,7 +2,10 @@
 
 use crate::{
     CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View,
-    bin::cpu::{BAND_ROWS, Band},
+    bin::{
+        cpu::{BAND_ROWS, Band},
+        handover::Row,
+    },
     blend::{
         cpu::{self as blend, Sums, Used},
         planes::{BandGradient, BandPlace, BandPlanes},
@@ -62,6 +65,8 @@ pub struct Renderer {
     eye: Eye,
     background: [f32; 3],
     chunks: Vec<Chunk>,
+    /// Projected splats, chunk after chunk.
+    rows: Vec<Row>,
     bands: Vec<BandWork>,
 }
 
@@ -76,6 +81,7 @@ impl Renderer {
             eye: Eye::default(),
             background: [0.0; 3],
             chunks: Vec::new(),
+            rows: Vec::new(),
             bands: Vec::new(),
         }
     }
@@ -104,10 +110,18 @@ impl Renderer {
         Chunk::plan(&mut self.chunks, splats.n_static(), splats.n_dynamic(), bands);
 
         let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
-        self.chunks
+        self.rows
+            .resize(self.chunks.iter().map(Chunk::room).sum(), Row::default());
+        let mut rest = self.rows.as_mut_slice();
+        let mut tasks: Vec<(&mut Chunk, &mut [Row])> = Vec::with_capacity(self.chunks.len());
+        for chunk in &mut self.chunks {
+            let rows = rest.split_off_mut(..chunk.room()).unwrap_or_default();
+            tasks.push((chunk, rows));
+        }
+        tasks
             .par_iter_mut()
             .with_max_len(1)
-            .for_each(|chunk| dispatch!(level, s => chunk.forward(s, &columns, eye)));
+            .for_each(|(chunk, rows)| dispatch!(level, s => chunk.forward(s, &columns, eye, rows)));
         let projected = Instant::now();
         self.draw();
 
@@ -149,19 +163,18 @@ impl Renderer {
                 depth: depth_bands.next().unwrap_or_default(),
             })
             .collect();
-        let chunks = &self.chunks;
-        let splats = |index: usize| chunks.iter().map(|c| c.bands[index].len()).sum();
+        let (chunks, rows) = (&self.chunks, self.rows.as_slice());
+        let splats = |index: usize| chunks.iter().map(|c| c.bands[index].splats()).sum();
         let tasks = self.bands.iter_mut().zip(planes).enumerate();
         let tasks = tasks.map(|(index, task)| (splats(index), (index, task)));
         heaviest_first(tasks.collect(), |(index, (work, mut planes))| {
             let start = Instant::now();
             let place = place(eye, index);
-            let (band, records) = (&mut work.band, chunks.iter().map(|c| c.bands[index].as_slice()));
-            dispatch!(level, s => band.collect(s, records));
-            band.build(place.blocks());
+            work.band.collect(rows, chunks.iter().map(|c| &c.bands[index]));
+            work.band.build(place.blocks());
             work.bin = start.elapsed();
             let (band, used) = (&work.band, &mut work.used);
-            dispatch!(level, s => blend::forward(s, band, place, background, &mut planes, used));
+            dispatch!(level, s => blend::forward(s, band, rows, place, background, &mut planes, used));
             work.blend = start.elapsed() - work.bin;
         });
     }
@@ -198,7 +211,7 @@ impl Renderer {
 
     /// Sums of every band.
     fn blend_backward(&mut self, gradient: &FrameGradient) {
-        let (level, eye, frame) = (self.level.level(), &self.eye, &self.frame);
+        let (level, eye, frame, rows) = (self.level.level(), &self.eye, &self.frame, self.rows.as_slice());
         let pixels = frame.transmittance.len();
         for plane in &gradient.rgb {
             assert_eq!(plane.len(), pixels, "backward: the gradient has the frame's size");
@@ -232,7 +245,7 @@ impl Renderer {
                 d_depth: &gradient.depth[part(&gradient.depth)],
             };
             let (band, used, sums) = (&work.band, &work.used, &mut work.sums);
-            work.background = dispatch!(level, s => blend::backward(s, band, place, used, &g, sums));
+            work.background = dispatch!(level, s => blend::backward(s, band, rows, place, used, &g, sums));
         });
     }
 
@@ -285,7 +298,7 @@ impl Renderer {
             self.frame.transmittance.len(),
             "score: one weight a pixel"
         );
-        let (level, eye) = (self.level.level(), &self.eye);
+        let (level, eye, rows) = (self.level.level(), &self.eye, self.rows.as_slice());
         self.bands
             .par_iter_mut()
             .enumerate()
@@ -294,7 +307,7 @@ impl Renderer {
                 let place = place(eye, index);
                 let weight = &weight[place.top * place.width..][..place.rows * place.width];
                 let (band, used, scores) = (&work.band, &work.used, &mut work.scores);
-                dispatch!(level, s => blend::score(s, band, place, used, weight, scores));
+                dispatch!(level, s => blend::score(s, band, rows, place, used, weight, scores));
             });
         let (bands, mut rest) = (&self.bands, out);
         for (index, chunk) in self.chunks.iter().enumerate() {

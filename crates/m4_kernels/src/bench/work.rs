@@ -1,8 +1,8 @@
 //! What a kernel has to do at least: bytes, operations, evaluations.
 //!
 //! **Bytes** are compulsory traffic: every input of the kernel read once and every output written once,
-//! in the layout that they have (`f32` columns, one line of 64 bytes a projected splat and as much for
-//! its sums, 4 bytes an entry of a tile list, `f32` planes). Of the columns only the rows count that
+//! in the layout that they have (`f32` columns, 40 bytes a projected splat, a line of 64 bytes for its
+//! sums, 4 bytes an entry of a tile list, `f32` planes). Of the columns only the rows count that
 //! the instant shows (forward) or that the frame touched (backward, Adam). What a kernel keeps for
 //! itself between its passes (keys of the sort, maps of SSIM) is not compulsory and does not count.
 //!
@@ -12,7 +12,7 @@
 //! **Evaluations** are pairs of a pixel and a splat that changes it
 //! ([`useful_evaluations`](super::useful_evaluations)).
 
-use crate::bin::TILE;
+use crate::bin::{TILE, handover::FIELDS};
 
 /// A kernel of the training step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -81,10 +81,12 @@ pub struct Work {
 
 /// Columns that dynamic splats have besides.
 const TIME_COLUMNS: usize = 5;
-/// A projected splat, or its sums, in bytes.
-const LINE: f64 = 64.0;
 /// A number, in bytes.
 const NUMBER: f64 = 4.0;
+/// A projected splat, in bytes.
+const SPLAT: f64 = FIELDS as f64 * NUMBER;
+/// Its sums, in bytes.
+const SUMS: f64 = 64.0;
 
 impl Kernel {
     /// In the order in which a step runs them.
@@ -144,19 +146,19 @@ impl Kernel {
         match self {
             // slice 70, life 35, place 12, ellipse 90, opacity 15, logarithm 14, extent 50, colour
             Self::Project => Work {
-                bytes: columns(c.alive) * NUMBER + visible * LINE,
+                bytes: columns(c.alive) * NUMBER + visible * SPLAT,
                 operations: alive * (251.0 + 2.0 * colours) + c.alive[1] as f64 * 35.0,
                 evaluations: 0.0,
                 items: alive,
             },
             Self::Bin => Work {
-                bytes: visible * LINE + c.pairs as f64 * NUMBER,
+                bytes: visible * SPLAT + c.pairs as f64 * NUMBER,
                 operations: 0.0,
                 evaluations: 0.0,
                 items: c.pairs as f64,
             },
             Self::Blend => Work {
-                bytes: visible * LINE + used * NUMBER + planes(if c.depth { 5 } else { 4 }),
+                bytes: visible * SPLAT + used * NUMBER + planes(if c.depth { 5 } else { 4 }),
                 operations: 0.0,
                 evaluations: useful,
                 items: used,
@@ -170,14 +172,14 @@ impl Kernel {
                 items: pixels,
             },
             Self::BlendBackward => Work {
-                bytes: 2.0 * visible * LINE + used * NUMBER + planes(if c.depth { 10 } else { 7 }),
+                bytes: visible * (SPLAT + SUMS) + used * NUMBER + planes(if c.depth { 10 } else { 7 }),
                 operations: 0.0,
                 evaluations: useful,
                 items: used,
             },
             // forward again without extent and colour, projection 200, slice 80, colour
             Self::ProjectBackward => Work {
-                bytes: visible * LINE + 2.0 * columns(c.touched) * NUMBER + c.splats as f64 + 8.0 * touched,
+                bytes: visible * SUMS + 2.0 * columns(c.touched) * NUMBER + c.splats as f64 + 8.0 * touched,
                 operations: touched * (460.0 + 4.0 * colours) + c.touched[1] as f64 * 60.0,
                 evaluations: 0.0,
                 items: touched,

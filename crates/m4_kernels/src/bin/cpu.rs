@@ -1,19 +1,20 @@
-//! The SIMD twin: bands of tile rows, each with its own copy of the splats that touch it.
+//! The SIMD twin: bands of tile rows, each with lists of the splats that touch it.
 //!
-//! The image is cut into bands of [`BAND_TILES`] tile rows. A band holds the projected splats that
-//! reach it, one cache line each, in the order of their rows in memory. So a band's blending works on
-//! some hundred kilobytes that stay in the second-level cache, its gradients go to memory of its own,
-//! and no two threads write to the same place: bands are tasks, and results do not depend on how many
-//! threads there are.
+//! The image is cut into bands of [`BAND_TILES`] tile rows. The splats that reach a band have numbers in
+//! it, in the order of their rows in memory. So a band's blending works on some hundred kilobytes that stay
+//! in the second-level cache, its gradients go to memory of its own, and no two threads write to the same
+//! place: bands are tasks, and results do not depend on how many threads there are.
 //!
-//! A band is cut into blocks of two tile columns. A block's list names the splats that reach it by
-//! their place in the band, near to far, and with each the tiles of the block that it reaches, as
-//! bits ([`Entry`]): one entry stands for up to [`BLOCK_TILES`] entries of tile lists.
+//! A band is cut into blocks of two tile columns. A block's list names the splats that reach it, near to
+//! far, and with each the tiles of the block that it reaches, as bits ([`Entry`]): one entry stands for up
+//! to [`BLOCK_TILES`] entries of tile lists.
 
-use super::{TILE, order::Order};
-use crate::simd::LANES;
-use fearless_simd::{Simd, prelude::*, u32x4, u32x16};
-use fearless_simd_macros::simd;
+use super::{
+    TILE,
+    handover::{FIELDS, Handover, Row, WINDOW_BLOCKS},
+    order::Order,
+};
+use crate::simd::{LANES, lanes};
 
 /// Tile rows a band.
 pub(crate) const BAND_TILES: usize = 4;
@@ -26,7 +27,7 @@ pub(crate) const BLOCK_TILES: usize = BLOCK_COLUMNS * BAND_TILES;
 /// Pixel columns a block.
 pub(crate) const BLOCK_WIDTH: usize = BLOCK_COLUMNS * TILE;
 
-/// One projected splat in one band: a cache line.
+/// One projected splat as the blending reads it: a cache line.
 ///
 /// `alpha = 2^e`, `e = log_opacity - (a dx^2 + b dx dy + c dy^2)` with `d = centre - pixel`: the conic
 /// is scaled by `log2(e)`, and `a`, `c` by one half besides.
@@ -41,10 +42,45 @@ pub(crate) struct Record {
     pub(crate) log_opacity: f32,
     pub(crate) rgb: [f32; 3],
     pub(crate) depth: f32,
-    /// Tiles of each tile row of the band that the splat reaches: first in the low half, end in the high
-    /// half, 0 for none.
-    pub(crate) spans: [u32; BAND_TILES],
-    pub(crate) unused: [u32; 2],
+}
+
+impl Record {
+    /// Where a row has the depth: last.
+    const DEPTH: usize = FIELDS - 1;
+
+    /// The other way.
+    #[cfg(test)]
+    pub(crate) fn row(&self) -> Row {
+        let [red, green, blue] = self.rgb;
+        [
+            self.x,
+            self.y,
+            self.a,
+            self.b,
+            self.c,
+            self.log_opacity,
+            red,
+            green,
+            blue,
+            self.depth,
+        ]
+    }
+
+    /// From what the projection wrote.
+    #[inline(always)]
+    pub(crate) fn of(row: &Row) -> Self {
+        let [x, y, a, b, c, log_opacity, red, green, blue, depth] = *row;
+        Self {
+            x,
+            y,
+            a,
+            b,
+            c,
+            log_opacity,
+            rgb: [red, green, blue],
+            depth,
+        }
+    }
 }
 
 /// Tiles `first..end` of a row as one number; 0 for none.
@@ -53,79 +89,135 @@ pub(crate) fn span(first: u32, end: u32) -> u32 {
     end << 16 | first
 }
 
-/// A splat in a block: its place in the band in the low half, above it a bit for each tile of the block
-/// that it reaches.
+/// A splat in a block: its row, its number in the band, and a bit for each tile of the block that it reaches.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Entry(u64);
 
+/// Bits of a row and of a number: the parameters alone of so many splats take 15 GB.
+const INDEX_BITS: u32 = 28;
+const _: () = assert!(
+    2 * INDEX_BITS as usize + BLOCK_TILES == 64,
+    "an entry is a 64-bit number"
+);
+
 impl Entry {
     #[inline(always)]
-    pub(crate) fn new(index: u32, tiles: u32) -> Self {
-        Self(u64::from(tiles) << 32 | u64::from(index))
+    fn new(row: u32, index: u32, tiles: u32) -> Self {
+        Self(u64::from(tiles) << (2 * INDEX_BITS) | u64::from(index) << INDEX_BITS | u64::from(row))
+    }
+
+    #[inline(always)]
+    pub(crate) fn row(self) -> usize {
+        self.0 as usize % (1 << INDEX_BITS)
     }
 
     #[inline(always)]
     pub(crate) fn index(self) -> usize {
-        self.0 as u32 as usize
+        (self.0 >> INDEX_BITS) as usize % (1 << INDEX_BITS)
     }
 
     #[inline(always)]
     pub(crate) fn tiles(self) -> u32 {
-        (self.0 >> 32) as u32
+        (self.0 >> (2 * INDEX_BITS)) as u32
     }
 }
 
 /// The splats and lists of one band.
 #[derive(Debug, Default)]
 pub(crate) struct Band {
-    /// In the order of the rows in memory.
-    pub(crate) records: Vec<Record>,
-    /// Where the splats of each chunk of rows start in `records`.
+    /// The number of the first splat of each chunk of rows.
     pub(crate) chunk_start: Vec<usize>,
     /// Block after block, near to far.
     pub(crate) lists: Vec<Entry>,
     /// `[blocks + 1]`: where each block's list starts.
     list_start: Vec<u32>,
     order: Order,
-    /// Of each record.
+    /// Of each splat, in the order of the rows in memory.
     footprints: Vec<Footprint>,
+    /// Spans of the splats that reach many blocks.
+    far: Vec<[u32; BAND_TILES]>,
     cursor: Vec<u32>,
 }
 
-/// The blocks and tiles that a record reaches.
+/// The blocks and tiles that a splat reaches.
 #[derive(Debug, Clone, Copy, Default)]
 struct Footprint {
-    /// For each tile row [`WINDOW`] bits, one for each of the first tiles of its range of blocks.
+    /// As [`Part::tiles`](super::handover::Part); for more than [`WINDOW_BLOCKS`] blocks the place in
+    /// [`Band::far`].
     tiles: u64,
-    index: u32,
+    row: u32,
     /// The range of blocks.
     first: u16,
     end: u16,
 }
 
-/// Tiles of a row in [`Footprint::tiles`].
-const WINDOW: u32 = 16;
+impl Footprint {
+    #[inline(always)]
+    fn is_far(&self) -> bool {
+        u32::from(self.end) > u32::from(self.first) + WINDOW_BLOCKS
+    }
+}
+
 /// Footprints that are looked up together, in the order of depth: many loads at once, where entering
 /// one would wait for each.
 const BATCH: usize = 64;
-/// Records whose spans are looked at together.
-const GROUP: usize = LANES / BAND_TILES;
 
 impl Band {
     /// Takes the splats of every chunk, in order.
-    #[inline(always)]
-    pub(crate) fn collect<'a, S: Simd>(&mut self, s: S, chunks: impl Iterator<Item = &'a [Record]>) {
-        self.records.clear();
-        self.footprints.clear();
+    pub(crate) fn collect<'a>(&mut self, rows: &[Row], chunks: impl Iterator<Item = &'a Handover> + Clone) {
+        let total = chunks.clone().map(Handover::splats).sum();
+        self.footprints.resize(total, Footprint::default());
+        self.order.resize(total);
         self.chunk_start.clear();
-        self.order.clear();
-        for part in chunks {
-            let start = self.records.len();
+        self.far.clear();
+        let (mut start, mut least, mut most) = (0, u64::MAX, 0);
+        for handover in chunks {
             self.chunk_start.push(start);
-            self.records.extend_from_slice(part);
-            self.order.extend(part.iter().map(|r| r.depth));
-            self.footprints.resize(self.records.len(), Footprint::default());
-            footprints(s, part, start as u32, &mut self.footprints[start..]);
+            let mut far = handover.far.iter();
+            for part in &handover.parts {
+                let Some(rows) = rows[part.row as usize..].first_chunk::<LANES>() else {
+                    continue;
+                };
+                let here = start..start + part.lanes.count_ones() as usize;
+                let keys = self.order.keys(here.clone());
+                let footprints = self.footprints[here.clone()].iter_mut();
+                let entries = lanes(part.lanes).zip(footprints).zip(keys);
+                for (index, ((lane, footprint), key)) in (start as u32..).zip(entries) {
+                    // both cache lines that it may lie in: the blending looks rows up out of order, and here
+                    // they come into the cache much faster
+                    std::hint::black_box(rows[lane][0]);
+                    *key = Order::key(rows[lane][Record::DEPTH], index);
+                    (least, most) = (least.min(*key), most.max(*key));
+                    let range = part.range[lane];
+                    *footprint = Footprint {
+                        tiles: u64::from(part.tiles[1][lane]) << 32 | u64::from(part.tiles[0][lane]),
+                        row: part.row + lane as u32,
+                        first: range as u16,
+                        end: (range >> 16) as u16,
+                    };
+                    if footprint.is_far() {
+                        footprint.tiles = self.far.len() as u64;
+                        self.far.extend(far.next());
+                    }
+                }
+                start = here.end;
+            }
+        }
+        self.order.set_range(least, most);
+    }
+
+    /// Splats that reach the band.
+    pub(crate) fn splats(&self) -> usize {
+        self.footprints.len()
+    }
+
+    /// Reads the rows of all splats in order, which brings them into the cache much faster than the blending,
+    /// which looks them up out of order.
+    pub(crate) fn touch(&self, rows: &[Row]) {
+        for footprint in &self.footprints {
+            let row = &rows[footprint.row as usize];
+            // both cache lines that it may lie in
+            std::hint::black_box((row[0], row[Record::DEPTH]));
         }
     }
 
@@ -156,18 +248,21 @@ impl Band {
             for (n, footprint) in batch[..count].iter_mut().enumerate() {
                 *footprint = self.footprints[self.order.index(start + n) as usize];
             }
-            for footprint in &batch[..count] {
-                self.enter(footprint, total);
+            for (n, footprint) in batch[..count].iter().enumerate() {
+                self.enter(self.order.index(start + n), footprint, total);
             }
         }
         self.lists.truncate(total as usize);
     }
 
-    /// Enters a record into the lists of its blocks; `nowhere` is the place for entries that are none.
+    /// Enters a splat into the lists of its blocks; `nowhere` is the place for entries that are none.
     #[inline(always)]
-    fn enter(&mut self, footprint: &Footprint, nowhere: u32) {
+    fn enter(&mut self, index: u32, footprint: &Footprint, nowhere: u32) {
+        if footprint.is_far() {
+            return self.enter_far(index, footprint);
+        }
         let (first, end) = (usize::from(footprint.first), usize::from(footprint.end));
-        let Footprint { tiles, index, .. } = *footprint;
+        let Footprint { tiles, row, .. } = *footprint;
         let blocks = end - first;
         // few ranges are longer than two, and none of known length: two are entered always, and the
         // second falls into nowhere where there is none
@@ -175,17 +270,23 @@ impl Band {
             let inside = blocks > k;
             let x = (first + k).min(self.cursor.len() - 1);
             let at = if inside { self.cursor[x] } else { nowhere };
-            self.lists[at as usize] = Entry::new(index, block_tiles(tiles, k));
+            self.lists[at as usize] = Entry::new(row, index, block_tiles(tiles, k));
             self.cursor[x] += u32::from(inside);
         }
         for k in 2..blocks {
-            let tiles = if k < WINDOW as usize / BLOCK_COLUMNS {
-                block_tiles(tiles, k)
-            } else {
-                far_tiles(&self.records[index as usize].spans, first + k)
-            };
             let at = &mut self.cursor[first + k];
-            self.lists[*at as usize] = Entry::new(index, tiles);
+            self.lists[*at as usize] = Entry::new(row, index, block_tiles(tiles, k));
+            *at += 1;
+        }
+    }
+
+    /// The same for more blocks than have bits.
+    #[cold]
+    fn enter_far(&mut self, index: u32, footprint: &Footprint) {
+        let spans = &self.far[footprint.tiles as usize];
+        for block in usize::from(footprint.first)..usize::from(footprint.end) {
+            let at = &mut self.cursor[block];
+            self.lists[*at as usize] = Entry::new(footprint.row, index, far_tiles(spans, block));
             *at += 1;
         }
     }
@@ -210,8 +311,7 @@ fn block_tiles(tiles: u64, k: usize) -> u32 {
     (rows.wrapping_mul(1 << 48 | 1 << 34 | 1 << 20 | 1 << 6) >> 48) as u32 & 0xff
 }
 
-/// The same for blocks past [`WINDOW`].
-#[cold]
+/// The same from the spans.
 fn far_tiles(spans: &[u32; BAND_TILES], block: usize) -> u32 {
     let mut tiles = 0;
     for (row, &s) in spans.iter().enumerate() {
@@ -223,47 +323,10 @@ fn far_tiles(spans: &[u32; BAND_TILES], block: usize) -> u32 {
     tiles
 }
 
-/// What each record of a chunk reaches; `start` is the index of the first.
-#[simd]
-fn footprints<S: Simd>(s: S, records: &[Record], start: u32, out: &mut [Footprint]) {
-    let k = |v: u32| u32x16::splat(s, v);
-    let none = [0; BAND_TILES];
-    let mut index = start;
-    for (group, out) in records.chunks(GROUP).zip(out.chunks_mut(GROUP)) {
-        let row = |n: usize| u32x4::from_slice(s, group.get(n).map_or(&none, |r| &r.spans));
-        let spans: u32x16<S> = row(0).combine(row(1)).combine(row(2).combine(row(3)));
-        let end = spans >> 16u32;
-        let first = spans.simd_eq(k(0)).select(k(0xffff), spans & k(0xffff));
-        // the lanes of a record all get its least and its greatest
-        let least = first.min(first.slide_within_blocks::<1>(first));
-        let least = least.min(least.slide_within_blocks::<2>(least)) & k(!1);
-        let most = end.max(end.slide_within_blocks::<1>(end));
-        let most = most.max(most.slide_within_blocks::<2>(most));
-        let low = (first - least).min(k(WINDOW));
-        let high = (end.max(least) - least).min(k(WINDOW));
-        // bits low..high; none where the row has none: low is at its greatest there, high is 0
-        let bits = ((k(1) << high) - k(1)) & (k(0) - (k(1) << low));
-        let range_end = (most + k(1)) >> 1u32;
-        let range = (least >> 1u32).min(range_end) | range_end << 16u32;
-        let (bits, range): ([u32; LANES], [u32; LANES]) = (bits.to_array(), range.to_array());
-        for (n, footprint) in out.iter_mut().enumerate() {
-            let row = |r: usize| u64::from(bits[BAND_TILES * n + r]) << (WINDOW as usize * r);
-            let range = range[BAND_TILES * n];
-            *footprint = Footprint {
-                tiles: row(0) | row(1) | row(2) | row(3),
-                index,
-                first: range as u16,
-                end: (range >> 16) as u16,
-            };
-            index += 1;
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::{BAND_TILES, BLOCK_COLUMNS, Band, Record, span};
-    use crate::simd::{SimdLevel, dispatch};
+    use crate::{bin::handover::tests::hand_over, simd::SimdLevel};
     use m4_math::CounterRng;
 
     #[test]
@@ -272,26 +335,30 @@ mod tests {
             let mut rng = CounterRng::new(n as u64, 0, 0);
             let blocks_x = 30;
             let mut band = Band::default();
-            let records: Vec<Record> = (0..n)
-                .map(|_| Record {
-                    depth: 0.5 + (rng.uniform() * 20.0).floor() as f32,
-                    spans: std::array::from_fn(|_| {
+            let splats: Vec<(Record, [u32; BAND_TILES])> = (0..n)
+                .map(|_| {
+                    let record = Record {
+                        depth: 0.5 + (rng.uniform() * 20.0).floor() as f32,
+                        ..Record::default()
+                    };
+                    let spans = std::array::from_fn(|_| {
                         let (a, b) = (rng.below(61) as u32, rng.below(61) as u32);
                         if a < b { span(a, b) } else { 0 }
-                    }),
-                    ..Record::default()
+                    });
+                    (record, spans)
                 })
                 .collect();
-            dispatch!(SimdLevel::best().level(), s => band.collect(s, records.chunks(100)));
+            let (rows, chunks) = hand_over(SimdLevel::best(), &splats, 100);
+            band.collect(&rows, chunks.iter());
             band.build(blocks_x);
             for (tile, row) in (0..BLOCK_COLUMNS * blocks_x).flat_map(|x| (0..BAND_TILES).map(move |y| (x, y))) {
                 let mut want: Vec<usize> = (0..n)
                     .filter(|&i| {
-                        let s = records[i].spans[row];
+                        let s = splats[i].1[row];
                         (s & 0xffff..s >> 16).contains(&(tile as u32))
                     })
                     .collect();
-                want.sort_by(|&i, &j| records[i].depth.total_cmp(&records[j].depth));
+                want.sort_by(|&i, &j| splats[i].0.depth.total_cmp(&splats[j].0.depth));
                 let bit = 1 << (row * BLOCK_COLUMNS + tile % BLOCK_COLUMNS);
                 let list = band.list(tile / BLOCK_COLUMNS).iter();
                 let got: Vec<usize> = list.filter(|e| e.tiles() & bit != 0).map(|e| e.index()).collect();

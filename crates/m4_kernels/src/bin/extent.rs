@@ -1,12 +1,13 @@
 //! Exact extents: which tiles of each tile row an ellipse reaches (section 5.2).
 
-use super::TILE;
+use super::{TILE, cpu::BAND_TILES, handover::Reach};
 use crate::{
     blend::ALPHA_MIN,
     project::cpu::{Ellipse, Eye},
-    simd::{LANES, all, lanes},
+    simd::{all, each},
 };
-use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
+use fearless_simd::{Simd, f32x16, i32x16, mask32x16, prelude::*, u32x16};
+use std::ops::RangeInclusive;
 
 /// Which tile rows sixteen ellipses reach, and where.
 #[derive(Debug, Clone, Copy)]
@@ -22,9 +23,9 @@ pub(crate) struct Extent<S: Simd> {
     across: f32x16<S>,
     slope: f32x16<S>,
     inverse_11: f32x16<S>,
-    /// First and last tile row.
-    pub(crate) top: [f32; LANES],
-    pub(crate) bottom: [f32; LANES],
+    /// First and last tile row; where a lane is off none is between them.
+    top: f32x16<S>,
+    bottom: f32x16<S>,
 }
 
 /// The edge of a tile and its inverse.
@@ -59,8 +60,8 @@ impl<S: Simd> Extent<S> {
             across: e.det * inverse_11,
             slope: v01 * inverse_11,
             inverse_11,
-            top: on.select((top * k(INVERSE_EDGE)).floor(), k(0.0)).to_array(),
-            bottom: on.select((bottom * k(INVERSE_EDGE)).floor(), k(0.0)).to_array(),
+            top: on.select((top * k(INVERSE_EDGE)).floor(), k(f32::MAX)),
+            bottom: on.select((bottom * k(INVERSE_EDGE)).floor(), k(-1.0)),
         }
     }
 
@@ -72,37 +73,41 @@ impl<S: Simd> Extent<S> {
         (e.u + self.slope * y, reach)
     }
 
-    /// Fills `spans[1 + k]` with the tiles of row `top + k` and returns how many rows that are; the
-    /// entries before and after are 0, and so is a lane's below its `bottom`. Lanes that are out hold
-    /// anything.
+    /// The bands from the first to the last that one may reach; a lane must be on.
     #[inline(always)]
-    pub(crate) fn rows(&self, s: S, eye: &Eye, e: &Ellipse<S>, on: u16, spans: &mut Vec<[u32; LANES]>) -> usize {
+    pub(crate) fn bands(&self) -> RangeInclusive<usize> {
+        let (first, last) = (self.top.reduce_min() as usize, self.bottom.reduce_max() as usize);
+        first / BAND_TILES..=last / BAND_TILES
+    }
+
+    /// Whether one may reach a band.
+    #[inline(always)]
+    pub(crate) fn may_reach(&self, s: S, band: usize) -> bool {
+        let row = (band * BAND_TILES) as f32;
+        let above = self.top.simd_le(all(s, row + (BAND_TILES - 1) as f32));
+        (above & self.bottom.simd_ge(all(s, row))).any_true()
+    }
+
+    /// The tiles of a band.
+    #[inline(always)]
+    pub(crate) fn reach(&self, s: S, eye: &Eye, e: &Ellipse<S>, band: usize) -> Reach<S> {
         let k = |v: f32| all(s, v);
-        let count = lanes(on)
-            .map(|lane| (self.bottom[lane] - self.top[lane]) as usize + 1)
-            .max()
-            .unwrap_or(0);
-        spans.resize(spans.len().max(count + 2), [0; LANES]);
-        spans[0] = [0; LANES];
-        spans[count + 1] = [0; LANES];
-        let (tile, last) = (f32x16::from_slice(s, &self.top), f32x16::from_slice(s, &self.bottom));
-        let top = tile * k(EDGE) - e.v;
         let (w, zero) = (k(eye.width as f32 - 1.0), k(0.0));
-        for (row, out) in spans[1..=count].iter_mut().enumerate() {
-            let first = top + k(EDGE * row as f32);
+        let mut out = Reach::none(s);
+        for row in 0..BAND_TILES {
+            let tile = (band * BAND_TILES + row) as f32;
+            let first = k(EDGE * tile) - e.v;
             let low = first.max(-self.half_height);
             let high = (first + k(EDGE - 1.0)).min(self.half_height);
             let (middle, reach) = self.across(s, e, self.right_at.max(low).min(high));
             let right = (middle + reach).floor().min(w);
             let (middle, reach) = self.across(s, e, (-self.right_at).max(low).min(high));
             let left = (middle - reach).ceil().max(zero);
-            let inside = (tile + k(row as f32)).simd_le(last);
-            let hit = inside & low.simd_le(high) & left.simd_le(right);
-            let (left, right) = (hit.select(left, zero), hit.select(right, k(-EDGE)));
-            let first: u32x16<S> = (left * k(INVERSE_EDGE)).to_int::<u32x16<S>>();
-            let end: u32x16<S> = ((right + k(EDGE)) * k(INVERSE_EDGE)).to_int::<u32x16<S>>();
-            (first + (end << 16u32)).store_slice(out);
+            let hit = self.bottom.simd_ge(k(tile)) & low.simd_le(high) & left.simd_le(right);
+            let edges: [i32x16<S>; 2] = each!(2, n => ([left, right + k(EDGE)][n] * k(INVERSE_EDGE)).to_int());
+            let [first, end]: [u32x16<S>; 2] = each!(2, n => edges[n].bitcast());
+            out.set(row, hit, first, end);
         }
-        count
+        out
     }
 }

@@ -8,6 +8,7 @@
 
 pub(crate) mod cpu;
 pub(crate) mod extent;
+pub(crate) mod handover;
 mod order;
 pub mod reference;
 

@@ -1,5 +1,7 @@
 //! Near to far.
 
+use std::ops::Range;
+
 /// Bits that one pass of the sort looks at.
 const DIGIT: u32 = 11;
 const SIZE: usize = 1 << DIGIT;
@@ -10,44 +12,37 @@ const FEW: usize = 256;
 ///
 /// Two passes of a radix sort look at the top 22 bits of the depths' range; what these leave equal, a
 /// few neighbours at most in an ordinary scene, is put right by insertion.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Order {
     /// Bits of the depth in the high half, index in the low half: all different.
     keys: Vec<u64>,
     other: Vec<u64>,
-    least: u32,
-    most: u32,
-}
-
-impl Default for Order {
-    fn default() -> Self {
-        Self {
-            keys: Vec::new(),
-            other: Vec::new(),
-            least: u32::MAX,
-            most: 0,
-        }
-    }
+    least: u64,
+    most: u64,
 }
 
 impl Order {
-    pub(super) fn clear(&mut self) {
-        self.keys.clear();
-        (self.least, self.most) = (u32::MAX, 0);
+    /// Makes room for `n` keys, which the caller sets.
+    pub(super) fn resize(&mut self, n: usize) {
+        self.keys.resize(n, 0);
     }
 
-    /// Adds depths, which are above 0: then their bits are in their order.
-    pub(super) fn extend(&mut self, depths: impl ExactSizeIterator<Item = f32>) {
-        let mut index = self.keys.len() as u64;
-        let (mut least, mut most) = (self.least, self.most);
-        self.keys.extend(depths.map(|depth| {
-            let bits = depth.to_bits();
-            (least, most) = (least.min(bits), most.max(bits));
-            let key = u64::from(bits) << 32 | index;
-            index += 1;
-            key
-        }));
+    /// The least and the greatest of the keys.
+    pub(super) fn set_range(&mut self, least: u64, most: u64) {
         (self.least, self.most) = (least, most);
+    }
+
+    /// Some of the keys.
+    #[inline(always)]
+    pub(super) fn keys(&mut self, at: Range<usize>) -> &mut [u64] {
+        &mut self.keys[at]
+    }
+
+    /// What stands for number `index` at a depth, which is above 0: then its bits are in the order of
+    /// depths.
+    #[inline(always)]
+    pub(super) fn key(depth: f32, index: u32) -> u64 {
+        u64::from(depth.to_bits()) << 32 | u64::from(index)
     }
 
     pub(super) fn len(&self) -> usize {
@@ -70,9 +65,9 @@ impl Order {
     }
 
     fn radix(&mut self) {
-        let range = self.most - self.least;
+        let least = (self.least >> 32) as u32;
+        let range = (self.most >> 32) as u32 - least;
         let shift = (u32::BITS - range.leading_zeros()).saturating_sub(2 * DIGIT);
-        let least = self.least;
         let digit = |key: u64, pass: u32| (((key >> 32) as u32 - least) >> (shift + DIGIT * pass)) as usize % SIZE;
         let mut counts = [[0u32; SIZE]; 2];
         for &key in &self.keys {
@@ -134,10 +129,13 @@ mod tests {
         }
         let mut order = Order::default();
         for depths in scenes {
-            order.clear();
-            let (a, b) = depths.split_at(depths.len() / 3);
-            order.extend(a.iter().copied());
-            order.extend(b.iter().copied());
+            order.resize(depths.len());
+            for (index, (key, &depth)) in order.keys(0..depths.len()).iter_mut().zip(&depths).enumerate() {
+                *key = Order::key(depth, index as u32);
+            }
+            let keys = order.keys(0..depths.len());
+            let (least, most) = (keys.iter().min().copied(), keys.iter().max().copied());
+            order.set_range(least.unwrap_or(0), most.unwrap_or(0));
             let mut want: Vec<u32> = (0..depths.len() as u32).collect();
             want.sort_by(|&i, &j| depths[i as usize].total_cmp(&depths[j as usize]));
             order.sort();

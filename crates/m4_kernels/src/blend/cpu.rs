@@ -17,6 +17,7 @@ use crate::{
     bin::{
         TILE,
         cpu::{BLOCK_TILES, Entry, Record},
+        handover::Row,
     },
     simd::all,
 };
@@ -99,14 +100,14 @@ impl<'a> Replay<'a> {
     }
 }
 
-/// The records of a chunk of a block's list, copied side by side: the copies are many loads at once,
+/// The splats of a chunk of a block's list, copied side by side: the copies are many loads at once,
 /// where the blending would wait for each.
 type Copies = [Record; CHUNK];
 
 #[inline(always)]
-fn copy(chunk: &[Entry], records: &[Record], copies: &mut Copies) {
+fn copy(chunk: &[Entry], rows: &[Row], copies: &mut Copies) {
     for (entry, copy) in chunk.iter().zip(copies) {
-        *copy = records[entry.index()];
+        *copy = Record::of(&rows[entry.row()]);
     }
 }
 

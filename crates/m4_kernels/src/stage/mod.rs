@@ -11,7 +11,13 @@
 mod backward;
 mod forward;
 
-use crate::{bin::cpu::Record, blend::cpu::Sums, project::cpu::Eye, simd::LANES, slice::cpu::Columns};
+use crate::{
+    bin::handover::{Handover, Row},
+    blend::cpu::Sums,
+    project::cpu::Eye,
+    simd::LANES,
+    slice::cpu::Columns,
+};
 use fearless_simd::Simd;
 use std::ops::Range;
 
@@ -41,13 +47,14 @@ struct Part {
 pub(crate) struct Chunk {
     pub(crate) rows: Range<usize>,
     pub(crate) dynamic: bool,
-    /// Records for each band, in the order of the rows.
-    pub(crate) bands: Vec<Vec<Record>>,
+    /// Where its projected splats start among all.
+    place: usize,
+    /// Who reaches each band, in the order of the rows.
+    pub(crate) bands: Vec<Handover>,
     groups: Vec<Group>,
     parts: Vec<Part>,
     /// Temporal marginals of each group; empty for static rows, where they are 1.
     marginals: Vec<[f32; LANES]>,
-    spans: Vec<[u32; LANES]>,
 }
 
 /// One chunk's rows of [`crate::Gradients`].
@@ -70,17 +77,23 @@ impl Chunk {
                 .map(move |start| (start..rows.end.min(start + CHUNK_ROWS), dynamic))
         };
         let plan = cut(0..n_static, false).chain(cut(n_static..n_static + n_dynamic, true));
-        let mut count = 0;
+        let (mut count, mut place) = (0, 0);
         for (rows, dynamic) in plan {
             if chunks.len() == count {
                 chunks.push(Self::default());
             }
             let chunk = &mut chunks[count];
-            (chunk.rows, chunk.dynamic) = (rows, dynamic);
-            chunk.bands.resize_with(bands, Vec::new);
+            (chunk.rows, chunk.dynamic, chunk.place) = (rows, dynamic, place);
+            place += chunk.room();
+            chunk.bands.resize_with(bands, Handover::default);
             count += 1;
         }
         chunks.truncate(count);
+    }
+
+    /// Rows that it writes, whole groups.
+    pub(crate) fn room(&self) -> usize {
+        self.rows.len().next_multiple_of(LANES)
     }
 
     /// Splats that reach the image.
@@ -88,14 +101,14 @@ impl Chunk {
         self.groups.iter().map(|g| g.seen.count_ones() as usize).sum()
     }
 
-    /// Fills `bands`.
+    /// Fills `bands` and, for groups that are seen, `out`, which is [`room`](Self::room) long.
     #[inline(always)]
-    pub(crate) fn forward<S: Simd>(&mut self, s: S, c: &Columns<'_>, eye: &Eye) {
+    pub(crate) fn forward<S: Simd>(&mut self, s: S, c: &Columns<'_>, eye: &Eye, out: &mut [Row]) {
         match (self.dynamic, c.layout.isotropic) {
-            (false, false) => forward::chunk::<S, false, false>(s, self, c, eye),
-            (false, true) => forward::chunk::<S, false, true>(s, self, c, eye),
-            (true, false) => forward::chunk::<S, true, false>(s, self, c, eye),
-            (true, true) => forward::chunk::<S, true, true>(s, self, c, eye),
+            (false, false) => forward::chunk::<S, false, false>(s, self, c, eye, out),
+            (false, true) => forward::chunk::<S, false, true>(s, self, c, eye, out),
+            (true, false) => forward::chunk::<S, true, false>(s, self, c, eye, out),
+            (true, true) => forward::chunk::<S, true, true>(s, self, c, eye, out),
         }
     }
 

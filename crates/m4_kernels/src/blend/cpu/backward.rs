@@ -15,6 +15,7 @@ use crate::{
     bin::{
         TILE,
         cpu::{BAND_ROWS, BLOCK_COLUMNS, BLOCK_WIDTH, Band, Record},
+        handover::Row,
     },
     blend::{
         ALPHA_MAX,
@@ -76,21 +77,22 @@ const UNITS: [[f32; 16]; 4] = [
     unit(Sums::DEPTH),
 ];
 
-/// Adds up a band's gradient: `sums[i]` for its record `i`; returns the gradient with respect to the
+/// Adds up a band's gradient: `sums[i]` for its splat `i`; returns the gradient with respect to the
 /// background. `used` is what [`forward`](super::forward()) left.
 #[inline(always)]
 pub(crate) fn backward<S: Simd>(
     s: S,
     band: &Band,
+    rows: &[Row],
     place: BandPlace,
     used: &Used,
     g: &BandGradient<'_>,
     sums: &mut Vec<Sums>,
 ) -> [f64; 3] {
     if g.d_alpha.is_empty() && g.d_depth.is_empty() {
-        band_backward::<S, false>(s, band, place, used, g, sums)
+        band_backward::<S, false>(s, band, rows, place, used, g, sums)
     } else {
-        band_backward::<S, true>(s, band, place, used, g, sums)
+        band_backward::<S, true>(s, band, rows, place, used, g, sums)
     }
 }
 
@@ -119,16 +121,17 @@ struct Stages {
 fn band_backward<S: Simd, const EXTRA: bool>(
     s: S,
     band: &Band,
+    rows: &[Row],
     place: BandPlace,
     used: &Used,
     g: &BandGradient<'_>,
     sums: &mut Vec<Sums>,
 ) -> [f64; 3] {
     sums.clear();
-    sums.resize(band.records.len(), Sums::default());
-    // blocks look records and pixels up out of order: read in order they come into the cache much
+    sums.resize(band.splats(), Sums::default());
+    // blocks look splats and pixels up out of order: read in order they come into the cache much
     // faster, and there they stay for the band
-    touch(band.records.iter().map(|r| r.x));
+    band.touch(rows);
     for plane in g
         .rgb
         .iter()
@@ -159,7 +162,7 @@ fn band_backward<S: Simd, const EXTRA: bool>(
             *state = fresh::<S, EXTRA>(s, place, block, tile, g, &mut background);
         }
         for chunk in band.list(block)[..used.walked[block] as usize].chunks(CHUNK) {
-            copy(chunk, &band.records, &mut records);
+            copy(chunk, rows, &mut records);
             totals[..chunk.len()].fill(Sums::default());
             for (tile, (state, list)) in states.iter_mut().zip(replayed.chunk()).enumerate() {
                 let pixels = Pixels::new(s, place, block, tile);

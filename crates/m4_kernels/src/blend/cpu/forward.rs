@@ -2,7 +2,10 @@
 
 use super::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step};
 use crate::{
-    bin::cpu::{BLOCK_TILES, Band, Record},
+    bin::{
+        cpu::{BLOCK_TILES, Band, Record},
+        handover::Row,
+    },
     blend::{
         T_MIN,
         planes::{BandPlace, BandPlanes},
@@ -17,15 +20,16 @@ use fearless_simd_macros::simd;
 pub(crate) fn forward<S: Simd>(
     s: S,
     band: &Band,
+    rows: &[Row],
     place: BandPlace,
     background: [f32; 3],
     out: &mut BandPlanes<'_>,
     used: &mut Used,
 ) {
     if out.depth.is_empty() {
-        band_forward::<S, false>(s, band, place, background, out, used);
+        band_forward::<S, false>(s, band, rows, place, background, out, used);
     } else {
-        band_forward::<S, true>(s, band, place, background, out, used);
+        band_forward::<S, true>(s, band, rows, place, background, out, used);
     }
 }
 
@@ -44,6 +48,7 @@ struct State<S: Simd> {
 fn band_forward<S: Simd, const DEPTH: bool>(
     s: S,
     band: &Band,
+    rows: &[Row],
     place: BandPlace,
     background: [f32; 3],
     out: &mut BandPlanes<'_>,
@@ -69,7 +74,7 @@ fn band_forward<S: Simd, const DEPTH: bool>(
         for chunk in band.list(block).chunks(CHUNK) {
             walked += chunk.len() as u32;
             shares.fill(chunk);
-            copy(chunk, &band.records, &mut records);
+            copy(chunk, rows, &mut records);
             let mut len = [0; BLOCK_TILES];
             for (tile, state) in states.iter_mut().enumerate() {
                 if alive >> tile & 1 == 0 {

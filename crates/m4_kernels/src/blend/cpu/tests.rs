@@ -5,6 +5,7 @@ use crate::{
     bin::{
         TILE,
         cpu::{BAND_ROWS, BAND_TILES, Band, Record, span},
+        handover::tests::hand_over,
     },
     blend::{
         ALPHA_MIN,
@@ -36,7 +37,6 @@ fn random_records(n: usize, log_opacity: f64) -> Vec<Record> {
                 log_opacity: (log_opacity * rng.uniform()) as f32,
                 rgb: std::array::from_fn(|_| rng.uniform() as f32),
                 depth: (1.0 + 5.0 * rng.uniform()) as f32,
-                ..Record::default()
             }
         })
         .collect()
@@ -66,14 +66,9 @@ fn spans(record: &Record, everything: bool) -> [u32; BAND_TILES] {
 fn run(level: SimdLevel, records: &[Record], everything: bool, extra: bool) -> (Vec<f32>, [f64; 3], usize) {
     let n = PLACE.rows * PLACE.width;
     let mut band = Band::default();
-    let records: Vec<Record> = records
-        .iter()
-        .map(|r| Record {
-            spans: spans(r, everything),
-            ..*r
-        })
-        .collect();
-    dispatch!(level.level(), s => band.collect(s, records.chunks(50)));
+    let splats: Vec<_> = records.iter().map(|r| (*r, spans(r, everything))).collect();
+    let (rows, chunks) = hand_over(level, &splats, 50);
+    band.collect(&rows, chunks.iter());
     band.build(PLACE.blocks());
     let mut planes = vec![vec![0.0f32; n]; 5];
     let mut used = Used::default();
@@ -83,7 +78,7 @@ fn run(level: SimdLevel, records: &[Record], everything: bool, extra: bool) -> (
         transmittance: t,
         depth: if extra { z } else { &mut [] },
     };
-    dispatch!(level.level(), s => forward(s, &band, PLACE, [0.3, 0.2, 0.1], &mut out, &mut used));
+    dispatch!(level.level(), s => forward(s, &band, &rows, PLACE, [0.3, 0.2, 0.1], &mut out, &mut used));
     let gradient = |k: u64| -> Vec<f32> {
         let mut rng = CounterRng::new(6, k, 0);
         (0..n).map(|_| (2.0 * rng.uniform() - 1.0) as f32).collect()
@@ -98,10 +93,10 @@ fn run(level: SimdLevel, records: &[Record], everything: bool, extra: bool) -> (
         d_depth: if extra { &v[4] } else { &[] },
     };
     let mut sums = Vec::new();
-    let background = dispatch!(level.level(), s => backward(s, &band, PLACE, &used, &g, &mut sums));
+    let background = dispatch!(level.level(), s => backward(s, &band, &rows, PLACE, &used, &g, &mut sums));
     let mut scores = Vec::new();
     let weight: Vec<f32> = v[0].iter().map(|w| w.abs()).collect();
-    dispatch!(level.level(), s => score(s, &band, PLACE, &used, &weight, &mut scores));
+    dispatch!(level.level(), s => score(s, &band, &rows, PLACE, &used, &weight, &mut scores));
     let sums = sums.iter().flat_map(|s: &Sums| s.0);
     let all = planes.iter().flatten().copied().chain(sums).chain(scores).collect();
     (all, background, used.total())
