@@ -1,6 +1,7 @@
 //! The order in which splats should lie in memory.
 
 use m4_scene::{Column, Splats};
+use rayon::prelude::*;
 
 /// Rows in the order that makes neighbours in the picture neighbours in memory: static splats first,
 /// along a Morton curve; dynamic splats by coarse time (64 slots between the first and the last
@@ -8,9 +9,14 @@ use m4_scene::{Column, Splats};
 #[must_use]
 pub fn morton_order(splats: &Splats) -> Vec<u32> {
     let axes: [&[f32]; 3] = std::array::from_fn(|k| splats.column(Column::Mean, k));
-    let frame = axes.map(quantiles);
     let times = splats.column(Column::TimeMean, 0);
-    let (first, last) = quantiles(times);
+    let columns = [axes[0], axes[1], axes[2], times];
+    let mut limits = [(0.0, 1.0); 4];
+    limits
+        .par_iter_mut()
+        .zip(columns)
+        .for_each(|(limits, column)| *limits = quantiles(column));
+    let [frame @ .., (first, last)] = limits;
     let code = |row: usize| {
         let place = (0..3).fold(0, |sum, k| {
             let (low, high) = frame[k];
@@ -22,18 +28,21 @@ pub fn morton_order(splats: &Splats) -> Vec<u32> {
         };
         (slot << 32 | u64::from(place), row as u32)
     };
-    let mut keys: Vec<(u64, u32)> = (0..splats.n()).map(code).collect();
-    keys.sort_unstable();
+    let mut keys: Vec<(u64, u32)> = (0..splats.n()).into_par_iter().map(code).collect();
+    // no two keys are the same, so there is one order
+    keys.par_sort_unstable();
     keys.into_iter().map(|(_, row)| row).collect()
 }
 
 /// Values below which 1% and 99% of the column lie: a few far splats must not flatten the curve.
 fn quantiles(column: &[f32]) -> (f32, f32) {
-    let mut sorted: Vec<f32> = column.iter().copied().filter(|v| v.is_finite()).collect();
-    sorted.sort_unstable_by(f32::total_cmp);
-    match sorted.len() {
+    let mut values: Vec<f32> = column.iter().copied().filter(|v| v.is_finite()).collect();
+    match values.len() {
         0 => (0.0, 1.0),
-        n => (sorted[n / 100], sorted[n - 1 - n / 100]),
+        n => {
+            let mut at = |place: usize| *values.select_nth_unstable_by(place, f32::total_cmp).1;
+            (at(n / 100), at(n - 1 - n / 100))
+        }
     }
 }
 
