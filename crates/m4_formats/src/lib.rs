@@ -18,6 +18,7 @@ pub mod usd;
 mod cameras_check;
 mod clock;
 mod file;
+mod file_error;
 mod instant;
 mod peak;
 mod row;
@@ -27,6 +28,7 @@ mod words;
 mod written;
 
 pub use clock::DEFAULT_FPS;
+pub use file_error::WriteFileError;
 pub use instant::instant;
 pub use peak::at_peak;
 pub use written::{Imported, Loss, Written};

@@ -2,7 +2,6 @@
 //! tested beside its sources.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
-#![expect(clippy::print_stderr, reason = "what was not run, and what was measured, is said")]
 
 use base64::Engine;
 use m4_kernels::{Renderer, SimdLevel, View};

@@ -11,6 +11,7 @@
 
 use super::BadName;
 use super::names::names;
+use crate::WriteFileError;
 use crate::cameras_check::usable;
 use crate::verified::VerifiedFile;
 use crate::{Loss, Written};
@@ -20,7 +21,7 @@ use m4_io::trajectory;
 use m4_scene::{Intrinsics, Scene, SourceFrame};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Largest difference of a pose that is read back, world units and entries of the rotation.
@@ -38,14 +39,9 @@ pub struct NerfstudioOptions {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteNerfstudioError {
-    /// The file system refused.
-    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    /// The file did not get to the disk as it was made.
+    #[error(transparent)]
+    File(#[from] WriteFileError),
     /// The scene has no cameras, or one that is no camera.
     #[error("cannot write {}: {what}", path.display())]
     BadScene {
@@ -62,14 +58,6 @@ pub enum WriteNerfstudioError {
         /// What is wrong with them.
         source: BadName,
     },
-    /// What was written reads back otherwise; it was removed.
-    #[error("{} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
-    Verify {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
 }
 
 impl WriteNerfstudioError {
@@ -77,7 +65,7 @@ impl WriteNerfstudioError {
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::File(e) => e.kind(),
             Self::BadScene { .. } | Self::Names { .. } => ErrorKind::BadData,
         }
     }
@@ -89,10 +77,7 @@ impl WriteNerfstudioError {
 ///
 /// [`WriteNerfstudioError`]; what was at `path` is then still there.
 pub fn write(path: &Path, scene: &Scene, options: &NerfstudioOptions) -> Result<Written, WriteNerfstudioError> {
-    let io = |source| WriteNerfstudioError::Io {
-        path: path.to_path_buf(),
-        source,
-    };
+    let io = |e| WriteNerfstudioError::File(WriteFileError::io(path, e));
     let bad = |what: String| WriteNerfstudioError::BadScene {
         path: path.to_path_buf(),
         what,
@@ -141,10 +126,7 @@ pub fn write(path: &Path, scene: &Scene, options: &NerfstudioOptions) -> Result<
     text.push(b'\n');
     let mut file = VerifiedFile::create(path).map_err(io)?;
     file.write_all(&text).map_err(io)?;
-    let verify = |reason: String| WriteNerfstudioError::Verify {
-        path: path.to_path_buf(),
-        reason,
-    };
+    let verify = |reason: String| WriteNerfstudioError::File(WriteFileError::verify(path, reason));
     let temporary = file.verify().map_err(|e| verify(e.to_string()))?;
     let back = trajectory::read(temporary, scene.time_frames.max(2)).map_err(|e| verify(e.to_string()))?;
     let same = back.len() == scene.source.len()

@@ -1,5 +1,6 @@
 //! Why a `.4dgs` file could not be read or written.
 
+use crate::WriteFileError;
 use m4_io::ErrorKind;
 use std::io;
 use std::path::PathBuf;
@@ -74,14 +75,9 @@ impl ReadFourdgsError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteFourdgsError {
-    /// The file system refused.
-    #[error("cannot write {}: {source}; check the permissions and the free space, or choose another folder", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    /// The file did not get to the disk as it was made.
+    #[error(transparent)]
+    File(#[from] WriteFileError),
     /// The scene has values that no file can hold.
     #[error("the scene cannot be written as .4dgs: {reason}")]
     BadScene {
@@ -101,7 +97,8 @@ impl WriteFourdgsError {
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::File(e) => e.kind(),
+            Self::Verify { .. } => ErrorKind::CannotWrite,
             Self::BadScene { .. } => ErrorKind::BadData,
         }
     }

@@ -3,7 +3,7 @@
 use super::convert::{Clip, to_set};
 use super::{WriteFourdgsError, cameras, notes, verify};
 use crate::clock::Clock;
-use crate::{DEFAULT_FPS, Loss, Written, at_peak, plural};
+use crate::{DEFAULT_FPS, Loss, WriteFileError, Written, at_peak, plural};
 use ::fourdgs::quantization::{Bounds, Profile};
 use ::fourdgs::stream_reader::{ReadOptions, read_from};
 use ::fourdgs::{GaussianSet, SceneExtras, WriteOptions, write_to_vec};
@@ -62,10 +62,7 @@ impl Precision {
 /// bytes do not decode to the scene.
 pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Written, WriteFourdgsError> {
     let (bytes, losses) = encode(scene, config)?;
-    crate::file::publish(path, &bytes).map_err(|source| WriteFourdgsError::Io {
-        path: path.to_path_buf(),
-        source,
-    })?;
+    crate::file::publish(path, &bytes).map_err(|e| WriteFileError::io(path, e))?;
     Ok(Written {
         path: path.to_path_buf(),
         bytes: bytes.len() as u64,

@@ -1,5 +1,6 @@
 //! Why a glTF file could not be read or written.
 
+use crate::WriteFileError;
 use m4_io::ErrorKind;
 use std::io;
 use std::path::PathBuf;
@@ -74,14 +75,9 @@ impl ReadGltfError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteGltfError {
-    /// The file system refused.
-    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    /// The file did not get to the disk as it was made.
+    #[error(transparent)]
+    File(#[from] WriteFileError),
     /// The scene holds something that the format does not.
     #[error("cannot write {}: {what}", path.display())]
     BadScene {
@@ -90,14 +86,6 @@ pub enum WriteGltfError {
         /// What, and what to do.
         what: String,
     },
-    /// The file that was written reads back otherwise; it was removed.
-    #[error("{} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
-    Verify {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
 }
 
 impl WriteGltfError {
@@ -105,7 +93,7 @@ impl WriteGltfError {
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::File(e) => e.kind(),
             Self::BadScene { .. } => ErrorKind::BadData,
         }
     }

@@ -7,7 +7,7 @@ use super::{BIN_CHUNK, EXTENSION, EXTENSION_STATUS, JSON_CHUNK, MAGIC};
 use crate::clock::Clock;
 use crate::rub::turn_splats;
 use crate::verified::VerifiedFile;
-use crate::{Loss, Written, instant};
+use crate::{Loss, WriteFileError, Written, instant};
 use m4_scene::{Column, Scene, Splats};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -32,10 +32,7 @@ pub struct GltfOptions {
 ///
 /// [`WriteGltfError`]; what was at `path` is then still there.
 pub fn write(path: &Path, scene: &Scene, options: &GltfOptions) -> Result<Written, WriteGltfError> {
-    let io = |source| WriteGltfError::Io {
-        path: path.to_path_buf(),
-        source,
-    };
+    let io = |e| WriteGltfError::File(WriteFileError::io(path, e));
     let bad = |what: String| WriteGltfError::BadScene {
         path: path.to_path_buf(),
         what,
@@ -79,10 +76,7 @@ pub fn write(path: &Path, scene: &Scene, options: &GltfOptions) -> Result<Writte
     };
     all().map_err(io)?;
     drop(splats);
-    let verify = |reason: String| WriteGltfError::Verify {
-        path: path.to_path_buf(),
-        reason,
-    };
+    let verify = |reason: String| WriteGltfError::File(WriteFileError::verify(path, reason));
     let temporary = file.verify().map_err(|e| verify(e.to_string()))?;
     let back = super::read(temporary).map_err(|e| verify(e.to_string()))?;
     if back.n() != count {

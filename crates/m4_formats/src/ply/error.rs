@@ -1,5 +1,6 @@
 //! Why a PLY file could not be read or written.
 
+use crate::WriteFileError;
 use m4_io::ErrorKind;
 use std::io;
 use std::path::PathBuf;
@@ -70,14 +71,9 @@ impl ReadPlyError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WritePlyError {
-    /// The file system refused.
-    #[error("cannot write {}: {source}; check the permissions and the free space, or choose another folder", path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    /// The file did not get to the disk as it was made.
+    #[error(transparent)]
+    File(#[from] WriteFileError),
     /// The scene has values that would not render.
     #[error("the scene cannot be written as PLY: {reason}")]
     BadScene {
@@ -91,7 +87,7 @@ impl WritePlyError {
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Io { .. } => ErrorKind::CannotWrite,
+            Self::File(e) => e.kind(),
             Self::BadScene { .. } => ErrorKind::BadData,
         }
     }

@@ -2,7 +2,7 @@
 
 use super::WritePlyError;
 use super::write::{check, encode, seen, unheld};
-use crate::{Loss, Written};
+use crate::{Loss, WriteFileError, Written};
 use m4_scene::Scene;
 use std::fs;
 use std::path::Path;
@@ -27,10 +27,7 @@ pub fn write_sequence(
     mut each: impl FnMut(usize) -> bool,
 ) -> Result<Written, WritePlyError> {
     check(scene)?;
-    let io = |path: &Path, source| WritePlyError::Io {
-        path: path.to_path_buf(),
-        source,
-    };
+    let io = WriteFileError::io;
     fs::create_dir_all(folder).map_err(|e| io(folder, e))?;
     let mut written = Written {
         path: folder.to_path_buf(),

@@ -2,7 +2,7 @@
 
 use super::WritePlyError;
 use crate::row::Row;
-use crate::{Loss, Written, instant, plural};
+use crate::{Loss, WriteFileError, Written, instant, plural};
 use m4_scene::{Column, Scene, Splats};
 use std::fmt::Write;
 use std::path::Path;
@@ -16,10 +16,7 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WritePlyErro
     check(scene)?;
     let splats = seen(scene, t);
     let bytes = encode(&splats, t);
-    crate::file::publish(path, &bytes).map_err(|source| WritePlyError::Io {
-        path: path.to_path_buf(),
-        source,
-    })?;
+    crate::file::publish(path, &bytes).map_err(|e| WriteFileError::io(path, e))?;
     let mut losses = Vec::new();
     if scene.splats.n_dynamic() > 0 {
         losses.push(Loss::Baked(format!("time, at frame {t}")));

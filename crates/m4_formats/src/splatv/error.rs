@@ -1,5 +1,6 @@
 //! Why a `.splatv` file could not be read or written.
 
+use crate::WriteFileError;
 use m4_io::ErrorKind;
 use std::io;
 use std::path::PathBuf;
@@ -61,14 +62,9 @@ impl ReadSplatvError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteSplatvError {
-    /// The file system refused.
-    #[error("cannot write {}: {source}; check the permissions and the free space, or choose another folder", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    /// The file did not get to the disk as it was made.
+    #[error(transparent)]
+    File(#[from] WriteFileError),
     /// The scene has values that no file can hold.
     #[error("the scene cannot be written as .splatv: {reason}")]
     BadScene {
@@ -82,7 +78,7 @@ impl WriteSplatvError {
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Io { .. } => ErrorKind::CannotWrite,
+            Self::File(e) => e.kind(),
             Self::BadScene { .. } => ErrorKind::BadData,
         }
     }

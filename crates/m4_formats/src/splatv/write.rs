@@ -3,7 +3,7 @@
 use super::header::{Facts, Part, views};
 use super::{MAGIC, SPLAT_BYTES, TEX_WIDTH, TEXEL_BYTES, WriteSplatvError};
 use crate::row::{Life, Row, sigmoid};
-use crate::{C0, Loss, Written, at_peak, plural};
+use crate::{C0, Loss, WriteFileError, Written, at_peak, plural};
 use half::f16;
 use m4_scene::{Column, Scene, Splats};
 use std::f64::consts::SQRT_2;
@@ -54,10 +54,7 @@ pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteSplatvError> {
         worst = worst.max(shift);
     }
     bytes.resize(8 + json.len() + texture, 0);
-    crate::file::publish(path, &bytes).map_err(|source| WriteSplatvError::Io {
-        path: path.to_path_buf(),
-        source,
-    })?;
+    crate::file::publish(path, &bytes).map_err(|e| WriteFileError::io(path, e))?;
     Ok(Written {
         path: path.to_path_buf(),
         bytes: bytes.len() as u64,

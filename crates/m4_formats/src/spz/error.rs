@@ -1,5 +1,6 @@
 //! Why an SPZ file could not be read or written.
 
+use crate::WriteFileError;
 use m4_io::ErrorKind;
 use std::io;
 use std::path::PathBuf;
@@ -58,14 +59,9 @@ impl ReadSpzError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteSpzError {
-    /// The file system refused.
-    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    /// The file did not get to the disk as it was made.
+    #[error(transparent)]
+    File(#[from] WriteFileError),
     /// The scene holds something that the format does not.
     #[error("cannot write {}: {what}", path.display())]
     BadScene {
@@ -86,14 +82,6 @@ pub enum WriteSpzError {
         /// What was expected.
         expected: &'static str,
     },
-    /// The file that was written reads back otherwise; it was removed.
-    #[error("{} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
-    Verify {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
 }
 
 impl WriteSpzError {
@@ -101,7 +89,7 @@ impl WriteSpzError {
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::File(e) => e.kind(),
             Self::BadScene { .. } | Self::BadOption { .. } => ErrorKind::BadData,
         }
     }

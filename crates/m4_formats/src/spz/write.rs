@@ -5,7 +5,7 @@ use super::error::{ReadSpzError, WriteSpzError};
 use super::options::{SpzAxes, SpzOptions};
 use crate::rub::turn_splats;
 use crate::verified::VerifiedFile;
-use crate::{Loss, Written, instant};
+use crate::{Loss, WriteFileError, Written, instant};
 use flate2::{Compression, GzBuilder};
 use m4_scene::Scene;
 use std::io::Write;
@@ -19,10 +19,7 @@ use std::path::Path;
 /// [`WriteSpzError`]; what was at `path` is then still there.
 pub fn write(path: &Path, scene: &Scene, options: &SpzOptions) -> Result<Written, WriteSpzError> {
     check(path, options)?;
-    let io = |source| WriteSpzError::Io {
-        path: path.to_path_buf(),
-        source,
-    };
+    let io = |e| WriteSpzError::File(WriteFileError::io(path, e));
     let mut splats = instant(&scene.splats, options.t, scene.time_frames as f64);
     if options.axes == SpzAxes::Rub {
         turn_splats(&mut splats);
@@ -40,10 +37,7 @@ pub fn write(path: &Path, scene: &Scene, options: &SpzOptions) -> Result<Written
         .write(&mut file, Compression::new(options.gzip_level));
     stream.write_all(&encoded.bytes).map_err(io)?;
     stream.finish().map_err(io)?;
-    let verify = |reason: String| WriteSpzError::Verify {
-        path: path.to_path_buf(),
-        reason,
-    };
+    let verify = |reason: String| WriteSpzError::File(WriteFileError::verify(path, reason));
     let temporary = file.verify().map_err(|e| verify(e.to_string()))?;
     let back = super::read(temporary, options.axes).map_err(|e: ReadSpzError| verify(e.to_string()))?;
     if back.n() != count {

@@ -1,5 +1,6 @@
 //! Why a USD file could not be read or written.
 
+use crate::WriteFileError;
 use m4_io::ErrorKind;
 use std::io;
 use std::path::PathBuf;
@@ -56,14 +57,9 @@ impl ReadUsdError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteUsdError {
-    /// The file system refused.
-    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    /// The file did not get to the disk as it was made.
+    #[error(transparent)]
+    File(#[from] WriteFileError),
     /// The name says another form of USD.
     #[error("cannot write {}: USD is written as text, in files that end in .usda; `usdcat` makes .usdc and .usdz of them", path.display())]
     NotText {
@@ -90,14 +86,6 @@ pub enum WriteUsdError {
         /// What was expected.
         expected: &'static str,
     },
-    /// The file that was written reads back otherwise; it was removed.
-    #[error("{} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
-    Verify {
-        /// The file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
 }
 
 impl WriteUsdError {
@@ -105,7 +93,7 @@ impl WriteUsdError {
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::File(e) => e.kind(),
             Self::NotText { .. } | Self::BadScene { .. } | Self::BadOption { .. } => ErrorKind::BadData,
         }
     }

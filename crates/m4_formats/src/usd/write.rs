@@ -8,7 +8,7 @@ use super::options::{UsdOptions, UsdPositions};
 use crate::clock::Clock;
 use crate::rub::turn_splats;
 use crate::verified::VerifiedFile;
-use crate::{Loss, Written, plural};
+use crate::{Loss, WriteFileError, Written, plural};
 use m4_scene::Scene;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -20,10 +20,7 @@ use std::path::Path;
 ///
 /// [`WriteUsdError`]; what was at `path` is then still there.
 pub fn write(path: &Path, scene: &Scene, options: &UsdOptions) -> Result<Written, WriteUsdError> {
-    let io = |source| WriteUsdError::Io {
-        path: path.to_path_buf(),
-        source,
-    };
+    let io = |e| WriteUsdError::File(WriteFileError::io(path, e));
     check(path, scene, options)?;
     let clock = Clock::of(scene);
     let fps = options.fps.unwrap_or(1.0 / clock.step_s);
@@ -50,10 +47,7 @@ pub fn write(path: &Path, scene: &Scene, options: &UsdOptions) -> Result<Written
     };
     all().map_err(io)?;
     drop(out);
-    file.verify().map_err(|e| WriteUsdError::Verify {
-        path: path.to_path_buf(),
-        reason: e.to_string(),
-    })?;
+    file.verify().map_err(|e| WriteFileError::verify(path, e))?;
     let dropped = scene.splats.n() - moving.rows.len();
     let mut losses = vec![
         Loss::Baked(format!(

@@ -1,5 +1,6 @@
 //! Why a sparse model could not be read or written.
 
+use crate::WriteFileError;
 use crate::cameras::BadName;
 use m4_io::ErrorKind;
 use std::io;
@@ -61,14 +62,9 @@ impl ReadColmapError {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteColmapError {
-    /// The file system refused.
-    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
+    /// The file did not get to the disk as it was made.
+    #[error(transparent)]
+    File(#[from] WriteFileError),
     /// The scene has no cameras, or one that is no camera.
     #[error("cannot write {}: {what}", path.display())]
     BadScene {
@@ -85,14 +81,6 @@ pub enum WriteColmapError {
         /// What is wrong with them.
         source: BadName,
     },
-    /// What was written reads back otherwise; it was removed.
-    #[error("{} was written but does not read back ({reason}) and was removed; check the disk", path.display())]
-    Verify {
-        /// The folder or file.
-        path: PathBuf,
-        /// What was found.
-        reason: String,
-    },
 }
 
 impl WriteColmapError {
@@ -100,7 +88,7 @@ impl WriteColmapError {
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Io { .. } | Self::Verify { .. } => ErrorKind::CannotWrite,
+            Self::File(e) => e.kind(),
             Self::BadScene { .. } | Self::Names { .. } => ErrorKind::BadData,
         }
     }

@@ -7,7 +7,7 @@ use crate::cameras::names::names;
 use crate::cameras_check::usable;
 use crate::row::sigmoid;
 use crate::verified::VerifiedFile;
-use crate::{C0, Loss, Written, instant, plural};
+use crate::{C0, Loss, WriteFileError, Written, instant, plural};
 use m4_scene::{Camera, Column, Scene};
 use serde::{Deserialize, Serialize};
 use std::io::{self, BufWriter, Write};
@@ -107,25 +107,19 @@ pub fn write(folder: &Path, scene: &Scene, options: &ColmapOptions) -> Result<Wr
     let mut files = Vec::new();
     for (name, writer) in writers {
         let path = folder.join(format!("{name}.{extension}"));
-        let io = |source| WriteColmapError::Io {
-            path: path.clone(),
-            source,
-        };
+        let io = |e| WriteFileError::io(&path, e);
         let mut file = VerifiedFile::create(&path).map_err(io)?;
         let mut out = BufWriter::new(&mut file);
         writer(&mut out).and_then(|()| out.flush()).map_err(io)?;
         drop(out);
-        file.verify().map_err(|e| WriteColmapError::Verify {
-            path: path.clone(),
-            reason: e.to_string(),
-        })?;
+        file.verify().map_err(|e| WriteFileError::verify(&path, e))?;
         files.push((path, file));
     }
     let mut bytes = 0;
     for (path, file) in files {
-        bytes += file.commit().map_err(|source| WriteColmapError::Io { path, source })?;
+        bytes += file.commit().map_err(|e| WriteFileError::io(&path, e))?;
     }
-    let verify = |reason: String| WriteColmapError::Verify { path: path(), reason };
+    let verify = |reason: String| WriteColmapError::File(WriteFileError::verify(folder, reason));
     let back = super::read(folder).map_err(|e| verify(e.to_string()))?;
     if (back.images.len(), back.points.len()) != (cameras.len(), tables.points.len()) {
         return Err(verify(format!(
