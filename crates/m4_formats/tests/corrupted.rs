@@ -5,8 +5,8 @@
 
 use m4_formats::{fourdgs, ply, splatv, usd};
 use m4_math::CounterRng;
-use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
-use m4_testkit::{SceneSpec, camera_looking_at, random_camera, random_splats};
+use m4_scene::{Scene, SplatLayout};
+use m4_testkit::{SceneSpec, random_scene};
 use peak_alloc::PeakAlloc;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -21,7 +21,7 @@ const FREE: usize = 64 << 20;
 const TIMES: usize = 64;
 
 fn scene(sh_degree: usize) -> Scene {
-    let spec = SceneSpec {
+    random_scene(&SceneSpec {
         layout: SplatLayout {
             isotropic: false,
             sh_degree,
@@ -31,25 +31,7 @@ fn scene(sh_degree: usize) -> Scene {
         n_dynamic: 80,
         time_frames: 11,
         ..SceneSpec::default()
-    };
-    let frame = |i: usize| SourceFrame {
-        camera: camera_looking_at(
-            Intrinsics::centred(64, 48, 50.0),
-            [0.1 * i as f64, -0.2, -3.0],
-            [0.0, 0.1, 1.0],
-        ),
-        t: i as f64,
-        exposure: Exposure::IDENTITY,
-    };
-    Scene {
-        splats: random_splats(5, &random_camera(3, 64, 48), &spec),
-        background: [0.1, 0.2, 0.3],
-        time_frames: 11,
-        duration_s: Some(0.5),
-        mip: true,
-        near: 0.02,
-        source: (0..11).map(frame).collect(),
-    }
+    })
 }
 
 type Parse = fn(&[u8]) -> Result<Scene, String>;

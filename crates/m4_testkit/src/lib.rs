@@ -1,4 +1,5 @@
-//! For tests only: synthetic scenes, tolerances, finite differences, fixture loading.
+//! For tests only: synthetic scenes, tolerances, finite differences, fixture loading, and with the feature `browser` a
+//! headless Chromium.
 //!
 //! Knows the shared types alone, so every crate may use it as a dev-dependency. Functions here panic
 //! where a test should fail: that is what they are for.
@@ -20,4 +21,6 @@ pub use differences::{Differences, Side, central_differences};
 pub use fixture::{FixtureCamera, FixtureSplat, GradientCase, GradientFixtures, gradient_fixtures};
 pub use levels::on_every_level;
 pub use shared::shared_dir;
-pub use synthetic::{MovingScene, SceneSpec, camera_looking_at, moving_scene, random_camera, random_splats};
+pub use synthetic::{
+    MovingScene, SceneSpec, camera_looking_at, moving_scene, random_camera, random_scene, random_splats,
+};

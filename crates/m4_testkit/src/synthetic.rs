@@ -4,7 +4,7 @@ use m4_math::{
     CounterRng, Se3,
     nalgebra::{Matrix3, Vector3, Vector6},
 };
-use m4_scene::{Camera, Column, Intrinsics, SplatLayout, Splats};
+use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
 
 /// What a random scene looks like.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -126,6 +126,30 @@ pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
         }
     }
     splats
+}
+
+/// A clip of random splats with a camera a frame that walks past, for what writes and reads scenes: none of its
+/// facts is a default. Pictures of 64 x 48 pixels, `spec.time_frames` of them in 1.25 seconds, Mip filter.
+#[must_use]
+pub fn random_scene(spec: &SceneSpec) -> Scene {
+    let frame = |i: usize| SourceFrame {
+        camera: camera_looking_at(
+            Intrinsics::centred(64, 48, 50.0),
+            [0.1 * i as f64, -0.2, -3.0],
+            [0.0, 0.1, 1.0],
+        ),
+        t: i as f64,
+        exposure: Exposure::IDENTITY,
+    };
+    Scene {
+        splats: random_splats(5, &random_camera(3, 64, 48), spec),
+        background: [0.1, 0.25, 0.7],
+        time_frames: spec.time_frames,
+        duration_s: Some(1.25),
+        mip: true,
+        near: 0.02,
+        source: (0..spec.time_frames).map(frame).collect(),
+    }
 }
 
 /// A wall, a ball that crosses in front of it, and a camera that drifts.

@@ -4,13 +4,13 @@ use super::{ReadPlyError, frame_name, parse, read, write, write_sequence};
 use crate::Loss;
 use crate::row::{Row, sigmoid};
 use m4_scene::{Column, Scene, SplatLayout};
-use m4_testkit::{SceneSpec, random_camera, random_splats};
+use m4_testkit::{SceneSpec, random_scene};
 use serde::Deserialize;
 use std::collections::HashMap;
 use std::path::Path;
 
 fn scene(sh_degree: usize) -> Scene {
-    let spec = SceneSpec {
+    let scene = random_scene(&SceneSpec {
         layout: SplatLayout {
             isotropic: false,
             sh_degree,
@@ -20,15 +20,13 @@ fn scene(sh_degree: usize) -> Scene {
         n_dynamic: 70,
         time_frames: 11,
         ..SceneSpec::default()
-    };
+    });
+    // what a PLY file has no place for
     Scene {
-        splats: random_splats(5, &random_camera(3, 64, 48), &spec),
         background: [0.0; 3],
-        time_frames: 11,
-        duration_s: Some(0.5),
         mip: false,
-        near: 0.01,
         source: Vec::new(),
+        ..scene
     }
 }
 

@@ -5,36 +5,17 @@ use crate::Loss;
 use crate::row::{Row, sigmoid};
 use half::f16;
 use m4_math::nalgebra::Vector4;
-use m4_scene::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
-use m4_testkit::{SceneSpec, camera_looking_at, random_camera, random_splats};
+use m4_scene::{Column, Scene, SplatLayout, Splats};
+use m4_testkit::{SceneSpec, random_scene};
 use std::path::Path;
 
 fn scene() -> Scene {
-    let camera = random_camera(3, 64, 48);
-    let spec = SceneSpec {
+    random_scene(&SceneSpec {
         n_static: 300,
         n_dynamic: 900,
         time_frames: 41,
         ..SceneSpec::default()
-    };
-    let frame = |i: usize| SourceFrame {
-        camera: camera_looking_at(
-            Intrinsics::centred(64, 48, 50.0),
-            [0.1 * i as f64, -0.2, -3.0],
-            [0.0, 0.1, 1.0],
-        ),
-        t: i as f64,
-        exposure: Exposure::IDENTITY,
-    };
-    Scene {
-        splats: random_splats(5, &camera, &spec),
-        background: [0.1, 0.25, 0.7],
-        time_frames: 41,
-        duration_s: Some(1.25),
-        mip: true,
-        near: 0.02,
-        source: (0..41).map(frame).collect(),
-    }
+    })
 }
 
 #[test]
