@@ -99,7 +99,11 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
     let moments = job.moments(scene)?;
     let start = Instant::now();
     let has_splats = !matches!(job.format.time(), Time::Video | Time::Cameras);
-    let baked = if has_splats && !job.keep_mip { bake::bake(scene) } else { None };
+    let baked = if has_splats && !job.keep_mip {
+        bake::bake(scene)
+    } else {
+        None
+    };
     let (plain, loss) = baked.unzip();
     let mut written = write::write(plain.as_ref().unwrap_or(scene), out, &moments, job, observer)?;
     written.losses.splice(0..0, loss);
