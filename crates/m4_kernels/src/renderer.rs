@@ -170,8 +170,9 @@ impl Renderer {
         heaviest_first(tasks.collect(), |(index, (work, mut planes))| {
             let start = Instant::now();
             let place = place(eye, index);
-            work.band.collect(rows, chunks.iter().map(|c| &c.bands[index]));
-            work.band.build(place.blocks());
+            let handed = chunks.iter().map(|c| &c.bands[index]);
+            work.band.collect(rows, handed, place.blocks());
+            work.band.build();
             work.bin = start.elapsed();
             let (band, used) = (&work.band, &mut work.used);
             dispatch!(level, s => blend::forward(s, band, rows, place, background, &mut planes, used));

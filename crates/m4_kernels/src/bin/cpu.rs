@@ -163,8 +163,16 @@ impl Footprint {
 const BATCH: usize = 64;
 
 impl Band {
-    /// Takes the splats of every chunk, in order.
-    pub(crate) fn collect<'a>(&mut self, rows: &[Row], chunks: impl Iterator<Item = &'a Handover> + Clone) {
+    /// Takes the splats of every chunk, in order, for lists of `blocks_x` blocks.
+    pub(crate) fn collect<'a>(
+        &mut self,
+        rows: &[Row],
+        chunks: impl Iterator<Item = &'a Handover> + Clone,
+        blocks_x: usize,
+    ) {
+        // a range adds 1 at its first block and takes it off after its last; the running sum is the count
+        self.cursor.clear();
+        self.cursor.resize(blocks_x + 1, 0);
         let total = chunks.clone().map(Handover::splats).sum();
         self.footprints.resize(total, Footprint::default());
         self.order.resize(total);
@@ -183,9 +191,8 @@ impl Band {
                 let footprints = self.footprints[here.clone()].iter_mut();
                 let entries = lanes(part.lanes).zip(footprints).zip(keys);
                 for (index, ((lane, footprint), key)) in (start as u32..).zip(entries) {
-                    // both cache lines that it may lie in: the blending looks rows up out of order, and here
-                    // they come into the cache much faster
-                    std::hint::black_box(rows[lane][0]);
+                    // this also brings the row into the cache, much faster than the blending, which looks rows up
+                    // out of order
                     *key = Order::key(rows[lane][Record::DEPTH], index);
                     (least, most) = (least.min(*key), most.max(*key));
                     let range = part.range[lane];
@@ -195,6 +202,9 @@ impl Band {
                         first: range as u16,
                         end: (range >> 16) as u16,
                     };
+                    let (first, end) = (usize::from(footprint.first), usize::from(footprint.end));
+                    self.cursor[first] = self.cursor[first].wrapping_add(1);
+                    self.cursor[end] = self.cursor[end].wrapping_sub(1);
                     if footprint.is_far() {
                         footprint.tiles = self.far.len() as u64;
                         self.far.extend(far.next());
@@ -214,23 +224,14 @@ impl Band {
     /// Reads the rows of all splats in order, which brings them into the cache much faster than the blending,
     /// which looks them up out of order.
     pub(crate) fn touch(&self, rows: &[Row]) {
+        // rows are shorter than a cache line and lie side by side: of each, one number is enough
         for footprint in &self.footprints {
-            let row = &rows[footprint.row as usize];
-            // both cache lines that it may lie in
-            std::hint::black_box((row[0], row[Record::DEPTH]));
+            std::hint::black_box(rows[footprint.row as usize][0]);
         }
     }
 
-    /// Builds the lists of `blocks_x` blocks.
-    pub(crate) fn build(&mut self, blocks_x: usize) {
-        // a range adds 1 at its first block and takes it off after its last; the running sum is the count
-        self.cursor.clear();
-        self.cursor.resize(blocks_x + 1, 0);
-        for footprint in &self.footprints {
-            let (first, end) = (usize::from(footprint.first), usize::from(footprint.end));
-            self.cursor[first] = self.cursor[first].wrapping_add(1);
-            self.cursor[end] = self.cursor[end].wrapping_sub(1);
-        }
+    /// Builds the lists.
+    pub(crate) fn build(&mut self) {
         self.list_start.clear();
         let (mut total, mut count) = (0u32, 0u32);
         for change in &mut self.cursor {
@@ -349,8 +350,8 @@ mod tests {
                 })
                 .collect();
             let (rows, chunks) = hand_over(SimdLevel::best(), &splats, 100);
-            band.collect(&rows, chunks.iter());
-            band.build(blocks_x);
+            band.collect(&rows, chunks.iter(), blocks_x);
+            band.build();
             for (tile, row) in (0..BLOCK_COLUMNS * blocks_x).flat_map(|x| (0..BAND_TILES).map(move |y| (x, y))) {
                 let mut want: Vec<usize> = (0..n)
                     .filter(|&i| {

@@ -68,8 +68,8 @@ fn run(level: SimdLevel, records: &[Record], everything: bool, extra: bool) -> (
     let mut band = Band::default();
     let splats: Vec<_> = records.iter().map(|r| (*r, spans(r, everything))).collect();
     let (rows, chunks) = hand_over(level, &splats, 50);
-    band.collect(&rows, chunks.iter());
-    band.build(PLACE.blocks());
+    band.collect(&rows, chunks.iter(), PLACE.blocks());
+    band.build();
     let mut planes = vec![vec![0.0f32; n]; 5];
     let mut used = Used::default();
     let [r, g, b, t, z] = planes.get_disjoint_mut([0, 1, 2, 3, 4]).unwrap();
