@@ -1,10 +1,12 @@
 //! How many iterations fit into a given time on this machine.
 
 use crate::config::{ColourFitConfig, DensityConfig, RefineConfig, ResolutionConfig, TrainConfig};
+use crate::scale::SceneScale;
 use crate::trainer::Trainer;
 use crate::{TrainError, schedule};
 use m4_kernels::SimdLevel;
-use m4_scene::{Capture, Splats};
+use m4_scene::{Capture, Column, Splats};
+use rayon::prelude::*;
 use std::time::Instant;
 
 /// Trial steps at each size of the frames; the first of them prepare memory and are not counted.
@@ -38,7 +40,7 @@ pub fn affordable_iterations(
     let resolution = &config.resolution;
     let quarter = resolution.quarter_until;
     let half = resolution.half_until.max(quarter);
-    let grown = grown(splats, config)?;
+    let grown = grown(splats, &apparent_sizes(capture, splats), config)?;
     let mut step_s = 0.0;
     for (share, x) in [(quarter, 0.0), (half - quarter, quarter), (1.0 - half, half)] {
         if share > 0.0 {
@@ -52,26 +54,42 @@ pub fn affordable_iterations(
 }
 
 /// The splats that density control may make of these: most of a run has as many. What is wrong is mostly in what
-/// stands still, so static rows are repeated, evenly; where each of them twice is not enough, all rows are, as often as it
-/// takes.
-fn grown(splats: &Splats, config: &TrainConfig) -> Result<Splats, TrainError> {
+/// stands still, and added up over the pixels, so the static rows that look largest (`size`, one a row) are there twice;
+/// where each of them twice is not enough, all rows are repeated, as often as it takes.
+fn grown(splats: &Splats, size: &[f32], config: &TrainConfig) -> Result<Splats, TrainError> {
     let (n, n_static) = (splats.n(), splats.n_static());
     let growth = match config.density.enabled {
         true => f64::from(config.density.max_growth).clamp(1.0, MOST_GROWTH),
         false => 1.0,
     };
     let wanted = (growth * n as f64) as usize;
-    let evenly = |first: usize, of: usize, count: usize| (0..count).map(move |i| (first + i * of / count) as u32);
-    let (statics, dynamics) = if wanted - n <= n_static {
-        (n_static + wanted - n, n - n_static)
+    let mut rows: Vec<u32> = (0..n_static as u32).collect();
+    if wanted - n <= n_static {
+        rows.sort_by(|&a, &b| size[b as usize].total_cmp(&size[a as usize]));
+        rows.extend_from_within(..wanted - n);
+        rows.extend(n_static as u32..n as u32);
     } else {
+        let evenly = |first: usize, of: usize, count: usize| (0..count).map(move |i| (first + i * of / count) as u32);
         let statics = (n_static as f64 * growth) as usize;
-        (statics, wanted - statics)
-    };
-    let rows: Vec<u32> = evenly(0, n_static, statics)
-        .chain(evenly(n_static, n - n_static, dynamics))
-        .collect();
+        rows = evenly(0, n_static, statics)
+            .chain(evenly(n_static, n - n_static, wanted - statics))
+            .collect();
+    }
     Ok(splats.gather(&rows)?)
+}
+
+/// How large each splat looks from the camera next to it: standard deviation along its longest axis over distance.
+fn apparent_sizes(capture: &Capture, splats: &Splats) -> Vec<f32> {
+    let scale = SceneScale::of(capture);
+    let mean = [0, 1, 2].map(|k| splats.column(Column::Mean, k));
+    let scales: Vec<&[f32]> = (0..splats.layout().range(Column::LogScale).len())
+        .map(|k| splats.column(Column::LogScale, k))
+        .collect();
+    let one = |i: usize| {
+        let largest = scales.iter().map(|c| c[i]).fold(f32::NEG_INFINITY, f32::max);
+        largest.exp() / scale.nearest_camera(mean.map(|c| c[i]))
+    };
+    (0..splats.n_static()).into_par_iter().map(one).collect()
 }
 
 /// Median seconds of a step with frames made smaller by `factor`.
@@ -123,7 +141,7 @@ fn trial(
 mod tests {
     use super::grown;
     use crate::TrainConfig;
-    use m4_scene::{SplatLayout, Splats};
+    use m4_scene::{Column, SplatLayout, Splats};
 
     #[test]
     fn trial_steps_have_as_many_splats_as_the_run_will() {
@@ -132,20 +150,29 @@ mod tests {
             sh_degree: 0,
             time_degree: 0,
         };
-        let splats = Splats::zeros(layout, 100, 400);
+        let mut splats = Splats::zeros(layout, 100, 400);
+        let size: Vec<f32> = (0..100).map(|i| (i % 10) as f32).collect();
+        splats.column_mut(Column::Mean, 0)[..100].copy_from_slice(&size);
+        let grown = |splats: &Splats, config: &TrainConfig| grown(splats, &size, config).unwrap();
         let mut config = TrainConfig::fast();
         config.density.max_growth = 1.1;
-        let more = grown(&splats, &config).unwrap();
+        let more = grown(&splats, &config);
         assert_eq!((more.n_static(), more.n_dynamic()), (150, 400));
+        let sum: f32 = more.column(Column::Mean, 0)[..150].iter().sum();
+        assert_eq!(
+            sum,
+            450.0 + 10.0 * (9.0 + 8.0 + 7.0 + 6.0 + 5.0),
+            "the largest are there twice"
+        );
         config.density.max_growth = 3.0;
-        let more = grown(&splats, &config).unwrap();
+        let more = grown(&splats, &config);
         assert_eq!((more.n_static(), more.n_dynamic()), (300, 1200), "every row thrice");
         config.density.max_growth = 1e9;
-        assert_eq!(grown(&splats, &config).unwrap().n(), 2000);
+        assert_eq!(grown(&splats, &config).n(), 2000);
         config.density.enabled = false;
-        assert_eq!(grown(&splats, &config).unwrap().n(), 500);
+        assert_eq!(grown(&splats, &config).n(), 500);
         (config.density.enabled, config.density.max_growth) = (true, 2.0);
-        let more = grown(&Splats::zeros(layout, 0, 7), &config).unwrap();
+        let more = grown(&Splats::zeros(layout, 0, 7), &config);
         assert_eq!((more.n_static(), more.n_dynamic()), (0, 14));
     }
 }
