@@ -29,7 +29,9 @@ pub enum PruneRule {
         /// A splat above the threshold goes only when its opacity is below this. Section 4.4: 0.1; 0.005 here, which
         /// leaves moving shadows alone.
         opacity: f32,
-        /// Above this normalised score a splat goes whatever its opacity. FastGS: 0.9.
+        /// Above this normalised score a splat goes whatever its opacity; 1 for never. FastGS: 0.9. 1 here: scores are
+        /// sums over pixels, so that every round would take the largest of what lies far behind everything, and after
+        /// 10,000 iterations nothing is left of it (`docs/decisions/0005`).
         always: f32,
         /// Scores above this quantile count as it.
         quantile: f32,
@@ -150,7 +152,7 @@ impl DensityConfig {
             prune_threshold: 0.009,
             prune_rule: PruneRule::WithOpacity {
                 opacity: 0.005,
-                always: 0.9,
+                always: 1.0,
                 quantile: 0.999,
             },
             prune_own_frames: false,

@@ -237,6 +237,22 @@ mod tests {
         assert_eq!(gone, [60, 89, 90, 91, 92, 93, 94, 95, 96, 97, 99]);
         assert_eq!(plan.rows.iter().filter(|&&r| r == 98).count(), 2);
         assert_eq!(plan.rows.len() + plan.pruned - plan.cloned, 100);
+
+        // as it is by default: no score is high enough for what is opaque
+        let PruneRule::WithOpacity { always, quantile, .. } = DensityConfig::fast().prune_rule else {
+            panic!("the rule of the fast profile")
+        };
+        let config = DensityConfig {
+            prune_rule: PruneRule::WithOpacity {
+                opacity: 0.1,
+                always,
+                quantile,
+            },
+            ..config
+        };
+        let plan = decide(&config, DUE, view, &scores(&densify, &prune));
+        let gone: Vec<u32> = (0..100).filter(|r| !plan.rows.contains(r)).collect();
+        assert_eq!(gone, [60, 99]);
     }
 
     #[test]
