@@ -1,7 +1,7 @@
 //! Slice, project and shade in one pass over the columns, and the same way back.
 //!
 //! Rows are cut into fixed chunks, static and dynamic rows apart; a chunk is a task. Forward, it hands
-//! one [`Record`] to every band that a splat reaches. Backward, it collects the moments of its splats
+//! every splat on once, as a [`Row`], and tells each band which of them reach it. Backward, it collects the moments of its splats
 //! from the bands, in the order of the bands, and turns them into gradients of the columns.
 //!
 //! Sixteen rows are a group. Splats of a group go to their bands one band after the other, not one splat
