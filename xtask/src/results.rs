@@ -75,6 +75,17 @@ pub fn held_out(root: &Path, scenes: &[&str], work: &Path) -> Result<String> {
     Ok(table)
 }
 
+/// The last line of the metrics of a run.
+fn last_metrics(run: &Path) -> Result<Value> {
+    let path = run.join("metrics.jsonl");
+    let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+    let last = text
+        .lines()
+        .last()
+        .with_context(|| format!("{} is empty", path.display()))?;
+    serde_json::from_str(last).with_context(|| format!("{}: the last line is not JSON", path.display()))
+}
+
 /// Trains each scene in both profiles for so many seconds of optimisation and scores the held-out views: one Markdown
 /// row each, returned together, and `time-to-quality.svg` in `work`.
 ///
@@ -85,7 +96,7 @@ pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Pat
     let program = program(root)?;
     let mut curves = Vec::new();
     let mut table = String::from(
-        "| scene | profile | seconds asked | iterations | PSNR | SSIM | PSNR moving |\n|---|---|---|---|---|---|---|\n",
+        "| scene | profile | seconds asked | iterations | PSNR | SSIM | PSNR moving | seconds taken |\n|---|---|---|---|---|---|---|---|\n",
     );
     for scene in scenes {
         let name = stem(scene);
@@ -115,10 +126,11 @@ pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Pat
                 let psnr = number(&mean["psnr_db"]);
                 curve.points.push((s, psnr));
                 table += &format!(
-                    "| {name} | {profile} | {s} | {} | {psnr:.2} | {:.3} | {:.2} |\n",
+                    "| {name} | {profile} | {s} | {} | {psnr:.2} | {:.3} | {:.2} | {:.0} |\n",
                     record["iterations"],
                     number(&mean["ssim"]),
                     number(&mean["masked_psnr_db"]),
+                    number(&last_metrics(&out)?["seconds"]),
                 );
             }
             curves.push(curve);

@@ -1,6 +1,6 @@
 //! What each choice is worth: trainings with one thing changed each.
 
-use super::{json, number, program, run, stem};
+use super::{json, last_metrics, number, program, run, stem};
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 
@@ -237,14 +237,7 @@ fn measure(program: &Path, scene: &str, row: &Row, ask: &Ask<'_>, out: &Path) ->
     run(program, &train)?;
     run(program, &["eval", &out_text, "--data", scene, "--quiet"])?;
     let eval = json(&out.join("eval.json"))?;
-    let metrics = out.join("metrics.jsonl");
-    let text = std::fs::read_to_string(&metrics).with_context(|| format!("cannot read {}", metrics.display()))?;
-    let last = text
-        .lines()
-        .last()
-        .with_context(|| format!("{} is empty", metrics.display()))?;
-    let last: serde_json::Value =
-        serde_json::from_str(last).with_context(|| format!("{}: the last line is not JSON", metrics.display()))?;
+    let last = last_metrics(out)?;
     let mean = &eval["mean"];
     Ok(Figures {
         psnr: number(&mean["psnr_db"]),
