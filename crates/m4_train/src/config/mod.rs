@@ -32,8 +32,8 @@ pub struct LossConfig {
     /// Weight of `1 - SSIM` beside L1. 0.2 (3DGS, Instant4D; the paper gives no value); 0.4 here (measured: +0.003
     /// SSIM on held-out views at no loss of PSNR).
     pub lambda_ssim: f32,
-    /// Weight of the relative depth residual at the start (section 8, item 11: 0.05). 0 here: it takes a third of a
-    /// step, costs half a decibel on held-out views, and without parallax leaves splats in the air
+    /// Weight of the relative depth residual at the start (section 8, item 11: 0.05). 0 here: it takes a seventh of
+    /// the time, costs half a decibel on held-out views, and without parallax leaves splats in the air
     /// (`docs/decisions/0005`); first splats lie at their depth and stay there.
     pub depth_weight: f32,
     /// Its weight at the end; between them it falls log-linearly.
