@@ -6,7 +6,7 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use m4_kernels::{
-    FrameGradient, Gradients, Renderer, SimdLevel,
+    FrameGradient, Gradients, Renderer, SimdLevel, Wanted,
     adam::cpu::{self as adam, AdamConfig, AdamState},
     bench::{BenchScene, SceneConfig, SceneKind},
     morton_order,
@@ -52,7 +52,7 @@ fn kernels(c: &mut Criterion) {
             b.iter(|| photo::loss(level, &target, &frame.rgb, 0.2, &mut scratch, &mut gradient.rgb));
         });
         c.bench_function(&id("backward"), |b| {
-            b.iter(|| renderer.backward(&splats, &gradient, &mut gradients));
+            b.iter(|| renderer.backward(&splats, &gradient, Wanted::default(), &mut gradients));
         });
         c.bench_function(&id("adam"), |b| {
             b.iter(|| {

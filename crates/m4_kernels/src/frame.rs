@@ -58,6 +58,23 @@ pub struct CameraGradient {
     pub intrinsics: [f64; 4],
 }
 
+/// What [`crate::Renderer::backward`] works out beside the gradient of the splats: nothing, unless asked for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Wanted {
+    /// [`Gradients::camera`], to correct poses and focal lengths.
+    pub camera: bool,
+    /// [`Gradients::means2d`].
+    pub means2d: bool,
+}
+
+impl Wanted {
+    /// Everything there is.
+    pub const ALL: Self = Self {
+        camera: true,
+        means2d: true,
+    };
+}
+
 /// The gradient of a loss with respect to splats and camera.
 #[derive(Debug, Clone, Default)]
 pub struct Gradients {
@@ -66,31 +83,30 @@ pub struct Gradients {
     /// `[n]`: 1 where the splat reached a pixel of this frame, else 0.
     pub touched: Vec<u8>,
     /// x and y, `[n]` each: gradient with respect to the projected centre, pixels, the densification
-    /// statistic of 3DGS; rows that are not `touched` hold arbitrary values.
+    /// statistic of 3DGS; rows that are not `touched` hold arbitrary values. Empty unless [`Wanted::means2d`].
     pub means2d: [Vec<f32>; 2],
-    /// With respect to the camera.
+    /// With respect to the camera; 0 unless [`Wanted::camera`].
     pub camera: CameraGradient,
     /// With respect to the background colour.
     pub background: [f32; 3],
 }
 
 impl Gradients {
-    /// Makes room for the gradients of `splats`, all untouched.
+    /// Makes room for the gradients of `splats` alone, all untouched.
     pub fn reset(&mut self, splats: &Splats) {
-        self.resize(splats);
+        self.resize(splats, Wanted::default());
         self.touched.fill(0);
-        self.means2d.iter_mut().for_each(|m| m.fill(0.0));
     }
 
     /// Makes room for the gradients of `splats`; what the rows hold is anything.
-    pub(crate) fn resize(&mut self, splats: &Splats) {
+    pub(crate) fn resize(&mut self, splats: &Splats, wanted: Wanted) {
         self.columns.resize_with(splats.columns().len(), Vec::new);
         for (gradient, column) in self.columns.iter_mut().zip(splats.columns()) {
             gradient.resize(column.len(), 0.0);
         }
         self.touched.resize(splats.n(), 0);
         for gradient in &mut self.means2d {
-            gradient.resize(splats.n(), 0.0);
+            gradient.resize(if wanted.means2d { splats.n() } else { 0 }, 0.0);
         }
         self.camera = CameraGradient::default();
         self.background = [0.0; 3];

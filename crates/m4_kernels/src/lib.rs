@@ -39,7 +39,7 @@ mod renderer;
 mod simd;
 mod stage;
 
-pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View};
+pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View, Wanted};
 pub use order::morton_order;
 pub use renderer::{FrameStats, Renderer};
 pub use simd::{ENV as SIMD_ENV, SimdLevel, SimdLevelError};

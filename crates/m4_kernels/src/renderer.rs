@@ -1,7 +1,7 @@
 //! The CPU twins strung together: splats to a picture and back.
 
 use crate::{
-    CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View,
+    CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View, Wanted,
     bin::{
         cpu::{BAND_ROWS, Band},
         handover::Row,
@@ -194,10 +194,10 @@ impl Renderer {
     /// If `splats` are not as many as those drawn, or a plane of `gradient` has another size than the
     /// frame. Planes for alpha and depth may be empty (no gradient); depth needs
     /// [`View::with_depth`].
-    pub fn backward(&mut self, splats: &Splats, gradient: &FrameGradient, out: &mut Gradients) {
+    pub fn backward(&mut self, splats: &Splats, gradient: &FrameGradient, wanted: Wanted, out: &mut Gradients) {
         let start = Instant::now();
         self.check(splats.n());
-        out.resize(splats);
+        out.resize(splats, wanted);
         self.blend_backward(gradient);
         let blended = Instant::now();
         for work in &self.bands {
@@ -205,7 +205,7 @@ impl Renderer {
                 *sum += v as f32;
             }
         }
-        self.project_backward(splats, out);
+        self.project_backward(splats, wanted.camera, out);
         self.stats.blend_backward = blended - start;
         self.stats.project_backward = blended.elapsed();
     }
@@ -251,7 +251,7 @@ impl Renderer {
     }
 
     /// Gradients of the columns, chunk by chunk; that of the camera added in the order of the chunks.
-    fn project_backward(&self, splats: &Splats, out: &mut Gradients) {
+    fn project_backward(&self, splats: &Splats, with_camera: bool, out: &mut Gradients) {
         let (level, eye, columns) = (self.level.level(), &self.eye, Columns::new(splats));
         let n_static = splats.n_static();
         let mut parts = split(&self.chunks, n_static, out);
@@ -267,7 +267,7 @@ impl Renderer {
                     .iter()
                     .map(|work| &work.sums[work.band.chunk_start[index]..])
                     .collect();
-                dispatch!(level, s => chunk.backward(s, &columns, eye, &mut sums, part))
+                dispatch!(level, s => chunk.backward(s, &columns, eye, &mut sums, with_camera, part))
             })
             .collect();
         drop(parts);

@@ -2,7 +2,7 @@
 
 use super::{Counts, Kernel, SceneKind, scene, useful_evaluations};
 use crate::{
-    FrameGradient, Gradients, Renderer, SimdLevel, View,
+    FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted,
     adam::cpu::{self as adam, AdamConfig, AdamState},
     morton_order,
     photo::cpu::{self as photo, PhotoScratch, Target},
@@ -156,8 +156,12 @@ impl Bench {
         let (target, gradient) = (&self.scene.target, &mut self.gradient.rgb);
         let loss = photo::loss(self.level, target, &frame.rgb, LAMBDA_SSIM, &mut self.scratch, gradient);
         let photo = drawn.elapsed();
-        self.renderer
-            .backward(&self.scene.splats, &self.gradient, &mut self.gradients);
+        self.renderer.backward(
+            &self.scene.splats,
+            &self.gradient,
+            Wanted::default(),
+            &mut self.gradients,
+        );
         let backward = Instant::now();
         adam::step(
             self.level,
@@ -199,7 +203,8 @@ impl Bench {
             &mut self.scratch,
             &mut self.gradient.rgb,
         );
-        self.renderer.backward(splats, &self.gradient, &mut self.gradients);
+        self.renderer
+            .backward(splats, &self.gradient, Wanted::default(), &mut self.gradients);
         let stats = self.renderer.stats();
         let (first, rest) = self.gradients.touched.split_at(splats.n_static());
         Counts {

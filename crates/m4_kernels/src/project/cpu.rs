@@ -82,8 +82,9 @@ pub(crate) struct Ellipse<S: Simd> {
     pub(crate) det: f32x16<S>,
     pub(crate) conic: [f32x16<S>; 3],
     pub(crate) compensation: f32x16<S>,
-    /// Without the low pass.
+    /// Without the low pass, and its determinant.
     sharp: [f32x16<S>; 3],
+    sharp_det: f32x16<S>,
     inverse_z: f32x16<S>,
     /// `x / z`, `y / z`, and where the Jacobian is evaluated.
     ray: [f32x16<S>; 2],
@@ -147,6 +148,7 @@ pub(crate) fn ellipse<S: Simd, const ISO: bool>(s: S, eye: &Eye, place: &Place<S
         ],
         compensation,
         sharp,
+        sharp_det,
         inverse_z,
         ray,
         slope,
@@ -180,8 +182,16 @@ pub(crate) struct PlaceGradient<S: Simd> {
     pub(crate) mean: [f32x16<S>; 3],
     pub(crate) log_scale: [f32x16<S>; 3],
     pub(crate) axes: [[f32x16<S>; 3]; 3],
-    /// Rotation part of the camera's left twist, and `fx, fy`.
+    /// With respect to every entry of the Jacobian `[2][3]`, the structural zeros too: the twist turns them.
+    d_j: [[f32x16<S>; 3]; 2],
+}
+
+/// What a camera's own gradient gets through a splat's place and shape.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LensGradient<S: Simd> {
+    /// Rotation part of the left twist.
     pub(crate) omega: [f32x16<S>; 3],
+    /// `fx, fy`.
     pub(crate) focal: [f32x16<S>; 2],
 }
 
@@ -191,7 +201,6 @@ pub(crate) struct PlaceGradient<S: Simd> {
 pub(crate) fn backward<S: Simd, const ISO: bool>(
     s: S,
     eye: &Eye,
-    place: &Place<S>,
     slice: &Slice<S>,
     e: &Ellipse<S>,
     m: &Moments<S>,
@@ -209,7 +218,7 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
         half * (p[1][0] * b + p[1][1] * c),
     ];
     if eye.mip {
-        let det = e.compensation * e.compensation * e.det;
+        let det = e.sharp_det;
         let ok = det.simd_gt(k(f32::MIN_POSITIVE));
         let inverse = ok.select(k(1.0) / det, zero);
         let weight = ok.select(half * m.weight, zero);
@@ -238,7 +247,6 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
         }
     }
     let w: [_; 3] = each!(3, i => all3(s, &eye.rotation[i]));
-    // with respect to every entry of the Jacobian, the structural zeros too: the twist turns them
     let d_j: [[f32x16<S>; 3]; 2] = each!(2, r => each!(3, j => dot(&d_jw[r], &w[j])));
     let (iz, ray, slope) = (e.inverse_z, e.ray, e.slope);
     let (jx, jy) = (k(eye.fx) * iz, k(eye.fy) * iz);
@@ -253,20 +261,35 @@ pub(crate) fn backward<S: Simd, const ISO: bool>(
         point[axis] -= free.select(d, zero);
         point[2] += d * slope[axis] * free.select(two, k(1.0));
     }
-    let [x, y, z] = place.point;
-    let (j02, j12) = (-(jx * slope[0]), -(jy * slope[1]));
-    let omega = [
-        y * point[2] - z * point[1] + j02 * d_j[0][1] + j12 * d_j[1][1] - jy * d_j[1][2],
-        z * point[0] - x * point[2] + jx * d_j[0][2] - j02 * d_j[0][0] - j12 * d_j[1][0],
-        x * point[1] - y * point[0] + jy * d_j[1][0] - jx * d_j[0][1],
-    ];
     PlaceGradient {
         centre,
         point,
         mean: each!(3, i => w[0][i] * point[0] + w[1][i] * point[1] + w[2][i] * point[2]),
         log_scale,
         axes,
-        omega,
+        d_j,
+    }
+}
+
+/// The gradient with respect to the camera, from that with respect to place and shape.
+#[inline(always)]
+pub(crate) fn lens_backward<S: Simd>(
+    s: S,
+    eye: &Eye,
+    place: &Place<S>,
+    e: &Ellipse<S>,
+    d: &PlaceGradient<S>,
+) -> LensGradient<S> {
+    let ([x, y, z], (iz, ray, slope)) = (place.point, (e.inverse_z, e.ray, e.slope));
+    let (point, centre, d_j) = (&d.point, &d.centre, &d.d_j);
+    let (jx, jy) = (all(s, eye.fx) * iz, all(s, eye.fy) * iz);
+    let (j02, j12) = (-(jx * slope[0]), -(jy * slope[1]));
+    LensGradient {
+        omega: [
+            y * point[2] - z * point[1] + j02 * d_j[0][1] + j12 * d_j[1][1] - jy * d_j[1][2],
+            z * point[0] - x * point[2] + jx * d_j[0][2] - j02 * d_j[0][0] - j12 * d_j[1][0],
+            x * point[1] - y * point[0] + jy * d_j[1][0] - jx * d_j[0][1],
+        ],
         focal: [
             centre[0] * ray[0] + (d_j[0][0] - d_j[0][2] * slope[0]) * iz,
             centre[1] * ray[1] + (d_j[1][1] - d_j[1][2] * slope[1]) * iz,

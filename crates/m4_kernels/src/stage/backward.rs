@@ -19,10 +19,11 @@ pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     c: &Columns<'_>,
     eye: &Eye,
     sums: &mut [&[Sums]],
+    with_camera: bool,
     out: &mut ChunkGradient<'_>,
 ) -> CameraSums {
     let zero = all(s, 0.0);
-    let mut camera = [zero; 10];
+    let mut camera = with_camera.then_some([zero; 10]);
     // groups jump between the bands: read in order, their sums come from far memory much faster
     let lines = sums
         .iter()
@@ -55,6 +56,9 @@ pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         from = group.parts_end as usize;
         group_backward::<S, DYNAMIC, ISO>(s, chunk, c, eye, *group, &totals, out, &mut camera);
     }
+    let Some(camera) = camera else {
+        return CameraSums::default();
+    };
     let camera: [[f32; LANES]; 10] = each!(10, i => camera[i].to_array());
     camera.map(|lanes| lanes.iter().map(|&v| f64::from(v)).sum())
 }
@@ -69,7 +73,7 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     group: Group,
     totals: &[f32x16<S>; LANES],
     out: &mut ChunkGradient<'_>,
-    camera: &mut [f32x16<S>; 10],
+    camera: &mut Option<[f32x16<S>; 10]>,
 ) {
     let at = group.at as usize;
     let row = chunk.rows.start + at;
@@ -86,7 +90,7 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     let place = project::place(s, eye, &splat.mean);
     slice::shape::<S, ISO>(s, c, row, &mut splat);
     let ellipse = project::ellipse::<S, ISO>(s, eye, &place, &splat);
-    let d = project::backward::<S, ISO>(s, eye, &place, &splat, &ellipse, &moments);
+    let d = project::backward::<S, ISO>(s, eye, &splat, &ellipse, &moments);
     let sight = sight(s, c, eye, &place.offset, splat.dt);
     let seen_from = shade::backward(s, c, row, &sight, eye.inverse_period, &d_rgb, &mut out.columns, at);
     let logit = load(s, c.opacity, row, 0.0);
@@ -100,19 +104,24 @@ fn group_backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         time_mean: seen_from.time_mean,
     };
     slice::backward::<S, DYNAMIC, ISO>(s, c, row, &splat, &gradient, &mut out.columns, at);
-    store(d.centre[0], out.means2d[0], at);
-    store(d.centre[1], out.means2d[1], at);
-
-    let on = mask32x16::from_bitmask(s, u64::from(group.seen));
-    let zero = all(s, 0.0);
-    for i in 0..3 {
-        let tau = d.point[i] + dot(&all3(s, &eye.rotation[i]), &seen_from.offset);
-        camera[i] += on.select(tau, zero);
-        camera[3 + i] += on.select(d.omega[i], zero);
+    if !out.means2d[0].is_empty() {
+        store(d.centre[0], out.means2d[0], at);
+        store(d.centre[1], out.means2d[1], at);
     }
-    for i in 0..2 {
-        camera[6 + i] += on.select(d.focal[i], zero);
-        camera[8 + i] += on.select(d.centre[i], zero);
+
+    let zero = all(s, 0.0);
+    if let Some(camera) = camera {
+        let on = mask32x16::from_bitmask(s, u64::from(group.seen));
+        let lens = project::lens_backward(s, eye, &place, &ellipse, &d);
+        for i in 0..3 {
+            let tau = d.point[i] + dot(&all3(s, &eye.rotation[i]), &seen_from.offset);
+            camera[i] += on.select(tau, zero);
+            camera[3 + i] += on.select(lens.omega[i], zero);
+        }
+        for i in 0..2 {
+            camera[6 + i] += on.select(lens.focal[i], zero);
+            camera[8 + i] += on.select(d.centre[i], zero);
+        }
     }
     // composited somewhere: every blended pixel adds to a colour's sum, or had no gradient to give
     let colour = d_rgb[0].abs() + d_rgb[1].abs() + d_rgb[2].abs();

@@ -120,14 +120,15 @@ impl Chunk {
         c: &Columns<'_>,
         eye: &Eye,
         sums: &mut [&[Sums]],
+        with_camera: bool,
         out: &mut ChunkGradient<'_>,
     ) -> CameraSums {
         out.touched.fill(0);
         match (self.dynamic, c.layout.isotropic) {
-            (false, false) => backward::chunk::<S, false, false>(s, self, c, eye, sums, out),
-            (false, true) => backward::chunk::<S, false, true>(s, self, c, eye, sums, out),
-            (true, false) => backward::chunk::<S, true, false>(s, self, c, eye, sums, out),
-            (true, true) => backward::chunk::<S, true, true>(s, self, c, eye, sums, out),
+            (false, false) => backward::chunk::<S, false, false>(s, self, c, eye, sums, with_camera, out),
+            (false, true) => backward::chunk::<S, false, true>(s, self, c, eye, sums, with_camera, out),
+            (true, false) => backward::chunk::<S, true, false>(s, self, c, eye, sums, with_camera, out),
+            (true, true) => backward::chunk::<S, true, true>(s, self, c, eye, sums, with_camera, out),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::twin::{every_level, frame_gradient, view};
 use m4_kernels::{
-    Gradients, Renderer, SimdLevel, View,
+    Gradients, Renderer, SimdLevel, View, Wanted,
     adam::cpu::{AdamConfig, AdamState, step},
 };
 use m4_math::CounterRng;
@@ -14,7 +14,7 @@ fn bits(level: SimdLevel, splats: &Splats, view: &View) -> Vec<u64> {
     let mut renderer = Renderer::new(level);
     let frame = renderer.render(splats, view).clone();
     let mut out = Gradients::default();
-    renderer.backward(splats, &frame_gradient(8, view), &mut out);
+    renderer.backward(splats, &frame_gradient(8, view), Wanted::ALL, &mut out);
     let mut score = vec![0.0; splats.n()];
     renderer.score(&frame.rgb[1], &mut score);
     let planes = frame.rgb.iter().chain([&frame.transmittance, &frame.depth, &score]);
@@ -120,7 +120,7 @@ fn splats_of_other_frames_change_nothing_and_are_left_alone() {
 
         let (mut renderer, mut gradients) = (Renderer::new(level), Gradients::default());
         renderer.render(&splats, &view);
-        renderer.backward(&splats, &frame_gradient(9, &view), &mut gradients);
+        renderer.backward(&splats, &frame_gradient(9, &view), Wanted::ALL, &mut gradients);
         let (mut stepped, mut state) = (splats.clone(), AdamState::new(&splats));
         let rates = vec![0.01; splats.columns().len()];
         step(

@@ -2,7 +2,7 @@
 //! are none.
 
 use crate::twin::{Expected, assert_frame, assert_gradients, compare, every_level, frame_gradient, view};
-use m4_kernels::{Gradients, Renderer, SimdLevel, View};
+use m4_kernels::{Gradients, Renderer, SimdLevel, View, Wanted};
 use m4_scene::{Camera, Column, Intrinsics, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, camera_looking_at, random_camera, random_splats};
 
@@ -27,7 +27,7 @@ fn assert_empty(name: &str, level: SimdLevel, splats: &Splats, view: &View) {
     assert!(frame.depth.iter().all(|&z| z == 0.0), "{name}");
     let g = frame_gradient(1, view);
     let mut out = Gradients::default();
-    renderer.backward(splats, &g, &mut out);
+    renderer.backward(splats, &g, Wanted::ALL, &mut out);
     assert_eq!(
         (out.touched.len(), out.means2d.each_ref().map(Vec::len)),
         (splats.n(), [splats.n(); 2]),
@@ -154,7 +154,7 @@ fn numbers_that_are_none_are_left_out() {
                 assert!(planes.flatten().all(|v| v.is_finite()), "{name}: a pixel is not finite");
                 let g = frame_gradient(2, &at);
                 let mut out = Gradients::default();
-                renderer.backward(&splats, &g, &mut out);
+                renderer.backward(&splats, &g, Wanted::ALL, &mut out);
                 for column in crate::twin::COLUMNS {
                     let values = crate::twin::parameter(&out, &splats, column);
                     assert!(
@@ -293,7 +293,7 @@ fn a_renderer_forgets_the_frame_before() {
             let view = view(camera);
             let frame = renderer.render(splats, &view).clone();
             let mut out = Gradients::default();
-            renderer.backward(splats, &frame_gradient(3, &view), &mut out);
+            renderer.backward(splats, &frame_gradient(3, &view), Wanted::ALL, &mut out);
             let mut score = vec![0.0; splats.n()];
             renderer.score(&vec![0.5; frame.transmittance.len()], &mut score);
             let columns: Vec<_> = crate::twin::COLUMNS

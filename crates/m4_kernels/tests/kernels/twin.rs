@@ -1,7 +1,7 @@
 //! The CPU twin beside the reference.
 
 use m4_kernels::{
-    Frame, FrameGradient, Gradients, Renderer, SimdLevel, View,
+    Frame, FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted,
     blend::reference::{CHANNELS, Hard},
     reference::{BackwardForm, Rendered, SceneGradient, Setup, Splat, backward, render, score_splats, splats_of},
 };
@@ -196,7 +196,7 @@ pub fn compare(name: &str, level: SimdLevel, splats: &Splats, view: &View, toler
     assert_frame(&name, renderer.render(splats, view), &expected.rendered);
     let g = frame_gradient(5, view);
     let mut gradients = Gradients::default();
-    renderer.backward(splats, &g, &mut gradients);
+    renderer.backward(splats, &g, Wanted::ALL, &mut gradients);
     assert_gradients(&name, &gradients, &expected.gradient(&g), splats, tolerance);
 
     // positive weights, as errors are

@@ -3,7 +3,7 @@
 use crate::scenes::{Target, by_name};
 use crate::twin::{compare, every_level, means2d, parameter, view};
 use m4_kernels::{
-    FrameGradient, Gradients, Renderer, SimdLevel, View, blend::reference::CHANNELS, reference::splats_of,
+    FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted, blend::reference::CHANNELS, reference::splats_of,
 };
 use m4_scene::{Column, SplatLayout, Splats};
 use m4_testkit::{
@@ -92,7 +92,7 @@ fn check_fixture(fixtures: &GradientFixtures, case: &GradientCase, level: SimdLe
         depth: plane(3),
     };
     let mut got = Gradients::default();
-    renderer.backward(&splats, &gradient, &mut got);
+    renderer.backward(&splats, &gradient, Wanted::ALL, &mut got);
 
     let want: Vec<_> = case.grad_splats.iter().map(crate::scenes::splat::<f64>).collect();
     for (kind, want) in by_name(&want) {

@@ -3,6 +3,7 @@
 use super::Trainer;
 use crate::colour_fit::{ColourSums, Sum};
 use crate::refine::{expose, pull_back};
+use m4_kernels::Wanted;
 use m4_scene::Column;
 
 impl Trainer<'_> {
@@ -72,8 +73,12 @@ impl Trainer<'_> {
     }
 
     fn add_colours(&mut self, sums: &mut ColourSums, which: Sum) {
-        self.renderer
-            .backward(&self.splats, &self.frame_gradient, &mut self.gradients);
+        self.renderer.backward(
+            &self.splats,
+            &self.frame_gradient,
+            Wanted::default(),
+            &mut self.gradients,
+        );
         let first = self.splats.layout().column(Column::Colour);
         let columns = &self.gradients.columns[first..first + 3];
         sums.add(which, columns, &self.gradients.touched);

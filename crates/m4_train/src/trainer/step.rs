@@ -10,8 +10,8 @@ use crate::rates::rates;
 use crate::refine::expose;
 use crate::{TrainError, schedule};
 use m4_kernels::adam::cpu::{AdamState, step as adam_step};
-use m4_kernels::morton_order;
 use m4_kernels::photo::cpu::loss;
+use m4_kernels::{Wanted, morton_order};
 
 /// What an iteration found.
 #[derive(Debug, Clone, Copy)]
@@ -145,8 +145,12 @@ impl Trainer<'_> {
             return Err(self.back_to_good("the loss"));
         }
 
-        self.renderer.backward(&self.splats, out, &mut self.gradients);
-        if refining && (self.config.refine.poses || self.config.refine.focal) {
+        let wanted = Wanted {
+            camera: refining && (self.config.refine.poses || self.config.refine.focal),
+            ..Wanted::default()
+        };
+        self.renderer.backward(&self.splats, out, wanted, &mut self.gradients);
+        if wanted.camera {
             self.fit.step(
                 &self.config.refine,
                 frame,
