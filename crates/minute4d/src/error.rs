@@ -102,6 +102,13 @@ pub enum Error {
         /// What the system said.
         source: io::Error,
     },
+    /// A GPU was asked for and is not there, does not start, or failed.
+    #[cfg(feature = "gpu")]
+    #[error(transparent)]
+    Gpu(#[from] m4_gpu::GpuError),
+    /// A GPU was asked for in a build that cannot use any.
+    #[error("this build has no support for GPUs: build with the feature `gpu`, or choose --device cpu")]
+    NoGpuSupport,
     /// A folder was to be made where a file is.
     #[error("{} is a file, and a folder of that name is to be made; choose another name", path.display())]
     InTheWay {
@@ -287,7 +294,9 @@ impl Error {
             Self::Settings(_) => Category::BadSettings,
             Self::Path(PathError::NoSource { .. }) => Category::BadInput,
             Self::Time(_) | Self::Path(_) => Category::Usage,
-            Self::Simd(_) => Category::NoDevice,
+            Self::Simd(_) | Self::NoGpuSupport => Category::NoDevice,
+            #[cfg(feature = "gpu")]
+            Self::Gpu(_) => Category::NoDevice,
             Self::Export(e) => e.category(),
             Self::Import(e) => e.category(),
             Self::ReadVideo(ReadVideoError::BadOption { .. }) => Category::BadSettings,

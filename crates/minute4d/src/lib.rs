@@ -26,6 +26,7 @@
 #![forbid(unsafe_code)]
 
 pub mod bench;
+pub mod device;
 pub mod evaluate;
 pub mod export;
 pub mod folder;
@@ -56,6 +57,8 @@ pub use settings::Settings;
 
 pub use m4_eval as eval;
 pub use m4_formats as formats;
+#[cfg(feature = "gpu")]
+pub use m4_gpu as gpu;
 pub use m4_init as init;
 pub use m4_io as io;
 pub use m4_kernels as kernels;

@@ -21,6 +21,7 @@ pub use spline::{PoseSpline, Spline};
 pub use swing::{SwingConfig, swing};
 pub use time::{Moment, Span, TimeError, TimePath};
 
+use crate::device::DeviceChoice;
 use crate::folder::SCENE_FILE;
 use crate::{Error, Observer};
 use m4_io::scene_file;
@@ -54,6 +55,8 @@ pub struct RenderJob {
     pub zoom: f64,
     /// Replace what is there.
     pub replace: bool,
+    /// Where pictures are drawn.
+    pub device: DeviceChoice,
 }
 
 impl RenderJob {
@@ -70,6 +73,7 @@ impl RenderJob {
             fit: Fit::default(),
             zoom: 1.0,
             replace: false,
+            device: DeviceChoice::default(),
         }
     }
 
@@ -96,7 +100,7 @@ impl RenderJob {
 }
 
 /// What was rendered.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Rendered {
     /// Pictures written.
     pub frames: usize,
@@ -106,6 +110,8 @@ pub struct Rendered {
     pub size: (usize, usize),
     /// Wall-clock seconds.
     pub seconds: f64,
+    /// The GPU that drew, or the processor's vector instructions.
+    pub device: String,
 }
 
 /// Renders a scene (a file, or the folder of a run) to a folder of PNG pictures, to an MP4 where `out`
@@ -132,6 +138,7 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
         observer.warn(remark);
     }
     let stops = &plan.stops;
+    let mut gpu = job.device.painter(&scene.splats)?;
     let mut sink = Sink::open(out, stops, plan.fps, job.replace)?;
     for (i, stop) in stops.iter().enumerate() {
         if observer.cancelled() {
@@ -140,7 +147,11 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
                 saved: false,
             });
         }
-        sink.push(&painter.picture(&stop.camera, stop.t, &stop.exposure))?;
+        let picture = match &mut gpu {
+            Some(gpu) => to_rgb(&gpu.frame(&view(&scene, &stop.camera, stop.t))?, &stop.exposure),
+            None => painter.picture(&stop.camera, stop.t, &stop.exposure),
+        };
+        sink.push(&picture)?;
         observer.update("render", i + 1, stops.len(), "");
     }
     sink.finish()?;
@@ -152,6 +163,7 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
         fps: plan.fps,
         size,
         seconds: start.elapsed().as_secs_f64(),
+        device: gpu.map_or_else(|| level.name().to_owned(), |gpu| gpu.name().to_owned()),
     })
 }
 

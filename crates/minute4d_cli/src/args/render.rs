@@ -2,6 +2,7 @@
 
 use super::values::{number, picture_size, rate};
 use clap::{Args, ValueEnum};
+use minute4d::device::{DeviceChoice, UnknownDevice};
 use std::path::PathBuf;
 
 /// `minute4d render`
@@ -69,6 +70,10 @@ pub struct Render {
     /// `dolly`: keep what is in the middle as large as it is
     #[arg(long, help_heading = "Camera paths")]
     pub dolly_zoom: bool,
+    /// Where pictures are drawn: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a GPU
+    /// where there is one that is more than software)
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
+    pub device: DeviceChoice,
     /// Replace pictures or a video that are already there
     #[arg(long)]
     pub force: bool,
@@ -88,4 +93,8 @@ fn zoom(text: &str) -> Result<f64, String> {
         factor if (0.1..=10.0).contains(&factor) => Ok(factor),
         _ => Err("it must lie between 0.1 and 10".to_owned()),
     }
+}
+
+fn device(text: &str) -> Result<DeviceChoice, UnknownDevice> {
+    text.parse()
 }

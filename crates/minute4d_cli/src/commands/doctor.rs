@@ -24,7 +24,23 @@ struct Machine {
     memory: Option<Memory>,
     disk: Option<Disk>,
     ffmpeg: Ffmpeg,
+    gpus: Vec<GpuAdapter>,
     notes: Vec<String>,
+}
+
+/// A graphics adapter, and whether it is of use.
+#[derive(Debug, Serialize)]
+struct GpuAdapter {
+    index: usize,
+    name: String,
+    kind: String,
+    api: String,
+    driver: String,
+    max_buffer_bytes: u64,
+    max_shared_bytes: u32,
+    max_units: u32,
+    /// Why `--device auto` does not choose it.
+    not_chosen: Option<String>,
 }
 
 #[derive(Debug, Serialize)]
@@ -78,6 +94,7 @@ fn examine() -> Result<Machine, Failure> {
         }),
         disk: disk_of(&folder),
         ffmpeg: ffmpeg(),
+        gpus: gpus(),
         notes: Vec::new(),
     };
     machine.notes = notes(&machine);
@@ -121,8 +138,47 @@ fn ffmpeg() -> Ffmpeg {
     }
 }
 
+#[cfg(feature = "gpu")]
+fn gpus() -> Vec<GpuAdapter> {
+    use minute4d::gpu::{AdapterKind, adapters};
+    let all = adapters();
+    let of_use = |a: &minute4d::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
+    let best = minute4d::gpu::best(&all).map(|a| a.index);
+    let why = |a: &minute4d::gpu::Adapter| match (&a.unfit, a.kind) {
+        (Some(unfit), _) => Some(unfit.clone()),
+        (None, AdapterKind::Software) => Some("software: slower than this program on the processor".to_owned()),
+        (None, _) if of_use(a) && best != Some(a.index) => Some("another is better".to_owned()),
+        _ => None,
+    };
+    all.iter()
+        .map(|a| GpuAdapter {
+            index: a.index,
+            name: a.name.clone(),
+            kind: format!("{:?}", a.kind).to_lowercase(),
+            api: a.api.clone(),
+            driver: a.driver.clone(),
+            max_buffer_bytes: a.max_buffer_bytes,
+            max_shared_bytes: a.max_shared_bytes,
+            max_units: a.max_units,
+            not_chosen: why(a),
+        })
+        .collect()
+}
+
+#[cfg(not(feature = "gpu"))]
+fn gpus() -> Vec<GpuAdapter> {
+    Vec::new()
+}
+
 fn notes(machine: &Machine) -> Vec<String> {
     let mut notes = Vec::new();
+    if !cfg!(feature = "gpu") {
+        notes.push("this build has no support for GPUs".to_owned());
+    } else if machine.gpus.is_empty() {
+        notes.push(
+            "no GPU answers by Vulkan, Metal, DX12 or OpenGL: where there is one, its driver is missing".to_owned(),
+        );
+    }
     if !machine.ffmpeg.found {
         notes.push(
             "no ffmpeg: 8-bit H.264 in MP4 or MOV works without; HEVC, AV1, VP9 and others need it \
@@ -144,6 +200,24 @@ fn notes(machine: &Machine) -> Vec<String> {
         notes.push("no wide vector instructions (AVX2 or better): training takes several times as long".to_owned());
     }
     notes
+}
+
+fn gpu_words(gpu: &GpuAdapter) -> String {
+    let limits = format!(
+        "{} ({}, {}, {}); buffers to {} MB, {} units a cube with {} kB",
+        gpu.name,
+        gpu.kind,
+        gpu.api,
+        gpu.driver,
+        gpu.max_buffer_bytes / 1_000_000,
+        gpu.max_units,
+        gpu.max_shared_bytes / 1000
+    );
+    let chosen = match &gpu.not_chosen {
+        Some(why) => format!("not chosen by --device auto: {why}"),
+        None => "chosen by --device auto".to_owned(),
+    };
+    format!("{}: {limits}; {chosen}", gpu.index)
 }
 
 fn words(machine: &Machine) -> String {
@@ -184,6 +258,7 @@ fn words(machine: &Machine) -> String {
         ),
         ("ffmpeg", ffmpeg),
     ];
+    rows.extend(machine.gpus.iter().map(|gpu| ("gpu", gpu_words(gpu))));
     rows.extend(machine.notes.iter().map(|note| ("note", note.clone())));
     let lines = rows.iter().map(|(name, text)| format!("{name:<13} {text}\n"));
     lines.collect()

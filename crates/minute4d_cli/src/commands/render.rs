@@ -31,6 +31,7 @@ pub fn run(args: &Render, output: &Output) -> Result<(), Failure> {
         },
         zoom: args.zoom,
         replace: args.force,
+        device: args.device,
         ..RenderJob::new(CameraPath::named(&args.path))
     };
     let done = minute4d::render::make(&args.scene, &args.out, &job, output)?;
@@ -43,6 +44,7 @@ pub fn run(args: &Render, output: &Output) -> Result<(), Failure> {
             "width": done.size.0,
             "height": done.size.1,
             "seconds": done.seconds,
+            "device": done.device,
         }),
     );
     Ok(())

@@ -1,0 +1,49 @@
+//! What can go wrong on a GPU.
+
+use thiserror::Error;
+
+/// Why a GPU could not do what it was asked for.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum GpuError {
+    /// No adapter answers to that.
+    #[error(
+        "there is no GPU {wanted}; this machine has {found}. Choose one that is listed by `minute4d doctor`, or --device cpu"
+    )]
+    NoAdapter {
+        /// What was asked for.
+        wanted: String,
+        /// What there is.
+        found: String,
+    },
+    /// The adapter is there and does not start.
+    #[error("the GPU {name} does not start: {why}. Update its driver, or choose --device cpu")]
+    NotStarted {
+        /// Its name.
+        name: String,
+        /// What its driver said.
+        why: String,
+    },
+    /// A buffer is larger than the adapter allows.
+    #[error(
+        "{what} needs {needed} MB in one buffer; the GPU {name} allows {limit} MB. Choose fewer splats, smaller pictures, or --device cpu"
+    )]
+    TooLarge {
+        /// What the buffer holds.
+        what: &'static str,
+        /// Megabytes.
+        needed: usize,
+        /// Megabytes.
+        limit: usize,
+        /// The adapter.
+        name: String,
+    },
+    /// The device was lost, is out of memory, or a kernel failed.
+    #[error("the GPU failed while {doing}: {why}. The scene before that is kept; try fewer splats, or --device cpu")]
+    Failed {
+        /// What was going on.
+        doing: &'static str,
+        /// What the runtime said.
+        why: String,
+    },
+}

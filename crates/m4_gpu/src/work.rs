@@ -1,0 +1,341 @@
+//! Memory of one frame on its way through the kernels, and the launches.
+
+use crate::buffer::{Buffer, cubes, units};
+use crate::eye::eye;
+use crate::project::{RECORD, project, project_backward};
+use crate::reach::{REACH, TILE};
+use crate::scan::Scan;
+use crate::sort::{Pairs, Sort};
+use crate::splats::DeviceSplats;
+use crate::{Gpu, GpuError, bin, blend, blend_backward, pixels};
+use cubecl::prelude::CubeDim;
+use m4_kernels::View;
+
+/// Entries of a bucket, and units of its cube.
+const BUCKET: usize = 32;
+/// Numbers of a checkpoint: transmittance, colours, depth.
+const CHECKPOINT: usize = 5;
+
+/// What memory is made for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Size {
+    /// Splats.
+    pub n: usize,
+    /// Pixels.
+    pub width: usize,
+    pub height: usize,
+    /// Entries of tiles at most; those beyond, the farthest, are left out.
+    pub entries: usize,
+    /// For the gradient too.
+    pub training: bool,
+}
+
+impl Size {
+    fn across(&self) -> usize {
+        self.width.div_ceil(TILE)
+    }
+
+    pub fn tiles(&self) -> usize {
+        self.across() * self.height.div_ceil(TILE)
+    }
+
+    pub fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    fn buckets(&self) -> usize {
+        self.entries / BUCKET + self.tiles()
+    }
+
+    /// Digits of a tile's number that the sort looks at.
+    fn tile_bits(&self) -> u32 {
+        (usize::BITS - self.tiles().leading_zeros()).div_ceil(4) * 4
+    }
+}
+
+/// Buffers for frames of one size.
+#[derive(Debug)]
+pub(crate) struct Work {
+    pub size: Size,
+    eye: Buffer,
+    records: Buffer,
+    reaches: Buffer,
+    depth: Pairs,
+    all: Buffer,
+    by_depth: Sort,
+    counts: Buffer,
+    sorted_counts: Buffer,
+    offsets: Buffer,
+    count: Scan,
+    entries: Pairs,
+    by_tile: Sort,
+    splat_of_slot: Buffer,
+    splat_of_entry: Buffer,
+    ranges: Buffer,
+    bucket_counts: Buffer,
+    bucket_offsets: Buffer,
+    bucket_count: Scan,
+    tile_of_bucket: Buffer,
+    checkpoints: Buffer,
+    ends: Buffer,
+    planes: Buffer,
+    sums: Buffer,
+    peak: Buffer,
+    /// Red, green, blue, transmittance, depth: planes.
+    pub image: Buffer,
+    /// The loss's gradient with respect to those (alpha in place of transmittance).
+    pub gradient: Buffer,
+    /// 1 for splats that reached a pixel.
+    pub touched: Buffer,
+}
+
+impl Work {
+    /// Buffers for frames of `size`.
+    pub fn new(gpu: &Gpu, size: Size) -> Result<Self, GpuError> {
+        let client = &gpu.client;
+        let (n, tiles, pixels, entries) = (size.n, size.tiles(), size.pixels(), size.entries);
+        let only_training = |len: usize| if size.training { len } else { 1 };
+        let (buckets, sums) = (only_training(size.buckets()), only_training(RECORD * entries));
+        let checkpoints = CHECKPOINT * TILE * TILE * buckets;
+        for (what, len) in [
+            ("the splats of a frame", RECORD * n),
+            ("the tile entries of a frame", entries),
+            ("the gradients of the tile entries", sums),
+            ("what the gradient starts from in each tile", checkpoints),
+            ("the picture", 5 * pixels),
+        ] {
+            gpu.fits(what, 4 * len)?;
+        }
+        // a cube a tile along one dimension
+        if tiles > 65_535 {
+            return Err(GpuError::TooLarge {
+                what: "the picture",
+                needed: 20 * pixels / 1_000_000,
+                limit: 20 * 65_535 * TILE * TILE / 1_000_000,
+                name: gpu.adapter().name.clone(),
+            });
+        }
+        let empty = |len: usize| Buffer::empty(client, len);
+        Ok(Self {
+            size,
+            eye: empty(1),
+            records: empty(RECORD * n),
+            reaches: empty(REACH * n),
+            depth: Pairs::empty(client, n),
+            all: Buffer::words(client, &[n as u32]),
+            by_depth: Sort::new(client, n),
+            counts: empty(n),
+            sorted_counts: empty(n),
+            offsets: empty(n),
+            count: Scan::new(client, n),
+            entries: Pairs::empty(client, entries),
+            by_tile: Sort::new(client, entries),
+            splat_of_slot: empty(entries),
+            splat_of_entry: empty(entries),
+            ranges: empty(2 * tiles),
+            bucket_counts: empty(tiles),
+            bucket_offsets: empty(tiles),
+            bucket_count: Scan::new(client, tiles),
+            tile_of_bucket: empty(buckets),
+            checkpoints: empty(checkpoints),
+            ends: empty(pixels),
+            planes: empty(only_training(5 * pixels)),
+            sums: empty(sums),
+            peak: Buffer::words(client, &[0]),
+            image: empty(5 * pixels),
+            gradient: empty(only_training(5 * pixels)),
+            touched: empty(n),
+        })
+    }
+
+    /// Draws `splats`, of which there are as many as the memory is for, into [`image`](Self::image).
+    pub fn draw(&mut self, gpu: &Gpu, splats: &DeviceSplats, view: &View) {
+        let client = &gpu.client;
+        let (size, n) = (self.size, self.size.n);
+        let (tiles, width, height) = (size.tiles(), size.width as u32, size.height as u32);
+        self.eye = Buffer::floats(client, &eye(view));
+        project::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            splats.geometry.arg(),
+            splats.colour.arg(),
+            splats.time.arg(),
+            self.eye.arg(),
+            self.records.arg(),
+            self.reaches.arg(),
+            self.depth.keys.arg(),
+            self.depth.values.arg(),
+            self.counts.arg(),
+            n as u32,
+            splats.n_static as u32,
+            splats.spec(view.mip),
+        );
+        // an even number of passes: the order is back in `depth`
+        self.by_depth.run(client, &self.depth, &self.all, 32);
+        bin::gather::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            self.depth.values.arg(),
+            self.counts.arg(),
+            self.sorted_counts.arg(),
+            n as u32,
+        );
+        self.count.run(client, &self.sorted_counts, &self.offsets);
+        let count = self.count.total();
+        bin::note_peak::launch(client, cubes(1, 1), CubeDim::new_1d(1), count.arg(), self.peak.arg());
+        bin::emit::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            self.depth.values.arg(),
+            self.sorted_counts.arg(),
+            self.offsets.arg(),
+            self.reaches.arg(),
+            self.eye.arg(),
+            self.entries.keys.arg(),
+            self.splat_of_slot.arg(),
+            self.entries.values.arg(),
+            n as u32,
+            size.across() as u32,
+        );
+        let sorted = self.by_tile.run(client, &self.entries, count, size.tile_bits());
+        bin::pick::launch(
+            client,
+            cubes(size.entries, 256),
+            units(),
+            sorted.values.arg(),
+            self.splat_of_slot.arg(),
+            count.arg(),
+            self.splat_of_entry.arg(),
+        );
+        bin::clear::launch(client, cubes(2 * tiles, 256), units(), self.ranges.arg());
+        bin::ranges::launch(
+            client,
+            cubes(size.entries, 256),
+            units(),
+            sorted.keys.arg(),
+            count.arg(),
+            self.ranges.arg(),
+            size.entries as u32,
+            tiles as u32,
+        );
+        if size.training {
+            self.make_buckets(gpu);
+        }
+        blend::blend::launch(
+            client,
+            cubes(tiles, 1),
+            units(),
+            self.records.arg(),
+            self.splat_of_entry.arg(),
+            self.ranges.arg(),
+            self.eye.arg(),
+            self.bucket_offsets.arg(),
+            self.image.arg(),
+            self.checkpoints.arg(),
+            self.ends.arg(),
+            width,
+            height,
+            view.with_depth,
+            size.training,
+        );
+    }
+
+    /// Cuts the lists of the tiles into buckets.
+    fn make_buckets(&self, gpu: &Gpu) {
+        let (client, tiles) = (&gpu.client, self.size.tiles());
+        blend_backward::bucket_counts::launch(
+            client,
+            cubes(tiles, 256),
+            units(),
+            self.ranges.arg(),
+            self.bucket_counts.arg(),
+            tiles as u32,
+        );
+        self.bucket_count.run(client, &self.bucket_counts, &self.bucket_offsets);
+        blend_backward::bucket_tiles::launch(
+            client,
+            cubes(tiles, 256),
+            units(),
+            self.bucket_counts.arg(),
+            self.bucket_offsets.arg(),
+            self.tile_of_bucket.arg(),
+            tiles as u32,
+        );
+    }
+
+    /// The gradient with respect to `splats`, into `out` and [`touched`](Self::touched), from
+    /// [`gradient`](Self::gradient); of the frame drawn last.
+    pub fn backward(
+        &mut self,
+        gpu: &Gpu,
+        splats: &DeviceSplats,
+        out: &DeviceSplats,
+        mip: bool,
+        with_alpha: bool,
+        with_depth: bool,
+    ) {
+        let client = &gpu.client;
+        let (size, n) = (self.size, self.size.n);
+        let (width, height) = (size.width as u32, size.height as u32);
+        pixels::pixels::launch(
+            client,
+            cubes(size.pixels(), 256),
+            units(),
+            self.image.arg(),
+            self.gradient.arg(),
+            self.planes.arg(),
+            size.pixels() as u32,
+            with_alpha,
+            with_depth,
+        );
+        // where the sort left it: an odd number of passes ends in its own memory
+        let slots = self.by_tile.result(&self.entries, size.tile_bits());
+        blend_backward::blend_backward::launch(
+            client,
+            cubes(size.buckets(), 1),
+            CubeDim::new_1d(BUCKET as u32),
+            self.records.arg(),
+            self.splat_of_entry.arg(),
+            slots.values.arg(),
+            self.ranges.arg(),
+            self.tile_of_bucket.arg(),
+            self.bucket_offsets.arg(),
+            self.bucket_count.total().arg(),
+            self.checkpoints.arg(),
+            self.planes.arg(),
+            self.ends.arg(),
+            self.sums.arg(),
+            width,
+            height,
+            with_depth,
+        );
+        project_backward::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            splats.geometry.arg(),
+            splats.colour.arg(),
+            splats.time.arg(),
+            self.eye.arg(),
+            self.depth.values.arg(),
+            self.sorted_counts.arg(),
+            self.offsets.arg(),
+            self.sums.arg(),
+            out.geometry.arg(),
+            out.colour.arg(),
+            out.time.arg(),
+            self.touched.arg(),
+            n as u32,
+            splats.n_static as u32,
+            splats.spec(mip),
+        );
+    }
+
+    /// The largest number of entries that a frame wanted since this memory was made.
+    pub fn peak(&self, gpu: &Gpu, doing: &'static str) -> Result<usize, GpuError> {
+        Ok(self.peak.read_words(&gpu.client, doing)?[0] as usize)
+    }
+}

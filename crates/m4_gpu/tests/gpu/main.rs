@@ -1,0 +1,22 @@
+//! The kernels on a GPU agree with those of the processor. Without a GPU they run on software that plays one, where
+//! that is installed (`apt-get install mesa-vulkan-drivers`); without that either, every test says so and ends.
+
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+#![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
+
+mod edge_cases;
+mod step;
+mod twins;
+
+use m4_gpu::{Choice, Gpu};
+
+/// A GPU, or software that plays one; `None`, and said so, where there is neither.
+fn gpu(test: &str) -> Option<Gpu> {
+    match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {
+        Ok(gpu) => Some(gpu),
+        Err(error) => {
+            eprintln!("{test}: NOT tested: {error}");
+            None
+        }
+    }
+}
