@@ -67,6 +67,14 @@ impl ColourSums {
         }
     }
 
+    /// Sums that were made elsewhere; without weights those there are stay.
+    pub fn replace(&mut self, residual: [Vec<f32>; 3], weight: [Vec<f32>; 3]) {
+        self.residual = residual;
+        if !weight[0].is_empty() {
+            self.weight = weight;
+        }
+    }
+
     /// Moves the colours.
     pub fn apply(&self, splats: &mut Splats, relax: f32, damping_px: f32) {
         let constant = splats.layout().colour_terms() == 1;

@@ -38,6 +38,22 @@ pub enum TrainError {
         /// The iteration whose state the trainer was set back to.
         good_iteration: usize,
     },
+    /// A setting that steps on a device do not have.
+    #[error("setting `{field}` is for the processor alone; train with --device cpu, or without it")]
+    NotOnDevice {
+        /// Path of the field within `TrainConfig`.
+        field: &'static str,
+    },
+    /// The device failed.
+    #[error("{why} (at iteration {iteration}; the splats of iteration {good_iteration} are kept)")]
+    Device {
+        /// What it said.
+        why: String,
+        /// Where.
+        iteration: usize,
+        /// The iteration whose splats the trainer was set back to.
+        good_iteration: usize,
+    },
     /// A saved state lacks a part.
     #[error(
         "the saved training state has no usable {name:?}; it was written by another version or is damaged; train anew"

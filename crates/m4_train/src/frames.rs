@@ -53,6 +53,19 @@ impl<'a> FrameStore<'a> {
         }
     }
 
+    /// Every picture at that size, for somebody else to keep; what is kept here is forgotten.
+    pub fn hand_over(&mut self, factor: usize) -> Vec<Target> {
+        self.resize(factor);
+        self.frames.iter_mut().for_each(|f| f.cached = None);
+        self.used = 0;
+        let prepared = self.frames.iter().map(|stored| {
+            let mut target = Target::default();
+            prepare(stored.frame, factor, &mut target);
+            target
+        });
+        prepared.collect()
+    }
+
     /// Whether frame `i` has depth.
     pub fn has_depth(&self, i: usize) -> bool {
         self.frames[i].frame.depth.is_some()

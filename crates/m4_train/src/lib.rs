@@ -12,6 +12,7 @@
 
 pub mod config;
 pub mod density;
+pub mod device;
 
 mod batch;
 mod colour_fit;
@@ -32,6 +33,7 @@ pub use config::{
     AdamSettings, ColourFitConfig, DensityConfig, FrameChoice, LossConfig, PositionUnit, RateConfig, RefineConfig,
     ResolutionConfig, TrainConfig,
 };
+pub use device::{Device, DeviceError, DeviceMaker};
 pub use error::TrainError;
 pub use metrics::MetricsEvent;
 pub use pace::affordable_iterations;

@@ -1,6 +1,7 @@
 //! How many iterations fit into a given time on this machine.
 
 use crate::config::{ColourFitConfig, DensityConfig, RefineConfig, ResolutionConfig, TrainConfig};
+use crate::device::{DeviceError, DeviceMaker};
 use crate::scale::SceneScale;
 use crate::trainer::Trainer;
 use crate::{TrainError, schedule};
@@ -20,7 +21,7 @@ const MOST_GROWTH: f64 = 4.0;
 /// Fewer iterations than this are no training.
 const LEAST: usize = 50;
 
-/// The number of iterations that take `seconds` on rayon's current pool: trial steps on a copy of `splats` with what density control may add, at every
+/// The number of iterations that take `seconds` on rayon's current pool, or on a `device`: trial steps on a copy of `splats` with what density control may add, at every
 /// size of the frames that the schedule of `config` has, weighted by how long it stays there. A multiple of 10, at least
 /// 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
 /// training is a function of its inputs again.
@@ -33,6 +34,7 @@ pub fn affordable_iterations(
     splats: &Splats,
     config: &TrainConfig,
     level: SimdLevel,
+    device: Option<DeviceMaker<'_>>,
     seconds: f64,
 ) -> Result<usize, TrainError> {
     let camera = capture.frames.first().ok_or(TrainError::NoFrames)?.camera;
@@ -45,7 +47,7 @@ pub fn affordable_iterations(
     for (share, x) in [(quarter, 0.0), (half - quarter, quarter), (1.0 - half, half)] {
         if share > 0.0 {
             let factor = schedule::downscale(resolution, x, w, h);
-            step_s += f64::from(share) * trial(capture, &grown, config, level, factor)?;
+            step_s += f64::from(share) * trial(capture, &grown, config, level, device, factor)?;
         }
     }
     let fits = config.colour_fit.frames_drawn(capture.frames.len()) / config.batch as f64;
@@ -98,6 +100,7 @@ fn trial(
     splats: &Splats,
     config: &TrainConfig,
     level: SimdLevel,
+    device: Option<DeviceMaker<'_>>,
     factor: usize,
 ) -> Result<f64, TrainError> {
     let (quarter_until, half_until) = match factor {
@@ -125,6 +128,9 @@ fn trial(
         ..config.clone()
     };
     let mut trainer = Trainer::new(capture, splats.clone(), config, level)?;
+    if let Some(make) = device {
+        return remote_trial(trainer, make);
+    }
     trainer.prepare_frames();
     let mut times = Vec::with_capacity(STEPS);
     for _ in 0..STEPS {
@@ -135,6 +141,27 @@ fn trial(
     let times = &mut times[WARM_UP..];
     let middle = times.len() / 2;
     Ok(*times.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Mean seconds of a step on a device, waiting for it twice in all: steps alone return before they are done.
+fn remote_trial(mut trainer: Trainer<'_>, make: DeviceMaker<'_>) -> Result<f64, TrainError> {
+    let device = make().map_err(|DeviceError(why)| TrainError::Device {
+        why,
+        iteration: 0,
+        good_iteration: 0,
+    })?;
+    trainer.use_device(device)?;
+    let mut steps = |count: usize| -> Result<f64, TrainError> {
+        let start = Instant::now();
+        for _ in 0..count {
+            trainer.remote_step()?;
+        }
+        trainer.look_at_remote()?;
+        Ok(start.elapsed().as_secs_f64())
+    };
+    steps(WARM_UP)?;
+    let counted = STEPS - WARM_UP;
+    Ok(steps(counted)? / counted as f64)
 }
 
 #[cfg(test)]

@@ -23,7 +23,7 @@ mod score;
 pub use decide::{Decision, SplatView, decide};
 pub use error_mask::masked_error;
 pub use newborn::apply;
-pub(crate) use newborn::rearrange;
+pub(crate) use newborn::{apply_to_splats, rearrange};
 pub use plan::{Origin, Plan};
 pub(crate) use score::{ScoreInput, score};
 

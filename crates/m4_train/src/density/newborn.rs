@@ -29,12 +29,24 @@ pub fn apply(
     seed: u64,
     iteration: usize,
 ) -> Result<(), ShapeError> {
-    ShapeError::check("plan", plan.rows.len(), plan.origins.len())?;
-    splats.rearrange(&plan.rows)?;
+    apply_to_splats(config, plan, splats, seed, iteration)?;
     rearrange(adam, &plan.rows)?;
     for (row, _) in plan.newborn().iter().enumerate().filter(|&(_, &new)| new) {
         adam.forget(row);
     }
+    Ok(())
+}
+
+/// [`apply`] without the optimiser's state, which is elsewhere.
+pub(crate) fn apply_to_splats(
+    config: &DensityConfig,
+    plan: &Plan,
+    splats: &mut Splats,
+    seed: u64,
+    iteration: usize,
+) -> Result<(), ShapeError> {
+    ShapeError::check("plan", plan.rows.len(), plan.origins.len())?;
+    splats.rearrange(&plan.rows)?;
     let out = splats;
     for row in 0..out.n() {
         match plan.origins[row] {

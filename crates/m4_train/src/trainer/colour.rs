@@ -17,19 +17,13 @@ impl Trainer<'_> {
     /// Solves for the colours, and returns the mean squared error of the frames before each round.
     pub(super) fn fit_colours(&mut self) -> Vec<f64> {
         let (config, factor) = (self.config.colour_fit.clone(), self.factor());
-        let (all, n) = (self.times.len(), self.splats.n());
-        let count = if config.frames == 0 {
-            all
-        } else {
-            config.frames.min(all)
-        };
-        let mut sums = ColourSums::new(n);
+        let frames = self.frames_to_fit();
+        let mut sums = ColourSums::new(self.splats.n());
         let mut errors = Vec::with_capacity(config.rounds);
         for round in 0..config.rounds {
             let (mut squares, mut values) = (0.0f64, 0usize);
             sums.next_round();
-            for k in 0..count {
-                let frame = k * all / count;
+            for &frame in &frames {
                 squares += self.residual(frame, factor);
                 values += self.frame_gradient.rgb.iter().map(Vec::len).sum::<usize>();
                 self.add_colours(&mut sums, Sum::Residual);
@@ -42,6 +36,13 @@ impl Trainer<'_> {
             errors.push(squares / values.max(1) as f64);
         }
         errors
+    }
+
+    /// The frames that a fit looks at, evenly spread.
+    pub(super) fn frames_to_fit(&self) -> Vec<usize> {
+        let (all, wanted) = (self.times.len(), self.config.colour_fit.frames);
+        let count = if wanted == 0 { all } else { wanted.min(all) };
+        (0..count).map(|k| k * all / count).collect()
     }
 
     /// Draws a frame, leaves what it has too much as the gradient, and returns its sum of squares.

@@ -21,11 +21,13 @@ impl Trainer<'_> {
         };
         let last = c.enabled && i == n && c.final_opacity > 0.0;
         if due.densify || due.prune_by_score {
-            let scores = self.scores(due.prune_by_score);
+            let scores = self.scores(due.prune_by_score)?;
+            self.bring_splats()?;
             let plan = self.plan(due, self.config.density.min_opacity, &scores);
             self.carry_out(&plan)?;
         }
         if last {
+            self.bring_splats()?;
             let nothing = Decision {
                 densify: false,
                 prune_by_score: false,
@@ -46,6 +48,9 @@ impl Trainer<'_> {
         if plan.changes_nothing() || plan.rows.is_empty() {
             return Ok(());
         }
+        if self.remote.is_some() {
+            return self.carry_out_remotely(plan);
+        }
         apply(
             &self.config.density,
             plan,
@@ -58,19 +63,22 @@ impl Trainer<'_> {
     }
 
     /// Both scores, over one or two draws of frames.
-    fn scores(&mut self, prune: bool) -> Scores {
-        let mut scores = self.scores_of(purpose::DENSIFY_FRAMES);
+    fn scores(&mut self, prune: bool) -> Result<Scores, TrainError> {
+        let mut scores = self.scores_of(purpose::DENSIFY_FRAMES)?;
         if prune && self.config.density.prune_own_frames {
-            scores.prune = self.scores_of(purpose::PRUNE_FRAMES).prune;
+            scores.prune = self.scores_of(purpose::PRUNE_FRAMES)?.prune;
         }
-        scores
+        Ok(scores)
     }
 
-    fn scores_of(&mut self, purpose: u64) -> Scores {
+    fn scores_of(&mut self, purpose: u64) -> Result<Scores, TrainError> {
         let mut rng = CounterRng::new(self.config.seed, purpose, self.iteration as u64);
         let picked = rng.sample(self.times.len(), self.config.density.frames);
         let factor = self.factor();
         let frames: Vec<_> = picked.into_iter().map(|f| (f, self.view(f, factor, false))).collect();
+        if self.remote.is_some() {
+            return self.score_remotely(&frames);
+        }
         let mut input = ScoreInput {
             level: self.level,
             config: &self.config.density,
@@ -81,7 +89,7 @@ impl Trainer<'_> {
             renderer: &mut self.renderer,
             scratch: &mut self.photo,
         };
-        score(&mut input, &self.splats, &frames)
+        Ok(score(&mut input, &self.splats, &frames))
     }
 
     fn plan(&self, due: Decision, min_opacity: f32, scores: &Scores) -> Plan {

@@ -2,6 +2,7 @@
 
 mod colour;
 mod density;
+mod remote;
 mod save;
 mod step;
 
@@ -19,6 +20,7 @@ use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::PhotoScratch;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, morton_order};
 use m4_scene::{Capture, Column, Progress, Splats, TrainState};
+use remote::Remote;
 use std::time::Instant;
 
 /// How a run ended.
@@ -64,6 +66,8 @@ pub struct Trainer<'a> {
     totals: Totals,
     seconds: f64,
     processor_seconds: f64,
+    /// Where steps are taken, if not here.
+    remote: Option<Remote>,
 }
 
 impl<'a> Trainer<'a> {
@@ -186,6 +190,7 @@ impl<'a> Trainer<'a> {
             totals: Totals::default(),
             seconds: 0.0,
             processor_seconds: 0.0,
+            remote: None,
             splats,
             adam,
             basis,
@@ -215,7 +220,7 @@ impl<'a> Trainer<'a> {
     /// # Errors
     ///
     /// [`TrainError::Diverged`] when the loss or a parameter is no longer finite; the trainer then has the last
-    /// splats that were, and an optimiser that starts from nothing.
+    /// splats that were, and an optimiser that starts from nothing. [`TrainError::Device`] when a device failed, likewise.
     pub fn run_until(
         &mut self,
         iteration: usize,
@@ -225,25 +230,42 @@ impl<'a> Trainer<'a> {
         let end = iteration.min(self.config.iterations);
         while self.iteration < end {
             if progress.cancelled() {
+                self.settle()?;
                 return Ok(Outcome::Stopped {
                     iteration: self.iteration,
                 });
             }
             let (started, processor) = (Instant::now(), ProcessTime::try_now());
-            let report = self.step()?;
+            let report = match self.remote {
+                Some(_) => self.remote_step().and_then(|()| {
+                    // a device is asked when there is something to say, and not between
+                    let due = self.event_is_due(end);
+                    due.then(|| self.look_at_remote()).transpose()
+                })?,
+                None => Some(self.step()?),
+            };
             self.seconds += started.elapsed().as_secs_f64();
             let spent = processor.and_then(|start| start.try_elapsed());
             self.processor_seconds += spent.unwrap_or_default().as_secs_f64();
             let done = self.iteration;
-            if done.is_multiple_of(self.config.metrics_every) || done == end {
-                metrics(&self.event(report.psnr()));
+            if let Some(report) = report.filter(|_| self.event_is_due(end)) {
+                metrics(&self.event(report.psnr));
             }
             if done.is_multiple_of(10) || done == end {
-                let note = format!("loss {:.4}, {} splats", report.loss, self.splats.n());
+                let splats = self.splats.n();
+                let note = match report {
+                    Some(report) => format!("loss {:.4}, {splats} splats", report.loss),
+                    None => format!("{splats} splats"),
+                };
                 progress.update("train", done, self.config.iterations, &note);
             }
         }
+        self.settle()?;
         Ok(Outcome::Finished)
+    }
+
+    fn event_is_due(&self, end: usize) -> bool {
+        self.iteration.is_multiple_of(self.config.metrics_every) || self.iteration == end
     }
 
     /// Steps of the whole run.

@@ -27,7 +27,7 @@ impl Trainer<'_> {
         out
     }
 
-    fn take_splats(&mut self) -> Splats {
+    pub(super) fn take_splats(&mut self) -> Splats {
         let nothing = Splats::zeros(self.splats.layout(), 0, 0);
         std::mem::replace(&mut self.splats, nothing)
     }

@@ -17,14 +17,8 @@ use m4_kernels::{Wanted, morton_order};
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StepReport {
     pub loss: f64,
-    psnr: f64,
-}
-
-impl StepReport {
     /// Of the frame, dB; NaN unless an event is due.
-    pub fn psnr(&self) -> f64 {
-        self.psnr
-    }
+    pub psnr: f64,
 }
 
 /// What drawing one frame found.
@@ -185,10 +179,13 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Keeps the splats if they are finite, and goes back to those kept if they are not.
-    fn guard(&mut self) -> Result<(), TrainError> {
-        let due = self.iteration.is_multiple_of(self.config.guard_every) || self.iteration == self.config.iterations;
-        if !due {
+    pub(super) fn guard_is_due(&self) -> bool {
+        self.iteration.is_multiple_of(self.config.guard_every) || self.iteration == self.config.iterations
+    }
+
+    /// Keeps the splats if they are finite, and goes back to those kept if they are not; now and then.
+    pub(super) fn guard(&mut self) -> Result<(), TrainError> {
+        if !self.guard_is_due() {
             return Ok(());
         }
         if !self.splats.is_finite() {
@@ -201,10 +198,11 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    fn back_to_good(&mut self, what: &'static str) -> TrainError {
+    pub(super) fn back_to_good(&mut self, what: &'static str) -> TrainError {
         let iteration = self.iteration;
         if let Some((good, splats)) = self.good.take() {
-            // without the moments, which led here
+            // without the moments, which led here, and without a device that has others
+            self.remote = None;
             self.adam = AdamState::new(&splats);
             (self.iteration, self.splats) = (good, splats);
         }

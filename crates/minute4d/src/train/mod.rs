@@ -118,7 +118,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
             let mut config = settings.train.clone();
             if config.budget_s > 0.0 {
                 config.iterations =
-                    m4_train::affordable_iterations(capture, &splats, &config, run.level, config.budget_s)?;
+                    m4_train::affordable_iterations(capture, &splats, &config, run.level, None, config.budget_s)?;
                 let (n, s) = (config.iterations, config.budget_s);
                 let note = format!("{n} iterations fit into {s:.0} s here; --iterations {n} repeats this run");
                 keeper.update(STAGE, 0, n, &note);

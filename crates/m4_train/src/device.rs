@@ -1,0 +1,146 @@
+//! Steps somewhere else than on the processor.
+//!
+//! A [`Device`] holds splats, the optimiser's state and the frames, and takes whole steps; the trainer
+//! ([`crate::Trainer::use_device`]) picks frames, keeps the schedules, and decides who is densified and pruned. Steps
+//! return before they are done: what they found is asked for now and then ([`Device::found`]), never in between.
+
+use crate::config::ErrorRange;
+use crate::density::Scores;
+use m4_kernels::View;
+use m4_kernels::adam::cpu::{AdamConfig, AdamState};
+use m4_kernels::photo::cpu::Target;
+use m4_scene::Splats;
+
+/// Why a device could not go on, in its own words.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct DeviceError(pub String);
+
+/// Makes a device; trial steps take one of their own.
+pub type DeviceMaker<'a> = &'a dyn Fn() -> Result<Box<dyn Device>, DeviceError>;
+
+/// What a step depends on besides splats and frame.
+#[derive(Debug, Clone, Copy)]
+pub struct DeviceStep<'a> {
+    /// Share of SSIM in the loss, 0..=1.
+    pub lambda_ssim: f32,
+    /// One learning rate a column of the splats.
+    pub rates: &'a [f32],
+    /// The optimiser.
+    pub adam: AdamConfig,
+    /// The count of steps of all splats, this one included; `None` where each splat has its own.
+    pub shared_steps: Option<u32>,
+}
+
+/// What steps found since they were asked the last time.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct DeviceFound {
+    /// Steps.
+    pub steps: usize,
+    /// Mean of the absolute differences over channels, pixels and steps; not finite if a picture was not.
+    pub l1: f64,
+    /// Mean structural similarity.
+    pub ssim: f64,
+    /// PSNR of the frame drawn last, dB, colours clamped to 0..1, at most 100.
+    pub psnr: f64,
+    /// Splats that a step moved, mean.
+    pub touched: f64,
+    /// Frames seen, each with the loss that it had last.
+    pub losses: Vec<(usize, f32)>,
+}
+
+/// Which errors of a frame count, and for how much.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScoreSettings {
+    /// Share of SSIM in the loss that weights a frame for pruning.
+    pub lambda_ssim: f32,
+    /// As [`crate::DensityConfig::error_threshold`].
+    pub threshold: f32,
+    /// As [`crate::DensityConfig::error_range`].
+    pub range: ErrorRange,
+}
+
+/// Sums over the pixels of some frames, for the least-squares fit of colours: derivatives with respect to the constant
+/// coefficient of each colour, `[channel][n]`, 0 where a splat was not seen.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ColourGradient {
+    /// Of blending weight times picture minus target.
+    pub residual: [Vec<f32>; 3],
+    /// Of blending weights; empty unless they were asked for.
+    pub weight: [Vec<f32>; 3],
+    /// Sum of squared differences between pictures and targets, over channels and pixels.
+    pub squares: f64,
+}
+
+/// A place where splats live and steps are taken: a GPU.
+///
+/// Every method may fail with what the device says; after that nothing on it is relied on. `n` rows are those of the
+/// splats uploaded last; views have the size of the frames set last.
+pub trait Device: std::fmt::Debug {
+    /// What it is called.
+    fn name(&self) -> String;
+
+    /// Takes all frames, of one size; forgets those before.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), DeviceError>;
+
+    /// Takes splats and the optimiser's state.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn upload(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), DeviceError>;
+
+    /// Takes the next splats; row `i` of the optimiser's state is row `rows[i]` of the one before, or nothing where
+    /// `newborn[i]`.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn rearrange(&mut self, splats: &Splats, rows: &[u32], newborn: &[bool]) -> Result<(), DeviceError>;
+
+    /// The splats as they are after all steps.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn splats(&mut self) -> Result<Splats, DeviceError>;
+
+    /// The optimiser's state after all steps.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn adam(&mut self) -> Result<AdamState, DeviceError>;
+
+    /// Draws `view`, compares with frame `frame`, and moves every splat that was seen. May return before it is done.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn step(&mut self, frame: usize, view: &View, settings: &DeviceStep<'_>) -> Result<(), DeviceError>;
+
+    /// Waits for all steps and says what they found since the last call.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn found(&mut self) -> Result<DeviceFound, DeviceError>;
+
+    /// Both scores of every splat over some frames, as [`crate::density`] defines them.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn score(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, DeviceError>;
+
+    /// Sums for the fit of colours over some frames.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn colour_gradient(&mut self, looks: &[(usize, View)], with_weight: bool) -> Result<ColourGradient, DeviceError>;
+}

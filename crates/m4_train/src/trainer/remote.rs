@@ -1,0 +1,268 @@
+//! Steps on a device: what stays here, and when the two agree.
+//!
+//! Splats and optimiser state are on the device while it steps; those here are as old as the last time somebody had to
+//! look at them: the guard, density control, a checkpoint. `splats_are_old` and `adam_is_old` say so.
+
+use super::Trainer;
+use super::step::StepReport;
+use crate::colour_fit::ColourSums;
+use crate::density::{Plan, Scores, apply_to_splats};
+use crate::device::{Device, DeviceError, DeviceFound, DeviceStep, ScoreSettings};
+use crate::rates::rates;
+use crate::{TrainError, schedule};
+use m4_kernels::{View, morton_order};
+
+/// A device and how far it is from what the trainer holds.
+#[derive(Debug)]
+pub(super) struct Remote {
+    device: Box<dyn Device>,
+    /// The frames there are made smaller by this; 0 before there are any.
+    factor: usize,
+    /// It has the splats and the state of the trainer, or newer ones.
+    has_splats: bool,
+    splats_are_old: bool,
+    adam_is_old: bool,
+}
+
+impl Remote {
+    fn new(device: Box<dyn Device>) -> Self {
+        Self {
+            device,
+            factor: 0,
+            has_splats: false,
+            splats_are_old: false,
+            adam_is_old: false,
+        }
+    }
+}
+
+impl Trainer<'_> {
+    /// Takes steps on `device` from here on. The result depends on it as on a SIMD level: the same device gives the
+    /// same bits, another one last digits of its own.
+    ///
+    /// # Errors
+    ///
+    /// [`TrainError::NotOnDevice`] for settings that steps on a device do not have: corrections of poses, focal length and
+    /// exposure, losses of depth and alpha, several frames a step.
+    pub fn use_device(&mut self, device: Box<dyn Device>) -> Result<(), TrainError> {
+        let c = &self.config;
+        let missing = [
+            ("refine.poses", c.refine.poses),
+            ("refine.focal", c.refine.focal),
+            ("refine.exposure", c.refine.exposure),
+            ("loss.depth_weight", c.loss.depth_weight > 0.0),
+            ("loss.depth_weight_end", c.loss.depth_weight_end > 0.0),
+            ("loss.alpha_weight", c.loss.alpha_weight > 0.0),
+            ("batch", c.batch > 1),
+        ];
+        for (field, wanted) in missing {
+            if wanted {
+                return Err(TrainError::NotOnDevice { field });
+            }
+        }
+        self.remote = Some(Remote::new(device));
+        Ok(())
+    }
+
+    /// Waits for the device and brings everything back; nothing to do on the processor.
+    ///
+    /// # Errors
+    ///
+    /// [`TrainError::Device`] if it failed; the trainer then has the last splats that were looked at.
+    pub(super) fn settle(&mut self) -> Result<(), TrainError> {
+        self.bring_splats()?;
+        let Some(remote) = self.remote.as_mut().filter(|r| r.adam_is_old) else {
+            return Ok(());
+        };
+        match remote.device.adam() {
+            Ok(adam) => {
+                remote.adam_is_old = false;
+                self.adam = adam;
+                Ok(())
+            }
+            Err(error) => Err(self.device_failed(&error)),
+        }
+    }
+
+    /// One iteration on the device.
+    pub(crate) fn remote_step(&mut self) -> Result<(), TrainError> {
+        let (i, n) = (self.iteration, self.config.iterations);
+        self.prepare_remote()?;
+        if self.colours_are_due(i) {
+            self.fit_colours_remotely()?;
+        }
+        let frame = self.picker.pick(i);
+        let view = self.view(frame, self.factor(), false);
+        let x = schedule::progress(i, n);
+        let lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
+        let adam = &self.config.adam;
+        let settings = DeviceStep {
+            lambda_ssim: self.config.loss.lambda_ssim,
+            rates: &lr,
+            adam: adam.kernel(),
+            shared_steps: (!adam.per_splat_steps).then(|| u32::try_from(i + 1).unwrap_or(u32::MAX)),
+        };
+        self.remotely(|device| device.step(frame, &view, &settings))?;
+        if let Some(remote) = &mut self.remote {
+            (remote.splats_are_old, remote.adam_is_old) = (true, true);
+        }
+        self.iteration += 1;
+
+        if self.guard_is_due() {
+            self.bring_splats()?;
+            self.guard()?;
+        }
+        self.density_round()?;
+        let reorder = self.config.reorder_every;
+        if reorder > 0 && self.iteration.is_multiple_of(reorder) {
+            self.bring_splats()?;
+            let (rows, newborn) = ((0..self.splats.n() as u32).collect(), vec![false; self.splats.n()]);
+            self.reorder_remotely(rows, newborn)?;
+        }
+        if self.iteration == n && self.colours_are_due(n) {
+            self.fit_colours_remotely()?;
+            self.guard()?;
+        }
+        Ok(())
+    }
+
+    /// Waits for the device, adds what it found to the totals, and returns loss and PSNR.
+    pub(crate) fn look_at_remote(&mut self) -> Result<StepReport, TrainError> {
+        let found: DeviceFound = self.remotely(|device| device.found())?;
+        let lambda = f64::from(self.config.loss.lambda_ssim);
+        let loss = (1.0 - lambda) * found.l1 + lambda * (1.0 - found.ssim);
+        if !loss.is_finite() {
+            return Err(self.back_to_good("the loss"));
+        }
+        let (t, steps) = (&mut self.totals, found.steps as f64);
+        t.frames += found.steps;
+        t.steps += found.steps;
+        t.loss += loss * steps;
+        t.l1 += found.l1 * steps;
+        t.ssim += found.ssim * steps;
+        t.touched += (found.touched * steps).round() as usize;
+        for (frame, loss) in found.losses {
+            self.picker.seen(frame, loss);
+        }
+        Ok(StepReport { loss, psnr: found.psnr })
+    }
+
+    /// Frames at the size of this iteration and the splats are there.
+    fn prepare_remote(&mut self) -> Result<(), TrainError> {
+        let factor = self.factor();
+        if self.good.is_none() {
+            self.good = Some((self.iteration, self.splats.clone()));
+        }
+        let Some(remote) = &mut self.remote else { return Ok(()) };
+        let mut done = Ok(());
+        if remote.factor != factor {
+            done = remote.device.set_frames(self.store.hand_over(factor));
+            remote.factor = factor;
+        }
+        if done.is_ok() && !remote.has_splats {
+            done = remote.device.upload(&self.splats, &self.adam);
+            remote.has_splats = true;
+        }
+        done.map_err(|error| self.device_failed(&error))
+    }
+
+    /// The splats here are those there.
+    pub(super) fn bring_splats(&mut self) -> Result<(), TrainError> {
+        let Some(remote) = self.remote.as_mut().filter(|r| r.splats_are_old) else {
+            return Ok(());
+        };
+        match remote.device.splats() {
+            Ok(splats) => {
+                remote.splats_are_old = false;
+                self.splats = splats;
+                Ok(())
+            }
+            Err(error) => Err(self.device_failed(&error)),
+        }
+    }
+
+    /// Scores of all splats on some frames.
+    pub(super) fn score_remotely(&mut self, looks: &[(usize, View)]) -> Result<Scores, TrainError> {
+        let settings = ScoreSettings {
+            lambda_ssim: self.config.loss.lambda_ssim,
+            threshold: self.config.density.error_threshold,
+            range: self.config.density.error_range,
+        };
+        self.remotely(|device| device.score(looks, &settings))
+    }
+
+    /// Carries a plan out here for the splats, there for the optimiser's state.
+    pub(super) fn carry_out_remotely(&mut self, plan: &Plan) -> Result<(), TrainError> {
+        apply_to_splats(
+            &self.config.density,
+            plan,
+            &mut self.splats,
+            self.config.seed,
+            self.iteration,
+        )?;
+        self.reorder_remotely(plan.rows.clone(), plan.newborn())
+    }
+
+    /// Lays the splats here, which are row `rows[i]` of those there, out along a Morton curve, and uploads them.
+    fn reorder_remotely(&mut self, rows: Vec<u32>, newborn: Vec<bool>) -> Result<(), TrainError> {
+        let order = morton_order(&self.splats);
+        self.splats.rearrange(&order)?;
+        let rows: Vec<u32> = order.iter().map(|&i| rows[i as usize]).collect();
+        let newborn: Vec<bool> = order.iter().map(|&i| newborn[i as usize]).collect();
+        self.send_splats(&rows, &newborn)
+    }
+
+    /// Uploads the splats here, which are row `rows[i]` of those there.
+    fn send_splats(&mut self, rows: &[u32], newborn: &[bool]) -> Result<(), TrainError> {
+        let splats = self.take_splats();
+        let done = self.remotely(|device| device.rearrange(&splats, rows, newborn));
+        // a failure has put the last good splats in their place
+        if done.is_ok() {
+            self.splats = splats;
+        }
+        done
+    }
+
+    /// As `fit_colours`, with the sums made on the device.
+    fn fit_colours_remotely(&mut self) -> Result<(), TrainError> {
+        let (config, factor) = (self.config.colour_fit.clone(), self.factor());
+        let looks: Vec<(usize, View)> = self
+            .frames_to_fit()
+            .into_iter()
+            .map(|frame| (frame, self.view(frame, factor, false)))
+            .collect();
+        self.bring_splats()?;
+        let n = self.splats.n();
+        let (rows, newborn): (Vec<u32>, _) = ((0..n as u32).collect(), vec![false; n]);
+        let mut sums = ColourSums::new(n);
+        for round in 0..config.rounds {
+            let found = self.remotely(|device| device.colour_gradient(&looks, round == 0))?;
+            sums.replace(found.residual, found.weight);
+            sums.apply(&mut self.splats, config.relax, config.damping_px);
+            self.send_splats(&rows, &newborn)?;
+        }
+        Ok(())
+    }
+
+    /// Asks the device for something; where it fails the trainer goes back to its last good splats.
+    fn remotely<R>(&mut self, ask: impl FnOnce(&mut dyn Device) -> Result<R, DeviceError>) -> Result<R, TrainError> {
+        let Some(remote) = &mut self.remote else {
+            // callers ask for a device before they come here
+            return Err(self.device_failed(&DeviceError("there is no device".to_owned())));
+        };
+        let answer = ask(remote.device.as_mut());
+        answer.map_err(|error| self.device_failed(&error))
+    }
+
+    /// Leaves the device as it is and goes back to the last good splats.
+    fn device_failed(&mut self, error: &DeviceError) -> TrainError {
+        let iteration = self.iteration;
+        // what is kept is what is here now
+        self.back_to_good("the device");
+        TrainError::Device {
+            why: error.to_string(),
+            iteration,
+            good_iteration: self.iteration,
+        }
+    }
+}

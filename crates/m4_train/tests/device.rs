@@ -1,0 +1,291 @@
+//! Training on a device is training: one that is made of the processor's own kernels ends with the bits of a run
+//! without a device, and one that fails leaves the last splats that were looked at.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+mod common;
+
+use common::{disturbed, video};
+use m4_kernels::adam::cpu::{AdamState, step as adam_step};
+use m4_kernels::photo::cpu::{PhotoScratch, Target, error_map, loss};
+use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
+use m4_scene::{Column, Silent, SplatLayout, Splats};
+use m4_train::density::{Scores, masked_error};
+use m4_train::device::{ColourGradient, DeviceFound, DeviceStep, ScoreSettings};
+use m4_train::{DensityConfig, Device, DeviceError, TrainConfig, TrainError, Trainer};
+
+/// The processor behind the interface of a device; fails at one of its steps, if asked to.
+#[derive(Debug)]
+struct Mirror {
+    splats: Splats,
+    adam: AdamState,
+    frames: Vec<Target>,
+    renderer: Renderer,
+    gradient: FrameGradient,
+    gradients: Gradients,
+    scratch: PhotoScratch,
+    found: DeviceFound,
+    fails_at: usize,
+    steps: usize,
+}
+
+impl Mirror {
+    fn new(fails_at: usize) -> Self {
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        let nothing = Splats::zeros(layout, 0, 0);
+        Self {
+            adam: AdamState::new(&nothing),
+            splats: nothing,
+            frames: Vec::new(),
+            renderer: Renderer::new(SimdLevel::best()),
+            gradient: FrameGradient::default(),
+            gradients: Gradients::default(),
+            scratch: PhotoScratch::default(),
+            found: DeviceFound::default(),
+            fails_at,
+            steps: 0,
+        }
+    }
+
+    fn backward(&mut self) {
+        self.renderer
+            .backward(&self.splats, &self.gradient, Wanted::default(), &mut self.gradients);
+    }
+
+    /// Adds the gradient of the first three columns of colours.
+    fn add_colours(&self, sums: &mut [Vec<f32>; 3]) {
+        let first = self.splats.layout().column(Column::Colour);
+        for (sum, column) in sums.iter_mut().zip(&self.gradients.columns[first..]) {
+            for ((sum, g), touched) in sum.iter_mut().zip(column).zip(&self.gradients.touched) {
+                *sum += if *touched == 0 { 0.0 } else { *g };
+            }
+        }
+    }
+}
+
+impl Device for Mirror {
+    fn name(&self) -> String {
+        "a mirror".to_owned()
+    }
+
+    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), DeviceError> {
+        self.frames = frames;
+        Ok(())
+    }
+
+    fn upload(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), DeviceError> {
+        (self.splats, self.adam) = (splats.clone(), adam.clone());
+        Ok(())
+    }
+
+    fn rearrange(&mut self, splats: &Splats, rows: &[u32], newborn: &[bool]) -> Result<(), DeviceError> {
+        self.splats = splats.clone();
+        self.adam.m.rearrange(rows).unwrap();
+        self.adam.v.rearrange(rows).unwrap();
+        self.adam.step = rows.iter().map(|&r| self.adam.step[r as usize]).collect();
+        for (row, _) in newborn.iter().enumerate().filter(|&(_, &new)| new) {
+            self.adam.forget(row);
+        }
+        Ok(())
+    }
+
+    fn splats(&mut self) -> Result<Splats, DeviceError> {
+        Ok(self.splats.clone())
+    }
+
+    fn adam(&mut self) -> Result<AdamState, DeviceError> {
+        Ok(self.adam.clone())
+    }
+
+    fn step(&mut self, frame: usize, view: &View, settings: &DeviceStep<'_>) -> Result<(), DeviceError> {
+        self.steps += 1;
+        if self.steps == self.fails_at {
+            return Err(DeviceError("the mirror broke".to_owned()));
+        }
+        let level = SimdLevel::best();
+        let drawn = self.renderer.render(&self.splats, view);
+        let photo = loss(
+            level,
+            &self.frames[frame],
+            &drawn.rgb,
+            settings.lambda_ssim,
+            &mut self.scratch,
+            &mut self.gradient.rgb,
+        );
+        self.backward();
+        if let Some(count) = settings.shared_steps {
+            self.adam.step.fill(count - 1);
+        }
+        adam_step(
+            level,
+            &mut self.splats,
+            &self.gradients,
+            &mut self.adam,
+            &settings.adam,
+            settings.rates,
+        );
+        self.found.steps += 1;
+        self.found.l1 += photo.l1;
+        self.found.ssim += photo.ssim;
+        self.found.losses.push((frame, photo.total as f32));
+        Ok(())
+    }
+
+    fn found(&mut self) -> Result<DeviceFound, DeviceError> {
+        let mut found = std::mem::take(&mut self.found);
+        found.l1 /= found.steps as f64;
+        found.ssim /= found.steps as f64;
+        Ok(found)
+    }
+
+    fn score(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, DeviceError> {
+        let (level, n) = (SimdLevel::best(), self.splats.n());
+        let mut out = Scores {
+            densify: vec![0.0; n],
+            prune: vec![0.0; n],
+        };
+        let mut errors = Vec::new();
+        for (frame, view) in looks {
+            let target = &self.frames[*frame];
+            let rgb = &self.renderer.render(&self.splats, view).rgb;
+            let photo = loss(
+                level,
+                target,
+                rgb,
+                settings.lambda_ssim,
+                &mut self.scratch,
+                &mut self.gradient.rgb,
+            );
+            error_map(level, target, rgb, &mut errors);
+            masked_error(&mut errors, settings.threshold, settings.range);
+            let mut one = vec![0.0; n];
+            self.renderer.score(&errors, &mut one);
+            for i in 0..n {
+                out.densify[i] += one[i] * (1.0 / looks.len() as f32);
+                out.prune[i] += one[i] * photo.total as f32;
+            }
+        }
+        Ok(out)
+    }
+
+    fn colour_gradient(&mut self, looks: &[(usize, View)], with_weight: bool) -> Result<ColourGradient, DeviceError> {
+        let n = self.splats.n();
+        let zero = || std::array::from_fn(|_| vec![0.0; n]);
+        let mut out = ColourGradient {
+            residual: zero(),
+            weight: if with_weight { zero() } else { Default::default() },
+            squares: 0.0,
+        };
+        for (frame, view) in looks {
+            let target = self.frames[*frame].rgb();
+            let drawn = self.renderer.render(&self.splats, view);
+            for ((out, rgb), target) in self.gradient.rgb.iter_mut().zip(&drawn.rgb).zip(&target) {
+                *out = rgb.iter().zip(target).map(|(a, b)| a - b).collect();
+            }
+            self.backward();
+            self.add_colours(&mut out.residual);
+            if with_weight {
+                self.gradient.rgb.iter_mut().for_each(|plane| plane.fill(1.0));
+                self.backward();
+                self.add_colours(&mut out.weight);
+            }
+        }
+        Ok(out)
+    }
+}
+
+/// Density control, fits of colours, a new order and two sizes of the frames within so many steps.
+fn config() -> TrainConfig {
+    let mut config = TrainConfig::fast();
+    config.iterations = 100;
+    config.seed = 5;
+    config.density = DensityConfig {
+        from: 20,
+        every: 20,
+        prune_every: 40,
+        ..DensityConfig::fast()
+    };
+    config.colour_fit.at = vec![0.0, 0.5, 1.0];
+    config.resolution.half_until = 0.3;
+    config.resolution.min_side_px = 16;
+    config.reorder_every = 30;
+    config.guard_every = 25;
+    config
+}
+
+#[test]
+fn a_device_of_the_same_kernels_gives_the_same_bits() {
+    let (scene, capture) = video();
+    for config in [
+        config(),
+        TrainConfig {
+            iterations: 60,
+            ..TrainConfig::faithful()
+        },
+    ] {
+        let run = |device: bool| {
+            let splats = disturbed(&scene, 2);
+            let mut trainer = Trainer::new(&capture, splats, config.clone(), SimdLevel::best()).unwrap();
+            if device {
+                trainer.use_device(Box::new(Mirror::new(0))).unwrap();
+            }
+            let mut events = Vec::new();
+            // stopped and asked in between, as checkpoints do
+            trainer.run_until(37, &Silent, &mut |e| events.push(*e)).unwrap();
+            let middle = trainer.scene();
+            trainer.run(&Silent, &mut |e| events.push(*e)).unwrap();
+            let losses: Vec<(usize, f64)> = events.iter().map(|e| (e.iteration, e.loss)).collect();
+            let state = format!("{:?}", trainer.state());
+            (middle, trainer.scene(), state, losses)
+        };
+        let (here, there) = (run(false), run(true));
+        assert!(here.0 == there.0, "after 37 steps");
+        assert!(here.1 == there.1, "at the end");
+        assert!(here.2 == there.2, "the optimiser's state");
+        assert_eq!(here.3.len(), there.3.len());
+        for ((i, a), (j, b)) in here.3.iter().zip(&there.3) {
+            assert_eq!(i, j);
+            assert!((a - b).abs() < 1e-9, "loss at {i}: {a} and {b}");
+        }
+    }
+}
+
+#[test]
+fn a_device_that_fails_leaves_the_last_good_splats() {
+    let (scene, capture) = video();
+    let run = |fails_at: usize, iterations: usize| {
+        let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config(), SimdLevel::best()).unwrap();
+        trainer.use_device(Box::new(Mirror::new(fails_at))).unwrap();
+        let end = trainer.run_until(iterations, &Silent, &mut |_| {});
+        (end, trainer.scene(), trainer.iteration())
+    };
+    let (end, kept, at) = run(31, 100);
+    let Err(TrainError::Device {
+        why,
+        iteration,
+        good_iteration,
+    }) = end
+    else {
+        panic!("{end:?}");
+    };
+    assert_eq!(
+        (why.as_str(), iteration, good_iteration, at),
+        ("the mirror broke", 30, 25, 25)
+    );
+    let (end, there, _) = run(0, 25);
+    end.unwrap();
+    assert!(kept == there);
+}
+
+#[test]
+fn settings_that_a_device_does_not_have_are_refused() {
+    let (scene, capture) = video();
+    let mut config = config();
+    config.refine.poses = true;
+    let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config, SimdLevel::best()).unwrap();
+    let refused = trainer.use_device(Box::new(Mirror::new(0))).unwrap_err();
+    assert_eq!(refused, TrainError::NotOnDevice { field: "refine.poses" });
+}
