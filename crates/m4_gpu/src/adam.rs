@@ -1,8 +1,9 @@
 //! Sparse Adam: a unit a splat, every column of it.
+use crate::found::check_parameter;
 use cubecl::prelude::*;
 
 /// One optimiser step on `columns` columns of `rows` rows that start at splat `first`; `counts` are after this step's
-/// increment.
+/// increment. `tally` notes parameters that are not finite.
 #[cube(launch)]
 pub(crate) fn adam(
     x: &mut [f32],
@@ -12,6 +13,7 @@ pub(crate) fn adam(
     touched: &[u32],
     counts: &[u32],
     rates: &[f32],
+    tally: &mut [u32],
     rows: u32,
     first: u32,
     n_static: u32,
@@ -48,7 +50,9 @@ pub(crate) fn adam(
                 let square = beta2 * v[at] + (1.0f32 - beta2) * gradient * gradient;
                 m[at] = mean;
                 v[at] = square;
-                x[at] -= rates[c as usize] * mean * bias1 / ((square * bias2).sqrt() + epsilon);
+                let moved = x[at] - rates[c as usize] * mean * bias1 / ((square * bias2).sqrt() + epsilon);
+                x[at] = moved;
+                check_parameter(moved, tally);
             }
         }
     }

@@ -38,6 +38,34 @@ pub enum GpuError {
         /// The adapter.
         name: String,
     },
+    /// Training was given no frames.
+    #[error("there are no frames to train on. Give at least one")]
+    NoFrames,
+    /// The frames of a run differ in size, or have no pixels.
+    #[error("frame {index} has {} x {} pixels, the first {} x {}. Frames have pixels, and one size", size.0, size.1, first.0, first.1)]
+    FrameSize {
+        /// Which frame.
+        index: usize,
+        /// Its width and height, pixels.
+        size: (usize, usize),
+        /// Those of the first.
+        first: (usize, usize),
+    },
+    /// It takes more memory than it may.
+    #[error(
+        "{doing} needs {needed} MB on the GPU and may take {limit} MB: {parts}. Raise --max-vram, or choose fewer \
+         splats, smaller pictures, or --device cpu"
+    )]
+    OverLimit {
+        /// What was going to start.
+        doing: &'static str,
+        /// Megabytes.
+        needed: u64,
+        /// Megabytes.
+        limit: u64,
+        /// Every part of it, megabytes.
+        parts: String,
+    },
     /// The device was lost, is out of memory, or a kernel failed.
     #[error("the GPU failed while {doing}: {why}. The scene before that is kept; try fewer splats, or --device cpu")]
     Failed {

@@ -31,6 +31,9 @@ mod buffer;
 mod device;
 mod error;
 mod eye;
+mod found;
+mod frames;
+mod loss;
 mod photo;
 mod pixels;
 mod project;
@@ -48,5 +51,6 @@ mod work;
 
 pub use device::{Adapter, AdapterKind, Choice, Gpu, adapters, best};
 pub use error::GpuError;
+pub use found::Found;
 pub use renderer::Renderer;
-pub use trainer::{Found, StepSettings, Trainer};
+pub use trainer::{StepSettings, Trainer};

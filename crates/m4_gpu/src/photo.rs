@@ -14,15 +14,24 @@ fn tap(#[comptime] k: u32) -> f32 {
     }
 }
 
-/// Colour `channel` of a pixel of the target, 0..1.
+/// Colour `channel` of pixel `at` of a frame, 0..1: planes of bytes, or of words of two bytes, each of which starts with
+/// a number of its own; one of them is worth `worth`.
 #[cube]
-fn target_at(target: &[u32], at: usize, channel: u32) -> f32 {
-    f32::cast_from((target[at] >> (8u32 * channel)) & 255u32) * (1.0f32 / 255.0f32)
+pub(crate) fn target_at(target: &[u32], at: u32, channel: u32, pixels: u32, worth: f32, #[comptime] wide: bool) -> f32 {
+    if comptime!(wide) {
+        let plane = channel * ((pixels + 1u32) / 2u32);
+        let both = target[(plane + at / 2u32) as usize];
+        f32::cast_from((both >> (16u32 * (at % 2u32))) & 65535u32) * worth
+    } else {
+        let plane = channel * ((pixels + 3u32) / 4u32);
+        let four = target[(plane + at / 4u32) as usize];
+        f32::cast_from((four >> (8u32 * (at % 4u32))) & 255u32) * worth
+    }
 }
 
 /// Sum over the cube's 256 units; every unit gets it.
 #[cube]
-fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
+pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
     sync_cube();
     shared[UNIT_POS as usize] = value;
     sync_cube();
@@ -38,9 +47,19 @@ fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
     shared[0]
 }
 
-/// Derivatives of SSIM with respect to the three blurs, and the sums of SSIM and of absolute differences a cube.
+/// Derivatives of SSIM with respect to the three blurs, and three sums a cube: of SSIM, of absolute differences, and of
+/// squared differences of the picture cut to 0..1.
 #[cube(launch)]
-pub(crate) fn similarity(image: &[f32], target: &[u32], slopes: &mut [f32], sums: &mut [f32], width: u32, height: u32) {
+pub(crate) fn similarity(
+    image: &[f32],
+    target: &[u32],
+    slopes: &mut [f32],
+    sums: &mut [f32],
+    width: u32,
+    height: u32,
+    worth: f32,
+    #[comptime] wide: bool,
+) {
     let mut x = Shared::<[f32]>::new_slice(676usize);
     let mut y = Shared::<[f32]>::new_slice(676usize);
     let mut rows = Shared::<[f32]>::new_slice(2080usize);
@@ -55,9 +74,9 @@ pub(crate) fn similarity(image: &[f32], target: &[u32], slopes: &mut [f32], sums
         let mut a = 0.0f32;
         let mut b = 0.0f32;
         if cx >= 5u32 && cy >= 5u32 && cx < width + 5u32 && cy < height + 5u32 {
-            let at = ((cy - 5u32) * width + cx - 5u32) as usize;
-            a = image[plane + at];
-            b = target_at(target, at, channel);
+            let at = (cy - 5u32) * width + cx - 5u32;
+            a = image[plane + at as usize];
+            b = target_at(target, at, channel, width * height, worth, wide);
         }
         x[k as usize] = a;
         y[k as usize] = b;
@@ -111,6 +130,7 @@ pub(crate) fn similarity(image: &[f32], target: &[u32], slopes: &mut [f32], sums
     }
     let mut ssim = 0.0f32;
     let mut difference = 0.0f32;
+    let mut square = 0.0f32;
     if px < width && py < height {
         let n1 = 2.0f32 * a * b + 0.0001f32;
         let n2 = 2.0f32 * (xy - a * b) + 0.0009f32;
@@ -118,23 +138,27 @@ pub(crate) fn similarity(image: &[f32], target: &[u32], slopes: &mut [f32], sums
         let d2 = (xx - a * a) + (yy - b * b) + 0.0009f32;
         let inverse = 1.0f32 / (d1 * d2);
         ssim = n1 * n2 * inverse;
-        let square = -ssim / d2;
+        let by_square = -ssim / d2;
         let product = 2.0f32 * n1 * inverse;
-        let mean = 2.0f32 * b * n2 * inverse - 2.0f32 * a * ssim / d1 - 2.0f32 * a * square - b * product;
+        let mean = 2.0f32 * b * n2 * inverse - 2.0f32 * a * ssim / d1 - 2.0f32 * a * by_square - b * product;
         let at = plane + (py * width + px) as usize;
         slopes[at] = mean;
-        slopes[3 * all + at] = square;
+        slopes[3 * all + at] = by_square;
         slopes[6 * all + at] = product;
         let centre = ((uy + 5u32) * 26u32 + ux + 5u32) as usize;
         difference = (x[centre] - y[centre]).abs();
+        let shown = x[centre].max(0.0f32).min(1.0f32) - y[centre];
+        square = shown * shown;
     }
     sync_cube();
     let ssim = cube_sum(ssim, &mut rows);
     let difference = cube_sum(difference, &mut rows);
+    let square = cube_sum(square, &mut rows);
     if UNIT_POS == 0u32 {
-        let to = (2u32 * CUBE_POS as u32) as usize;
+        let to = (3u32 * CUBE_POS as u32) as usize;
         sums[to] = ssim;
         sums[to + 1] = difference;
+        sums[to + 2] = square;
     }
 }
 
@@ -148,6 +172,8 @@ pub(crate) fn gradient(
     width: u32,
     height: u32,
     lambda: f32,
+    worth: f32,
+    #[comptime] wide: bool,
 ) {
     let mut planes = Shared::<[f32]>::new_slice(2028usize);
     let mut rows = Shared::<[f32]>::new_slice(1248usize);
@@ -211,7 +237,7 @@ pub(crate) fn gradient(
         }
         let at = (py * width + px) as usize;
         let x = image[plane + at];
-        let y = target_at(target, at, channel);
+        let y = target_at(target, at as u32, channel, width * height, worth, wide);
         let similarity = a + 2.0f32 * x * b + y * c;
         let mut sign = 0.0f32;
         if x > y {
@@ -222,26 +248,5 @@ pub(crate) fn gradient(
         }
         let count = 3.0f32 * f32::cast_from(width * height);
         gradient[plane + at] = ((1.0f32 - lambda) * sign - lambda * similarity) / count;
-    }
-}
-
-/// Adds the means of a frame's SSIM and absolute differences to `totals`, and one to the number of frames.
-#[cube(launch)]
-pub(crate) fn add_up(sums: &[f32], totals: &mut [f32], cubes: u32, count: f32) {
-    let mut shared = Shared::<[f32]>::new_slice(256usize);
-    let mut ssim = 0.0f32;
-    let mut difference = 0.0f32;
-    let mut k = UNIT_POS;
-    while k < cubes {
-        ssim += sums[(2u32 * k) as usize];
-        difference += sums[(2u32 * k + 1u32) as usize];
-        k += 256u32;
-    }
-    let ssim = cube_sum(ssim, &mut shared);
-    let difference = cube_sum(difference, &mut shared);
-    if UNIT_POS == 0u32 {
-        totals[0] += ssim / count;
-        totals[1] += difference / count;
-        totals[2] += 1.0f32;
     }
 }

@@ -1,15 +1,22 @@
 //! Whole training steps on the device.
 
 use crate::buffer::{Buffer, cubes, units};
+use crate::found::{Found, Tally};
+use crate::frames::Frames;
+use crate::loss::Loss;
 use crate::splats::{DeviceSplats, parts};
 use crate::work::{Size, Work};
-use crate::{Gpu, GpuError, adam, photo};
-use cubecl::prelude::CubeCount;
+use crate::{Gpu, GpuError, adam};
 use m4_kernels::{
     Frame, View,
     adam::cpu::{AdamConfig, AdamState},
+    photo::cpu::Target,
 };
-use m4_scene::{RgbImage, Splats};
+use m4_scene::Splats;
+use std::borrow::Borrow;
+
+/// What goes on, for errors.
+pub(crate) const TRAINING: &str = "training";
 
 /// Entries of tiles that memory is first made for, for each splat.
 const FIRST_ENTRIES: usize = 4;
@@ -27,80 +34,59 @@ pub struct StepSettings<'a> {
     pub shared_steps: Option<u32>,
 }
 
-/// What steps found since the last time it was asked for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Found {
-    /// Steps.
-    pub steps: usize,
-    /// Mean of the absolute differences over channels, pixels and steps.
-    pub l1: f64,
-    /// Mean structural similarity.
-    pub ssim: f64,
-    /// Splats that the last step moved.
-    pub touched: usize,
-}
-
 /// Splats, their moments and the frames of a video on the device, and the step that moves them.
 #[derive(Debug)]
 pub struct Trainer {
-    gpu: Gpu,
-    frames: Vec<Buffer>,
-    width: usize,
-    height: usize,
-    splats: DeviceSplats,
-    m: DeviceSplats,
-    v: DeviceSplats,
-    steps: Buffer,
-    gradients: DeviceSplats,
-    work: Work,
-    /// SSIM's derivatives, three planes a channel.
-    slopes: Buffer,
-    /// Two sums a tile and channel.
-    sums: Buffer,
-    totals: Buffer,
+    pub(crate) gpu: Gpu,
+    pub(crate) frames: Frames,
+    pub(crate) splats: DeviceSplats,
+    pub(crate) m: DeviceSplats,
+    pub(crate) v: DeviceSplats,
+    pub(crate) steps: Buffer,
+    pub(crate) gradients: DeviceSplats,
+    pub(crate) work: Work,
+    pub(crate) loss: Loss,
+    pub(crate) tally: Tally,
+    /// Whether there was room for the entries of a frame of these splats at this size.
+    pub(crate) fits: bool,
 }
 
 impl Trainer {
-    /// Copies everything to the device. All `frames` have the size of the first.
+    /// Copies everything to the device; of the `frames`, which have one size, those that fit into `budget_bytes`. The
+    /// others stay here, three bytes a pixel (six for those that were made smaller), and are uploaded when they are used.
     ///
     /// # Errors
     ///
-    /// [`GpuError`] if it does not fit or the device fails.
-    pub fn new<'a>(
+    /// [`GpuError`] if frames differ in size or there are none, if it does not fit, or if the device fails.
+    pub fn new<T: Borrow<Target>>(
         gpu: Gpu,
         splats: &Splats,
         adam: &AdamState,
-        frames: impl IntoIterator<Item = &'a RgbImage>,
+        frames: impl IntoIterator<Item = T>,
+        budget_bytes: usize,
     ) -> Result<Self, GpuError> {
-        let (mut width, mut height) = (0, 0);
-        let frames = frames
-            .into_iter()
-            .map(|frame| {
-                (width, height) = frame.size();
-                Buffer::words(&gpu.client, &packed(frame))
-            })
-            .collect();
+        let frames = Frames::new(&gpu, frames, budget_bytes)?;
         let size = Size {
             n: splats.n(),
-            width,
-            height,
+            width: frames.width,
+            height: frames.height,
             entries: (FIRST_ENTRIES * splats.n()).max(1 << 16),
             training: true,
         };
         let splats = DeviceSplats::upload(&gpu, splats)?;
-        let tiles = size.tiles();
+        let tally = Tally::new(&gpu, frames.len(), size.n);
+        let mut work = Work::new(&gpu, size)?;
+        work.peak = tally.buffer.clone();
         Ok(Self {
             m: DeviceSplats::upload(&gpu, &adam.m)?,
             v: DeviceSplats::upload(&gpu, &adam.v)?,
             steps: Buffer::words(&gpu.client, &adam.step),
             gradients: splats.like(&gpu),
-            work: Work::new(&gpu, size)?,
-            slopes: Buffer::empty(&gpu.client, 9 * width * height),
-            sums: Buffer::empty(&gpu.client, 6 * tiles),
-            totals: Buffer::floats(&gpu.client, &[0.0; 3]),
+            work,
+            loss: Loss::new(&gpu, size),
+            tally,
+            fits: false,
             frames,
-            width,
-            height,
             splats,
             gpu,
         })
@@ -112,56 +98,97 @@ impl Trainer {
         &self.gpu
     }
 
+    /// Goes on with other frames, which may have another size (coarse to fine); as in [`new`](Self::new). What steps
+    /// found with those before is forgotten: [`found`](Self::found) comes first.
+    ///
+    /// # Errors
+    ///
+    /// As [`new`](Self::new); the frames before are kept then.
+    pub fn set_frames<T: Borrow<Target>>(
+        &mut self,
+        frames: impl IntoIterator<Item = T>,
+        budget_bytes: usize,
+    ) -> Result<(), GpuError> {
+        let frames = Frames::new(&self.gpu, frames, budget_bytes)?;
+        let size = Size {
+            width: frames.width,
+            height: frames.height,
+            ..self.work.size
+        };
+        self.make(size)?;
+        self.tally = Tally::new(&self.gpu, frames.len(), size.n);
+        self.work.peak = self.tally.buffer.clone();
+        self.frames = frames;
+        Ok(())
+    }
+
     /// Draws `view`, compares it with frame `frame`, and moves every splat that was seen. Returns before the device is
-    /// done; nothing is read back.
-    pub fn step(&mut self, frame: usize, view: &View, settings: &StepSettings<'_>) {
-        let client = &self.gpu.client;
-        let (w, h) = (self.width as u32, self.height as u32);
-        self.work.draw(&self.gpu, &self.splats, view);
-        let tiles = self.work.size.tiles();
-        let planes = || CubeCount::Static(tiles as u32, 3, 1);
-        let (image, target) = (&self.work.image, &self.frames[frame]);
-        photo::similarity::launch(
-            client,
-            planes(),
-            units(),
-            image.arg(),
-            target.arg(),
-            self.slopes.arg(),
-            self.sums.arg(),
-            w,
-            h,
-        );
-        photo::gradient::launch(
-            client,
-            planes(),
-            units(),
-            image.arg(),
-            target.arg(),
-            self.slopes.arg(),
-            self.work.gradient.arg(),
-            w,
-            h,
-            settings.lambda_ssim,
-        );
-        let count = 3.0 * (self.width * self.height) as f32;
-        photo::add_up::launch(
-            client,
-            cubes(1, 1),
-            units(),
-            self.sums.arg(),
-            self.totals.arg(),
-            3 * tiles as u32,
-            count,
-        );
+    /// done; nothing is read back but, in the first step after splats or frames were replaced, how many tile entries there
+    /// are.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if there is no room for the tile entries, or if the device failed.
+    ///
+    /// # Panics
+    ///
+    /// If there is no frame `frame`.
+    pub fn step(&mut self, frame: usize, view: &View, settings: &StepSettings<'_>) -> Result<(), GpuError> {
+        self.draw(view)?;
+        let target = self.frames.get(&self.gpu, frame);
+        let (gpu, image, lambda) = (&self.gpu, &self.work.image, settings.lambda_ssim);
+        self.loss.compare(gpu, image, &target, frame, lambda, &self.tally);
+        self.loss.gradient(gpu, image, &target, lambda, &self.work.gradient);
         self.work
-            .backward(&self.gpu, &self.splats, &self.gradients, view.mip, false, false);
+            .backward(gpu, &self.splats, &self.gradients, view.mip, false, false);
         self.move_splats(settings);
+        Ok(())
+    }
+
+    /// Draws `view`; the first time with these splats at this size with as much room as it takes.
+    pub(crate) fn draw(&mut self, view: &View) -> Result<(), GpuError> {
+        self.work.draw(&self.gpu, &self.splats, view);
+        while !self.fits {
+            let wanted = self.work.peak(&self.gpu, TRAINING)?;
+            self.fits = wanted <= self.work.size.entries;
+            if !self.fits {
+                self.make_room(wanted)?;
+                self.work.draw(&self.gpu, &self.splats, view);
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes room for a frame of `wanted` entries, and a quarter more.
+    fn make_room(&mut self, wanted: usize) -> Result<(), GpuError> {
+        self.make(Size {
+            entries: wanted + wanted / 4,
+            ..self.work.size
+        })
+    }
+
+    /// Memory for frames of `size`, where it is another one.
+    pub(crate) fn make(&mut self, size: Size) -> Result<(), GpuError> {
+        self.fits = false;
+        if size == self.work.size {
+            return Ok(());
+        }
+        let (old, peak) = (self.work.size, self.work.peak.clone());
+        self.work = Work::new(&self.gpu, size)?;
+        self.work.peak = peak;
+        if (old.width, old.height) != (size.width, size.height) {
+            self.loss = Loss::new(&self.gpu, size);
+        }
+        if old.n != size.n {
+            self.tally.resize(&self.gpu, size.n);
+        }
+        Ok(())
     }
 
     fn move_splats(&self, settings: &StepSettings<'_>) {
         let client = &self.gpu.client;
         let (n, n_static) = (self.splats.n, self.splats.n_static);
+        self.tally.step(&self.gpu, &self.work.touched, n);
         let sparse = settings.adam.sparse;
         adam::count_steps::launch(
             client,
@@ -216,6 +243,7 @@ impl Trainer {
                 self.work.touched.arg(),
                 self.steps.arg(),
                 rates.arg(),
+                self.tally.buffer.arg(),
                 rows as u32,
                 first as u32,
                 n_static as u32,
@@ -229,34 +257,19 @@ impl Trainer {
         }
     }
 
-    /// Waits, and says what the steps since the last call found. Makes room for more tile entries where frames had more
-    /// than there was room for; those left out were the farthest.
+    /// Waits, and says what the steps since the last call found, by one small read. Makes room for more tile entries where
+    /// frames had more than there was room for; those left out were the farthest.
     ///
     /// # Errors
     ///
     /// [`GpuError`] if the device failed since.
     pub fn found(&mut self) -> Result<Found, GpuError> {
-        let (client, doing) = (&self.gpu.client, "training");
-        let totals = self.totals.read_floats(client, doing)?;
-        let touched = self.work.touched.read_words(client, doing)?;
-        let peak = self.work.peak(&self.gpu, doing)?;
-        self.totals = Buffer::floats(client, &[0.0; 3]);
-        let touched = touched[..self.splats.n].iter().filter(|&&t| t != 0).count();
-        if peak > self.work.size.entries {
-            let size = Size {
-                entries: peak + peak / 4,
-                ..self.work.size
-            };
-            self.work = Work::new(&self.gpu, size)?;
+        let found = self.tally.take(&self.gpu, TRAINING)?;
+        self.work.peak = self.tally.buffer.clone();
+        if found.entries > self.work.size.entries {
+            self.make_room(found.entries)?;
         }
-        let steps = totals[2].max(1.0);
-        Ok(Found {
-            steps: totals[2] as usize,
-            // three channels share the count
-            ssim: f64::from(totals[0] / steps),
-            l1: f64::from(totals[1] / steps),
-            touched,
-        })
+        Ok(found)
     }
 
     /// The picture drawn last.
@@ -265,64 +278,71 @@ impl Trainer {
     ///
     /// [`GpuError`] if the device failed since.
     pub fn frame(&self) -> Result<Frame, GpuError> {
-        let image = self.work.image.read_floats(&self.gpu.client, "training")?;
-        let pixels = self.width * self.height;
+        let image = self.work.image.read_floats(&self.gpu.client, TRAINING)?;
+        let Size { width, height, .. } = self.work.size;
+        let pixels = width * height;
         let plane = |k: usize| image[k * pixels..(k + 1) * pixels].to_vec();
         Ok(Frame {
-            width: self.width,
-            height: self.height,
+            width,
+            height,
             rgb: [plane(0), plane(1), plane(2)],
             transmittance: plane(3),
             depth: Vec::new(),
         })
     }
 
-    /// Waits, and copies splats and moments back.
+    /// Waits, and copies splats and the optimiser's state back.
     ///
     /// # Errors
     ///
     /// [`GpuError`] if the device failed since.
     pub fn download(&self) -> Result<(Splats, AdamState), GpuError> {
-        let doing = "training";
-        let splats = self.splats.download(&self.gpu, doing)?;
-        let mut step = self.steps.read_words(&self.gpu.client, doing)?;
-        step.truncate(splats.n());
-        let adam = AdamState {
-            m: self.m.download(&self.gpu, doing)?,
-            v: self.v.download(&self.gpu, doing)?,
-            step,
-        };
-        Ok((splats, adam))
+        Ok((self.download_splats()?, self.download_adam()?))
     }
 
-    /// Goes on with other splats.
+    /// Waits, and copies the splats back.
     ///
     /// # Errors
     ///
-    /// [`GpuError`] if they do not fit.
+    /// [`GpuError`] if the device failed since.
+    pub fn download_splats(&self) -> Result<Splats, GpuError> {
+        self.splats.download(&self.gpu, TRAINING)
+    }
+
+    /// Waits, and copies the optimiser's state back.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed since.
+    pub fn download_adam(&self) -> Result<AdamState, GpuError> {
+        let mut step = self.steps.read_words(&self.gpu.client, TRAINING)?;
+        step.truncate(self.splats.n);
+        Ok(AdamState {
+            m: self.m.download(&self.gpu, TRAINING)?,
+            v: self.v.download(&self.gpu, TRAINING)?,
+            step,
+        })
+    }
+
+    /// Goes on with other splats and another state of the optimiser.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if they do not fit; the trainer is not to be used after that.
     pub fn replace(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), GpuError> {
-        let changed = splats.n() != self.splats.n;
-        self.splats = DeviceSplats::upload(&self.gpu, splats)?;
         self.m = DeviceSplats::upload(&self.gpu, &adam.m)?;
         self.v = DeviceSplats::upload(&self.gpu, &adam.v)?;
         self.steps = Buffer::words(&self.gpu.client, &adam.step);
-        self.gradients = self.splats.like(&self.gpu);
-        if changed {
-            let size = Size {
-                n: splats.n(),
-                ..self.work.size
-            };
-            self.work = Work::new(&self.gpu, size)?;
-        }
-        Ok(())
+        self.replace_splats(splats)
     }
-}
 
-/// Eight bits a channel, red lowest, in one number a pixel.
-fn packed(frame: &RgbImage) -> Vec<u32> {
-    let (_, height) = frame.size();
-    let pixels = (0..height).flat_map(|y| frame.row(y));
-    pixels
-        .map(|&[r, g, b]| u32::from(r) | u32::from(g) << 8 | u32::from(b) << 16)
-        .collect()
+    /// Uploads `splats` and makes what depends on their number.
+    pub(crate) fn replace_splats(&mut self, splats: &Splats) -> Result<(), GpuError> {
+        self.splats = DeviceSplats::upload(&self.gpu, splats)?;
+        self.gradients = self.splats.like(&self.gpu);
+        self.make(Size {
+            n: splats.n(),
+            ..self.work.size
+        })
+    }
 }

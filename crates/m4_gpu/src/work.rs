@@ -80,7 +80,8 @@ pub(crate) struct Work {
     ends: Buffer,
     planes: Buffer,
     sums: Buffer,
-    peak: Buffer,
+    /// The largest number of entries that a frame wanted, first of what may be more numbers.
+    pub peak: Buffer,
     /// Red, green, blue, transmittance, depth: planes.
     pub image: Buffer,
     /// The loss's gradient with respect to those (alpha in place of transmittance).

@@ -7,7 +7,7 @@ use m4_kernels::{
     adam::cpu::{AdamConfig, AdamState, step},
     photo::cpu::{PhotoScratch, Target, loss},
 };
-use m4_scene::{Plane, RgbImage, SplatLayout, Splats};
+use m4_scene::{SplatLayout, Splats};
 use m4_testkit::{SceneSpec, assert_gradient, random_camera, random_splats};
 
 const LAYOUT: SplatLayout = SplatLayout {
@@ -18,10 +18,17 @@ const LAYOUT: SplatLayout = SplatLayout {
 const SIZE: (usize, usize) = (75, 50);
 const LAMBDA: f32 = 0.4;
 
-fn picture(shift: usize) -> RgbImage {
-    Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
-        [(3 * x + shift) as u8, (5 * y) as u8, (x * y / 8 + 40 * shift) as u8]
-    })
+fn picture(shift: usize) -> Target {
+    let plane = |value: fn(usize, usize, usize) -> usize| -> Vec<u8> {
+        let pixels = (0..SIZE.0 * SIZE.1).map(|i| (i % SIZE.0, i / SIZE.0));
+        pixels.map(|(x, y)| value(x, y, shift) as u8).collect()
+    };
+    let planes = [
+        plane(|x, _, s| 3 * x + s),
+        plane(|_, y, _| 5 * y),
+        plane(|x, y, s| x * y / 8 + 40 * s),
+    ];
+    Target::from_bytes(SIZE.0, SIZE.1, planes).unwrap()
 }
 
 fn start() -> (Splats, View) {
@@ -49,35 +56,57 @@ struct Host {
     adam: AdamState,
     l1: f64,
     ssim: f64,
+    /// Of the last frame.
+    psnr: f64,
+    touched: f64,
+    /// The last of each frame.
+    losses: Vec<f64>,
 }
 
-fn on_the_processor(frames: &[RgbImage], config: &AdamConfig, rates: &[f32], steps: usize) -> Host {
+fn on_the_processor(frames: &[Target], config: &AdamConfig, rates: &[f32], steps: usize) -> Host {
     let (mut splats, view) = start();
     let mut adam = AdamState::new(&splats);
     let mut renderer = Renderer::new(SimdLevel::best());
     let (mut scratch, mut out, mut gradients) =
         (PhotoScratch::default(), FrameGradient::default(), Gradients::default());
-    let (mut l1, mut ssim) = (0.0, 0.0);
+    let (mut l1, mut ssim, mut psnr, mut touched) = (0.0, 0.0, 0.0, 0.0);
+    let mut losses = vec![f64::NAN; frames.len()];
     for i in 0..steps {
-        let planes = [0, 1, 2].map(|k| {
-            let rows = (0..SIZE.1).flat_map(|y| frames[i % frames.len()].row(y).iter());
-            rows.map(|p| p[k]).collect::<Vec<u8>>()
-        });
-        let target = Target::from_bytes(SIZE.0, SIZE.1, planes).unwrap();
+        let target = &frames[i % frames.len()];
         let drawn = renderer.render(&splats, &view);
         let found = loss(
             SimdLevel::best(),
-            &target,
+            target,
             &drawn.rgb,
             LAMBDA,
             &mut scratch,
             &mut out.rgb,
         );
         (l1, ssim) = (l1 + found.l1 / steps as f64, ssim + found.ssim / steps as f64);
+        losses[i % frames.len()] = found.total;
+        psnr = shown(&drawn.rgb, target);
         renderer.backward(&splats, &out, Wanted::default(), &mut gradients);
+        touched += gradients.touched.iter().filter(|&&t| t == 1).count() as f64 / steps as f64;
         step(SimdLevel::best(), &mut splats, &gradients, &mut adam, config, rates);
     }
-    Host { splats, adam, l1, ssim }
+    Host {
+        splats,
+        adam,
+        l1,
+        ssim,
+        psnr,
+        touched,
+        losses,
+    }
+}
+
+/// PSNR with colours cut to 0..1.
+fn shown(rgb: &[Vec<f32>; 3], target: &Target) -> f64 {
+    let (target, mut sum) = (target.rgb().concat(), 0.0);
+    for (a, b) in rgb.concat().iter().zip(&target) {
+        sum += f64::from(a.clamp(0.0, 1.0) - b).powi(2);
+    }
+    -10.0 * (sum / target.len() as f64).log10()
 }
 
 fn columns(splats: &Splats) -> Vec<f64> {
@@ -97,7 +126,7 @@ fn steps_are_those_of_the_processor() {
         let steps = 4;
         let want = on_the_processor(&frames, &config, &rates, steps);
         let (splats, view) = start();
-        let mut trainer = Trainer::new(gpu.clone(), &splats, &AdamState::new(&splats), &frames).unwrap();
+        let mut trainer = Trainer::new(gpu.clone(), &splats, &AdamState::new(&splats), &frames, 0).unwrap();
         let settings = StepSettings {
             lambda_ssim: LAMBDA,
             rates: &rates,
@@ -105,7 +134,7 @@ fn steps_are_those_of_the_processor() {
             shared_steps: None,
         };
         for i in 0..steps {
-            trainer.step(i % frames.len(), &view, &settings);
+            trainer.step(i % frames.len(), &view, &settings).unwrap();
         }
         let found = trainer.found().unwrap();
         assert_eq!(found.steps, steps);
@@ -116,6 +145,23 @@ fn steps_are_those_of_the_processor() {
             found.ssim,
             want.ssim
         );
+        assert!(
+            (found.psnr - want.psnr).abs() < 1e-2,
+            "{} dB for {}",
+            found.psnr,
+            want.psnr
+        );
+        assert!((found.touched - want.touched).abs() <= 1.0, "{} touched", found.touched);
+        assert!(found.loss_is_finite && found.splats_are_finite);
+        assert_eq!(found.losses.len(), frames.len());
+        for (frame, loss) in found.losses {
+            assert!(
+                (f64::from(loss) - want.losses[frame]).abs() < 1e-4,
+                "frame {frame}: {loss}"
+            );
+        }
+        let again = trainer.found().unwrap();
+        assert!(again.steps == 0 && again.losses.is_empty() && again.psnr.is_nan());
         let (got, adam) = trainer.download().unwrap();
         let different = adam.step.iter().zip(&want.adam.step).filter(|(a, b)| a != b).count();
         assert!(different <= 2, "{different} counts of steps");
@@ -138,7 +184,7 @@ fn steps_are_those_of_the_processor() {
 fn splats_may_be_replaced() {
     let Some(gpu) = gpu("replacing splats") else { return };
     let (splats, view) = start();
-    let mut trainer = Trainer::new(gpu, &splats, &AdamState::new(&splats), &[picture(0)]).unwrap();
+    let mut trainer = Trainer::new(gpu, &splats, &AdamState::new(&splats), [picture(0)], usize::MAX).unwrap();
     let fewer = splats.gather(&(0..400).collect::<Vec<u32>>()).unwrap();
     trainer.replace(&fewer, &AdamState::new(&fewer)).unwrap();
     let rates = vec![0.0; LAYOUT.columns()];
@@ -148,7 +194,7 @@ fn splats_may_be_replaced() {
         adam: AdamConfig::default(),
         shared_steps: Some(7),
     };
-    trainer.step(0, &view, &settings);
+    trainer.step(0, &view, &settings).unwrap();
     let (got, adam) = trainer.download().unwrap();
     assert_eq!(got, fewer, "rates of 0");
     assert!(adam.step.iter().all(|&s| s == 7));
@@ -160,4 +206,77 @@ fn splats_may_be_replaced() {
         .filter(|(a, b)| (*a - *b).abs() > 1e-3)
         .count();
     assert_eq!(off, 0);
+}
+
+#[test]
+fn what_is_not_finite_is_said() {
+    let Some(gpu) = gpu("broken steps") else { return };
+    let (splats, view) = start();
+    let mut trainer = Trainer::new(gpu, &splats, &AdamState::new(&splats), [picture(0)], usize::MAX).unwrap();
+    let mut rates = vec![0.0; LAYOUT.columns()];
+    rates[4] = f32::INFINITY;
+    let settings = StepSettings {
+        lambda_ssim: LAMBDA,
+        rates: &rates,
+        adam: AdamConfig::default(),
+        shared_steps: None,
+    };
+    trainer.step(0, &view, &settings).unwrap();
+    let found = trainer.found().unwrap();
+    assert!(found.loss_is_finite && !found.splats_are_finite);
+    let nowhere = View {
+        background: [f32::NAN; 3],
+        ..view
+    };
+    trainer.step(0, &nowhere, &settings).unwrap();
+    assert!(!trainer.found().unwrap().loss_is_finite);
+}
+
+#[test]
+fn frames_may_change_their_size_and_are_told_apart_when_they_cannot() {
+    let Some(gpu) = gpu("other frames") else { return };
+    let (splats, view) = start();
+    let mut trainer = Trainer::new(gpu, &splats, &AdamState::new(&splats), [picture(0)], usize::MAX).unwrap();
+    let rates = vec![0.0; LAYOUT.columns()];
+    let settings = StepSettings {
+        lambda_ssim: LAMBDA,
+        rates: &rates,
+        adam: AdamConfig::default(),
+        shared_steps: None,
+    };
+    let mut small = view;
+    let k = &mut small.camera.intrinsics;
+    (k.width, k.height) = (SIZE.0 / 2, SIZE.1 / 2);
+    (k.fx, k.fy, k.cx, k.cy) = (k.fx / 2.0, k.fy / 2.0, k.cx / 2.0, k.cy / 2.0);
+    // as a picture made smaller comes: sums of four bytes
+    let mut half = Target::default();
+    half.replace_sums(SIZE.0 / 2, SIZE.1 / 2, 4, |planes| {
+        for (k, plane) in planes.into_iter().enumerate() {
+            plane
+                .iter_mut()
+                .enumerate()
+                .for_each(|(i, v)| *v = ((7 * i + 100 * k) % 1021) as u16);
+        }
+    });
+    let frames = [half.clone(), half.clone()];
+    // the second is streamed
+    trainer.set_frames(&frames, half.bytes() + 12).unwrap();
+    trainer.step(0, &small, &settings).unwrap();
+    trainer.step(1, &small, &settings).unwrap();
+    let found = trainer.found().unwrap();
+    assert_eq!(found.losses.len(), 2);
+    let mut renderer = Renderer::new(SimdLevel::best());
+    let drawn = renderer.render(&splats, &small);
+    let (mut scratch, mut out) = (PhotoScratch::default(), FrameGradient::default());
+    let want = loss(SimdLevel::best(), &half, &drawn.rgb, LAMBDA, &mut scratch, &mut out.rgb);
+    for (frame, loss) in found.losses {
+        assert!(
+            (f64::from(loss) - want.total).abs() < 1e-5,
+            "frame {frame}: {loss} for {}",
+            want.total
+        );
+    }
+    let mixed = trainer.set_frames([half, picture(0)], 0).unwrap_err();
+    assert!(mixed.to_string().contains("frame 1 has 75 x 50"), "{mixed}");
+    assert!(trainer.set_frames(Vec::<Target>::new(), 0).is_err());
 }

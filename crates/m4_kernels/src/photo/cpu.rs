@@ -1,7 +1,7 @@
 //! The SIMD twin: each channel is cut into fixed segments of rows, which are tasks.
 
 use super::segment::{self, Buffers, Segment};
-pub use super::target::Target;
+pub use super::target::{Target, TargetPlanes};
 use crate::{SimdLevel, simd::dispatch};
 use rayon::prelude::*;
 

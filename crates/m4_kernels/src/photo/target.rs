@@ -24,6 +24,17 @@ enum Samples {
     Bytes([Vec<u8>; 3]),
 }
 
+/// The planes of a [`Target`] as they are kept, one a channel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TargetPlanes<'a> {
+    /// Colours 0..1.
+    Floats([&'a [f32]; 3]),
+    /// Sums of bytes, and what one of them is worth: a colour of 1 is `1 / worth`.
+    Words([&'a [u16]; 3], f32),
+    /// Colours 0..=255.
+    Bytes([&'a [u8]; 3]),
+}
+
 impl Default for Samples {
     fn default() -> Self {
         Self::Bytes(Default::default())
@@ -103,6 +114,16 @@ impl Target {
             Samples::Bytes(_) => 1,
         };
         3 * self.width * self.height * each
+    }
+
+    /// The picture as it is kept: for those who keep it elsewhere.
+    #[must_use]
+    pub fn planes(&self) -> TargetPlanes<'_> {
+        match &self.samples {
+            Samples::Floats(rgb) => TargetPlanes::Floats(rgb.each_ref().map(Vec::as_slice)),
+            Samples::Words(rgb, worth) => TargetPlanes::Words(rgb.each_ref().map(Vec::as_slice), *worth),
+            Samples::Bytes(rgb) => TargetPlanes::Bytes(rgb.each_ref().map(Vec::as_slice)),
+        }
     }
 
     /// The picture, one plane a channel, 0..1.

@@ -1,0 +1,153 @@
+//! The frames of a video, on the device as far as they may be.
+
+use crate::buffer::Buffer;
+use crate::{Gpu, GpuError};
+use m4_kernels::photo::cpu::{Target, TargetPlanes};
+use std::borrow::Borrow;
+
+/// What a step of a 16-bit sample is worth where colours come as floats.
+const FINEST: f32 = 1.0 / 65_535.0;
+
+/// A frame as the kernels read it: planes of bytes, or of two bytes where `wide`, packed into words; each plane starts
+/// with a word of its own.
+#[derive(Debug, Clone)]
+pub(crate) struct DeviceFrame {
+    pub samples: Buffer,
+    /// What one of a sample is worth.
+    pub worth: f32,
+    pub wide: bool,
+}
+
+#[derive(Debug)]
+struct Stored {
+    place: Place,
+    worth: f32,
+    wide: bool,
+}
+
+#[derive(Debug)]
+enum Place {
+    Device(Buffer),
+    /// Goes to the device when it is used.
+    Host(Vec<u32>),
+}
+
+/// Frames of one size.
+#[derive(Debug)]
+pub(crate) struct Frames {
+    pub width: usize,
+    pub height: usize,
+    list: Vec<Stored>,
+}
+
+impl Frames {
+    /// Packs `frames`. Those that fit into `budget_bytes` go to the device for good, in their order.
+    pub fn new<T: Borrow<Target>>(
+        gpu: &Gpu,
+        frames: impl IntoIterator<Item = T>,
+        budget_bytes: usize,
+    ) -> Result<Self, GpuError> {
+        let mut out = Self {
+            width: 0,
+            height: 0,
+            list: Vec::new(),
+        };
+        let mut left = budget_bytes;
+        for (index, frame) in frames.into_iter().enumerate() {
+            let frame = frame.borrow();
+            let size = (frame.width(), frame.height());
+            if index == 0 {
+                (out.width, out.height) = size;
+            }
+            if size != (out.width, out.height) || size.0 * size.1 == 0 {
+                return Err(GpuError::FrameSize {
+                    index,
+                    size,
+                    first: (out.width, out.height),
+                });
+            }
+            let (words, worth, wide) = packed(frame);
+            let bytes = 4 * words.len();
+            gpu.fits("a frame", bytes)?;
+            let place = if bytes <= left {
+                left -= bytes;
+                Place::Device(Buffer::words(&gpu.client, &words))
+            } else {
+                // those that follow are streamed too: which ones are is easy to tell
+                left = 0;
+                Place::Host(words)
+            };
+            out.list.push(Stored { place, worth, wide });
+        }
+        if out.list.is_empty() {
+            return Err(GpuError::NoFrames);
+        }
+        Ok(out)
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.list.len()
+    }
+
+    /// Frame `index`, uploaded if it is not there.
+    pub fn get(&self, gpu: &Gpu, index: usize) -> DeviceFrame {
+        let frame = &self.list[index];
+        DeviceFrame {
+            samples: match &frame.place {
+                Place::Device(buffer) => buffer.clone(),
+                Place::Host(words) => Buffer::words(&gpu.client, words),
+            },
+            worth: frame.worth,
+            wide: frame.wide,
+        }
+    }
+}
+
+/// The samples of a frame in words, what one is worth, and whether a sample takes two bytes.
+fn packed(frame: &Target) -> (Vec<u32>, f32, bool) {
+    match frame.planes() {
+        TargetPlanes::Bytes(planes) => (planes.into_iter().flat_map(four_a_word).collect(), 1.0 / 255.0, false),
+        TargetPlanes::Words(planes, worth) => (planes.into_iter().flat_map(two_a_word).collect(), worth, true),
+        TargetPlanes::Floats(planes) => {
+            let words = planes.into_iter().flat_map(|plane| {
+                let samples: Vec<u16> = plane
+                    .iter()
+                    .map(|v| (v.clamp(0.0, 1.0) / FINEST).round() as u16)
+                    .collect();
+                two_a_word(&samples).collect::<Vec<u32>>()
+            });
+            (words.collect(), FINEST, true)
+        }
+    }
+}
+
+fn four_a_word(plane: &[u8]) -> impl Iterator<Item = u32> {
+    plane.chunks(4).map(|part| {
+        let shifted = part.iter().enumerate().map(|(k, &v)| u32::from(v) << (8 * k));
+        shifted.fold(0, |all, v| all | v)
+    })
+}
+
+fn two_a_word(plane: &[u16]) -> impl Iterator<Item = u32> {
+    plane.chunks(2).map(|part| {
+        let shifted = part.iter().enumerate().map(|(k, &v)| u32::from(v) << (16 * k));
+        shifted.fold(0, |all, v| all | v)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::packed;
+    use m4_kernels::photo::cpu::Target;
+
+    #[test]
+    fn planes_start_with_words_of_their_own() {
+        let bytes = Target::from_bytes(5, 1, [[1, 2, 3, 4, 5], [6; 5], [7; 5]].map(|p| p.to_vec())).unwrap();
+        let (words, worth, wide) = packed(&bytes);
+        assert_eq!(words, [0x0403_0201, 5, 0x0606_0606, 6, 0x0707_0707, 7]);
+        assert!(!wide && worth == 1.0 / 255.0);
+        let floats = Target::new(1, 1, [vec![0.0], vec![2.0], vec![0.5]]).unwrap();
+        assert_eq!(packed(&floats).0, [0, 65_535, 32_768]);
+    }
+}

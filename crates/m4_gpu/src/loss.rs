@@ -1,0 +1,78 @@
+//! A picture against a frame: sums for what is reported, and the gradient.
+
+use crate::Gpu;
+use crate::buffer::{Buffer, units};
+use crate::found::Tally;
+use crate::frames::DeviceFrame;
+use crate::photo;
+use crate::work::Size;
+use cubecl::prelude::CubeCount;
+
+/// Memory for frames of one size.
+#[derive(Debug)]
+pub(crate) struct Loss {
+    size: Size,
+    /// SSIM's derivatives, three planes a channel.
+    slopes: Buffer,
+    /// Three sums a tile and channel.
+    sums: Buffer,
+}
+
+impl Loss {
+    pub fn new(gpu: &Gpu, size: Size) -> Self {
+        Self {
+            size,
+            slopes: Buffer::empty(&gpu.client, 9 * size.pixels()),
+            sums: Buffer::empty(&gpu.client, 9 * size.tiles()),
+        }
+    }
+
+    /// A cube a tile and channel.
+    fn cubes(&self) -> CubeCount {
+        CubeCount::Static(self.size.tiles() as u32, 3, 1)
+    }
+
+    /// Compares `image` with `frame`, which is number `index`, and adds what it finds to `tally`. `lambda` is the share of
+    /// SSIM.
+    pub fn compare(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, index: usize, lambda: f32, tally: &Tally) {
+        photo::similarity::launch(
+            &gpu.client,
+            self.cubes(),
+            units(),
+            image.arg(),
+            frame.samples.arg(),
+            self.slopes.arg(),
+            self.sums.arg(),
+            self.size.width as u32,
+            self.size.height as u32,
+            frame.worth,
+            frame.wide,
+        );
+        tally.look(
+            gpu,
+            &self.sums,
+            self.size.tiles(),
+            3 * self.size.pixels(),
+            index,
+            lambda,
+        );
+    }
+
+    /// The gradient of what was compared last, with respect to `image`.
+    pub fn gradient(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, lambda: f32, out: &Buffer) {
+        photo::gradient::launch(
+            &gpu.client,
+            self.cubes(),
+            units(),
+            image.arg(),
+            frame.samples.arg(),
+            self.slopes.arg(),
+            out.arg(),
+            self.size.width as u32,
+            self.size.height as u32,
+            lambda,
+            frame.worth,
+            frame.wide,
+        );
+    }
+}
