@@ -264,3 +264,20 @@ pub(crate) fn failed(doing: &'static str, error: &impl std::fmt::Display) -> Gpu
 fn block_on<F: Future>(future: F) -> F::Output {
     cubecl::future::block_on(future)
 }
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::{Choice, Gpu};
+
+    /// A GPU, or software that plays one; `None`, and said so, where there is neither.
+    #[expect(clippy::print_stderr, reason = "a test that cannot run says so")]
+    pub(crate) fn gpu(test: &str) -> Option<Gpu> {
+        match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {
+            Ok(gpu) => Some(gpu),
+            Err(error) => {
+                eprintln!("{test}: NOT tested: {error}");
+                None
+            }
+        }
+    }
+}

@@ -49,6 +49,37 @@ fn scan_blocks(input: &[u32], output: &mut [u32], totals: &mut [u32], n: u32) {
     }
 }
 
+/// All in one cube, block after block.
+#[cube(launch)]
+fn scan_in_one(input: &[u32], output: &mut [u32], totals: &mut [u32], n: u32) {
+    let mut shared = Shared::<[u32]>::new_slice(256usize);
+    let mut carry = 0u32;
+    let mut start = 0u32;
+    while start < n {
+        let first = start + UNIT_POS * 4u32;
+        let mut sum = 0u32;
+        for k in 0u32..4u32 {
+            if first + k < n {
+                sum += input[(first + k) as usize];
+            }
+        }
+        let mut before = carry + scan_cube(sum, &mut shared);
+        for k in 0u32..4u32 {
+            if first + k < n {
+                output[(first + k) as usize] = before;
+                before += input[(first + k) as usize];
+            }
+        }
+        carry += shared[255usize];
+        // the next block is written where this sum was read
+        sync_cube();
+        start += 1024u32;
+    }
+    if UNIT_POS == 0u32 {
+        totals[0usize] = carry;
+    }
+}
+
 #[cube(launch)]
 fn add_totals(output: &mut [u32], totals: &[u32], n: u32) {
     let block = CUBE_POS as u32;
@@ -59,6 +90,9 @@ fn add_totals(output: &mut [u32], totals: &[u32], n: u32) {
         }
     }
 }
+
+/// So many numbers are one cube's work: a few rounds there are sooner done than two more launches.
+const IN_ONE: usize = 8 * BLOCK;
 
 /// Exclusive sums of as many numbers every time.
 #[derive(Debug)]
@@ -72,7 +106,7 @@ pub(crate) struct Scan {
 impl Scan {
     /// Memory for `n` numbers.
     pub fn new(client: &Client, n: usize) -> Self {
-        let blocks = n.div_ceil(BLOCK).max(1);
+        let blocks = if n <= IN_ONE { 1 } else { n.div_ceil(BLOCK) };
         let above = (blocks > 1).then(|| (Buffer::empty(client, blocks), Box::new(Self::new(client, blocks))));
         Self {
             n,
@@ -81,9 +115,25 @@ impl Scan {
         }
     }
 
+    /// The numbers in each of its buffers.
+    pub fn lengths(n: usize) -> Vec<usize> {
+        let blocks = if n <= IN_ONE { 1 } else { n.div_ceil(BLOCK) };
+        let mut out = vec![blocks];
+        if blocks > 1 {
+            out.push(blocks);
+            out.extend(Self::lengths(blocks));
+        }
+        out
+    }
+
     /// `output[i]` becomes the sum of `input[..i]`.
     pub fn run(&self, client: &Client, input: &Buffer, output: &Buffer) {
         let n = self.n as u32;
+        if self.n <= IN_ONE {
+            let (one, input, output) = (cubes(1, 1), input.arg(), output.arg());
+            scan_in_one::launch(client, one, units(), input, output, self.totals.arg(), n);
+            return;
+        }
         let count = cubes(self.n, BLOCK);
         scan_blocks::launch(client, count, units(), input.arg(), output.arg(), self.totals.arg(), n);
         if let Some((offsets, above)) = &self.above {
@@ -95,5 +145,42 @@ impl Scan {
     /// One number: the sum of everything.
     pub fn total(&self) -> &Buffer {
         self.above.as_ref().map_or(&self.totals, |(_, above)| above.total())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BLOCK, IN_ONE, Scan};
+    use crate::buffer::Buffer;
+    use crate::device::tests::gpu;
+    use m4_math::CounterRng;
+
+    #[test]
+    fn sums_are_those_of_a_loop() {
+        let Some(gpu) = gpu("sums_are_those_of_a_loop") else {
+            return;
+        };
+        let client = &gpu.client;
+        for n in [1, 5, BLOCK, BLOCK + 1, IN_ONE, IN_ONE + 1, 70_001] {
+            let mut rng = CounterRng::new(n as u64, 0, 0);
+            let input: Vec<u32> = (0..n).map(|_| (rng.uniform() * 1e4) as u32).collect();
+            let output = Buffer::empty(client, n);
+            let scan = Scan::new(client, n);
+            scan.run(client, &Buffer::words(client, &input), &output);
+            let mut sum = 0;
+            let want: Vec<u32> = input
+                .iter()
+                .map(|v| {
+                    sum += v;
+                    sum - v
+                })
+                .collect();
+            assert!(output.read_words(client, "scanning").unwrap() == want, "{n} numbers");
+            assert_eq!(
+                scan.total().read_words(client, "scanning").unwrap()[0],
+                sum,
+                "{n} numbers"
+            );
+        }
     }
 }

@@ -130,6 +130,14 @@ impl Sort {
         }
     }
 
+    /// The numbers in each of its buffers.
+    pub fn lengths(capacity: usize) -> Vec<usize> {
+        let digits = DIGITS * capacity.div_ceil(BLOCK).max(1);
+        let mut out = vec![digits, digits, capacity, capacity];
+        out.extend(Scan::lengths(digits));
+        out
+    }
+
     /// Sorts the first `count[0]` pairs (at most the capacity) by the lowest `bits` bits of their keys; equal keys keep
     /// their order.
     pub fn run<'a>(&'a self, client: &Client, pairs: &'a Pairs, count: &Buffer, bits: u32) -> &'a Pairs {
@@ -173,6 +181,49 @@ impl Sort {
             pairs
         } else {
             &self.other
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Pairs, Sort};
+    use crate::buffer::Buffer;
+    use crate::device::tests::gpu;
+    use m4_math::CounterRng;
+
+    #[test]
+    fn keys_are_sorted_and_equal_ones_keep_their_order() {
+        let Some(gpu) = gpu("keys_are_sorted_and_equal_ones_keep_their_order") else {
+            return;
+        };
+        let client = &gpu.client;
+        // capacity, keys that count, bits looked at, largest key
+        for (capacity, count, bits, most) in [
+            (1, 1, 32, 1e9),
+            (1000, 1000, 32, 4e9),
+            (5000, 3333, 12, 4000.0),
+            (40_000, 40_000, 16, 7.0),
+            (2000, 2000, 8, 1e9),
+            (300, 900, 12, 4000.0),
+        ] {
+            let mut rng = CounterRng::new(capacity as u64, 0, 0);
+            let keys: Vec<u32> = (0..capacity).map(|_| (rng.uniform() * most) as u32).collect();
+            let values: Vec<u32> = (0..capacity as u32).collect();
+            let pairs = Pairs {
+                keys: Buffer::words(client, &keys),
+                values: Buffer::words(client, &values),
+            };
+            let sort = Sort::new(client, capacity);
+            let sorted = sort.run(client, &pairs, &Buffer::words(client, &[count as u32]), bits);
+            let end = count.min(capacity);
+            let read = |buffer: &Buffer| buffer.read_words(client, "sorting").unwrap()[..end].to_vec();
+            let mask = ((1u64 << bits) - 1) as u32;
+            let mut want = values[..end].to_vec();
+            want.sort_by_key(|&i| keys[i as usize] & mask);
+            assert!(read(&sorted.values) == want, "{count} of {capacity}, {bits} bits");
+            let want: Vec<u32> = want.iter().map(|&i| keys[i as usize]).collect();
+            assert!(read(&sorted.keys) == want, "{count} of {capacity}, {bits} bits");
         }
     }
 }
