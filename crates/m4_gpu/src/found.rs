@@ -22,7 +22,7 @@ const L1: usize = 8;
 const DEPTH: usize = 9;
 const SQUARES: usize = 10;
 /// Losses, one a frame.
-const FRAMES: usize = 11;
+pub(crate) const FRAMES: usize = 11;
 /// In place of the loss of a frame that was not seen: not a number that arithmetic makes.
 const UNSEEN: u32 = u32::MAX;
 

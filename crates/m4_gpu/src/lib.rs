@@ -24,6 +24,7 @@
 )]
 
 mod adam;
+mod bench;
 mod bin;
 mod blend;
 mod blend_backward;
@@ -36,6 +37,8 @@ mod frames;
 mod loss;
 mod photo;
 mod pixels;
+mod plan;
+mod probe;
 mod project;
 mod reach;
 mod renderer;
@@ -44,13 +47,17 @@ mod shade;
 mod slice;
 mod sort;
 mod splats;
+mod stopwatch;
 mod trainer;
 mod vector;
 
 mod work;
 
+pub use bench::{Bench, DeviceMemory, Drawing};
 pub use device::{Adapter, AdapterKind, Choice, Gpu, adapters, best};
 pub use error::GpuError;
 pub use found::Found;
+pub use plan::{Part, Plan};
 pub use renderer::Renderer;
+pub use stopwatch::Laps;
 pub use trainer::{StepSettings, Trainer};

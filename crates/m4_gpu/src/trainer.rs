@@ -174,7 +174,7 @@ impl Trainer {
             return Ok(());
         }
         let (old, peak) = (self.work.size, self.work.peak.clone());
-        self.work = Work::new(&self.gpu, size)?;
+        self.work.remake(&self.gpu, size)?;
         self.work.peak = peak;
         if (old.width, old.height) != (size.width, size.height) {
             self.loss = Loss::new(&self.gpu, size);

@@ -7,14 +7,15 @@ use crate::reach::{REACH, TILE};
 use crate::scan::Scan;
 use crate::sort::{Pairs, Sort};
 use crate::splats::DeviceSplats;
+use crate::stopwatch::Stopwatch;
 use crate::{Gpu, GpuError, bin, blend, blend_backward, pixels};
-use cubecl::prelude::CubeDim;
-use m4_kernels::View;
+use cubecl::prelude::{CubeCount, CubeDim};
+use m4_kernels::{View, bench::Kernel};
 
 /// Entries of a bucket, and units of its cube.
 const BUCKET: usize = 32;
 /// Numbers of a checkpoint: transmittance, colours, depth.
-const CHECKPOINT: usize = 5;
+pub(crate) const CHECKPOINT: usize = 5;
 
 /// What memory is made for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,7 +44,7 @@ impl Size {
         self.width * self.height
     }
 
-    fn buckets(&self) -> usize {
+    pub fn buckets(&self) -> usize {
         self.entries / BUCKET + self.tiles()
     }
 
@@ -57,31 +58,33 @@ impl Size {
 #[derive(Debug)]
 pub(crate) struct Work {
     pub size: Size,
-    eye: Buffer,
-    records: Buffer,
+    pub eye: Buffer,
+    pub records: Buffer,
     reaches: Buffer,
-    depth: Pairs,
+    pub depth: Pairs,
     all: Buffer,
     by_depth: Sort,
     counts: Buffer,
-    sorted_counts: Buffer,
-    offsets: Buffer,
+    pub sorted_counts: Buffer,
+    pub offsets: Buffer,
     count: Scan,
     entries: Pairs,
     by_tile: Sort,
     splat_of_slot: Buffer,
-    splat_of_entry: Buffer,
-    ranges: Buffer,
+    pub splat_of_entry: Buffer,
+    pub ranges: Buffer,
     bucket_counts: Buffer,
-    bucket_offsets: Buffer,
+    pub bucket_offsets: Buffer,
     bucket_count: Scan,
-    tile_of_bucket: Buffer,
+    pub tile_of_bucket: Buffer,
     checkpoints: Buffer,
-    ends: Buffer,
+    pub ends: Buffer,
     planes: Buffer,
-    sums: Buffer,
+    pub sums: Buffer,
     /// The largest number of entries that a frame wanted, first of what may be more numbers.
     pub peak: Buffer,
+    /// Off outside of benches.
+    pub stopwatch: Stopwatch,
     /// Red, green, blue, transmittance, depth: planes.
     pub image: Buffer,
     /// The loss's gradient with respect to those (alpha in place of transmittance).
@@ -143,10 +146,26 @@ impl Work {
             planes: empty(only_training(5 * pixels)),
             sums: empty(sums),
             peak: Buffer::words(client, &[0]),
+            stopwatch: Stopwatch::default(),
             image: empty(5 * pixels),
             gradient: empty(only_training(5 * pixels)),
             touched: empty(n),
         })
+    }
+
+    /// Becomes memory for frames of `size`. What was there is given up first: both at once would be twice as much. After an
+    /// error there is room for nothing.
+    pub fn remake(&mut self, gpu: &Gpu, size: Size) -> Result<(), GpuError> {
+        let nothing = Size {
+            n: 0,
+            width: 1,
+            height: 1,
+            entries: 1,
+            training: false,
+        };
+        *self = Self::new(gpu, nothing)?;
+        *self = Self::new(gpu, size)?;
+        Ok(())
     }
 
     /// Draws `splats`, of which there are as many as the memory is for, into [`image`](Self::image).
@@ -172,6 +191,7 @@ impl Work {
             splats.n_static as u32,
             splats.spec(view.mip),
         );
+        self.stopwatch.lap(gpu, Kernel::Project);
         // an even number of passes: the order is back in `depth`
         self.by_depth.run(client, &self.depth, &self.all, 32);
         bin::gather::launch(
@@ -225,6 +245,7 @@ impl Work {
         if size.training {
             self.make_buckets(gpu);
         }
+        self.stopwatch.lap(gpu, Kernel::Bin);
         blend::blend::launch(
             client,
             cubes(tiles, 1),
@@ -242,6 +263,7 @@ impl Work {
             view.with_depth,
             size.training,
         );
+        self.stopwatch.lap(gpu, Kernel::Blend);
     }
 
     /// Cuts the lists of the tiles into buckets.
@@ -281,6 +303,8 @@ impl Work {
         let client = &gpu.client;
         let (size, n) = (self.size, self.size.n);
         let (width, height) = (size.width as u32, size.height as u32);
+        // all since the picture was drawn
+        self.stopwatch.lap(gpu, Kernel::Photo);
         pixels::pixels::launch(
             client,
             cubes(size.pixels(), 256),
@@ -292,19 +316,18 @@ impl Work {
             with_alpha,
             with_depth,
         );
-        // where the sort left it: an odd number of passes ends in its own memory
-        let slots = self.by_tile.result(&self.entries, size.tile_bits());
+        let (count, dim) = self.cubes_of_buckets();
         blend_backward::blend_backward::launch(
             client,
-            cubes(size.buckets(), 1),
-            CubeDim::new_1d(BUCKET as u32),
+            count,
+            dim,
             self.records.arg(),
             self.splat_of_entry.arg(),
-            slots.values.arg(),
+            self.slots().arg(),
             self.ranges.arg(),
             self.tile_of_bucket.arg(),
             self.bucket_offsets.arg(),
-            self.bucket_count.total().arg(),
+            self.buckets().arg(),
             self.checkpoints.arg(),
             self.planes.arg(),
             self.ends.arg(),
@@ -313,6 +336,7 @@ impl Work {
             height,
             with_depth,
         );
+        self.stopwatch.lap(gpu, Kernel::BlendBackward);
         project_backward::launch(
             client,
             cubes(n, 256),
@@ -333,6 +357,28 @@ impl Work {
             splats.n_static as u32,
             splats.spec(mip),
         );
+        self.stopwatch.lap(gpu, Kernel::ProjectBackward);
+    }
+
+    /// How many entries the frame drawn last wanted.
+    pub fn entries(&self, gpu: &Gpu, doing: &'static str) -> Result<usize, GpuError> {
+        Ok(self.count.total().read_words(&gpu.client, doing)?[0] as usize)
+    }
+
+    /// The slot of each entry, tile after tile, of the frame drawn last.
+    pub fn slots(&self) -> &Buffer {
+        // where the sort left it: an odd number of passes ends in its own memory
+        &self.by_tile.result(&self.entries, self.size.tile_bits()).values
+    }
+
+    /// How many buckets the frame drawn last has, one number.
+    pub fn buckets(&self) -> &Buffer {
+        self.bucket_count.total()
+    }
+
+    /// Cubes of a bucket each, as many as there may be.
+    pub fn cubes_of_buckets(&self) -> (CubeCount, CubeDim) {
+        (cubes(self.size.buckets(), 1), CubeDim::new_1d(BUCKET as u32))
     }
 
     /// The largest number of entries that a frame wanted since this memory was made.

@@ -4,6 +4,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 #![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
 
+mod bench;
 mod edge_cases;
 mod step;
 mod twins;

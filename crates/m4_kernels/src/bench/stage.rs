@@ -126,6 +126,12 @@ impl Bench {
         })
     }
 
+    /// The scene as the steps left it.
+    #[must_use]
+    pub fn into_scene(self) -> BenchScene {
+        self.scene
+    }
+
     /// Views to step or render.
     #[must_use]
     pub fn views(&self) -> usize {
