@@ -38,6 +38,9 @@ pub enum GpuError {
         /// The adapter.
         name: String,
     },
+    /// Splats, rows or flags do not fit together.
+    #[error("what was given to the GPU does not fit together: {0}")]
+    Shape(#[from] m4_scene::ShapeError),
     /// Training was given no frames.
     #[error("there are no frames to train on. Give at least one")]
     NoFrames,

@@ -7,7 +7,7 @@ use crate::{Gpu, GpuError};
 use cubecl::prelude::*;
 
 /// The largest number of tile entries that a frame wanted.
-pub(crate) const PEAK: usize = 0;
+const PEAK: usize = 0;
 const STEPS: usize = 1;
 /// Splats moved, summed over the steps: low and high word.
 const TOUCHED: usize = 2;

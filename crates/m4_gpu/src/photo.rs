@@ -147,7 +147,7 @@ pub(crate) fn similarity(
         slopes[6 * all + at] = product;
         let centre = ((uy + 5u32) * 26u32 + ux + 5u32) as usize;
         difference = (x[centre] - y[centre]).abs();
-        let shown = x[centre].max(0.0f32).min(1.0f32) - y[centre];
+        let shown = x[centre].clamp(0.0f32, 1.0f32) - y[centre];
         square = shown * shown;
     }
     sync_cube();

@@ -4,8 +4,11 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 #![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
 
+mod colour;
 mod bench;
 mod edge_cases;
+mod rearrange;
+mod score;
 mod step;
 mod twins;
 

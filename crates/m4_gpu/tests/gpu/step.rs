@@ -10,15 +10,15 @@ use m4_kernels::{
 use m4_scene::{SplatLayout, Splats};
 use m4_testkit::{SceneSpec, assert_gradient, random_camera, random_splats};
 
-const LAYOUT: SplatLayout = SplatLayout {
+pub const LAYOUT: SplatLayout = SplatLayout {
     isotropic: false,
     sh_degree: 1,
     time_degree: 0,
 };
-const SIZE: (usize, usize) = (75, 50);
-const LAMBDA: f32 = 0.4;
+pub const SIZE: (usize, usize) = (75, 50);
+pub const LAMBDA: f32 = 0.4;
 
-fn picture(shift: usize) -> Target {
+pub fn picture(shift: usize) -> Target {
     let plane = |value: fn(usize, usize, usize) -> usize| -> Vec<u8> {
         let pixels = (0..SIZE.0 * SIZE.1).map(|i| (i % SIZE.0, i / SIZE.0));
         pixels.map(|(x, y)| value(x, y, shift) as u8).collect()
@@ -31,7 +31,7 @@ fn picture(shift: usize) -> Target {
     Target::from_bytes(SIZE.0, SIZE.1, planes).unwrap()
 }
 
-fn start() -> (Splats, View) {
+pub fn start() -> (Splats, View) {
     let camera = random_camera(11, SIZE.0, SIZE.1);
     let spec = SceneSpec {
         layout: LAYOUT,
@@ -109,7 +109,7 @@ fn shown(rgb: &[Vec<f32>; 3], target: &Target) -> f64 {
     -10.0 * (sum / target.len() as f64).log10()
 }
 
-fn columns(splats: &Splats) -> Vec<f64> {
+pub fn columns(splats: &Splats) -> Vec<f64> {
     splats.columns().iter().flatten().map(|&v| f64::from(v)).collect()
 }
 

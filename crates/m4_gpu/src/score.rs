@@ -1,0 +1,421 @@
+//! Which splats are where the picture is wrong: the scores of density control (paper equations 6 to 10).
+//!
+//! For each look: errors of the pixels, those above a threshold of the frame's own range, sums of them over the pixels
+//! that each splat is blended on (a slot a tile and splat, as in the backward pass), times how much of the splat is there
+//! at that instant. Looks add up on the device; one read ends it.
+
+use crate::buffer::{Buffer, cubes, units};
+use crate::eye::TIME;
+use crate::found::{FRAMES, Tally};
+use crate::frames::DeviceFrame;
+use crate::photo::target_at;
+use crate::slice::life;
+use crate::sort::{Pairs, Sort};
+use crate::trainer::TRAINING;
+use crate::{Gpu, GpuError, Trainer, bin};
+use cubecl::prelude::*;
+use m4_kernels::View;
+
+/// Which errors of a frame count.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScoreSettings {
+    /// Share of SSIM in the loss that weighs a frame for pruning, 0..=1.
+    pub lambda_ssim: f32,
+    /// Errors above this share of the frame's range count, 0..1.
+    pub threshold: f32,
+    /// What the range of a frame is.
+    pub range: ScoreRange,
+}
+
+/// What the range of a frame's errors is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ScoreRange {
+    /// From its smallest to its largest error.
+    MinMax,
+    /// From 0 to the error below which a share `high` of its pixels lies.
+    Quantile {
+        /// 0..=1.
+        high: f32,
+    },
+}
+
+/// Two numbers a splat, `[n]` each.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ScoreSums {
+    /// Mean over the looks of the errors where the splat is.
+    pub densify: Vec<f32>,
+    /// Their sum, each look weighted by its loss.
+    pub prune: Vec<f32>,
+}
+
+impl Trainer {
+    /// Draws each look, frame by number and how it is seen, and adds up what is wrong where the splats are.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if there is no room for the tile entries, or if the device failed.
+    ///
+    /// # Panics
+    ///
+    /// If there is no frame of that number.
+    pub fn score(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<ScoreSums, GpuError> {
+        let n = self.splats.n;
+        let gpu = self.gpu.clone();
+        let tally = Tally::new(&gpu, looks.len(), 0);
+        let scores = Buffer::empty(&gpu.client, 2 * n);
+        bin::clear::launch(&gpu.client, cubes(2 * n, 256), units(), scores.arg());
+        let mask = Mask::new(&gpu, self.work.size.pixels(), settings.range);
+        let share = 1.0 / looks.len().max(1) as f32;
+        for (look, (frame, view)) in looks.iter().enumerate() {
+            self.draw(view)?;
+            let target = self.frames.get(&gpu, *frame);
+            let image = &self.work.image;
+            self.loss
+                .compare(&gpu, image, &target, look, settings.lambda_ssim, &tally);
+            mask.find(&gpu, image, &target, settings.threshold);
+            self.add_scores(&mask, &tally, look, share, &scores);
+        }
+        let mut both = scores.read_floats(&gpu.client, TRAINING)?;
+        both.truncate(2 * n);
+        let prune = both.split_off(n);
+        Ok(ScoreSums { densify: both, prune })
+    }
+
+    fn add_scores(&self, mask: &Mask, tally: &Tally, look: usize, share: f32, scores: &Buffer) {
+        let (client, work, n) = (&self.gpu.client, &self.work, self.splats.n);
+        let (count, dim) = work.cubes_of_buckets();
+        score_slots::launch(
+            client,
+            count,
+            dim,
+            work.records.arg(),
+            work.splat_of_entry.arg(),
+            work.slots().arg(),
+            work.ranges.arg(),
+            work.tile_of_bucket.arg(),
+            work.bucket_offsets.arg(),
+            work.buckets().arg(),
+            work.ends.arg(),
+            mask.errors.arg(),
+            mask.cut.arg(),
+            work.sums.arg(),
+            work.size.width as u32,
+            work.size.height as u32,
+        );
+        score_splats::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            self.splats.geometry.arg(),
+            self.splats.time.arg(),
+            work.eye.arg(),
+            work.depth.values.arg(),
+            work.sorted_counts.arg(),
+            work.offsets.arg(),
+            work.sums.arg(),
+            tally.buffer.arg(),
+            scores.arg(),
+            n as u32,
+            self.splats.n_static as u32,
+            look as u32,
+            share,
+        );
+    }
+}
+
+/// The errors of a frame, and from where on they count.
+#[derive(Debug)]
+struct Mask {
+    pixels: usize,
+    /// Mean over the channels of the absolute differences.
+    errors: Buffer,
+    /// Smallest and largest of each cube of 256.
+    extremes: Buffer,
+    /// The error that must be exceeded, and 1 where any may.
+    cut: Buffer,
+    /// For quantiles: the errors' bits, which lie in the order of the errors.
+    sorted: Option<Quantile>,
+}
+
+#[derive(Debug)]
+struct Quantile {
+    /// The place of the error in order.
+    place: usize,
+    pairs: Pairs,
+    sort: Sort,
+    count: Buffer,
+}
+
+impl Mask {
+    fn new(gpu: &Gpu, pixels: usize, range: ScoreRange) -> Self {
+        let client = &gpu.client;
+        let sorted = match range {
+            ScoreRange::MinMax => None,
+            ScoreRange::Quantile { high } => Some(Quantile {
+                place: (((pixels - 1) as f32 * high.clamp(0.0, 1.0)) as usize).min(pixels - 1),
+                pairs: Pairs::empty(client, pixels),
+                sort: Sort::new(client, pixels),
+                count: Buffer::words(client, &[pixels as u32]),
+            }),
+        };
+        Self {
+            pixels,
+            errors: Buffer::empty(client, pixels),
+            extremes: Buffer::empty(client, 2 * pixels.div_ceil(256)),
+            cut: Buffer::empty(client, 2),
+            sorted,
+        }
+    }
+
+    /// The errors of `image`, and the cut.
+    fn find(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, threshold: f32) {
+        let (client, pixels) = (&gpu.client, self.pixels);
+        error_map::launch(
+            client,
+            cubes(pixels, 256),
+            units(),
+            image.arg(),
+            frame.samples.arg(),
+            self.errors.arg(),
+            self.extremes.arg(),
+            pixels as u32,
+            frame.worth,
+            frame.wide,
+        );
+        match &self.sorted {
+            None => cut_of_extremes::launch(
+                client,
+                cubes(1, 1),
+                units(),
+                self.extremes.arg(),
+                self.cut.arg(),
+                pixels.div_ceil(256) as u32,
+                threshold,
+            ),
+            Some(quantile) => {
+                let Quantile {
+                    place,
+                    pairs,
+                    sort,
+                    count,
+                } = quantile;
+                bits::launch(
+                    client,
+                    cubes(pixels, 256),
+                    units(),
+                    self.errors.arg(),
+                    pairs.keys.arg(),
+                    pixels as u32,
+                );
+                let sorted = sort.run(client, pairs, count, 32);
+                cut_of_quantile::launch(
+                    client,
+                    cubes(1, 1),
+                    CubeDim::new_1d(1),
+                    sorted.keys.arg(),
+                    self.cut.arg(),
+                    *place as u32,
+                    threshold,
+                );
+            }
+        }
+    }
+}
+
+/// Mean over the channels of the absolute differences, 0 where that is not finite; smallest and largest of each cube.
+#[cube(launch)]
+fn error_map(
+    image: &[f32],
+    target: &[u32],
+    errors: &mut [f32],
+    extremes: &mut [f32],
+    pixels: u32,
+    worth: f32,
+    #[comptime] wide: bool,
+) {
+    let mut low = Shared::<[f32]>::new_slice(256usize);
+    let mut high = Shared::<[f32]>::new_slice(256usize);
+    let i = ABSOLUTE_POS as u32;
+    let unit = UNIT_POS as usize;
+    low[unit] = f32::new(3.0e38f32);
+    high[unit] = f32::new(0.0f32);
+    if i < pixels {
+        let mut sum = 0.0f32;
+        #[unroll]
+        for channel in 0u32..3u32 {
+            let x = image[(channel * pixels + i) as usize];
+            sum += (x - target_at(target, i, channel, pixels, worth, wide)).abs();
+        }
+        let mut error = sum * (1.0f32 / 3.0f32);
+        if (u32::reinterpret(error) & 0x7f80_0000u32) == 0x7f80_0000u32 {
+            error = 0.0f32;
+        }
+        errors[i as usize] = error;
+        low[unit] = error;
+        high[unit] = error;
+    }
+    sync_cube();
+    let mut half = 128u32;
+    while half > 0u32 {
+        if UNIT_POS < half {
+            let other = (UNIT_POS + half) as usize;
+            low[unit] = low[unit].min(low[other]);
+            high[unit] = high[unit].max(high[other]);
+        }
+        sync_cube();
+        half /= 2u32;
+    }
+    let at = 2 * CUBE_POS;
+    if UNIT_POS == 0u32 && at + 1 < extremes.len() {
+        extremes[at] = low[0];
+        extremes[at + 1] = high[0];
+    }
+}
+
+/// Writes the cut of a range; nothing counts in one without width.
+#[cube]
+fn write_cut(low: f32, high: f32, threshold: f32, cut: &mut [f32]) {
+    cut[0] = low + threshold * (high - low);
+    cut[1] = f32::new(0.0f32);
+    if high > low {
+        cut[1] = f32::new(1.0f32);
+    }
+}
+
+#[cube(launch)]
+fn cut_of_extremes(extremes: &[f32], cut: &mut [f32], count: u32, threshold: f32) {
+    let mut lows = Shared::<[f32]>::new_slice(256usize);
+    let mut highs = Shared::<[f32]>::new_slice(256usize);
+    let mut low = f32::new(3.0e38f32);
+    let mut high = f32::new(0.0f32);
+    let mut k = UNIT_POS;
+    while k < count {
+        low = low.min(extremes[(2u32 * k) as usize]);
+        high = high.max(extremes[(2u32 * k + 1u32) as usize]);
+        k += 256u32;
+    }
+    lows[UNIT_POS as usize] = low;
+    highs[UNIT_POS as usize] = high;
+    sync_cube();
+    if UNIT_POS == 0u32 {
+        for k in 1usize..256usize {
+            low = low.min(lows[k]);
+            high = high.max(highs[k]);
+        }
+        write_cut(low, high, threshold, cut);
+    }
+}
+
+#[cube(launch)]
+fn bits(errors: &[f32], keys: &mut [u32], pixels: u32) {
+    let i = ABSOLUTE_POS;
+    if i < pixels as usize {
+        keys[i] = u32::reinterpret(errors[i]);
+    }
+}
+
+#[cube(launch)]
+fn cut_of_quantile(keys: &[u32], cut: &mut [f32], place: u32, threshold: f32) {
+    if ABSOLUTE_POS == 0 {
+        write_cut(f32::new(0.0f32), f32::reinterpret(keys[place as usize]), threshold, cut);
+    }
+}
+
+/// The errors that count, summed over the pixels of a tile that a splat is blended on: a cube a bucket, a unit an entry.
+#[cube(launch)]
+fn score_slots(
+    records: &[f32],
+    splats: &[u32],
+    slots: &[u32],
+    ranges: &[u32],
+    tile_of: &[u32],
+    offsets: &[u32],
+    bucket_count: &[u32],
+    ends: &[u32],
+    errors: &[f32],
+    cut: &[f32],
+    sums: &mut [f32],
+    width: u32,
+    height: u32,
+) {
+    let mut weights = Shared::<[f32]>::new_slice(256usize);
+    let mut lasts = Shared::<[u32]>::new_slice(256usize);
+    let bucket = CUBE_POS as u32;
+    if bucket < bucket_count[0] {
+        let tile = tile_of[bucket as usize];
+        let start = ranges[(2u32 * tile) as usize];
+        let entry = start + (bucket - offsets[tile as usize]) * 32u32 + UNIT_POS;
+        let across = (width + 15u32) / 16u32;
+        let (left, top) = ((tile % across) * 16u32, (tile / across) * 16u32);
+        let mut p = UNIT_POS;
+        while p < 256u32 {
+            let (x, y) = (left + p % 16u32, top + p / 16u32);
+            let mut weight = 0.0f32;
+            let mut last = 0u32;
+            if x < width && y < height {
+                let at = (y * width + x) as usize;
+                last = ends[at];
+                let error = errors[at];
+                if cut[1] > 0.0f32 && error > cut[0] {
+                    weight = error;
+                }
+            }
+            weights[p as usize] = weight;
+            lasts[p as usize] = last;
+            p += 32u32;
+        }
+        sync_cube();
+        if entry < ranges[(2u32 * tile + 1u32) as usize] {
+            let r = splats[entry as usize] as usize * 10;
+            let (u, v) = (records[r], records[r + 1]);
+            let (a, b, c) = (records[r + 2], records[r + 3], records[r + 4]);
+            let log_opacity = records[r + 5];
+            let mut sum = 0.0f32;
+            for p in 0u32..256u32 {
+                let dx = u - f32::cast_from(left + p % 16u32);
+                let dy = v - f32::cast_from(top + p / 16u32);
+                let power = a * dx * dx + b * dx * dy + c * dy * dy;
+                let exponent = log_opacity - power;
+                if entry < lasts[p as usize] && power >= 0.0f32 && exponent >= -7.994_353_4f32 {
+                    sum += weights[p as usize];
+                }
+            }
+            sums[slots[entry as usize] as usize] = sum;
+        }
+    }
+}
+
+/// Adds up each splat's slots in their order; `scores` are `[2][n]`.
+#[cube(launch)]
+fn score_splats(
+    geometry: &[f32],
+    time: &[f32],
+    eye: &[f32],
+    order: &[u32],
+    counts: &[u32],
+    offsets: &[u32],
+    sums: &[f32],
+    tally: &[u32],
+    scores: &mut [f32],
+    n: u32,
+    n_static: u32,
+    look: u32,
+    share: f32,
+) {
+    let p = ABSOLUTE_POS as u32;
+    if p < n {
+        let count = counts[p as usize];
+        if count > 0u32 {
+            let i = order[p as usize];
+            let mut sum = 0.0f32;
+            for k in 0u32..count {
+                sum += sums[(offsets[p as usize] + k) as usize];
+            }
+            let life = life(geometry, time, i, n, n_static, eye[TIME]);
+            let score = sum * life.marginal;
+            let loss = f32::reinterpret(tally[FRAMES + look as usize]);
+            scores[i as usize] += score * share;
+            scores[(n + i) as usize] += score * loss;
+        }
+    }
+}

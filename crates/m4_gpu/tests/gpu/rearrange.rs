@@ -1,0 +1,94 @@
+//! The optimiser's state follows its splats.
+
+use crate::gpu;
+use crate::step::{LAMBDA, LAYOUT, columns, picture, start};
+use m4_gpu::{GpuError, StepSettings, Trainer};
+use m4_kernels::View;
+use m4_kernels::adam::cpu::{AdamConfig, AdamState};
+use m4_scene::Splats;
+
+fn trainer(gpu: m4_gpu::Gpu) -> (Trainer, View) {
+    let (splats, view) = start();
+    let mut trainer = Trainer::new(gpu, &splats, &AdamState::new(&splats), [picture(0)], usize::MAX).unwrap();
+    let rates = vec![1e-3; LAYOUT.columns()];
+    for _ in 0..2 {
+        trainer.step(0, &view, &settings(&rates)).unwrap();
+    }
+    (trainer, view)
+}
+
+fn settings(rates: &[f32]) -> StepSettings<'_> {
+    StepSettings {
+        lambda_ssim: LAMBDA,
+        rates,
+        adam: AdamConfig::default(),
+        shared_steps: None,
+    }
+}
+
+#[test]
+fn survivors_keep_their_state_and_newborns_start_from_nothing() {
+    let Some(gpu) = gpu("rearranging") else { return };
+    let (mut trainer, view) = trainer(gpu);
+    let (splats, adam) = trainer.download().unwrap();
+    assert_eq!(trainer.download_splats().unwrap(), splats);
+    let (n, n_static) = (splats.n() as u32, splats.n_static() as u32);
+    // backwards, every third gone, every seventh twice: the second time as a newborn
+    let mut rows = Vec::new();
+    for range in [0..n_static, n_static..n] {
+        rows.extend(range.clone().rev().filter(|r| r % 3 != 0).map(|r| (r, false)));
+        rows.extend(range.filter(|r| r % 7 == 0).map(|r| (r, true)));
+    }
+    let (rows, newborn): (Vec<u32>, Vec<bool>) = rows.into_iter().unzip();
+    let next = splats.gather(&rows).unwrap();
+    let mut want = AdamState {
+        m: adam.m.gather(&rows).unwrap(),
+        v: adam.v.gather(&rows).unwrap(),
+        step: rows.iter().map(|&r| adam.step[r as usize]).collect(),
+    };
+    (0..rows.len()).filter(|&i| newborn[i]).for_each(|i| want.forget(i));
+    assert!(want.step.contains(&2) && columns(&want.m).iter().any(|&v| v != 0.0));
+
+    trainer.rearrange(&next, &rows, &newborn).unwrap();
+    assert_eq!(trainer.download().unwrap(), (next.clone(), want.clone()));
+    // and steps go on from there
+    trainer.found().unwrap();
+    let rates = vec![1e-3; LAYOUT.columns()];
+    trainer.step(0, &view, &settings(&rates)).unwrap();
+    let (moved, after) = trainer.download().unwrap();
+    assert_ne!(moved, next);
+    let counted = after.step.iter().zip(&want.step).filter(|(a, b)| a > b).count();
+    assert_eq!(counted as f64, trainer.found().unwrap().touched);
+}
+
+#[test]
+fn rows_that_do_not_fit_are_refused_and_nothing_changes() {
+    let Some(gpu) = gpu("rows that do not fit") else { return };
+    let (mut trainer, _) = trainer(gpu);
+    let before = trainer.download().unwrap();
+    let (splats, n) = (&before.0, before.0.n() as u32);
+    let rows: Vec<u32> = (0..n).collect();
+    let newborn = vec![false; n as usize];
+    let mut outside = rows.clone();
+    outside[n as usize - 1] = n;
+    let mut swapped = rows.clone();
+    swapped.swap(0, n as usize - 1);
+    let wide = Splats::zeros(
+        m4_scene::SplatLayout { sh_degree: 2, ..LAYOUT },
+        splats.n_static(),
+        splats.n_dynamic(),
+    );
+    for (splats, rows, newborn) in [
+        (splats, &rows[1..], &newborn[..]),
+        (splats, &rows[..], &newborn[1..]),
+        (splats, &outside[..], &newborn[..]),
+        (splats, &swapped[..], &newborn[..]),
+        (&wide, &rows[..], &newborn[..]),
+    ] {
+        assert!(matches!(
+            trainer.rearrange(splats, rows, newborn),
+            Err(GpuError::Shape(_))
+        ));
+    }
+    assert_eq!(trainer.download().unwrap(), before);
+}
