@@ -3,6 +3,8 @@
 //! [`run`] times training steps and rendering on synthetic scenes ([`m4_kernels::bench`]); the
 //! [`BenchReport`] is what the program prints, saves and compares. `docs/bench.md` explains every column.
 
+#[cfg(feature = "gpu")]
+mod gpu;
 mod measure;
 mod memory;
 mod report;
@@ -10,9 +12,10 @@ mod save;
 mod table;
 
 pub use memory::{MemoryCase, MemoryConfig, MemoryReport, memory};
-pub use report::{BenchReport, Bound, Case, KernelRow, Machine, StepRow};
+pub use report::{BenchReport, Bound, Case, GpuCase, GpuMachine, KernelRow, Machine, StepRow};
 pub use save::{SavedReport, save};
 
+use crate::device::DeviceChoice;
 use crate::{Error, Observer, with_threads};
 use m4_kernels::SimdLevel;
 use m4_kernels::bench::{Bench, SceneConfig, SceneKind};
@@ -36,6 +39,10 @@ pub struct BenchConfig {
     pub depth: bool,
     /// Draw alone, without the rest of a training step.
     pub render_only: bool,
+    /// Where to run; on a GPU threads do not matter, and depth is not composited.
+    pub device: DeviceChoice,
+    /// What a GPU may be made to hold, megabytes; no limit where there is none.
+    pub max_vram_mb: Option<usize>,
     /// Name of the processor, for the report.
     pub cpu: Option<String>,
 }
@@ -53,6 +60,8 @@ impl Default for BenchConfig {
             sh_degree: 0,
             depth: false,
             render_only: false,
+            device: DeviceChoice::Cpu,
+            max_vram_mb: None,
             cpu: None,
         }
     }
@@ -63,7 +72,8 @@ impl Default for BenchConfig {
 /// # Errors
 ///
 /// [`Error::Simd`] if the instruction set asked for is not there, [`Error::Stopped`] on request,
-/// [`Error::Internal`] if the system gives no threads.
+/// [`Error::Internal`] if the system gives no threads; [`Error::Gpu`] if the GPU asked for is not there, does not have or may
+/// not take the memory, or fails; [`Error::NoGpuSupport`] in a build that cannot use any.
 pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport, Error> {
     let level = SimdLevel::detect()?;
     let mut scenes = Vec::new();
@@ -79,9 +89,52 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
             }));
         }
     }
-    let total = scenes.len() * config.threads.len();
+    #[cfg(feature = "gpu")]
+    if let Some(gpu) = gpu::open(config.device)? {
+        let cases = each(&scenes, 1, observer, |scene| {
+            Ok(vec![gpu::run(&gpu, level, scene, config, observer)?])
+        })?;
+        let machine = Machine {
+            gpu: Some(gpu::machine(&gpu)),
+            ..Machine::here(level, config.cpu.clone())
+        };
+        return Ok(BenchReport::new(machine, config.steps, cases));
+    }
+    #[cfg(not(feature = "gpu"))]
+    if matches!(config.device, DeviceChoice::Gpu(_)) {
+        return Err(Error::NoGpuSupport);
+    }
+    let cases = each(&scenes, config.threads.len(), observer, |scene| {
+        let mut bench = Bench::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
+        let counts: Vec<_> = (0..bench.views()).map(|view| bench.count(view)).collect();
+        let mut cases = Vec::new();
+        for &threads in &config.threads {
+            if observer.cancelled() {
+                return Err(stopped());
+            }
+            cases.push(with_threads(Some(threads), || {
+                measure::on_processor(level, scene, &counts, config, &mut bench)
+            })?);
+        }
+        Ok(cases)
+    })?;
+    Ok(BenchReport::new(
+        Machine::here(level, config.cpu.clone()),
+        config.steps,
+        cases,
+    ))
+}
+
+/// The cases of every scene, of which each has so many, with progress.
+fn each(
+    scenes: &[SceneConfig],
+    cases_each: usize,
+    observer: &dyn Observer,
+    mut of: impl FnMut(&SceneConfig) -> Result<Vec<Case>, Error>,
+) -> Result<Vec<Case>, Error> {
+    let total = scenes.len() * cases_each;
     let mut cases = Vec::new();
-    for scene in &scenes {
+    for scene in scenes {
         let note = format!(
             "{} splats, {} x {}, {}",
             scene.splats,
@@ -90,25 +143,18 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
             scene.kind.name()
         );
         observer.update("bench", cases.len(), total, &note);
-        let mut bench = Bench::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
-        let counts: Vec<_> = (0..bench.views()).map(|view| bench.count(view)).collect();
-        for &threads in &config.threads {
-            if observer.cancelled() {
-                return Err(Error::Stopped {
-                    stage: "bench",
-                    saved: false,
-                });
-            }
-            let case = with_threads(Some(threads), || {
-                measure::case(level, scene, &counts, config, &mut bench)
-            })?;
-            cases.push(case);
-            observer.update("bench", cases.len(), total, &note);
+        if observer.cancelled() {
+            return Err(stopped());
         }
+        cases.extend(of(scene)?);
+        observer.update("bench", cases.len(), total, &note);
     }
-    Ok(BenchReport::new(
-        Machine::here(level, config.cpu.clone()),
-        config.steps,
-        cases,
-    ))
+    Ok(cases)
+}
+
+fn stopped() -> Error {
+    Error::Stopped {
+        stage: "bench",
+        saved: false,
+    }
 }

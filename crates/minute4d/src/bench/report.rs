@@ -24,6 +24,39 @@ pub struct Machine {
     pub minute4d: String,
     /// The commit of the source folder that the program was started in, `-dirty` with changes; none elsewhere.
     pub commit: Option<String>,
+    /// The GPU that kernels ran on, if any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gpu: Option<GpuMachine>,
+}
+
+/// A GPU that kernels ran on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GpuMachine {
+    /// As its driver says.
+    pub name: String,
+    /// Discrete, integrated, virtual, software, other.
+    pub kind: String,
+    /// Vulkan, Metal, DX12 or CUDA.
+    pub api: String,
+    /// Name and version of the driver, as it says.
+    pub driver: String,
+}
+
+/// What a case on a GPU has besides.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct GpuCase {
+    /// Kernels were timed by the GPU's own clock; else by waiting for it after each, which takes longer than short kernels.
+    pub own_clock: bool,
+    /// Steps (or frames, when drawing alone was timed) that were asked for without waiting between them.
+    pub behind_one_another: usize,
+    /// Frames a second when each is copied to the host, one after the other.
+    pub read_frames_per_s: f64,
+    /// What training was expected to take on the GPU (`m4_gpu::Plan`), bytes.
+    pub planned_bytes: u64,
+    /// What its buffers took, with the bench's own, bytes.
+    pub in_use_bytes: u64,
+    /// What the runtime had taken from the driver, bytes: it rarely gives any back, so that this is close to the peak.
+    pub reserved_bytes: u64,
 }
 
 impl Machine {
@@ -37,14 +70,18 @@ impl Machine {
             platform: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
             minute4d: env!("CARGO_PKG_VERSION").to_owned(),
             commit: save::commit(),
+            gpu: None,
         }
     }
 
     /// As one line.
     #[must_use]
     pub fn line(&self) -> String {
+        let gpu = self.gpu.as_ref().map_or_else(String::new, |gpu| {
+            format!("{} ({}, {}, {}); ", gpu.name, gpu.kind, gpu.api, gpu.driver)
+        });
         format!(
-            "{}, {} cores, {}, {}; minute4d {}{}",
+            "{gpu}{}, {} cores, {}, {}; minute4d {}{}",
             self.cpu.as_deref().unwrap_or("unknown processor"),
             self.cores,
             self.simd,
@@ -108,12 +145,13 @@ pub struct KernelRow {
 /// A whole training step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct StepRow {
-    /// Wall clock of the fastest step.
+    /// Wall clock of the fastest step; on a GPU the mean of many without waiting between them.
     pub ms: f64,
     /// `1000 / ms`.
     pub per_s: f64,
     /// CPU time of all threads over wall clock times threads, over all timed steps: what is missing to 1
-    /// was spent waiting (or the system gave the time to another program).
+    /// was spent waiting (or the system gave the time to another program). On a GPU over wall clock alone: what giving
+    /// orders costs the host.
     pub busy: f64,
     /// Sum of the kernels' bounds.
     pub bound_ms: f64,
@@ -136,7 +174,7 @@ pub struct Case {
     pub sh_degree: usize,
     /// Depth was composited too.
     pub depth: bool,
-    /// Threads used.
+    /// Threads used; 1 on a GPU.
     pub threads: usize,
     /// Splats that live at the instant, mean over the instants, as the next five.
     pub alive: f64,
@@ -162,6 +200,9 @@ pub struct Case {
     pub render_ms: f64,
     /// `1000 / render_ms`.
     pub frames_per_s: f64,
+    /// On a GPU.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gpu: Option<GpuCase>,
 }
 
 /// What `minute4d bench` measured.

@@ -72,14 +72,17 @@ pub fn save(folder: &Path, report: &impl SavedReport) -> Result<PathBuf, Error> 
     Ok(json)
 }
 
-/// Processor, cores and instructions in letters that every file system takes.
+/// GPU, or processor, cores and instructions, in letters that every file system takes.
 fn slug(m: &Machine) -> String {
-    let name = format!(
-        "{} {} cores {}",
-        m.cpu.as_deref().unwrap_or(&m.platform),
-        m.cores,
-        m.simd
-    );
+    let name = match &m.gpu {
+        Some(gpu) => format!("{} {}", gpu.name, gpu.api),
+        None => format!(
+            "{} {} cores {}",
+            m.cpu.as_deref().unwrap_or(&m.platform),
+            m.cores,
+            m.simd
+        ),
+    };
     let letters: String = name
         .chars()
         .map(|c| {

@@ -1,16 +1,21 @@
 //! The report for people: Markdown whose columns line up in a terminal too.
 
-use super::{BenchReport, Case, KernelRow};
+use super::{BenchReport, Case, GpuCase, KernelRow};
 
 impl BenchReport {
     /// The whole report: the machine, one row a case, then one table a case.
     #[must_use]
     pub fn to_markdown(&self) -> String {
         let mut text = format!(
-            "# Bench, {}\n\n{}; fastest of {} steps a view\n\n",
+            "# Bench, {}\n\n{}; fastest of {} steps a view{}\n\n",
             self.date,
             self.machine.line(),
             self.steps,
+            if self.machine.gpu.is_some() {
+                "; whole steps and frames without waiting between them"
+            } else {
+                ""
+            },
         );
         text += &self.overview();
         for case in &self.cases {
@@ -35,7 +40,10 @@ impl BenchReport {
                 case.scene.clone(),
                 case.splats.to_string(),
                 format!("{}x{}", case.width, case.height),
-                case.threads.to_string(),
+                match case.gpu {
+                    Some(_) => "GPU".to_owned(),
+                    None => case.threads.to_string(),
+                },
             ];
             row.extend(case.kernels.iter().map(|k| format!("{:.2}", k.ms)));
             let step = case.step.map(|s| {
@@ -55,14 +63,14 @@ impl BenchReport {
 
 impl Case {
     fn to_markdown(&self) -> String {
+        let place = match (&self.gpu, self.threads) {
+            (Some(_), _) => "GPU".to_owned(),
+            (None, 1) => "1 thread".to_owned(),
+            (None, threads) => format!("{threads} threads"),
+        };
         let mut text = format!(
-            "## {} splats, {} x {}, {}, {} thread{}\n\n",
-            self.splats,
-            self.width,
-            self.height,
-            self.scene,
-            self.threads,
-            if self.threads == 1 { "" } else { "s" },
+            "## {} splats, {} x {}, {}, {place}\n\n",
+            self.splats, self.width, self.height, self.scene,
         );
         text += &format!(
             "{:.0} alive, {:.0} in the picture, {:.0} touched, {:.0} pairs; {:.1} blends a pixel, {:.0} % of the lanes \
@@ -96,7 +104,31 @@ impl Case {
                 format!("{:.1}", step.ms / step.bound_ms.max(1e-9)),
             ]);
         }
-        text + &aligned(&table)
+        text += &aligned(&table);
+        if let Some(gpu) = &self.gpu {
+            text += &gpu.to_markdown();
+        }
+        text
+    }
+}
+
+impl GpuCase {
+    fn to_markdown(&self) -> String {
+        let mb = |bytes: u64| bytes as f64 / 1e6;
+        format!(
+            "\nkernels timed by {}; {} behind one another; memory {:.0} MB planned, {:.0} MB in use, {:.0} MB taken from \
+             the driver; {:.0} frames/s where each is copied to the host\n",
+            if self.own_clock {
+                "the GPU's own clock"
+            } else {
+                "waiting for the GPU after each"
+            },
+            self.behind_one_another,
+            mb(self.planned_bytes),
+            mb(self.in_use_bytes),
+            mb(self.reserved_bytes),
+            self.read_frames_per_s,
+        )
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::values::image_size;
 use clap::{Args, ValueEnum};
+use minute4d::device::DeviceChoice;
 use std::path::PathBuf;
 
 /// `minute4d bench`
@@ -31,8 +32,15 @@ pub struct Bench {
     /// 100,000 splats at 480x360 and few steps, where nothing else is asked for
     #[arg(long)]
     pub quick: bool,
+    /// Where to run: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a GPU where there is one
+    /// that is more than software)
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    pub device: DeviceChoice,
+    /// Refuse what would take more memory on the GPU, megabytes
+    #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..))]
+    pub max_vram: Option<u32>,
     /// Peak memory of training on made-up clips instead
-    #[arg(long, conflicts_with_all = ["scene", "steps", "sh_degree", "depth", "render", "quick"])]
+    #[arg(long, conflicts_with_all = ["scene", "steps", "sh_degree", "depth", "render", "quick", "device", "max_vram"])]
     pub memory: bool,
     /// Frames of those clips [default: 96,400]
     #[arg(long, value_name = "N", value_delimiter = ',', requires = "memory", value_parser = clap::value_parser!(u32).range(2..=10_000))]

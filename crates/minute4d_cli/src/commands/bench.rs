@@ -6,6 +6,7 @@ use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::Error;
 use minute4d::bench::{self, BenchConfig, MemoryConfig, SavedReport};
+use minute4d::device::DeviceChoice;
 use minute4d::kernels::bench::SceneKind;
 use std::path::{Path, PathBuf};
 
@@ -15,6 +16,11 @@ const QUICK_STEPS: usize = 5;
 pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure> {
     if args.memory {
         return memory(args, output);
+    }
+    if args.depth && args.device != DeviceChoice::Cpu {
+        return Err(Failure::usage(
+            "--depth is timed on the processor alone; leave it out, or --device",
+        ));
     }
     let report = bench::run(&config(args, common), output)?;
     if let Some(folder) = &args.save {
@@ -85,6 +91,8 @@ fn config(args: &Bench, common: &Common) -> BenchConfig {
     config.sh_degree = usize::from(args.sh_degree);
     config.depth = args.depth;
     config.render_only = args.render;
+    config.device = args.device;
+    config.max_vram_mb = args.max_vram.map(|mb| mb as usize);
     config.cpu = processor();
     config
 }

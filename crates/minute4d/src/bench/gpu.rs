@@ -1,0 +1,225 @@
+//! Cases on a GPU.
+
+use super::measure::{Millis, Step, Timed, case, mean_over, ms};
+use super::{BenchConfig, Case, GpuCase, GpuMachine};
+use crate::device::DeviceChoice;
+use crate::{Error, Observer};
+use cpu_time::ProcessTime;
+use m4_gpu::{Bench, Choice, Drawing, Found, Gpu, GpuError, Laps, Plan, adapters, best};
+use m4_kernels::SimdLevel;
+use m4_kernels::bench::{Bench as Host, Counts, Kernel, SceneConfig};
+use std::time::{Duration, Instant};
+
+/// Steps behind one another are repeated until they take this long at least, so that the one wait does not count.
+const LONG: Duration = Duration::from_millis(500);
+/// That so often: the fastest counts.
+const REPEATS: usize = 3;
+/// Steps behind one another at most.
+const MOST: usize = 20_000;
+/// Share of SSIM in the loss, as [`m4_gpu::Bench`] has it.
+const LAMBDA_SSIM: f64 = 0.2;
+
+/// The GPU that is chosen, started; `None` for the processor.
+pub(super) fn open(device: DeviceChoice) -> Result<Option<Gpu>, Error> {
+    let choice = match device {
+        DeviceChoice::Cpu => return Ok(None),
+        DeviceChoice::Auto if best(&adapters()).is_none() => return Ok(None),
+        DeviceChoice::Auto | DeviceChoice::Gpu(None) => Choice::Best,
+        DeviceChoice::Gpu(Some(index)) => Choice::Index(index),
+    };
+    Ok(Some(Gpu::open(choice)?))
+}
+
+/// What the report says of it.
+pub(super) fn machine(gpu: &Gpu) -> GpuMachine {
+    let adapter = gpu.adapter();
+    GpuMachine {
+        name: adapter.name.clone(),
+        kind: format!("{:?}", adapter.kind).to_lowercase(),
+        api: adapter.api.clone(),
+        driver: adapter.driver.clone(),
+    }
+}
+
+/// Times `scene`.
+pub(super) fn run(
+    gpu: &Gpu,
+    level: SimdLevel,
+    scene: &SceneConfig,
+    config: &BenchConfig,
+    observer: &dyn Observer,
+) -> Result<Case, Error> {
+    let cancelled = || observer.cancelled();
+    let mut host = Host::new(level, scene).map_err(|e| Error::Internal { what: e.to_string() })?;
+    let mut counts: Vec<Counts> = (0..host.views()).map(|view| host.count(view)).collect();
+    let drawn = host.into_scene();
+    let layout = drawn.splats.layout();
+    let (n, n_static) = (drawn.splats.n(), drawn.splats.n_static());
+    let plan = |entries| {
+        let size = (scene.width, scene.height);
+        Plan::training(n_static, n - n_static, layout, size, 1, entries)
+    };
+    let limit = config.max_vram_mb.map_or(u64::MAX, |mb| 1_000_000 * mb as u64);
+    let first = plan(Plan::first_entries(n));
+    first.check(limit)?;
+    first.check_buffers(gpu)?;
+
+    // what the case before left there
+    gpu.give_back()?;
+    let mut bench = Bench::new(gpu.clone(), drawn)?;
+    // tiles of the GPU are larger than those of the processor: lists of its own, all of which is looked at
+    for (view, counts) in counts.iter_mut().enumerate() {
+        counts.pairs = bench.entries(view)?;
+        counts.used = counts.pairs;
+    }
+    let plan = plan(bench.room());
+    plan.check(limit)?;
+    let own_clock = bench.own_clock();
+    let steps = if config.render_only {
+        None
+    } else {
+        Some(time_steps(&mut bench, config.steps, &cancelled)?)
+    };
+    let memory = bench.memory();
+    let mut drawing = bench.into_drawing()?;
+    let frames = time_frames(&mut drawing, config.steps, &cancelled)?;
+    drop(drawing);
+    let probe = gpu.probe()?;
+    let figures = GpuCase {
+        own_clock,
+        behind_one_another: steps.as_ref().map_or(frames.count, |steps| steps.count),
+        read_frames_per_s: 1e3 / frames.read_ms,
+        planned_bytes: plan.total(),
+        in_use_bytes: memory.in_use,
+        reserved_bytes: memory.reserved,
+    };
+    let kernels = steps.as_ref().map_or(frames.kernels, |steps| steps.kernels);
+    let timed = Timed {
+        kernels,
+        step: steps.map(|steps| steps.step),
+        render_ms: frames.ms,
+    };
+    Ok(case(scene, &counts, config, None, &probe, timed, Some(figures)))
+}
+
+struct Steps {
+    kernels: Millis,
+    step: Step,
+    count: usize,
+}
+
+fn time_steps(bench: &mut Bench, steps: usize, cancelled: &dyn Fn() -> bool) -> Result<Steps, Error> {
+    let views = bench.views();
+    let kernels = fastest(views, steps, |view| bench.laps(view))?;
+    bench.found()?;
+    all_views(bench, views)?;
+    let before = loss(&bench.found()?);
+    let (ms, busy, count) = behind_one_another(steps, views, cancelled, |rounds| {
+        for _ in 0..rounds {
+            all_views(bench, views)?;
+        }
+        bench.wait()
+    })?;
+    bench.found()?;
+    all_views(bench, views)?;
+    Ok(Steps {
+        kernels,
+        step: Step {
+            ms,
+            busy,
+            loss: [before, loss(&bench.found()?)],
+        },
+        count,
+    })
+}
+
+fn all_views(bench: &mut Bench, views: usize) -> Result<(), GpuError> {
+    (0..views).try_for_each(|view| bench.step(view))
+}
+
+fn loss(found: &Found) -> f64 {
+    (1.0 - LAMBDA_SSIM) * found.l1 + LAMBDA_SSIM * (1.0 - found.ssim)
+}
+
+struct Frames {
+    kernels: Millis,
+    ms: f64,
+    read_ms: f64,
+    count: usize,
+}
+
+fn time_frames(drawing: &mut Drawing, frames: usize, cancelled: &dyn Fn() -> bool) -> Result<Frames, Error> {
+    let views = drawing.views();
+    // the first round compiles kernels
+    (0..views).for_each(|view| drawing.draw(view));
+    drawing.wait()?;
+    let kernels = fastest(views, frames, |view| drawing.laps(view))?;
+    let (ms, _, count) = behind_one_another(frames, views, cancelled, |rounds| {
+        for _ in 0..rounds {
+            (0..views).for_each(|view| drawing.draw(view));
+        }
+        drawing.wait()
+    })?;
+    let mut read_ms = vec![f64::INFINITY; views];
+    for round in 0..=frames.min(10) {
+        for (view, best) in read_ms.iter_mut().enumerate() {
+            let start = Instant::now();
+            drawing.read(view)?;
+            if round > 0 {
+                *best = best.min(start.elapsed().as_secs_f64() * 1e3);
+            }
+        }
+    }
+    Ok(Frames {
+        kernels,
+        ms,
+        read_ms: mean_over(read_ms.into_iter(), views),
+        count,
+    })
+}
+
+/// The fastest of some rounds, kernel by kernel and a view; then the mean over the views.
+fn fastest(
+    views: usize,
+    rounds: usize,
+    mut laps: impl FnMut(usize) -> Result<Laps, GpuError>,
+) -> Result<Millis, Error> {
+    let mut best = vec![[f64::INFINITY; Kernel::ALL.len()]; views];
+    for _ in 0..rounds.max(1) {
+        for (view, best) in best.iter_mut().enumerate() {
+            for (best, now) in best.iter_mut().zip(laps(view)?) {
+                *best = best.min(ms(now));
+            }
+        }
+    }
+    Ok(std::array::from_fn(|k| mean_over(best.iter().map(|b| b[k]), views)))
+}
+
+/// Milliseconds a step, processor time over wall clock, and how many were behind one another, the fastest of some
+/// repetitions; `run` does so many rounds over all views, and waits once.
+fn behind_one_another(
+    steps: usize,
+    views: usize,
+    cancelled: &dyn Fn() -> bool,
+    mut run: impl FnMut(usize) -> Result<(), GpuError>,
+) -> Result<(f64, f64, usize), Error> {
+    let start = Instant::now();
+    run(1)?;
+    let once = start.elapsed().max(Duration::from_micros(1));
+    let long = (LONG.as_secs_f64() / once.as_secs_f64()).ceil() as usize;
+    let rounds = steps.max(long.min(MOST / views.max(1))).max(1);
+    let count = rounds * views;
+    let (mut best, mut busy) = (f64::INFINITY, 0.0);
+    for _ in 0..REPEATS {
+        if cancelled() {
+            return Err(super::stopped());
+        }
+        let (wall, cpu) = (Instant::now(), ProcessTime::now());
+        run(rounds)?;
+        let (cpu, wall) = (cpu.elapsed().as_secs_f64(), wall.elapsed().as_secs_f64());
+        if wall < best {
+            (best, busy) = (wall, cpu / wall);
+        }
+    }
+    Ok((best * 1e3 / count.max(1) as f64, busy, count))
+}

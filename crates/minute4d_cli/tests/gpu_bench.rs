@@ -1,0 +1,69 @@
+//! `minute4d bench --device gpu:N`, on software that plays a GPU where there is nothing better.
+#![cfg(feature = "gpu")]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+#![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
+
+mod common;
+
+use common::{Scratch, refused, succeed};
+use std::fs;
+
+const SMALL: [&str; 8] = [
+    "bench", "--device", "gpu:0", "--splats", "500", "--size", "64x48", "--steps",
+];
+
+fn is_there() -> bool {
+    let gpus = succeed(&["doctor", "--json"]).result()["gpus"]
+        .as_array()
+        .unwrap()
+        .len();
+    if gpus == 0 {
+        eprintln!("bench on a GPU: NOT tested: there is none, nor software that plays one");
+    }
+    gpus > 0
+}
+
+#[test]
+fn a_gpu_is_timed_by_the_same_columns() {
+    if !is_there() {
+        return;
+    }
+    let dir = Scratch::new();
+    let runs = dir.at("runs");
+    let more = ["1", "--scene", "static", "--json", "--save", &runs];
+    let report = succeed(&[&SMALL[..], &more[..]].concat()).result();
+    assert!(!report["machine"]["gpu"]["name"].as_str().unwrap().is_empty());
+    let case = &report["cases"][0];
+    assert_eq!(case["kernels"].as_array().unwrap().len(), 7);
+    for kernel in case["kernels"].as_array().unwrap() {
+        assert!(kernel["ms"].as_f64().unwrap() > 0.0, "{kernel}");
+    }
+    let [first, last] = [0, 1].map(|i| case["step"]["loss"][i].as_f64().unwrap());
+    assert!(last < first, "{case}");
+    let bytes = |name: &str| case["gpu"][name].as_f64().unwrap();
+    assert!(bytes("reserved_bytes") >= bytes("in_use_bytes"), "{case}");
+    // the rest is what density control would take
+    assert!(
+        (0.7..1.1).contains(&(bytes("in_use_bytes") / bytes("planned_bytes"))),
+        "{case}"
+    );
+    let names: Vec<_> = fs::read_dir(dir.path("runs"))
+        .unwrap()
+        .map(|e| e.unwrap().file_name())
+        .collect();
+    assert_eq!(names.len(), 2, "{names:?}");
+}
+
+#[test]
+fn what_would_take_too_much_is_refused_part_by_part() {
+    if !is_there() {
+        return;
+    }
+    let parts = ["splats", "moments", "tile lists", "frames", "--max-vram"];
+    refused(&[&SMALL[..], &["1", "--max-vram", "1"]].concat(), 69, &parts);
+}
+
+#[test]
+fn depth_is_not_timed_on_a_gpu() {
+    refused(&[&SMALL[..], &["1", "--depth"]].concat(), 2, &["--depth"]);
+}
