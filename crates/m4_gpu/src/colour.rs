@@ -26,11 +26,7 @@ impl Trainer {
     ///
     /// # Errors
     ///
-    /// [`GpuError`] if there is no room for the tile entries, or if the device failed.
-    ///
-    /// # Panics
-    ///
-    /// If there is no frame of that number.
+    /// [`GpuError`] if there is no such frame, if there is no room for the tile entries, or if the device failed.
     pub fn colour_gradient(&mut self, looks: &[(usize, View)], with_weight: bool) -> Result<ColourSums, GpuError> {
         let (n, gpu) = (self.splats.n, self.gpu.clone());
         let kinds = if with_weight { 2 } else { 1 };
@@ -40,7 +36,7 @@ impl Trainer {
         let parts = Buffer::empty(&gpu.client, self.work.size.pixels().div_ceil(256));
         for (look, (frame, view)) in looks.iter().enumerate() {
             self.draw(view)?;
-            let target = self.frames.get(&gpu, *frame);
+            let target = self.frames.get(&gpu, *frame)?;
             self.leave_residual(&target, &parts, &squares, look);
             self.add_colours(view, &sums, 0);
             if with_weight {
@@ -95,7 +91,7 @@ impl Trainer {
     fn add_colours(&mut self, view: &View, sums: &Buffer, first: usize) {
         let n = self.splats.n;
         self.work
-            .backward(&self.gpu, &self.splats, &self.gradients, view.mip, false, false);
+            .backward(&self.gpu, &self.splats, &self.gradients, view.mip, false, false, None);
         add_touched::launch(
             &self.gpu.client,
             cubes(n, 256),

@@ -44,6 +44,14 @@ pub enum GpuError {
     /// Training was given no frames.
     #[error("there are no frames to train on. Give at least one")]
     NoFrames,
+    /// A frame that was asked for is not there.
+    #[error("there is no frame {index}: {count} were given, counted from 0")]
+    NoFrame {
+        /// Which one.
+        index: usize,
+        /// How many there are.
+        count: usize,
+    },
     /// The frames of a run differ in size, or have no pixels.
     #[error("frame {index} has {} x {} pixels, the first {} x {}. Frames have pixels, and one size", size.0, size.1, first.0, first.1)]
     FrameSize {

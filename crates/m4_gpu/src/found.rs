@@ -5,6 +5,7 @@ use crate::photo::cube_sum;
 use crate::scan::scan_cube;
 use crate::{Gpu, GpuError};
 use cubecl::prelude::*;
+use m4_kernels::CameraGradient;
 
 /// The largest number of tile entries that a frame wanted.
 const PEAK: usize = 0;
@@ -13,13 +14,13 @@ const STEPS: usize = 1;
 const TOUCHED: usize = 2;
 const LOOKS: usize = 4;
 /// Not 0 where the loss of a frame was not finite.
-const BAD_LOSS: usize = 5;
+pub(crate) const BAD_LOSS: usize = 5;
 /// Not 0 where a parameter is not finite.
 const BAD_SPLAT: usize = 6;
 /// Floats: sums over the frames, and the last frame's mean squared error.
 const SSIM: usize = 7;
 const L1: usize = 8;
-const DEPTH: usize = 9;
+pub(crate) const DEPTH: usize = 9;
 const SQUARES: usize = 10;
 /// Losses, one a frame.
 pub(crate) const FRAMES: usize = 11;
@@ -45,6 +46,8 @@ pub struct Found {
     pub touched: f64,
     /// Frames seen, and the photometric loss that each had last; by number.
     pub losses: Vec<(usize, f32)>,
+    /// Frames whose camera's gradient was asked for, and that gradient, in the order of the looks.
+    pub cameras: Vec<(usize, CameraGradient)>,
     /// The loss of every frame was finite.
     pub loss_is_finite: bool,
     /// Every parameter that was moved is finite.
@@ -138,6 +141,7 @@ impl Tally {
             },
             touched: touched as f64 / steps.max(1) as f64,
             losses: seen.map(|(frame, &w)| (frame, f32::from_bits(w))).collect(),
+            cameras: Vec::new(),
             loss_is_finite: words[BAD_LOSS] == 0,
             splats_are_finite: words[BAD_SPLAT] == 0,
             entries: words[PEAK] as usize,
@@ -147,7 +151,7 @@ impl Tally {
 
 /// Whether a number is neither infinite nor NaN, by its bits: compilers of shaders may take it for granted.
 #[cube]
-fn is_finite(value: f32) -> bool {
+pub(crate) fn is_finite(value: f32) -> bool {
     (u32::reinterpret(value) & 0x7f80_0000u32) != 0x7f80_0000u32
 }
 
@@ -161,7 +165,7 @@ pub(crate) fn check_parameter(value: f32, tally: &mut [u32]) {
 }
 
 #[cube]
-fn add_float(tally: &mut [u32], #[comptime] at: usize, value: f32) {
+pub(crate) fn add_float(tally: &mut [u32], #[comptime] at: usize, value: f32) {
     let sum = f32::reinterpret(tally[at]) + value;
     tally[at] = u32::reinterpret(sum);
 }

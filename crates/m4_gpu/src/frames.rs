@@ -3,6 +3,7 @@
 use crate::buffer::Buffer;
 use crate::{Gpu, GpuError};
 use m4_kernels::photo::cpu::{Target, TargetPlanes};
+use m4_scene::ShapeError;
 use std::borrow::Borrow;
 
 /// What a step of a 16-bit sample is worth where colours come as floats.
@@ -18,11 +19,21 @@ pub(crate) struct DeviceFrame {
     pub wide: bool,
 }
 
+/// A frame's depth as the kernels read it.
+#[derive(Debug, Clone)]
+pub(crate) struct DeviceDepth {
+    /// Bits of floats; at most 0 or not finite where depth is not known.
+    pub z: Buffer,
+    /// Pixels where it is.
+    pub known: usize,
+}
+
 #[derive(Debug)]
 struct Stored {
     place: Place,
     worth: f32,
     wide: bool,
+    depth: Option<(Place, usize)>,
 }
 
 #[derive(Debug)]
@@ -32,8 +43,29 @@ enum Place {
     Host(Vec<u32>),
 }
 
-/// Frames of one size.
-#[derive(Debug)]
+impl Place {
+    /// Takes from `left` what stays on the device; if that is not enough nothing does from there on.
+    fn new(gpu: &Gpu, words: Vec<u32>, left: &mut usize) -> Self {
+        let bytes = 4 * words.len();
+        if bytes <= *left {
+            *left -= bytes;
+            Self::Device(Buffer::words(&gpu.client, &words))
+        } else {
+            *left = 0;
+            Self::Host(words)
+        }
+    }
+
+    fn get(&self, gpu: &Gpu) -> Buffer {
+        match self {
+            Self::Device(buffer) => buffer.clone(),
+            Self::Host(words) => Buffer::words(&gpu.client, words),
+        }
+    }
+}
+
+/// Frames of one size, and their depths.
+#[derive(Debug, Default)]
 pub(crate) struct Frames {
     pub width: usize,
     pub height: usize,
@@ -67,17 +99,14 @@ impl Frames {
                 });
             }
             let (words, worth, wide) = packed(frame);
-            let bytes = 4 * words.len();
-            gpu.fits("a frame", bytes)?;
-            let place = if bytes <= left {
-                left -= bytes;
-                Place::Device(Buffer::words(&gpu.client, &words))
-            } else {
-                // those that follow are streamed too: which ones are is easy to tell
-                left = 0;
-                Place::Host(words)
-            };
-            out.list.push(Stored { place, worth, wide });
+            gpu.fits("a frame", 4 * words.len())?;
+            let place = Place::new(gpu, words, &mut left);
+            out.list.push(Stored {
+                place,
+                worth,
+                wide,
+                depth: None,
+            });
         }
         if out.list.is_empty() {
             return Err(GpuError::NoFrames);
@@ -91,16 +120,53 @@ impl Frames {
     }
 
     /// Frame `index`, uploaded if it is not there.
-    pub fn get(&self, gpu: &Gpu, index: usize) -> DeviceFrame {
-        let frame = &self.list[index];
-        DeviceFrame {
-            samples: match &frame.place {
-                Place::Device(buffer) => buffer.clone(),
-                Place::Host(words) => Buffer::words(&gpu.client, words),
-            },
+    pub fn get(&self, gpu: &Gpu, index: usize) -> Result<DeviceFrame, GpuError> {
+        let frame = self.stored(index)?;
+        Ok(DeviceFrame {
+            samples: frame.place.get(gpu),
             worth: frame.worth,
             wide: frame.wide,
+        })
+    }
+
+    /// Depth of frame `index`, uploaded if it is not there; `None` for a frame without.
+    pub fn depth(&self, gpu: &Gpu, index: usize) -> Result<Option<DeviceDepth>, GpuError> {
+        let depth = self.stored(index)?.depth.as_ref();
+        Ok(depth.map(|(place, known)| DeviceDepth {
+            z: place.get(gpu),
+            known: *known,
+        }))
+    }
+
+    /// Takes depths, one a frame, `[height][width]`; those that fit into `budget_bytes` go to the device for good.
+    pub fn set_depths<D: AsRef<[f32]>>(
+        &mut self,
+        gpu: &Gpu,
+        depths: impl IntoIterator<Item = Option<D>>,
+        budget_bytes: usize,
+    ) -> Result<(), GpuError> {
+        self.list.iter_mut().for_each(|frame| frame.depth = None);
+        let (mut left, mut found) = (budget_bytes, 0);
+        for depth in depths {
+            let count = self.list.len();
+            let Some(frame) = self.list.get_mut(found) else {
+                return Err(GpuError::NoFrame { index: found, count });
+            };
+            if let Some(z) = &depth {
+                let z = z.as_ref();
+                ShapeError::check("depth of a frame", self.width * self.height, z.len())?;
+                let known = z.iter().filter(|z| **z > 0.0 && z.is_finite()).count();
+                let bits = z.iter().map(|z| z.to_bits()).collect();
+                frame.depth = Some((Place::new(gpu, bits, &mut left), known));
+            }
+            found += 1;
         }
+        Ok(())
+    }
+
+    fn stored(&self, index: usize) -> Result<&Stored, GpuError> {
+        let count = self.list.len();
+        self.list.get(index).ok_or(GpuError::NoFrame { index, count })
     }
 }
 

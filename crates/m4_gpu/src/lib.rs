@@ -24,14 +24,17 @@
 )]
 
 mod adam;
+mod batch;
 mod bench;
 mod bin;
 mod blend;
 mod blend_backward;
 mod buffer;
+mod camera;
 mod colour;
 mod device;
 mod error;
+mod error_mask;
 mod eye;
 mod found;
 mod frames;
@@ -50,6 +53,7 @@ mod shade;
 mod slice;
 mod sort;
 mod splats;
+mod step;
 mod stopwatch;
 mod trainer;
 mod vector;
@@ -65,4 +69,5 @@ pub use found::Found;
 pub use renderer::Renderer;
 pub use score::{ScoreRange, ScoreSettings, ScoreSums};
 pub use stopwatch::Laps;
-pub use trainer::{StepSettings, Trainer};
+pub use step::{DepthTerm, Look, StepSettings};
+pub use trainer::Trainer;

@@ -273,7 +273,7 @@ mod tests {
         let splats = 4 * (14 * 100_000 + 5 * 80_000);
         assert_eq!(of("splats"), splats);
         assert_eq!(of("moments"), 2 * splats + 4 * 100_000);
-        assert_eq!(of("frames"), 10 * 4 * 480 * 360);
+        assert_eq!(of("frames"), 10 * 3 * 480 * 360);
         assert_eq!(plan.total(), plan.without_frames() + 10 * plan.frame_bytes());
     }
 

@@ -90,6 +90,7 @@ impl Renderer {
             view.mip,
             !gradient.alpha.is_empty(),
             with_depth,
+            None,
         );
         let touched = work.touched.read_words(&self.gpu.client, doing)?;
         let columns = result.download(&self.gpu, doing)?;

@@ -1,17 +1,15 @@
-//! Whole training steps on the device.
+//! A training run on the device: what it holds, how it comes there and back.
 
-use crate::buffer::{Buffer, cubes, units};
+use crate::batch::Batch;
+use crate::buffer::Buffer;
+use crate::camera::Cameras;
 use crate::found::{Found, Tally};
 use crate::frames::Frames;
 use crate::loss::Loss;
-use crate::splats::{DeviceSplats, parts};
+use crate::splats::DeviceSplats;
 use crate::work::{Size, Work};
-use crate::{Gpu, GpuError, adam};
-use m4_kernels::{
-    Frame, View,
-    adam::cpu::{AdamConfig, AdamState},
-    photo::cpu::Target,
-};
+use crate::{Gpu, GpuError};
+use m4_kernels::{Frame, View, adam::cpu::AdamState, photo::cpu::Target};
 use m4_scene::Splats;
 use std::borrow::Borrow;
 
@@ -20,19 +18,6 @@ pub(crate) const TRAINING: &str = "training";
 
 /// Entries of tiles that memory is first made for, for each splat.
 const FIRST_ENTRIES: usize = 4;
-
-/// What a step depends on besides splats and frame.
-#[derive(Debug, Clone, Copy)]
-pub struct StepSettings<'a> {
-    /// Share of SSIM in the loss, 0..=1.
-    pub lambda_ssim: f32,
-    /// One learning rate a column of the splats.
-    pub rates: &'a [f32],
-    /// The optimiser.
-    pub adam: AdamConfig,
-    /// The count of steps of all splats, this one included; `None` where each splat has its own.
-    pub shared_steps: Option<u32>,
-}
 
 /// Splats, their moments and the frames of a video on the device, and the step that moves them.
 #[derive(Debug)]
@@ -47,6 +32,9 @@ pub struct Trainer {
     pub(crate) work: Work,
     pub(crate) loss: Loss,
     pub(crate) tally: Tally,
+    /// Where a step has several frames.
+    pub(crate) batch: Option<Batch>,
+    pub(crate) cameras: Cameras,
     /// Whether there was room for the entries of a frame of these splats at this size.
     pub(crate) fits: bool,
 }
@@ -85,6 +73,8 @@ impl Trainer {
             work,
             loss: Loss::new(&gpu, size),
             tally,
+            batch: None,
+            cameras: Cameras::default(),
             fits: false,
             frames,
             splats,
@@ -98,51 +88,46 @@ impl Trainer {
         &self.gpu
     }
 
-    /// Goes on with other frames, which may have another size (coarse to fine); as in [`new`](Self::new). What steps
-    /// found with those before is forgotten: [`found`](Self::found) comes first.
+    /// Goes on with other frames, which may have another size (coarse to fine); as in [`new`](Self::new). Depths are
+    /// forgotten, and what steps found where the number of frames is another one.
     ///
     /// # Errors
     ///
-    /// As [`new`](Self::new); the frames before are kept then.
+    /// As [`new`](Self::new); there are no frames at all then.
     pub fn set_frames<T: Borrow<Target>>(
         &mut self,
         frames: impl IntoIterator<Item = T>,
         budget_bytes: usize,
     ) -> Result<(), GpuError> {
-        let frames = Frames::new(&self.gpu, frames, budget_bytes)?;
+        // both at once may be too much for the device
+        let before = std::mem::take(&mut self.frames).len();
+        self.frames = Frames::new(&self.gpu, frames, budget_bytes)?;
         let size = Size {
-            width: frames.width,
-            height: frames.height,
+            width: self.frames.width,
+            height: self.frames.height,
             ..self.work.size
         };
         self.make(size)?;
-        self.tally = Tally::new(&self.gpu, frames.len(), size.n);
-        self.work.peak = self.tally.buffer.clone();
-        self.frames = frames;
+        if self.frames.len() != before {
+            self.tally = Tally::new(&self.gpu, self.frames.len(), size.n);
+            self.work.peak = self.tally.buffer.clone();
+        }
         Ok(())
     }
 
-    /// Draws `view`, compares it with frame `frame`, and moves every splat that was seen. Returns before the device is
-    /// done; nothing is read back but, in the first step after splats or frames were replaced, how many tile entries there
-    /// are.
+    /// Takes depths, one a frame: z-depth at the size of the frames, `[height][width]`, 0 or not finite where it is not
+    /// known; `None` for frames without, and for those that the list does not reach. Those that fit into `budget_bytes`,
+    /// four bytes a pixel, stay on the device.
     ///
     /// # Errors
     ///
-    /// [`GpuError`] if there is no room for the tile entries, or if the device failed.
-    ///
-    /// # Panics
-    ///
-    /// If there is no frame `frame`.
-    pub fn step(&mut self, frame: usize, view: &View, settings: &StepSettings<'_>) -> Result<(), GpuError> {
-        self.draw(view)?;
-        let target = self.frames.get(&self.gpu, frame);
-        let (gpu, image, lambda) = (&self.gpu, &self.work.image, settings.lambda_ssim);
-        self.loss.compare(gpu, image, &target, frame, lambda, &self.tally);
-        self.loss.gradient(gpu, image, &target, lambda, &self.work.gradient);
-        self.work
-            .backward(gpu, &self.splats, &self.gradients, view.mip, false, false);
-        self.move_splats(settings);
-        Ok(())
+    /// [`GpuError`] if a depth has another size, there are more than frames, or the device fails.
+    pub fn set_depths<D: AsRef<[f32]>>(
+        &mut self,
+        depths: impl IntoIterator<Item = Option<D>>,
+        budget_bytes: usize,
+    ) -> Result<(), GpuError> {
+        self.frames.set_depths(&self.gpu, depths, budget_bytes)
     }
 
     /// Draws `view`; the first time with these splats at this size with as much room as it takes.
@@ -185,78 +170,6 @@ impl Trainer {
         Ok(())
     }
 
-    fn move_splats(&self, settings: &StepSettings<'_>) {
-        let client = &self.gpu.client;
-        let (n, n_static) = (self.splats.n, self.splats.n_static);
-        self.tally.step(&self.gpu, &self.work.touched, n);
-        let sparse = settings.adam.sparse;
-        adam::count_steps::launch(
-            client,
-            cubes(n, 256),
-            units(),
-            self.work.touched.arg(),
-            self.steps.arg(),
-            n as u32,
-            settings.shared_steps.unwrap_or(0),
-            sparse,
-        );
-        let groups = [
-            (
-                &self.splats.geometry,
-                &self.gradients.geometry,
-                &self.m.geometry,
-                &self.v.geometry,
-                0,
-                n,
-            ),
-            (
-                &self.splats.colour,
-                &self.gradients.colour,
-                &self.m.colour,
-                &self.v.colour,
-                0,
-                n,
-            ),
-            (
-                &self.splats.time,
-                &self.gradients.time,
-                &self.m.time,
-                &self.v.time,
-                n_static,
-                n - n_static,
-            ),
-        ];
-        for ((x, g, m, v, first, rows), columns) in groups.into_iter().zip(parts(self.splats.layout)) {
-            if rows == 0 {
-                continue;
-            }
-            let count = columns.len() as u32;
-            let rates = Buffer::floats(client, &settings.rates[columns]);
-            adam::adam::launch(
-                client,
-                cubes(rows, 256),
-                units(),
-                x.arg(),
-                g.arg(),
-                m.arg(),
-                v.arg(),
-                self.work.touched.arg(),
-                self.steps.arg(),
-                rates.arg(),
-                self.tally.buffer.arg(),
-                rows as u32,
-                first as u32,
-                n_static as u32,
-                count,
-                settings.adam.beta1 as f32,
-                settings.adam.beta2 as f32,
-                settings.adam.beta2_dynamic as f32,
-                settings.adam.eps as f32,
-                sparse,
-            );
-        }
-    }
-
     /// Waits, and says what the steps since the last call found, by one small read. Makes room for more tile entries where
     /// frames had more than there was room for; those left out were the farthest.
     ///
@@ -264,7 +177,8 @@ impl Trainer {
     ///
     /// [`GpuError`] if the device failed since.
     pub fn found(&mut self) -> Result<Found, GpuError> {
-        let found = self.tally.take(&self.gpu, TRAINING)?;
+        let mut found = self.tally.take(&self.gpu, TRAINING)?;
+        found.cameras = self.cameras.take(&self.gpu, TRAINING)?;
         self.work.peak = self.tally.buffer.clone();
         if found.entries > self.work.size.entries {
             self.make_room(found.entries)?;

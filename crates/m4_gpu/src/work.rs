@@ -290,7 +290,8 @@ impl Work {
     }
 
     /// The gradient with respect to `splats`, into `out` and [`touched`](Self::touched), from
-    /// [`gradient`](Self::gradient); of the frame drawn last.
+    /// [`gradient`](Self::gradient); of the frame drawn last. Into `camera` that with respect to the camera, ten sums for
+    /// each cube of 256 splats.
     pub fn backward(
         &mut self,
         gpu: &Gpu,
@@ -299,6 +300,7 @@ impl Work {
         mip: bool,
         with_alpha: bool,
         with_depth: bool,
+        camera: Option<&Buffer>,
     ) {
         let client = &gpu.client;
         let (size, n) = (self.size, self.size.n);
@@ -353,9 +355,11 @@ impl Work {
             out.colour.arg(),
             out.time.arg(),
             self.touched.arg(),
+            camera.unwrap_or(&self.peak).arg(),
             n as u32,
             splats.n_static as u32,
             splats.spec(mip),
+            camera.is_some(),
         );
         self.stopwatch.lap(gpu, Kernel::ProjectBackward);
     }

@@ -1,7 +1,5 @@
 //! What is planned is what is taken. The runtime counts for the whole process, so that this test has one of its own.
 
-#![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
-
 use m4_gpu::{Choice, Gpu, Plan, Trainer};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::bench::{BenchScene, SceneConfig, SceneKind};

@@ -7,6 +7,7 @@
 mod colour;
 mod bench;
 mod edge_cases;
+mod looks;
 mod rearrange;
 mod score;
 mod step;

@@ -1,0 +1,201 @@
+//! Whole training steps on the device.
+
+use crate::buffer::{Buffer, cubes, units};
+use crate::splats::parts;
+use crate::{GpuError, Trainer, adam};
+use m4_kernels::{View, adam::cpu::AdamConfig};
+
+/// What a step depends on besides splats and frame.
+#[derive(Debug, Clone, Copy)]
+pub struct StepSettings<'a> {
+    /// Share of SSIM in the loss, 0..=1.
+    pub lambda_ssim: f32,
+    /// One learning rate a column of the splats.
+    pub rates: &'a [f32],
+    /// The optimiser.
+    pub adam: AdamConfig,
+    /// The count of steps of all splats, this one included; `None` where each splat has its own.
+    pub shared_steps: Option<u32>,
+}
+
+/// A frame of a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Look<'a> {
+    /// Its number.
+    pub frame: usize,
+    /// How it is drawn.
+    pub view: &'a View,
+    /// What depth counts; `None` for nothing, as where the frame has no depth.
+    pub depth: Option<DepthTerm>,
+    /// Also take the gradient of the camera, for [`Found::cameras`](crate::Found::cameras).
+    pub camera: bool,
+}
+
+impl<'a> Look<'a> {
+    /// The photometric loss alone.
+    #[must_use]
+    pub fn new(frame: usize, view: &'a View) -> Self {
+        Self {
+            frame,
+            view,
+            depth: None,
+            camera: false,
+        }
+    }
+}
+
+/// The loss of depth: the mean over the pixels with depth of `weight` times the Huber function of the relative residual
+/// `(D - z A) / z`, and of `alpha_weight` times the transmittance. `D` is the composited depth, `A` alpha, `z` the frame's
+/// depth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthTerm {
+    /// Of the residuals.
+    pub weight: f32,
+    /// From here on residuals count linearly, with slope 1.
+    pub huber: f32,
+    /// Of the transmittance.
+    pub alpha_weight: f32,
+}
+
+impl Trainer {
+    /// Draws `view`, compares it with frame `frame`, and moves every splat that was seen. Returns before the device is
+    /// done; nothing is read back but, in the first step after splats or frames were replaced, how many tile entries there
+    /// are.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if there is no such frame, if there is no room for the tile entries, or if the device failed.
+    pub fn step(&mut self, frame: usize, view: &View, settings: &StepSettings<'_>) -> Result<(), GpuError> {
+        self.step_looks(&[Look::new(frame, view)], settings)
+    }
+
+    /// One step along the sum of the gradients of some frames, as [`step`](Self::step) is of one; nothing for none.
+    ///
+    /// # Errors
+    ///
+    /// As [`step`](Self::step).
+    pub fn step_looks(&mut self, looks: &[Look<'_>], settings: &StepSettings<'_>) -> Result<(), GpuError> {
+        for (k, look) in looks.iter().enumerate() {
+            if k == 1 {
+                self.start_sum();
+            }
+            self.look(look, settings.lambda_ssim)?;
+            if k > 0 {
+                self.add_to_sum();
+            }
+        }
+        if looks.len() > 1 {
+            self.swap_sum();
+        }
+        if !looks.is_empty() {
+            self.move_splats(settings);
+        }
+        Ok(())
+    }
+
+    /// Draws, compares, and leaves the gradients of the splats.
+    fn look(&mut self, look: &Look<'_>, lambda: f32) -> Result<(), GpuError> {
+        let target = self.frames.get(&self.gpu, look.frame)?;
+        let depth = match look.depth {
+            Some(term) => self.frames.depth(&self.gpu, look.frame)?.map(|depth| (term, depth)),
+            None => None,
+        };
+        let with_depth = depth.is_some();
+        self.draw(&View {
+            with_depth,
+            ..*look.view
+        })?;
+        let (gpu, image, gradient) = (&self.gpu, &self.work.image, &self.work.gradient);
+        self.loss.compare(gpu, image, &target, look.frame, lambda, &self.tally);
+        self.loss.gradient(gpu, image, &target, lambda, gradient);
+        if let Some((term, depth)) = depth {
+            self.loss.depth(gpu, image, &depth, term, gradient, &self.tally);
+        }
+        let camera = look.camera.then(|| self.cameras.next(gpu, look.frame, self.splats.n));
+        self.work.backward(
+            gpu,
+            &self.splats,
+            &self.gradients,
+            look.view.mip,
+            with_depth,
+            with_depth,
+            camera.as_ref(),
+        );
+        if look.camera {
+            self.cameras.add_up(gpu);
+        }
+        Ok(())
+    }
+
+    fn move_splats(&self, settings: &StepSettings<'_>) {
+        let client = &self.gpu.client;
+        let (n, n_static) = (self.splats.n, self.splats.n_static);
+        self.tally.step(&self.gpu, &self.work.touched, n);
+        let sparse = settings.adam.sparse;
+        adam::count_steps::launch(
+            client,
+            cubes(n, 256),
+            units(),
+            self.work.touched.arg(),
+            self.steps.arg(),
+            n as u32,
+            settings.shared_steps.unwrap_or(0),
+            sparse,
+        );
+        let groups = [
+            (
+                &self.splats.geometry,
+                &self.gradients.geometry,
+                &self.m.geometry,
+                &self.v.geometry,
+                0,
+                n,
+            ),
+            (
+                &self.splats.colour,
+                &self.gradients.colour,
+                &self.m.colour,
+                &self.v.colour,
+                0,
+                n,
+            ),
+            (
+                &self.splats.time,
+                &self.gradients.time,
+                &self.m.time,
+                &self.v.time,
+                n_static,
+                n - n_static,
+            ),
+        ];
+        for ((x, g, m, v, first, rows), columns) in groups.into_iter().zip(parts(self.splats.layout)) {
+            if rows == 0 {
+                continue;
+            }
+            let count = columns.len() as u32;
+            let rates = Buffer::floats(client, &settings.rates[columns]);
+            adam::adam::launch(
+                client,
+                cubes(rows, 256),
+                units(),
+                x.arg(),
+                g.arg(),
+                m.arg(),
+                v.arg(),
+                self.work.touched.arg(),
+                self.steps.arg(),
+                rates.arg(),
+                self.tally.buffer.arg(),
+                rows as u32,
+                first as u32,
+                n_static as u32,
+                count,
+                settings.adam.beta1 as f32,
+                settings.adam.beta2 as f32,
+                settings.adam.beta2_dynamic as f32,
+                settings.adam.eps as f32,
+                sparse,
+            );
+        }
+    }
+}
