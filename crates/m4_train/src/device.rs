@@ -35,7 +35,7 @@ pub struct DeviceStep<'a> {
 /// What steps found since they were asked the last time.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DeviceFound {
-    /// Steps.
+    /// Steps; the rest is anything where there were none.
     pub steps: usize,
     /// Mean of the absolute differences over channels, pixels and steps; not finite if a picture was not.
     pub l1: f64,

@@ -209,7 +209,8 @@ fn config() -> TrainConfig {
         ..DensityConfig::fast()
     };
     config.colour_fit.at = vec![0.0, 0.5, 1.0];
-    config.resolution.half_until = 0.3;
+    // a round of density control falls on the change
+    config.resolution.half_until = 0.4;
     config.resolution.min_side_px = 16;
     config.reorder_every = 30;
     config.guard_every = 25;
@@ -219,8 +220,12 @@ fn config() -> TrainConfig {
 #[test]
 fn a_device_of_the_same_kernels_gives_the_same_bits() {
     let (scene, capture) = video();
+    let mut late = config();
+    // the last fit of colours is at full size after all steps were at half
+    late.resolution.half_until = 1.0;
     for config in [
         config(),
+        late,
         TrainConfig {
             iterations: 60,
             ..TrainConfig::faithful()

@@ -313,6 +313,8 @@ impl Error {
             | Self::Dense(DenseError::Setting { .. })
             | Self::Init(InitError::BadSetting { .. })
             | Self::Train(TrainError::BadSetting { .. }) => Category::BadSettings,
+            Self::Train(TrainError::NotOnDevice { .. }) => Category::BadSettings,
+            Self::Train(TrainError::Device { .. }) => Category::NoDevice,
             Self::Sparse(SparseError::Cancelled)
             | Self::Dense(DenseError::Cancelled { .. })
             | Self::Init(InitError::Stopped) => Category::Stopped,

@@ -1,5 +1,6 @@
 //! What every stage is told.
 
+use crate::device::DeviceRequest;
 use crate::folder::Existing;
 use crate::{Error, Observer, Settings};
 use m4_kernels::SimdLevel;
@@ -10,6 +11,8 @@ pub struct Job<'a> {
     pub settings: Settings,
     /// Name of the built-in settings that they started from, for the record.
     pub profile: String,
+    /// Where to train.
+    pub device: DeviceRequest,
     /// What to do with a folder that holds something.
     pub existing: Existing,
     /// Who is told how it goes, and who may say stop.

@@ -15,6 +15,7 @@
 //! let job = Job {
 //!     settings: Settings::fast(),
 //!     profile: "fast".to_owned(),
+//!     device: Default::default(),
 //!     existing: Existing::Resume,
 //!     observer: &Silent,
 //! };

@@ -1,5 +1,6 @@
 //! Everything in one go: geometry, train, preview, viewer.
 
+use crate::device::DeviceRequest;
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{Input, RunRecord, StageRecord};
 use crate::workspace::Workspace;
@@ -33,6 +34,8 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
             settings: job.settings.clone(),
             profile: job.profile.clone(),
             // The folder of the run was taken over; so is the capture in it.
+            // geometry is the processor's
+            device: DeviceRequest::default(),
             existing: Existing::Resume,
             observer: job.observer,
         };

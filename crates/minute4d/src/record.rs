@@ -64,8 +64,11 @@ pub struct StageRecord {
 /// What it was computed on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Device {
-    /// `"cpu"`.
+    /// `"cpu"` or `"gpu"`: where training steps are taken.
     pub kind: String,
+    /// What the GPU is called.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gpu: Option<String>,
     /// Vector instructions used, as `minute4d doctor` names them.
     pub simd: String,
     /// Threads used; the result does not depend on them.
@@ -75,11 +78,12 @@ pub struct Device {
 }
 
 impl Device {
-    /// This machine, and the current pool of threads.
+    /// This machine, and the current pool of threads; the GPU that trains, if one does.
     #[must_use]
-    pub fn here(simd: m4_kernels::SimdLevel) -> Self {
+    pub fn here(simd: m4_kernels::SimdLevel, gpu: Option<&str>) -> Self {
         Self {
-            kind: "cpu".to_owned(),
+            kind: gpu.map_or("cpu", |_| "gpu").to_owned(),
+            gpu: gpu.map(str::to_owned),
             simd: simd.name().to_owned(),
             threads: rayon::current_num_threads(),
             platform: format!("{}-{}", std::env::consts::ARCH, std::env::consts::OS),
@@ -128,7 +132,7 @@ pub struct RunRecord {
     pub settings: Value,
     /// What it ran on.
     pub device: Device,
-    /// `bitwise`: the same input, settings, seed and SIMD level give the same bits on any number of
+    /// `bitwise`: the same input, settings, seed, SIMD level and GPU give the same bits on any number of
     /// threads.
     pub determinism: String,
     /// By name: `geometry`, `train`, `preview`, `viewer`.

@@ -1,5 +1,6 @@
 //! A run at work: its folder, its record, and who listens.
 
+use crate::device::OpenGpu;
 use crate::folder::{self, Lock};
 use crate::progress::Keeper;
 use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
@@ -14,6 +15,8 @@ pub(crate) struct Workspace<'a> {
     pub folder: PathBuf,
     pub job: &'a Job<'a>,
     pub level: SimdLevel,
+    /// The GPU to train on; `None` for the processor.
+    pub gpu: Option<OpenGpu>,
     pub record: RunRecord,
     /// What an earlier run left, when this one goes on with it.
     pub earlier: Option<RunRecord>,
@@ -35,8 +38,14 @@ impl<'a> Workspace<'a> {
     /// Makes or takes over a folder and writes that work has begun.
     pub fn open(path: &Path, input: Input, job: &'a Job<'a>) -> Result<Self, Error> {
         let level = job.check()?;
+        let gpu = job.device.choice.open()?;
         let (lock, earlier) = folder::open(path, job.existing)?;
-        let mut record = RunRecord::begin(input, &job.profile, &job.settings, Device::here(level))?;
+        let mut record = RunRecord::begin(
+            input,
+            &job.profile,
+            &job.settings,
+            Device::here(level, gpu.as_ref().map(OpenGpu::name)),
+        )?;
         if let Some(earlier) = &earlier {
             record.stages = earlier.stages.clone();
             record.files = earlier.files.clone();
@@ -48,6 +57,7 @@ impl<'a> Workspace<'a> {
             folder: path.to_path_buf(),
             job,
             level,
+            gpu,
             record,
             earlier,
             _lock: lock,

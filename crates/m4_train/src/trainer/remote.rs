@@ -22,6 +22,8 @@ pub(super) struct Remote {
     has_splats: bool,
     splats_are_old: bool,
     adam_is_old: bool,
+    /// What the last steps found.
+    last: StepReport,
 }
 
 impl Remote {
@@ -32,6 +34,7 @@ impl Remote {
             has_splats: false,
             splats_are_old: false,
             adam_is_old: false,
+            last: StepReport::NONE,
         }
     }
 }
@@ -129,6 +132,9 @@ impl Trainer<'_> {
     /// Waits for the device, adds what it found to the totals, and returns loss and PSNR.
     pub(crate) fn look_at_remote(&mut self) -> Result<StepReport, TrainError> {
         let found: DeviceFound = self.remotely(|device| device.found())?;
+        if found.steps == 0 {
+            return Ok(self.remote.as_ref().map_or(StepReport::NONE, |r| r.last));
+        }
         let lambda = f64::from(self.config.loss.lambda_ssim);
         let loss = (1.0 - lambda) * found.l1 + lambda * (1.0 - found.ssim);
         if !loss.is_finite() {
@@ -144,14 +150,26 @@ impl Trainer<'_> {
         for (frame, loss) in found.losses {
             self.picker.seen(frame, loss);
         }
-        Ok(StepReport { loss, psnr: found.psnr })
+        let report = StepReport { loss, psnr: found.psnr };
+        if let Some(remote) = &mut self.remote {
+            remote.last = report;
+        }
+        Ok(report)
     }
 
-    /// Frames at the size of this iteration and the splats are there.
+    /// Frames at the size of this iteration and the splats are there: before anything is drawn.
     fn prepare_remote(&mut self) -> Result<(), TrainError> {
         let factor = self.factor();
         if self.good.is_none() {
             self.good = Some((self.iteration, self.splats.clone()));
+        }
+        if self
+            .remote
+            .as_ref()
+            .is_some_and(|r| r.factor != 0 && r.factor != factor)
+        {
+            // what was found at the size before
+            self.look_at_remote()?;
         }
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let mut done = Ok(());
@@ -183,6 +201,7 @@ impl Trainer<'_> {
 
     /// Scores of all splats on some frames.
     pub(super) fn score_remotely(&mut self, looks: &[(usize, View)]) -> Result<Scores, TrainError> {
+        self.prepare_remote()?;
         let settings = ScoreSettings {
             lambda_ssim: self.config.loss.lambda_ssim,
             threshold: self.config.density.error_threshold,
@@ -231,6 +250,7 @@ impl Trainer<'_> {
             .into_iter()
             .map(|frame| (frame, self.view(frame, factor, false)))
             .collect();
+        self.prepare_remote()?;
         self.bring_splats()?;
         let n = self.splats.n();
         let (rows, newborn): (Vec<u32>, _) = ((0..n as u32).collect(), vec![false; n]);

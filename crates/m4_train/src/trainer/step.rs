@@ -21,6 +21,14 @@ pub(crate) struct StepReport {
     pub psnr: f64,
 }
 
+impl StepReport {
+    /// Before the first step.
+    pub(super) const NONE: Self = Self {
+        loss: f64::NAN,
+        psnr: f64::NAN,
+    };
+}
+
 /// What drawing one frame found.
 #[derive(Debug, Clone, Copy)]
 struct Look {

@@ -1,9 +1,10 @@
 //! A scene against the held-out views of a capture.
 
 use super::align::{self, Alignment};
+use crate::device::DeviceChoice;
 use crate::folder::{EVAL_FILE, SCENE_FILE};
 use crate::record::write_json;
-use crate::render::Painter;
+use crate::render::Pictures;
 use crate::settings::Settings;
 use crate::{Error, Observer, hash};
 use m4_eval::image::{ImageReport, MeanScore, Picture};
@@ -38,7 +39,7 @@ pub struct EvalReport {
     pub seconds: f64,
 }
 
-/// Renders the held-out views of the capture `data` and compares them with its pictures; writes
+/// Renders, on `device`, the held-out views of the capture `data` and compares them with its pictures; writes
 /// `eval.json` into the run `out`.
 ///
 /// Masks of moving parts are grown by `grow_mask` pixels first. A scene that was trained on another
@@ -49,7 +50,13 @@ pub struct EvalReport {
 /// # Errors
 ///
 /// [`Error::NoTestList`] without held-out views; else what could not be read, compared or written.
-pub fn views(out: &Path, data: &Path, grow_mask: usize, observer: &dyn Observer) -> Result<EvalReport, Error> {
+pub fn views(
+    out: &Path,
+    data: &Path,
+    grow_mask: usize,
+    device: DeviceChoice,
+    observer: &dyn Observer,
+) -> Result<EvalReport, Error> {
     let start = Instant::now();
     let level = SimdLevel::detect()?;
     let path = out.join(SCENE_FILE);
@@ -58,7 +65,8 @@ pub fn views(out: &Path, data: &Path, grow_mask: usize, observer: &dyn Observer)
     let alignment = align::between(&scene, data, observer)?;
     let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
     let mut images = ImageReport::new(data.display().to_string(), grow_mask);
-    let mut painter = Painter::new(&scene, level);
+    let gpu = device.open()?;
+    let mut pictures = Pictures::new(&scene, level, gpu.as_ref())?;
     for (i, frame) in test.frames.iter().enumerate() {
         if observer.cancelled() {
             return Err(Error::Stopped {
@@ -71,7 +79,7 @@ pub fn views(out: &Path, data: &Path, grow_mask: usize, observer: &dyn Observer)
             c2w: a.similarity().transform_pose(&frame.camera.c2w),
             ..frame.camera
         });
-        let drawn = painter.picture(&camera, t, &Exposure::IDENTITY);
+        let drawn = pictures.picture(&camera, t, &Exposure::IDENTITY)?;
         let (image, reference) = (Picture::from(&drawn), Picture::from(&frame.rgb));
         let index = frame.camera_index;
         let mask = frame.mask.as_ref().map(CompactMask::to_mask);

@@ -65,6 +65,7 @@ pub fn make(
     let job = Job {
         settings: Settings::fast(),
         profile: STAGE.to_owned(),
+        device: crate::device::DeviceRequest::default(),
         existing,
         observer,
     };

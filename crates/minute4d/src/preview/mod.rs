@@ -6,7 +6,7 @@ mod sharpest;
 
 use crate::folder::PREVIEW_FILE;
 use crate::progress::Keeper;
-use crate::render::{Painter, SwingConfig, source_fps, swing};
+use crate::render::{Pictures, SwingConfig, source_fps, swing};
 use crate::settings::part_to_toml;
 use crate::workspace::{Task, Workspace};
 use crate::{Error, StageEvent, hash};
@@ -86,8 +86,8 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Keeper<'
 
     let frozen = sharpest::sharpest(capture).min(scene.source.len() - 1);
     let still = &scene.source[frozen];
-    let mut painter = Painter::new(scene, run.level);
-    let distance = painter.median_depth(&still.camera, still.t).unwrap_or(1.0);
+    let mut pictures = Pictures::new(scene, run.level, run.gpu.as_ref())?;
+    let distance = pictures.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);
     let n = scene.source.len();
     let rounds = ((config.min_seconds * fps / n as f64).ceil() as usize).clamp(1, 100);
     let total = n * rounds;
@@ -112,8 +112,8 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Keeper<'
             .frames
             .get(i % n)
             .and_then(|f| resize_rgb(&f.rgb, size.0, size.1));
-        let again = painter.picture(&source.camera.resized(size.0, size.1), source.t, &source.exposure);
-        let swung = painter.picture(camera, still.t, &Exposure::IDENTITY);
+        let again = pictures.picture(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
+        let swung = pictures.picture(camera, still.t, &Exposure::IDENTITY)?;
         writer.push(&panels.compose([photo.as_ref(), Some(&again), Some(&swung)]))?;
         keeper.update(STAGE, i + 1, total, "");
     }

@@ -4,6 +4,7 @@ mod draw;
 mod error;
 mod options;
 mod path;
+mod pictures;
 mod region;
 mod sink;
 mod size;
@@ -15,6 +16,7 @@ pub use draw::{Painter, to_rgb, view};
 pub use error::PathError;
 pub use options::{PathConfig, PathOptions};
 pub use path::{CameraPath, Plan, SourcePath, Stop};
+pub use pictures::Pictures;
 pub use region::Region;
 pub use size::{Fit, fitted, zoomed};
 pub use spline::{PoseSpline, Spline};
@@ -132,13 +134,13 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
         scene.to_path_buf()
     };
     let scene = scene_file::read(&file)?.scene;
-    let mut painter = Painter::new(&scene, level);
-    let plan = job.plan(&scene, &mut painter)?;
+    let gpu = job.device.open()?;
+    let mut pictures = Pictures::new(&scene, level, gpu.as_ref())?;
+    let plan = job.plan(&scene, pictures.painter())?;
     for remark in &plan.remarks {
         observer.warn(remark);
     }
     let stops = &plan.stops;
-    let mut gpu = job.device.painter(&scene.splats)?;
     let mut sink = Sink::open(out, stops, plan.fps, job.replace)?;
     for (i, stop) in stops.iter().enumerate() {
         if observer.cancelled() {
@@ -147,10 +149,7 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
                 saved: false,
             });
         }
-        let picture = match &mut gpu {
-            Some(gpu) => to_rgb(&gpu.frame(&view(&scene, &stop.camera, stop.t))?, &stop.exposure),
-            None => painter.picture(&stop.camera, stop.t, &stop.exposure),
-        };
+        let picture = pictures.picture(&stop.camera, stop.t, &stop.exposure)?;
         sink.push(&picture)?;
         observer.update("render", i + 1, stops.len(), "");
     }

@@ -3,6 +3,7 @@
 mod checkpoint;
 mod metrics;
 
+use crate::device::OpenGpu;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::progress::Keeper;
 use crate::record::{Input, RunRecord, SplatCount};
@@ -13,7 +14,7 @@ use checkpoint::{Checkpoints, Patience};
 use m4_io::capture::Split;
 use m4_io::scene_file;
 use m4_scene::{Capture, Progress, Scene, Splats, TrainState};
-use m4_train::{MetricsEvent, Outcome, TrainError, Trainer};
+use m4_train::{DeviceError, DeviceMaker, MetricsEvent, Outcome, TrainError, Trainer};
 use metrics::MetricsLog;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -71,13 +72,11 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene,
         init: &run.job.settings.init,
         train: &run.job.settings.train,
     };
-    let key = hash::of_parts(&[
-        STAGE,
-        env!("CARGO_PKG_VERSION"),
-        &hash::of_capture(capture),
-        run.level.name(),
-        &part_to_toml(&part)?,
-    ]);
+    let (capture_hash, part) = (hash::of_capture(capture), part_to_toml(&part)?);
+    let mut parts = vec![STAGE, env!("CARGO_PKG_VERSION"), &capture_hash, run.level.name(), &part];
+    // last digits are the device's own
+    parts.extend(run.gpu.as_ref().map(OpenGpu::name));
+    let key = hash::of_parts(&parts);
     let files = [SCENE_FILE, METRICS_FILE];
     let task = run.task(STAGE, &key, &files)?;
     let (because, seconds) = match task {
@@ -98,6 +97,11 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene,
 
 fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<'_>) -> Result<Scene, Error> {
     let settings = &run.job.settings;
+    let gpu = run.gpu.clone();
+    let make = || match &gpu {
+        Some(gpu) => gpu.training(run.job.device.max_vram_mb),
+        None => Err(DeviceError("no GPU was started".to_owned())),
+    };
     folder::remove_file(&run.path(SCENE_FILE))?;
     // it would show another scene
     folder::remove_file(&run.path(VIEWER_FILE))?;
@@ -117,8 +121,9 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
             let splats = m4_init::initialise(capture, &settings.init, keeper)?;
             let mut config = settings.train.clone();
             if config.budget_s > 0.0 {
+                let trial = run.gpu.as_ref().map(|_| &make as DeviceMaker<'_>);
                 config.iterations =
-                    m4_train::affordable_iterations(capture, &splats, &config, run.level, None, config.budget_s)?;
+                    m4_train::affordable_iterations(capture, &splats, &config, run.level, trial, config.budget_s)?;
                 let (n, s) = (config.iterations, config.budget_s);
                 let note = format!("{n} iterations fit into {s:.0} s here; --iterations {n} repeats this run");
                 keeper.update(STAGE, 0, n, &note);
@@ -127,6 +132,14 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
             (trainer, MetricsLog::new(&run.path(METRICS_FILE)))
         }
     };
+    if gpu.is_some() {
+        let device = make().map_err(|DeviceError(why)| TrainError::Device {
+            why,
+            iteration: trainer.iteration(),
+            good_iteration: trainer.iteration(),
+        })?;
+        trainer.use_device(device)?;
+    }
     let observer = run.job.observer;
     let total = trainer.iterations();
     let mut patience = Patience::new(keeper, observer, settings.checkpoint.every_s);
@@ -137,7 +150,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
         };
         let outcome = match trainer.run(&patience, &mut note) {
             Ok(outcome) => outcome,
-            Err(error @ TrainError::Diverged { .. }) => {
+            Err(error @ (TrainError::Diverged { .. } | TrainError::Device { .. })) => {
                 // The trainer is back in its last good state: worth keeping, not worth going on with.
                 save(run, &mut trainer, &mut checkpoints, &mut log)?;
                 return Err(error.into());

@@ -1,6 +1,8 @@
 //! `minute4d eval` and `minute4d eval-geometry`
 
+use super::device::device;
 use clap::Args;
+use minute4d::device::DeviceChoice;
 use std::path::PathBuf;
 
 /// `minute4d eval`
@@ -14,6 +16,9 @@ pub struct Eval {
     /// Grow the masks of moving parts by this much first, pixels
     #[arg(long, value_name = "PX", default_value_t = 0)]
     pub grow_mask: usize,
+    /// Where the views are drawn: `cpu`, `gpu`, `gpu:N` or `auto`, as for `render`
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
+    pub device: DeviceChoice,
 }
 
 /// `minute4d eval-geometry`

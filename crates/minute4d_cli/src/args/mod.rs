@@ -1,6 +1,7 @@
 //! The command line, as clap reads it: what holds for all commands, and a file for each.
 
 mod bench;
+mod device;
 mod eval;
 mod existing;
 mod export;
@@ -16,6 +17,7 @@ mod video;
 mod view;
 
 pub use bench::{Bench, BenchScene};
+pub use device::DeviceArgs;
 pub use eval::{Eval, EvalGeometry};
 pub use existing::OutArgs;
 pub use export::{Export, PrecisionArg};

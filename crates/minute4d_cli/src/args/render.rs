@@ -2,7 +2,8 @@
 
 use super::values::{number, picture_size, rate};
 use clap::{Args, ValueEnum};
-use minute4d::device::{DeviceChoice, UnknownDevice};
+use super::device::device;
+use minute4d::device::DeviceChoice;
 use std::path::PathBuf;
 
 /// `minute4d render`
@@ -93,8 +94,4 @@ fn zoom(text: &str) -> Result<f64, String> {
         factor if (0.1..=10.0).contains(&factor) => Ok(factor),
         _ => Err("it must lie between 0.1 and 10".to_owned()),
     }
-}
-
-fn device(text: &str) -> Result<DeviceChoice, UnknownDevice> {
-    text.parse()
 }

@@ -1,6 +1,6 @@
 //! `minute4d run`
 
-use super::{LengthArgs, OutArgs, PageArgs, SettingsArgs, VideoArgs};
+use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs, VideoArgs};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -19,6 +19,9 @@ pub struct Run {
     /// Which part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
+    /// Where to train.
+    #[command(flatten)]
+    pub device: DeviceArgs,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,

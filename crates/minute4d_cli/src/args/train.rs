@@ -1,6 +1,6 @@
 //! `minute4d train`
 
-use super::{LengthArgs, OutArgs, PageArgs, SettingsArgs};
+use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -16,6 +16,9 @@ pub struct Train {
     /// How long to train.
     #[command(flatten)]
     pub length: LengthArgs,
+    /// Where to train.
+    #[command(flatten)]
+    pub device: DeviceArgs,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,

@@ -4,6 +4,7 @@ use super::settings::{job, print_config, settings};
 use crate::args::Geometry;
 use crate::failure::Failure;
 use crate::output::Output;
+use minute4d::device::DeviceRequest;
 use serde_json::json;
 
 pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
@@ -11,7 +12,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
-    let job = job(&args.settings, &args.existing, settings, output);
+    let job = job(&args.settings, DeviceRequest::default(), &args.existing, settings, output);
     let record = minute4d::geometry::make(input, out, &job)?;
     if let Some(found) = &record.found {
         output.note(&format!(

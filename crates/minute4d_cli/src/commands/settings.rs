@@ -3,6 +3,7 @@
 use crate::args::{self, LengthArgs, OutArgs, Profile, SettingsArgs, VideoArgs};
 use crate::failure::Failure;
 use crate::output::Output;
+use minute4d::device::DeviceRequest;
 use minute4d::settings::{Layers, Preset, Settings};
 use minute4d::{Existing, Job, Observer};
 
@@ -83,10 +84,17 @@ fn lay_video(settings: &mut Settings, args: &VideoArgs) {
 }
 
 /// Everything that the stages of a run need to know.
-pub fn job<'a>(args: &SettingsArgs, existing: &OutArgs, settings: Settings, observer: &'a dyn Observer) -> Job<'a> {
+pub fn job<'a>(
+    args: &SettingsArgs,
+    device: DeviceRequest,
+    existing: &OutArgs,
+    settings: Settings,
+    observer: &'a dyn Observer,
+) -> Job<'a> {
     Job {
         settings,
         profile: args.profile.name().to_owned(),
+        device,
         existing: match (existing.resume, existing.force) {
             (true, _) => Existing::Resume,
             (_, true) => Existing::Force,

@@ -1,0 +1,71 @@
+//! A GPU that was started.
+
+use super::training::GpuTraining;
+use crate::Error;
+use m4_gpu::{Choice, Gpu, Renderer, adapters, best};
+use m4_kernels::{Frame, View};
+use m4_scene::Splats;
+use m4_train::{Device, DeviceError};
+
+/// A GPU that was started.
+#[derive(Debug, Clone)]
+pub struct OpenGpu {
+    gpu: Gpu,
+}
+
+impl OpenGpu {
+    pub(super) fn best() -> Result<Option<Self>, Error> {
+        match best(&adapters()) {
+            Some(_) => Self::open(None).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    pub(super) fn open(index: Option<usize>) -> Result<Self, Error> {
+        let gpu = Gpu::open(index.map_or(Choice::Best, Choice::Index))?;
+        Ok(Self { gpu })
+    }
+
+    /// What it is called.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.gpu.adapter().name
+    }
+
+    /// Draws `splats` on it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if they do not fit.
+    pub fn painter(&self, splats: &Splats) -> Result<GpuPainter, Error> {
+        Ok(GpuPainter {
+            renderer: Renderer::new(self.gpu.clone(), splats)?,
+        })
+    }
+
+    /// Takes training steps on it, within `max_vram_mb`.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`] when it fails.
+    pub fn training(&self, max_vram_mb: Option<usize>) -> Result<Box<dyn Device>, DeviceError> {
+        Ok(Box::new(GpuTraining::new(self.gpu.clone(), max_vram_mb)))
+    }
+}
+
+/// Draws splats that lie on a GPU.
+#[derive(Debug)]
+pub struct GpuPainter {
+    renderer: Renderer,
+}
+
+impl GpuPainter {
+    /// The picture of `view`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if it does not fit or the device fails.
+    pub fn frame(&mut self, view: &View) -> Result<Frame, Error> {
+        Ok(self.renderer.render(view)?)
+    }
+}

@@ -1,0 +1,59 @@
+//! What stands for a GPU in a build without support for any: nothing.
+
+use crate::Error;
+use m4_kernels::{Frame, View};
+use m4_scene::Splats;
+use m4_train::{Device, DeviceError};
+
+/// A GPU that was started; there is none in this build.
+#[derive(Debug, Clone)]
+pub enum OpenGpu {}
+
+impl OpenGpu {
+    pub(super) fn best() -> Result<Option<Self>, Error> {
+        Ok(None)
+    }
+
+    pub(super) fn open(_: Option<usize>) -> Result<Self, Error> {
+        Err(Error::NoGpuSupport)
+    }
+
+    /// What it is called.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        match *self {}
+    }
+
+    /// Draws `splats` on it.
+    ///
+    /// # Errors
+    ///
+    /// Never: there is no value of this type.
+    pub fn painter(&self, _: &Splats) -> Result<GpuPainter, Error> {
+        match *self {}
+    }
+
+    /// Takes training steps on it.
+    ///
+    /// # Errors
+    ///
+    /// Never: there is no value of this type.
+    pub fn training(&self, _: Option<usize>) -> Result<Box<dyn Device>, DeviceError> {
+        match *self {}
+    }
+}
+
+/// What draws on a GPU; there is none in this build.
+#[derive(Debug)]
+pub enum GpuPainter {}
+
+impl GpuPainter {
+    /// The picture of `view`.
+    ///
+    /// # Errors
+    ///
+    /// Never: there is no value of this type.
+    pub fn frame(&mut self, _: &View) -> Result<Frame, Error> {
+        match *self {}
+    }
+}

@@ -1,0 +1,166 @@
+//! Training steps on a GPU, as the trainer asks for them.
+
+use m4_gpu::{Gpu, GpuError, Plan, ScoreRange, StepSettings, Trainer};
+use m4_kernels::View;
+use m4_kernels::adam::cpu::AdamState;
+use m4_kernels::photo::cpu::Target;
+use m4_scene::{SplatLayout, Splats};
+use m4_train::config::ErrorRange;
+use m4_train::density::Scores;
+use m4_train::device::{ColourGradient, DeviceFound, DeviceStep, ScoreSettings};
+use m4_train::{Device, DeviceError};
+
+/// A GPU that trains.
+#[derive(Debug)]
+pub(super) struct GpuTraining {
+    gpu: Gpu,
+    /// Most memory that it may take; all that there is for `None`.
+    limit_bytes: Option<u64>,
+    /// Frames that wait for the first splats.
+    waiting: Vec<Target>,
+    trainer: Option<Trainer>,
+    /// Of the splats that it has.
+    shape: Option<Shape>,
+}
+
+/// What memory depends on.
+#[derive(Debug, Clone, Copy)]
+struct Shape {
+    n_static: usize,
+    n_dynamic: usize,
+    layout: SplatLayout,
+}
+
+impl Shape {
+    fn of(splats: &Splats) -> Self {
+        Self {
+            n_static: splats.n_static(),
+            n_dynamic: splats.n_dynamic(),
+            layout: splats.layout(),
+        }
+    }
+}
+
+impl GpuTraining {
+    pub fn new(gpu: Gpu, max_vram_mb: Option<usize>) -> Self {
+        Self {
+            gpu,
+            limit_bytes: max_vram_mb.map(|mb| mb as u64 * 1_000_000),
+            waiting: Vec::new(),
+            trainer: None,
+            shape: None,
+        }
+    }
+
+    fn trainer(&mut self) -> Result<&mut Trainer, DeviceError> {
+        self.trainer
+            .as_mut()
+            .ok_or_else(|| DeviceError("the GPU was asked to work before it had splats".to_owned()))
+    }
+
+    /// Bytes for frames on the device: those that fit beside everything else. The others are sent when they are used.
+    fn budget(&self, shape: Shape, frames: &[Target]) -> Result<usize, GpuError> {
+        let size = frames.first().map_or((0, 0), |f| (f.width(), f.height()));
+        let entries = Plan::first_entries(shape.n_static + shape.n_dynamic);
+        let plan = |frames| Plan::training(shape.n_static, shape.n_dynamic, shape.layout, size, frames, entries);
+        let least = plan(1);
+        least.check_buffers(&self.gpu)?;
+        let Some(limit) = self.limit_bytes else {
+            return Ok(usize::MAX);
+        };
+        least.check(limit)?;
+        Ok(usize::try_from(plan(frames.len()).frames_budget(limit)).unwrap_or(usize::MAX))
+    }
+}
+
+fn failed(error: GpuError) -> DeviceError {
+    DeviceError(error.to_string())
+}
+
+impl Device for GpuTraining {
+    fn name(&self) -> String {
+        self.gpu.adapter().name.clone()
+    }
+
+    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), DeviceError> {
+        let Some(shape) = self.shape else {
+            self.waiting = frames;
+            return Ok(());
+        };
+        let budget = self.budget(shape, &frames).map_err(failed)?;
+        self.trainer()?.set_frames(&frames, budget).map_err(failed)
+    }
+
+    fn upload(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), DeviceError> {
+        let shape = Shape::of(splats);
+        self.shape = Some(shape);
+        if let Some(trainer) = &mut self.trainer {
+            return trainer.replace(splats, adam).map_err(failed);
+        }
+        let frames = std::mem::take(&mut self.waiting);
+        let budget = self.budget(shape, &frames).map_err(failed)?;
+        let trainer = Trainer::new(self.gpu.clone(), splats, adam, &frames, budget).map_err(failed)?;
+        self.trainer = Some(trainer);
+        Ok(())
+    }
+
+    fn rearrange(&mut self, splats: &Splats, rows: &[u32], newborn: &[bool]) -> Result<(), DeviceError> {
+        self.shape = Some(Shape::of(splats));
+        self.trainer()?.rearrange(splats, rows, newborn).map_err(failed)
+    }
+
+    fn splats(&mut self) -> Result<Splats, DeviceError> {
+        self.trainer()?.download_splats().map_err(failed)
+    }
+
+    fn adam(&mut self) -> Result<AdamState, DeviceError> {
+        self.trainer()?.download_adam().map_err(failed)
+    }
+
+    fn step(&mut self, frame: usize, view: &View, settings: &DeviceStep<'_>) -> Result<(), DeviceError> {
+        let settings = StepSettings {
+            lambda_ssim: settings.lambda_ssim,
+            rates: settings.rates,
+            adam: settings.adam,
+            shared_steps: settings.shared_steps,
+        };
+        self.trainer()?.step(frame, view, &settings).map_err(failed)
+    }
+
+    fn found(&mut self) -> Result<DeviceFound, DeviceError> {
+        let found = self.trainer()?.found().map_err(failed)?;
+        Ok(DeviceFound {
+            steps: found.steps,
+            l1: if found.loss_is_finite { found.l1 } else { f64::NAN },
+            ssim: found.ssim,
+            psnr: found.psnr,
+            touched: found.touched,
+            losses: found.losses,
+        })
+    }
+
+    fn score(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, DeviceError> {
+        let settings = m4_gpu::ScoreSettings {
+            lambda_ssim: settings.lambda_ssim,
+            threshold: settings.threshold,
+            range: match settings.range {
+                ErrorRange::MinMax => ScoreRange::MinMax,
+                ErrorRange::Quantile { high } => ScoreRange::Quantile { high },
+            },
+        };
+        let sums = self.trainer()?.score(looks, &settings).map_err(failed)?;
+        Ok(Scores {
+            densify: sums.densify,
+            prune: sums.prune,
+        })
+    }
+
+    fn colour_gradient(&mut self, looks: &[(usize, View)], with_weight: bool) -> Result<ColourGradient, DeviceError> {
+        let sums = self.trainer()?.colour_gradient(looks, with_weight).map_err(failed)?;
+        Ok(ColourGradient {
+            residual: sums.residual,
+            weight: sums.weight,
+            squares: sums.squares,
+        })
+    }
+}

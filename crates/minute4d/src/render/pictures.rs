@@ -1,0 +1,46 @@
+//! Pictures of a scene, drawn on whichever device was chosen.
+
+use super::draw::{Painter, to_rgb, view};
+use crate::Error;
+use crate::device::{GpuPainter, OpenGpu};
+use m4_kernels::SimdLevel;
+use m4_scene::{Camera, Exposure, RgbImage, Scene};
+
+/// Draws a scene on a GPU where there is one, else on the processor.
+pub struct Pictures<'a> {
+    scene: &'a Scene,
+    painter: Painter<'a>,
+    on_gpu: Option<GpuPainter>,
+}
+
+impl<'a> Pictures<'a> {
+    /// Copies the splats to the GPU, if there is one.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if they do not fit.
+    pub fn new(scene: &'a Scene, level: SimdLevel, gpu: Option<&OpenGpu>) -> Result<Self, Error> {
+        Ok(Self {
+            scene,
+            painter: Painter::new(scene, level),
+            on_gpu: gpu.map(|gpu| gpu.painter(&scene.splats)).transpose()?,
+        })
+    }
+
+    /// What plans look at: always on the processor.
+    pub fn painter(&mut self) -> &mut Painter<'a> {
+        &mut self.painter
+    }
+
+    /// What a camera sees at a moment (frames), eight bits a channel, with an exposure.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if it does not fit or the device fails.
+    pub fn picture(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> Result<RgbImage, Error> {
+        match &mut self.on_gpu {
+            Some(gpu) => Ok(to_rgb(&gpu.frame(&view(self.scene, camera, t))?, exposure)),
+            None => Ok(self.painter.picture(camera, t, exposure)),
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! Training on a GPU learns what training on the processor learns. Without a GPU it runs on software that plays one, where
+//! that is installed; without that either, every test says so and ends.
+#![cfg(feature = "gpu")]
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+#![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
+
+use m4_kernels::{Renderer, SimdLevel, View};
+use m4_math::CounterRng;
+use m4_scene::{Capture, CaptureFrame, Column, Intrinsics, Plane, Silent, SplatLayout, Splats};
+use m4_testkit::{MovingScene, moving_scene};
+use m4_train::{DensityConfig, TrainConfig, Trainer};
+use minute4d::device::{DeviceChoice, OpenGpu};
+
+const FRAMES: usize = 6;
+
+/// The best GPU, or software that plays one.
+fn gpu(test: &str) -> Option<OpenGpu> {
+    let opened = DeviceChoice::Gpu(None)
+        .open()
+        .or_else(|_| DeviceChoice::Gpu(Some(0)).open());
+    match opened {
+        Ok(gpu) => gpu,
+        Err(error) => {
+            eprintln!("{test}: NOT tested: {error}");
+            None
+        }
+    }
+}
+
+fn view(scene: &MovingScene, frame: usize) -> View {
+    View {
+        camera: scene.cameras[frame],
+        t: frame as f64,
+        background: [0.0; 3],
+        near: 0.1,
+        mip: true,
+        period: (FRAMES - 1) as f32,
+        with_depth: true,
+    }
+}
+
+/// A ball that moves before a wall, and the video that a renderer makes of it.
+fn video() -> (MovingScene, Capture) {
+    let mut scene = moving_scene(Intrinsics::centred(64, 48, 60.0), FRAMES);
+    let n_static = scene.splats.n_static();
+    for (i, z) in scene.splats.column_mut(Column::Mean, 2)[..n_static]
+        .iter_mut()
+        .enumerate()
+    {
+        *z += 0.2 * ((i * 7919) % 101) as f32 / 101.0;
+    }
+    let mut renderer = Renderer::new(SimdLevel::best());
+    let frames = (0..FRAMES).map(|i| {
+        let frame = renderer.render(&scene.splats, &view(&scene, i));
+        let (w, h) = (frame.width, frame.height);
+        let byte = |v: f32| (v * 255.0).round().clamp(0.0, 255.0) as u8;
+        let depth = |i: usize| match 1.0 - frame.transmittance[i] {
+            alpha if alpha > 0.5 => frame.depth[i] / alpha,
+            _ => 0.0,
+        };
+        CaptureFrame {
+            name: format!("{i:03}"),
+            camera: scene.cameras[i],
+            t: i as f64,
+            rgb: Plane::from_fn(w, h, |x, y| [0, 1, 2].map(|c| byte(frame.rgb[c][y * w + x]))),
+            depth: Some(Plane::from_fn(w, h, |x, y| depth(y * w + x)).into()),
+            mask: None,
+            camera_index: None,
+        }
+    });
+    let frames = frames.collect();
+    let capture = Capture {
+        frames,
+        time_frames: FRAMES,
+        duration_s: None,
+        metric: true,
+    };
+    (scene, capture)
+}
+
+/// The splats of the scene with colours and places disturbed.
+fn start(scene: &MovingScene) -> Splats {
+    let from = &scene.splats;
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 0,
+        time_degree: 0,
+    };
+    let mut out = Splats::zeros(layout, from.n_static(), from.n_dynamic());
+    let mut rng = CounterRng::new(7, 0, 0);
+    for column in [Column::Mean, Column::Colour, Column::TimeMean, Column::LogTimeSd] {
+        for k in 0..layout.range(column).len() {
+            out.column_mut(column, k).copy_from_slice(from.column(column, k));
+        }
+    }
+    for k in 0..3 {
+        out.column_mut(Column::LogScale, k)
+            .copy_from_slice(from.column(Column::LogScale, 0));
+        for c in out.column_mut(Column::Colour, k) {
+            *c += 0.5 * rng.normal() as f32;
+        }
+        for c in out.column_mut(Column::Mean, k) {
+            *c += 0.01 * rng.normal() as f32;
+        }
+    }
+    out.column_mut(Column::Opacity, 0).fill(1.0);
+    out.column_mut(Column::Quat, 0).fill(1.0);
+    out
+}
+
+/// Density control, fits of colours, a new order and two sizes of the frames within so many steps.
+fn config(iterations: usize) -> TrainConfig {
+    let mut config = TrainConfig::fast();
+    config.iterations = iterations;
+    config.seed = 5;
+    config.density = DensityConfig {
+        from: 20,
+        every: 20,
+        prune_every: 40,
+        ..DensityConfig::fast()
+    };
+    config.resolution.half_until = 1.0;
+    config.resolution.min_side_px = 16;
+    config.reorder_every = 30;
+    config
+}
+
+fn train<'a>(scene: &MovingScene, capture: &'a Capture, config: TrainConfig, gpu: Option<&OpenGpu>) -> Trainer<'a> {
+    let mut trainer = Trainer::new(capture, start(scene), config, SimdLevel::best()).unwrap();
+    if let Some(gpu) = gpu {
+        trainer.use_device(gpu.training(None).unwrap()).unwrap();
+    }
+    trainer
+        .run(&Silent, &mut |event| assert!(event.loss.is_finite()))
+        .unwrap();
+    trainer
+}
+
+/// PSNR over all frames of the video, dB.
+fn psnr(splats: &Splats, scene: &MovingScene, capture: &Capture) -> f64 {
+    let mut renderer = Renderer::new(SimdLevel::best());
+    let (mut squares, mut values) = (0.0, 0usize);
+    for (i, frame) in capture.frames.iter().enumerate() {
+        let drawn = renderer.render(splats, &view(scene, i));
+        let (w, h) = (drawn.width, drawn.height);
+        for (c, plane) in drawn.rgb.iter().enumerate() {
+            for (at, &value) in plane.iter().enumerate() {
+                let target = f64::from(frame.rgb[(at % w, at / w)][c]) / 255.0;
+                squares += (f64::from(value.clamp(0.0, 1.0)) - target).powi(2);
+            }
+        }
+        values += 3 * w * h;
+    }
+    -10.0 * (squares / values as f64).log10()
+}
+
+#[test]
+fn a_gpu_learns_what_the_processor_learns() {
+    let Some(gpu) = gpu("a_gpu_learns_what_the_processor_learns") else {
+        return;
+    };
+    let (scene, capture) = video();
+    let before = psnr(&start(&scene), &scene, &capture);
+    let faithful = TrainConfig {
+        iterations: 60,
+        seed: 5,
+        ..TrainConfig::faithful()
+    };
+    for (config, gain) in [(config(120), 2.0), (faithful, 1.0)] {
+        let here = train(&scene, &capture, config.clone(), None);
+        let there = train(&scene, &capture, config, Some(&gpu));
+        let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
+        assert!(a > before + gain, "the processor learns: {before:.2} to {a:.2} dB");
+        assert!((a - b).abs() < 0.1, "processor {a:.3} dB, GPU {b:.3} dB");
+        let (n, m) = (here.splats().n() as f64, there.splats().n() as f64);
+        assert!((n - m).abs() < 0.03 * n + 2.0, "{n} and {m} splats");
+    }
+}
+
+#[test]
+fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
+    let Some(gpu) = gpu("the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on") else {
+        return;
+    };
+    let (scene, capture) = video();
+    let whole = train(&scene, &capture, config(60), Some(&gpu));
+    let again = train(&scene, &capture, config(60), Some(&gpu));
+    assert!(whole.splats() == again.splats(), "twice the same");
+
+    let mut half = Trainer::new(&capture, start(&scene), config(60), SimdLevel::best()).unwrap();
+    half.use_device(gpu.training(None).unwrap()).unwrap();
+    half.run_until(33, &Silent, &mut |_| {}).unwrap();
+    let (saved, state) = (half.scene(), half.state());
+    let mut rest = Trainer::resume(&capture, saved.splats, &state, config(60), SimdLevel::best()).unwrap();
+    rest.use_device(gpu.training(None).unwrap()).unwrap();
+    rest.run(&Silent, &mut |_| {}).unwrap();
+    assert!(whole.splats() == rest.splats(), "resumed");
+    // losses of frames are read now and then, so that they depend on when somebody asked
+    let (mut one, mut other) = (whole.state(), rest.state());
+    one.remove("pick/loss");
+    other.remove("pick/loss");
+    assert!(one == other, "the optimiser's state too");
+}
