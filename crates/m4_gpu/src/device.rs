@@ -270,7 +270,6 @@ pub(crate) mod tests {
     use super::{Choice, Gpu};
 
     /// A GPU, or software that plays one; `None`, and said so, where there is neither.
-    #[expect(clippy::print_stderr, reason = "a test that cannot run says so")]
     pub(crate) fn gpu(test: &str) -> Option<Gpu> {
         match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {
             Ok(gpu) => Some(gpu),
