@@ -1,0 +1,164 @@
+#!/usr/bin/env bash
+# Measures this machine's GPU: kernels and whole steps at three sizes, and a training of 5,000 iterations.
+#
+#   tools/gpu/measure.sh            # the best GPU; within eight minutes once the program is built
+#   GPU=gpu:1 tools/gpu/measure.sh  # the one that `minute4d doctor` lists as 1
+#   QUICK=1 GPU=gpu:0 tools/gpu/measure.sh   # a small setting, to see that everything runs
+#
+# Needs this folder and a driver. MINUTE4D is the program (default: target/release/minute4d, built if it is not there),
+# RESULTS where the reports go (default: bench/runs, with the name of the GPU), CAPTURE a capture to train on (default:
+# that of examples/pinwheel.mp4, made here). What is skipped, and why, is said at the end and in the summary; the exit code is
+# 0 if nothing failed.
+set -uo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/../.."
+
+gpu=${GPU:-gpu}
+results=${RESULTS:-bench/runs}
+program=${MINUTE4D:-target/release/minute4d}
+work=$(mktemp -d)
+watcher=
+trap 'rm -rf "$work"; [ -z "$watcher" ] || kill "$watcher" 2>/dev/null' EXIT
+failed=()
+skipped=()
+
+if [ ! -x "$program" ]; then
+    echo "== build" >&2
+    cargo build --release -p minute4d_cli >&2 || exit 69
+fi
+
+limit=480
+if [ -n "${QUICK:-}" ]; then
+    cases=("2000 96x72" "4000 128x96")
+    steps=1
+    iterations=20
+    geometry=(--max-frames 8 --size 96)
+    settings=(--set init.max_static=1000 --set init.max_dynamic=1000)
+else
+    cases=("100000 360x480" "200000 854x480" "300000 960x720")
+    steps=15
+    iterations=5000
+    geometry=()
+    settings=()
+fi
+
+SECONDS=0
+# runs a command within the seconds that it may take and that are left
+within() {
+    local most=$1 left=$((limit - SECONDS))
+    shift
+    [ "$left" -ge 10 ] || return 125
+    [ "$most" -le "$left" ] || most=$left
+    timeout --signal=INT --kill-after=10 "$most" "$@"
+}
+# says why something did not work; the argument is its exit code
+why() {
+    case $1 in
+    125) echo "the time of all was over" ;;
+    124 | 130 | 137) echo "it took too long" ;;
+    *) echo "exit code $1" ;;
+    esac
+}
+# the value of a key of a pretty-printed JSON file, the first after a line that has the second argument
+value() { awk -v key="\"$3\":" -v after="$2" 'index($0, after) { on = 1 } on && $1 == key { gsub(/[",]/, "", $2); $1 = ""; gsub(/^ |[",]+/, ""); print; exit }' "$1"; }
+
+echo "== doctor" >&2
+within 60 "$program" doctor | tee "$work/doctor.txt" >&2 || failed+=("doctor")
+
+for case in "${cases[@]}"; do
+    read -r splats size <<<"$case"
+    echo "== bench, $splats splats, $size" >&2
+    folder=$work/bench-$splats-$size
+    mkdir -p "$folder"
+    within 90 "$program" bench --device "$gpu" --splats "$splats" --size "$size" --steps "$steps" --quiet --save "$folder" >"$folder.txt"
+    code=$?
+    if [ $code -ne 0 ]; then
+        failed+=("bench $splats $size: $(why $code)")
+        continue
+    fi
+    sed -n 5,9p "$folder.txt" >&2
+    mkdir -p "$results"
+    for file in "$folder"/*; do
+        name=$(basename "$file")
+        base=${name%.*}
+        cp "$file" "$results/$base-$splats-$size.${name##*.}"
+    done
+done
+
+capture=${CAPTURE:-}
+help=$("$program" train --help)
+if [[ "$help" != *--device* ]]; then
+    skipped+=("training: this program has no train --device")
+else
+    if [ -z "$capture" ]; then
+        echo "== geometry of examples/pinwheel.mp4" >&2
+        capture=$work/capture
+        within 120 "$program" geometry examples/pinwheel.mp4 -o "$capture" --quiet "${geometry[@]}" >/dev/null
+        code=$?
+        [ $code -eq 0 ] || { skipped+=("training: no capture, $(why $code)"); capture=; }
+    fi
+fi
+if [ -n "$capture" ] && [ -z "${skipped[*]:-}" ]; then
+    echo "== $iterations iterations" >&2
+    # what the driver says is in use, every half second, where it can be asked
+    if command -v nvidia-smi >/dev/null && nvidia-smi >/dev/null 2>&1; then
+        nvidia-smi --query-gpu=memory.used --format=csv,noheader,nounits --loop-ms=500 >"$work/memory.txt" 2>/dev/null &
+        watcher=$!
+    else
+        skipped+=("memory in use by the driver: there is no nvidia-smi")
+    fi
+    start=$SECONDS
+    within 240 "$program" train "$capture" -o "$work/out" --device "$gpu" --iterations "$iterations" --no-viewer --quiet "${settings[@]}" \
+        --set checkpoint.every_s=100000 >"$work/train.txt" 2>"$work/train.err"
+    code=$?
+    wall=$((SECONDS - start))
+    [ -z "$watcher" ] || { kill "$watcher" 2>/dev/null; wait "$watcher" 2>/dev/null; watcher=; }
+    if [ $code -ne 0 ]; then
+        failed+=("training: $(why $code)")
+        tail -5 "$work/train.err" >&2
+    fi
+fi
+
+record=$work/out/run.json
+name=$(sed -n 's/^gpu *//p' "$work/doctor.txt" | head -1)
+day=$(date -u +%F)
+slug=$(ls "$results" 2>/dev/null | sed -n "s/^\($day-.*\)-${cases[0]/ /-}\.json$/\1/p" | tail -1)
+summary=$results/${slug:-$day-gpu}-training.md
+{
+    echo "# Training on a GPU, $day"
+    echo
+    [ -z "${QUICK:-}" ] || echo "A small setting, to see that everything runs: these are no measurements."
+    [ -z "${QUICK:-}" ] || echo
+    echo "Asked for: \`--device $gpu\`. Adapters, as \`minute4d doctor\` lists them:"
+    echo
+    sed -n 's/^gpu *\(.*\)/- \1/p' "$work/doctor.txt"
+    echo
+    echo "| what | value |"
+    echo "|---|---|"
+    if [ -f "$record" ]; then
+        echo "| status | $(value "$record" '' status) |"
+        echo "| iterations | $(value "$record" '' iterations) |"
+        echo "| initialisation and training, s | $(value "$record" '"train": {' seconds) |"
+        echo "| the whole command with preview, s | $wall |"
+        echo "| static splats | $(value "$record" '"splats": {' static) |"
+        echo "| dynamic splats | $(value "$record" '"splats": {' dynamic) |"
+        last=$(tail -1 "$work/out/metrics.jsonl" 2>/dev/null)
+        for key in loss psnr; do
+            found=$(sed -n "s/.*\"$key\":\([-0-9.eE]*\).*/\1/p" <<<"$last")
+            [ -z "$found" ] || echo "| last $key | $found |"
+        done
+        echo "| peak memory of the host, bytes | $(value "$record" '' peak_memory_bytes) |"
+    fi
+    if [ -s "$work/memory.txt" ]; then
+        echo "| most memory in use on a GPU of this machine, all programs, MiB | $(sort -n "$work/memory.txt" | tail -1) |"
+        echo "| before training, MiB | $(head -1 "$work/memory.txt") |"
+    fi
+    echo
+    if [ ${#skipped[@]} -gt 0 ]; then printf 'Skipped: %s\n\n' "${skipped[@]}"; fi
+    if [ ${#failed[@]} -gt 0 ]; then printf 'Failed: %s\n\n' "${failed[@]}"; fi
+    echo "Everything took $SECONDS s."
+} >"$work/summary.md"
+mkdir -p "$results"
+cp "$work/summary.md" "$summary"
+cat "$work/summary.md"
+echo "written to $summary; the tables of the bench beside it" >&2
+[ ${#failed[@]} -eq 0 ]
