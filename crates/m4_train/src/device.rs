@@ -6,9 +6,9 @@
 
 use crate::config::ErrorRange;
 use crate::density::Scores;
-use m4_kernels::View;
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
 use m4_kernels::photo::cpu::Target;
+use m4_kernels::{CameraGradient, View};
 use m4_scene::Splats;
 
 /// Why a device could not go on, in its own words.
@@ -19,7 +19,31 @@ pub struct DeviceError(pub String);
 /// Makes a device; trial steps take one of their own.
 pub type DeviceMaker<'a> = &'a dyn Fn() -> Result<Box<dyn Device>, DeviceError>;
 
-/// What a step depends on besides splats and frame.
+/// A frame of a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DeviceLook<'a> {
+    /// Its number.
+    pub frame: usize,
+    /// How it is drawn.
+    pub view: &'a View,
+    /// The loss of depth; `None` for none.
+    pub depth: Option<DeviceDepth>,
+    /// Also take the gradient of the camera, for [`DeviceFound::cameras`].
+    pub camera: bool,
+}
+
+/// The loss of depth of a frame, as [`crate::LossConfig`] has it at this point of the run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DeviceDepth {
+    /// Of the residuals.
+    pub weight: f32,
+    /// From here on relative residuals count linearly.
+    pub huber: f32,
+    /// Of the transmittance where there is depth.
+    pub alpha_weight: f32,
+}
+
+/// What a step depends on besides splats and frames.
 #[derive(Debug, Clone, Copy)]
 pub struct DeviceStep<'a> {
     /// Share of SSIM in the loss, 0..=1.
@@ -37,16 +61,22 @@ pub struct DeviceStep<'a> {
 pub struct DeviceFound {
     /// Steps; the rest is anything where there were none.
     pub steps: usize,
-    /// Mean of the absolute differences over channels, pixels and steps; not finite if a picture was not.
+    /// Frames looked at: as many a step as a batch has.
+    pub looks: usize,
+    /// Mean of the absolute differences over channels, pixels and frames; not finite if a picture was not.
     pub l1: f64,
     /// Mean structural similarity.
     pub ssim: f64,
+    /// Mean of the term of depth, weight included.
+    pub depth: f64,
     /// PSNR of the frame drawn last, dB, colours clamped to 0..1, at most 100.
     pub psnr: f64,
     /// Splats that a step moved, mean.
     pub touched: f64,
     /// Frames seen, each with the loss that it had last.
     pub losses: Vec<(usize, f32)>,
+    /// Gradients of the cameras that were asked for, in the order of the looks, each with the number of its frame.
+    pub cameras: Vec<(usize, CameraGradient)>,
 }
 
 /// Which errors of a frame count, and for how much.
@@ -80,12 +110,13 @@ pub trait Device: std::fmt::Debug {
     /// What it is called.
     fn name(&self) -> String;
 
-    /// Takes all frames, of one size; forgets those before.
+    /// Takes all frames, of one size, and their depths (z, 0 or not finite where unknown; one a frame, or none at all);
+    /// forgets those before.
     ///
     /// # Errors
     ///
     /// [`DeviceError`].
-    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), DeviceError>;
+    fn set_frames(&mut self, frames: Vec<Target>, depths: Vec<Option<Vec<f32>>>) -> Result<(), DeviceError>;
 
     /// Takes splats and the optimiser's state.
     ///
@@ -116,12 +147,13 @@ pub trait Device: std::fmt::Debug {
     /// [`DeviceError`].
     fn adam(&mut self) -> Result<AdamState, DeviceError>;
 
-    /// Draws `view`, compares with frame `frame`, and moves every splat that was seen. May return before it is done.
+    /// Draws and compares each frame, and moves every splat that was seen along the sum of the gradients. May return
+    /// before it is done.
     ///
     /// # Errors
     ///
     /// [`DeviceError`].
-    fn step(&mut self, frame: usize, view: &View, settings: &DeviceStep<'_>) -> Result<(), DeviceError>;
+    fn step(&mut self, looks: &[DeviceLook<'_>], settings: &DeviceStep<'_>) -> Result<(), DeviceError>;
 
     /// Waits for all steps and says what they found since the last call.
     ///

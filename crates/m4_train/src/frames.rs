@@ -53,8 +53,8 @@ impl<'a> FrameStore<'a> {
         }
     }
 
-    /// Every picture at that size, for somebody else to keep; what is kept here is forgotten.
-    pub fn hand_over(&mut self, factor: usize) -> Vec<Target> {
+    /// Every picture at that size and, if wanted, its depth, for somebody else to keep; what is kept here is forgotten.
+    pub fn hand_over(&mut self, factor: usize, with_depth: bool) -> (Vec<Target>, Vec<Option<Vec<f32>>>) {
         self.resize(factor);
         self.frames.iter_mut().for_each(|f| f.cached = None);
         self.used = 0;
@@ -63,7 +63,15 @@ impl<'a> FrameStore<'a> {
             prepare(stored.frame, factor, &mut target);
             target
         });
-        prepared.collect()
+        let prepared = prepared.collect();
+        let depths = self.frames.iter().filter(|_| with_depth).map(|stored| {
+            stored.frame.depth.as_ref().map(|depth| {
+                let mut z = Vec::new();
+                resample(depth, stored.frame.rgb.size(), factor, &mut z);
+                z
+            })
+        });
+        (prepared, depths.collect())
     }
 
     /// Whether frame `i` has depth.

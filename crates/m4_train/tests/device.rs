@@ -10,8 +10,24 @@ use m4_kernels::photo::cpu::{PhotoScratch, Target, error_map, loss};
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
 use m4_scene::{Column, Silent, SplatLayout, Splats};
 use m4_train::density::{Scores, masked_error};
-use m4_train::device::{ColourGradient, DeviceFound, DeviceStep, ScoreSettings};
+use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, ScoreSettings};
 use m4_train::{DensityConfig, Device, DeviceError, TrainConfig, TrainError, Trainer};
+
+/// The sum of two gradients; what one of them does not touch holds anything.
+fn added(mut sum: Gradients, other: &Gradients) -> Gradients {
+    let n = sum.touched.len();
+    for (column, more) in sum.columns.iter_mut().zip(&other.columns) {
+        let first = n - column.len();
+        for (row, (a, b)) in (first..).zip(column.iter_mut().zip(more)) {
+            let of = |touched: &[u8], v: f32| if touched[row] == 0 { 0.0 } else { v };
+            *a = of(&sum.touched, *a) + of(&other.touched, *b);
+        }
+    }
+    for (a, b) in sum.touched.iter_mut().zip(&other.touched) {
+        *a |= b;
+    }
+    sum
+}
 
 /// The processor behind the interface of a device; fails at one of its steps, if asked to.
 #[derive(Debug)]
@@ -50,9 +66,13 @@ impl Mirror {
         }
     }
 
-    fn backward(&mut self) {
+    fn backward(&mut self, camera: bool) {
+        let wanted = Wanted {
+            camera,
+            ..Wanted::default()
+        };
         self.renderer
-            .backward(&self.splats, &self.gradient, Wanted::default(), &mut self.gradients);
+            .backward(&self.splats, &self.gradient, wanted, &mut self.gradients);
     }
 
     /// Adds the gradient of the first three columns of colours.
@@ -71,7 +91,8 @@ impl Device for Mirror {
         "a mirror".to_owned()
     }
 
-    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), DeviceError> {
+    fn set_frames(&mut self, frames: Vec<Target>, depths: Vec<Option<Vec<f32>>>) -> Result<(), DeviceError> {
+        assert!(depths.is_empty(), "no loss of depth, no depth");
         self.frames = frames;
         Ok(())
     }
@@ -100,44 +121,55 @@ impl Device for Mirror {
         Ok(self.adam.clone())
     }
 
-    fn step(&mut self, frame: usize, view: &View, settings: &DeviceStep<'_>) -> Result<(), DeviceError> {
+    fn step(&mut self, looks: &[DeviceLook<'_>], settings: &DeviceStep<'_>) -> Result<(), DeviceError> {
         self.steps += 1;
         if self.steps == self.fails_at {
             return Err(DeviceError("the mirror broke".to_owned()));
         }
         let level = SimdLevel::best();
-        let drawn = self.renderer.render(&self.splats, view);
-        let photo = loss(
-            level,
-            &self.frames[frame],
-            &drawn.rgb,
-            settings.lambda_ssim,
-            &mut self.scratch,
-            &mut self.gradient.rgb,
-        );
-        self.backward();
+        let mut sum: Option<Gradients> = None;
+        for look in looks {
+            let drawn = self.renderer.render(&self.splats, look.view);
+            let photo = loss(
+                level,
+                &self.frames[look.frame],
+                &drawn.rgb,
+                settings.lambda_ssim,
+                &mut self.scratch,
+                &mut self.gradient.rgb,
+            );
+            self.backward(look.camera);
+            if look.camera {
+                self.found.cameras.push((look.frame, self.gradients.camera));
+            }
+            sum = Some(match sum {
+                Some(sum) => added(sum, &self.gradients),
+                None => self.gradients.clone(),
+            });
+            self.found.looks += 1;
+            self.found.l1 += photo.l1;
+            self.found.ssim += photo.ssim;
+            self.found.losses.push((look.frame, photo.total as f32));
+        }
         if let Some(count) = settings.shared_steps {
             self.adam.step.fill(count - 1);
         }
         adam_step(
             level,
             &mut self.splats,
-            &self.gradients,
+            &sum.unwrap(),
             &mut self.adam,
             &settings.adam,
             settings.rates,
         );
         self.found.steps += 1;
-        self.found.l1 += photo.l1;
-        self.found.ssim += photo.ssim;
-        self.found.losses.push((frame, photo.total as f32));
         Ok(())
     }
 
     fn found(&mut self) -> Result<DeviceFound, DeviceError> {
         let mut found = std::mem::take(&mut self.found);
-        found.l1 /= found.steps as f64;
-        found.ssim /= found.steps as f64;
+        found.l1 /= found.looks as f64;
+        found.ssim /= found.looks as f64;
         Ok(found)
     }
 
@@ -185,11 +217,11 @@ impl Device for Mirror {
             for ((out, rgb), target) in self.gradient.rgb.iter_mut().zip(&drawn.rgb).zip(&target) {
                 *out = rgb.iter().zip(target).map(|(a, b)| a - b).collect();
             }
-            self.backward();
+            self.backward(false);
             self.add_colours(&mut out.residual);
             if with_weight {
                 self.gradient.rgb.iter_mut().for_each(|plane| plane.fill(1.0));
-                self.backward();
+                self.backward(false);
                 self.add_colours(&mut out.weight);
             }
         }
@@ -223,9 +255,13 @@ fn a_device_of_the_same_kernels_gives_the_same_bits() {
     let mut late = config();
     // the last fit of colours is at full size after all steps were at half
     late.resolution.half_until = 1.0;
+    let mut cameras = config();
+    (cameras.refine.poses, cameras.refine.focal, cameras.refine.from) = (true, true, 20);
     for config in [
         config(),
         late,
+        cameras,
+        TrainConfig { batch: 3, ..config() },
         TrainConfig {
             iterations: 60,
             ..TrainConfig::faithful()
@@ -289,8 +325,13 @@ fn a_device_that_fails_leaves_the_last_good_splats() {
 fn settings_that_a_device_does_not_have_are_refused() {
     let (scene, capture) = video();
     let mut config = config();
-    config.refine.poses = true;
+    config.refine.exposure = true;
     let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config, SimdLevel::best()).unwrap();
     let refused = trainer.use_device(Box::new(Mirror::new(0))).unwrap_err();
-    assert_eq!(refused, TrainError::NotOnDevice { field: "refine.poses" });
+    assert_eq!(
+        refused,
+        TrainError::NotOnDevice {
+            field: "refine.exposure"
+        }
+    );
 }

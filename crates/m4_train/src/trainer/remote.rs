@@ -7,10 +7,12 @@ use super::Trainer;
 use super::step::StepReport;
 use crate::colour_fit::ColourSums;
 use crate::density::{Plan, Scores, apply_to_splats};
-use crate::device::{Device, DeviceError, DeviceFound, DeviceStep, ScoreSettings};
+use crate::device::{Device, DeviceDepth, DeviceError, DeviceFound, DeviceLook, DeviceStep, ScoreSettings};
+use crate::frames::smaller;
 use crate::rates::rates;
 use crate::{TrainError, schedule};
 use m4_kernels::{View, morton_order};
+use m4_scene::Camera;
 
 /// A device and how far it is from what the trainer holds.
 #[derive(Debug)]
@@ -45,23 +47,14 @@ impl Trainer<'_> {
     ///
     /// # Errors
     ///
-    /// [`TrainError::NotOnDevice`] for settings that steps on a device do not have: corrections of poses, focal length and
-    /// exposure, losses of depth and alpha, several frames a step.
+    /// [`TrainError::NotOnDevice`] for settings that steps on a device do not have: corrections of
+    /// exposure. With corrections of poses or focal lengths every step waits for the device.
     pub fn use_device(&mut self, device: Box<dyn Device>) -> Result<(), TrainError> {
         let c = &self.config;
-        let missing = [
-            ("refine.poses", c.refine.poses),
-            ("refine.focal", c.refine.focal),
-            ("refine.exposure", c.refine.exposure),
-            ("loss.depth_weight", c.loss.depth_weight > 0.0),
-            ("loss.depth_weight_end", c.loss.depth_weight_end > 0.0),
-            ("loss.alpha_weight", c.loss.alpha_weight > 0.0),
-            ("batch", c.batch > 1),
-        ];
-        for (field, wanted) in missing {
-            if wanted {
-                return Err(TrainError::NotOnDevice { field });
-            }
+        if c.refine.exposure {
+            return Err(TrainError::NotOnDevice {
+                field: "refine.exposure",
+            });
         }
         self.remote = Some(Remote::new(device));
         Ok(())
@@ -94,10 +87,31 @@ impl Trainer<'_> {
         if self.colours_are_due(i) {
             self.fit_colours_remotely()?;
         }
-        let frame = self.picker.pick(i);
-        let view = self.view(frame, self.factor(), false);
+        let (batch, factor) = (self.config.batch, self.factor());
+        let frames: Vec<usize> = (0..batch).map(|k| self.picker.pick(i * batch + k)).collect();
+        let views: Vec<View> = frames.iter().map(|&f| self.view(f, factor, false)).collect();
         let x = schedule::progress(i, n);
-        let lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
+        let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
+        let faster = (batch as f32).powf(self.config.batch_rate_power);
+        lr.iter_mut().for_each(|rate| *rate *= faster);
+        let depth = DeviceDepth {
+            weight: schedule::depth_weight(&self.config.loss, x),
+            huber: self.config.loss.depth_huber,
+            alpha_weight: self.config.loss.alpha_weight,
+        };
+        let refine = &self.config.refine;
+        let camera = i >= refine.from && (refine.poses || refine.focal);
+        let looks: Vec<DeviceLook<'_>> = frames
+            .iter()
+            .zip(&views)
+            .map(|(&frame, view)| DeviceLook {
+                frame,
+                view,
+                depth: (self.store.has_depth(frame) && (depth.weight > 0.0 || depth.alpha_weight > 0.0))
+                    .then_some(depth),
+                camera,
+            })
+            .collect();
         let adam = &self.config.adam;
         let settings = DeviceStep {
             lambda_ssim: self.config.loss.lambda_ssim,
@@ -105,9 +119,13 @@ impl Trainer<'_> {
             adam: adam.kernel(),
             shared_steps: (!adam.per_splat_steps).then(|| u32::try_from(i + 1).unwrap_or(u32::MAX)),
         };
-        self.remotely(|device| device.step(frame, &view, &settings))?;
+        self.remotely(|device| device.step(&looks, &settings))?;
         if let Some(remote) = &mut self.remote {
             (remote.splats_are_old, remote.adam_is_old) = (true, true);
+        }
+        if camera {
+            // a camera is corrected before it is used again
+            self.look_at_remote()?;
         }
         self.iteration += 1;
 
@@ -136,17 +154,28 @@ impl Trainer<'_> {
             return Ok(self.remote.as_ref().map_or(StepReport::NONE, |r| r.last));
         }
         let lambda = f64::from(self.config.loss.lambda_ssim);
-        let loss = (1.0 - lambda) * found.l1 + lambda * (1.0 - found.ssim);
+        let loss = (1.0 - lambda) * found.l1 + lambda * (1.0 - found.ssim) + found.depth;
         if !loss.is_finite() {
             return Err(self.back_to_good("the loss"));
         }
-        let (t, steps) = (&mut self.totals, found.steps as f64);
-        t.frames += found.steps;
+        let (t, steps, looks) = (&mut self.totals, found.steps as f64, found.looks as f64);
+        t.frames += found.looks;
         t.steps += found.steps;
-        t.loss += loss * steps;
-        t.l1 += found.l1 * steps;
-        t.ssim += found.ssim * steps;
+        t.loss += loss * looks;
+        t.l1 += found.l1 * looks;
+        t.ssim += found.ssim * looks;
+        t.depth += found.depth * looks;
         t.touched += (found.touched * steps).round() as usize;
+        for (frame, gradient) in &found.cameras {
+            let drawn = self.fit.camera(*frame);
+            let drawn = Camera {
+                intrinsics: smaller(&drawn.intrinsics, self.factor()),
+                ..drawn
+            };
+            let median_depth = f64::from(self.scale.median_depth);
+            self.fit
+                .step(&self.config.refine, *frame, &drawn, gradient, median_depth);
+        }
         for (frame, loss) in found.losses {
             self.picker.seen(frame, loss);
         }
@@ -171,10 +200,13 @@ impl Trainer<'_> {
             // what was found at the size before
             self.look_at_remote()?;
         }
+        let loss = &self.config.loss;
+        let with_depth = loss.depth_weight > 0.0 || loss.depth_weight_end > 0.0 || loss.alpha_weight > 0.0;
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let mut done = Ok(());
         if remote.factor != factor {
-            done = remote.device.set_frames(self.store.hand_over(factor));
+            let (frames, depths) = self.store.hand_over(factor, with_depth);
+            done = remote.device.set_frames(frames, depths);
             remote.factor = factor;
         }
         if done.is_ok() && !remote.has_splats {

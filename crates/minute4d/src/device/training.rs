@@ -1,13 +1,13 @@
 //! Training steps on a GPU, as the trainer asks for them.
 
-use m4_gpu::{Gpu, GpuError, Plan, ScoreRange, StepSettings, Trainer};
+use m4_gpu::{DepthTerm, Gpu, GpuError, Look, Plan, ScoreRange, StepSettings, Trainer};
 use m4_kernels::View;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::Target;
 use m4_scene::{SplatLayout, Splats};
 use m4_train::config::ErrorRange;
 use m4_train::density::Scores;
-use m4_train::device::{ColourGradient, DeviceFound, DeviceStep, ScoreSettings};
+use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, ScoreSettings};
 use m4_train::{Device, DeviceError};
 
 /// A GPU that trains.
@@ -17,10 +17,17 @@ pub(super) struct GpuTraining {
     /// Most memory that it may take; all that there is for `None`.
     limit_bytes: Option<u64>,
     /// Frames that wait for the first splats.
-    waiting: Vec<Target>,
+    waiting: Frames,
     trainer: Option<Trainer>,
     /// Of the splats that it has.
     shape: Option<Shape>,
+}
+
+/// Pictures, and as many depths or none.
+#[derive(Debug, Default)]
+struct Frames {
+    pictures: Vec<Target>,
+    depths: Vec<Option<Vec<f32>>>,
 }
 
 /// What memory depends on.
@@ -46,7 +53,7 @@ impl GpuTraining {
         Self {
             gpu,
             limit_bytes: max_vram_mb.map(|mb| mb as u64 * 1_000_000),
-            waiting: Vec::new(),
+            waiting: Frames::default(),
             trainer: None,
             shape: None,
         }
@@ -58,18 +65,24 @@ impl GpuTraining {
             .ok_or_else(|| DeviceError("the GPU was asked to work before it had splats".to_owned()))
     }
 
-    /// Bytes for frames on the device: those that fit beside everything else. The others are sent when they are used.
-    fn budget(&self, shape: Shape, frames: &[Target]) -> Result<usize, GpuError> {
+    /// Bytes for frames on the device, those that fit beside everything else, and what they leave for depths. The others
+    /// are sent when they are used.
+    fn budget(&self, shape: Shape, frames: &[Target]) -> Result<(usize, usize), GpuError> {
         let size = frames.first().map_or((0, 0), |f| (f.width(), f.height()));
         let entries = Plan::first_entries(shape.n_static + shape.n_dynamic);
         let plan = |frames| Plan::training(shape.n_static, shape.n_dynamic, shape.layout, size, frames, entries);
         let least = plan(1);
         least.check_buffers(&self.gpu)?;
         let Some(limit) = self.limit_bytes else {
-            return Ok(usize::MAX);
+            return Ok((usize::MAX, usize::MAX));
         };
         least.check(limit)?;
-        Ok(usize::try_from(plan(frames.len()).frames_budget(limit)).unwrap_or(usize::MAX))
+        let all = plan(frames.len());
+        let budget = all.frames_budget(limit);
+        let left = budget.saturating_sub(all.frame_bytes() * frames.len() as u64);
+        Ok([budget, left]
+            .map(|bytes| usize::try_from(bytes).unwrap_or(usize::MAX))
+            .into())
     }
 }
 
@@ -82,13 +95,16 @@ impl Device for GpuTraining {
         self.gpu.adapter().name.clone()
     }
 
-    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), DeviceError> {
+    fn set_frames(&mut self, pictures: Vec<Target>, depths: Vec<Option<Vec<f32>>>) -> Result<(), DeviceError> {
+        let frames = Frames { pictures, depths };
         let Some(shape) = self.shape else {
             self.waiting = frames;
             return Ok(());
         };
-        let budget = self.budget(shape, &frames).map_err(failed)?;
-        self.trainer()?.set_frames(&frames, budget).map_err(failed)
+        let (budget, left) = self.budget(shape, &frames.pictures).map_err(failed)?;
+        let trainer = self.trainer()?;
+        trainer.set_frames(&frames.pictures, budget).map_err(failed)?;
+        trainer.set_depths(frames.depths, left).map_err(failed)
     }
 
     fn upload(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), DeviceError> {
@@ -98,8 +114,9 @@ impl Device for GpuTraining {
             return trainer.replace(splats, adam).map_err(failed);
         }
         let frames = std::mem::take(&mut self.waiting);
-        let budget = self.budget(shape, &frames).map_err(failed)?;
-        let trainer = Trainer::new(self.gpu.clone(), splats, adam, &frames, budget).map_err(failed)?;
+        let (budget, left) = self.budget(shape, &frames.pictures).map_err(failed)?;
+        let mut trainer = Trainer::new(self.gpu.clone(), splats, adam, &frames.pictures, budget).map_err(failed)?;
+        trainer.set_depths(frames.depths, left).map_err(failed)?;
         self.trainer = Some(trainer);
         Ok(())
     }
@@ -117,20 +134,35 @@ impl Device for GpuTraining {
         self.trainer()?.download_adam().map_err(failed)
     }
 
-    fn step(&mut self, frame: usize, view: &View, settings: &DeviceStep<'_>) -> Result<(), DeviceError> {
+    fn step(&mut self, looks: &[DeviceLook<'_>], settings: &DeviceStep<'_>) -> Result<(), DeviceError> {
+        let looks: Vec<Look<'_>> = looks
+            .iter()
+            .map(|look| Look {
+                depth: look.depth.map(|term| DepthTerm {
+                    weight: term.weight,
+                    huber: term.huber,
+                    alpha_weight: term.alpha_weight,
+                }),
+                camera: look.camera,
+                ..Look::new(look.frame, look.view)
+            })
+            .collect();
         let settings = StepSettings {
             lambda_ssim: settings.lambda_ssim,
             rates: settings.rates,
             adam: settings.adam,
             shared_steps: settings.shared_steps,
         };
-        self.trainer()?.step(frame, view, &settings).map_err(failed)
+        self.trainer()?.step_looks(&looks, &settings).map_err(failed)
     }
 
     fn found(&mut self) -> Result<DeviceFound, DeviceError> {
         let found = self.trainer()?.found().map_err(failed)?;
         Ok(DeviceFound {
             steps: found.steps,
+            looks: found.looks,
+            depth: found.depth,
+            cameras: found.cameras,
             l1: if found.loss_is_finite { found.l1 } else { f64::NAN },
             ssim: found.ssim,
             psnr: found.psnr,
