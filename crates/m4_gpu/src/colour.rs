@@ -37,7 +37,11 @@ impl Trainer {
         for (look, (frame, view)) in looks.iter().enumerate() {
             self.draw(view)?;
             let target = self.frames.get(&gpu, *frame)?;
-            self.leave_residual(&target, &parts, &squares, look);
+            let (shown, exposure) = self.corrected(*frame);
+            self.leave_residual(&shown, &target, &parts, &squares, look);
+            if let Some(exposure) = exposure {
+                self.pull_back(*frame, &exposure, false);
+            }
             self.add_colours(view, &sums, 0);
             if with_weight {
                 let ones = 3 * self.work.size.pixels();
@@ -62,13 +66,13 @@ impl Trainer {
     }
 
     /// Picture minus frame becomes the gradient.
-    fn leave_residual(&self, frame: &DeviceFrame, parts: &Buffer, squares: &Buffer, look: usize) {
+    fn leave_residual(&self, shown: &Buffer, frame: &DeviceFrame, parts: &Buffer, squares: &Buffer, look: usize) {
         let (client, pixels) = (&self.gpu.client, self.work.size.pixels());
         residual::launch(
             client,
             cubes(pixels, 256),
             units(),
-            self.work.image.arg(),
+            shown.arg(),
             frame.samples.arg(),
             self.work.gradient.arg(),
             parts.arg(),

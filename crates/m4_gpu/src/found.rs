@@ -48,6 +48,9 @@ pub struct Found {
     pub losses: Vec<(usize, f32)>,
     /// Frames whose camera's gradient was asked for, and that gradient, in the order of the looks.
     pub cameras: Vec<(usize, CameraGradient)>,
+    /// Frames whose exposure's gradient was asked for, and that gradient, in the order of the looks: rows of the matrix,
+    /// each followed by that of its offset.
+    pub exposures: Vec<(usize, [f64; 12])>,
     /// The loss of every frame was finite.
     pub loss_is_finite: bool,
     /// Every parameter that was moved is finite.
@@ -142,6 +145,7 @@ impl Tally {
             touched: touched as f64 / steps.max(1) as f64,
             losses: seen.map(|(frame, &w)| (frame, f32::from_bits(w))).collect(),
             cameras: Vec::new(),
+            exposures: Vec::new(),
             loss_is_finite: words[BAD_LOSS] == 0,
             splats_are_finite: words[BAD_SPLAT] == 0,
             entries: words[PEAK] as usize,

@@ -63,10 +63,10 @@ impl Trainer {
         for (look, (frame, view)) in looks.iter().enumerate() {
             self.draw(view)?;
             let target = self.frames.get(&gpu, *frame)?;
-            let image = &self.work.image;
+            let (shown, _) = self.corrected(*frame);
             self.loss
-                .compare(&gpu, image, &target, look, settings.lambda_ssim, &tally);
-            mask.find(&gpu, image, &target, settings.threshold);
+                .compare(&gpu, &shown, &target, look, settings.lambda_ssim, &tally);
+            mask.find(&gpu, &shown, &target, settings.threshold);
             self.add_scores(&mask, &tally, look, share, &scores);
         }
         let mut both = scores.read_floats(&gpu.client, TRAINING)?;

@@ -4,6 +4,7 @@ use crate::buffer::{Buffer, cubes, units};
 use crate::splats::parts;
 use crate::{GpuError, Trainer, adam};
 use m4_kernels::{View, adam::cpu::AdamConfig};
+use m4_scene::ShapeError;
 
 /// What a step depends on besides splats and frame.
 #[derive(Debug, Clone, Copy)]
@@ -29,6 +30,9 @@ pub struct Look<'a> {
     pub depth: Option<DepthTerm>,
     /// Also take the gradient of the camera, for [`Found::cameras`](crate::Found::cameras).
     pub camera: bool,
+    /// Also take the gradient of the frame's [exposure](Trainer::set_exposures), for
+    /// [`Found::exposures`](crate::Found::exposures); nothing for a frame without.
+    pub exposure: bool,
 }
 
 impl<'a> Look<'a> {
@@ -40,6 +44,7 @@ impl<'a> Look<'a> {
             view,
             depth: None,
             camera: false,
+            exposure: false,
         }
     }
 }
@@ -64,7 +69,7 @@ impl Trainer {
     ///
     /// # Errors
     ///
-    /// [`GpuError`] if there is no such frame, if there is no room for the tile entries, or if the device failed.
+    /// [`GpuError`] if there is no such frame, if the view has another size, if there is no room for the tile entries, or if the device failed.
     pub fn step(&mut self, frame: usize, view: &View, settings: &StepSettings<'_>) -> Result<(), GpuError> {
         self.step_looks(&[Look::new(frame, view)], settings)
     }
@@ -75,6 +80,8 @@ impl Trainer {
     ///
     /// As [`step`](Self::step).
     pub fn step_looks(&mut self, looks: &[Look<'_>], settings: &StepSettings<'_>) -> Result<(), GpuError> {
+        let columns = self.splats.layout.columns();
+        ShapeError::check("learning rates", columns, settings.rates.len())?;
         for (k, look) in looks.iter().enumerate() {
             if k == 1 {
                 self.start_sum();
@@ -105,12 +112,18 @@ impl Trainer {
             with_depth,
             ..*look.view
         })?;
-        let (gpu, image, gradient) = (&self.gpu, &self.work.image, &self.work.gradient);
-        self.loss.compare(gpu, image, &target, look.frame, lambda, &self.tally);
-        self.loss.gradient(gpu, image, &target, lambda, gradient);
+        let (shown, exposure) = self.corrected(look.frame);
+        let (gpu, gradient) = (&self.gpu, &self.work.gradient);
+        self.loss.compare(gpu, &shown, &target, look.frame, lambda, &self.tally);
+        self.loss.gradient(gpu, &shown, &target, lambda, gradient);
         if let Some((term, depth)) = depth {
-            self.loss.depth(gpu, image, &depth, term, gradient, &self.tally);
+            self.loss
+                .depth(gpu, &self.work.image, &depth, term, gradient, &self.tally);
         }
+        if let Some(exposure) = exposure {
+            self.pull_back(look.frame, &exposure, look.exposure);
+        }
+        let gpu = &self.gpu;
         let camera = look.camera.then(|| self.cameras.next(gpu, look.frame, self.splats.n));
         self.work.backward(
             gpu,

@@ -2,15 +2,15 @@
 
 use crate::batch::Batch;
 use crate::buffer::Buffer;
-use crate::camera::Cameras;
 use crate::found::{Found, Tally};
 use crate::frames::Frames;
+use crate::log::Log;
 use crate::loss::Loss;
 use crate::splats::DeviceSplats;
 use crate::work::{Size, Work};
-use crate::{Gpu, GpuError};
-use m4_kernels::{Frame, View, adam::cpu::AdamState, photo::cpu::Target};
-use m4_scene::Splats;
+use crate::{Gpu, GpuError, exposure};
+use m4_kernels::{CameraGradient, Frame, View, adam::cpu::AdamState, photo::cpu::Target};
+use m4_scene::{Exposure, ShapeError, Splats};
 use std::borrow::Borrow;
 
 /// What goes on, for errors.
@@ -34,7 +34,12 @@ pub struct Trainer {
     pub(crate) tally: Tally,
     /// Where a step has several frames.
     pub(crate) batch: Option<Batch>,
-    pub(crate) cameras: Cameras,
+    pub(crate) cameras: Log<10>,
+    pub(crate) exposure_log: Log<{ exposure::NUMBERS }>,
+    /// By frame; those beyond are not corrected.
+    pub(crate) exposures: Vec<Exposure>,
+    /// The picture drawn last, corrected.
+    pub(crate) exposed: Buffer,
     /// Whether there was room for the entries of a frame of these splats at this size.
     pub(crate) fits: bool,
 }
@@ -53,6 +58,7 @@ impl Trainer {
         frames: impl IntoIterator<Item = T>,
         budget_bytes: usize,
     ) -> Result<Self, GpuError> {
+        check(splats, adam)?;
         let frames = Frames::new(&gpu, frames, budget_bytes)?;
         let size = Size {
             n: splats.n(),
@@ -74,7 +80,10 @@ impl Trainer {
             loss: Loss::new(&gpu, size),
             tally,
             batch: None,
-            cameras: Cameras::default(),
+            cameras: Log::default(),
+            exposure_log: Log::default(),
+            exposures: Vec::new(),
+            exposed: Buffer::empty(&gpu.client, 1),
             fits: false,
             frames,
             splats,
@@ -132,6 +141,11 @@ impl Trainer {
 
     /// Draws `view`; the first time with these splats at this size with as much room as it takes.
     pub(crate) fn draw(&mut self, view: &View) -> Result<(), GpuError> {
+        let (k, size) = (&view.camera.intrinsics, self.work.size);
+        ShapeError::check("columns of a view", self.frames.width, k.width)?;
+        ShapeError::check("rows of a view", self.frames.height, k.height)?;
+        // without memory since an error
+        ShapeError::check("splats that there is memory for", self.splats.n, size.n)?;
         self.work.draw(&self.gpu, &self.splats, view);
         while !self.fits {
             let wanted = self.work.peak(&self.gpu, TRAINING)?;
@@ -178,7 +192,9 @@ impl Trainer {
     /// [`GpuError`] if the device failed since.
     pub fn found(&mut self) -> Result<Found, GpuError> {
         let mut found = self.tally.take(&self.gpu, TRAINING)?;
-        found.cameras = self.cameras.take(&self.gpu, TRAINING)?;
+        let cameras = self.cameras.take(&self.gpu, TRAINING)?;
+        found.cameras = cameras.into_iter().map(|(f, row)| (f, camera(row))).collect();
+        found.exposures = self.exposure_log.take(&self.gpu, TRAINING)?;
         self.work.peak = self.tally.buffer.clone();
         if found.entries > self.work.size.entries {
             self.make_room(found.entries)?;
@@ -242,8 +258,9 @@ impl Trainer {
     ///
     /// # Errors
     ///
-    /// [`GpuError`] if they do not fit; the trainer is not to be used after that.
+    /// [`GpuError`] if they do not fit, or not together; the trainer is not to be used after that.
     pub fn replace(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), GpuError> {
+        check(splats, adam)?;
         self.m = DeviceSplats::upload(&self.gpu, &adam.m)?;
         self.v = DeviceSplats::upload(&self.gpu, &adam.v)?;
         self.steps = Buffer::words(&self.gpu.client, &adam.step);
@@ -259,4 +276,25 @@ impl Trainer {
             ..self.work.size
         })
     }
+}
+
+/// A row of the log of cameras.
+fn camera(row: [f64; 10]) -> CameraGradient {
+    let [tx, ty, tz, rx, ry, rz, fx, fy, cx, cy] = row;
+    CameraGradient {
+        tau: [tx, ty, tz],
+        omega: [rx, ry, rz],
+        intrinsics: [fx, fy, cx, cy],
+    }
+}
+
+/// The state is that of these splats.
+fn check(splats: &Splats, adam: &AdamState) -> Result<(), ShapeError> {
+    let columns = splats.layout().columns();
+    for of in [&adam.m, &adam.v] {
+        ShapeError::check("splats of the optimiser", splats.n(), of.n())?;
+        ShapeError::check("static splats of the optimiser", splats.n_static(), of.n_static())?;
+        ShapeError::check("columns of the optimiser", columns, of.layout().columns())?;
+    }
+    ShapeError::check("counts of steps", splats.n(), adam.step.len())
 }

@@ -1,8 +1,8 @@
 //! From the sums of the tiles to gradients of the parameters.
 
 use super::{Spec, ellipse, offset_of, opacity_logit, row, sight};
-use crate::camera::write_parts;
 use crate::eye::{FOCAL, INVERSE_PERIOD, TIME};
+use crate::log::write_parts;
 use crate::shade::shade_backward;
 use crate::slice::{life, quat_backward, shape};
 use crate::vector::{add_scaled, dot, scaled, times, transposed, v3};
@@ -186,6 +186,6 @@ pub(crate) fn project_backward(
         touched[at] = seen;
     }
     if comptime!(with_camera) {
-        write_parts(&share, camera);
+        write_parts(&share, camera, 10usize);
     }
 }

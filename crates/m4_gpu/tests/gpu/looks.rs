@@ -6,7 +6,7 @@ use m4_gpu::{DepthTerm, GpuError, Look, StepSettings, Trainer};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState, step};
 use m4_kernels::photo::cpu::{PhotoScratch, Target, loss};
 use m4_kernels::{CameraGradient, FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
-use m4_scene::Splats;
+use m4_scene::{Exposure, Splats};
 use m4_testkit::assert_gradient;
 
 const TERM: DepthTerm = DepthTerm {
@@ -46,27 +46,78 @@ fn depth_loss(depth: &[f32], transmittance: &[f32], z: &[f32], g: &mut FrameGrad
     sum / f64::from(count)
 }
 
+/// Corrections of two frames.
+pub const CASTS: [Exposure; 2] = [
+    Exposure {
+        matrix: [[0.8, 0.1, 0.0], [0.05, 1.1, -0.1], [0.0, 0.2, 0.9]],
+        offset: [0.02, 0.0, 0.05],
+    },
+    Exposure {
+        matrix: [[1.2, 0.0, 0.1], [0.0, 0.7, 0.0], [0.1, 0.0, 1.1]],
+        offset: [-0.1, 0.05, 0.0],
+    },
+];
+
+/// `matrix rgb + offset`, and unchanged without a correction.
+pub fn exposed(exposure: Option<&Exposure>, rgb: &[Vec<f32>; 3]) -> [Vec<f32>; 3] {
+    let Some(Exposure { matrix, offset }) = exposure else {
+        return rgb.clone();
+    };
+    [0, 1, 2].map(|r| {
+        let pixels = 0..rgb[0].len();
+        let colour = |i: usize| (0..3).map(|k| matrix[r][k] * rgb[k][i]).sum::<f32>();
+        pixels.map(|i| colour(i) + offset[r]).collect()
+    })
+}
+
+/// Of the colours before, given that of the colours after.
+pub fn pulled_back(exposure: Option<&Exposure>, g: &[Vec<f32>; 3]) -> [Vec<f32>; 3] {
+    let Some(Exposure { matrix, .. }) = exposure else {
+        return g.clone();
+    };
+    [0, 1, 2].map(|k| {
+        let pixels = 0..g[0].len();
+        pixels.map(|i| (0..3).map(|r| matrix[r][k] * g[r][i]).sum()).collect()
+    })
+}
+
+/// Rows of the matrix, each with its offset.
+fn of_exposure(rgb: &[Vec<f32>; 3], g: &[Vec<f32>; 3]) -> [f64; 12] {
+    let dot = |a: &[f32], b: &[f32]| -> f64 { a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum() };
+    std::array::from_fn(|i| match (i / 4, i % 4) {
+        (r, 3) => g[r].iter().map(|&g| f64::from(g)).sum(),
+        (r, k) => dot(&g[r], &rgb[k]),
+    })
+}
+
 /// Splats, moments, the loss of depth and the cameras' gradients after a step.
 struct Host {
     adam: AdamState,
     depth: f64,
     cameras: Vec<CameraGradient>,
+    exposures: Vec<[f64; 12]>,
 }
 
 fn on_the_processor(splats: &Splats, looks: &[(Target, View, bool)], rates: &[f32]) -> Host {
     let mut renderer = Renderer::new(SimdLevel::best());
     let (mut scratch, mut cameras, mut depth_sum) = (PhotoScratch::default(), Vec::new(), 0.0);
+    let mut exposures = Vec::new();
     let mut sum = Gradients::default();
     sum.reset(splats);
     sum.columns.iter_mut().for_each(|c| c.fill(0.0));
-    for (target, view, with_depth) in looks {
+    for (frame, (target, view, with_depth)) in looks.iter().enumerate() {
         let view = View {
             with_depth: *with_depth,
             ..*view
         };
         let drawn = renderer.render(splats, &view).clone();
         let mut g = FrameGradient::default();
-        loss(SimdLevel::best(), target, &drawn.rgb, LAMBDA, &mut scratch, &mut g.rgb);
+        let shown = exposed(CASTS.get(frame), &drawn.rgb);
+        loss(SimdLevel::best(), target, &shown, LAMBDA, &mut scratch, &mut g.rgb);
+        if frame < CASTS.len() {
+            exposures.push(of_exposure(&drawn.rgb, &g.rgb));
+        }
+        g.rgb = pulled_back(CASTS.get(frame), &g.rgb);
         if *with_depth {
             depth_sum += depth_loss(&drawn.depth, &drawn.transmittance, &depth(), &mut g);
         }
@@ -98,6 +149,7 @@ fn on_the_processor(splats: &Splats, looks: &[(Target, View, bool)], rates: &[f3
         adam,
         depth: depth_sum,
         cameras,
+        exposures,
     }
 }
 
@@ -131,9 +183,11 @@ fn a_step_of_some_frames_is_that_of_the_processor() {
             .map(|(frame, (_, view, _))| Look {
                 depth: Some(TERM),
                 camera: true,
+                exposure: true,
                 ..Look::new(frame, view)
             })
             .collect();
+        trainer.set_exposures(&CASTS);
         trainer.step_looks(&asked, &settings).unwrap();
         let found = trainer.found().unwrap();
         assert_eq!((found.steps, found.looks), (1, chosen.len()));
@@ -155,7 +209,13 @@ fn a_step_of_some_frames_is_that_of_the_processor() {
                 assert_gradient(&format!("camera {i}, {what}"), got, want, 5e-3);
             }
         }
-        assert!(trainer.found().unwrap().cameras.is_empty());
+        assert_eq!(found.exposures.len(), want.exposures.len());
+        for (i, ((frame, got), want)) in found.exposures.iter().zip(&want.exposures).enumerate() {
+            assert_eq!(*frame, i);
+            assert_gradient(&format!("exposure {i}"), got, want, 5e-3);
+        }
+        let again = trainer.found().unwrap();
+        assert!(again.cameras.is_empty() && again.exposures.is_empty());
     }
 }
 
@@ -180,5 +240,15 @@ fn frames_that_are_not_there_are_errors() {
     let none: [Option<Vec<f32>>; 2] = [None, None];
     assert!(matches!(trainer.set_depths(none, 0), Err(GpuError::NoFrame { .. })));
     trainer.step_looks(&[], &settings).unwrap();
+    let mut large = view;
+    large.camera.intrinsics.width += 16;
+    assert!(matches!(trainer.step(0, &large, &settings), Err(GpuError::Shape(_))));
+    let few = StepSettings {
+        rates: &rates[1..],
+        ..settings
+    };
+    assert!(matches!(trainer.step(0, &view, &few), Err(GpuError::Shape(_))));
+    let others = AdamState::new(&splats.gather(&[0, 1]).unwrap());
+    assert!(matches!(trainer.replace(&splats, &others), Err(GpuError::Shape(_))));
     assert_eq!(trainer.found().unwrap().steps, 0);
 }

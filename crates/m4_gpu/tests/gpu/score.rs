@@ -1,12 +1,13 @@
 //! Scores of density control.
 
 use crate::gpu;
+use crate::looks::{CASTS, exposed};
 use crate::step::{LAMBDA, picture, start};
 use m4_gpu::{ScoreRange, ScoreSettings, Trainer};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::{PhotoScratch, Target, error_map, loss};
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_scene::Splats;
+use m4_scene::{Exposure, Splats};
 
 /// Errors at and below the cut become 0.
 fn mask(errors: &mut [f32], threshold: f32, range: ScoreRange) {
@@ -27,13 +28,14 @@ fn on_the_processor(
     splats: &Splats,
     frames: &[Target],
     looks: &[(usize, View)],
+    exposures: &[Exposure],
     settings: &ScoreSettings,
 ) -> [Vec<f32>; 2] {
     let mut renderer = Renderer::new(SimdLevel::best());
     let (mut scratch, mut gradient, mut errors) = (PhotoScratch::default(), Default::default(), Vec::new());
     let mut out = [vec![0.0; splats.n()], vec![0.0; splats.n()]];
     for (frame, view) in looks {
-        let rgb = renderer.render(splats, view).rgb.clone();
+        let rgb = exposed(exposures.get(*frame), &renderer.render(splats, view).rgb);
         let (level, target) = (SimdLevel::best(), &frames[*frame]);
         let photo = loss(level, target, &rgb, settings.lambda_ssim, &mut scratch, &mut gradient);
         error_map(level, target, &rgb, &mut errors);
@@ -56,17 +58,18 @@ fn scores_are_those_of_the_processor() {
     let late = View { t: 6.5, ..view };
     let looks = [(1, view), (0, late), (1, late)];
     let mut trainer = Trainer::new(gpu, &splats, &AdamState::new(&splats), &frames, 1 << 14).unwrap();
-    for (threshold, range) in [
-        (0.1, ScoreRange::Quantile { high: 0.995 }),
-        (0.5, ScoreRange::Quantile { high: 0.5 }),
-        (0.3, ScoreRange::MinMax),
+    for (threshold, range, exposures) in [
+        (0.1, ScoreRange::Quantile { high: 0.995 }, &CASTS[..0]),
+        (0.5, ScoreRange::Quantile { high: 0.5 }, &CASTS[..]),
+        (0.3, ScoreRange::MinMax, &CASTS[..1]),
     ] {
+        trainer.set_exposures(exposures);
         let settings = ScoreSettings {
             lambda_ssim: LAMBDA,
             threshold,
             range,
         };
-        let want = on_the_processor(&splats, &frames, &looks, &settings);
+        let want = on_the_processor(&splats, &frames, &looks, exposures, &settings);
         let got = trainer.score(&looks, &settings).unwrap();
         for (got, want) in [&got.densify, &got.prune].into_iter().zip(&want) {
             assert!(want.iter().filter(|&&v| v > 0.1).count() > 100, "too little to compare");

@@ -1,37 +1,36 @@
-//! The gradient with respect to the camera: a sum over the splats, a row of ten numbers a look.
+//! Gradients of what belongs to a frame (its camera, its exposure): a row of numbers a look, kept on the device until
+//! somebody asks.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::photo::cube_sum;
 use crate::{Gpu, GpuError};
 use cubecl::prelude::*;
-use m4_kernels::CameraGradient;
 
-/// Translation and rotation of the left twist, focal lengths, principal point.
-pub(crate) const NUMBERS: usize = 10;
 /// Looks of a page.
 const PAGE: usize = 256;
 
-/// Gradients of cameras since they were asked for the last time, in the order of the looks.
+/// Rows of `N` numbers since they were asked for the last time, in the order of the looks.
 #[derive(Debug, Default)]
-pub(crate) struct Cameras {
+pub(crate) struct Log<const N: usize> {
     frames: Vec<usize>,
     /// Rows of as many looks each.
     pages: Vec<Buffer>,
-    /// Sums of the cubes of the look drawn last, and their number.
+    /// Sums of the cubes of the look made last, and their number.
     parts: Option<(Buffer, usize)>,
 }
 
-impl Cameras {
-    /// Memory for a look at frame `frame` of `n` splats: ten numbers for each cube of 256 of them.
+impl<const N: usize> Log<N> {
+    /// Memory for a look at frame `frame`: `N` sums for each cube of 256 of `n` things. [`add_up`](Self::add_up) comes
+    /// after they are written.
     pub fn next(&mut self, gpu: &Gpu, frame: usize, n: usize) -> Buffer {
         if self.frames.len() == self.pages.len() * PAGE {
-            self.pages.push(Buffer::empty(&gpu.client, NUMBERS * PAGE));
+            self.pages.push(Buffer::empty(&gpu.client, N * PAGE));
         }
         self.frames.push(frame);
         let count = n.div_ceil(256).max(1);
         let parts = match self.parts.take() {
             Some((buffer, old)) if old == count => buffer,
-            _ => Buffer::empty(&gpu.client, NUMBERS * count),
+            _ => Buffer::empty(&gpu.client, N * count),
         };
         self.parts = Some((parts.clone(), count));
         parts
@@ -52,36 +51,30 @@ impl Cameras {
             page.arg(),
             *count as u32,
             (look % PAGE) as u32,
+            N as u32,
         );
     }
 
-    /// Waits, and hands out frames and gradients in the order of the looks.
-    pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<Vec<(usize, CameraGradient)>, GpuError> {
+    /// Waits, and hands out frames and rows in the order of the looks.
+    pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<Vec<(usize, [f64; N])>, GpuError> {
         let frames = std::mem::take(&mut self.frames);
-        let mut rows = Vec::new();
+        let mut values = Vec::new();
         for page in self.pages.drain(..) {
-            rows.extend(page.read_floats(&gpu.client, doing)?);
+            values.extend(page.read_floats(&gpu.client, doing)?);
         }
-        let gradients = rows.as_chunks::<NUMBERS>().0.iter().map(|row| {
-            let row = row.map(f64::from);
-            CameraGradient {
-                tau: [row[0], row[1], row[2]],
-                omega: [row[3], row[4], row[5]],
-                intrinsics: [row[6], row[7], row[8], row[9]],
-            }
-        });
-        Ok(frames.into_iter().zip(gradients).collect())
+        let rows = values.as_chunks::<N>().0.iter().map(|row| row.map(f64::from));
+        Ok(frames.into_iter().zip(rows).collect())
     }
 }
 
-/// Writes the ten sums of a cube of 256 units; each unit brings its own share.
+/// Writes the sums of a cube of 256 units; each unit brings its own share. Nobody may have left before.
 #[cube]
-pub(crate) fn write_parts(share: &Array<f32>, parts: &mut [f32]) {
+pub(crate) fn write_parts(share: &Array<f32>, parts: &mut [f32], #[comptime] numbers: usize) {
     let mut shared = Shared::<[f32]>::new_slice(256usize);
     #[unroll]
-    for k in 0usize..10usize {
+    for k in 0usize..numbers {
         let sum = cube_sum(share[k], &mut shared);
-        let at = CUBE_POS * 10 + k;
+        let at = CUBE_POS * numbers + k;
         if UNIT_POS == 0u32 && at < parts.len() {
             parts[at] = sum;
         }
@@ -89,19 +82,19 @@ pub(crate) fn write_parts(share: &Array<f32>, parts: &mut [f32]) {
 }
 
 #[cube(launch)]
-fn add_up(parts: &[f32], rows: &mut [f32], count: u32, look: u32) {
+fn add_up(parts: &[f32], rows: &mut [f32], count: u32, look: u32, #[comptime] numbers: u32) {
     let mut shared = Shared::<[f32]>::new_slice(256usize);
     #[unroll]
-    for k in 0u32..10u32 {
+    for k in 0u32..numbers {
         let mut mine = 0.0f32;
         let mut cube = UNIT_POS;
         while cube < count {
-            mine += parts[(cube * 10u32 + k) as usize];
+            mine += parts[(cube * numbers + k) as usize];
             cube += 256u32;
         }
         let sum = cube_sum(mine, &mut shared);
         if UNIT_POS == 0u32 {
-            rows[(look * 10u32 + k) as usize] = sum;
+            rows[(look * numbers + k) as usize] = sum;
         }
     }
 }
