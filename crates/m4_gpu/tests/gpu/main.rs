@@ -9,6 +9,7 @@ mod bench;
 mod edge_cases;
 mod looks;
 mod rearrange;
+mod room;
 mod score;
 mod step;
 mod twins;
