@@ -31,7 +31,7 @@ if [ -n "${QUICK:-}" ]; then
     cases=("2000 96x72" "4000 128x96")
     steps=1
     iterations=20
-    geometry=(--max-frames 8 --size 96)
+    geometry=(--end 0.7 --size 192)
     settings=(--set init.max_static=1000 --set init.max_dynamic=1000)
 else
     cases=("100000 360x480" "200000 854x480" "300000 960x720")
@@ -58,8 +58,15 @@ why() {
     *) echo "exit code $1" ;;
     esac
 }
-# the value of a key of a pretty-printed JSON file, the first after a line that has the second argument
-value() { awk -v key="\"$3\":" -v after="$2" 'index($0, after) { on = 1 } on && $1 == key { gsub(/[",]/, "", $2); $1 = ""; gsub(/^ |[",]+/, ""); print; exit }' "$1"; }
+# the value of a key of a pretty-printed JSON file, the first after lines that hold the other arguments, in their order
+value() {
+    local file=$1 key=$2
+    shift 2
+    awk -v key="\"$key\":" -v marks="$(printf '%s\n' "$@")" '
+        BEGIN { n = split(marks, mark, "\n"); while (n > 0 && mark[n] == "") n-- }
+        at < n { if (index($0, mark[at + 1])) at++; next }
+        $1 == key { sub(/^[^:]*: */, ""); gsub(/[",]/, ""); print; exit }' "$file"
+}
 
 echo "== doctor" >&2
 within 60 "$program" doctor | tee "$work/doctor.txt" >&2 || failed+=("doctor")
@@ -135,18 +142,19 @@ summary=$results/${slug:-$day-gpu}-training.md
     echo "| what | value |"
     echo "|---|---|"
     if [ -f "$record" ]; then
-        echo "| status | $(value "$record" '' status) |"
-        echo "| iterations | $(value "$record" '' iterations) |"
-        echo "| initialisation and training, s | $(value "$record" '"train": {' seconds) |"
+        echo "| GPU | $(value "$record" gpu '"device": {') |"
+        echo "| status | $(value "$record" status) |"
+        echo "| iterations | $(value "$record" iterations '"stages": {') |"
+        echo "| initialisation and training, s | $(value "$record" seconds '"stages": {' '"train": {') |"
         echo "| the whole command with preview, s | $wall |"
-        echo "| static splats | $(value "$record" '"splats": {' static) |"
-        echo "| dynamic splats | $(value "$record" '"splats": {' dynamic) |"
+        echo "| static splats | $(value "$record" static '"splats": {') |"
+        echo "| dynamic splats | $(value "$record" dynamic '"splats": {') |"
         last=$(tail -1 "$work/out/metrics.jsonl" 2>/dev/null)
-        for key in loss psnr; do
+        for key in seconds loss psnr; do
             found=$(sed -n "s/.*\"$key\":\([-0-9.eE]*\).*/\1/p" <<<"$last")
-            [ -z "$found" ] || echo "| last $key | $found |"
+            [ -z "$found" ] || echo "| last $key of metrics.jsonl | $found |"
         done
-        echo "| peak memory of the host, bytes | $(value "$record" '' peak_memory_bytes) |"
+        echo "| peak memory of the host, bytes | $(grep -o '"peak_memory_bytes": [0-9]*' "$record" | grep -o '[0-9]*$' | sort -n | tail -1) |"
     fi
     if [ -s "$work/memory.txt" ]; then
         echo "| most memory in use on a GPU of this machine, all programs, MiB | $(sort -n "$work/memory.txt" | tail -1) |"

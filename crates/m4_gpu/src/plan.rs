@@ -32,6 +32,8 @@ pub struct Plan {
     parts: Vec<Part>,
     frame_bytes: u64,
     frames: usize,
+    /// Memory of a second set of gradients.
+    batch: Part,
 }
 
 /// The buffers of a part, counted in numbers of four bytes.
@@ -90,6 +92,7 @@ impl Plan {
             parts,
             frame_bytes: frame.bytes,
             frames,
+            batch: part("gradients of a batch", &[&columns[..], &[n]].concat()),
         }
     }
 
@@ -117,7 +120,15 @@ impl Plan {
             parts,
             frame_bytes: 0,
             frames: 0,
+            batch: part("gradients of a batch", &[]),
         }
+    }
+
+    /// With the second set of gradients that steps of several frames add theirs up in.
+    #[must_use]
+    pub fn with_batches(mut self) -> Self {
+        self.parts.push(self.batch);
+        self
     }
 
     /// Entries of tile lists that memory is first made for.
@@ -275,6 +286,7 @@ mod tests {
         assert_eq!(of("moments"), 2 * splats + 4 * 100_000);
         assert_eq!(of("frames"), 10 * 3 * 480 * 360);
         assert_eq!(plan.total(), plan.without_frames() + 10 * plan.frame_bytes());
+        assert_eq!(plan.clone().with_batches().total(), plan.total() + splats + 4 * 100_000);
     }
 
     #[test]

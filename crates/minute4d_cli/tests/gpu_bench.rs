@@ -30,7 +30,7 @@ fn a_gpu_is_timed_by_the_same_columns() {
     }
     let dir = Scratch::new();
     let runs = dir.at("runs");
-    let more = ["1", "--scene", "static", "--json", "--save", &runs];
+    let more = ["1", "--scene", "static", "--depth", "--json", "--save", &runs];
     let report = succeed(&[&SMALL[..], &more[..]].concat()).result();
     assert!(!report["machine"]["gpu"]["name"].as_str().unwrap().is_empty());
     let case = &report["cases"][0];
@@ -61,9 +61,4 @@ fn what_would_take_too_much_is_refused_part_by_part() {
     }
     let parts = ["splats", "moments", "tile lists", "frames", "--max-vram"];
     refused(&[&SMALL[..], &["1", "--max-vram", "1"]].concat(), 69, &parts);
-}
-
-#[test]
-fn depth_is_not_timed_on_a_gpu() {
-    refused(&[&SMALL[..], &["1", "--depth"]].concat(), 2, &["--depth"]);
 }

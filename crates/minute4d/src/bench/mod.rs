@@ -39,7 +39,7 @@ pub struct BenchConfig {
     pub depth: bool,
     /// Draw alone, without the rest of a training step.
     pub render_only: bool,
-    /// Where to run; on a GPU threads do not matter, and depth is not composited.
+    /// Where to run; on a GPU threads do not matter.
     pub device: DeviceChoice,
     /// What a GPU may be made to hold, megabytes; no limit where there is none.
     pub max_vram_mb: Option<usize>,

@@ -45,10 +45,10 @@ impl BenchReport {
                     None => case.threads.to_string(),
                 },
             ];
-            row.extend(case.kernels.iter().map(|k| format!("{:.2}", k.ms)));
+            row.extend(case.kernels.iter().map(|k| millis(k.ms)));
             let step = case.step.map(|s| {
                 [
-                    format!("{:.2}", s.ms),
+                    millis(s.ms),
                     format!("{:.1}", s.per_s),
                     format!("{:.0} %", 100.0 * s.busy),
                 ]
@@ -93,13 +93,13 @@ impl Case {
             let dash = || "-".to_owned();
             table.push(vec![
                 "step".to_owned(),
-                format!("{:.2}", step.ms),
+                millis(step.ms),
                 dash(),
                 dash(),
                 dash(),
                 format!("{:.1}", self.kernels.iter().map(|k| k.bytes).sum::<f64>() / 1e6),
                 dash(),
-                format!("{:.2}", step.bound_ms),
+                millis(step.bound_ms),
                 "all".to_owned(),
                 format!("{:.1}", step.ms / step.bound_ms.max(1e-9)),
             ]);
@@ -113,7 +113,7 @@ impl Case {
 }
 
 impl GpuCase {
-    fn to_markdown(&self) -> String {
+    fn to_markdown(self) -> String {
         let mb = |bytes: u64| bytes as f64 / 1e6;
         format!(
             "\nkernels timed by {}; {} behind one another; memory {:.0} MB planned, {:.0} MB in use, {:.0} MB taken from \
@@ -135,7 +135,7 @@ impl GpuCase {
 fn kernel_row(k: &KernelRow) -> Vec<String> {
     vec![
         k.kernel.clone(),
-        format!("{:.2}", k.ms),
+        millis(k.ms),
         format!("{:.1}", k.ns_per_item),
         k.item.clone(),
         k.evaluations_g_per_s
@@ -146,6 +146,15 @@ fn kernel_row(k: &KernelRow) -> Vec<String> {
         k.bound.name().to_owned(),
         format!("{:.1}", k.times_bound),
     ]
+}
+
+/// To a hundredth, below a millisecond to a thousandth.
+fn millis(ms: f64) -> String {
+    if ms < 1.0 {
+        format!("{ms:.3}")
+    } else {
+        format!("{ms:.2}")
+    }
 }
 
 /// A Markdown table whose cells are padded to the width of their column; the first row is the head.

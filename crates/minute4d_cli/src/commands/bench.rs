@@ -6,7 +6,6 @@ use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::Error;
 use minute4d::bench::{self, BenchConfig, MemoryConfig, SavedReport};
-use minute4d::device::DeviceChoice;
 use minute4d::kernels::bench::SceneKind;
 use std::path::{Path, PathBuf};
 
@@ -16,11 +15,6 @@ const QUICK_STEPS: usize = 5;
 pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure> {
     if args.memory {
         return memory(args, output);
-    }
-    if args.depth && args.device != DeviceChoice::Cpu {
-        return Err(Failure::usage(
-            "--depth is timed on the processor alone; leave it out, or --device",
-        ));
     }
     let report = bench::run(&config(args, common), output)?;
     if let Some(folder) = &args.save {
