@@ -102,6 +102,22 @@ pub struct ColourGradient {
     pub squares: f64,
 }
 
+/// What becomes of the splats on a device: where each row comes from, and those that are not what they were.
+#[derive(Debug, Clone, Copy)]
+pub struct Regrowth<'a> {
+    /// Row `i` of the next splats is row `rows[i]` of those there are; static rows come from static ones, dynamic from
+    /// dynamic.
+    pub rows: &'a [u32],
+    /// Of the next splats, how many are static.
+    pub n_static: usize,
+    /// Where the optimiser's state starts from nothing, one flag a row.
+    pub newborn: &'a [bool],
+    /// Rows that are other than the row they come from, static ones first.
+    pub changed: &'a [u32],
+    /// What they are: as many splats as `changed`, in that order.
+    pub values: &'a Splats,
+}
+
 /// A place where splats live and steps are taken: a GPU.
 ///
 /// Every method may fail with what the device says; after that nothing on it is relied on. `n` rows are those of the
@@ -125,13 +141,19 @@ pub trait Device: std::fmt::Debug {
     /// [`DeviceError`].
     fn upload(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), DeviceError>;
 
-    /// Takes the next splats; row `i` of the optimiser's state is row `rows[i]` of the one before, or nothing where
-    /// `newborn[i]`.
+    /// Goes on with other splats, and the optimiser's state of the rows that they come from.
     ///
     /// # Errors
     ///
     /// [`DeviceError`].
-    fn rearrange(&mut self, splats: &Splats, rows: &[u32], newborn: &[bool]) -> Result<(), DeviceError>;
+    fn regrow(&mut self, next: &Regrowth<'_>) -> Result<(), DeviceError>;
+
+    /// Lays splats and the optimiser's state out as [`m4_kernels::morton_order`] does, or nearly so.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn reorder(&mut self) -> Result<(), DeviceError>;
 
     /// The splats as they are after all steps.
     ///

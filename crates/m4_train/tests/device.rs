@@ -7,10 +7,10 @@ mod common;
 use common::{disturbed, video};
 use m4_kernels::adam::cpu::{AdamState, step as adam_step};
 use m4_kernels::photo::cpu::{PhotoScratch, Target, error_map, loss};
-use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
+use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted, morton_order};
 use m4_scene::{Column, Silent, SplatLayout, Splats};
 use m4_train::density::{Scores, masked_error};
-use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, ScoreSettings};
+use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, Regrowth, ScoreSettings};
 use m4_train::{DensityConfig, Device, DeviceError, TrainConfig, TrainError, Trainer};
 
 /// The sum of two gradients; what one of them does not touch holds anything.
@@ -75,6 +75,12 @@ impl Mirror {
             .backward(&self.splats, &self.gradient, wanted, &mut self.gradients);
     }
 
+    fn sort_state(&mut self, rows: &[u32]) {
+        self.adam.m.rearrange(rows).unwrap();
+        self.adam.v.rearrange(rows).unwrap();
+        self.adam.step = rows.iter().map(|&r| self.adam.step[r as usize]).collect();
+    }
+
     /// Adds the gradient of the first three columns of colours.
     fn add_colours(&self, sums: &mut [Vec<f32>; 3]) {
         let first = self.splats.layout().column(Column::Colour);
@@ -102,14 +108,30 @@ impl Device for Mirror {
         Ok(())
     }
 
-    fn rearrange(&mut self, splats: &Splats, rows: &[u32], newborn: &[bool]) -> Result<(), DeviceError> {
-        self.splats = splats.clone();
-        self.adam.m.rearrange(rows).unwrap();
-        self.adam.v.rearrange(rows).unwrap();
-        self.adam.step = rows.iter().map(|&r| self.adam.step[r as usize]).collect();
-        for (row, _) in newborn.iter().enumerate().filter(|&(_, &new)| new) {
+    fn regrow(&mut self, next: &Regrowth<'_>) -> Result<(), DeviceError> {
+        let (all, values) = (next.rows.len() as u32, next.values);
+        self.splats.rearrange(next.rows).unwrap();
+        assert_eq!(self.splats.n_static(), next.n_static);
+        for (column, new) in self.splats.columns_mut().zip(values.columns()) {
+            let (first, skip) = match column.len() == all as usize {
+                true => (0, 0),
+                false => (next.n_static as u32, values.n_static()),
+            };
+            for (row, value) in next.changed[skip..].iter().zip(new) {
+                column[(row - first) as usize] = *value;
+            }
+        }
+        self.sort_state(next.rows);
+        for (row, _) in next.newborn.iter().enumerate().filter(|&(_, &new)| new) {
             self.adam.forget(row);
         }
+        Ok(())
+    }
+
+    fn reorder(&mut self) -> Result<(), DeviceError> {
+        let order = morton_order(&self.splats);
+        self.splats.rearrange(&order).unwrap();
+        self.sort_state(&order);
         Ok(())
     }
 

@@ -2,9 +2,9 @@
 
 use crate::gpu;
 use crate::step::{LAMBDA, LAYOUT, columns, picture, start};
-use m4_gpu::{GpuError, StepSettings, Trainer};
-use m4_kernels::View;
+use m4_gpu::{GpuError, Regrowth, StepSettings, Trainer};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
+use m4_kernels::{View, morton_order};
 use m4_scene::Splats;
 
 fn trainer(gpu: m4_gpu::Gpu) -> (Trainer, View) {
@@ -49,7 +49,31 @@ fn survivors_keep_their_state_and_newborns_start_from_nothing() {
     (0..rows.len()).filter(|&i| newborn[i]).for_each(|i| want.forget(i));
     assert!(want.step.contains(&2) && columns(&want.m).iter().any(|&v| v != 0.0));
 
-    trainer.rearrange(&next, &rows, &newborn).unwrap();
+    // newborns differ from their parents, and so does one that stays
+    let mut next = next;
+    let changed: Vec<u32> = (0..rows.len())
+        .filter(|&i| newborn[i] || i == 5)
+        .map(|i| i as u32)
+        .collect();
+    for column in next.columns_mut() {
+        let first = if column.len() == rows.len() {
+            0
+        } else {
+            rows.len() - column.len()
+        };
+        for &row in changed.iter().filter(|&&row| row as usize >= first) {
+            column[row as usize - first] += 0.5;
+        }
+    }
+    let values = next.gather(&changed).unwrap();
+    let regrowth = Regrowth {
+        rows: &rows,
+        n_static: next.n_static(),
+        newborn: &newborn,
+        changed: &changed,
+        values: &values,
+    };
+    trainer.regrow(&regrowth).unwrap();
     assert_eq!(trainer.download().unwrap(), (next.clone(), want.clone()));
     // and steps go on from there
     trainer.found().unwrap();
@@ -73,22 +97,54 @@ fn rows_that_do_not_fit_are_refused_and_nothing_changes() {
     outside[n as usize - 1] = n;
     let mut swapped = rows.clone();
     swapped.swap(0, n as usize - 1);
-    let wide = Splats::zeros(
-        m4_scene::SplatLayout { sh_degree: 2, ..LAYOUT },
-        splats.n_static(),
-        splats.n_dynamic(),
-    );
-    for (splats, rows, newborn) in [
-        (splats, &rows[1..], &newborn[..]),
-        (splats, &rows[..], &newborn[1..]),
-        (splats, &outside[..], &newborn[..]),
-        (splats, &swapped[..], &newborn[..]),
-        (&wide, &rows[..], &newborn[..]),
+    let one = splats.gather(&[0]).unwrap();
+    let wide = Splats::zeros(m4_scene::SplatLayout { sh_degree: 2, ..LAYOUT }, 1, 0);
+    let good = Regrowth {
+        rows: &rows,
+        n_static: splats.n_static(),
+        newborn: &newborn,
+        changed: &[0],
+        values: &one,
+    };
+    for bad in [
+        Regrowth {
+            newborn: &newborn[1..],
+            ..good
+        },
+        Regrowth { rows: &outside, ..good },
+        Regrowth { rows: &swapped, ..good },
+        Regrowth { values: &wide, ..good },
+        Regrowth { changed: &[], ..good },
+        Regrowth {
+            changed: &[n - 1],
+            ..good
+        },
+        Regrowth { changed: &[n], ..good },
     ] {
-        assert!(matches!(
-            trainer.rearrange(splats, rows, newborn),
-            Err(GpuError::Shape(_))
-        ));
+        assert!(matches!(trainer.regrow(&bad), Err(GpuError::Shape(_))), "{bad:?}");
     }
     assert_eq!(trainer.download().unwrap(), before);
+    trainer.regrow(&good).unwrap();
+    assert_eq!(trainer.download().unwrap(), before);
+}
+
+#[test]
+fn the_order_in_memory_is_that_of_the_processor() {
+    let Some(gpu) = gpu("ordering") else { return };
+    let (mut trainer, view) = trainer(gpu);
+    let (splats, adam) = trainer.download().unwrap();
+    let order = morton_order(&splats);
+    let want = AdamState {
+        m: adam.m.gather(&order).unwrap(),
+        v: adam.v.gather(&order).unwrap(),
+        step: order.iter().map(|&r| adam.step[r as usize]).collect(),
+    };
+    trainer.reorder().unwrap();
+    let got = trainer.download().unwrap();
+    // a division that rounds another way may put a splat into the next cell: none does here
+    assert!(got == (splats.gather(&order).unwrap(), want));
+    assert_ne!(got.0, splats);
+    let rates = vec![1e-3; LAYOUT.columns()];
+    trainer.step(0, &view, &settings(&rates)).unwrap();
+    assert!(trainer.found().unwrap().touched > 0.0);
 }

@@ -6,12 +6,12 @@
 use super::Trainer;
 use super::step::StepReport;
 use crate::colour_fit::ColourSums;
-use crate::density::{Plan, Scores, apply_to_splats};
-use crate::device::{Device, DeviceDepth, DeviceError, DeviceFound, DeviceLook, DeviceStep, ScoreSettings};
+use crate::density::{Origin, Plan, Scores, apply_to_splats};
+use crate::device::{Device, DeviceDepth, DeviceError, DeviceFound, DeviceLook, DeviceStep, Regrowth, ScoreSettings};
 use crate::frames::smaller;
 use crate::rates::rates;
 use crate::{TrainError, schedule};
-use m4_kernels::{View, morton_order};
+use m4_kernels::View;
 use m4_scene::Camera;
 
 /// A device and how far it is from what the trainer holds.
@@ -136,9 +136,7 @@ impl Trainer<'_> {
         self.density_round()?;
         let reorder = self.config.reorder_every;
         if reorder > 0 && self.iteration.is_multiple_of(reorder) {
-            self.bring_splats()?;
-            let (rows, newborn) = ((0..self.splats.n() as u32).collect(), vec![false; self.splats.n()]);
-            self.reorder_remotely(rows, newborn)?;
+            self.reorder_remotely()?;
         }
         if self.iteration == n && self.colours_are_due(n) {
             self.fit_colours_remotely()?;
@@ -251,27 +249,31 @@ impl Trainer<'_> {
             self.config.seed,
             self.iteration,
         )?;
-        self.reorder_remotely(plan.rows.clone(), plan.newborn())
+        let rows = plan.origins.iter().enumerate();
+        let changed: Vec<u32> = rows
+            .filter(|(_, origin)| **origin != Origin::Kept)
+            .map(|(row, _)| row as u32)
+            .collect();
+        let (n_static, newborn, values) = (self.splats.n_static(), plan.newborn(), self.splats.gather(&changed)?);
+        self.remotely(|device| {
+            device.regrow(&Regrowth {
+                rows: &plan.rows,
+                n_static,
+                newborn: &newborn,
+                changed: &changed,
+                values: &values,
+            })
+        })?;
+        self.reorder_remotely()
     }
 
-    /// Lays the splats here, which are row `rows[i]` of those there, out along a Morton curve, and uploads them.
-    fn reorder_remotely(&mut self, rows: Vec<u32>, newborn: Vec<bool>) -> Result<(), TrainError> {
-        let order = morton_order(&self.splats);
-        self.splats.rearrange(&order)?;
-        let rows: Vec<u32> = order.iter().map(|&i| rows[i as usize]).collect();
-        let newborn: Vec<bool> = order.iter().map(|&i| newborn[i as usize]).collect();
-        self.send_splats(&rows, &newborn)
-    }
-
-    /// Uploads the splats here, which are row `rows[i]` of those there.
-    fn send_splats(&mut self, rows: &[u32], newborn: &[bool]) -> Result<(), TrainError> {
-        let splats = self.take_splats();
-        let done = self.remotely(|device| device.rearrange(&splats, rows, newborn));
-        // a failure has put the last good splats in their place
-        if done.is_ok() {
-            self.splats = splats;
+    /// Lays everything there out along a Morton curve; what is here has another order then.
+    fn reorder_remotely(&mut self) -> Result<(), TrainError> {
+        self.remotely(|device| device.reorder())?;
+        if let Some(remote) = &mut self.remote {
+            (remote.splats_are_old, remote.adam_is_old) = (true, true);
         }
-        done
+        Ok(())
     }
 
     /// As `fit_colours`, with the sums made on the device.
@@ -291,7 +293,16 @@ impl Trainer<'_> {
             let found = self.remotely(|device| device.colour_gradient(&looks, round == 0))?;
             sums.replace(found.residual, found.weight);
             sums.apply(&mut self.splats, config.relax, config.damping_px);
-            self.send_splats(&rows, &newborn)?;
+            let values = self.splats.clone();
+            self.remotely(|device| {
+                device.regrow(&Regrowth {
+                    rows: &rows,
+                    n_static: values.n_static(),
+                    newborn: &newborn,
+                    changed: &rows,
+                    values: &values,
+                })
+            })?;
         }
         Ok(())
     }

@@ -27,7 +27,7 @@ impl Trainer<'_> {
         out
     }
 
-    pub(super) fn take_splats(&mut self) -> Splats {
+    fn take_splats(&mut self) -> Splats {
         let nothing = Splats::zeros(self.splats.layout(), 0, 0);
         std::mem::replace(&mut self.splats, nothing)
     }

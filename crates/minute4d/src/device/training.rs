@@ -7,7 +7,7 @@ use m4_kernels::photo::cpu::Target;
 use m4_scene::{SplatLayout, Splats};
 use m4_train::config::ErrorRange;
 use m4_train::density::Scores;
-use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, ScoreSettings};
+use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, Regrowth, ScoreSettings};
 use m4_train::{Device, DeviceError};
 
 /// A GPU that trains.
@@ -121,9 +121,23 @@ impl Device for GpuTraining {
         Ok(())
     }
 
-    fn rearrange(&mut self, splats: &Splats, rows: &[u32], newborn: &[bool]) -> Result<(), DeviceError> {
-        self.shape = Some(Shape::of(splats));
-        self.trainer()?.rearrange(splats, rows, newborn).map_err(failed)
+    fn regrow(&mut self, next: &Regrowth<'_>) -> Result<(), DeviceError> {
+        if let Some(shape) = &mut self.shape {
+            shape.n_static = next.n_static;
+            shape.n_dynamic = next.rows.len() - next.n_static;
+        }
+        let next = m4_gpu::Regrowth {
+            rows: next.rows,
+            n_static: next.n_static,
+            newborn: next.newborn,
+            changed: next.changed,
+            values: next.values,
+        };
+        self.trainer()?.regrow(&next).map_err(failed)
+    }
+
+    fn reorder(&mut self) -> Result<(), DeviceError> {
+        self.trainer()?.reorder().map_err(failed)
     }
 
     fn splats(&mut self) -> Result<Splats, DeviceError> {
