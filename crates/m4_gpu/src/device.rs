@@ -37,7 +37,7 @@ pub struct Adapter {
     pub name: String,
     /// What it is.
     pub kind: AdapterKind,
-    /// Vulkan, Metal or DX12.
+    /// Vulkan, Metal, DX12 or CUDA.
     pub api: String,
     /// Name and version of the driver, as it says.
     pub driver: String,
@@ -50,7 +50,17 @@ pub struct Adapter {
     /// Why no device is made of it, if that is so.
     pub unfit: Option<String>,
     #[serde(skip)]
-    place: (u8, usize),
+    pub(crate) place: Place,
+}
+
+/// Where the runtime finds an adapter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Place {
+    /// A kind, and its number among those of that kind.
+    Wgpu(u8, usize),
+    /// The driver's number.
+    #[cfg(feature = "cuda")]
+    Cuda(usize),
 }
 
 /// Units a cube that the kernels need.
@@ -59,9 +69,32 @@ const UNITS: u32 = 256;
 const SHARED_BYTES: u32 = 13_840;
 
 /// The adapters of this machine in the order of their index, on the first of Vulkan, Metal and DX12 that has more than
-/// software; where none has, software on the first that has any. Empty without a driver.
+/// software; where none has, software on the first that has any. Before them those of CUDA, in a build with the feature
+/// `cuda`: a GPU can be there twice. Empty without a driver.
 #[must_use]
 pub fn adapters() -> Vec<Adapter> {
+    #[cfg(feature = "cuda")]
+    let mut all = crate::cuda::adapters();
+    #[cfg(not(feature = "cuda"))]
+    let mut all = Vec::new();
+    all.extend(graphics_adapters());
+    for (index, adapter) in all.iter_mut().enumerate() {
+        adapter.index = index;
+    }
+    all
+}
+
+/// What CUDA needs at run time and this machine does not have, and how to get it; `None` if it is all there, and in builds
+/// without the feature `cuda`.
+#[must_use]
+pub fn missing_for_cuda() -> Option<String> {
+    #[cfg(feature = "cuda")]
+    return crate::cuda::missing();
+    #[cfg(not(feature = "cuda"))]
+    None
+}
+
+fn graphics_adapters() -> Vec<Adapter> {
     let mut software_only = None;
     for backend in [wgpu::Backends::VULKAN, wgpu::Backends::METAL, wgpu::Backends::DX12] {
         let found = adapters_of(backend);
@@ -94,15 +127,6 @@ fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
             limits.max_compute_invocations_per_workgroup,
             limits.max_compute_workgroup_storage_size,
         );
-        let unfit = if max_units < UNITS {
-            Some(format!("{max_units} units a cube, {UNITS} are needed"))
-        } else if max_shared_bytes < SHARED_BYTES {
-            Some(format!(
-                "{max_shared_bytes} bytes shared by a cube, {SHARED_BYTES} are needed"
-            ))
-        } else {
-            None
-        };
         out.push(Adapter {
             index,
             name: info.name.clone(),
@@ -112,15 +136,29 @@ fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
             max_buffer_bytes: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
             max_units,
             max_shared_bytes,
-            unfit,
-            place: (slot, seen[usize::from(slot)]),
+            unfit: unfit(max_units, max_shared_bytes),
+            place: Place::Wgpu(slot, seen[usize::from(slot)]),
         });
         seen[usize::from(slot)] += 1;
     }
     out
 }
 
-/// The best adapter that is fit and more than software: discrete before integrated before virtual.
+/// Why kernels cannot run with so many units and bytes a cube, if they cannot.
+pub(crate) fn unfit(max_units: u32, max_shared_bytes: u32) -> Option<String> {
+    if max_units < UNITS {
+        Some(format!("{max_units} units a cube, {UNITS} are needed"))
+    } else if max_shared_bytes < SHARED_BYTES {
+        Some(format!(
+            "{max_shared_bytes} bytes shared by a cube, {SHARED_BYTES} are needed"
+        ))
+    } else {
+        None
+    }
+}
+
+/// The best adapter that is fit and more than software: discrete before integrated before virtual, and the
+/// first of those.
 #[must_use]
 pub fn best(adapters: &[Adapter]) -> Option<&Adapter> {
     let rank = |a: &&Adapter| match a.kind {
@@ -194,7 +232,16 @@ impl Gpu {
         if let Some(why) = &adapter.unfit {
             return Err(refused(why.clone()));
         }
-        let (slot, nth) = adapter.place;
+        let (slot, nth) = match adapter.place {
+            Place::Wgpu(slot, nth) => (slot, nth),
+            #[cfg(feature = "cuda")]
+            Place::Cuda(ordinal) => {
+                return Ok(Self {
+                    client: crate::cuda::start(ordinal).map_err(refused)?,
+                    adapter: adapter.clone(),
+                });
+            }
+        };
         let api = match adapter.api.as_str() {
             "Vulkan" => WgpuBackend::Vulkan,
             "Metal" => WgpuBackend::Metal,
@@ -251,7 +298,7 @@ impl Gpu {
     }
 }
 
-static STARTED: std::sync::Mutex<Vec<(u8, usize)>> = std::sync::Mutex::new(Vec::new());
+static STARTED: std::sync::Mutex<Vec<Place>> = std::sync::Mutex::new(Vec::new());
 
 pub(crate) fn failed(doing: &'static str, error: &impl std::fmt::Display) -> GpuError {
     GpuError::Failed {

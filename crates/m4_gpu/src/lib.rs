@@ -31,6 +31,8 @@ mod blend;
 mod blend_backward;
 mod buffer;
 mod colour;
+#[cfg(feature = "cuda")]
+mod cuda;
 mod device;
 mod error;
 mod error_mask;
@@ -64,13 +66,13 @@ mod work;
 
 pub use bench::{Bench, DeviceMemory, Drawing};
 pub use colour::ColourSums;
-pub use device::{Adapter, AdapterKind, Choice, Gpu, adapters, best};
+pub use device::{Adapter, AdapterKind, Choice, Gpu, adapters, best, missing_for_cuda};
 pub use error::GpuError;
-pub use plan::{Part, Plan};
 pub use found::Found;
 pub use gather::Regrowth;
+pub use plan::{Part, Plan};
 pub use renderer::Renderer;
 pub use score::{ScoreRange, ScoreSettings, ScoreSums};
-pub use stopwatch::Laps;
 pub use step::{DepthTerm, Look, StepSettings};
+pub use stopwatch::Laps;
 pub use trainer::Trainer;

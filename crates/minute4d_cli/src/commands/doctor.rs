@@ -179,6 +179,8 @@ fn notes(machine: &Machine) -> Vec<String> {
             "no GPU answers by Vulkan, Metal, DX12 or OpenGL: where there is one, its driver is missing".to_owned(),
         );
     }
+    #[cfg(feature = "cuda")]
+    notes.extend(minute4d::gpu::missing_for_cuda());
     if !machine.ffmpeg.found {
         notes.push(
             "no ffmpeg: 8-bit H.264 in MP4 or MOV works without; HEVC, AV1, VP9 and others need it \
