@@ -9,7 +9,7 @@ use crate::density::Scores;
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
 use m4_kernels::photo::cpu::Target;
 use m4_kernels::{CameraGradient, View};
-use m4_scene::Splats;
+use m4_scene::{Exposure, Splats};
 
 /// Why a device could not go on, in its own words.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -30,6 +30,8 @@ pub struct DeviceLook<'a> {
     pub depth: Option<DeviceDepth>,
     /// Also take the gradient of the camera, for [`DeviceFound::cameras`].
     pub camera: bool,
+    /// Also take the gradient of the frame's exposure, for [`DeviceFound::exposures`].
+    pub exposure: bool,
 }
 
 /// The loss of depth of a frame, as [`crate::LossConfig`] has it at this point of the run.
@@ -77,6 +79,8 @@ pub struct DeviceFound {
     pub losses: Vec<(usize, f32)>,
     /// Gradients of the cameras that were asked for, in the order of the looks, each with the number of its frame.
     pub cameras: Vec<(usize, CameraGradient)>,
+    /// Gradients of the exposures that were asked for, likewise: rows of the matrix, each followed by its offset.
+    pub exposures: Vec<(usize, [f64; 12])>,
 }
 
 /// Which errors of a frame count, and for how much.
@@ -133,6 +137,14 @@ pub trait Device: std::fmt::Debug {
     ///
     /// [`DeviceError`].
     fn set_frames(&mut self, frames: Vec<Target>, depths: Vec<Option<Vec<f32>>>) -> Result<(), DeviceError>;
+
+    /// Takes the correction of every frame's colours: from here on `matrix rgb + offset` is what is compared with the
+    /// frame. Without a call nothing is corrected.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), DeviceError>;
 
     /// Takes splats and the optimiser's state.
     ///

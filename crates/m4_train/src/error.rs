@@ -38,12 +38,6 @@ pub enum TrainError {
         /// The iteration whose state the trainer was set back to.
         good_iteration: usize,
     },
-    /// A setting that steps on a device do not have.
-    #[error("setting `{field}` is for the processor alone; train with --device cpu, or without it")]
-    NotOnDevice {
-        /// Path of the field within `TrainConfig`.
-        field: &'static str,
-    },
     /// The device failed.
     #[error("{why} (at iteration {iteration}; the splats of iteration {good_iteration} are kept)")]
     Device {

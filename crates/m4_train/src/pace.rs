@@ -150,7 +150,7 @@ fn remote_trial(mut trainer: Trainer<'_>, make: DeviceMaker<'_>) -> Result<f64, 
         iteration: 0,
         good_iteration: 0,
     })?;
-    trainer.use_device(device)?;
+    trainer.use_device(device);
     let mut steps = |count: usize| -> Result<f64, TrainError> {
         let start = Instant::now();
         for _ in 0..count {

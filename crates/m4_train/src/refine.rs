@@ -113,9 +113,8 @@ impl Refinement {
     /// One step of the exposure of `frame`: `g` is the gradient with respect to the corrected colours,
     /// `rgb` the colours before. `g` becomes the gradient with respect to `rgb`.
     pub fn step_exposure(&mut self, config: &RefineConfig, frame: usize, rgb: &[Vec<f32>; 3], g: &mut [Vec<f32>; 3]) {
-        let fit = &mut self.frames[frame];
+        let old = self.frames[frame].exposure;
         let mut d = [0.0f64; 12];
-        let old = fit.exposure;
         for i in 0..rgb[0].len() {
             let gi = [g[0][i], g[1][i], g[2][i]];
             for r in 0..3 {
@@ -126,6 +125,13 @@ impl Refinement {
             }
         }
         pull_back(&old, g);
+        self.step_exposure_along(config, frame, d);
+    }
+
+    /// One step of the exposure of `frame` along its gradient: rows of the matrix, each followed by its offset.
+    pub fn step_exposure_along(&mut self, config: &RefineConfig, frame: usize, mut d: [f64; 12]) {
+        let fit = &mut self.frames[frame];
+        let old = fit.exposure;
         let pull = f64::from(config.exposure_pull);
         for r in 0..3 {
             for k in 0..3 {

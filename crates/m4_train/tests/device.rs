@@ -8,10 +8,49 @@ use common::{disturbed, video};
 use m4_kernels::adam::cpu::{AdamState, step as adam_step};
 use m4_kernels::photo::cpu::{PhotoScratch, Target, error_map, loss};
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted, morton_order};
-use m4_scene::{Column, Silent, SplatLayout, Splats};
+use m4_scene::{Column, Exposure, Silent, SplatLayout, Splats};
 use m4_train::density::{Scores, masked_error};
 use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, Regrowth, ScoreSettings};
 use m4_train::{DensityConfig, Device, DeviceError, TrainConfig, TrainError, Trainer};
+
+/// What is compared with a frame: `matrix rgb + offset`.
+fn exposed(exposure: Option<Exposure>, rgb: &[Vec<f32>; 3]) -> [Vec<f32>; 3] {
+    let Some(Exposure { matrix, offset }) = exposure else {
+        return rgb.clone();
+    };
+    std::array::from_fn(|r| {
+        let [a, b, c] = matrix[r];
+        let pixel = |i: usize| a * rgb[0][i] + b * rgb[1][i] + c * rgb[2][i] + offset[r];
+        (0..rgb[0].len()).map(pixel).collect()
+    })
+}
+
+/// The gradient with respect to matrix rows and offsets.
+fn exposure_gradient(rgb: &[Vec<f32>; 3], g: &[Vec<f32>; 3]) -> [f64; 12] {
+    let mut d = [0.0; 12];
+    for i in 0..rgb[0].len() {
+        for r in 0..3 {
+            for k in 0..3 {
+                d[4 * r + k] += f64::from(g[r][i] * rgb[k][i]);
+            }
+            d[4 * r + 3] += f64::from(g[r][i]);
+        }
+    }
+    d
+}
+
+/// The gradient with respect to the colours before the correction.
+fn pull_back(exposure: Option<Exposure>, g: &mut [Vec<f32>; 3]) {
+    let Some(Exposure { matrix, .. }) = exposure else {
+        return;
+    };
+    for i in 0..g[0].len() {
+        let after = [g[0][i], g[1][i], g[2][i]];
+        for k in 0..3 {
+            g[k][i] = (0..3).map(|r| matrix[r][k] * after[r]).sum();
+        }
+    }
+}
 
 /// The sum of two gradients; what one of them does not touch holds anything.
 fn added(mut sum: Gradients, other: &Gradients) -> Gradients {
@@ -35,6 +74,7 @@ struct Mirror {
     splats: Splats,
     adam: AdamState,
     frames: Vec<Target>,
+    exposures: Vec<Exposure>,
     renderer: Renderer,
     gradient: FrameGradient,
     gradients: Gradients,
@@ -56,6 +96,7 @@ impl Mirror {
             adam: AdamState::new(&nothing),
             splats: nothing,
             frames: Vec::new(),
+            exposures: Vec::new(),
             renderer: Renderer::new(SimdLevel::best()),
             gradient: FrameGradient::default(),
             gradients: Gradients::default(),
@@ -100,6 +141,11 @@ impl Device for Mirror {
     fn set_frames(&mut self, frames: Vec<Target>, depths: Vec<Option<Vec<f32>>>) -> Result<(), DeviceError> {
         assert!(depths.is_empty(), "no loss of depth, no depth");
         self.frames = frames;
+        Ok(())
+    }
+
+    fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), DeviceError> {
+        self.exposures = exposures.to_vec();
         Ok(())
     }
 
@@ -151,15 +197,23 @@ impl Device for Mirror {
         let level = SimdLevel::best();
         let mut sum: Option<Gradients> = None;
         for look in looks {
-            let drawn = self.renderer.render(&self.splats, look.view);
+            let exposure = self.exposures.get(look.frame).copied();
+            let drawn = self.renderer.render(&self.splats, look.view).rgb.clone();
+            let shown = exposed(exposure, &drawn);
             let photo = loss(
                 level,
                 &self.frames[look.frame],
-                &drawn.rgb,
+                &shown,
                 settings.lambda_ssim,
                 &mut self.scratch,
                 &mut self.gradient.rgb,
             );
+            if look.exposure {
+                let gradient = exposure_gradient(&drawn, &self.gradient.rgb);
+                self.found.exposures.push((look.frame, gradient));
+            }
+            // identities are pulled back too: to the same bits
+            pull_back(exposure, &mut self.gradient.rgb);
             self.backward(look.camera);
             if look.camera {
                 self.found.cameras.push((look.frame, self.gradients.camera));
@@ -204,7 +258,10 @@ impl Device for Mirror {
         let mut errors = Vec::new();
         for (frame, view) in looks {
             let target = &self.frames[*frame];
-            let rgb = &self.renderer.render(&self.splats, view).rgb;
+            let rgb = &exposed(
+                self.exposures.get(*frame).copied(),
+                &self.renderer.render(&self.splats, view).rgb,
+            );
             let photo = loss(
                 level,
                 target,
@@ -235,10 +292,12 @@ impl Device for Mirror {
         };
         for (frame, view) in looks {
             let target = self.frames[*frame].rgb();
-            let drawn = self.renderer.render(&self.splats, view);
-            for ((out, rgb), target) in self.gradient.rgb.iter_mut().zip(&drawn.rgb).zip(&target) {
+            let exposure = self.exposures.get(*frame).copied();
+            let shown = exposed(exposure, &self.renderer.render(&self.splats, view).rgb);
+            for ((out, rgb), target) in self.gradient.rgb.iter_mut().zip(&shown).zip(&target) {
                 *out = rgb.iter().zip(target).map(|(a, b)| a - b).collect();
             }
+            pull_back(exposure, &mut self.gradient.rgb);
             self.backward(false);
             self.add_colours(&mut out.residual);
             if with_weight {
@@ -278,7 +337,8 @@ fn a_device_of_the_same_kernels_gives_the_same_bits() {
     // the last fit of colours is at full size after all steps were at half
     late.resolution.half_until = 1.0;
     let mut cameras = config();
-    (cameras.refine.poses, cameras.refine.focal, cameras.refine.from) = (true, true, 20);
+    let refine = &mut cameras.refine;
+    (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 20);
     for config in [
         config(),
         late,
@@ -293,7 +353,7 @@ fn a_device_of_the_same_kernels_gives_the_same_bits() {
             let splats = disturbed(&scene, 2);
             let mut trainer = Trainer::new(&capture, splats, config.clone(), SimdLevel::best()).unwrap();
             if device {
-                trainer.use_device(Box::new(Mirror::new(0))).unwrap();
+                trainer.use_device(Box::new(Mirror::new(0)));
             }
             let mut events = Vec::new();
             // stopped and asked in between, as checkpoints do
@@ -321,7 +381,7 @@ fn a_device_that_fails_leaves_the_last_good_splats() {
     let (scene, capture) = video();
     let run = |fails_at: usize, iterations: usize| {
         let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config(), SimdLevel::best()).unwrap();
-        trainer.use_device(Box::new(Mirror::new(fails_at))).unwrap();
+        trainer.use_device(Box::new(Mirror::new(fails_at)));
         let end = trainer.run_until(iterations, &Silent, &mut |_| {});
         (end, trainer.scene(), trainer.iteration())
     };
@@ -341,19 +401,4 @@ fn a_device_that_fails_leaves_the_last_good_splats() {
     let (end, there, _) = run(0, 25);
     end.unwrap();
     assert!(kept == there);
-}
-
-#[test]
-fn settings_that_a_device_does_not_have_are_refused() {
-    let (scene, capture) = video();
-    let mut config = config();
-    config.refine.exposure = true;
-    let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config, SimdLevel::best()).unwrap();
-    let refused = trainer.use_device(Box::new(Mirror::new(0))).unwrap_err();
-    assert_eq!(
-        refused,
-        TrainError::NotOnDevice {
-            field: "refine.exposure"
-        }
-    );
 }

@@ -313,7 +313,6 @@ impl Error {
             | Self::Dense(DenseError::Setting { .. })
             | Self::Init(InitError::BadSetting { .. })
             | Self::Train(TrainError::BadSetting { .. }) => Category::BadSettings,
-            Self::Train(TrainError::NotOnDevice { .. }) => Category::BadSettings,
             Self::Train(TrainError::Device { .. }) => Category::NoDevice,
             Self::Sparse(SparseError::Cancelled)
             | Self::Dense(DenseError::Cancelled { .. })

@@ -128,7 +128,7 @@ fn config(iterations: usize) -> TrainConfig {
 fn train<'a>(scene: &MovingScene, capture: &'a Capture, config: TrainConfig, gpu: Option<&OpenGpu>) -> Trainer<'a> {
     let mut trainer = Trainer::new(capture, start(scene), config, SimdLevel::best()).unwrap();
     if let Some(gpu) = gpu {
-        trainer.use_device(gpu.training(None).unwrap()).unwrap();
+        trainer.use_device(gpu.training(None).unwrap());
     }
     trainer
         .run(&Silent, &mut |event| assert!(event.loss.is_finite()))
@@ -169,7 +169,8 @@ fn a_gpu_learns_what_the_processor_learns() {
     let mut everything = config(60);
     everything.batch = 2;
     (everything.loss.depth_weight, everything.loss.alpha_weight) = (0.1, 0.01);
-    (everything.refine.poses, everything.refine.focal, everything.refine.from) = (true, true, 10);
+    let refine = &mut everything.refine;
+    (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 10);
     for (config, gain) in [(config(120), 2.0), (faithful, 1.0), (everything, 1.0)] {
         let here = train(&scene, &capture, config.clone(), None);
         let there = train(&scene, &capture, config, Some(&gpu));
@@ -192,11 +193,11 @@ fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
     assert!(whole.splats() == again.splats(), "twice the same");
 
     let mut half = Trainer::new(&capture, start(&scene), config(60), SimdLevel::best()).unwrap();
-    half.use_device(gpu.training(None).unwrap()).unwrap();
+    half.use_device(gpu.training(None).unwrap());
     half.run_until(33, &Silent, &mut |_| {}).unwrap();
     let (saved, state) = (half.scene(), half.state());
     let mut rest = Trainer::resume(&capture, saved.splats, &state, config(60), SimdLevel::best()).unwrap();
-    rest.use_device(gpu.training(None).unwrap()).unwrap();
+    rest.use_device(gpu.training(None).unwrap());
     rest.run(&Silent, &mut |_| {}).unwrap();
     assert!(whole.splats() == rest.splats(), "resumed");
     // losses of frames are read now and then, so that they depend on when somebody asked

@@ -12,7 +12,7 @@ use crate::frames::smaller;
 use crate::rates::rates;
 use crate::{TrainError, schedule};
 use m4_kernels::View;
-use m4_scene::Camera;
+use m4_scene::{Camera, Exposure};
 
 /// A device and how far it is from what the trainer holds.
 #[derive(Debug)]
@@ -44,20 +44,9 @@ impl Remote {
 impl Trainer<'_> {
     /// Takes steps on `device` from here on. The result depends on it as on a SIMD level: the same device gives the
     /// same bits, another one last digits of its own.
-    ///
-    /// # Errors
-    ///
-    /// [`TrainError::NotOnDevice`] for settings that steps on a device do not have: corrections of
-    /// exposure. With corrections of poses or focal lengths every step waits for the device.
-    pub fn use_device(&mut self, device: Box<dyn Device>) -> Result<(), TrainError> {
-        let c = &self.config;
-        if c.refine.exposure {
-            return Err(TrainError::NotOnDevice {
-                field: "refine.exposure",
-            });
-        }
+    /// With corrections of cameras or exposures every step waits for the device.
+    pub fn use_device(&mut self, device: Box<dyn Device>) {
         self.remote = Some(Remote::new(device));
-        Ok(())
     }
 
     /// Waits for the device and brings everything back; nothing to do on the processor.
@@ -100,7 +89,8 @@ impl Trainer<'_> {
             alpha_weight: self.config.loss.alpha_weight,
         };
         let refine = &self.config.refine;
-        let camera = i >= refine.from && (refine.poses || refine.focal);
+        let refining = i >= refine.from;
+        let (camera, exposure) = (refining && (refine.poses || refine.focal), refining && refine.exposure);
         let looks: Vec<DeviceLook<'_>> = frames
             .iter()
             .zip(&views)
@@ -110,6 +100,7 @@ impl Trainer<'_> {
                 depth: (self.store.has_depth(frame) && (depth.weight > 0.0 || depth.alpha_weight > 0.0))
                     .then_some(depth),
                 camera,
+                exposure,
             })
             .collect();
         let adam = &self.config.adam;
@@ -123,8 +114,8 @@ impl Trainer<'_> {
         if let Some(remote) = &mut self.remote {
             (remote.splats_are_old, remote.adam_is_old) = (true, true);
         }
-        if camera {
-            // a camera is corrected before it is used again
+        if camera || exposure {
+            // they are corrected before they are used again
             self.look_at_remote()?;
         }
         self.iteration += 1;
@@ -164,6 +155,9 @@ impl Trainer<'_> {
         t.ssim += found.ssim * looks;
         t.depth += found.depth * looks;
         t.touched += (found.touched * steps).round() as usize;
+        for (frame, gradient) in found.exposures {
+            self.fit.step_exposure_along(&self.config.refine, frame, gradient);
+        }
         for (frame, gradient) in &found.cameras {
             let drawn = self.fit.camera(*frame);
             let drawn = Camera {
@@ -210,6 +204,10 @@ impl Trainer<'_> {
         if done.is_ok() && !remote.has_splats {
             done = remote.device.upload(&self.splats, &self.adam);
             remote.has_splats = true;
+        }
+        if done.is_ok() && self.config.refine.exposure {
+            let exposures: Vec<Exposure> = self.fit.frames.iter().map(|f| f.exposure).collect();
+            done = remote.device.set_exposures(&exposures);
         }
         done.map_err(|error| self.device_failed(&error))
     }

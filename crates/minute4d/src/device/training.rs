@@ -4,7 +4,7 @@ use m4_gpu::{DepthTerm, Gpu, GpuError, Look, Plan, ScoreRange, StepSettings, Tra
 use m4_kernels::View;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::Target;
-use m4_scene::{SplatLayout, Splats};
+use m4_scene::{Exposure, SplatLayout, Splats};
 use m4_train::config::ErrorRange;
 use m4_train::density::Scores;
 use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, Regrowth, ScoreSettings};
@@ -107,6 +107,11 @@ impl Device for GpuTraining {
         trainer.set_depths(frames.depths, left).map_err(failed)
     }
 
+    fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), DeviceError> {
+        self.trainer()?.set_exposures(exposures);
+        Ok(())
+    }
+
     fn upload(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), DeviceError> {
         let shape = Shape::of(splats);
         self.shape = Some(shape);
@@ -158,6 +163,7 @@ impl Device for GpuTraining {
                     alpha_weight: term.alpha_weight,
                 }),
                 camera: look.camera,
+                exposure: look.exposure,
                 ..Look::new(look.frame, look.view)
             })
             .collect();
@@ -177,6 +183,7 @@ impl Device for GpuTraining {
             looks: found.looks,
             depth: found.depth,
             cameras: found.cameras,
+            exposures: found.exposures,
             l1: if found.loss_is_finite { found.l1 } else { f64::NAN },
             ssim: found.ssim,
             psnr: found.psnr,

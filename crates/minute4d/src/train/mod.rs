@@ -138,7 +138,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
             iteration: trainer.iteration(),
             good_iteration: trainer.iteration(),
         })?;
-        trainer.use_device(device)?;
+        trainer.use_device(device);
     }
     let observer = run.job.observer;
     let total = trainer.iterations();
