@@ -114,6 +114,12 @@ impl Frames {
         Ok(out)
     }
 
+    /// How many of them stay on the device.
+    pub fn resident(&self) -> usize {
+        let there = |frame: &&Stored| matches!(frame.place, Place::Device(_));
+        self.list.iter().filter(there).count()
+    }
+
     /// How many there are.
     pub fn len(&self) -> usize {
         self.list.len()

@@ -146,7 +146,7 @@ fn cell(value: f32, limits: &[f32], axis: u32, last: f32) -> u32 {
     let at = (2u32 * axis) as usize;
     let low = limits[at];
     let share = (value - low) / (limits[at + 1] - low).max(1.175_494_4e-38f32);
-    u32::cast_from(share.max(0.0f32).min(1.0f32) * last)
+    u32::cast_from(share.clamp(0.0f32, 1.0f32) * last)
 }
 
 /// Two zero bits between the bits of a 10-bit number.

@@ -9,8 +9,9 @@ use crate::work::{CHECKPOINT, Size};
 use crate::{Gpu, GpuError, eye::EYE, found::FRAMES};
 use m4_scene::SplatLayout;
 
-/// Entries of tiles that memory is first made for: so many a splat, and at least as many as [`LEAST_ENTRIES`].
-const FIRST_ENTRIES: usize = 4;
+/// Entries of tiles that memory is first made for: so many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
+/// most splats are not there at an instant; the first frame says how many entries it takes, and is drawn again.
+const FIRST_ENTRIES: usize = 1;
 const LEAST_ENTRIES: usize = 1 << 16;
 
 /// One part of a [`Plan`].
@@ -131,7 +132,7 @@ impl Plan {
         self
     }
 
-    /// Entries of tile lists that memory is first made for.
+    /// Entries of tile lists that memory is first made for; a trainer and a renderer make more where a frame has more.
     #[must_use]
     pub fn first_entries(splats: usize) -> usize {
         (FIRST_ENTRIES * splats).max(LEAST_ENTRIES)

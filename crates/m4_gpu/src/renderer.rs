@@ -3,12 +3,9 @@
 use crate::buffer::Buffer;
 use crate::splats::{DeviceSplats, parts};
 use crate::work::{Size, Work};
-use crate::{Gpu, GpuError};
+use crate::{Gpu, GpuError, Plan};
 use m4_kernels::{Frame, FrameGradient, Gradients, View};
 use m4_scene::Splats;
-
-/// Entries of tiles that memory is first made for: so many a splat, and at least as many as this.
-const FIRST_ENTRIES: (usize, usize) = (4, 1 << 16);
 
 /// Draws splats that stay on the device. The twin of [`m4_kernels::Renderer`].
 #[derive(Debug)]
@@ -111,7 +108,7 @@ impl Renderer {
             n,
             width: k.width,
             height: k.height,
-            entries: (FIRST_ENTRIES.0 * n).max(FIRST_ENTRIES.1),
+            entries: Plan::first_entries(n),
             training,
         };
         if let Some(work) = &self.work {

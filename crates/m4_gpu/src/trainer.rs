@@ -8,16 +8,13 @@ use crate::log::Log;
 use crate::loss::Loss;
 use crate::splats::DeviceSplats;
 use crate::work::{Size, Work};
-use crate::{Gpu, GpuError, exposure};
+use crate::{Gpu, GpuError, Plan, exposure};
 use m4_kernels::{CameraGradient, Frame, View, adam::cpu::AdamState, photo::cpu::Target};
 use m4_scene::{Exposure, ShapeError, Splats};
 use std::borrow::Borrow;
 
 /// What goes on, for errors.
 pub(crate) const TRAINING: &str = "training";
-
-/// Entries of tiles that memory is first made for, for each splat.
-const FIRST_ENTRIES: usize = 4;
 
 /// Splats, their moments and the frames of a video on the device, and the step that moves them.
 #[derive(Debug)]
@@ -42,6 +39,7 @@ pub struct Trainer {
     pub(crate) exposed: Buffer,
     /// Whether there was room for the entries of a frame of these splats at this size.
     pub(crate) fits: bool,
+    limit_bytes: Option<u64>,
 }
 
 impl Trainer {
@@ -64,7 +62,7 @@ impl Trainer {
             n: splats.n(),
             width: frames.width,
             height: frames.height,
-            entries: (FIRST_ENTRIES * splats.n()).max(1 << 16),
+            entries: Plan::first_entries(splats.n()),
             training: true,
         };
         let splats = DeviceSplats::upload(&gpu, splats)?;
@@ -85,6 +83,7 @@ impl Trainer {
             exposures: Vec::new(),
             exposed: Buffer::empty(&gpu.client, 1),
             fits: false,
+            limit_bytes: None,
             frames,
             splats,
             gpu,
@@ -158,6 +157,22 @@ impl Trainer {
         Ok(())
     }
 
+    /// Refuses to take more than so many bytes from here on, by what is planned: `None` for no limit. Frames that turn out to
+    /// need more room for their tile entries fail then.
+    pub fn set_limit(&mut self, limit_bytes: Option<u64>) {
+        self.limit_bytes = limit_bytes;
+    }
+
+    fn check_limit(&self, size: Size) -> Result<(), GpuError> {
+        let Some(limit) = self.limit_bytes else {
+            return Ok(());
+        };
+        let n_static = self.splats.n_static.min(size.n);
+        let (layout, frames) = (self.splats.layout, self.frames.resident());
+        let picture = (size.width, size.height);
+        Plan::training(n_static, size.n - n_static, layout, picture, frames, size.entries).check(limit)
+    }
+
     /// Makes room for a frame of `wanted` entries, and a quarter more.
     fn make_room(&mut self, wanted: usize) -> Result<(), GpuError> {
         self.make(Size {
@@ -172,6 +187,7 @@ impl Trainer {
         if size == self.work.size {
             return Ok(());
         }
+        self.check_limit(size)?;
         let (old, peak) = (self.work.size, self.work.peak.clone());
         self.work.remake(&self.gpu, size)?;
         self.work.peak = peak;

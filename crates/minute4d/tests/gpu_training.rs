@@ -206,3 +206,27 @@ fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
     other.remove("pick/loss");
     assert!(one == other, "the optimiser's state too");
 }
+
+#[test]
+fn memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed() {
+    let Some(gpu) = gpu("memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed") else {
+        return;
+    };
+    let (scene, capture) = video();
+    let run = |limit_mb: Option<usize>| {
+        let mut trainer = Trainer::new(&capture, start(&scene), config(12), SimdLevel::best()).unwrap();
+        trainer.use_device(gpu.training(limit_mb).unwrap());
+        let end = trainer.run(&Silent, &mut |_| {});
+        (end, trainer.splats().clone())
+    };
+    let (end, kept) = run(Some(1));
+    let error = end.unwrap_err().to_string();
+    for part in ["MB", "splats", "moments", "frames"] {
+        assert!(error.contains(part), "{part}: {error}");
+    }
+    assert_eq!(kept.n(), start(&scene).n());
+    // as little as it takes
+    let enough = (2..200).find(|&mb| run(Some(mb)).0.is_ok()).unwrap();
+    let (unlimited, limited) = (run(None).1, run(Some(enough)).1);
+    assert!(unlimited == limited, "{enough} MB");
+}

@@ -69,15 +69,23 @@ impl GpuTraining {
     /// are sent when they are used.
     fn budget(&self, shape: Shape, frames: &[Target]) -> Result<(usize, usize), GpuError> {
         let size = frames.first().map_or((0, 0), |f| (f.width(), f.height()));
+        let plan = |frames, entries| {
+            let Shape {
+                n_static,
+                n_dynamic,
+                layout,
+            } = shape;
+            Plan::training(n_static, n_dynamic, layout, size, frames, entries)
+        };
         let entries = Plan::first_entries(shape.n_static + shape.n_dynamic);
-        let plan = |frames| Plan::training(shape.n_static, shape.n_dynamic, shape.layout, size, frames, entries);
-        let least = plan(1);
+        let least = plan(1, entries);
         least.check_buffers(&self.gpu)?;
         let Some(limit) = self.limit_bytes else {
             return Ok((usize::MAX, usize::MAX));
         };
         least.check(limit)?;
-        let all = plan(frames.len());
+        // frames leave room for as many entries as pictures usually have
+        let all = plan(frames.len(), entries + ENTRIES * shape.n_static);
         let budget = all.frames_budget(limit);
         let left = budget.saturating_sub(all.frame_bytes() * frames.len() as u64);
         Ok([budget, left]
@@ -85,6 +93,9 @@ impl GpuTraining {
             .into())
     }
 }
+
+/// Entries of tiles that a static splat usually has.
+const ENTRIES: usize = 4;
 
 fn failed(error: GpuError) -> DeviceError {
     DeviceError(error.to_string())
@@ -121,6 +132,7 @@ impl Device for GpuTraining {
         let frames = std::mem::take(&mut self.waiting);
         let (budget, left) = self.budget(shape, &frames.pictures).map_err(failed)?;
         let mut trainer = Trainer::new(self.gpu.clone(), splats, adam, &frames.pictures, budget).map_err(failed)?;
+        trainer.set_limit(self.limit_bytes);
         trainer.set_depths(frames.depths, left).map_err(failed)?;
         self.trainer = Some(trainer);
         Ok(())
