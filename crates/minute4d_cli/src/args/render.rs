@@ -1,8 +1,8 @@
 //! `minute4d render`
 
+use super::device::device;
 use super::values::{number, picture_size, rate};
 use clap::{Args, ValueEnum};
-use super::device::device;
 use minute4d::device::DeviceChoice;
 use std::path::PathBuf;
 

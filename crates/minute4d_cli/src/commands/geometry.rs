@@ -12,7 +12,13 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
-    let job = job(&args.settings, DeviceRequest::default(), &args.existing, settings, output);
+    let job = job(
+        &args.settings,
+        DeviceRequest::default(),
+        &args.existing,
+        settings,
+        output,
+    );
     let record = minute4d::geometry::make(input, out, &job)?;
     if let Some(found) = &record.found {
         output.note(&format!(

@@ -18,7 +18,13 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
         return print_config(&settings, output);
     };
     let work = |observer: &dyn Observer| {
-        let job = job(&args.settings, args.device.request(), &args.existing, settings, observer);
+        let job = job(
+            &args.settings,
+            args.device.request(),
+            &args.existing,
+            settings,
+            observer,
+        );
         minute4d::run(input, out, &job)
     };
     while_training(&args.page, (input, out), output, work, |done| report(out, done, output))

@@ -15,7 +15,13 @@ pub fn run(args: &Train, output: &Output) -> Result<(), Failure> {
         return print_config(&settings, output);
     };
     let work = |observer: &dyn Observer| {
-        let job = job(&args.settings, args.device.request(), &args.existing, settings, observer);
+        let job = job(
+            &args.settings,
+            args.device.request(),
+            &args.existing,
+            settings,
+            observer,
+        );
         minute4d::train::make(capture, out, &job)
     };
     while_training(&args.page, (capture, out), output, work, |done| {
