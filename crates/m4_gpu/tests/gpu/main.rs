@@ -4,8 +4,8 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 #![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
 
-mod colour;
 mod bench;
+mod colour;
 mod edge_cases;
 mod looks;
 mod rearrange;
