@@ -8,7 +8,7 @@ use cubecl::prelude::*;
 use m4_scene::{ShapeError, Splats};
 
 /// In place of a row for splats that start from nothing.
-const NOTHING: u32 = u32::MAX;
+pub(crate) const NOTHING: u32 = u32::MAX;
 
 /// What becomes of the splats: where each comes from, and those that are not what they were.
 #[derive(Debug, Clone, Copy)]

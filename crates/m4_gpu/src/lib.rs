@@ -33,6 +33,7 @@ mod buffer;
 mod colour;
 #[cfg(feature = "cuda")]
 mod cuda;
+mod density;
 mod device;
 mod error;
 mod error_mask;
@@ -66,6 +67,7 @@ mod work;
 
 pub use bench::{Bench, DeviceMemory, Drawing};
 pub use colour::ColourSums;
+pub use density::{DensityRound, GrowRule, Grown, PruneRule, SplitSize};
 pub use device::{Adapter, AdapterKind, Choice, Gpu, adapters, best, missing_for_cuda};
 pub use error::GpuError;
 pub use found::Found;

@@ -106,13 +106,19 @@ impl Trainer {
 fn keys_of(column: &[f32], keys: &mut [u32], first: u32, rows: u32) {
     let i = ABSOLUTE_POS as u32;
     if i < rows {
-        let bits = u32::reinterpret(column[(first + i) as usize]);
-        let mut key = bits | 0x8000_0000u32;
-        if (bits >> 31u32) == 1u32 {
-            key = !bits;
-        }
-        keys[i as usize] = key;
+        keys[i as usize] = key_of(column[(first + i) as usize]);
     }
+}
+
+/// A number that sorts as `value` does.
+#[cube]
+pub(crate) fn key_of(value: f32) -> u32 {
+    let bits = u32::reinterpret(value);
+    let mut key = bits | 0x8000_0000u32;
+    if (bits >> 31u32) == 1u32 {
+        key = !bits;
+    }
+    key
 }
 
 /// The values below which 1 % and 99 % of a column lie; 0 and 1 of none.
@@ -132,7 +138,7 @@ fn take_limits(keys: &[u32], limits: &mut [f32], axis: u32, rows: u32) {
 
 /// The float that became `key`.
 #[cube]
-fn float_of(key: u32) -> f32 {
+pub(crate) fn float_of(key: u32) -> f32 {
     let mut bits = key & 0x7fff_ffffu32;
     if (key >> 31u32) == 0u32 {
         bits = !key;

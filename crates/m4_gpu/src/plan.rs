@@ -213,14 +213,22 @@ fn megabytes(bytes: u64) -> u64 {
     bytes.div_ceil(1_000_000)
 }
 
-/// What comes and goes: scores of splats and the order of a frame's errors, or splats and a moment twice while their rows
-/// change, or the sums of colours.
+/// What comes and goes: scores of splats and the order of a frame's errors, or the order of the scores and who grows and
+/// goes, or splats and a moment twice while their rows change, or the sums of colours.
 fn density_control(columns: &[usize], n: usize, pixels: usize) -> Part {
-    let mut scores = vec![2 * n, pixels, pixels, pixels, 2 * pixels.div_ceil(256)];
+    let mut scores = vec![2 * n, 2 * n, pixels, pixels, pixels, 2 * pixels.div_ceil(256)];
     scores.extend(Sort::lengths(pixels));
-    let rows = [columns, columns, &[n]].concat();
+    let mut decision = vec![2 * n, 2 * n, n, n, n, 2 * n, 2 * n, n.div_ceil(256)];
+    decision.extend(Sort::lengths(n));
+    decision.extend(Scan::lengths(2 * n));
+    let rows = [columns, columns, &[n, 2 * n, 2 * n, n, n, n]].concat();
     let what = "density control";
-    let all = [part(what, &scores), part(what, &rows), part(what, &[6 * n])];
+    let all = [
+        part(what, &scores),
+        part(what, &decision),
+        part(what, &rows),
+        part(what, &[6 * n]),
+    ];
     Part {
         what,
         bytes: all.iter().map(|part| part.bytes).max().unwrap_or(0),

@@ -54,6 +54,16 @@ impl Trainer {
     /// [`GpuError`] if there is no such frame, if there is no room for the tile entries, or if the device failed.
     pub fn score(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<ScoreSums, GpuError> {
         let n = self.splats.n;
+        let scores = self.scores(looks, settings)?;
+        let mut both = scores.read_floats(&self.gpu.client, TRAINING)?;
+        both.truncate(2 * n);
+        let prune = both.split_off(n);
+        Ok(ScoreSums { densify: both, prune })
+    }
+
+    /// [`score`](Self::score), left on the device: `[2][n]`.
+    pub(crate) fn scores(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<Buffer, GpuError> {
+        let n = self.splats.n;
         let gpu = self.gpu.clone();
         let tally = Tally::new(&gpu, looks.len(), 0);
         let scores = Buffer::empty(&gpu.client, 2 * n);
@@ -69,10 +79,7 @@ impl Trainer {
             mask.find(&gpu, &shown, &target, settings.threshold);
             self.add_scores(&mask, &tally, look, share, &scores);
         }
-        let mut both = scores.read_floats(&gpu.client, TRAINING)?;
-        both.truncate(2 * n);
-        let prune = both.split_off(n);
-        Ok(ScoreSums { densify: both, prune })
+        Ok(scores)
     }
 
     fn add_scores(&self, mask: &Mask, tally: &Tally, look: usize, share: f32, scores: &Buffer) {

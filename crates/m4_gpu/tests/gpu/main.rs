@@ -6,6 +6,7 @@
 
 mod bench;
 mod colour;
+mod density;
 mod edge_cases;
 mod looks;
 mod rearrange;
