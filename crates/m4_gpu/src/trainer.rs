@@ -96,6 +96,12 @@ impl Trainer {
         &self.gpu
     }
 
+    /// Splats on the device.
+    #[must_use]
+    pub fn n(&self) -> usize {
+        self.splats.n
+    }
+
     /// Goes on with other frames, which may have another size (coarse to fine); as in [`new`](Self::new). Depths are
     /// forgotten, and what steps found where the number of frames is another one.
     ///

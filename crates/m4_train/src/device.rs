@@ -1,11 +1,12 @@
 //! Steps somewhere else than on the processor.
 //!
 //! A [`Device`] holds splats, the optimiser's state and the frames, and takes whole steps; the trainer
-//! ([`crate::Trainer::use_device`]) picks frames, keeps the schedules, and decides who is densified and pruned. Steps
-//! return before they are done: what they found is asked for now and then ([`Device::found`]), never in between.
+//! ([`crate::Trainer::use_device`]) picks frames and keeps the schedules. Steps return before they are done: what they
+//! found is asked for now and then ([`Device::found`]), never in between. Who is densified and pruned a device may
+//! decide by itself ([`Device::densify`]); for one that does not the trainer does.
 
 use crate::config::ErrorRange;
-use crate::density::Scores;
+use crate::density::{Rules, Scores};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
 use m4_kernels::photo::cpu::Target;
 use m4_kernels::{CameraGradient, View};
@@ -81,6 +82,8 @@ pub struct DeviceFound {
     pub cameras: Vec<(usize, CameraGradient)>,
     /// Gradients of the exposures that were asked for, likewise: rows of the matrix, each followed by its offset.
     pub exposures: Vec<(usize, [f64; 12])>,
+    /// Every parameter that a step moved is finite.
+    pub splats_are_finite: bool,
 }
 
 /// Which errors of a frame count, and for how much.
@@ -104,6 +107,42 @@ pub struct ColourGradient {
     pub weight: [Vec<f32>; 3],
     /// Sum of squared differences between pictures and targets, over channels and pixels.
     pub squares: f64,
+}
+
+/// A round of density control.
+#[derive(Debug, Clone, Copy)]
+pub struct DeviceRound<'a> {
+    /// Frames that say who is wrong; none where nothing is due that asks for scores.
+    pub looks: &'a [(usize, View)],
+    /// Other frames for the scores that prune; `None` for the same.
+    pub prune_looks: Option<&'a [(usize, View)]>,
+    /// How errors count.
+    pub scores: ScoreSettings,
+    /// The plan follows from these: [`Rules::plan`] says how. Halves are never drawn at random.
+    pub rules: Rules<'a>,
+}
+
+/// What a round of density control did on a device.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Grown {
+    /// Splats that were cloned.
+    pub cloned: usize,
+    /// Splats that were split.
+    pub split: usize,
+    /// Splats that were pruned.
+    pub pruned: usize,
+    /// Static splats now.
+    pub n_static: usize,
+    /// Dynamic splats now.
+    pub n_dynamic: usize,
+}
+
+impl Grown {
+    /// True when the splats are what they were.
+    #[must_use]
+    pub fn changes_nothing(&self) -> bool {
+        self.cloned + self.split + self.pruned == 0
+    }
 }
 
 /// What becomes of the splats on a device: where each row comes from, and those that are not what they were.
@@ -202,6 +241,14 @@ pub trait Device: std::fmt::Debug {
     ///
     /// [`DeviceError`].
     fn score(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, DeviceError>;
+
+    /// A whole round of density control, as [`crate::density::apply`] of the round's plan does it. Where nothing would be
+    /// left, nothing changes. `None` from a device that does not do this: the trainer then asks for scores and decides.
+    ///
+    /// # Errors
+    ///
+    /// [`DeviceError`].
+    fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<Grown>, DeviceError>;
 
     /// Sums for the fit of colours over some frames.
     ///

@@ -4,13 +4,19 @@
 
 mod common;
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use common::{disturbed, video};
 use m4_kernels::adam::cpu::{AdamState, step as adam_step};
 use m4_kernels::photo::cpu::{PhotoScratch, Target, error_map, loss};
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted, morton_order};
 use m4_scene::{Column, Exposure, Silent, SplatLayout, Splats};
-use m4_train::density::{Scores, masked_error};
-use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, Regrowth, ScoreSettings};
+use m4_train::config::SplitPlacement;
+use m4_train::density::{Scores, apply, masked_error};
+use m4_train::device::{
+    ColourGradient, DeviceFound, DeviceLook, DeviceRound, DeviceStep, Grown, Regrowth, ScoreSettings,
+};
 use m4_train::{DensityConfig, Device, DeviceError, TrainConfig, TrainError, Trainer};
 
 /// What is compared with a frame: `matrix rgb + offset`.
@@ -82,10 +88,14 @@ struct Mirror {
     found: DeviceFound,
     fails_at: usize,
     steps: usize,
+    /// A splat is no longer finite after this step.
+    breaks_at: usize,
+    /// Rounds of density control are done by itself, so many of them; `None` leaves them to the trainer.
+    rounds: Option<Arc<AtomicUsize>>,
 }
 
 impl Mirror {
-    fn new(fails_at: usize) -> Self {
+    fn new(fails_at: usize, rounds: Option<&Arc<AtomicUsize>>) -> Self {
         let layout = SplatLayout {
             isotropic: false,
             sh_degree: 0,
@@ -104,6 +114,8 @@ impl Mirror {
             found: DeviceFound::default(),
             fails_at,
             steps: 0,
+            breaks_at: 0,
+            rounds: rounds.cloned(),
         }
     }
 
@@ -238,6 +250,9 @@ impl Device for Mirror {
             &settings.adam,
             settings.rates,
         );
+        if self.steps == self.breaks_at {
+            self.splats.column_mut(Column::Opacity, 0)[0] = f32::NAN;
+        }
         self.found.steps += 1;
         Ok(())
     }
@@ -246,6 +261,7 @@ impl Device for Mirror {
         let mut found = std::mem::take(&mut self.found);
         found.l1 /= found.looks as f64;
         found.ssim /= found.looks as f64;
+        found.splats_are_finite = self.splats.is_finite();
         Ok(found)
     }
 
@@ -280,6 +296,24 @@ impl Device for Mirror {
             }
         }
         Ok(out)
+    }
+
+    fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<Grown>, DeviceError> {
+        let Some(rounds) = &self.rounds else { return Ok(None) };
+        rounds.fetch_add(1, Ordering::Relaxed);
+        let mut scores = self.score(round.looks, &round.scores)?;
+        if let Some(looks) = round.prune_looks {
+            scores.prune = self.score(looks, &round.scores)?.prune;
+        }
+        let plan = round.rules.plan(&self.splats, &scores);
+        let mut grown = Grown::default();
+        if !plan.rows.is_empty() && !plan.changes_nothing() {
+            // nothing is drawn at random
+            apply(round.rules.config, &plan, &mut self.splats, &mut self.adam, 0, 0).unwrap();
+            (grown.cloned, grown.split, grown.pruned) = (plan.cloned, plan.split, plan.pruned);
+        }
+        (grown.n_static, grown.n_dynamic) = (self.splats.n_static(), self.splats.n_dynamic());
+        Ok(Some(grown))
     }
 
     fn colour_gradient(&mut self, looks: &[(usize, View)], with_weight: bool) -> Result<ColourGradient, DeviceError> {
@@ -327,6 +361,7 @@ fn config() -> TrainConfig {
     config.resolution.min_side_px = 16;
     config.reorder_every = 30;
     config.guard_every = 25;
+    config.keep_every_s = 0.0;
     config
 }
 
@@ -339,52 +374,100 @@ fn a_device_of_the_same_kernels_gives_the_same_bits() {
     let mut cameras = config();
     let refine = &mut cameras.refine;
     (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 20);
-    for config in [
-        config(),
-        late,
-        cameras,
-        TrainConfig { batch: 3, ..config() },
-        TrainConfig {
-            iterations: 60,
-            ..TrainConfig::faithful()
-        },
+    let faithful = TrainConfig {
+        iterations: 60,
+        keep_every_s: 1e9,
+        ..TrainConfig::faithful()
+    };
+    let drawn = DensityConfig {
+        split_placement: SplitPlacement::Sample,
+        ..config().density
+    };
+    let literal = DensityConfig {
+        split_placement: SplitPlacement::LongestAxis,
+        final_opacity: 0.1,
+        from: 20,
+        every: 20,
+        prune_every: 20,
+        size_from: 30,
+        ..DensityConfig::faithful()
+    };
+    for (config, own) in [
+        (config(), 4),
+        (late, 4),
+        (cameras, 4),
+        (TrainConfig { batch: 3, ..config() }, 4),
+        (faithful, 0),
+        // random draws are the trainer's; the last pruning is not one
+        (
+            TrainConfig {
+                density: drawn,
+                ..config()
+            },
+            1,
+        ),
+        (
+            TrainConfig {
+                density: literal,
+                keep_every_s: 1e9,
+                ..config()
+            },
+            6,
+        ),
     ] {
-        let run = |device: bool| {
+        let run = |device: Option<Option<&Arc<AtomicUsize>>>| {
             let splats = disturbed(&scene, 2);
             let mut trainer = Trainer::new(&capture, splats, config.clone(), SimdLevel::best()).unwrap();
-            if device {
-                trainer.use_device(Box::new(Mirror::new(0)));
+            if let Some(rounds) = device {
+                trainer.use_device(Box::new(Mirror::new(0, rounds)));
             }
             let mut events = Vec::new();
             // stopped and asked in between, as checkpoints do
             trainer.run_until(37, &Silent, &mut |e| events.push(*e)).unwrap();
             let middle = trainer.scene();
             trainer.run(&Silent, &mut |e| events.push(*e)).unwrap();
-            let losses: Vec<(usize, f64)> = events.iter().map(|e| (e.iteration, e.loss)).collect();
+            let counts: Vec<_> = events
+                .iter()
+                .map(|e| (e.iteration, e.splats_static, e.splats_dynamic))
+                .collect();
+            let losses: Vec<f64> = events.iter().map(|e| e.loss).collect();
             let state = format!("{:?}", trainer.state());
-            (middle, trainer.scene(), state, losses)
+            (middle, trainer.scene(), state, counts, losses)
         };
-        let (here, there) = (run(false), run(true));
-        assert!(here.0 == there.0, "after 37 steps");
-        assert!(here.1 == there.1, "at the end");
-        assert!(here.2 == there.2, "the optimiser's state");
-        assert_eq!(here.3.len(), there.3.len());
-        for ((i, a), (j, b)) in here.3.iter().zip(&there.3) {
-            assert_eq!(i, j);
-            assert!((a - b).abs() < 1e-9, "loss at {i}: {a} and {b}");
+        let rounds = Arc::new(AtomicUsize::new(0));
+        let here = run(None);
+        for (there, who) in [
+            (run(Some(Some(&rounds))), "the device"),
+            (run(Some(None)), "the trainer"),
+        ] {
+            assert!(here.0 == there.0, "after 37 steps, {who} decides");
+            assert!(here.1 == there.1, "at the end, {who} decides");
+            assert!(here.2 == there.2, "the optimiser's state, {who} decides");
+            assert_eq!(here.3, there.3, "splats, {who} decides");
+            for (i, (a, b)) in here.4.iter().zip(&there.4).enumerate() {
+                assert!((a - b).abs() < 1e-9, "loss of event {i}: {a} and {b}");
+            }
         }
+        assert_eq!(
+            rounds.load(Ordering::Relaxed),
+            own,
+            "rounds that the device did by itself"
+        );
+        let (first, last) = (disturbed(&scene, 2).n(), here.1.splats.n());
+        assert_eq!(own > 0, first != last, "{first} splats became {last}");
     }
 }
 
 #[test]
 fn a_device_that_fails_leaves_the_last_good_splats() {
     let (scene, capture) = video();
-    let run = |fails_at: usize, iterations: usize| {
-        let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config(), SimdLevel::best()).unwrap();
-        trainer.use_device(Box::new(Mirror::new(fails_at)));
+    let run_with = |mirror: Mirror, config: TrainConfig, iterations: usize| {
+        let mut trainer = Trainer::new(&capture, disturbed(&scene, 2), config, SimdLevel::best()).unwrap();
+        trainer.use_device(Box::new(mirror));
         let end = trainer.run_until(iterations, &Silent, &mut |_| {});
         (end, trainer.scene(), trainer.iteration())
     };
+    let run = |fails_at, iterations| run_with(Mirror::new(fails_at, None), config(), iterations);
     let (end, kept, at) = run(31, 100);
     let Err(TrainError::Device {
         why,
@@ -400,5 +483,39 @@ fn a_device_that_fails_leaves_the_last_good_splats() {
     );
     let (end, there, _) = run(0, 25);
     end.unwrap();
+    assert!(kept == there);
+
+    // what is kept is not brought more often than is asked for
+    let rarely = TrainConfig {
+        keep_every_s: 1e9,
+        ..config()
+    };
+    let rounds = Arc::new(AtomicUsize::new(0));
+    let (end, kept, at) = run_with(Mirror::new(71, Some(&rounds)), rarely, 100);
+    assert!(
+        matches!(end, Err(TrainError::Device { good_iteration: 0, .. })),
+        "{end:?}"
+    );
+    assert_eq!((at, rounds.load(Ordering::Relaxed)), (0, 3));
+    let (_, there, _) = run(0, 0);
+    assert!(kept == there);
+
+    // the device says at the next check that a number is not finite
+    let mut broken = Mirror::new(0, Some(&rounds));
+    broken.breaks_at = 41;
+    let (end, kept, at) = run_with(broken, config(), 100);
+    let Err(TrainError::Diverged {
+        what,
+        iteration,
+        good_iteration,
+    }) = end
+    else {
+        panic!("{end:?}");
+    };
+    assert_eq!(
+        (what, iteration, good_iteration, at),
+        ("a parameter of a splat", 50, 25, 25)
+    );
+    let (_, there, _) = run(0, 25);
     assert!(kept == there);
 }

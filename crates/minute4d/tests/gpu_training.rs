@@ -4,11 +4,18 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 #![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
 
+use m4_kernels::adam::cpu::AdamState;
+use m4_kernels::photo::cpu::Target;
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_math::CounterRng;
-use m4_scene::{Capture, CaptureFrame, Column, Intrinsics, Plane, Silent, SplatLayout, Splats};
+use m4_scene::{Capture, CaptureFrame, Column, Exposure, Intrinsics, Plane, Silent, SplatLayout, Splats};
 use m4_testkit::{MovingScene, moving_scene};
-use m4_train::{DensityConfig, TrainConfig, Trainer};
+use m4_train::config::PruneRule;
+use m4_train::density::Scores;
+use m4_train::device::{
+    ColourGradient, DeviceFound, DeviceLook, DeviceRound, DeviceStep, Grown, Regrowth, ScoreSettings,
+};
+use m4_train::{DensityConfig, Device, DeviceError, TrainConfig, Trainer};
 use minute4d::device::{DeviceChoice, OpenGpu};
 
 const FRAMES: usize = 6;
@@ -179,6 +186,94 @@ fn a_gpu_learns_what_the_processor_learns() {
         assert!((a - b).abs() < 0.1, "processor {a:.3} dB, GPU {b:.3} dB");
         let (n, m) = (here.splats().n() as f64, there.splats().n() as f64);
         assert!((n - m).abs() < 0.03 * n + 2.0, "{n} and {m} splats");
+    }
+}
+
+/// A GPU that leaves density control to the trainer.
+#[derive(Debug)]
+struct WithoutRounds(Box<dyn Device>);
+
+impl Device for WithoutRounds {
+    fn name(&self) -> String {
+        self.0.name()
+    }
+
+    fn set_frames(&mut self, frames: Vec<Target>, depths: Vec<Option<Vec<f32>>>) -> Result<(), DeviceError> {
+        self.0.set_frames(frames, depths)
+    }
+
+    fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), DeviceError> {
+        self.0.set_exposures(exposures)
+    }
+
+    fn upload(&mut self, splats: &Splats, adam: &AdamState) -> Result<(), DeviceError> {
+        self.0.upload(splats, adam)
+    }
+
+    fn regrow(&mut self, next: &Regrowth<'_>) -> Result<(), DeviceError> {
+        self.0.regrow(next)
+    }
+
+    fn reorder(&mut self) -> Result<(), DeviceError> {
+        self.0.reorder()
+    }
+
+    fn splats(&mut self) -> Result<Splats, DeviceError> {
+        self.0.splats()
+    }
+
+    fn adam(&mut self) -> Result<AdamState, DeviceError> {
+        self.0.adam()
+    }
+
+    fn step(&mut self, looks: &[DeviceLook<'_>], settings: &DeviceStep<'_>) -> Result<(), DeviceError> {
+        self.0.step(looks, settings)
+    }
+
+    fn found(&mut self) -> Result<DeviceFound, DeviceError> {
+        self.0.found()
+    }
+
+    fn score(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, DeviceError> {
+        self.0.score(looks, settings)
+    }
+
+    fn densify(&mut self, _: &DeviceRound<'_>) -> Result<Option<Grown>, DeviceError> {
+        Ok(None)
+    }
+
+    fn colour_gradient(&mut self, looks: &[(usize, View)], with_weight: bool) -> Result<ColourGradient, DeviceError> {
+        self.0.colour_gradient(looks, with_weight)
+    }
+}
+
+#[test]
+fn a_gpu_densifies_and_prunes_as_the_processor_does() {
+    let Some(gpu) = gpu("a_gpu_densifies_and_prunes_as_the_processor_does") else {
+        return;
+    };
+    let (scene, capture) = video();
+    let mut literal = config(80);
+    literal.density = DensityConfig {
+        prune_rule: PruneRule::Literal,
+        prune_threshold: 0.5,
+        prune_every: 20,
+        max_growth: 2.0,
+        budget: 0.2,
+        final_opacity: 0.3,
+        ..literal.density
+    };
+    for config in [config(80), literal] {
+        let there = train(&scene, &capture, config.clone(), Some(&gpu));
+        let mut here = Trainer::new(&capture, start(&scene), config, SimdLevel::best()).unwrap();
+        here.use_device(Box::new(WithoutRounds(gpu.training(None).unwrap())));
+        here.run(&Silent, &mut |_| {}).unwrap();
+        let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
+        let [n, m] = [&here, &there].map(|t| t.splats().n());
+        assert_ne!(n, start(&scene).n());
+        // newborns differ in their last digits
+        assert!((a - b).abs() < 0.05, "processor {a:.3} dB, GPU {b:.3} dB");
+        assert!(n.abs_diff(m) * 100 <= n, "{n} and {m} splats");
     }
 }
 

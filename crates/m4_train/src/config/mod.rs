@@ -126,6 +126,9 @@ pub struct TrainConfig {
     /// Iterations between two checks that every parameter is finite; the state of the last check is
     /// kept in case one is not.
     pub guard_every: usize,
+    /// On a GPU: seconds between two copies of its splats that are kept, at checks; 0 for one at every check. 2: of a run
+    /// that fails no more than that is lost, and splats are rarely copied.
+    pub keep_every_s: f32,
     /// Iterations between two [`crate::MetricsEvent`]s.
     pub metrics_every: usize,
     /// Memory for frames prepared for the loss, MB; frames beyond it are prepared anew at each use, which
@@ -164,6 +167,7 @@ impl TrainConfig {
             background: None,
             reorder_every: 0,
             guard_every: 100,
+            keep_every_s: 2.0,
             metrics_every: 50,
             target_cache_mb: 160,
         }
@@ -256,6 +260,7 @@ impl TrainConfig {
             ("refine.translation_lr", self.refine.translation_lr),
             ("refine.focal_lr", self.refine.focal_lr),
             ("refine.exposure_lr", self.refine.exposure_lr),
+            ("keep_every_s", self.keep_every_s),
         ];
         for (field, value) in not_negative {
             if !(value.is_finite() && value >= 0.0) {

@@ -28,6 +28,14 @@ pub struct Decision {
     pub max_splats: usize,
 }
 
+impl Decision {
+    /// How many of `n` splats may be cloned or split: each makes one splat more.
+    #[must_use]
+    pub fn budget(&self, config: &DensityConfig, n: usize) -> usize {
+        ((f64::from(config.budget) * n as f64) as usize).min(self.max_splats.saturating_sub(n))
+    }
+}
+
 /// Who is cloned, split and pruned.
 ///
 /// A splat is densified when its score is above the threshold and among the best `budget`; ties go to
@@ -38,7 +46,7 @@ pub struct Decision {
 pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scores: &Scores) -> Plan {
     let n = splats.opacity.len();
     let grows = if due.densify {
-        best(config, &scores.densify, n, due.max_splats)
+        best(config, &scores.densify, n, due.budget(config, n))
     } else {
         vec![false; n]
     };
@@ -86,12 +94,10 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
 }
 
 /// True for the splats above the threshold that budget and cap allow.
-fn best(config: &DensityConfig, scores: &[f32], n: usize, max_splats: usize) -> Vec<bool> {
-    let budget = ((f64::from(config.budget) * n as f64) as usize).min(max_splats.saturating_sub(n));
+fn best(config: &DensityConfig, scores: &[f32], n: usize, budget: usize) -> Vec<bool> {
     let mut above: Vec<u32> = (0..n as u32)
         .filter(|&i| scores[i as usize] > config.densify_threshold)
         .collect();
-    // Each clone and each split makes one splat more.
     if above.len() > budget {
         above.sort_unstable_by(|&a, &b| scores[b as usize].total_cmp(&scores[a as usize]).then(a.cmp(&b)));
         above.truncate(budget);

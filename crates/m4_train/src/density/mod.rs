@@ -5,6 +5,7 @@
 //! |---|---|
 //! | `error_mask` | error map to masked error (eq. 6, 7, 8) |
 //! | `score` | masked errors of K frames to two scores a splat (eq. 9, 10) |
+//! | `rules` | what a round goes by |
 //! | `decide` | scores to who is cloned, split and pruned |
 //! | `plan` | decisions to rows: which splats the next set is made of |
 //! | `newborn` | what clones and children look like |
@@ -18,6 +19,7 @@ mod decide;
 mod error_mask;
 mod newborn;
 mod plan;
+mod rules;
 mod score;
 
 pub use decide::{Decision, SplatView, decide};
@@ -25,6 +27,7 @@ pub use error_mask::masked_error;
 pub use newborn::apply;
 pub(crate) use newborn::{apply_to_splats, rearrange};
 pub use plan::{Origin, Plan};
+pub use rules::Rules;
 pub(crate) use score::{ScoreInput, score};
 
 /// The two scores of every splat.

@@ -2,11 +2,10 @@
 
 use super::Trainer;
 use crate::TrainError;
-use crate::config::SplitSize;
-use crate::density::{Decision, Plan, ScoreInput, Scores, SplatView, apply, decide, score};
+use crate::density::{Decision, Plan, Rules, ScoreInput, Scores, apply, score};
 use crate::pick::purpose;
+use m4_kernels::View;
 use m4_math::CounterRng;
-use m4_scene::Column;
 
 impl Trainer<'_> {
     /// Adds and removes splats if this iteration is due.
@@ -20,27 +19,46 @@ impl Trainer<'_> {
             max_splats: (f64::from(c.max_growth) * self.first_splats as f64) as usize,
         };
         let last = c.enabled && i == n && c.final_opacity > 0.0;
+        let (min_opacity, final_opacity) = (c.min_opacity, c.final_opacity);
         if due.densify || due.prune_by_score {
-            let scores = self.scores(due.prune_by_score)?;
-            self.bring_splats()?;
-            let plan = self.plan(due, self.config.density.min_opacity, &scores);
-            self.carry_out(&plan)?;
+            self.round(due, min_opacity)?;
         }
         if last {
-            self.bring_splats()?;
             let nothing = Decision {
                 densify: false,
                 prune_by_score: false,
                 max_splats: 0,
             };
-            let none = Scores {
-                densify: vec![0.0; self.splats.n()],
-                prune: vec![0.0; self.splats.n()],
-            };
-            let plan = self.plan(nothing, self.config.density.final_opacity, &none);
-            self.carry_out(&plan)?;
+            self.round(nothing, final_opacity)?;
         }
         Ok(())
+    }
+
+    fn round(&mut self, due: Decision, min_opacity: f32) -> Result<(), TrainError> {
+        let (config, scale) = (self.config.density.clone(), self.scale.clone());
+        let sized = config.max_size > 0.0 && self.iteration >= config.size_from;
+        let rules = Rules {
+            config: &config,
+            due,
+            min_opacity,
+            max_scale: sized.then_some(config.max_size * scale.extent),
+            scale: &scale,
+        };
+        if self.remote.is_some() && self.densify_remotely(&rules)? {
+            return Ok(());
+        }
+        self.bring_splats()?;
+        let scores = if due.densify || due.prune_by_score {
+            self.scores(due.prune_by_score)?
+        } else {
+            let none = vec![0.0; self.splats.n()];
+            Scores {
+                densify: none.clone(),
+                prune: none,
+            }
+        };
+        let plan = rules.plan(&self.splats, &scores);
+        self.carry_out(&plan)
     }
 
     fn carry_out(&mut self, plan: &Plan) -> Result<(), TrainError> {
@@ -72,10 +90,8 @@ impl Trainer<'_> {
     }
 
     fn scores_of(&mut self, purpose: u64) -> Result<Scores, TrainError> {
-        let mut rng = CounterRng::new(self.config.seed, purpose, self.iteration as u64);
-        let picked = rng.sample(self.times.len(), self.config.density.frames);
+        let frames = self.frames_to_score(purpose);
         let factor = self.factor();
-        let frames: Vec<_> = picked.into_iter().map(|f| (f, self.view(f, factor, false))).collect();
         if self.remote.is_some() {
             return self.score_remotely(&frames);
         }
@@ -92,40 +108,11 @@ impl Trainer<'_> {
         Ok(score(&mut input, &self.splats, &frames))
     }
 
-    fn plan(&self, due: Decision, min_opacity: f32, scores: &Scores) -> Plan {
-        let mut config = self.config.density.clone();
-        config.min_opacity = min_opacity;
-        let n = self.splats.n();
-        let scales = self.splats.layout().range(Column::LogScale).len();
-        let largest: Vec<f32> = (0..n)
-            .map(|i| {
-                (0..scales)
-                    .map(|k| self.splats.column(Column::LogScale, k)[i])
-                    .fold(f32::NEG_INFINITY, f32::max)
-                    .exp()
-            })
-            .collect();
-        let mean = |i: usize| [0, 1, 2].map(|k| self.splats.column(Column::Mean, k)[i]);
-        let limit = |i: usize| match config.split_size {
-            SplitSize::Extent { share } => share * self.scale.extent,
-            SplitSize::Pixels { pixels } => pixels * self.scale.nearest_camera(mean(i)) / self.scale.focal_px,
-        };
-        let large: Vec<bool> = (0..n).map(|i| largest[i] > limit(i)).collect();
-        let sized = config.max_size > 0.0 && self.iteration >= config.size_from;
-        let too_large = config.max_size * self.scale.extent;
-        let oversized: Vec<bool> = largest.iter().map(|&s| sized && s > too_large).collect();
-        let opacity: Vec<f32> = self
-            .splats
-            .column(Column::Opacity, 0)
-            .iter()
-            .map(|&l| 1.0 / (1.0 + (-l).exp()))
-            .collect();
-        let view = SplatView {
-            n_static: self.splats.n_static(),
-            opacity: &opacity,
-            large: &large,
-            oversized: &oversized,
-        };
-        decide(&config, due, view, scores)
+    /// Frames drawn for one kind of scores, and how they are seen.
+    pub(super) fn frames_to_score(&self, purpose: u64) -> Vec<(usize, View)> {
+        let mut rng = CounterRng::new(self.config.seed, purpose, self.iteration as u64);
+        let picked = rng.sample(self.times.len(), self.config.density.frames);
+        let factor = self.factor();
+        picked.into_iter().map(|f| (f, self.view(f, factor, false))).collect()
     }
 }

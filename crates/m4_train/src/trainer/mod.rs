@@ -252,7 +252,8 @@ impl<'a> Trainer<'a> {
                 metrics(&self.event(report.psnr));
             }
             if done.is_multiple_of(10) || done == end {
-                let splats = self.splats.n();
+                let (fixed, moving) = self.counts();
+                let splats = fixed + moving;
                 let note = match report {
                     Some(report) => format!("loss {:.4}, {splats} splats", report.loss),
                     None => format!("{splats} splats"),
@@ -321,6 +322,7 @@ impl<'a> Trainer<'a> {
     fn event(&mut self, psnr: f64) -> MetricsEvent {
         let t = std::mem::take(&mut self.totals);
         let n = t.frames.max(1) as f64;
+        let (splats_static, splats_dynamic) = self.counts();
         MetricsEvent {
             iteration: self.iteration,
             loss: t.loss / n,
@@ -328,8 +330,8 @@ impl<'a> Trainer<'a> {
             ssim: t.ssim / n,
             psnr,
             depth: t.depth / n,
-            splats_static: self.splats.n_static(),
-            splats_dynamic: self.splats.n_dynamic(),
+            splats_static,
+            splats_dynamic,
             touched: t.touched as f64 / t.steps.max(1) as f64,
             downscale: self.factor(),
             seconds: self.seconds,

@@ -1,18 +1,21 @@
 //! Steps on a device: what stays here, and when the two agree.
 //!
-//! Splats and optimiser state are on the device while it steps; those here are as old as the last time somebody had to
-//! look at them: the guard, density control, a checkpoint. `splats_are_old` and `adam_is_old` say so.
+//! Splats and optimiser state are on the device while it steps and grows and prunes; those here are as old as the last time
+//! somebody had to look at them: the guard now and then, a checkpoint, density control where the device leaves it to the
+//! processor. `splats_are_old` and `adam_is_old` say so.
+
+mod density;
 
 use super::Trainer;
 use super::step::StepReport;
 use crate::colour_fit::ColourSums;
-use crate::density::{Origin, Plan, Scores, apply_to_splats};
-use crate::device::{Device, DeviceDepth, DeviceError, DeviceFound, DeviceLook, DeviceStep, Regrowth, ScoreSettings};
+use crate::device::{Device, DeviceDepth, DeviceError, DeviceFound, DeviceLook, DeviceStep, Regrowth};
 use crate::frames::smaller;
 use crate::rates::rates;
 use crate::{TrainError, schedule};
 use m4_kernels::View;
 use m4_scene::{Camera, Exposure};
+use std::time::{Duration, Instant};
 
 /// A device and how far it is from what the trainer holds.
 #[derive(Debug)]
@@ -24,6 +27,10 @@ pub(super) struct Remote {
     has_splats: bool,
     splats_are_old: bool,
     adam_is_old: bool,
+    /// Static and dynamic splats there, where those here are old and another number.
+    counts: Option<(usize, usize)>,
+    /// When splats were kept to go back to.
+    kept: Instant,
     /// What the last steps found.
     last: StepReport,
 }
@@ -36,6 +43,8 @@ impl Remote {
             has_splats: false,
             splats_are_old: false,
             adam_is_old: false,
+            counts: None,
+            kept: Instant::now(),
             last: StepReport::NONE,
         }
     }
@@ -121,8 +130,7 @@ impl Trainer<'_> {
         self.iteration += 1;
 
         if self.guard_is_due() {
-            self.bring_splats()?;
-            self.guard()?;
+            self.guard_remotely()?;
         }
         self.density_round()?;
         let reorder = self.config.reorder_every;
@@ -132,6 +140,29 @@ impl Trainer<'_> {
         if self.iteration == n && self.colours_are_due(n) {
             self.fit_colours_remotely()?;
             self.guard()?;
+        }
+        Ok(())
+    }
+
+    /// Static and dynamic splats, wherever they are.
+    pub(super) fn counts(&self) -> (usize, usize) {
+        let there = self.remote.as_ref().and_then(|r| r.counts);
+        there.unwrap_or((self.splats.n_static(), self.splats.n_dynamic()))
+    }
+
+    /// The guard, on the device. What is gone back to comes here at the end, and else not more often than the settings
+    /// say; which of the finite states that is changes nothing in a run that does not fail.
+    fn guard_remotely(&mut self) -> Result<(), TrainError> {
+        self.look_at_remote()?;
+        let pause = Duration::try_from_secs_f32(self.config.keep_every_s).unwrap_or(Duration::MAX);
+        let last = self.iteration == self.config.iterations;
+        if !last && self.remote.as_ref().is_some_and(|r| r.kept.elapsed() < pause) {
+            return Ok(());
+        }
+        self.bring_splats()?;
+        self.guard()?;
+        if let Some(remote) = &mut self.remote {
+            remote.kept = Instant::now();
         }
         Ok(())
     }
@@ -146,6 +177,9 @@ impl Trainer<'_> {
         let loss = (1.0 - lambda) * found.l1 + lambda * (1.0 - found.ssim) + found.depth;
         if !loss.is_finite() {
             return Err(self.back_to_good("the loss"));
+        }
+        if !found.splats_are_finite {
+            return Err(self.back_to_good("a parameter of a splat"));
         }
         let (t, steps, looks) = (&mut self.totals, found.steps as f64, found.looks as f64);
         t.frames += found.looks;
@@ -219,50 +253,12 @@ impl Trainer<'_> {
         };
         match remote.device.splats() {
             Ok(splats) => {
-                remote.splats_are_old = false;
+                (remote.splats_are_old, remote.counts) = (false, None);
                 self.splats = splats;
                 Ok(())
             }
             Err(error) => Err(self.device_failed(&error)),
         }
-    }
-
-    /// Scores of all splats on some frames.
-    pub(super) fn score_remotely(&mut self, looks: &[(usize, View)]) -> Result<Scores, TrainError> {
-        self.prepare_remote()?;
-        let settings = ScoreSettings {
-            lambda_ssim: self.config.loss.lambda_ssim,
-            threshold: self.config.density.error_threshold,
-            range: self.config.density.error_range,
-        };
-        self.remotely(|device| device.score(looks, &settings))
-    }
-
-    /// Carries a plan out here for the splats, there for the optimiser's state.
-    pub(super) fn carry_out_remotely(&mut self, plan: &Plan) -> Result<(), TrainError> {
-        apply_to_splats(
-            &self.config.density,
-            plan,
-            &mut self.splats,
-            self.config.seed,
-            self.iteration,
-        )?;
-        let rows = plan.origins.iter().enumerate();
-        let changed: Vec<u32> = rows
-            .filter(|(_, origin)| **origin != Origin::Kept)
-            .map(|(row, _)| row as u32)
-            .collect();
-        let (n_static, newborn, values) = (self.splats.n_static(), plan.newborn(), self.splats.gather(&changed)?);
-        self.remotely(|device| {
-            device.regrow(&Regrowth {
-                rows: &plan.rows,
-                n_static,
-                newborn: &newborn,
-                changed: &changed,
-                values: &values,
-            })
-        })?;
-        self.reorder_remotely()
     }
 
     /// Lays everything there out along a Morton curve; what is here has another order then.

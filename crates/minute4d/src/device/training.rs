@@ -1,13 +1,15 @@
 //! Training steps on a GPU, as the trainer asks for them.
 
-use m4_gpu::{DepthTerm, Gpu, GpuError, Look, Plan, ScoreRange, StepSettings, Trainer};
+use m4_gpu::{DensityRound, DepthTerm, Gpu, GpuError, GrowRule, Look, Plan, ScoreRange, StepSettings, Trainer};
 use m4_kernels::View;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::Target;
 use m4_scene::{Exposure, SplatLayout, Splats};
-use m4_train::config::ErrorRange;
-use m4_train::density::Scores;
-use m4_train::device::{ColourGradient, DeviceFound, DeviceLook, DeviceStep, Regrowth, ScoreSettings};
+use m4_train::config::{ErrorRange, NewbornOpacity, PruneRule, SplitSize};
+use m4_train::density::{Rules, Scores};
+use m4_train::device::{
+    ColourGradient, DeviceFound, DeviceLook, DeviceRound, DeviceStep, Grown, Regrowth, ScoreSettings,
+};
 use m4_train::{Device, DeviceError};
 
 /// A GPU that trains.
@@ -96,6 +98,17 @@ impl GpuTraining {
 
 /// Entries of tiles that a static splat usually has.
 const ENTRIES: usize = 4;
+
+fn score_settings(settings: &ScoreSettings) -> m4_gpu::ScoreSettings {
+    m4_gpu::ScoreSettings {
+        lambda_ssim: settings.lambda_ssim,
+        threshold: settings.threshold,
+        range: match settings.range {
+            ErrorRange::MinMax => ScoreRange::MinMax,
+            ErrorRange::Quantile { high } => ScoreRange::Quantile { high },
+        },
+    }
+}
 
 fn failed(error: GpuError) -> DeviceError {
     DeviceError(error.to_string())
@@ -201,23 +214,75 @@ impl Device for GpuTraining {
             psnr: found.psnr,
             touched: found.touched,
             losses: found.losses,
+            splats_are_finite: found.splats_are_finite,
         })
     }
 
     fn score(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<Scores, DeviceError> {
-        let settings = m4_gpu::ScoreSettings {
-            lambda_ssim: settings.lambda_ssim,
-            threshold: settings.threshold,
-            range: match settings.range {
-                ErrorRange::MinMax => ScoreRange::MinMax,
-                ErrorRange::Quantile { high } => ScoreRange::Quantile { high },
-            },
-        };
-        let sums = self.trainer()?.score(looks, &settings).map_err(failed)?;
+        let sums = self
+            .trainer()?
+            .score(looks, &score_settings(settings))
+            .map_err(failed)?;
         Ok(Scores {
             densify: sums.densify,
             prune: sums.prune,
         })
+    }
+
+    fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<Grown>, DeviceError> {
+        let Rules {
+            config,
+            due,
+            min_opacity,
+            max_scale,
+            scale,
+        } = round.rules;
+        let trainer = self.trainer()?;
+        let threshold = config.prune_threshold;
+        let round = DensityRound {
+            looks: round.looks,
+            prune_looks: round.prune_looks,
+            scores: score_settings(&round.scores),
+            grow: due.densify.then(|| GrowRule {
+                threshold: config.densify_threshold,
+                budget: due.budget(config, trainer.n()),
+            }),
+            prune: due.prune_by_score.then_some(match config.prune_rule {
+                PruneRule::Literal => m4_gpu::PruneRule::Literal { threshold },
+                PruneRule::WithOpacity {
+                    opacity,
+                    always,
+                    quantile,
+                } => m4_gpu::PruneRule::WithOpacity {
+                    threshold,
+                    opacity,
+                    always,
+                    quantile,
+                },
+            }),
+            min_opacity,
+            max_scale,
+            split_size: match config.split_size {
+                SplitSize::Extent { share } => m4_gpu::SplitSize::Everywhere(share * scale.extent),
+                SplitSize::Pixels { pixels } => m4_gpu::SplitSize::Pixels {
+                    pixels,
+                    focal_px: scale.focal_px,
+                    centres: &scale.centres,
+                },
+            },
+            share_opacity: config.newborn_opacity == NewbornOpacity::Share,
+        };
+        let grown = trainer.densify(&round).map_err(failed)?;
+        if let Some(shape) = &mut self.shape {
+            (shape.n_static, shape.n_dynamic) = (grown.n_static, grown.n_dynamic);
+        }
+        Ok(Some(Grown {
+            cloned: grown.cloned,
+            split: grown.split,
+            pruned: grown.pruned,
+            n_static: grown.n_static,
+            n_dynamic: grown.n_dynamic,
+        }))
     }
 
     fn colour_gradient(&mut self, looks: &[(usize, View)], with_weight: bool) -> Result<ColourGradient, DeviceError> {

@@ -1,0 +1,85 @@
+//! Rounds of density control with a device: by itself, or scored there and decided here.
+
+use crate::TrainError;
+use crate::config::SplitPlacement;
+use crate::density::{Origin, Plan, Rules, Scores, apply_to_splats};
+use crate::device::{DeviceRound, Regrowth, ScoreSettings};
+use crate::pick::purpose;
+use crate::trainer::Trainer;
+use m4_kernels::View;
+
+impl Trainer<'_> {
+    /// Scores of all splats on some frames.
+    pub(in crate::trainer) fn score_remotely(&mut self, looks: &[(usize, View)]) -> Result<Scores, TrainError> {
+        self.prepare_remote()?;
+        let settings = self.score_settings();
+        self.remotely(|device| device.score(looks, &settings))
+    }
+
+    fn score_settings(&self) -> ScoreSettings {
+        ScoreSettings {
+            lambda_ssim: self.config.loss.lambda_ssim,
+            threshold: self.config.density.error_threshold,
+            range: self.config.density.error_range,
+        }
+    }
+
+    /// A round of density control on the device; false where that is left to the processor.
+    pub(in crate::trainer) fn densify_remotely(&mut self, rules: &Rules<'_>) -> Result<bool, TrainError> {
+        let (config, due) = (rules.config, rules.due);
+        if due.densify && config.split_placement == SplitPlacement::Sample {
+            // random numbers are drawn here
+            return Ok(false);
+        }
+        let (mut looks, mut prune_looks) = (Vec::new(), None);
+        if due.densify || due.prune_by_score {
+            self.prepare_remote()?;
+            looks = self.frames_to_score(purpose::DENSIFY_FRAMES);
+            let own = due.prune_by_score && config.prune_own_frames;
+            prune_looks = own.then(|| self.frames_to_score(purpose::PRUNE_FRAMES));
+        }
+        let round = DeviceRound {
+            looks: &looks,
+            prune_looks: prune_looks.as_deref(),
+            scores: self.score_settings(),
+            rules: *rules,
+        };
+        let Some(grown) = self.remotely(|device| device.densify(&round))? else {
+            return Ok(false);
+        };
+        if !grown.changes_nothing() {
+            if let Some(remote) = &mut self.remote {
+                remote.counts = Some((grown.n_static, grown.n_dynamic));
+            }
+            self.reorder_remotely()?;
+        }
+        Ok(true)
+    }
+
+    /// Carries a plan out here for the splats, there for the optimiser's state.
+    pub(in crate::trainer) fn carry_out_remotely(&mut self, plan: &Plan) -> Result<(), TrainError> {
+        apply_to_splats(
+            &self.config.density,
+            plan,
+            &mut self.splats,
+            self.config.seed,
+            self.iteration,
+        )?;
+        let rows = plan.origins.iter().enumerate();
+        let changed: Vec<u32> = rows
+            .filter(|(_, origin)| **origin != Origin::Kept)
+            .map(|(row, _)| row as u32)
+            .collect();
+        let (n_static, newborn, values) = (self.splats.n_static(), plan.newborn(), self.splats.gather(&changed)?);
+        self.remotely(|device| {
+            device.regrow(&Regrowth {
+                rows: &plan.rows,
+                n_static,
+                newborn: &newborn,
+                changed: &changed,
+                values: &values,
+            })
+        })?;
+        self.reorder_remotely()
+    }
+}
