@@ -176,7 +176,12 @@ impl Trainer {
         let n_static = self.splats.n_static.min(size.n);
         let (layout, frames) = (self.splats.layout, self.frames.resident());
         let picture = (size.width, size.height);
-        Plan::training(n_static, size.n - n_static, layout, picture, frames, size.entries).check(limit)
+        let plan = Plan::training(n_static, size.n - n_static, layout, picture, frames, size.entries);
+        let plan = match self.batch {
+            Some(_) => plan.with_batches(),
+            None => plan,
+        };
+        plan.check(limit)
     }
 
     /// Makes room for a frame of `wanted` entries, and a quarter more.

@@ -135,7 +135,7 @@ fn config(iterations: usize) -> TrainConfig {
 fn train<'a>(scene: &MovingScene, capture: &'a Capture, config: TrainConfig, gpu: Option<&OpenGpu>) -> Trainer<'a> {
     let mut trainer = Trainer::new(capture, start(scene), config, SimdLevel::best()).unwrap();
     if let Some(gpu) = gpu {
-        trainer.use_device(gpu.training(None).unwrap());
+        trainer.use_device(gpu.training(None, 1).unwrap());
     }
     trainer
         .run(&Silent, &mut |event| assert!(event.loss.is_finite()))
@@ -266,7 +266,7 @@ fn a_gpu_densifies_and_prunes_as_the_processor_does() {
     for config in [config(80), literal] {
         let there = train(&scene, &capture, config.clone(), Some(&gpu));
         let mut here = Trainer::new(&capture, start(&scene), config, SimdLevel::best()).unwrap();
-        here.use_device(Box::new(WithoutRounds(gpu.training(None).unwrap())));
+        here.use_device(Box::new(WithoutRounds(gpu.training(None, 1).unwrap())));
         here.run(&Silent, &mut |_| {}).unwrap();
         let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
         let [n, m] = [&here, &there].map(|t| t.splats().n());
@@ -288,11 +288,11 @@ fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
     assert!(whole.splats() == again.splats(), "twice the same");
 
     let mut half = Trainer::new(&capture, start(&scene), config(60), SimdLevel::best()).unwrap();
-    half.use_device(gpu.training(None).unwrap());
+    half.use_device(gpu.training(None, 1).unwrap());
     half.run_until(33, &Silent, &mut |_| {}).unwrap();
     let (saved, state) = (half.scene(), half.state());
     let mut rest = Trainer::resume(&capture, saved.splats, &state, config(60), SimdLevel::best()).unwrap();
-    rest.use_device(gpu.training(None).unwrap());
+    rest.use_device(gpu.training(None, 1).unwrap());
     rest.run(&Silent, &mut |_| {}).unwrap();
     assert!(whole.splats() == rest.splats(), "resumed");
     // losses of frames are read now and then, so that they depend on when somebody asked
@@ -310,7 +310,7 @@ fn memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed()
     let (scene, capture) = video();
     let run = |limit_mb: Option<usize>| {
         let mut trainer = Trainer::new(&capture, start(&scene), config(12), SimdLevel::best()).unwrap();
-        trainer.use_device(gpu.training(limit_mb).unwrap());
+        trainer.use_device(gpu.training(limit_mb, 1).unwrap());
         let end = trainer.run(&Silent, &mut |_| {});
         (end, trainer.splats().clone())
     };

@@ -43,13 +43,13 @@ impl OpenGpu {
         })
     }
 
-    /// Takes training steps on it, within `max_vram_mb`.
+    /// Takes training steps of `batch` frames on it, within `max_vram_mb`.
     ///
     /// # Errors
     ///
     /// [`DeviceError`] when it fails.
-    pub fn training(&self, max_vram_mb: Option<usize>) -> Result<Box<dyn Device>, DeviceError> {
-        Ok(Box::new(GpuTraining::new(self.gpu.clone(), max_vram_mb)))
+    pub fn training(&self, max_vram_mb: Option<usize>, batch: usize) -> Result<Box<dyn Device>, DeviceError> {
+        Ok(Box::new(GpuTraining::new(self.gpu.clone(), max_vram_mb, batch)))
     }
 }
 

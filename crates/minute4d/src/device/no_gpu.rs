@@ -38,7 +38,7 @@ impl OpenGpu {
     /// # Errors
     ///
     /// Never: there is no value of this type.
-    pub fn training(&self, _: Option<usize>) -> Result<Box<dyn Device>, DeviceError> {
+    pub fn training(&self, _: Option<usize>, _: usize) -> Result<Box<dyn Device>, DeviceError> {
         match *self {}
     }
 }

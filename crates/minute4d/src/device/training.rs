@@ -18,6 +18,8 @@ pub(super) struct GpuTraining {
     gpu: Gpu,
     /// Most memory that it may take; all that there is for `None`.
     limit_bytes: Option<u64>,
+    /// Steps look at several frames.
+    batches: bool,
     /// Frames that wait for the first splats.
     waiting: Frames,
     trainer: Option<Trainer>,
@@ -51,10 +53,11 @@ impl Shape {
 }
 
 impl GpuTraining {
-    pub fn new(gpu: Gpu, max_vram_mb: Option<usize>) -> Self {
+    pub fn new(gpu: Gpu, max_vram_mb: Option<usize>, batch: usize) -> Self {
         Self {
             gpu,
             limit_bytes: max_vram_mb.map(|mb| mb as u64 * 1_000_000),
+            batches: batch > 1,
             waiting: Frames::default(),
             trainer: None,
             shape: None,
@@ -77,7 +80,8 @@ impl GpuTraining {
                 n_dynamic,
                 layout,
             } = shape;
-            Plan::training(n_static, n_dynamic, layout, size, frames, entries)
+            let plan = Plan::training(n_static, n_dynamic, layout, size, frames, entries);
+            if self.batches { plan.with_batches() } else { plan }
         };
         let entries = Plan::first_entries(shape.n_static + shape.n_dynamic);
         let least = plan(1, entries);

@@ -99,7 +99,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
     let settings = &run.job.settings;
     let gpu = run.gpu.clone();
     let make = || match &gpu {
-        Some(gpu) => gpu.training(run.job.device.max_vram_mb),
+        Some(gpu) => gpu.training(run.job.device.max_vram_mb, settings.train.batch),
         None => Err(DeviceError("no GPU was started".to_owned())),
     };
     folder::remove_file(&run.path(SCENE_FILE))?;
