@@ -5,6 +5,9 @@
 //! hundred steps [`density`] looks at what is still wrong and adds or removes splats there (paper
 //! section 3.3).
 //!
+//! Steps are taken here or on a [`device`] ([`Trainer::use_device`]), which has kernels of its own for the same definitions; schedule,
+//! choice of frames and checkpoints stay here.
+//!
 //! A run is a function of capture, first splats, settings and seed: the same bits come out for any
 //! number of threads, and a run that was stopped, saved ([`Trainer::state`]) and resumed
 //! ([`Trainer::resume`]) ends with the bits of the uninterrupted one.
