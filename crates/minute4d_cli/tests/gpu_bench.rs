@@ -62,3 +62,17 @@ fn what_would_take_too_much_is_refused_part_by_part() {
     let parts = ["splats", "moments", "tile lists", "frames", "--max-vram"];
     refused(&[&SMALL[..], &["1", "--max-vram", "1"]].concat(), 69, &parts);
 }
+
+#[test]
+fn a_limit_of_a_gpu_says_nothing_about_the_processor() {
+    let dir = Scratch::new();
+    let out = dir.at("out");
+    for command in [
+        vec!["bench", "--quick", "--max-vram", "100"],
+        vec!["train", "capture", "-o", &out, "--max-vram", "100"],
+        vec!["run", "clip.mp4", "-o", &out, "--device", "cpu", "--max-vram", "100"],
+    ] {
+        refused(&command, 2, &["--max-vram", "--device gpu"]);
+    }
+    assert!(!dir.path("out").exists(), "nothing was begun");
+}

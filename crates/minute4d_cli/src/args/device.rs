@@ -1,5 +1,6 @@
 //! Processor or GPU.
 
+use crate::failure::Failure;
 use clap::Args;
 use minute4d::device::{DeviceChoice, DeviceRequest, UnknownDevice};
 
@@ -18,12 +19,22 @@ pub struct DeviceArgs {
 
 impl DeviceArgs {
     /// As the library takes it.
-    pub fn request(&self) -> DeviceRequest {
-        DeviceRequest {
+    pub fn request(&self) -> Result<DeviceRequest, Failure> {
+        Ok(DeviceRequest {
             choice: self.device,
-            max_vram_mb: self.max_vram.map(|mb| mb as usize),
-        }
+            max_vram_mb: limit(self.device, self.max_vram)?,
+        })
     }
+}
+
+/// `--max-vram`, which says nothing about the processor.
+pub fn limit(device: DeviceChoice, max_vram: Option<u32>) -> Result<Option<usize>, Failure> {
+    if device == DeviceChoice::Cpu && max_vram.is_some() {
+        return Err(Failure::usage(
+            "--max-vram limits a GPU's memory; name one with --device gpu, or leave it out",
+        ));
+    }
+    Ok(max_vram.map(|mb| mb as usize))
 }
 
 /// A device by its name.

@@ -17,7 +17,7 @@ mod video;
 mod view;
 
 pub use bench::{Bench, BenchScene};
-pub use device::DeviceArgs;
+pub use device::{DeviceArgs, limit};
 pub use eval::{Eval, EvalGeometry};
 pub use existing::OutArgs;
 pub use export::{Export, PrecisionArg};

@@ -1,7 +1,7 @@
 //! `minute4d bench`: milliseconds a kernel, beside what the machine can do.
 
 use super::doctor::processor;
-use crate::args::{Bench, BenchScene, Common};
+use crate::args::{Bench, BenchScene, Common, limit};
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::Error;
@@ -16,7 +16,7 @@ pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure
     if args.memory {
         return memory(args, output);
     }
-    let report = bench::run(&config(args, common), output)?;
+    let report = bench::run(&config(args, common)?, output)?;
     if let Some(folder) = &args.save {
         save(folder, &report, output)?;
     }
@@ -56,7 +56,7 @@ fn save(folder: &Path, report: &impl SavedReport, output: &Output) -> Result<(),
     Ok(())
 }
 
-fn config(args: &Bench, common: &Common) -> BenchConfig {
+fn config(args: &Bench, common: &Common) -> Result<BenchConfig, Failure> {
     let mut config = BenchConfig::default();
     if args.quick {
         config.splats = vec![100_000];
@@ -86,7 +86,7 @@ fn config(args: &Bench, common: &Common) -> BenchConfig {
     config.depth = args.depth;
     config.render_only = args.render;
     config.device = args.device;
-    config.max_vram_mb = args.max_vram.map(|mb| mb as usize);
+    config.max_vram_mb = limit(args.device, args.max_vram)?;
     config.cpu = processor();
-    config
+    Ok(config)
 }

@@ -17,14 +17,9 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
+    let device = args.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = job(
-            &args.settings,
-            args.device.request(),
-            &args.existing,
-            settings,
-            observer,
-        );
+        let job = job(&args.settings, device, &args.existing, settings, observer);
         minute4d::run(input, out, &job)
     };
     while_training(&args.page, (input, out), output, work, |done| report(out, done, output))

@@ -14,14 +14,9 @@ pub fn run(args: &Train, output: &Output) -> Result<(), Failure> {
     let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
+    let device = args.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = job(
-            &args.settings,
-            args.device.request(),
-            &args.existing,
-            settings,
-            observer,
-        );
+        let job = job(&args.settings, device, &args.existing, settings, observer);
         minute4d::train::make(capture, out, &job)
     };
     while_training(&args.page, (capture, out), output, work, |done| {
