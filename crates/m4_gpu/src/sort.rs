@@ -10,6 +10,21 @@ use cubecl::prelude::*;
 /// Digits of a pass.
 const DIGITS: usize = 16;
 
+/// How many of a unit's four keys, from `first` on, have the digit `word`, and in the upper half `word + 8`.
+#[cube]
+fn count_digits(keys: &[u32], first: u32, n: u32, shift: u32, word: u32) -> u32 {
+    let mut count = 0u32;
+    for k in 0u32..4u32 {
+        if first + k < n {
+            let digit = (keys[(first + k) as usize] >> shift) & 15u32;
+            if (digit & 7u32) == word {
+                count += 1u32 << ((digit >> 3u32) * 16u32);
+            }
+        }
+    }
+    count
+}
+
 /// How many of a block's keys have each digit: `[16][blocks]`.
 #[cube(launch)]
 fn histogram(keys: &[u32], count: &[u32], digits: &mut [u32], capacity: u32, blocks: u32, shift: u32) {
@@ -19,15 +34,7 @@ fn histogram(keys: &[u32], count: &[u32], digits: &mut [u32], capacity: u32, blo
     let first = (block * 256u32 + UNIT_POS) * 4u32;
     if block < blocks {
         for word in 0u32..8u32 {
-            let mut mine = 0u32;
-            for k in 0u32..4u32 {
-                if first + k < n {
-                    let digit = (keys[(first + k) as usize] >> shift) & 15u32;
-                    if (digit & 7u32) == word {
-                        mine += 1u32 << ((digit >> 3u32) * 16u32);
-                    }
-                }
-            }
+            let mine = count_digits(keys, first, n, shift, word);
             let before = scan_cube(mine, &mut sums);
             if UNIT_POS == 255u32 {
                 let total = before + mine;
@@ -57,15 +64,7 @@ fn scatter(
     let first = (block * 256u32 + UNIT_POS) * 4u32;
     if block < blocks {
         for word in 0u32..8u32 {
-            let mut mine = 0u32;
-            for k in 0u32..4u32 {
-                if first + k < n {
-                    let digit = (keys[(first + k) as usize] >> shift) & 15u32;
-                    if (digit & 7u32) == word {
-                        mine += 1u32 << ((digit >> 3u32) * 16u32);
-                    }
-                }
-            }
+            let mine = count_digits(keys, first, n, shift, word);
             let before = scan_cube(mine, &mut sums);
             let mut low = places[(word * blocks + block) as usize] + (before & 65535u32);
             let mut high = places[((word + 8u32) * blocks + block) as usize] + (before >> 16u32);
