@@ -17,6 +17,7 @@ pub mod rotor;
 mod real;
 mod rng;
 mod se3;
+mod se3_group;
 mod sim3;
 
 pub use nalgebra;

@@ -1,0 +1,213 @@
+//! The inner loops of the fast path: one edge, [`BLOCK`] pixels at a time, f32.
+//!
+//! With `x = X/Z`, `y = Y/Z`, `e = d/Z` the derivatives by the target's pose are
+//! `fx (e, 0, -x e, -x y, 1 + x^2, -y)` and `fy (0, e, -y e, -1 - y^2, x y, x)`; those by the source's pose are
+//! the same rows times a constant matrix, so no loop forms them. The v component follows the u component in
+//! every row of an [`EdgeBlock`], so that both take part in one sum.
+
+use super::options::{DbaOptions, WEIGHT_SCALE};
+use super::problem::{Geometry, Grid, Pinhole};
+
+/// Pixels handled at once: their rows stay in the first or second level of cache.
+pub(super) const BLOCK: usize = 128;
+
+/// Both components of [`BLOCK`] pixels.
+pub(super) const PAIR: usize = 2 * BLOCK;
+
+/// One value a pixel.
+pub(super) type Lane = [f32; BLOCK];
+
+/// One value a pixel and component.
+pub(super) type Row = [f32; PAIR];
+
+/// `(u - cx)/fx` and `(v - cy)/fy` of every pixel, padded with zeros to whole blocks.
+pub(super) struct Rays {
+    x: Vec<f32>,
+    y: Vec<f32>,
+}
+
+impl Rays {
+    pub(super) fn new(grid: Grid, lens: &Pinhole<f64>) -> Self {
+        let padded = grid.len().next_multiple_of(BLOCK);
+        let mut rays = Self {
+            x: vec![0.0; padded],
+            y: vec![0.0; padded],
+        };
+        for n in 0..grid.len() {
+            rays.x[n] = (((n % grid.width) as f64 - lens.cx) / lens.fx) as f32;
+            rays.y[n] = (((n / grid.width) as f64 - lens.cy) / lens.fy) as f32;
+        }
+        rays
+    }
+}
+
+/// What is constant over the pixels of an edge.
+#[derive(Clone, Copy)]
+pub(super) struct EdgeConstants {
+    r: [[f32; 3]; 3],
+    t: [f32; 3],
+    fx: f32,
+    fy: f32,
+    cx: f32,
+    cy: f32,
+    /// How a ray bends with the focal parameter, before the rotation.
+    bend: [f32; 2],
+    /// Change of `fx` and `fy` with the focal parameter.
+    focal: [f32; 2],
+    min_depth: f32,
+    robust_inverse: f32,
+    robust_twice: bool,
+    scale: f32,
+}
+
+impl EdgeConstants {
+    pub(super) fn new(geometry: &Geometry<f32>, source: usize, target: usize, options: &DbaOptions) -> Self {
+        let g = geometry.relative(source, target).cast::<f32>();
+        let lens = &geometry.lens;
+        let rate = options.quirks.fy_rate(lens);
+        let (inverse, power) = options.robust.constants();
+        Self {
+            r: std::array::from_fn(|i| std::array::from_fn(|k| g.rotation[(i, k)])),
+            t: std::array::from_fn(|i| g.translation[i]),
+            fx: lens.fx as f32,
+            fy: lens.fy as f32,
+            cx: lens.cx as f32,
+            cy: lens.cy as f32,
+            bend: [
+                (-2.0 * lens.cx / lens.fx) as f32,
+                (-2.0 * lens.cx * rate / lens.fy) as f32,
+            ],
+            focal: [(2.0 * lens.cx) as f32, (2.0 * lens.cx * rate) as f32],
+            min_depth: options.min_depth as f32,
+            robust_inverse: inverse as f32,
+            robust_twice: power == 2,
+            scale: WEIGHT_SCALE as f32,
+        }
+    }
+
+    /// The same with weights that count in full, whatever the residual.
+    pub(super) fn unscaled(self) -> Self {
+        Self {
+            robust_inverse: 0.0,
+            scale: 1.0,
+            ..self
+        }
+    }
+}
+
+/// The derivatives and residuals of one edge at one block.
+pub(super) struct EdgeBlock {
+    /// By the twist of the target's pose.
+    pub j: [Row; 6],
+    /// By the disparity.
+    pub jz: Row,
+    /// By the focal parameter.
+    pub jf: Row,
+    /// Target minus projection, pixels.
+    pub r: Row,
+    /// Weight, 0 where the point is not valid.
+    pub w: Row,
+}
+
+impl EdgeBlock {
+    pub(super) fn new() -> Box<Self> {
+        Box::new(Self {
+            j: [[0.0; PAIR]; 6],
+            jz: [0.0; PAIR],
+            jf: [0.0; PAIR],
+            r: [0.0; PAIR],
+            w: [0.0; PAIR],
+        })
+    }
+}
+
+/// Copies a block of a plane, padding the last one with zeros.
+#[inline(always)]
+pub(super) fn load(plane: &[f32], start: usize) -> Lane {
+    let mut lane = [0.0; BLOCK];
+    let end = plane.len().min(start + BLOCK);
+    lane[..end - start].copy_from_slice(&plane[start..end]);
+    lane
+}
+
+/// Fills `out` for the pixels from `start` on.
+#[inline(always)]
+pub(super) fn linearise(
+    edge: &EdgeConstants,
+    target_px: &[Vec<f32>; 2],
+    weight: &[Vec<f32>; 2],
+    rays: &Rays,
+    disparity: &Lane,
+    start: usize,
+    out: &mut EdgeBlock,
+) {
+    let (rx, ry) = (load(&rays.x, start), load(&rays.y, start));
+    let (tu, tv) = (load(&target_px[0], start), load(&target_px[1], start));
+    let (wu, wv) = (load(&weight[0], start), load(&weight[1], start));
+    let EdgeConstants { r, t, fx, fy, .. } = *edge;
+    let robust_twice = if edge.robust_twice { 1.0 } else { 0.0 };
+    for l in 0..BLOCK {
+        let d = disparity[l];
+        let px = r[0][0] * rx[l] + r[0][1] * ry[l] + r[0][2] + t[0] * d;
+        let py = r[1][0] * rx[l] + r[1][1] * ry[l] + r[1][2] + t[1] * d;
+        let pz = r[2][0] * rx[l] + r[2][1] * ry[l] + r[2][2] + t[2] * d;
+        let seen = pz > edge.min_depth;
+        let iz = 1.0 / if seen { pz } else { 1.0 };
+        let (x, y, e) = (px * iz, py * iz, d * iz);
+        let (ru, rv) = (tu[l] - (fx * x + edge.cx), tv[l] - (fy * y + edge.cy));
+        let s = 1.0 / (1.0 + (ru * ru + rv * rv) * edge.robust_inverse);
+        let robust = s * (1.0 + robust_twice * (s - 1.0));
+        let keep = if seen { edge.scale * robust } else { 0.0 };
+        out.w[l] = wu[l] * keep;
+        out.w[BLOCK + l] = wv[l] * keep;
+        out.r[l] = ru;
+        out.r[BLOCK + l] = rv;
+        out.j[0][l] = fx * e;
+        out.j[0][BLOCK + l] = 0.0;
+        out.j[1][l] = 0.0;
+        out.j[1][BLOCK + l] = fy * e;
+        out.j[2][l] = -fx * x * e;
+        out.j[2][BLOCK + l] = -fy * y * e;
+        out.j[3][l] = -fx * x * y;
+        out.j[3][BLOCK + l] = -fy * (1.0 + y * y);
+        out.j[4][l] = fx * (1.0 + x * x);
+        out.j[4][BLOCK + l] = fy * x * y;
+        out.j[5][l] = -fx * y;
+        out.j[5][BLOCK + l] = fy * x;
+        out.jz[l] = fx * iz * (t[0] - x * t[2]);
+        out.jz[BLOCK + l] = fy * iz * (t[1] - y * t[2]);
+        let (bx, by) = (edge.bend[0] * rx[l], edge.bend[1] * ry[l]);
+        let qx = r[0][0] * bx + r[0][1] * by;
+        let qy = r[1][0] * bx + r[1][1] * by;
+        let qz = r[2][0] * bx + r[2][1] * by;
+        out.jf[l] = edge.focal[0] * x + fx * iz * (qx - x * qz);
+        out.jf[BLOCK + l] = edge.focal[1] * y + fy * iz * (qy - y * qz);
+    }
+}
+
+/// Inner product with sixteen partial sums, which stay in registers.
+#[inline(always)]
+pub(super) fn dot<const N: usize>(a: &[f32; N], b: &[f32; N]) -> f64 {
+    let mut sums = [0.0_f32; 16];
+    let (a, b) = (a.as_chunks::<16>().0, b.as_chunks::<16>().0);
+    for (x, y) in a.iter().zip(b) {
+        for k in 0..16 {
+            sums[k] += x[k] * y[k];
+        }
+    }
+    f64::from(tree(&sums))
+}
+
+/// The sum of the partial sums, in an order that vector instructions have.
+#[inline(always)]
+pub(super) fn tree<const N: usize>(sums: &[f32; N]) -> f32 {
+    let mut s = *sums;
+    let mut half = N / 2;
+    while half > 0 {
+        for k in 0..half {
+            s[k] += s[k + half];
+        }
+        half /= 2;
+    }
+    s[0]
+}
