@@ -6,7 +6,7 @@ use crate::settings::part_to_toml;
 use crate::{Error, Job, Observer, Settings, StageEvent, hash, progress::Keeper};
 use m4_io::capture::Split;
 use m4_scene::{Capture, CaptureFrame, RgbImage, Video};
-use m4_slam::dense::{DenseFrame, densify};
+use m4_slam::dense::{DenseFrame, Given, InverseSearch, densify};
 use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_slam::sparse;
 use serde::Serialize;
@@ -180,7 +180,10 @@ fn compute(input: &Path, folder: &Path, settings: &Settings, observer: &dyn Obse
     for warning in &sparse.warnings {
         observer.warn(warning);
     }
-    let dense = densify(&pictures, &sparse, &settings.dense, observer)?;
+    let flow = InverseSearch {
+        config: settings.dense.flow.clone(),
+    };
+    let dense = densify(&pictures, &sparse, &flow, &Given::default(), &settings.dense, observer)?;
     let found = summary(&sparse, &dense);
     drop(pictures);
     let capture = assemble(video, &sparse, dense);

@@ -2,6 +2,8 @@
 
 use super::config::DenseConfig;
 use super::densify::{Stages, run};
+use super::flow::InverseSearch;
+use super::given::Given;
 use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_math::{CounterRng, Se3};
 use m4_scene::{Camera, Intrinsics, Plane, RgbImage, Silent};
@@ -182,6 +184,33 @@ fn score(truth: &Truth, stages: &Stages, disparity: &[Vec<f32>], keep: &dyn Fn(u
     }
 }
 
+/// Every eighth frame: for each true part, its pixels and the estimated depth over the true (quantiles 0.1, 0.5, 0.9).
+fn parts(truth: &Truth, stages: &Stages) {
+    let (w, h) = (stages.width, stages.height);
+    let factor = factor(truth, stages);
+    for i in (0..truth.images.len()).step_by(8) {
+        let (fw, fh) = truth.images[i].size();
+        let at = |p: usize| ((2 * (p % w) + 1) * fw / (2 * w), (2 * (p / w) + 1) * fh / (2 * h));
+        let mask: Vec<u8> = (0..w * h).map(|p| truth.moving[i][at(p)]).collect();
+        let mut line = format!("  frame {i}:");
+        for pixels in super::components::Components::of(w, h, &mask).pixels {
+            if pixels.len() < 200 {
+                continue;
+            }
+            let mut ratios: Vec<f32> = pixels
+                .iter()
+                .map(|&p| 1.0 / stages.disparity[i][p as usize] / factor / truth.depth[i][at(p as usize)])
+                .collect();
+            let q: Vec<f32> = [0.1, 0.5, 0.9]
+                .iter()
+                .map(|&q| super::shot::quantile(&mut ratios, q).unwrap())
+                .collect();
+            line += &format!(" [{} px {:.2} {:.2} {:.2}]", pixels.len(), q[0], q[1], q[2]);
+        }
+        eprintln!("{line}");
+    }
+}
+
 fn turbo(t: f32) -> [u8; 3] {
     let t = t.clamp(0.0, 1.0);
     let c = |m: f32| (255.0 * (1.5 - (4.0 * t - m).abs()).clamp(0.0, 1.0)) as u8;
@@ -273,7 +302,15 @@ fn measure_stages() {
             oracle_sparse(&truth)
         };
         let start = std::time::Instant::now();
-        let stages = run(&images, &sparse, &config(), &Silent).unwrap();
+        let stages = run(
+            &images,
+            &sparse,
+            &InverseSearch::default(),
+            &Given::default(),
+            &config(),
+            &Silent,
+        )
+        .unwrap();
         let seconds = start.elapsed().as_secs_f64();
         if let Some(out) = &out {
             std::fs::create_dir_all(out).unwrap();
@@ -285,6 +322,9 @@ fn measure_stages() {
         if truth.depth.is_empty() {
             eprintln!("{scene}: {} frames, {seconds:.1} s", truth.images.len());
             continue;
+        }
+        if std::env::var("DENSE_PARTS").is_ok() {
+            parts(&truth, &stages);
         }
         let swept: Vec<Vec<f32>> = stages.swept.iter().map(|s| s.disparity.clone()).collect();
         let measured: Vec<Vec<f32>> = stages.measured.iter().map(|s| s.disparity.clone()).collect();

@@ -17,8 +17,12 @@ pub struct DenseConfig {
     pub static_depth: StaticDepthConfig,
     /// What moves.
     pub motion: MotionConfig,
-    /// Depth of what moves.
+    /// Masks against what is seen when nothing is in the way.
+    pub plate: PlateConfig,
+    /// Depth of what moves, from what it touches.
     pub moving_depth: MovingDepthConfig,
+    /// Depth of what moves, as rigid bodies.
+    pub bodies: BodyConfig,
 }
 
 impl Default for DenseConfig {
@@ -28,7 +32,9 @@ impl Default for DenseConfig {
             flow: FlowConfig::default(),
             static_depth: StaticDepthConfig::default(),
             motion: MotionConfig::default(),
+            plate: PlateConfig::default(),
             moving_depth: MovingDepthConfig::default(),
+            bodies: BodyConfig::default(),
         }
     }
 }
@@ -206,6 +212,111 @@ impl Default for MovingDepthConfig {
             feet_share: 0.1,
             below_px: 3,
             hidden_quantile: 0.98,
+        }
+    }
+}
+
+/// Masks against the clean plate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PlateConfig {
+    /// Distances in time of the frames that a plate is made of, each both ways.
+    pub reaches: Vec<usize>,
+    /// Fewest frames that must have seen a pixel of the background.
+    pub least_frames: usize,
+    /// How far beyond its mask a part may reach, pixels at the working size.
+    pub margin_px: usize,
+    /// How far masks are grown before other frames' pixels are believed to be background, pixels.
+    pub guard_px: usize,
+    /// Difference in colour (0..255, mean of 5x5 pixels) that is as likely motion as not.
+    pub step: f32,
+    /// Darkest shadow, as a share of the light.
+    pub least_gain: f32,
+    /// What it costs to explain a difference by a shadow, 0..255 for full darkness.
+    pub gain_cost: f32,
+    /// Weight of the mask so far; a pixel of the plate has 1.
+    pub prior: f32,
+    /// Strength of the edge-aware smoothing, pixels squared (Min et al. 2014, lambda).
+    pub smooth_lambda: f32,
+}
+
+impl Default for PlateConfig {
+    fn default() -> Self {
+        Self {
+            reaches: vec![2, 5, 9, 14, 20],
+            least_frames: 2,
+            margin_px: 6,
+            guard_px: 2,
+            step: 16.0,
+            least_gain: 0.4,
+            gain_cost: 20.0,
+            prior: 0.3,
+            smooth_lambda: 20.0,
+        }
+    }
+}
+
+/// Moving parts as rigid bodies.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BodyConfig {
+    /// Distance of the pixels that are adjusted, pixels at the working size.
+    pub block_px: usize,
+    /// Over how many frames a part is compared with itself, each both ways.
+    pub spans: Vec<usize>,
+    /// Parts smaller than this share of the image are left alone.
+    pub least_share: f32,
+    /// Fewest frames.
+    pub shortest: usize,
+    /// Most frames that are adjusted together: bounds memory.
+    pub longest: usize,
+    /// Fewest adjusted pixels a frame.
+    pub least_points: usize,
+    /// A part that grows or shrinks by more than this factor from one frame to the next is another part.
+    pub growth: f32,
+    /// Flow whose round trip misses by more than this is not followed, pixels at the working size.
+    pub round_trip_px: f32,
+    /// Noise of the flow, pixels at the working size (scale of the Cauchy weight).
+    pub noise_px: f32,
+    /// Weight of the disparity that contact suggests.
+    pub prior: f32,
+    /// Share of a part's relief that is kept, 0..1; the rest is drawn to a plane.
+    pub relief: f32,
+    /// Iterations with the shape held.
+    pub pose_iterations: usize,
+    /// Iterations of everything.
+    pub iterations: usize,
+    /// Share of the frames whose lower bound of the scale the scale exceeds.
+    pub touch_quantile: f32,
+    /// A part whose way, at its best scale, is shorter than this share of what the camera's way would make of it at
+    /// another, stays in place, and that is its scale.
+    pub still_rest: f64,
+    /// ... unless the scale differs from that of its touch by more than this factor.
+    pub still_range: f32,
+    /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
+    pub fill_lambda: f32,
+}
+
+impl Default for BodyConfig {
+    fn default() -> Self {
+        Self {
+            block_px: 4,
+            spans: vec![1, 3, 8],
+            least_share: 0.002,
+            shortest: 5,
+            longest: 96,
+            least_points: 12,
+            growth: 1.6,
+            round_trip_px: 1.5,
+            noise_px: 0.6,
+            prior: 0.001,
+            relief: 0.5,
+            pose_iterations: 6,
+            iterations: 20,
+            touch_quantile: 0.5,
+            still_rest: 0.12,
+            still_range: 1.5,
+            fill_lambda: 100.0,
         }
     }
 }

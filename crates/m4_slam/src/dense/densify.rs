@@ -1,12 +1,15 @@
 //! The dense half from end to end.
 
 use super::background::Background;
+use super::bodies;
 use super::config::DenseConfig;
 use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
-use super::flow::FlowPair;
+use super::flow::{FlowPair, FlowSource};
+use super::given::Given;
 use super::motion::{self, Clues, Seen};
 use super::moving_depth;
+use super::plate;
 use super::shot::{Shot, sparse_points};
 use super::smooth::Smoother;
 use super::static_depth::{self, Measured, Swept};
@@ -57,10 +60,12 @@ pub(super) struct Stages {
 pub fn densify(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
+    flow: &dyn FlowSource,
+    given: &Given<'_>,
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    let stages = run(frames, sparse, config, progress)?;
+    let stages = run(frames, sparse, flow, given, config, progress)?;
     each(frames.len(), "enlarging depth", progress, |i| {
         let small = Small {
             frame: &stages.shots[i].frame,
@@ -133,10 +138,13 @@ fn each<T: Send>(
 pub(super) fn run(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
+    flow: &dyn FlowSource,
+    given: &Given<'_>,
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Stages, DenseError> {
     config.check()?;
+    given.check(frames.len())?;
     let (full_w, full_h) = check(frames, sparse)?;
     let (w, h) = working_size(full_w, full_h, config.working_side_px);
     let count = frames.len();
@@ -151,8 +159,9 @@ pub(super) fn run(
         WorkingFrame::new(frames[i], &sparse.cameras[i], w, h)
     })?;
     let flows = each(count - 1, "computing flow", progress, |i| {
-        FlowPair::new(&working[i], &working[i + 1], config)
+        FlowPair::new(&working[i], &working[i + 1], flow).map_err(|source| DenseError::Flow { frame: i, source })
     })?;
+    let flows = flows.into_iter().collect::<Result<Vec<_>, _>>()?;
     let points = sparse_points(sparse, w, h);
     let shots = each(count, "preparing frames", progress, |i| {
         Shot::new(&working, i, &points, &config.static_depth, parallax)
@@ -171,15 +180,17 @@ pub(super) fn run(
     drop(working);
 
     // Motion spoils depth and depth shows motion: the second round knows the masks of the first.
-    let mut moving: Option<Vec<Vec<u8>>> = None;
+    let told = given.masks.is_some();
+    let mut moving: Option<Vec<Vec<u8>>> = (0..count).map(|i| given.mask(i, w, h)).collect();
     let mut last = None;
-    for _ in 0..ROUNDS {
+    for _ in 0..if told { 1 } else { ROUNDS } {
         let measured = each(count, "comparing depth", progress, |i| {
             static_depth::measure(&shots, &swept, moving.as_deref(), i, &config.static_depth)
         })?;
         let filled = each(count, "filling depth", progress, |i| {
             if parallax {
-                static_depth::fill(&shots[i], &smoother(i), &measured[i], &config.static_depth)
+                let moving = moving.as_ref().map(|m| m[i].as_slice());
+                static_depth::fill(&shots[i], &smoother(i), &measured[i], moving, &config.static_depth)
             } else {
                 vec![1.0; w * h]
             }
@@ -197,15 +208,74 @@ pub(super) fn run(
                 motion::vote(w, h, &evidence, &flows, i)
             })?;
         }
-        moving = Some(each(count, "cutting masks", progress, |i| {
-            motion::mask(w, h, &evidence[i], &config.motion)
-        })?);
+        if !told {
+            moving = Some(each(count, "cutting masks", progress, |i| {
+                motion::mask(w, h, &evidence[i], &config.motion)
+            })?);
+        }
         last = Some((measured, filled, evidence));
     }
-    let (Some((measured, filled, evidence)), Some(moving)) = (last, moving) else {
+    let (Some((mut measured, mut filled, evidence)), Some(mut moving)) = (last, moving) else {
         return Err(DenseError::NoFrames);
     };
-    let disparity = moving_depth::place(w, h, &moving, &filled, &flows, &config.moving_depth);
+    if parallax && !told {
+        let near = each(count, "growing masks", progress, |i| {
+            plate::grown(w, h, &moving[i], config.plate.guard_px)
+        })?;
+        filled = each(count, "filling depth", progress, |i| {
+            let mut measured = measured[i].clone();
+            for (c, near) in measured.confidence.iter_mut().zip(&near[i]) {
+                if *near > 0 {
+                    *c = 0.0;
+                }
+            }
+            static_depth::fill(&shots[i], &smoother(i), &measured, Some(&near[i]), &config.static_depth)
+        })?;
+        let scene = plate::Scene {
+            width: w,
+            height: h,
+            cameras: &clues.cameras,
+            shots: &shots,
+            background: &filled,
+            near: &near,
+        };
+        moving = each(count, "sharpening masks", progress, |i| {
+            plate::sharpen(&scene, i, &moving[i], &smoother(i), &config.motion, &config.plate)
+        })?;
+        measured = each(count, "comparing depth", progress, |i| {
+            static_depth::measure(&shots, &swept, Some(&moving), i, &config.static_depth)
+        })?;
+        filled = each(count, "filling depth", progress, |i| {
+            static_depth::fill(
+                &shots[i],
+                &smoother(i),
+                &measured[i],
+                Some(&moving[i]),
+                &config.static_depth,
+            )
+        })?;
+    }
+    let mut disparity = moving_depth::place(w, h, &moving, &filled, &flows, &config.moving_depth);
+    if parallax {
+        let clip = bodies::Clip {
+            width: w,
+            height: h,
+            cameras: &clues.cameras,
+            moving: &moving,
+            background: &filled,
+            flows: &flows,
+        };
+        bodies::place(&clip, smoother, &config.moving_depth, &config.bodies, &mut disparity);
+    }
+    for i in 0..count {
+        if let Some(known) = given.disparity(i, w, h) {
+            for (d, known) in disparity[i].iter_mut().zip(known) {
+                if known > 0.0 {
+                    *d = known;
+                }
+            }
+        }
+    }
     Ok(Stages {
         width: w,
         height: h,

@@ -1,7 +1,9 @@
 //! What densification cannot work with.
 
+use super::flow::FlowError;
+
 /// Why no depth and masks could be made.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DenseError {
     /// No frames were given.
@@ -37,6 +39,24 @@ pub enum DenseError {
         frame: usize,
         /// What is wrong with it.
         what: &'static str,
+    },
+    /// The source of flow failed.
+    #[error("no flow between frames {frame} and {}", frame + 1)]
+    Flow {
+        /// The first of the two frames.
+        frame: usize,
+        /// What went wrong.
+        source: FlowError,
+    },
+    /// Masks or depth were given for another clip.
+    #[error("{what} of {found} frames were given for {expected} frames; give one a frame")]
+    Given {
+        /// Masks or depth.
+        what: &'static str,
+        /// How many were given.
+        found: usize,
+        /// Frames of the clip.
+        expected: usize,
     },
     /// A setting out of range.
     #[error("setting {name} is {value}; it must be {range}")]

@@ -20,15 +20,18 @@
 
 mod aggregate;
 mod background;
+mod bodies;
 mod components;
 mod config;
 mod densify;
 mod enlarge;
 mod error;
 mod flow;
+mod given;
 mod motion;
 mod moving_depth;
 mod pair;
+mod plate;
 mod shot;
 mod smooth;
 mod static_depth;
@@ -38,6 +41,10 @@ mod working;
 #[cfg(test)]
 mod bench_tests;
 
-pub use config::{DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, StaticDepthConfig};
+pub use config::{
+    BodyConfig, DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig,
+};
 pub use densify::{DenseFrame, densify};
 pub use error::DenseError;
+pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
+pub use given::Given;

@@ -2,7 +2,7 @@
 
 use super::aggregate::{Penalties, aggregate};
 use super::config::StaticDepthConfig;
-use super::shot::Shot;
+use super::shot::{Shot, SparsePoint};
 use super::smooth::Smoother;
 use super::sweep::{Partner, cost_volume};
 
@@ -138,11 +138,20 @@ fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32, le
 
 /// A disparity for every pixel: measurements and sparse points where there are any, and between them
 /// what the image's edges let through.
-pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, config: &StaticDepthConfig) -> Vec<f32> {
+///
+/// Points within `moving` (above 0) are not believed: nothing there stands still.
+pub(super) fn fill(
+    shot: &Shot,
+    smoother: &Smoother,
+    measured: &Measured,
+    moving: Option<&[u8]>,
+    config: &StaticDepthConfig,
+) -> Vec<f32> {
     /// Weight of the surroundings against a pixel on which all partners agree.
     const SURROUNDINGS: f32 = 0.15;
     let (mut values, mut weight) = (measured.disparity.clone(), measured.confidence.clone());
-    for point in &shot.points {
+    let still = |p: &&SparsePoint| moving.is_none_or(|m| m[p.pixel] == 0);
+    for point in shot.points.iter().filter(still) {
         let total = weight[point.pixel] + config.point_weight;
         let sum = values[point.pixel] * weight[point.pixel] + point.disparity * config.point_weight;
         (values[point.pixel], weight[point.pixel]) = (sum / total, total);

@@ -1,5 +1,6 @@
 //! Frames at the working size.
 
+use super::flow::FlowPicture;
 use m4_scene::{Camera, RgbImage};
 
 /// One frame at the working size.
@@ -38,6 +39,15 @@ impl WorkingFrame {
             rgb: exact.iter().map(|c| c.map(|v| v.round() as u8)).collect(),
             grey,
             camera: camera.resized(width, height),
+        }
+    }
+
+    pub fn picture(&self) -> FlowPicture<'_> {
+        FlowPicture {
+            width: self.width,
+            height: self.height,
+            rgb: &self.rgb,
+            grey: &self.grey,
         }
     }
 }

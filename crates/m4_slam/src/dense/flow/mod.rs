@@ -2,16 +2,20 @@
 
 mod pyramid;
 mod search;
+mod source;
 mod variational;
 
-use super::config::{DenseConfig, FlowConfig};
+use super::config::FlowConfig;
 use super::working::WorkingFrame;
 use pyramid::Pyramid;
+pub use source::{FlowError, FlowPicture, FlowSource, InverseSearch};
 
 /// Displacement a pixel, pixels.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Flow {
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Flow {
+    /// Columns.
     pub width: usize,
+    /// Rows.
     pub height: usize,
     /// `[height][width]`: to the right.
     pub u: Vec<f32>,
@@ -20,6 +24,8 @@ pub(crate) struct Flow {
 }
 
 impl Flow {
+    /// No displacement.
+    #[must_use]
     pub fn zero(width: usize, height: usize) -> Self {
         Self {
             width,
@@ -30,12 +36,14 @@ impl Flow {
     }
 
     /// Bilinear value at `(x, y)`, clamped to the image.
+    #[must_use]
     pub fn at(&self, x: f32, y: f32) -> (f32, f32) {
         let mix = |p: &[f32]| bilinear(self.width, self.height, p, x, y);
         (mix(&self.u), mix(&self.v))
     }
 
     /// The same flow on an image of another size.
+    #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {
         let (sx, sy) = (width as f32 / self.width as f32, height as f32 / self.height as f32);
         let mut out = Self::zero(width, height);
@@ -66,6 +74,17 @@ pub(super) fn bilinear(width: usize, height: usize, plane: &[f32], x: f32, y: f3
     top * (1.0 - wy) + bottom * wy
 }
 
+/// Bilinear colour at `(x, y)`, clamped to the image.
+pub(super) fn bilinear_rgb(width: usize, height: usize, plane: &[[u8; 3]], x: f32, y: f32) -> [f32; 3] {
+    let (i, wx, wy) = cell(width, height, x, y);
+    std::array::from_fn(|c| {
+        let at = |k: usize| f32::from(plane[k][c]);
+        let top = at(i) * (1.0 - wx) + at(i + 1) * wx;
+        let bottom = at(i + width) * (1.0 - wx) + at(i + width + 1) * wx;
+        top * (1.0 - wy) + bottom * wy
+    })
+}
+
 /// Flow between a frame and the next, both ways.
 pub(super) struct FlowPair {
     pub forward: Flow,
@@ -76,16 +95,22 @@ pub(super) struct FlowPair {
 }
 
 impl FlowPair {
-    pub fn new(a: &WorkingFrame, b: &WorkingFrame, config: &DenseConfig) -> Self {
-        let pyramid = |f: &WorkingFrame| Pyramid::new(f.width, f.height, &f.grey);
-        let (a, b) = (pyramid(a), pyramid(b));
-        let (forward, backward) = (flow(&a, &b, &config.flow), flow(&b, &a, &config.flow));
-        Self {
+    pub fn new(a: &WorkingFrame, b: &WorkingFrame, source: &dyn FlowSource) -> Result<Self, FlowError> {
+        let (forward, backward) = source.both(&a.picture(), &b.picture())?;
+        let expected = (a.width, a.height);
+        for flow in [&forward, &backward] {
+            let found = (flow.width, flow.height);
+            let n = expected.0 * expected.1;
+            if found != expected || flow.u.len() != n || flow.v.len() != n {
+                return Err(FlowError::Size { found, expected });
+            }
+        }
+        Ok(Self {
             forward_round_trip: round_trip_px(&forward, &backward),
             backward_round_trip: round_trip_px(&backward, &forward),
             forward,
             backward,
-        }
+        })
     }
 }
 

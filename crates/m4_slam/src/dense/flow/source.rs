@@ -1,0 +1,74 @@
+//! The seam between dense geometry and whatever measures optical flow.
+
+use super::super::config::FlowConfig;
+use super::pyramid::Pyramid;
+use super::{Flow, flow};
+
+/// One picture, as a source of flow sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct FlowPicture<'a> {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// `[height][width][3]`, sRGB 0..255.
+    pub rgb: &'a [[u8; 3]],
+    /// `[height][width]`: luma 0..255, not rounded.
+    pub grey: &'a [f32],
+}
+
+/// Why there is no flow.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FlowError {
+    /// The source failed.
+    #[error("{source_name} found no flow: {reason}")]
+    Source {
+        /// Its name.
+        source_name: String,
+        /// What went wrong.
+        reason: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// The source gave flow of another size than that of its pictures.
+    #[error("the flow has {}x{} values where the pictures have {}x{}", found.0, found.1, expected.0, expected.1)]
+    Size {
+        /// Width and height of the flow.
+        found: (usize, usize),
+        /// Width and height of the pictures.
+        expected: (usize, usize),
+    },
+}
+
+/// Measures where the pixels of one picture are seen in another: classical search, a network, another program's result.
+///
+/// Called from several threads at once; the same pictures must give the same bits.
+pub trait FlowSource: Sync {
+    /// For records and messages, as `--frontend` names it.
+    fn name(&self) -> &str;
+
+    /// The flow from `a` to `b` and that from `b` to `a`, of the size of the pictures, which is the same for both.
+    ///
+    /// # Errors
+    ///
+    /// [`FlowError`] where the source fails.
+    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError>;
+}
+
+/// Inverse search with variational refinement (Kroeger et al. 2016): no weights, and the default.
+#[derive(Debug, Clone, Default)]
+pub struct InverseSearch {
+    /// Its settings.
+    pub config: FlowConfig,
+}
+
+impl FlowSource for InverseSearch {
+    fn name(&self) -> &'static str {
+        "classical"
+    }
+
+    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
+        let pyramid = |p: &FlowPicture<'_>| Pyramid::new(p.width, p.height, p.grey);
+        let (a, b) = (pyramid(a), pyramid(b));
+        Ok((flow(&a, &b, &self.config), flow(&b, &a, &self.config)))
+    }
+}
