@@ -86,7 +86,6 @@ impl Golden {
 }
 
 /// Largest difference between two lists of poses, over all entries of their matrices.
-#[expect(dead_code, reason = "not every test file has poses")]
 pub fn pose_difference(a: &[Se3<f64>], b: &[Se3<f64>]) -> f64 {
     assert_eq!(a.len(), b.len(), "two lists of poses");
     a.iter()
@@ -96,7 +95,6 @@ pub fn pose_difference(a: &[Se3<f64>], b: &[Se3<f64>]) -> f64 {
 }
 
 /// Largest difference between two lists of numbers; a NaN counts as infinite.
-#[expect(dead_code, reason = "not every test file has them")]
 pub fn difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len(), "two lists of numbers");
     a.iter()
