@@ -102,6 +102,17 @@ impl Frontend {
         Ok(Submitted::Initialised)
     }
 
+    /// Ends the front end: the source of correspondences may forget its edges.
+    ///
+    /// # Errors
+    ///
+    /// [`TrackerError::Correspondence`] when it fails at that.
+    pub fn finish(mut self, source: &mut dyn Correspondence) -> Result<Keyframes, TrackerError> {
+        self.graph.clear();
+        source.change(&self.graph.take_changes())?;
+        Ok(self.keyframes)
+    }
+
     /// The first adjustment, of all keyframes there are; called by [`submit`](Self::submit) when there are
     /// enough, and by the caller at the end of a clip in which there never were.
     ///
@@ -196,7 +207,7 @@ impl Frontend {
             options: DbaOptions {
                 free,
                 prior_alpha: Some(s.prior_alpha),
-                robust: s.robust,
+                robust: s.frontend_robust,
                 min_depth: s.min_depth,
                 quirks: s.quirks,
                 ..DbaOptions::default()

@@ -66,7 +66,9 @@ pub struct TrackerSettings {
     pub damping_scale: f64,
     /// Least scaled depth of a point that counts: 0.25.
     pub min_depth: f64,
-    /// Extra weight of residuals: none.
+    /// Extra weight of residuals in the front end and the filler: none.
+    pub frontend_robust: Robust,
+    /// Extra weight of residuals in the back end, whose scale also tells static pixels from moving ones: none.
     pub robust: Robust,
     /// Deliberate faults: none.
     pub quirks: Quirks,
@@ -107,6 +109,7 @@ impl Default for TrackerSettings {
             probe_alpha: 1e-5,
             damping_scale: 1.0,
             min_depth: MIN_DEPTH,
+            frontend_robust: Robust::None,
             robust: Robust::None,
             quirks: Quirks::default(),
             optimise_focal: true,

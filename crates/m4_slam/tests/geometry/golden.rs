@@ -50,7 +50,6 @@ impl Golden {
     }
 
     /// `[2][edges]` as pairs.
-    #[expect(dead_code, reason = "not every test file has edges")]
     pub fn pairs(&self, name: &str) -> Vec<(usize, usize)> {
         let all = self.indices(name);
         let half = all.len() / 2;

@@ -5,8 +5,10 @@ use m4_math::Se3;
 use m4_scene::Silent;
 use m4_slam::dba::{Pinhole, Quirks, project};
 use m4_slam::graph::{EdgeChanges, GraphEdge};
+use m4_slam::tracker::mono::MonoAlignment;
 use m4_slam::tracker::{
-    Backend, Correspondence, CorrespondenceError, FrameInput, Frontend, Keyframes, Revision, Submitted, TrackerSettings,
+    Backend, Correspondence, CorrespondenceError, FrameInput, Frontend, Keyframes, PUBLISHED_TIME_GUARD, Revision,
+    Submitted, TrackerSettings, interpolate_pose,
 };
 
 /// The true reprojection, at most 8 pixels from the present one.
@@ -201,4 +203,37 @@ fn the_back_end_follows_the_published_trace() {
     assert!(off < 1e-4, "poses with a free focal length are off by {off:e}");
     let off = difference(&numbers(&keyframes.geometry.disparity), &golden.values("B_disps"));
     assert!(off < 1e-3, "disparities with a free focal length are off by {off:e}");
+}
+
+#[test]
+fn interpolated_poses_are_those_of_the_published_code() {
+    let golden = Golden::load("ops/pose_interpolation.safetensors");
+    let (times, keys) = (golden.values("key_times"), golden.poses("key_poses"));
+    let got: Vec<Se3<f64>> = golden
+        .values("times")
+        .iter()
+        .map(|&t| interpolate_pose(&times, &keys, t, PUBLISHED_TIME_GUARD))
+        .collect();
+    let off = pose_difference(&got, &golden.poses("poses"));
+    assert!(off < 1e-9, "poses are off by {off:e}");
+    let exact = interpolate_pose(&times, &keys, times[1], 0.0);
+    assert!(pose_difference(&[exact], &keys[1..2]) < 1e-12);
+}
+
+#[test]
+fn mono_depth_is_aligned_as_in_the_published_code() {
+    let golden = Golden::load("geometry/mono_alignment.safetensors");
+    let planes = |name: &str| -> Vec<Vec<f32>> {
+        let all = golden.planes(name).1;
+        all.iter().map(|p| p.iter().map(|&x| x as f32).collect()).collect()
+    };
+    let relative = planes("mono_disp");
+    let got = MonoAlignment::new(&planes("metric_depth"), &relative).expect("sound depth");
+    assert_eq!(got.index, golden.indices("index")[0]);
+    assert!(difference(&got.scales, &golden.values("scales")) < 1e-5);
+    assert!(difference(&got.shifts, &golden.values("shifts")) < 1e-5);
+    assert!((got.norm - golden.values("norm")[0]).abs() < 1e-5);
+    let depth: Vec<Vec<f32>> = relative.iter().map(|a| got.sensor_depth(a)).collect();
+    let off = difference(&numbers(&depth), &golden.values("sensor_depth"));
+    assert!(off < 1e-5, "sensor depth is off by {off:e}");
 }
