@@ -76,6 +76,20 @@ pub struct TrackerSettings {
     pub optimise_focal: bool,
 }
 
+impl TrackerSettings {
+    /// For correspondences that do not know what moves, such as plain optical flow: residuals are judged instead.
+    /// The front end takes Cauchy's weight at half a pixel of the grid, the back end that of Geman and McClure at one,
+    /// whose tail lets go of moving things altogether; `docs/geometry.md` has the comparison.
+    #[must_use]
+    pub fn for_flow() -> Self {
+        Self {
+            frontend_robust: Robust::Cauchy { scale_px: 0.5 },
+            robust: Robust::GemanMcClure { scale_px: 1.0 },
+            ..Self::default()
+        }
+    }
+}
+
 impl Default for TrackerSettings {
     fn default() -> Self {
         Self {
