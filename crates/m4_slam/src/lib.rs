@@ -9,5 +9,7 @@
 
 pub mod dba;
 pub mod dense;
+pub mod graph;
 pub mod reconstruction;
 pub mod sparse;
+pub mod tracker;

@@ -42,6 +42,17 @@ pub fn adjust(
     window: Range<usize>,
     options: &DbaOptions,
 ) -> Result<DbaReport, DbaError> {
+    adjust_on(Level::new(), geometry, problem, window, options)
+}
+
+/// [`adjust`] with the instructions of `level`.
+pub(super) fn adjust_on(
+    level: Level,
+    geometry: &mut Geometry<f32>,
+    problem: &Problem<'_, f32>,
+    window: Range<usize>,
+    options: &DbaOptions,
+) -> Result<DbaReport, DbaError> {
     problem.check(geometry, &window)?;
     let sources = by_source(problem.edges, geometry.frames());
     let mut report = DbaReport::default();
@@ -53,7 +64,7 @@ pub fn adjust(
             eta: problem.eta,
             rays: Rays::new(geometry.grid, &geometry.lens),
             options,
-            level: Level::new(),
+            level,
         };
         let mut system = System::new(window.clone(), options.free.focal());
         for group in sources.chunks(SOURCES_AT_ONCE) {

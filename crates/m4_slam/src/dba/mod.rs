@@ -34,6 +34,8 @@ mod reference;
 mod robust;
 mod solve;
 mod source;
+#[cfg(test)]
+mod tests;
 
 pub use adjust::adjust;
 pub use observability::{DEPTH_GATE, FOCAL_GATE, Observability, observability, observability_reference};

@@ -44,6 +44,8 @@ pub struct Quirks {
     /// Of the Python twin of the solver alone: where poses alone move, the damping is added to the diagonal of
     /// every 6x6 block, also of those between two poses.
     pub blockwise_damping: bool,
+    /// When edges have to make room, the permutation that sorts their ages is taken for their ranks.
+    pub permuted_ranks: bool,
     /// The times of keyframes stay behind when a keyframe is removed, so the filler interpolates
     /// between wrong times.
     pub stale_times: bool,
@@ -58,6 +60,7 @@ impl Quirks {
             first_pose_ignored: true,
             equal_focal_rates: true,
             blockwise_damping: false,
+            permuted_ranks: true,
             stale_times: true,
         }
     }

@@ -50,7 +50,6 @@ impl Golden {
     }
 
     /// `[2][edges]` as pairs.
-    #[expect(dead_code, reason = "not every test file has edges")]
     pub fn pairs(&self, name: &str) -> Vec<(usize, usize)> {
         let all = self.indices(name);
         let half = all.len() / 2;
@@ -86,7 +85,6 @@ impl Golden {
 }
 
 /// Largest difference between two lists of poses, over all entries of their matrices.
-#[expect(dead_code, reason = "not every test file has poses")]
 pub fn pose_difference(a: &[Se3<f64>], b: &[Se3<f64>]) -> f64 {
     assert_eq!(a.len(), b.len(), "two lists of poses");
     a.iter()
@@ -96,7 +94,6 @@ pub fn pose_difference(a: &[Se3<f64>], b: &[Se3<f64>]) -> f64 {
 }
 
 /// Largest difference between two lists of numbers; a NaN counts as infinite.
-#[expect(dead_code, reason = "not every test file has them")]
 pub fn difference(a: &[f64], b: &[f64]) -> f64 {
     assert_eq!(a.len(), b.len(), "two lists of numbers");
     a.iter()

@@ -1,0 +1,249 @@
+//! The edges of a graph and what becomes of them.
+
+use super::distance::symmetric_distances;
+use super::selection::{ProximitySettings, neighbourhood, select_proximity};
+use crate::dba::{Factor, Geometry, project};
+use std::collections::HashSet;
+
+/// Names an edge from its first to its last day, whatever happens to the numbering of keyframes. No two edges of
+/// one process share it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct EdgeId(u64);
+
+/// An edge as a source of correspondences knows it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EdgeKey {
+    /// Unique.
+    pub id: EdgeId,
+    /// Number of the source frame in the clip.
+    pub source_frame: usize,
+    /// Number of the target frame in the clip.
+    pub target_frame: usize,
+}
+
+/// An edge with its measurements.
+#[derive(Debug, Clone)]
+pub struct GraphEdge {
+    /// Identity.
+    pub key: EdgeKey,
+    /// Keyframes it joins, and the present measurement.
+    pub factor: Factor<f32>,
+    /// Iterations since it was added.
+    pub age: u32,
+    /// How likely each pixel is to stand still, in 0..=1, `[height * width]`; 1 until first measured.
+    pub static_confidence: Vec<f32>,
+}
+
+impl GraphEdge {
+    /// Keyframes it joins.
+    #[must_use]
+    pub fn ends(&self) -> (usize, usize) {
+        (self.factor.source, self.factor.target)
+    }
+}
+
+/// Which edges go when there are too many.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Retirement {
+    /// The oldest.
+    Oldest,
+    /// As published: the permutation that sorts the ages is taken for the ranks.
+    PermutedRank,
+}
+
+/// Edges that became active, and edges that will not be revised any more.
+#[derive(Debug, Clone, Default)]
+pub struct EdgeChanges {
+    /// In the order in which they were added.
+    pub entered: Vec<EdgeKey>,
+    /// Retired or removed.
+    pub left: Vec<EdgeKey>,
+}
+
+/// Active edges are revised; inactive ones keep their last measurement and still count; bad ones only suppress others.
+#[derive(Debug)]
+pub struct FactorGraph {
+    /// In the order in which they were added.
+    pub active: Vec<GraphEdge>,
+    /// In the order in which they were retired.
+    pub inactive: Vec<GraphEdge>,
+    /// Pairs that were tried and found wanting.
+    pub bad: Vec<(usize, usize)>,
+    /// Most active edges.
+    pub max_factors: usize,
+    /// Which edges go when there are more.
+    pub retirement: Retirement,
+    changes: EdgeChanges,
+}
+
+impl FactorGraph {
+    /// Without edges.
+    #[must_use]
+    pub fn new(max_factors: usize, retirement: Retirement) -> Self {
+        Self {
+            active: Vec::new(),
+            inactive: Vec::new(),
+            bad: Vec::new(),
+            max_factors,
+            retirement,
+            changes: EdgeChanges::default(),
+        }
+    }
+
+    /// What changed since the last call.
+    pub fn take_changes(&mut self) -> EdgeChanges {
+        std::mem::take(&mut self.changes)
+    }
+
+    /// Adds those of `pairs` that are neither active nor inactive; their measurement starts as the projection of the
+    /// present geometry with weight 0. With `make_room`, active edges retire first so that no more than
+    /// `max_factors` remain. `frames[k]` is the number of keyframe `k` in the clip.
+    pub fn add(&mut self, pairs: &[(usize, usize)], geometry: &Geometry<f32>, frames: &[usize], make_room: bool) {
+        let known: HashSet<(usize, usize)> = self.active.iter().chain(&self.inactive).map(GraphEdge::ends).collect();
+        let fresh: Vec<(usize, usize)> = pairs.iter().copied().filter(|p| !known.contains(p)).collect();
+        if fresh.is_empty() {
+            return;
+        }
+        if make_room && self.active.len() + fresh.len() > self.max_factors {
+            self.make_room(self.max_factors.saturating_sub(fresh.len()));
+        }
+        for (source, target) in fresh {
+            let key = EdgeKey {
+                id: next_id(),
+                source_frame: frames[source],
+                target_frame: frames[target],
+            };
+            self.changes.entered.push(key);
+            let len = geometry.grid.len();
+            self.active.push(GraphEdge {
+                key,
+                factor: Factor {
+                    source,
+                    target,
+                    target_px: projected_planes(geometry, source, target),
+                    weight: [vec![0.0; len], vec![0.0; len]],
+                },
+                age: 0,
+                static_confidence: vec![1.0; len],
+            });
+        }
+    }
+
+    /// Adds all pairs of `from..to` at most `radius` apart.
+    pub fn add_neighbourhood(
+        &mut self,
+        from: usize,
+        to: usize,
+        radius: usize,
+        geometry: &Geometry<f32>,
+        frames: &[usize],
+    ) {
+        self.add(&neighbourhood(from, to, radius), geometry, frames, false);
+    }
+
+    /// Adds neighbours in time and near pairs, as [`select_proximity`] chooses them.
+    pub fn add_proximity(
+        &mut self,
+        settings: &ProximitySettings,
+        geometry: &Geometry<f32>,
+        frames: &[usize],
+        make_room: bool,
+    ) {
+        let existing = self.all_pairs();
+        let pairs = select_proximity(geometry.frames(), &existing, settings, |pairs| {
+            symmetric_distances(geometry, pairs, settings.beta)
+        });
+        self.add(&pairs, geometry, frames, make_room);
+    }
+
+    /// Active, bad and inactive pairs.
+    #[must_use]
+    pub fn all_pairs(&self) -> Vec<(usize, usize)> {
+        let active = self.active.iter().map(GraphEdge::ends);
+        let inactive = self.inactive.iter().map(GraphEdge::ends);
+        active.chain(self.bad.iter().copied()).chain(inactive).collect()
+    }
+
+    /// Makes active edges inactive.
+    pub fn retire(&mut self, mut goes: impl FnMut(&GraphEdge) -> bool) {
+        let (gone, stay): (Vec<_>, Vec<_>) = self.active.drain(..).partition(|e| goes(e));
+        self.changes.left.extend(gone.iter().map(|e| e.key));
+        self.active = stay;
+        self.inactive.extend(gone);
+    }
+
+    /// Takes the pairs for which `is_bad` holds out of the active edges and never tries them again.
+    pub fn reject(&mut self, mut is_bad: impl FnMut(&GraphEdge) -> bool) {
+        let (gone, stay): (Vec<_>, Vec<_>) = self.active.drain(..).partition(|e| is_bad(e));
+        self.changes.left.extend(gone.iter().map(|e| e.key));
+        self.active = stay;
+        self.bad.extend(gone.iter().map(GraphEdge::ends));
+    }
+
+    /// One iteration older.
+    pub fn grow_older(&mut self) {
+        for edge in &mut self.active {
+            edge.age += 1;
+        }
+    }
+
+    /// Removes keyframe `frame`: its edges go, later keyframes move down by one.
+    pub fn remove_frame(&mut self, frame: usize) {
+        let touches = |e: &GraphEdge| e.factor.source == frame || e.factor.target == frame;
+        let gone = self.active.iter().filter(|e| touches(e)).map(|e| e.key);
+        self.changes.left.extend(gone);
+        for edges in [&mut self.active, &mut self.inactive] {
+            edges.retain(|e| !touches(e));
+            for edge in edges.iter_mut() {
+                edge.factor.source -= usize::from(edge.factor.source > frame);
+                edge.factor.target -= usize::from(edge.factor.target > frame);
+            }
+        }
+        self.bad.retain(|&(i, j)| i != frame && j != frame);
+        for (i, j) in &mut self.bad {
+            *i -= usize::from(*i > frame);
+            *j -= usize::from(*j > frame);
+        }
+    }
+
+    /// Takes all edges out, so that their source may forget them.
+    pub fn clear(&mut self) {
+        self.changes.left.extend(self.active.iter().map(|e| e.key));
+        self.active.clear();
+        self.inactive.clear();
+    }
+
+    /// Retires edges until `kept` are left, or as many as the published rule leaves.
+    fn make_room(&mut self, kept: usize) {
+        let mut order: Vec<usize> = (0..self.active.len()).collect();
+        order.sort_by_key(|&k| self.active[k].age);
+        let mut rank = vec![0; order.len()];
+        match self.retirement {
+            Retirement::PermutedRank => rank = order,
+            Retirement::Oldest => order.iter().enumerate().for_each(|(r, &k)| rank[k] = r),
+        }
+        let mut ranks = rank.into_iter();
+        self.retire(|_| ranks.next().is_some_and(|r| r >= kept));
+    }
+}
+
+fn next_id() -> EdgeId {
+    use std::sync::atomic::{AtomicU64, Ordering};
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    EdgeId(NEXT.fetch_add(1, Ordering::Relaxed))
+}
+
+/// Where the pixels of `source` are seen in `target`, `[2][height * width]`.
+pub(crate) fn projected_planes(geometry: &Geometry<f32>, source: usize, target: usize) -> [Vec<f32>; 2] {
+    let g = geometry.relative(source, target);
+    let width = geometry.grid.width;
+    let pixels = geometry.disparity[source].iter().enumerate();
+    pixels
+        .map(|(n, &d)| {
+            let (u, v) = ((n % width) as f64, (n / width) as f64);
+            let p = project(&g, &geometry.lens, 1.0, u, v, f64::from(d)).pixel;
+            (p.x as f32, p.y as f32)
+        })
+        .unzip::<f32, f32, Vec<f32>, Vec<f32>>()
+        .into()
+}

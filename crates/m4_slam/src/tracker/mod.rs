@@ -1,0 +1,43 @@
+//! From frames to cameras, depth and a map of what stands still.
+//!
+//! ```text
+//! frames + sensor disparity
+//!   -> Frontend   keyframes one by one, a window adjusted      (Correspondence revises the edges)
+//!   -> Backend    probe of what can be seen, then all keyframes, focal length if it can be seen
+//!   -> fill       frames between keyframes: interpolation, poses only
+//!   -> Backend    all frames
+//!   -> Tracked    poses, disparities, lens, static confidence
+//! ```
+//!
+//! Source: sections 1.5 and 1.6 of the specification of the front end; MegaSaM (Li et al. 2025), section 3. What measures
+//! correspondences is behind the trait [`Correspondence`]: [`FlowCorrespondence`] takes flow that is computed once a
+//! pair, a network revises its answer from where the present geometry projects. Poses inside map world to
+//! camera and positions are pixels of the grid (see [`crate::dba`]); [`Tracked::c2w`] is the border.
+//!
+//! [`mono`] makes the sensor disparity out of two networks' depth.
+pub mod mono;
+
+mod backend;
+mod correspondence;
+mod dense_flow;
+mod error;
+mod filler;
+mod frontend;
+mod interpolation;
+mod keyframes;
+mod settings;
+mod static_map;
+mod track;
+mod update;
+
+pub use backend::Backend;
+pub use correspondence::{Correspondence, CorrespondenceError, EdgeRevision, Revision, SourceRevision};
+pub use dense_flow::{DenseFlow, FlowCorrespondence, FlowSize};
+pub use error::TrackerError;
+pub use filler::fill;
+pub use frontend::{Frontend, Submitted};
+pub use interpolation::{PUBLISHED_TIME_GUARD, interpolate_pose, neighbours};
+pub use keyframes::{FrameInput, Keyframes};
+pub use settings::TrackerSettings;
+pub use static_map::confidence_from_residuals;
+pub use track::{Clip, Tracked, track};
