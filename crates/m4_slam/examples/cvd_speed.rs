@@ -9,6 +9,7 @@
 //! at hand stays in a cache, at the rate of a copy of 256 MiB on as many threads.
 #![expect(clippy::print_stdout, reason = "a report is its output")]
 
+use cpu_time::ProcessTime;
 use m4_math::Se3;
 use m4_math::nalgebra::{Vector3, Vector6};
 use m4_scene::{Intrinsics, Plane, Progress};
@@ -153,7 +154,9 @@ fn main() -> Result<(), Anything> {
             uncertainty: &uncertainty,
             prior_confidence: None,
         };
+        let cpu = ProcessTime::now();
         let found = pool.install(|| optimise(&input, &clip.pairs, &settings, &clock))?;
+        let cpu = cpu.elapsed().as_secs_f64() * 1e3 / (2 * steps) as f64;
         let times = clock.0.into_inner().unwrap_or_default();
         let ms = |range: std::ops::Range<usize>| {
             let mut steps: Vec<f64> = times[range]
@@ -166,7 +169,7 @@ fn main() -> Result<(), Anything> {
         let (one, two) = (ms(0..steps), ms(steps..2 * steps));
         let bound = 1e3 * bytes / copy_rate(threads);
         println!(
-            "{threads} threads: stage 1 {:.1} ms a step (median {:.1}), stage 2 {:.1} ms (median {:.1}); bound {bound:.1} ms for {:.0} MB; \
+            "{threads} threads: stage 1 {:.1} ms a step (median {:.1}), stage 2 {:.1} ms (median {:.1}); processor time {cpu:.1} ms a step; bound {bound:.1} ms for {:.0} MB; \
              100 + 400 steps: {:.1} s; loss {:.4} to {:.4}",
             one.0,
             one.1,

@@ -104,17 +104,10 @@ fn one_scale(
         let [top, bottom] = [y - 1, y + 1].map(|y| &off[cut(y, 1)]);
         let [i_left, i_right, i_middle] = [0, 2, 1].map(|x| &log_initial[cut(y, x)]);
         let [i_top, i_bottom] = [y - 1, y + 1].map(|y| &log_initial[cut(y, 1)]);
-        for x in 0..inner {
-            let (dx, dy) = (left[x] - right[x], top[x] - bottom[x]);
-            let (ix, iy) = (i_left[x] - i_right[x], i_top[x] - i_bottom[x]);
-            let unlike = ((ix.abs() + iy.abs()) - ((ix - dx).abs() + (iy - dy).abs())).abs();
-            // where the disparity is above 1
-            let near = if i_middle[x] > middle[x] { weight32 } else { 0.0 };
-            let w = near * (1.0 - exp(-5.0 * unlike));
-            losses[x] = w * (dx.abs() + dy.abs());
-            across[x] = if dx == 0.0 { 0.0 } else { w.copysign(dx) };
-            down[x] = if dy == 0.0 { 0.0 } else { w.copysign(dy) };
-        }
+        row(
+            left, right, top, bottom, middle, i_left, i_right, i_top, i_bottom, i_middle, weight32, losses, across,
+            down,
+        );
         loss += sum(losses);
         let mut add = |y: usize, x: usize, sign: f32, row: &[f32]| {
             let out = &mut pull[y * stride + x..][..inner];
@@ -128,4 +121,41 @@ fn one_scale(
         add(y + 1, 1, -1.0, down);
     }
     loss
+}
+
+/// One row: the loss and what pulls at the ends of both differences. A function of its own so that the compiler knows that
+/// none of the slices overlap, which it needs for vectors.
+#[inline(always)]
+fn row(
+    left: &[f32],
+    right: &[f32],
+    top: &[f32],
+    bottom: &[f32],
+    middle: &[f32],
+    i_left: &[f32],
+    i_right: &[f32],
+    i_top: &[f32],
+    i_bottom: &[f32],
+    i_middle: &[f32],
+    weight: f32,
+    losses: &mut [f32],
+    across: &mut [f32],
+    down: &mut [f32],
+) {
+    let n = losses.len();
+    let (left, right, top, bottom, middle) = (&left[..n], &right[..n], &top[..n], &bottom[..n], &middle[..n]);
+    let (i_left, i_right, i_top) = (&i_left[..n], &i_right[..n], &i_top[..n]);
+    let (i_bottom, i_middle) = (&i_bottom[..n], &i_middle[..n]);
+    let (across, down) = (&mut across[..n], &mut down[..n]);
+    for x in 0..n {
+        let (dx, dy) = (left[x] - right[x], top[x] - bottom[x]);
+        let (ix, iy) = (i_left[x] - i_right[x], i_top[x] - i_bottom[x]);
+        let unlike = ((ix.abs() + iy.abs()) - ((ix - dx).abs() + (iy - dy).abs())).abs();
+        // where the disparity is above 1
+        let near = if i_middle[x] > middle[x] { weight } else { 0.0 };
+        let w = near * (1.0 - exp(-5.0 * unlike));
+        losses[x] = w * (dx.abs() + dy.abs());
+        across[x] = if dx == 0.0 { 0.0 } else { w.copysign(dx) };
+        down[x] = if dy == 0.0 { 0.0 } else { w.copysign(dy) };
+    }
 }

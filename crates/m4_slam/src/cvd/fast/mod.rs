@@ -33,16 +33,35 @@ use pair::{Rows, Source, Sums, View};
 use rayon::prelude::*;
 use schedule::{Task, rounds};
 use shape::{Motion, Shape};
+use std::sync::{Mutex, PoisonError};
 
 /// The state of a descent.
 pub(super) struct Descent<'a> {
     level: SimdLevel,
     shape: Shape,
-    lens: Lens<f64>,
+    scratch: Pool,
     pairs: &'a dyn PairSource,
     motions: Vec<Motion>,
     rounds: Vec<Vec<Task>>,
     frames: Vec<Frame>,
+}
+
+/// What threads work in, made once: fresh memory costs more than the work in it.
+struct Pool {
+    shape: Shape,
+    lens: Lens<f64>,
+    free: Mutex<Vec<Scratch>>,
+}
+
+impl Pool {
+    fn lend<T>(&self, work: impl FnOnce(&mut Scratch) -> T) -> T {
+        let free = || self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let taken = free().pop();
+        let mut scratch = taken.unwrap_or_else(|| Scratch::new(self.shape, &self.lens));
+        let out = work(&mut scratch);
+        free().push(scratch);
+        out
+    }
 }
 
 /// What a frame starts from, planes of `[height][width]`.
@@ -74,7 +93,11 @@ impl<'a> Descent<'a> {
         Self {
             level,
             shape,
-            lens,
+            scratch: Pool {
+                shape,
+                lens,
+                free: Mutex::default(),
+            },
             pairs,
             motions: pairs.pairs().iter().map(|&p| Motion::new(&lens, w2c, p)).collect(),
             rounds: rounds(w2c.len(), pairs.pairs()),
@@ -84,13 +107,10 @@ impl<'a> Descent<'a> {
 
     /// Begins a stage at the disparity that the last one reached.
     pub fn begin(&mut self) {
-        let Self { level, shape, lens, .. } = *self;
-        self.frames.par_iter_mut().for_each_init(
-            || Scratch::new(shape, &lens),
-            |scratch, frame| {
-                dispatch!(level, _s => frame.begin(shape, scratch));
-            },
-        );
+        let (level, shape, scratch) = (self.level, self.shape, &self.scratch);
+        self.frames.par_iter_mut().for_each(|frame| {
+            scratch.lend(|scratch| dispatch!(level, _s => frame.begin(shape, scratch)));
+        });
     }
 
     /// One step of Adam; `number` counts from 1 in each stage.
@@ -103,7 +123,7 @@ impl<'a> Descent<'a> {
         number: usize,
     ) -> Result<Report, PairError> {
         let sums = self.pair_terms(weights)?;
-        let Self { level, shape, lens, .. } = *self;
+        let (level, shape, scratch) = (self.level, self.shape, &self.scratch);
         let pair_scale = 1.0 / (sums.count + 1e-8);
         let step = Step {
             shape,
@@ -116,10 +136,7 @@ impl<'a> Descent<'a> {
         let losses: Vec<f64> = self
             .frames
             .par_iter_mut()
-            .map_init(
-                || Scratch::new(shape, &lens),
-                |scratch, frame| dispatch!(level, _s => frame.step(&step, scratch)),
-            )
+            .map(|frame| scratch.lend(|scratch| dispatch!(level, _s => frame.step(&step, scratch))))
             .collect();
         Ok(Report {
             loss: pair_scale * sums.loss + losses.iter().sum::<f64>(),

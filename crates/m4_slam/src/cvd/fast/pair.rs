@@ -94,9 +94,9 @@ pub(super) fn source<S: Simd>(
         let seen = &source.seen[shape.tap_row(y)..][..shape.stride];
         let plain = y * shape.stride..(y + 1) * shape.stride;
         let uncertainty = &source.uncertainty[plain.clone()];
-        for x in 0..shape.stride {
+        for (depth, &seen) in rows.depth.iter_mut().zip(seen) {
             // the border holds zeros; its pixels never count
-            rows.depth[x] = if seen[x] > 0.0 { 1.0 / seen[x] } else { 1.0 };
+            *depth = 1.0 / if seen > 0.0 { seen } else { 1.0 };
         }
         for row in [&mut rows.by_depth, &mut rows.errors, &mut rows.count] {
             row.fill(0.0);
@@ -110,21 +110,46 @@ pub(super) fn source<S: Simd>(
         }
         let by_disparity = &mut source.by_disparity[plain.clone()];
         let by_uncertainty = &mut source.by_uncertainty[plain];
-        let (mut losses, mut counts) = ([0.0f32; LANES], [0.0f32; LANES]);
-        for at in (0..shape.stride).step_by(LANES) {
-            for k in 0..LANES {
-                let x = at + k;
-                let (u, depth, count, error) = (uncertainty[x], rows.depth[x], rows.count[x], rows.errors[x]);
-                by_disparity[x] = -depth * depth * u * rows.by_depth[x];
-                by_uncertainty[x] = error - log_weight * count / u;
-                losses[k] += u * error - log_weight * count * ln(u);
-                counts[k] += count;
-            }
-        }
-        sums.loss += losses.iter().map(|&l| f64::from(l)).sum::<f64>();
-        sums.count += counts.iter().map(|&c| f64::from(c)).sum::<f64>();
+        let here = finish(rows, uncertainty, log_weight, by_disparity, by_uncertainty);
+        sums.loss += here.loss;
+        sums.count += here.count;
     }
     sums
+}
+
+/// The row's gradients and sums from what all pairs have added up.
+#[inline(always)]
+fn finish(
+    rows: &Rows,
+    uncertainty: &[f32],
+    log_weight: f32,
+    by_disparity: &mut [f32],
+    by_uncertainty: &mut [f32],
+) -> Sums {
+    let n = uncertainty.len();
+    let (depth, by_depth) = (&rows.depth[..n], &rows.by_depth[..n]);
+    let (count, errors) = (&rows.count[..n], &rows.errors[..n]);
+    let (by_disparity, by_uncertainty) = (&mut by_disparity[..n], &mut by_uncertainty[..n]);
+    let (mut losses, mut counts) = ([0.0f32; LANES], [0.0f32; LANES]);
+    for x in 0..n {
+        by_disparity[x] = -depth[x] * depth[x] * uncertainty[x] * by_depth[x];
+        by_uncertainty[x] = errors[x] - log_weight * count[x] / uncertainty[x];
+    }
+    for at in (0..n).step_by(LANES) {
+        let (u, error, count) = (
+            &uncertainty[at..at + LANES],
+            &errors[at..at + LANES],
+            &count[at..at + LANES],
+        );
+        for k in 0..LANES {
+            losses[k] += u[k] * error[k] - log_weight * count[k] * ln(u[k]);
+            counts[k] += count[k];
+        }
+    }
+    Sums {
+        loss: losses.iter().map(|&l| f64::from(l)).sum(),
+        count: counts.iter().map(|&c| f64::from(c)).sum(),
+    }
 }
 
 /// Where the row lands: the flow term, and indices and weights of the taps.
@@ -265,18 +290,30 @@ fn compare<S: Simd>(s: S, motion: &Motion, y: usize, w_ratio: f32, uncertainty: 
 }
 
 /// Adds to the four taps of each pixel.
+///
+/// Neighbours mostly land side by side, where the right taps of one are the left taps of the next: those are carried in
+/// registers. Storing a pair of taps and loading a pair that overlaps it would stall every pixel.
 #[inline(always)]
 fn add(tap_stride: usize, scatter: &mut [f32], rows: &Rows) {
     let n = rows.index.len();
     let (right, lower, gradient) = (&rows.right[..n], &rows.lower[..n], &rows.sampled[..n]);
+    // what is due at `next` and in the row below
+    let (mut next, mut due_top, mut due_bottom) = (rows.index[0] as usize, 0.0, 0.0);
     for x in 0..n {
         let at = rows.index[x] as usize;
-        let taps = &mut scatter[at..at + tap_stride + 2];
         let (r, l, g) = (right[x], lower[x], gradient[x]);
-        let (bottom, top) = (g * l, g - g * l);
-        taps[0] += top - top * r;
-        taps[1] += top * r;
-        taps[tap_stride] += bottom - bottom * r;
-        taps[tap_stride + 1] += bottom * r;
+        let bottom = g * l;
+        let top = g - bottom;
+        let (top_right, bottom_right) = (top * r, bottom * r);
+        if at != next {
+            scatter[next] += due_top;
+            scatter[next + tap_stride] += due_bottom;
+            (due_top, due_bottom) = (0.0, 0.0);
+        }
+        scatter[at] += (top - top_right) + due_top;
+        scatter[at + tap_stride] += (bottom - bottom_right) + due_bottom;
+        (next, due_top, due_bottom) = (at + 1, top_right, bottom_right);
     }
+    scatter[next] += due_top;
+    scatter[next + tap_stride] += due_bottom;
 }

@@ -49,8 +49,9 @@ impl Scratch {
         for y in 0..h {
             let seen = &seen[shape.tap_row(y)..][..w];
             let padded = &mut self.padded[..w + 4];
+            let middle = &mut padded[2..w + 2];
             for x in 0..w {
-                padded[x + 2] = 1.0 / seen[x];
+                middle[x] = 1.0 / seen[x];
             }
             for side in [0, 1, w + 2, w + 3] {
                 padded[side] = padded[reflect(side as isize - 2, w) + 2];
@@ -80,12 +81,16 @@ impl Scratch {
         // rows y - 1, y, y + 1 are i = y, y + 1, y + 2 with the border
         let (above, here, below) = (row(y), row(y + 1), row(y + 2));
         let [ra, rh, rb] = [self.ray_y[y], self.ray_y[y + 1], self.ray_y[y + 2]];
-        for x in 0..w {
-            let (a, m, b) = (above[x], here[x], below[x]);
-            sum_z[x + 1] = a + 2.0 * m + b;
-            fall_z[x + 1] = b - a;
-            sum_y[x + 1] = ra * a + 2.0 * rh * m + rb * b;
-            fall_y[x + 1] = rb * b - ra * a;
+        {
+            let [sum_y, sum_z, fall_y, fall_z] =
+                [&mut *sum_y, &mut *sum_z, &mut *fall_y, &mut *fall_z].map(|row| &mut row[1..=w]);
+            for x in 0..w {
+                let (a, m, b) = (above[x], here[x], below[x]);
+                sum_z[x] = a + 2.0 * m + b;
+                fall_z[x] = b - a;
+                sum_y[x] = ra * a + 2.0 * rh * m + rb * b;
+                fall_y[x] = rb * b - ra * a;
+            }
         }
         for row in [&mut *sum_y, &mut *sum_z, &mut *fall_y, &mut *fall_z] {
             row[0] = row[1];
@@ -94,15 +99,24 @@ impl Scratch {
         let ([la, lm, lb], [sa, _, sb], [ya, _, yb]) =
             (shifted3(&self.ray_x, w), shifted3(sum_z, w), shifted3(sum_y, w));
         let ([fa, fm, fb], [ga, gm, gb]) = (shifted3(fall_z, w), shifted3(fall_y, w));
-        let (x0, x1, x2) = (&mut x0[..w], &mut x1[..w], &mut x2[..w]);
-        let (y0, y1, y2) = (&mut y0[..w], &mut y1[..w], &mut y2[..w]);
+        slope_rows(
+            la,
+            lm,
+            lb,
+            sa,
+            sb,
+            fa,
+            fm,
+            fb,
+            &mut x0[..w],
+            &mut x2[..w],
+            &mut y0[..w],
+            &mut y2[..w],
+        );
+        let (x1, y1) = (&mut x1[..w], &mut y1[..w]);
         for x in 0..w {
-            x0[x] = 0.125 * (lb[x] * sb[x] - la[x] * sa[x]);
             x1[x] = 0.125 * (yb[x] - ya[x]);
-            x2[x] = 0.125 * (sb[x] - sa[x]);
-            y0[x] = 0.125 * (la[x] * fa[x] + 2.0 * lm[x] * fm[x] + lb[x] * fb[x]);
             y1[x] = 0.125 * (ga[x] + 2.0 * gm[x] + gb[x]);
-            y2[x] = 0.125 * (fa[x] + 2.0 * fm[x] + fb[x]);
         }
     }
 
@@ -141,23 +155,7 @@ impl Scratch {
             let (b0, b1, b2) = (&mut b0[..w], &mut b1[..w], &mut b2[..w]);
             let losses = &mut losses[..w];
             let [n0, n1, n2] = wanted.each_ref().map(|p| &p[y * shape.stride..][..w]);
-            for x in 0..w {
-                let (a, b) = ([a0[x], a1[x], a2[x]], [b0[x], b1[x], b2[x]]);
-                let n = cross(a, b);
-                let scale = 1.0 / length(n);
-                let unit = [n[0] * scale, n[1] * scale, n[2] * scale];
-                let wanted = [n0[x], n1[x], n2[x]];
-                let weight = (wanted[0] * wanted[0] + wanted[1] * wanted[1] + wanted[2] * wanted[2]).sqrt();
-                let cosine = unit[0] * wanted[0] + unit[1] * wanted[1] + unit[2] * wanted[2];
-                losses[x] = weight - cosine;
-                let g = [
-                    (unit[0] * cosine - wanted[0]) * scale,
-                    (unit[1] * cosine - wanted[1]) * scale,
-                    (unit[2] * cosine - wanted[2]) * scale,
-                ];
-                [a0[x], a1[x], a2[x]] = cross(b, g);
-                [b0[x], b1[x], b2[x]] = cross(g, a);
-            }
+            normal_row(a0, a1, a2, b0, b1, b2, losses, n0, n1, n2);
             loss += sum(losses);
             self.spread_slopes(shape, y);
         }
@@ -176,24 +174,14 @@ impl Scratch {
             let (a, b) = (&a[..w], &b[..w]);
             along.fill(0.0);
             across.fill(0.0);
-            for x in 0..w {
-                along[x + 2] = 0.125 * a[x];
-            }
-            for x in 0..w {
-                along[x] -= 0.125 * a[x];
-            }
-            for x in 0..w {
-                across[x] = 0.125 * b[x];
-            }
-            for x in 0..w {
-                across[x + 1] += 0.25 * b[x];
-            }
-            for x in 0..w {
-                across[x + 2] += 0.125 * b[x];
-            }
+            add_scaled(&mut along[2..w + 2], a, 0.125);
+            add_scaled(&mut along[..w], a, -0.125);
+            add_scaled(&mut across[..w], b, 0.125);
+            add_scaled(&mut across[1..=w], b, 0.25);
+            add_scaled(&mut across[2..w + 2], b, 0.125);
             let (top, rest) = points[y * (w + 2)..].split_at_mut(w + 2);
             let (middle, bottom) = rest.split_at_mut(w + 2);
-            let (along, across) = (&along[..w + 2], &across[..w + 2]);
+            let (along, across, top) = (&along[..w + 2], &across[..w + 2], &mut top[..w + 2]);
             let (middle, bottom) = (&mut middle[..w + 2], &mut bottom[..w + 2]);
             for x in 0..w + 2 {
                 top[x] += along[x] - across[x];
@@ -210,14 +198,9 @@ impl Scratch {
         let stride = w + 2;
         for points in &mut self.points {
             let (first, second) = points.split_at_mut(stride);
-            for x in 0..stride {
-                second[x] += first[x];
-            }
+            add_scaled(&mut second[..stride], first, 1.0);
             let (before, last) = points.split_at_mut((h + 1) * stride);
-            let before = &mut before[h * stride..];
-            for x in 0..stride {
-                before[x] += last[x];
-            }
+            add_scaled(&mut before[h * stride..], last, 1.0);
             for row in points.chunks_exact_mut(stride) {
                 row[1] += row[0];
                 row[w] += row[w + 1];
@@ -233,9 +216,7 @@ impl Scratch {
             }
             for (dy, k) in (-2..=2).zip(k) {
                 let out = &mut self.along_rows[reflect(y as isize + dy, h) * shape.stride..][..w];
-                for x in 0..w {
-                    out[x] += k * along[x];
-                }
+                add_scaled(out, along, k);
             }
         }
         for y in 0..h {
@@ -243,10 +224,7 @@ impl Scratch {
             let padded = &mut self.padded[..w + 4];
             padded.fill(0.0);
             for (shift, k) in k.into_iter().enumerate() {
-                let out = &mut padded[shift..shift + w];
-                for x in 0..w {
-                    out[x] += k * row[x];
-                }
+                add_scaled(&mut padded[shift..shift + w], row, k);
             }
             for side in [0, 1, w + 2, w + 3] {
                 padded[reflect(side as isize - 2, w) + 2] += padded[side];
@@ -278,6 +256,80 @@ fn shifted5(row: &[f32], w: usize) -> [&[f32]; 5] {
 #[inline(always)]
 fn shifted3(row: &[f32], w: usize) -> [&[f32]; 3] {
     [&row[..w], &row[1..w + 1], &row[2..w + 2]]
+}
+
+/// The Sobel gradients of x and z of points from sums (s) and differences (f) of three rows of depth and the rays (l). Like
+/// [`normal_row`] a function of its own so that the compiler knows that no slices overlap, which it needs for vectors.
+#[inline(always)]
+fn slope_rows(
+    la: &[f32],
+    lm: &[f32],
+    lb: &[f32],
+    sa: &[f32],
+    sb: &[f32],
+    fa: &[f32],
+    fm: &[f32],
+    fb: &[f32],
+    x0: &mut [f32],
+    x2: &mut [f32],
+    y0: &mut [f32],
+    y2: &mut [f32],
+) {
+    let n = x0.len();
+    let (la, lm, lb, sa, sb) = (&la[..n], &lm[..n], &lb[..n], &sa[..n], &sb[..n]);
+    let (fa, fm, fb) = (&fa[..n], &fm[..n], &fb[..n]);
+    let (x2, y0, y2) = (&mut x2[..n], &mut y0[..n], &mut y2[..n]);
+    for x in 0..n {
+        x0[x] = 0.125 * (lb[x] * sb[x] - la[x] * sa[x]);
+        x2[x] = 0.125 * (sb[x] - sa[x]);
+        y0[x] = 0.125 * (la[x] * fa[x] + 2.0 * lm[x] * fm[x] + lb[x] * fb[x]);
+        y2[x] = 0.125 * (fa[x] + 2.0 * fm[x] + fb[x]);
+    }
+}
+
+/// Slopes along x (a) and y (b) become the gradients with respect to them; n is the wanted normal times its weight.
+#[inline(always)]
+fn normal_row(
+    a0: &mut [f32],
+    a1: &mut [f32],
+    a2: &mut [f32],
+    b0: &mut [f32],
+    b1: &mut [f32],
+    b2: &mut [f32],
+    losses: &mut [f32],
+    n0: &[f32],
+    n1: &[f32],
+    n2: &[f32],
+) {
+    let w = losses.len();
+    let (a0, a1, a2) = (&mut a0[..w], &mut a1[..w], &mut a2[..w]);
+    let (b0, b1, b2) = (&mut b0[..w], &mut b1[..w], &mut b2[..w]);
+    let (n0, n1, n2) = (&n0[..w], &n1[..w], &n2[..w]);
+    for x in 0..w {
+        let (a, b) = ([a0[x], a1[x], a2[x]], [b0[x], b1[x], b2[x]]);
+        let n = cross(a, b);
+        let scale = 1.0 / length(n);
+        let unit = [n[0] * scale, n[1] * scale, n[2] * scale];
+        let wanted = [n0[x], n1[x], n2[x]];
+        let weight = (wanted[0] * wanted[0] + wanted[1] * wanted[1] + wanted[2] * wanted[2]).sqrt();
+        let cosine = unit[0] * wanted[0] + unit[1] * wanted[1] + unit[2] * wanted[2];
+        losses[x] = weight - cosine;
+        let g = [
+            (unit[0] * cosine - wanted[0]) * scale,
+            (unit[1] * cosine - wanted[1]) * scale,
+            (unit[2] * cosine - wanted[2]) * scale,
+        ];
+        [a0[x], a1[x], a2[x]] = cross(b, g);
+        [b0[x], b1[x], b2[x]] = cross(g, a);
+    }
+}
+
+/// `out += factor row`.
+#[inline(always)]
+fn add_scaled(out: &mut [f32], row: &[f32], factor: f32) {
+    for (out, &value) in out.iter_mut().zip(row) {
+        *out += factor * value;
+    }
 }
 
 #[inline(always)]

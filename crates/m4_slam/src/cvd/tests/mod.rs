@@ -4,4 +4,5 @@
 mod consistency;
 mod fast;
 mod fixture;
+mod optimise;
 mod reference;
