@@ -134,9 +134,9 @@ fn main() -> Result<(), Anything> {
     let pairs = clip.pairs.pairs().len();
     let plane = 4.0 * (width.next_multiple_of(16) * height) as f64;
     // a pair: its flow, the target's disparity, and its gradient in and out; a frame, as a source: disparity and u in, two
-    // gradients out; at the end: 13 planes in (both variables with two moments, three gradients, disparity, log, three
-    // normals, edges in stage 1) and 9 out
-    let bytes = plane * (4 * pairs + 4 * frames + 22 * frames) as f64;
+    // gradients out; at the end: 14 planes in (both variables with two moments each, disparity and three gradients, the
+    // initial logarithm and three of normals) and 9 out
+    let bytes = plane * (4 * pairs + 4 * frames + 23 * frames) as f64;
     println!(
         "{frames} frames of {width}x{height}, {pairs} pairs, {:.0} MB of flow",
         pairs as f64 * plane / 1e6

@@ -1,4 +1,5 @@
 //! Consistent video depth on rendered scenes: true poses, true flow of what rests, and a disparity that was spoiled.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_math::nalgebra::{Matrix4, Vector4};
 use m4_math::{CounterRng, Se3};

@@ -23,6 +23,5 @@ pub struct CvdInput<'a> {
 /// number counts as moving.
 #[must_use]
 pub fn uncertainty_of_static(m: f32) -> f32 {
-    // NaN.max(x) is x
-    m.max(1e-3).min(0.5)
+    if m > 1e-3 { m.min(0.5) } else { 1e-3 }
 }

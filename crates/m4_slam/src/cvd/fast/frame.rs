@@ -237,7 +237,7 @@ impl Frame {
                 let own = pull[x] + by_normal * normal[x] * depth;
                 let g = pair_scale * (source[x] + scatter[x]) - depth * own;
                 let raw = disparity[x] * raw_scale + raw_shift;
-                gradient[x] = if raw >= LOW && raw <= HIGH { g } else { 0.0 };
+                gradient[x] = if (LOW..=HIGH).contains(&raw) { g } else { 0.0 };
             }
             match step.moves {
                 Moves::Pixels => rate.row(disparity, &mut md[row.clone()], &mut vd[row.clone()], gradient),
@@ -253,7 +253,7 @@ impl Frame {
             let by_u = &self.by_uncertainty[row.clone()];
             for x in 0..w {
                 let g = pair_scale * by_u[x];
-                gradient[x] = if u[x] >= low && u[x] <= high { g } else { 0.0 };
+                gradient[x] = if (low..=high).contains(&u[x]) { g } else { 0.0 };
             }
             rate.row(u, &mut mu[row.clone()], &mut vu[row], gradient);
         }

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Sources of a round share no target, rounds follow one another, a frame is one task, and sums are added in order: the bits
-//! do not depend on the number of threads. Beside the flow, memory is 18 planes of f32 a frame; nothing grows with the
+//! do not depend on the number of threads. Beside the flow, memory is 16 planes of f32 a frame (17 with confidences); nothing grows with the
 //! number of pairs.
 
 mod adam;
