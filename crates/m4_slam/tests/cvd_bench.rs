@@ -110,7 +110,6 @@ fn abs_rel(scene: &Scene, disparity: &[Plane<f32>]) -> f64 {
 }
 
 #[test]
-#[expect(clippy::print_stderr, reason = "figures for the reader")]
 fn spoiled_depth_is_mended() {
     let Some(shared) = shared_dir("spoiled_depth_is_mended") else {
         return;

@@ -13,7 +13,7 @@
 //! how deep it should be there. The loss compares both, each times u_i(p), the pixel's certainty, which is learned
 //! along: `error u + 0.25 log(1/u)`. What moves gets a low u and keeps its initial shape.
 //!
-//! - [`reference`]: every loss term and its gradients, generic over f32 and f64: the definition.
+//! - [`mod@reference`]: every loss term and its gradients, generic over f32 and f64: the definition.
 //! - `fast`: the same in f32, fused, in vectors and threads; the same bits on any number of threads.
 //! - [`pairs`]: the pairs' list, their masks, and their fields in a few bytes, on disk where memory ends.
 //!
