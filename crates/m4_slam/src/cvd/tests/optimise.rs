@@ -198,7 +198,7 @@ fn confident_pixels_stay_where_they_are() {
         }
     }
     let left = |p: usize| p % SIZE.0 < 25;
-    let confidence = vec![Plane::from_fn(SIZE.0, SIZE.1, |x, _| if x < 25 { 300.0 } else { 0.0 }); FRAMES];
+    let confidence = vec![Plane::from_fn(SIZE.0, SIZE.1, |x, _| if x < 25 { 30.0 } else { 0.0 }); FRAMES];
     let u = even();
     let with = CvdInput {
         prior_confidence: Some(&confidence),
