@@ -7,6 +7,7 @@
 //! `sparse` and `dense` meet in the types of [`reconstruction`] alone, so either can be replaced.
 #![forbid(unsafe_code)]
 
+pub mod cvd;
 pub mod dba;
 pub mod dense;
 pub mod graph;

@@ -1,0 +1,42 @@
+//! Consistent video depth: one disparity map a frame, moved by gradient descent until the frames agree.
+//!
+//! ```text
+//! pair_list -> flow both ways (caller) -> consistency_mask -> PairStore
+//!                                                               |
+//! poses, intrinsics, initial disparity, static confidence ------+-> optimise -> disparity, uncertainty
+//!     stage 1: a scale and a shift a frame, and u    (100 Adam steps)
+//!     stage 2: every pixel's disparity, and u        (400 Adam steps)
+//! ```
+//!
+//! Section 1.7 of the front end's specification, after MegaSaM (Li et al. 2024, section 3.3 and the released program). A
+//! pair of frames i, j with flow: pixel p of i lands at q = p + flow in j; d_i(p) and the poses say where it should land and
+//! how deep it should be there. The loss compares both, each times u_i(p), the pixel's certainty, which is learned
+//! along: `error u + 0.25 log(1/u)`. What moves gets a low u and keeps its initial shape.
+//!
+//! - [`mod@reference`]: every loss term and its gradients, generic over f32 and f64: the definition.
+//! - `fast`: the same in f32, fused, in vectors and threads; the same bits on any number of threads.
+//! - [`pairs`]: the pairs' list, their masks, and their fields in a few bytes, on disk where memory ends.
+//!
+//! **Conventions.** The outside of this module is the library's: poses are `c2w`, the principal point is measured from the
+//! corner of the image. Inside, as in the source, poses are `w2c` and pixel (0, 0) has its centre at (0, 0): [`optimise`]
+//! converts. The source computes normals half a pixel off its own reprojection; here both use the same rays, and
+//! [`reference::Lens::normal_shift_px`] keeps the source's behaviour for comparisons.
+//!
+//! **Unit.** Disparities and poses come and go in the caller's unit (metres, if they are metres): nothing is normalised
+//! away. Stage 1 fits a scale and a shift to each frame, which [`Consistent`] reports.
+
+mod error;
+mod fast;
+mod input;
+mod optimise;
+pub mod pairs;
+pub mod reference;
+mod settings;
+
+pub use error::{CvdError, PairError};
+pub use input::{CvdInput, uncertainty_of_static};
+pub use optimise::{Consistent, optimise};
+pub use settings::{CvdSettings, Stage, Weights};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,73 @@
+//! The mask of the pairs against the original's (OpenCV and NumPy).
+
+use super::fixture::Tensors;
+use crate::cvd::pairs::{FlowField, consistency_mask, round_trip_px};
+
+fn field(file: &Tensors, name: &str, width: usize, height: usize) -> FlowField {
+    let values = file.get(name);
+    let (pixels, _) = values.as_chunks::<2>();
+    FlowField {
+        width,
+        height,
+        x: pixels.iter().map(|p| p[0] as f32).collect(),
+        y: pixels.iter().map(|p| p[1] as f32).collect(),
+    }
+}
+
+#[test]
+fn halved_flows_and_masks_are_those_of_the_original() {
+    let file = Tensors::open("flow_consistency.safetensors");
+    let half = ["fwd", "bwd"].map(|name| {
+        let got = field(&file, &format!("flow_{name}"), 64, 48).view().halved();
+        let want = field(&file, &format!("half_{name}"), 32, 24);
+        for (got, want) in got.x.iter().chain(&got.y).zip(want.x.iter().chain(&want.y)) {
+            assert!((got - want).abs() < 1e-5, "{got} {want}");
+        }
+        got
+    });
+    let [there, back] = [half[0].view(), half[1].view()];
+    let (error, want) = (round_trip_px(there, back), file.get("error"));
+    // the original rounds positions to 1/32 pixel
+    let steepest = (0..error.len())
+        .map(|i| (f64::from(error[i]) - want[i]).abs())
+        .fold(0.0, f64::max);
+    assert!(steepest < 0.1, "{steepest}");
+    let mean = (0..error.len())
+        .map(|i| (f64::from(error[i]) - want[i]).abs())
+        .sum::<f64>()
+        / error.len() as f64;
+    assert!(mean < 0.01, "{mean}");
+    let (mask, want_mask) = (consistency_mask(there, back), file.get("mask"));
+    let (mut compared, mut outside) = (0, 0);
+    for i in 0..mask.len() {
+        let (x, y) = ((i % 32) as f32 + there.x[i], (i / 32) as f32 + there.y[i]);
+        if !(0.0..=31.0).contains(&x) || !(0.0..=23.0).contains(&y) {
+            outside += 1;
+            assert!(!mask[i], "a pixel that leaves the frame counts");
+        } else if (want[i] - 1.0).abs() > 0.1 {
+            compared += 1;
+            assert_eq!(mask[i], want_mask[i] != 0.0, "pixel {i} with error {}", want[i]);
+        }
+    }
+    let on = mask.iter().filter(|m| **m).count();
+    assert!(compared > 500 && outside > 0, "{compared} {outside}");
+    assert!(
+        on > 50 && on < mask.len() - 50,
+        "{on} pixels count: the fixture tests nothing"
+    );
+}
+
+#[test]
+fn what_is_not_a_number_does_not_count() {
+    let mut there = FlowField {
+        width: 4,
+        height: 3,
+        x: vec![0.0; 12],
+        y: vec![0.0; 12],
+    };
+    let back = there.clone();
+    there.x[5] = f32::NAN;
+    there.y[6] = f32::INFINITY;
+    let mask = consistency_mask(there.view(), back.view());
+    assert_eq!((0..12).filter(|&i| !mask[i]).collect::<Vec<_>>(), [5, 6]);
+}
