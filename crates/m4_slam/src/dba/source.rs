@@ -1,4 +1,4 @@
-//! All edges of one source frame: its share of the reduced system, and the step of its disparities.
+//! All edges of one source frame: its share of the reduced system.
 //!
 //! The disparities of a frame meet the poses of that frame and of its targets only. Per block of pixels the rows
 //! `F = w J_target Jz` of all its edges are formed, scaled by `Q = 1/C` and multiplied with themselves; nothing
@@ -6,7 +6,7 @@
 //! (`M = -Ad(G_ij)^T`), so they are applied to the sums and never to pixels.
 
 use super::lanes::{BLOCK, EdgeBlock, EdgeConstants, Lane, PAIR, Rays, Row, linearise, load};
-use super::options::{DbaOptions, stepped_disparity};
+use super::options::DbaOptions;
 use super::prior::depth_prior;
 use super::problem::{Factor, Geometry};
 use super::products::{dot, outer_products, three_by_three};
@@ -113,19 +113,19 @@ impl EdgeSums {
 }
 
 /// Curvature and gradient of the disparities of one block.
-struct Curvature {
-    c: Lane,
-    b: Lane,
+pub(super) struct Curvature {
+    pub c: Lane,
+    pub b: Lane,
 }
 
 impl Curvature {
-    const ZERO: Self = Self {
+    pub(super) const ZERO: Self = Self {
         c: [0.0; BLOCK],
         b: [0.0; BLOCK],
     };
 
     #[inline(always)]
-    fn add(&mut self, block: &EdgeBlock) {
+    pub(super) fn add(&mut self, block: &EdgeBlock) {
         for l in 0..BLOCK {
             let (gu, gv) = (block.w[l] * block.jz[l], block.w[BLOCK + l] * block.jz[BLOCK + l]);
             self.c[l] += gu * block.jz[l] + gv * block.jz[BLOCK + l];
@@ -135,7 +135,7 @@ impl Curvature {
 
     /// Adds the prior; the curvature becomes its inverse, 0 for pixels that pad the block.
     #[inline(always)]
-    fn invert(&mut self, context: &Context<'_>, frame: usize, start: usize, disparity: &Lane) {
+    pub(super) fn invert(&mut self, context: &Context<'_>, frame: usize, start: usize, disparity: &Lane) {
         let (eta, sensor) = (
             load(&context.eta[frame], start),
             load(&context.geometry.sensor[frame], start),
@@ -151,7 +151,7 @@ impl Curvature {
 }
 
 impl Source<'_> {
-    fn constants(&self, context: &Context<'_>) -> Vec<EdgeConstants> {
+    pub(super) fn constants(&self, context: &Context<'_>) -> Vec<EdgeConstants> {
         let g = context.geometry;
         let edges = self.edges.iter();
         edges
@@ -321,96 +321,5 @@ impl Source<'_> {
             diagonal,
             squares,
         }
-    }
-
-    /// The disparities after the step: `poses[frame]` holds the twist of every frame, zero where it is fixed.
-    pub(super) fn substitute(&self, context: &Context<'_>, twists: &[Vector6<f64>], focal: f64) -> Vec<f32> {
-        let mut out = vec![0.0; context.geometry.grid.len()];
-        let changes: Vec<[f32; 6]> = self
-            .edges
-            .iter()
-            .map(|f| {
-                let g = context.geometry.relative(f.source, f.target);
-                let y = twists[f.target] - g.adjoint() * twists[f.source];
-                std::array::from_fn(|a| y[a] as f32)
-            })
-            .collect();
-        dispatch!(context.level, _s => self.substitute_blocks(context, &changes, focal as f32, &mut out));
-        out
-    }
-
-    #[inline(always)]
-    fn substitute_blocks(&self, context: &Context<'_>, changes: &[[f32; 6]], focal: f32, out: &mut [f32]) {
-        let constants = self.constants(context);
-        let mut block = EdgeBlock::new();
-        for (k, chunk) in out.chunks_mut(BLOCK).enumerate() {
-            let start = k * BLOCK;
-            let disparity = load(&context.geometry.disparity[self.frame], start);
-            let mut curvature = Curvature::ZERO;
-            for (e, edge) in self.edges.iter().enumerate() {
-                linearise(
-                    &constants[e],
-                    &edge.target_px,
-                    &edge.weight,
-                    &context.rays,
-                    &disparity,
-                    start,
-                    &mut block,
-                );
-                let y = changes[e];
-                // What the poses take away of the residual.
-                for l in 0..PAIR {
-                    let mut change = focal * block.jf[l];
-                    for a in 0..6 {
-                        change += y[a] * block.j[a][l];
-                    }
-                    block.r[l] -= change;
-                }
-                curvature.add(&block);
-            }
-            curvature.invert(context, self.frame, start, &disparity);
-            for (l, d) in chunk.iter_mut().enumerate() {
-                *d = stepped_disparity(disparity[l], curvature.b[l] * curvature.c[l]);
-            }
-        }
-    }
-
-    /// `sum Jz^2` of every pixel and `sum Jf^2` of all, over valid points and with weights of 1.
-    pub(super) fn information(&self, context: &Context<'_>) -> (Vec<f32>, f64) {
-        let mut depth = vec![0.0; context.geometry.grid.len()];
-        let focal = dispatch!(context.level, s => self.information_blocks(s, context, &mut depth));
-        (depth, focal)
-    }
-
-    #[inline(always)]
-    fn information_blocks<S: Simd>(&self, s: S, context: &Context<'_>, out: &mut [f32]) -> f64 {
-        let constants = self.constants(context);
-        let ones = [vec![1.0; out.len()], vec![1.0; out.len()]];
-        let mut block = EdgeBlock::new();
-        let mut focal = 0.0;
-        for (k, chunk) in out.chunks_mut(BLOCK).enumerate() {
-            let start = k * BLOCK;
-            let disparity = load(&context.geometry.disparity[self.frame], start);
-            let mut curvature = Curvature::ZERO;
-            for (e, edge) in self.edges.iter().enumerate() {
-                let constants = constants[e].unscaled();
-                linearise(
-                    &constants,
-                    &edge.target_px,
-                    &ones,
-                    &context.rays,
-                    &disparity,
-                    start,
-                    &mut block,
-                );
-                curvature.add(&block);
-                for l in 0..PAIR {
-                    block.w[l] *= block.jf[l];
-                }
-                focal += dot(s, &block.w, &block.jf);
-            }
-            chunk.copy_from_slice(&curvature.c[..chunk.len()]);
-        }
-        focal
     }
 }
