@@ -2,7 +2,11 @@
 //!
 //! ```text
 //! frames -> sparse (tracks, poses, focal, points) -> dense (motion masks, depth) -> capture
+//! frames, dense correspondences -> tracker (graph, dba) -> poses, focal length, depth, static map
 //! ```
+//!
+//! The second line is the geometric core of MegaSaM: it needs somebody who says where the pixels of one frame are
+//! seen in another, behind [`tracker::Correspondence`]: optical flow, or a network.
 //!
 //! `sparse` and `dense` meet in the types of [`reconstruction`] alone, so either can be replaced.
 #![forbid(unsafe_code)]

@@ -4,7 +4,9 @@ use m4_math::nalgebra::{Vector3, Vector6};
 use m4_math::{CounterRng, Se3, Sim3};
 use m4_scene::Silent;
 use m4_slam::dba::{Grid, Pinhole};
-use m4_slam::tracker::{Clip, DenseFlow, FlowCorrespondence, FrameInput, Tracked, TrackerSettings, track};
+use m4_slam::tracker::{
+    Clip, DenseFlow, FlowCorrespondence, FrameInput, Tracked, TrackerError, TrackerSettings, track,
+};
 use std::convert::Infallible;
 
 const GRID: Grid = Grid { width: 96, height: 64 };
@@ -124,14 +126,18 @@ fn sensor(frame: usize) -> Vec<f32> {
         .collect()
 }
 
-fn run(settings: &TrackerSettings, guess: f64) -> Tracked {
-    let frames: Vec<FrameInput> = (0..FRAMES)
+fn inputs(sensor: impl Fn(usize) -> Vec<f32>) -> Vec<FrameInput> {
+    (0..FRAMES)
         .map(|frame| FrameInput {
             frame,
             time_s: frame as f64 / 30.0,
             sensor: sensor(frame),
         })
-        .collect();
+        .collect()
+}
+
+fn run(settings: &TrackerSettings, guess: f64, sensor: fn(usize) -> Vec<f32>) -> Tracked {
+    let frames = inputs(sensor);
     let clip = Clip {
         grid: GRID,
         lens: Pinhole {
@@ -192,7 +198,7 @@ fn mask_iou(tracked: &Tracked) -> f64 {
 #[test]
 fn cameras_focal_length_depth_and_mask_are_recovered_from_flow() {
     let start = std::time::Instant::now();
-    let tracked = run(&TrackerSettings::for_flow(), 1.25);
+    let tracked = run(&TrackerSettings::for_flow(), 1.25, sensor);
     let focal = tracked.geometry.lens.fx / LENS.fx - 1.0;
     let (path, depth, mask) = (path_error(&tracked), depth_error(&tracked), mask_iou(&tracked));
     eprintln!(
@@ -207,4 +213,81 @@ fn cameras_focal_length_depth_and_mask_are_recovered_from_flow() {
     assert!(path < 0.02, "path off by {path}");
     assert!(depth < 0.03, "depth off by {depth}");
     assert!(mask > 0.8, "mask {mask}");
+}
+
+#[test]
+fn without_any_hint_of_depth_the_path_is_recovered_too() {
+    let settings = TrackerSettings {
+        optimise_focal: false,
+        ..TrackerSettings::for_flow()
+    };
+    let tracked = run(&settings, 1.0, |_| vec![0.0; GRID.len()]);
+    let (path, depth, mask) = (path_error(&tracked), depth_error(&tracked), mask_iou(&tracked));
+    eprintln!(
+        "path {path:.5}, depth {depth:.4}, mask {mask:.3}, rms {:.3} px",
+        tracked.rms_px
+    );
+    assert_eq!(tracked.geometry.lens, LENS);
+    assert!(path < 0.02, "path off by {path}");
+    assert!(depth < 0.03, "depth off by {depth}");
+    assert!(mask > 0.8, "mask {mask}");
+}
+
+/// Nothing moves but noise.
+fn still(_i: usize, j: usize) -> Result<DenseFlow, Infallible> {
+    let mut rng = CounterRng::new(6, 0, j as u64);
+    let mut plane = || (0..GRID.len()).map(|_| (NOISE_PX * rng.normal()) as f32).collect();
+    Ok(DenseFlow {
+        flow_px: [plane(), plane()],
+        confidence: vec![1.0; GRID.len()],
+    })
+}
+
+#[test]
+fn a_camera_on_a_tripod_stays_where_it_is() {
+    let frames = inputs(sensor);
+    let clip = Clip {
+        grid: GRID,
+        lens: LENS,
+        frames: &frames,
+    };
+    let mut source = FlowCorrespondence::new(GRID, 0.005, still);
+    let tracked = track(&clip, &mut source, &TrackerSettings::for_flow(), &Silent).expect("two keyframes are enough");
+    eprintln!("{:?}, keyframes {:?}", tracked.observability, tracked.keyframes);
+    assert_eq!(tracked.keyframes, [0, FRAMES - 1]);
+    assert!(!tracked.focal_adjusted && tracked.geometry.lens == LENS);
+    for pose in &tracked.geometry.poses {
+        let moved = (pose.matrix() - Se3::identity().matrix()).amax();
+        // The nearest things are 2 m away: under a hundredth of that.
+        assert!(moved < 0.02, "moved by {moved}");
+    }
+    // With no parallax depth is that of the hints.
+    let hints = sensor(0);
+    let off = hints
+        .iter()
+        .zip(&tracked.geometry.disparity[0])
+        .filter(|(h, _)| **h > 0.0);
+    let off = off.map(|(h, d)| (d / h - 1.0).abs()).fold(0.0_f32, f32::max);
+    assert!(off < 0.1, "depth off by {off}");
+}
+
+#[test]
+fn a_clip_of_one_frame_and_frames_out_of_order_are_refused() {
+    let mut frames = inputs(sensor);
+    let mut source = FlowCorrespondence::new(GRID, 0.005, still);
+    let settings = TrackerSettings::for_flow();
+    let mut ask = |frames: &[FrameInput]| {
+        let clip = Clip {
+            grid: GRID,
+            lens: LENS,
+            frames,
+        };
+        track(&clip, &mut source, &settings, &Silent).expect_err("a clip that cannot be tracked")
+    };
+    assert!(matches!(ask(&frames[..1]), TrackerError::TooFewFrames { found: 1 }));
+    frames.swap(3, 4);
+    assert!(matches!(ask(&frames), TrackerError::Order { frame: 3, .. }));
+    frames.swap(3, 4);
+    frames[1].sensor.pop();
+    assert!(matches!(ask(&frames), TrackerError::PlaneSize { frame: 1, .. }));
 }

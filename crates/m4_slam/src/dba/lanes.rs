@@ -130,6 +130,18 @@ pub(super) fn load(plane: &[f32], start: usize) -> Lane {
     lane
 }
 
+/// A block of a plane where it lies; the last one is copied to `padded`.
+#[inline(always)]
+fn lane<'a>(plane: &'a [f32], start: usize, padded: &'a mut Lane) -> &'a Lane {
+    match plane[start..].first_chunk::<BLOCK>() {
+        Some(whole) => whole,
+        None => {
+            *padded = load(plane, start);
+            padded
+        }
+    }
+}
+
 /// Fills `out` for the pixels from `start` on.
 #[inline(always)]
 pub(super) fn linearise(
@@ -141,9 +153,12 @@ pub(super) fn linearise(
     start: usize,
     out: &mut EdgeBlock,
 ) {
-    let (rx, ry) = (load(&rays.x, start), load(&rays.y, start));
-    let (tu, tv) = (load(&target_px[0], start), load(&target_px[1], start));
-    let (wu, wv) = (load(&weight[0], start), load(&weight[1], start));
+    let [mut pad0, mut pad1, mut pad2, mut pad3, mut pad4, mut pad5] = [[0.0; BLOCK]; 6];
+    let (rx, ry) = (lane(&rays.x, start, &mut pad0), lane(&rays.y, start, &mut pad1));
+    let tu = lane(&target_px[0], start, &mut pad2);
+    let tv = lane(&target_px[1], start, &mut pad3);
+    let wu = lane(&weight[0], start, &mut pad4);
+    let wv = lane(&weight[1], start, &mut pad5);
     let EdgeConstants { r, t, fx, fy, .. } = *edge;
     let robust_twice = if edge.robust_twice { 1.0 } else { 0.0 };
     for l in 0..BLOCK {
@@ -183,31 +198,4 @@ pub(super) fn linearise(
         out.jf[l] = edge.focal[0] * x + fx * iz * (qx - x * qz);
         out.jf[BLOCK + l] = edge.focal[1] * y + fy * iz * (qy - y * qz);
     }
-}
-
-/// Inner product with sixteen partial sums, which stay in registers.
-#[inline(always)]
-pub(super) fn dot<const N: usize>(a: &[f32; N], b: &[f32; N]) -> f64 {
-    let mut sums = [0.0_f32; 16];
-    let (a, b) = (a.as_chunks::<16>().0, b.as_chunks::<16>().0);
-    for (x, y) in a.iter().zip(b) {
-        for k in 0..16 {
-            sums[k] += x[k] * y[k];
-        }
-    }
-    f64::from(tree(&sums))
-}
-
-/// The sum of the partial sums, in an order that vector instructions have.
-#[inline(always)]
-pub(super) fn tree<const N: usize>(sums: &[f32; N]) -> f32 {
-    let mut s = *sums;
-    let mut half = N / 2;
-    while half > 0 {
-        for k in 0..half {
-            s[k] += s[k + half];
-        }
-        half /= 2;
-    }
-    s[0]
 }

@@ -5,7 +5,7 @@
 //!   -> per edge: residuals and derivatives        lanes (fast)     reference (oracle)
 //!   -> per source frame: disparities eliminated   source, products
 //!   -> all poses (and the focal length)           solve: damping, Cholesky in f64
-//!   -> disparities substituted back               source
+//!   -> disparities substituted back               substitute
 //! ```
 //!
 //! Source: section 1.6 of the specification of the front end; DROID-SLAM (Teed and Deng 2021), section 3.3, and
@@ -34,6 +34,7 @@ mod reference;
 mod robust;
 mod solve;
 mod source;
+mod substitute;
 #[cfg(test)]
 mod tests;
 

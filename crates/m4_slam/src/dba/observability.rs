@@ -35,10 +35,11 @@ impl Observability {
         self.focal >= FOCAL_GATE
     }
 
-    /// Weight of the depth prior: `1e-5 exp(-0.1 h_d)` where there is little parallax, otherwise none.
+    /// Weight of the depth prior: `base exp(-0.1 h_d)` where there is little parallax, otherwise none. The
+    /// published base is 1e-5.
     #[must_use]
-    pub fn prior_alpha(&self) -> Option<f64> {
-        (self.depth < DEPTH_GATE).then(|| 1e-5 * (-0.1 * self.depth).exp())
+    pub fn prior_alpha(&self, base: f64) -> Option<f64> {
+        (self.depth < DEPTH_GATE).then(|| base * (-0.1 * self.depth).exp())
     }
 }
 
@@ -126,11 +127,14 @@ mod tests {
             depth: 0.0,
             focal: 49.0,
         };
-        assert_eq!((turning.focal_is_seen(), turning.prior_alpha()), (false, Some(1e-5)));
+        assert_eq!(
+            (turning.focal_is_seen(), turning.prior_alpha(1e-5)),
+            (false, Some(1e-5))
+        );
         let walking = Observability {
             depth: 25.0,
             focal: 50.0,
         };
-        assert_eq!((walking.focal_is_seen(), walking.prior_alpha()), (true, None));
+        assert_eq!((walking.focal_is_seen(), walking.prior_alpha(1e-5)), (true, None));
     }
 }

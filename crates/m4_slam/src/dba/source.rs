@@ -1,17 +1,17 @@
-//! All edges of one source frame: its share of the reduced system, and the step of its disparities.
+//! All edges of one source frame: its share of the reduced system.
 //!
 //! The disparities of a frame meet the poses of that frame and of its targets only. Per block of pixels the rows
 //! `F = w J_target Jz` of all its edges are formed, scaled by `Q = 1/C` and multiplied with themselves; nothing
 //! is kept from block to block but sums. The source's own rows are `M_e F_e` summed over the edges
 //! (`M = -Ad(G_ij)^T`), so they are applied to the sums and never to pixels.
 
-use super::lanes::{BLOCK, EdgeBlock, EdgeConstants, Lane, PAIR, Rays, Row, dot, linearise, load};
-use super::options::{DbaOptions, stepped_disparity};
+use super::lanes::{BLOCK, EdgeBlock, EdgeConstants, Lane, PAIR, Rays, Row, linearise, load};
+use super::options::DbaOptions;
 use super::prior::depth_prior;
 use super::problem::{Factor, Geometry};
-use super::products::outer_products;
+use super::products::{dot, outer_products, three_by_three};
 use super::projection::source_from_target;
-use fearless_simd::{Level, dispatch};
+use fearless_simd::{Level, Simd, dispatch};
 use m4_math::nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
 /// What all sources share.
@@ -56,62 +56,76 @@ struct EdgeSums {
 }
 
 impl EdgeSums {
-    const ZERO: Self = Self {
-        h: Matrix6::new(
-            0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-            0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
-        ),
-        v: Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        focal_h: Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        focal: 0.0,
-        focal_v: 0.0,
-        squares: (0.0, 0.0),
-    };
+    fn zero() -> Self {
+        Self {
+            h: Matrix6::zeros(),
+            v: Vector6::zeros(),
+            focal_h: Vector6::zeros(),
+            focal: 0.0,
+            focal_v: 0.0,
+            squares: (0.0, 0.0),
+        }
+    }
 
     #[inline(always)]
-    fn add(&mut self, block: &EdgeBlock, focal: bool) {
-        let mut wj: Row = [0.0; PAIR];
-        for a in 0..6 {
+    fn add<S: Simd>(&mut self, s: S, block: &EdgeBlock, focal: bool) {
+        let [j0, j1, j2, j3, j4, j5] = &block.j;
+        // Three weighted rows at a time, against the rows of poses up to them, and the residual.
+        for (a, [x, y, z]) in [(0, [j0, j1, j2]), (3, [j3, j4, j5])] {
+            let mut weighted = [[0.0_f32; PAIR]; 3];
             for l in 0..PAIR {
-                wj[l] = block.w[l] * block.j[a][l];
+                weighted[0][l] = block.w[l] * x[l];
+                weighted[1][l] = block.w[l] * y[l];
+                weighted[2][l] = block.w[l] * z[l];
             }
-            for b in 0..=a {
-                self.h[(a, b)] += dot(&wj, &block.j[b]);
+            let rows = weighted.each_ref();
+            for (b, columns) in [(0, [j0, j1, j2]), (3, [j3, j4, j5])] {
+                if b <= a {
+                    let part = three_by_three(s, rows, columns);
+                    for r in 0..3 {
+                        for c in 0..3 {
+                            self.h[(a + r, b + c)] += f64::from(part[r][c]);
+                        }
+                    }
+                }
             }
-            self.v[a] += dot(&wj, &block.r);
-            if focal {
-                self.focal_h[a] += dot(&wj, &block.jf);
+            for r in 0..3 {
+                self.v[a + r] += dot(s, rows[r], &block.r);
+                if focal {
+                    self.focal_h[a + r] += dot(s, rows[r], &block.jf);
+                }
             }
         }
+        let mut weighted: Row = [0.0; PAIR];
         if focal {
             for l in 0..PAIR {
-                wj[l] = block.w[l] * block.jf[l];
+                weighted[l] = block.w[l] * block.jf[l];
             }
-            self.focal += dot(&wj, &block.jf);
-            self.focal_v += dot(&wj, &block.r);
+            self.focal += dot(s, &weighted, &block.jf);
+            self.focal_v += dot(s, &weighted, &block.r);
         }
         for l in 0..PAIR {
-            wj[l] = block.w[l] * block.r[l];
+            weighted[l] = block.w[l] * block.r[l];
         }
-        self.squares.0 += dot(&wj, &block.r);
-        self.squares.1 += dot(&block.w, &[1.0; PAIR]);
+        self.squares.0 += dot(s, &weighted, &block.r);
+        self.squares.1 += dot(s, &block.w, &[1.0; PAIR]);
     }
 }
 
 /// Curvature and gradient of the disparities of one block.
-struct Curvature {
-    c: Lane,
-    b: Lane,
+pub(super) struct Curvature {
+    pub c: Lane,
+    pub b: Lane,
 }
 
 impl Curvature {
-    const ZERO: Self = Self {
+    pub(super) const ZERO: Self = Self {
         c: [0.0; BLOCK],
         b: [0.0; BLOCK],
     };
 
     #[inline(always)]
-    fn add(&mut self, block: &EdgeBlock) {
+    pub(super) fn add(&mut self, block: &EdgeBlock) {
         for l in 0..BLOCK {
             let (gu, gv) = (block.w[l] * block.jz[l], block.w[BLOCK + l] * block.jz[BLOCK + l]);
             self.c[l] += gu * block.jz[l] + gv * block.jz[BLOCK + l];
@@ -121,7 +135,7 @@ impl Curvature {
 
     /// Adds the prior; the curvature becomes its inverse, 0 for pixels that pad the block.
     #[inline(always)]
-    fn invert(&mut self, context: &Context<'_>, frame: usize, start: usize, disparity: &Lane) {
+    pub(super) fn invert(&mut self, context: &Context<'_>, frame: usize, start: usize, disparity: &Lane) {
         let (eta, sensor) = (
             load(&context.eta[frame], start),
             load(&context.geometry.sensor[frame], start),
@@ -137,7 +151,7 @@ impl Curvature {
 }
 
 impl Source<'_> {
-    fn constants(&self, context: &Context<'_>) -> Vec<EdgeConstants> {
+    pub(super) fn constants(&self, context: &Context<'_>) -> Vec<EdgeConstants> {
         let g = context.geometry;
         let edges = self.edges.iter();
         edges
@@ -151,20 +165,21 @@ impl Source<'_> {
         let count = self.edges.len();
         // The focal row has two empty ones below it, since products are formed three rows at a time.
         let rows = 6 * count + if free.focal() { 3 } else { 0 };
-        let mut sums = vec![EdgeSums::ZERO; count];
+        let mut sums = vec![EdgeSums::zero(); count];
         let mut products = if free.depth() {
             DMatrix::zeros(rows, rows)
         } else {
             DMatrix::zeros(0, 0)
         };
         let mut shift = DVector::zeros(if free.depth() { rows } else { 0 });
-        dispatch!(context.level, _s => self.sweep(context, &mut sums, &mut products, &mut shift));
+        dispatch!(context.level, s => self.sweep(s, context, &mut sums, &mut products, &mut shift));
         self.assemble(context, &sums, &products, &shift)
     }
 
     #[inline(always)]
-    fn sweep(
+    fn sweep<S: Simd>(
         &self,
+        s: S,
         context: &Context<'_>,
         sums: &mut [EdgeSums],
         products: &mut DMatrix<f64>,
@@ -192,7 +207,7 @@ impl Source<'_> {
                     start,
                     &mut block,
                 );
-                sums[e].add(&block, free.focal());
+                sums[e].add(s, &block, free.focal());
                 if !free.depth() {
                     continue;
                 }
@@ -220,9 +235,9 @@ impl Source<'_> {
                         scaled[l] = row[l] * curvature.c[l];
                     }
                 }
-                outer_products(&qf, &f, products);
+                outer_products(s, &qf, &f, products);
                 for (row, sum) in qf.iter().zip(shift.iter_mut()) {
-                    *sum += dot(row, &curvature.b);
+                    *sum += dot(s, row, &curvature.b);
                 }
             }
         }
@@ -241,8 +256,8 @@ impl Source<'_> {
         let n = 6 * (count + 1);
         let size = n + usize::from(free.focal());
         let (mut h, mut v) = (DMatrix::<f64>::zeros(size, size), DVector::<f64>::zeros(size));
-        // Rows of all poses (and the focal parameter) out of rows of the targets.
-        let mut spread = DMatrix::<f64>::zeros(size, shift.len());
+        // The source's rows out of those of the targets.
+        let mut gather = DMatrix::<f64>::zeros(6, shift.len());
         let mut squares = (0.0, 0.0);
         for (e, (edge, s)) in self.edges.iter().zip(sums).enumerate() {
             let m = source_from_target(&context.geometry.relative(edge.source, edge.target));
@@ -269,20 +284,34 @@ impl Source<'_> {
                 v[n] += s.focal_v;
             }
             if free.depth() {
-                spread.fixed_view_mut::<6, 6>(at, 6 * e).fill_with_identity();
-                spread.fixed_view_mut::<6, 6>(0, 6 * e).copy_from(&m);
+                gather.fixed_view_mut::<6, 6>(0, 6 * e).copy_from(&m);
             }
             squares = (squares.0 + s.squares.0, squares.1 + s.squares.1);
         }
         let diagonal = h.diagonal();
         if free.depth() {
-            if free.focal() {
-                spread[(n, 6 * count)] = 1.0;
-            }
-            let mut full = products.clone();
-            full.fill_upper_triangle_with_lower_triangle();
-            h -= &spread * full * spread.transpose();
-            v -= &spread * shift;
+            // Without the two empty rows below the focal row.
+            let rows = size - 6;
+            let full = {
+                let mut full = products.view((0, 0), (rows, rows)).into_owned();
+                full.fill_upper_triangle_with_lower_triangle();
+                full
+            };
+            let gather = gather.columns(0, rows);
+            let source = gather * &full;
+            let mut part = h.view_mut((6, 6), (rows, rows));
+            part -= &full;
+            let mut part = h.view_mut((0, 6), (6, rows));
+            part -= &source;
+            let mut part = h.view_mut((6, 0), (rows, 6));
+            part -= source.transpose();
+            let mut part = h.view_mut((0, 0), (6, 6));
+            part -= &source * gather.transpose();
+            let shift = shift.rows(0, rows);
+            let mut part = v.rows_mut(0, 6);
+            part -= gather * shift;
+            let mut part = v.rows_mut(6, rows);
+            part -= shift;
         }
         let targets = self.edges.iter().map(|f| f.target);
         Part {
@@ -292,96 +321,5 @@ impl Source<'_> {
             diagonal,
             squares,
         }
-    }
-
-    /// The disparities after the step: `poses[frame]` holds the twist of every frame, zero where it is fixed.
-    pub(super) fn substitute(&self, context: &Context<'_>, twists: &[Vector6<f64>], focal: f64) -> Vec<f32> {
-        let mut out = vec![0.0; context.geometry.grid.len()];
-        let changes: Vec<[f32; 6]> = self
-            .edges
-            .iter()
-            .map(|f| {
-                let g = context.geometry.relative(f.source, f.target);
-                let y = twists[f.target] - g.adjoint() * twists[f.source];
-                std::array::from_fn(|a| y[a] as f32)
-            })
-            .collect();
-        dispatch!(context.level, _s => self.substitute_blocks(context, &changes, focal as f32, &mut out));
-        out
-    }
-
-    #[inline(always)]
-    fn substitute_blocks(&self, context: &Context<'_>, changes: &[[f32; 6]], focal: f32, out: &mut [f32]) {
-        let constants = self.constants(context);
-        let mut block = EdgeBlock::new();
-        for (k, chunk) in out.chunks_mut(BLOCK).enumerate() {
-            let start = k * BLOCK;
-            let disparity = load(&context.geometry.disparity[self.frame], start);
-            let mut curvature = Curvature::ZERO;
-            for (e, edge) in self.edges.iter().enumerate() {
-                linearise(
-                    &constants[e],
-                    &edge.target_px,
-                    &edge.weight,
-                    &context.rays,
-                    &disparity,
-                    start,
-                    &mut block,
-                );
-                let y = changes[e];
-                // What the poses take away of the residual.
-                for l in 0..PAIR {
-                    let mut change = focal * block.jf[l];
-                    for a in 0..6 {
-                        change += y[a] * block.j[a][l];
-                    }
-                    block.r[l] -= change;
-                }
-                curvature.add(&block);
-            }
-            curvature.invert(context, self.frame, start, &disparity);
-            for (l, d) in chunk.iter_mut().enumerate() {
-                *d = stepped_disparity(disparity[l], curvature.b[l] * curvature.c[l]);
-            }
-        }
-    }
-
-    /// `sum Jz^2` of every pixel and `sum Jf^2` of all, over valid points and with weights of 1.
-    pub(super) fn information(&self, context: &Context<'_>) -> (Vec<f32>, f64) {
-        let mut depth = vec![0.0; context.geometry.grid.len()];
-        let focal = dispatch!(context.level, _s => self.information_blocks(context, &mut depth));
-        (depth, focal)
-    }
-
-    #[inline(always)]
-    fn information_blocks(&self, context: &Context<'_>, out: &mut [f32]) -> f64 {
-        let constants = self.constants(context);
-        let ones = [vec![1.0; out.len()], vec![1.0; out.len()]];
-        let mut block = EdgeBlock::new();
-        let mut focal = 0.0;
-        for (k, chunk) in out.chunks_mut(BLOCK).enumerate() {
-            let start = k * BLOCK;
-            let disparity = load(&context.geometry.disparity[self.frame], start);
-            let mut curvature = Curvature::ZERO;
-            for (e, edge) in self.edges.iter().enumerate() {
-                let constants = constants[e].unscaled();
-                linearise(
-                    &constants,
-                    &edge.target_px,
-                    &ones,
-                    &context.rays,
-                    &disparity,
-                    start,
-                    &mut block,
-                );
-                curvature.add(&block);
-                for l in 0..PAIR {
-                    block.w[l] *= block.jf[l];
-                }
-                focal += dot(&block.w, &block.jf);
-            }
-            chunk.copy_from_slice(&curvature.c[..chunk.len()]);
-        }
-        focal
     }
 }

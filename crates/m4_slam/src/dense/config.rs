@@ -28,7 +28,7 @@ pub struct DenseConfig {
 impl Default for DenseConfig {
     fn default() -> Self {
         Self {
-            working_side_px: 320,
+            working_side_px: 480,
             flow: FlowConfig::default(),
             static_depth: StaticDepthConfig::default(),
             motion: MotionConfig::default(),
@@ -230,6 +230,8 @@ pub struct PlateConfig {
     pub guard_px: usize,
     /// Difference in colour (0..255, mean of 5x5 pixels) that is as likely motion as not.
     pub step: f32,
+    /// The same outside of the mask so far.
+    pub step_outside: f32,
     /// Darkest shadow, as a share of the light.
     pub least_gain: f32,
     /// What it costs to explain a difference by a shadow, 0..255 for full darkness.
@@ -247,11 +249,12 @@ impl Default for PlateConfig {
             least_frames: 2,
             margin_px: 6,
             guard_px: 2,
-            step: 16.0,
+            step: 20.0,
+            step_outside: 32.0,
             least_gain: 0.4,
             gain_cost: 20.0,
             prior: 0.3,
-            smooth_lambda: 20.0,
+            smooth_lambda: 10.0,
         }
     }
 }

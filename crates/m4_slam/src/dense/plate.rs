@@ -85,7 +85,7 @@ fn median(values: impl Iterator<Item = f32>) -> f32 {
 }
 
 /// Evidence of motion a pixel, above 0 for moving, and its weight.
-pub(super) fn evidence(scene: &Scene<'_>, i: usize, config: &PlateConfig) -> (Vec<f32>, Vec<f32>) {
+fn evidence(scene: &Scene<'_>, i: usize, before: &[u8], config: &PlateConfig) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (scene.width, scene.height);
     let zone = grown(w, h, &scene.near[i], config.margin_px);
     let plate = plate(scene, i, &zone, config);
@@ -112,7 +112,8 @@ pub(super) fn evidence(scene: &Scene<'_>, i: usize, config: &PlateConfig) -> (Ve
     box_blur(w, h, &mut total);
     for p in 0..w * h {
         if weight[p] > 0.0 {
-            value[p] = ((value[p] / total[p].max(1e-6)) / config.step - 1.0).clamp(-1.0, 1.0);
+            let step = if before[p] > 0 { config.step } else { config.step_outside };
+            value[p] = ((value[p] / total[p].max(1e-6)) / step - 1.0).clamp(-1.0, 1.0);
         }
     }
     (value, weight)
@@ -127,7 +128,7 @@ pub(super) fn sharpen(
     motion: &MotionConfig,
     config: &PlateConfig,
 ) -> Vec<u8> {
-    let (mut value, mut weight) = evidence(scene, i, config);
+    let (mut value, mut weight) = evidence(scene, i, before, config);
     for p in 0..value.len() {
         let prior = if before[p] > 0 { config.prior } else { -config.prior };
         value[p] = value[p] * weight[p] + prior;

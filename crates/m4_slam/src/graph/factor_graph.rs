@@ -2,7 +2,7 @@
 
 use super::distance::symmetric_distances;
 use super::selection::{ProximitySettings, neighbourhood, select_proximity};
-use crate::dba::{Factor, Geometry, project};
+use crate::dba::{Factor, Geometry, PROJECTION_GUARD};
 use std::collections::HashSet;
 
 /// Names an edge from its first to its last day, whatever happens to the numbering of keyframes. No two edges of
@@ -233,17 +233,63 @@ fn next_id() -> EdgeId {
     EdgeId(NEXT.fetch_add(1, Ordering::Relaxed))
 }
 
-/// Where the pixels of `source` are seen in `target`, `[2][height * width]`.
+/// Where the pixels of `source` are seen in `target`, `[2][height * width]`: the position of [`crate::dba::project`]
+/// without its derivatives.
 pub(crate) fn projected_planes(geometry: &Geometry<f32>, source: usize, target: usize) -> [Vec<f32>; 2] {
     let g = geometry.relative(source, target);
-    let width = geometry.grid.width;
-    let pixels = geometry.disparity[source].iter().enumerate();
-    pixels
-        .map(|(n, &d)| {
-            let (u, v) = ((n % width) as f64, (n / width) as f64);
-            let p = project(&g, &geometry.lens, 1.0, u, v, f64::from(d)).pixel;
-            (p.x as f32, p.y as f32)
-        })
-        .unzip::<f32, f32, Vec<f32>, Vec<f32>>()
-        .into()
+    let (r, t, lens) = (&g.rotation, &g.translation, &geometry.lens);
+    let disparity = &geometry.disparity[source];
+    let mut planes = [Vec::with_capacity(disparity.len()), Vec::with_capacity(disparity.len())];
+    for (row, line) in disparity.chunks(geometry.grid.width.max(1)).enumerate() {
+        let y = (row as f64 - lens.cy) / lens.fy;
+        let start: [f64; 3] = std::array::from_fn(|k| r[(k, 1)] * y + r[(k, 2)]);
+        for (column, &d) in line.iter().enumerate() {
+            let (x, d) = ((column as f64 - lens.cx) / lens.fx, f64::from(d));
+            let p: [f64; 3] = std::array::from_fn(|k| start[k] + r[(k, 0)] * x + t[k] * d);
+            let iz = 1.0 / if p[2] < PROJECTION_GUARD { 1.0 } else { p[2] };
+            planes[0].push((lens.fx * p[0] * iz + lens.cx) as f32);
+            planes[1].push((lens.fy * p[1] * iz + lens.cy) as f32);
+        }
+    }
+    planes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::projected_planes;
+    use crate::dba::{Geometry, Grid, Pinhole, project};
+    use m4_math::Se3;
+    use m4_math::nalgebra::Vector6;
+
+    #[test]
+    fn positions_are_those_of_the_reference_projection() {
+        let grid = Grid { width: 9, height: 7 };
+        let lens = Pinhole {
+            fx: 8.0,
+            fy: 7.5,
+            cx: 4.1,
+            cy: 3.2,
+        };
+        let plane: Vec<f32> = (0..grid.len()).map(|n| 0.2 + 0.03 * n as f32).collect();
+        let geometry = Geometry {
+            grid,
+            lens,
+            // The second camera is so far ahead that near points lie behind it.
+            poses: vec![Se3::identity(), Se3::exp(&Vector6::new(0.3, 0.1, -0.8, 0.1, -0.2, 0.3))],
+            disparity: vec![plane.clone(), plane.clone()],
+            sensor: vec![vec![0.0; grid.len()]; 2],
+        };
+        let got = projected_planes(&geometry, 0, 1);
+        let mut behind = 0;
+        for (n, &d) in plane.iter().enumerate() {
+            let (u, v) = ((n % 9) as f64, (n / 9) as f64);
+            let want = project(&geometry.relative(0, 1), &lens, 1.0, u, v, f64::from(d));
+            behind += usize::from(want.z < 0.1);
+            for k in 0..2 {
+                let off = (f64::from(got[k][n]) - want.pixel[k]).abs();
+                assert!(off <= 1e-6 * want.pixel[k].abs().max(1.0), "pixel {n}: off by {off}");
+            }
+        }
+        assert!(behind > 0 && behind < grid.len());
+    }
 }

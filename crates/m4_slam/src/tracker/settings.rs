@@ -62,6 +62,8 @@ pub struct TrackerSettings {
     pub prior_alpha: f64,
     /// Weight of the depth prior of the probe: 1e-5.
     pub probe_alpha: f64,
+    /// Weight of the depth prior of the back end where there is no parallax at all: 1e-5.
+    pub low_parallax_alpha: f64,
     /// What the damping of a source of correspondences is multiplied by: 1.
     pub damping_scale: f64,
     /// Least scaled depth of a point that counts: 0.25.
@@ -79,12 +81,14 @@ pub struct TrackerSettings {
 impl TrackerSettings {
     /// For correspondences that do not know what moves, such as plain optical flow: residuals are judged instead.
     /// The front end takes Cauchy's weight at half a pixel of the grid, the back end that of Geman and McClure at one,
-    /// whose tail lets go of moving things altogether; `docs/geometry.md` has the comparison.
+    /// whose tail lets go of moving things altogether; `docs/geometry.md` has the comparison. Where there is no parallax the
+    /// prior is that of the front end: the noise of flow looks like parallax to a weak one.
     #[must_use]
     pub fn for_flow() -> Self {
         Self {
             frontend_robust: Robust::Cauchy { scale_px: 0.5 },
             robust: Robust::GemanMcClure { scale_px: 1.0 },
+            low_parallax_alpha: 0.05,
             ..Self::default()
         }
     }
@@ -121,6 +125,7 @@ impl Default for TrackerSettings {
             filler_updates: 6,
             prior_alpha: 0.05,
             probe_alpha: 1e-5,
+            low_parallax_alpha: 1e-5,
             damping_scale: 1.0,
             min_depth: MIN_DEPTH,
             frontend_robust: Robust::None,

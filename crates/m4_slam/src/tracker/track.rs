@@ -80,7 +80,7 @@ pub fn track(
     let mut keyframes = frontend.finish(source)?;
     let observability = probe(&keyframes, source, settings, progress)?;
     let focal_adjusted = settings.optimise_focal && observability.focal_is_seen();
-    let alpha = observability.prior_alpha();
+    let alpha = observability.prior_alpha(settings.low_parallax_alpha);
     let mut backend = Backend::new(&keyframes, *settings);
     let updates = settings.backend_updates;
     backend.run(&mut keyframes, source, updates, focal_adjusted, alpha, progress)?;
