@@ -1,6 +1,7 @@
 //! Settings of the dense half.
 
 use super::DenseError;
+use crate::cvd::CvdSettings;
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`super::densify()`].
@@ -17,6 +18,8 @@ pub struct DenseConfig {
     pub static_depth: StaticDepthConfig,
     /// What moves.
     pub motion: MotionConfig,
+    /// Depth that agrees over time.
+    pub consistent: ConsistentConfig,
     /// Masks against what is seen when nothing is in the way.
     pub plate: PlateConfig,
     /// Depth of what moves, from what it touches.
@@ -32,6 +35,7 @@ impl Default for DenseConfig {
             flow: FlowConfig::default(),
             static_depth: StaticDepthConfig::default(),
             motion: MotionConfig::default(),
+            consistent: ConsistentConfig::default(),
             plate: PlateConfig::default(),
             moving_depth: MovingDepthConfig::default(),
             bodies: BodyConfig::default(),
@@ -173,7 +177,7 @@ impl Default for MotionConfig {
             static_vote: 0.5,
             brightness_step: 6.0,
             least_refuted: 0.1,
-            votes: 2,
+            votes: 16,
             smooth_lambda: 100.0,
             agreement: 1.0,
             prior: 0.3,
@@ -212,6 +216,31 @@ impl Default for MovingDepthConfig {
             feet_share: 0.1,
             below_px: 3,
             hidden_quantile: 0.98,
+        }
+    }
+}
+
+/// Consistent video depth of what stands still.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ConsistentConfig {
+    /// Whether it is done at all.
+    pub enabled: bool,
+    /// How firmly pixels on which all partners agree stay where they are.
+    pub prior: f32,
+    /// Memory for flow; more goes to a temporary file, bytes.
+    pub flow_bytes: usize,
+    /// The optimisation.
+    pub optimiser: CvdSettings,
+}
+
+impl Default for ConsistentConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            prior: 1.0,
+            flow_bytes: 512 << 20,
+            optimiser: CvdSettings::default(),
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::background::Background;
 use super::bodies;
 use super::config::DenseConfig;
+use super::consistent;
 use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
 use super::flow::{FlowPair, FlowSource};
@@ -254,6 +255,23 @@ pub(super) fn run(
                 &config.static_depth,
             )
         })?;
+    }
+    if parallax && config.consistent.enabled && count > 1 {
+        let confidence: Vec<Vec<f32>> = measured.iter().map(|m| m.confidence.clone()).collect();
+        let clip = consistent::Clip {
+            width: w,
+            height: h,
+            cameras: &clues.cameras,
+            flows: &flows,
+            moving: &moving,
+            confidence: &confidence,
+        };
+        let factors = consistent::factors(&clip, &filled, &config.consistent, progress)?;
+        for (filled, factors) in filled.iter_mut().zip(factors) {
+            for (d, f) in filled.iter_mut().zip(factors) {
+                *d *= f;
+            }
+        }
     }
     let mut disparity = moving_depth::place(w, h, &moving, &filled, &flows, &config.moving_depth);
     if parallax {

@@ -1,6 +1,7 @@
 //! What densification cannot work with.
 
 use super::flow::FlowError;
+use crate::cvd::CvdError;
 
 /// Why no depth and masks could be made.
 #[derive(Debug, thiserror::Error)]
@@ -68,6 +69,9 @@ pub enum DenseError {
         /// What is allowed.
         range: &'static str,
     },
+    /// Depth could not be made consistent.
+    #[error("depth could not be made consistent over time")]
+    Consistent(#[from] CvdError),
     /// The user asked to stop.
     #[error("stopped on request while {phase}")]
     Cancelled {

@@ -23,6 +23,7 @@ mod background;
 mod bodies;
 mod components;
 mod config;
+mod consistent;
 mod densify;
 mod enlarge;
 mod error;

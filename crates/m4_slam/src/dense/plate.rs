@@ -112,7 +112,11 @@ fn evidence(scene: &Scene<'_>, i: usize, before: &[u8], config: &PlateConfig) ->
     box_blur(w, h, &mut total);
     for p in 0..w * h {
         if weight[p] > 0.0 {
-            let step = if before[p] > 0 { config.step } else { config.step_outside };
+            let step = if before[p] > 0 {
+                config.step
+            } else {
+                config.step_outside
+            };
             value[p] = ((value[p] / total[p].max(1e-6)) / step - 1.0).clamp(-1.0, 1.0);
         }
     }
