@@ -2,10 +2,10 @@
 //! feed-forward layer, within windows that every other block moves by half their size.
 
 use super::windows::Windows;
-use crate::ops::{linear, norm};
+use crate::ops::{gelu, linear, norm};
 use burn_core as burn;
 use burn_core::module::Module;
-use burn_core::tensor::activation::{gelu, softmax};
+use burn_core::tensor::activation::softmax;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::{LayerNorm, Linear};
 
@@ -29,7 +29,7 @@ pub struct Mlp {
 }
 
 /// Tokens that the feed-forward layer takes at a time: its 1,024 channels of them stay in the cache.
-const MLP_TOKENS: usize = 2048;
+const MLP_TOKENS: usize = 1024;
 
 impl Mlp {
     /// Of `[n, l, 2 c]`: `[n, l, c]`.

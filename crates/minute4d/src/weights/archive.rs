@@ -16,7 +16,10 @@ pub fn find(folder: &Path, package: &Package) -> Result<PathBuf, String> {
     let files = fs::read_dir(folder).map_err(|error| format!("its folder cannot be read: {error}"))?;
     let mut names = Vec::new();
     for file in files {
-        names.push(file.map_err(|error| format!("its folder cannot be read: {error}"))?.path());
+        names.push(
+            file.map_err(|error| format!("its folder cannot be read: {error}"))?
+                .path(),
+        );
     }
     names.retain(|path| path.to_string_lossy().ends_with(end));
     match names.as_slice() {

@@ -70,10 +70,9 @@ pub fn compare(entry: &Entry, what: &str, sum: &Sum) -> Result<(), WeightsError>
         _ => {}
     }
     match entry.sha256 {
-        Some(sha256) if sha256 != sum.sha256 => Err(differs(
-            format!("SHA-256 {sha256}"),
-            format!("SHA-256 {}", sum.sha256),
-        )),
+        Some(sha256) if sha256 != sum.sha256 => {
+            Err(differs(format!("SHA-256 {sha256}"), format!("SHA-256 {}", sum.sha256)))
+        }
         _ => Ok(()),
     }
 }

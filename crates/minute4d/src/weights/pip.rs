@@ -88,7 +88,14 @@ impl Pip {
             said,
             origin: entry.origin.words(),
         };
-        let args = ["download", "--no-deps", "--no-input", "--disable-pip-version-check", form, package.name];
+        let args = [
+            "download",
+            "--no-deps",
+            "--no-input",
+            "--disable-pip-version-check",
+            form,
+            package.name,
+        ];
         let args = args.iter().map(OsStr::new);
         let args: Vec<&OsStr> = args
             .chain([OsStr::new("--dest"), folder.as_os_str(), OsStr::new(&requirement)])
@@ -140,5 +147,7 @@ fn end(child: &mut Child) {
 fn last_words(text: &str) -> Option<String> {
     let lines = || text.lines().map(str::trim).filter(|line| !line.is_empty());
     let error = lines().rev().find_map(|line| line.strip_prefix("ERROR: "));
-    error.or_else(|| lines().next_back()).map(|line| line.trim_end_matches('.').to_owned())
+    error
+        .or_else(|| lines().next_back())
+        .map(|line| line.trim_end_matches('.').to_owned())
 }

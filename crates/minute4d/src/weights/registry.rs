@@ -254,7 +254,13 @@ const ALL: [Entry; 22] = [
         DEPTH,
         hub("lpiccinelli/unidepth-v2-vitl14", "model.safetensors"),
     )),
-    known("moge-2-l", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitl", "model.pt")),
+    known(
+        "moge-2-l",
+        "model.pt",
+        "MIT",
+        DEPTH,
+        hub("Ruicheng/moge-2-vitl", "model.pt"),
+    ),
     known(
         "moge-2-l-normal",
         "model.pt",
@@ -320,7 +326,13 @@ const ALL: [Entry; 22] = [
         "3D point tracks",
         hub("zbww/tapip3d", "tapip3d_final.pth"),
     )),
-    known("moge-2-b", "model.pt", "MIT", DEPTH, hub("Ruicheng/moge-2-vitb", "model.pt")),
+    known(
+        "moge-2-b",
+        "model.pt",
+        "MIT",
+        DEPTH,
+        hub("Ruicheng/moge-2-vitb", "model.pt"),
+    ),
 ];
 
 /// Every entry.
@@ -381,10 +393,18 @@ mod tests {
         for entry in all() {
             assert!(!entry.file.contains(['/', '\\']), "{}", entry.name);
             if let Some(sha256) = entry.sha256 {
-                assert!(sha256.len() == 64 && sha256.bytes().all(|b| b.is_ascii_hexdigit()), "{}", entry.name);
+                assert!(
+                    sha256.len() == 64 && sha256.bytes().all(|b| b.is_ascii_hexdigit()),
+                    "{}",
+                    entry.name
+                );
             }
             if let Origin::Pip(package) = entry.origin {
-                assert!(entry.bytes.is_some() && entry.sha256.is_some(), "{} cannot be checked", entry.name);
+                assert!(
+                    entry.bytes.is_some() && entry.sha256.is_some(),
+                    "{} cannot be checked",
+                    entry.name
+                );
                 assert!(package.member.ends_with(entry.file), "{}", entry.name);
             }
             assert_eq!(find(entry.name).unwrap().name, entry.name);

@@ -209,7 +209,10 @@ impl Store {
             source,
         };
         fs::create_dir_all(&self.root).map_err(failed)?;
-        tempfile::Builder::new().prefix(".fetch-").tempdir_in(&self.root).map_err(failed)
+        tempfile::Builder::new()
+            .prefix(".fetch-")
+            .tempdir_in(&self.root)
+            .map_err(failed)
     }
 
     /// Takes `from` (the file `what`, from `source`) as `entry`: it gets its name when all of it is there and right.
@@ -217,7 +220,13 @@ impl Store {
     /// # Errors
     ///
     /// [`WeightsError`] if it differs from what was published, or cannot be read or written.
-    pub(super) fn take(&self, entry: &Entry, from: impl Read, what: &str, source: &str) -> Result<Record, WeightsError> {
+    pub(super) fn take(
+        &self,
+        entry: &Entry,
+        from: impl Read,
+        what: &str,
+        source: &str,
+    ) -> Result<Record, WeightsError> {
         let path = self.path(entry);
         let folder = self.root.join(entry.name);
         let failed = |source| WeightsError::Write {
@@ -240,7 +249,9 @@ impl Store {
         // the record first: a file without one would look like one that nothing is known of
         let mut beside = NamedTempFile::new_in(&folder).map_err(failed)?;
         io::Write::write_all(&mut beside, &text).map_err(failed)?;
-        beside.persist(folder.join(RECORD)).map_err(|error| failed(error.error))?;
+        beside
+            .persist(folder.join(RECORD))
+            .map_err(|error| failed(error.error))?;
         file.persist(&path).map_err(|error| failed(error.error))?;
         Ok(record)
     }

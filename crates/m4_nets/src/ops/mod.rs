@@ -1,5 +1,9 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
+mod gelu;
+
+pub use gelu::gelu;
+
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::module::layer_norm;
 use burn_core::tensor::ops::PadMode;
