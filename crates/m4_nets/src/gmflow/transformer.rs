@@ -68,18 +68,33 @@ impl Attention {
         let q = self.q_proj.forward(source.clone()).mul_scalar(1.0 / (c as f32).sqrt());
         let k = self.k_proj.forward(target.clone());
         let v = self.v_proj.forward(target);
-        let scores = q.matmul(k.swap_dims(1, 2));
-        let scores = match mask {
-            Some(mask) => scores + mask.clone(),
-            None => scores,
-        };
-        let message = self.merge.forward(softmax(scores, 2).matmul(v));
+        let found = found(q, k, v, mask);
+        let message = self.merge.forward(found);
         let mut message = self.norm1.forward(message);
         if let (Some(mlp), Some(norm2)) = (&self.mlp, &self.norm2) {
             message = norm2.forward(mlp.forward(Tensor::cat(vec![source.clone(), message], 2)));
         }
         source + message
     }
+}
+
+/// Scores that are held at a time, unless a window alone has more.
+const SCORES: usize = 8 << 20;
+
+/// `softmax(q k^T + mask) v` of each window, `[n, l, c]`, some windows at a time.
+fn found(q: Tensor<3>, k: Tensor<3>, v: Tensor<3>, mask: Option<&Tensor<3>>) -> Tensor<3> {
+    let [n, l, _] = q.dims();
+    let group = (SCORES / (l * l)).clamp(1, n);
+    let some = |at: usize| {
+        let here = |x: &Tensor<3>| x.clone().narrow(0, at, group.min(n - at));
+        let scores = here(&q).matmul(here(&k).swap_dims(1, 2));
+        let scores = match mask {
+            Some(mask) => scores + here(mask),
+            None => scores,
+        };
+        softmax(scores, 2).matmul(here(&v))
+    };
+    Tensor::cat((0..n).step_by(group).map(some).collect(), 0)
 }
 
 /// Self-attention, then cross-attention with the feed-forward layer.
