@@ -320,10 +320,14 @@ pub struct BodyConfig {
     pub iterations: usize,
     /// Share of the frames whose lower bound of the scale the scale exceeds.
     pub touch_quantile: f32,
+    /// A part stands on ground where what lies under it comes nearer by more than this share of its disparity a row.
+    pub ground_slope: f32,
+    /// Least share of its frames in which a part must stand for its scale to be known.
+    pub standing_share: f32,
     /// A part whose way, at its best scale, is shorter than this share of what the camera's way would make of it at
     /// another, stays in place, and that is its scale.
     pub still_rest: f64,
-    /// ... unless the scale differs from that of its touch by more than this factor.
+    /// ... unless that is farther than what it hides by more than this factor.
     pub still_range: f32,
     /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
     pub fill_lambda: f32,
@@ -345,9 +349,11 @@ impl Default for BodyConfig {
             relief: 0.5,
             pose_iterations: 6,
             iterations: 20,
-            touch_quantile: 0.5,
+            touch_quantile: 0.75,
+            ground_slope: 0.003,
+            standing_share: 0.3,
             still_rest: 0.12,
-            still_range: 1.5,
+            still_range: 1.2,
             fill_lambda: 100.0,
         }
     }

@@ -104,7 +104,14 @@ fn evidence(scene: &Scene<'_>, i: usize, before: &[u8], config: &PlateConfig) ->
         let rgb = frame.rgb[p].map(f32::from);
         let gain = (here[p] / there[p].max(1.0)).clamp(config.least_gain, 1.0);
         let off = |g: f32| (0..3).map(|c| (rgb[c] - g * still[c]).abs()).fold(0.0, f32::max);
-        value[p] = off(1.0).min(off(gain) + config.gain_cost * (1.0 - gain));
+        let difference = off(1.0).min(off(gain) + config.gain_cost * (1.0 - gain));
+        // Clamped, so that the mean around a pixel crosses 1 at an edge however strong the edge is.
+        let step = if before[p] > 0 {
+            config.step
+        } else {
+            config.step_outside
+        };
+        value[p] = (difference / step).min(2.0);
         weight[p] = 1.0;
     }
     let mut total = weight.clone();
@@ -112,12 +119,7 @@ fn evidence(scene: &Scene<'_>, i: usize, before: &[u8], config: &PlateConfig) ->
     box_blur(w, h, &mut total);
     for p in 0..w * h {
         if weight[p] > 0.0 {
-            let step = if before[p] > 0 {
-                config.step
-            } else {
-                config.step_outside
-            };
-            value[p] = ((value[p] / total[p].max(1e-6)) / step - 1.0).clamp(-1.0, 1.0);
+            value[p] = (value[p] / total[p].max(1e-6) - 1.0).clamp(-1.0, 1.0);
         }
     }
     (value, weight)
@@ -141,4 +143,107 @@ pub(super) fn sharpen(
     }
     let smooth = smoother.fill(&value, &weight, config.smooth_lambda).0;
     super::motion::mask(scene.width, scene.height, &smooth, motion)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::config::{MotionConfig, PlateConfig};
+    use super::super::shot::Shot;
+    use super::super::smooth::Smoother;
+    use super::super::sweep::Range;
+    use super::super::working::WorkingFrame;
+    use super::{Scene, grown, sharpen};
+    use m4_math::Se3;
+    use m4_math::nalgebra::{Vector3, Vector6};
+    use m4_scene::{Camera, Intrinsics};
+
+    const W: usize = 96;
+    const H: usize = 72;
+    const FRAMES: usize = 24;
+
+    fn pattern(x: f64, y: f64) -> u8 {
+        let wave = |k: f64, a: f64| ((x * a.cos() + y * a.sin()) * k).sin();
+        (120.0 + 30.0 * wave(9.0, 0.3) + 25.0 * wave(23.0, 1.9) + 20.0 * wave(41.0, 2.7)) as u8
+    }
+
+    fn camera(t: usize) -> Camera {
+        Camera {
+            intrinsics: Intrinsics::centred(W, H, 80.0),
+            c2w: Se3::identity().retract(&Vector6::new(0.04 * t as f64, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        }
+    }
+
+    /// A square in front of a wall at depth 4, which it darkens on the left of itself.
+    fn inside(t: usize, x: usize, y: usize) -> bool {
+        let left = 20 + 2 * t;
+        (left..left + 16).contains(&x) && (25..45).contains(&y)
+    }
+
+    fn share(a: &[u8], b: &[u8]) -> f64 {
+        let both = a.iter().zip(b).filter(|(a, b)| **a > 0 && **b > 0).count();
+        let any = a.iter().zip(b).filter(|(a, b)| **a > 0 || **b > 0).count();
+        both as f64 / any as f64
+    }
+
+    #[test]
+    fn a_wide_mask_shrinks_to_what_moves_and_leaves_its_shadow() {
+        let cameras: Vec<Camera> = (0..FRAMES).map(camera).collect();
+        let truth: Vec<Vec<u8>> = (0..FRAMES)
+            .map(|t| {
+                (0..W * H)
+                    .map(|p| if inside(t, p % W, p / W) { 255 } else { 0 })
+                    .collect()
+            })
+            .collect();
+        let shots: Vec<Shot> = (0..FRAMES)
+            .map(|t| {
+                let rgb: Vec<[u8; 3]> = (0..W * H)
+                    .map(|p| {
+                        let (x, y) = (p % W, p / W);
+                        if inside(t, x, y) {
+                            return [230, 200 - 6 * (x % 4) as u8, 40];
+                        }
+                        let at: Vector3<f64> = cameras[t].unproject(x as f64, y as f64, 4.0);
+                        let shadow = x < W - 6 && inside(t, x + 6, y);
+                        let v = pattern(at.x, at.y);
+                        [if shadow { (f32::from(v) * 0.7) as u8 } else { v }; 3]
+                    })
+                    .collect();
+                Shot {
+                    frame: WorkingFrame {
+                        width: W,
+                        height: H,
+                        grey: rgb.iter().map(|c| f32::from(c[0])).collect(),
+                        rgb,
+                        camera: cameras[t],
+                    },
+                    census: Vec::new(),
+                    points: Vec::new(),
+                    partners: Vec::new(),
+                    range: Range {
+                        least: 0.1,
+                        step: 0.1,
+                        count: 8,
+                    },
+                }
+            })
+            .collect();
+        let before: Vec<Vec<u8>> = truth.iter().map(|m| grown(W, H, m, 4)).collect();
+        let near: Vec<Vec<u8>> = before.iter().map(|m| grown(W, H, m, 2)).collect();
+        let background = vec![vec![0.25f32; W * H]; FRAMES];
+        let scene = Scene {
+            width: W,
+            height: H,
+            cameras: &cameras,
+            shots: &shots,
+            background: &background,
+            near: &near,
+        };
+        let t = FRAMES / 2;
+        let smoother = Smoother::new(W, H, &shots[t].frame.rgb, 8.0);
+        let (motion, config) = (MotionConfig::default(), PlateConfig::default());
+        let after = sharpen(&scene, t, &before[t], &smoother, &motion, &config);
+        let (wide, sharp) = (share(&before[t], &truth[t]), share(&after, &truth[t]));
+        assert!(wide < 0.55 && sharp > 0.75, "{wide} {sharp}");
+    }
 }

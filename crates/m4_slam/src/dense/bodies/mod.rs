@@ -17,6 +17,9 @@ mod rigid;
 mod scale;
 mod tracklet;
 
+#[cfg(test)]
+mod tests;
+
 use super::config::{BodyConfig, MovingDepthConfig};
 use super::flow::FlowPair;
 use super::smooth::Smoother;
@@ -53,13 +56,14 @@ pub(super) fn place<'s>(
         .par_iter()
         .filter_map(|t| {
             let shape = rigid::reconstruct(clip, t, before, config)?;
-            let scale = scale::find(clip, t, &shape, contact, config)?;
-            Some((t, shape, scale))
+            let reading = scale::read(clip, t, &shape, contact, config)?;
+            Some((t, shape, reading))
         })
         .collect();
+    let scales = scale::settle(&bodies.iter().map(|(_, _, reading)| reading).collect::<Vec<_>>());
     // Part by part onto the pixels, along the edges of the picture.
     let mut values: Vec<Vec<(u32, f32)>> = vec![Vec::new(); disparity.len()];
-    for (tracklet, shape, scale) in &bodies {
+    for ((tracklet, shape, _), scale) in bodies.iter().zip(&scales) {
         for k in 0..tracklet.parts.len() {
             values[tracklet.first + k].extend(shape.known(clip, k).map(|(p, d)| (p, d * scale)));
         }
@@ -76,7 +80,7 @@ fn spread(
     clip: &Clip<'_>,
     i: usize,
     smoother: &Smoother,
-    bodies: &[(&Tracklet, rigid::Shape, f32)],
+    bodies: &[(&Tracklet, rigid::Shape, scale::Reading)],
     values: &[(u32, f32)],
     config: &BodyConfig,
     disparity: &mut [f32],

@@ -6,46 +6,99 @@ use super::path::polynomial;
 use super::rigid::Shape;
 use super::{Clip, Tracklet};
 
-/// The factor on the disparities of a part.
+/// Over how many rows the slope of the ground is read.
+const SLOPE_ROWS: usize = 6;
+
+/// What the frames of a part say about its scale: factors on its disparities.
+pub(super) struct Reading {
+    /// Its own disparity, before any factor: the median over frames.
+    typical: f32,
+    /// At least this, by what the part hides and what lies under it.
+    bound: f32,
+    /// This, by the ground that it stands on, or because it stays where it is.
+    known: Option<f32>,
+}
+
+/// Reads the scale of one part.
 ///
 /// In every frame the part is at least as near as what it hides and as the ground at its feet: a lower bound of
-/// the factor, which is met while it touches the scene. The bounds of all frames are in one unit, so a high
+/// the factor, which is met while it touches the ground. The bounds of all frames are in one unit, so a high
 /// quantile of them is the touch, and a few bad readings do no harm.
-pub(super) fn find(
+pub(super) fn read(
     clip: &Clip<'_>,
     tracklet: &Tracklet,
     shape: &Shape,
     contact: &MovingDepthConfig,
     config: &BodyConfig,
-) -> Option<f32> {
-    let mut bounds: Vec<f32> = (0..tracklet.parts.len())
-        .filter_map(|k| bound(clip, tracklet, shape, k, contact))
-        .collect();
-    let touch = quantile(&mut bounds, f64::from(config.touch_quantile))?;
+) -> Option<Reading> {
+    let frames = tracklet.parts.len();
+    let (mut all, mut standing, mut typical) = (Vec::new(), Vec::new(), Vec::new());
+    for k in 0..frames {
+        if let Some(bound) = bound(clip, tracklet, shape, k, contact) {
+            all.push(bound.factor);
+            typical.push(bound.typical);
+            if bound.slope > config.ground_slope {
+                standing.push(bound.factor);
+            }
+        }
+    }
+    let share = standing.len() as f32 / frames as f32;
+    let quantile_of = |v: &mut Vec<f32>| quantile(v, f64::from(config.touch_quantile));
+    let (bound, typical) = (quantile_of(&mut all)?, quantile(&mut typical, 0.5)?);
+    let touch = quantile_of(&mut standing).filter(|_| share >= config.standing_share);
     // Nothing but the right factor makes a part stay where it is while the camera passes it.
-    let still = polynomial(clip, tracklet, shape, 0).filter(|e| {
-        let factor = e.factor as f32;
-        e.rest < config.still_rest && factor > touch / config.still_range && factor < touch * config.still_range
-    });
-    Some(still.map_or(touch, |e| e.factor as f32))
+    let still = polynomial(clip, tracklet, shape, 0)
+        .filter(|e| e.rest < config.still_rest && e.factor as f32 > bound / config.still_range);
+    Some(Reading {
+        typical,
+        bound,
+        known: still.map(|e| e.factor as f32).or(touch),
+    })
 }
 
-fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize, contact: &MovingDepthConfig) -> Option<f32> {
+/// The factors of all parts. What neither stands nor stays, because it flies, is taken to be about as near as what does: a
+/// guess, but a better one than the wall behind it.
+pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
+    let mut near: Vec<f32> = readings.iter().filter_map(|r| r.known.map(|f| f * r.typical)).collect();
+    let near = quantile(&mut near, 0.5);
+    let guess = |r: &Reading| near.map_or(r.bound, |d| r.bound.max(d / r.typical));
+    readings.iter().map(|r| r.known.unwrap_or_else(|| guess(r))).collect()
+}
+
+/// What one frame says.
+struct Bound {
+    factor: f32,
+    /// Median disparity of the part.
+    typical: f32,
+    /// How fast what lies under the part comes nearer downwards, as a share of its disparity a row: a wall's is about 0.
+    slope: f32,
+}
+
+fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize, contact: &MovingDepthConfig) -> Option<Bound> {
     let (w, h) = (clip.width, clip.height);
     let background = &clip.background[tracklet.first + k];
     let pixels = &tracklet.parts[k];
     let row = |i: u32| i as usize / w;
     let (top, bottom) = (row(*pixels.first()?), row(*pixels.last()?));
     let feet_from = bottom - ((bottom - top) as f32 * contact.feet_share) as usize;
-    let (mut feet, mut hidden) = (Vec::new(), Vec::new());
+    let (mut feet, mut hidden, mut own, mut slope) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (p, d) in shape.known(clip, k) {
+        own.push(d);
         hidden.push(background[p as usize] / d);
         if row(p) + 2 >= feet_from && bottom + 1 + contact.below_px < h {
             let below = (bottom + contact.below_px).min(h - 1);
-            feet.push(background[below * w + p as usize % w] / d);
+            let ground = |y: usize| background[y * w + p as usize % w];
+            feet.push(ground(below) / d);
+            let further = (below + SLOPE_ROWS).min(h - 1);
+            slope.push((ground(further) / ground(below) - 1.0) / (further - below).max(1) as f32);
         }
     }
     let feet = quantile(&mut feet, 0.5).unwrap_or(0.0);
     let hidden = quantile(&mut hidden, contact.hidden_quantile).unwrap_or(0.0);
-    Some(feet.max(hidden)).filter(|b| *b > 0.0)
+    let factor = feet.max(hidden);
+    (factor > 0.0).then_some(Bound {
+        factor,
+        typical: quantile(&mut own, 0.5)?,
+        slope: quantile(&mut slope, 0.5).unwrap_or(0.0),
+    })
 }
