@@ -184,7 +184,27 @@ fn refuses_what_it_cannot_answer() {
         }],
         ..Prompt::default()
     };
-    assert!(matches!(ask(&at(f32::NAN)), Err(SamError::NotFinite(_))));
+    for x in [-0.1, 1.1, f32::NAN, f32::INFINITY] {
+        let error = ask(&at(x)).unwrap_err();
+        assert!(
+            matches!(
+                error,
+                SamError::Outside {
+                    width: 1,
+                    height: 2048,
+                    ..
+                }
+            ),
+            "{error}"
+        );
+    }
+    let boxed = |y0, y1| Prompt {
+        box_px: Some([0.5, y0, 0.5, y1]),
+        ..Prompt::default()
+    };
+    assert!(matches!(ask(&boxed(9.5, 8.5)), Err(SamError::Reversed(_))));
+    assert!(matches!(ask(&boxed(9.5, 2048.5)), Err(SamError::Outside { .. })));
+    assert_eq!(ask(&boxed(8.5, 9.5)).unwrap().len(), 4);
     let masks = ask(&at(0.5)).unwrap();
     assert_eq!(masks.len(), 4);
     assert_eq!(masks[0].picture_logits().size(), (1, 2048));
@@ -202,7 +222,7 @@ fn refuses_what_it_cannot_answer() {
         "{error}"
     );
     mask.mask_logits = Some(Plane::filled(256, 256, f32::INFINITY));
-    assert!(matches!(ask(&mask), Err(SamError::NotFinite(_))));
+    assert!(matches!(ask(&mask), Err(SamError::NotFinite)));
 }
 
 #[test]

@@ -52,9 +52,22 @@ pub enum SamError {
     /// The prompt is empty.
     #[error("a prompt needs a point, a box or a mask")]
     NothingAsked,
-    /// A number of the prompt is infinite or none.
-    #[error("{0} of the prompt has numbers that are not finite")]
-    NotFinite(&'static str),
+    /// A point or a corner of the prompt is not in the picture.
+    #[error("the prompt has a place at column {}, row {} of a picture of {width} x {height} pixels", at_px[0], at_px[1])]
+    Outside {
+        /// Column and row, in pixels.
+        at_px: [f32; 2],
+        /// Columns of the picture.
+        width: usize,
+        /// Rows of the picture.
+        height: usize,
+    },
+    /// The box of the prompt ends before it begins.
+    #[error("the box of a prompt is its first column and row, then its last, not {0:?}")]
+    Reversed([f32; 4]),
+    /// The prompt's mask has numbers that are infinite or none.
+    #[error("the mask of a prompt has numbers that are not finite")]
+    NotFinite,
     /// The prompt's mask has another size.
     #[error("the mask of a prompt has 256 x 256 pixels, as the logits of a prediction, not {width} x {height}")]
     MaskSize {

@@ -43,6 +43,21 @@ impl Scale {
         (side(self.width), side(self.height))
     }
 
+    /// Whether a place is in the picture, its borders included.
+    ///
+    /// # Errors
+    ///
+    /// [`SamError::Outside`] if it is not.
+    pub fn check(self, at_px: [f32; 2]) -> Result<(), SamError> {
+        let [x, y] = at_px;
+        let Self { width, height } = self;
+        if (0.0..=width as f32).contains(&x) && (0.0..=height as f32).contains(&y) {
+            Ok(())
+        } else {
+            Err(SamError::Outside { at_px, width, height })
+        }
+    }
+
     /// A place in the picture, as one in the square. Pixels have their centres at halves in both; SAM scales their numbers.
     pub fn to_input(self, [x, y]: [f32; 2]) -> [f32; 2] {
         let (width, height) = self.inside();

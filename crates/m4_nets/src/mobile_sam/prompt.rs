@@ -39,26 +39,27 @@ impl Prompt {
         self.points.len() < 2 && self.box_px.is_none()
     }
 
-    fn check(&self) -> Result<(), SamError> {
-        let points = self.points.iter().flat_map(|point| point.at_px);
-        let corners = self.box_px.into_iter().flatten();
-        if let Some(mask) = &self.mask_logits {
-            if mask.size() != (MASK_SIDE, MASK_SIDE) {
-                return Err(SamError::MaskSize {
-                    width: mask.width(),
-                    height: mask.height(),
-                });
-            }
-            if !mask.data().iter().all(|x| x.is_finite()) {
-                return Err(SamError::NotFinite("the mask"));
-            }
-        } else if self.points.is_empty() && self.box_px.is_none() {
+    fn check(&self, scale: Scale) -> Result<(), SamError> {
+        if self.points.is_empty() && self.box_px.is_none() && self.mask_logits.is_none() {
             return Err(SamError::NothingAsked);
         }
-        if points.chain(corners).all(f32::is_finite) {
-            Ok(())
-        } else {
-            Err(SamError::NotFinite("a point or the box"))
+        for point in &self.points {
+            scale.check(point.at_px)?;
+        }
+        if let Some([x0, y0, x1, y1]) = self.box_px {
+            scale.check([x0, y0])?;
+            scale.check([x1, y1])?;
+            if x1 < x0 || y1 < y0 {
+                return Err(SamError::Reversed([x0, y0, x1, y1]));
+            }
+        }
+        match &self.mask_logits {
+            Some(mask) if mask.size() != (MASK_SIDE, MASK_SIDE) => Err(SamError::MaskSize {
+                width: mask.width(),
+                height: mask.height(),
+            }),
+            Some(mask) if !mask.data().iter().all(|x| x.is_finite()) => Err(SamError::NotFinite),
+            _ => Ok(()),
         }
     }
 }
@@ -159,14 +160,15 @@ impl PromptEncoder {
     ///
     /// # Errors
     ///
-    /// [`SamError`] if nothing is asked, a number is not finite, or the mask has another size.
+    /// [`SamError`] if nothing is asked, a place is not in the picture, the box is reversed, or the mask has another size or numbers
+    /// that are not finite.
     pub fn forward(
         &self,
         prompt: &Prompt,
         scale: Scale,
         device: &Device,
     ) -> Result<(Option<Tensor<2>>, Tensor<3>), SamError> {
-        prompt.check()?;
+        prompt.check(scale)?;
         let mut tokens = Vec::new();
         let token = |at_px: [f32; 2], kind: usize| {
             let at = scale.to_input(at_px).map(|x| x / INPUT_SIDE as f32);
