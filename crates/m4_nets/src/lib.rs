@@ -14,6 +14,7 @@
 #![forbid(unsafe_code)]
 
 pub mod gmflow;
+pub mod mobile_sam;
 
 mod load;
 mod ops;
@@ -21,6 +22,7 @@ mod ops;
 pub use burn_core::tensor::Device;
 pub use gmflow::{Flow, FlowError, GmFlow};
 pub use load::LoadError;
+pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 
 /// The processor: all cores of the thread pool that is current where a network is called.
 #[must_use]

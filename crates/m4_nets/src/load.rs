@@ -57,7 +57,8 @@ fn differences(missing: &[String], unused: &[String], wrong: &[String]) -> Strin
 }
 
 /// Fills `module` from the checkpoint at `path`, each tensor once and all of them: safetensors where the name ends so, else
-/// PyTorch's. `renames` are pairs of a regular expression and what it becomes, from the checkpoint's names to the fields'.
+/// PyTorch's. `renames` are pairs of a regular expression and what it becomes, from the checkpoint's names to the fields';
+/// `unneeded` tells which tensors may be there without a field (by the new names).
 ///
 /// # Errors
 ///
@@ -67,6 +68,7 @@ pub(crate) fn fill<M: ModuleSnapshot>(
     network: &'static str,
     path: &Path,
     renames: &[(&str, &str)],
+    unneeded: impl Fn(&str) -> bool,
 ) -> Result<(), LoadError> {
     if !path.is_file() {
         return Err(LoadError::Missing { path: path.to_owned() });
@@ -93,14 +95,15 @@ pub(crate) fn fill<M: ModuleSnapshot>(
             .validate(false);
         store.apply_to(module).map_err(|error| unreadable(error.to_string()))?
     };
-    if result.missing.is_empty() && result.unused.is_empty() && result.errors.is_empty() && result.skipped.is_empty() {
+    let unused: Vec<String> = result.unused.into_iter().filter(|name| !unneeded(name)).collect();
+    if result.missing.is_empty() && unused.is_empty() && result.errors.is_empty() && result.skipped.is_empty() {
         return Ok(());
     }
     Err(LoadError::OtherNetwork {
         path: path.to_owned(),
         network,
         missing: result.missing.into_iter().map(|(name, _)| name).collect(),
-        unused: result.unused,
+        unused,
         wrong: result.errors.iter().map(ToString::to_string).collect(),
     })
 }

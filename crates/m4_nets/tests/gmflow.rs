@@ -3,8 +3,8 @@
 
 mod common;
 
-use common::{end_point_errors, fixtures, floats, picture, png, real_weights, write_formula_weights};
-use m4_nets::{FlowError, GmFlow, LoadError, cpu};
+use common::{fixtures, floats, picture, png, real_weights, write_formula_weights};
+use m4_nets::{Flow, FlowError, GmFlow, LoadError, cpu};
 use m4_scene::{Plane, RgbImage};
 use std::fs;
 use std::path::Path;
@@ -12,6 +12,26 @@ use std::sync::LazyLock;
 use tempfile::TempDir;
 
 const KEYS: &str = include_str!("../../../fixtures/gmflow/keys.txt");
+
+/// Distances between `flow` and `want` (`[2, h, w]`, every `step`-th row and column): mean, largest, and the standard
+/// deviation of what is wanted.
+fn end_point_errors(flow: &Flow, want: &[f32], step: usize) -> (f64, f64, f64) {
+    let at: Vec<usize> = (0..flow.height)
+        .step_by(step)
+        .flat_map(|y| (0..flow.width).step_by(step).map(move |x| (x, y)))
+        .map(|(x, y)| y * flow.width + x)
+        .collect();
+    assert_eq!(want.len(), 2 * at.len());
+    let (u, v) = want.split_at(at.len());
+    let error = |k: usize| f64::from(flow.u[at[k]] - u[k]).hypot(f64::from(flow.v[at[k]] - v[k]));
+    let errors: Vec<f64> = (0..at.len()).map(error).collect();
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let want: Vec<f64> = want.iter().map(|&x| f64::from(x)).collect();
+    let centre = mean(&want);
+    let spread = mean(&want.iter().map(|x| (x - centre).powi(2)).collect::<Vec<_>>()).sqrt();
+    assert!(errors.iter().all(|e| e.is_finite()), "flow that is no number");
+    (mean(&errors), errors.iter().copied().fold(0.0, f64::max), spread)
+}
 
 /// A checkpoint with weights by the formula, made once.
 fn formula_weights() -> &'static Path {

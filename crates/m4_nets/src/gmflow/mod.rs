@@ -126,7 +126,7 @@ impl GmFlow {
             feature_flow_attn: Propagation::new(WIDTH, device),
             upsampler: Upsampler::new(WIDTH, device),
         };
-        load::fill(&mut net, "GMFlow", path, &RENAMES)?;
+        load::fill(&mut net, "GMFlow", path, &RENAMES, |_| false)?;
         Ok(Self {
             net,
             device: device.clone(),

@@ -1,6 +1,5 @@
 //! Fixtures, and weights by a formula.
 
-use m4_nets::Flow;
 use m4_scene::RgbImage;
 use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
 use std::path::{Path, PathBuf};
@@ -69,15 +68,22 @@ pub fn formula(name: &str, n: usize) -> impl Iterator<Item = f64> {
 
 /// Writes a checkpoint of the tensors of `list` (lines of a name and a shape), filled by the rule.
 pub fn write_formula_weights(list: &str, path: &Path) {
-    let tensors: Vec<(String, Vec<usize>, Vec<u8>)> = list
+    let tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = list
         .lines()
         .map(|line| {
             let mut words = line.split_whitespace();
             let name = words.next().unwrap().to_owned();
             let shape: Vec<usize> = words.map(|w| w.parse().unwrap()).collect();
-            let fan_in: usize = shape[1..].iter().product();
+            if name.ends_with(".num_batches_tracked") {
+                return (name, Dtype::I64, shape, 7i64.to_le_bytes().to_vec());
+            }
+            let fan_in: usize = shape.iter().skip(1).product();
             let last = name.rsplit('.').next().unwrap();
             let value = |u: f64| match (last, shape.len()) {
+                ("running_mean", _) => 0.1 * u,
+                ("running_var", _) => 1.0 + 0.2 * u.abs(),
+                ("positional_encoding_gaussian_matrix", _) => u,
+                ("attention_biases", _) => 0.5 * u,
                 (l, _) if l.ends_with("bias") => 0.02 * u,
                 (l, 1) if l.ends_with("weight") => 1.0 + 0.1 * u,
                 (l, _) if l.ends_with("weight") => u * (3.0 / fan_in as f64).sqrt(),
@@ -86,31 +92,11 @@ pub fn write_formula_weights(list: &str, path: &Path) {
             let bytes = formula(&name, shape.iter().product())
                 .flat_map(|u| (value(u) as f32).to_le_bytes())
                 .collect();
-            (name, shape, bytes)
+            (name, Dtype::F32, shape, bytes)
         })
         .collect();
     let views = tensors
         .iter()
-        .map(|(name, shape, bytes)| (name, TensorView::new(Dtype::F32, shape.clone(), bytes).unwrap()));
+        .map(|(name, dtype, shape, bytes)| (name, TensorView::new(*dtype, shape.clone(), bytes).unwrap()));
     serialize_to_file(views, None, path).unwrap();
-}
-
-/// Distances between `flow` and `want` (`[2, h, w]`, every `step`-th row and column): mean, largest, and the standard
-/// deviation of what is wanted.
-pub fn end_point_errors(flow: &Flow, want: &[f32], step: usize) -> (f64, f64, f64) {
-    let at: Vec<usize> = (0..flow.height)
-        .step_by(step)
-        .flat_map(|y| (0..flow.width).step_by(step).map(move |x| (x, y)))
-        .map(|(x, y)| y * flow.width + x)
-        .collect();
-    assert_eq!(want.len(), 2 * at.len());
-    let (u, v) = want.split_at(at.len());
-    let error = |k: usize| f64::from(flow.u[at[k]] - u[k]).hypot(f64::from(flow.v[at[k]] - v[k]));
-    let errors: Vec<f64> = (0..at.len()).map(error).collect();
-    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    let want: Vec<f64> = want.iter().map(|&x| f64::from(x)).collect();
-    let centre = mean(&want);
-    let spread = mean(&want.iter().map(|x| (x - centre).powi(2)).collect::<Vec<_>>()).sqrt();
-    assert!(errors.iter().all(|e| e.is_finite()), "flow that is no number");
-    (mean(&errors), errors.iter().copied().fold(0.0, f64::max), spread)
 }

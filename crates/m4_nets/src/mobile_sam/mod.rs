@@ -1,0 +1,234 @@
+//! MobileSAM: the mask of whatever a point, a box or an earlier mask shows.
+//!
+//! - Papers: Kirillov et al., "Segment Anything", ICCV 2023 (prompt encoder, mask decoder); Zhang et al., "Faster Segment Anything: Towards
+//!   Lightweight SAM for Mobile Applications", 2023 (the image encoder, a TinyViT).
+//! - Upstream: ChaoningZhang/MobileSAM, Apache-2.0. Weights (Apache-2.0): the entry `mobile-sam` of `minute4d weights list`.
+//!
+//! ```text
+//! picture --resize, pad--> 1024 x 1024 --TinyVit--> embedding [256, 64, 64]
+//! prompt --PromptEncoder--> tokens, map;  embedding + map, tokens --MaskDecoder--> 4 masks [256, 256], their qualities
+//! ```
+//!
+//! [`MobileSam::encode`] is nearly all of the work and depends on the picture alone; any number of prompts may follow. Places are
+//! in pixels of the picture as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
+
+mod attention;
+mod decoder;
+mod layers;
+mod picture;
+mod prompt;
+mod resize;
+mod tiny_vit;
+mod two_way;
+
+pub use prompt::{PointPrompt, Prompt};
+
+use crate::{LoadError, load};
+use burn_core as burn;
+use burn_core::module::Module;
+use burn_core::tensor::{Device, Tensor};
+use decoder::MaskDecoder;
+use m4_scene::{Plane, RgbImage};
+use picture::{MASK_SIDE, Scale};
+use prompt::PromptEncoder;
+use std::path::Path;
+use tiny_vit::TinyVit;
+
+/// Channels of the embedding and of tokens.
+const WIDTH: usize = 256;
+
+/// Why there is no mask.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SamError {
+    /// A picture has no pixels, or is too narrow for its length.
+    #[error("masks need a picture with pixels on both sides when the longer has 1024, not {width} x {height}")]
+    Shape {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// The prompt is empty.
+    #[error("a prompt needs a point, a box or a mask")]
+    NothingAsked,
+    /// A point or a corner of the prompt is not in the picture.
+    #[error("the prompt has a place at column {}, row {} of a picture of {width} x {height} pixels", at_px[0], at_px[1])]
+    Outside {
+        /// Column and row, in pixels.
+        at_px: [f32; 2],
+        /// Columns of the picture.
+        width: usize,
+        /// Rows of the picture.
+        height: usize,
+    },
+    /// The box of the prompt ends before it begins.
+    #[error("the box of a prompt is its first column and row, then its last, not {0:?}")]
+    Reversed([f32; 4]),
+    /// The prompt's mask has numbers that are infinite or none.
+    #[error("the mask of a prompt has numbers that are not finite")]
+    NotFinite,
+    /// The prompt's mask has another size.
+    #[error("the mask of a prompt has 256 x 256 pixels, as the logits of a prediction, not {width} x {height}")]
+    MaskSize {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// The device failed, for one for lack of memory.
+    #[error("the device that computes masks failed: {0}")]
+    Device(String),
+}
+
+/// What the network keeps of a picture, for any number of prompts.
+#[derive(Debug, Clone)]
+pub struct Embedding {
+    scale: Scale,
+    /// `[256, 64, 64]`.
+    map: Tensor<3>,
+}
+
+impl Embedding {
+    /// The numbers, `[256][64][64]`, of the square that the picture lies in the upper left of.
+    ///
+    /// # Errors
+    ///
+    /// [`SamError::Device`] if the device fails.
+    pub fn to_vec(&self) -> Result<Vec<f32>, SamError> {
+        numbers(self.map.clone())
+    }
+}
+
+/// A mask.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MaskPrediction {
+    scale: Scale,
+    /// `[256][256]`, of the square that the picture lies in the upper left of, its longer side along a whole side: above 0 where the
+    /// object is. May be part of another [`Prompt`].
+    pub logits: Plane<f32>,
+    /// How well the network thinks that the mask fits: its intersection with the true one over their union, 1 at best (though the
+    /// network may say a little more, or less than 0).
+    pub iou: f32,
+}
+
+impl MaskPrediction {
+    /// The logits at the picture's size, bilinear: above 0 where the object is.
+    #[must_use]
+    pub fn picture_logits(&self) -> Plane<f32> {
+        self.scale.to_picture(&self.logits)
+    }
+}
+
+/// The network with its weights.
+#[derive(Debug)]
+pub struct MobileSam {
+    net: Net,
+    /// Where the pixels of the embedding are, `[64 * 64, 256]`.
+    grid: Tensor<2>,
+    device: Device,
+}
+
+/// Fields as in the checkpoint.
+#[derive(Module, Debug)]
+struct Net {
+    image_encoder: TinyVit,
+    prompt_encoder: PromptEncoder,
+    mask_decoder: MaskDecoder,
+}
+
+/// Names of the checkpoint that are not those of fields.
+const RENAMES: [(&str, &str); 15] = [
+    (r"\.patch_embed\.seq\.0\.", ".patch_embed.first."),
+    (r"\.patch_embed\.seq\.2\.", ".patch_embed.second."),
+    (r"^image_encoder\.layers\.([0-3])\.", "image_encoder.stage$1."),
+    (r"\.neck\.0\.", ".neck.flat."),
+    (r"\.neck\.1\.", ".neck.norm1."),
+    (r"\.neck\.2\.", ".neck.wide."),
+    (r"\.neck\.3\.", ".neck.norm2."),
+    (r"\.mask_downscaling\.0\.", ".mask_downscaling.half."),
+    (r"\.mask_downscaling\.1\.", ".mask_downscaling.norm1."),
+    (r"\.mask_downscaling\.3\.", ".mask_downscaling.quarter."),
+    (r"\.mask_downscaling\.4\.", ".mask_downscaling.norm2."),
+    (r"\.mask_downscaling\.6\.", ".mask_downscaling.wide."),
+    (r"\.output_upscaling\.0\.", ".output_upscaling.twice."),
+    (r"\.output_upscaling\.1\.", ".output_upscaling.norm."),
+    (r"\.output_upscaling\.3\.", ".output_upscaling.again."),
+];
+
+/// Whether a tensor of the checkpoint is of no use here: TinyViT's head, which names what ImageNet shows, and the counters of batch
+/// normalisation, which only training reads.
+fn unneeded(name: &str) -> bool {
+    const HEAD: [&str; 4] = ["head.weight", "head.bias", "norm_head.weight", "norm_head.bias"];
+    let head = name
+        .strip_prefix("image_encoder.")
+        .is_some_and(|name| HEAD.contains(&name));
+    head || name.ends_with(".bn.num_batches_tracked")
+}
+
+impl MobileSam {
+    /// The network with the weights of the checkpoint at `path`, on `device`.
+    ///
+    /// # Errors
+    ///
+    /// [`LoadError`] if the file cannot be read or holds another network.
+    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+        let mut net = Net {
+            image_encoder: TinyVit::new(device),
+            prompt_encoder: PromptEncoder::new(device),
+            mask_decoder: MaskDecoder::new(device),
+        };
+        load::fill(&mut net, "MobileSAM", path, &RENAMES, unneeded)?;
+        Ok(Self {
+            grid: net.prompt_encoder.grid(device),
+            net,
+            device: device.clone(),
+        })
+    }
+
+    /// Numbers of the checkpoint that are used, statistics and waves among them.
+    #[must_use]
+    pub fn parameters(&self) -> usize {
+        self.net.num_params()
+    }
+
+    /// The embedding of `image`.
+    ///
+    /// # Errors
+    ///
+    /// [`SamError::Shape`] if it has no pixels, or its longer side has more than 2048 times the pixels of the other.
+    pub fn encode(&self, image: &RgbImage) -> Result<Embedding, SamError> {
+        let scale = Scale::of(image.width(), image.height())?;
+        let map = self.net.image_encoder.forward(scale.tensor(image, &self.device));
+        Ok(Embedding {
+            scale,
+            map: map.squeeze_dim(0),
+        })
+    }
+
+    /// Four masks of what `prompt` shows in the picture of `embedding`. The first is the one to take where there is no doubt which object is
+    /// meant; the others are three readings of a prompt that [is ambiguous](Prompt::is_ambiguous): take that of the highest `iou`.
+    ///
+    /// # Errors
+    ///
+    /// [`SamError`] if the prompt is empty or wrong, or the device fails.
+    pub fn masks(&self, embedding: &Embedding, prompt: &Prompt) -> Result<Vec<MaskPrediction>, SamError> {
+        let (tokens, map) = self.net.prompt_encoder.forward(prompt, embedding.scale, &self.device)?;
+        let map = embedding.map.clone() + map;
+        let (masks, iou) = self.net.mask_decoder.forward(map, &self.grid, tokens);
+        let logits: Vec<f32> = numbers(masks)?;
+        let iou = numbers(iou)?;
+        let masks = logits.chunks_exact(MASK_SIDE * MASK_SIDE).zip(iou);
+        Ok(masks
+            .map(|(logits, iou)| MaskPrediction {
+                scale: embedding.scale,
+                logits: Plane::from_fn(MASK_SIDE, MASK_SIDE, |x, y| logits[y * MASK_SIDE + x]),
+                iou,
+            })
+            .collect())
+    }
+}
+
+fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, SamError> {
+    x.try_into_vec_as().map_err(|error| SamError::Device(error.to_string()))
+}

@@ -1,0 +1,216 @@
+//! The image encoder, TinyViT (Wu et al., "TinyViT: Fast Pretraining Distillation for Small Vision Transformers", ECCV 2022) as
+//! MobileSAM trains it: of 1024 x 1024 pixels, 256 channels at 1/16.
+//!
+//! ```text
+//! 1024 --two convolutions--> 256 --two MBConv--> merge --> 128 --2 blocks--> merge --> 64 --6 blocks--> merge --2 blocks--> neck
+//! ```
+
+use super::attention::Windowed;
+use super::layers::{ConvBn, channel_norm, over_channels};
+use crate::ops::{conv, gelu, linear, norm};
+use burn_core as burn;
+use burn_core::module::Module;
+use burn_core::tensor::{Device, Tensor};
+use burn_nn::conv::Conv2d;
+use burn_nn::{LayerNorm, Linear};
+
+/// Channels of the stages.
+const WIDTHS: [usize; 4] = [64, 128, 160, 320];
+/// Channels of a head of attention.
+const HEAD: usize = 32;
+/// Channels of the embedding.
+const EMBEDDING: usize = 256;
+
+/// Three convolutions with a wide middle beside a shortcut.
+#[derive(Module, Debug)]
+pub struct MbConv {
+    conv1: ConvBn,
+    conv2: ConvBn,
+    conv3: ConvBn,
+}
+
+impl MbConv {
+    fn new(width: usize, device: &Device) -> Self {
+        Self {
+            conv1: ConvBn::new([width, 4 * width], 1, 1, device),
+            conv2: ConvBn::depthwise(4 * width, 1, device),
+            conv3: ConvBn::new([4 * width, width], 1, 1, device),
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let y = gelu(self.conv1.forward(x.clone()));
+        let y = gelu(self.conv2.forward(y));
+        gelu(self.conv3.forward(y) + x)
+    }
+}
+
+/// From one stage to the next: other channels, and half the size unless `stride` is 1.
+#[derive(Module, Debug)]
+pub struct Merge {
+    conv1: ConvBn,
+    conv2: ConvBn,
+    conv3: ConvBn,
+}
+
+impl Merge {
+    fn new([from, to]: [usize; 2], stride: usize, device: &Device) -> Self {
+        Self {
+            conv1: ConvBn::new([from, to], 1, 1, device),
+            conv2: ConvBn::depthwise(to, stride, device),
+            conv3: ConvBn::new([to, to], 1, 1, device),
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let x = gelu(self.conv1.forward(x));
+        let x = gelu(self.conv2.forward(x));
+        self.conv3.forward(x)
+    }
+}
+
+/// The feed-forward layer of a block.
+#[derive(Module, Debug)]
+pub struct Mlp {
+    norm: LayerNorm,
+    fc1: Linear,
+    fc2: Linear,
+}
+
+/// Pixels that the feed-forward layer takes at a time: their wide channels stay in the cache.
+const MLP_PIXELS: usize = 1024;
+
+impl Mlp {
+    /// Of `[pixels, c]`: the same shape, to be added to it.
+    fn forward(&self, x: Tensor<2>) -> Tensor<2> {
+        let some = |x| self.fc2.forward(gelu(self.fc1.forward(self.norm.forward(x))));
+        Tensor::cat(x.split(MLP_PIXELS, 0).into_iter().map(some).collect(), 0)
+    }
+}
+
+/// Attention within windows, a convolution of each channel, the feed-forward layer.
+#[derive(Module, Debug)]
+pub struct Block {
+    attn: Windowed,
+    local_conv: ConvBn,
+    mlp: Mlp,
+}
+
+impl Block {
+    fn new(width: usize, window: usize, device: &Device) -> Self {
+        Self {
+            attn: Windowed::new(width, width / HEAD, window, device),
+            local_conv: ConvBn::depthwise(width, 1, device),
+            mlp: Mlp {
+                norm: norm(width, device),
+                fc1: linear(width, 4 * width, true, device),
+                fc2: linear(4 * width, width, true, device),
+            },
+        }
+    }
+
+    /// Of `[1, c, h, w]`: the same shape.
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let [_, c, h, w] = x.dims();
+        let pixels = x.permute([0, 2, 3, 1]);
+        let pixels = pixels.clone() + self.attn.forward(pixels);
+        let x = self.local_conv.forward(pixels.permute([0, 3, 1, 2]));
+        let pixels = x.permute([0, 2, 3, 1]).reshape([h * w, c]);
+        let pixels = pixels.clone() + self.mlp.forward(pixels);
+        pixels.reshape([1, h, w, c]).permute([0, 3, 1, 2])
+    }
+}
+
+/// The first stage.
+#[derive(Module, Debug)]
+pub struct Convolutions {
+    blocks: [MbConv; 2],
+    downsample: Merge,
+}
+
+/// A later stage, of `N` blocks.
+#[derive(Module, Debug)]
+pub struct Stage<const N: usize> {
+    blocks: [Block; N],
+    downsample: Option<Merge>,
+}
+
+impl<const N: usize> Stage<N> {
+    fn new(width: usize, window: usize, downsample: Option<Merge>, device: &Device) -> Self {
+        Self {
+            blocks: std::array::from_fn(|_| Block::new(width, window, device)),
+            downsample,
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let x = self.blocks.iter().fold(x, |x, block| block.forward(x));
+        match &self.downsample {
+            Some(merge) => merge.forward(x),
+            None => x,
+        }
+    }
+}
+
+/// The first two convolutions. Named `0` and `2` in the checkpoint.
+#[derive(Module, Debug)]
+pub struct Stem {
+    first: ConvBn,
+    second: ConvBn,
+}
+
+/// To the channels of the embedding. Named `0` to `3` in the checkpoint.
+#[derive(Module, Debug)]
+pub struct Neck {
+    flat: Conv2d,
+    norm1: LayerNorm,
+    wide: Conv2d,
+    norm2: LayerNorm,
+}
+
+/// The encoder. The stages are named `layers.0` to `layers.3` in the checkpoint.
+#[derive(Module, Debug)]
+pub struct TinyVit {
+    patch_embed: Stem,
+    stage0: Convolutions,
+    stage1: Stage<2>,
+    stage2: Stage<6>,
+    stage3: Stage<2>,
+    neck: Neck,
+}
+
+impl TinyVit {
+    pub fn new(device: &Device) -> Self {
+        let [a, b, c, d] = WIDTHS;
+        Self {
+            patch_embed: Stem {
+                first: ConvBn::new([3, a / 2], 3, 2, device),
+                second: ConvBn::new([a / 2, a], 3, 2, device),
+            },
+            stage0: Convolutions {
+                blocks: std::array::from_fn(|_| MbConv::new(a, device)),
+                downsample: Merge::new([a, b], 2, device),
+            },
+            stage1: Stage::new(b, 7, Some(Merge::new([b, c], 2, device)), device),
+            stage2: Stage::new(c, 14, Some(Merge::new([c, d], 1, device)), device),
+            stage3: Stage::new(d, 7, None, device),
+            neck: Neck {
+                flat: conv([d, EMBEDDING], 1, 1, false, device),
+                norm1: channel_norm(EMBEDDING, device),
+                wide: conv([EMBEDDING, EMBEDDING], 3, 1, false, device),
+                norm2: channel_norm(EMBEDDING, device),
+            },
+        }
+    }
+
+    /// Of a picture `[1, 3, 1024, 1024]`: `[1, 256, 64, 64]`.
+    pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let x = gelu(self.patch_embed.first.forward(x));
+        let x = self.patch_embed.second.forward(x);
+        let x = self.stage0.blocks.iter().fold(x, |x, block| block.forward(x));
+        let x = self.stage0.downsample.forward(x);
+        let x = self.stage3.forward(self.stage2.forward(self.stage1.forward(x)));
+        let x = over_channels(&self.neck.norm1, self.neck.flat.forward(x));
+        over_channels(&self.neck.norm2, self.neck.wide.forward(x))
+    }
+}

@@ -1,0 +1,146 @@
+//! The decoder's transformer: tokens that look at the picture and a picture that looks at the tokens, in turn (Kirillov et al.,
+//! "Segment Anything", ICCV 2023, appendix A).
+
+use super::WIDTH;
+use super::layers::heads;
+use crate::ops::{linear, norm};
+use burn_core as burn;
+use burn_core::module::Module;
+use burn_core::tensor::activation::relu;
+use burn_core::tensor::{Device, Tensor};
+use burn_nn::{LayerNorm, Linear};
+
+const HEADS: usize = 8;
+const MLP_WIDTH: usize = 2048;
+
+/// Attention of eight heads, of `inner` channels together.
+#[derive(Module, Debug)]
+pub struct Attention {
+    q_proj: Linear,
+    k_proj: Linear,
+    v_proj: Linear,
+    out_proj: Linear,
+}
+
+impl Attention {
+    fn new(inner: usize, device: &Device) -> Self {
+        Self {
+            q_proj: linear(WIDTH, inner, true, device),
+            k_proj: linear(WIDTH, inner, true, device),
+            v_proj: linear(WIDTH, inner, true, device),
+            out_proj: linear(inner, WIDTH, true, device),
+        }
+    }
+
+    /// Of `q` `[n, 256]`, `k` and `v` `[m, 256]`: `[n, 256]`.
+    fn forward(&self, q: Tensor<2>, k: Tensor<2>, v: Tensor<2>) -> Tensor<2> {
+        let split = |x: Tensor<2>| {
+            let [n, c] = x.dims();
+            x.reshape([1, n, HEADS, c / HEADS]).swap_dims(1, 2)
+        };
+        let q = self.q_proj.forward(q);
+        let shape = q.dims();
+        let k = self.k_proj.forward(k);
+        let v = self.v_proj.forward(v);
+        let found = heads(split(q), split(k), split(v), None);
+        self.out_proj.forward(found.swap_dims(1, 2).reshape(shape))
+    }
+}
+
+/// The feed-forward layer of the tokens.
+#[derive(Module, Debug)]
+pub struct Mlp {
+    lin1: Linear,
+    lin2: Linear,
+}
+
+/// Tokens among themselves, tokens to picture, feed-forward, picture to tokens.
+#[derive(Module, Debug)]
+pub struct Layer {
+    self_attn: Attention,
+    norm1: LayerNorm,
+    cross_attn_token_to_image: Attention,
+    norm2: LayerNorm,
+    mlp: Mlp,
+    norm3: LayerNorm,
+    norm4: LayerNorm,
+    cross_attn_image_to_token: Attention,
+}
+
+impl Layer {
+    fn new(device: &Device) -> Self {
+        let norm = || norm(WIDTH, device);
+        Self {
+            self_attn: Attention::new(WIDTH, device),
+            norm1: norm(),
+            cross_attn_token_to_image: Attention::new(WIDTH / 2, device),
+            norm2: norm(),
+            mlp: Mlp {
+                lin1: linear(WIDTH, MLP_WIDTH, true, device),
+                lin2: linear(MLP_WIDTH, WIDTH, true, device),
+            },
+            norm3: norm(),
+            norm4: norm(),
+            cross_attn_image_to_token: Attention::new(WIDTH / 2, device),
+        }
+    }
+
+    /// The tokens after their attention among themselves. In the first layer, where they are `places` itself, its result takes their
+    /// place.
+    fn among_themselves(&self, tokens: Tensor<2>, places: &Tensor<2>, first: bool) -> Tensor<2> {
+        let tokens = if first {
+            self.self_attn.forward(tokens.clone(), tokens.clone(), tokens)
+        } else {
+            let placed = tokens.clone() + places.clone();
+            tokens.clone() + self.self_attn.forward(placed.clone(), placed, tokens)
+        };
+        self.norm1.forward(tokens)
+    }
+}
+
+/// The transformer.
+#[derive(Module, Debug)]
+pub struct TwoWay {
+    layers: [Layer; 2],
+    final_attn_token_to_image: Attention,
+    norm_final_attn: LayerNorm,
+}
+
+impl TwoWay {
+    pub fn new(device: &Device) -> Self {
+        Self {
+            layers: std::array::from_fn(|_| Layer::new(device)),
+            final_attn_token_to_image: Attention::new(WIDTH / 2, device),
+            norm_final_attn: norm(WIDTH, device),
+        }
+    }
+
+    /// `tokens` `[n, 256]` and the picture's `pixels` `[m, 256]`, whose places are `grid`, after each has seen the other.
+    pub fn forward(&self, tokens: Tensor<2>, pixels: Tensor<2>, grid: &Tensor<2>) -> (Tensor<2>, Tensor<2>) {
+        let places = tokens.clone();
+        let (mut tokens, mut pixels) = (tokens, pixels);
+        for (i, layer) in self.layers.iter().enumerate() {
+            tokens = layer.among_themselves(tokens, &places, i == 0);
+            let found = layer.cross_attn_token_to_image.forward(
+                tokens.clone() + places.clone(),
+                pixels.clone() + grid.clone(),
+                pixels.clone(),
+            );
+            tokens = layer.norm2.forward(tokens + found);
+            let wide = relu(layer.mlp.lin1.forward(tokens.clone()));
+            tokens = layer.norm3.forward(tokens + layer.mlp.lin2.forward(wide));
+            let found = layer.cross_attn_image_to_token.forward(
+                pixels.clone() + grid.clone(),
+                tokens.clone() + places.clone(),
+                tokens.clone(),
+            );
+            pixels = layer.norm4.forward(pixels + found);
+        }
+        let found = self.final_attn_token_to_image.forward(
+            tokens.clone() + places,
+            pixels.clone() + grid.clone(),
+            pixels.clone(),
+        );
+        (self.norm_final_attn.forward(tokens + found), pixels)
+    }
+}

@@ -1,0 +1,252 @@
+//! MobileSAM against its authors' module: with weights by a formula always, with the real ones where they are.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use common::{fixtures, floats, picture, png, real_weights, write_formula_weights};
+use m4_nets::{LoadError, MaskPrediction, MobileSam, PointPrompt, Prompt, SamError, cpu};
+use m4_scene::{Plane, RgbImage};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+use tempfile::TempDir;
+
+const KEYS: &str = include_str!("../../../fixtures/mobile_sam/keys.txt");
+/// Rows and columns of the masks that the fixtures keep.
+const STEP: usize = 4;
+/// Numbers of the checkpoint, less TinyViT's head (321,000 and its normalisation, 640).
+const NUMBERS: usize = 9_818_564;
+
+/// A checkpoint with weights by the formula, made once.
+fn formula_weights() -> &'static Path {
+    static FOLDER: LazyLock<TempDir> = LazyLock::new(|| {
+        let folder = TempDir::new().unwrap();
+        write_formula_weights(KEYS, &folder.path().join("weights.safetensors"));
+        folder
+    });
+    static PATH: LazyLock<PathBuf> = LazyLock::new(|| FOLDER.path().join("weights.safetensors"));
+    &PATH
+}
+
+fn network() -> MobileSam {
+    MobileSam::load(formula_weights(), &cpu()).unwrap()
+}
+
+/// The largest difference and the standard deviation of what is wanted.
+fn distance(got: &[f32], want: &[f32]) -> (f64, f64) {
+    assert_eq!(got.len(), want.len());
+    let pairs = got.iter().zip(want);
+    let worst = pairs.map(|(a, b)| f64::from((a - b).abs()));
+    let worst = worst.fold(0.0, |a, b| if b.is_nan() { f64::INFINITY } else { a.max(b) });
+    let mean = |values: &mut dyn Iterator<Item = f64>| values.sum::<f64>() / want.len() as f64;
+    let centre = mean(&mut want.iter().map(|&x| f64::from(x)));
+    let spread = mean(&mut want.iter().map(|&x| (f64::from(x) - centre).powi(2))).sqrt();
+    (worst, spread)
+}
+
+fn every(plane: &Plane<f32>, step: usize) -> Vec<f32> {
+    let rows = (0..plane.height()).step_by(step).map(|y| plane.row(y));
+    rows.flat_map(|row| row.iter().copied().step_by(step)).collect()
+}
+
+/// How far is allowed: the embedding and the masks relative to their standard deviation, the qualities as they are.
+struct Limits {
+    embedding: f64,
+    masks: f64,
+    iou: f64,
+}
+
+/// The prompts of `oracles/mobile_sam.py` on a picture of this size; pixels are counted from 0 there.
+fn prompts(width: usize, height: usize) -> [(&'static str, Prompt); 4] {
+    let at = |x: f64, y: f64| {
+        let pixel = |part: f64, side: usize| (part * side as f64).round_ties_even() as f32 + 0.5;
+        [pixel(x, width), pixel(y, height)]
+    };
+    let point = |x, y, on_object| PointPrompt {
+        at_px: at(x, y),
+        on_object,
+    };
+    let [[x0, y0], [x1, y1]] = [at(0.1, 0.2), at(0.55, 0.9)];
+    let box_px = Some([x0, y0, x1, y1]);
+    let prompt = |points, box_px| Prompt {
+        points,
+        box_px,
+        mask_logits: None,
+    };
+    let on = point(0.3, 0.55, true);
+    [
+        ("point", prompt(vec![on], None)),
+        ("box", prompt(vec![], box_px)),
+        ("again", prompt(vec![on, point(0.8, 0.2, false)], box_px)),
+        ("mask", prompt(vec![point(0.35, 0.4, true)], None)),
+    ]
+}
+
+#[expect(clippy::print_stdout, reason = "figures for docs/networks.md")]
+fn compare(net: &MobileSam, image: &RgbImage, file: &[u8], limits: &Limits) {
+    let close = |name: &str, got: &[f32], limit: f64| {
+        let (worst, spread) = distance(got, &floats(file, name));
+        println!("{name}: worst {worst:.2e} at a standard deviation of {spread:.2e}");
+        assert!(spread > 1e-2, "{name} hardly differs from a constant: {spread}");
+        let scale = if name.ends_with("iou") { 1.0 } else { spread };
+        assert!(
+            worst < limit * scale,
+            "{name}: {worst} at a standard deviation of {spread}"
+        );
+    };
+    let embedding = net.encode(image).unwrap();
+    let numbers = embedding.to_vec().unwrap();
+    let kept: Vec<f32> = (0..256 * 8 * 8)
+        .map(|i| numbers[(i / 64 * 64 + i / 8 % 8 * 8) * 64 + i % 8 * 8])
+        .collect();
+    close("embedding", &kept, limits.embedding);
+    let mut earlier = None;
+    for (name, mut prompt) in prompts(image.width(), image.height()) {
+        if ["again", "mask"].contains(&name) {
+            prompt.mask_logits.clone_from(&earlier);
+        }
+        let masks = net.masks(&embedding, &prompt).unwrap();
+        let logits: Vec<f32> = masks.iter().flat_map(|mask| every(&mask.logits, STEP)).collect();
+        close(&format!("{name}/logits"), &logits, limits.masks);
+        let whole = masks[1].picture_logits();
+        assert_eq!(whole.size(), image.size());
+        close(&format!("{name}/picture_logits"), &every(&whole, STEP), limits.masks);
+        let iou: Vec<f32> = masks.iter().map(|mask| mask.iou).collect();
+        close(&format!("{name}/iou"), &iou, limits.iou);
+        if name == "point" {
+            earlier = Some(masks[1].logits.clone());
+        }
+    }
+}
+
+fn formula_picture() -> (Vec<u8>, RgbImage) {
+    let file = fs::read(fixtures().join("mobile_sam/formula.safetensors")).unwrap();
+    let image = picture(&file, "image");
+    (file, image)
+}
+
+/// The module in f32 is within 2e-5 of itself in f64, and here as close.
+#[test]
+fn agrees_with_the_module_by_formula() {
+    let net = network();
+    assert_eq!(net.parameters(), NUMBERS);
+    let (file, image) = formula_picture();
+    let limits = Limits {
+        embedding: 1e-4,
+        masks: 2e-4,
+        iou: 1e-5,
+    };
+    compare(&net, &image, &file, &limits);
+}
+
+#[test]
+fn agrees_with_the_module_on_real_weights() {
+    let Some(path) = real_weights("mobile-sam", "mobile_sam.pt") else {
+        return;
+    };
+    let net = MobileSam::load(&path, &cpu()).unwrap();
+    assert_eq!(net.parameters(), NUMBERS);
+    let file = fs::read(fixtures().join("mobile_sam/tennis.safetensors")).unwrap();
+    let limits = Limits {
+        embedding: 1e-4,
+        masks: 1e-3,
+        iou: 1e-4,
+    };
+    compare(&net, &png("gmflow/tennis_0.png"), &file, &limits);
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let net = network();
+    let (_, image) = formula_picture();
+    let [(_, point), ..] = prompts(image.width(), image.height());
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| net.masks(&net.encode(&image).unwrap(), &point).unwrap())
+    };
+    let one: Vec<MaskPrediction> = with(1);
+    assert_eq!(one, with(3));
+}
+
+#[test]
+fn refuses_what_it_cannot_answer() {
+    let net = network();
+    let shape = |width, height| net.encode(&Plane::filled(width, height, [9, 9, 9])).map(|_| ());
+    assert!(matches!(shape(0, 4), Err(SamError::Shape { width: 0, height: 4 })));
+    assert!(matches!(shape(1, 2049), Err(SamError::Shape { .. })));
+    let embedding = net.encode(&Plane::filled(1, 2048, [9, 9, 9])).unwrap();
+    let ask = |prompt: &Prompt| net.masks(&embedding, prompt);
+    assert!(matches!(ask(&Prompt::default()), Err(SamError::NothingAsked)));
+    let at = |x| Prompt {
+        points: vec![PointPrompt {
+            at_px: [x, 0.5],
+            on_object: true,
+        }],
+        ..Prompt::default()
+    };
+    for x in [-0.1, 1.1, f32::NAN, f32::INFINITY] {
+        let error = ask(&at(x)).unwrap_err();
+        assert!(
+            matches!(
+                error,
+                SamError::Outside {
+                    width: 1,
+                    height: 2048,
+                    ..
+                }
+            ),
+            "{error}"
+        );
+    }
+    let boxed = |y0, y1| Prompt {
+        box_px: Some([0.5, y0, 0.5, y1]),
+        ..Prompt::default()
+    };
+    assert!(matches!(ask(&boxed(9.5, 8.5)), Err(SamError::Reversed(_))));
+    assert!(matches!(ask(&boxed(9.5, 2048.5)), Err(SamError::Outside { .. })));
+    assert_eq!(ask(&boxed(8.5, 9.5)).unwrap().len(), 4);
+    let masks = ask(&at(0.5)).unwrap();
+    assert_eq!(masks.len(), 4);
+    assert_eq!(masks[0].picture_logits().size(), (1, 2048));
+    let mut mask = at(0.5);
+    mask.mask_logits = Some(Plane::filled(256, 255, 0.0));
+    let error = ask(&mask).unwrap_err();
+    assert!(
+        matches!(
+            error,
+            SamError::MaskSize {
+                width: 256,
+                height: 255
+            }
+        ),
+        "{error}"
+    );
+    mask.mask_logits = Some(Plane::filled(256, 256, f32::INFINITY));
+    assert!(matches!(ask(&mask), Err(SamError::NotFinite)));
+}
+
+#[test]
+fn a_checkpoint_is_read_strictly() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    let load = |list: &str| {
+        write_formula_weights(list, &path);
+        MobileSam::load(&path, &cpu()).err()
+    };
+    let line = "prompt_encoder.no_mask_embed.weight 1 256\n";
+    assert!(KEYS.contains(line));
+    let Some(LoadError::OtherNetwork {
+        missing, unused, wrong, ..
+    }) = load(&KEYS.replace(line, ""))
+    else {
+        panic!("a tensor is missing");
+    };
+    assert_eq!(
+        (missing, unused, wrong),
+        (vec!["prompt_encoder.no_mask_embed.weight".to_owned()], vec![], vec![])
+    );
+    let error = load(&format!("{KEYS}image_encoder.head2.weight 2 2\n")).unwrap();
+    assert!(error.to_string().contains("head2.weight"), "{error}");
+    let error = load(&KEYS.replace("mask_decoder.mask_tokens.weight 4", "mask_decoder.mask_tokens.weight 5")).unwrap();
+    assert!(error.to_string().contains("mask_tokens.weight"), "{error}");
+}
