@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | page | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry INPUT=TRUTH... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
+const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | page | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry INPUT=TRUTH... | results-raw SCENE... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
 
   check   fmt, clippy, docs, arrows, lock, deny and tests, as CI does
   arrows  dependencies between crates against the table of ARCHITECTURE.md
@@ -21,6 +21,7 @@ const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | 
   results-held-out  train each scene in every profile and score its held-out views (docs/results.md)
   results-time      train each scene in both profiles for so many seconds each and score its held-out views
   results-geometry  recover the geometry of each input and compare it with the truth (docs/results.md)
+  results-raw       recover the geometry of each scene, train it and the scene as given, and score the held-out views
   results-ablation  train each scene with one thing changed at a time and score its held-out views (docs/results.md)";
 
 fn main() -> ExitCode {
@@ -50,6 +51,9 @@ fn main() -> ExitCode {
         }
         ["results-geometry", ref pairs @ ..] if !pairs.is_empty() => {
             table(xtask::results::geometry(&root, pairs, &root.join("target/results")))
+        }
+        ["results-raw", ref scenes @ ..] if !scenes.is_empty() => {
+            table(xtask::results::raw(&root, scenes, &root.join("target/results")))
         }
         ["results-ablation", ref words @ ..] if !words.is_empty() => {
             table(xtask::results::ablation(&root, words, &root.join("target/results")))

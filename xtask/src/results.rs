@@ -4,8 +4,10 @@
 //! (`run.json`, `eval.json`) or prints (`eval-geometry`).
 
 mod ablation;
+mod raw;
 
 pub use ablation::ablation;
+pub use raw::raw;
 
 use crate::plot::{self, Curve};
 use anyhow::{Context, Result, bail};
