@@ -251,6 +251,10 @@ pub enum Error {
     /// The server of the page.
     #[error(transparent)]
     Serve(#[from] ServeError),
+    /// Pretrained weights.
+    #[cfg(feature = "nets")]
+    #[error(transparent)]
+    Weights(#[from] crate::weights::WeightsError),
     /// Scoring pictures.
     #[error(transparent)]
     Score(#[from] ImageError),
@@ -297,6 +301,8 @@ impl Error {
             Self::Simd(_) | Self::NoGpuSupport => Category::NoDevice,
             #[cfg(feature = "gpu")]
             Self::Gpu(_) => Category::NoDevice,
+            #[cfg(feature = "nets")]
+            Self::Weights(e) => e.category(),
             Self::Export(e) => e.category(),
             Self::Import(e) => e.category(),
             Self::ReadVideo(ReadVideoError::BadOption { .. }) => Category::BadSettings,

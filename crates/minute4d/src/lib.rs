@@ -40,6 +40,8 @@ pub mod render;
 pub mod settings;
 pub mod train;
 pub mod viewer;
+#[cfg(feature = "nets")]
+pub mod weights;
 
 mod error;
 mod hash;
@@ -64,6 +66,8 @@ pub use m4_init as init;
 pub use m4_io as io;
 pub use m4_kernels as kernels;
 pub use m4_math as math;
+#[cfg(feature = "nets")]
+pub use m4_nets as nets;
 pub use m4_scene as scene;
 pub use m4_scene::{Progress, Silent};
 pub use m4_slam as slam;

@@ -15,6 +15,8 @@ mod train;
 mod values;
 mod video;
 mod view;
+#[cfg(feature = "nets")]
+mod weights;
 
 pub use bench::{Bench, BenchScene};
 pub use device::{DeviceArgs, limit};
@@ -30,6 +32,8 @@ pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
 pub use train::Train;
 pub use video::VideoArgs;
 pub use view::{PageArgs, View};
+#[cfg(feature = "nets")]
+pub use weights::{Weights, WeightsAction};
 
 use clap::{Args, Parser, Subcommand};
 
@@ -94,6 +98,9 @@ pub enum Command {
     Doctor,
     /// Time the kernels on this machine
     Bench(Bench),
+    /// Pretrained weights of networks: which are known, which are here, getting and checking them
+    #[cfg(feature = "nets")]
+    Weights(Weights),
 }
 
 #[cfg(test)]

