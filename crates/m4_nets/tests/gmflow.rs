@@ -45,7 +45,7 @@ fn agrees_with_the_module_by_formula() {
     for (flow, name) in [(&forward, "flow01"), (&back, "flow10")] {
         let (mean, worst, spread) = end_point_errors(flow, &floats(&file, name), 1);
         println!("{name}: mean {mean:.2e} px, worst {worst:.2e} px");
-        assert!(mean < 4e-3 && worst < 0.06, "{name}: {mean} px, worst {worst} px");
+        assert!(mean < 1e-2 && worst < 0.1, "{name}: {mean} px, worst {worst} px");
         assert!(spread > 5.0, "{name} hardly differs from a constant: {spread} px");
     }
     let one = net.flow_between(&a, &b).unwrap();

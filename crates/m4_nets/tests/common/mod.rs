@@ -38,6 +38,7 @@ pub fn png(name: &str) -> RgbImage {
 }
 
 /// The real weights `name/file` in the folder `MINUTE4D_WEIGHTS` or the user's cache; `None`, and a word on it, without.
+#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
 pub fn real_weights(name: &str, file: &str) -> Option<PathBuf> {
     let cache = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from);
     let cache = cache.or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));

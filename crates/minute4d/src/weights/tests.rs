@@ -300,17 +300,17 @@ fn some_weights_need_a_word_or_a_hand() {
     let pip = place.pip("exit 3");
     let error = fetch(find("megasam").unwrap(), &place.store, Some(&pip), false, &Silent).unwrap_err();
     assert!(error.to_string().contains("weights add megasam FILE"), "{error}");
+    let bound = Entry {
+        commercial: false,
+        ..entry(true)
+    };
+    assert!(matches!(place.refused(&bound, &pip), WeightsError::Licence { .. }));
     let path = place.path("mine.pth");
     fs::write(&path, b"a checkpoint").unwrap();
     let tracks = find("tapip3d").unwrap();
     let error = add(tracks, &place.store, &path, false).unwrap_err();
     assert!(error.to_string().contains("--accept-license"), "{error}");
     assert!(add(tracks, &place.store, &path, true).is_ok());
-    let bound = Entry {
-        commercial: false,
-        ..entry(true)
-    };
-    assert!(matches!(place.refused(&bound, &pip), WeightsError::Licence { .. }));
     let error = place.store.require(find("gmflow").unwrap()).unwrap_err();
     assert!(error.to_string().contains("weights fetch gmflow"), "{error}");
 }

@@ -3,6 +3,7 @@
 use crate::args::{Weights, WeightsAction};
 use crate::failure::Failure;
 use crate::output::Output;
+use minute4d::Progress;
 use minute4d::weights::{self, Condition, Entry, Origin, Record, State, Store, WeightsError};
 use serde::Serialize;
 use std::path::PathBuf;
