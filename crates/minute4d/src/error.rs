@@ -1,6 +1,7 @@
 //! The one error of the library, and what sort of failure each is.
 
 use crate::export::ExportError;
+use crate::geometry::GivenError;
 use crate::import::ImportError;
 use crate::render::{PathError, TimeError};
 use crate::settings::SettingsError;
@@ -251,6 +252,36 @@ pub enum Error {
     /// The server of the page.
     #[error(transparent)]
     Serve(#[from] ServeError),
+    /// A front end that needs a network, in a build that has none.
+    #[error(
+        "this build has no networks, which the front end {frontend} needs: build with the feature `nets`, or use \
+         --frontend classical, which works without"
+    )]
+    NoNetworks {
+        /// The front end.
+        frontend: &'static str,
+    },
+    /// A front end whose weights are not there.
+    #[cfg(feature = "nets")]
+    #[error("the front end {frontend} cannot be used: {source}; --frontend classical works without")]
+    FrontEndWeights {
+        /// The front end.
+        frontend: &'static str,
+        /// What is missing, and how to get it.
+        source: crate::weights::WeightsError,
+    },
+    /// A front end whose weights are no weights.
+    #[cfg(feature = "nets")]
+    #[error("the front end {frontend} cannot be used: {source}; --frontend classical works without")]
+    FrontEndLoad {
+        /// The front end.
+        frontend: &'static str,
+        /// What is wrong with them.
+        source: Box<m4_nets::LoadError>,
+    },
+    /// Something that the user gave for the geometry of a clip.
+    #[error(transparent)]
+    Given(#[from] GivenError),
     /// Pretrained weights.
     #[cfg(feature = "nets")]
     #[error(transparent)]
@@ -302,7 +333,13 @@ impl Error {
             #[cfg(feature = "gpu")]
             Self::Gpu(_) => Category::NoDevice,
             #[cfg(feature = "nets")]
-            Self::Weights(e) => e.category(),
+            Self::Weights(e) | Self::FrontEndWeights { source: e, .. } => e.category(),
+            #[cfg(feature = "nets")]
+            Self::FrontEndLoad { .. } => Category::BadInput,
+            Self::NoNetworks { .. } => Category::NoDevice,
+            Self::Given(GivenError::Missing { .. }) => Category::NoInput,
+            Self::Given(GivenError::Read { source, .. }) => ErrorKind::of_read(source).into(),
+            Self::Given(_) => Category::BadInput,
             Self::Export(e) => e.category(),
             Self::Import(e) => e.category(),
             Self::ReadVideo(ReadVideoError::BadOption { .. }) => Category::BadSettings,

@@ -2,6 +2,7 @@
 
 use crate::device::DeviceRequest;
 use crate::folder::CAPTURE_FOLDER;
+use crate::geometry::GeometryOptions;
 use crate::record::{Input, RunRecord, StageRecord};
 use crate::workspace::Workspace;
 use crate::{Error, Existing, Job, geometry, hash, preview, train, viewer};
@@ -15,6 +16,12 @@ use std::path::Path;
 /// [`Error`] of the stage that failed; what was finished before stays in `out`.
 pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
     if is_capture(input) {
+        if job.settings.geometry != GeometryOptions::default() {
+            job.observer.warn(
+                "the input is a capture, whose geometry is taken as it is: --frontend, --intrinsics, --poses, --masks and \
+                 --depth have no effect",
+            );
+        }
         return train::make(input, out, job);
     }
     if !input.exists() {

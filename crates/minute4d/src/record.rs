@@ -3,6 +3,7 @@
 //! A record is written when work begins and again when it ends, so that a folder always says what is
 //! in it: [`Status::Running`] without a running process means that the process was killed.
 
+use crate::geometry::Confidence;
 use crate::{Error, Settings};
 use m4_io::atomic;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -250,6 +251,15 @@ pub struct Found {
     pub points: usize,
     /// Share of all pixels that count as moving.
     pub moving_share: f64,
+    /// Who measured flow: `classical`, `gmflow`.
+    #[serde(default)]
+    pub frontend: String,
+    /// What the user gave: `intrinsics`, `poses`, `masks`, `depth`.
+    #[serde(default)]
+    pub given: Vec<String>,
+    /// How far it can be trusted.
+    #[serde(default)]
+    pub confidence: Option<Confidence>,
 }
 
 impl GeometryRecord {

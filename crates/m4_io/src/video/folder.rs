@@ -71,8 +71,12 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
     })
 }
 
-/// The pictures of a folder in natural order; at least one.
-fn pictures(path: &Path) -> Result<Vec<PathBuf>, ReadVideoError> {
+/// The pictures (PNG, JPEG) of a folder in natural order: `2.png` before `10.png`; at least one.
+///
+/// # Errors
+///
+/// [`ReadVideoError`] if the folder cannot be read or has none.
+pub fn pictures(path: &Path) -> Result<Vec<PathBuf>, ReadVideoError> {
     let io = |source| ReadVideoError::Io {
         path: path.to_path_buf(),
         source,

@@ -2,16 +2,17 @@
 
 use super::bundle::{BundleOptions, BundleReport};
 use super::growth::{MIN_MATCHES, scan, start_pairs};
+use super::known::{FocalSource, Recovered};
 use super::map::Map;
 use super::motion::classify;
 use super::reconstruct::Clip;
 use super::rotation::keyframes;
 use super::selection::{Selected, select};
 use super::{SparseError, stopped};
-use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction};
+use crate::reconstruction::{CameraMotion, Motion};
 
 /// Fewest points of a reconstruction, whatever the number of tracks; else one in twenty.
-const MIN_POINTS: usize = 30;
+pub(super) const MIN_POINTS: usize = 30;
 
 impl Clip<'_> {
     /// Poses, focal length and points; the inner error where no pair of frames gives a start that
@@ -24,7 +25,7 @@ impl Clip<'_> {
         &mut self,
         focals: &[f64],
         likely_focal: f64,
-    ) -> Result<Result<SparseReconstruction, SparseError>, SparseError> {
+    ) -> Result<Result<Recovered, SparseError>, SparseError> {
         let geometry = &self.geometry;
         let free_focal = self.given_focal().is_none();
         let keys = keyframes(&self.tracks, self.frames, self.size.width, likely_focal, geometry);
@@ -69,8 +70,14 @@ impl Clip<'_> {
         if !free_focal {
             self.check_given_focal(&map);
         }
-        self.judge(&map, &motions, &report, free_focal);
-        Ok(Ok(self.finish(map, motions, CameraMotion::Parallax)))
+        let sigma = self.judge(&map, &motions, &report, free_focal);
+        let sparse = self.finish(map, &motions, CameraMotion::Parallax);
+        let focal = if free_focal {
+            FocalSource::Estimated { sigma: Some(sigma) }
+        } else {
+            FocalSource::Given
+        };
+        Ok(Ok(Recovered { sparse, focal }))
     }
 
     fn bundle_options(&self, free_focal: bool) -> BundleOptions {

@@ -175,6 +175,9 @@ pub struct SparseConfig {
     /// Focal length in pixels of the input frames, where it is known. Kept as it is; takes precedence
     /// over `fov_deg`.
     pub focal_px: Option<f64>,
+    /// The lens where it is known: horizontal and vertical focal length and the principal point from the image's corner,
+    /// pixels of the input frames. Kept as it is; takes precedence over `focal_px`.
+    pub intrinsics: Option<[f64; 4]>,
     /// True when the camera is known to stand still: nothing is reconstructed.
     pub static_camera: bool,
     /// How points are found and followed.

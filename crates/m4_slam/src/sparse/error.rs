@@ -80,6 +80,42 @@ pub enum SparseError {
         /// Points needed.
         needed: usize,
     },
+    /// There is one mask a frame.
+    #[error("there are {masks} masks for {frames} frames; give one a frame")]
+    MaskCount {
+        /// Masks given.
+        masks: usize,
+        /// Frames given.
+        frames: usize,
+    },
+    /// There is one camera a frame.
+    #[error("there are {cameras} cameras for {frames} frames; give one a frame")]
+    CameraCount {
+        /// Cameras given.
+        cameras: usize,
+        /// Frames given.
+        frames: usize,
+    },
+    /// A given camera that cannot have seen its frame.
+    #[error("the camera of frame {frame} is {what}")]
+    Camera {
+        /// The frame.
+        frame: usize,
+        /// What is wrong.
+        what: String,
+    },
+    /// Given poses that contradict the pictures.
+    #[error(
+        "the given poses do not fit the pictures: only {points} of {tracks} tracks agree with them on a static scene,          {needed} are needed; check the order of the frames, the direction (camera to world) and the axes of the          poses, and the focal length"
+    )]
+    PosesDoNotFit {
+        /// Points that fit.
+        points: usize,
+        /// Tracks long enough to be judged.
+        tracks: usize,
+        /// Points needed.
+        needed: usize,
+    },
     /// The user stopped the run.
     #[error("stopped by the user")]
     Cancelled,

@@ -37,6 +37,16 @@ impl WorkingSize {
         [0, 1].map(|k| (p[k] / self.scale + 0.5 * self.input[k] - 0.5) as f32)
     }
 
+    /// The same from the image's corner.
+    pub fn to_corner(self, p: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|k| p[k] / self.scale + 0.5 * self.input[k])
+    }
+
+    /// The same as shares of the width and of the height, 0 to 1 within the image.
+    pub fn share(self, p: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|k| self.to_corner(p)[k] / self.input[k])
+    }
+
     /// From pixels of the shrunk picture (centre of the first pixel: 0, 0) to working pixels from the
     /// image centre. Rounding of the sides to whole pixels is undone: pixels come out square.
     pub fn centred(self, p: [f32; 2]) -> [f64; 2] {

@@ -8,8 +8,11 @@
 //!        -> all frames, bundle adjustment and motion classification in turn (map, bundle, motion)
 //! ```
 //!
+//! Where the cameras are known, [`with_cameras`] tracks, triangulates and tells what moves.
+//!
 //! Inside, lengths in pictures are *working pixels*: those of the shrunk picture, measured from the
-//! image centre (which is the principal point). Poses inside are world to camera.
+//! image centre, which is the principal point: observations by a lens that is known to differ are moved there first
+//! (known). Poses inside are world to camera.
 
 mod adjustment;
 mod bundle;
@@ -20,10 +23,12 @@ mod error;
 mod five_point;
 mod growth;
 mod klt;
+mod known;
 mod luma;
 mod map;
 mod motion;
 mod outcome;
+mod posed;
 mod reconstruct;
 mod resection;
 mod rotation;
@@ -37,7 +42,9 @@ mod tests;
 
 pub use config::{GeometryConfig, MotionConfig, SparseConfig, TrackingConfig};
 pub use error::SparseError;
-pub use reconstruct::reconstruct;
+pub use known::{FocalSource, Known, Recovered};
+pub use posed::with_cameras;
+pub use reconstruct::{reconstruct, recover};
 
 /// Fails once the user asked to stop.
 fn stopped(progress: &dyn m4_scene::Progress) -> Result<(), SparseError> {

@@ -10,8 +10,8 @@ use m4_math::Se3;
 use m4_scene::{Camera, Intrinsics};
 
 impl Clip<'_> {
-    /// Says what is doubtful, with numbers.
-    pub(super) fn judge(&mut self, map: &Map, motions: &[Motion], report: &BundleReport, free_focal: bool) {
+    /// Says what is doubtful, with numbers; the standard deviation of the logarithm of the focal length.
+    pub(super) fn judge(&mut self, map: &Map, motions: &[Motion], report: &BundleReport, free_focal: bool) -> f64 {
         let typical = map.median_error(&self.tracks).unwrap_or(0.0);
         if typical > 1.0 {
             self.warn(format!(
@@ -44,13 +44,14 @@ impl Clip<'_> {
         if points < 100 {
             self.warn(format!("only {points} points were triangulated: poses are doubtful"));
         }
+        sigma
     }
 
     /// Fills gaps, normalises and converts to input pixels.
     pub(super) fn finish(
         &mut self,
         mut map: Map,
-        motions: Vec<Motion>,
+        motions: &[Motion],
         camera_motion: CameraMotion,
     ) -> SparseReconstruction {
         let missing = self.fill_gaps(&mut map);
@@ -61,38 +62,52 @@ impl Clip<'_> {
             ));
         }
         normalise(&mut map, &self.tracks);
-        let scale = self.size.scale;
-        let mut residuals = Vec::new();
-        let tracks: Vec<Track> = self
-            .tracks
-            .iter()
-            .zip(&map.points)
-            .zip(motions)
-            .map(|((raw, point), motion)| {
-                let point = point.filter(|_| motion == Motion::Static);
-                let mut errors = point.map(|x| map.errors(raw, &x)).unwrap_or_default();
-                residuals.extend(errors.iter().map(|e| e / scale));
-                Track {
-                    first_frame: raw.first,
-                    observations: raw.seen.iter().map(|&p| self.size.to_input(p)).collect(),
-                    motion,
-                    point,
-                    residual_px: median(&mut errors).unwrap_or(0.0) / scale,
-                }
-            })
-            .collect();
-        let intrinsics = Intrinsics::centred(self.width, self.height, map.focal / scale);
-        let camera = |pose: &Option<Se3<f64>>| Camera {
-            intrinsics,
+        let (tracks, residual_px) = self.hand_out(&map, motions);
+        let intrinsics = Intrinsics::centred(self.width, self.height, map.focal / self.size.scale);
+        let camera = |(frame, pose): (usize, &Option<Se3<f64>>)| Camera {
+            intrinsics: self.lenses.of(frame).unwrap_or(intrinsics),
             c2w: pose.unwrap_or_else(Se3::identity).inverse(),
         };
         SparseReconstruction {
-            cameras: map.poses.iter().map(camera).collect(),
+            cameras: map.poses.iter().enumerate().map(camera).collect(),
             tracks,
             camera_motion,
-            residual_px: median(&mut residuals).unwrap_or(0.0),
+            residual_px,
             warnings: std::mem::take(&mut self.warnings),
         }
+    }
+
+    /// All tracks in input pixels, and the median error of those with a point.
+    pub(super) fn hand_out(&self, map: &Map, motions: &[Motion]) -> (Vec<Track>, f64) {
+        let scale = self.size.scale;
+        let mut residuals = Vec::new();
+        let seen = |raw: &RawTrack| {
+            let seen = (raw.first..).zip(&raw.seen);
+            seen.map(|(frame, &p)| self.lenses.to_input(frame, p, self.size, map.focal))
+                .collect()
+        };
+        let judged = self.tracks.iter().zip(&map.points).zip(motions);
+        let judged = judged.map(|((raw, point), &motion)| {
+            let point = point.filter(|_| motion == Motion::Static);
+            let mut errors = point.map(|x| map.errors(raw, &x)).unwrap_or_default();
+            residuals.extend(errors.iter().map(|e| e / scale));
+            Track {
+                first_frame: raw.first,
+                observations: seen(raw),
+                motion,
+                point,
+                residual_px: median(&mut errors).unwrap_or(0.0) / scale,
+            }
+        });
+        let mut tracks: Vec<Track> = judged.collect();
+        tracks.extend(self.masked.iter().map(|raw| Track {
+            first_frame: raw.first,
+            observations: seen(raw),
+            motion: Motion::Dynamic,
+            point: None,
+            residual_px: 0.0,
+        }));
+        (tracks, median(&mut residuals).unwrap_or(0.0))
     }
 
     /// Interpolates missing poses; their number.

@@ -2,6 +2,7 @@
 
 use super::config::{GeometryConfig, SparseConfig};
 use super::degenerate::{standing, turning};
+use super::known::{FocalSource, Known, Lenses, Recovered};
 use super::luma::WorkingSize;
 use super::map::Map;
 use super::motion::classify;
@@ -9,20 +10,21 @@ use super::rotation::{Sway, focal_candidates, focal_from_fov, matches, sway};
 use super::tracking::{RawTrack, track};
 use super::{SparseError, stopped};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_scene::{Progress, RgbImage};
+use m4_scene::{Intrinsics, Progress, RgbImage};
 
 /// A camera declared to stand still is doubted when the picture moves by this many times
 /// `static_motion_px`.
 const DOUBTFUL: f64 = 5.0;
 
 /// Fewest tracks from one frame to the next.
-const MIN_TRACKS: usize = 20;
+pub(super) const MIN_TRACKS: usize = 20;
 
 /// Cameras, tracks and points of a clip, from its pictures alone (section 7.1 of the specification of
 /// the front end, items 1 to 5).
 ///
 /// The world is the camera of frame 0, scaled so that the median depth of all points is 1. One focal
-/// length is shared by all frames; the principal point is the image centre; pixels are square.
+/// length is shared by all frames; the principal point is the image centre and pixels are square, unless
+/// [`SparseConfig::intrinsics`] says otherwise.
 ///
 /// Cameras that stand still or only turn are no error: [`SparseReconstruction::camera_motion`] and the
 /// warnings say so.
@@ -36,10 +38,24 @@ pub fn reconstruct(
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<SparseReconstruction, SparseError> {
-    let (width, height) = check(frames, config)?;
+    recover(frames, &Known::default(), config, progress).map(|r| r.sparse)
+}
+
+/// As [`reconstruct`], with what else is known, and with how far the focal length is known afterwards.
+///
+/// # Errors
+///
+/// As [`reconstruct`], and for masks of another number than that of the frames.
+pub fn recover(
+    frames: &[&RgbImage],
+    known: &Known<'_>,
+    config: &SparseConfig,
+    progress: &dyn Progress,
+) -> Result<Recovered, SparseError> {
+    let (width, height) = check(frames, known, config)?;
     let size = WorkingSize::new(width, height, config.tracking.longest_side_px);
     let tracks = track(frames, size, &config.tracking, progress)?;
-    from_tracks(tracks, frames.len(), [width, height], size, config, progress)
+    from_tracks(tracks, frames.len(), [width, height], size, known, config, progress)
 }
 
 /// The same from tracks.
@@ -48,11 +64,23 @@ pub(super) fn from_tracks(
     frames: usize,
     [width, height]: [usize; 2],
     size: WorkingSize,
+    known: &Known<'_>,
     config: &SparseConfig,
     progress: &dyn Progress,
-) -> Result<SparseReconstruction, SparseError> {
+) -> Result<Recovered, SparseError> {
+    let (tracks, masked) = known.part(tracks, size);
+    let lens = config.intrinsics.map(|[fx, fy, cx, cy]| Intrinsics {
+        width,
+        height,
+        fx,
+        fy,
+        cx,
+        cy,
+    });
     let mut clip = Clip {
         tracks,
+        masked,
+        lenses: lens.map_or(Lenses::Centred, Lenses::Shared),
         frames,
         size,
         width,
@@ -62,10 +90,19 @@ pub(super) fn from_tracks(
         progress,
         warnings: Vec::new(),
     };
+    if let Some(focal) = clip.given_focal() {
+        for tracks in [&mut clip.tracks, &mut clip.masked] {
+            clip.lenses.undo(tracks, size, focal);
+        }
+    }
     clip.solve()
 }
 
-fn check(frames: &[&RgbImage], config: &SparseConfig) -> Result<(usize, usize), SparseError> {
+pub(super) fn check(
+    frames: &[&RgbImage],
+    known: &Known<'_>,
+    config: &SparseConfig,
+) -> Result<(usize, usize), SparseError> {
     let Some(first) = frames.first().filter(|_| frames.len() >= 2) else {
         return Err(SparseError::TooFewFrames { found: frames.len() });
     };
@@ -82,12 +119,22 @@ fn check(frames: &[&RgbImage], config: &SparseConfig) -> Result<(usize, usize), 
     if width.min(height) < 64 {
         return Err(SparseError::FrameTooSmall { width, height });
     }
+    if let Some(masks) = known.masks.map(<[_]>::len).filter(|&n| n != frames.len()) {
+        let frames = frames.len();
+        return Err(SparseError::MaskCount { masks, frames });
+    }
     let range = |name, value: Option<f64>, low: f64, high: f64, range| match value {
         Some(value) if !(value > low && value < high) => Err(SparseError::Setting { name, value, range }),
         _ => Ok(()),
     };
     range("fov_deg", config.fov_deg, 1.0, 175.0, "1 to 175 degrees")?;
     range("focal_px", config.focal_px, 0.0, f64::INFINITY, "above 0 pixels")?;
+    let [fx, fy, cx, cy] = config.intrinsics.map_or([None; 4], |k| k.map(Some));
+    let inside = "within the picture, from its corner";
+    range("intrinsics fx", fx, 0.0, f64::INFINITY, "above 0 pixels")?;
+    range("intrinsics fy", fy, 0.0, f64::INFINITY, "above 0 pixels")?;
+    range("intrinsics cx", cx, 0.0, width as f64, inside)?;
+    range("intrinsics cy", cy, 0.0, height as f64, inside)?;
     range(
         "tracking.longest_side_px",
         Some(config.tracking.longest_side_px as f64),
@@ -101,6 +148,10 @@ fn check(frames: &[&RgbImage], config: &SparseConfig) -> Result<(usize, usize), 
 /// A tracked clip on its way to a reconstruction.
 pub(super) struct Clip<'a> {
     pub(super) tracks: Vec<RawTrack>,
+    /// Those that lie in given masks.
+    pub(super) masked: Vec<RawTrack>,
+    /// What was known of lenses.
+    pub(super) lenses: Lenses<'a>,
     pub(super) frames: usize,
     pub(super) size: WorkingSize,
     /// Columns of the input.
@@ -123,7 +174,9 @@ impl Clip<'_> {
     /// The focal length that the user gave, working pixels.
     pub(super) fn given_focal(&self) -> Option<f64> {
         let from_fov = self.config.fov_deg.map(|fov| focal_from_fov(self.width, fov));
-        self.config.focal_px.or(from_fov).map(|f| f * self.size.scale)
+        let from_lens = self.config.intrinsics.map(|[fx, fy, ..]| (fx * fy).sqrt());
+        let focal = from_lens.or(self.config.focal_px).or(from_fov);
+        focal.map(|f| f * self.size.scale)
     }
 
     fn default_focal(&self) -> f64 {
@@ -140,7 +193,7 @@ impl Clip<'_> {
         2.0 * (0.5 * self.width as f64 * self.size.scale / focal).atan().to_degrees()
     }
 
-    fn solve(&mut self) -> Result<SparseReconstruction, SparseError> {
+    fn solve(&mut self) -> Result<Recovered, SparseError> {
         if self.config.static_camera {
             let seen = sway(&self.tracks, self.frames, &[self.default_focal()], MIN_TRACKS);
             let map = self.still("it was declared to stand still");
@@ -151,7 +204,7 @@ impl Clip<'_> {
                     seen.motion_px
                 ));
             }
-            return Ok(self.without_points(map, CameraMotion::Static));
+            return Ok(self.without_points(map, CameraMotion::Static, self.untold_focal()));
         }
         self.check_tracks()?;
         let focals = match self.given_focal() {
@@ -168,7 +221,7 @@ impl Clip<'_> {
                 sway.motion_px, self.geometry.static_motion_px
             );
             let map = self.still(&why);
-            return Ok(self.without_points(map, CameraMotion::Static));
+            return Ok(self.without_points(map, CameraMotion::Static, self.untold_focal()));
         }
         let share = sway.parallax_px / self.size.width as f64;
         if share < self.geometry.min_parallax {
@@ -183,7 +236,7 @@ impl Clip<'_> {
     }
 
     /// Little parallax asks for keyframes and rays that lie closer together.
-    fn adapt(&mut self, sway: &Sway) {
+    pub(super) fn adapt(&mut self, sway: &Sway) {
         let angle_deg = (sway.parallax_px / sway.focal).to_degrees();
         let g = &mut self.geometry;
         g.min_angle_deg = g.min_angle_deg.min(0.5 * angle_deg);
@@ -215,7 +268,7 @@ impl Clip<'_> {
     }
 
     /// Rotations alone.
-    fn turning(&mut self, focals: &[f64], sway: &Sway) -> Result<SparseReconstruction, SparseError> {
+    fn turning(&mut self, focals: &[f64], sway: &Sway) -> Result<Recovered, SparseError> {
         stopped(self.progress)?;
         let assumed = self.default_focal();
         let found = turning(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, &self.geometry);
@@ -237,12 +290,25 @@ impl Clip<'_> {
                 "{lost} of {frames} frames took the rotation of the frame before"
             ));
         }
-        Ok(self.without_points(found.map, CameraMotion::RotationOnly))
+        let focal = match self.untold_focal() {
+            FocalSource::Assumed if found.focal_observed => FocalSource::Estimated { sigma: None },
+            other => other,
+        };
+        Ok(self.without_points(found.map, CameraMotion::RotationOnly, focal))
     }
 
-    fn without_points(&mut self, map: Map, camera_motion: CameraMotion) -> SparseReconstruction {
+    fn without_points(&mut self, map: Map, camera_motion: CameraMotion, focal: FocalSource) -> Recovered {
         let motions = classify(&map, &self.tracks, &self.config.motion);
-        self.finish(map, motions, camera_motion)
+        let sparse = self.finish(map, &motions, camera_motion);
+        Recovered { sparse, focal }
+    }
+
+    /// Where the focal length comes from if not from the clip.
+    fn untold_focal(&self) -> FocalSource {
+        match self.given_focal() {
+            Some(_) => FocalSource::Given,
+            None => FocalSource::Assumed,
+        }
     }
 
     fn focal_note(&self) -> String {

@@ -1,13 +1,15 @@
 //! From synthetic tracks to reconstructions with known answers.
 
+use super::known::Known;
 use super::luma::WorkingSize;
+use super::posed::posed_tracks;
 use super::reconstruct::from_tracks;
 use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError};
-use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction};
+use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_math::nalgebra::Vector3;
 use m4_math::{CounterRng, Se3, Sim3, exp_so3, log_so3};
-use m4_scene::Silent;
+use m4_scene::{Camera, Intrinsics, Plane, Silent};
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -86,7 +88,16 @@ impl Scene {
 
 fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<SparseReconstruction, SparseError> {
     let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
-    from_tracks(tracks, frames, [WIDTH, HEIGHT], size, config, &Silent)
+    from_tracks(
+        tracks,
+        frames,
+        [WIDTH, HEIGHT],
+        size,
+        &Known::default(),
+        config,
+        &Silent,
+    )
+    .map(|r| r.sparse)
 }
 
 /// Trajectory error over path length after alignment, and the greatest rotation error in radians
@@ -301,4 +312,110 @@ fn the_number_of_threads_changes_nothing() {
         )
     };
     assert_eq!(run(1), run(3));
+}
+
+/// Points and motion of the room's tracks, for cameras that are given.
+fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
+    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
+    let config = SparseConfig::default();
+    let known = Known::default();
+    posed_tracks(
+        ROOM.tracks().0,
+        cameras,
+        [WIDTH, HEIGHT],
+        size,
+        &known,
+        &config,
+        &Silent,
+    )
+    .map(|r| r.sparse)
+}
+
+fn room_cameras(focal: f64) -> Vec<Camera> {
+    let camera = |i| Camera {
+        intrinsics: Intrinsics::centred(WIDTH, HEIGHT, focal),
+        c2w: ROOM.pose(i).inverse(),
+    };
+    (0..ROOM.frames).map(camera).collect()
+}
+
+#[test]
+fn given_cameras_are_kept_and_points_found_in_their_unit() {
+    let cameras = room_cameras(ROOM.focal);
+    let found = posed(&cameras).expect("a reconstruction");
+    assert_eq!(found.cameras, cameras);
+    assert_eq!(found.camera_motion, CameraMotion::Parallax);
+    assert!(found.residual_px < 0.3, "{}", found.residual_px);
+    let (_, moving) = ROOM.tracks();
+    let wrong = found.tracks.iter().zip(&moving).filter(|(t, m)| match t.motion {
+        Motion::Static => **m,
+        Motion::Dynamic => !**m,
+        Motion::Unknown => false,
+    });
+    assert!(wrong.count() < ROOM.points / 20);
+    let depths = found.tracks.iter().filter_map(|t| {
+        let camera = cameras.get(t.first_frame)?;
+        Some(camera.project(&t.point?).1)
+    });
+    let depths: Vec<f64> = depths.collect();
+    let inside = depths.iter().filter(|z| (2.5..11.0).contains(*z)).count();
+    assert!(
+        depths.len() > 150 && inside * 20 > depths.len() * 19,
+        "{} of {}",
+        inside,
+        depths.len()
+    );
+}
+
+#[test]
+fn given_cameras_that_contradict_the_pictures_are_refused() {
+    // World to camera where camera to world is meant, and turned about.
+    let wrong: Vec<Camera> = room_cameras(ROOM.focal)
+        .into_iter()
+        .enumerate()
+        .map(|(i, mut camera)| {
+            camera.c2w.rotation = exp_so3(&Vector3::new(0.0, 1.3 * (i % 3) as f64, 0.0)) * camera.c2w.rotation;
+            camera
+        })
+        .collect();
+    assert!(matches!(posed(&wrong), Err(SparseError::PosesDoNotFit { .. })));
+}
+
+#[test]
+fn tracks_in_given_masks_move_and_do_not_count() {
+    let (tracks, _) = ROOM.tracks();
+    let left = Plane::from_fn(64, 48, |x, _| u8::from(x < 16));
+    let masks = vec![left; ROOM.frames];
+    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
+    let known = Known { masks: Some(&masks) };
+    let config = SparseConfig::default();
+    let count = tracks.len();
+    let found = from_tracks(tracks, ROOM.frames, [WIDTH, HEIGHT], size, &known, &config, &Silent);
+    let found = found.expect("a reconstruction").sparse;
+    assert_eq!(found.tracks.len(), count);
+    let inside = |t: &&Track| t.observations.iter().all(|p| p[0] < 150.0);
+    let masked: Vec<&Track> = found.tracks.iter().filter(inside).collect();
+    assert!(masked.len() > 20 && masked.iter().all(|t| t.motion == Motion::Dynamic && t.point.is_none()));
+    let (trajectory, turn) = errors(&found, &ROOM);
+    assert!(trajectory < 0.01 && turn < 0.01, "{trajectory} {turn}");
+}
+
+#[test]
+fn a_known_lens_with_its_centre_elsewhere_gives_the_same_cameras() {
+    // The same rays as a lens with another centre, and pixels that are not square, has them.
+    let (mut tracks, _) = ROOM.tracks();
+    let [fx, fy, cx, cy] = [500.0, 540.0, 350.0, 230.0];
+    for at in tracks.iter_mut().flat_map(|t| &mut t.seen) {
+        at[0] = at[0] / ROOM.focal * fx + cx - WIDTH as f64 / 2.0;
+        at[1] = at[1] / ROOM.focal * fy + cy - HEIGHT as f64 / 2.0;
+    }
+    let config = SparseConfig {
+        intrinsics: Some([fx, fy, cx, cy]),
+        ..SparseConfig::default()
+    };
+    let found = solve(tracks, ROOM.frames, &config).expect("a reconstruction");
+    let k = found.cameras[0].intrinsics;
+    assert_eq!([k.fx, k.fy, k.cx, k.cy], [fx, fy, cx, cy]);
+    let (trajectory, turn) = errors(&found, &ROOM);
+    assert!(trajectory < 0.01 && turn < 0.005, "{trajectory} {turn}");
 }

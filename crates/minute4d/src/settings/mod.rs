@@ -6,6 +6,7 @@ mod preset;
 pub use layers::{Layers, SettingsError};
 pub use preset::Preset;
 
+use crate::geometry::GeometryOptions;
 use crate::preview::PreviewConfig;
 use crate::viewer::ViewerConfig;
 use m4_init::InitConfig;
@@ -24,6 +25,8 @@ pub struct Settings {
     pub video: VideoOptions,
     /// Limits on captures.
     pub capture: CaptureOptions,
+    /// Who measures flow, and what is known of the clip.
+    pub geometry: GeometryOptions,
     /// Cameras and tracks.
     pub sparse: SparseConfig,
     /// Depth and masks.
@@ -69,6 +72,7 @@ impl Settings {
         Self {
             video: VideoOptions::default(),
             capture: CaptureOptions::default(),
+            geometry: GeometryOptions::default(),
             sparse: SparseConfig::default(),
             dense: DenseConfig::default(),
             init: InitConfig::fast(),

@@ -8,6 +8,7 @@ mod export;
 mod geometry;
 mod import;
 mod inspect;
+mod known;
 mod render;
 mod run;
 mod settings;
@@ -26,6 +27,7 @@ pub use export::{Export, PrecisionArg};
 pub use geometry::Geometry;
 pub use import::Import;
 pub use inspect::Inspect;
+pub use known::{Frontend, KnownArgs};
 pub use render::{FitArg, Render};
 pub use run::Run;
 pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
@@ -136,6 +138,7 @@ mod tests {
             "import a.ply -o b --format mp5",
             "view",
             "view a --port 0",
+            "geometry a -o b --frontend best",
             "train a -o b --port 8000",
             "run a -o b --no-open",
         ];

@@ -1,5 +1,6 @@
 //! Which part of a video is read.
 
+use super::KnownArgs;
 use super::values::{degrees, seconds};
 use clap::Args;
 
@@ -24,6 +25,9 @@ pub struct VideoArgs {
     /// The camera stands still: depth is made up, the picture is not
     #[arg(long)]
     pub static_camera: bool,
+    /// What replaces a part of the computation.
+    #[command(flatten)]
+    pub known: KnownArgs,
     /// Refuse a video with damaged frames instead of going on without them
     #[arg(long)]
     pub strict_video: bool,

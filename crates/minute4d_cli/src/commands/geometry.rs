@@ -30,6 +30,9 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
             100.0 * found.moving_share,
             found.residual_px
         ));
+        if let Some(confidence) = &found.confidence {
+            output.note(&confidence.words());
+        }
     }
     output.result(
         &out.display().to_string(),

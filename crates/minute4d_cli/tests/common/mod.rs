@@ -1,6 +1,8 @@
 //! The program from outside: what it is given, how it ends, what it says.
 #![expect(dead_code, reason = "every test file uses its own part of this module")]
 
+pub mod clips;
+
 use assert_cmd::cargo::cargo_bin;
 use minute4d::Silent;
 use minute4d::io::capture::{self, Split};

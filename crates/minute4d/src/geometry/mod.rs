@@ -1,14 +1,33 @@
 //! First stage: a video to a capture (poses, focal length, depth, motion masks).
+//!
+//! ```text
+//! video, and what the user knows (given) -> frames
+//!   --sparse--> cameras, tracks, points --dense, with flow of a front end--> depth, masks --> capture
+//!                                                                          '-> confidence
+//! ```
+//!
+//! This file keeps the record and the folder; [`mod@compute`] does the work, [`mod@frontend`] chooses who measures flow,
+//! [`mod@given`] reads what the user knows, [`mod@confidence`] says how far the result can be trusted.
+
+mod compute;
+mod confidence;
+mod frontend;
+mod given;
+mod options;
+mod scale;
+
+pub use confidence::{Confidence, Focal, Grade};
+pub use frontend::Frontend;
+pub use given::GivenError;
+pub use options::GeometryOptions;
 
 use crate::folder::{self, Existing, Lock};
-use crate::record::{Found, GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
+use crate::record::{GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::settings::part_to_toml;
-use crate::{Error, Job, Observer, Settings, StageEvent, hash, progress::Keeper};
+use crate::{Error, Job, StageEvent, hash, progress::Keeper};
+use compute::compute;
+use given::Sources;
 use m4_io::capture::Split;
-use m4_scene::{Capture, CaptureFrame, RgbImage, Video};
-use m4_slam::dense::{DenseFrame, Given, InverseSearch, densify};
-use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_slam::sparse;
 use serde::Serialize;
 use std::fs;
 use std::path::Path;
@@ -21,18 +40,15 @@ pub const STAGE: &str = "geometry";
 #[derive(Serialize)]
 struct Part<'a> {
     video: &'a m4_io::video::VideoOptions,
-    sparse: &'a sparse::SparseConfig,
+    sparse: &'a m4_slam::sparse::SparseConfig,
     dense: &'a m4_slam::dense::DenseConfig,
-}
-
-impl<'a> Part<'a> {
-    fn of(settings: &'a Settings) -> Self {
-        Self {
-            video: &settings.video,
-            sparse: &settings.sparse,
-            dense: &settings.dense,
-        }
-    }
+    /// What was asked for.
+    geometry: &'a GeometryOptions,
+    /// What that came to: the front end's name, and the hash of its weights.
+    frontend: &'a str,
+    weights: Option<&'a str>,
+    /// Hashes of what the user gave.
+    given: Sources,
 }
 
 /// Makes a capture of a video or a folder of pictures, or finds that it was made before.
@@ -48,7 +64,17 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         });
     }
     let (_lock, earlier) = open(capture, job.existing)?;
-    let part = Part::of(&job.settings);
+    let settings = &job.settings;
+    let frontend = frontend::resolve(settings.geometry.frontend)?;
+    let part = Part {
+        video: &settings.video,
+        sparse: &settings.sparse,
+        dense: &settings.dense,
+        geometry: &settings.geometry,
+        frontend: frontend.name(),
+        weights: frontend.weights_hash(),
+        given: Sources::of(&settings.geometry)?,
+    };
     let input_hash = hash::of_path(input)?;
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input_hash, &part_to_toml(&part)?]);
     let mut record = GeometryRecord {
@@ -80,7 +106,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     record.write(capture)?;
     job.observer.stage(STAGE, StageEvent::Started { because });
     let (start, keeper) = (Instant::now(), Keeper::new(job.observer));
-    let outcome = compute(input, capture, &job.settings, &keeper);
+    let outcome = compute(input, capture, settings, &frontend, &keeper);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
     let failed = match outcome {
@@ -164,81 +190,4 @@ pub(crate) fn clear(capture: &Path) -> Result<(), Error> {
         }
     }
     folder::remove_file(&capture.join(GEOMETRY_FILE))
-}
-
-fn compute(input: &Path, folder: &Path, settings: &Settings, observer: &dyn Observer) -> Result<Found, Error> {
-    let video = m4_io::video::read(input, &settings.video, observer)?;
-    for warning in &video.warnings {
-        observer.warn(warning);
-    }
-    let mut config = settings.sparse.clone();
-    if config.fov_deg.is_none() && config.focal_px.is_none() {
-        config.focal_px = video.focal_px;
-    }
-    let pictures: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
-    let sparse = sparse::reconstruct(&pictures, &config, observer)?;
-    for warning in &sparse.warnings {
-        observer.warn(warning);
-    }
-    let flow = InverseSearch {
-        config: settings.dense.flow.clone(),
-    };
-    let dense = densify(&pictures, &sparse, &flow, &Given::default(), &settings.dense, observer)?;
-    let found = summary(&sparse, &dense);
-    drop(pictures);
-    let capture = assemble(video, &sparse, dense);
-    m4_io::capture::write(folder, &capture, Split::Train, observer)?;
-    Ok(found)
-}
-
-fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>) -> Capture {
-    let n = video.frames.len();
-    let first_s = video.frames.first().map_or(0.0, |f| f.time_s);
-    let duration_s = video.frames.last().map_or(0.0, |f| f.time_s) - first_s;
-    let last = n.saturating_sub(1) as f64;
-    let moment = |i: usize, time_s: f64| {
-        if duration_s > 0.0 {
-            ((time_s - first_s) / duration_s * last).clamp(0.0, last)
-        } else {
-            i as f64
-        }
-    };
-    let frames = video.frames.into_iter().zip(dense).zip(&sparse.cameras).enumerate();
-    let frames = frames.map(|(i, ((frame, dense), camera))| CaptureFrame {
-        name: format!("{i:05}"),
-        camera: *camera,
-        t: moment(i, frame.time_s),
-        rgb: frame.rgb,
-        depth: Some(dense.depth.into()),
-        mask: Some(dense.mask.into()),
-        camera_index: None,
-    });
-    Capture {
-        frames: frames.collect(),
-        time_frames: n,
-        duration_s: (duration_s > 0.0).then_some(duration_s),
-        metric: false,
-    }
-}
-
-fn summary(sparse: &SparseReconstruction, dense: &[DenseFrame]) -> Found {
-    let lens = sparse.cameras.first().map(|c| c.intrinsics);
-    let pixels: usize = dense.iter().map(|d| d.mask.data().len()).sum();
-    let moving = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m != 0).count();
-    Found {
-        frames: sparse.cameras.len(),
-        size: lens.map_or([0, 0], |k| [k.width, k.height]),
-        focal_px: lens.map_or(0.0, |k| k.fx),
-        fov_deg: lens.map_or(0.0, |k| k.horizontal_fov_rad().to_degrees()),
-        camera_motion: match sparse.camera_motion {
-            CameraMotion::Parallax => "parallax",
-            CameraMotion::RotationOnly => "rotation_only",
-            CameraMotion::Static => "static",
-        }
-        .to_owned(),
-        residual_px: sparse.residual_px,
-        tracks: sparse.tracks.len(),
-        points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
-        moving_share: moving as f64 / pixels.max(1) as f64,
-    }
 }

@@ -1,0 +1,312 @@
+//! How far the result can be trusted, in numbers, a grade and one piece of advice.
+
+use m4_slam::dense::DenseFrame;
+use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction};
+use m4_slam::sparse::FocalSource;
+use serde::{Deserialize, Serialize};
+
+/// How good geometry is likely to be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Grade {
+    /// Expect depth of what rests within a few per cent.
+    Good,
+    /// Usable; one of the numbers is weak.
+    Fair,
+    /// Views from aside will be wrong.
+    Poor,
+}
+
+impl Grade {
+    /// In a word.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Fair => "fair",
+            Self::Poor => "poor",
+        }
+    }
+}
+
+/// Where the focal length comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Focal {
+    /// The user or the file said it.
+    Given,
+    /// The clip revealed it.
+    Estimated,
+    /// A usual one was taken.
+    Assumed,
+}
+
+/// How far geometry can be trusted.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Confidence {
+    /// All in all.
+    pub grade: Grade,
+    /// What to do about it, where it is not good.
+    pub advice: Option<String>,
+    /// The angle under which the camera's way is seen from the points it measured, median, degrees.
+    pub parallax_deg: f64,
+    /// The same as pixels of the frames.
+    pub parallax_px: f64,
+    /// Share of the tracks that rest and are explained within a pixel.
+    pub inlier_share: f64,
+    /// Share of all pixels that rest.
+    pub static_share: f64,
+    /// Where the focal length comes from.
+    pub focal: Focal,
+    /// Standard deviation of an estimated focal length, per cent.
+    pub focal_sigma_percent: Option<f64>,
+    /// Median reprojection error of what rests, pixels.
+    pub residual_px: f64,
+    /// Share of the pixels whose depth was measured (or given) and not filled in.
+    pub measured_share: f64,
+}
+
+/// What a track is explained within to count, pixels.
+const INLIER_PX: f64 = 1.0;
+/// Confidence of a pixel from which on its depth counts as measured.
+const MEASURED: f32 = 0.5;
+/// Views of a point that are compared.
+const VIEWS: usize = 8;
+
+/// What is known besides the numbers.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Circumstances {
+    pub camera_motion: CameraMotion,
+    pub masks_given: bool,
+    pub depth_given: bool,
+}
+
+impl Confidence {
+    /// Of a result; `known_depth` is the share of pixels whose depth was given.
+    pub(super) fn of(
+        sparse: &SparseReconstruction,
+        focal: FocalSource,
+        dense: &[DenseFrame],
+        masks_given: bool,
+        known_depth: Option<f64>,
+    ) -> Self {
+        let pixels = dense.iter().map(|d| d.mask.data().len()).sum::<usize>().max(1) as f64;
+        let resting = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m == 0).count() as f64;
+        let measured = dense
+            .iter()
+            .flat_map(|d| d.confidence.data())
+            .filter(|&&c| c >= MEASURED);
+        let measured = measured.count() as f64 / pixels;
+        let judged = sparse.tracks.iter().filter(|t| t.motion != Motion::Unknown).count();
+        let inliers = sparse.tracks.iter();
+        let inliers = inliers.filter(|t| t.motion == Motion::Static && t.point.is_some() && t.residual_px < INLIER_PX);
+        let parallax_rad = parallax_rad(sparse);
+        let focal_px = sparse.cameras.first().map_or(0.0, |c| c.intrinsics.fx);
+        let (source, sigma) = match focal {
+            FocalSource::Given => (Focal::Given, None),
+            FocalSource::Estimated { sigma } => (Focal::Estimated, sigma.filter(|s| s.is_finite())),
+            FocalSource::Assumed => (Focal::Assumed, None),
+        };
+        let mut confidence = Self {
+            grade: Grade::Good,
+            advice: None,
+            parallax_deg: parallax_rad.to_degrees(),
+            parallax_px: parallax_rad * focal_px,
+            inlier_share: inliers.count() as f64 / judged.max(1) as f64,
+            static_share: resting / pixels,
+            focal: source,
+            focal_sigma_percent: sigma.map(|s| 100.0 * s),
+            residual_px: sparse.residual_px,
+            measured_share: known_depth.map_or(measured, |known| known.max(measured)),
+        };
+        let around = Circumstances {
+            camera_motion: sparse.camera_motion,
+            masks_given,
+            depth_given: known_depth.is_some(),
+        };
+        (confidence.grade, confidence.advice) = confidence.judge(around);
+        confidence
+    }
+
+    /// The worst of the findings, and what helps against it; of several that are as bad, the first.
+    pub(super) fn judge(&self, around: Circumstances) -> (Grade, Option<String>) {
+        let low = |value: f64, fair: f64, poor: f64| {
+            if value < poor {
+                Grade::Poor
+            } else if value < fair {
+                Grade::Fair
+            } else {
+                Grade::Good
+            }
+        };
+        let high = |value: f64, fair: f64, poor: f64| low(-value, -fair, -poor);
+        let moves = around.camera_motion == CameraMotion::Parallax;
+        let crowded = self.static_share < 0.5 && !around.masks_given;
+        let mut findings: Vec<(Grade, &str)> = Vec::new();
+        if !around.depth_given {
+            findings.push(match around.camera_motion {
+                CameraMotion::Static => (
+                    Grade::Poor,
+                    "the camera stands still, so depth is made up: film while walking sideways, or give --depth",
+                ),
+                CameraMotion::RotationOnly => (
+                    Grade::Poor,
+                    "the camera only turns, so depth is made up: film while walking sideways, or give --depth",
+                ),
+                CameraMotion::Parallax => (
+                    low(self.parallax_deg, 2.0, 0.7),
+                    "the camera moves little compared with the distance of what it sees: film while walking sideways",
+                ),
+            });
+        }
+        if moves {
+            findings.push((
+                low(self.inlier_share, 0.4, 0.15),
+                if crowded {
+                    "what moves fills the frame: give --masks, or film with more of the surroundings"
+                } else {
+                    "few points can be followed: film slower, in more light, with textured things in view"
+                },
+            ));
+        }
+        findings.push(match (self.focal, self.focal_sigma_percent) {
+            (Focal::Assumed, _) => (Grade::Fair, "the field of view is a guess: give --fov"),
+            (Focal::Estimated, Some(sigma)) => (
+                high(sigma, 3.0, 10.0),
+                "the clip says little about the field of view: give --fov",
+            ),
+            _ => (Grade::Good, ""),
+        });
+        if moves {
+            findings.push((
+                high(self.residual_px, 0.75, 1.5),
+                "points do not stay where they should: film without zoom and with a short exposure, or give --intrinsics",
+            ));
+        }
+        if !around.masks_given {
+            findings.push((
+                low(self.static_share, 0.6, 0.35),
+                "what moves fills the frame: give --masks, or film with more of the surroundings",
+            ));
+        }
+        if moves && !around.depth_given {
+            findings.push((
+                low(self.measured_share, 0.35, 0.1),
+                "little of the depth was measured, the rest is filled in: film textured things while walking sideways, or \
+                 give --depth",
+            ));
+        }
+        let worst = findings.iter().map(|(grade, _)| *grade).max().unwrap_or(Grade::Good);
+        let advice = findings
+            .iter()
+            .find(|(grade, _)| *grade == worst && worst != Grade::Good);
+        (worst, advice.map(|(_, advice)| (*advice).to_owned()))
+    }
+
+    /// In a line.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let focal = match (self.focal, self.focal_sigma_percent) {
+            (Focal::Given, _) => "focal length given".to_owned(),
+            (Focal::Estimated, Some(sigma)) => format!("focal length within {sigma:.1} %"),
+            (Focal::Estimated, None) => "focal length estimated".to_owned(),
+            (Focal::Assumed, _) => "focal length assumed".to_owned(),
+        };
+        format!(
+            "confidence {}: parallax {:.0} px ({:.1} degrees), {:.0} % of tracks fit, {:.0} % of pixels rest, {focal}, \
+             poses to {:.2} px, {:.0} % of depth measured",
+            self.grade.name(),
+            self.parallax_px,
+            self.parallax_deg,
+            100.0 * self.inlier_share,
+            100.0 * self.static_share,
+            self.residual_px,
+            100.0 * self.measured_share
+        )
+    }
+}
+
+/// Median over all points of the widest angle between the rays to the cameras that saw them.
+fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
+    let mut angles: Vec<f64> = Vec::new();
+    for track in &sparse.tracks {
+        let Some(point) = track.point else { continue };
+        let last = track.observations.len().saturating_sub(1);
+        let step = (last / (VIEWS - 1)).max(1);
+        let seen = (0..=last).step_by(step).chain([last]);
+        let cameras = seen.filter_map(|k| sparse.cameras.get(track.first_frame + k));
+        let rays: Vec<_> = cameras.map(|c| (point - c.centre()).normalize()).collect();
+        let pairs = rays
+            .iter()
+            .enumerate()
+            .flat_map(|(i, a)| rays[..i].iter().map(move |b| (a, b)));
+        let widest = pairs
+            .map(|(a, b)| a.cross(b).norm().atan2(a.dot(b)))
+            .fold(0.0, f64::max);
+        angles.push(widest);
+    }
+    if angles.is_empty() {
+        return 0.0;
+    }
+    let middle = angles.len() / 2;
+    *angles.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Circumstances, Confidence, Focal, Grade};
+    use m4_slam::reconstruction::CameraMotion;
+
+    const FINE: Confidence = Confidence {
+        grade: Grade::Good,
+        advice: None,
+        parallax_deg: 8.0,
+        parallax_px: 60.0,
+        inlier_share: 0.8,
+        static_share: 0.9,
+        focal: Focal::Estimated,
+        focal_sigma_percent: Some(0.5),
+        residual_px: 0.2,
+        measured_share: 0.8,
+    };
+    const MOVING: Circumstances = Circumstances {
+        camera_motion: CameraMotion::Parallax,
+        masks_given: false,
+        depth_given: false,
+    };
+
+    #[test]
+    fn each_weak_number_has_its_grade_and_advice() {
+        assert_eq!(FINE.judge(MOVING), (Grade::Good, None));
+        let weak = |change: &dyn Fn(&mut Confidence), around: Circumstances, grade: Grade, word: &str| {
+            let mut c = FINE.clone();
+            change(&mut c);
+            let (found, advice) = c.judge(around);
+            let advice = advice.unwrap_or_default();
+            assert!(found == grade && advice.contains(word), "{found:?} {advice} for {c:?}");
+        };
+        weak(&|c| c.parallax_deg = 1.0, MOVING, Grade::Fair, "sideways");
+        weak(&|c| c.parallax_deg = 0.1, MOVING, Grade::Poor, "sideways");
+        weak(&|c| c.inlier_share = 0.1, MOVING, Grade::Poor, "light");
+        weak(
+            &|c| (c.inlier_share, c.static_share) = (0.1, 0.4),
+            MOVING,
+            Grade::Poor,
+            "--masks",
+        );
+        weak(&|c| c.focal_sigma_percent = Some(20.0), MOVING, Grade::Poor, "--fov");
+        weak(&|c| c.residual_px = 1.0, MOVING, Grade::Fair, "zoom");
+        weak(&|c| c.static_share = 0.5, MOVING, Grade::Fair, "--masks");
+        weak(&|c| c.measured_share = 0.2, MOVING, Grade::Fair, "--depth");
+        let tripod = Circumstances {
+            camera_motion: CameraMotion::Static,
+            ..MOVING
+        };
+        weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "stands still");
+        let told = Circumstances {
+            depth_given: true,
+            ..tripod
+        };
+        weak(&|c| c.focal = Focal::Assumed, told, Grade::Fair, "--fov");
+    }
+}

@@ -1,0 +1,154 @@
+//! A lens on the command line or in a JSON file.
+
+use super::{GivenError, same_shape};
+use m4_scene::Intrinsics;
+use serde::Deserialize;
+use std::fs;
+
+/// The keys of `transforms.json`; others are not looked at.
+#[derive(Deserialize)]
+struct File {
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    #[serde(default)]
+    k1: f64,
+    #[serde(default)]
+    k2: f64,
+    #[serde(default)]
+    k3: f64,
+    #[serde(default)]
+    k4: f64,
+    #[serde(default)]
+    p1: f64,
+    #[serde(default)]
+    p2: f64,
+}
+
+/// `fx,fy,cx,cy`; `None` for the name of a file.
+pub fn numbers(text: &str) -> Option<Vec<f64>> {
+    text.split(',').map(|part| part.trim().parse().ok()).collect()
+}
+
+/// The lens for frames of `size`.
+///
+/// # Errors
+///
+/// [`GivenError`] if it is incomplete, distorted, or of pictures of another shape.
+pub fn read(given: &str, size: (usize, usize)) -> Result<Intrinsics, GivenError> {
+    let bad = |reason: String| GivenError::Lens {
+        given: given.to_owned(),
+        reason,
+    };
+    let lens = match numbers(given) {
+        Some(numbers) => of_numbers(&numbers, size).map_err(bad)?,
+        None => {
+            let bytes = fs::read(given).map_err(|source| GivenError::Read {
+                path: given.into(),
+                source,
+            })?;
+            let file: File = serde_json::from_slice(&bytes).map_err(|e| bad(format!("it is not such JSON ({e})")))?;
+            of_file(&file, size).map_err(bad)?
+        }
+    };
+    let positive = |f: f64| f.is_finite() && f > 0.0;
+    if !positive(lens.fx) || !positive(lens.fy) {
+        return Err(bad(format!("focal lengths of {} and {} pixels", lens.fx, lens.fy)));
+    }
+    let inside = |c: f64, side: usize| c > 0.0 && c < side as f64;
+    if !inside(lens.cx, size.0) || !inside(lens.cy, size.1) {
+        return Err(bad(format!(
+            "its principal point {}, {} lies outside the frames of {} x {} pixels",
+            lens.cx, lens.cy, size.0, size.1
+        )));
+    }
+    Ok(lens)
+}
+
+fn of_numbers(numbers: &[f64], (width, height): (usize, usize)) -> Result<Intrinsics, String> {
+    let &[fx, fy, cx, cy] = numbers else {
+        return Err(format!("{} numbers where 4 were expected", numbers.len()));
+    };
+    Ok(Intrinsics {
+        width,
+        height,
+        fx,
+        fy,
+        cx,
+        cy,
+    })
+}
+
+fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {
+    let bent = [file.k1, file.k2, file.k3, file.k4, file.p1, file.p2];
+    if bent.iter().any(|k| *k != 0.0) {
+        return Err("it has distortion; undistort the frames first".to_owned());
+    }
+    let fx = file.fl_x.ok_or("fl_x is missing")?;
+    let side = |given: Option<f64>, frame: usize| match given {
+        Some(side) if side >= 1.0 && side <= 65_536.0 => Ok(side as usize),
+        Some(side) => Err(format!("a side of {side} pixels")),
+        None => Ok(frame),
+    };
+    let (width, height) = (side(file.w, size.0)?, side(file.h, size.1)?);
+    if !same_shape((width, height), size) {
+        return Err(format!(
+            "it is of pictures of {width} x {height} pixels, a shape other than that of the frames, {} x {}",
+            size.0, size.1
+        ));
+    }
+    let lens = Intrinsics {
+        width,
+        height,
+        fx,
+        fy: file.fl_y.unwrap_or(fx),
+        cx: file.cx.unwrap_or(width as f64 / 2.0),
+        cy: file.cy.unwrap_or(height as f64 / 2.0),
+    };
+    Ok(lens.resized(size.0, size.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::read;
+
+    #[test]
+    fn numbers_are_of_the_frames() {
+        let lens = read("500, 510,310,250", (640, 480)).unwrap();
+        assert_eq!((lens.fx, lens.fy, lens.cx, lens.cy), (500.0, 510.0, 310.0, 250.0));
+        for (bad, word) in [
+            ("500,510,310", "3 numbers"),
+            ("500,510,700,250", "outside"),
+            ("-5,510,310,250", "focal"),
+            ("nan,510,310,250", "focal"),
+            ("no_such_lens.json", "no_such_lens.json"),
+        ] {
+            let text = read(bad, (640, 480)).unwrap_err().to_string();
+            assert!(text.contains(word), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_file_is_brought_to_the_size_of_the_frames() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("lens.json");
+        let write = |text: &str| std::fs::write(&path, text).unwrap();
+        let name = path.to_str().unwrap();
+        write(r#"{"fl_x": 1000, "fl_y": 1010, "cx": 620, "w": 1280, "h": 960}"#);
+        let lens = read(name, (640, 480)).unwrap();
+        assert_eq!((lens.fx, lens.fy, lens.cx, lens.cy), (500.0, 505.0, 310.0, 240.0));
+        for (text, word) in [
+            (r#"{"fl_x": 1000, "k1": 0.1}"#, "distortion"),
+            (r#"{"fl_x": 1000, "w": 480, "h": 640}"#, "shape"),
+            (r#"{"cx": 3}"#, "fl_x is missing"),
+            ("[]", "JSON"),
+        ] {
+            write(text);
+            let said = read(name, (640, 480)).unwrap_err().to_string();
+            assert!(said.contains(word) && said.contains("lens.json"), "{said}");
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! Who measures flow, and what the user knows of a clip.
+
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// Who measures flow, and what the user knows of a clip.
+#[derive(Debug, Args)]
+pub struct KnownArgs {
+    /// Who measures flow between frames [default: auto]
+    #[arg(long, value_enum)]
+    pub frontend: Option<Frontend>,
+    /// The lens: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers in pixels of the frames
+    #[arg(long, value_name = "FILE|FX,FY,CX,CY")]
+    pub intrinsics: Option<String>,
+    /// A pose for every frame: transforms.json, or lines "t tx ty tz qx qy qz qw" (camera to world, OpenCV axes)
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+    /// Masks, a picture for every frame, not black where something moves
+    #[arg(long, value_name = "DIR")]
+    pub masks: Option<PathBuf>,
+    /// Depth, a 16-bit PNG for every frame: millimetres of z-depth, 0 where unknown
+    #[arg(long, value_name = "DIR")]
+    pub depth: Option<PathBuf>,
+}
+
+/// Who measures flow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Frontend {
+    /// The best that pays on this machine's processor
+    Auto,
+    /// A search that needs no weights
+    Classical,
+    /// A network; `minute4d weights fetch gmflow` gets its weights
+    Gmflow,
+}

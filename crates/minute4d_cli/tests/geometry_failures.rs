@@ -1,0 +1,156 @@
+//! Clips that geometry cannot make much of: each ends in a capture with a warning, or in a refusal that says what to do.
+//! The table of docs/geometry.md says the same.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use common::clips::{self, FOCAL_PX, SIZE, camera, picture};
+use common::{Ended, Scratch, call, refused};
+use minute4d::math::CounterRng;
+use minute4d::scene::{Plane, RgbImage};
+use serde_json::Value;
+
+/// `geometry` of these pictures.
+fn geometry(dir: &Scratch, pictures: Vec<RgbImage>, more: &[&str]) -> Ended {
+    clips::write(&dir.path("clip"), pictures);
+    let (clip, out) = (dir.at("clip"), dir.at("out"));
+    let args = ["geometry", &clip, "-o", &out, "--json"];
+    call(&args.iter().chain(more).copied().collect::<Vec<_>>())
+}
+
+/// The same, which succeeds: what was found, and all warnings in one text.
+fn found(pictures: Vec<RgbImage>, more: &[&str]) -> (Value, String) {
+    let dir = Scratch::new();
+    let ended = geometry(&dir, pictures, more);
+    assert_eq!(ended.code, 0, "{}\n{}", ended.stdout, ended.stderr);
+    assert!(!ended.stderr.contains("panicked"), "{}", ended.stderr);
+    let record = ended.result()["record"].clone();
+    let warnings = record["warnings"].as_array().unwrap().iter();
+    let warnings: Vec<&str> = warnings.map(|w| w.as_str().unwrap()).collect();
+    (record["found"].clone(), warnings.join("\n"))
+}
+
+fn contains(text: &str, words: &[&str]) {
+    for word in words {
+        assert!(text.contains(word), "{word:?} is not in {text:?}");
+    }
+}
+
+/// What an honest sensor adds.
+fn noisy(image: &RgbImage, frame: u64) -> RgbImage {
+    let mut rng = CounterRng::new(5, 0, frame);
+    image.map(|rgb| rgb.map(|v| (f64::from(v) + 2.0 * rng.normal()).clamp(0.0, 255.0) as u8))
+}
+
+#[test]
+fn a_walk_for_comparison() {
+    let cameras = clips::walk(24);
+    let (found, warnings) = found(cameras.iter().map(picture).collect(), &[]);
+    assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
+    let confidence = &found["confidence"];
+    assert!(confidence["parallax_deg"].as_f64().unwrap() > 2.0, "{confidence}");
+    assert!(confidence["residual_px"].as_f64().unwrap() < 0.5, "{confidence}");
+    assert_eq!(found["frontend"], "classical");
+}
+
+#[test]
+fn a_camera_that_only_turns() {
+    let turns = (0..20).map(|i| picture(&camera(0.0, 0.02 * f64::from(i) - 0.2, FOCAL_PX)));
+    let (found, warnings) = found(turns.collect(), &[]);
+    assert_eq!(found["camera_motion"], "rotation_only", "{found}");
+    contains(
+        &warnings,
+        &["the camera turns", "rotations only", "geometry is poor", "sideways"],
+    );
+    assert_eq!(found["confidence"]["grade"], "poor");
+}
+
+#[test]
+fn a_tripod() {
+    let still = picture(&camera(0.0, 0.0, FOCAL_PX));
+    let (found, warnings) = found((0..12).map(|i| noisy(&still, i)).collect(), &[]);
+    assert_eq!(found["camera_motion"], "static", "{found}");
+    contains(&warnings, &["standing still", "geometry is poor", "--depth"]);
+}
+
+#[test]
+fn the_same_frame_again_and_again() {
+    let still = picture(&camera(0.0, 0.0, FOCAL_PX));
+    let (found, warnings) = found(vec![still; 8], &[]);
+    assert_eq!(found["camera_motion"], "static", "{found}");
+    contains(&warnings, &["standing still"]);
+    assert_eq!(found["moving_share"], 0.0);
+}
+
+#[test]
+fn a_zoom_without_a_step() {
+    // The focal length doubles; the camera stays.
+    let zoom = (0..16).map(|i| picture(&camera(0.0, 0.0, FOCAL_PX * 2.0_f64.powf(f64::from(i) / 15.0))));
+    let dir = Scratch::new();
+    let ended = geometry(&dir, zoom.collect(), &[]);
+    assert!(!ended.stderr.contains("panicked"), "{}", ended.stderr);
+    // One focal length cannot explain it: either it is refused, or it says that the result is not good.
+    if ended.code == 0 {
+        let found = ended.result()["record"]["found"].clone();
+        assert_ne!(found["confidence"]["grade"], "good", "{found}");
+        assert!(found["confidence"]["advice"].is_string(), "{found}");
+    } else {
+        assert_eq!(ended.code, 65, "{}", ended.stderr);
+        contains(ended.end()["reason"].as_str().unwrap(), &["--fov"]);
+    }
+}
+
+/// A clip that is refused with code 65 and these words, and leaves no capture.
+fn refuses(pictures: Vec<RgbImage>, words: &[&str]) {
+    let dir = Scratch::new();
+    clips::write(&dir.path("clip"), pictures);
+    refused(&["geometry", &dir.at("clip"), "-o", &dir.at("out")], 65, words);
+    assert!(!dir.path("out/transforms_train.json").exists());
+}
+
+#[test]
+fn one_frame() {
+    refuses(vec![picture(&camera(0.0, 0.0, FOCAL_PX))], &["at least 2"]);
+}
+
+#[test]
+fn a_black_clip() {
+    let black: RgbImage = Plane::filled(SIZE.0, SIZE.1, [0; 3]);
+    refuses(vec![black; 6], &["only 0 points", "--static-camera"]);
+}
+
+#[test]
+fn a_cut() {
+    let before = clips::walk(6).iter().map(picture).collect::<Vec<_>>();
+    let after = (0..6).map(|i| picture(&camera(50.0 + 0.1 * f64::from(i), 0.0, FOCAL_PX)));
+    refuses(before.into_iter().chain(after).collect(), &["a cut"]);
+}
+
+/// 1,500 small frames of a walk there and back: what memory grows by is what docs/geometry.md says. Minutes; run it
+/// with `--ignored`, in release.
+#[test]
+#[ignore = "takes minutes: cargo test --release -p minute4d_cli --test geometry_failures -- --ignored --nocapture"]
+fn fifteen_hundred_frames() {
+    let pictures: Vec<RgbImage> = clips::walk(75).iter().map(picture).collect();
+    let peak = |frames: usize| {
+        let there_and_back = (0..frames).map(|i| {
+            let k = i % 148;
+            pictures[if k < 75 { k } else { 148 - k }].clone()
+        });
+        let dir = Scratch::new();
+        let ended = geometry(&dir, there_and_back.collect(), &[]);
+        assert_eq!(ended.code, 0, "{}\n{}", ended.stdout, ended.stderr);
+        let record = ended.result()["record"].clone();
+        let bytes = record["peak_memory_bytes"].as_f64();
+        eprintln!("{frames} frames: {} s, {:?} bytes", record["seconds"], bytes);
+        bytes
+    };
+    let (Some(few), Some(many)) = (peak(300), peak(1500)) else {
+        eprintln!("skipped: this system does not tell how much memory a process held");
+        return;
+    };
+    // docs/geometry.md has what is kept a frame.
+    let a_pixel = (many - few) / (1200.0 * (SIZE.0 * SIZE.1) as f64);
+    eprintln!("{a_pixel:.0} bytes a pixel and frame");
+    assert!(a_pixel < 120.0, "{a_pixel}");
+}

@@ -1,0 +1,282 @@
+//! What the user gives for the geometry of a clip replaces what would be computed; what does not fit is refused by name.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use common::clips::{self, FOCAL_PX, SIZE, picture, see, walk};
+use common::{Scratch, call, refused, refused_with, text};
+use minute4d::Silent;
+use minute4d::io::capture::{self, Split};
+use minute4d::io::image::{read_depth, read_mask, write_depth, write_mask};
+use minute4d::scene::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
+use serde_json::{Value, json};
+use std::fmt::Write;
+use std::fs;
+
+const FRAMES: usize = 12;
+
+/// Depth in metres, as the camera sees it.
+fn depth(camera: &Camera) -> DepthMap {
+    Plane::from_fn(SIZE.0, SIZE.1, |x, y| see(camera, x as f64, y as f64).1 as f32)
+}
+
+/// A clip with everything known about it: `clip/`, `depth/`, `masks/`, `poses.txt`, `poses.json`.
+fn known() -> (Scratch, Vec<Camera>) {
+    let dir = Scratch::new();
+    let cameras = walk(FRAMES);
+    clips::write(&dir.path("clip"), cameras.iter().map(picture));
+    for folder in ["depth", "masks"] {
+        fs::create_dir(dir.path(folder)).unwrap();
+    }
+    let mut lines = String::from("# t tx ty tz qx qy qz qw\n");
+    for (i, camera) in cameras.iter().enumerate() {
+        write_depth(&dir.path(&format!("depth/{i:05}.png")), &depth(camera), 0.001).unwrap();
+        let mask: Mask = Plane::from_fn(SIZE.0, SIZE.1, |x, _| if x < 40 { 255 } else { 0 });
+        write_mask(&dir.path(&format!("masks/{i:05}.png")), &mask).unwrap();
+        let [x, y, z, a, b, c, w] = camera.c2w.to_translation_quaternion();
+        writeln!(lines, "{}.5 {x} {y} {z} {a} {b} {c} {w}", i).unwrap();
+    }
+    dir.write("poses.txt", lines);
+    let frames = cameras.iter().enumerate().map(|(i, camera)| CaptureFrame {
+        name: format!("{i:05}"),
+        camera: *camera,
+        t: i as f64,
+        rgb: picture(camera),
+        depth: None,
+        mask: None,
+        camera_index: None,
+    });
+    let truth = Capture {
+        frames: frames.collect(),
+        time_frames: FRAMES,
+        duration_s: Some(1.1),
+        metric: true,
+    };
+    capture::write(&dir.path("truth"), &truth, Split::Train, &Silent).unwrap();
+    fs::copy(dir.path("truth/transforms_train.json"), dir.path("poses.json")).unwrap();
+    (dir, cameras)
+}
+
+/// `geometry` of the clip with these options: the record and the capture.
+fn geometry(dir: &Scratch, more: &[&str]) -> (Value, Capture) {
+    let (clip, out) = (dir.at("clip"), dir.at("out"));
+    let args = ["geometry", &clip, "-o", &out, "--json", "--force"];
+    let ended = call(&args.iter().chain(more).copied().collect::<Vec<_>>());
+    assert_eq!(ended.code, 0, "{more:?}\n{}\n{}", ended.stdout, ended.stderr);
+    let made = capture::read(&dir.path("out"), Split::Train, &Default::default(), &Silent).unwrap();
+    (ended.result()["record"].clone(), made)
+}
+
+/// Mean relative error of the depth of a capture, in its own unit, without any alignment.
+fn depth_error(made: &Capture, cameras: &[Camera]) -> f64 {
+    let mut sum = 0.0;
+    for (frame, camera) in made.frames.iter().zip(cameras) {
+        let (found, truth) = (frame.depth.as_ref().unwrap().to_map(), depth(camera));
+        let errors = found
+            .data()
+            .iter()
+            .zip(truth.data())
+            .map(|(a, b)| f64::from((a - b).abs() / b));
+        sum += errors.sum::<f64>() / truth.data().len() as f64;
+    }
+    sum / made.frames.len() as f64
+}
+
+fn poses_differ(made: &Capture, cameras: &[Camera]) -> f64 {
+    let both = made.frames.iter().zip(cameras);
+    both.map(|(f, c)| (f.camera.c2w.matrix() - c.c2w.matrix()).norm())
+        .fold(0.0, f64::max)
+}
+
+#[test]
+fn poses_of_either_format_are_kept_and_measure_depth_in_their_unit() {
+    let (dir, cameras) = known();
+    let lens = format!("{FOCAL_PX},{FOCAL_PX},{},{}", SIZE.0 / 2, SIZE.1 / 2);
+    let (txt, json) = (dir.at("poses.txt"), dir.at("poses.json"));
+    for more in [vec!["--poses", &txt, "--intrinsics", &lens], vec!["--poses", &json]] {
+        let (record, made) = geometry(&dir, &more);
+        assert_eq!(record["found"]["camera_motion"], "parallax", "{record}");
+        assert_eq!(record["found"]["confidence"]["focal"], "given", "{record}");
+        assert!(poses_differ(&made, &cameras) < 1e-6);
+        let error = depth_error(&made, &cameras);
+        assert!(error < 0.08, "{error}");
+    }
+}
+
+#[test]
+fn poses_without_a_lens_or_of_another_clip_are_refused() {
+    let (dir, _) = known();
+    let (clip, out) = (dir.at("clip"), dir.at("out"));
+    let refuse = |more: &[&str], code, words: &[&str]| {
+        let args: Vec<&str> = ["geometry", &clip, "-o", &out, "--force"]
+            .iter()
+            .chain(more)
+            .copied()
+            .collect();
+        refused(&args, code, words);
+    };
+    let txt = dir.at("poses.txt");
+    refuse(&["--poses", &txt], 65, &["poses.txt", "--intrinsics", "--fov"]);
+    let lines = fs::read_to_string(&txt).unwrap();
+    let short: Vec<&str> = lines.lines().take(FRAMES - 1).collect();
+    let short = dir.write("short.txt", short.join("\n"));
+    refuse(
+        &["--poses", &short, "--fov", "56"],
+        65,
+        &["short.txt", "10 poses", "12 frames"],
+    );
+    let broken = dir.write("broken.txt", lines.replace("3.5 ", "3.5 x "));
+    refuse(&["--poses", &broken, "--fov", "56"], 65, &["broken.txt", "line 5"]);
+    refuse(&["--poses", &dir.at("none.txt")], 66, &["none.txt", "--poses"]);
+    // The poses of other frames: some points can still be explained, which is doubted.
+    let lines: Vec<&str> = lines.lines().skip(1).map(|l| l.split_once(' ').unwrap().1).collect();
+    let shuffled = [0, 7, 3, 10, 1, 8, 4, 11, 2, 9, 5, 6].map(|k| lines[k]);
+    let numbered = |lines: &[&str]| {
+        let lines = lines.iter().enumerate().map(|(i, l)| format!("{i} {l}"));
+        lines.collect::<Vec<_>>().join("\n")
+    };
+    let backwards: Vec<&str> = lines.iter().rev().copied().collect();
+    for wrong in [&shuffled[..], &backwards] {
+        let wrong = dir.write("wrong.txt", numbered(wrong));
+        let (record, _) = geometry(&dir, &["--poses", &wrong, "--fov", "56"]);
+        let warnings = record["warnings"].to_string();
+        assert!(warnings.contains("agree with the given poses"), "{warnings}");
+        assert_ne!(record["found"]["confidence"]["grade"], "good", "{record}");
+    }
+}
+
+#[test]
+fn a_lens_is_kept_with_its_principal_point() {
+    let (dir, _) = known();
+    // Pictures cut off at the left: the principal point is no longer in the middle.
+    let cut = 24;
+    fs::remove_dir_all(dir.path("clip")).unwrap();
+    let crop = |c: &Camera| {
+        let whole = picture(c);
+        Plane::from_fn(SIZE.0 - cut, SIZE.1, |x, y| whole[(x + cut, y)])
+    };
+    clips::write(&dir.path("clip"), walk(FRAMES).iter().map(crop));
+    let cx = SIZE.0 as f64 / 2.0 - cut as f64;
+    let lens = json!({"fl_x": FOCAL_PX, "cx": cx, "cy": SIZE.1 / 2, "w": SIZE.0 - cut, "h": SIZE.1});
+    let lens = dir.write("lens.json", lens.to_string());
+    let (record, made) = geometry(&dir, &["--intrinsics", &lens]);
+    let k = made.frames[0].camera.intrinsics;
+    assert!((k.cx - cx).abs() < 1e-9 && (k.fx - FOCAL_PX).abs() < 1e-9, "{k:?}");
+    let with = record["found"]["residual_px"].as_f64().unwrap();
+    assert!(with < 0.3, "{with}");
+    assert_eq!(record["found"]["given"], json!(["intrinsics"]));
+    // Where the middle is taken for it, the way is bent: poses of the true lens are nearer to the truth.
+    let turn = |made: &Capture| {
+        let (a, b) = (made.frames[0].camera.c2w, made.frames[FRAMES - 1].camera.c2w);
+        minute4d::math::log_so3(&a.rotation.tr_mul(&b.rotation))
+    };
+    let cameras = walk(FRAMES);
+    let truth = minute4d::math::log_so3(&cameras[0].c2w.rotation.tr_mul(&cameras[FRAMES - 1].c2w.rotation));
+    assert!((turn(&made) - truth).norm() < 0.01, "{} {}", turn(&made), truth);
+    let args = [
+        "geometry",
+        &dir.at("clip"),
+        "-o",
+        &dir.at("out"),
+        "--force",
+        "--intrinsics",
+    ];
+    let with = |lens: &'static str| args.iter().copied().chain([lens]).collect::<Vec<_>>();
+    refused(&with("150,150,300,60"), 65, &["outside the frames"]);
+    refused(&with("150,150"), 65, &["2 numbers"]);
+    refused(&with("nothing.json"), 66, &["nothing.json"]);
+}
+
+#[test]
+fn masks_are_taken_as_they_are() {
+    let (dir, _) = known();
+    let masks = dir.at("masks");
+    let (record, _) = geometry(&dir, &["--masks", &masks]);
+    let share = record["found"]["moving_share"].as_f64().unwrap();
+    assert!((share - 0.25).abs() < 0.03, "{record}");
+    let made = read_mask(&dir.path("out/mask/00003.png")).unwrap();
+    assert!(made.at(10, 60) && !made.at(100, 60));
+    let (clip, out) = (dir.at("clip"), dir.at("out"));
+    let args = ["geometry", &clip, "-o", &out, "--force", "--masks", &masks];
+    fs::remove_file(dir.path("masks/00004.png")).unwrap();
+    refused(&args, 65, &["masks", "11 masks", "12 frames"]);
+    let mask: Mask = Plane::filled(SIZE.1, SIZE.0, 0);
+    write_mask(&dir.path("masks/00004.png"), &mask).unwrap();
+    refused(&args, 65, &["00004.png", "120 x 160"]);
+    dir.write("masks/00004.png", "no picture");
+    refused(&args, 65, &["00004.png"]);
+    refused(
+        &[
+            "geometry",
+            &clip,
+            "-o",
+            &out,
+            "--force",
+            "--masks",
+            &clip.replace("clip", "none"),
+        ],
+        66,
+        &["none", "--masks"],
+    );
+}
+
+#[test]
+fn depth_decides_the_unit() {
+    let (dir, cameras) = known();
+    // Every other pixel column unknown: what is measured there must have the same unit.
+    for i in 0..FRAMES {
+        let path = dir.path(&format!("depth/{i:05}.png"));
+        let map = read_depth(&path, 0.001).unwrap().to_map();
+        let holes = Plane::from_fn(SIZE.0, SIZE.1, |x, y| if (x / 20) % 2 == 0 { map[(x, y)] } else { 0.0 });
+        write_depth(&path, &holes, 0.001).unwrap();
+    }
+    let depth = dir.at("depth");
+    let (record, made) = geometry(&dir, &["--depth", &depth]);
+    assert!(made.metric);
+    let error = depth_error(&made, &cameras);
+    assert!(error < 0.08, "{error} {record}");
+    // The length of the way, in metres.
+    let way = |a: &Camera, b: &Camera| (a.centre() - b.centre()).norm();
+    let ours = way(&made.frames[0].camera, &made.frames[FRAMES - 1].camera);
+    let truth = way(&cameras[0], &cameras[FRAMES - 1]);
+    assert!((ours / truth - 1.0).abs() < 0.05, "{ours} {truth}");
+
+    let (clip, out) = (dir.at("clip"), dir.at("out"));
+    let args = ["geometry", &clip, "-o", &out, "--force", "--depth", &depth];
+    let empty: DepthMap = Plane::filled(SIZE.0, SIZE.1, 0.0);
+    for i in 0..FRAMES {
+        write_depth(&dir.path(&format!("depth/{i:05}.png")), &empty, 0.001).unwrap();
+    }
+    refused(&args, 65, &["depth", "0 (unknown) everywhere"]);
+    let colour = picture(&cameras[0]);
+    minute4d::io::image::write_rgb(&dir.path("depth/00002.png"), &colour).unwrap();
+    refused(&args, 65, &["00002.png", "16 bits"]);
+}
+
+#[cfg(feature = "nets")]
+#[test]
+fn a_front_end_without_weights_says_how_to_get_them_and_what_works_without() {
+    let (dir, _) = known();
+    fs::create_dir(dir.path("weights")).unwrap();
+    let store = dir.path("weights");
+    let (clip, out) = (dir.at("clip"), dir.at("out"));
+    let args = ["geometry", &clip, "-o", &out, "--frontend", "gmflow"];
+    let env = [("MINUTE4D_WEIGHTS", text(&store)), ("HF_HOME", text(&store))];
+    let words = ["gmflow", "minute4d weights fetch gmflow", "--frontend classical"];
+    refused_with(&args, &env, 66, &words);
+    // What lies there and is no checkpoint is refused too.
+    fs::create_dir(store.join("gmflow")).unwrap();
+    fs::write(store.join("gmflow/flownet.pkl"), "no weights").unwrap();
+    refused_with(&args, &env, 65, &["flownet.pkl", "GMFlow", "--frontend classical"]);
+}
+
+#[test]
+fn another_mask_is_another_result() {
+    let (dir, _) = known();
+    let masks = dir.at("masks");
+    let (first, _) = geometry(&dir, &["--masks", &masks]);
+    let mask: Mask = Plane::filled(SIZE.0, SIZE.1, 0);
+    write_mask(&dir.path("masks/00000.png"), &mask).unwrap();
+    let (second, _) = geometry(&dir, &["--masks", &masks]);
+    assert_ne!(first["key"], second["key"]);
+}
