@@ -97,7 +97,7 @@ impl Lenses<'_> {
     }
 
     /// Input pixels (centre of the first pixel: 0, 0) of an observation that was moved by [`Self::undo`].
-    pub fn to_input(&self, frame: usize, at: [f64; 2], size: WorkingSize, focal: f64) -> [f32; 2] {
+    pub fn input_px(&self, frame: usize, at: [f64; 2], size: WorkingSize, focal: f64) -> [f32; 2] {
         match self.of(frame) {
             None => size.to_input(at),
             Some(k) => [
@@ -154,7 +154,7 @@ mod tests {
         let at = tracks[0].seen[0];
         assert!((at[0] - 255.0 * (400.5 - 300.0) / 500.0).abs() < 1e-9, "{at:?}");
         assert!((at[1] - 255.0 * (100.5 - 250.0) / 520.0).abs() < 1e-9, "{at:?}");
-        let [u, v] = lenses.to_input(0, at, size, 255.0);
+        let [u, v] = lenses.input_px(0, at, size, 255.0);
         assert!((u - 400.0).abs() < 1e-3 && (v - 100.0).abs() < 1e-3, "{u} {v}");
     }
 }

@@ -83,7 +83,7 @@ impl Clip<'_> {
         let mut residuals = Vec::new();
         let seen = |raw: &RawTrack| {
             let seen = (raw.first..).zip(&raw.seen);
-            seen.map(|(frame, &p)| self.lenses.to_input(frame, p, self.size, map.focal))
+            seen.map(|(frame, &p)| self.lenses.input_px(frame, p, self.size, map.focal))
                 .collect()
         };
         let judged = self.tracks.iter().zip(&map.points).zip(motions);

@@ -18,7 +18,8 @@ mod pip;
 mod registry;
 mod store;
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests;
 
 pub use error::WeightsError;

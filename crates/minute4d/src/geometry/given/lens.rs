@@ -89,7 +89,7 @@ fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {
     }
     let fx = file.fl_x.ok_or("fl_x is missing")?;
     let side = |given: Option<f64>, frame: usize| match given {
-        Some(side) if side >= 1.0 && side <= 65_536.0 => Ok(side as usize),
+        Some(side) if (1.0..=65_536.0).contains(&side) => Ok(side as usize),
         Some(side) => Err(format!("a side of {side} pixels")),
         None => Ok(frame),
     };
