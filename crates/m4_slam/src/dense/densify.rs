@@ -14,7 +14,7 @@ use super::plate;
 use super::shot::{Shot, sparse_points};
 use super::smooth::Smoother;
 use super::static_depth::{self, Measured, Swept};
-use super::working::{WorkingFrame, working_size};
+use super::working::{WorkingFrame, fitting_side, working_size};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_scene::{DepthMap, Mask, Plane, Progress, RgbImage};
 use rayon::prelude::*;
@@ -147,8 +147,16 @@ pub(super) fn run(
     config.check()?;
     given.check(frames.len())?;
     let (full_w, full_h) = check(frames, sparse)?;
-    let (w, h) = working_size(full_w, full_h, config.working_side_px);
     let count = frames.len();
+    let side = fitting_side(full_w, full_h, config.working_side_px, count, config.memory_mb);
+    if side < config.working_side_px.min(full_w.max(full_h)) {
+        progress.warn(&format!(
+            "{count} frames are too many for full detail within {} MB: depth and masks are made at {side} px instead of {} (raise \
+             dense.memory_mb, or cut the clip)",
+            config.memory_mb, config.working_side_px
+        ));
+    }
+    let (w, h) = working_size(full_w, full_h, side);
     let parallax = sparse.camera_motion == CameraMotion::Parallax;
     if !parallax {
         progress.warn(
