@@ -18,7 +18,7 @@
 //! - [`pairs`]: the pairs' list, their masks, and their fields in a few bytes, on disk where memory ends.
 //!
 //! **Conventions.** The outside of this module is the library's: poses are `c2w`, the principal point is measured from the
-//! corner of the image. Inside, as in the source, poses are `w2c` and pixel (0, 0) has its centre at (0, 0): [`optimise`]
+//! corner of the image. Inside, as in the source, poses are `w2c` and pixel (0, 0) has its centre at (0, 0): [`optimise()`]
 //! converts. The source computes normals half a pixel off its own reprojection; here both use the same rays, and
 //! [`reference::Lens::normal_shift_px`] keeps the source's behaviour for comparisons.
 //!

@@ -70,7 +70,7 @@ pub struct Stage {
     pub weights: Weights,
 }
 
-/// Settings of [`super::optimise`].
+/// Settings of [`super::optimise()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CvdSettings {

@@ -17,7 +17,7 @@
 //! a step is `exp(xi) G`. Residuals are `target - projection`, weighted by `0.001 x confidence`. The
 //! conversion to the library's conventions is [`Pinhole::of_picture`] and the inverse of a pose.
 //!
-//! **Two implementations.** [`adjust`] is the product's: f32 planes, sums of blocks in f32 and everything above in
+//! **Two implementations.** [`adjust()`] is the product's: f32 planes, sums of blocks in f32 and everything above in
 //! f64, rayon over source frames. Its result does not depend on the number of threads. [`adjust_reference`] is
 //! the oracle: f64, every block stored. Memory of the fast path is a few rows of one block of pixels a
 //! thread, and the shares of 64 source frames; the coupling of poses and disparities is never stored, but formed

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Frontend {
-    /// The best that pays on a processor: [`AUTO`].
+    /// The best that pays on a processor: see `docs/geometry.md`.
     #[default]
     Auto,
     /// Inverse search with variational refinement; needs nothing.

@@ -6,8 +6,8 @@
 //!                                                                          '-> confidence
 //! ```
 //!
-//! This file keeps the record and the folder; [`mod@compute`] does the work, [`mod@frontend`] chooses who measures flow,
-//! [`mod@given`] reads what the user knows, [`mod@confidence`] says how far the result can be trusted.
+//! This file keeps the record and the folder; `compute` does the work, `frontend` chooses who measures flow,
+//! `given` reads what the user knows, `confidence` says how far the result can be trusted.
 
 mod compute;
 mod confidence;

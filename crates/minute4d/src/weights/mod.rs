@@ -6,7 +6,7 @@
 //!   add:   a file of the user's -------------------------------------------------+-> checked -> Store
 //! ```
 //!
-//! Weights are no part of the program. [`fetch`] is the one thing here that uses the network, by the user's own `pip`; what it
+//! Weights are no part of the program. [`fetch()`] is the one thing here that uses the network, by the user's own `pip`; what it
 //! brings is checked against size and SHA-256 before it gets its name in the [`Store`], where the licence is written beside
 //! it. Weights whose licence forbids commercial use need the user's word first.
 
