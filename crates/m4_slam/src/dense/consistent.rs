@@ -95,31 +95,28 @@ pub(super) fn factors(
 ) -> Result<Vec<Vec<f32>>, DenseError> {
     let (w, h) = (clip.width / 2, clip.height / 2);
     let store = pairs(clip, config, progress)?;
-    let small = |i: usize, value: &dyn Fn(usize) -> f32| {
-        let _ = i;
-        Plane::from_vec(
-            w,
-            h,
-            (0..w * h)
-                .map(|p| value((2 * (p / w)) * clip.width + 2 * (p % w)))
-                .collect(),
-        )
-        .map_err(|_| DenseError::NoFrames)
+    let small = |value: &dyn Fn(usize) -> f32| {
+        let mut plane = Plane::filled(w, h, 0.0f32);
+        for y in 0..h {
+            for x in 0..w {
+                plane[(x, y)] = value(2 * y * clip.width + 2 * x);
+            }
+        }
+        plane
     };
     let frames = clip.cameras.len();
     let (mut start, mut u, mut prior) = (Vec::new(), Vec::new(), Vec::new());
     for i in 0..frames {
-        start.push(small(i, &|p| disparity[i][p])?);
-        u.push(small(i, &|p| {
-            uncertainty_of_static(if clip.moving[i][p] > 0 { 0.0 } else { 1.0 })
-        })?);
-        prior.push(small(i, &|p| {
-            if clip.moving[i][p] > 0 {
+        let moves = |p: usize| clip.moving[i][p] > 0;
+        start.push(small(&|p| disparity[i][p]));
+        u.push(small(&|p| uncertainty_of_static(if moves(p) { 0.0 } else { 1.0 })));
+        prior.push(small(&|p| {
+            if moves(p) {
                 1.0
             } else {
                 config.prior * clip.confidence[i][p]
             }
-        })?);
+        }));
     }
     let c2w: Vec<Se3<f64>> = clip.cameras.iter().map(|c| c.c2w).collect();
     let input = CvdInput {
