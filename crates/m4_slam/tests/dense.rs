@@ -305,3 +305,23 @@ fn bad_input_is_named() {
         Err(DenseError::Cancelled { .. })
     ));
 }
+
+#[test]
+fn settings_of_masks_and_bodies_out_of_range_are_named() {
+    let drawn = draw(0.06);
+    let (frames, good) = (references(&drawn), sparse(&drawn, CameraMotion::Parallax));
+    let named = |change: &dyn Fn(&mut DenseConfig)| {
+        let mut config = DenseConfig::default();
+        change(&mut config);
+        match densify(&frames, &good, &config, &Silent) {
+            Err(DenseError::Setting { name, .. }) => name,
+            other => panic!("accepted, or refused for another reason: {:?}", other.err()),
+        }
+    };
+    assert_eq!(named(&|c| c.bodies.block_px = 0), "dense.bodies.block_px");
+    assert_eq!(named(&|c| c.bodies.longest = 1), "dense.bodies.longest");
+    assert_eq!(named(&|c| c.bodies.prior = f32::NAN), "dense.bodies.prior");
+    assert_eq!(named(&|c| c.plate.step = 0.0), "dense.plate.step");
+    assert_eq!(named(&|c| c.plate.reaches = vec![0, 3]), "dense.plate.reaches");
+    assert_eq!(named(&|c| c.consistent.prior = -1.0), "dense.consistent.prior");
+}

@@ -433,12 +433,72 @@ impl DenseConfig {
         for (name, value) in steps {
             need((0..=1000).contains(&value), name, f64::from(value), "0 to 1000")?;
         }
+        self.check_bodies(&need)?;
         let q = self.moving_depth.hidden_quantile;
         need(
             (0.0..=1.0).contains(&q),
             "dense.moving_depth.hidden_quantile",
             q,
             "0 to 1",
+        )
+    }
+
+    /// The settings of masks and moving parts.
+    fn check_bodies(
+        &self,
+        need: &impl Fn(bool, &'static str, f64, &'static str) -> Result<(), DenseError>,
+    ) -> Result<(), DenseError> {
+        let (b, p) = (&self.bodies, &self.plate);
+        let counts = [
+            ("dense.bodies.block_px", b.block_px, 1, 64),
+            ("dense.bodies.shortest", b.shortest, 2, 10_000),
+            ("dense.bodies.longest", b.longest, b.shortest, 10_000),
+            ("dense.plate.margin_px", p.margin_px, 0, 100),
+            ("dense.plate.guard_px", p.guard_px, 0, 100),
+            ("dense.plate.least_frames", p.least_frames, 1, 1000),
+        ];
+        for (name, value, least, most) in counts {
+            let range =
+                "a whole number within bounds (block_px 1 to 64, shortest 2 to longest, least_frames 1 or more)";
+            need((least..=most).contains(&value), name, value as f64, range)?;
+        }
+        let reach = p.reaches.iter().copied().min().unwrap_or(0);
+        need(
+            reach > 0,
+            "dense.plate.reaches",
+            reach as f64,
+            "a list of frames, each 1 or more",
+        )?;
+        let above_zero = [
+            ("dense.plate.step", p.step),
+            ("dense.plate.step_outside", p.step_outside),
+            ("dense.plate.smooth_lambda", p.smooth_lambda),
+            ("dense.bodies.growth", b.growth),
+            ("dense.bodies.round_trip_px", b.round_trip_px),
+            ("dense.bodies.noise_px", b.noise_px),
+            ("dense.bodies.prior", b.prior),
+            ("dense.bodies.still_range", b.still_range),
+            ("dense.bodies.fill_lambda", b.fill_lambda),
+        ];
+        for (name, value) in above_zero {
+            let good = value > 0.0 && value.is_finite();
+            need(good, name, f64::from(value), "a number above 0")?;
+        }
+        let shares = [
+            ("dense.plate.least_gain", p.least_gain),
+            ("dense.bodies.touch_quantile", b.touch_quantile),
+            ("dense.bodies.relief", b.relief),
+            ("dense.bodies.least_share", b.least_share),
+        ];
+        for (name, value) in shares {
+            need((0.0..=1.0).contains(&value), name, f64::from(value), "0 to 1")?;
+        }
+        let prior = self.consistent.prior;
+        need(
+            prior >= 0.0 && prior.is_finite(),
+            "dense.consistent.prior",
+            f64::from(prior),
+            "0 or more",
         )
     }
 }

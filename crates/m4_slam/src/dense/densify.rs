@@ -16,7 +16,7 @@ use super::smooth::Smoother;
 use super::static_depth::{self, Measured, Swept};
 use super::working::{WorkingFrame, fitting_side, working_size};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_scene::{DepthMap, Mask, Plane, Progress, RgbImage};
+use m4_scene::{Camera, DepthMap, Mask, Plane, Progress, RgbImage};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -33,6 +33,8 @@ pub struct DenseFrame {
 
 /// Least side of a frame, pixels.
 const LEAST_SIDE: usize = 32;
+/// Sides below this, at the working size, have no neighbourhood of 5x5 pixels at half of it: long, thin pictures.
+const LEAST_CONSISTENT: usize = 16;
 /// How often depth and motion are estimated in turn.
 const ROUNDS: usize = 2;
 /// Fewer frames have no background that is seen most of the time.
@@ -133,6 +135,11 @@ fn each<T: Send>(
     };
     let all: Option<Vec<T>> = (0..count).into_par_iter().map(one).collect();
     all.ok_or(DenseError::Cancelled { phase })
+}
+
+/// Whether all frames were taken through the same lens, as bundle adjustment of bodies and consistent depth need it.
+fn one_lens(cameras: &[Camera]) -> bool {
+    cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics)
 }
 
 /// Everything but the enlargement.
@@ -264,7 +271,15 @@ pub(super) fn run(
             )
         })?;
     }
-    if parallax && config.consistent.enabled && count > 1 {
+    let one_lens = one_lens(&clues.cameras);
+    if parallax && !one_lens {
+        progress.warn(
+            "the lens changes from frame to frame: depth is not made consistent over time, and moving parts keep the depth \
+             of what they touch",
+        );
+    }
+    let large = w.min(h) >= LEAST_CONSISTENT;
+    if parallax && one_lens && large && config.consistent.enabled && count > 1 {
         let confidence: Vec<Vec<f32>> = measured.iter().map(|m| m.confidence.clone()).collect();
         let clip = consistent::Clip {
             width: w,
@@ -282,7 +297,7 @@ pub(super) fn run(
         }
     }
     let mut disparity = moving_depth::place(w, h, &moving, &filled, &flows, &config.moving_depth);
-    if parallax {
+    if parallax && one_lens {
         let clip = bodies::Clip {
             width: w,
             height: h,

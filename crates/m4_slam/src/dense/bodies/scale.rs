@@ -2,7 +2,7 @@
 
 use super::super::config::{BodyConfig, MovingDepthConfig};
 use super::super::shot::quantile;
-use super::path::polynomial;
+use super::path::in_place;
 use super::rigid::Shape;
 use super::{Clip, Tracklet};
 
@@ -47,7 +47,7 @@ pub(super) fn read(
     let (bound, typical) = (quantile_of(&mut all)?, quantile(&mut typical, 0.5)?);
     let touch = quantile_of(&mut standing).filter(|_| share >= config.standing_share);
     // Nothing but the right factor makes a part stay where it is while the camera passes it.
-    let still = polynomial(clip, tracklet, shape, 0)
+    let still = in_place(clip, tracklet, shape)
         .filter(|e| e.rest < config.still_rest && e.factor as f32 > bound / config.still_range);
     Some(Reading {
         typical,
