@@ -333,6 +333,8 @@ pub struct BodyConfig {
     pub still_rest: f64,
     /// ... unless that is farther than what it hides by more than this factor.
     pub still_range: f32,
+    /// Parts that fly take their distance from how they fall, where there is a ground.
+    pub falling: bool,
     /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
     pub fill_lambda: f32,
 }
@@ -358,6 +360,7 @@ impl Default for BodyConfig {
             standing_share: 0.3,
             still_rest: 0.12,
             still_range: 1.2,
+            falling: true,
             fill_lambda: 100.0,
         }
     }

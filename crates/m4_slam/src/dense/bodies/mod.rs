@@ -3,15 +3,20 @@
 //! hides, where it touches the ground, and how it moves.
 //!
 //! ```text
-//! masks, flow -> tracklet: one part through time
+//! masks, flow -> instances: what touches in the picture told apart by before and after
+//!             -> tracklet: one part through time
 //!             -> rigid: dense bundle adjustment of camera against part (crate::dba), shape and distance up to scale
 //!             -> scale: the one number that is left
+//!             -> fall: what flies falls, all at one rate
 //! ```
 //!
 //! Section 7.1, item 7 of the specification of the front end, (a) contact and (b) rigid motion with unknown
 //! scale.
 
 mod edges;
+mod fall;
+mod ground;
+mod instances;
 mod path;
 mod rigid;
 mod scale;
@@ -61,10 +66,20 @@ pub(super) fn place<'s>(
         })
         .collect();
     let scales = scale::settle(&bodies.iter().map(|(_, _, reading)| reading).collect::<Vec<_>>());
+    let mut scales: Vec<Vec<f32>> = bodies
+        .iter()
+        .zip(&scales)
+        .map(|((t, _, _), s)| vec![*s; t.parts.len()])
+        .collect();
+    if config.falling
+        && let Some(ground) = ground::find(clip)
+    {
+        fall(clip, &ground, &bodies, contact, config, &mut scales);
+    }
     // Part by part onto the pixels, along the edges of the picture.
     let mut values: Vec<Vec<(u32, f32)>> = vec![Vec::new(); disparity.len()];
     for ((tracklet, shape, _), scale) in bodies.iter().zip(&scales) {
-        for k in 0..tracklet.parts.len() {
+        for (k, scale) in scale.iter().enumerate() {
             values[tracklet.first + k].extend(shape.known(clip, k).map(|(p, d)| (p, d * scale)));
         }
     }
@@ -73,6 +88,50 @@ pub(super) fn place<'s>(
             spread(clip, i, &smoother(i), &bodies, &values[i], config, disparity);
         }
     });
+}
+
+/// Corrects the scales (by body and frame) of what flies.
+fn fall(
+    clip: &Clip<'_>,
+    ground: &ground::Ground,
+    bodies: &[(&Tracklet, rigid::Shape, scale::Reading)],
+    contact: &MovingDepthConfig,
+    config: &BodyConfig,
+    scales: &mut [Vec<f32>],
+) {
+    let typical = |shape: &rigid::Shape, k: usize| {
+        let mut all: Vec<f32> = shape.known(clip, k).map(|(_, d)| d).collect();
+        super::shot::quantile(&mut all, 0.5)
+    };
+    let depth: Vec<Vec<f64>> = bodies
+        .iter()
+        .zip(&*scales)
+        .map(|((_, shape, _), scale)| {
+            scale
+                .iter()
+                .enumerate()
+                .map(|(k, s)| 1.0 / f64::from(typical(shape, k).unwrap_or(1.0) * s))
+                .collect()
+        })
+        .collect();
+    let tracklets: Vec<&Tracklet> = bodies.iter().map(|(t, _, _)| *t).collect();
+    let Some(flying) = fall::depths(clip, ground, &tracklets, &depth) else {
+        return;
+    };
+    for (((tracklet, shape, _), flying), scales) in bodies.iter().zip(&flying).zip(scales) {
+        if flying.iter().all(Option::is_none) {
+            continue;
+        }
+        let known: Vec<Option<f32>> = flying
+            .iter()
+            .enumerate()
+            .map(|(k, z)| match z {
+                Some(z) => typical(shape, k).map(|d| 1.0 / (*z as f32 * d)),
+                None => scale::standing(clip, tracklet, shape, k, contact, config),
+            })
+            .collect();
+        scale::between(&known, scales);
+    }
 }
 
 /// Spreads the values of a frame over the parts that they lie in.

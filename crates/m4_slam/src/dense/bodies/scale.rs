@@ -65,6 +65,37 @@ pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
     readings.iter().map(|r| r.known.unwrap_or_else(|| guess(r))).collect()
 }
 
+/// The factor by the ground under a part in one frame, if it is ground.
+pub(super) fn standing(
+    clip: &Clip<'_>,
+    tracklet: &Tracklet,
+    shape: &Shape,
+    k: usize,
+    contact: &MovingDepthConfig,
+    config: &BodyConfig,
+) -> Option<f32> {
+    let bound = bound(clip, tracklet, shape, k, contact)?;
+    (bound.slope > config.ground_slope).then_some(bound.factor)
+}
+
+/// Fills what is not known between what is, evenly in ratios, and carries the first and the last on.
+pub(super) fn between(known: &[Option<f32>], out: &mut [f32]) {
+    let at: Vec<(usize, f32)> = known
+        .iter()
+        .enumerate()
+        .filter_map(|(k, v)| v.map(|v| (k, v)))
+        .collect();
+    for (k, out) in out.iter_mut().enumerate() {
+        let next = at.partition_point(|(i, _)| *i < k);
+        let (before, after) = (next.checked_sub(1).and_then(|i| at.get(i)), at.get(next));
+        *out = match (before, after) {
+            (Some(&(i, a)), Some(&(j, b))) => a * (b / a).powf((k - i) as f32 / (j - i) as f32),
+            (Some(&(_, v)), None) | (None, Some(&(_, v))) => v,
+            (None, None) => *out,
+        };
+    }
+}
+
 /// What one frame says.
 struct Bound {
     factor: f32,

@@ -4,6 +4,7 @@ use super::super::components::Components;
 use super::super::config::BodyConfig;
 use super::super::flow::Flow;
 use super::Clip;
+use super::instances::regions;
 
 /// One connected part in consecutive frames.
 pub(in super::super) struct Tracklet {
@@ -47,8 +48,7 @@ pub(super) fn follow(clip: &Clip<'_>, config: &BodyConfig) -> Vec<Tracklet> {
     let mut open: Vec<Option<Tracklet>> = Vec::new();
     let mut before: Option<Components> = None;
     let least = (config.least_share * (w * h) as f32) as usize;
-    for (t, moving) in clip.moving.iter().enumerate() {
-        let now = Components::of(w, h, moving);
+    for (t, now) in regions(clip, config).into_iter().enumerate() {
         let mut next: Vec<Option<Tracklet>> = (0..now.pixels.len()).map(|_| None).collect();
         if let Some(before) = &before {
             let flow = &clip.flows[t - 1];
