@@ -4,8 +4,11 @@
 use m4_math::Se3;
 use m4_math::nalgebra::Vector3;
 use m4_scene::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Silent};
-use m4_slam::dense::{DenseConfig, DenseError, DenseFrame, Given, InverseSearch};
+use m4_slam::dense::{
+    DenseConfig, DenseError, DenseFrame, Given, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, NoDepth,
+};
 use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use std::borrow::Cow;
 use std::sync::Mutex;
 
 /// With classical flow and nothing given.
@@ -20,6 +23,7 @@ fn densify(
         sparse,
         &InverseSearch::default(),
         &Given::default(),
+        &NoDepth,
         config,
         progress,
     )
@@ -324,4 +328,56 @@ fn settings_of_masks_and_bodies_out_of_range_are_named() {
     assert_eq!(named(&|c| c.plate.step = 0.0), "dense.plate.step");
     assert_eq!(named(&|c| c.plate.reaches = vec![0, 3]), "dense.plate.reaches");
     assert_eq!(named(&|c| c.consistent.prior = -1.0), "dense.consistent.prior");
+}
+
+/// The true depth as a network would see it: disparity up to a factor and a shift that differ from frame to frame.
+struct Network<'a>(&'a Drawn);
+
+impl MonoDepth for Network<'_> {
+    fn name(&self) -> &'static str {
+        "network"
+    }
+
+    fn depth(&self, frame: usize, picture: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
+        assert_eq!(picture, &self.0.images[frame]);
+        let factor = 3.0 + 0.2 * frame as f32;
+        Ok(Some(MonoMap {
+            kind: MonoKind::AffineDisparity,
+            values: Cow::Owned(self.0.depth[frame].map(|z| factor * (1.0 / z - 0.1))),
+        }))
+    }
+}
+
+#[test]
+fn what_moves_takes_its_depth_from_a_source_that_knows_it() {
+    let drawn = draw(0.08);
+    let frames: Vec<&RgbImage> = drawn.images.iter().collect();
+    let sparse = sparse(&drawn, CameraMotion::Parallax);
+    let masks = Given {
+        masks: Some(&drawn.moving),
+    };
+    let found = m4_slam::dense::densify(
+        &frames,
+        &sparse,
+        &InverseSearch::default(),
+        &masks,
+        &Network(&drawn),
+        &DenseConfig::default(),
+        &Silent,
+    )
+    .unwrap();
+    for (i, found) in found.iter().enumerate() {
+        let pixels = (0..SIZE.0 * SIZE.1).map(|p| (p % SIZE.0, p / SIZE.0));
+        let mut errors: Vec<f32> = pixels
+            .filter(|&p| drawn.moving[i][p] > 0)
+            .map(|p| (found.depth[p] / drawn.depth[i][p] - 1.0).abs())
+            .collect();
+        errors.sort_by(f32::total_cmp);
+        let middle = errors[errors.len() / 2];
+        assert!(
+            errors.len() > 200 && middle < 0.02,
+            "frame {i}: {middle} of {}",
+            errors.len()
+        );
+    }
 }

@@ -257,9 +257,17 @@ pub struct Found {
     /// What the user gave: `intrinsics`, `poses`, `masks`, `depth`.
     #[serde(default)]
     pub given: Vec<String>,
+    /// How often depth and masks were made: twice where masks changed the cameras.
+    #[serde(default = "once")]
+    pub rounds: usize,
     /// How far it can be trusted.
     #[serde(default)]
     pub confidence: Option<Confidence>,
+}
+
+/// What records of earlier releases mean.
+fn once() -> usize {
+    1
 }
 
 impl GeometryRecord {

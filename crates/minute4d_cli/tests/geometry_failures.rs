@@ -88,16 +88,32 @@ fn a_zoom_without_a_step() {
     let zoom = (0..16).map(|i| picture(&camera(0.0, 0.0, FOCAL_PX * 2.0_f64.powf(f64::from(i) / 15.0))));
     let dir = Scratch::new();
     let ended = geometry(&dir, zoom.collect(), &[]);
-    assert!(!ended.stderr.contains("panicked"), "{}", ended.stderr);
-    // One focal length cannot explain it: either it is refused, or it says that the result is not good.
-    if ended.code == 0 {
-        let found = ended.result()["record"]["found"].clone();
-        assert_ne!(found["confidence"]["grade"], "good", "{found}");
-        assert!(found["confidence"]["advice"].is_string(), "{found}");
-    } else {
-        assert_eq!(ended.code, 65, "{}", ended.stderr);
-        contains(ended.end()["reason"].as_str().unwrap(), &["--fov"]);
-    }
+    assert_eq!(ended.code, 0, "{}\n{}", ended.stdout, ended.stderr);
+    let record = ended.result()["record"].clone();
+    assert_eq!(record["found"]["camera_motion"], "rotation_only", "{record}");
+    assert_eq!(record["found"]["confidence"]["grade"], "poor", "{record}");
+    contains(
+        &record["warnings"].to_string(),
+        &["the lens zooms", "without zoom", "geometry is poor"],
+    );
+    // Every frame has its own lens.
+    let text = std::fs::read_to_string(dir.path("out/transforms_train.json")).unwrap();
+    let capture: Value = serde_json::from_str(&text).unwrap();
+    let focal = |i: usize| capture["frames"][i]["fl_x"].as_f64().unwrap();
+    let ratio = focal(15) / focal(0);
+    assert!((ratio / 2.0 - 1.0).abs() < 0.03, "{ratio}");
+}
+
+#[test]
+fn a_walk_straight_ahead_is_no_zoom() {
+    let ahead = |i: i32| {
+        let mut camera = camera(0.0, 0.0, FOCAL_PX);
+        camera.c2w.translation.z = 0.08 * f64::from(i);
+        camera
+    };
+    let (found, warnings) = found((0..16).map(|i| picture(&ahead(i))).collect(), &[]);
+    assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
+    assert!(!warnings.contains("zooms"), "{warnings}");
 }
 
 /// A clip that is refused with code 65 and these words, and leaves no capture.

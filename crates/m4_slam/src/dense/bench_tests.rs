@@ -4,6 +4,7 @@ use super::config::DenseConfig;
 use super::densify::{Stages, run};
 use super::flow::InverseSearch;
 use super::given::Given;
+use super::mono::NoDepth;
 use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_math::{CounterRng, Se3};
 use m4_scene::{Camera, Intrinsics, Plane, RgbImage, Silent};
@@ -307,6 +308,7 @@ fn measure_stages() {
             &sparse,
             &InverseSearch::default(),
             &Given::default(),
+            &NoDepth,
             &config(),
             &Silent,
         )

@@ -8,6 +8,7 @@ use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
 use super::flow::{FlowPair, FlowSource};
 use super::given::Given;
+use super::mono::{Mono, MonoDepth};
 use super::motion::{self, Clues, Seen};
 use super::moving_depth;
 use super::plate;
@@ -65,10 +66,11 @@ pub fn densify(
     sparse: &SparseReconstruction,
     flow: &dyn FlowSource,
     given: &Given<'_>,
+    mono: &dyn MonoDepth,
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    let stages = run(frames, sparse, flow, given, config, progress)?;
+    let stages = run(frames, sparse, flow, given, mono, config, progress)?;
     each(frames.len(), "enlarging depth", progress, |i| {
         let small = Small {
             frame: &stages.shots[i].frame,
@@ -148,6 +150,7 @@ pub(super) fn run(
     sparse: &SparseReconstruction,
     flow: &dyn FlowSource,
     given: &Given<'_>,
+    mono: &dyn MonoDepth,
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Stages, DenseError> {
@@ -171,6 +174,14 @@ pub(super) fn run(
              views from beside the camera will look flat (film again while walking sideways)",
         );
     }
+    if let Some(found) = mono.frames().filter(|&n| n != count) {
+        let (what, expected) = ("depth", count);
+        return Err(DenseError::Given { what, found, expected });
+    }
+    let mono = each(count, "reading depth", progress, |i| {
+        Mono::read(mono, i, frames[i], (w, h)).map_err(|source| DenseError::Mono { frame: i, source })
+    })?;
+    let mono = Mono::of(mono.into_iter().collect::<Result<Vec<_>, _>>()?);
     let working = each(count, "shrinking frames", progress, |i| {
         WorkingFrame::new(frames[i], &sparse.cameras[i], w, h)
     })?;
@@ -201,14 +212,17 @@ pub(super) fn run(
     let mut last = None;
     for _ in 0..if told { 1 } else { ROUNDS } {
         let measured = each(count, "comparing depth", progress, |i| {
-            static_depth::measure(&shots, &swept, moving.as_deref(), i, &config.static_depth)
+            let mut measured = static_depth::measure(&shots, &swept, moving.as_deref(), i, &config.static_depth);
+            mono.impose(i, &mut measured, moving.as_ref().map(|m| m[i].as_slice()));
+            measured
         })?;
         let filled = each(count, "filling depth", progress, |i| {
             if parallax {
                 let moving = moving.as_ref().map(|m| m[i].as_slice());
-                static_depth::fill(&shots[i], &smoother(i), &measured[i], moving, &config.static_depth)
+                let measured = mono.with_prior(i, &measured[i], moving);
+                static_depth::fill(&shots[i], &smoother(i), &measured, moving, &config.static_depth)
             } else {
-                vec![1.0; w * h]
+                mono.without_parallax(i, w * h)
             }
         })?;
         let mut evidence = each(count, "finding motion", progress, |i| {
@@ -239,7 +253,7 @@ pub(super) fn run(
             plate::grown(w, h, &moving[i], config.plate.guard_px)
         })?;
         filled = each(count, "filling depth", progress, |i| {
-            let mut measured = measured[i].clone();
+            let mut measured = mono.with_prior(i, &measured[i], Some(&near[i]));
             for (c, near) in measured.confidence.iter_mut().zip(&near[i]) {
                 if *near > 0 {
                     *c = 0.0;
@@ -259,13 +273,16 @@ pub(super) fn run(
             plate::sharpen(&scene, i, &moving[i], &smoother(i), &config.motion, &config.plate)
         })?;
         measured = each(count, "comparing depth", progress, |i| {
-            static_depth::measure(&shots, &swept, Some(&moving), i, &config.static_depth)
+            let mut measured = static_depth::measure(&shots, &swept, Some(&moving), i, &config.static_depth);
+            mono.impose(i, &mut measured, Some(&moving[i]));
+            measured
         })?;
         filled = each(count, "filling depth", progress, |i| {
+            let measured = mono.with_prior(i, &measured[i], Some(&moving[i]));
             static_depth::fill(
                 &shots[i],
                 &smoother(i),
-                &measured[i],
+                &measured,
                 Some(&moving[i]),
                 &config.static_depth,
             )
@@ -309,13 +326,10 @@ pub(super) fn run(
         bodies::place(&clip, smoother, &config.moving_depth, &config.bodies, &mut disparity);
     }
     for i in 0..count {
-        if let Some(known) = given.disparity(i, w, h) {
-            for (d, known) in disparity[i].iter_mut().zip(known) {
-                if known > 0.0 {
-                    *d = known;
-                }
-            }
+        if parallax {
+            mono.place_moving(i, &measured[i], &filled[i], &moving[i], &mut disparity[i]);
         }
+        mono.overrule(i, &mut disparity[i]);
     }
     Ok(Stages {
         width: w,

@@ -10,6 +10,9 @@
 //!                                           depth of the moving parts -> full size
 //! ```
 //!
+//! Depth known from one picture (`MonoDepth`: a sensor, later a network) replaces what is measured where it is metric; else it is
+//! aligned to that, and stands where nothing was measured or something moves.
+//!
 //! Everything happens at a working size ([`DenseConfig::working_side_px`]) and is brought to the size
 //! of the frames at the end, along the edges of the frames. Inside, depth is *disparity*, one over
 //! z-depth, in which both the noise of a stereo measurement and a plane are simple.
@@ -29,6 +32,7 @@ mod enlarge;
 mod error;
 mod flow;
 mod given;
+mod mono;
 mod motion;
 mod moving_depth;
 mod pair;
@@ -49,3 +53,4 @@ pub use densify::{DenseFrame, densify};
 pub use error::DenseError;
 pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
 pub use given::Given;
+pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};

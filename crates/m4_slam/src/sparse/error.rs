@@ -106,7 +106,9 @@ pub enum SparseError {
     },
     /// Given poses that contradict the pictures.
     #[error(
-        "the given poses do not fit the pictures: only {points} of {tracks} tracks agree with them on a static scene,          {needed} are needed; check the order of the frames, the direction (camera to world) and the axes of the          poses, and the focal length"
+        "the given poses do not fit the pictures: only {points} of {tracks} tracks agree with them on a static scene, \
+         {needed} are needed; check the order of the frames, the direction (camera to world) and the axes of the poses, and \
+         the focal length"
     )]
     PosesDoNotFit {
         /// Points that fit.
@@ -115,6 +117,22 @@ pub enum SparseError {
         tracks: usize,
         /// Points needed.
         needed: usize,
+    },
+    /// Given poses that explain far less than others do.
+    #[error(
+        "the given poses contradict the pictures: {points} of {tracks} tracks agree with them on a static scene, {better} \
+         with poses found from the pictures alone, which turn otherwise by up to {turn_deg:.1} degrees; check the order of \
+         the frames, the direction (camera to world) and the axes of the poses, and the focal length, or leave the poses out"
+    )]
+    PosesRefuted {
+        /// Points that fit the given poses.
+        points: usize,
+        /// Tracks long enough to be judged.
+        tracks: usize,
+        /// Points that fit the poses that were found.
+        better: usize,
+        /// Greatest difference of the turns since the first frame, degrees.
+        turn_deg: f64,
     },
     /// The user stopped the run.
     #[error("stopped by the user")]

@@ -64,7 +64,7 @@ fn covers(mask: &Mask, size: WorkingSize, at: [f64; 2]) -> bool {
 
 /// Which lens saw a frame. Tracks are kept as a lens with one focal length, square pixels and its principal point in the
 /// centre would have seen them; known lenses are undone on the way in and done again on the way out.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) enum Lenses<'a> {
     /// Such a lens, of a focal length that may be unknown.
     Centred,
@@ -72,6 +72,8 @@ pub(super) enum Lenses<'a> {
     Shared(Intrinsics),
     /// A known lens a frame.
     PerFrame(&'a [Camera]),
+    /// A lens that was seen to zoom: one a frame.
+    Zooming(Vec<Intrinsics>),
 }
 
 impl Lenses<'_> {
@@ -81,6 +83,7 @@ impl Lenses<'_> {
             Self::Centred => None,
             Self::Shared(lens) => Some(*lens),
             Self::PerFrame(cameras) => cameras.get(frame).map(|c| c.intrinsics),
+            Self::Zooming(lenses) => lenses.get(frame).copied(),
         }
     }
 

@@ -2,7 +2,8 @@
 
 use super::bundle::{Bundle, BundleOptions, BundleReport, Observation};
 use super::config::GeometryConfig;
-use super::resection::{Sighting, error_px, resect};
+use super::resection::{Sighting, descend, error_px, resect};
+use super::rotation::spread;
 use super::tracking::RawTrack;
 use super::triangulate::{View, median, triangulate};
 use m4_math::Se3;
@@ -96,8 +97,61 @@ impl Map {
     }
 
     /// Adjusts all poses and points, and the focal length if `free_focal`.
+    ///
+    /// Of a long clip every n-th frame is adjusted with the points; the frames between follow the points, and points that hardly
+    /// any of the adjusted frames sees are triangulated anew. All frames at once would take work that grows with the square of
+    /// the length of tracks.
     pub fn adjust(&mut self, tracks: &[RawTrack], options: &BundleOptions) -> BundleReport {
-        let frames: Vec<usize> = (0..self.poses.len()).filter(|&i| self.poses[i].is_some()).collect();
+        let all: Vec<usize> = (0..self.poses.len()).filter(|&i| self.poses[i].is_some()).collect();
+        if all.len() <= MOST_FRAMES {
+            return self.adjust_frames(tracks, &all, options);
+        }
+        let some: Vec<usize> = spread(all.len(), MOST_FRAMES).iter().map(|&k| all[k]).collect();
+        let mut adjusted = self.clone();
+        let inside = |t: &RawTrack| {
+            let from = some.partition_point(|&i| i < t.first);
+            some[from..].iter().take_while(|&&i| i < t.end()).count() >= LEAST_VIEWS
+        };
+        let held: Vec<bool> = tracks.iter().map(inside).collect();
+        for (point, held) in adjusted.points.iter_mut().zip(&held) {
+            *point = point.filter(|_| *held);
+        }
+        let report = adjusted.adjust_frames(tracks, &some, options);
+        if options.free_poses {
+            adjusted.follow_points(tracks, &all, &some, options.cauchy_px);
+        }
+        let views = |i: usize| adjusted.views(&tracks[i]);
+        let anew: Vec<Option<Vector3<f64>>> = (0..tracks.len())
+            .into_par_iter()
+            .map(|i| match self.points[i] {
+                Some(_) if !held[i] => triangulate(&views(i), adjusted.focal, options.cauchy_px).map(|t| t.point),
+                _ => adjusted.points[i],
+            })
+            .collect();
+        adjusted.points = anew;
+        *self = adjusted;
+        report
+    }
+
+    /// Gives the frames of `all` that are not among `adjusted` the poses that the points ask for.
+    fn follow_points(&mut self, tracks: &[RawTrack], all: &[usize], adjusted: &[usize], cauchy_px: f64) {
+        let map = &*self;
+        let poses: Vec<(usize, Se3<f64>)> = all
+            .par_iter()
+            .filter(|i| adjusted.binary_search(i).is_err())
+            .filter_map(|&i| {
+                let sightings = map.sightings(tracks, i);
+                let start = map.poses[i].filter(|_| sightings.len() >= MIN_SIGHTINGS)?;
+                Some((i, descend(&sightings, map.focal, &start, cauchy_px)))
+            })
+            .collect();
+        for (i, pose) in poses {
+            self.poses[i] = Some(pose);
+        }
+    }
+
+    /// Adjusts `frames`, which have poses, and the points that they see.
+    fn adjust_frames(&mut self, tracks: &[RawTrack], frames: &[usize], options: &BundleOptions) -> BundleReport {
         let mut index = vec![usize::MAX; self.poses.len()];
         for (k, &i) in frames.iter().enumerate() {
             index[i] = k;
@@ -161,6 +215,10 @@ impl Map {
             .sum()
     }
 }
+
+/// Most frames that are adjusted at once, and how many of them must see a point.
+const MOST_FRAMES: usize = 300;
+const LEAST_VIEWS: usize = 3;
 
 /// Fewest agreeing points that fix a pose.
 pub(crate) const MIN_SIGHTINGS: usize = 12;

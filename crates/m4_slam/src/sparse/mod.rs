@@ -4,11 +4,13 @@
 //! ```text
 //! frames -> luma pyramids -> tracks (corners, klt, tracking)
 //!        -> does the camera move? (rotation)  -- no --> degenerate: one pose, or rotations
+//!        -> does the lens zoom? (zoom, zoomed)  -- yes, and no more than that --> rotations and focal lengths
 //!        -> keyframes, focal scan, start pair (two_view, five_point), growth (resection, triangulate)
 //!        -> all frames, bundle adjustment and motion classification in turn (map, bundle, motion)
 //! ```
 //!
-//! Where the cameras are known, [`with_cameras`] tracks, triangulates and tells what moves.
+//! Where the cameras are known, [`with_cameras`] tracks, triangulates and tells what moves; cameras with which few tracks agree
+//! are compared with those of the clip itself (refuted).
 //!
 //! Inside, lengths in pictures are *working pixels*: those of the shrunk picture, measured from the
 //! image centre, which is the principal point: observations by a lens that is known to differ are moved there first
@@ -21,6 +23,7 @@ mod corners;
 mod degenerate;
 mod error;
 mod five_point;
+mod followed;
 mod growth;
 mod klt;
 mod known;
@@ -30,18 +33,22 @@ mod motion;
 mod outcome;
 mod posed;
 mod reconstruct;
+mod refuted;
 mod resection;
 mod rotation;
 mod selection;
 mod tracking;
 mod triangulate;
 mod two_view;
+mod zoom;
+mod zoomed;
 
 #[cfg(test)]
 mod tests;
 
 pub use config::{GeometryConfig, MotionConfig, SparseConfig, TrackingConfig};
 pub use error::SparseError;
+pub use followed::{Followed, follow};
 pub use known::{FocalSource, Known, Recovered};
 pub use posed::with_cameras;
 pub use reconstruct::{reconstruct, recover};

@@ -69,6 +69,7 @@ pub(super) fn posed_tracks(
         geometry: config.geometry.clone(),
         progress,
         warnings: Vec::new(),
+        quiet: false,
     };
     clip.posed(cameras)
 }
@@ -140,6 +141,7 @@ impl Clip<'_> {
             };
             self.judge(&map, &motions, &report, false);
             if (points as f64) < DOUBTFUL_SHARE * judged as f64 {
+                self.refute(cameras, focal, points, judged)?;
                 self.warn(format!(
                     "only {points} of {judged} tracks agree with the given poses: if the scene mostly rests, check the order of \
                      the frames, the direction (camera to world) and the axes of the poses, and the focal length"

@@ -89,6 +89,7 @@ pub(super) fn from_tracks(
         geometry: config.geometry.clone(),
         progress,
         warnings: Vec::new(),
+        quiet: false,
     };
     if let Some(focal) = clip.given_focal() {
         for tracks in [&mut clip.tracks, &mut clip.masked] {
@@ -119,10 +120,7 @@ pub(super) fn check(
     if width.min(height) < 64 {
         return Err(SparseError::FrameTooSmall { width, height });
     }
-    if let Some(masks) = known.masks.map(<[_]>::len).filter(|&n| n != frames.len()) {
-        let frames = frames.len();
-        return Err(SparseError::MaskCount { masks, frames });
-    }
+    check_masks(known, frames.len())?;
     let range = |name, value: Option<f64>, low: f64, high: f64, range| match value {
         Some(value) if !(value > low && value < high) => Err(SparseError::Setting { name, value, range }),
         _ => Ok(()),
@@ -145,6 +143,14 @@ pub(super) fn check(
     Ok((width, height))
 }
 
+/// Rejects masks of another clip.
+pub(super) fn check_masks(known: &Known<'_>, frames: usize) -> Result<(), SparseError> {
+    match known.masks.map(<[_]>::len).filter(|&n| n != frames) {
+        Some(masks) => Err(SparseError::MaskCount { masks, frames }),
+        None => Ok(()),
+    }
+}
+
 /// A tracked clip on its way to a reconstruction.
 pub(super) struct Clip<'a> {
     pub(super) tracks: Vec<RawTrack>,
@@ -163,11 +169,15 @@ pub(super) struct Clip<'a> {
     pub(super) geometry: GeometryConfig,
     pub(super) progress: &'a dyn Progress,
     pub(super) warnings: Vec<String>,
+    /// Whether warnings are kept back for now.
+    pub(super) quiet: bool,
 }
 
 impl Clip<'_> {
     pub(super) fn warn(&mut self, message: String) {
-        self.progress.warn(&message);
+        if !self.quiet {
+            self.progress.warn(&message);
+        }
         self.warnings.push(message);
     }
 
@@ -179,7 +189,7 @@ impl Clip<'_> {
         focal.map(|f| f * self.size.scale)
     }
 
-    fn default_focal(&self) -> f64 {
+    pub(super) fn default_focal(&self) -> f64 {
         self.given_focal()
             .unwrap_or_else(|| self.working_focal(self.config.geometry.default_fov_deg))
     }
@@ -193,7 +203,7 @@ impl Clip<'_> {
         2.0 * (0.5 * self.width as f64 * self.size.scale / focal).atan().to_degrees()
     }
 
-    fn solve(&mut self) -> Result<Recovered, SparseError> {
+    pub(super) fn solve(&mut self) -> Result<Recovered, SparseError> {
         if self.config.static_camera {
             let seen = sway(&self.tracks, self.frames, &[self.default_focal()], MIN_TRACKS);
             let map = self.still("it was declared to stand still");
@@ -227,8 +237,23 @@ impl Clip<'_> {
         if share < self.geometry.min_parallax {
             return self.turning(&focals, &sway);
         }
+        let zoom = self.zoom(&focals)?;
+        // What is said about a walk that is none would mislead.
+        self.quiet = zoom.is_some();
         self.adapt(&sway);
-        match self.moving(&focals, sway.focal)? {
+        let moving = self.moving(&focals, sway.focal)?;
+        self.quiet = false;
+        if let Some(zoom) = zoom {
+            let walk = moving.as_ref().ok();
+            if zoom.explains_as_much_as(walk, &self.config.motion, self.size.scale) {
+                self.warnings.clear();
+                return Ok(self.zoomed(zoom));
+            }
+            for warning in walk.map_or(&self.warnings, |walk| &walk.sparse.warnings) {
+                self.progress.warn(warning);
+            }
+        }
+        match moving {
             Ok(found) => Ok(found),
             Err(_) if share < self.config.geometry.keyframe_parallax => self.turning(&focals, &sway),
             Err(no_start) => Err(no_start),
@@ -297,21 +322,21 @@ impl Clip<'_> {
         Ok(self.without_points(found.map, CameraMotion::RotationOnly, focal))
     }
 
-    fn without_points(&mut self, map: Map, camera_motion: CameraMotion, focal: FocalSource) -> Recovered {
+    pub(super) fn without_points(&mut self, map: Map, camera_motion: CameraMotion, focal: FocalSource) -> Recovered {
         let motions = classify(&map, &self.tracks, &self.config.motion);
         let sparse = self.finish(map, &motions, camera_motion);
         Recovered { sparse, focal }
     }
 
     /// Where the focal length comes from if not from the clip.
-    fn untold_focal(&self) -> FocalSource {
+    pub(super) fn untold_focal(&self) -> FocalSource {
         match self.given_focal() {
             Some(_) => FocalSource::Given,
             None => FocalSource::Assumed,
         }
     }
 
-    fn focal_note(&self) -> String {
+    pub(super) fn focal_note(&self) -> String {
         match self.given_focal() {
             Some(_) => String::new(),
             None => format!(

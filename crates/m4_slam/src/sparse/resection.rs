@@ -40,7 +40,8 @@ pub(crate) fn error_px(w2c: &Se3<f64>, x: &Vector3<f64>, focal: f64, at: [f64; 2
     (p.z > 1e-6).then(|| (focal * p.x / p.z - at[0]).hypot(focal * p.y / p.z - at[1]))
 }
 
-fn descend(sightings: &[Sighting], focal: f64, start: &Se3<f64>, cauchy_px: f64) -> Se3<f64> {
+/// Levenberg-Marquardt steps under Cauchy's loss.
+pub(crate) fn descend(sightings: &[Sighting], focal: f64, start: &Se3<f64>, cauchy_px: f64) -> Se3<f64> {
     let cost = |pose: &Se3<f64>| -> f64 {
         let loss = |e: Option<f64>| (e.unwrap_or(100.0) / cauchy_px).powi(2).ln_1p();
         sightings

@@ -22,8 +22,12 @@ struct Scene {
     focal: f64,
     /// Units a frame; the room is some 10 units deep.
     step: f64,
+    /// Which way it goes.
+    way: [f64; 3],
     /// Radians a frame.
     turn: f64,
+    /// Focal length of the last frame over that of the first.
+    zoom: f64,
     /// Share of points that move.
     moving: f64,
     noise_px: f64,
@@ -34,7 +38,9 @@ const ROOM: Scene = Scene {
     points: 500,
     focal: 520.0,
     step: 0.05,
+    way: [1.0, 0.6, 0.3],
     turn: 0.006,
+    zoom: 1.0,
     moving: 0.2,
     noise_px: 0.15,
 };
@@ -45,8 +51,12 @@ impl Scene {
         let sway = (0.3 * t).sin();
         Se3 {
             rotation: exp_so3(&(Vector3::new(0.3 * sway, t, 0.2 * sway) * self.turn)),
-            translation: Vector3::new(t, 0.6 * sway, 0.3 * t) * -self.step,
+            translation: Vector3::new(self.way[0] * t, self.way[1] * sway, self.way[2] * t) * -self.step,
         }
+    }
+
+    fn focal(&self, frame: usize) -> f64 {
+        self.focal * self.zoom.powf(frame as f64 / (self.frames - 1) as f64)
     }
 
     /// Tracks and, for each, whether its point moves.
@@ -58,7 +68,8 @@ impl Scene {
             let life = 6 + rng.below(self.frames);
             let depth = 3.0 + 7.0 * rng.uniform();
             let pixel = [WIDTH, HEIGHT].map(|n| n as f64 * (rng.uniform() - 0.5));
-            let ray = Vector3::new(pixel[0] / self.focal, pixel[1] / self.focal, 1.0);
+            let focal = self.focal(birth);
+            let ray = Vector3::new(pixel[0] / focal, pixel[1] / focal, 1.0);
             let x = self.pose(birth).inverse().transform(&(ray * depth));
             let moves = (i as f64) < self.moving * self.points as f64;
             let direction = Vector3::from_fn(|_, _| 0.06 * rng.normal());
@@ -71,7 +82,8 @@ impl Scene {
                 let bend = Vector3::new((0.4 * t).sin(), (0.5 * t).cos(), 0.0) * 0.1;
                 let at = if moves { x + direction * t + bend } else { x };
                 let p = self.pose(frame).transform(&at);
-                let q = [self.focal * p.x / p.z, self.focal * p.y / p.z];
+                let focal = self.focal(frame);
+                let q = [focal * p.x / p.z, focal * p.y / p.z];
                 if p.z < 0.5 || q[0].abs() > WIDTH as f64 / 2.0 || q[1].abs() > HEIGHT as f64 / 2.0 {
                     break;
                 }
@@ -213,6 +225,72 @@ fn a_turning_camera_gives_rotations_and_says_so() {
         .zip(&moving)
         .filter(|(t, m)| t.motion == Motion::Dynamic && !**m);
     assert!(wrong.count() < 20);
+}
+
+#[test]
+fn a_zoom_gives_rotations_and_a_lens_a_frame_and_says_so() {
+    let scene = Scene {
+        step: 0.0,
+        zoom: 1.8,
+        ..ROOM
+    };
+    let (tracks, moving) = scene.tracks();
+    let found = solve(tracks.clone(), scene.frames, &SparseConfig::default()).unwrap();
+    assert_eq!(found.camera_motion, CameraMotion::RotationOnly, "{:?}", found.warnings);
+    assert_eq!(found.warnings.len(), 1, "{:?}", found.warnings);
+    assert!(found.warnings[0].contains("the lens zooms"), "{:?}", found.warnings);
+    let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
+    assert!(
+        (lens(29) / lens(0) / 1.8 - 1.0).abs() < 0.01,
+        "{} {}",
+        lens(0),
+        lens(29)
+    );
+    // Tracks are where they were seen.
+    let seen = found.tracks[7].observations[3];
+    let raw = tracks[7].seen[3];
+    assert!(
+        (f64::from(seen[0]) + 0.5 - 320.0 - raw[0]).abs() < 1e-3,
+        "{seen:?} {raw:?}"
+    );
+    assert!(
+        (f64::from(seen[1]) + 0.5 - 240.0 - raw[1]).abs() < 1e-3,
+        "{seen:?} {raw:?}"
+    );
+    let right = found.tracks.iter().zip(&moving).filter(|(t, moves)| match t.motion {
+        Motion::Static => !**moves,
+        Motion::Dynamic => **moves,
+        Motion::Unknown => true,
+    });
+    assert!(right.count() * 10 > 9 * moving.len());
+    // A given field of view is that of the first frame.
+    let told = SparseConfig {
+        focal_px: Some(520.0),
+        ..SparseConfig::default()
+    };
+    let found = solve(tracks, scene.frames, &told).unwrap();
+    let lens = |frame: usize| found.cameras[frame].intrinsics.fx;
+    assert!(
+        (lens(0) - 520.0).abs() < 1e-6 && (lens(29) / 936.0 - 1.0).abs() < 0.01,
+        "{} {}",
+        lens(0),
+        lens(29)
+    );
+}
+
+#[test]
+fn a_walk_straight_ahead_is_a_walk() {
+    let scene = Scene {
+        step: 0.06,
+        way: [0.0, 0.02, 1.0],
+        turn: 0.001,
+        moving: 0.0,
+        ..ROOM
+    };
+    let found = solve(scene.tracks().0, scene.frames, &SparseConfig::default()).unwrap();
+    assert_eq!(found.camera_motion, CameraMotion::Parallax, "{:?}", found.warnings);
+    let (path, _) = errors(&found, &scene);
+    assert!(path < 0.02, "{path} {:?}", found.warnings);
 }
 
 #[test]
@@ -379,6 +457,21 @@ fn given_cameras_that_contradict_the_pictures_are_refused() {
         })
         .collect();
     assert!(matches!(posed(&wrong), Err(SparseError::PosesDoNotFit { .. })));
+}
+
+#[test]
+fn given_cameras_that_explain_far_less_than_others_are_refused() {
+    // The last two thirds of the way are walked backwards.
+    let right = room_cameras(ROOM.focal);
+    let wrong: Vec<Camera> = (0..ROOM.frames)
+        .map(|i| right[if i < 10 { i } else { 39 - i }])
+        .collect();
+    match posed(&wrong) {
+        Err(SparseError::PosesRefuted {
+            points, tracks, better, ..
+        }) => assert!(points * 2 <= better && better <= tracks, "{points} {better} {tracks}"),
+        other => panic!("{:?}", other.map(|r| r.warnings)),
+    }
 }
 
 #[test]

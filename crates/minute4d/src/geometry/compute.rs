@@ -3,14 +3,15 @@
 use super::confidence::{Confidence, Grade};
 use super::frontend::Resolved;
 use super::given::Given;
+use super::iterate::{self, Change};
 use super::scale::{depth_ratio, rescale, typical_depth};
 use crate::record::Found;
 use crate::{Error, Observer, Settings};
 use m4_io::capture::Split;
-use m4_scene::{Capture, CaptureFrame, DepthMap, RgbImage, Video};
-use m4_slam::dense::{self, DenseFrame, densify};
+use m4_scene::{Capture, CaptureFrame, DepthMap, Progress, RgbImage, Video};
+use m4_slam::dense::{self, DenseFrame, MonoDepth, NoDepth, SensorDepth, densify};
 use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_slam::sparse::{self, Known, SparseConfig};
+use m4_slam::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError};
 use std::path::Path;
 
 /// Given poses and given depth whose units differ by more than this factor do not fit.
@@ -48,29 +49,95 @@ pub(super) fn compute(
     let known = Known {
         masks: given.masks.as_deref(),
     };
-    let recovered = match &given.cameras {
-        Some(cameras) => sparse::with_cameras(&pictures, cameras, &known, &config, observer)?,
-        None => sparse::recover(&pictures, &known, &config, observer)?,
+    let (mut recovered, followed) = match &given.cameras {
+        Some(cameras) => (
+            sparse::with_cameras(&pictures, cameras, &known, &config, observer)?,
+            None,
+        ),
+        None => {
+            let followed = sparse::follow(&pictures, &config, observer)?;
+            (followed.recover(&known, &config, observer)?, Some(followed))
+        }
     };
-    let mut sparse = recovered.sparse;
-    for warning in &sparse.warnings {
-        observer.warn(warning);
+    finish_sparse(&mut recovered.sparse, &given, observer)?;
+    let mut dense = dense_in_its_unit(&pictures, &recovered.sparse, flow.as_ref(), &given, settings, observer)?;
+    let mut rounds = 1;
+    if let (Some(followed), None) = (followed, &given.masks)
+        && let Some(better) = once_more(&followed, &recovered.sparse, &mut dense, &config, observer)?
+    {
+        drop(dense);
+        recovered = better;
+        finish_sparse(&mut recovered.sparse, &given, observer)?;
+        dense = dense_in_its_unit(&pictures, &recovered.sparse, flow.as_ref(), &given, settings, observer)?;
+        rounds = 2;
     }
-    if let Some(depth) = &given.depth {
-        to_metres(&mut sparse, depth, given.cameras.is_some(), observer)?;
-    }
-    let dense = dense_in_its_unit(&pictures, &sparse, flow.as_ref(), &given, settings, observer)?;
+    let sparse = recovered.sparse;
     let known_depth = given.depth.as_deref().map(known_share);
     let confidence = Confidence::of(&sparse, recovered.focal, &dense, given.masks.is_some(), known_depth);
     if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
         observer.warn(&format!("geometry is {}: {advice}", confidence.grade.name()));
     }
-    let found = summary(&sparse, &dense, frontend.name(), &given, confidence);
+    let found = summary(&sparse, &dense, frontend.name(), &given, rounds, confidence);
     drop(pictures);
     let metric = given.depth.is_some();
     let capture = assemble(video, &sparse, dense, metric);
     m4_io::capture::write(folder, &capture, Split::Train, observer)?;
     Ok(found)
+}
+
+/// Says what is doubtful, and takes the unit of what was given.
+fn finish_sparse(sparse: &mut SparseReconstruction, given: &Given, observer: &dyn Observer) -> Result<(), Error> {
+    for warning in &sparse.warnings {
+        observer.warn(warning);
+    }
+    match &given.depth {
+        Some(depth) => to_metres(sparse, depth, given.cameras.is_some(), observer),
+        None => Ok(()),
+    }
+}
+
+/// Cameras found without what the masks cover, if they differ enough for depth and masks to be made anew.
+fn once_more(
+    followed: &Followed,
+    first: &SparseReconstruction,
+    dense: &mut [DenseFrame],
+    config: &SparseConfig,
+    observer: &dyn Observer,
+) -> Result<Option<Recovered>, Error> {
+    const PHASE: &str = "cameras without what moves";
+    let masks = iterate::take_masks(dense);
+    let mut found = None;
+    if iterate::worth(first, &masks) {
+        observer.update(PHASE, 0, 1, "");
+        let known = Known { masks: Some(&masks) };
+        // What the second look says of the clip was said by the first, or is said when it is taken.
+        let second = match followed.recover(&known, config, &Quiet(observer)) {
+            Err(stop @ SparseError::Cancelled) => return Err(stop.into()),
+            other => other.ok().filter(|r| r.sparse.camera_motion == CameraMotion::Parallax),
+        };
+        let change = second
+            .as_ref()
+            .map(|second| Change::between(first, &second.sparse, |track| iterate::within(&masks, track)));
+        observer.update(PHASE, 1, 1, &change.map_or_else(String::new, |change| change.words()));
+        found = second.filter(|_| change.is_some_and(|change| change.matters()));
+    }
+    iterate::put_back(dense, masks);
+    Ok(found)
+}
+
+/// Passes on all but warnings.
+struct Quiet<'a>(&'a dyn Observer);
+
+impl Progress for Quiet<'_> {
+    fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
+        self.0.update(phase, done, total, note);
+    }
+
+    fn warn(&self, _: &str) {}
+
+    fn cancelled(&self) -> bool {
+        self.0.cancelled()
+    }
 }
 
 /// The focal length in pixels of frames of `width` columns that settings or the file state.
@@ -116,16 +183,15 @@ fn dense_in_its_unit(
         1.0
     };
     let scaled = (unit != 1.0).then(|| rescale(sparse, 1.0 / unit));
-    let depth: Option<Vec<DepthMap>> = given.depth.as_deref().map(|maps| {
-        let to_unit = |map: &DepthMap| map.map(|z| z / unit as f32);
-        maps.iter().map(to_unit).collect()
+    let sensor = given.depth.as_deref().map(|maps| SensorDepth {
+        maps: maps.iter().map(|map| map.map(|z| z / unit as f32)).collect(),
     });
+    let mono: &dyn MonoDepth = sensor.as_ref().map_or(&NoDepth, |sensor| sensor);
     let known = dense::Given {
         masks: given.masks.as_deref(),
-        depth: depth.as_deref(),
     };
     let sparse = scaled.as_ref().unwrap_or(sparse);
-    let mut frames = densify(pictures, sparse, flow, &known, &settings.dense, observer)?;
+    let mut frames = densify(pictures, sparse, flow, &known, mono, &settings.dense, observer)?;
     if unit != 1.0 {
         for z in frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
             *z *= unit as f32;
@@ -176,6 +242,7 @@ fn summary(
     dense: &[DenseFrame],
     frontend: &str,
     given: &Given,
+    rounds: usize,
     confidence: Confidence,
 ) -> Found {
     let lens = sparse.cameras.first().map(|c| c.intrinsics);
@@ -198,6 +265,7 @@ fn summary(
         moving_share: moving as f64 / pixels.max(1) as f64,
         frontend: frontend.to_owned(),
         given: given.names(),
+        rounds,
         confidence: Some(confidence),
     }
 }

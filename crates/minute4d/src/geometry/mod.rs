@@ -3,7 +3,8 @@
 //! ```text
 //! video, and what the user knows (given) -> frames
 //!   --sparse--> cameras, tracks, points --dense, with flow of a front end--> depth, masks --> capture
-//!                                                                          '-> confidence
+//!              ^                                                            |    '-> confidence
+//!              '---- once more without what is masked (iterate) ------------'
 //! ```
 //!
 //! This file keeps the record and the folder; `compute` does the work, `frontend` chooses who measures flow,
@@ -13,6 +14,7 @@ mod compute;
 mod confidence;
 mod frontend;
 mod given;
+mod iterate;
 mod options;
 mod scale;
 

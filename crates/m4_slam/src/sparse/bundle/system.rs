@@ -1,6 +1,6 @@
 //! The normal equations with the points eliminated.
 
-use super::cholesky::Lower;
+use super::cholesky::{Envelope, Lower};
 use super::{Bundle, BundleOptions, Jacobian};
 use m4_math::nalgebra::{Matrix3, Matrix6x3, RowVector3, Vector3, Vector6};
 use rayon::prelude::*;
@@ -13,11 +13,12 @@ const GROUPS: usize = 8;
 /// `S d = rhs` for poses and focal length.
 #[derive(Debug)]
 pub(super) struct Reduced {
-    n: usize,
+    envelope: Envelope,
     /// First of six columns, per pose; `None` for poses that do not move.
     pub pose_columns: Vec<Option<usize>>,
     /// Column of the logarithm of the focal length.
     pub focal_column: Option<usize>,
+    /// Entries within the envelope.
     matrix: Vec<f64>,
     rhs: Vec<f64>,
 }
@@ -26,10 +27,10 @@ impl Reduced {
     /// The step and the standard deviation of the logarithm of the focal length (infinite when it is
     /// not free); `None` when the system is singular.
     pub fn solve(&self) -> Option<(Vec<f64>, f64)> {
-        let factor = Lower::new(self.n, self.matrix.clone()).factorise()?;
+        let factor = Lower::new(&self.envelope, self.matrix.clone()).factorise()?;
         let step = factor.solve(&self.rhs);
         let sigma = self.focal_column.map_or(f64::INFINITY, |c| {
-            let mut unit = vec![0.0; self.n];
+            let mut unit = vec![0.0; self.envelope.rows()];
             unit[c] = 1.0;
             factor.solve(&unit)[c].max(0.0).sqrt()
         });
@@ -60,11 +61,23 @@ impl Reduced {
 }
 
 /// What one group of points contributes.
-struct Part {
+struct Part<'a> {
+    envelope: &'a Envelope,
     matrix: Vec<f64>,
     rhs: Vec<f64>,
     /// Diagonal before elimination: what damping scales with.
     diagonal: Vec<f64>,
+}
+
+impl<'a> Part<'a> {
+    fn zero(envelope: &'a Envelope) -> Self {
+        Self {
+            envelope,
+            matrix: vec![0.0; envelope.entries()],
+            rhs: vec![0.0; envelope.rows()],
+            diagonal: vec![0.0; envelope.rows()],
+        }
+    }
 }
 
 /// A point's own block, damped and inverted, and its gradient; `None` when it is not observed well
@@ -111,40 +124,60 @@ pub(super) fn reduce(
     let focal_column = options.free_focal.then_some(n);
     n += usize::from(options.free_focal);
     let groups: Vec<&[Range<usize>]> = runs.chunks(runs.len().div_ceil(GROUPS).max(1)).collect();
-    let parts: Vec<Part> = groups
+    let envelope = envelope(bundle, runs, &pose_columns, focal_column, n);
+    let parts: Vec<Part<'_>> = groups
         .par_iter()
         .map(|group| {
-            let mut part = Part {
-                matrix: vec![0.0; n * n],
-                rhs: vec![0.0; n],
-                diagonal: vec![0.0; n],
-            };
+            let mut part = Part::zero(&envelope);
             for run in group.iter().filter(|run| !run.is_empty()) {
                 part.add_point(bundle, jacobians, run.clone(), damping, &pose_columns, focal_column);
             }
             part
         })
         .collect();
-    let mut sum = Part {
-        matrix: vec![0.0; n * n],
-        rhs: vec![0.0; n],
-        diagonal: vec![0.0; n],
-    };
+    let mut sum = Part::zero(&envelope);
     for part in &parts {
         add(&mut sum.matrix, &part.matrix);
         add(&mut sum.rhs, &part.rhs);
         add(&mut sum.diagonal, &part.diagonal);
     }
     for i in 0..n {
-        sum.matrix[i * n + i] += damping * sum.diagonal[i] + 1e-12;
+        sum.matrix[envelope.at(i, i)] += damping * sum.diagonal[i] + 1e-12;
     }
+    let Part { matrix, rhs, .. } = sum;
     Reduced {
-        n,
+        envelope,
         pose_columns,
         focal_column,
-        matrix: sum.matrix,
-        rhs: sum.rhs,
+        matrix,
+        rhs,
     }
+}
+
+/// Poses are coupled where one point is seen by both; all are coupled to the focal length.
+fn envelope(
+    bundle: &Bundle,
+    runs: &[Range<usize>],
+    pose_columns: &[Option<usize>],
+    focal_column: Option<usize>,
+    n: usize,
+) -> Envelope {
+    let mut first: Vec<usize> = (0..n).map(|row| row - row % 6).collect();
+    for run in runs {
+        let columns = || {
+            bundle.observations[run.clone()]
+                .iter()
+                .filter_map(|o| pose_columns[o.pose])
+        };
+        let Some(least) = columns().min() else { continue };
+        for row in columns().flat_map(|c| c..c + 6) {
+            first[row] = first[row].min(least);
+        }
+    }
+    if let Some(f) = focal_column {
+        first[f] = 0;
+    }
+    Envelope::new(first)
 }
 
 fn add(sum: &mut [f64], part: &[f64]) {
@@ -153,7 +186,7 @@ fn add(sum: &mut [f64], part: &[f64]) {
     }
 }
 
-impl Part {
+impl Part<'_> {
     fn add_point(
         &mut self,
         bundle: &Bundle,
@@ -163,13 +196,14 @@ impl Part {
         pose_columns: &[Option<usize>],
         focal_column: Option<usize>,
     ) {
-        let n = self.rhs.len();
+        let envelope = self.envelope;
+        let at = |row: usize, column: usize| envelope.at(row, column);
         let block = point_block(&jacobians[run.clone()], damping);
         let mut cross: Vec<(usize, Matrix6x3<f64>)> = Vec::with_capacity(run.len());
         let mut cross_focal = RowVector3::zeros();
         for (o, j) in bundle.observations[run.clone()].iter().zip(&jacobians[run]) {
             if let Some(f) = focal_column {
-                self.matrix[f * n + f] += j.focal.norm_squared();
+                self.matrix[at(f, f)] += j.focal.norm_squared();
                 self.diagonal[f] += j.focal.norm_squared();
                 self.rhs[f] -= j.focal.dot(&j.residual);
                 cross_focal += j.focal.transpose() * j.point;
@@ -178,7 +212,7 @@ impl Part {
             let (square, gradient) = (j.pose.transpose() * j.pose, j.pose.transpose() * j.residual);
             for a in 0..6 {
                 for b in 0..=a {
-                    self.matrix[(c + a) * n + c + b] += square[(a, b)];
+                    self.matrix[at(c + a, c + b)] += square[(a, b)];
                 }
                 self.diagonal[c + a] += square[(a, a)];
                 self.rhs[c + a] -= gradient[a];
@@ -186,7 +220,7 @@ impl Part {
             if let Some(f) = focal_column {
                 let row = j.focal.transpose() * j.pose;
                 for b in 0..6 {
-                    self.matrix[f * n + c + b] += row[b];
+                    self.matrix[at(f, c + b)] += row[b];
                 }
             }
             cross.push((c, j.pose.transpose() * j.point));
@@ -198,9 +232,12 @@ impl Part {
             for (column, other) in &cross[..=i] {
                 let product = y * other.transpose();
                 for a in 0..6 {
-                    let line = &mut self.matrix[(row + a) * n + column..(row + a) * n + column + 6];
-                    for b in 0..6 {
-                        line[b] -= product[(a, b)];
+                    // Of the block on the diagonal, the lower half alone is kept.
+                    let width = if *column == *row { a + 1 } else { 6 };
+                    let begin = at(row + a, *column);
+                    let line = &mut self.matrix[begin..begin + width];
+                    for (b, entry) in line.iter_mut().enumerate() {
+                        *entry -= product[(a, b)];
                     }
                 }
             }
@@ -214,10 +251,10 @@ impl Part {
             for (column, other) in &cross {
                 let product = y * other.transpose();
                 for b in 0..6 {
-                    self.matrix[f * n + column + b] -= product[b];
+                    self.matrix[at(f, column + b)] -= product[b];
                 }
             }
-            self.matrix[f * n + f] -= y.dot(&cross_focal);
+            self.matrix[at(f, f)] -= y.dot(&cross_focal);
             self.rhs[f] += y.dot(&gradient.transpose());
         }
     }

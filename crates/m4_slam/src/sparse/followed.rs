@@ -1,0 +1,58 @@
+//! Tracks of a clip, kept so that cameras can be found more than once.
+
+use super::known::{Known, Recovered};
+use super::luma::WorkingSize;
+use super::reconstruct::{check, check_masks, from_tracks};
+use super::tracking::{RawTrack, track};
+use super::{SparseConfig, SparseError};
+use m4_scene::{Progress, RgbImage};
+
+/// What was followed through a clip. Following takes most of the time of a reconstruction.
+#[derive(Debug, Clone)]
+pub struct Followed {
+    tracks: Vec<RawTrack>,
+    frames: usize,
+    size: [usize; 2],
+    working: WorkingSize,
+}
+
+/// Follows corners through a clip.
+///
+/// # Errors
+///
+/// As [`super::recover`], but for what concerns cameras.
+pub fn follow(frames: &[&RgbImage], config: &SparseConfig, progress: &dyn Progress) -> Result<Followed, SparseError> {
+    let (width, height) = check(frames, &Known::default(), config)?;
+    let working = WorkingSize::new(width, height, config.tracking.longest_side_px);
+    Ok(Followed {
+        tracks: track(frames, working, &config.tracking, progress)?,
+        frames: frames.len(),
+        size: [width, height],
+        working,
+    })
+}
+
+impl Followed {
+    /// As [`super::recover`] of the same frames with the same settings.
+    ///
+    /// # Errors
+    ///
+    /// As [`super::recover`].
+    pub fn recover(
+        &self,
+        known: &Known<'_>,
+        config: &SparseConfig,
+        progress: &dyn Progress,
+    ) -> Result<Recovered, SparseError> {
+        check_masks(known, self.frames)?;
+        from_tracks(
+            self.tracks.clone(),
+            self.frames,
+            self.size,
+            self.working,
+            known,
+            config,
+            progress,
+        )
+    }
+}

@@ -1,0 +1,288 @@
+//! Cameras once more, now that it is known what moves.
+//!
+//! The first cameras come from tracks that judged each other. Masks know more: tracks within them are left out, cameras are
+//! found anew, and where that changes what they see, depth and masks are made anew, too. Otherwise all stays as it was.
+
+use m4_math::Sim3;
+use m4_math::nalgebra::Vector3;
+use m4_scene::{Mask, Plane};
+use m4_slam::dense::DenseFrame;
+use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use std::collections::HashMap;
+
+/// Changes of what cameras see above this many pixels matter.
+const SHIFT_PX: f64 = 0.25;
+/// Share of tracks outside the masks whose verdict changes that matters.
+const VERDICTS: f64 = 0.03;
+/// Fewest points that both have, and that say something of a frame.
+const POINTS: usize = 30;
+const POINTS_A_FRAME: usize = 10;
+/// New cameras must let this share of the tracks rest that rested before, masks left out: else they found less.
+const AS_MANY: f64 = 0.9;
+
+/// How a second reconstruction differs from the first.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Change {
+    /// The frame that changed most: how far apart the two see the same points, median over them, pixels; infinite where too few
+    /// points are in both.
+    pub shift_px: f64,
+    /// Share of the tracks judged by both, outside the masks, that rest for one and move for the other.
+    pub verdicts: f64,
+    /// Resting tracks outside the masks of the second, over those of the first.
+    pub kept: f64,
+}
+
+impl Change {
+    /// Whether depth and masks are to be made anew with the second.
+    pub fn matters(&self) -> bool {
+        let differs = self.shift_px > SHIFT_PX || self.verdicts > VERDICTS;
+        differs && self.kept >= AS_MANY
+    }
+
+    /// In a few words.
+    pub fn words(&self) -> String {
+        format!(
+            "they see points {:.2} px elsewhere, {:.1} % of tracks judged otherwise",
+            self.shift_px,
+            100.0 * self.verdicts
+        )
+    }
+
+    /// Of two reconstructions of the same tracks, where `masked` says which of the second lie within masks.
+    pub fn between(
+        first: &SparseReconstruction,
+        second: &SparseReconstruction,
+        masked: impl Fn(&Track) -> bool,
+    ) -> Self {
+        let by_start: HashMap<_, &Track> = first.tracks.iter().filter_map(|t| Some((key(t)?, t))).collect();
+        let pairs: Vec<(&Track, &Track)> = second
+            .tracks
+            .iter()
+            .filter(|t| !masked(t))
+            .filter_map(|t| Some((*by_start.get(&key(t)?)?, t)))
+            .collect();
+        let judged = pairs
+            .iter()
+            .filter(|(a, b)| a.motion != Motion::Unknown && b.motion != Motion::Unknown);
+        let (judged, turned) = judged.fold((0_usize, 0_usize), |(n, turned), (a, b)| {
+            (n + 1, turned + usize::from(a.motion != b.motion))
+        });
+        let rest =
+            |motion: &dyn Fn(&(&Track, &Track)) -> Motion| pairs.iter().filter(|p| motion(p) == Motion::Static).count();
+        let (before, after) = (rest(&|p| p.0.motion), rest(&|p| p.1.motion));
+        Self {
+            shift_px: shift_px(first, second, &pairs),
+            verdicts: turned as f64 / judged.max(1) as f64,
+            kept: after as f64 / before.max(1) as f64,
+        }
+    }
+}
+
+/// A track by where it begins, in 64ths of a pixel.
+fn key(track: &Track) -> Option<(usize, [i64; 2])> {
+    let at = track.observations.first()?;
+    Some((track.first_frame, at.map(|v| (f64::from(v) * 64.0).round() as i64)))
+}
+
+/// See [`Change::shift_px`]. The two worlds are laid over each other by their points.
+fn shift_px(first: &SparseReconstruction, second: &SparseReconstruction, pairs: &[(&Track, &Track)]) -> f64 {
+    let points: Vec<_> = pairs
+        .iter()
+        .filter_map(|(a, b)| Some((a.point?, b.point?, *b)))
+        .collect();
+    let all: Vec<usize> = (0..points.len()).collect();
+    let fit = |of: &[usize]| -> Option<Sim3> {
+        let (to, from): (Vec<Vector3<f64>>, Vec<Vector3<f64>>) = of.iter().map(|&i| (points[i].0, points[i].1)).unzip();
+        Sim3::umeyama(&from, &to)
+    };
+    let Some(mut world) = fit(&all).filter(|_| points.len() >= POINTS) else {
+        return f64::INFINITY;
+    };
+    // Far points are uncertain and would turn the world: the better half decides, twice over.
+    for _ in 0..2 {
+        let off = |i: &usize| (world.transform(&points[*i].1) - points[*i].0).norm();
+        let mut order: Vec<(f64, usize)> = all.iter().map(|i| (off(i), *i)).collect();
+        order.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let half: Vec<usize> = order[..(order.len() / 2).max(POINTS / 2)]
+            .iter()
+            .map(|(_, i)| *i)
+            .collect();
+        if let Some(better) = fit(&half) {
+            world = better;
+        }
+    }
+    let mut shifts: Vec<Vec<f64>> = vec![Vec::new(); first.cameras.len()];
+    for (_, point, track) in &points {
+        let there = world.transform(point);
+        let cameras = first.cameras.iter().zip(&second.cameras).enumerate();
+        for (frame, (a, b)) in cameras.skip(track.first_frame).take(track.observations.len()) {
+            let ((p, z), (q, w)) = (a.project(&there), b.project(point));
+            shifts[frame].push(if z > 0.0 && w > 0.0 {
+                (p[0] - q[0]).hypot(p[1] - q[1])
+            } else {
+                f64::INFINITY
+            });
+        }
+    }
+    let middles = shifts.iter_mut().filter(|s| s.len() >= POINTS_A_FRAME).map(|s| {
+        let middle = s.len() / 2;
+        *s.select_nth_unstable_by(middle, f64::total_cmp).1
+    });
+    middles.fold(0.0, f64::max)
+}
+
+/// Whether most of a track lies within masks (above 0) of the size of the frames.
+pub(super) fn within(masks: &[Mask], track: &Track) -> bool {
+    let seen = masks.iter().skip(track.first_frame).zip(&track.observations);
+    let inside = seen.filter(|(mask, at)| {
+        let cell = |v: f32, n: usize| ((v + 0.5).max(0.0) as usize).min(n.saturating_sub(1));
+        mask[(cell(at[0], mask.width()), cell(at[1], mask.height()))] > 0
+    });
+    2 * inside.count() >= track.observations.len()
+}
+
+/// Whether it is worth asking again: there is parallax, and something was masked that is not everything.
+pub(super) fn worth(sparse: &SparseReconstruction, masks: &[Mask]) -> bool {
+    let (mut any, mut all) = (false, true);
+    for m in masks.iter().flat_map(|m| m.data()) {
+        any |= *m > 0;
+        all &= *m > 0;
+    }
+    sparse.camera_motion == CameraMotion::Parallax && any && !all
+}
+
+/// Takes the masks out of frames; [`put_back`] undoes that.
+pub(super) fn take_masks(frames: &mut [DenseFrame]) -> Vec<Mask> {
+    let empty = || Plane::filled(0, 0, 0);
+    frames
+        .iter_mut()
+        .map(|f| std::mem::replace(&mut f.mask, empty()))
+        .collect()
+}
+
+/// Gives frames their masks.
+pub(super) fn put_back(frames: &mut [DenseFrame], masks: Vec<Mask>) {
+    for (frame, mask) in frames.iter_mut().zip(masks) {
+        frame.mask = mask;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Change, within, worth};
+    use m4_math::nalgebra::Vector3;
+    use m4_math::{CounterRng, Se3, exp_so3};
+    use m4_scene::{Camera, Intrinsics, Plane};
+    use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+
+    /// A walk past points between 3 and 6 away, every tenth of which moves.
+    fn clip() -> SparseReconstruction {
+        let mut rng = CounterRng::new(8, 0, 0);
+        let camera = |i: usize| Camera {
+            intrinsics: Intrinsics::centred(320, 240, 300.0),
+            c2w: Se3 {
+                rotation: exp_so3(&Vector3::new(0.0, 0.01 * i as f64, 0.0)),
+                translation: Vector3::new(0.1 * i as f64, 0.0, 0.0),
+            },
+        };
+        let cameras: Vec<Camera> = (0..12).map(camera).collect();
+        let track = |i: usize| {
+            let point = Vector3::new(rng.normal(), 0.7 * rng.normal(), 3.0 + 3.0 * rng.uniform());
+            let seen = cameras.iter().map(|c| c.project(&point).0.map(|v| v as f32));
+            Track {
+                first_frame: 0,
+                observations: seen.collect(),
+                motion: if i % 10 == 0 { Motion::Dynamic } else { Motion::Static },
+                point: (i % 10 != 0).then_some(point),
+                residual_px: 0.1,
+            }
+        };
+        SparseReconstruction {
+            tracks: (0..200).map(track).collect(),
+            cameras,
+            camera_motion: CameraMotion::Parallax,
+            residual_px: 0.1,
+            warnings: Vec::new(),
+        }
+    }
+
+    fn none(_: &Track) -> bool {
+        false
+    }
+
+    #[test]
+    fn another_world_of_the_same_cameras_is_no_change() {
+        let first = clip();
+        let mut second = first.clone();
+        // Turned, moved and twice as large; tracks in another order.
+        let (turn, shift) = (exp_so3(&Vector3::new(0.2, -0.4, 0.1)), Vector3::new(3.0, 1.0, -2.0));
+        for c in &mut second.cameras {
+            c.c2w.rotation = turn * c.c2w.rotation;
+            c.c2w.translation = turn * c.c2w.translation * 2.0 + shift;
+        }
+        for x in second.tracks.iter_mut().filter_map(|t| t.point.as_mut()) {
+            *x = turn * *x * 2.0 + shift;
+        }
+        second.tracks.reverse();
+        let change = Change::between(&first, &second, none);
+        assert!(change.shift_px < 1e-6 && change.verdicts == 0.0, "{change:?}");
+        assert!(!change.matters());
+    }
+
+    #[test]
+    fn cameras_that_see_otherwise_and_verdicts_that_turn_matter() {
+        let first = clip();
+        let turned = |rad: f64| {
+            let mut second = first.clone();
+            second.cameras[6].c2w.rotation *= exp_so3(&Vector3::new(0.0, rad, 0.0));
+            Change::between(&first, &second, none)
+        };
+        // 300 pixels of focal length: 0.15 and 0.6 pixels.
+        assert!(!turned(0.0005).matters(), "{:?}", turned(0.0005));
+        let change = turned(0.002);
+        assert!(change.matters() && (change.shift_px - 0.62).abs() < 0.1, "{change:?}");
+
+        let verdicts = |n: usize, motion: Motion| {
+            let mut second = first.clone();
+            let some = second
+                .tracks
+                .iter_mut()
+                .filter(|t| t.motion != motion && t.motion != Motion::Unknown);
+            for t in some.take(n) {
+                t.motion = motion;
+            }
+            second
+        };
+        assert!(!Change::between(&first, &verdicts(4, Motion::Dynamic), none).matters());
+        let change = Change::between(&first, &verdicts(10, Motion::Dynamic), none);
+        assert!(change.matters() && (change.verdicts - 0.05).abs() < 1e-9, "{change:?}");
+        // What lies within masks does not count ...
+        let second = verdicts(10, Motion::Dynamic);
+        let masked = |t: &Track| t.motion == Motion::Dynamic;
+        assert!(!Change::between(&first, &second, masked).matters());
+        // ... and cameras by which far less rests are not taken.
+        assert!(!Change::between(&first, &verdicts(40, Motion::Dynamic), none).matters());
+        // Nothing in common: another solution altogether.
+        let mut other = first.clone();
+        for t in &mut other.tracks {
+            t.point = None;
+        }
+        assert!(Change::between(&first, &other, none).matters());
+    }
+
+    #[test]
+    fn masks_part_tracks_and_none_is_not_worth_another_look() {
+        let clip = clip();
+        let half = vec![Plane::from_fn(320, 240, |x, _| if x < 160 { 255 } else { 0 }); 12];
+        let inside = clip.tracks.iter().filter(|t| within(&half, t)).count();
+        assert!((20..180).contains(&inside), "{inside}");
+        assert!(worth(&clip, &half));
+        assert!(!worth(&clip, &vec![Plane::filled(320, 240, 0); 12]));
+        assert!(!worth(&clip, &vec![Plane::filled(320, 240, 255); 12]));
+        let turning = SparseReconstruction {
+            camera_motion: CameraMotion::RotationOnly,
+            ..clip
+        };
+        assert!(!worth(&turning, &half));
+    }
+}
