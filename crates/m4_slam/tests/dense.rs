@@ -4,7 +4,10 @@
 use m4_math::Se3;
 use m4_math::nalgebra::Vector3;
 use m4_scene::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Silent};
-use m4_slam::dense::{DenseConfig, DenseError, DenseFrame, Given, InverseSearch};
+use m4_slam::dense::{
+    DenseConfig, DenseError, DenseFrame, Given, InverseSearch, SegmentError, SegmentMask, SegmentPrompt, Segmenter,
+    Sources,
+};
 use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use std::sync::Mutex;
 
@@ -15,10 +18,11 @@ fn densify(
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
+    let flow = InverseSearch::default();
     m4_slam::dense::densify(
         frames,
         sparse,
-        &InverseSearch::default(),
+        &Sources::flow(&flow),
         &Given::default(),
         config,
         progress,
@@ -324,4 +328,76 @@ fn settings_of_masks_and_bodies_out_of_range_are_named() {
     assert_eq!(named(&|c| c.plate.step = 0.0), "dense.plate.step");
     assert_eq!(named(&|c| c.plate.reaches = vec![0, 3]), "dense.plate.reaches");
     assert_eq!(named(&|c| c.consistent.prior = -1.0), "dense.consistent.prior");
+    assert_eq!(named(&|c| c.segment.points = 0), "dense.segment.points");
+    assert_eq!(
+        named(&|c| c.segment.belief_limit = f32::NAN),
+        "dense.segment.belief_limit"
+    );
+    assert_eq!(named(&|c| c.segment.least_overlap = 1.5), "dense.segment.least_overlap");
+}
+
+/// Answers every prompt with the same kind of mask.
+enum Oracle<'a> {
+    Truth(&'a Drawn),
+    Everything,
+    Fails,
+}
+
+impl Segmenter for Oracle<'_> {
+    fn name(&self) -> &'static str {
+        "oracle"
+    }
+
+    fn masks(
+        &self,
+        image: &RgbImage,
+        (width, height): (usize, usize),
+        prompts: &[SegmentPrompt],
+    ) -> Result<Vec<SegmentMask>, SegmentError> {
+        let logits: Vec<f32> = match self {
+            Self::Truth(drawn) => {
+                let i = drawn.images.iter().position(|other| other == image).unwrap();
+                let moving = drawn.moving[i].data().iter();
+                moving.map(|&m| if m != 0 { 5.0 } else { -5.0 }).collect()
+            }
+            Self::Everything => vec![5.0; width * height],
+            Self::Fails => {
+                return Err(SegmentError::Source {
+                    segmenter: self.name().to_owned(),
+                    reason: "out of order".into(),
+                });
+            }
+        };
+        let mask = SegmentMask { logits, quality: 0.95 };
+        Ok(vec![mask; prompts.len()])
+    }
+}
+
+#[test]
+fn a_segmenter_is_believed_where_it_means_the_same() {
+    for (step, motion) in [(0.06, CameraMotion::Parallax), (0.0, CameraMotion::Static)] {
+        let drawn = draw(step);
+        let (frames, good) = (references(&drawn), sparse(&drawn, motion));
+        let flow = InverseSearch::default();
+        let with = |segmenter: Option<&dyn Segmenter>| {
+            let sources = Sources { flow: &flow, segmenter };
+            let config = DenseConfig::default();
+            m4_slam::dense::densify(&frames, &good, &sources, &Given::default(), &config, &Silent)
+        };
+        let plain = with(None).unwrap();
+        let sharp = with(Some(&Oracle::Truth(&drawn))).unwrap();
+        let ((_, before), (_, after)) = (score(&drawn, &plain), score(&drawn, &sharp));
+        assert!(
+            after > 0.9 && after > before + 0.05,
+            "{motion:?}: {before:.3} to {after:.3}"
+        );
+        // The whole picture is not what moves.
+        assert_eq!(with(Some(&Oracle::Everything)).unwrap(), plain, "{motion:?}");
+        let failed = with(Some(&Oracle::Fails)).unwrap_err();
+        assert!(matches!(failed, DenseError::Segment { .. }), "{failed}");
+
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+        let oracle = Oracle::Truth(&drawn);
+        assert_eq!(pool.install(|| with(Some(&oracle)).unwrap()), sharp, "{motion:?}");
+    }
 }

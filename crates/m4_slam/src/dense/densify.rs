@@ -6,13 +6,15 @@ use super::config::DenseConfig;
 use super::consistent;
 use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
-use super::flow::{FlowPair, FlowSource};
+use super::flow::FlowPair;
 use super::given::Given;
 use super::motion::{self, Clues, Seen};
 use super::moving_depth;
 use super::plate;
+use super::segment;
 use super::shot::{Shot, sparse_points};
 use super::smooth::Smoother;
+use super::sources::Sources;
 use super::static_depth::{self, Measured, Swept};
 use super::working::{WorkingFrame, fitting_side, working_size};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
@@ -63,12 +65,12 @@ pub(super) struct Stages {
 pub fn densify(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
-    flow: &dyn FlowSource,
+    sources: &Sources<'_>,
     given: &Given<'_>,
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    let stages = run(frames, sparse, flow, given, config, progress)?;
+    let stages = run(frames, sparse, sources, given, config, progress)?;
     each(frames.len(), "enlarging depth", progress, |i| {
         let small = Small {
             frame: &stages.shots[i].frame,
@@ -146,7 +148,7 @@ fn one_lens(cameras: &[Camera]) -> bool {
 pub(super) fn run(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
-    flow: &dyn FlowSource,
+    sources: &Sources<'_>,
     given: &Given<'_>,
     config: &DenseConfig,
     progress: &dyn Progress,
@@ -175,7 +177,8 @@ pub(super) fn run(
         WorkingFrame::new(frames[i], &sparse.cameras[i], w, h)
     })?;
     let flows = each(count - 1, "computing flow", progress, |i| {
-        FlowPair::new(&working[i], &working[i + 1], flow).map_err(|source| DenseError::Flow { frame: i, source })
+        FlowPair::new(&working[i], &working[i + 1], sources.flow)
+            .map_err(|source| DenseError::Flow { frame: i, source })
     })?;
     let flows = flows.into_iter().collect::<Result<Vec<_>, _>>()?;
     let points = sparse_points(sparse, w, h);
@@ -258,6 +261,15 @@ pub(super) fn run(
         moving = each(count, "sharpening masks", progress, |i| {
             plate::sharpen(&scene, i, &moving[i], &smoother(i), &config.motion, &config.plate)
         })?;
+    }
+    if let (false, Some(segmenter)) = (told, sources.segmenter) {
+        let sharp = each(count, "outlining moving parts", progress, |i| {
+            segment::sharpen(segmenter, frames[i], (w, h), &moving[i], &config.segment)
+                .map_err(|source| DenseError::Segment { frame: i, source })
+        })?;
+        moving = sharp.into_iter().collect::<Result<Vec<_>, _>>()?;
+    }
+    if parallax && !told {
         measured = each(count, "comparing depth", progress, |i| {
             static_depth::measure(&shots, &swept, Some(&moving), i, &config.static_depth)
         })?;

@@ -1,6 +1,7 @@
 //! What densification cannot work with.
 
 use super::flow::FlowError;
+use super::segment::SegmentError;
 use crate::cvd::CvdError;
 
 /// Why no depth and masks could be made.
@@ -48,6 +49,14 @@ pub enum DenseError {
         frame: usize,
         /// What went wrong.
         source: FlowError,
+    },
+    /// The segmenter failed.
+    #[error("no masks of things in frame {frame}")]
+    Segment {
+        /// Which frame.
+        frame: usize,
+        /// What went wrong.
+        source: SegmentError,
     },
     /// Masks or depth were given for another clip.
     #[error("{what} of {found} frames were given for {expected} frames; give one a frame")]

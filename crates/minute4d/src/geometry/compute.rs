@@ -4,11 +4,12 @@ use super::confidence::{Confidence, Grade};
 use super::frontend::Resolved;
 use super::given::Given;
 use super::scale::{depth_ratio, rescale, typical_depth};
+use super::segmenter;
 use crate::record::Found;
 use crate::{Error, Observer, Settings};
 use m4_io::capture::Split;
 use m4_scene::{Capture, CaptureFrame, DepthMap, RgbImage, Video};
-use m4_slam::dense::{self, DenseFrame, densify};
+use m4_slam::dense::{self, DenseFrame, Sources, densify};
 use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_slam::sparse::{self, Known, SparseConfig};
 use std::path::Path;
@@ -22,9 +23,15 @@ pub(super) fn compute(
     folder: &Path,
     settings: &Settings,
     frontend: &Resolved,
+    segmenter: &segmenter::Resolved,
     observer: &dyn Observer,
 ) -> Result<Found, Error> {
     let flow = frontend.load(&settings.dense.flow)?;
+    let outlines = segmenter.load()?;
+    let sources = Sources {
+        flow: flow.as_ref(),
+        segmenter: outlines.as_deref(),
+    };
     let video = m4_io::video::read(input, &settings.video, observer)?;
     for warning in &video.warnings {
         observer.warn(warning);
@@ -59,13 +66,13 @@ pub(super) fn compute(
     if let Some(depth) = &given.depth {
         to_metres(&mut sparse, depth, given.cameras.is_some(), observer)?;
     }
-    let dense = dense_in_its_unit(&pictures, &sparse, flow.as_ref(), &given, settings, observer)?;
+    let dense = dense_in_its_unit(&pictures, &sparse, &sources, &given, settings, observer)?;
     let known_depth = given.depth.as_deref().map(known_share);
     let confidence = Confidence::of(&sparse, recovered.focal, &dense, given.masks.is_some(), known_depth);
     if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
         observer.warn(&format!("geometry is {}: {advice}", confidence.grade.name()));
     }
-    let found = summary(&sparse, &dense, frontend.name(), &given, confidence);
+    let found = summary(&sparse, &dense, [frontend.name(), segmenter.name()], &given, confidence);
     drop(pictures);
     let metric = given.depth.is_some();
     let capture = assemble(video, &sparse, dense, metric);
@@ -105,7 +112,7 @@ fn to_metres(
 fn dense_in_its_unit(
     pictures: &[&RgbImage],
     sparse: &SparseReconstruction,
-    flow: &dyn dense::FlowSource,
+    sources: &Sources<'_>,
     given: &Given,
     settings: &Settings,
     observer: &dyn Observer,
@@ -125,7 +132,7 @@ fn dense_in_its_unit(
         depth: depth.as_deref(),
     };
     let sparse = scaled.as_ref().unwrap_or(sparse);
-    let mut frames = densify(pictures, sparse, flow, &known, &settings.dense, observer)?;
+    let mut frames = densify(pictures, sparse, sources, &known, &settings.dense, observer)?;
     if unit != 1.0 {
         for z in frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
             *z *= unit as f32;
@@ -174,7 +181,7 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>,
 fn summary(
     sparse: &SparseReconstruction,
     dense: &[DenseFrame],
-    frontend: &str,
+    [frontend, segmenter]: [&str; 2],
     given: &Given,
     confidence: Confidence,
 ) -> Found {
@@ -197,6 +204,7 @@ fn summary(
         points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
         moving_share: moving as f64 / pixels.max(1) as f64,
         frontend: frontend.to_owned(),
+        segmenter: segmenter.to_owned(),
         given: given.names(),
         confidence: Some(confidence),
     }
