@@ -354,19 +354,19 @@ impl Segmenter for Oracle<'_> {
         (width, height): (usize, usize),
         prompts: &[SegmentPrompt],
     ) -> Result<Vec<SegmentMask>, SegmentError> {
+        let failed = |reason: &str| SegmentError::Source {
+            segmenter: self.name().to_owned(),
+            reason: reason.into(),
+        };
         let logits: Vec<f32> = match self {
             Self::Truth(drawn) => {
-                let i = drawn.images.iter().position(|other| other == image).unwrap();
+                let same = drawn.images.iter().position(|other| other == image);
+                let i = same.ok_or_else(|| failed("another picture"))?;
                 let moving = drawn.moving[i].data().iter();
                 moving.map(|&m| if m != 0 { 5.0 } else { -5.0 }).collect()
             }
             Self::Everything => vec![5.0; width * height],
-            Self::Fails => {
-                return Err(SegmentError::Source {
-                    segmenter: self.name().to_owned(),
-                    reason: "out of order".into(),
-                });
-            }
+            Self::Fails => return Err(failed("out of order")),
         };
         let mask = SegmentMask { logits, quality: 0.95 };
         Ok(vec![mask; prompts.len()])
