@@ -57,11 +57,11 @@ pub(super) struct Stages {
     pub disparity: Vec<Vec<f32>>,
 }
 
-/// Depth, motion masks and confidence for every frame, given cameras and tracks.
+/// Depth, motion masks and confidence for every frame, given cameras and tracks; `sources` measure flow and outline what moves.
 ///
 /// # Errors
 ///
-/// [`DenseError`] if frames and cameras do not fit, a setting is out of range, or the user stopped it.
+/// [`DenseError`] if frames and cameras do not fit, a setting is out of range, a source fails, or the user stopped it.
 pub fn densify(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,

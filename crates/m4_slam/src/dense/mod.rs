@@ -10,6 +10,8 @@
 //!                                           depth of the moving parts -> full size
 //! ```
 //!
+//! What measures flow, and what outlines the parts of the masks, if anything does, is the caller's choice ([`Sources`]).
+//!
 //! Everything happens at a working size ([`DenseConfig::working_side_px`]) and is brought to the size
 //! of the frames at the end, along the edges of the frames. Inside, depth is *disparity*, one over
 //! z-depth, in which both the noise of a stereo measurement and a plane are simple.
