@@ -5,7 +5,8 @@ use m4_math::Se3;
 use m4_math::nalgebra::Vector3;
 use m4_scene::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Silent};
 use m4_slam::dense::{
-    DenseConfig, DenseError, DenseFrame, Given, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, NoDepth,
+    DenseConfig, DenseError, DenseFrame, Given, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
+    SegmentMask, SegmentPrompt, Segmenter, Sources,
 };
 use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use std::borrow::Cow;
@@ -18,12 +19,12 @@ fn densify(
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
+    let flow = InverseSearch::default();
     m4_slam::dense::densify(
         frames,
         sparse,
-        &InverseSearch::default(),
+        &Sources::flow(&flow),
         &Given::default(),
-        &NoDepth,
         config,
         progress,
     )
@@ -328,6 +329,81 @@ fn settings_of_masks_and_bodies_out_of_range_are_named() {
     assert_eq!(named(&|c| c.plate.step = 0.0), "dense.plate.step");
     assert_eq!(named(&|c| c.plate.reaches = vec![0, 3]), "dense.plate.reaches");
     assert_eq!(named(&|c| c.consistent.prior = -1.0), "dense.consistent.prior");
+    assert_eq!(named(&|c| c.segment.points = 0), "dense.segment.points");
+    assert_eq!(
+        named(&|c| c.segment.belief_limit = f32::NAN),
+        "dense.segment.belief_limit"
+    );
+    assert_eq!(named(&|c| c.segment.least_overlap = 1.5), "dense.segment.least_overlap");
+}
+
+/// Answers every prompt with the same kind of mask.
+enum Oracle<'a> {
+    Truth(&'a Drawn),
+    Everything,
+    Fails,
+}
+
+impl Segmenter for Oracle<'_> {
+    fn name(&self) -> &'static str {
+        "oracle"
+    }
+
+    fn masks(
+        &self,
+        image: &RgbImage,
+        (width, height): (usize, usize),
+        prompts: &[SegmentPrompt],
+    ) -> Result<Vec<SegmentMask>, SegmentError> {
+        let failed = |reason: &str| SegmentError::Source {
+            segmenter: self.name().to_owned(),
+            reason: reason.into(),
+        };
+        let logits: Vec<f32> = match self {
+            Self::Truth(drawn) => {
+                let same = drawn.images.iter().position(|other| other == image);
+                let i = same.ok_or_else(|| failed("another picture"))?;
+                let moving = drawn.moving[i].data().iter();
+                moving.map(|&m| if m != 0 { 5.0 } else { -5.0 }).collect()
+            }
+            Self::Everything => vec![5.0; width * height],
+            Self::Fails => return Err(failed("out of order")),
+        };
+        let mask = SegmentMask { logits, quality: 0.95 };
+        Ok(vec![mask; prompts.len()])
+    }
+}
+
+#[test]
+fn a_segmenter_is_believed_where_it_means_the_same() {
+    for (step, motion) in [(0.06, CameraMotion::Parallax), (0.0, CameraMotion::Static)] {
+        let drawn = draw(step);
+        let (frames, good) = (references(&drawn), sparse(&drawn, motion));
+        let flow = InverseSearch::default();
+        let with = |segmenter: Option<&dyn Segmenter>| {
+            let sources = Sources {
+                segmenter,
+                ..Sources::flow(&flow)
+            };
+            let config = DenseConfig::default();
+            m4_slam::dense::densify(&frames, &good, &sources, &Given::default(), &config, &Silent)
+        };
+        let plain = with(None).unwrap();
+        let sharp = with(Some(&Oracle::Truth(&drawn))).unwrap();
+        let ((_, before), (_, after)) = (score(&drawn, &plain), score(&drawn, &sharp));
+        assert!(
+            after > 0.9 && after > before + 0.05,
+            "{motion:?}: {before:.3} to {after:.3}"
+        );
+        // The whole picture is not what moves.
+        assert_eq!(with(Some(&Oracle::Everything)).unwrap(), plain, "{motion:?}");
+        let failed = with(Some(&Oracle::Fails)).unwrap_err();
+        assert!(matches!(failed, DenseError::Segment { .. }), "{failed}");
+
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+        let oracle = Oracle::Truth(&drawn);
+        assert_eq!(pool.install(|| with(Some(&oracle)).unwrap()), sharp, "{motion:?}");
+    }
 }
 
 /// The true depth as a network would see it: disparity up to a factor and a shift that differ from frame to frame.
@@ -359,9 +435,11 @@ fn what_moves_takes_its_depth_from_a_source_that_knows_it() {
     let found = m4_slam::dense::densify(
         &frames,
         &sparse,
-        &InverseSearch::default(),
+        &Sources {
+            mono: &Network(&drawn),
+            ..Sources::flow(&InverseSearch::default())
+        },
         &masks,
-        &Network(&drawn),
         &DenseConfig::default(),
         &Silent,
     )

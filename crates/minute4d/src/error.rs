@@ -279,6 +279,33 @@ pub enum Error {
         /// What is wrong with them.
         source: Box<m4_nets::LoadError>,
     },
+    /// A segmenter that needs a network, in a build that has none.
+    #[error(
+        "this build has no networks, which the segmenter {segmenter} needs: build with the feature `nets`, or use \
+         --segmenter none, which works without"
+    )]
+    NoSegmenter {
+        /// The segmenter.
+        segmenter: &'static str,
+    },
+    /// A segmenter whose weights are not there.
+    #[cfg(feature = "nets")]
+    #[error("the segmenter {segmenter} cannot be used: {source}; --segmenter none works without")]
+    SegmenterWeights {
+        /// The segmenter.
+        segmenter: &'static str,
+        /// What is missing, and how to get it.
+        source: crate::weights::WeightsError,
+    },
+    /// A segmenter whose weights are no weights.
+    #[cfg(feature = "nets")]
+    #[error("the segmenter {segmenter} cannot be used: {source}; --segmenter none works without")]
+    SegmenterLoad {
+        /// The segmenter.
+        segmenter: &'static str,
+        /// What is wrong with them.
+        source: Box<m4_nets::LoadError>,
+    },
     /// Something that the user gave for the geometry of a clip.
     #[error(transparent)]
     Given(#[from] GivenError),
@@ -333,10 +360,12 @@ impl Error {
             #[cfg(feature = "gpu")]
             Self::Gpu(_) => Category::NoDevice,
             #[cfg(feature = "nets")]
-            Self::Weights(e) | Self::FrontEndWeights { source: e, .. } => e.category(),
+            Self::Weights(e) | Self::FrontEndWeights { source: e, .. } | Self::SegmenterWeights { source: e, .. } => {
+                e.category()
+            }
             #[cfg(feature = "nets")]
-            Self::FrontEndLoad { .. } => Category::BadInput,
-            Self::NoNetworks { .. } => Category::NoDevice,
+            Self::FrontEndLoad { .. } | Self::SegmenterLoad { .. } => Category::BadInput,
+            Self::NoNetworks { .. } | Self::NoSegmenter { .. } => Category::NoDevice,
             Self::Given(GivenError::Missing { .. }) => Category::NoInput,
             Self::Given(GivenError::Read { source, .. }) => ErrorKind::of_read(source).into(),
             Self::Given(_) => Category::BadInput,

@@ -18,7 +18,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     if is_capture(input) {
         if job.settings.geometry != GeometryOptions::default() {
             job.observer.warn(
-                "the input is a capture, whose geometry is taken as it is: --frontend, --intrinsics, --poses, --masks and \
+                "the input is a capture, whose geometry is taken as it is: --frontend, --segmenter, --intrinsics, --poses, --masks and \
                  --depth have no effect",
             );
         }

@@ -254,6 +254,9 @@ pub struct Found {
     /// Who measured flow: `classical`, `gmflow`.
     #[serde(default)]
     pub frontend: String,
+    /// Who outlined what moves: `none`, `mobilesam`.
+    #[serde(default)]
+    pub segmenter: String,
     /// What the user gave: `intrinsics`, `poses`, `masks`, `depth`.
     #[serde(default)]
     pub given: Vec<String>,

@@ -268,6 +268,27 @@ fn a_front_end_without_weights_says_how_to_get_them_and_what_works_without() {
     refused_with(&args, &env, 65, &["flownet.pkl", "GMFlow", "--frontend classical"]);
 }
 
+#[cfg(feature = "nets")]
+#[test]
+fn a_segmenter_without_weights_says_how_to_get_them_and_auto_does_without() {
+    let (dir, _) = known();
+    fs::create_dir(dir.path("weights")).unwrap();
+    let store = dir.path("weights");
+    let (clip, out) = (dir.at("clip"), dir.at("out"));
+    let (record, _) = geometry(&dir, &[]);
+    assert_eq!(record["found"]["segmenter"], "none");
+    let args = ["geometry", &clip, "-o", &out, "--force", "--segmenter", "mobilesam"];
+    let env = [("MINUTE4D_WEIGHTS", text(&store))];
+    let words = ["mobilesam", "minute4d weights fetch mobile-sam", "--segmenter none"];
+    refused_with(&args, &env, 66, &words);
+    // What lies there and is no checkpoint is refused, asked for or not.
+    fs::create_dir(store.join("mobile-sam")).unwrap();
+    fs::write(store.join("mobile-sam/mobile_sam.pt"), "no weights").unwrap();
+    let words = ["mobile_sam.pt", "MobileSAM", "--segmenter none"];
+    refused_with(&args, &env, 65, &words);
+    refused_with(&args[..5], &env, 65, &words);
+}
+
 #[test]
 fn another_mask_is_another_result() {
     let (dir, _) = known();

@@ -98,6 +98,12 @@ impl Embedding {
     pub fn to_vec(&self) -> Result<Vec<f32>, SamError> {
         numbers(self.map.clone())
     }
+
+    /// A mask of the picture, of any size with pixels and the picture's shape, as the `mask_logits` of a [`Prompt`].
+    #[must_use]
+    pub fn mask_logits(&self, mask: &Plane<f32>) -> Plane<f32> {
+        self.scale.to_square(mask)
+    }
 }
 
 /// A mask.
@@ -116,7 +122,13 @@ impl MaskPrediction {
     /// The logits at the picture's size, bilinear: above 0 where the object is.
     #[must_use]
     pub fn picture_logits(&self) -> Plane<f32> {
-        self.scale.to_picture(&self.logits)
+        self.logits_at(self.scale.size())
+    }
+
+    /// The same at another size, columns and rows.
+    #[must_use]
+    pub fn logits_at(&self, size: (usize, usize)) -> Plane<f32> {
+        self.scale.to_picture(&self.logits, size)
     }
 }
 

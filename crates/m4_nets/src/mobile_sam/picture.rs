@@ -80,13 +80,37 @@ impl Scale {
         tensor(values, [1, 3, INPUT_SIDE, INPUT_SIDE], device)
     }
 
-    /// A mask of the square, `[256][256]`, at the picture's size: bilinear to the square's, without what lies beside the picture,
-    /// bilinear to the picture's.
-    pub fn to_picture(self, mask: &Plane<f32>) -> Plane<f32> {
+    /// Width and height of the picture.
+    pub fn size(self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// A mask of the picture, of any size, as one of the square, `[256][256]`: bilinear, the least of its numbers beside the picture.
+    pub fn to_square(self, mask: &Plane<f32>) -> Plane<f32> {
+        let (width, height) = self.inside();
+        let beside = mask.data().iter().copied().fold(0.0, f32::min);
+        let (last_x, last_y) = (mask.width().saturating_sub(1), mask.height().saturating_sub(1));
+        let at = |i: usize, inside: usize, n: usize| {
+            let share = (i as f32 + 0.5) * (INPUT_SIDE / MASK_SIDE) as f32 / inside as f32;
+            (share <= 1.0).then(|| (share * n as f32 - 0.5).max(0.0))
+        };
+        Plane::from_fn(MASK_SIDE, MASK_SIDE, |x, y| {
+            let places = (at(x, width, mask.width()), at(y, height, mask.height()));
+            let (Some(x), Some(y)) = places else { return beside };
+            let (x0, y0) = ((x as usize).min(last_x), (y as usize).min(last_y));
+            let (dx, dy) = (x - x0 as f32, y - y0 as f32);
+            let along = |y: usize| mask[(x0, y)] * (1.0 - dx) + mask[((x0 + 1).min(last_x), y)] * dx;
+            along(y0) * (1.0 - dy) + along((y0 + 1).min(last_y)) * dy
+        })
+    }
+
+    /// A mask of the square, `[256][256]`, as one of the picture with `size` columns and rows: bilinear to the square's, without what lies
+    /// beside the picture, bilinear to that.
+    pub fn to_picture(self, mask: &Plane<f32>, size: (usize, usize)) -> Plane<f32> {
         let (width, height) = self.inside();
         let square = bilinear(mask, (INPUT_SIDE, INPUT_SIDE));
         let inside = Plane::from_fn(width, height, |x, y| square[(x, y)]);
-        bilinear(&inside, (self.width, self.height))
+        bilinear(&inside, size)
     }
 }
 
@@ -110,4 +134,27 @@ fn taps(from: usize, to: usize) -> Vec<(usize, usize, f32)> {
         (first, (first + 1).min(from - 1), (at - first as f64) as f32)
     };
     (0..to).map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{MASK_SIDE, Scale};
+    use m4_scene::Plane;
+
+    #[test]
+    fn a_mask_goes_to_the_square_and_comes_back() {
+        // Straight lines survive bilinear sampling; the picture takes the upper 144 rows of 256.
+        let scale = Scale::of(640, 360).unwrap();
+        let mask = Plane::from_fn(320, 180, |x, y| 0.05 * x as f32 - 0.1 * y as f32 + 2.0);
+        let square = scale.to_square(&mask);
+        assert_eq!(square.size(), (MASK_SIDE, MASK_SIDE));
+        let least = mask[(0, 179)];
+        assert_eq!((square[(3, 150)], square[(255, 255)]), (least, least));
+        assert!((square[(128, 72)] - (0.05 * 160.125 - 0.1 * 90.125 + 2.0)).abs() < 1e-3);
+        let back = scale.to_picture(&square, (320, 180));
+        for (x, y) in [(5, 5), (160, 90), (300, 170), (20, 150)] {
+            let (got, want) = (back[(x, y)], mask[(x, y)]);
+            assert!((got - want).abs() < 1e-3, "{x}, {y}: {got} for {want}");
+        }
+    }
 }

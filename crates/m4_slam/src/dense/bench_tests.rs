@@ -4,7 +4,7 @@ use super::config::DenseConfig;
 use super::densify::{Stages, run};
 use super::flow::InverseSearch;
 use super::given::Given;
-use super::mono::NoDepth;
+use super::sources::Sources;
 use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_math::{CounterRng, Se3};
 use m4_scene::{Camera, Intrinsics, Plane, RgbImage, Silent};
@@ -306,9 +306,8 @@ fn measure_stages() {
         let stages = run(
             &images,
             &sparse,
-            &InverseSearch::default(),
+            &Sources::flow(&InverseSearch::default()),
             &Given::default(),
-            &NoDepth,
             &config(),
             &Silent,
         )

@@ -1,6 +1,7 @@
 //! Settings of the dense half.
 
 use super::DenseError;
+use super::segment::SegmentConfig;
 use crate::cvd::CvdSettings;
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +26,8 @@ pub struct DenseConfig {
     pub consistent: ConsistentConfig,
     /// Masks against what is seen when nothing is in the way.
     pub plate: PlateConfig,
+    /// Masks by a segmenter, where there is one.
+    pub segment: SegmentConfig,
     /// Depth of what moves, from what it touches.
     pub moving_depth: MovingDepthConfig,
     /// Depth of what moves, as rigid bodies.
@@ -41,6 +44,7 @@ impl Default for DenseConfig {
             motion: MotionConfig::default(),
             consistent: ConsistentConfig::default(),
             plate: PlateConfig::default(),
+            segment: SegmentConfig::default(),
             moving_depth: MovingDepthConfig::default(),
             bodies: BodyConfig::default(),
         }
@@ -437,6 +441,7 @@ impl DenseConfig {
             need((0..=1000).contains(&value), name, f64::from(value), "0 to 1000")?;
         }
         self.check_bodies(&need)?;
+        self.segment.check(&need)?;
         let q = self.moving_depth.hidden_quantile;
         need(
             (0.0..=1.0).contains(&q),

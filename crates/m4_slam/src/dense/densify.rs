@@ -6,14 +6,16 @@ use super::config::DenseConfig;
 use super::consistent;
 use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
-use super::flow::{FlowPair, FlowSource};
+use super::flow::FlowPair;
 use super::given::Given;
-use super::mono::{Mono, MonoDepth};
+use super::mono::Mono;
 use super::motion::{self, Clues, Seen};
 use super::moving_depth;
 use super::plate;
+use super::segment;
 use super::shot::{Shot, sparse_points};
 use super::smooth::Smoother;
+use super::sources::Sources;
 use super::static_depth::{self, Measured, Swept};
 use super::working::{WorkingFrame, fitting_side, working_size};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
@@ -56,21 +58,20 @@ pub(super) struct Stages {
     pub disparity: Vec<Vec<f32>>,
 }
 
-/// Depth, motion masks and confidence for every frame, given cameras and tracks.
+/// Depth, motion masks and confidence for every frame, given cameras and tracks; `sources` measure flow and outline what moves.
 ///
 /// # Errors
 ///
-/// [`DenseError`] if frames and cameras do not fit, a setting is out of range, or the user stopped it.
+/// [`DenseError`] if frames and cameras do not fit, a setting is out of range, a source fails, or the user stopped it.
 pub fn densify(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
-    flow: &dyn FlowSource,
+    sources: &Sources<'_>,
     given: &Given<'_>,
-    mono: &dyn MonoDepth,
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    let stages = run(frames, sparse, flow, given, mono, config, progress)?;
+    let stages = run(frames, sparse, sources, given, config, progress)?;
     each(frames.len(), "enlarging depth", progress, |i| {
         let small = Small {
             frame: &stages.shots[i].frame,
@@ -148,9 +149,8 @@ fn one_lens(cameras: &[Camera]) -> bool {
 pub(super) fn run(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
-    flow: &dyn FlowSource,
+    sources: &Sources<'_>,
     given: &Given<'_>,
-    mono: &dyn MonoDepth,
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Stages, DenseError> {
@@ -174,19 +174,20 @@ pub(super) fn run(
              views from beside the camera will look flat (film again while walking sideways)",
         );
     }
-    if let Some(found) = mono.frames().filter(|&n| n != count) {
+    if let Some(found) = sources.mono.frames().filter(|&n| n != count) {
         let (what, expected) = ("depth", count);
         return Err(DenseError::Given { what, found, expected });
     }
     let mono = each(count, "reading depth", progress, |i| {
-        Mono::read(mono, i, frames[i], (w, h)).map_err(|source| DenseError::Mono { frame: i, source })
+        Mono::read(sources.mono, i, frames[i], (w, h)).map_err(|source| DenseError::Mono { frame: i, source })
     })?;
     let mono = Mono::of(mono.into_iter().collect::<Result<Vec<_>, _>>()?);
     let working = each(count, "shrinking frames", progress, |i| {
         WorkingFrame::new(frames[i], &sparse.cameras[i], w, h)
     })?;
     let flows = each(count - 1, "computing flow", progress, |i| {
-        FlowPair::new(&working[i], &working[i + 1], flow).map_err(|source| DenseError::Flow { frame: i, source })
+        FlowPair::new(&working[i], &working[i + 1], sources.flow)
+            .map_err(|source| DenseError::Flow { frame: i, source })
     })?;
     let flows = flows.into_iter().collect::<Result<Vec<_>, _>>()?;
     let points = sparse_points(sparse, w, h);
@@ -272,6 +273,15 @@ pub(super) fn run(
         moving = each(count, "sharpening masks", progress, |i| {
             plate::sharpen(&scene, i, &moving[i], &smoother(i), &config.motion, &config.plate)
         })?;
+    }
+    if let (false, Some(segmenter)) = (told, sources.segmenter) {
+        let sharp = each(count, "outlining moving parts", progress, |i| {
+            segment::sharpen(segmenter, frames[i], (w, h), &moving[i], &config.segment)
+                .map_err(|source| DenseError::Segment { frame: i, source })
+        })?;
+        moving = sharp.into_iter().collect::<Result<Vec<_>, _>>()?;
+    }
+    if parallax && !told {
         measured = each(count, "comparing depth", progress, |i| {
             let mut measured = static_depth::measure(&shots, &swept, Some(&moving), i, &config.static_depth);
             mono.impose(i, &mut measured, Some(&moving[i]));

@@ -2,6 +2,7 @@
 
 use super::flow::FlowError;
 use super::mono::MonoError;
+use super::segment::SegmentError;
 use crate::cvd::CvdError;
 
 /// Why no depth and masks could be made.
@@ -57,6 +58,14 @@ pub enum DenseError {
         frame: usize,
         /// What went wrong.
         source: MonoError,
+    },
+    /// The segmenter failed.
+    #[error("no masks of things in frame {frame}")]
+    Segment {
+        /// Which frame.
+        frame: usize,
+        /// What went wrong.
+        source: SegmentError,
     },
     /// Masks or depth were given for another clip.
     #[error("{what} of {found} frames were given for {expected} frames; give one a frame")]

@@ -10,8 +10,9 @@
 //!                                           depth of the moving parts -> full size
 //! ```
 //!
-//! Depth known from one picture (`MonoDepth`: a sensor, later a network) replaces what is measured where it is metric; else it is
-//! aligned to that, and stands where nothing was measured or something moves.
+//! What measures flow, what outlines the parts of the masks and what knows depth from one picture, if anything does, is the
+//! caller's choice ([`Sources`]). Depth from one picture (`MonoDepth`: a sensor, later a network) replaces what is measured
+//! where it is metric; else it is aligned to that, and stands where nothing was measured or something moves.
 //!
 //! Everything happens at a working size ([`DenseConfig::working_side_px`]) and is brought to the size
 //! of the frames at the end, along the edges of the frames. Inside, depth is *disparity*, one over
@@ -37,8 +38,10 @@ mod motion;
 mod moving_depth;
 mod pair;
 mod plate;
+mod segment;
 mod shot;
 mod smooth;
+mod sources;
 mod static_depth;
 mod sweep;
 mod working;
@@ -54,3 +57,5 @@ pub use error::DenseError;
 pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
 pub use given::Given;
 pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};
+pub use segment::{SegmentConfig, SegmentError, SegmentMask, SegmentPrompt, Segmenter};
+pub use sources::Sources;

@@ -5,11 +5,12 @@ use super::frontend::Resolved;
 use super::given::Given;
 use super::iterate::{self, Change};
 use super::scale::{depth_ratio, rescale, typical_depth};
+use super::segmenter;
 use crate::record::Found;
 use crate::{Error, Observer, Settings};
 use m4_io::capture::Split;
 use m4_scene::{Capture, CaptureFrame, DepthMap, Progress, RgbImage, Video};
-use m4_slam::dense::{self, DenseFrame, MonoDepth, NoDepth, SensorDepth, densify};
+use m4_slam::dense::{self, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, densify};
 use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_slam::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError};
 use std::path::Path;
@@ -23,9 +24,15 @@ pub(super) fn compute(
     folder: &Path,
     settings: &Settings,
     frontend: &Resolved,
+    segmenter: &segmenter::Resolved,
     observer: &dyn Observer,
 ) -> Result<Found, Error> {
     let flow = frontend.load(&settings.dense.flow)?;
+    let outlines = segmenter.load()?;
+    let sources = Sources {
+        flow: flow.as_ref(),
+        segmenter: outlines.as_deref(),
+    };
     let video = m4_io::video::read(input, &settings.video, observer)?;
     for warning in &video.warnings {
         observer.warn(warning);
@@ -60,7 +67,7 @@ pub(super) fn compute(
         }
     };
     finish_sparse(&mut recovered.sparse, &given, observer)?;
-    let mut dense = dense_in_its_unit(&pictures, &recovered.sparse, flow.as_ref(), &given, settings, observer)?;
+    let mut dense = dense_in_its_unit(&pictures, &recovered.sparse, &sources, &given, settings, observer)?;
     let mut rounds = 1;
     if let (Some(followed), None) = (followed, &given.masks)
         && let Some(better) = once_more(&followed, &recovered.sparse, &mut dense, &config, observer)?
@@ -68,7 +75,7 @@ pub(super) fn compute(
         drop(dense);
         recovered = better;
         finish_sparse(&mut recovered.sparse, &given, observer)?;
-        dense = dense_in_its_unit(&pictures, &recovered.sparse, flow.as_ref(), &given, settings, observer)?;
+        dense = dense_in_its_unit(&pictures, &recovered.sparse, &sources, &given, settings, observer)?;
         rounds = 2;
     }
     let sparse = recovered.sparse;
@@ -77,7 +84,14 @@ pub(super) fn compute(
     if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
         observer.warn(&format!("geometry is {}: {advice}", confidence.grade.name()));
     }
-    let found = summary(&sparse, &dense, frontend.name(), &given, rounds, confidence);
+    let found = summary(
+        &sparse,
+        &dense,
+        [frontend.name(), segmenter.name()],
+        &given,
+        rounds,
+        confidence,
+    );
     drop(pictures);
     let metric = given.depth.is_some();
     let capture = assemble(video, &sparse, dense, metric);
@@ -172,7 +186,7 @@ fn to_metres(
 fn dense_in_its_unit(
     pictures: &[&RgbImage],
     sparse: &SparseReconstruction,
-    flow: &dyn dense::FlowSource,
+    sources: &Sources<'_>,
     given: &Given,
     settings: &Settings,
     observer: &dyn Observer,
@@ -191,7 +205,8 @@ fn dense_in_its_unit(
         masks: given.masks.as_deref(),
     };
     let sparse = scaled.as_ref().unwrap_or(sparse);
-    let mut frames = densify(pictures, sparse, flow, &known, mono, &settings.dense, observer)?;
+    let sources = Sources { mono, ..*sources };
+    let mut frames = densify(pictures, sparse, &sources, &known, &settings.dense, observer)?;
     if unit != 1.0 {
         for z in frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
             *z *= unit as f32;
@@ -240,7 +255,7 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>,
 fn summary(
     sparse: &SparseReconstruction,
     dense: &[DenseFrame],
-    frontend: &str,
+    [frontend, segmenter]: [&str; 2],
     given: &Given,
     rounds: usize,
     confidence: Confidence,
@@ -264,6 +279,7 @@ fn summary(
         points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
         moving_share: moving as f64 / pixels.max(1) as f64,
         frontend: frontend.to_owned(),
+        segmenter: segmenter.to_owned(),
         given: given.names(),
         rounds,
         confidence: Some(confidence),

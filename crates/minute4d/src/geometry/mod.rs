@@ -7,7 +7,7 @@
 //!              '---- once more without what is masked (iterate) ------------'
 //! ```
 //!
-//! This file keeps the record and the folder; `compute` does the work, `frontend` chooses who measures flow,
+//! This file keeps the record and the folder; `compute` does the work, `frontend` chooses who measures flow, `segmenter` who outlines what moves,
 //! `given` reads what the user knows, `confidence` says how far the result can be trusted.
 
 mod compute;
@@ -17,11 +17,13 @@ mod given;
 mod iterate;
 mod options;
 mod scale;
+mod segmenter;
 
 pub use confidence::{Confidence, Focal, Grade};
 pub use frontend::Frontend;
 pub use given::GivenError;
 pub use options::GeometryOptions;
+pub use segmenter::Segmenter;
 
 use crate::folder::{self, Existing, Lock};
 use crate::record::{GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
@@ -49,6 +51,9 @@ struct Part<'a> {
     /// What that came to: the front end's name, and the hash of its weights.
     frontend: &'a str,
     weights: Option<&'a str>,
+    /// The same of what outlines what moves.
+    segmenter: &'a str,
+    segmenter_weights: Option<&'a str>,
     /// Hashes of what the user gave.
     given: Sources,
 }
@@ -68,6 +73,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     let (_lock, earlier) = open(capture, job.existing)?;
     let settings = &job.settings;
     let frontend = frontend::resolve(settings.geometry.frontend)?;
+    let segmenter = segmenter::resolve(settings.geometry.segmenter)?;
     let part = Part {
         video: &settings.video,
         sparse: &settings.sparse,
@@ -75,6 +81,8 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         geometry: &settings.geometry,
         frontend: frontend.name(),
         weights: frontend.weights_hash(),
+        segmenter: segmenter.name(),
+        segmenter_weights: segmenter.weights_hash(),
         given: Sources::of(&settings.geometry)?,
     };
     let input_hash = hash::of_path(input)?;
@@ -108,7 +116,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     record.write(capture)?;
     job.observer.stage(STAGE, StageEvent::Started { because });
     let (start, keeper) = (Instant::now(), Keeper::new(job.observer));
-    let outcome = compute(input, capture, settings, &frontend, &keeper);
+    let outcome = compute(input, capture, settings, &frontend, &segmenter, &keeper);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
     let failed = match outcome {

@@ -1,6 +1,6 @@
 //! Settings of the stage itself.
 
-use super::Frontend;
+use super::{Frontend, Segmenter};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -11,6 +11,8 @@ use std::path::PathBuf;
 pub struct GeometryOptions {
     /// Who measures flow.
     pub frontend: Frontend,
+    /// Who outlines what moves.
+    pub segmenter: Segmenter,
     /// The lens: `fx,fy,cx,cy` in pixels of the frames (principal point from the image's corner), or a JSON file with
     /// `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`.
     pub intrinsics: Option<String>,

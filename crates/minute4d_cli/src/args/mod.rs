@@ -27,7 +27,7 @@ pub use export::{Export, PrecisionArg};
 pub use geometry::Geometry;
 pub use import::Import;
 pub use inspect::Inspect;
-pub use known::{Frontend, KnownArgs};
+pub use known::{Frontend, KnownArgs, Segmenter};
 pub use render::{FitArg, Render};
 pub use run::Run;
 pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
@@ -139,6 +139,7 @@ mod tests {
             "view",
             "view a --port 0",
             "geometry a -o b --frontend best",
+            "geometry a -o b --segmenter best",
             "train a -o b --port 8000",
             "run a -o b --no-open",
         ];

@@ -5,6 +5,7 @@ use crate::args::Geometry;
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::device::DeviceRequest;
+use minute4d::geometry::Segmenter;
 use serde_json::json;
 
 pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
@@ -12,6 +13,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
+    let asked = settings.geometry.segmenter;
     let job = job(
         &args.settings,
         DeviceRequest::default(),
@@ -32,6 +34,9 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         ));
         if let Some(confidence) = &found.confidence {
             output.note(&confidence.words());
+        }
+        if cfg!(feature = "nets") && asked == Segmenter::Auto && found.segmenter == Segmenter::None.name() {
+            output.note("moving parts are outlined better with MobileSAM: `minute4d weights fetch mobile-sam`");
         }
     }
     output.result(

@@ -4,7 +4,7 @@ use crate::args::{self, LengthArgs, OutArgs, Profile, SettingsArgs, VideoArgs};
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::device::DeviceRequest;
-use minute4d::geometry::Frontend;
+use minute4d::geometry::{Frontend, Segmenter};
 use minute4d::settings::{Layers, Preset, Settings};
 use minute4d::{Existing, Job, Observer};
 
@@ -26,6 +26,16 @@ impl From<args::Frontend> for Frontend {
             args::Frontend::Auto => Self::Auto,
             args::Frontend::Classical => Self::Classical,
             args::Frontend::Gmflow => Self::Gmflow,
+        }
+    }
+}
+
+impl From<args::Segmenter> for Segmenter {
+    fn from(given: args::Segmenter) -> Self {
+        match given {
+            args::Segmenter::Auto => Self::Auto,
+            args::Segmenter::None => Self::None,
+            args::Segmenter::Mobilesam => Self::Mobilesam,
         }
     }
 }
@@ -94,6 +104,7 @@ fn lay_video(settings: &mut Settings, args: &VideoArgs) {
     settings.sparse.static_camera |= args.static_camera;
     let (geometry, known) = (&mut settings.geometry, &args.known);
     geometry.frontend = known.frontend.map_or(geometry.frontend, Into::into);
+    geometry.segmenter = known.segmenter.map_or(geometry.segmenter, Into::into);
     geometry.intrinsics = known.intrinsics.clone().or(geometry.intrinsics.take());
     geometry.poses = known.poses.clone().or(geometry.poses.take());
     geometry.masks = known.masks.clone().or(geometry.masks.take());

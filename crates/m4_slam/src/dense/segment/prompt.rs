@@ -1,0 +1,98 @@
+//! What is known of a part of the coarse mask, as a segmenter takes it.
+
+use super::config::SegmentConfig;
+use super::distance::to_outside;
+use super::source::SegmentPrompt;
+
+/// How much farther from each other than from the part's edge points are to lie.
+const APART: f32 = 3.0;
+
+/// The prompt for the pixels at which `part` holds; `None` if there are none.
+pub fn prompt(
+    width: usize,
+    height: usize,
+    part: impl Fn(usize) -> bool + Copy,
+    config: &SegmentConfig,
+) -> Option<SegmentPrompt> {
+    let inner = to_outside(width, height, part);
+    let outer = to_outside(width, height, |p| !part(p));
+    let belief = inner.iter().zip(&outer).map(|(inner, outer)| {
+        let beyond_edge_px = if *inner > 0.0 { inner - 0.5 } else { 0.5 - outer };
+        (config.belief_per_px * beyond_edge_px).clamp(-config.belief_limit, config.belief_limit)
+    });
+    Some(SegmentPrompt {
+        points_px: points(width, height, &inner, config.points),
+        box_px: bounds(width, height, part)?,
+        belief: belief.collect(),
+    })
+}
+
+fn bounds(width: usize, height: usize, part: impl Fn(usize) -> bool) -> Option<[f32; 4]> {
+    let pixels = (0..width * height).filter(|&p| part(p));
+    let ends = pixels.fold(None, |ends: Option<[usize; 4]>, p| {
+        let (x, y) = (p % width, p / width);
+        let [x0, y0, x1, y1] = ends.unwrap_or([x, y, x, y]);
+        Some([x0.min(x), y0.min(y), x1.max(x), y1.max(y)])
+    });
+    ends.map(|ends| ends.map(|v| v as f32 + 0.5))
+}
+
+/// The place deepest inside (the picture's border counts as an edge), then again and again the one that is both deep and far from those
+/// before it; `inner` is the distance to what is outside.
+fn points(width: usize, height: usize, inner: &[f32], count: usize) -> Vec<[f32; 2]> {
+    let mut depth: Vec<f32> = (0..width * height)
+        .map(|p| {
+            let (x, y) = (p % width, p / width);
+            let border = (x + 1).min(width - x).min(y + 1).min(height - y);
+            inner[p].min(border as f32)
+        })
+        .collect();
+    let mut out = Vec::new();
+    for _ in 0..count {
+        let deepest = depth.iter().enumerate().fold(
+            (0, 0.0),
+            |best: (usize, f32), (p, &d)| if d > best.1 { (p, d) } else { best },
+        );
+        if deepest.1 <= 0.0 {
+            break;
+        }
+        let (x, y) = (deepest.0 % width, deepest.0 / width);
+        out.push([x as f32 + 0.5, y as f32 + 0.5]);
+        for (p, d) in depth.iter_mut().enumerate() {
+            let away = ((p % width) as f32 - x as f32).hypot((p / width) as f32 - y as f32);
+            *d = d.min(away / APART);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::config::SegmentConfig;
+    use super::prompt;
+
+    #[test]
+    fn a_prompt_says_where_the_part_is_and_where_it_is_sure() {
+        let (w, h) = (40, 30);
+        // A bar of 24 x 6 pixels.
+        let part = |p: usize| (8..32).contains(&(p % w)) && (10..16).contains(&(p / w));
+        let config = SegmentConfig::default();
+        let found = prompt(w, h, part, &config).unwrap();
+        assert_eq!(found.box_px, [8.5, 10.5, 31.5, 15.5]);
+        assert_eq!(found.points_px.len(), config.points);
+        for (i, &[x, y]) in found.points_px.iter().enumerate() {
+            assert!(part(y as usize * w + x as usize), "{x} {y}");
+            for &[ox, oy] in &found.points_px[..i] {
+                assert!((x - ox).hypot(y - oy) > 4.0, "{x} {y} {ox} {oy}");
+            }
+        }
+        let at = |x: usize, y: usize| found.belief[y * w + x];
+        assert_eq!(
+            (at(8, 12), at(7, 12)),
+            (0.5 * config.belief_per_px, -0.5 * config.belief_per_px)
+        );
+        assert_eq!(at(0, 0), -config.belief_limit);
+        assert_eq!(at(16, 12), 2.5 * config.belief_per_px);
+        assert!(prompt(w, h, |_| false, &config).is_none());
+    }
+}

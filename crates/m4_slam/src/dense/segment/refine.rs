@@ -1,0 +1,225 @@
+//! The masks of a segmenter in place of coarse ones, where they mean the same thing.
+
+use super::super::components::Components;
+use super::config::SegmentConfig;
+use super::prompt::prompt;
+use super::source::{SegmentError, SegmentMask, Segmenter};
+use m4_scene::RgbImage;
+
+/// The mask of a frame: each part of `coarse` (`[height][width]` of `size`, above 0 for moving) as the segmenter sees it in `image`. Parts
+/// that are small, and those of which the segmenter makes something else, stay as they are.
+///
+/// # Errors
+///
+/// [`SegmentError`] where the segmenter fails or its masks do not fit.
+pub fn sharpen(
+    segmenter: &dyn Segmenter,
+    image: &RgbImage,
+    size: (usize, usize),
+    coarse: &[u8],
+    config: &SegmentConfig,
+) -> Result<Vec<u8>, SegmentError> {
+    let (width, height) = size;
+    let parts = Components::of(width, height, coarse);
+    let large: Vec<usize> = (0..parts.pixels.len())
+        .filter(|&k| parts.pixels[k].len() >= config.least_part_px)
+        .collect();
+    let of = |k: usize| prompt(width, height, |p| parts.label[p] as usize == k + 1, config);
+    let prompts: Vec<_> = large.iter().filter_map(|&k| of(k)).collect();
+    if prompts.is_empty() {
+        return Ok(coarse.to_vec());
+    }
+    let found = segmenter.masks(image, size, &prompts)?;
+    if found.len() != prompts.len() {
+        return Err(SegmentError::Count {
+            found: found.len(),
+            expected: prompts.len(),
+        });
+    }
+    if let Some(wrong) = found.iter().find(|mask| mask.logits.len() != width * height) {
+        return Err(SegmentError::Size {
+            found: wrong.logits.len(),
+            expected: size,
+        });
+    }
+    let taken: Vec<(usize, &SegmentMask)> = large
+        .into_iter()
+        .zip(&found)
+        .filter(|(k, mask)| means_the_same(mask, &parts.pixels[*k], config))
+        .collect();
+    let mut out = coarse.to_vec();
+    for &(k, _) in &taken {
+        for &p in &parts.pixels[k] {
+            out[p as usize] = 0;
+        }
+    }
+    for (_, mask) in taken {
+        for (out, &logit) in out.iter_mut().zip(&mask.logits) {
+            if logit > 0.0 {
+                *out = 255;
+            }
+        }
+    }
+    Ok(out)
+}
+
+/// Whether a mask is trusted and covers about what the part (its pixels) does.
+fn means_the_same(mask: &SegmentMask, part: &[u32], config: &SegmentConfig) -> bool {
+    let area = mask.logits.iter().filter(|&&logit| logit > 0.0).count();
+    let both = part.iter().filter(|&&p| mask.logits[p as usize] > 0.0).count();
+    let overlap = both as f32 / (area + part.len() - both) as f32;
+    mask.quality >= config.least_quality && overlap >= config.least_overlap
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::config::SegmentConfig;
+    use super::super::source::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
+    use super::sharpen;
+    use m4_scene::{Plane, RgbImage};
+    use rayon::ThreadPoolBuilder;
+    use rayon::prelude::*;
+
+    const SIZE: (usize, usize) = (64, 48);
+
+    /// Takes everything of the colour at the prompt's first point for the thing, at a quality of its red.
+    struct Colours;
+
+    impl Segmenter for Colours {
+        fn name(&self) -> &str {
+            "colours"
+        }
+
+        fn masks(
+            &self,
+            image: &RgbImage,
+            size: (usize, usize),
+            prompts: &[SegmentPrompt],
+        ) -> Result<Vec<SegmentMask>, SegmentError> {
+            assert_eq!(image.size(), size);
+            let of = |prompt: &SegmentPrompt| {
+                let [x, y] = prompt.points_px[0];
+                let colour = image[(x as usize, y as usize)];
+                SegmentMask {
+                    logits: image
+                        .data()
+                        .iter()
+                        .map(|c| if *c == colour { 3.0 } else { -3.0 })
+                        .collect(),
+                    quality: f32::from(colour[0]) / 255.0,
+                }
+            };
+            Ok(prompts.iter().map(of).collect())
+        }
+    }
+
+    struct Wrong(usize, usize);
+
+    impl Segmenter for Wrong {
+        fn name(&self) -> &str {
+            "wrong"
+        }
+
+        fn masks(
+            &self,
+            _: &RgbImage,
+            _: (usize, usize),
+            _: &[SegmentPrompt],
+        ) -> Result<Vec<SegmentMask>, SegmentError> {
+            let mask = SegmentMask {
+                logits: vec![0.0; self.1],
+                quality: 1.0,
+            };
+            Ok(vec![mask; self.0])
+        }
+    }
+
+    fn disc(x: usize, y: usize, at: (i32, i32), radius: i32) -> bool {
+        (x as i32 - at.0).pow(2) + (y as i32 - at.1).pow(2) <= radius * radius
+    }
+
+    const GOOD: (i32, i32) = (14, 14);
+    const LARGE: (i32, i32) = (45, 24);
+    const UNSURE: (i32, i32) = (14, 38);
+
+    /// Two discs, one of them dull; a large thing on the right; ground.
+    fn picture() -> RgbImage {
+        Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
+            if disc(x, y, GOOD, 8) {
+                [250, 0, 0]
+            } else if disc(x, y, UNSURE, 7) {
+                [90, 0, 0]
+            } else if x >= 30 {
+                [240, 9, 9]
+            } else {
+                [200, 80, 80]
+            }
+        })
+    }
+
+    /// The good disc moved by two pixels, a small part of the large thing, the dull disc smaller, and a speck.
+    fn coarse() -> Vec<u8> {
+        let covered = |x, y| {
+            disc(x, y, (GOOD.0 + 2, GOOD.1), 8) || disc(x, y, LARGE, 5) || disc(x, y, UNSURE, 5) || (x, y) == (60, 2)
+        };
+        let pixel = |p: usize| if covered(p % SIZE.0, p / SIZE.0) { 255 } else { 0 };
+        (0..SIZE.0 * SIZE.1).map(pixel).collect()
+    }
+
+    #[test]
+    fn what_fits_is_taken_and_what_does_not_is_left() {
+        let found = sharpen(&Colours, &picture(), SIZE, &coarse(), &SegmentConfig::default()).unwrap();
+        for (p, &m) in found.iter().enumerate() {
+            let (x, y) = (p % SIZE.0, p / SIZE.0);
+            let wanted = disc(x, y, GOOD, 8) || disc(x, y, LARGE, 5) || disc(x, y, UNSURE, 5) || (x, y) == (60, 2);
+            assert_eq!(m, if wanted { 255 } else { 0 }, "column {x}, row {y}");
+        }
+        assert_ne!(found, coarse());
+    }
+
+    #[test]
+    fn limits_decide() {
+        let taken = |config: &SegmentConfig| {
+            let found = sharpen(&Colours, &picture(), SIZE, &coarse(), config).unwrap();
+            let at = |x: i32, y: i32| found[y as usize * SIZE.0 + x as usize] > 0;
+            (
+                at(GOOD.0 - 8, GOOD.1),
+                at(UNSURE.0 - 7, UNSURE.1),
+                at(SIZE.0 as i32 - 1, SIZE.1 as i32 - 1),
+            )
+        };
+        let with = |change: &dyn Fn(&mut SegmentConfig)| {
+            let mut config = SegmentConfig::default();
+            change(&mut config);
+            taken(&config)
+        };
+        assert_eq!(with(&|_| ()), (true, false, false));
+        assert_eq!(with(&|c| c.least_overlap = 0.9), (false, false, false));
+        assert_eq!(
+            with(&|c| (c.least_quality, c.least_overlap) = (0.3, 0.4)),
+            (true, true, false)
+        );
+        assert_eq!(with(&|c| c.least_overlap = 0.0), (true, false, true));
+        assert_eq!(with(&|c| c.least_part_px = 400), (false, false, false));
+    }
+
+    #[test]
+    fn answers_that_do_not_fit_are_errors() {
+        let of = |wrong| sharpen(&wrong, &picture(), SIZE, &coarse(), &SegmentConfig::default()).unwrap_err();
+        assert!(matches!(
+            of(Wrong(2, 64 * 48)),
+            SegmentError::Count { found: 2, expected: 3 }
+        ));
+        assert!(matches!(of(Wrong(3, 5)), SegmentError::Size { found: 5, .. }));
+    }
+
+    #[test]
+    fn the_same_for_any_number_of_threads() {
+        let all = |threads: usize| {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let one = |_| sharpen(&Colours, &picture(), SIZE, &coarse(), &SegmentConfig::default()).unwrap();
+            pool.install(|| (0..6).into_par_iter().map(one).collect::<Vec<_>>())
+        };
+        assert_eq!(all(1), all(3));
+    }
+}
