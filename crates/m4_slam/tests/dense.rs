@@ -23,6 +23,7 @@ fn densify(
         config,
         progress,
     )
+    .map(|dense| dense.frames)
 }
 
 const SIZE: (usize, usize) = (128, 96);

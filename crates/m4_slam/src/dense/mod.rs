@@ -8,6 +8,7 @@
 //!                                                     '------- once more ------------|
 //!                                                                                    v
 //!                                           depth of the moving parts -> full size
+//!                                                     '-> tracks along the flow
 //! ```
 //!
 //! Everything happens at a working size ([`DenseConfig::working_side_px`]) and is brought to the size
@@ -37,15 +38,16 @@ mod shot;
 mod smooth;
 mod static_depth;
 mod sweep;
+mod tracks;
 mod working;
 
 #[cfg(test)]
 mod bench_tests;
 
 pub use config::{
-    BodyConfig, DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig,
+    BodyConfig, DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig, TrackConfig,
 };
-pub use densify::{DenseFrame, densify};
+pub use densify::{Dense, DenseFrame, densify};
 pub use error::DenseError;
 pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
 pub use given::Given;

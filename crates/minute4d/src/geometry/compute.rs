@@ -7,8 +7,8 @@ use super::scale::{depth_ratio, rescale, typical_depth};
 use crate::record::Found;
 use crate::{Error, Observer, Settings};
 use m4_io::capture::Split;
-use m4_scene::{Capture, CaptureFrame, DepthMap, RgbImage, Video};
-use m4_slam::dense::{self, DenseFrame, densify};
+use m4_scene::{Capture, CaptureFrame, DepthMap, RgbImage, Tracks, Video};
+use m4_slam::dense::{self, Dense, densify};
 use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_slam::sparse::{self, Known, SparseConfig};
 use std::path::Path;
@@ -61,7 +61,13 @@ pub(super) fn compute(
     }
     let dense = dense_in_its_unit(&pictures, &sparse, flow.as_ref(), &given, settings, observer)?;
     let known_depth = given.depth.as_deref().map(known_share);
-    let confidence = Confidence::of(&sparse, recovered.focal, &dense, given.masks.is_some(), known_depth);
+    let confidence = Confidence::of(
+        &sparse,
+        recovered.focal,
+        &dense.frames,
+        given.masks.is_some(),
+        known_depth,
+    );
     if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
         observer.warn(&format!("geometry is {}: {advice}", confidence.grade.name()));
     }
@@ -101,7 +107,7 @@ fn to_metres(
     Ok(())
 }
 
-/// Depth and masks, computed in a unit in which the scene is about 1 away, as its settings expect.
+/// Depth, masks and tracks, computed in a unit in which the scene is about 1 away, as its settings expect.
 fn dense_in_its_unit(
     pictures: &[&RgbImage],
     sparse: &SparseReconstruction,
@@ -109,7 +115,7 @@ fn dense_in_its_unit(
     given: &Given,
     settings: &Settings,
     observer: &dyn Observer,
-) -> Result<Vec<DenseFrame>, Error> {
+) -> Result<Dense, Error> {
     let unit = if given.cameras.is_some() || given.depth.is_some() {
         typical_depth(sparse, given.depth.as_deref())
     } else {
@@ -125,13 +131,14 @@ fn dense_in_its_unit(
         depth: depth.as_deref(),
     };
     let sparse = scaled.as_ref().unwrap_or(sparse);
-    let mut frames = densify(pictures, sparse, flow, &known, &settings.dense, observer)?;
+    let mut dense = densify(pictures, sparse, flow, &known, &settings.dense, observer)?;
     if unit != 1.0 {
-        for z in frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
+        for z in dense.frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
             *z *= unit as f32;
         }
+        dense.tracks = dense.tracks.map(|tracks| tracks.scaled(unit as f32));
     }
-    Ok(frames)
+    Ok(dense)
 }
 
 /// Share of the pixels whose depth was given.
@@ -141,7 +148,7 @@ fn known_share(depth: &[DepthMap]) -> f64 {
     known as f64 / pixels as f64
 }
 
-fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>, metric: bool) -> Capture {
+fn assemble(video: Video, sparse: &SparseReconstruction, dense: Dense, metric: bool) -> Capture {
     let n = video.frames.len();
     let first_s = video.frames.first().map_or(0.0, |f| f.time_s);
     let duration_s = video.frames.last().map_or(0.0, |f| f.time_s) - first_s;
@@ -153,7 +160,12 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>,
             i as f64
         }
     };
-    let frames = video.frames.into_iter().zip(dense).zip(&sparse.cameras).enumerate();
+    let frames = video
+        .frames
+        .into_iter()
+        .zip(dense.frames)
+        .zip(&sparse.cameras)
+        .enumerate();
     let frames = frames.map(|(i, ((frame, dense), camera))| CaptureFrame {
         name: format!("{i:05}"),
         camera: *camera,
@@ -168,19 +180,25 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>,
         time_frames: n,
         duration_s: (duration_s > 0.0).then_some(duration_s),
         metric,
+        tracks: dense.tracks,
     }
 }
 
 fn summary(
     sparse: &SparseReconstruction,
-    dense: &[DenseFrame],
+    dense: &Dense,
     frontend: &str,
     given: &Given,
     confidence: Confidence,
 ) -> Found {
     let lens = sparse.cameras.first().map(|c| c.intrinsics);
-    let pixels: usize = dense.iter().map(|d| d.mask.data().len()).sum();
-    let moving = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m != 0).count();
+    let pixels: usize = dense.frames.iter().map(|d| d.mask.data().len()).sum();
+    let moving = dense
+        .frames
+        .iter()
+        .flat_map(|d| d.mask.data())
+        .filter(|&&m| m != 0)
+        .count();
     Found {
         frames: sparse.cameras.len(),
         size: lens.map_or([0, 0], |k| [k.width, k.height]),
@@ -195,6 +213,7 @@ fn summary(
         residual_px: sparse.residual_px,
         tracks: sparse.tracks.len(),
         points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
+        moving_tracks: dense.tracks.as_ref().map_or(0, Tracks::count),
         moving_share: moving as f64 / pixels.max(1) as f64,
         frontend: frontend.to_owned(),
         given: given.names(),
