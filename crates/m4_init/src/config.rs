@@ -58,7 +58,7 @@ pub enum VelocityInit {
         /// moving parts; difference of colour after one frame down by a fifth).
         picture_rounds: usize,
         /// Where the capture brings tracks, points near them go where they say, before the pictures have their word (section
-        /// 2.6; measured: 0.00 to +0.12 dB inside moving parts, docs/geometry.md).
+        /// 2.6; measured: 0.00 to +0.12 dB inside moving parts, +0.27 with true depth; docs/geometry.md).
         #[serde(default = "tracks_are_followed")]
         tracks: bool,
     },
