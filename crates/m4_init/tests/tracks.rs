@@ -2,7 +2,9 @@
 
 use m4_init::{InitConfig, InitError, VelocityInit, initialise};
 use m4_math::Se3;
-use m4_scene::{Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, Silent, Splats, Tracks};
+use m4_scene::{
+    Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, ShapeError, Silent, Splats, Tracks,
+};
 
 const WALL: f32 = 4.0;
 const BAND: f32 = 2.0;
@@ -42,7 +44,7 @@ fn capture(tracks: Option<Tracks>) -> Capture {
 }
 
 /// Points on the band at distance `z`, that move along it; every fifth is wrong by far, and each is known in some frames only.
-fn tracks(z: f32) -> Tracks {
+fn tracks(z: f32) -> Result<Tracks, ShapeError> {
     let count = 60;
     let place = |i: usize| {
         let (t, k) = (i / count, i % count);
@@ -58,7 +60,7 @@ fn tracks(z: f32) -> Tracks {
         [start[0] + speed * t as f32, start[1], start[2]]
     };
     let n = FRAMES * count;
-    Tracks::new(FRAMES, count, (0..n).map(place).collect(), vec![true; n]).unwrap()
+    Tracks::new(FRAMES, count, (0..n).map(place).collect(), vec![true; n])
 }
 
 fn config() -> InitConfig {
@@ -99,7 +101,7 @@ fn points_move_as_the_tracks_near_them_do() {
         "nothing in the pictures shows the motion: {}",
         speed(&alone)
     );
-    let told = initialise(&capture(Some(tracks(BAND))), &with_tracks(true), &Silent).unwrap();
+    let told = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();
     let v = told.column(Column::Velocity, 0);
     assert!(v.len() > 500);
     let good = v.iter().filter(|v| (**v - SPEED).abs() < 0.1 * SPEED).count();
@@ -113,11 +115,11 @@ fn points_move_as_the_tracks_near_them_do() {
 #[test]
 fn tracks_that_are_far_or_not_wanted_change_nothing() {
     let alone = initialise(&capture(None), &with_tracks(true), &Silent).unwrap();
-    let far = initialise(&capture(Some(tracks(3.5))), &with_tracks(true), &Silent).unwrap();
+    let far = initialise(&capture(Some(tracks(3.5).unwrap())), &with_tracks(true), &Silent).unwrap();
     assert!(same_bits(&alone, &far));
-    let unwanted = initialise(&capture(Some(tracks(BAND))), &with_tracks(false), &Silent).unwrap();
+    let unwanted = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(false), &Silent).unwrap();
     assert!(same_bits(&alone, &unwanted));
-    let told = initialise(&capture(Some(tracks(BAND))), &with_tracks(true), &Silent).unwrap();
+    let told = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();
     assert!(!same_bits(&alone, &told));
 }
 
@@ -125,7 +127,7 @@ fn tracks_that_are_far_or_not_wanted_change_nothing() {
 fn threads_do_not_change_a_bit() {
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| initialise(&capture(Some(tracks(BAND))), &with_tracks(true), &Silent).unwrap())
+        pool.install(|| initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap())
     };
     assert!(same_bits(&run(1), &run(3)));
 }

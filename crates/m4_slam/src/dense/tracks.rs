@@ -197,7 +197,7 @@ fn lift(clip: &Clip<'_>, chain: &Chain, config: &TrackConfig) -> Vec<Lifted> {
     let median = quantile(&mut steps.clone(), 0.5).unwrap_or(0.0);
     let jumps = |k: usize| {
         let small = SMALL_STEP_PX / (f64::from(raw[k]) * clip.cameras[chain.first + k].intrinsics.fx);
-        !(steps[k] <= config.jump * median + small as f32)
+        !steps[k].is_finite() || steps[k] > config.jump * median + small as f32
     };
     let mut out = Vec::new();
     let mut from = 0;
