@@ -3,7 +3,7 @@
 use crate::carry::{Carry, Moving, hidden, is_seen};
 use crate::change::changes;
 use crate::cloud::{Clouds, Pixels, clouds};
-use crate::motion::{Field, Fields, Registration, View, fields};
+use crate::motion::{Field, Fields, Registration, View, Ways, fields};
 use crate::shell::{Shell, shell};
 use crate::voxel::{Centroids, Grid, pixels_for};
 use crate::write::{BRIGHT, DARK, Writer};
@@ -22,6 +22,12 @@ use rayon::prelude::*;
 /// is not finite, or `progress` asked to stop.
 pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<Splats, InitError> {
     config.check()?;
+    if let Some(tracks) = capture.tracks.as_ref().filter(|t| t.frames() != capture.frames.len()) {
+        return Err(InitError::Tracks {
+            frames: capture.frames.len(),
+            tracks: tracks.frames(),
+        });
+    }
     let clouds = clouds(capture, config, progress)?;
     let (focal_px, median_depth) = (clouds.focal_px, clouds.median_depth);
     let centres: Vec<[f32; 3]> = every_nth(capture.frames.len(), 16)
@@ -156,6 +162,7 @@ fn motions(
             neighbours,
             rounds,
             picture_rounds,
+            tracks,
         } => {
             let coarse_grid = grid(pixels);
             let coarse = clouds.moving.par_iter().map(|k| coarse_grid.merge(&k.cloud(capture)));
@@ -180,7 +187,13 @@ fn motions(
                     sees: &sees[i],
                 })
                 .collect();
-            fields(&keyframes, &by)
+            let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
+            let ways = capture.tracks.as_ref().filter(|_| tracks).map(|tracks| Ways {
+                tracks,
+                frames: &frames,
+                reach: by.reach,
+            });
+            fields(&keyframes, ways, &by)
         }
     }
 }

@@ -220,6 +220,7 @@ mod tests {
             time_frames: 8,
             duration_s: None,
             metric: true,
+            tracks: None,
         };
         let moving: Vec<(f64, Centroids)> = (0..8)
             .map(|t| {

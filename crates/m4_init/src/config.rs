@@ -41,7 +41,7 @@ pub enum VelocityInit {
     /// All 0: the optimiser finds them.
     Zero,
     /// Each keyframe's points are registered to those of the keyframes before and after: locally rigid
-    /// motions that bring similar colours together (section 2.6, without tracks).
+    /// motions that bring similar colours together; tracks that the capture brings refine them (section 2.6).
     Register {
         /// Spacing of the points that are registered, pixels at the median depth.
         pixels: f32,
@@ -57,6 +57,10 @@ pub enum VelocityInit {
         /// Rounds after that in which patches of the pictures say where points went (measured: +0.14 dB inside
         /// moving parts; difference of colour after one frame down by a fifth).
         picture_rounds: usize,
+        /// Where the capture brings tracks, points near them go where they say, before the pictures have their word (section
+        /// 2.6; measured: 0.00 to +0.12 dB inside moving parts, +0.27 with true depth; docs/geometry.md).
+        #[serde(default = "tracks_are_followed")]
+        tracks: bool,
     },
 }
 
@@ -188,6 +192,7 @@ impl InitConfig {
                 neighbours: 20,
                 rounds: 15,
                 picture_rounds: 3,
+                tracks: true,
             },
         }
     }
@@ -282,6 +287,11 @@ impl InitConfig {
         }
         Ok(())
     }
+}
+
+/// Settings of before there were tracks.
+fn tracks_are_followed() -> bool {
+    true
 }
 
 fn above(field: &'static str, value: f32, low: f32, expected: &'static str) -> Result<(), InitError> {

@@ -33,6 +33,14 @@ pub enum InitError {
         /// The frame at fault.
         frame: String,
     },
+    /// The tracks are not of these frames.
+    #[error("the capture has {frames} frames but its tracks {tracks}; follow its own frames, or leave the tracks out")]
+    Tracks {
+        /// Frames of the capture.
+        frames: usize,
+        /// Frames of the tracks.
+        tracks: usize,
+    },
     /// A setting is out of range.
     #[error("setting `{field}` is {value}, which is not {expected}")]
     BadSetting {

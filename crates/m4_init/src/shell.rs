@@ -157,6 +157,7 @@ mod tests {
             time_frames: 1,
             duration_s: None,
             metric: true,
+            tracks: None,
         };
         let shell = shell(&capture, 1000, 10.0);
         for (p, rgb) in shell.xyz.iter().zip(&shell.rgb) {

@@ -53,6 +53,7 @@ fn capture(frames: usize) -> Capture {
         time_frames: frames,
         duration_s: None,
         metric: true,
+        tracks: None,
     }
 }
 

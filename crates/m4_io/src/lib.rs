@@ -11,6 +11,7 @@ pub mod atomic;
 pub mod capture;
 pub mod image;
 pub mod scene_file;
+pub mod tracks;
 pub mod trajectory;
 pub mod video;
 

@@ -60,6 +60,7 @@ fn made(frames: usize) -> Capture {
         time_frames: frames,
         duration_s: Some(1.25),
         metric: true,
+        tracks: None,
     }
 }
 

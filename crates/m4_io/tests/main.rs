@@ -11,6 +11,8 @@ mod mp4_writer;
 #[cfg(test)]
 mod scene_file;
 #[cfg(test)]
+mod tracks;
+#[cfg(test)]
 mod trajectory;
 #[cfg(test)]
 mod video;

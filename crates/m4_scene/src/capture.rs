@@ -1,6 +1,6 @@
 //! Frames with their geometry: what training needs.
 
-use crate::{Camera, CompactDepth, CompactMask, RgbImage};
+use crate::{Camera, CompactDepth, CompactMask, RgbImage, Tracks};
 
 /// One posed frame.
 #[derive(Debug, Clone)]
@@ -32,4 +32,6 @@ pub struct Capture {
     pub duration_s: Option<f64>,
     /// True when depth and poses are metres; false when their scale is arbitrary.
     pub metric: bool,
+    /// Ways of points of moving parts, frame by frame as `frames`; `None` where nobody followed any.
+    pub tracks: Option<Tracks>,
 }

@@ -22,6 +22,7 @@ mod progress;
 mod scene;
 mod splats;
 mod state;
+mod tracks;
 mod video;
 
 pub use camera::{Camera, Intrinsics};
@@ -34,6 +35,7 @@ pub use progress::{Progress, Silent};
 pub use scene::{Exposure, Scene, SourceFrame};
 pub use splats::{Column, SplatLayout, Splats};
 pub use state::{StateTensor, TrainState};
+pub use tracks::Tracks;
 pub use video::{Video, VideoFrame};
 
 /// An image with three 8-bit sRGB channels a pixel.

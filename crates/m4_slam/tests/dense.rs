@@ -28,6 +28,7 @@ fn densify(
         config,
         progress,
     )
+    .map(|dense| dense.frames)
 }
 
 const SIZE: (usize, usize) = (128, 96);
@@ -390,7 +391,7 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
         };
         let plain = with(None).unwrap();
         let sharp = with(Some(&Oracle::Truth(&drawn))).unwrap();
-        let ((_, before), (_, after)) = (score(&drawn, &plain), score(&drawn, &sharp));
+        let ((_, before), (_, after)) = (score(&drawn, &plain.frames), score(&drawn, &sharp.frames));
         assert!(
             after > 0.9 && after > before + 0.05,
             "{motion:?}: {before:.3} to {after:.3}"
@@ -444,7 +445,7 @@ fn what_moves_takes_its_depth_from_a_source_that_knows_it() {
         &Silent,
     )
     .unwrap();
-    for (i, found) in found.iter().enumerate() {
+    for (i, found) in found.frames.iter().enumerate() {
         let pixels = (0..SIZE.0 * SIZE.1).map(|p| (p % SIZE.0, p / SIZE.0));
         let mut errors: Vec<f32> = pixels
             .filter(|&p| drawn.moving[i][p] > 0)

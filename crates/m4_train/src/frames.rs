@@ -228,6 +228,7 @@ mod tests {
             time_frames: 3,
             duration_s: None,
             metric: false,
+            tracks: None,
         }
     }
 

@@ -46,7 +46,7 @@ pub fn of_parts(parts: &[&str]) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// BLAKE3 of everything that training reads of a capture: cameras, times, pictures, depth and masks.
+/// BLAKE3 of everything that training reads of a capture: cameras, times, pictures, depth, masks and tracks.
 #[must_use]
 pub fn of_capture(capture: &Capture) -> String {
     let mut hasher = blake3::Hasher::new();
@@ -76,6 +76,15 @@ pub fn of_capture(capture: &Capture) -> String {
         let mask = frame.mask.as_ref().map(CompactMask::to_mask);
         size_into(mask.as_ref().map_or((0, 0), Plane::size), &mut hasher);
         hasher.update(mask.as_ref().map_or(&[], Plane::data));
+    }
+    // Without tracks the hash is what it was before there were any.
+    if let Some(tracks) = &capture.tracks {
+        size_into((tracks.frames(), tracks.count()), &mut hasher);
+        let places = tracks.xyz().as_flattened();
+        let bytes: Vec<u8> = places.iter().flat_map(|v| v.to_le_bytes()).collect();
+        hasher.update(&bytes);
+        let visible: Vec<u8> = tracks.visible().iter().map(|&v| u8::from(v)).collect();
+        hasher.update(&visible);
     }
     hasher.finalize().to_hex().to_string()
 }

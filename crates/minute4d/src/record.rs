@@ -251,6 +251,9 @@ pub struct Found {
     pub points: usize,
     /// Share of all pixels that count as moving.
     pub moving_share: f64,
+    /// Points of what moves that were followed, in `tracks.npz`.
+    #[serde(default)]
+    pub moving_tracks: usize,
     /// Who measured flow: `classical`, `gmflow`.
     #[serde(default)]
     pub frontend: String,

@@ -81,6 +81,7 @@ fn video() -> (MovingScene, Capture) {
         time_frames: FRAMES,
         duration_s: None,
         metric: true,
+        tracks: None,
     };
     (scene, capture)
 }

@@ -51,6 +51,7 @@ fn known() -> (Scratch, Vec<Camera>) {
         time_frames: FRAMES,
         duration_s: Some(1.1),
         metric: true,
+        tracks: None,
     };
     capture::write(&dir.path("truth"), &truth, Split::Train, &Silent).unwrap();
     fs::copy(dir.path("truth/transforms_train.json"), dir.path("poses.json")).unwrap();

@@ -68,6 +68,7 @@ pub fn llff_truth(text: &str) -> Result<Capture, LlffError> {
         time_frames: count,
         duration_s: None,
         metric: false,
+        tracks: None,
     })
 }
 

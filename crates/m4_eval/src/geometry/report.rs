@@ -205,6 +205,7 @@ pub(super) mod tests {
             time_frames: n,
             duration_s: None,
             metric: true,
+            tracks: None,
         }
     }
 

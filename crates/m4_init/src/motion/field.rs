@@ -1,5 +1,6 @@
 //! Motions between keyframes that can be asked for at any place.
 
+use super::follow::Ways;
 use super::look::Look;
 use super::register::{Registration, View, register};
 
@@ -25,15 +26,16 @@ pub(crate) struct Fields {
     pub backward: Field,
 }
 
-/// Motions between every keyframe and the next.
-pub(crate) fn fields(keyframes: &[View<'_>], by: &Registration) -> Vec<Fields> {
+/// Motions between every keyframe and the next; `ways` is what tracks know of them.
+pub(crate) fn fields(keyframes: &[View<'_>], ways: Option<Ways<'_>>, by: &Registration) -> Vec<Fields> {
     let mut out: Vec<Fields> = Vec::new();
     let look = |view: &View<'_>| view.frame.and_then(Look::new);
     // two pictures at a time: all of them would be most of the memory of a run
     let mut ahead = keyframes.first().and_then(look);
-    for pair in keyframes.windows(2) {
+    for (i, pair) in keyframes.windows(2).enumerate() {
         let (a, b) = (&pair[0], &pair[1]);
         let behind = std::mem::replace(&mut ahead, look(b));
+        let follow = |from, to| ways.and_then(|w| w.between(from, to));
         let looks = behind.as_ref().zip(ahead.as_ref());
         // What moved on goes on moving: the last motion is a good first guess.
         let guess = match out.last() {
@@ -42,12 +44,12 @@ pub(crate) fn fields(keyframes: &[View<'_>], by: &Registration) -> Vec<Fields> {
         };
         let forward = Field {
             nodes: a.nodes.xyz.clone(),
-            motion: register(a, b, looks.map(|(a, b)| [a, b]), guess, by),
+            motion: register(a, b, looks.map(|(a, b)| [a, b]), follow(i, i + 1), guess, by),
         };
         let guess = shifts(&b.nodes.xyz, &forward.inverse().places(&b.nodes.xyz));
         let backward = Field {
             nodes: b.nodes.xyz.clone(),
-            motion: register(b, a, looks.map(|(a, b)| [b, a]), guess, by),
+            motion: register(b, a, looks.map(|(a, b)| [b, a]), follow(i + 1, i), guess, by),
         };
         out.push(Fields { forward, backward });
     }
@@ -166,7 +168,7 @@ mod tests {
             frame: None,
             sees,
         };
-        fields(&clouds.iter().map(view).collect::<Vec<_>>(), &BY)
+        fields(&clouds.iter().map(view).collect::<Vec<_>>(), None, &BY)
     }
 
     fn turn(p: [f32; 3], rad: f32) -> [f32; 3] {

@@ -1,19 +1,22 @@
-//! First motions: how the moving points of a keyframe get to the next, without tracks (section 2.6).
+//! First motions: how the moving points of a keyframe get to the next (section 2.6).
 //!
 //! ```text
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)
+//! follow (what tracks of the capture say, where there are any)
 //! look (their pictures -> where patches went)
 //! bodies (what hangs together moves together, seen or not)
 //! ```
 
 mod bodies;
 mod field;
+mod follow;
 mod look;
 mod register;
 mod rigid;
 
 pub(crate) use bodies::bodies;
 pub(crate) use field::{Field, Fields, fields};
+pub(crate) use follow::Ways;
 pub(crate) use register::{Registration, View};
 #[cfg(test)]
 pub(crate) use rigid::Rigid;

@@ -1,5 +1,6 @@
 //! Two keyframes' moving points brought together.
 
+use super::follow::Follow;
 use super::look::Look;
 use super::rigid::Rigid;
 use crate::voxel::Centroids;
@@ -51,12 +52,13 @@ pub(crate) struct View<'a> {
 /// Each round matches every displaced node to the nearest point of `to` in place and colour; then the motion of
 /// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
 /// away weighing little, and nodes that go where they cannot be seen nothing at all. Neighbourhoods shrink from
-/// round to round: large pieces first, then their parts. In the last rounds the pictures, `looks`, say where nodes
-/// went, which is exact to a fraction of a pixel.
+/// round to round: large pieces first, then their parts. Then tracks have their word, `follow`, on nodes that are near any; in the last
+/// rounds the pictures, `looks`, say where nodes went, which is exact to a fraction of a pixel.
 pub(crate) fn register(
     from: &View<'_>,
     to: &View<'_>,
     looks: Option<[&Look; 2]>,
+    follow: Option<Follow>,
     guess: Vec<Rigid>,
     by: &Registration,
 ) -> Vec<Rigid> {
@@ -95,6 +97,10 @@ pub(crate) fn register(
         let left = 1.0 - (1.5 * round as f32 / by.rounds as f32).min(1.0);
         let pieces = by.neighbours as f32 * (FIRST as f32).powf(left);
         motion = fitted(nodes, &motion, &near, &wanted, pieces as usize);
+    }
+    if let Some(follow) = follow {
+        let wanted = wanted(nodes, &motion, |p, _, _| follow.ask(p));
+        motion = fitted(nodes, &motion, &near, &wanted, by.neighbours);
     }
     if let Some([here, there]) = looks {
         for _ in 0..by.picture_rounds {

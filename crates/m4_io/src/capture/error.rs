@@ -3,6 +3,7 @@
 use super::pose::PoseFault;
 use crate::ErrorKind;
 use crate::image::{ReadImageError, WriteImageError};
+use crate::tracks::ReadTracksError;
 use std::io;
 use std::path::PathBuf;
 
@@ -102,6 +103,14 @@ pub enum ReadCaptureError {
         /// The picture's own size.
         found: (usize, usize),
     },
+    /// The tracks could not be read.
+    #[error("{}: {source}", list.display())]
+    Tracks {
+        /// The file that names them.
+        list: PathBuf,
+        /// What is wrong with them.
+        source: ReadTracksError,
+    },
     /// The frames would not fit.
     #[error("{} lists {frames} frames of {} x {} pixels, which take {needed} MiB of memory, above the limit of {limit} MiB; list fewer frames, scale the images down, or raise the limit (max_memory_bytes)", path.display(), size.0, size.1, needed = needed_bytes >> 20, limit = limit_bytes >> 20)]
     TooLarge {
@@ -137,6 +146,7 @@ impl ReadCaptureError {
         match self {
             Self::Io { source, .. } => ErrorKind::of_read(source),
             Self::Image { source, .. } => source.kind(),
+            Self::Tracks { source, .. } => source.kind(),
             Self::Distorted { .. } | Self::TooLarge { .. } => ErrorKind::Unsupported,
             Self::Cancelled { .. } => ErrorKind::Cancelled,
             Self::Json { .. }
@@ -186,6 +196,16 @@ pub enum WriteCaptureError {
         /// What is wrong with it.
         what: String,
     },
+    /// The tracks are not of these frames.
+    #[error("the capture for {} has {frames} frames but tracks over {tracks}; follow its own frames, or leave the tracks out", path.display())]
+    Tracks {
+        /// The JSON file.
+        path: PathBuf,
+        /// Frames of the capture.
+        frames: usize,
+        /// Frames of the tracks.
+        tracks: usize,
+    },
     /// The caller asked to stop.
     #[error("stopped while writing {}; the folder is incomplete and is not read as a capture", path.display())]
     Cancelled {
@@ -201,7 +221,7 @@ impl WriteCaptureError {
         match self {
             Self::Io { .. } => ErrorKind::CannotWrite,
             Self::Image(e) => e.kind(),
-            Self::BadFrame { .. } => ErrorKind::BadData,
+            Self::BadFrame { .. } | Self::Tracks { .. } => ErrorKind::BadData,
             Self::Cancelled { .. } => ErrorKind::Cancelled,
         }
     }

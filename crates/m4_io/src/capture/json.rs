@@ -131,6 +131,8 @@ pub struct Transforms<F = serde_json::Value> {
     pub duration_s: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_frames: Option<usize>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tracks_path: Option<String>,
     pub frames: Vec<F>,
 }
 

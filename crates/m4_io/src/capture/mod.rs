@@ -12,6 +12,7 @@
 //! axes                            "opengl" (default: x right, y up, z back) or "opencv"
 //! metric                          true when a scene unit is a metre; default false
 //! duration_s                      seconds from the first to the last frame
+//! tracks_path                     optional: tracks.npz, ways of moving points ([`crate::tracks`]); frames in the order of `frames`
 //! time_frames                     of a test split without a training split: how many frames `time` spans
 //! frames[]  file_path             picture, relative to the JSON file; PNG or JPEG
 //!           transform_matrix      4x4 camera-to-world
@@ -36,6 +37,9 @@ pub use error::{ReadCaptureError, WriteCaptureError};
 pub use options::{CaptureOptions, Split};
 pub use read::read;
 pub use write::write;
+
+/// The file of tracks that [`write()`] puts beside the list of training frames, if there are tracks.
+pub const TRACKS_FILE: &str = "tracks.npz";
 
 pub(crate) use json::Lens;
 pub(crate) use pose::Pose;

@@ -22,6 +22,14 @@ impl Split {
         }
     }
 
+    /// The file of tracks that is written.
+    pub(super) fn tracks_file(self) -> &'static str {
+        match self {
+            Self::Train => super::TRACKS_FILE,
+            Self::Test => "test_tracks.npz",
+        }
+    }
+
     /// Folders of the pictures, depth maps and masks that are written.
     pub(super) fn folders(self) -> [&'static str; 3] {
         match self {
@@ -36,7 +44,7 @@ impl Split {
 #[serde(default, deny_unknown_fields)]
 pub struct CaptureOptions {
     /// Bytes that the decoded frames (8 a pixel: colour, depth and mask) may take before reading is
-    /// refused. Default 4 GiB: half of the memory of a small laptop.
+    /// refused, and each array of the tracks. Default 4 GiB: half of the memory of a small laptop.
     pub max_memory_bytes: u64,
 }
 

@@ -3,8 +3,9 @@
 use super::json::{self, Frame, Lens, Transforms};
 use super::{CaptureOptions, Pose, ReadCaptureError, Split};
 use crate::image::{self, ReadImageError};
+use crate::tracks::{self, ReadTracksError, TracksFault};
 use m4_math::Se3;
-use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Progress};
+use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Progress, Tracks};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -51,11 +52,13 @@ pub fn read(
         })
         .collect();
     let frames = frames.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let tracks = reader.tracks(&entries, options)?;
     Ok(Capture {
         frames,
         time_frames,
         duration_s: reader.file.duration_s,
         metric: reader.file.metric,
+        tracks,
     })
 }
 
@@ -216,6 +219,28 @@ impl Reader {
         }
         entries.sort_by(|a, b| a.time.total_cmp(&b.time));
         Ok(entries)
+    }
+
+    /// The tracks, their frames in the order of `entries`.
+    fn tracks(&self, entries: &[Entry], options: &CaptureOptions) -> Result<Option<Tracks>, ReadCaptureError> {
+        let Some(name) = &self.file.tracks_path else {
+            return Ok(None);
+        };
+        let failed = |source| ReadCaptureError::Tracks {
+            list: self.path.clone(),
+            source,
+        };
+        let path = self.folder.join(name);
+        let tracks = tracks::read(&path, entries.len(), options.max_memory_bytes).map_err(failed)?;
+        let order: Vec<usize> = entries.iter().map(|e| e.index).collect();
+        if order.is_sorted() {
+            return Ok(Some(tracks));
+        }
+        let sorted = tracks.in_order(&order).map_err(|e| {
+            let fault = TracksFault::Archive(e.to_string());
+            failed(ReadTracksError { path, fault })
+        });
+        sorted.map(Some)
     }
 
     /// The picture's file; the synthetic NeRF scenes leave the extension away.

@@ -2,7 +2,7 @@
 
 use super::json::{Frame, Lens, Transforms};
 use super::{Axes, Split, WriteCaptureError};
-use crate::{atomic, image};
+use crate::{atomic, image, tracks};
 use m4_scene::{Capture, CaptureFrame, Progress};
 use rayon::prelude::*;
 use std::fs;
@@ -31,6 +31,13 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
         path: list.clone(),
         source,
     };
+    if let Some(tracks) = capture.tracks.as_ref().filter(|t| t.frames() != capture.frames.len()) {
+        return Err(WriteCaptureError::Tracks {
+            path: list,
+            frames: capture.frames.len(),
+            tracks: tracks.frames(),
+        });
+    }
     let unit = depth_unit(capture);
     let frames = capture
         .frames
@@ -65,6 +72,12 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
         ));
     }
 
+    let tracks_path = capture.tracks.as_ref().map(|_| split.tracks_file().to_owned());
+    if let (Some(name), Some(tracks)) = (&tracks_path, &capture.tracks) {
+        let path = folder.join(name);
+        tracks::write(&path, tracks).map_err(|source| WriteCaptureError::Io { path, source })?;
+    }
+
     let transforms = Transforms {
         camera_model: Some("OPENCV".to_owned()),
         lens: Lens::default(),
@@ -73,6 +86,7 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
         metric: capture.metric,
         duration_s: capture.duration_s,
         time_frames: (split == Split::Test).then_some(capture.time_frames),
+        tracks_path,
         frames,
     };
     let text = serde_json::to_vec_pretty(&transforms).map_err(|e| io(e.into()))?;

@@ -32,6 +32,7 @@ pub fn film(frames: usize, width: usize, height: usize) -> Capture {
         frames,
         duration_s: Some(last / 24.0),
         metric: true,
+        tracks: None,
     }
 }
 

@@ -32,6 +32,8 @@ pub struct DenseConfig {
     pub moving_depth: MovingDepthConfig,
     /// Depth of what moves, as rigid bodies.
     pub bodies: BodyConfig,
+    /// Points of what moves, followed through the clip.
+    pub tracks: TrackConfig,
 }
 
 impl Default for DenseConfig {
@@ -47,6 +49,7 @@ impl Default for DenseConfig {
             segment: SegmentConfig::default(),
             moving_depth: MovingDepthConfig::default(),
             bodies: BodyConfig::default(),
+            tracks: TrackConfig::default(),
         }
     }
 }
@@ -370,6 +373,43 @@ impl Default for BodyConfig {
     }
 }
 
+/// Points of moving parts, followed along the flow.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackConfig {
+    /// Whether points are followed at all.
+    pub enabled: bool,
+    /// Distance of the points where they start, pixels at the working size.
+    pub spacing_px: usize,
+    /// Points start in every n-th frame, where no track passes. The specification's queries: every frame to every 10th.
+    pub every: usize,
+    /// Flow whose round trip misses by more than this is not followed, pixels at the working size.
+    pub round_trip_px: f32,
+    /// Fewest frames of a track.
+    pub shortest: usize,
+    /// A track is cut at a step longer than this many times its median step.
+    pub jump: f32,
+    /// Time over which the depth of a track is smoothed, standard deviation in frames; 0 for none.
+    pub smooth_frames: f32,
+    /// Most tracks; more are thinned everywhere alike.
+    pub most: usize,
+}
+
+impl Default for TrackConfig {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            spacing_px: 4,
+            every: 4,
+            round_trip_px: 1.0,
+            shortest: 4,
+            jump: 5.0,
+            smooth_frames: 2.0,
+            most: 20_000,
+        }
+    }
+}
+
 impl DenseConfig {
     /// Rejects settings that no computation could use.
     pub(super) fn check(&self) -> Result<(), DenseError> {
@@ -442,6 +482,7 @@ impl DenseConfig {
         }
         self.check_bodies(&need)?;
         self.segment.check(&need)?;
+        self.check_tracks(&need)?;
         let q = self.moving_depth.hidden_quantile;
         need(
             (0.0..=1.0).contains(&q),
@@ -449,6 +490,33 @@ impl DenseConfig {
             q,
             "0 to 1",
         )
+    }
+
+    /// The settings of tracks.
+    fn check_tracks(
+        &self,
+        need: &impl Fn(bool, &'static str, f64, &'static str) -> Result<(), DenseError>,
+    ) -> Result<(), DenseError> {
+        let t = &self.tracks;
+        let counts = [
+            ("dense.tracks.spacing_px", t.spacing_px, 1, 256, "1 to 256"),
+            ("dense.tracks.every", t.every, 1, 10_000, "1 to 10000"),
+            ("dense.tracks.shortest", t.shortest, 2, 10_000, "2 to 10000"),
+            ("dense.tracks.most", t.most, 1, 1_000_000, "1 to 1000000"),
+        ];
+        for (name, value, least, most, range) in counts {
+            need((least..=most).contains(&value), name, value as f64, range)?;
+        }
+        for (name, value) in [
+            ("dense.tracks.round_trip_px", t.round_trip_px),
+            ("dense.tracks.jump", t.jump),
+        ] {
+            let good = value > 0.0 && value.is_finite();
+            need(good, name, f64::from(value), "a number above 0")?;
+        }
+        let smooth = t.smooth_frames;
+        let good = (0.0..=100.0).contains(&smooth);
+        need(good, "dense.tracks.smooth_frames", f64::from(smooth), "0 to 100")
     }
 
     /// The settings of masks and moving parts.

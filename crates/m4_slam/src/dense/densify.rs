@@ -17,9 +17,10 @@ use super::shot::{Shot, sparse_points};
 use super::smooth::Smoother;
 use super::sources::Sources;
 use super::static_depth::{self, Measured, Swept};
+use super::tracks;
 use super::working::{WorkingFrame, fitting_side, working_size};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_scene::{Camera, DepthMap, Mask, Plane, Progress, RgbImage};
+use m4_scene::{Camera, DepthMap, Mask, Plane, Progress, RgbImage, Tracks};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -32,6 +33,16 @@ pub struct DenseFrame {
     pub mask: Mask,
     /// How far the depth was measured and not made up, 0..1.
     pub confidence: Plane<f32>,
+}
+
+/// What [`densify`] finds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dense {
+    /// One a frame.
+    pub frames: Vec<DenseFrame>,
+    /// Points of what moves, followed through the clip, in the unit of the cameras; `None` where nothing could be followed
+    /// or nobody asked.
+    pub tracks: Option<Tracks>,
 }
 
 /// Least side of a frame, pixels.
@@ -58,7 +69,8 @@ pub(super) struct Stages {
     pub disparity: Vec<Vec<f32>>,
 }
 
-/// Depth, motion masks and confidence for every frame, given cameras and tracks; `sources` measure flow and outline what moves.
+/// Depth, motion masks and confidence for every frame and tracks of what moves, given cameras and tracks; `sources` measure
+/// flow, outline what moves, and know depth.
 ///
 /// # Errors
 ///
@@ -70,9 +82,10 @@ pub fn densify(
     given: &Given<'_>,
     config: &DenseConfig,
     progress: &dyn Progress,
-) -> Result<Vec<DenseFrame>, DenseError> {
+) -> Result<Dense, DenseError> {
     let stages = run(frames, sparse, sources, given, config, progress)?;
-    each(frames.len(), "enlarging depth", progress, |i| {
+    let tracks = followed(&stages, config);
+    let frames = each(frames.len(), "enlarging depth", progress, |i| {
         let small = Small {
             frame: &stages.shots[i].frame,
             disparity: &stages.disparity[i],
@@ -80,7 +93,22 @@ pub fn densify(
             confidence: &stages.measured[i].confidence,
         };
         enlarge(frames[i], &small)
-    })
+    })?;
+    Ok(Dense { frames, tracks })
+}
+
+/// Tracks of what moves.
+fn followed(stages: &Stages, config: &DenseConfig) -> Option<Tracks> {
+    let cameras: Vec<Camera> = stages.shots.iter().map(|s| s.frame.camera).collect();
+    let clip = tracks::Clip {
+        width: stages.width,
+        height: stages.height,
+        cameras: &cameras,
+        moving: &stages.moving,
+        disparity: &stages.disparity,
+        flows: &stages.flows,
+    };
+    config.tracks.enabled.then(|| tracks::tracks(&clip, &config.tracks))?
 }
 
 fn check(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Result<(usize, usize), DenseError> {

@@ -8,6 +8,7 @@
 //!                                                     '------- once more ------------|
 //!                                                                                    v
 //!                                           depth of the moving parts -> full size
+//!                                                     '-> tracks along the flow
 //! ```
 //!
 //! What measures flow, what outlines the parts of the masks and what knows depth from one picture, if anything does, is the
@@ -44,15 +45,16 @@ mod smooth;
 mod sources;
 mod static_depth;
 mod sweep;
+mod tracks;
 mod working;
 
 #[cfg(test)]
 mod bench_tests;
 
 pub use config::{
-    BodyConfig, DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig,
+    BodyConfig, DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig, TrackConfig,
 };
-pub use densify::{DenseFrame, densify};
+pub use densify::{Dense, DenseFrame, densify};
 pub use error::DenseError;
 pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
 pub use given::Given;

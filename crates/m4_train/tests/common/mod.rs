@@ -59,6 +59,7 @@ pub fn video() -> (MovingScene, Capture) {
         time_frames: FRAMES,
         duration_s: None,
         metric: true,
+        tracks: None,
     };
     (scene, capture)
 }

@@ -9,8 +9,8 @@ use super::segmenter;
 use crate::record::Found;
 use crate::{Error, Observer, Settings};
 use m4_io::capture::Split;
-use m4_scene::{Capture, CaptureFrame, DepthMap, Progress, RgbImage, Video};
-use m4_slam::dense::{self, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, densify};
+use m4_scene::{Capture, CaptureFrame, DepthMap, Progress, RgbImage, Tracks, Video};
+use m4_slam::dense::{self, Dense, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, densify};
 use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_slam::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError};
 use std::path::Path;
@@ -30,8 +30,8 @@ pub(super) fn compute(
     let flow = frontend.load(&settings.dense.flow)?;
     let outlines = segmenter.load()?;
     let sources = Sources {
-        flow: flow.as_ref(),
         segmenter: outlines.as_deref(),
+        ..Sources::flow(flow.as_ref())
     };
     let video = m4_io::video::read(input, &settings.video, observer)?;
     for warning in &video.warnings {
@@ -70,7 +70,7 @@ pub(super) fn compute(
     let mut dense = dense_in_its_unit(&pictures, &recovered.sparse, &sources, &given, settings, observer)?;
     let mut rounds = 1;
     if let (Some(followed), None) = (followed, &given.masks)
-        && let Some(better) = once_more(&followed, &recovered.sparse, &mut dense, &config, observer)?
+        && let Some(better) = once_more(&followed, &recovered.sparse, &mut dense.frames, &config, observer)?
     {
         drop(dense);
         recovered = better;
@@ -80,7 +80,13 @@ pub(super) fn compute(
     }
     let sparse = recovered.sparse;
     let known_depth = given.depth.as_deref().map(known_share);
-    let confidence = Confidence::of(&sparse, recovered.focal, &dense, given.masks.is_some(), known_depth);
+    let confidence = Confidence::of(
+        &sparse,
+        recovered.focal,
+        &dense.frames,
+        given.masks.is_some(),
+        known_depth,
+    );
     if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
         observer.warn(&format!("geometry is {}: {advice}", confidence.grade.name()));
     }
@@ -114,12 +120,12 @@ fn finish_sparse(sparse: &mut SparseReconstruction, given: &Given, observer: &dy
 fn once_more(
     followed: &Followed,
     first: &SparseReconstruction,
-    dense: &mut [DenseFrame],
+    frames: &mut [DenseFrame],
     config: &SparseConfig,
     observer: &dyn Observer,
 ) -> Result<Option<Recovered>, Error> {
     const PHASE: &str = "cameras without what moves";
-    let masks = iterate::take_masks(dense);
+    let masks = iterate::take_masks(frames);
     let mut found = None;
     if iterate::worth(first, &masks) {
         observer.update(PHASE, 0, 1, "");
@@ -135,7 +141,7 @@ fn once_more(
         observer.update(PHASE, 1, 1, &change.map_or_else(String::new, |change| change.words()));
         found = second.filter(|_| change.is_some_and(|change| change.matters()));
     }
-    iterate::put_back(dense, masks);
+    iterate::put_back(frames, masks);
     Ok(found)
 }
 
@@ -182,7 +188,7 @@ fn to_metres(
     Ok(())
 }
 
-/// Depth and masks, computed in a unit in which the scene is about 1 away, as its settings expect.
+/// Depth, masks and tracks, computed in a unit in which the scene is about 1 away, as its settings expect.
 fn dense_in_its_unit(
     pictures: &[&RgbImage],
     sparse: &SparseReconstruction,
@@ -190,7 +196,7 @@ fn dense_in_its_unit(
     given: &Given,
     settings: &Settings,
     observer: &dyn Observer,
-) -> Result<Vec<DenseFrame>, Error> {
+) -> Result<Dense, Error> {
     let unit = if given.cameras.is_some() || given.depth.is_some() {
         typical_depth(sparse, given.depth.as_deref())
     } else {
@@ -206,13 +212,14 @@ fn dense_in_its_unit(
     };
     let sparse = scaled.as_ref().unwrap_or(sparse);
     let sources = Sources { mono, ..*sources };
-    let mut frames = densify(pictures, sparse, &sources, &known, &settings.dense, observer)?;
+    let mut dense = densify(pictures, sparse, &sources, &known, &settings.dense, observer)?;
     if unit != 1.0 {
-        for z in frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
+        for z in dense.frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
             *z *= unit as f32;
         }
+        dense.tracks = dense.tracks.map(|tracks| tracks.scaled(unit as f32));
     }
-    Ok(frames)
+    Ok(dense)
 }
 
 /// Share of the pixels whose depth was given.
@@ -222,7 +229,7 @@ fn known_share(depth: &[DepthMap]) -> f64 {
     known as f64 / pixels as f64
 }
 
-fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>, metric: bool) -> Capture {
+fn assemble(video: Video, sparse: &SparseReconstruction, dense: Dense, metric: bool) -> Capture {
     let n = video.frames.len();
     let first_s = video.frames.first().map_or(0.0, |f| f.time_s);
     let duration_s = video.frames.last().map_or(0.0, |f| f.time_s) - first_s;
@@ -234,7 +241,12 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>,
             i as f64
         }
     };
-    let frames = video.frames.into_iter().zip(dense).zip(&sparse.cameras).enumerate();
+    let frames = video
+        .frames
+        .into_iter()
+        .zip(dense.frames)
+        .zip(&sparse.cameras)
+        .enumerate();
     let frames = frames.map(|(i, ((frame, dense), camera))| CaptureFrame {
         name: format!("{i:05}"),
         camera: *camera,
@@ -249,20 +261,26 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Vec<DenseFrame>,
         time_frames: n,
         duration_s: (duration_s > 0.0).then_some(duration_s),
         metric,
+        tracks: dense.tracks,
     }
 }
 
 fn summary(
     sparse: &SparseReconstruction,
-    dense: &[DenseFrame],
+    dense: &Dense,
     [frontend, segmenter]: [&str; 2],
     given: &Given,
     rounds: usize,
     confidence: Confidence,
 ) -> Found {
     let lens = sparse.cameras.first().map(|c| c.intrinsics);
-    let pixels: usize = dense.iter().map(|d| d.mask.data().len()).sum();
-    let moving = dense.iter().flat_map(|d| d.mask.data()).filter(|&&m| m != 0).count();
+    let pixels: usize = dense.frames.iter().map(|d| d.mask.data().len()).sum();
+    let moving = dense
+        .frames
+        .iter()
+        .flat_map(|d| d.mask.data())
+        .filter(|&&m| m != 0)
+        .count();
     Found {
         frames: sparse.cameras.len(),
         size: lens.map_or([0, 0], |k| [k.width, k.height]),
@@ -277,6 +295,7 @@ fn summary(
         residual_px: sparse.residual_px,
         tracks: sparse.tracks.len(),
         points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
+        moving_tracks: dense.tracks.as_ref().map_or(0, Tracks::count),
         moving_share: moving as f64 / pixels.max(1) as f64,
         frontend: frontend.to_owned(),
         segmenter: segmenter.to_owned(),

@@ -192,8 +192,12 @@ mod tests {
             Track {
                 first_frame: 0,
                 observations: seen.collect(),
-                motion: if i % 10 == 0 { Motion::Dynamic } else { Motion::Static },
-                point: (i % 10 != 0).then_some(point),
+                motion: if i.is_multiple_of(10) {
+                    Motion::Dynamic
+                } else {
+                    Motion::Static
+                },
+                point: (!i.is_multiple_of(10)).then_some(point),
                 residual_px: 0.1,
             }
         };

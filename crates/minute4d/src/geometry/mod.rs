@@ -31,7 +31,7 @@ use crate::settings::part_to_toml;
 use crate::{Error, Job, StageEvent, hash, progress::Keeper};
 use compute::compute;
 use given::Sources;
-use m4_io::capture::Split;
+use m4_io::capture::{Split, TRACKS_FILE};
 use serde::Serialize;
 use std::fs;
 use std::path::Path;
@@ -199,5 +199,6 @@ pub(crate) fn clear(capture: &Path) -> Result<(), Error> {
             _ => {}
         }
     }
+    folder::remove_file(&capture.join(TRACKS_FILE))?;
     folder::remove_file(&capture.join(GEOMETRY_FILE))
 }

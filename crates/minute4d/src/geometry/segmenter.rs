@@ -245,7 +245,6 @@ mod tests {
     }
 
     #[test]
-    #[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
     fn a_coarse_disc_becomes_the_disc() {
         let Some(weights) = Weights::present().unwrap() else {
             eprintln!("not tested with real weights: `minute4d weights fetch mobile-sam` gets them");

@@ -88,6 +88,7 @@ mod tests {
             time_frames: 10,
             duration_s: None,
             metric: false,
+            tracks: None,
         };
         assert_eq!(sharpest(&capture), 6);
     }

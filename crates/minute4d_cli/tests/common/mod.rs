@@ -202,6 +202,7 @@ fn capture_of(size: (usize, usize), n: usize, held_out: bool) -> Capture {
         time_frames: n,
         duration_s: Some((n - 1) as f64 / 10.0),
         metric: false,
+        tracks: None,
     }
 }
 

@@ -1,0 +1,21 @@
+//! Tracks as `tracks.npz`: arrays by the names that TAPIP3D gives them, so that its files are read as they are.
+//!
+//! ```text
+//! coords   [frames][tracks][3]   float32   world units; NaN where unknown
+//! visibs   [frames][tracks]      bool (or 8-bit integers)
+//! colors   [tracks][3]           uint8     optional, sRGB
+//! ```
+//!
+//! Other members of the archive are passed over. Files are not trusted: shapes are compared with the clip and with
+//! the memory allowed before anything is read, and no member is read further than its shape says.
+//!
+//! `npy` is read and written here and not by a crate: the one there is multiplies a shape without looking for an overflow.
+
+mod error;
+mod npy;
+mod read;
+mod write;
+
+pub use error::{ReadTracksError, TracksFault};
+pub use read::read;
+pub use write::write;

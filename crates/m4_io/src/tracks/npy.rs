@@ -1,0 +1,130 @@
+//! Headers of `.npy` files (NumPy enhancement proposal 1), for arrays of numbers in C order.
+
+use std::io::Read;
+
+const MAGIC: &[u8; 6] = b"\x93NUMPY";
+/// Longest header that is read, bytes; those of plain arrays have 118 at most.
+const MAX_HEADER: usize = 4096;
+/// What a header is padded to, bytes.
+const ALIGN: usize = 64;
+
+/// What the bytes after it mean.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Header {
+    /// Type of a number, such as `<f4`.
+    pub descr: String,
+    /// Slowest dimension first.
+    pub shape: Vec<u64>,
+}
+
+impl Header {
+    /// Reads a header; `reader` is then at the first number.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with it, in words.
+    pub fn read(reader: &mut impl Read) -> Result<Self, String> {
+        let mut take = |n: usize| -> Result<Vec<u8>, String> {
+            let mut bytes = vec![0; n];
+            let cut = |e| format!("ends in its header ({e})");
+            reader.read_exact(&mut bytes).map_err(cut)?;
+            Ok(bytes)
+        };
+        let start = take(8)?;
+        if &start[..6] != MAGIC {
+            return Err("is no npy array".into());
+        }
+        let length = match start[6] {
+            1 => take(2)?,
+            2 | 3 => take(4)?,
+            other => return Err(format!("has version {other} of npy; 1 to 3 are read")),
+        };
+        let length = length.iter().rev().fold(0usize, |sum, &b| sum << 8 | usize::from(b));
+        if length > MAX_HEADER {
+            return Err(format!("has a header of {length} bytes; at most {MAX_HEADER} are read"));
+        }
+        let text = String::from_utf8(take(length)?).map_err(|_| "has a header that is no text".to_owned())?;
+        Self::parse(&text).ok_or_else(|| format!("has a header that is not understood: {}", text.trim_end()))
+    }
+
+    /// `{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }`, in any order.
+    fn parse(text: &str) -> Option<Self> {
+        let value = |key: &str| {
+            let (_, rest) = text.split_once(&format!("'{key}'"))?;
+            Some(rest.trim_start().strip_prefix(':')?.trim_start())
+        };
+        let descr = value("descr")?.strip_prefix('\'')?.split_once('\'')?.0;
+        if !value("fortran_order")?.starts_with("False") {
+            return None;
+        }
+        let shape = value("shape")?.strip_prefix('(')?.split_once(')')?.0;
+        let sizes = shape.split(',').map(str::trim).filter(|s| !s.is_empty());
+        Some(Self {
+            descr: descr.to_owned(),
+            shape: sizes.map(|s| s.parse().ok()).collect::<Option<_>>()?,
+        })
+    }
+
+    /// Numbers in the array; `None` if they are more than can be counted.
+    pub fn len(&self) -> Option<u64> {
+        self.shape.iter().try_fold(1u64, |n, &side| n.checked_mul(side))
+    }
+
+    /// The bytes of the header.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let sizes: Vec<String> = self.shape.iter().map(|n| format!("{n},")).collect();
+        let text = format!(
+            "{{'descr': '{}', 'fortran_order': False, 'shape': ({}), }}",
+            self.descr,
+            sizes.join(" ")
+        );
+        // magic, version, length, text, line feed
+        let padded = (10 + text.len() + 1).next_multiple_of(ALIGN);
+        let mut out = MAGIC.to_vec();
+        out.extend([1, 0]);
+        out.extend(((padded - 10) as u16).to_le_bytes());
+        out.extend(text.as_bytes());
+        out.resize(padded - 1, b' ');
+        out.push(b'\n');
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Header;
+
+    #[test]
+    fn a_header_comes_back() {
+        for shape in [vec![], vec![7], vec![96, 20_000, 3]] {
+            let header = Header {
+                descr: "<f4".into(),
+                shape,
+            };
+            let bytes = header.to_bytes();
+            assert_eq!(bytes.len() % 64, 0);
+            let mut rest = bytes.as_slice();
+            assert_eq!(Header::read(&mut rest).unwrap(), header);
+            assert!(rest.is_empty());
+        }
+    }
+
+    #[test]
+    fn headers_that_are_not_read_say_why() {
+        let refused = |bytes: &[u8]| Header::read(&mut &*bytes).unwrap_err();
+        assert!(refused(b"PK").contains("ends in its header"));
+        assert!(refused(b"\x93NUMPX\x01\x00\x02\x00{}").contains("no npy"));
+        assert!(refused(b"\x93NUMPY\x09\x00\x02\x00{}").contains("version 9"));
+        assert!(refused(b"\x93NUMPY\x02\x00\xff\xff\xff\xff").contains("4294967295 bytes"));
+        let text = "{'descr': '<f4', 'fortran_order': True, 'shape': (2, 3), }";
+        let mut columns = b"\x93NUMPY\x01\x00".to_vec();
+        columns.extend((text.len() as u16).to_le_bytes());
+        columns.extend(text.as_bytes());
+        assert!(refused(&columns).contains("not understood"));
+        let most = Header {
+            descr: "|b1".into(),
+            shape: vec![u64::MAX, 2],
+        };
+        assert_eq!(most.len(), None);
+    }
+}

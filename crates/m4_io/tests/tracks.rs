@@ -1,0 +1,261 @@
+//! Tracks: what is written comes back, and what is damaged is refused with a reason.
+
+use m4_io::ErrorKind;
+use m4_io::capture::{self, CaptureOptions, ReadCaptureError, Split, TRACKS_FILE};
+use m4_io::tracks::{ReadTracksError, TracksFault, read, write};
+use m4_math::Se3;
+use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Silent, Tracks};
+use std::fs::{self, File};
+use std::io::{Cursor, Write};
+use std::path::Path;
+
+const LIMIT: u64 = 1 << 20;
+
+/// Track `k` is at `(k, frame, 2)` where `k + frame` is not a multiple of 3, and unseen in frame 1.
+fn made(frames: usize, count: usize) -> Tracks {
+    let place = |i: usize| {
+        let (t, k) = (i / count, i % count);
+        if (t + k).is_multiple_of(3) {
+            [f32::NAN; 3]
+        } else {
+            [k as f32, t as f32, 2.0]
+        }
+    };
+    let visible = |i: usize| i / count != 1;
+    let n = frames * count;
+    Tracks::new(
+        frames,
+        count,
+        (0..n).map(place).collect(),
+        (0..n).map(visible).collect(),
+    )
+    .unwrap()
+}
+
+fn same(a: &Tracks, b: &Tracks) {
+    let bits = |t: &Tracks| t.xyz().as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert_eq!((a.frames(), a.count()), (b.frames(), b.count()));
+    assert_eq!(bits(a), bits(b));
+    assert_eq!((a.visible(), a.colours()), (b.visible(), b.colours()));
+}
+
+#[test]
+fn tracks_come_back_bit_by_bit() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("tracks.npz");
+    let plain = made(5, 7);
+    write(&path, &plain).unwrap();
+    same(&read(&path, 5, LIMIT).unwrap(), &plain);
+    let first = fs::read(&path).unwrap();
+    write(&path, &plain).unwrap();
+    assert_eq!(fs::read(&path).unwrap(), first, "the same tracks give the same bytes");
+
+    let coloured = plain.with_colours((0..7).map(|k| [k, 2 * k, 9]).collect()).unwrap();
+    write(&path, &coloured).unwrap();
+    same(&read(&path, 5, LIMIT).unwrap(), &coloured);
+}
+
+/// Written by numpy 2.4 (`savez_compressed`, with a member more): `oracles/README.md`.
+#[test]
+fn a_file_of_numpy_is_read() {
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/tracks/numpy.npz"));
+    let got = read(path, 3, LIMIT).unwrap();
+    assert_eq!((got.frames(), got.count()), (3, 2));
+    assert_eq!(got.place(1, 0), Some([6.0, 7.0, 8.0]));
+    assert_eq!(got.place(2, 1), None);
+    assert_eq!(got.visible(), [true, false, true, true, true, false]);
+    assert_eq!(got.colours(), None);
+}
+
+fn npy(descr: &str, shape: &str, bytes: &[u8]) -> Vec<u8> {
+    let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
+    let mut out = b"\x93NUMPY\x01\x00".to_vec();
+    out.extend((text.len() as u16).to_le_bytes());
+    out.extend(text.as_bytes());
+    out.extend(bytes);
+    out
+}
+
+fn archive(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, bytes) in members {
+        zip.start_file(*name, zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(bytes).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+fn refused(bytes: &[u8]) -> ReadTracksError {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("bad.npz");
+    fs::write(&path, bytes).unwrap();
+    let error = read(&path, 2, LIMIT).unwrap_err();
+    assert!(error.to_string().contains("bad.npz"), "{error}");
+    error
+}
+
+#[test]
+fn damaged_files_are_refused_with_a_reason() {
+    // two frames, one track
+    let coords = || ("coords.npy", npy("<f4", "(2, 1, 3)", &[0; 24]));
+    let visibs = || ("visibs.npy", npy("|b1", "(2, 1)", &[1; 2]));
+    let dir = tempfile::tempdir().unwrap();
+    let good = dir.path().join("good.npz");
+    File::create(&good)
+        .unwrap()
+        .write_all(&archive(&[coords(), visibs()]))
+        .unwrap();
+    assert_eq!(read(&good, 2, LIMIT).unwrap().count(), 1);
+
+    let cases: Vec<(Vec<u8>, &str)> = vec![
+        (b"not a zip".to_vec(), "no npz archive"),
+        (archive(&[visibs()]), "no array `coords`"),
+        (archive(&[coords()]), "no array `visibs`"),
+        (
+            archive(&[("coords.npy", b"PNG".to_vec()), visibs()]),
+            "ends in its header",
+        ),
+        (
+            archive(&[("coords.npy", npy("<f8", "(2, 1, 3)", &[0; 48])), visibs()]),
+            "<f8; save it as <f4",
+        ),
+        (
+            archive(&[("coords.npy", npy("<f4", "(3, 1, 3)", &[0; 36])), visibs()]),
+            "(2 frames, tracks, 3)",
+        ),
+        (
+            archive(&[("coords.npy", npy("<f4", "(2, 3)", &[0; 24])), visibs()]),
+            "(2 frames, tracks, 3)",
+        ),
+        (
+            archive(&[("coords.npy", npy("<f4", "(2, 1, 3)", &[0; 20])), visibs()]),
+            "asks for 24",
+        ),
+        (
+            archive(&[("coords.npy", npy("<f4", "(2, 1, 3)", &[0; 25])), visibs()]),
+            "asks for 24",
+        ),
+        (
+            archive(&[
+                ("coords.npy", npy("<f4", "(2, 9223372036854775807, 3)", &[0; 24])),
+                visibs(),
+            ]),
+            "above the limit",
+        ),
+        (
+            archive(&[("coords.npy", npy("<f4", "(2, 100000, 3)", &[0; 24])), visibs()]),
+            "above the limit",
+        ),
+        (
+            archive(&[("coords.npy", npy("<f4", "(2, x, 3)", &[0; 24])), visibs()]),
+            "not understood",
+        ),
+        (
+            archive(&[coords(), ("visibs.npy", npy("|b1", "(2, 2)", &[1; 4]))]),
+            "(2 frames, 1 tracks)",
+        ),
+        (
+            archive(&[coords(), visibs(), ("colors.npy", npy("|u1", "(2, 3)", &[1; 6]))]),
+            "(1 tracks, 3)",
+        ),
+        (
+            archive(&[
+                (
+                    "coords.npy",
+                    npy("<f4", "(2, 1, 3)", &f32::INFINITY.to_le_bytes().repeat(6)),
+                ),
+                visibs(),
+            ]),
+            "infinite place in frame 0",
+        ),
+    ];
+    for (bytes, says) in cases {
+        let error = refused(&bytes);
+        assert!(error.to_string().contains(says), "{error} for {says}");
+        let large = matches!(error.fault, TracksFault::TooLarge { .. });
+        assert_eq!(
+            error.kind(),
+            if large {
+                ErrorKind::Unsupported
+            } else {
+                ErrorKind::BadData
+            }
+        );
+    }
+    let missing = read(Path::new("/nowhere/tracks.npz"), 2, LIMIT).unwrap_err();
+    assert_eq!(missing.kind(), ErrorKind::NotFound);
+}
+
+/// Wherever a byte is changed or the end cut off, reading ends with a result or an error, and never with more memory than
+/// was allowed.
+#[test]
+fn no_damage_makes_it_panic() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("t.npz");
+    write(&path, &made(4, 5)).unwrap();
+    let whole = fs::read(&path).unwrap();
+    let mut refused = 0;
+    for at in 0..whole.len() {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 0xff;
+        fs::write(&path, &bytes).unwrap();
+        refused += usize::from(read(&path, 4, LIMIT).is_err());
+        fs::write(&path, &whole[..at]).unwrap();
+        refused += usize::from(read(&path, 4, LIMIT).is_err());
+    }
+    assert!(refused > whole.len(), "{refused} of {}", 2 * whole.len());
+}
+
+fn capture_with(tracks: Option<Tracks>) -> Capture {
+    let frame = |i: usize| CaptureFrame {
+        name: format!("{i}"),
+        camera: Camera {
+            intrinsics: Intrinsics::centred(8, 6, 9.0),
+            c2w: Se3::identity(),
+        },
+        t: i as f64,
+        rgb: Plane::filled(8, 6, [i as u8; 3]),
+        depth: None,
+        mask: None,
+        camera_index: None,
+    };
+    Capture {
+        frames: (0..4).map(frame).collect(),
+        time_frames: 4,
+        duration_s: None,
+        metric: true,
+        tracks,
+    }
+}
+
+#[test]
+fn a_capture_brings_its_tracks() {
+    let dir = tempfile::tempdir().unwrap();
+    let tracks = made(4, 6);
+    let again = || capture::read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent);
+    capture::write(dir.path(), &capture_with(Some(tracks.clone())), Split::Train, &Silent).unwrap();
+    same(&again().unwrap().tracks.unwrap(), &tracks);
+
+    // The list in another order: tracks follow their frames.
+    let list = dir.path().join("transforms_train.json");
+    let mut json: serde_json::Value = serde_json::from_slice(&fs::read(&list).unwrap()).unwrap();
+    assert_eq!(json["tracks_path"], TRACKS_FILE);
+    json["frames"].as_array_mut().unwrap().swap(0, 3);
+    fs::write(&list, serde_json::to_vec(&json).unwrap()).unwrap();
+    let turned = again().unwrap();
+    assert_eq!(turned.frames[0].rgb[(0, 0)], [0; 3]);
+    same(&turned.tracks.unwrap(), &tracks.in_order(&[3, 1, 2, 0]).unwrap());
+
+    fs::remove_file(dir.path().join(TRACKS_FILE)).unwrap();
+    let error = again().unwrap_err();
+    assert!(matches!(error, ReadCaptureError::Tracks { .. }), "{error}");
+    assert_eq!(error.kind(), ErrorKind::NotFound);
+
+    // Written again without tracks, the capture names none.
+    capture::write(dir.path(), &capture_with(None), Split::Train, &Silent).unwrap();
+    assert_eq!(again().unwrap().tracks, None);
+    let other = capture::write(dir.path(), &capture_with(Some(made(3, 6))), Split::Train, &Silent);
+    let error = other.unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::BadData);
+    assert!(error.to_string().contains("4 frames but tracks over 3"), "{error}");
+}
