@@ -4,7 +4,9 @@
 mod common;
 
 use common::clips::{self, FOCAL_PX, SIZE, picture, see, walk};
-use common::{Scratch, call, refused, refused_with, text};
+use common::{Scratch, call, refused};
+#[cfg(feature = "nets")]
+use common::{refused_with, text};
 use minute4d::Silent;
 use minute4d::io::capture::{self, Split};
 use minute4d::io::image::{read_depth, read_mask, write_depth, write_mask};
