@@ -397,13 +397,15 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
             "{motion:?}: {before:.3} to {after:.3}"
         );
         // The whole picture is not what moves.
-        assert_eq!(with(Some(&Oracle::Everything)).unwrap(), plain, "{motion:?}");
+        let same = with(Some(&Oracle::Everything)).unwrap();
+        assert!(same.frames == plain.frames, "{motion:?}");
         let failed = with(Some(&Oracle::Fails)).unwrap_err();
         assert!(matches!(failed, DenseError::Segment { .. }), "{failed}");
 
         let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
         let oracle = Oracle::Truth(&drawn);
-        assert_eq!(pool.install(|| with(Some(&oracle)).unwrap()), sharp, "{motion:?}");
+        let again = pool.install(|| with(Some(&oracle)).unwrap());
+        assert!(again.frames == sharp.frames, "{motion:?}");
     }
 }
 
