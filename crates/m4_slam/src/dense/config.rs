@@ -239,6 +239,9 @@ pub struct ConsistentConfig {
     pub enabled: bool,
     /// How firmly pixels on which all partners agree stay where they are.
     pub prior: f32,
+    /// Flow of a pair counts if it misses where measured depth leads by at most this share of the parallax, medians over what
+    /// was measured.
+    pub flow_miss: f32,
     /// Memory for flow; more goes to a temporary file, bytes.
     pub flow_bytes: usize,
     /// The optimisation.
@@ -250,6 +253,7 @@ impl Default for ConsistentConfig {
         Self {
             enabled: true,
             prior: 1.0,
+            flow_miss: 0.06,
             flow_bytes: 512 << 20,
             optimiser: CvdSettings::default(),
         }
@@ -555,6 +559,7 @@ impl DenseConfig {
             ("dense.bodies.prior", b.prior),
             ("dense.bodies.still_range", b.still_range),
             ("dense.bodies.fill_lambda", b.fill_lambda),
+            ("dense.consistent.flow_miss", self.consistent.flow_miss),
         ];
         for (name, value) in above_zero {
             let good = value > 0.0 && value.is_finite();

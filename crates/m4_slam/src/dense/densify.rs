@@ -345,7 +345,7 @@ pub(super) fn run(
             confidence: &confidence,
         };
         let factors = consistent::factors(&clip, &filled, &config.consistent, progress)?;
-        for (filled, factors) in filled.iter_mut().zip(factors) {
+        for (filled, factors) in filled.iter_mut().zip(factors.into_iter().flatten()) {
             for (d, f) in filled.iter_mut().zip(factors) {
                 *d *= f;
             }
