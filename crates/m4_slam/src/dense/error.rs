@@ -85,7 +85,7 @@ pub enum DenseError {
         /// Its value.
         value: f64,
         /// What is allowed.
-        range: &'static str,
+        range: String,
     },
     /// Depth could not be made consistent.
     #[error("depth could not be made consistent over time")]

@@ -1,6 +1,7 @@
 //! Settings of masks by a segmenter.
 
-use super::super::DenseError;
+use crate::dense::DenseError;
+use crate::dense::config::{need, shares, whole};
 use serde::{Deserialize, Serialize};
 
 /// What a segmenter is told of a part of the coarse mask, and when its answer is taken. Measured with MobileSAM: docs/geometry.md.
@@ -35,39 +36,26 @@ impl Default for SegmentConfig {
 }
 
 impl SegmentConfig {
-    /// Rejects settings that no prompt could use.
-    ///
-    /// # Errors
-    ///
-    /// [`DenseError::Setting`], what `need` makes of it.
-    pub(in super::super) fn check(
-        &self,
-        need: &impl Fn(bool, &'static str, f64, &'static str) -> Result<(), DenseError>,
-    ) -> Result<(), DenseError> {
-        let n = self.points;
-        need((1..=16).contains(&n), "dense.segment.points", n as f64, "1 to 16")?;
-        let least = self.least_part_px;
-        need(
-            (1..=1_000_000).contains(&least),
-            "dense.segment.least_part_px",
-            least as f64,
-            "1 to 1000000",
-        )?;
-        let beliefs = [
+    /// Rejects settings that no prompt could use: [`DenseError::Setting`].
+    pub(in crate::dense) fn check(&self) -> Result<(), DenseError> {
+        whole(&[
+            ("dense.segment.points", self.points, 1, 16),
+            ("dense.segment.least_part_px", self.least_part_px, 1, 1_000_000),
+        ])?;
+        for (name, value) in [
             ("dense.segment.belief_per_px", self.belief_per_px),
             ("dense.segment.belief_limit", self.belief_limit),
-        ];
-        for (name, value) in beliefs {
-            let good = value > 0.0 && value <= 100.0;
-            need(good, name, f64::from(value), "above 0, at most 100")?;
+        ] {
+            need(
+                value > 0.0 && value <= 100.0,
+                name,
+                value.into(),
+                "above 0, at most 100",
+            )?;
         }
-        let shares = [
-            ("dense.segment.least_quality", self.least_quality),
-            ("dense.segment.least_overlap", self.least_overlap),
-        ];
-        for (name, value) in shares {
-            need((0.0..=1.0).contains(&value), name, f64::from(value), "0 to 1")?;
-        }
-        Ok(())
+        shares(&[
+            ("dense.segment.least_quality", self.least_quality.into()),
+            ("dense.segment.least_overlap", self.least_overlap.into()),
+        ])
     }
 }
