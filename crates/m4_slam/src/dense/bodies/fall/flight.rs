@@ -17,8 +17,6 @@ const AFOOT: f64 = 2.5;
 const UNSEEN: f64 = 0.5;
 /// What a parabola costs.
 const START: f64 = 10.0;
-/// A flight misses its parabola by less than this many times the noise, root mean square.
-const LIMIT: f64 = 1.25;
 /// The depth of a flight is certain to this share of it, one standard deviation.
 const DOUBT: f64 = 0.12;
 
@@ -58,7 +56,11 @@ fn of_one(body: &Body<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
             let Some(parabola) = Parabola::fit(body, (first, end), ground, g) else {
                 continue;
             };
-            let off = parabola.seen as f64 * (parabola.miss_px / noise(first, end)).powi(2);
+            let noise = noise(first, end);
+            if parabola.doubt * noise > DOUBT {
+                continue;
+            }
+            let off = parabola.seen as f64 * (parabola.miss_px / noise).powi(2);
             let here = cost[first] + off + START;
             if here < cost[end] {
                 (cost[end], last[end]) = (here, Some((first, parabola)));
@@ -72,10 +74,7 @@ fn of_one(body: &Body<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
             end -= 1;
             continue;
         };
-        let noise = noise(first, end);
-        if parabola.doubt * noise < DOUBT && parabola.miss_px < LIMIT * noise {
-            out.push(Flight { first, end, parabola });
-        }
+        out.push(Flight { first, end, parabola });
         end = first;
     }
     out
