@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | page | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry INPUT=TRUTH... | results-raw SCENE... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
+const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | page | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
 
   check   fmt, clippy, docs, arrows, lock, deny and tests, as CI does
   arrows  dependencies between crates against the table of ARCHITECTURE.md

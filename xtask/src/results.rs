@@ -143,16 +143,18 @@ pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Pat
 }
 
 /// Recovers the geometry of each input from its pictures alone and compares it with the truth, pairs
-/// `input=truth`: one Markdown row each, returned together.
+/// `input=truth`: one Markdown row each, returned together. Options of `minute4d geometry`, each with its value, may come
+/// before the pairs (`--frontend gmflow`).
 ///
 /// # Errors
 ///
-/// As [`held_out`], or if a pair has no `=`.
-pub fn geometry(root: &Path, pairs: &[&str], work: &Path) -> Result<String> {
+/// As [`held_out`], or if a pair has no `=`, or there is none.
+pub fn geometry(root: &Path, args: &[&str], work: &Path) -> Result<String> {
     let program = program(root)?;
+    let (options, pairs) = options(args)?;
     let mut table = String::from(
-        "| input | seconds | trajectory, % of path | rotation, mean deg | focal, % | depth AbsRel static | moving | mask IoU |\n\
-         |---|---|---|---|---|---|---|---|\n",
+        "| input | seconds | trajectory, % of path | rotation, mean deg | focal, % | depth AbsRel static | moving | mask IoU | precision | recall |\n\
+         |---|---|---|---|---|---|---|---|---|---|\n",
     );
     for pair in pairs {
         let (input, truth) = pair
@@ -162,7 +164,8 @@ pub fn geometry(root: &Path, pairs: &[&str], work: &Path) -> Result<String> {
         let out = work.join(format!("{name}-capture"));
         let out_text = out.to_string_lossy().into_owned();
         let start = std::time::Instant::now();
-        run(&program, &["geometry", input, "-o", &out_text, "--force", "--quiet"])?;
+        let all = ["geometry", input, "-o", &out_text, "--force", "--quiet"];
+        run(&program, &[&all, options].concat())?;
         let seconds = start.elapsed().as_secs_f64();
         let text = run(&program, &["eval-geometry", &out_text, "--truth", truth, "--quiet"])?;
         let report: Value = serde_json::from_str(&text).context("eval-geometry printed no JSON")?;
@@ -171,16 +174,30 @@ pub fn geometry(root: &Path, pairs: &[&str], work: &Path) -> Result<String> {
             None => "-".to_owned(),
         };
         table += &format!(
-            "| {name} | {seconds:.0} | {} | {} | {} | {} | {} | {} |\n",
+            "| {name} | {seconds:.0} | {} | {} | {} | {} | {} | {} | {} | {} |\n",
             cell(&report["trajectory"]["rmse_percent"], 2),
             cell(&report["rotation"]["mean_deg"], 2),
             cell(&report["focal_error_percent"], 1),
             cell(&report["depth"]["static_abs_rel"], 3),
             cell(&report["depth"]["moving_abs_rel"], 3),
             cell(&report["mask"]["iou"], 2),
+            cell(&report["mask"]["precision"], 2),
+            cell(&report["mask"]["recall"], 2),
         );
     }
     Ok(table)
+}
+
+/// What comes before the inputs: options of `minute4d geometry`, each with its value.
+fn options<'a, 'b>(args: &'b [&'a str]) -> Result<(&'b [&'a str], &'b [&'a str])> {
+    let mut at = 0;
+    while args.get(at).is_some_and(|a| a.starts_with("--")) {
+        at += 2;
+    }
+    if at >= args.len() {
+        bail!("no input after the options");
+    }
+    Ok(args.split_at(at))
 }
 
 /// Builds the program and says where it is.

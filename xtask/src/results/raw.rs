@@ -1,17 +1,18 @@
 //! What the front end costs: held-out views of scenes whose geometry was recovered, and of the same scenes as given.
 
-use super::{json, number, program, run, stem};
+use super::{json, number, options, program, run, stem};
 use anyhow::Result;
 use std::path::Path;
 
-/// For each scene with truth and held-out views: recovers the geometry of its training pictures, trains both that and the
+/// For each scene (`args`, after options of `minute4d geometry`) with truth and held-out views: recovers the geometry of its training pictures, trains both that and the
 /// scene as given, and scores the same held-out views. One Markdown row each; the last columns are the difference.
 ///
 /// # Errors
 ///
 /// As [`super::held_out`].
-pub fn raw(root: &Path, scenes: &[&str], work: &Path) -> Result<String> {
+pub fn raw(root: &Path, args: &[&str], work: &Path) -> Result<String> {
     let program = program(root)?;
+    let (options, scenes) = options(args)?;
     let mut table = String::from(
         "| scene | geometry, s | PSNR from frames | moving | PSNR, given geometry | moving | cost, dB | moving |\n\
          |---|---|---|---|---|---|---|---|\n",
@@ -21,7 +22,8 @@ pub fn raw(root: &Path, scenes: &[&str], work: &Path) -> Result<String> {
         let pictures = format!("{scene}/train");
         let text = |what: &str| work.join(format!("{name}-{what}")).to_string_lossy().into_owned();
         let capture = text("raw-capture");
-        run(&program, &["geometry", &pictures, "-o", &capture, "--force", "--quiet"])?;
+        let all = ["geometry", &pictures, "-o", &capture, "--force", "--quiet"];
+        run(&program, &[&all, options].concat())?;
         let seconds = number(&json(&Path::new(&capture).join("geometry.json"))?["seconds"]);
         let score = |input: &str, out: &str| -> Result<[f64; 2]> {
             run(

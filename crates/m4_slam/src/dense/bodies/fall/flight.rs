@@ -57,7 +57,8 @@ fn of_one(body: &Body<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
                 continue;
             };
             let noise = noise(first, end);
-            if parabola.doubt * noise > DOUBT {
+            let doubt = parabola.doubt * noise;
+            if doubt.is_nan() || doubt > DOUBT {
                 continue;
             }
             let off = parabola.seen as f64 * (parabola.miss_px / noise).powi(2);
