@@ -1,6 +1,6 @@
 //! Depth maps to coloured points in the world.
 
-use crate::{InitConfig, InitError};
+use crate::{InitConfig, InitError, free_space};
 use m4_math::nalgebra::Vector3;
 use m4_scene::{Capture, CaptureFrame, CompactMask, DepthMap, Progress};
 use rayon::prelude::*;
@@ -144,6 +144,7 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
             first_frame: capture.frames[with_depth[0]].name.clone(),
         });
     }
+    free_space::clear(capture, &mut out.standing, config);
     let middle = depths.len() / 2;
     out.median_depth = f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1);
     let far = (depths.len() - 1) * 99 / 100;
@@ -228,7 +229,7 @@ pub(crate) fn standing_pixels(
     }
 }
 
-fn is_depth(z: f32) -> bool {
+pub(crate) fn is_depth(z: f32) -> bool {
     z.is_finite() && z > 0.0
 }
 
@@ -246,7 +247,7 @@ fn hangs_in_air(depth: &DepthMap, x: usize, y: usize, jump: f32) -> bool {
 }
 
 /// The mask at the size of the depth map; nothing moves where there is none.
-fn moving_pixels(frame: &CaptureFrame, w: usize, h: usize) -> Vec<bool> {
+pub(crate) fn moving_pixels(frame: &CaptureFrame, w: usize, h: usize) -> Vec<bool> {
     let Some(mask) = &frame.mask else {
         return vec![false; w * h];
     };
@@ -257,7 +258,7 @@ fn moving_pixels(frame: &CaptureFrame, w: usize, h: usize) -> Vec<bool> {
 }
 
 /// True within `radius` pixels (square) of a true pixel.
-fn dilate(mask: &[bool], w: usize, h: usize, radius: usize) -> Vec<bool> {
+pub(crate) fn dilate(mask: &[bool], w: usize, h: usize, radius: usize) -> Vec<bool> {
     let mut wide = vec![false; w * h];
     for y in 0..h {
         for x in 0..w {

@@ -6,7 +6,7 @@
 //! optimiser; paper section 3.1).
 //!
 //! ```text
-//! cloud (depth -> points) -> voxel (points -> centroids) -> spacing (neighbours -> discs) -> assemble
+//! cloud (depth -> points) -> free_space (what other frames see through goes) -> voxel (points -> centroids) -> spacing (neighbours -> discs) -> assemble
 //!                                                        -> motion (keyframe to keyframe)
 //! carry (what a keyframe cannot see, from those that can)
 //! change (moving shadows on what stands still)    shell (something behind everything)
@@ -22,6 +22,7 @@ mod change;
 mod cloud;
 mod config;
 mod error;
+mod free_space;
 mod motion;
 mod shell;
 mod spacing;
