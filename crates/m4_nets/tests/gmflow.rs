@@ -3,9 +3,10 @@
 
 mod common;
 
-use common::{fixtures, floats, picture, png, real_weights, write_formula_weights};
+use common::{fixtures, floats, picture, png, real_weights};
 use m4_nets::{Flow, FlowError, GmFlow, LoadError, cpu};
 use m4_scene::{Plane, RgbImage};
+use m4_testkit::write_formula_weights;
 use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;

@@ -10,6 +10,7 @@ mod browser;
 mod compare;
 mod differences;
 mod fixture;
+mod formula;
 mod levels;
 mod shared;
 mod synthetic;
@@ -19,6 +20,7 @@ pub use browser::{Chromium, find_chromium};
 pub use compare::{Agreement, Flips, assert_gradient, assert_image};
 pub use differences::{Differences, Side, central_differences};
 pub use fixture::{FixtureCamera, FixtureSplat, GradientCase, GradientFixtures, gradient_fixtures};
+pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights};
 pub use levels::on_every_level;
 pub use shared::shared_dir;
 pub use synthetic::{

@@ -1,7 +1,7 @@
-//! Fixtures, and weights by a formula.
+//! Fixtures and real weights.
 
 use m4_scene::RgbImage;
-use safetensors::{Dtype, SafeTensors, serialize_to_file, tensor::TensorView};
+use safetensors::{Dtype, SafeTensors};
 use std::path::{Path, PathBuf};
 
 /// The folder of fixtures.
@@ -49,54 +49,4 @@ pub fn real_weights(name: &str, file: &str) -> Option<PathBuf> {
     }
     eprintln!("not tested with real weights: `minute4d weights fetch {name}` gets them");
     None
-}
-
-/// The fill rule of the fixtures: numbers in [-1, 1) from the name of a tensor alone.
-pub fn formula(name: &str, n: usize) -> impl Iterator<Item = f64> {
-    let mut key = 0xCBF2_9CE4_8422_2325u64;
-    for byte in name.bytes() {
-        key = (key ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01B3);
-    }
-    (1..=n as u64).map(move |i| {
-        let mut z = key.wrapping_add(i.wrapping_mul(0x9E37_79B9_7F4A_7C15));
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^= z >> 31;
-        (z >> 11) as f64 * 2f64.powi(-52) - 1.0
-    })
-}
-
-/// Writes a checkpoint of the tensors of `list` (lines of a name and a shape), filled by the rule.
-pub fn write_formula_weights(list: &str, path: &Path) {
-    let tensors: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = list
-        .lines()
-        .map(|line| {
-            let mut words = line.split_whitespace();
-            let name = words.next().unwrap().to_owned();
-            let shape: Vec<usize> = words.map(|w| w.parse().unwrap()).collect();
-            if name.ends_with(".num_batches_tracked") {
-                return (name, Dtype::I64, shape, 7i64.to_le_bytes().to_vec());
-            }
-            let fan_in: usize = shape.iter().skip(1).product();
-            let last = name.rsplit('.').next().unwrap();
-            let value = |u: f64| match (last, shape.len()) {
-                ("running_mean", _) => 0.1 * u,
-                ("running_var", _) => 1.0 + 0.2 * u.abs(),
-                ("positional_encoding_gaussian_matrix", _) => u,
-                ("attention_biases", _) => 0.5 * u,
-                (l, _) if l.ends_with("bias") => 0.02 * u,
-                (l, 1) if l.ends_with("weight") => 1.0 + 0.1 * u,
-                (l, _) if l.ends_with("weight") => u * (3.0 / fan_in as f64).sqrt(),
-                _ => panic!("no rule for {name}"),
-            };
-            let bytes = formula(&name, shape.iter().product())
-                .flat_map(|u| (value(u) as f32).to_le_bytes())
-                .collect();
-            (name, Dtype::F32, shape, bytes)
-        })
-        .collect();
-    let views = tensors
-        .iter()
-        .map(|(name, dtype, shape, bytes)| (name, TensorView::new(*dtype, shape.clone(), bytes).unwrap()));
-    serialize_to_file(views, None, path).unwrap();
 }
