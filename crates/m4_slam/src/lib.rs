@@ -6,7 +6,8 @@
 //! ```
 //!
 //! The second line is the geometric core of MegaSaM: it needs somebody who says where the pixels of one frame are
-//! seen in another, behind [`tracker::Correspondence`]: optical flow, or a network.
+//! seen in another, behind [`tracker::Correspondence`]: optical flow, or a network. [`megasam`] goes all the way with it, from
+//! pictures to consistent depth.
 //!
 //! `sparse` and `dense` meet in the types of [`reconstruction`] alone, so either can be replaced.
 #![forbid(unsafe_code)]
@@ -15,6 +16,7 @@ pub mod cvd;
 pub mod dba;
 pub mod dense;
 pub mod graph;
+pub mod megasam;
 pub mod reconstruction;
 pub mod sparse;
 pub mod tracker;

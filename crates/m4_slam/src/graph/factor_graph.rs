@@ -10,6 +10,14 @@ use std::collections::HashSet;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct EdgeId(u64);
 
+impl EdgeId {
+    /// As a number.
+    #[must_use]
+    pub fn number(self) -> u64 {
+        self.0
+    }
+}
+
 /// An edge as a source of correspondences knows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct EdgeKey {

@@ -158,7 +158,7 @@ fn median(values: &mut [f64]) -> f64 {
 }
 
 /// The value below which a share of `values` lies, with linear interpolation.
-fn percentile(values: &mut [f64], share: f64) -> f64 {
+pub(crate) fn percentile(values: &mut [f64], share: f64) -> f64 {
     let at = share * (values.len() - 1) as f64;
     let (low, part) = (at.floor() as usize, at - at.floor());
     let (_, &mut first, rest) = values.select_nth_unstable_by(low, f64::total_cmp);

@@ -1,0 +1,53 @@
+//! Settings of the way, with their sources.
+
+use crate::cvd::CvdSettings;
+use crate::tracker::TrackerSettings;
+use serde::{Deserialize, Serialize};
+
+/// Settings of [`super::reconstruct`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MegasamSettings {
+    /// Pixels of the pictures that are tracked. `384 * 512`: MegaSaM (section 1.1). The cost is proportional.
+    pub tracking_pixels: f64,
+    /// Of the tracker. Section 1.5.
+    pub tracker: TrackerSettings,
+    /// Of consistent video depth. Section 1.7.
+    pub cvd: CvdSettings,
+    /// Iterations of a recurrent network of flow. 22: MegaSaM.
+    pub flow_iterations: usize,
+    /// Megabytes of flow that stay in memory; the rest is on disk. 1,000: ours.
+    pub flow_budget_mb: usize,
+    /// Field of view where neither the user nor the depth knows one, degrees across. 60: ours, the main camera of common
+    /// phones.
+    pub default_fov_deg: f64,
+    /// True places depth and motion on the grid as the published program does, and turns the tracker's
+    /// [`crate::dba::Quirks`] on: for comparisons with it.
+    pub compat: bool,
+}
+
+impl MegasamSettings {
+    /// The tracker's settings, with its quirks where the published program is to be matched.
+    #[must_use]
+    pub fn tracker_in_force(&self) -> TrackerSettings {
+        let mut tracker = self.tracker;
+        if self.compat {
+            tracker.quirks = crate::dba::Quirks::megasam_compat();
+        }
+        tracker
+    }
+}
+
+impl Default for MegasamSettings {
+    fn default() -> Self {
+        Self {
+            tracking_pixels: 384.0 * 512.0,
+            tracker: TrackerSettings::default(),
+            cvd: CvdSettings::default(),
+            flow_iterations: 22,
+            flow_budget_mb: 1000,
+            default_fov_deg: 60.0,
+            compat: false,
+        }
+    }
+}
