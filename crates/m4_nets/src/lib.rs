@@ -16,6 +16,7 @@
 pub mod gmflow;
 pub mod mobile_sam;
 
+mod correlation;
 mod load;
 mod ops;
 
