@@ -3,12 +3,11 @@
 
 mod common;
 
-use common::{fixtures, floats};
+use common::{fixtures, floats, picture, png, real_weights};
 use m4_nets::raft::{LowFlow, Raft, RaftFlow};
 use m4_nets::{Flow, FlowError, LoadError, cpu};
 use m4_scene::{Plane, RgbImage};
 use m4_testkit::write_formula_weights;
-use safetensors::SafeTensors;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -29,17 +28,6 @@ fn formula_weights() -> &'static Path {
 
 fn network() -> Raft {
     Raft::load(formula_weights(), &cpu()).unwrap()
-}
-
-/// `[3, h, w]` bytes.
-fn picture(file: &[u8], name: &str) -> RgbImage {
-    let tensors = SafeTensors::deserialize(file).unwrap();
-    let view = tensors.tensor(name).unwrap();
-    let [3, h, w] = *view.shape() else {
-        panic!("{name} is no picture");
-    };
-    let bytes = view.data();
-    Plane::from_fn(w, h, |x, y| [0, 1, 2].map(|c| bytes[(c * h + y) * w + x]))
 }
 
 fn pair() -> (Vec<u8>, RgbImage, RgbImage) {
@@ -108,6 +96,36 @@ fn goes_on_from_a_flow() {
     assert_flow("warm2", &warm.low.0, &floats(&file, "flow_low_warm2"));
     let [_, want] = net.flow_both(&a, &b, 2, None).unwrap();
     assert_eq!(cold, want, "each direction has its own start");
+}
+
+/// Real weights find what GMFlow's module found, within what two good networks differ by.
+#[test]
+fn real_weights_see_what_another_network_sees() {
+    let Some(path) = real_weights("raft", "raft-things.pth") else {
+        return;
+    };
+    let net = Raft::load(&path, &cpu()).unwrap();
+    assert_eq!(net.parameters(), 5_257_536);
+    let (a, b) = (png("gmflow/tennis_0.png"), png("gmflow/tennis_1.png"));
+    let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
+    let [flow, _] = net.flow_both(&a, &b, 12, None).unwrap();
+    let file = fs::read(fixtures().join("gmflow/tennis.safetensors")).unwrap();
+    let want = floats(&file, "flow_every_4");
+    let RaftFlow { flow, .. } = flow;
+    let at: Vec<usize> = (0..flow.height)
+        .step_by(4)
+        .flat_map(|y| (0..flow.width).step_by(4).map(move |x| (x, y)))
+        .map(|(x, y)| y * flow.width + x)
+        .collect();
+    let (u, v) = want.split_at(at.len());
+    let off = |k: usize| (flow.u[at[k]] - u[k]).hypot(flow.v[at[k]] - v[k]);
+    let mut errors: Vec<f32> = (0..at.len()).map(off).collect();
+    errors.sort_by(f32::total_cmp);
+    let (median, most) = (errors[errors.len() / 2], errors[errors.len() * 9 / 10]);
+    assert!(
+        median < 0.5 && most < 3.0,
+        "median {median} px, nine of ten within {most} px"
+    );
 }
 
 /// A picture with an edge repeated by hand gets the flow of the one that is padded inside.

@@ -42,7 +42,7 @@ const LEVELS: usize = 4;
 const RADIUS: usize = 4;
 /// Sides are padded to this at least: the coarsest level then has two pixels a side, the fewest that the published network can
 /// look up in.
-const LEAST: usize = 2 * FACTOR << (LEVELS - 1);
+const LEAST: usize = (2 * FACTOR) << (LEVELS - 1);
 
 /// Flow at an eighth of the padded picture's size, in pixels of that size: what another pair that ends in the same picture may
 /// start from.
