@@ -44,7 +44,6 @@ fn assert_flow(name: &str, flow: &Flow, want: &[f32]) {
     let pairs = flow.u.iter().zip(u).chain(flow.v.iter().zip(v));
     let off = pairs.map(|(a, b)| (a - b).abs());
     let error = off.fold(0.0, |m: f32, x| if x.is_nan() { f32::NAN } else { m.max(x) }) / largest;
-    println!("{name}: {error:.1e} of {largest} px");
     assert!(largest > 0.5 && error < LIMIT, "{name}: {error:.1e} of {largest} px");
 }
 
