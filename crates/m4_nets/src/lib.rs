@@ -15,14 +15,20 @@
 
 pub mod gmflow;
 pub mod mobile_sam;
+pub mod raft;
 
+mod correlation;
+mod flow;
 mod load;
 mod ops;
+mod padding;
 
 pub use burn_core::tensor::Device;
-pub use gmflow::{Flow, FlowError, GmFlow};
+pub use flow::{Flow, FlowError};
+pub use gmflow::GmFlow;
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
+pub use raft::Raft;
 
 /// The processor: all cores of the thread pool that is current where a network is called.
 #[must_use]

@@ -17,13 +17,14 @@
 
 mod backbone;
 mod matching;
-mod picture;
 mod propagation;
 mod transformer;
 mod upsampler;
 mod windows;
 
-use crate::{LoadError, load};
+use crate::flow::same_size;
+use crate::padding::Padding;
+use crate::{Flow, FlowError, LoadError, load};
 use backbone::Backbone;
 use burn_core as burn;
 use burn_core::module::Module;
@@ -31,7 +32,6 @@ use burn_core::tensor::module::interpolate;
 use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn_core::tensor::{Device, Tensor};
 use m4_scene::RgbImage;
-use picture::Padding;
 use propagation::Propagation;
 use std::path::Path;
 use transformer::Transformer;
@@ -45,38 +45,11 @@ const SPLITS: [usize; 2] = [2, 8];
 /// How far the matching at 1/4 looks, in its pixels.
 const MATCH_RADIUS: usize = 4;
 
-/// Where each pixel of one picture is in another.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Flow {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// `[height][width]` pixels to the right.
-    pub u: Vec<f32>,
-    /// `[height][width]` pixels down.
-    pub v: Vec<f32>,
-}
-
-/// Why there is no flow.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum FlowError {
-    /// The pictures differ in size.
-    #[error("flow needs two pictures of one size, these have {} x {} and {} x {} pixels", a.0, a.1, b.0, b.1)]
-    Sizes {
-        /// Width and height of the first.
-        a: (usize, usize),
-        /// Width and height of the second.
-        b: (usize, usize),
-    },
-    /// A picture has no pixels.
-    #[error("flow needs pictures with pixels")]
-    Empty,
-    /// The device failed, for one for lack of memory.
-    #[error("the device that computes flow failed: {0}")]
-    Device(String),
-}
+/// Sides are multiples of this: a quarter of them is cut into 8, an eighth into 2.
+const MULTIPLE: usize = 32;
+/// Mean and standard deviation of red, green and blue that the weights were trained with (ImageNet's).
+const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
+const STD: [f32; 3] = [0.229, 0.224, 0.225];
 
 /// What the network keeps of one picture, for use in several pairs.
 #[derive(Debug, Clone)]
@@ -145,8 +118,9 @@ impl GmFlow {
     ///
     /// [`FlowError::Empty`] if it has no pixels.
     pub fn encode(&self, image: &RgbImage) -> Result<Features, FlowError> {
-        let padding = Padding::of(image.width(), image.height())?;
-        let (quarter, eighth) = self.net.backbone.forward(padding.tensor(image, &self.device));
+        let padding = Padding::of(image.width(), image.height(), MULTIPLE, MULTIPLE)?;
+        let image = padding.tensor(image, |x, channel| (x - MEAN[channel]) / STD[channel], &self.device);
+        let (quarter, eighth) = self.net.backbone.forward(image);
         let map = |maps: Tensor<4>| maps.squeeze_dim::<3>(0).permute([1, 2, 0]);
         Ok(Features {
             padding,
@@ -218,10 +192,6 @@ impl GmFlow {
         let flow = self.net.feature_flow_attn.local(map_a.clone(), flow);
         a.padding.crop(self.net.upsampler.forward(map_a, flow))
     }
-}
-
-fn same_size(a: (usize, usize), b: (usize, usize)) -> Result<(), FlowError> {
-    if a == b { Ok(()) } else { Err(FlowError::Sizes { a, b }) }
 }
 
 /// Flow `[h, w, 2]` on a map of twice the size, in its pixels; bilinear, corner on corner.

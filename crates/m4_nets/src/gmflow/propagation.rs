@@ -1,10 +1,9 @@
 //! Flow carried to pixels that look alike, for those that the other picture does not show (section 3.3).
 
-use crate::ops::{attend, linear, window_scores};
+use crate::ops::{attend, linear, neighbours, window_scores};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::softmax;
-use burn_core::tensor::ops::PadMode;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::Linear;
 
@@ -40,14 +39,4 @@ impl Propagation {
         let share = softmax(window_scores(q, k, 1).reshape([h, w, 9]), 2).reshape([h, w, 9, 1]);
         (share * neighbours(flow)).sum_dim(2).squeeze_dim(2)
     }
-}
-
-/// The 3 by 3 values around each pixel of `x` `[h, w, d]`, row by row: `[h, w, 9, d]`; 0 outside.
-pub fn neighbours(x: Tensor<3>) -> Tensor<4> {
-    let [h, w, _] = x.dims();
-    let x = x.pad([(1, 1), (1, 1), (0, 0)], PadMode::Constant(0.0));
-    let shifted = (0..9)
-        .map(|i| x.clone().narrow(0, i / 3, h).narrow(1, i % 3, w))
-        .collect();
-    Tensor::stack(shifted, 2)
 }

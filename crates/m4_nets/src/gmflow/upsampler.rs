@@ -1,10 +1,9 @@
 //! Flow at the picture's size: each pixel a weighted mean of nine of the coarse ones (RAFT's convex upsampling).
 
-use super::propagation::neighbours;
-use crate::ops::conv;
+use crate::ops::{conv, convex_upsample};
 use burn_core as burn;
 use burn_core::module::Module;
-use burn_core::tensor::activation::{relu, softmax};
+use burn_core::tensor::activation::relu;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::conv::Conv2d;
 
@@ -28,17 +27,9 @@ impl Upsampler {
 
     /// Of `flow` `[h, w, 2]` (pixels of the map) and `features` `[h, w, c]`: the flow `[4 h, 4 w, 2]` in pixels of the picture.
     pub fn forward(&self, features: Tensor<3>, flow: Tensor<3>) -> Tensor<3> {
-        let [h, w, _] = flow.dims();
         let both = Tensor::cat(vec![flow.clone(), features], 2);
         let both = both.permute([2, 0, 1]).unsqueeze::<4>();
         let weights = self.weights.forward(relu(self.hidden.forward(both)));
-        // [9, 4 4, h, w] -> [h, w, 4 4, 9]
-        let weights = weights.reshape([9, FACTOR * FACTOR, h, w]).permute([2, 3, 1, 0]);
-        let flow = neighbours(flow.mul_scalar(FACTOR as f32));
-        softmax(weights, 3)
-            .matmul(flow)
-            .reshape([h, w, FACTOR, FACTOR, 2])
-            .permute([0, 2, 1, 3, 4])
-            .reshape([h * FACTOR, w * FACTOR, 2])
+        convex_upsample(flow, weights.squeeze_dim(0), FACTOR)
     }
 }

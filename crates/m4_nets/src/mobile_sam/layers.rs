@@ -1,17 +1,15 @@
 //! Layers that the parts share.
 
+pub use crate::ops::zeros;
+
+use crate::ops::Statistics;
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::module::conv2d;
 use burn_core::tensor::ops::ConvOptions;
 use burn_core::tensor::{Device, Tensor};
-use burn_nn::{Initializer, LayerNorm, LayerNormConfig};
-
-/// A parameter that waits for its weights.
-pub fn zeros<const D: usize>(shape: [usize; D], device: &Device) -> Param<Tensor<D>> {
-    Initializer::Zeros.init(shape, device)
-}
+use burn_nn::{LayerNorm, LayerNormConfig};
 
 /// A convolution and a batch normalisation after it, which is of the statistics of training: one convolution.
 #[derive(Module, Debug)]
@@ -29,18 +27,6 @@ pub struct Kernel {
     weight: Param<Tensor<4>>,
 }
 
-/// What batch normalisation learned, a number a channel each.
-#[derive(Module, Debug)]
-pub struct Statistics {
-    weight: Param<Tensor<1>>,
-    bias: Param<Tensor<1>>,
-    running_mean: Param<Tensor<1>>,
-    running_var: Param<Tensor<1>>,
-}
-
-/// Batch normalisation adds this to the variance.
-const EPSILON: f32 = 1e-5;
-
 impl ConvBn {
     /// Of `[from, to]` channels, with a kernel of `size` by `size`, padded by half of that.
     pub fn new([from, to]: [usize; 2], size: usize, stride: usize, device: &Device) -> Self {
@@ -57,12 +43,7 @@ impl ConvBn {
             c: Kernel {
                 weight: zeros([to, from / groups, size, size], device),
             },
-            bn: Statistics {
-                weight: zeros([to], device),
-                bias: zeros([to], device),
-                running_mean: zeros([to], device),
-                running_var: zeros([to], device),
-            },
+            bn: Statistics::new(to, device),
             stride,
             groups,
         }
@@ -70,13 +51,11 @@ impl ConvBn {
 
     /// Of `[n, from, h, w]`: `[n, to, h / stride, w / stride]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let kernel = self.c.weight.val();
-        let [to, _, size, _] = kernel.dims();
-        let scale = self.bn.weight.val() / (self.bn.running_var.val() + EPSILON).sqrt();
-        let bias = self.bn.bias.val() - self.bn.running_mean.val() * scale.clone();
+        let (kernel, bias) = self.bn.after(self.c.weight.val(), None);
+        let [_, _, size, _] = kernel.dims();
         let pad = [size / 2, size / 2];
         let options = ConvOptions::new([self.stride, self.stride], pad, [1, 1], self.groups);
-        conv2d(x, kernel * scale.reshape([to, 1, 1, 1]), Some(bias), options)
+        conv2d(x, kernel, Some(bias), options)
     }
 }
 

@@ -1,9 +1,14 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
+mod convex;
 mod gelu;
+mod statistics;
 
+pub use convex::{convex_upsample, neighbours};
 pub use gelu::gelu;
+pub use statistics::Statistics;
 
+use burn_core::module::Param;
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::module::layer_norm;
 use burn_core::tensor::ops::PadMode;
@@ -14,6 +19,11 @@ use burn_nn::{Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig, Pad
 /// A tensor of `values` in the shape `shape`, row by row.
 pub fn tensor<const D: usize>(values: Vec<f32>, shape: [usize; D], device: &Device) -> Tensor<D> {
     Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+/// A parameter that waits for its weights.
+pub fn zeros<const D: usize>(shape: [usize; D], device: &Device) -> Param<Tensor<D>> {
+    Initializer::Zeros.init(shape, device)
 }
 
 /// A square convolution of `[from, to]` channels that waits for its weights, padded by half its kernel.

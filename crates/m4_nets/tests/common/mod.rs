@@ -18,15 +18,20 @@ pub fn floats(file: &[u8], name: &str) -> Vec<f32> {
     bytes.map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect()
 }
 
-/// A picture, `[h, w, 3]` bytes.
+/// A picture, `[h, w, 3]` or `[3, h, w]` bytes.
 pub fn picture(file: &[u8], name: &str) -> RgbImage {
     let tensors = SafeTensors::deserialize(file).unwrap();
     let tensor = tensors.tensor(name).unwrap();
-    let [h, w, 3] = tensor.shape() else {
-        panic!("{name} is no picture");
+    let bytes = tensor.data();
+    let (w, h, pixels) = match *tensor.shape() {
+        [h, w, 3] => (w, h, bytes.as_chunks::<3>().0.to_vec()),
+        [3, h, w] => {
+            let pixel = |i| [0, 1, 2].map(|c| bytes[c * h * w + i]);
+            (w, h, (0..h * w).map(pixel).collect())
+        }
+        _ => panic!("{name} is no picture"),
     };
-    let pixels = tensor.data().as_chunks::<3>().0.to_vec();
-    RgbImage::from_vec(*w, *h, pixels).unwrap()
+    RgbImage::from_vec(w, h, pixels).unwrap()
 }
 
 /// A picture from a PNG file of the fixtures.

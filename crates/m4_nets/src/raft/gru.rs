@@ -1,0 +1,144 @@
+//! The recurrent unit, along rows and then along columns.
+//!
+//! Its input is the context, which is the same in every iteration, and the motion, which is not: what the convolutions make of
+//! the context is computed once, a third of the work. The gates `z` and `r` are one convolution.
+
+use crate::ops::zeros;
+use burn_core as burn;
+use burn_core::module::{Module, Param};
+use burn_core::tensor::activation::{sigmoid, tanh};
+use burn_core::tensor::module::conv2d;
+use burn_core::tensor::ops::ConvOptions;
+use burn_core::tensor::{Device, Tensor};
+
+/// Channels of the hidden state, of the context and of the motion.
+pub const WIDTH: usize = 128;
+/// Pixels that a kernel spans.
+const SPAN: usize = 5;
+
+/// A kernel along one axis, of `[hidden, context, motion]` to [`WIDTH`] channels.
+#[derive(Module, Debug)]
+pub struct Kernel {
+    /// `[128, 384, 1, 5]` or `[128, 384, 5, 1]`.
+    weight: Param<Tensor<4>>,
+    bias: Param<Tensor<1>>,
+}
+
+impl Kernel {
+    fn new([rows, columns]: [usize; 2], device: &Device) -> Self {
+        Self {
+            weight: zeros([WIDTH, 3 * WIDTH, rows, columns], device),
+            bias: zeros([WIDTH], device),
+        }
+    }
+
+    /// What of the kernel the input number `i` meets.
+    fn part(&self, i: usize) -> Tensor<4> {
+        self.weight.val().narrow(1, i * WIDTH, WIDTH)
+    }
+
+    /// What the hidden state and the motion meet, side by side.
+    fn moving(&self) -> Tensor<4> {
+        Tensor::cat(vec![self.part(0), self.part(2)], 1)
+    }
+}
+
+/// The unit's weights; 1 is along rows, 2 along columns.
+#[derive(Module, Debug)]
+pub struct SepConvGru {
+    convz1: Kernel,
+    convr1: Kernel,
+    convq1: Kernel,
+    convz2: Kernel,
+    convr2: Kernel,
+    convq2: Kernel,
+}
+
+/// The unit for the context of some pictures.
+#[derive(Debug)]
+pub struct Unit {
+    passes: [Pass; 2],
+}
+
+/// One axis.
+#[derive(Debug)]
+struct Pass {
+    /// `[256, 256, ..]`: of hidden state and motion to both gates.
+    gates: Tensor<4>,
+    /// `[128, 256, ..]`: of the gated hidden state and motion to the candidate.
+    candidate: Tensor<4>,
+    /// `[n, 256, h, w]`: the context's part of the gates.
+    gates_context: Tensor<4>,
+    /// `[n, 128, h, w]`: the context's part of the candidate.
+    candidate_context: Tensor<4>,
+}
+
+fn convolve(x: Tensor<4>, kernel: Tensor<4>, bias: Option<Tensor<1>>) -> Tensor<4> {
+    let [_, _, rows, columns] = kernel.dims();
+    conv2d(
+        x,
+        kernel,
+        bias,
+        ConvOptions::new([1, 1], [rows / 2, columns / 2], [1, 1], 1),
+    )
+}
+
+impl SepConvGru {
+    pub fn new(device: &Device) -> Self {
+        let along_row = || Kernel::new([1, SPAN], device);
+        let along_column = || Kernel::new([SPAN, 1], device);
+        Self {
+            convz1: along_row(),
+            convr1: along_row(),
+            convq1: along_row(),
+            convz2: along_column(),
+            convr2: along_column(),
+            convq2: along_column(),
+        }
+    }
+
+    /// Kernels and biases as they are, `z`, `r` and `q` of each axis.
+    #[cfg(test)]
+    pub fn kernels(&self) -> [[(Tensor<4>, Tensor<1>); 3]; 2] {
+        [
+            [&self.convz1, &self.convr1, &self.convq1],
+            [&self.convz2, &self.convr2, &self.convq2],
+        ]
+        .map(|axis| axis.map(|kernel| (kernel.weight.val(), kernel.bias.val())))
+    }
+
+    /// For the context `[n, 128, h, w]`.
+    pub fn with_context(&self, context: &Tensor<4>) -> Unit {
+        let pass = |z: &Kernel, r: &Kernel, q: &Kernel| {
+            let of_context = Tensor::cat(vec![z.part(1), r.part(1)], 0);
+            let bias = Tensor::cat(vec![z.bias.val(), r.bias.val()], 0);
+            Pass {
+                gates: Tensor::cat(vec![z.moving(), r.moving()], 0),
+                candidate: q.moving(),
+                gates_context: convolve(context.clone(), of_context, Some(bias)),
+                candidate_context: convolve(context.clone(), q.part(1), Some(q.bias.val())),
+            }
+        };
+        Unit {
+            passes: [
+                pass(&self.convz1, &self.convr1, &self.convq1),
+                pass(&self.convz2, &self.convr2, &self.convq2),
+            ],
+        }
+    }
+}
+
+impl Unit {
+    /// The next hidden state, of `hidden` and `motion`, each `[n, 128, h, w]`.
+    pub fn forward(&self, hidden: Tensor<4>, motion: &Tensor<4>) -> Tensor<4> {
+        self.passes.iter().fold(hidden, |h, pass| {
+            let both = Tensor::cat(vec![h.clone(), motion.clone()], 1);
+            let gates = sigmoid(convolve(both, pass.gates.clone(), None) + pass.gates_context.clone());
+            let z = gates.clone().narrow(1, 0, WIDTH);
+            let r = gates.narrow(1, WIDTH, WIDTH);
+            let both = Tensor::cat(vec![r * h.clone(), motion.clone()], 1);
+            let q = tanh(convolve(both, pass.candidate.clone(), None) + pass.candidate_context.clone());
+            h.clone() + z * (q - h)
+        })
+    }
+}

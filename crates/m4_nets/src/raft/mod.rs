@@ -1,0 +1,239 @@
+//! RAFT: optical flow by repeated lookups in all-pairs correlations.
+//!
+//! - Paper: Teed and Deng, "RAFT: Recurrent All-Pairs Field Transforms for Optical Flow", ECCV 2020; the section numbers in this
+//!   folder are its. The large model, as `MegaSaM` runs it (section 1.7 of the specification of the front end).
+//! - Upstream: princeton-vl/RAFT, BSD-3. Weights: `raft-things.pth`, 5,257,536 learned numbers.
+//!
+//! ```text
+//! picture --fnet--> features at 1/8, which are compared;  --cnet--> hidden state and context
+//! a pair, again and again:  correlations around where the flow points --motion encoder--> motion
+//!                           hidden state, context, motion --recurrent unit--> hidden state --flow head--> change of the flow
+//! hidden state --mask head--> weights of upsampling;  flow at 1/8 --convex upsampling--> flow
+//! ```
+//!
+//! [`Raft::encode`] keeps what depends on one picture alone; both directions of a pair share it and are computed side by side.
+//! Inside, maps are `[n, channels, height, width]`; flow is in 32 bits whatever the type of the weights.
+
+mod encoder;
+mod gru;
+#[cfg(test)]
+mod tests;
+mod update;
+
+use crate::correlation::{self, FeatureMap, Pyramid};
+use crate::flow::same_size;
+use crate::ops::convex_upsample;
+use crate::padding::{self, Padding};
+use crate::{Flow, FlowError, LoadError, load};
+use burn_core as burn;
+use burn_core::module::Module;
+use burn_core::tensor::activation::{relu, tanh};
+use burn_core::tensor::{DType, Device, Tensor, TensorData};
+use encoder::{Encoder, Norm};
+use m4_scene::RgbImage;
+use std::path::Path;
+use update::{FACTOR, UpdateBlock};
+
+/// Channels that are compared, and channels of hidden state and context together.
+const WIDTH: usize = 256;
+/// Sizes at which a picture is compared, each half of the one before.
+const LEVELS: usize = 4;
+/// How far lookups reach, in pixels of each level.
+const RADIUS: usize = 4;
+/// Sides are padded to this at least: the coarsest level then has two pixels a side, the fewest that the published network can
+/// look up in.
+const LEAST: usize = (2 * FACTOR) << (LEVELS - 1);
+
+/// Flow at an eighth of the padded picture's size, in pixels of that size: what another pair that ends in the same picture may
+/// start from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LowFlow(pub Flow);
+
+/// What the network found for one direction of a pair.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RaftFlow {
+    /// The flow in the picture's size.
+    pub flow: Flow,
+    /// The same before upsampling.
+    pub low: LowFlow,
+}
+
+/// What the network keeps of one picture, for use in several pairs.
+#[derive(Debug, Clone)]
+pub struct Features {
+    padding: Padding,
+    /// What is looked up, and what is looked up in.
+    source: FeatureMap,
+    target: Pyramid,
+    /// `[1, 128, h / 8, w / 8]`, the state before the first iteration.
+    hidden: Tensor<4>,
+    /// `[1, 128, h / 8, w / 8]`.
+    context: Tensor<4>,
+}
+
+/// The network with its weights.
+#[derive(Debug)]
+pub struct Raft {
+    net: Net,
+    device: Device,
+}
+
+/// Fields as in the checkpoint.
+#[derive(Module, Debug)]
+struct Net {
+    fnet: Encoder,
+    cnet: Encoder,
+    update_block: UpdateBlock,
+}
+
+/// Names of the checkpoint that are not those of fields.
+const RENAMES: [(&str, &str); 5] = [
+    (r"^module\.", ""),
+    (r"\.downsample\.0\.", ".downsample.conv."),
+    (r"\.downsample\.1\.", ".downsample.norm."),
+    (r"^update_block\.mask\.0\.", "update_block.mask.hidden."),
+    (r"^update_block\.mask\.2\.", "update_block.mask.weights."),
+];
+
+/// Counters of training, and the norm of a shortcut under its second name.
+fn unneeded(name: &str) -> bool {
+    name.ends_with(".num_batches_tracked") || name.contains(".norm3.")
+}
+
+impl Raft {
+    /// The network with the weights of the checkpoint at `path`, on `device`. Names may begin with `module.`, as in the published
+    /// files.
+    ///
+    /// # Errors
+    ///
+    /// [`LoadError`] if the file cannot be read or holds another network.
+    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+        let mut net = Net {
+            fnet: Encoder::new(WIDTH, Norm::Instance, device),
+            cnet: Encoder::new(WIDTH, Norm::Batch, device),
+            update_block: UpdateBlock::new(correlation::taps(LEVELS, RADIUS), device),
+        };
+        load::fill(&mut net, "RAFT", path, &RENAMES, unneeded)?;
+        Ok(Self {
+            net,
+            device: device.clone(),
+        })
+    }
+
+    /// Numbers that the network learned.
+    #[must_use]
+    pub fn parameters(&self) -> usize {
+        self.net.num_params() - self.net.cnet.statistics()
+    }
+
+    /// What the network keeps of `image`.
+    ///
+    /// # Errors
+    ///
+    /// [`FlowError::Empty`] if it has no pixels.
+    pub fn encode(&self, image: &RgbImage) -> Result<Features, FlowError> {
+        let padding = Padding::of(image.width(), image.height(), FACTOR, LEAST)?;
+        let image = padding.tensor(image, |x, _| 2.0 * x - 1.0, &self.device);
+        let image = image.cast(self.net.fnet.dtype());
+        let compared = self.net.fnet.forward(image.clone()).squeeze_dim::<3>(0);
+        let compared = compared.permute([1, 2, 0]);
+        let state = self.net.cnet.forward(image);
+        Ok(Features {
+            padding,
+            source: FeatureMap::new(compared.clone()),
+            target: Pyramid::new(compared, LEVELS),
+            hidden: tanh(state.clone().narrow(1, 0, gru::WIDTH)),
+            context: relu(state.narrow(1, gru::WIDTH, gru::WIDTH)),
+        })
+    }
+
+    /// The flows from the picture of `a` to that of `b`, and back, after `iterations` (22 are usual). They start from `init`, in
+    /// the same order, or from no motion.
+    ///
+    /// # Errors
+    ///
+    /// [`FlowError`] if the pictures differ in size, `init` is not of their size or has too few numbers, there is no iteration, or the
+    /// device fails.
+    pub fn flow_both(
+        &self,
+        a: &Features,
+        b: &Features,
+        iterations: usize,
+        init: Option<[&LowFlow; 2]>,
+    ) -> Result<[RaftFlow; 2], FlowError> {
+        let size = |features: &Features| (features.padding.width, features.padding.height);
+        same_size(size(a), size(b))?;
+        if iterations == 0 {
+            return Err(FlowError::NoIterations);
+        }
+        let update = &self.net.update_block;
+        let both = |of: fn(&Features) -> &Tensor<4>| Tensor::cat(vec![of(a).clone(), of(b).clone()], 0);
+        let unit = update.gru.with_context(&both(|features| &features.context));
+        let mut hidden = both(|features| &features.hidden);
+        let dtype = hidden.dtype();
+        let [_, _, h, w] = hidden.dims();
+        let here = self.whole_positions(h, w);
+        let mut flow = match init {
+            Some(init) => Tensor::cat(vec![self.start(init[0], h, w)?, self.start(init[1], h, w)?], 0),
+            None => Tensor::zeros([2, h, w, 2], (&self.device, DType::F32)),
+        };
+        for _ in 0..iterations {
+            let at = here.clone() + flow.clone();
+            let look = |source: &Features, target: &Features, i| {
+                let at = at.clone().narrow(0, i, 1).squeeze_dim(0);
+                correlation::scores(&source.source, &target.target, at, RADIUS)
+            };
+            let found = Tensor::stack::<4>(vec![look(a, b, 0), look(b, a, 1)], 0);
+            let motion = update.encoder.forward(
+                channels_first(found).cast(dtype),
+                channels_first(flow.clone()).cast(dtype),
+            );
+            hidden = unit.forward(hidden, &motion);
+            let change = update.flow_head.forward(hidden.clone()).cast(DType::F32);
+            flow = flow + change.permute([0, 2, 3, 1]);
+        }
+        let weights = update.mask.forward(hidden).cast(DType::F32);
+        let result = |features: &Features, i| {
+            let flow: Tensor<3> = flow.clone().narrow(0, i, 1).squeeze_dim(0);
+            let weights = weights.clone().narrow(0, i, 1).squeeze_dim(0);
+            Ok(RaftFlow {
+                flow: features.padding.crop(convex_upsample(flow.clone(), weights, FACTOR))?,
+                low: LowFlow(padding::read(flow)?),
+            })
+        };
+        Ok([result(a, 0)?, result(b, 1)?])
+    }
+
+    /// Column and row of each pixel of a map, `[1, h, w, 2]`.
+    fn whole_positions(&self, h: usize, w: usize) -> Tensor<4> {
+        let at = (0..h * w).flat_map(|i| [(i % w) as f32, (i / w) as f32]).collect();
+        self.in_32_bits(at, [1, h, w, 2])
+    }
+
+    /// `low` as `[1, h, w, 2]`.
+    ///
+    /// # Errors
+    ///
+    /// [`FlowError::Start`] if it is of another size.
+    fn start(&self, LowFlow(low): &LowFlow, h: usize, w: usize) -> Result<Tensor<4>, FlowError> {
+        let numbers = low.u.len().min(low.v.len());
+        if (low.width, low.height, low.u.len(), low.v.len()) != (w, h, w * h, w * h) {
+            return Err(FlowError::Start {
+                found: (low.width, low.height),
+                numbers,
+                needed: (w, h),
+            });
+        }
+        let pairs = low.u.iter().zip(&low.v).flat_map(|(&u, &v)| [u, v]).collect();
+        Ok(self.in_32_bits(pairs, [1, h, w, 2]))
+    }
+
+    fn in_32_bits(&self, values: Vec<f32>, shape: [usize; 4]) -> Tensor<4> {
+        Tensor::from_data(TensorData::new(values, shape), (&self.device, DType::F32))
+    }
+}
+
+/// `[n, h, w, c]` as `[n, c, h, w]`.
+fn channels_first(x: Tensor<4>) -> Tensor<4> {
+    x.permute([0, 3, 1, 2])
+}

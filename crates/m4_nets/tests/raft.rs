@@ -1,0 +1,250 @@
+//! RAFT against its authors' module, with weights by a formula, and with the real ones where they are.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use common::{fixtures, floats, picture, png, real_weights};
+use m4_nets::raft::{LowFlow, Raft, RaftFlow};
+use m4_nets::{Flow, FlowError, LoadError, cpu};
+use m4_scene::{Plane, RgbImage};
+use m4_testkit::write_formula_weights;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+use tempfile::TempDir;
+
+const KEYS: &str = include_str!("../../../fixtures/raft/keys.txt");
+
+/// A checkpoint with weights by the formula, made once.
+fn formula_weights() -> &'static Path {
+    static FOLDER: LazyLock<TempDir> = LazyLock::new(|| {
+        let folder = TempDir::new().unwrap();
+        write_formula_weights(KEYS, &folder.path().join("weights.safetensors"));
+        folder
+    });
+    static PATH: LazyLock<PathBuf> = LazyLock::new(|| FOLDER.path().join("weights.safetensors"));
+    &PATH
+}
+
+fn network() -> Raft {
+    Raft::load(formula_weights(), &cpu()).unwrap()
+}
+
+fn pair() -> (Vec<u8>, RgbImage, RgbImage) {
+    let file = fs::read(fixtures().join("raft/flow.safetensors")).unwrap();
+    let (a, b) = (picture(&file, "image1"), picture(&file, "image2"));
+    (file, a, b)
+}
+
+/// `want` `[2, h, w]` against `flow`: the largest difference relative to the largest number.
+fn assert_flow(name: &str, flow: &Flow, want: &[f32]) {
+    let (u, v) = want.split_at(want.len() / 2);
+    assert_eq!((flow.u.len(), flow.v.len()), (u.len(), v.len()), "{name}");
+    let largest = want.iter().fold(0f32, |m, x| m.max(x.abs()));
+    let pairs = flow.u.iter().zip(u).chain(flow.v.iter().zip(v));
+    let off = pairs.map(|(a, b)| (a - b).abs());
+    let error = off.fold(0.0, |m: f32, x| if x.is_nan() { f32::NAN } else { m.max(x) }) / largest;
+    assert!(largest > 0.5 && error < LIMIT, "{name}: {error:.1e} of {largest} px");
+}
+
+/// The module in f32 is 2e-6 from itself in f64.
+const LIMIT: f32 = 2e-5;
+
+#[test]
+fn agrees_with_the_module_by_formula() {
+    let net = network();
+    assert_eq!(net.parameters(), 5_257_536);
+    let (file, a, b) = pair();
+    let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
+    for iterations in [1, 4, 12] {
+        let [forward, back] = net.flow_both(&a, &b, iterations, None).unwrap();
+        let LowFlow(low) = &forward.low;
+        let name = format!("flow_low_{iterations}");
+        assert_flow(&name, low, &floats(&file, &name));
+        if iterations != 4 {
+            let name = format!("flow_up_{iterations}");
+            assert_flow(&name, &forward.flow, &floats(&file, &name));
+        }
+        assert_ne!(forward, back);
+        if iterations == 4 {
+            assert_eq!(net.flow_both(&b, &a, 4, None).unwrap(), [back, forward]);
+        }
+    }
+}
+
+#[test]
+fn goes_on_from_a_flow() {
+    let net = network();
+    let (file, a, b) = pair();
+    let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
+    let values = floats(&file, "flow_init");
+    let (u, v) = values.split_at(16 * 20);
+    let start = LowFlow(Flow {
+        width: 20,
+        height: 16,
+        u: u.to_vec(),
+        v: v.to_vec(),
+    });
+    let none = LowFlow(Flow {
+        width: 20,
+        height: 16,
+        u: vec![0.0; 320],
+        v: vec![0.0; 320],
+    });
+    let [warm, cold] = net.flow_both(&a, &b, 2, Some([&start, &none])).unwrap();
+    assert_flow("warm2", &warm.low.0, &floats(&file, "flow_low_warm2"));
+    let [_, want] = net.flow_both(&a, &b, 2, None).unwrap();
+    assert_eq!(cold, want, "each direction has its own start");
+}
+
+/// Real weights find what GMFlow's module found, within what two good networks differ by.
+#[test]
+fn real_weights_see_what_another_network_sees() {
+    let Some(path) = real_weights("raft", "raft-things.pth") else {
+        return;
+    };
+    let net = Raft::load(&path, &cpu()).unwrap();
+    assert_eq!(net.parameters(), 5_257_536);
+    let (a, b) = (png("gmflow/tennis_0.png"), png("gmflow/tennis_1.png"));
+    let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
+    let [flow, _] = net.flow_both(&a, &b, 12, None).unwrap();
+    let file = fs::read(fixtures().join("gmflow/tennis.safetensors")).unwrap();
+    let want = floats(&file, "flow_every_4");
+    let RaftFlow { flow, .. } = flow;
+    let at: Vec<usize> = (0..flow.height)
+        .step_by(4)
+        .flat_map(|y| (0..flow.width).step_by(4).map(move |x| (x, y)))
+        .map(|(x, y)| y * flow.width + x)
+        .collect();
+    let (u, v) = want.split_at(at.len());
+    let off = |k: usize| (flow.u[at[k]] - u[k]).hypot(flow.v[at[k]] - v[k]);
+    let mut errors: Vec<f32> = (0..at.len()).map(off).collect();
+    errors.sort_by(f32::total_cmp);
+    let (median, most) = (errors[errors.len() / 2], errors[errors.len() * 9 / 10]);
+    assert!(
+        median < 0.5 && most < 3.0,
+        "median {median} px, nine of ten within {most} px"
+    );
+}
+
+/// A picture with an edge repeated by hand gets the flow of the one that is padded inside.
+#[test]
+fn odd_sizes_are_padded_and_cropped() {
+    let net = network();
+    let (_, a, b) = pair();
+    for (w, h) in [(155, 128), (90, 33)] {
+        let crop = |image: &RgbImage| Plane::from_fn(w, h, |x, y| image.row(y)[x]);
+        let side = |n: usize| n.next_multiple_of(8).max(128);
+        let (padded_w, padded_h) = (side(w), side(h));
+        let (left, top) = ((padded_w - w) / 2, (padded_h - h) / 2);
+        let pad = |image: &RgbImage| {
+            Plane::from_fn(padded_w, padded_h, |x: usize, y: usize| {
+                image.row(y.saturating_sub(top).min(h - 1))[x.saturating_sub(left).min(w - 1)]
+            })
+        };
+        let flow = |a: &RgbImage, b: &RgbImage| -> RaftFlow {
+            let [flow, _] = net
+                .flow_both(&net.encode(a).unwrap(), &net.encode(b).unwrap(), 2, None)
+                .unwrap();
+            flow
+        };
+        let got = flow(&crop(&a), &crop(&b));
+        let want = flow(&pad(&a), &pad(&b));
+        assert_eq!((got.flow.width, got.flow.height), (w, h));
+        assert_eq!((got.flow.u.len(), got.flow.v.len()), (w * h, w * h));
+        assert_eq!(got.low, want.low);
+        for y in 0..h {
+            let inside = (y + top) * padded_w + left;
+            assert_eq!(got.flow.u[y * w..][..w], want.flow.u[inside..][..w], "row {y}");
+            assert_eq!(got.flow.v[y * w..][..w], want.flow.v[inside..][..w], "row {y}");
+        }
+    }
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let net = network();
+    let (_, a, b) = pair();
+    let with = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
+            net.flow_both(&a, &b, 3, None).unwrap()
+        })
+    };
+    let one = with(1);
+    assert_eq!(one, with(2));
+    assert_eq!(one, with(5));
+}
+
+#[test]
+fn refuses_what_does_not_fit() {
+    let net = network();
+    let small: RgbImage = Plane::filled(1, 1, [9, 9, 9]);
+    let small = net.encode(&small).unwrap();
+    let [flow, _] = net.flow_both(&small, &small, 1, None).unwrap();
+    assert!(flow.flow.u[0].is_finite() && flow.flow.u.len() == 1);
+    assert_eq!((flow.low.0.width, flow.low.0.height), (16, 16));
+    let error = net.flow_both(&small, &small, 0, None).unwrap_err();
+    assert!(matches!(error, FlowError::NoIterations), "{error}");
+
+    let other = net.encode(&Plane::filled(2, 1, [9, 9, 9])).unwrap();
+    let error = net.flow_both(&small, &other, 1, None).unwrap_err();
+    assert!(matches!(error, FlowError::Sizes { a: (1, 1), b: (2, 1) }), "{error}");
+    assert!(matches!(
+        net.encode(&Plane::filled(0, 4, [9; 3])),
+        Err(FlowError::Empty)
+    ));
+
+    let start = |width, height, numbers| {
+        let (u, v) = (vec![0.0; 256], vec![0.0; numbers]);
+        LowFlow(Flow { width, height, u, v })
+    };
+    for low in [start(15, 16, 256), start(16, 16, 255)] {
+        let error = net.flow_both(&small, &small, 1, Some([&flow.low, &low])).unwrap_err();
+        assert!(matches!(error, FlowError::Start { needed: (16, 16), .. }), "{error}");
+    }
+}
+
+#[test]
+fn a_checkpoint_is_read_strictly() {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    let load = |list: &str| {
+        write_formula_weights(list, &path);
+        Raft::load(&path, &cpu()).map(|_| ())
+    };
+    let published: String = KEYS.lines().map(|line| format!("module.{line}\n")).collect();
+    load(&published).unwrap();
+    for name in [
+        "cnet.norm1.running_var",
+        "cnet.layer2.0.downsample.1.weight",
+        "update_block.gru.convq2.bias",
+    ] {
+        let without: String = KEYS
+            .lines()
+            .filter(|line| !line.starts_with(name))
+            .map(|line| format!("{line}\n"))
+            .collect();
+        let Err(LoadError::OtherNetwork {
+            missing, unused, wrong, ..
+        }) = load(&without)
+        else {
+            panic!("{name} is missing");
+        };
+        assert_eq!((missing.len(), unused, wrong), (1, vec![], vec![]), "{name}");
+    }
+    let Err(error) = load(&format!("{KEYS}head.weight 2 2\n")) else {
+        panic!("a tensor is left over");
+    };
+    assert!(error.to_string().contains("head.weight"), "{error}");
+    let Err(error) = load(&KEYS.replace("mask.2.bias 576", "mask.2.bias 575")) else {
+        panic!("a tensor has another shape");
+    };
+    assert!(error.to_string().contains("mask.weights.bias"), "{error}");
+    let text = folder.path().join("text.pth");
+    fs::write(&text, "no checkpoint at all").unwrap();
+    assert!(matches!(Raft::load(&text, &cpu()), Err(LoadError::Unreadable { .. })));
+    let nothing = folder.path().join("nothing.pth");
+    assert!(matches!(Raft::load(&nothing, &cpu()), Err(LoadError::Missing { .. })));
+}
