@@ -16,10 +16,14 @@
 pub mod gmflow;
 pub mod mobile_sam;
 
+mod dinov2;
+#[cfg(test)]
+mod fixture;
 mod load;
 mod ops;
 
 pub use burn_core::tensor::Device;
+pub use dinov2::BackboneSize;
 pub use gmflow::{Flow, FlowError, GmFlow};
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};

@@ -1,8 +1,10 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
 mod gelu;
+mod resample;
 
 pub use gelu::gelu;
+pub use resample::{Kernels, resampled};
 
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::module::layer_norm;
