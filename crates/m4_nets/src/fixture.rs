@@ -1,11 +1,13 @@
 //! What the tests of networks share: the golden fixtures, and checkpoints by the formula.
 
 use crate::load;
+use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tensor};
 use burn_core::tensor::{DType, Device, Tensor};
-use burn_store::ModuleSnapshot;
+use burn_store::{BurnToPyTorchAdapter, KeyRemapper, ModuleSnapshot};
 use m4_scene::RgbImage;
 use m4_testkit::FormulaWeights;
 use safetensors::{Dtype, SafeTensors};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -99,14 +101,46 @@ pub fn every(x: Tensor<2>, step: usize) -> Tensor<2> {
 
 /// `image` as the backbone takes it, `[1, 3, h, w]`.
 pub fn normalised(image: &RgbImage, device: &Device) -> Tensor<4> {
-    const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
-    const STD: [f32; 3] = [0.229, 0.224, 0.225];
     let (w, h) = image.size();
-    let value = |c: usize| {
-        image
-            .data()
-            .iter()
-            .map(move |p| (f32::from(p[c]) / 255.0 - MEAN[c]) / STD[c])
+    tensor(planes(image, IMAGENET_MEAN, IMAGENET_STD), [1, 3, h, w], device)
+}
+
+/// Fails unless the tensors of `module` are those of `keys` (lines of a name and a shape) after `renames`, without those that are
+/// `unneeded`.
+#[track_caller]
+pub fn assert_same_tensors<M: ModuleSnapshot>(
+    module: &M,
+    keys: &str,
+    renames: &[(&str, &str)],
+    unneeded: impl Fn(&str) -> bool,
+) {
+    let tensors = module.collect(None, Some(Box::new(BurnToPyTorchAdapter)), true);
+    let ours: BTreeMap<String, Vec<usize>> = tensors.iter().map(|t| (t.name.clone(), t.shape.to_vec())).collect();
+    let patterns = KeyRemapper::from_patterns(renames.to_vec()).unwrap().to_regex_pairs();
+    let rename = |name: &str| {
+        let renamed = patterns.iter().fold(name.to_owned(), |name, (from, to)| {
+            from.replace_all(&name, to.as_str()).into_owned()
+        });
+        (!unneeded(&renamed)).then_some(renamed)
     };
-    crate::ops::tensor((0..3).flat_map(value).collect(), [1, 3, h, w], device)
+    let theirs: BTreeMap<String, Vec<usize>> = keys
+        .lines()
+        .filter_map(|line| {
+            let mut words = line.split_whitespace();
+            let name = rename(words.next()?)?;
+            Some((name, words.map(|w| w.parse().unwrap()).collect()))
+        })
+        .collect();
+    let missing: Vec<_> = theirs
+        .iter()
+        .filter(|(name, shape)| ours.get(*name) != Some(shape))
+        .collect();
+    let surplus: Vec<_> = ours
+        .iter()
+        .filter(|(name, shape)| theirs.get(*name) != Some(shape))
+        .collect();
+    assert!(
+        missing.is_empty() && surplus.is_empty(),
+        "missing {missing:?}, too many {surplus:?}"
+    );
 }

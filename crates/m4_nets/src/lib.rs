@@ -13,6 +13,7 @@
 //! No weights are part of the repository, and this crate fetches none: `minute4d weights` does.
 #![forbid(unsafe_code)]
 
+pub mod depth_anything;
 pub mod gmflow;
 pub mod mobile_sam;
 
@@ -23,6 +24,7 @@ mod load;
 mod ops;
 
 pub use burn_core::tensor::Device;
+pub use depth_anything::{DepthAnything, DisparityError};
 pub use dinov2::BackboneSize;
 pub use gmflow::{Flow, FlowError, GmFlow};
 pub use load::LoadError;

@@ -93,17 +93,16 @@ impl DinoV2 {
 
     /// What the blocks `taps` (counted from 0, ascending) give away of pictures `[b, 3, 14 h, 14 w]` that are normalised (ImageNet's mean and
     /// standard deviation). Blocks after the last of them are not run.
-    pub fn taps(&self, pictures: Tensor<4>, taps: &[usize]) -> Vec<Tap> {
-        let last = taps.iter().max().map_or(0, |last| last + 1);
+    pub fn taps<const N: usize>(&self, pictures: Tensor<4>, taps: [usize; N]) -> [Tap; N] {
         let mut x = self.tokens(pictures);
-        let mut out = Vec::with_capacity(taps.len());
-        for (i, block) in self.blocks.iter().take(last).enumerate() {
-            x = block.forward(x);
-            if taps.contains(&i) {
-                out.push(self.tap(x.clone()));
+        let mut done = 0;
+        taps.map(|tap| {
+            for block in self.blocks.iter().take(tap + 1).skip(done) {
+                x = block.forward(x.clone());
             }
-        }
-        out
+            done = done.max(tap + 1);
+            self.tap(x.clone())
+        })
     }
 
     /// Tokens as the first block takes them.

@@ -39,8 +39,8 @@ fn check(net: &DinoV2, fixture: &Fixture, step: usize) {
     let first = net.blocks[0].forward(net.tokens(image.clone())).squeeze_dim(0);
     assert_near(every(first, step), fixture, "block0_out_strided", LIMIT);
     let depth = net.depth();
-    let taps: Vec<usize> = (depth - 4..depth).collect();
-    for (i, Tap { patches, class }) in net.taps(image, &taps).into_iter().enumerate() {
+    let taps: [usize; 4] = std::array::from_fn(|i| depth - 4 + i);
+    for (i, Tap { patches, class }) in net.taps(image, taps).into_iter().enumerate() {
         let patches = every(patches.squeeze_dim(0), step);
         assert_near(patches, fixture, &format!("tap{i}_tokens_strided"), LIMIT);
         assert_near(class, fixture, &format!("tap{i}_cls"), LIMIT);
@@ -80,8 +80,8 @@ fn a_batch_is_as_its_pictures() {
     let both = burn_core::tensor::Tensor::cat(vec![flipped, one.clone()], 0);
     let numbers =
         |tap: &Tap, at: usize| -> Vec<f32> { tap.patches.clone().narrow(0, at, 1).try_into_vec_as().unwrap() };
-    let one = net.taps(one, &[0, 1]);
-    let both = net.taps(both, &[0, 1]);
+    let one = net.taps(one, [0, 1]);
+    let both = net.taps(both, [0, 1]);
     for (one, both) in one.iter().zip(&both) {
         let error = crate::fixture::relative_error(&numbers(both, 1), &numbers(one, 0));
         assert!(error < 1e-5, "{error:e}");

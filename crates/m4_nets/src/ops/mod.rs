@@ -1,9 +1,11 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
 mod gelu;
+mod picture;
 mod resample;
 
 pub use gelu::gelu;
+pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};
 pub use resample::{Kernels, resampled};
 
 use burn_core::tensor::activation::softmax;

@@ -130,3 +130,63 @@ pub fn resampled(planes: &[f32], width: usize, height: usize, columns: &Kernels,
     });
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Kernels, resampled};
+    use crate::fixture::{Fixture, relative_error};
+
+    type Flavour = fn(usize, usize) -> Kernels;
+
+    /// Every flavour against the library it is named after: smaller, half, larger.
+    #[test]
+    fn agrees_with_pytorch_and_opencv() {
+        let fixture = Fixture::open("ops/resize.safetensors");
+        let (map, _) = fixture.floats("map");
+        let (h, w) = (37, 53);
+        let flavours: [(&str, Flavour); 5] = [
+            ("cv2_cubic_f32", Kernels::cubic),
+            ("torch_bicubic", Kernels::cubic),
+            ("torch_bilinear", Kernels::linear),
+            ("torch_bilinear_aa", Kernels::triangle),
+            ("cv2_linear_f32", Kernels::linear),
+        ];
+        for (name, kernels) in flavours {
+            for size in ["down", "half", "up"] {
+                let name = format!("{name}_{size}");
+                let (want, shape) = fixture.floats(&name);
+                let got = resampled(&map, w, h, &kernels(w, shape[1]), &kernels(h, shape[0]));
+                let error = relative_error(&got, &want);
+                assert!(error < 2e-6, "{name}: {error:e}");
+            }
+        }
+        let (want, shape) = fixture.floats("torch_bicubic_scale_posembed");
+        // with scale factors, 12.1 / 37 of the rows and 9.1 / 37 of the columns
+        let columns = Kernels::cubic_by_step(w, shape[1], 37.0 / 9.1);
+        let rows = Kernels::cubic_by_step(h, shape[0], 37.0 / 12.1);
+        let got = resampled(&map, w, h, &columns, &rows);
+        let error = relative_error(&got, &want);
+        assert!(error < 1e-5, "positions: {error:e}");
+    }
+
+    #[test]
+    fn planes_are_resampled_one_by_one_and_matrices_say_the_same() {
+        let (w, h) = (5, 4);
+        let plane: Vec<f32> = (0..20).map(|i| ((i * i * 7) % 19) as f32).collect();
+        let other: Vec<f32> = plane.iter().map(|x| 3.0 - x).collect();
+        let (columns, rows) = (Kernels::cubic(w, 9), Kernels::triangle(h, 2));
+        let both = [plane.clone(), other.clone()].concat();
+        let both = resampled(&both, w, h, &columns, &rows);
+        assert_eq!(both[..18], resampled(&plane, w, h, &columns, &rows));
+        assert_eq!(both[18..], resampled(&other, w, h, &columns, &rows));
+        let (across, down) = (columns.matrix(w), rows.matrix(h));
+        for (i, got) in both[..18].iter().enumerate() {
+            let (x, y) = (i % 9, i / 9);
+            let want: f32 = (0..20)
+                .map(|j| plane[j] * across[x * w + j % w] * down[y * h + j / w])
+                .sum();
+            assert!((got - want).abs() < 1e-4, "{x}, {y}: {got} for {want}");
+        }
+        assert!(resampled(&[], 0, 0, &columns, &rows).is_empty());
+    }
+}
