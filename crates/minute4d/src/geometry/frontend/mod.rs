@@ -1,0 +1,214 @@
+//! Who finds cameras, who measures flow, and who knows depth from one picture: searches without weights, networks, and any
+//! mixture of both.
+//!
+//! ```text
+//! --frontend WORD+WORD --parse--> Frontend --plan: which weights are here--> Plan
+//!   Plan --load--> FlowSource, MonoMaps    (cameras from tracked corners: compute.rs)
+//!              --> tracking network, PairFlow, DepthPrior    (megasam.rs)
+//! ```
+
+mod plan;
+mod source;
+#[cfg(feature = "nets")]
+mod flow;
+#[cfg(feature = "nets")]
+mod mono;
+#[cfg(feature = "nets")]
+mod tracking;
+
+pub use plan::UsedNetwork;
+pub(super) use plan::{Cameras, Plan, plan};
+#[cfg(feature = "nets")]
+pub(super) use tracking::NetworkCorrespondence;
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
+
+/// A part of a front end, as `--frontend` names it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Part {
+    /// Cameras, and what stands still, by MegaSaM's tracking network; depth made consistent along flow.
+    Megasam,
+    /// Flow by inverse search with variational refinement; needs nothing.
+    Classical,
+    /// Flow by RAFT.
+    Raft,
+    /// Flow by GMFlow.
+    Gmflow,
+    /// Metric depth and field of view by MoGe-2.
+    Moge,
+    /// Metric depth and field of view by UniDepth V2 (not for commercial use).
+    Unidepth,
+    /// Relative depth by Depth-Anything V1; with one that knows metres, aligned to it.
+    DepthAnything,
+}
+
+impl Part {
+    /// Every part.
+    pub const ALL: [Self; 7] = [
+        Self::Megasam,
+        Self::Classical,
+        Self::Raft,
+        Self::Gmflow,
+        Self::Moge,
+        Self::Unidepth,
+        Self::DepthAnything,
+    ];
+
+    /// As options and records name it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Megasam => "megasam",
+            Self::Classical => "classical",
+            Self::Raft => "raft",
+            Self::Gmflow => "gmflow",
+            Self::Moge => "moge",
+            Self::Unidepth => "unidepth",
+            Self::DepthAnything => "depth-anything",
+        }
+    }
+
+    /// What two parts cannot both do.
+    fn task(self) -> &'static str {
+        match self {
+            Self::Megasam => "cameras",
+            Self::Classical | Self::Raft | Self::Gmflow => "flow",
+            Self::Moge | Self::Unidepth => "metric depth",
+            Self::DepthAnything => "relative depth",
+        }
+    }
+}
+
+/// Parts of a front end, each with a task of its own; none for the choice of the program.
+///
+/// Written `auto`, or the names of parts joined by `+`: `classical`, `gmflow`, `moge+gmflow`, `megasam`,
+/// `megasam+raft+depth-anything+unidepth`. What is not named is done without weights, except that `megasam` alone takes the best
+/// of flow and depth whose weights are here, and says which.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(into = "String", try_from = "String")]
+pub struct Frontend {
+    parts: Vec<Part>,
+}
+
+/// Words that are no front end.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum UnknownFrontend {
+    /// A word that names nothing.
+    #[error("there is no front end `{word}`; parts are auto (alone), {}, joined by `+`", names())]
+    Word {
+        /// It.
+        word: String,
+    },
+    /// Two parts for one task.
+    #[error("`{first}` and `{second}` both give {task}; leave one out")]
+    Twice {
+        /// The first of them.
+        first: &'static str,
+        /// The second.
+        second: &'static str,
+        /// What both do.
+        task: &'static str,
+    },
+}
+
+fn names() -> String {
+    Part::ALL.map(Part::name).join(", ")
+}
+
+impl Frontend {
+    /// Of parts, which are put in order.
+    ///
+    /// # Errors
+    ///
+    /// [`UnknownFrontend::Twice`] for two with one task.
+    pub fn of(mut parts: Vec<Part>) -> Result<Self, UnknownFrontend> {
+        parts.sort_unstable();
+        for (k, a) in parts.iter().enumerate() {
+            if let Some(b) = parts[k + 1..].iter().find(|b| b.task() == a.task()) {
+                return Err(UnknownFrontend::Twice {
+                    first: a.name(),
+                    second: b.name(),
+                    task: a.task(),
+                });
+            }
+        }
+        Ok(Self { parts })
+    }
+
+    /// True where the program is to choose.
+    #[must_use]
+    pub fn is_auto(&self) -> bool {
+        self.parts.is_empty()
+    }
+
+    /// True if `part` was named.
+    #[must_use]
+    pub fn has(&self, part: Part) -> bool {
+        self.parts.contains(&part)
+    }
+}
+
+impl fmt::Display for Frontend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.is_auto() {
+            return f.write_str("auto");
+        }
+        let names: Vec<&str> = self.parts.iter().map(|p| p.name()).collect();
+        f.write_str(&names.join("+"))
+    }
+}
+
+impl FromStr for Frontend {
+    type Err = UnknownFrontend;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        if text == "auto" {
+            return Ok(Self::default());
+        }
+        let part = |word: &str| {
+            let found = Part::ALL.into_iter().find(|p| p.name() == word);
+            found.ok_or_else(|| UnknownFrontend::Word { word: word.to_owned() })
+        };
+        Self::of(text.split('+').map(part).collect::<Result<_, _>>()?)
+    }
+}
+
+impl From<Frontend> for String {
+    fn from(frontend: Frontend) -> Self {
+        frontend.to_string()
+    }
+}
+
+impl TryFrom<String> for Frontend {
+    type Error = UnknownFrontend;
+
+    fn try_from(text: String) -> Result<Self, Self::Error> {
+        text.parse()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Frontend, Part, UnknownFrontend};
+
+    #[test]
+    fn words_are_front_ends() {
+        let named = |text: &str| text.parse::<Frontend>();
+        assert!(named("auto").unwrap().is_auto());
+        assert_eq!(named("gmflow+moge").unwrap(), Frontend::of(vec![Part::Moge, Part::Gmflow]).unwrap());
+        for text in ["auto", "classical", "gmflow+moge", "megasam", "megasam+raft+unidepth+depth-anything"] {
+            assert_eq!(named(text).unwrap().to_string(), text);
+        }
+        for wrong in ["", "megasan", "auto+moge", "moge+", "MOGE"] {
+            let Err(UnknownFrontend::Word { .. }) = named(wrong) else {
+                panic!("{wrong}");
+            };
+        }
+        for twice in ["gmflow+raft", "classical+gmflow", "moge+unidepth", "moge+moge"] {
+            assert!(matches!(named(twice), Err(UnknownFrontend::Twice { .. })), "{twice}");
+        }
+    }
+}

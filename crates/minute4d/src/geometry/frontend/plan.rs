@@ -1,0 +1,260 @@
+//! Which networks a front end comes to, by the weights that are here.
+
+use super::{Frontend, Part};
+use crate::Error;
+use crate::device::DeviceChoice;
+#[cfg(feature = "nets")]
+use crate::weights::{self, State, Store, WeightsError};
+use serde::{Deserialize, Serialize};
+#[cfg(feature = "nets")]
+use std::path::PathBuf;
+
+/// Who finds the cameras.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cameras {
+    /// Tracked corners and bundle adjustment.
+    Corners,
+    /// The tracking network.
+    Megasam,
+}
+
+/// A network that took part, for the record.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct UsedNetwork {
+    /// The name of its weights in `minute4d weights list`.
+    pub weights: String,
+    /// Their licence.
+    pub licence: String,
+    /// False where that forbids commercial use.
+    pub commercial: bool,
+    /// BLAKE3 of the file.
+    pub blake3: String,
+}
+
+/// A front end whose weights were found.
+#[derive(Debug)]
+pub struct Plan {
+    /// What was chosen, never `auto`.
+    pub frontend: Frontend,
+    /// Who finds the cameras.
+    pub cameras: Cameras,
+    /// The networks, in the order of the parts.
+    pub used: Vec<UsedNetwork>,
+    /// What the user should know about the choice.
+    pub notes: Vec<String>,
+    #[cfg(feature = "nets")]
+    pub(super) files: Vec<(Part, PathBuf)>,
+}
+
+impl Plan {
+    /// What results are kept under: the networks' hashes.
+    pub fn hashes(&self) -> Vec<&str> {
+        self.used.iter().map(|network| network.blake3.as_str()).collect()
+    }
+
+    /// The file of a part's weights.
+    #[cfg(feature = "nets")]
+    pub(super) fn file(&self, part: Part) -> Option<&std::path::Path> {
+        let found = self.files.iter().find(|(p, _)| *p == part);
+        found.map(|(_, path)| path.as_path())
+    }
+}
+
+/// Names of the weights that serve a part, the best first.
+#[cfg(feature = "nets")]
+fn names(part: Part) -> &'static [&'static str] {
+    match part {
+        Part::Megasam => &["megasam"],
+        Part::Classical => &[],
+        Part::Raft => &["raft-things"],
+        Part::Gmflow => &["gmflow"],
+        Part::Moge => &[
+            "moge-2-l-normal",
+            "moge-2-l",
+            "moge-2-b-normal",
+            "moge-2-b",
+            "moge-2-s-normal",
+        ],
+        Part::Unidepth => &["unidepth-v2-l"],
+        Part::DepthAnything => &["depth-anything-v1-l", "depth-anything-v1-b", "depth-anything-v1-s"],
+    }
+}
+
+/// What the tracking network takes for flow where nobody says, the best first.
+const FLOWS: [Part; 3] = [Part::Raft, Part::Gmflow, Part::Classical];
+/// What it takes for depth.
+const DEPTHS: [&[Part]; 5] = [
+    &[Part::Moge],
+    &[Part::Unidepth, Part::DepthAnything],
+    &[Part::Unidepth],
+    &[Part::DepthAnything],
+    &[],
+];
+
+/// Finds what `asked` needs. `auto` is `classical` on the processor, by measurement (docs/geometry.md, "Front ends"); on a GPU it is
+/// `megasam` where the weights of all of its parts are here.
+///
+/// # Errors
+///
+/// [`Error::FrontEndWeights`] if weights are missing, [`Error::NoNetworks`] if the build has no networks.
+#[cfg(feature = "nets")]
+pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
+    let store = Store::of_user();
+    let here = |part: Part| part == Part::Classical || store.as_ref().is_ok_and(|store| find(store, part).is_some());
+    let mut notes = Vec::new();
+    let parts = if asked.is_auto() {
+        let best = [Part::Megasam, Part::Raft];
+        let depth = DEPTHS.iter().find(|d| !d.is_empty() && d.iter().all(|&p| here(p)));
+        match depth {
+            Some(depth) if device != DeviceChoice::Cpu && best.iter().all(|&p| here(p)) => [&best, *depth].concat(),
+            _ => vec![Part::Classical],
+        }
+    } else {
+        complete(asked, &here, &mut notes)
+    };
+    let frontend = Frontend::of(parts.clone()).map_err(|e| Error::Internal { what: e.to_string() })?;
+    let (mut used, mut files) = (Vec::new(), Vec::new());
+    for part in parts {
+        let Some(first) = names(part).first() else { continue };
+        let missing = |source| Error::FrontEndWeights {
+            frontend: part.name(),
+            source,
+        };
+        let store = store.as_ref().map_err(|_| missing(WeightsError::NoFolder))?;
+        let Some((entry, path)) = find(store, part) else {
+            let entry = weights::find(first).map_err(missing)?;
+            return Err(missing(store.require(entry).err().unwrap_or(WeightsError::NoFolder)));
+        };
+        used.push(UsedNetwork {
+            weights: entry.name.to_owned(),
+            licence: entry.licence.to_owned(),
+            commercial: entry.commercial,
+            blake3: crate::hash::of_path(&path)?,
+        });
+        files.push((part, path));
+    }
+    for network in used.iter().filter(|network| !network.commercial) {
+        notes.push(format!(
+            "{} may not be used commercially ({}), and neither may what is made with it",
+            network.weights, network.licence
+        ));
+    }
+    Ok(Plan {
+        cameras: cameras(&frontend),
+        frontend,
+        used,
+        notes,
+        files,
+    })
+}
+
+/// Finds what `asked` needs.
+///
+/// # Errors
+///
+/// [`Error::NoNetworks`]: the build has no networks.
+#[cfg(not(feature = "nets"))]
+pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
+    let network = Part::ALL.into_iter().find(|&p| p != Part::Classical && asked.has(p));
+    match network {
+        Some(part) => Err(Error::NoNetworks { frontend: part.name() }),
+        None => Ok(Plan {
+            frontend: Frontend {
+                parts: vec![Part::Classical],
+            },
+            cameras: Cameras::Corners,
+            used: Vec::new(),
+            notes: Vec::new(),
+        }),
+    }
+}
+
+#[cfg(feature = "nets")]
+fn cameras(frontend: &Frontend) -> Cameras {
+    if frontend.has(Part::Megasam) {
+        Cameras::Megasam
+    } else {
+        Cameras::Corners
+    }
+}
+
+/// The parts of `asked` with a flow, and with a depth where the tracking network wants one.
+#[cfg(feature = "nets")]
+fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<String>) -> Vec<Part> {
+    let mut parts = asked.parts.clone();
+    let tracked = asked.has(Part::Megasam);
+    if !FLOWS.iter().any(|&flow| asked.has(flow)) {
+        let flow = FLOWS.into_iter().find(|&flow| tracked && here(flow));
+        parts.push(flow.unwrap_or(Part::Classical));
+    }
+    let has_depth = DEPTHS.iter().flat_map(|depth| depth.iter()).any(|&depth| asked.has(depth));
+    if tracked && !has_depth {
+        let depth = DEPTHS.iter().find(|depth| depth.iter().all(|&part| here(part)));
+        parts.extend(depth.into_iter().flat_map(|depth| depth.iter()));
+    }
+    if tracked && parts.len() != asked.parts.len() {
+        let chosen: Vec<&str> = parts[asked.parts.len()..].iter().map(|p| p.name()).collect();
+        let depth = parts.iter().any(|p| matches!(p.task(), "metric depth" | "relative depth"));
+        let without = if depth {
+            ""
+        } else {
+            ", and no depth from one picture (`minute4d weights add moge-2-l FILE` brings one)"
+        };
+        notes.push(format!("megasam takes {}{without}: that is what is here", chosen.join(", ")));
+    }
+    parts
+}
+
+#[cfg(feature = "nets")]
+fn find(store: &Store, part: Part) -> Option<(&'static weights::Entry, PathBuf)> {
+    names(part).iter().find_map(|name| {
+        let entry = weights::find(name).ok()?;
+        match store.state(entry) {
+            State::Stored(path) | State::InHub(path) => Some((entry, path)),
+            State::Absent => None,
+        }
+    })
+}
+
+#[cfg(all(test, feature = "nets"))]
+mod tests {
+    use super::{complete, names};
+    use crate::geometry::frontend::{Frontend, Part};
+    use crate::weights;
+
+    fn parts(asked: &str, here: &[Part]) -> (String, Vec<String>) {
+        let asked: Frontend = asked.parse().unwrap();
+        let mut notes = Vec::new();
+        let present = |part| part == Part::Classical || here.contains(&part);
+        let parts = complete(&asked, &present, &mut notes);
+        (Frontend::of(parts).unwrap().to_string(), notes)
+    }
+
+    #[test]
+    fn every_part_has_weights_that_are_known() {
+        for part in Part::ALL {
+            assert_eq!(names(part).is_empty(), part == Part::Classical);
+            assert!(names(part).iter().all(|name| weights::find(name).is_ok()), "{part:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_named_is_done_without_weights() {
+        assert_eq!(parts("moge", &[Part::Raft, Part::Moge]).0, "classical+moge");
+        assert_eq!(parts("gmflow", &[]), ("gmflow".to_owned(), vec![]));
+    }
+
+    #[test]
+    fn the_tracking_network_takes_the_best_that_is_here_and_says_so() {
+        use Part::{DepthAnything, Gmflow, Moge, Raft, Unidepth};
+        let (all, notes) = parts("megasam", &[Raft, Gmflow, Moge, Unidepth, DepthAnything]);
+        assert_eq!(all, "megasam+raft+moge");
+        assert!(notes[0].contains("raft, moge"), "{notes:?}");
+        assert_eq!(parts("megasam", &[Gmflow, Unidepth, DepthAnything]).0, "megasam+gmflow+unidepth+depth-anything");
+        let (few, notes) = parts("megasam", &[]);
+        assert_eq!(few, "megasam+classical");
+        assert!(notes[0].contains("no depth"), "{notes:?}");
+        let (named, notes) = parts("megasam+gmflow+moge", &[Raft]);
+        assert_eq!((named.as_str(), notes.len()), ("megasam+gmflow+moge", 0));
+    }
+}
