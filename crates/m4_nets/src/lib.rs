@@ -13,6 +13,7 @@
 //! No weights are part of the repository, and this crate fetches none: `minute4d weights` does.
 #![forbid(unsafe_code)]
 
+pub mod droid;
 pub mod gmflow;
 pub mod mobile_sam;
 
@@ -21,6 +22,7 @@ mod load;
 mod ops;
 
 pub use burn_core::tensor::Device;
+pub use droid::{DroidError, DroidNet};
 pub use gmflow::{Flow, FlowError, GmFlow};
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
