@@ -14,6 +14,7 @@
 #![forbid(unsafe_code)]
 
 pub mod depth_anything;
+pub mod droid;
 pub mod gmflow;
 pub mod mobile_sam;
 pub mod raft;
@@ -30,6 +31,7 @@ mod padding;
 pub use burn_core::tensor::Device;
 pub use depth_anything::{DepthAnything, DisparityError};
 pub use dinov2::BackboneSize;
+pub use droid::{DroidError, DroidNet};
 pub use flow::{Flow, FlowError};
 pub use gmflow::GmFlow;
 pub use load::LoadError;

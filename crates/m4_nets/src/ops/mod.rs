@@ -41,6 +41,14 @@ pub fn conv(channels: [usize; 2], kernel: usize, stride: usize, bias: bool, devi
         .init(device)
 }
 
+/// `conv` of the channels of all `parts`, one after the other.
+pub fn convolve(parts: &[Tensor<4>], conv: &Conv2d) -> Tensor<4> {
+    match parts {
+        [x] => conv.forward(x.clone()),
+        parts => conv.forward(Tensor::cat(parts.to_vec(), 1)),
+    }
+}
+
 /// A linear layer that waits for its weights.
 pub fn linear(from: usize, to: usize, bias: bool, device: &Device) -> Linear {
     LinearConfig::new(from, to)
