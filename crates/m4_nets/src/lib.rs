@@ -22,7 +22,7 @@ mod load;
 mod ops;
 
 pub use burn_core::tensor::Device;
-pub use droid::{DroidError, DroidNet};
+pub use droid::{DroidError, DroidMemory, DroidNet};
 pub use gmflow::{Flow, FlowError, GmFlow};
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
