@@ -31,7 +31,7 @@ mod padding;
 pub use burn_core::tensor::Device;
 pub use depth_anything::{DepthAnything, DisparityError};
 pub use dinov2::BackboneSize;
-pub use droid::{DroidError, DroidNet};
+pub use droid::{DroidError, DroidMemory, DroidNet};
 pub use flow::{Flow, FlowError};
 pub use gmflow::GmFlow;
 pub use load::LoadError;

@@ -30,11 +30,11 @@ pub enum DroidError {
         /// Those of the clip.
         expected: (usize, usize),
     },
-    /// A frame is asked for that was not added.
-    #[error("frame {frame} is not known to the tracking network; add it first")]
-    UnknownFrame {
+    /// A source is revised without edges.
+    #[error("frame {source_frame} is to be revised without an edge; its damping is a mean over its edges")]
+    NoEdges {
         /// The frame.
-        frame: usize,
+        source_frame: usize,
     },
     /// An edge is asked for that did not enter.
     #[error("edge {id} is not known to the tracking network; let it enter first")]
@@ -58,6 +58,14 @@ pub enum DroidError {
         /// The edge.
         id: u64,
         /// Numbers of the plane.
+        got: usize,
+        /// Pixels of the grid.
+        expected: usize,
+    },
+    /// A disparity has not the size of the grid.
+    #[error("a disparity of {got} numbers is to be enlarged where the grid has {expected} pixels")]
+    Disparity {
+        /// Numbers of the disparity.
         got: usize,
         /// Pixels of the grid.
         expected: usize,

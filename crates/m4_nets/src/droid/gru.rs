@@ -5,7 +5,7 @@ use crate::ops::{conv, convolve};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::sigmoid;
-use burn_core::tensor::{Device, Tensor};
+use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::conv::Conv2d;
 
 /// Channels of the encoded motion.
@@ -88,6 +88,11 @@ pub struct ArrangedGru {
 }
 
 impl ArrangedGru {
+    /// The type of its weights.
+    pub fn dtype(&self) -> DType {
+        self.w.weight.val().dtype()
+    }
+
     /// What `context` `[1 or n, 128, h, w]` adds to z, r and q: `[1 or n, 384, h, w]`.
     pub fn context(&self, context: Tensor<4>) -> Tensor<4> {
         convolve(&[context], &self.context)

@@ -21,6 +21,7 @@ mod aggregation;
 mod encoder;
 mod error;
 mod gru;
+mod memory;
 mod motion;
 mod picture;
 #[cfg(test)]
@@ -29,12 +30,13 @@ mod update;
 mod upsampling;
 
 pub use error::DroidError;
+pub use memory::{DroidMemory, EdgeUpdate, MemoryOptions, Pictures, SourceUpdate, Storage};
 
 use crate::{LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::{Device, Tensor};
+use burn_core::tensor::{DType, Device, Tensor};
 use encoder::{Encoder, Norm};
 use gru::ArrangedGru;
 use m4_scene::RgbImage;
@@ -121,15 +123,20 @@ impl DroidNet {
         self.net.num_params()
     }
 
+    /// The type that it computes in.
+    fn dtype(&self) -> DType {
+        self.gru.dtype()
+    }
+
     /// Features of `image` for correlation, `[1, 128, h / 8, w / 8]`.
     fn features(&self, image: &RgbImage) -> Result<Tensor<4>, DroidError> {
-        let image = picture::normalised(image, &self.device)?;
+        let image = picture::normalised(image, &self.device)?.cast(self.dtype());
         Ok(self.net.fnet.forward(image, Norm::Instance))
     }
 
     /// The hidden state that edges from `image` start with, and its context, `[1, 128, h / 8, w / 8]` each.
     fn state(&self, image: &RgbImage) -> Result<[Tensor<4>; 2], DroidError> {
-        let image = picture::normalised(image, &self.device)?;
+        let image = picture::normalised(image, &self.device)?.cast(self.dtype());
         let both = self.net.cnet.forward(image, Norm::None);
         let half = |k: usize| both.clone().narrow(1, k * WIDTH, WIDTH);
         Ok([half(0).tanh(), relu(half(1))])

@@ -9,9 +9,24 @@ use m4_scene::RgbImage;
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 const STD: [f32; 3] = [0.229, 0.224, 0.225];
 /// Sides are multiples of this.
-pub const MULTIPLE: usize = 8;
+const MULTIPLE: usize = 8;
 /// The smallest side: correlation is pooled down to an eighth of an eighth, which must have pixels (upstream's limit, too).
-pub const SMALLEST: usize = 128;
+const SMALLEST: usize = 128;
+
+/// Whether the network takes pictures of this size.
+///
+/// # Errors
+///
+/// [`DroidError::Size`] if a side is too short or no multiple of 8.
+pub fn check((width, height): (usize, usize)) -> Result<(), DroidError> {
+    if [width, height]
+        .iter()
+        .any(|&side| side < SMALLEST || side % MULTIPLE != 0)
+    {
+        return Err(DroidError::Size { width, height });
+    }
+    Ok(())
+}
 
 /// `image` as `[1, 3, h, w]`, normalised.
 ///

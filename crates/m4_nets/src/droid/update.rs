@@ -61,17 +61,6 @@ pub struct Update {
     pub agg_motion: MotionHead,
 }
 
-/// What an update gives edges.
-#[derive(Debug)]
-pub struct Step {
-    /// `[n, 128, h, w]`.
-    pub hidden: Tensor<4>,
-    /// `[n, 2, h, w]`: pixels right and down.
-    pub delta: Tensor<4>,
-    /// `[n, 2, h, w]`: confidence of the two, in 0..1.
-    pub weight: Tensor<4>,
-}
-
 impl Update {
     /// With `rows` outputs of the weights and of the steps, of which two count.
     pub fn new(rows: usize, device: &Device) -> Self {
@@ -97,25 +86,30 @@ impl Update {
         self.gru.arranged()
     }
 
-    /// One update: `hidden` `[n, 128, h, w]`, what the context adds by `gru`, scores `[n, 196, h, w]`, motion `[n, 4, h, w]`
-    /// (`None` for zeros).
-    pub fn step(
+    /// The hidden states that follow `hidden` `[n, 128, h, w]`, with what the context adds by `gru`, scores `[n, 196, h, w]` and
+    /// motion `[n, 4, h, w]` (`None` for zeros).
+    pub fn advance(
         &self,
         gru: &ArrangedGru,
         hidden: Tensor<4>,
         context: Tensor<4>,
         corr: Tensor<4>,
         motion: Option<Tensor<4>>,
-    ) -> Step {
+    ) -> Tensor<4> {
         let [n, _, h, w] = hidden.dims();
         let motion = motion.unwrap_or_else(|| Tensor::zeros([n, 4, h, w], (&hidden.device(), hidden.dtype())));
         let corr = relu(self.corr_encoder.forward(corr, relu));
         let flow = relu(self.flow_encoder.forward(motion, relu));
-        let hidden = gru.forward(hidden, context, corr, flow);
-        Step {
-            delta: self.delta.forward(hidden.clone(), relu),
-            weight: sigmoid(self.weight.forward(hidden.clone(), relu)),
-            hidden,
-        }
+        gru.forward(hidden, context, corr, flow)
+    }
+
+    /// How far the positions of edges with `hidden` should move, `[n, 2, h, w]`: pixels right and down.
+    pub fn delta(&self, hidden: Tensor<4>) -> Tensor<4> {
+        self.delta.forward(hidden, relu)
+    }
+
+    /// How much the two components count, `[n, 2, h, w]` in 0..1.
+    pub fn weight(&self, hidden: Tensor<4>) -> Tensor<4> {
+        sigmoid(self.weight.forward(hidden, relu))
     }
 }
