@@ -16,6 +16,7 @@
 pub mod depth_anything;
 pub mod gmflow;
 pub mod mobile_sam;
+pub mod moge;
 
 mod dinov2;
 #[cfg(test)]
@@ -29,6 +30,7 @@ pub use dinov2::BackboneSize;
 pub use gmflow::{Flow, FlowError, GmFlow};
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
+pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 
 /// The processor: all cores of the thread pool that is current where a network is called.
 #[must_use]
