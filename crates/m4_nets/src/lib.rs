@@ -17,6 +17,7 @@ pub mod depth_anything;
 pub mod droid;
 pub mod gmflow;
 pub mod mobile_sam;
+pub mod moge;
 pub mod raft;
 
 mod correlation;
@@ -36,6 +37,7 @@ pub use flow::{Flow, FlowError};
 pub use gmflow::GmFlow;
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
+pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;
 
 /// The processor: all cores of the thread pool that is current where a network is called.
