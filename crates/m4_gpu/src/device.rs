@@ -63,6 +63,41 @@ pub(crate) enum Place {
     Cuda(usize),
 }
 
+/// What the runtime calls an adapter; others who use the same runtime share what was started.
+#[derive(Debug, Clone)]
+pub enum Runtime {
+    /// By Vulkan, Metal or DX12.
+    Wgpu(WgpuDevice),
+    /// By CUDA: the driver's number.
+    #[cfg(feature = "cuda")]
+    Cuda(usize),
+}
+
+impl Adapter {
+    /// What the runtime calls it.
+    #[must_use]
+    pub fn runtime(&self) -> Runtime {
+        let (slot, nth) = match self.place {
+            Place::Wgpu(slot, nth) => (slot, nth),
+            #[cfg(feature = "cuda")]
+            Place::Cuda(ordinal) => return Runtime::Cuda(ordinal),
+        };
+        let api = match self.api.as_str() {
+            "Vulkan" => WgpuBackend::Vulkan,
+            "Metal" => WgpuBackend::Metal,
+            _ => WgpuBackend::Dx12,
+        };
+        let kind = match slot {
+            0 => WgpuDeviceKind::DiscreteGpu(nth),
+            1 => WgpuDeviceKind::IntegratedGpu(nth),
+            2 => WgpuDeviceKind::VirtualGpu(nth),
+            3 => WgpuDeviceKind::Cpu,
+            _ => WgpuDeviceKind::Other(nth),
+        };
+        Runtime::Wgpu(WgpuDevice::new(kind).on(api))
+    }
+}
+
 /// Units a cube that the kernels need.
 const UNITS: u32 = 256;
 /// Bytes shared by a cube that the kernels need.
@@ -232,29 +267,16 @@ impl Gpu {
         if let Some(why) = &adapter.unfit {
             return Err(refused(why.clone()));
         }
-        let (slot, nth) = match adapter.place {
-            Place::Wgpu(slot, nth) => (slot, nth),
+        let device = match adapter.runtime() {
+            Runtime::Wgpu(device) => device,
             #[cfg(feature = "cuda")]
-            Place::Cuda(ordinal) => {
+            Runtime::Cuda(ordinal) => {
                 return Ok(Self {
                     client: crate::cuda::start(ordinal).map_err(refused)?,
                     adapter: adapter.clone(),
                 });
             }
         };
-        let api = match adapter.api.as_str() {
-            "Vulkan" => WgpuBackend::Vulkan,
-            "Metal" => WgpuBackend::Metal,
-            _ => WgpuBackend::Dx12,
-        };
-        let kind = match slot {
-            0 => WgpuDeviceKind::DiscreteGpu(nth),
-            1 => WgpuDeviceKind::IntegratedGpu(nth),
-            2 => WgpuDeviceKind::VirtualGpu(nth),
-            3 => WgpuDeviceKind::Cpu,
-            _ => WgpuDeviceKind::Other(nth),
-        };
-        let device = WgpuDevice::new(kind).on(api);
         // a device of this process is started once; the second time it is there already
         let mut started = STARTED.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         if !started.contains(&adapter.place) {

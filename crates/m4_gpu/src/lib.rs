@@ -68,7 +68,7 @@ mod work;
 pub use bench::{Bench, DeviceMemory, Drawing};
 pub use colour::ColourSums;
 pub use density::{DensityRound, GrowRule, Grown, PruneRule, SplitSize};
-pub use device::{Adapter, AdapterKind, Choice, Gpu, adapters, best, missing_for_cuda};
+pub use device::{Adapter, AdapterKind, Choice, Gpu, Runtime, adapters, best, missing_for_cuda};
 pub use error::GpuError;
 pub use found::Found;
 pub use gather::Regrowth;

@@ -177,6 +177,7 @@ mod tests {
                 rgb: Plane::filled(w, h, [128; 3]),
                 depth: Some(Plane::from_fn(w, h, depth).into()),
                 mask: None,
+                motion: None,
                 camera_index: None,
             }
         };

@@ -150,6 +150,7 @@ mod tests {
             rgb: Plane::from_fn(64, 64, |x, _| if x < 32 { [255, 0, 0] } else { [0, 0, 255] }),
             depth: Some(Plane::from_fn(64, 64, |x, _| if x < 32 { 2.0 } else { 0.0 }).into()),
             mask: None,
+            motion: None,
             camera_index: None,
         };
         let capture = Capture {

@@ -45,6 +45,7 @@ fn capture(frames: usize) -> Capture {
             rgb: Plane::from_fn(w, h, |x, y| square(x, y).unwrap_or_else(|| wall(x, y))),
             depth: Some(depth.into()),
             mask: Some(CompactMask::from_fn(w, h, |x, y| square(x, y).is_some())),
+            motion: None,
             camera_index: None,
         }
     };

@@ -53,6 +53,7 @@ fn made(frames: usize) -> Capture {
         depth: (i != 1)
             .then(|| Plane::from_fn(12, 9, |x, y| if x == 0 { 0.0 } else { 1.0 + (x * y) as f32 / 7.0 }).into()),
         mask: (i != 2).then(|| CompactMask::from_fn(24, 18, |x, y| x * y > 99)),
+        motion: (i != 3).then(|| Plane::from_fn(6, 5, |x, y| (40 * x + y) as u8)),
         camera_index: None,
     };
     Capture {
@@ -74,6 +75,7 @@ fn a_capture_comes_back_as_it_was_written() {
     for (got, want) in got.frames.iter().zip(&capture.frames) {
         assert_eq!(got.camera, want.camera);
         assert_eq!((&got.rgb, &got.mask), (&want.rgb, &want.mask));
+        assert_eq!(got.motion, want.motion);
         assert!((got.t - want.t).abs() < 1e-12);
         match (&got.depth, &want.depth) {
             (Some(got), Some(want)) => {

@@ -217,6 +217,7 @@ fn capture_with(tracks: Option<Tracks>) -> Capture {
         rgb: Plane::filled(8, 6, [i as u8; 3]),
         depth: None,
         mask: None,
+        motion: None,
         camera_index: None,
     };
     Capture {

@@ -21,6 +21,7 @@ pub mod moge;
 pub mod raft;
 
 mod correlation;
+mod device;
 mod dinov2;
 #[cfg(test)]
 mod fixture;
@@ -31,6 +32,11 @@ mod padding;
 
 pub use burn_core::tensor::Device;
 pub use depth_anything::{DepthAnything, DisparityError};
+pub use device::cpu;
+#[cfg(feature = "cuda")]
+pub use device::cuda;
+#[cfg(feature = "gpu")]
+pub use device::gpu;
 pub use dinov2::BackboneSize;
 pub use droid::{DroidError, DroidMemory, DroidNet};
 pub use flow::{Flow, FlowError};
@@ -39,9 +45,3 @@ pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;
-
-/// The processor: all cores of the thread pool that is current where a network is called.
-#[must_use]
-pub fn cpu() -> Device {
-    Device::flex()
-}

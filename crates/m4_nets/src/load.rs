@@ -2,6 +2,8 @@
 
 use burn_store::{KeyRemapper, ModuleSnapshot, ModuleStore, PyTorchToBurnAdapter, PytorchStore, SafetensorsStore};
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Why a network could not be loaded.
@@ -64,14 +66,15 @@ enum Store {
 }
 
 impl Store {
-    /// The checkpoint at `path` under other names: safetensors where the file's name ends so, else PyTorch's.
+    /// The checkpoint at `path` under other names: safetensors where it begins as one, whatever its name, else PyTorch's.
     fn open(network: &'static str, path: &Path, renames: &[(&str, &str)]) -> Result<Self, LoadError> {
         if !path.is_file() {
             return Err(LoadError::Missing { path: path.to_owned() });
         }
         let names = KeyRemapper::from_patterns(renames.to_vec())
             .map_err(|error| unreadable(network, path, error.to_string()))?;
-        Ok(if path.extension().is_some_and(|end| end == "safetensors") {
+        let begin = beginning(path).map_err(|error| unreadable(network, path, error.to_string()))?;
+        Ok(if is_safetensors(begin) {
             let store = SafetensorsStore::from_file(path)
                 .with_from_adapter(PyTorchToBurnAdapter)
                 .remap(names)
@@ -88,6 +91,25 @@ impl Store {
             Self::PyTorch(Box::new(store))
         })
     }
+}
+
+/// The first bytes of a file; zeros where it has fewer.
+fn beginning(path: &Path) -> std::io::Result<[u8; 9]> {
+    let mut bytes = [0; 9];
+    let mut file = File::open(path)?.take(9);
+    let mut read = 0;
+    while read < bytes.len() {
+        match file.read(&mut bytes[read..])? {
+            0 => break,
+            n => read += n,
+        }
+    }
+    Ok(bytes)
+}
+
+/// Safetensors begin with the length of a JSON object of at most 100 MB.
+fn is_safetensors([length @ .., brace]: [u8; 9]) -> bool {
+    brace == b'{' && u64::from_le_bytes(length) <= 100_000_000
 }
 
 fn unreadable(network: &'static str, path: &Path, reason: String) -> LoadError {
@@ -119,8 +141,7 @@ pub(crate) fn shapes(network: &'static str, path: &Path, renames: &[(&str, &str)
     .map_err(|reason| unreadable(network, path, reason))
 }
 
-/// Fills `module` from the checkpoint at `path`, each tensor once and all of them: safetensors where the name ends so, else
-/// PyTorch's. `renames` are pairs of a regular expression and what it becomes, from the checkpoint's names to the fields';
+/// Fills `module` from the checkpoint at `path`, each tensor once and all of them: safetensors or PyTorch's. `renames` are pairs of a regular expression and what it becomes, from the checkpoint's names to the fields';
 /// `unneeded` tells which tensors may be there without a field (by the new names).
 ///
 /// # Errors

@@ -1,6 +1,6 @@
 //! Frames with their geometry: what training needs.
 
-use crate::{Camera, CompactDepth, CompactMask, RgbImage, Tracks};
+use crate::{Camera, CompactDepth, CompactMask, Plane, RgbImage, Tracks};
 
 /// One posed frame.
 #[derive(Debug, Clone)]
@@ -17,6 +17,8 @@ pub struct CaptureFrame {
     pub depth: Option<CompactDepth>,
     /// What moves; the size may differ from that of `rgb`.
     pub mask: Option<CompactMask>,
+    /// How likely each pixel is to move, 255 = certainly, where somebody estimated that; the size may differ from that of `rgb`.
+    pub motion: Option<Plane<u8>>,
     /// Which held-out camera took it; `None` for training frames.
     pub camera_index: Option<u32>,
 }

@@ -221,6 +221,7 @@ mod tests {
             rgb: Plane::from_fn(5, 4, |x, y| [(x * 10) as u8, (y * 20) as u8, i as u8]),
             depth: Some(Plane::from_fn(10, 8, |x, _| if x == 0 { f32::NAN } else { x as f32 }).into()),
             mask: None,
+            motion: None,
             camera_index: None,
         };
         Capture {

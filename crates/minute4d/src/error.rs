@@ -16,6 +16,7 @@ use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
 use m4_kernels::SimdLevelError;
 use m4_slam::dense::DenseError;
+use m4_slam::megasam::MegasamError;
 use m4_slam::sparse::SparseError;
 use m4_train::TrainError;
 use m4_viewer::FramesError;
@@ -279,6 +280,20 @@ pub enum Error {
         /// What is wrong with them.
         source: Box<m4_nets::LoadError>,
     },
+    /// A network of depth that failed.
+    #[cfg(feature = "nets")]
+    #[error("{source_name} found no depth of frame {frame}: {reason}")]
+    MonoDepth {
+        /// Its name.
+        source_name: String,
+        /// The frame.
+        frame: usize,
+        /// What went wrong.
+        reason: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// MegaSaM's way failed.
+    #[error(transparent)]
+    Megasam(#[from] MegasamError),
     /// A segmenter that needs a network, in a build that has none.
     #[error(
         "this build has no networks, which the segmenter {segmenter} needs: build with the feature `nets`, or use \
@@ -389,7 +404,10 @@ impl Error {
             Self::Sparse(SparseError::Cancelled)
             | Self::Dense(DenseError::Cancelled { .. })
             | Self::Init(InitError::Stopped) => Category::Stopped,
-            Self::Sparse(_) | Self::Dense(_) | Self::Init(_) | Self::Train(_) => Category::BadInput,
+            Self::Megasam(e) if e.is_stop() => Category::Stopped,
+            Self::Sparse(_) | Self::Dense(_) | Self::Megasam(_) | Self::Init(_) | Self::Train(_) => Category::BadInput,
+            #[cfg(feature = "nets")]
+            Self::MonoDepth { .. } => Category::BadInput,
         }
     }
 

@@ -3,7 +3,7 @@
 //! A record is written when work begins and again when it ends, so that a folder always says what is
 //! in it: [`Status::Running`] without a running process means that the process was killed.
 
-use crate::geometry::Confidence;
+use crate::geometry::{Confidence, UsedNetwork};
 use crate::{Error, Settings};
 use m4_io::atomic;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
@@ -254,9 +254,18 @@ pub struct Found {
     /// Points of what moves that were followed, in `tracks.npz`.
     #[serde(default)]
     pub moving_tracks: usize,
-    /// Who measured flow: `classical`, `gmflow`.
+    /// Who found cameras, measured flow and knew depth: `classical`, `gmflow`, `megasam+raft+moge`.
     #[serde(default)]
     pub frontend: String,
+    /// The networks of it, with the licences of their weights.
+    #[serde(default)]
+    pub networks: Vec<UsedNetwork>,
+    /// Frames that were keyframes of the tracking network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub keyframes: Option<Vec<usize>>,
+    /// Units of MegaSaM's own files (disparities whose 98th percentile is 2) a metre, where depth is metric.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub megasam_units_a_metre: Option<f64>,
     /// Who outlined what moves: `none`, `mobilesam`.
     #[serde(default)]
     pub segmenter: String,

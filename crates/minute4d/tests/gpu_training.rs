@@ -72,6 +72,7 @@ fn video() -> (MovingScene, Capture) {
             rgb: Plane::from_fn(w, h, |x, y| [0, 1, 2].map(|c| byte(frame.rgb[c][y * w + x]))),
             depth: Some(Plane::from_fn(w, h, |x, y| depth(y * w + x)).into()),
             mask: None,
+            motion: None,
             camera_index: None,
         }
     });

@@ -46,6 +46,7 @@ fn known() -> (Scratch, Vec<Camera>) {
         rgb: picture(camera),
         depth: None,
         mask: None,
+        motion: None,
         camera_index: None,
     });
     let truth = Capture {

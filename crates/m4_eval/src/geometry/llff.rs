@@ -60,6 +60,7 @@ pub fn llff_truth(text: &str) -> Result<Capture, LlffError> {
             rgb: Plane::filled(0, 0, [0; 3]),
             depth: None,
             mask: None,
+            motion: None,
             camera_index: None,
         })
     };

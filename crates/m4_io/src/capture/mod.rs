@@ -19,6 +19,7 @@
 //!           time                  0..1, first to last training frame; default: the frame's index
 //!           depth_file_path       optional: 16-bit PNG of z-depth, 0 = unknown
 //!           mask_path             optional: 255 = moving
+//!           motion_path           optional: how likely a pixel moves, 255 = certainly; any size
 //!           camera                optional: index of a held-out camera
 //! ```
 //!

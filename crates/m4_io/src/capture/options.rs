@@ -30,11 +30,12 @@ impl Split {
         }
     }
 
-    /// Folders of the pictures, depth maps and masks that are written.
-    pub(super) fn folders(self) -> [&'static str; 3] {
+    /// Folders of the pictures, depth maps, masks and maps of motion that are written.
+    #[must_use]
+    pub fn folders(self) -> [&'static str; 4] {
         match self {
-            Self::Train => ["train", "depth", "mask"],
-            Self::Test => ["test", "test_depth", "test_mask"],
+            Self::Train => ["train", "depth", "mask", "motion"],
+            Self::Test => ["test", "test_depth", "test_mask", "test_motion"],
         }
     }
 }

@@ -83,6 +83,7 @@ struct Entry {
     picture: PathBuf,
     depth: Option<PathBuf>,
     mask: Option<PathBuf>,
+    motion: Option<PathBuf>,
     lens: Lens,
     c2w: Se3<f64>,
     /// 0..1.
@@ -204,6 +205,7 @@ impl Reader {
                 name,
                 depth: frame.depth_file_path.map(|p| self.folder.join(p)),
                 mask: frame.mask_path.map(|p| self.folder.join(p)),
+                motion: frame.motion_path.map(|p| self.folder.join(p)),
                 lens,
                 c2w: self.file.axes.to_opencv(&pose),
                 time,
@@ -294,6 +296,10 @@ impl Reader {
             },
             mask: match &entry.mask {
                 Some(path) => Some(image::read_mask(path).map_err(read)?),
+                None => None,
+            },
+            motion: match &entry.motion {
+                Some(path) => Some(image::read_grey(path).map_err(read)?),
                 None => None,
             },
             camera_index: entry.camera_index,

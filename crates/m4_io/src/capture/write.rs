@@ -61,6 +61,9 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
             }
             let clipped = pictures(folder, frame, entry, unit)?;
             progress.update("write frames", done.fetch_add(1, Ordering::Relaxed) + 1, total, "");
+            if let (Some(path), Some(motion)) = (&entry.motion_path, &frame.motion) {
+                image::write_grey(&folder.join(path), motion)?;
+            }
             Ok(clipped)
         })
         .collect();
@@ -128,11 +131,12 @@ fn entry(
             k.width, k.height
         )));
     }
-    let [picture, depth, mask] = split.folders().map(|folder| format!("{folder}/{index:05}.png"));
+    let [picture, depth, mask, motion] = split.folders().map(|folder| format!("{folder}/{index:05}.png"));
     Ok(Frame {
         file_path: Some(picture),
         depth_file_path: frame.depth.as_ref().map(|_| depth),
         mask_path: frame.mask.as_ref().map(|_| mask),
+        motion_path: frame.motion.as_ref().map(|_| motion),
         time: Some(time),
         camera: frame.camera_index,
         lens: Lens {

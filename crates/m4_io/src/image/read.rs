@@ -147,7 +147,16 @@ pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadImageError
 ///
 /// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
 pub fn read_mask(path: &Path) -> Result<CompactMask, ReadImageError> {
+    Ok(read_grey(path)?.into())
+}
+
+/// Reads the brightness of a picture, 0 to 255.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
+pub fn read_grey(path: &Path) -> Result<Plane<u8>, ReadImageError> {
     let grey = decode(path)?.into_luma8();
     let (width, height) = grey.dimensions();
-    Ok(plane(path, width, height, grey.into_raw())?.into())
+    plane(path, width, height, grey.into_raw())
 }

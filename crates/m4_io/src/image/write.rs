@@ -5,7 +5,7 @@ use crate::atomic;
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
-use m4_scene::{DepthMap, Mask, RgbImage};
+use m4_scene::{DepthMap, Mask, Plane, RgbImage};
 use std::path::Path;
 
 /// Quality of JPEG files, 1 to 100: at 95 the coding error is under that of 8-bit video.
@@ -89,7 +89,16 @@ pub fn write_depth(path: &Path, depth: &DepthMap, unit: f64) -> Result<(), Write
 ///
 /// [`WriteImageError`] for other extensions and when the file system refuses.
 pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), WriteImageError> {
-    save(path, mask.data(), mask.size(), ExtendedColorType::L8)
+    write_grey(path, mask)
+}
+
+/// Writes brightness as an 8-bit PNG.
+///
+/// # Errors
+///
+/// [`WriteImageError`] for other extensions and when the file system refuses.
+pub fn write_grey(path: &Path, grey: &Plane<u8>) -> Result<(), WriteImageError> {
+    save(path, grey.data(), grey.size(), ExtendedColorType::L8)
 }
 
 #[cfg(test)]

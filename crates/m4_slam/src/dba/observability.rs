@@ -35,11 +35,17 @@ impl Observability {
         self.focal >= FOCAL_GATE
     }
 
+    /// Whether the clip shows depth by parallax.
+    #[must_use]
+    pub fn has_parallax(&self) -> bool {
+        self.depth >= DEPTH_GATE
+    }
+
     /// Weight of the depth prior: `base exp(-0.1 h_d)` where there is little parallax, otherwise none. The
     /// published base is 1e-5.
     #[must_use]
     pub fn prior_alpha(&self, base: f64) -> Option<f64> {
-        (self.depth < DEPTH_GATE).then(|| base * (-0.1 * self.depth).exp())
+        (!self.has_parallax()).then(|| base * (-0.1 * self.depth).exp())
     }
 }
 

@@ -37,11 +37,11 @@ pub struct MegasamGeometry {
     pub lens: Intrinsics,
     /// Camera to world, in the unit of [`metric`](Self::metric).
     pub c2w: Vec<Se3<f64>>,
-    /// z-depth at the cropped size of tracking.
+    /// z-depth of the whole pictures, at the size before cutting ([`TrackingSize::scaled`]); what was cut has that of the edge.
     pub depth: Vec<Plane<f32>>,
-    /// How likely each pixel is to stand still, 0..=1, at half that size.
+    /// How likely each cell of the tracker's grid is to stand still, 0..=1.
     pub static_confidence: Vec<Plane<f32>>,
-    /// How much each pixel followed the motion of the camera in the end (the learned certainty u), at half that size.
+    /// How much each pixel followed the motion of the camera in the end (the learned certainty u), at half the cropped size.
     pub certainty: Vec<Plane<f32>>,
     /// True if lengths are metres.
     pub metric: bool,
@@ -57,6 +57,14 @@ pub struct MegasamGeometry {
     pub residual_px: f64,
     /// The loss of consistent depth before each step, of both its stages.
     pub losses: [Vec<f64>; 2],
+}
+
+impl MegasamGeometry {
+    /// How likely each pixel of a whole picture is to stand still, 0..=1, at `width` x `height` pixels.
+    #[must_use]
+    pub fn static_at(&self, frame: usize, width: usize, height: usize) -> Plane<f32> {
+        from_grid(&self.static_confidence[frame], width, height, self.size.scaled)
+    }
 }
 
 /// Cameras, focal length, depth and what stands still, of a clip.
@@ -102,24 +110,24 @@ pub fn reconstruct(
     let budget_bytes = settings.flow_budget_mb.saturating_mul(1_000_000);
     let pairs = measure(frames, &picture, size.cropped, flow, budget_bytes, progress)?;
     let (width, height) = (size.cropped.0 / 2, size.cropped.1 / 2);
-    let on_half = |values: &[f32]| -> Plane<f32> {
-        let plane = Plane::from_fn(grid.width, grid.height, |x, y| values[y * grid.width + x]);
+    let on_grid = |values: &Vec<f32>| Plane::from_fn(grid.width, grid.height, |x, y| values[y * grid.width + x]);
+    let on_half = |plane: &Plane<f32>| -> Plane<f32> {
         if settings.compat {
-            resize_bilinear(&plane, width, height)
+            resize_bilinear(plane, width, height)
         } else {
-            from_grid(&plane, width, height, 2.0)
+            from_grid(plane, width, height, size.cropped)
         }
     };
     let disparity: Vec<Plane<f32>> = (0..frames)
         .map(|frame| match input.prior {
             Some(prior) => prior.halved(frame),
-            None => on_half(&tracked.geometry.disparity[frame]).map(|&d| d.max(LEAST_DISPARITY)),
+            None => on_half(&on_grid(&tracked.geometry.disparity[frame])).map(|&d| d.max(LEAST_DISPARITY)),
         })
         .collect();
-    let static_confidence: Vec<Plane<f32>> = tracked.static_confidence.iter().map(|m| on_half(m)).collect();
+    let static_confidence: Vec<Plane<f32>> = tracked.static_confidence.iter().map(on_grid).collect();
     let uncertainty: Vec<Plane<f32>> = static_confidence
         .iter()
-        .map(|plane| plane.map(|&m| uncertainty_of_static(m)))
+        .map(|plane| on_half(plane).map(|&m| uncertainty_of_static(m)))
         .collect();
     let c2w = tracked.c2w();
     let consistent = optimise(
@@ -155,8 +163,12 @@ fn finish(
         pose
     });
     let depth = consistent.disparity.iter().map(|half| {
-        let full = resize_bilinear(half, size.cropped.0, size.cropped.1);
-        full.map(|&d| (1.0 / (f64::from(d) * unit)) as f32)
+        let cropped = resize_bilinear(half, size.cropped.0, size.cropped.1);
+        let z = |d: f32| (1.0 / (f64::from(d) * unit)) as f32;
+        let (right, bottom) = (size.cropped.0 - 1, size.cropped.1 - 1);
+        Plane::from_fn(size.scaled.0, size.scaled.1, |x, y| {
+            z(cropped.row(y.min(bottom))[x.min(right)])
+        })
     });
     MegasamGeometry {
         size,

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 /// How a clip is tracked. Lengths are pixels of the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct TrackerSettings {
     /// Motion beyond which a frame is taken for a keyframe: 2.
     pub motion_filter_px: f64,

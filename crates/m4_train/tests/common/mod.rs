@@ -50,6 +50,7 @@ pub fn video() -> (MovingScene, Capture) {
                 let z = depth(y * w + x);
                 z > 0.0 && z < 3.2
             })),
+            motion: None,
             camera_index: None,
         }
     });

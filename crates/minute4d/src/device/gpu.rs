@@ -1,7 +1,10 @@
 //! A GPU that was started.
 
+use super::NetworkDevice;
 use super::training::GpuTraining;
 use crate::Error;
+#[cfg(feature = "nets")]
+use m4_gpu::Runtime;
 use m4_gpu::{Choice, Gpu, Renderer, adapters, best};
 use m4_kernels::{Frame, View};
 use m4_scene::Splats;
@@ -30,6 +33,19 @@ impl OpenGpu {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.gpu.adapter().name
+    }
+
+    /// The same GPU for networks.
+    pub(super) fn for_networks(&self) -> NetworkDevice {
+        NetworkDevice {
+            #[cfg(feature = "nets")]
+            device: match self.gpu.adapter().runtime() {
+                Runtime::Wgpu(device) => m4_nets::gpu(device),
+                #[cfg(feature = "cuda")]
+                Runtime::Cuda(ordinal) => m4_nets::cuda(ordinal),
+            },
+            name: self.name().to_owned(),
+        }
     }
 
     /// Draws `splats` on it.

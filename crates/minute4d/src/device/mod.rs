@@ -2,6 +2,7 @@
 
 #[cfg(feature = "gpu")]
 mod gpu;
+mod network;
 #[cfg(not(feature = "gpu"))]
 mod no_gpu;
 #[cfg(feature = "gpu")]
@@ -11,6 +12,8 @@ mod training;
 pub use gpu::{GpuPainter, OpenGpu};
 #[cfg(not(feature = "gpu"))]
 pub use no_gpu::{GpuPainter, OpenGpu};
+
+pub use network::NetworkDevice;
 
 use crate::Error;
 use std::str::FromStr;

@@ -24,6 +24,10 @@ impl OpenGpu {
         match *self {}
     }
 
+    pub(super) fn for_networks(&self) -> super::NetworkDevice {
+        match *self {}
+    }
+
     /// Draws `splats` on it.
     ///
     /// # Errors

@@ -1,11 +1,14 @@
 //! From frames to a capture.
 
 use super::confidence::{Confidence, Grade};
-use super::frontend::Resolved;
+#[cfg(feature = "nets")]
+use super::frontend::Cameras;
+use super::frontend::{MonoClip, Plan};
 use super::given::Given;
 use super::iterate::{self, Change};
 use super::scale::{depth_ratio, rescale, typical_depth};
 use super::segmenter;
+use crate::device::NetworkDevice;
 use crate::record::Found;
 use crate::{Error, Observer, Settings};
 use m4_io::capture::Split;
@@ -18,21 +21,24 @@ use std::path::Path;
 /// Given poses and given depth whose units differ by more than this factor do not fit.
 const UNITS: f64 = 1.25;
 
+/// A clip and what the user knows of it.
+pub(super) struct Clip {
+    pub video: Video,
+    pub given: Given,
+    /// The focal length in pixels of the frames that settings or the file state.
+    pub focal_px: Option<f64>,
+}
+
 /// Reads the clip, finds geometry and writes the capture into `folder`.
 pub(super) fn compute(
     input: &Path,
     folder: &Path,
     settings: &Settings,
-    frontend: &Resolved,
+    plan: &Plan,
     segmenter: &segmenter::Resolved,
+    device: &NetworkDevice,
     observer: &dyn Observer,
 ) -> Result<Found, Error> {
-    let flow = frontend.load(&settings.dense.flow)?;
-    let outlines = segmenter.load()?;
-    let sources = Sources {
-        segmenter: outlines.as_deref(),
-        ..Sources::flow(flow.as_ref())
-    };
     let video = m4_io::video::read(input, &settings.video, observer)?;
     for warning in &video.warnings {
         observer.warn(warning);
@@ -42,17 +48,46 @@ pub(super) fn compute(
         config.focal_px = video.focal_px;
     }
     let width = video.frames.first().map_or(0, |f| f.rgb.width());
-    let given = Given::read(
-        &settings.geometry,
-        input,
-        &video,
-        settings.video.folder_fps,
-        focal_px(&config, width),
-    )?;
+    let focal_px = focal_px(&config, width);
+    let given = Given::read(&settings.geometry, input, &video, settings.video.folder_fps, focal_px)?;
     if let Some(lens) = given.lens {
         config.intrinsics = Some([lens.fx, lens.fy, lens.cx, lens.cy]);
     }
+    let clip = Clip { video, given, focal_px };
+    #[cfg(feature = "nets")]
+    if plan.cameras == Cameras::Megasam {
+        return super::megasam::compute(clip, folder, settings, plan, device, observer);
+    }
+    by_corners(clip, folder, settings, config, plan, segmenter, device, observer)
+}
+
+/// Cameras from tracked corners.
+fn by_corners(
+    clip: Clip,
+    folder: &Path,
+    settings: &Settings,
+    mut config: SparseConfig,
+    plan: &Plan,
+    segmenter: &segmenter::Resolved,
+    device: &NetworkDevice,
+    observer: &dyn Observer,
+) -> Result<Found, Error> {
+    let Clip { video, given, focal_px } = clip;
+    let flow = plan.flow(&settings.dense.flow, settings.megasam.flow_iterations, device)?;
+    let outlines = segmenter.load()?;
     let pictures: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
+    let mono = match &given.depth {
+        Some(_) => None,
+        None => plan.depth(&pictures, focal_px, device, observer)?,
+    };
+    if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
+        config.geometry.default_fov_deg = fov_rad.to_degrees();
+    }
+    let sources = Sources {
+        segmenter: outlines.as_deref(),
+        ..Sources::flow(flow.as_ref())
+    };
+    let depth = Depth::of(&given, mono);
     let known = Known {
         masks: given.masks.as_deref(),
     };
@@ -66,16 +101,33 @@ pub(super) fn compute(
             (followed.recover(&known, &config, observer)?, Some(followed))
         }
     };
-    finish_sparse(&mut recovered.sparse, &given, observer)?;
-    let mut dense = dense_in_its_unit(&pictures, &recovered.sparse, &sources, &given, settings, observer)?;
+    let posed = given.cameras.is_some();
+    let mut metric = finish_sparse(&mut recovered.sparse, &depth, posed, observer)?;
+    let mut dense = dense_in_its_unit(
+        &pictures,
+        &recovered.sparse,
+        &sources,
+        &given,
+        &depth,
+        settings,
+        observer,
+    )?;
     let mut rounds = 1;
     if let (Some(followed), None) = (followed, &given.masks)
         && let Some(better) = once_more(&followed, &recovered.sparse, &mut dense.frames, &config, observer)?
     {
         drop(dense);
         recovered = better;
-        finish_sparse(&mut recovered.sparse, &given, observer)?;
-        dense = dense_in_its_unit(&pictures, &recovered.sparse, &sources, &given, settings, observer)?;
+        metric = finish_sparse(&mut recovered.sparse, &depth, posed, observer)?;
+        dense = dense_in_its_unit(
+            &pictures,
+            &recovered.sparse,
+            &sources,
+            &given,
+            &depth,
+            settings,
+            observer,
+        )?;
         rounds = 2;
     }
     let sparse = recovered.sparse;
@@ -90,29 +142,46 @@ pub(super) fn compute(
     if let (true, Some(advice)) = (confidence.grade != Grade::Good, &confidence.advice) {
         observer.warn(&format!("geometry is {}: {advice}", confidence.grade.name()));
     }
-    let found = summary(
-        &sparse,
-        &dense,
-        [frontend.name(), segmenter.name()],
-        &given,
-        rounds,
-        confidence,
-    );
+    let found = summary(&sparse, &dense, plan, segmenter.name(), &given, rounds, confidence);
     drop(pictures);
-    let metric = given.depth.is_some();
     let capture = assemble(video, &sparse, dense, metric);
     m4_io::capture::write(folder, &capture, Split::Train, observer)?;
     Ok(found)
 }
 
-/// Says what is doubtful, and takes the unit of what was given.
-fn finish_sparse(sparse: &mut SparseReconstruction, given: &Given, observer: &dyn Observer) -> Result<(), Error> {
+/// Says what is doubtful, and takes the unit of depth that is known; true if lengths are metres then.
+fn finish_sparse(
+    sparse: &mut SparseReconstruction,
+    depth: &Depth<'_>,
+    posed: bool,
+    observer: &dyn Observer,
+) -> Result<bool, Error> {
     for warning in &sparse.warnings {
         observer.warn(warning);
     }
-    match &given.depth {
-        Some(depth) => to_metres(sparse, depth, given.cameras.is_some(), observer),
-        None => Ok(()),
+    match depth {
+        Depth::Given(maps) => to_metres(sparse, maps, posed, observer).map(|()| true),
+        Depth::Network(mono) => Ok(mono
+            .metric_m()
+            .is_some_and(|maps| !posed && to_metres_by_networks(sparse, maps, observer))),
+        Depth::Unknown => Ok(false),
+    }
+}
+
+/// Brings a reconstruction to the metres of a network's depth; false where too few of its points have any.
+fn to_metres_by_networks(sparse: &mut SparseReconstruction, maps: &[DepthMap], observer: &dyn Observer) -> bool {
+    if sparse.camera_motion != CameraMotion::Parallax {
+        return false;
+    }
+    match depth_ratio(sparse, maps) {
+        Ok(ratio) => {
+            *sparse = rescale(sparse, ratio);
+            true
+        }
+        Err(error) => {
+            observer.warn(&format!("lengths stay without unit: {error}"));
+            false
+        }
     }
 }
 
@@ -194,19 +263,28 @@ fn dense_in_its_unit(
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
     given: &Given,
+    depth: &Depth<'_>,
     settings: &Settings,
     observer: &dyn Observer,
 ) -> Result<Dense, Error> {
-    let unit = if given.cameras.is_some() || given.depth.is_some() {
-        typical_depth(sparse, given.depth.as_deref())
+    let maps = depth.metric_m();
+    let unit = if given.cameras.is_some() || maps.is_some() {
+        typical_depth(sparse, maps)
     } else {
         1.0
     };
     let scaled = (unit != 1.0).then(|| rescale(sparse, 1.0 / unit));
-    let sensor = given.depth.as_deref().map(|maps| SensorDepth {
-        maps: maps.iter().map(|map| map.map(|z| z / unit as f32)).collect(),
-    });
-    let mono: &dyn MonoDepth = sensor.as_ref().map_or(&NoDepth, |sensor| sensor);
+    let sensor;
+    let mono: &dyn MonoDepth = match depth {
+        Depth::Given(maps) => {
+            let maps = maps.iter().map(|map| map.map(|z| z / unit as f32)).collect();
+            sensor = SensorDepth { maps };
+            &sensor
+        }
+        // Known up to a factor a frame, or more: in any unit.
+        Depth::Network(mono) => mono,
+        Depth::Unknown => &NoDepth,
+    };
     let known = dense::Given {
         masks: given.masks.as_deref(),
     };
@@ -222,6 +300,34 @@ fn dense_in_its_unit(
     Ok(dense)
 }
 
+/// Who knows depth without parallax.
+enum Depth<'a> {
+    /// The user, metres.
+    Given(&'a [DepthMap]),
+    /// Networks.
+    Network(MonoClip),
+    /// Nobody.
+    Unknown,
+}
+
+impl<'a> Depth<'a> {
+    fn of(given: &'a Given, mono: Option<MonoClip>) -> Self {
+        match (given.depth.as_deref(), mono) {
+            (Some(maps), _) => Self::Given(maps),
+            (None, Some(mono)) => Self::Network(mono),
+            (None, None) => Self::Unknown,
+        }
+    }
+
+    fn metric_m(&self) -> Option<&[DepthMap]> {
+        match self {
+            Self::Given(maps) => Some(maps),
+            Self::Network(mono) => mono.metric_m(),
+            Self::Unknown => None,
+        }
+    }
+}
+
 /// Share of the pixels whose depth was given.
 fn known_share(depth: &[DepthMap]) -> f64 {
     let pixels = depth.iter().map(|d| d.data().len()).sum::<usize>().max(1);
@@ -229,18 +335,31 @@ fn known_share(depth: &[DepthMap]) -> f64 {
     known as f64 / pixels as f64
 }
 
-fn assemble(video: Video, sparse: &SparseReconstruction, dense: Dense, metric: bool) -> Capture {
-    let n = video.frames.len();
-    let first_s = video.frames.first().map_or(0.0, |f| f.time_s);
-    let duration_s = video.frames.last().map_or(0.0, |f| f.time_s) - first_s;
-    let last = n.saturating_sub(1) as f64;
-    let moment = |i: usize, time_s: f64| {
+/// When each frame was taken, seconds.
+pub(super) fn instants(video: &Video) -> Vec<f64> {
+    video.frames.iter().map(|f| f.time_s).collect()
+}
+
+/// The same in frames of the video, 0 to the number of frames less one, and how long it lasts, seconds.
+pub(super) fn moments(video: &Video) -> (Vec<f64>, Option<f64>) {
+    let times_s = instants(video);
+    let (first_s, last_s) = (times_s.first().copied(), times_s.last().copied());
+    let duration_s = last_s.unwrap_or(0.0) - first_s.unwrap_or(0.0);
+    let last = times_s.len().saturating_sub(1) as f64;
+    let moment = |(i, time_s): (usize, &f64)| {
         if duration_s > 0.0 {
-            ((time_s - first_s) / duration_s * last).clamp(0.0, last)
+            ((time_s - first_s.unwrap_or(0.0)) / duration_s * last).clamp(0.0, last)
         } else {
             i as f64
         }
     };
+    let moments = times_s.iter().enumerate().map(moment).collect();
+    (moments, (duration_s > 0.0).then_some(duration_s))
+}
+
+fn assemble(video: Video, sparse: &SparseReconstruction, dense: Dense, metric: bool) -> Capture {
+    let n = video.frames.len();
+    let (moments, duration_s) = moments(&video);
     let frames = video
         .frames
         .into_iter()
@@ -250,16 +369,17 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Dense, metric: b
     let frames = frames.map(|(i, ((frame, dense), camera))| CaptureFrame {
         name: format!("{i:05}"),
         camera: *camera,
-        t: moment(i, frame.time_s),
+        t: moments[i],
         rgb: frame.rgb,
         depth: Some(dense.depth.into()),
         mask: Some(dense.mask.into()),
+        motion: None,
         camera_index: None,
     });
     Capture {
         frames: frames.collect(),
         time_frames: n,
-        duration_s: (duration_s > 0.0).then_some(duration_s),
+        duration_s,
         metric,
         tracks: dense.tracks,
     }
@@ -268,7 +388,8 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Dense, metric: b
 fn summary(
     sparse: &SparseReconstruction,
     dense: &Dense,
-    [frontend, segmenter]: [&str; 2],
+    plan: &Plan,
+    segmenter: &str,
     given: &Given,
     rounds: usize,
     confidence: Confidence,
@@ -297,7 +418,10 @@ fn summary(
         points: sparse.tracks.iter().filter(|t| t.point.is_some()).count(),
         moving_tracks: dense.tracks.as_ref().map_or(0, Tracks::count),
         moving_share: moving as f64 / pixels.max(1) as f64,
-        frontend: frontend.to_owned(),
+        frontend: plan.frontend.to_string(),
+        networks: plan.used.clone(),
+        keyframes: None,
+        megasam_units_a_metre: None,
         segmenter: segmenter.to_owned(),
         given: given.names(),
         rounds,

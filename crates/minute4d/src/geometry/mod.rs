@@ -15,12 +15,14 @@ mod confidence;
 mod frontend;
 mod given;
 mod iterate;
+#[cfg(feature = "nets")]
+mod megasam;
 mod options;
 mod scale;
 mod segmenter;
 
 pub use confidence::{Confidence, Focal, Grade};
-pub use frontend::Frontend;
+pub use frontend::{Frontend, Part as FrontendPart, UnknownFrontend, UsedNetwork};
 pub use given::GivenError;
 pub use options::GeometryOptions;
 pub use segmenter::Segmenter;
@@ -30,8 +32,10 @@ use crate::record::{GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Statu
 use crate::settings::part_to_toml;
 use crate::{Error, Job, StageEvent, hash, progress::Keeper};
 use compute::compute;
+use frontend::Cameras;
 use given::Sources;
 use m4_io::capture::{Split, TRACKS_FILE};
+use m4_scene::Progress;
 use serde::Serialize;
 use std::fs;
 use std::path::Path;
@@ -48,9 +52,14 @@ struct Part<'a> {
     dense: &'a m4_slam::dense::DenseConfig,
     /// What was asked for.
     geometry: &'a GeometryOptions,
-    /// What that came to: the front end's name, and the hash of its weights.
+    /// What that came to: the front end's name, and the hashes of its weights.
     frontend: &'a str,
-    weights: Option<&'a str>,
+    weights: Vec<&'a str>,
+    /// Where it has a way of its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    megasam: Option<&'a m4_slam::megasam::MegasamSettings>,
+    /// Where networks run: another device gives other last bits.
+    device: &'a str,
     /// The same of what outlines what moves.
     segmenter: &'a str,
     segmenter_weights: Option<&'a str>,
@@ -72,15 +81,24 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     }
     let (_lock, earlier) = open(capture, job.existing)?;
     let settings = &job.settings;
-    let frontend = frontend::resolve(settings.geometry.frontend)?;
-    let segmenter = segmenter::resolve(settings.geometry.segmenter)?;
+    let plan = frontend::plan(&settings.geometry.frontend, job.device.choice)?;
+    let asked = match (plan.cameras, settings.geometry.segmenter) {
+        (Cameras::Megasam, Segmenter::Mobilesam) => return Err(GivenError::MasksTwice.into()),
+        (Cameras::Megasam, _) => Segmenter::None,
+        (Cameras::Corners, asked) => asked,
+    };
+    let segmenter = segmenter::resolve(asked)?;
+    let device = job.device.choice.for_networks()?;
+    let name = plan.frontend.to_string();
     let part = Part {
         video: &settings.video,
         sparse: &settings.sparse,
         dense: &settings.dense,
         geometry: &settings.geometry,
-        frontend: frontend.name(),
-        weights: frontend.weights_hash(),
+        frontend: &name,
+        weights: plan.hashes(),
+        megasam: (plan.cameras == Cameras::Megasam).then_some(&settings.megasam),
+        device: device.name(),
         segmenter: segmenter.name(),
         segmenter_weights: segmenter.weights_hash(),
         given: Sources::of(&settings.geometry)?,
@@ -116,7 +134,10 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     record.write(capture)?;
     job.observer.stage(STAGE, StageEvent::Started { because });
     let (start, keeper) = (Instant::now(), Keeper::new(job.observer));
-    let outcome = compute(input, capture, settings, &frontend, &segmenter, &keeper);
+    for note in &plan.notes {
+        keeper.warn(note);
+    }
+    let outcome = compute(input, capture, settings, &plan, &segmenter, &device, &keeper);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
     let failed = match outcome {
@@ -192,7 +213,7 @@ pub(crate) fn clear(capture: &Path) -> Result<(), Error> {
         return Ok(());
     }
     folder::remove_file(&capture.join(Split::Train.file_name()))?;
-    for name in ["train", "depth", "mask"] {
+    for name in Split::Train.folders() {
         let path = capture.join(name);
         match fs::remove_dir_all(&path) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(Error::Write { path, source }),

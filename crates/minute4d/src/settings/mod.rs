@@ -13,6 +13,7 @@ use m4_init::InitConfig;
 use m4_io::capture::CaptureOptions;
 use m4_io::video::VideoOptions;
 use m4_slam::dense::DenseConfig;
+use m4_slam::megasam::MegasamSettings;
 use m4_slam::sparse::SparseConfig;
 use m4_train::TrainConfig;
 use serde::{Deserialize, Serialize};
@@ -31,6 +32,8 @@ pub struct Settings {
     pub sparse: SparseConfig,
     /// Depth and masks.
     pub dense: DenseConfig,
+    /// MegaSaM's way, where the front end is its own.
+    pub megasam: MegasamSettings,
     /// The first splats.
     pub init: InitConfig,
     /// Optimisation.
@@ -75,6 +78,7 @@ impl Settings {
             geometry: GeometryOptions::default(),
             sparse: SparseConfig::default(),
             dense: DenseConfig::default(),
+            megasam: MegasamSettings::default(),
             init: InitConfig::fast(),
             train: TrainConfig::fast(),
             checkpoint: CheckpointConfig::default(),

@@ -132,7 +132,7 @@ const IMAGE_MASKS: &str = "motion masks: refinement frame by frame";
 const LPIPS: &str = "LPIPS, the perceptual distance of tables";
 
 /// In the order of `minute4d weights list`.
-const ALL: [Entry; 22] = [
+const ALL: [Entry; 24] = [
     packed(
         "gmflow",
         "flownet.pkl",
@@ -241,6 +241,24 @@ const ALL: [Entry; 22] = [
     known(
         "depth-anything-v1-l",
         "depth_anything_vitl14.pth",
+        "Apache-2.0",
+        "relative depth",
+        Origin::Authors {
+            page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints",
+        },
+    ),
+    known(
+        "depth-anything-v1-b",
+        "depth_anything_vitb14.pth",
+        "Apache-2.0",
+        "relative depth",
+        Origin::Authors {
+            page: "the Hugging Face space LiheYoung/Depth-Anything, folder checkpoints",
+        },
+    ),
+    known(
+        "depth-anything-v1-s",
+        "depth_anything_vits14.pth",
         "Apache-2.0",
         "relative depth",
         Origin::Authors {

@@ -7,7 +7,7 @@ use minute4d::device::{DeviceChoice, DeviceRequest, UnknownDevice};
 /// Where to train.
 #[derive(Debug, Args)]
 pub struct DeviceArgs {
-    /// Where training steps are taken: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a
+    /// Where training steps are taken and networks run: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a
     /// GPU where there is one that is more than software)
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,

@@ -1,7 +1,9 @@
 //! `minute4d geometry`
 
+use super::device::device;
 use super::{OutArgs, SettingsArgs, VideoArgs};
 use clap::Args;
+use minute4d::device::DeviceChoice;
 use std::path::PathBuf;
 
 /// `minute4d geometry`
@@ -16,6 +18,9 @@ pub struct Geometry {
     /// Which part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
+    /// Where networks run: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
+    pub device: DeviceChoice,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,

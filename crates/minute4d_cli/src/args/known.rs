@@ -1,13 +1,16 @@
 //! Who measures flow and outlines what moves, and what the user knows of a clip.
 
 use clap::{Args, ValueEnum};
+use minute4d::geometry::{Frontend, UnknownFrontend};
 use std::path::PathBuf;
 
 /// Who measures flow and outlines what moves, and what the user knows of a clip.
 #[derive(Debug, Args)]
 pub struct KnownArgs {
-    /// Who measures flow between frames [default: auto]
-    #[arg(long, value_enum)]
+    /// Who finds cameras, measures flow and knows depth: `auto`, or parts joined by `+`: `megasam` (cameras, by a network), `classical`,
+    /// `raft` or `gmflow` (flow), `moge`, `unidepth`, `depth-anything` (depth from one picture); all but `classical` need weights
+    /// (`minute4d weights list`) [default: auto]
+    #[arg(long, value_name = "WORD+WORD", value_parser = frontend)]
     pub frontend: Option<Frontend>,
     /// Who outlines what moves [default: auto]
     #[arg(long, value_enum)]
@@ -26,17 +29,6 @@ pub struct KnownArgs {
     pub depth: Option<PathBuf>,
 }
 
-/// Who measures flow.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Frontend {
-    /// The best that pays on this machine's processor
-    Auto,
-    /// A search that needs no weights
-    Classical,
-    /// A network; `minute4d weights fetch gmflow` gets its weights
-    Gmflow,
-}
-
 /// Who outlines what moves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Segmenter {
@@ -46,4 +38,9 @@ pub enum Segmenter {
     None,
     /// A network; `minute4d weights fetch mobile-sam` gets its weights
     Mobilesam,
+}
+
+/// A front end by its words.
+fn frontend(text: &str) -> Result<Frontend, UnknownFrontend> {
+    text.parse()
 }

@@ -27,7 +27,7 @@ pub use export::{Export, PrecisionArg};
 pub use geometry::Geometry;
 pub use import::Import;
 pub use inspect::Inspect;
-pub use known::{Frontend, KnownArgs, Segmenter};
+pub use known::{KnownArgs, Segmenter};
 pub use render::{FitArg, Render};
 pub use run::Run;
 pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};

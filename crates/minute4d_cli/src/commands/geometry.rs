@@ -16,7 +16,10 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     let asked = settings.geometry.segmenter;
     let job = job(
         &args.settings,
-        DeviceRequest::default(),
+        DeviceRequest {
+            choice: args.device,
+            max_vram_mb: None,
+        },
         &args.existing,
         settings,
         output,
@@ -35,7 +38,11 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
         if let Some(confidence) = &found.confidence {
             output.note(&confidence.words());
         }
-        if cfg!(feature = "nets") && asked == Segmenter::Auto && found.segmenter == Segmenter::None.name() {
+        if cfg!(feature = "nets")
+            && asked == Segmenter::Auto
+            && found.segmenter == Segmenter::None.name()
+            && found.keyframes.is_none()
+        {
             output.note("moving parts are outlined better with MobileSAM: `minute4d weights fetch mobile-sam`");
         }
     }

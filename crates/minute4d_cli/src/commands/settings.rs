@@ -4,7 +4,7 @@ use crate::args::{self, LengthArgs, OutArgs, Profile, SettingsArgs, VideoArgs};
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::device::DeviceRequest;
-use minute4d::geometry::{Frontend, Segmenter};
+use minute4d::geometry::Segmenter;
 use minute4d::settings::{Layers, Preset, Settings};
 use minute4d::{Existing, Job, Observer};
 
@@ -16,16 +16,6 @@ impl Profile {
         match self {
             Self::Fast => "fast",
             Self::Faithful => "faithful",
-        }
-    }
-}
-
-impl From<args::Frontend> for Frontend {
-    fn from(given: args::Frontend) -> Self {
-        match given {
-            args::Frontend::Auto => Self::Auto,
-            args::Frontend::Classical => Self::Classical,
-            args::Frontend::Gmflow => Self::Gmflow,
         }
     }
 }
@@ -103,7 +93,9 @@ fn lay_video(settings: &mut Settings, args: &VideoArgs) {
     settings.sparse.fov_deg = args.fov.or(settings.sparse.fov_deg);
     settings.sparse.static_camera |= args.static_camera;
     let (geometry, known) = (&mut settings.geometry, &args.known);
-    geometry.frontend = known.frontend.map_or(geometry.frontend, Into::into);
+    if let Some(frontend) = &known.frontend {
+        geometry.frontend.clone_from(frontend);
+    }
     geometry.segmenter = known.segmenter.map_or(geometry.segmenter, Into::into);
     geometry.intrinsics = known.intrinsics.clone().or(geometry.intrinsics.take());
     geometry.poses = known.poses.clone().or(geometry.poses.take());

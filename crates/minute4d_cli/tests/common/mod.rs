@@ -184,6 +184,7 @@ fn frame(size: (usize, usize), shift: f64, i: usize, n: usize, held_out: Option<
         rgb,
         depth: held_out.is_none().then(|| depth.into()),
         mask: Some(mask.into()),
+        motion: None,
         camera_index: held_out,
     }
 }

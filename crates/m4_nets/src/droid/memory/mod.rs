@@ -31,7 +31,7 @@ use std::sync::Arc;
 use store::Store;
 
 /// Gives the picture of a frame, by its number in the clip, in the size that the network works with.
-pub type Pictures = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send>;
+pub type Pictures<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
 
 /// How a memory keeps what it keeps.
 #[derive(Debug, Clone)]
@@ -64,16 +64,16 @@ struct Edge {
 }
 
 /// The network's memory of one clip. Frames are numbers in the clip, edges have identities of the caller's choice.
-pub struct DroidMemory {
+pub struct DroidMemory<'a> {
     net: Arc<DroidNet>,
     store: Store<Key>,
-    pictures: Pictures,
+    pictures: Pictures<'a>,
     edges: HashMap<u64, Edge>,
     /// Columns and rows of the pictures, once one was seen.
     size: Option<(usize, usize)>,
 }
 
-impl fmt::Debug for DroidMemory {
+impl fmt::Debug for DroidMemory<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("DroidMemory")
             .field("size", &self.size)
@@ -83,11 +83,11 @@ impl fmt::Debug for DroidMemory {
     }
 }
 
-impl DroidMemory {
+impl<'a> DroidMemory<'a> {
     /// An empty memory. `pictures` is asked for a frame whose first state is needed (that is when it becomes a source), and for
     /// one that was not added.
     #[must_use]
-    pub fn new(net: Arc<DroidNet>, options: MemoryOptions, pictures: Pictures) -> Self {
+    pub fn new(net: Arc<DroidNet>, options: MemoryOptions, pictures: Pictures<'a>) -> Self {
         Self {
             net,
             store: Store::new(options.budget_bytes, options.storage, options.scratch),

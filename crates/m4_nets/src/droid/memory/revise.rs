@@ -36,7 +36,7 @@ pub struct SourceUpdate {
     shared: Tensor<4>,
 }
 
-impl DroidMemory {
+impl DroidMemory<'_> {
     /// One update of `edges`, which are all that start at `source` and take part in this step: damping and static confidence
     /// come from means over them.
     ///

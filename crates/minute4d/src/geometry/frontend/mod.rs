@@ -7,15 +7,17 @@
 //!              --> tracking network, PairFlow, DepthPrior    (megasam.rs)
 //! ```
 
+#[cfg(feature = "nets")]
+mod depth_networks;
+#[cfg(feature = "nets")]
+mod flow;
+mod mono;
 mod plan;
 mod source;
 #[cfg(feature = "nets")]
-mod flow;
-#[cfg(feature = "nets")]
-mod mono;
-#[cfg(feature = "nets")]
 mod tracking;
 
+pub(super) use mono::MonoClip;
 pub use plan::UsedNetwork;
 pub(super) use plan::{Cameras, Plan, plan};
 #[cfg(feature = "nets")]
@@ -198,8 +200,17 @@ mod tests {
     fn words_are_front_ends() {
         let named = |text: &str| text.parse::<Frontend>();
         assert!(named("auto").unwrap().is_auto());
-        assert_eq!(named("gmflow+moge").unwrap(), Frontend::of(vec![Part::Moge, Part::Gmflow]).unwrap());
-        for text in ["auto", "classical", "gmflow+moge", "megasam", "megasam+raft+unidepth+depth-anything"] {
+        assert_eq!(
+            named("gmflow+moge").unwrap(),
+            Frontend::of(vec![Part::Moge, Part::Gmflow]).unwrap()
+        );
+        for text in [
+            "auto",
+            "classical",
+            "gmflow+moge",
+            "megasam",
+            "megasam+raft+unidepth+depth-anything",
+        ] {
             assert_eq!(named(text).unwrap().to_string(), text);
         }
         for wrong in ["", "megasan", "auto+moge", "moge+", "MOGE"] {

@@ -187,20 +187,28 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
         let flow = FLOWS.into_iter().find(|&flow| tracked && here(flow));
         parts.push(flow.unwrap_or(Part::Classical));
     }
-    let has_depth = DEPTHS.iter().flat_map(|depth| depth.iter()).any(|&depth| asked.has(depth));
+    let has_depth = DEPTHS
+        .iter()
+        .flat_map(|depth| depth.iter())
+        .any(|&depth| asked.has(depth));
     if tracked && !has_depth {
         let depth = DEPTHS.iter().find(|depth| depth.iter().all(|&part| here(part)));
         parts.extend(depth.into_iter().flat_map(|depth| depth.iter()));
     }
     if tracked && parts.len() != asked.parts.len() {
         let chosen: Vec<&str> = parts[asked.parts.len()..].iter().map(|p| p.name()).collect();
-        let depth = parts.iter().any(|p| matches!(p.task(), "metric depth" | "relative depth"));
+        let depth = parts
+            .iter()
+            .any(|p| matches!(p.task(), "metric depth" | "relative depth"));
         let without = if depth {
             ""
         } else {
             ", and no depth from one picture (`minute4d weights add moge-2-l FILE` brings one)"
         };
-        notes.push(format!("megasam takes {}{without}: that is what is here", chosen.join(", ")));
+        notes.push(format!(
+            "megasam takes {}{without}: that is what is here",
+            chosen.join(", ")
+        ));
     }
     parts
 }
@@ -250,7 +258,10 @@ mod tests {
         let (all, notes) = parts("megasam", &[Raft, Gmflow, Moge, Unidepth, DepthAnything]);
         assert_eq!(all, "megasam+raft+moge");
         assert!(notes[0].contains("raft, moge"), "{notes:?}");
-        assert_eq!(parts("megasam", &[Gmflow, Unidepth, DepthAnything]).0, "megasam+gmflow+unidepth+depth-anything");
+        assert_eq!(
+            parts("megasam", &[Gmflow, Unidepth, DepthAnything]).0,
+            "megasam+gmflow+unidepth+depth-anything"
+        );
         let (few, notes) = parts("megasam", &[]);
         assert_eq!(few, "megasam+classical");
         assert!(notes[0].contains("no depth"), "{notes:?}");

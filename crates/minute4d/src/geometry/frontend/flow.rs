@@ -1,0 +1,137 @@
+//! Networks as sources of flow.
+
+use m4_nets::{GmFlow, Raft, raft::LowFlow};
+use m4_scene::{Plane, RgbImage};
+use m4_slam::cvd::pairs::{FlowField, FramePair};
+use m4_slam::dense::{Flow, FlowError, FlowPicture, FlowSource};
+use m4_slam::megasam::{PairFlow, PairFlowError};
+use std::collections::HashMap;
+
+const GMFLOW: &str = "gmflow";
+const RAFT: &str = "raft";
+
+type Pair = (m4_nets::Flow, m4_nets::Flow);
+
+fn image(picture: &FlowPicture<'_>) -> RgbImage {
+    Plane::from_fn(picture.width, picture.height, |x, y| picture.rgb[y * picture.width + x])
+}
+
+fn ours(flow: m4_nets::Flow) -> Flow {
+    Flow {
+        width: flow.width,
+        height: flow.height,
+        u: flow.u,
+        v: flow.v,
+    }
+}
+
+fn field(flow: m4_nets::Flow) -> FlowField {
+    FlowField {
+        width: flow.width,
+        height: flow.height,
+        x: flow.u,
+        y: flow.v,
+    }
+}
+
+/// GMFlow; features are made once a pair, for both directions.
+pub struct GmFlowSource(pub GmFlow);
+
+impl GmFlowSource {
+    fn measure(&self, a: &RgbImage, b: &RgbImage) -> Result<Pair, m4_nets::FlowError> {
+        self.0.flow_both(&self.0.encode(a)?, &self.0.encode(b)?)
+    }
+}
+
+/// RAFT; the same.
+pub struct RaftSource {
+    pub net: Raft,
+    pub iterations: usize,
+}
+
+impl RaftSource {
+    fn measure(&self, a: &RgbImage, b: &RgbImage) -> Result<Pair, m4_nets::FlowError> {
+        let (a, b) = (self.net.encode(a)?, self.net.encode(b)?);
+        let [there, back] = self.net.flow_both(&a, &b, self.iterations, None)?;
+        Ok((there.flow, back.flow))
+    }
+}
+
+fn both(
+    name: &'static str,
+    [a, b]: [&FlowPicture<'_>; 2],
+    measure: impl Fn(&RgbImage, &RgbImage) -> Result<Pair, m4_nets::FlowError>,
+) -> Result<(Flow, Flow), FlowError> {
+    let (there, back) = measure(&image(a), &image(b)).map_err(|error| FlowError::Source {
+        source_name: name.to_owned(),
+        reason: Box::new(error),
+    })?;
+    Ok((ours(there), ours(back)))
+}
+
+impl FlowSource for GmFlowSource {
+    fn name(&self) -> &'static str {
+        GMFLOW
+    }
+
+    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
+        both(GMFLOW, [a, b], |a, b| self.measure(a, b))
+    }
+}
+
+impl FlowSource for RaftSource {
+    fn name(&self) -> &'static str {
+        RAFT
+    }
+
+    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
+        both(RAFT, [a, b], |a, b| self.measure(a, b))
+    }
+}
+
+/// RAFT along a clip: a longer step begins with the flow that the shorter one before it found at the same ends.
+pub struct RaftPairs {
+    net: Raft,
+    iterations: usize,
+    /// By the frame that it starts in.
+    there: HashMap<usize, LowFlow>,
+    /// By the frame that it starts in, which is the later one.
+    back: HashMap<usize, LowFlow>,
+}
+
+impl RaftPairs {
+    pub fn new(net: Raft, iterations: usize) -> Self {
+        Self {
+            net,
+            iterations,
+            there: HashMap::new(),
+            back: HashMap::new(),
+        }
+    }
+
+    fn measure(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[FlowField; 2], m4_nets::FlowError> {
+        let begin = match (self.there.get(&pair.source), self.back.get(&pair.target)) {
+            (Some(there), Some(back)) if pair.target > pair.source + 1 => Some([there, back]),
+            _ => None,
+        };
+        let (a, b) = (self.net.encode(a)?, self.net.encode(b)?);
+        let [there, back] = self.net.flow_both(&a, &b, self.iterations, begin)?;
+        self.there.insert(pair.source, there.low);
+        self.back.insert(pair.target, back.low);
+        Ok([field(there.flow), field(back.flow)])
+    }
+}
+
+impl PairFlow for RaftPairs {
+    fn name(&self) -> &'static str {
+        RAFT
+    }
+
+    fn both(&mut self, pair: FramePair, a: &RgbImage, b: &RgbImage) -> Result<[FlowField; 2], PairFlowError> {
+        self.measure(pair, a, b).map_err(|error| PairFlowError {
+            source_frame: pair.source,
+            target_frame: pair.target,
+            reason: Box::new(error),
+        })
+    }
+}

@@ -1,0 +1,107 @@
+//! Flow, loaded.
+
+use super::{MonoClip, Plan};
+use crate::Error;
+use crate::device::NetworkDevice;
+use m4_scene::{Progress, RgbImage};
+use m4_slam::dense::{FlowConfig, FlowSource, InverseSearch};
+
+impl Plan {
+    /// The source of flow; a recurrent network takes `iterations`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::FrontEndLoad`] if weights cannot be used.
+    pub fn flow(
+        &self,
+        config: &FlowConfig,
+        iterations: usize,
+        device: &NetworkDevice,
+    ) -> Result<Box<dyn FlowSource>, Error> {
+        #[cfg(feature = "nets")]
+        if let Some(network) = self.flow_network(iterations, device)? {
+            return Ok(network);
+        }
+        let _ = (iterations, device);
+        Ok(Box::new(InverseSearch { config: config.clone() }))
+    }
+}
+
+impl Plan {
+    /// Depth of every picture from itself alone; `None` where the front end has no network for that. A focal length that is
+    /// known (pixels of the pictures) is given to networks that take one.
+    ///
+    /// # Errors
+    ///
+    /// [`Error`] where a network cannot be loaded or fails, or the user stops.
+    pub fn depth(
+        &self,
+        pictures: &[&RgbImage],
+        focal_px: Option<f64>,
+        device: &NetworkDevice,
+        progress: &dyn Progress,
+    ) -> Result<Option<MonoClip>, Error> {
+        #[cfg(feature = "nets")]
+        return MonoClip::measure(self, pictures, focal_px, &device.device, progress);
+        #[cfg(not(feature = "nets"))]
+        {
+            let _ = (pictures, focal_px, device, progress);
+            Ok(None)
+        }
+    }
+}
+
+#[cfg(feature = "nets")]
+mod networks {
+    use super::super::flow::{GmFlowSource, RaftPairs, RaftSource};
+    use super::super::{Part, Plan};
+    use super::{Error, NetworkDevice};
+    use m4_nets::{GmFlow, LoadError, Raft};
+    use m4_slam::dense::FlowSource;
+    use m4_slam::megasam::PairFlow;
+
+    pub fn unusable(part: Part) -> impl Fn(LoadError) -> Error {
+        move |source| Error::FrontEndLoad {
+            frontend: part.name(),
+            source: Box::new(source),
+        }
+    }
+
+    impl Plan {
+        fn raft(&self, device: &NetworkDevice) -> Result<Option<Raft>, Error> {
+            let file = self.file(Part::Raft);
+            file.map(|path| Raft::load(path, &device.device).map_err(unusable(Part::Raft)))
+                .transpose()
+        }
+
+        pub(super) fn flow_network(
+            &self,
+            iterations: usize,
+            device: &NetworkDevice,
+        ) -> Result<Option<Box<dyn FlowSource>>, Error> {
+            if let Some(path) = self.file(Part::Gmflow) {
+                let net = GmFlow::load(path, &device.device).map_err(unusable(Part::Gmflow))?;
+                return Ok(Some(Box::new(GmFlowSource(net))));
+            }
+            let raft = self.raft(device)?;
+            Ok(raft.map(|net| Box::new(RaftSource { net, iterations }) as Box<dyn FlowSource>))
+        }
+
+        /// RAFT along a clip; `None` if flow is somebody else's.
+        ///
+        /// # Errors
+        ///
+        /// [`Error::FrontEndLoad`] if its weights cannot be used.
+        pub fn raft_pairs(
+            &self,
+            iterations: usize,
+            device: &NetworkDevice,
+        ) -> Result<Option<Box<dyn PairFlow>>, Error> {
+            let raft = self.raft(device)?;
+            Ok(raft.map(|net| Box::new(RaftPairs::new(net, iterations)) as Box<dyn PairFlow>))
+        }
+    }
+}
+
+#[cfg(feature = "nets")]
+pub(super) use networks::unusable;

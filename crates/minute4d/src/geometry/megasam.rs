@@ -1,0 +1,168 @@
+//! From frames to a capture by MegaSaM's networks.
+
+use super::compute::{Clip, instants, moments};
+use super::frontend::{MonoClip, NetworkCorrespondence, Plan};
+use super::given::{Given, GivenError};
+use crate::device::NetworkDevice;
+use crate::record::Found;
+use crate::{Error, Observer, Settings};
+use m4_io::capture::Split;
+use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, RgbImage, Video};
+use m4_slam::megasam::{
+    DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TrackingSize, reconstruct, resize_bilinear,
+};
+use std::path::Path;
+
+/// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (section 1.9).
+const TOO_MUCH_MOTION: f64 = 0.6;
+
+/// Finds geometry of `clip` and writes the capture into `folder`.
+pub(super) fn compute(
+    clip: Clip,
+    folder: &Path,
+    settings: &Settings,
+    plan: &Plan,
+    device: &NetworkDevice,
+    observer: &dyn Observer,
+) -> Result<Found, Error> {
+    let Clip { video, given, focal_px } = clip;
+    if given.cameras.is_some() {
+        return Err(GivenError::CamerasTwice.into());
+    }
+    let pictures: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
+    let full = pictures.first().map_or((0, 0), |p| p.size());
+    let size = TrackingSize::new(full, settings.megasam.tracking_pixels)?;
+    let known_focal_px = given.lens.map(|lens| lens.fx).or(focal_px);
+    let mono = match &given.depth {
+        Some(_) => None,
+        None => plan.depth(&pictures, known_focal_px, device, observer)?,
+    };
+    let prior = match (&given.depth, &mono) {
+        (Some(maps), _) => Some(DepthPrior::metric(maps, &size)?),
+        (None, Some(mono)) => Some(mono.prior(&size)?),
+        (None, None) => None,
+    };
+    let fov_rad = mono.as_ref().and_then(|m: &MonoClip| m.fov_rad);
+    drop(mono);
+    let lens = given.lens.unwrap_or_else(|| {
+        let fov_rad = fov_rad.unwrap_or(settings.megasam.default_fov_deg.to_radians());
+        let of_fov = 0.5 * full.0 as f64 / (0.5 * fov_rad).tan();
+        Intrinsics::centred(full.0, full.1, known_focal_px.unwrap_or(of_fov))
+    });
+    let times_s: Vec<f64> = instants(&video);
+    let masks = given.masks.as_deref();
+    let budget_mb = settings.megasam.memory_budget_mb;
+    let mut network = NetworkCorrespondence::load(plan, &pictures, masks, size, budget_mb, &device.device)?;
+    let iterations = settings.megasam.flow_iterations;
+    let source;
+    let mut flow: Box<dyn PairFlow + '_> = match plan.raft_pairs(iterations, device)? {
+        Some(raft) => raft,
+        None => {
+            source = plan.flow(&settings.dense.flow, iterations, device)?;
+            Box::new(SourceFlow(source.as_ref()))
+        }
+    };
+    let input = MegasamInput {
+        pictures: &pictures,
+        times_s: &times_s,
+        lens,
+        focal_is_free: known_focal_px.is_none(),
+        prior: prior.as_ref(),
+    };
+    let geometry = reconstruct(&input, &mut network, flow.as_mut(), &settings.megasam, observer)?;
+    drop((network, flow, prior));
+    warn(&geometry, known_focal_px.is_some() || fov_rad.is_some(), observer);
+    let tau = settings.megasam.tau_motion;
+    drop(pictures);
+    let capture = assemble(video, &geometry, &given, tau);
+    let found = summary(&capture, &geometry, plan, &given);
+    if found.moving_share > TOO_MUCH_MOTION {
+        observer.warn(&format!(
+            "{:.0} % of all pixels count as moving; if that is wrong, `megasam.tau_motion` (now {tau}) is too low for this clip",
+            100.0 * found.moving_share
+        ));
+    }
+    m4_io::capture::write(folder, &capture, Split::Train, observer)?;
+    Ok(found)
+}
+
+fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Observer) {
+    if !geometry.observability.has_parallax() {
+        observer
+            .warn("the camera hardly moves aside: depth is that of one picture, and views from aside will be wrong");
+    }
+    if !geometry.focal_adjusted && !focal_is_known {
+        observer.warn("the clip does not tell its focal length; a usual one was taken: --fov or --focal sets it");
+    }
+}
+
+fn assemble(video: Video, geometry: &MegasamGeometry, given: &Given, tau: f64) -> Capture {
+    let n = video.frames.len();
+    let (moments, duration_s) = moments(&video);
+    let frames = video.frames.into_iter().enumerate().map(|(i, frame)| {
+        let (w, h) = geometry.size.scaled;
+        let motion = geometry.static_at(i, w, h).map(|&m| 1.0 - m.clamp(0.0, 1.0));
+        let mask = match &given.masks {
+            Some(masks) => masks[i].clone().into(),
+            None => mask(&motion, frame.rgb.size(), tau),
+        };
+        CaptureFrame {
+            name: format!("{i:05}"),
+            camera: Camera {
+                intrinsics: geometry.lens,
+                c2w: geometry.c2w[i],
+            },
+            t: moments[i],
+            rgb: frame.rgb,
+            depth: Some(DepthMap::clone(&geometry.depth[i]).into()),
+            mask: Some(mask),
+            motion: Some(motion.map(|p| (255.0 * p).round() as u8)),
+            camera_index: None,
+        }
+    });
+    Capture {
+        frames: frames.collect(),
+        time_frames: n,
+        duration_s,
+        metric: geometry.metric,
+        tracks: None,
+    }
+}
+
+/// What moves, at the size of the picture.
+fn mask(motion: &Plane<f32>, (width, height): (usize, usize), tau: f64) -> CompactMask {
+    let full = resize_bilinear(motion, width, height);
+    CompactMask::from_fn(width, height, |x, y| f64::from(full.row(y)[x]) > tau)
+}
+
+fn summary(capture: &Capture, geometry: &MegasamGeometry, plan: &Plan, given: &Given) -> Found {
+    let lens = geometry.lens;
+    let pixels = lens.width * lens.height * capture.frames.len();
+    let masks = capture.frames.iter().filter_map(|f| f.mask.as_ref());
+    let moving: usize = masks.map(CompactMask::count).sum();
+    Found {
+        frames: capture.frames.len(),
+        size: [lens.width, lens.height],
+        focal_px: lens.fx,
+        fov_deg: lens.horizontal_fov_rad().to_degrees(),
+        camera_motion: if geometry.observability.has_parallax() {
+            "parallax"
+        } else {
+            "rotation_only"
+        }
+        .to_owned(),
+        residual_px: geometry.residual_px,
+        tracks: 0,
+        points: 0,
+        moving_tracks: 0,
+        moving_share: moving as f64 / pixels.max(1) as f64,
+        frontend: plan.frontend.to_string(),
+        networks: plan.used.clone(),
+        keyframes: Some(geometry.keyframes.clone()),
+        megasam_units_a_metre: geometry.metric.then_some(geometry.norm),
+        segmenter: "none".to_owned(),
+        given: given.names(),
+        rounds: 1,
+        confidence: None,
+    }
+}
