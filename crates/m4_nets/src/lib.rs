@@ -13,19 +13,26 @@
 //! No weights are part of the repository, and this crate fetches none: `minute4d weights` does.
 #![forbid(unsafe_code)]
 
+pub mod depth_anything;
 pub mod gmflow;
 pub mod mobile_sam;
 pub mod raft;
 
 mod correlation;
+mod dinov2;
+#[cfg(test)]
+mod fixture;
 mod flow;
 mod load;
 mod ops;
 mod padding;
 
 pub use burn_core::tensor::Device;
+pub use depth_anything::{DepthAnything, DisparityError};
+pub use dinov2::BackboneSize;
 pub use flow::{Flow, FlowError};
 pub use gmflow::GmFlow;
+
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 pub use raft::Raft;

@@ -1,6 +1,7 @@
 //! Checkpoints, read strictly.
 
 use burn_store::{KeyRemapper, ModuleSnapshot, ModuleStore, PyTorchToBurnAdapter, PytorchStore, SafetensorsStore};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Why a network could not be loaded.
@@ -56,6 +57,68 @@ fn differences(missing: &[String], unused: &[String], wrong: &[String]) -> Strin
     .join(", ")
 }
 
+/// A checkpoint that was opened.
+enum Store {
+    Safetensors(Box<SafetensorsStore>),
+    PyTorch(Box<PytorchStore>),
+}
+
+impl Store {
+    /// The checkpoint at `path` under other names: safetensors where the file's name ends so, else PyTorch's.
+    fn open(network: &'static str, path: &Path, renames: &[(&str, &str)]) -> Result<Self, LoadError> {
+        if !path.is_file() {
+            return Err(LoadError::Missing { path: path.to_owned() });
+        }
+        let names = KeyRemapper::from_patterns(renames.to_vec())
+            .map_err(|error| unreadable(network, path, error.to_string()))?;
+        Ok(if path.extension().is_some_and(|end| end == "safetensors") {
+            let store = SafetensorsStore::from_file(path)
+                .with_from_adapter(PyTorchToBurnAdapter)
+                .remap(names)
+                .map_indices_contiguous(false)
+                .allow_partial(true)
+                .validate(false);
+            Self::Safetensors(Box::new(store))
+        } else {
+            let store = PytorchStore::from_file(path)
+                .remap(names)
+                .map_indices_contiguous(false)
+                .allow_partial(true)
+                .validate(false);
+            Self::PyTorch(Box::new(store))
+        })
+    }
+}
+
+fn unreadable(network: &'static str, path: &Path, reason: String) -> LoadError {
+    LoadError::Unreadable {
+        path: path.to_owned(),
+        network,
+        reason,
+    }
+}
+
+/// Shapes by name.
+pub(crate) type Shapes = BTreeMap<String, Vec<usize>>;
+
+/// The shapes of the tensors of the checkpoint at `path`, by their names after `renames` (as [`fill`] has them), without reading
+/// the numbers.
+///
+/// # Errors
+///
+/// [`LoadError`] if the file cannot be read.
+pub(crate) fn shapes(network: &'static str, path: &Path, renames: &[(&str, &str)]) -> Result<Shapes, LoadError> {
+    let tensors = |tensors: &BTreeMap<String, burn_store::burn_pack::Tensor>| -> Shapes {
+        let shape = |t: &burn_store::burn_pack::Tensor| t.shape.to_vec();
+        tensors.iter().map(|(name, t)| (name.clone(), shape(t))).collect()
+    };
+    match &mut Store::open(network, path, renames)? {
+        Store::Safetensors(store) => store.get_all_tensors().map(tensors).map_err(|e| e.to_string()),
+        Store::PyTorch(store) => store.get_all_tensors().map(tensors).map_err(|e| e.to_string()),
+    }
+    .map_err(|reason| unreadable(network, path, reason))
+}
+
 /// Fills `module` from the checkpoint at `path`, each tensor once and all of them: safetensors where the name ends so, else
 /// PyTorch's. `renames` are pairs of a regular expression and what it becomes, from the checkpoint's names to the fields';
 /// `unneeded` tells which tensors may be there without a field (by the new names).
@@ -70,31 +133,11 @@ pub(crate) fn fill<M: ModuleSnapshot>(
     renames: &[(&str, &str)],
     unneeded: impl Fn(&str) -> bool,
 ) -> Result<(), LoadError> {
-    if !path.is_file() {
-        return Err(LoadError::Missing { path: path.to_owned() });
+    let result = match &mut Store::open(network, path, renames)? {
+        Store::Safetensors(store) => store.apply_to(module).map_err(|error| error.to_string()),
+        Store::PyTorch(store) => store.apply_to(module).map_err(|error| error.to_string()),
     }
-    let unreadable = |reason: String| LoadError::Unreadable {
-        path: path.to_owned(),
-        network,
-        reason,
-    };
-    let names = KeyRemapper::from_patterns(renames.to_vec()).map_err(|error| unreadable(error.to_string()))?;
-    let result = if path.extension().is_some_and(|end| end == "safetensors") {
-        let mut store = SafetensorsStore::from_file(path)
-            .with_from_adapter(PyTorchToBurnAdapter)
-            .remap(names)
-            .map_indices_contiguous(false)
-            .allow_partial(true)
-            .validate(false);
-        store.apply_to(module).map_err(|error| unreadable(error.to_string()))?
-    } else {
-        let mut store = PytorchStore::from_file(path)
-            .remap(names)
-            .map_indices_contiguous(false)
-            .allow_partial(true)
-            .validate(false);
-        store.apply_to(module).map_err(|error| unreadable(error.to_string()))?
-    };
+    .map_err(|reason| unreadable(network, path, reason))?;
     let unused: Vec<String> = result.unused.into_iter().filter(|name| !unneeded(name)).collect();
     if result.missing.is_empty() && unused.is_empty() && result.errors.is_empty() && result.skipped.is_empty() {
         return Ok(());

@@ -2,10 +2,14 @@
 
 mod convex;
 mod gelu;
+mod picture;
+mod resample;
 mod statistics;
 
 pub use convex::{convex_upsample, neighbours};
 pub use gelu::gelu;
+pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};
+pub use resample::{Kernels, resampled};
 pub use statistics::Statistics;
 
 use burn_core::module::Param;

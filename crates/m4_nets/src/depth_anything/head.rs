@@ -1,0 +1,226 @@
+//! The head (DPT): the maps of four blocks at four sizes, fused from coarse to fine.
+//!
+//! ```text
+//! 4 maps [c, h, w] --1 x 1--> x 4, x 2, x 1, x 1/2 --3 x 3--> 4 levels --fusion 4, 3, 2, 1--> [f, 8 h, 8 w]
+//!     --3 x 3, bilinear to 14 h x 14 w, 3 x 3, 1 x 1--> [1, 14 h, 14 w]
+//! ```
+//!
+//! Bilinear is corner on corner here.
+
+use crate::dinov2::{BackboneSize, PATCH, Tap};
+use crate::ops::conv;
+use burn_core as burn;
+use burn_core::module::Module;
+use burn_core::tensor::activation::relu;
+use burn_core::tensor::module::interpolate;
+use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions};
+use burn_core::tensor::{Device, Tensor};
+use burn_nn::Initializer;
+use burn_nn::conv::{Conv2d, ConvTranspose2d, ConvTranspose2dConfig};
+
+/// Names of the checkpoint that are not those of fields.
+pub const RENAMES: [(&str, &str); 6] = [
+    (r"\.resConfUnit([12])\.", ".unit$1."),
+    (r"\.resize_layers\.0\.", ".resize_layers.four_times."),
+    (r"\.resize_layers\.1\.", ".resize_layers.twice."),
+    (r"\.resize_layers\.3\.", ".resize_layers.half."),
+    (r"\.output_conv2\.0\.", ".output_conv2.wide."),
+    (r"\.output_conv2\.2\.", ".output_conv2.last."),
+];
+
+/// Channels of the fused levels, and of the four maps.
+fn channels(size: BackboneSize) -> (usize, [usize; 4]) {
+    match size {
+        BackboneSize::Small => (64, [48, 96, 192, 384]),
+        BackboneSize::Base => (128, [96, 192, 384, 768]),
+        BackboneSize::Large => (256, [256, 512, 1024, 1024]),
+    }
+}
+
+/// Channels before the last convolution.
+const LAST: usize = 32;
+
+/// The head.
+#[derive(Module, Debug)]
+pub struct DepthHead {
+    projects: [Conv2d; 4],
+    resize_layers: ResizeLayers,
+    scratch: Scratch,
+}
+
+/// What brings the maps to their sizes. Named `0`, `1` and `3` in the checkpoint; `2` would change nothing.
+#[derive(Module, Debug)]
+struct ResizeLayers {
+    four_times: ConvTranspose2d,
+    twice: ConvTranspose2d,
+    half: Conv2d,
+}
+
+/// The rest.
+#[derive(Module, Debug)]
+struct Scratch {
+    layer1_rn: Conv2d,
+    layer2_rn: Conv2d,
+    layer3_rn: Conv2d,
+    layer4_rn: Conv2d,
+    refinenet1: Fusion,
+    refinenet2: Fusion,
+    refinenet3: Fusion,
+    refinenet4: Fusion,
+    output_conv1: Conv2d,
+    output_conv2: Output,
+}
+
+/// Named `0` and `2` in the checkpoint.
+#[derive(Module, Debug)]
+struct Output {
+    wide: Conv2d,
+    last: Conv2d,
+}
+
+/// A level and what comes from the coarser ones. The coarsest has no use for `unit1`.
+#[derive(Module, Debug)]
+struct Fusion {
+    out_conv: Conv2d,
+    unit1: Residual,
+    unit2: Residual,
+}
+
+/// Two convolutions beside a shortcut.
+#[derive(Module, Debug)]
+struct Residual {
+    conv1: Conv2d,
+    conv2: Conv2d,
+}
+
+impl Residual {
+    fn new(width: usize, device: &Device) -> Self {
+        let square = || conv([width, width], 3, 1, true, device);
+        Self {
+            conv1: square(),
+            conv2: square(),
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let y = self.conv1.forward(relu(x.clone()));
+        self.conv2.forward(relu(y)) + x
+    }
+}
+
+impl Fusion {
+    fn new(width: usize, device: &Device) -> Self {
+        Self {
+            out_conv: conv([width, width], 1, 1, true, device),
+            unit1: Residual::new(width, device),
+            unit2: Residual::new(width, device),
+        }
+    }
+
+    /// `coarse` with the level `here` (which the coarsest has not), in the size `to`, rows and columns.
+    fn forward(&self, coarse: Tensor<4>, here: Option<Tensor<4>>, to: [usize; 2]) -> Tensor<4> {
+        let x = match here {
+            Some(here) => coarse + self.unit1.forward(here),
+            None => coarse,
+        };
+        // a convolution of single pixels and a mean of pixels may change places: the smaller map is convolved
+        corner_on_corner(self.out_conv.forward(self.unit2.forward(x)), to)
+    }
+}
+
+/// `x` with `size` rows and columns, bilinear, corner on corner.
+fn corner_on_corner(x: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
+    let options = InterpolateOptions::new(InterpolateMode::Bilinear)
+        .with_align_corners(true)
+        .with_output_size(size);
+    interpolate(x, options)
+}
+
+fn larger(channels: usize, times: usize, device: &Device) -> ConvTranspose2d {
+    ConvTranspose2dConfig::new([channels, channels], [times, times])
+        .with_stride([times, times])
+        .with_initializer(Initializer::Zeros)
+        .init(device)
+}
+
+impl DepthHead {
+    pub fn new(size: BackboneSize, device: &Device) -> Self {
+        let (f, maps) = channels(size);
+        let level = |i: usize| conv([maps[i], f], 3, 1, false, device);
+        Self {
+            projects: maps.map(|to| conv([size.width(), to], 1, 1, true, device)),
+            resize_layers: ResizeLayers {
+                four_times: larger(maps[0], 4, device),
+                twice: larger(maps[1], 2, device),
+                half: conv([maps[3], maps[3]], 3, 2, true, device),
+            },
+            scratch: Scratch {
+                layer1_rn: level(0),
+                layer2_rn: level(1),
+                layer3_rn: level(2),
+                layer4_rn: level(3),
+                refinenet1: Fusion::new(f, device),
+                refinenet2: Fusion::new(f, device),
+                refinenet3: Fusion::new(f, device),
+                refinenet4: Fusion::new(f, device),
+                output_conv1: conv([f, f / 2], 3, 1, true, device),
+                output_conv2: Output {
+                    wide: conv([f / 2, LAST], 3, 1, true, device),
+                    last: conv([LAST, 1], 1, 1, true, device),
+                },
+            },
+        }
+    }
+
+    /// Of four maps of `grid` patches (rows, columns): `[b, 1, 14 h, 14 w]`.
+    pub fn forward(&self, maps: [Tap; 4], grid: [usize; 2]) -> Tensor<4> {
+        let [_, _, _, finest] = self.fused(self.levels(maps, grid));
+        let x = self.scratch.output_conv1.forward(finest);
+        let x = corner_on_corner(x, grid.map(|side| side * PATCH));
+        let output = &self.scratch.output_conv2;
+        output.last.forward(relu(output.wide.forward(x)))
+    }
+
+    /// The maps at their sizes, from fine to coarse, all with the same channels.
+    fn levels(&self, maps: [Tap; 4], [h, w]: [usize; 2]) -> [Tensor<4>; 4] {
+        let projected = |i: usize| {
+            let map = maps[i].patches.clone();
+            let [b, _, c] = map.dims();
+            self.projects[i].forward(map.swap_dims(1, 2).reshape([b, c, h, w]))
+        };
+        let (layers, scratch) = (&self.resize_layers, &self.scratch);
+        [
+            scratch.layer1_rn.forward(layers.four_times.forward(projected(0))),
+            scratch.layer2_rn.forward(layers.twice.forward(projected(1))),
+            scratch.layer3_rn.forward(projected(2)),
+            scratch.layer4_rn.forward(layers.half.forward(projected(3))),
+        ]
+    }
+
+    /// Each of `levels` with those coarser than it, from coarse to fine, in the size of the next; the last in twice its own.
+    fn fused(&self, levels: [Tensor<4>; 4]) -> [Tensor<4>; 4] {
+        let size = |x: &Tensor<4>| {
+            let [_, _, h, w] = x.dims();
+            [h, w]
+        };
+        let [level1, level2, level3, level4] = levels;
+        let net = &self.scratch;
+        let path4 = net.refinenet4.forward(level4, None, size(&level3));
+        let to = size(&level2);
+        let path3 = net.refinenet3.forward(path4.clone(), Some(level3), to);
+        let to = size(&level1);
+        let path2 = net.refinenet2.forward(path3.clone(), Some(level2), to);
+        let to = to.map(|side| 2 * side);
+        let path1 = net.refinenet1.forward(path2.clone(), Some(level1), to);
+        [path4, path3, path2, path1]
+    }
+}
+
+#[cfg(test)]
+impl DepthHead {
+    /// The two coarsest paths, for tests.
+    pub fn coarse_paths(&self, maps: [Tap; 4], grid: [usize; 2]) -> [Tensor<4>; 2] {
+        let [path4, path3, _, _] = self.fused(self.levels(maps, grid));
+        [path4, path3]
+    }
+}

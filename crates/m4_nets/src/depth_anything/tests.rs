@@ -1,0 +1,78 @@
+//! Against the authors' module, with weights by a formula.
+
+use super::Net;
+use super::head::RENAMES;
+use crate::cpu;
+use crate::dinov2::{BackboneSize, unneeded};
+use crate::fixture::{Fixture, assert_near, assert_same_tensors, fill_by_formula, normalised};
+use burn_core::tensor::Tensor;
+use burn_core::tensor::activation::relu;
+use m4_testkit::FormulaWeights;
+
+const SMALL: &str = include_str!("../../../../fixtures/depth_anything_v1/vits.keys.txt");
+const BASE: &str = include_str!("../../../../fixtures/depth_anything_v1/vitb.keys.txt");
+const LARGE: &str = include_str!("../../../../fixtures/depth_anything_v1/vitl.keys.txt");
+/// Relative error that the fixture allows; PyTorch's own in 32 bits is 2e-6.
+const LIMIT: f64 = 5e-5;
+/// Rows and columns of patches.
+const GRID: [usize; 2] = [9, 12];
+
+fn of_first_blocks(keys: &str, depth: usize) -> String {
+    let block = |line: &str| -> Option<usize> {
+        let rest = line.strip_prefix("pretrained.blocks.")?;
+        rest.split('.').next()?.parse().ok()
+    };
+    let kept = keys.lines().filter(|line| block(line).is_none_or(|i| i < depth));
+    kept.map(|line| format!("{line}\n")).collect()
+}
+
+/// Maps `[1, c, h, w]` without all channels but every `step`-th.
+fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
+    let [_, c, h, w] = x.dims();
+    x.reshape([c / step, step, h, w])
+        .narrow(1, 0, 1)
+        .reshape([1, c / step, h, w])
+}
+
+fn check(size: BackboneSize, keys: &str, depth: usize, fixture: &Fixture) {
+    let mut net = Net::new(size, depth, &cpu());
+    let weights = FormulaWeights::of_keys(&of_first_blocks(keys, depth));
+    let weights = weights.with("depth_head.scratch.output_conv2.2.bias", &[1.4]);
+    fill_by_formula(&mut net, &weights, &RENAMES, unneeded);
+    let image = normalised(&fixture.picture("image"), &cpu());
+    let taps: [usize; 4] = std::array::from_fn(|i| depth - 4 + i);
+    let maps = net.pretrained.taps(image.clone(), taps);
+    let [path4, path3] = net.depth_head.coarse_paths(maps, GRID);
+    assert_near(every(path4, 4), fixture, "path4_strided", LIMIT);
+    assert_near(every(path3, 4), fixture, "path3_strided", LIMIT);
+    let logits = net.logits(image);
+    assert_near(logits.clone(), fixture, "head_logits", LIMIT);
+    let least: f32 = logits.clone().min().into_scalar();
+    assert!(least < 0.0, "the last step has nothing to do");
+    assert_near(relu(logits), fixture, "disparity", LIMIT);
+}
+
+#[test]
+fn the_small_one_agrees_with_the_module() {
+    let fixture = Fixture::open("depth_anything_v1/vits.safetensors");
+    check(BackboneSize::Small, SMALL, 12, &fixture);
+}
+
+#[test]
+fn the_large_one_with_five_blocks_agrees_with_the_module() {
+    let fixture = Fixture::open("depth_anything_v1/vitl_5blocks.safetensors");
+    check(BackboneSize::Large, LARGE, 5, &fixture);
+}
+
+/// The names and shapes of the module are those of the official checkpoints, nothing less and nothing more.
+#[test]
+fn each_size_has_exactly_the_tensors_of_its_checkpoint() {
+    for (size, keys) in [
+        (BackboneSize::Small, SMALL),
+        (BackboneSize::Base, BASE),
+        (BackboneSize::Large, LARGE),
+    ] {
+        let net = Net::new(size, size.depth(), &cpu());
+        assert_same_tensors(&net, keys, &RENAMES, unneeded);
+    }
+}

@@ -1,0 +1,146 @@
+//! What the tests of networks share: the golden fixtures, and checkpoints by the formula.
+
+use crate::load;
+use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tensor};
+use burn_core::tensor::{DType, Device, Tensor};
+use burn_store::{BurnToPyTorchAdapter, KeyRemapper, ModuleSnapshot};
+use m4_scene::RgbImage;
+use m4_testkit::FormulaWeights;
+use safetensors::{Dtype, SafeTensors};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use tempfile::TempDir;
+
+/// A file of the folder of fixtures.
+pub struct Fixture(Vec<u8>);
+
+impl Fixture {
+    pub fn open(name: &str) -> Self {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures");
+        Self(fs::read(folder.join(name)).unwrap())
+    }
+
+    /// Bytes, type and shape of a tensor.
+    fn tensor(&self, name: &str) -> (Vec<u8>, Dtype, Vec<usize>) {
+        let tensors = SafeTensors::deserialize(&self.0).unwrap();
+        let tensor = tensors.tensor(name).unwrap();
+        (tensor.data().to_vec(), tensor.dtype(), tensor.shape().to_vec())
+    }
+
+    /// A tensor of 32-bit numbers, and its shape.
+    pub fn floats(&self, name: &str) -> (Vec<f32>, Vec<usize>) {
+        let (bytes, dtype, shape) = self.tensor(name);
+        assert_eq!(dtype, Dtype::F32, "{name}");
+        let values = bytes.as_chunks::<4>().0.iter().map(|&b| f32::from_le_bytes(b));
+        (values.collect(), shape)
+    }
+
+    /// A tensor of bytes.
+    pub fn bytes(&self, name: &str) -> Vec<u8> {
+        let (bytes, dtype, _) = self.tensor(name);
+        assert_eq!(dtype, Dtype::U8, "{name}");
+        bytes
+    }
+
+    /// A picture of `[3, h, w]` bytes.
+    pub fn picture(&self, name: &str) -> RgbImage {
+        let (_, _, shape) = self.tensor(name);
+        let [3, h, w] = shape[..] else {
+            panic!("{name} is no picture");
+        };
+        let bytes = self.bytes(name);
+        RgbImage::from_fn(w, h, |x, y| [0, 1, 2].map(|c| bytes[(c * h + y) * w + x]))
+    }
+}
+
+/// `max |a - b| / max |b|`; there have to be as many numbers, not all of them zero, and none that is not finite.
+pub fn relative_error(got: &[f32], want: &[f32]) -> f64 {
+    assert_eq!(got.len(), want.len(), "numbers");
+    let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+    assert!(
+        got.iter().chain(want).all(|x| x.is_finite()),
+        "a number that is not finite"
+    );
+    let scale = largest(&mut want.iter().map(|&x| f64::from(x).abs()));
+    assert!(scale > 0.0, "nothing but zeros is wanted");
+    largest(&mut got.iter().zip(want).map(|(&a, &b)| (f64::from(a) - f64::from(b)).abs())) / scale
+}
+
+/// The relative error of a tensor.
+#[track_caller]
+pub fn assert_near<const D: usize>(got: Tensor<D>, fixture: &Fixture, name: &str, limit: f64) {
+    let (want, shape) = fixture.floats(name);
+    let dims = got.dims().into_iter().filter(|&n| n != 1);
+    let wanted = shape.into_iter().filter(|&n| n != 1);
+    assert_eq!(dims.collect::<Vec<_>>(), wanted.collect::<Vec<_>>(), "{name}: shape");
+    let got: Vec<f32> = got.cast(DType::F32).try_into_vec_as().unwrap();
+    let error = relative_error(&got, &want);
+    println!("{name}: {error:.1e}");
+    assert!(error < limit, "{name}: relative error {error:e}, limit {limit:e}");
+}
+
+/// Fills `module` with `weights`.
+pub fn fill_by_formula<M: ModuleSnapshot>(
+    module: &mut M,
+    weights: &FormulaWeights,
+    renames: &[(&str, &str)],
+    unneeded: impl Fn(&str) -> bool,
+) {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    weights.write(&path);
+    load::fill(module, "a network of a test", &path, renames, unneeded).unwrap();
+}
+
+/// Every `step`-th channel, the last axis.
+pub fn every(x: Tensor<2>, step: usize) -> Tensor<2> {
+    let [n, c] = x.dims();
+    x.reshape([n, c / step, step]).narrow(2, 0, 1).squeeze_dim(2)
+}
+
+/// `image` as the backbone takes it, `[1, 3, h, w]`.
+pub fn normalised(image: &RgbImage, device: &Device) -> Tensor<4> {
+    let (w, h) = image.size();
+    tensor(planes(image, IMAGENET_MEAN, IMAGENET_STD), [1, 3, h, w], device)
+}
+
+/// Fails unless the tensors of `module` are those of `keys` (lines of a name and a shape) after `renames`, without those that are
+/// `unneeded`.
+#[track_caller]
+pub fn assert_same_tensors<M: ModuleSnapshot>(
+    module: &M,
+    keys: &str,
+    renames: &[(&str, &str)],
+    unneeded: impl Fn(&str) -> bool,
+) {
+    let tensors = module.collect(None, Some(Box::new(BurnToPyTorchAdapter)), true);
+    let ours: BTreeMap<String, Vec<usize>> = tensors.iter().map(|t| (t.name.clone(), t.shape.to_vec())).collect();
+    let patterns = KeyRemapper::from_patterns(renames.to_vec()).unwrap().to_regex_pairs();
+    let rename = |name: &str| {
+        let renamed = patterns.iter().fold(name.to_owned(), |name, (from, to)| {
+            from.replace_all(&name, to.as_str()).into_owned()
+        });
+        (!unneeded(&renamed)).then_some(renamed)
+    };
+    let theirs: BTreeMap<String, Vec<usize>> = keys
+        .lines()
+        .filter_map(|line| {
+            let mut words = line.split_whitespace();
+            let name = rename(words.next()?)?;
+            Some((name, words.map(|w| w.parse().unwrap()).collect()))
+        })
+        .collect();
+    let missing: Vec<_> = theirs
+        .iter()
+        .filter(|(name, shape)| ours.get(*name) != Some(shape))
+        .collect();
+    let surplus: Vec<_> = ours
+        .iter()
+        .filter(|(name, shape)| theirs.get(*name) != Some(shape))
+        .collect();
+    assert!(
+        missing.is_empty() && surplus.is_empty(),
+        "missing {missing:?}, too many {surplus:?}"
+    );
+}
