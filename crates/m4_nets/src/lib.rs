@@ -17,6 +17,7 @@ pub mod depth_anything;
 pub mod gmflow;
 pub mod mobile_sam;
 pub mod raft;
+pub mod unidepth;
 
 mod correlation;
 mod dinov2;
@@ -36,6 +37,7 @@ pub use gmflow::GmFlow;
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 pub use raft::Raft;
+pub use unidepth::{UniDepth, UniDepthError, UniDepthMap};
 
 /// The processor: all cores of the thread pool that is current where a network is called.
 #[must_use]

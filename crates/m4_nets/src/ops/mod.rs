@@ -3,12 +3,14 @@
 mod convex;
 mod gelu;
 mod picture;
+mod positions;
 mod resample;
 mod statistics;
 
 pub use convex::{convex_upsample, neighbours};
 pub use gelu::gelu;
 pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};
+pub use positions::sine_positions;
 pub use resample::{Kernels, resampled};
 pub use statistics::Statistics;
 
