@@ -139,7 +139,7 @@ fn a_checkpoint_is_read_strictly() {
 
 #[test]
 fn real_weights_are_those_that_are_expected() {
-    let Some(path) = real_weights("unidepth_v2", "model.safetensors") else {
+    let Some(path) = real_weights("unidepth-v2-l", "model.safetensors") else {
         return;
     };
     let net = UniDepth::load(&path, &cpu()).unwrap();

@@ -2,7 +2,7 @@
 //!
 //! - Paper: Teed and Deng, "RAFT: Recurrent All-Pairs Field Transforms for Optical Flow", ECCV 2020; the section numbers in this
 //!   folder are its. The large model, as `MegaSaM` runs it (section 1.7 of the specification of the front end).
-//! - Upstream: princeton-vl/RAFT, BSD-3. Weights: `raft-things.pth`, 5,257,536 learned numbers.
+//! - Upstream: princeton-vl/RAFT, BSD-3. Weights: the entry `raft-things` of `minute4d weights list`, 5,257,536 learned numbers.
 //!
 //! ```text
 //! picture --fnet--> features at 1/8, which are compared;  --cnet--> hidden state and context

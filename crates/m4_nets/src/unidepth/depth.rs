@@ -105,7 +105,7 @@ impl DepthHead {
             };
             x = up.forward(x + rays, h << level, w << level);
             let out = self.depth_mlp[level].forward(x.clone());
-            outs.push(enlarged(map(out, 2 * h << level, 2 * w << level), [14 * h, 14 * w]));
+            outs.push(enlarged(map(out, h << (level + 1), w << (level + 1)), [14 * h, 14 * w]));
         }
         outs.reverse();
         let edges = [(0, 0), (0, 0), (EDGE, EDGE), (EDGE, EDGE)];

@@ -1,7 +1,7 @@
 //! `UniDepth` V2, as first published: metric depth and the camera of one picture.
 //!
 //! - Paper: Piccinelli et al., "UniDepthV2: Universal Monocular Metric Depth Estimation Made Simpler", 2025, after "UniDepth", CVPR 2024.
-//!   This is the network before that paper, of mid 2024: revision `1d0d3c52` of `unidepth-v2-vitl14`, which `MegaSaM` uses.
+//!   This is the network before that paper, of mid 2024: revision `1d0d3c52` of its weights, which `MegaSaM` uses (the entry `unidepth-v2-l` of `minute4d weights list`).
 //! - Upstream: lpiccinelli-eth/UniDepth, code and weights CC BY-NC 4.0: the weights are for non-commercial use alone. What is
 //!   computed here was learned from upstream's code; none of that code is here.
 //!
