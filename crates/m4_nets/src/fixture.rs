@@ -1,13 +1,12 @@
 //! What the tests of networks share: the golden fixtures, and checkpoints by the formula.
 
-use crate::load;
+use crate::load::{self, Shapes};
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tensor};
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_store::{BurnToPyTorchAdapter, KeyRemapper, ModuleSnapshot};
 use m4_scene::RgbImage;
 use m4_testkit::FormulaWeights;
 use safetensors::{Dtype, SafeTensors};
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use tempfile::TempDir;
@@ -115,22 +114,9 @@ pub fn assert_same_tensors<M: ModuleSnapshot>(
     unneeded: impl Fn(&str) -> bool,
 ) {
     let tensors = module.collect(None, Some(Box::new(BurnToPyTorchAdapter)), true);
-    let ours: BTreeMap<String, Vec<usize>> = tensors.iter().map(|t| (t.name.clone(), t.shape.to_vec())).collect();
-    let patterns = KeyRemapper::from_patterns(renames.to_vec()).unwrap().to_regex_pairs();
-    let rename = |name: &str| {
-        let renamed = patterns.iter().fold(name.to_owned(), |name, (from, to)| {
-            from.replace_all(&name, to.as_str()).into_owned()
-        });
-        (!unneeded(&renamed)).then_some(renamed)
-    };
-    let theirs: BTreeMap<String, Vec<usize>> = keys
-        .lines()
-        .filter_map(|line| {
-            let mut words = line.split_whitespace();
-            let name = rename(words.next()?)?;
-            Some((name, words.map(|w| w.parse().unwrap()).collect()))
-        })
-        .collect();
+    let ours: Shapes = tensors.iter().map(|t| (t.name.clone(), t.shape.to_vec())).collect();
+    let mut theirs = renamed(keys, renames);
+    theirs.retain(|name, _| !unneeded(name));
     let missing: Vec<_> = theirs
         .iter()
         .filter(|(name, shape)| ours.get(*name) != Some(shape))
@@ -143,4 +129,18 @@ pub fn assert_same_tensors<M: ModuleSnapshot>(
         missing.is_empty() && surplus.is_empty(),
         "missing {missing:?}, too many {surplus:?}"
     );
+}
+
+/// The shapes of `keys` (lines of a name and a shape) by their names after `renames`.
+pub fn renamed(keys: &str, renames: &[(&str, &str)]) -> Shapes {
+    let patterns = KeyRemapper::from_patterns(renames.to_vec()).unwrap().to_regex_pairs();
+    let line = |line: &str| {
+        let mut words = line.split_whitespace();
+        let name = words.next().unwrap().to_owned();
+        let name = patterns.iter().fold(name, |name, (from, to)| {
+            from.replace_all(&name, to.as_str()).into_owned()
+        });
+        (name, words.map(|w| w.parse().unwrap()).collect())
+    };
+    keys.lines().map(line).collect()
 }

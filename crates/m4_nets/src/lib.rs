@@ -16,6 +16,7 @@
 pub mod depth_anything;
 pub mod gmflow;
 pub mod mobile_sam;
+pub mod moge;
 pub mod raft;
 pub mod unidepth;
 
@@ -36,6 +37,7 @@ pub use gmflow::GmFlow;
 
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
+pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;
 pub use unidepth::{UniDepth, UniDepthError, UniDepthMap};
 

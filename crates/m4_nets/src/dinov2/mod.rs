@@ -102,15 +102,20 @@ impl DinoV2 {
     /// What the blocks `taps` (counted from 0, ascending) give away of pictures `[b, 3, 14 h, 14 w]` that are normalised (ImageNet's mean and
     /// standard deviation). Blocks after the last of them are not run.
     pub fn taps<const N: usize>(&self, pictures: Tensor<4>, taps: [usize; N]) -> [Tap; N] {
-        let mut x = self.tokens(pictures);
-        let mut done = 0;
-        taps.map(|tap| {
-            for block in self.blocks.iter().take(tap + 1).skip(done) {
-                x = block.forward(x.clone());
-            }
-            done = done.max(tap + 1);
-            self.tap(x.clone())
+        let mut run = self.run(pictures);
+        taps.map(|block| {
+            run.through(block);
+            run.tap()
         })
+    }
+
+    /// The same step by step.
+    pub fn run(&self, pictures: Tensor<4>) -> Run<'_> {
+        Run {
+            net: self,
+            x: self.tokens(pictures),
+            done: 0,
+        }
     }
 
     /// Tokens as the first block takes them.
@@ -123,10 +128,29 @@ impl DinoV2 {
         let positions = positions::resized(self.pos_embed.val(), h, w, self.offset).cast(tokens.dtype());
         tokens + positions
     }
+}
 
-    fn tap(&self, x: Tensor<3>) -> Tap {
-        let [_, tokens, _] = x.dims();
-        let x = self.norm.forward(x);
+/// Tokens on their way through the blocks.
+#[derive(Debug)]
+pub struct Run<'a> {
+    net: &'a DinoV2,
+    x: Tensor<3>,
+    done: usize,
+}
+
+impl Run<'_> {
+    /// Runs the blocks up to `block`, counted from 0, and that one too; none if that has been done.
+    pub fn through(&mut self, block: usize) {
+        for block in self.net.blocks.iter().take(block + 1).skip(self.done) {
+            self.x = block.forward(self.x.clone());
+        }
+        self.done = self.done.max(block + 1);
+    }
+
+    /// What is there now, normalised.
+    pub fn tap(&self) -> Tap {
+        let [_, tokens, _] = self.x.dims();
+        let x = self.net.norm.forward(self.x.clone());
         Tap {
             patches: x.clone().narrow(1, 1, tokens - 1),
             class: x.narrow(1, 0, 1).squeeze_dim(1),

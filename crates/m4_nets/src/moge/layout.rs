@@ -1,0 +1,221 @@
+//! How wide and deep the parts of a checkpoint are, as the shapes of its tensors tell.
+
+use crate::load::Shapes;
+
+/// How a level becomes the next, of twice its size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Up {
+    /// A transposed convolution, then one of 3 x 3.
+    Transposed,
+    /// Bilinear, then a convolution of 3 x 3.
+    Bilinear,
+}
+
+/// A level of a stack.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Level {
+    /// Channels of what comes in, where a convolution takes it.
+    pub input: Option<usize>,
+    /// Channels.
+    pub width: usize,
+    /// Channels in the middle of each residual block.
+    pub blocks: Vec<usize>,
+    /// How it becomes the next level; of no meaning in the last.
+    pub up: Up,
+    /// Channels of what goes out, where a convolution makes it.
+    pub output: Option<usize>,
+}
+
+/// A normalisation in residual blocks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Norm {
+    /// Over all channels.
+    Layer,
+    /// Over 32 channels each.
+    Group,
+}
+
+/// The decoder or a head.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StackLayout {
+    /// From small to large maps.
+    pub levels: Vec<Level>,
+    /// Normalisations before and between the convolutions of residual blocks.
+    pub norms: [Option<Norm>; 2],
+}
+
+impl StackLayout {
+    /// Groups of channels that normalisations of a block have.
+    pub fn groups(&self, width: usize, hidden: usize) -> [Option<usize>; 2] {
+        let groups = |norm: Option<Norm>, width: usize| {
+            norm.map(|norm| match norm {
+                Norm::Layer => 1,
+                Norm::Group => (width / 32).max(1),
+            })
+        };
+        [groups(self.norms[0], width), groups(self.norms[1], hidden)]
+    }
+
+    /// Of the stack `name`, its normalisations taken for `kinds` where there are any; `None` if there is none of that name.
+    pub fn in_checkpoint(shapes: &Shapes, name: &str, kinds: [Norm; 2]) -> Option<Self> {
+        let shape = |part: &str| shapes.get(&format!("{name}.{part}.weight"));
+        let side = |part: &str, axis: usize| shape(part).and_then(|shape| shape.get(axis)).copied();
+        let mut levels = Vec::new();
+        let mut below = None;
+        for i in 0.. {
+            let input = side(&format!("input_blocks.{i}"), 1);
+            let width = side(&format!("input_blocks.{i}"), 0).or(below);
+            let Some(width) = width.or_else(|| side(&format!("res_blocks.{i}.0.conv1"), 1)) else {
+                break;
+            };
+            let blocks = (0..)
+                .map_while(|j| side(&format!("res_blocks.{i}.{j}.conv1"), 0))
+                .collect();
+            let transposed = shape(&format!("resamplers.{i}.transposed")).is_some();
+            levels.push(Level {
+                input,
+                width,
+                blocks,
+                up: if transposed { Up::Transposed } else { Up::Bilinear },
+                output: side(&format!("output_blocks.{i}"), 0),
+            });
+            below = side(&format!("resamplers.{i}.conv"), 0);
+            if below.is_none() {
+                break;
+            }
+        }
+        let any = |part: &str| {
+            let end = format!(".{part}.weight");
+            let start = format!("{name}.res_blocks.");
+            shapes.keys().any(|key| key.starts_with(&start) && key.ends_with(&end))
+        };
+        let norms = [
+            any("in_norm").then_some(kinds[0]),
+            any("hidden_norm").then_some(kinds[1]),
+        ];
+        (!levels.is_empty()).then_some(Self { levels, norms })
+    }
+
+    /// Channels of what the levels give away.
+    fn outputs(&self) -> impl Iterator<Item = usize> {
+        self.levels.iter().map(|level| level.output.unwrap_or(level.width))
+    }
+}
+
+/// The whole network, but for the backbone.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Layout {
+    /// Channels of the encoder's map.
+    pub encoder: usize,
+    /// Blocks of the backbone that are tapped.
+    pub taps: usize,
+    pub neck: StackLayout,
+    pub points: StackLayout,
+    pub mask: StackLayout,
+    pub normal: Option<StackLayout>,
+    /// Channels of the layers of the head for scale, its input first.
+    pub scale: Vec<usize>,
+}
+
+/// The most channels that anything may have, far beyond what was published.
+const MOST_CHANNELS: usize = 1 << 14;
+
+impl Layout {
+    /// Of a checkpoint with `shapes` (by the names of fields), `kinds` telling the normalisations of each stack.
+    ///
+    /// # Errors
+    ///
+    /// What is missing or does not fit together.
+    pub fn in_checkpoint(shapes: &Shapes, kinds: impl Fn(&str) -> [Norm; 2]) -> Result<Self, String> {
+        let wide = shapes
+            .iter()
+            .find(|(_, shape)| shape.iter().any(|&n| n > MOST_CHANNELS));
+        if let Some((name, shape)) = wide {
+            return Err(format!("{name} has the shape {shape:?}, which is too large"));
+        }
+        let stack = |name: &str| {
+            let found = StackLayout::in_checkpoint(shapes, name, kinds(name));
+            found.ok_or_else(|| format!("{name} has no level"))
+        };
+        let projection = shapes.get("encoder.output_projections.0.weight");
+        let scale_layer = |i: usize| shapes.get(&format!("scale_head.layers.{i}.weight"));
+        let mut scale: Vec<usize> = Vec::new();
+        for shape in (0..).map_while(scale_layer) {
+            if scale.is_empty() {
+                scale.extend(shape.get(1));
+            }
+            scale.extend(shape.first());
+        }
+        let has_normal = shapes.keys().any(|key| key.starts_with("normal_head."));
+        let layout = Self {
+            encoder: projection
+                .and_then(|shape| shape.first())
+                .copied()
+                .ok_or("encoder.output_projections is missing")?,
+            taps: Self::taps_of(shapes),
+            neck: stack("neck")?,
+            points: stack("points_head")?,
+            mask: stack("mask_head")?,
+            normal: if has_normal { Some(stack("normal_head")?) } else { None },
+            scale,
+        };
+        layout.check()?;
+        Ok(layout)
+    }
+
+    /// Blocks of the backbone that a checkpoint with `shapes` taps.
+    pub fn taps_of(shapes: &Shapes) -> usize {
+        let projection = |i: &usize| shapes.contains_key(&format!("encoder.output_projections.{i}.weight"));
+        (0..).take_while(projection).count()
+    }
+
+    /// Every level takes what it is given.
+    fn check(&self) -> Result<(), String> {
+        let first = |i: usize| if i == 0 { self.encoder } else { 0 };
+        fits(
+            "neck",
+            &self.neck,
+            (0..self.neck.levels.len()).map(|i| Some(first(i) + 2)),
+        )?;
+        let heads = [
+            ("points_head", Some(&self.points), 3),
+            ("mask_head", Some(&self.mask), 1),
+            ("normal_head", self.normal.as_ref(), 3),
+        ];
+        for (name, head, channels) in heads {
+            let Some(head) = head else { continue };
+            let inputs = self.neck.outputs().zip(&head.levels);
+            // without a convolution, the input is added as it is
+            fits(
+                name,
+                head,
+                inputs.map(|(n, level)| (level.input.is_some() || n != level.width).then_some(n)),
+            )?;
+            if head.levels.len() != self.neck.levels.len() || head.outputs().last() != Some(channels) {
+                return Err(format!(
+                    "{name} does not end in {channels} channels of the last level of the neck"
+                ));
+            }
+        }
+        if self.scale.len() < 2 || self.scale.last() != Some(&1) {
+            return Err(format!(
+                "scale_head has the layers {:?}, which do not end in a number",
+                self.scale
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// Fails unless the levels of `stack` take `inputs`.
+fn fits(name: &str, stack: &StackLayout, inputs: impl Iterator<Item = Option<usize>>) -> Result<(), String> {
+    for (i, (level, input)) in stack.levels.iter().zip(inputs).enumerate() {
+        if level.input != input {
+            return Err(format!(
+                "{name}.input_blocks.{i} takes {:?} channels where there are {input:?}",
+                level.input
+            ));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,269 @@
+//! MoGe-2: depth in metres, field of view, mask and normals of one picture.
+//!
+//! - Papers: Wang et al., "MoGe: Unlocking Accurate Monocular Geometry Estimation for Open-Domain Images with Optimal Training
+//!   Supervision", CVPR 2025; "MoGe-2: Accurate Monocular Geometry with Metric Scale and Sharp Details", 2025.
+//! - Upstream: microsoft/MoGe, MIT (its copy of DINOv2 Apache-2.0), weights too.
+//!
+//! ```text
+//! picture --antialiased bilinear--> 14 x 14 patches --DINOv2, four blocks summed--> map, class token
+//! map --neck: 5 levels of doubling size, each told where its pixels are--> 5 maps --heads--> points, mask, normals at 16 x the patches
+//! class token --three layers--> metric scale;  points + mask --one unknown--> focal length, depth offset --> depth in metres
+//! ```
+//!
+//! The number of patches is free. Widths, levels and heads are read off the checkpoint's tensors; what they cannot tell (which blocks are
+//! tapped, how many patches it was trained with, how numbers become points) is read from the `model_config` of the official files, and
+//! is that of the public training configuration where a file has none ([`config::Config::published`]): a quarter of the blocks apart, 1200
+//! to 3600, exponential.
+
+mod config;
+mod encoder;
+mod focal;
+mod layout;
+mod map;
+mod picture;
+mod stack;
+#[cfg(test)]
+mod tests;
+
+pub use map::{MoGeMap, MoGeOptions};
+
+use crate::dinov2::{self, BackboneSize};
+use crate::ops::linear;
+use crate::{LoadError, load};
+use burn_core as burn;
+use burn_core::module::Module;
+use burn_core::tensor::activation::relu;
+use burn_core::tensor::{DType, Device, Tensor};
+use burn_nn::Linear;
+use config::Config;
+use encoder::Encoder;
+use layout::Layout;
+use m4_scene::RgbImage;
+use map::Said;
+use picture::Grid;
+use stack::Stack;
+use std::path::Path;
+
+/// What it is called in messages.
+const NAME: &str = "MoGe-2";
+
+/// Why there is no geometry.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MoGeError {
+    /// The picture has no pixels.
+    #[error("depth needs a picture with pixels")]
+    Empty,
+    /// That many patches cannot be.
+    #[error("a picture can be cut into 1 to {most} patches, not {0}", most = picture::MOST_TOKENS)]
+    Tokens(usize),
+    /// The focal length that was given is none.
+    #[error("a focal length is a positive number of pixels, not {0}")]
+    FocalLength(f64),
+    /// The network sees nothing but sky, or what it cannot tell.
+    #[error("the network finds no depth in this picture: its mask is empty")]
+    NothingValid,
+    /// The points are those of no camera.
+    #[error("no focal length explains the points that the network sees; giving the focal length may help")]
+    NoFocal,
+    /// The network says no scale.
+    #[error("the network says that a unit is {0} metres")]
+    Scale(f32),
+    /// The device failed, for one for lack of memory.
+    #[error("the device that computes depth failed: {0}")]
+    Device(String),
+}
+
+/// The network with its weights.
+#[derive(Debug)]
+pub struct MoGe {
+    net: Net,
+    config: Config,
+    size: BackboneSize,
+    device: Device,
+}
+
+/// Fields as in the checkpoint.
+#[derive(Module, Debug)]
+struct Net {
+    encoder: Encoder,
+    neck: Stack,
+    points_head: Stack,
+    mask_head: Stack,
+    normal_head: Option<Stack>,
+    scale_head: Scale,
+}
+
+/// The head for scale. Its layers are named `0`, `2`, `4` in the checkpoint.
+#[derive(Module, Debug)]
+struct Scale {
+    layers: Vec<Linear>,
+}
+
+/// Names of the checkpoint that are not those of fields.
+const RENAMES: [(&str, &str); 11] = [
+    (r"^model\.", ""),
+    (r"\.resamplers\.(\d+)\.0\.", ".resamplers.$1.transposed."),
+    (r"\.resamplers\.(\d+)\.1\.", ".resamplers.$1.conv."),
+    (r"\.layers\.0\.", ".in_norm."),
+    (r"\.layers\.2\.", ".conv1."),
+    (r"\.layers\.3\.", ".hidden_norm."),
+    (r"\.layers\.5\.", ".conv2."),
+    (r"^scale_head\.0\.", "scale_head.layers.0."),
+    (r"^scale_head\.2\.", "scale_head.layers.1."),
+    (r"^scale_head\.4\.", "scale_head.layers.2."),
+    (r"^scale_head\.6\.", "scale_head.layers.3."),
+];
+
+impl Scale {
+    /// Of the class token `[b, c]`: the logarithm of metres in a unit, `[b, 1]`.
+    fn forward(&self, x: Tensor<2>) -> Tensor<2> {
+        let mut layers = self.layers.iter();
+        let first = layers.next().map(|layer| layer.forward(x.clone()));
+        layers.fold(first.unwrap_or(x), |x, layer| layer.forward(relu(x)))
+    }
+}
+
+/// What the network gives away, on the device.
+struct Outputs {
+    points: Tensor<4>,
+    mask: Tensor<4>,
+    normal: Option<Tensor<4>>,
+    log_scale: Tensor<2>,
+}
+
+impl Net {
+    fn new(size: BackboneSize, layout: &Layout, device: &Device) -> Self {
+        let scale = layout.scale.iter().zip(layout.scale.iter().skip(1));
+        Self {
+            encoder: Encoder::new(size, layout.taps, layout.encoder, device),
+            neck: Stack::new(&layout.neck, device),
+            points_head: Stack::new(&layout.points, device),
+            mask_head: Stack::new(&layout.mask, device),
+            normal_head: layout.normal.as_ref().map(|head| Stack::new(head, device)),
+            scale_head: Scale {
+                layers: scale.map(|(&from, &to)| linear(from, to, true, device)).collect(),
+            },
+        }
+    }
+
+    /// What the neck makes of a picture `[1, 3, 14 h, 14 w]`, from small to large, and the class token.
+    fn features(&self, picture: Tensor<4>, taps: &[usize], grid: Grid) -> (Vec<Tensor<4>>, Tensor<2>) {
+        let (device, dtype) = (picture.device(), picture.dtype());
+        let (map, class) = self.encoder.forward(picture, taps, [grid.down, grid.across]);
+        let places = (0..self.neck.levels()).map(|level| grid.places(level, &device, dtype));
+        let mut inputs: Vec<Tensor<4>> = places.collect();
+        if let Some(first) = inputs.first_mut() {
+            *first = Tensor::cat(vec![map, first.clone()], 1);
+        }
+        (self.neck.forward(&inputs), class)
+    }
+
+    fn forward(&self, picture: Tensor<4>, taps: &[usize], grid: Grid) -> Outputs {
+        let (features, class) = self.features(picture, taps, grid);
+        Outputs {
+            points: self.points_head.last(&features),
+            mask: self.mask_head.last(&features),
+            normal: self.normal_head.as_ref().map(|head| head.last(&features)),
+            log_scale: self.scale_head.forward(class),
+        }
+    }
+}
+
+impl MoGe {
+    /// The network with the weights of the checkpoint at `path`, on `device`: an official `model.pt`, or its tensors as safetensors.
+    ///
+    /// # Errors
+    ///
+    /// [`LoadError`] if the file cannot be read or holds another network.
+    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+        let shapes = load::shapes(NAME, path, &RENAMES)?;
+        let size = BackboneSize::in_checkpoint(&shapes, "encoder.backbone.", NAME, path)?;
+        let other = |wrong: String| LoadError::OtherNetwork {
+            path: path.to_owned(),
+            network: NAME,
+            missing: Vec::new(),
+            unused: Vec::new(),
+            wrong: vec![wrong],
+        };
+        let taps = Layout::taps_of(&shapes);
+        let config = Config::of_checkpoint(path, size, taps).map_err(other)?;
+        let layout = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).map_err(other)?;
+        let rising = config.taps.windows(2).all(|pair| pair[0] < pair[1]);
+        if config.taps.len() != taps || !rising || config.taps.iter().any(|&tap| tap >= size.depth()) {
+            let wrong = format!("blocks {:?} are to be tapped by {taps} projections", config.taps);
+            return Err(other(wrong));
+        }
+        let mut net = Net::new(size, &layout, device);
+        load::fill(&mut net, NAME, path, &RENAMES, dinov2::unneeded)?;
+        Ok(Self {
+            net,
+            config,
+            size,
+            device: device.clone(),
+        })
+    }
+
+    /// The backbone that the checkpoint holds.
+    #[must_use]
+    pub fn size(&self) -> BackboneSize {
+        self.size
+    }
+
+    /// Least and most patches that the network was trained with.
+    #[must_use]
+    pub fn tokens(&self) -> (usize, usize) {
+        self.config.tokens
+    }
+
+    /// Whether [`MoGeMap::normal`] is there.
+    #[must_use]
+    pub fn has_normals(&self) -> bool {
+        self.net.normal_head.is_some()
+    }
+
+    /// Numbers of the checkpoint that are used.
+    #[must_use]
+    pub fn parameters(&self) -> usize {
+        self.net.num_params()
+    }
+
+    /// The geometry of `image`.
+    ///
+    /// # Errors
+    ///
+    /// [`MoGeError`] if the picture has no pixels, an option is out of range, the network finds no depth, or the device fails.
+    pub fn infer(&self, image: &RgbImage, options: &MoGeOptions) -> Result<MoGeMap, MoGeError> {
+        self.said(image, options)?.geometry(options.known_focal_px)
+    }
+
+    /// What the network says of `image`.
+    fn said(&self, image: &RgbImage, options: &MoGeOptions) -> Result<Said, MoGeError> {
+        let tokens = options.tokens.unwrap_or(self.config.tokens.1);
+        let grid = Grid::of(image.width(), image.height(), tokens)?;
+        let out = self
+            .net
+            .forward(grid.tensor(image, &self.device), &self.config.taps, grid);
+        let planes = |x: Tensor<4>| {
+            let [_, _, h, w] = x.dims();
+            numbers(x).map(|values| grid.to_picture(&values, w, h))
+        };
+        let points = planes(out.points)?;
+        let mask = planes(out.mask)?;
+        let normal = out.normal.map(planes).transpose()?;
+        let log_scale = numbers(out.log_scale)?.first().copied().unwrap_or(f32::NAN);
+        Ok(Said::of_planes(
+            image.size(),
+            &points,
+            &mask,
+            normal.as_deref(),
+            self.config.remap,
+            log_scale.exp(),
+        ))
+    }
+}
+
+fn numbers<const D: usize>(x: Tensor<D>) -> Result<Vec<f32>, MoGeError> {
+    let numbers = x.cast(DType::F32).try_into_vec_as();
+    numbers.map_err(|error| MoGeError::Device(error.to_string()))
+}

@@ -1,0 +1,175 @@
+//! The decoder and the heads: maps at sizes that double, each with what comes from the smaller one.
+//!
+//! ```text
+//! level i:  x = enlarged(level i - 1) + 1 x 1(input i);  x = blocks(x);  output i = 1 x 1(x)
+//! ```
+//!
+//! How many levels there are and how wide they are is read off a checkpoint ([`StackLayout`]). Convolutions of 3 x 3 repeat the edges.
+
+use super::layout::{Level, StackLayout, Up};
+use crate::ops::conv;
+use burn_core as burn;
+use burn_core::module::Module;
+use burn_core::tensor::activation::relu;
+use burn_core::tensor::module::interpolate;
+use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions, PadMode};
+use burn_core::tensor::{Device, Tensor};
+use burn_nn::conv::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dConfig};
+use burn_nn::{GroupNorm, GroupNormConfig, Initializer};
+
+/// The decoder or a head.
+#[derive(Module, Debug)]
+pub struct Stack {
+    input_blocks: Vec<Option<Conv2d>>,
+    resamplers: Vec<Enlarge>,
+    res_blocks: Vec<Vec<Residual>>,
+    output_blocks: Vec<Option<Conv2d>>,
+}
+
+/// Twice the rows and columns. Named `0` (which a bilinear step has not) and `1` in the checkpoint.
+#[derive(Module, Debug)]
+struct Enlarge {
+    transposed: Option<ConvTranspose2d>,
+    conv: Conv2d,
+}
+
+/// Two convolutions beside a shortcut. Named `layers.0` (a normalisation, if there is one), `layers.2`, `layers.3`, `layers.5` in the
+/// checkpoint.
+#[derive(Module, Debug)]
+struct Residual {
+    in_norm: Option<GroupNorm>,
+    conv1: Conv2d,
+    hidden_norm: Option<GroupNorm>,
+    conv2: Conv2d,
+}
+
+/// A convolution of 3 x 3 without padding, for [`edged`].
+fn inner(channels: [usize; 2], device: &Device) -> Conv2d {
+    Conv2dConfig::new(channels, [3, 3])
+        .with_initializer(Initializer::Zeros)
+        .init(device)
+}
+
+/// `conv` of `x` with its edges repeated once.
+fn edged(conv: &Conv2d, x: Tensor<4>) -> Tensor<4> {
+    conv.forward(x.pad([(0, 0), (0, 0), (1, 1), (1, 1)], PadMode::Edge))
+}
+
+impl Residual {
+    fn new(width: usize, hidden: usize, groups: [Option<usize>; 2], device: &Device) -> Self {
+        let norm = |groups: Option<usize>, width| groups.map(|n| GroupNormConfig::new(n, width).init(device));
+        Self {
+            in_norm: norm(groups[0], width),
+            conv1: inner([width, hidden], device),
+            hidden_norm: norm(groups[1], hidden),
+            conv2: inner([hidden, width], device),
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let normed = |norm: &Option<GroupNorm>, x: Tensor<4>| match norm {
+            Some(norm) => norm.forward(x),
+            None => x,
+        };
+        let y = edged(&self.conv1, relu(normed(&self.in_norm, x.clone())));
+        edged(&self.conv2, relu(normed(&self.hidden_norm, y))) + x
+    }
+}
+
+impl Enlarge {
+    fn new(up: Up, from: usize, to: usize, device: &Device) -> Self {
+        let twice = ConvTranspose2dConfig::new([from, to], [2, 2]).with_stride([2, 2]);
+        match up {
+            Up::Transposed => Self {
+                transposed: Some(twice.with_initializer(Initializer::Zeros).init(device)),
+                conv: inner([to, to], device),
+            },
+            Up::Bilinear => Self {
+                transposed: None,
+                conv: inner([from, to], device),
+            },
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let x = match &self.transposed {
+            Some(twice) => twice.forward(x),
+            None => {
+                let [_, _, h, w] = x.dims();
+                let options = InterpolateOptions::new(InterpolateMode::Bilinear)
+                    .with_align_corners(false)
+                    .with_output_size([2 * h, 2 * w]);
+                interpolate(x, options)
+            }
+        };
+        edged(&self.conv, x)
+    }
+}
+
+impl Stack {
+    pub fn new(layout: &StackLayout, device: &Device) -> Self {
+        let levels = &layout.levels;
+        let single = |from: usize, to: usize| conv([from, to], 1, 1, true, device);
+        let blocks = |level: &Level| {
+            let block =
+                |&hidden: &usize| Residual::new(level.width, hidden, layout.groups(level.width, hidden), device);
+            level.blocks.iter().map(block).collect()
+        };
+        let ups = levels.iter().zip(levels.iter().skip(1));
+        Self {
+            input_blocks: levels
+                .iter()
+                .map(|l| l.input.map(|from| single(from, l.width)))
+                .collect(),
+            resamplers: ups
+                .map(|(from, to)| Enlarge::new(from.up, from.width, to.width, device))
+                .collect(),
+            res_blocks: levels.iter().map(blocks).collect(),
+            output_blocks: levels.iter().map(|l| l.output.map(|to| single(l.width, to))).collect(),
+        }
+    }
+
+    /// Levels.
+    pub fn levels(&self) -> usize {
+        self.res_blocks.len()
+    }
+
+    /// What every level gives away, of `inputs` `[b, c, 2^i h, 2^i w]`, one for every level.
+    pub fn forward(&self, inputs: &[Tensor<4>]) -> Vec<Tensor<4>> {
+        let mut out: Vec<Tensor<4>> = Vec::with_capacity(inputs.len());
+        let mut below = None;
+        for (i, input) in inputs.iter().enumerate() {
+            let x = self.level(i, below, input.clone());
+            out.push(through(&self.output_blocks[i], x.clone()));
+            below = Some(x);
+        }
+        out
+    }
+
+    /// What the last level gives away, of at least one level.
+    pub fn last(&self, inputs: &[Tensor<4>]) -> Tensor<4> {
+        let (first, rest) = (inputs[0].clone(), inputs.iter().enumerate().skip(1));
+        let x = rest.fold(self.level(0, None, first), |below, (i, input)| {
+            self.level(i, Some(below), input.clone())
+        });
+        through(&self.output_blocks[inputs.len() - 1], x)
+    }
+
+    /// Level `i` out of what is `below` it and its `input`.
+    fn level(&self, i: usize, below: Option<Tensor<4>>, input: Tensor<4>) -> Tensor<4> {
+        let input = through(&self.input_blocks[i], input);
+        let x = match below {
+            Some(below) => self.resamplers[i - 1].forward(below) + input,
+            None => input,
+        };
+        self.res_blocks[i].iter().fold(x, |x, block| block.forward(x))
+    }
+}
+
+/// `single` of `x`, or `x` itself.
+fn through(single: &Option<Conv2d>, x: Tensor<4>) -> Tensor<4> {
+    match single {
+        Some(single) => single.forward(x),
+        None => x,
+    }
+}

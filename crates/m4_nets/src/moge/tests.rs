@@ -1,0 +1,229 @@
+//! Against the authors' module, with weights by a formula and the small backbone.
+
+use super::config::{Config, Remap};
+use super::focal::recovered;
+use super::layout::{Layout, Norm};
+use super::picture::Grid;
+use super::{MoGe, MoGeOptions, Net, RENAMES};
+use crate::dinov2::{BackboneSize, unneeded};
+use crate::fixture::{Fixture, assert_near, assert_same_tensors, relative_error, renamed};
+use crate::{cpu, load};
+use burn_core::tensor::Tensor;
+use burn_store::pytorch_reader::PickleValue;
+use m4_testkit::FormulaWeights;
+use std::path::Path;
+use tempfile::TempDir;
+
+const SMALL: &str = include_str!("../../../../fixtures/moge2/vits_normal.keys.txt");
+const BASE: &str = include_str!("../../../../fixtures/moge2/vitb_normal.keys.txt");
+const LARGE: &str = include_str!("../../../../fixtures/moge2/vitl_normal.keys.txt");
+const LARGE_WITHOUT: &str = include_str!("../../../../fixtures/moge2/vitl.keys.txt");
+/// Relative error that the fixture allows; PyTorch's own in 32 bits is 6e-6.
+const LIMIT: f64 = 1e-4;
+const LIMIT_NORMAL: f64 = 1e-3;
+
+fn network() -> MoGe {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("model.safetensors");
+    let weights = FormulaWeights::of_keys(SMALL)
+        .with("mask_head.output_blocks.4.bias", &[0.3])
+        .scaled("points_head.output_blocks.4.weight", 0.3);
+    weights.write(&path);
+    MoGe::load(&path, &cpu()).unwrap()
+}
+
+/// Maps `[1, c, h, w]` without all channels but every `step`-th.
+fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
+    let [_, c, h, w] = x.dims();
+    x.reshape([c / step, step, h, w])
+        .narrow(1, 0, 1)
+        .reshape([1, c / step, h, w])
+}
+
+#[test]
+fn the_small_one_agrees_with_the_module() {
+    let fixture = Fixture::open("moge2/vits_assumed.safetensors");
+    let net = network();
+    assert_eq!(
+        (net.size(), net.tokens(), net.has_normals()),
+        (BackboneSize::Small, (1200, 3600), true)
+    );
+    assert_eq!(net.parameters(), 36_948_526 - 384);
+    let image = fixture.picture("image");
+    let grid = Grid::of(180, 140, 80).unwrap();
+    assert_eq!((grid.across, grid.down), (10, 8));
+    let picture = grid.tensor(&image, &cpu());
+    assert_near(picture.clone(), &fixture, "image_resized", 1e-5);
+    let taps = &net.config.taps;
+    assert_eq!(taps, &[2, 5, 8, 11]);
+    let (map, class) = net.net.encoder.forward(picture.clone(), taps, [8, 10]);
+    assert_near(every(map, 4), &fixture, "encoder_strided", LIMIT);
+    assert_near(class, &fixture, "cls", LIMIT);
+    let places = grid.places(2, &cpu(), burn_core::tensor::DType::F32);
+    assert_near(places.permute([0, 2, 3, 1]), &fixture, "uv_level2", 1e-5);
+    let (levels, _) = net.net.features(picture, taps, grid);
+    for (i, (level, step)) in levels.into_iter().zip([96, 32, 16, 16, 16]).enumerate() {
+        assert_near(every(level, step), &fixture, &format!("neck{i}_strided"), LIMIT);
+    }
+    let options = MoGeOptions {
+        tokens: Some(80),
+        known_focal_px: None,
+    };
+    let said = net.said(&image, &options).unwrap();
+    let near = |got: &[f32], name: &str, limit: f64| {
+        let error = relative_error(got, &fixture.floats(name).0);
+        println!("{name}: {error:.1e}");
+        assert!(error < limit, "{name}: {error:e}");
+    };
+    near(said.points.as_flattened(), "points", LIMIT);
+    near(&said.mask, "mask", LIMIT);
+    near(&[said.metric_scale], "metric_scale", LIMIT);
+    let unit = |n: &[f32; 3]| n.map(|x| x / n.iter().map(|x| x * x).sum::<f32>().sqrt());
+    let normal: Vec<[f32; 3]> = said.normal.as_ref().unwrap().iter().map(unit).collect();
+    near(normal.as_flattened(), "normal", LIMIT_NORMAL);
+
+    // points of no scene: where the search ends is decided by its rules alone
+    let likely = |i: usize| said.mask[i] > 0.5;
+    let found = recovered(&said.points, likely, (180, 140), None).unwrap();
+    let wanted = |name: &str| f64::from(fixture.floats(name).0[0]);
+    assert!((found.focal / wanted("focal") - 1.0).abs() < 1e-4);
+    assert!((found.shift / wanted("shift") - 1.0).abs() < 1e-4);
+
+    let map = net.infer(&image, &options).unwrap();
+    let intrinsics = fixture.floats("infer_intrinsics").0;
+    assert!(
+        (map.focal_px / 180.0 / f64::from(intrinsics[0]) - 1.0).abs() < 1e-2,
+        "{}",
+        map.focal_px
+    );
+    let (depth, points) = (
+        fixture.floats("infer_depth_strided").0,
+        fixture.floats("infer_points_strided").0,
+    );
+    let (mut checked, ours) = (0, map.points_m());
+    for (i, &want) in depth.iter().enumerate() {
+        let (x, y) = (i % 90, i / 90);
+        if !map.mask[(2 * x, 2 * y)] {
+            assert_eq!(map.depth_m[(2 * x, 2 * y)], 0.0);
+            continue;
+        }
+        checked += 1;
+        assert!((map.depth_m[(2 * x, 2 * y)] / want - 1.0).abs() < 1e-4, "{x}, {y}");
+        if x % 2 == 0 && y % 2 == 0 {
+            let at = 3 * (y / 2 * 45 + x / 2);
+            let apart = ours[(2 * x, 2 * y)]
+                .iter()
+                .zip(&points[at..at + 3])
+                .map(|(a, b)| (a - b).abs());
+            assert!(apart.fold(0.0, f32::max) < 1e-4 * want, "{x}, {y}");
+        }
+    }
+    assert!(
+        checked > depth.len() / 4 && checked < depth.len(),
+        "{checked} of {}",
+        depth.len()
+    );
+}
+
+/// The names and shapes of the module are those of the checkpoints, nothing less and nothing more.
+#[test]
+fn each_model_has_exactly_the_tensors_of_its_checkpoint() {
+    for (size, keys, normal) in [
+        (BackboneSize::Small, SMALL, true),
+        (BackboneSize::Base, BASE, true),
+        (BackboneSize::Large, LARGE, true),
+        (BackboneSize::Large, LARGE_WITHOUT, false),
+    ] {
+        let shapes = renamed(keys, &RENAMES);
+        let config = Config::published(size, 4);
+        let layout = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).unwrap();
+        assert_eq!(layout.normal.is_some(), normal);
+        let net = Net::new(size, &layout, &cpu());
+        assert_same_tensors(&net, keys, &RENAMES, unneeded);
+    }
+}
+
+/// A file as PyTorch writes the official ones, with other settings than were published: `model_config` beside `model`.
+#[test]
+fn an_official_file_says_what_its_tensors_cannot() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/moge2/config.pt");
+    let shapes = load::shapes("MoGe-2", &path, &RENAMES).unwrap();
+    let names: Vec<&str> = shapes.keys().map(String::as_str).collect();
+    assert_eq!(names, ["encoder.backbone.cls_token", "neck.resamplers.3.conv.bias"]);
+    let config = Config::of_checkpoint(&path, BackboneSize::Small, 4).unwrap();
+    assert_eq!(config.taps, [1, 4, 7, 11]);
+    assert_eq!((config.tokens, config.remap), ((900, 2500), Remap::SinhExp));
+    assert_eq!(config.norms("neck"), [Norm::Layer, Norm::Layer]);
+    assert_eq!(config.norms("mask_head"), [Norm::Layer, Norm::Group]);
+    let published = Config::published(BackboneSize::Large, 4);
+    assert_eq!((published.taps, published.tokens), (vec![5, 11, 17, 23], (1200, 3600)));
+}
+
+/// What a configuration may say that is not known here.
+#[test]
+fn an_unknown_setting_is_an_error() {
+    let text = |s: &str| PickleValue::String(s.to_owned());
+    let dict = |key: &str, value: PickleValue| PickleValue::Dict([(key.to_owned(), value)].into());
+    for (said, word) in [
+        (dict("remap_output", text("tanh")), "tanh"),
+        (
+            dict("num_tokens_range", PickleValue::List(vec![PickleValue::Int(5)])),
+            "num_tokens_range",
+        ),
+        (dict("neck", dict("activation", text("silu"))), "silu"),
+        (
+            dict("mask_head", dict("resamplers", text("pixel_shuffle"))),
+            "pixel_shuffle",
+        ),
+        (
+            dict("neck", dict("res_block_in_norm", text("instance_norm"))),
+            "instance_norm",
+        ),
+        (
+            dict("encoder", dict("intermediate_layers", PickleValue::Int(4))),
+            "intermediate_layers",
+        ),
+    ] {
+        let error = Config::published(BackboneSize::Small, 4).read(&said).unwrap_err();
+        assert!(error.contains(word), "{error}");
+    }
+}
+
+#[test]
+fn layouts_that_do_not_fit_are_refused() {
+    let base = renamed(SMALL, &RENAMES);
+    let check = |name: &str, shape: Option<Vec<usize>>, word: &str| {
+        let mut shapes = base.clone();
+        match shape {
+            Some(shape) => shapes.insert(name.to_owned(), shape),
+            None => shapes.remove(name),
+        };
+        let config = Config::published(BackboneSize::Small, 4);
+        let error = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).unwrap_err();
+        assert!(error.contains(word), "{error}");
+    };
+    check(
+        "points_head.output_blocks.4.weight",
+        Some(vec![4, 32, 1, 1]),
+        "points_head does not end in 3",
+    );
+    check("mask_head.output_blocks.4.weight", None, "mask_head does not end in 1");
+    check(
+        "neck.input_blocks.2.weight",
+        Some(vec![128, 3, 1, 1]),
+        "neck.input_blocks.2",
+    );
+    check(
+        "mask_head.input_blocks.1.weight",
+        Some(vec![256, 7, 1, 1]),
+        "mask_head.input_blocks.1",
+    );
+    check("normal_head.resamplers.2.conv.weight", None, "normal_head");
+    check("scale_head.layers.2.weight", None, "scale_head");
+    check("encoder.output_projections.0.weight", None, "output_projections");
+    check(
+        "neck.resamplers.0.conv.weight",
+        Some(vec![1 << 20, 256, 3, 3]),
+        "too large",
+    );
+}
