@@ -18,7 +18,7 @@ use burn_core::module::Param;
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::module::layer_norm;
 use burn_core::tensor::ops::PadMode;
-use burn_core::tensor::{Device, Tensor, TensorData};
+use burn_core::tensor::{DType, Device, Tensor, TensorData};
 use burn_nn::conv::{Conv2d, Conv2dConfig};
 use burn_nn::{Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig, PaddingConfig2d};
 
@@ -57,11 +57,13 @@ pub fn norm(width: usize, device: &Device) -> LayerNorm {
 }
 
 /// Each channel of each picture of `x` `[n, c, h, w]` less its mean, divided by its standard deviation (over the `h * w`
-/// pixels, epsilon 1e-5): instance normalisation without weights.
+/// pixels, epsilon 1e-5): instance normalisation without weights. Sums are made in 32 bits, whatever `x` is in.
 pub fn instance_norm(x: Tensor<4>) -> Tensor<4> {
     let [n, c, h, w] = x.dims();
-    let ones = Tensor::ones([h * w], &x.device());
-    layer_norm(x.reshape([n, c, h * w]), ones, None, 1e-5).reshape([n, c, h, w])
+    let dtype = x.dtype();
+    let ones = Tensor::ones([h * w], (&x.device(), DType::F32));
+    let x = x.cast(DType::F32).reshape([n, c, h * w]);
+    layer_norm(x, ones, None, 1e-5).reshape([n, c, h, w]).cast(dtype)
 }
 
 /// Rows of queries that one step of [`attend`] takes.

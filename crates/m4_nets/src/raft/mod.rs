@@ -100,6 +100,17 @@ fn unneeded(name: &str) -> bool {
     name.ends_with(".num_batches_tracked") || name.contains(".norm3.")
 }
 
+impl Net {
+    /// Waiting for its weights.
+    fn new(device: &Device) -> Self {
+        Self {
+            fnet: Encoder::new(WIDTH, Norm::Instance, device),
+            cnet: Encoder::new(WIDTH, Norm::Batch, device),
+            update_block: UpdateBlock::new(correlation::taps(LEVELS, RADIUS), device),
+        }
+    }
+}
+
 impl Raft {
     /// The network with the weights of the checkpoint at `path`, on `device`. Names may begin with `module.`, as in the published
     /// files.
@@ -108,11 +119,7 @@ impl Raft {
     ///
     /// [`LoadError`] if the file cannot be read or holds another network.
     pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
-        let mut net = Net {
-            fnet: Encoder::new(WIDTH, Norm::Instance, device),
-            cnet: Encoder::new(WIDTH, Norm::Batch, device),
-            update_block: UpdateBlock::new(correlation::taps(LEVELS, RADIUS), device),
-        };
+        let mut net = Net::new(device);
         load::fill(&mut net, "RAFT", path, &RENAMES, unneeded)?;
         Ok(Self {
             net,

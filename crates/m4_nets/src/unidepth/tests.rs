@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::cpu;
-use crate::fixture::{Fixture, assert_near, assert_same_tensors, every, fill_by_formula};
+use crate::fixture::{Fixture, assert_near, assert_same_tensors, every, fill_by_formula, halved, relative_error};
 use m4_testkit::FormulaWeights;
 
 const FORMULA: &str = include_str!("../../../../fixtures/unidepth_v2/formula.keys.txt");
@@ -99,4 +99,20 @@ fn patches_have_the_shape_of_the_picture() {
     assert_eq!(grid(1, 1, 2400), [49, 49]);
     assert_eq!(grid(16, 1, 1), [1, 16]);
     assert_eq!(grid(1, 16, 1), [4, 1]);
+}
+
+/// 16 bits are enough, and rays stay in 32.
+#[test]
+fn half_precision_stays_near() {
+    let net = network();
+    let image = Fixture::open("unidepth_v2/formula.safetensors").picture("image");
+    let patches = Patches::of(image.width(), image.height(), 48).unwrap();
+    let [whole, half] = [net.clone(), halved(net)].map(|net| {
+        let heads = net.heads(patches.tensor(&image, &cpu()), patches).unwrap();
+        let logarithms: Vec<f32> = heads.logarithms.cast(DType::F32).try_into_vec_as().unwrap();
+        let depth = patches.depth(&logarithms, heads.log_scale, heads.offset);
+        depth.data().to_vec()
+    });
+    let error = relative_error(&half, &whole);
+    assert!(error > 1e-6 && error < 3e-2, "{error:e}");
 }
