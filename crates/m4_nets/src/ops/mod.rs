@@ -1,7 +1,9 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
+mod convolution;
 mod gelu;
 
+pub use convolution::convolve;
 pub use gelu::gelu;
 
 use burn_core::tensor::activation::softmax;
@@ -25,14 +27,6 @@ pub fn conv(channels: [usize; 2], kernel: usize, stride: usize, bias: bool, devi
         .with_bias(bias)
         .with_initializer(Initializer::Zeros)
         .init(device)
-}
-
-/// `conv` of the channels of all `parts`, one after the other.
-pub fn convolve(parts: &[Tensor<4>], conv: &Conv2d) -> Tensor<4> {
-    match parts {
-        [x] => conv.forward(x.clone()),
-        parts => conv.forward(Tensor::cat(parts.to_vec(), 1)),
-    }
 }
 
 /// A linear layer that waits for its weights.
