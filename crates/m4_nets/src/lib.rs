@@ -14,6 +14,7 @@
 #![forbid(unsafe_code)]
 
 pub mod depth_anything;
+pub mod droid;
 pub mod gmflow;
 pub mod mobile_sam;
 pub mod moge;
@@ -35,6 +36,7 @@ pub use dinov2::BackboneSize;
 pub use flow::{Flow, FlowError};
 pub use gmflow::GmFlow;
 
+pub use droid::{DroidError, DroidMemory, DroidNet};
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};

@@ -1,6 +1,7 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
 mod convex;
+mod convolution;
 mod gelu;
 mod picture;
 mod positions;
@@ -8,6 +9,7 @@ mod resample;
 mod statistics;
 
 pub use convex::{convex_upsample, neighbours};
+pub use convolution::convolve;
 pub use gelu::gelu;
 pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};
 pub use positions::sine_positions;
