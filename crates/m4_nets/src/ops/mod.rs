@@ -45,6 +45,15 @@ pub fn conv(channels: [usize; 2], kernel: usize, stride: usize, bias: bool, devi
         .init(device)
 }
 
+/// `conv` with other weights `[out, in, h, w]` of its kernel's size.
+pub fn with_weights(conv: Conv2d, weight: Tensor<4>, bias: Option<Tensor<1>>) -> Conv2d {
+    Conv2d {
+        weight: Param::from_tensor(weight),
+        bias: bias.map(Param::from_tensor),
+        ..conv
+    }
+}
+
 /// A linear layer that waits for its weights.
 pub fn linear(from: usize, to: usize, bias: bool, device: &Device) -> Linear {
     LinearConfig::new(from, to)
