@@ -19,6 +19,7 @@ pub mod gmflow;
 pub mod mobile_sam;
 pub mod moge;
 pub mod raft;
+pub mod unidepth;
 
 mod correlation;
 mod device;
@@ -45,3 +46,4 @@ pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;
+pub use unidepth::{UniDepth, UniDepthError, UniDepthMap};

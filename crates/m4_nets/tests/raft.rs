@@ -100,7 +100,7 @@ fn goes_on_from_a_flow() {
 /// Real weights find what GMFlow's module found, within what two good networks differ by.
 #[test]
 fn real_weights_see_what_another_network_sees() {
-    let Some(path) = real_weights("raft", "raft-things.pth") else {
+    let Some(path) = real_weights("raft-things", "raft-things.pth") else {
         return;
     };
     let net = Raft::load(&path, &cpu()).unwrap();

@@ -43,6 +43,8 @@ pub struct DinoV2 {
     patch_embed: PatchEmbed,
     blocks: Vec<Block>,
     norm: LayerNorm,
+    /// What is added to a number of rows or columns of patches where positions are resized.
+    offset: f64,
 }
 
 /// From patches to tokens.
@@ -83,7 +85,13 @@ impl DinoV2 {
             },
             blocks: (0..depth).map(|_| Block::new(size, device)).collect(),
             norm: fine_norm(width, device),
+            offset: positions::OFFSET,
         }
+    }
+
+    /// The same with positions resized to a number of rows and columns, not by a scale (`interpolate_offset` 0 upstream).
+    pub fn with_plain_positions(self) -> Self {
+        Self { offset: 0.0, ..self }
     }
 
     /// Blocks.
@@ -117,7 +125,7 @@ impl DinoV2 {
         let patches = maps.reshape([b, c, h * w]).swap_dims(1, 2);
         let class = self.cls_token.val().expand([b, 1, c]);
         let tokens = Tensor::cat(vec![class, patches], 1);
-        let positions = positions::resized(self.pos_embed.val(), h, w).cast(tokens.dtype());
+        let positions = positions::resized(self.pos_embed.val(), h, w, self.offset).cast(tokens.dtype());
         tokens + positions
     }
 }

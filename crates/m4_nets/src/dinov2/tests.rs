@@ -34,7 +34,7 @@ fn backbone(size: BackboneSize, keys: &str, depth: usize) -> DinoV2 {
 /// The last four blocks, the positions and the first block; `step` channels apart in the fixture.
 fn check(net: &DinoV2, fixture: &Fixture, step: usize) {
     let image = normalised(&fixture.picture("image"), &cpu());
-    let positions = positions::resized(net.pos_embed.val(), 9, 12).squeeze_dim(0);
+    let positions = positions::resized(net.pos_embed.val(), 9, 12, positions::OFFSET).squeeze_dim(0);
     assert_near(every(positions, step), fixture, "pos_embed_resized_strided", LIMIT);
     let first = net.blocks[0].forward(net.tokens(image.clone())).squeeze_dim(0);
     assert_near(every(first, step), fixture, "block0_out_strided", LIMIT);
@@ -64,7 +64,7 @@ fn five_blocks_of_a_large_one_agree_with_the_module() {
 fn learned_positions_stay_what_they_are() {
     let net = backbone(BackboneSize::Small, SMALL, 1);
     let learned: Vec<f32> = net.pos_embed.val().try_into_vec_as().unwrap();
-    let same: Vec<f32> = positions::resized(net.pos_embed.val(), 37, 37)
+    let same: Vec<f32> = positions::resized(net.pos_embed.val(), 37, 37, positions::OFFSET)
         .try_into_vec_as()
         .unwrap();
     assert_eq!(learned, same);

@@ -102,12 +102,22 @@ impl DroidNet {
             load::fill(&mut net, "MegaSaM's tracking network", path, &RENAMES, unneeded)?;
             Ok(net)
         };
+        let fewer = |a: &LoadError, b: &LoadError| {
+            let wrong = |error: &LoadError| match error {
+                LoadError::OtherNetwork { wrong, .. } => wrong.len(),
+                _ => usize::MAX,
+            };
+            wrong(a) < wrong(b)
+        };
         let net = match with_rows(2) {
-            Err(LoadError::OtherNetwork { .. }) => {
-                let mut net = with_rows(3)?;
-                net.update = net.update.without_third_rows();
-                net
-            }
+            Err(two @ LoadError::OtherNetwork { .. }) => match with_rows(3) {
+                Ok(net) => Net {
+                    update: net.update.without_third_rows(),
+                    ..net
+                },
+                // of the two, the one that finds less to complain about
+                Err(three) => return Err(if fewer(&three, &two) { three } else { two }),
+            },
             other => other?,
         };
         Ok(Self {

@@ -1,8 +1,7 @@
 //! Windows that the maps of a scale are cut into: `splits` by `splits`, for attention within each.
 
-use crate::ops::tensor;
+use crate::ops::{sine_positions, tensor};
 use burn_core::tensor::{Device, Tensor};
-use std::f32::consts::TAU;
 
 /// How maps `[n, height, width, c]` are cut.
 #[derive(Debug, Clone, Copy)]
@@ -73,22 +72,6 @@ impl Windows {
     /// The position of each pixel within its window, `[1, height, width, channels]`: sines and cosines of row, then column,
     /// at wavelengths from 1 to 10,000, a quarter of the channels each (DETR).
     pub fn position(self, channels: usize, device: &Device) -> Tensor<4> {
-        let half = channels / 2;
-        let [h, w] = self.size();
-        let wave = |at: usize, side: usize, channel: usize| {
-            let angle = (at % side + 1) as f32 / (side as f32 + 1e-6) * TAU;
-            let angle = angle / 10_000f32.powf((channel / 2 * 2) as f32 / half as f32);
-            if channel.is_multiple_of(2) {
-                angle.sin()
-            } else {
-                angle.cos()
-            }
-        };
-        let table =
-            |n: usize, side: usize| -> Vec<f32> { (0..n * half).map(|i| wave(i / half, side, i % half)).collect() };
-        let rows: Tensor<4> = tensor(table(self.height, h), [1, self.height, 1, half], device);
-        let columns: Tensor<4> = tensor(table(self.width, w), [1, 1, self.width, half], device);
-        let all = [1, self.height, self.width, half];
-        Tensor::cat(vec![rows.expand(all), columns.expand(all)], 3)
+        sine_positions([self.height, self.width], self.size(), channels, device)
     }
 }

@@ -1,14 +1,18 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
 mod convex;
+mod convolution;
 mod gelu;
 mod picture;
+mod positions;
 mod resample;
 mod statistics;
 
 pub use convex::{convex_upsample, neighbours};
+pub use convolution::convolve;
 pub use gelu::gelu;
 pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};
+pub use positions::sine_positions;
 pub use resample::{Kernels, resampled};
 pub use statistics::Statistics;
 
@@ -16,7 +20,7 @@ use burn_core::module::Param;
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::module::layer_norm;
 use burn_core::tensor::ops::PadMode;
-use burn_core::tensor::{Device, Tensor, TensorData};
+use burn_core::tensor::{DType, Device, Tensor, TensorData};
 use burn_nn::conv::{Conv2d, Conv2dConfig};
 use burn_nn::{Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig, PaddingConfig2d};
 
@@ -41,11 +45,12 @@ pub fn conv(channels: [usize; 2], kernel: usize, stride: usize, bias: bool, devi
         .init(device)
 }
 
-/// `conv` of the channels of all `parts`, one after the other.
-pub fn convolve(parts: &[Tensor<4>], conv: &Conv2d) -> Tensor<4> {
-    match parts {
-        [x] => conv.forward(x.clone()),
-        parts => conv.forward(Tensor::cat(parts.to_vec(), 1)),
+/// `conv` with other weights `[out, in, h, w]` of its kernel's size.
+pub fn with_weights(conv: Conv2d, weight: Tensor<4>, bias: Option<Tensor<1>>) -> Conv2d {
+    Conv2d {
+        weight: Param::from_tensor(weight),
+        bias: bias.map(Param::from_tensor),
+        ..conv
     }
 }
 
@@ -63,11 +68,13 @@ pub fn norm(width: usize, device: &Device) -> LayerNorm {
 }
 
 /// Each channel of each picture of `x` `[n, c, h, w]` less its mean, divided by its standard deviation (over the `h * w`
-/// pixels, epsilon 1e-5): instance normalisation without weights.
+/// pixels, epsilon 1e-5): instance normalisation without weights. Sums are made in 32 bits, whatever `x` is in.
 pub fn instance_norm(x: Tensor<4>) -> Tensor<4> {
     let [n, c, h, w] = x.dims();
-    let ones = Tensor::ones([h * w], &x.device());
-    layer_norm(x.reshape([n, c, h * w]), ones, None, 1e-5).reshape([n, c, h, w])
+    let dtype = x.dtype();
+    let ones = Tensor::ones([h * w], (&x.device(), DType::F32));
+    let x = x.cast(DType::F32).reshape([n, c, h * w]);
+    layer_norm(x, ones, None, 1e-5).reshape([n, c, h, w]).cast(dtype)
 }
 
 /// Rows of queries that one step of [`attend`] takes.

@@ -1,12 +1,10 @@
 //! A picture's features at an eighth of its size: the same layers for what is compared and for the context, but for how they are
 //! normalised.
 
-use crate::ops::{Statistics, conv, instance_norm};
+use crate::ops::{Statistics, conv, convolve, instance_norm, with_weights};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
-use burn_core::tensor::module::conv2d;
-use burn_core::tensor::ops::ConvOptions;
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::conv::Conv2d;
 
@@ -28,12 +26,10 @@ impl Norm {
 /// A convolution and what normalises its output: `statistics`, or without them that output itself.
 fn normalised(conv: &Conv2d, statistics: Option<&Statistics>, x: Tensor<4>) -> Tensor<4> {
     let Some(statistics) = statistics else {
-        return instance_norm(conv.forward(x));
+        return instance_norm(convolve(&[x], conv));
     };
     let (kernel, bias) = statistics.after(conv.weight.val(), conv.bias.as_ref().map(|b| b.val()));
-    let [_, _, side, _] = kernel.dims();
-    let options = ConvOptions::new(conv.stride, [side / 2; 2], [1, 1], 1);
-    conv2d(x, kernel, Some(bias), options)
+    convolve(&[x], &with_weights(conv.clone(), kernel, Some(bias)))
 }
 
 /// Two convolutions beside a shortcut.
@@ -128,7 +124,7 @@ impl Encoder {
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let x = relu(normalised(&self.conv1, self.norm1.as_ref(), x));
         let x = self.blocks().fold(x, |x, block| block.forward(x));
-        self.conv2.forward(x)
+        convolve(&[x], &self.conv2)
     }
 
     /// How many of its numbers are statistics of the pictures of training, which were not learned.

@@ -3,13 +3,13 @@
 //! Its input is the context, which is the same in every iteration, and the motion, which is not: what the convolutions make of
 //! the context is computed once, a third of the work. The gates `z` and `r` are one convolution.
 
-use crate::ops::zeros;
+use crate::ops::{convolve, with_weights, zeros};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::activation::{sigmoid, tanh};
-use burn_core::tensor::module::conv2d;
-use burn_core::tensor::ops::ConvOptions;
 use burn_core::tensor::{Device, Tensor};
+use burn_nn::conv::{Conv2d, Conv2dConfig};
+use burn_nn::{Initializer, PaddingConfig2d};
 
 /// Channels of the hidden state, of the context and of the motion.
 pub const WIDTH: usize = 128;
@@ -63,24 +63,14 @@ pub struct Unit {
 /// One axis.
 #[derive(Debug)]
 struct Pass {
-    /// `[256, 256, ..]`: of hidden state and motion to both gates.
-    gates: Tensor<4>,
-    /// `[128, 256, ..]`: of the gated hidden state and motion to the candidate.
-    candidate: Tensor<4>,
+    /// From hidden state and motion to both gates.
+    gates: Conv2d,
+    /// From the gated hidden state and motion to the candidate.
+    candidate: Conv2d,
     /// `[n, 256, h, w]`: the context's part of the gates.
     gates_context: Tensor<4>,
     /// `[n, 128, h, w]`: the context's part of the candidate.
     candidate_context: Tensor<4>,
-}
-
-fn convolve(x: Tensor<4>, kernel: Tensor<4>, bias: Option<Tensor<1>>) -> Tensor<4> {
-    let [_, _, rows, columns] = kernel.dims();
-    conv2d(
-        x,
-        kernel,
-        bias,
-        ConvOptions::new([1, 1], [rows / 2, columns / 2], [1, 1], 1),
-    )
 }
 
 impl SepConvGru {
@@ -109,14 +99,26 @@ impl SepConvGru {
 
     /// For the context `[n, 128, h, w]`.
     pub fn with_context(&self, context: &Tensor<4>) -> Unit {
+        let device = context.device();
+        let layer = |kernel: Tensor<4>, bias: Option<Tensor<1>>| {
+            let [to, from, rows, columns] = kernel.dims();
+            let pad = PaddingConfig2d::Explicit(rows / 2, columns / 2, rows / 2, columns / 2);
+            let plain = Conv2dConfig::new([from, to], [rows, columns])
+                .with_padding(pad)
+                .with_bias(false)
+                .with_initializer(Initializer::Zeros)
+                .init(&device);
+            with_weights(plain, kernel, bias)
+        };
+        let of_context = |kernel, bias| convolve(&[context.clone()], &layer(kernel, Some(bias)));
         let pass = |z: &Kernel, r: &Kernel, q: &Kernel| {
-            let of_context = Tensor::cat(vec![z.part(1), r.part(1)], 0);
+            let gates = Tensor::cat(vec![z.part(1), r.part(1)], 0);
             let bias = Tensor::cat(vec![z.bias.val(), r.bias.val()], 0);
             Pass {
-                gates: Tensor::cat(vec![z.moving(), r.moving()], 0),
-                candidate: q.moving(),
-                gates_context: convolve(context.clone(), of_context, Some(bias)),
-                candidate_context: convolve(context.clone(), q.part(1), Some(q.bias.val())),
+                gates: layer(Tensor::cat(vec![z.moving(), r.moving()], 0), None),
+                candidate: layer(q.moving(), None),
+                gates_context: of_context(gates, bias),
+                candidate_context: of_context(q.part(1), q.bias.val()),
             }
         };
         Unit {
@@ -132,12 +134,12 @@ impl Unit {
     /// The next hidden state, of `hidden` and `motion`, each `[n, 128, h, w]`.
     pub fn forward(&self, hidden: Tensor<4>, motion: &Tensor<4>) -> Tensor<4> {
         self.passes.iter().fold(hidden, |h, pass| {
-            let both = Tensor::cat(vec![h.clone(), motion.clone()], 1);
-            let gates = sigmoid(convolve(both, pass.gates.clone(), None) + pass.gates_context.clone());
+            let gates = convolve(&[h.clone(), motion.clone()], &pass.gates);
+            let gates = sigmoid(gates + pass.gates_context.clone());
             let z = gates.clone().narrow(1, 0, WIDTH);
             let r = gates.narrow(1, WIDTH, WIDTH);
-            let both = Tensor::cat(vec![r * h.clone(), motion.clone()], 1);
-            let q = tanh(convolve(both, pass.candidate.clone(), None) + pass.candidate_context.clone());
+            let q = convolve(&[r * h.clone(), motion.clone()], &pass.candidate);
+            let q = tanh(q + pass.candidate_context.clone());
             h.clone() + z * (q - h)
         })
     }

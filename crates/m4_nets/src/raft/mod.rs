@@ -2,7 +2,7 @@
 //!
 //! - Paper: Teed and Deng, "RAFT: Recurrent All-Pairs Field Transforms for Optical Flow", ECCV 2020; the section numbers in this
 //!   folder are its. The large model, as `MegaSaM` runs it (section 1.7 of the specification of the front end).
-//! - Upstream: princeton-vl/RAFT, BSD-3. Weights: `raft-things.pth`, 5,257,536 learned numbers.
+//! - Upstream: princeton-vl/RAFT, BSD-3. Weights: the entry `raft-things` of `minute4d weights list`, 5,257,536 learned numbers.
 //!
 //! ```text
 //! picture --fnet--> features at 1/8, which are compared;  --cnet--> hidden state and context
@@ -100,6 +100,17 @@ fn unneeded(name: &str) -> bool {
     name.ends_with(".num_batches_tracked") || name.contains(".norm3.")
 }
 
+impl Net {
+    /// Waiting for its weights.
+    fn new(device: &Device) -> Self {
+        Self {
+            fnet: Encoder::new(WIDTH, Norm::Instance, device),
+            cnet: Encoder::new(WIDTH, Norm::Batch, device),
+            update_block: UpdateBlock::new(correlation::taps(LEVELS, RADIUS), device),
+        }
+    }
+}
+
 impl Raft {
     /// The network with the weights of the checkpoint at `path`, on `device`. Names may begin with `module.`, as in the published
     /// files.
@@ -108,11 +119,7 @@ impl Raft {
     ///
     /// [`LoadError`] if the file cannot be read or holds another network.
     pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
-        let mut net = Net {
-            fnet: Encoder::new(WIDTH, Norm::Instance, device),
-            cnet: Encoder::new(WIDTH, Norm::Batch, device),
-            update_block: UpdateBlock::new(correlation::taps(LEVELS, RADIUS), device),
-        };
+        let mut net = Net::new(device);
         load::fill(&mut net, "RAFT", path, &RENAMES, unneeded)?;
         Ok(Self {
             net,

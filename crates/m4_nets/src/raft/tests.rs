@@ -2,70 +2,42 @@
 
 use super::*;
 use crate::cpu;
-use m4_scene::Plane;
-use m4_testkit::write_formula_weights;
-use safetensors::SafeTensors;
+use crate::fixture::{Fixture, assert_near, assert_same_tensors, fill_by_formula, halved, relative_error};
+use m4_testkit::FormulaWeights;
 
 const KEYS: &str = include_str!("../../../../fixtures/raft/keys.txt");
-
-fn fixture() -> Vec<u8> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/raft/flow.safetensors");
-    std::fs::read(path).unwrap()
-}
-
-fn floats(file: &[u8], name: &str) -> Vec<f32> {
-    let tensors = SafeTensors::deserialize(file).unwrap();
-    let words = tensors.tensor(name).unwrap().data().as_chunks::<4>().0.to_vec();
-    words.into_iter().map(f32::from_le_bytes).collect()
-}
-
-fn picture(file: &[u8], name: &str) -> RgbImage {
-    let tensors = SafeTensors::deserialize(file).unwrap();
-    let view = tensors.tensor(name).unwrap();
-    let [3, h, w] = *view.shape() else {
-        panic!("{name} is no picture");
-    };
-    let bytes = view.data();
-    Plane::from_fn(w, h, |x, y| [0, 1, 2].map(|c| bytes[(c * h + y) * w + x]))
-}
+/// The module in 32 bits is 2e-6 from itself in 64 bits.
+const LIMIT: f64 = 1e-5;
 
 fn network() -> Raft {
-    let folder = tempfile::TempDir::new().unwrap();
-    let path = folder.path().join("weights.safetensors");
-    write_formula_weights(KEYS, &path);
-    Raft::load(&path, &cpu()).unwrap()
+    let device = cpu();
+    let mut net = Net::new(&device);
+    fill_by_formula(&mut net, &FormulaWeights::of_keys(KEYS), &RENAMES, unneeded);
+    Raft { net, device }
 }
 
-/// Every `step`-th channel of `[1, c, h, w]` against `want`, relative to its largest number.
-fn assert_channels(name: &str, got: Tensor<4>, step: usize, want: &[f32]) {
-    let [_, _, h, w] = got.dims();
-    let got: Vec<f32> = got.try_into_vec_as().unwrap();
-    let got: Vec<f32> = got.chunks(h * w).step_by(step).flatten().copied().collect();
-    assert_eq!(got.len(), want.len(), "{name}");
-    let largest = want.iter().fold(0f32, |m, x| m.max(x.abs()));
-    let off = got.iter().zip(want).map(|(a, b)| (a - b).abs());
-    let error = off.fold(0.0, |m: f32, x| if x.is_nan() { f32::NAN } else { m.max(x) }) / largest;
-    println!("{name}: {error:.1e} of {largest}");
-    assert!(largest > 0.1 && error < 1e-5, "{name}: {error:.1e} of {largest}");
+/// Every `step`-th channel of `[1, c, h, w]`.
+fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
+    let [_, c, h, w] = x.dims();
+    x.reshape([c / step, step, h, w]).narrow(1, 0, 1).swap_dims(0, 1)
 }
 
-/// The module in f32 is 2e-6 from itself in f64.
 #[test]
 fn parts_agree_with_the_published_module() {
-    let (net, file) = (network(), fixture());
+    let (net, fixture) = (network(), Fixture::open("raft/flow.safetensors"));
     let input = |name: &str| {
-        let image = picture(&file, name);
+        let image = fixture.picture(name);
         let padding = Padding::of(image.width(), image.height(), FACTOR, LEAST).unwrap();
         padding.tensor(&image, |x, _| 2.0 * x - 1.0, &net.device)
     };
     let maps = ["1", "2"].map(|i| {
         let map = net.net.fnet.forward(input(&format!("image{i}")));
         let name = format!("fmap{i}_strided");
-        assert_channels(&name, map.clone(), 8, &floats(&file, &name));
+        assert_near(every(map.clone(), 8), &fixture, &name, LIMIT);
         map
     });
     let context = net.net.cnet.forward(input("image1"));
-    assert_channels("cnet", context, 8, &floats(&file, "cnet_strided"));
+    assert_near(every(context, 8), &fixture, "cnet_strided", LIMIT);
 
     let [source, target] = maps.map(|map| map.squeeze_dim::<3>(0).permute([1, 2, 0]));
     let [h, w, _] = source.dims();
@@ -73,7 +45,7 @@ fn parts_agree_with_the_published_module() {
     let found = correlation::scores(&FeatureMap::new(source), &Pyramid::new(target, LEVELS), at, RADIUS);
     let found = channels_first(found.unsqueeze::<4>());
     assert_eq!(found.dims(), [1, 324, h, w]);
-    assert_channels("corr", found, 4, &floats(&file, "corr_strided"));
+    assert_near(every(found, 4), &fixture, "corr_strided", LIMIT);
 }
 
 /// The unit with the context's part taken out against its definition.
@@ -101,6 +73,34 @@ fn the_unit_is_the_published_one() {
         let q = tanh(through(r * h.clone(), q));
         (z.ones_like() - z.clone()) * h + z * q
     });
-    let want: Vec<f32> = want.try_into_vec_as().unwrap();
-    assert_channels("unit", got, 1, &want);
+    let [got, want]: [Vec<f32>; 2] = [got, want].map(|x| x.try_into_vec_as().unwrap());
+    let error = relative_error(&got, &want);
+    assert!(error < 1e-5, "{error:e}");
+}
+
+/// The tensors of the published checkpoint, but for the second name of the shortcuts' norms.
+#[test]
+fn the_published_checkpoint_fits() {
+    let published: String = KEYS.lines().map(|line| format!("module.{line}\n")).collect();
+    let net = Net::new(&cpu());
+    assert_same_tensors(&net, &published, &RENAMES, unneeded);
+}
+
+/// 16 bits are enough for a few iterations, and positions stay in 32.
+#[test]
+fn half_precision_stays_near() {
+    let net = network();
+    let fixture = Fixture::open("raft/flow.safetensors");
+    let images = ["image1", "image2"].map(|name| fixture.picture(name));
+    let half = Raft {
+        net: halved(net.net.clone()),
+        device: net.device.clone(),
+    };
+    let [whole, half] = [&net, &half].map(|net| {
+        let [a, b] = [0, 1].map(|i| net.encode(&images[i]).unwrap());
+        let [flow, _] = net.flow_both(&a, &b, 2, None).unwrap();
+        [flow.flow.u, flow.flow.v].concat()
+    });
+    let error = relative_error(&half, &whole);
+    assert!(error > 1e-6 && error < 2e-2, "{error:e}");
 }

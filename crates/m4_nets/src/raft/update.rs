@@ -1,7 +1,7 @@
 //! What one iteration adds to the flow (section 3.3 of the paper).
 
 use super::gru::{SepConvGru, WIDTH};
-use crate::ops::conv;
+use crate::ops::{conv, convolve};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
@@ -26,12 +26,11 @@ pub struct MotionEncoder {
 impl MotionEncoder {
     /// Of `correlation` `[n, 324, h, w]` and `flow` `[n, 2, h, w]`: `[n, 128, h, w]`, whose last two channels are the flow.
     pub fn forward(&self, correlation: Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
-        let correlation = relu(self.convc1.forward(correlation));
-        let correlation = relu(self.convc2.forward(correlation));
-        let motion = relu(self.convf1.forward(flow.clone()));
-        let motion = relu(self.convf2.forward(motion));
-        let both = Tensor::cat(vec![correlation, motion], 1);
-        Tensor::cat(vec![relu(self.conv.forward(both)), flow], 1)
+        let layer = |x, conv| relu(convolve(&[x], conv));
+        let correlation = layer(layer(correlation, &self.convc1), &self.convc2);
+        let motion = layer(layer(flow.clone(), &self.convf1), &self.convf2);
+        let both = relu(convolve(&[correlation, motion], &self.conv));
+        Tensor::cat(vec![both, flow], 1)
     }
 }
 
@@ -45,7 +44,7 @@ pub struct FlowHead {
 impl FlowHead {
     /// Of `[n, 128, h, w]`: `[n, 2, h, w]`, in pixels of the map.
     pub fn forward(&self, hidden: Tensor<4>) -> Tensor<4> {
-        self.conv2.forward(relu(self.conv1.forward(hidden)))
+        convolve(&[relu(convolve(&[hidden], &self.conv1))], &self.conv2)
     }
 }
 
@@ -59,9 +58,8 @@ pub struct MaskHead {
 impl MaskHead {
     /// Of `[n, 128, h, w]`: `[n, 9 8 8, h, w]`, before their softmax.
     pub fn forward(&self, hidden: Tensor<4>) -> Tensor<4> {
-        self.weights
-            .forward(relu(self.hidden.forward(hidden)))
-            .mul_scalar(MASK_SCALE)
+        let hidden = relu(convolve(&[hidden], &self.hidden));
+        convolve(&[hidden], &self.weights).mul_scalar(MASK_SCALE)
     }
 }
 

@@ -1,0 +1,117 @@
+//! Pictures of any size as the network takes them, and depth in their size.
+
+use super::UniDepthError;
+use crate::dinov2::PATCH;
+use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
+use burn_core::tensor::{Device, Tensor};
+use m4_scene::{Intrinsics, Plane, RgbImage};
+
+/// The longer side may be this many times the shorter one: the network was trained up to 2.
+const LONGEST: f64 = 16.0;
+/// Softplus turns from exponential to straight this fast, in 1/m.
+const BETA: f64 = 10.0;
+
+/// How a picture is cut into patches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Patches {
+    width: usize,
+    height: usize,
+    /// Rows and columns of patches.
+    pub grid: [usize; 2],
+}
+
+impl Patches {
+    /// Of a picture of `width` by `height`, about `n` in all, of its shape.
+    ///
+    /// # Errors
+    ///
+    /// [`UniDepthError`] if it has no pixels or is too narrow.
+    pub fn of(width: usize, height: usize, n: usize) -> Result<Self, UniDepthError> {
+        if width == 0 || height == 0 {
+            return Err(UniDepthError::Empty);
+        }
+        let ratio = width as f64 / height as f64;
+        if !(1.0 / LONGEST..=LONGEST).contains(&ratio) {
+            return Err(UniDepthError::Narrow { width, height });
+        }
+        let rows = ((n as f64 / ratio).sqrt() - 0.5).ceil().max(1.0);
+        let columns = (rows * ratio - 0.5).ceil().max(1.0);
+        Ok(Self {
+            width,
+            height,
+            grid: [rows as usize, columns as usize],
+        })
+    }
+
+    /// Width and height of what the network sees.
+    pub fn inside(self) -> (usize, usize) {
+        let [rows, columns] = self.grid;
+        (columns * PATCH, rows * PATCH)
+    }
+
+    /// The picture `[1, 3, height, width]` of the sides [`Patches::inside`], normalised.
+    pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
+        let (width, height) = self.inside();
+        let values = planes(image, IMAGENET_MEAN, IMAGENET_STD);
+        let columns = Kernels::triangle(self.width, width);
+        let rows = Kernels::triangle(self.height, height);
+        let values = resampled(&values, self.width, self.height, &columns, &rows);
+        tensor(values, [1, 3, height, width], device)
+    }
+
+    /// The camera that four numbers of the camera's head mean, of what the network sees.
+    pub fn camera(self, [fx, fy, cx, cy]: [f64; 4]) -> Intrinsics {
+        let (width, height) = self.inside();
+        let half = width.max(height) as f64 / 2.0;
+        let share = |x: f64| 1.0 / (1.0 + (-x).exp());
+        Intrinsics {
+            width,
+            height,
+            fx: fx.exp() * half,
+            fy: fy.exp() * half,
+            cx: share(cx) * width as f64,
+            cy: share(cy) * height as f64,
+        }
+    }
+
+    /// The same camera in pixels of the picture. As published, both axes shrink by the ratio of the heights.
+    pub fn camera_of_picture(self, camera: &Intrinsics) -> Intrinsics {
+        let ratio = camera.height as f64 / self.height as f64;
+        Intrinsics {
+            width: self.width,
+            height: self.height,
+            fx: camera.fx / ratio,
+            fy: camera.fy / ratio,
+            cx: camera.cx / ratio,
+            cy: camera.cy / ratio,
+        }
+    }
+
+    /// Depth `[height][width]` in metres, of the logarithms that the depth's head gives: they are normalised over the whole picture.
+    pub fn depth(self, logarithms: &[f32], log_scale: f64, offset: f64) -> Plane<f32> {
+        let n = logarithms.len() as f64;
+        let mean = logarithms.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
+        let variance = logarithms.iter().map(|&x| (f64::from(x) - mean).powi(2)).sum::<f64>() / n;
+        let deviation = (variance + 1e-5).sqrt();
+        let scale = log_scale.exp();
+        let depth = |&x: &f32| {
+            let x = ((f64::from(x) - mean) / deviation).exp();
+            softplus((x + offset) * scale) as f32
+        };
+        let depth: Vec<f32> = logarithms.iter().map(depth).collect();
+        let (width, height) = self.inside();
+        let columns = Kernels::linear(width, self.width);
+        let rows = Kernels::linear(height, self.height);
+        let depth = resampled(&depth, width, height, &columns, &rows);
+        Plane::from_fn(self.width, self.height, |x, y| depth[y * self.width + x])
+    }
+}
+
+/// `ln(1 + exp(BETA x)) / BETA`, and `x` where that is the same in 32 bits.
+fn softplus(x: f64) -> f64 {
+    if x * BETA > 20.0 {
+        x
+    } else {
+        (x * BETA).exp().ln_1p() / BETA
+    }
+}
