@@ -206,8 +206,11 @@ fn tile_sums<S: Simd, const OUT: usize, const VECTORS: usize>(
     for (c, panel) in panel.chunks_exact(taps.len() * OUT).enumerate() {
         let plane = &values[c * picture.plane..];
         for (weights, &tap) in panel.as_chunks::<OUT>().0.iter().zip(taps) {
-            let x = &plane[tap..][..VECTORS * LANES];
-            let x: [f32x16<S>; VECTORS] = std::array::from_fn(|v| f32x16::from_slice(s, &x[v * LANES..][..LANES]));
+            let pixels = plane[tap..][..VECTORS * LANES].as_chunks::<LANES>().0;
+            let mut x = [f32x16::splat(s, 0.0); VECTORS];
+            for v in 0..VECTORS {
+                x[v] = f32x16::simd_from(s, pixels[v]);
+            }
             for o in 0..OUT {
                 let weight = f32x16::splat(s, weights[o]);
                 for v in 0..VECTORS {
@@ -216,10 +219,16 @@ fn tile_sums<S: Simd, const OUT: usize, const VECTORS: usize>(
             }
         }
     }
-    for (acc, sums) in acc.iter().zip(sums.chunks_exact_mut(GROUP)) {
-        let sums = sums[tile..][..VECTORS * LANES].as_chunks_mut::<LANES>().0;
-        for (acc, sum) in acc.iter().zip(sums) {
-            *sum = (*acc + f32x16::from_slice(s, sum)).into();
+    // a loop so plain that it is unrolled: else the sums would lie in memory all along
+    let mut kept = [[[0.0; LANES]; VECTORS]; OUT];
+    for o in 0..OUT {
+        for v in 0..VECTORS {
+            kept[o][v] = acc[o][v].into();
+        }
+    }
+    for (kept, sums) in kept.iter().zip(sums.chunks_exact_mut(GROUP)) {
+        for (sum, kept) in sums[tile..].iter_mut().zip(kept.as_flattened()) {
+            *sum += kept;
         }
     }
 }
