@@ -7,6 +7,7 @@ const DIVISOR: f32 = 4.0;
 
 /// Where features lie.
 #[derive(Debug, Clone)]
+#[expect(clippy::large_enum_variant, reason = "a handful of them, each the key to megabytes")]
 pub enum Values {
     /// `[h][w][c]`.
     Processor(Vec<f32>),

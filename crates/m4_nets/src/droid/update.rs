@@ -39,13 +39,10 @@ impl Pair {
 
     /// Keeps the first `n` outputs.
     fn keep(&mut self, n: usize) {
-        let kept = |out: &Conv2d| {
-            let mut out = out.clone();
-            out.weight = out.weight.map(|weight| weight.narrow(0, 0, n));
-            out.bias = out.bias.map(|bias| bias.map(|bias| bias.narrow(0, 0, n)));
-            out
-        };
-        self.out = kept(&self.out);
+        let mut out = self.out.clone();
+        out.weight = out.weight.map(|weight| weight.narrow(0, 0, n));
+        out.bias = out.bias.map(|bias| bias.map(|bias| bias.narrow(0, 0, n)));
+        self.out = out;
     }
 }
 
