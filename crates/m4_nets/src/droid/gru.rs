@@ -1,10 +1,9 @@
 //! The recurrent unit whose hidden state an edge keeps.
 
 use super::WIDTH;
-use crate::ops::{conv, convolve};
+use crate::ops::{conv, convolve, sigmoid, tanh};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
-use burn_core::tensor::activation::sigmoid;
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::conv::Conv2d;
 
@@ -112,7 +111,7 @@ impl ArrangedGru {
         let z = zr.clone().narrow(1, 0, WIDTH);
         let r = zr.narrow(1, WIDTH, WIDTH);
         let q = convolve(&[r * hidden.clone(), corr, flow], &self.candidate);
-        let q = (q + added(2, 1)).tanh();
+        let q = tanh(q + added(2, 1));
         hidden.clone() + z * (q - hidden)
     }
 }

@@ -2,10 +2,9 @@
 
 use super::WIDTH;
 use super::update::Pair;
-use crate::ops::{conv, convolve, gelu};
+use crate::ops::{conv, convolve, gelu, sigmoid};
 use burn_core as burn;
 use burn_core::module::Module;
-use burn_core::tensor::activation::sigmoid;
 use burn_core::tensor::{Device, Int, Tensor};
 use burn_nn::conv::Conv2d;
 use burn_nn::{LayerNorm, LayerNormConfig};

@@ -5,10 +5,10 @@ use super::aggregation::Aggregation;
 use super::gru::{ArrangedGru, Gru};
 use super::motion::MotionHead;
 use crate::correlation::taps;
-use crate::ops::{conv, convolve};
+use crate::ops::{conv, convolve, sigmoid};
 use burn_core as burn;
 use burn_core::module::Module;
-use burn_core::tensor::activation::{relu, sigmoid};
+use burn_core::tensor::activation::relu;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::conv::Conv2d;
 

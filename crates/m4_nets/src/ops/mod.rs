@@ -1,9 +1,12 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
 mod convolution;
+mod gates;
 mod gelu;
+mod lanes;
 
 pub use convolution::convolve;
+pub use gates::{sigmoid, tanh};
 pub use gelu::gelu;
 
 use burn_core::tensor::activation::softmax;
