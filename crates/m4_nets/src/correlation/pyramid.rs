@@ -29,7 +29,11 @@ impl FeatureMap {
             return Self::on_device(features);
         }
         let size = features.dims();
-        let values = features.div_scalar(DIVISOR).into_data().iter::<f32>().collect();
+        let data = features.into_data();
+        let values = match data.as_slice::<f32>() {
+            Ok(values) => values.iter().map(|x| x / DIVISOR).collect(),
+            Err(_) => data.iter::<f32>().map(|x| x / DIVISOR).collect(),
+        };
         Self {
             size,
             values: Values::Processor(values),

@@ -34,7 +34,7 @@ impl Pair {
 
     /// Without the activation of the second.
     pub fn forward(&self, x: Tensor<4>, activation: impl Fn(Tensor<4>) -> Tensor<4>) -> Tensor<4> {
-        convolve(&[activation(convolve(&[x], &self.hidden))], &self.out)
+        convolve([activation(convolve([x], &self.hidden))], &self.out)
     }
 
     /// Keeps the first `n` outputs.
