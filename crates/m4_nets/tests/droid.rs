@@ -129,7 +129,6 @@ fn refuses_pictures_that_do_not_fit() {
 
 /// The published file itself, where it is.
 #[test]
-#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
 fn takes_the_published_file() {
     let folder = std::env::var_os("MINUTE4D_WEIGHTS").map(std::path::PathBuf::from);
     let path = folder.map(|folder| folder.join("megasam/megasam_final.pth"));
