@@ -7,6 +7,7 @@ const DIVISOR: f32 = 4.0;
 
 /// Where features lie.
 #[derive(Debug, Clone)]
+#[expect(clippy::large_enum_variant, reason = "a handful of them, each the key to megabytes")]
 pub enum Values {
     /// `[h][w][c]`.
     Processor(Vec<f32>),
@@ -28,7 +29,11 @@ impl FeatureMap {
             return Self::on_device(features);
         }
         let size = features.dims();
-        let values = features.div_scalar(DIVISOR).into_data().iter::<f32>().collect();
+        let data = features.into_data();
+        let values = match data.as_slice::<f32>() {
+            Ok(values) => values.iter().map(|x| x / DIVISOR).collect(),
+            Err(_) => data.iter::<f32>().map(|x| x / DIVISOR).collect(),
+        };
         Self {
             size,
             values: Values::Processor(values),

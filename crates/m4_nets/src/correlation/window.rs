@@ -92,19 +92,24 @@ fn dots_of<S: Simd, const N: usize>(s: S, a: &[f32], values: &[f32]) -> [f32; N]
     let c = a.len();
     let (vectors, tail) = a.as_chunks::<LANES>();
     let mut sums = [f32x16::splat(s, 0.0); N];
-    let b: [&[f32]; N] = std::array::from_fn(|n| &values[n * c..][..c]);
-    let chunks = b.map(|b| b.as_chunks::<LANES>().0);
+    let mut b = [values; N];
+    for n in 0..N {
+        b[n] = &values[n * c..][..c];
+    }
     for (k, a) in vectors.iter().enumerate() {
-        let a = f32x16::from_slice(s, a);
+        let a = f32x16::simd_from(s, *a);
         for n in 0..N {
-            sums[n] = a.mul_add(f32x16::from_slice(s, &chunks[n][k]), sums[n]);
+            let b = b[n].as_chunks::<LANES>().0;
+            sums[n] = a.mul_add(f32x16::simd_from(s, b[k]), sums[n]);
         }
     }
-    std::array::from_fn(|n| {
+    let mut out = [0.0; N];
+    for n in 0..N {
         let b = &b[n][c - tail.len()..];
         let rest: f32 = tail.iter().zip(b).map(|(a, b)| a * b).sum();
-        sums[n].reduce_sum() + rest
-    })
+        out[n] = sums[n].reduce_sum() + rest;
+    }
+    out
 }
 
 /// Scores `[dx][dy]` between the whole positions of `products` `[y][x]`.

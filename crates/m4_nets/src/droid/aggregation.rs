@@ -32,21 +32,21 @@ impl Aggregation {
 
     /// What is averaged over the edges: of hidden states `[n, 128, h, w]` their sum `[1, 128, h, w]`.
     pub fn sum_of(&self, hidden: Tensor<4>) -> Tensor<4> {
-        relu(convolve(&[hidden], &self.conv1)).sum_dim(0)
+        relu(convolve([hidden], &self.conv1)).sum_dim(0)
     }
 
     /// Of the mean, what the two outputs share.
     pub fn of_mean(&self, mean: Tensor<4>) -> Tensor<4> {
-        relu(convolve(&[mean], &self.conv2))
+        relu(convolve([mean], &self.conv2))
     }
 
     /// The damping of the disparities, `[1, 1, h, w]`.
     pub fn eta(&self, shared: Tensor<4>) -> Tensor<4> {
-        softplus(convolve(&[shared], &self.eta), 1.0).mul_scalar(0.01)
+        softplus(convolve([shared], &self.eta), 1.0).mul_scalar(0.01)
     }
 
     /// Scores of the nine neighbours for each pixel of a block, `[1, 576, h, w]`.
     pub fn upmask(&self, shared: Tensor<4>) -> Tensor<4> {
-        convolve(&[shared], &self.upmask)
+        convolve([shared], &self.upmask)
     }
 }

@@ -1,6 +1,6 @@
 //! Features of a picture at an eighth of its size.
 
-use crate::ops::{conv, instance_norm};
+use crate::ops::{conv, convolve, instance_norm};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
@@ -51,10 +51,10 @@ impl Residual {
     }
 
     fn forward(&self, x: Tensor<4>, norm: Norm) -> Tensor<4> {
-        let y = relu(norm.of(self.conv1.forward(x.clone())));
-        let y = relu(norm.of(self.conv2.forward(y)));
+        let y = relu(norm.of(convolve([x.clone()], &self.conv1)));
+        let y = relu(norm.of(convolve([y], &self.conv2)));
         let x = match &self.downsample {
-            Some(shortcut) => norm.of(shortcut.conv.forward(x)),
+            Some(shortcut) => norm.of(convolve([x], &shortcut.conv)),
             None => x,
         };
         relu(x + y)
@@ -90,10 +90,10 @@ impl Encoder {
 
     /// Of pictures `[n, 3, h, w]`: `[n, width, h / 8, w / 8]`.
     pub fn forward(&self, x: Tensor<4>, norm: Norm) -> Tensor<4> {
-        let mut x = relu(norm.of(self.conv1.forward(x)));
+        let mut x = relu(norm.of(convolve([x], &self.conv1)));
         for block in [&self.layer1, &self.layer2, &self.layer3].into_iter().flatten() {
             x = block.forward(x, norm);
         }
-        self.conv2.forward(x)
+        convolve([x], &self.conv2)
     }
 }

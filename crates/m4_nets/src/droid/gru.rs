@@ -1,10 +1,9 @@
 //! The recurrent unit whose hidden state an edge keeps.
 
 use super::WIDTH;
-use crate::ops::{conv, convolve};
+use crate::ops::{conv, convolve, sigmoid, tanh};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
-use burn_core::tensor::activation::sigmoid;
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::conv::Conv2d;
 
@@ -95,7 +94,7 @@ impl ArrangedGru {
 
     /// What `context` `[1 or n, 128, h, w]` adds to z, r and q: `[1 or n, 384, h, w]`.
     pub fn context(&self, context: Tensor<4>) -> Tensor<4> {
-        convolve(&[context], &self.context)
+        convolve([context], &self.context)
     }
 
     /// The hidden states that follow `hidden` `[n, 128, h, w]`, with what [`context`](Self::context) gave, the encoded
@@ -107,12 +106,12 @@ impl ArrangedGru {
         let added = |from: usize, n: usize| {
             context.clone().narrow(1, from * WIDTH, n * WIDTH) + glo.clone().narrow(1, from * WIDTH, n * WIDTH)
         };
-        let zr = convolve(&[hidden.clone(), corr.clone(), flow.clone()], &self.update_reset);
+        let zr = convolve([hidden.clone(), corr.clone(), flow.clone()], &self.update_reset);
         let zr = sigmoid(zr + added(0, 2));
         let z = zr.clone().narrow(1, 0, WIDTH);
         let r = zr.narrow(1, WIDTH, WIDTH);
-        let q = convolve(&[r * hidden.clone(), corr, flow], &self.candidate);
-        let q = (q + added(2, 1)).tanh();
+        let q = convolve([r * hidden.clone(), corr, flow], &self.candidate);
+        let q = tanh(q + added(2, 1));
         hidden.clone() + z * (q - hidden)
     }
 }

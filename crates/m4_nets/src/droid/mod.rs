@@ -32,6 +32,7 @@ mod upsampling;
 pub use error::DroidError;
 pub use memory::{DroidMemory, EdgeUpdate, MemoryOptions, Pictures, SourceUpdate, Storage};
 
+use crate::ops::tanh;
 use crate::{LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
@@ -149,6 +150,6 @@ impl DroidNet {
         let image = picture::normalised(image, &self.device)?.cast(self.dtype());
         let both = self.net.cnet.forward(image, Norm::None);
         let half = |k: usize| both.clone().narrow(1, k * WIDTH, WIDTH);
-        Ok([half(0).tanh(), relu(half(1))])
+        Ok([tanh(half(0)), relu(half(1))])
     }
 }

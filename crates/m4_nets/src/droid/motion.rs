@@ -2,10 +2,9 @@
 
 use super::WIDTH;
 use super::update::Pair;
-use crate::ops::{conv, convolve, gelu};
+use crate::ops::{conv, convolve, gelu, sigmoid};
 use burn_core as burn;
 use burn_core::module::Module;
-use burn_core::tensor::activation::sigmoid;
 use burn_core::tensor::{Device, Int, Tensor};
 use burn_nn::conv::Conv2d;
 use burn_nn::{LayerNorm, LayerNormConfig};
@@ -44,8 +43,8 @@ impl MotionHead {
     /// What edges say on their own: of `hidden` `[n, 128, h, w]` and `weight` `[n, 2, h, w]`, `[n, 128, h, w]`.
     pub fn edges(&self, hidden: Tensor<4>, weight: Tensor<4>) -> Tensor<4> {
         let x = activated(&self.norm_0, self.first(hidden, weight));
-        let x = activated(&self.norm_1, convolve(&[x.clone()], &self.conv1)) + x;
-        activated(&self.norm_3, convolve(&[x.clone()], &self.conv3)) + x
+        let x = activated(&self.norm_1, convolve([x.clone()], &self.conv1)) + x;
+        activated(&self.norm_3, convolve([x.clone()], &self.conv3)) + x
     }
 
     /// `conv0` of hidden states, their means over the pixels and weights. The means are the same everywhere, so what they add
@@ -75,12 +74,12 @@ impl MotionHead {
             let index = Tensor::<1, Int>::from_data(index.collect::<Vec<_>>().as_slice(), &device);
             nine.select(dim, index)
         };
-        convolve(&[hidden, weight], &pixels) + spread(spread(nine, 2, h), 3, w)
+        convolve([hidden, weight], &pixels) + spread(spread(nine, 2, h), 3, w)
     }
 
     /// What the edges say together: of the mean over them, `[1, 128, h, w]`.
     pub fn together(&self, mean: Tensor<4>) -> Tensor<4> {
-        activated(&self.norm_5, convolve(&[mean], &self.conv5))
+        activated(&self.norm_5, convolve([mean], &self.conv5))
     }
 
     /// How likely pixels stand still, `[n, 1, h, w]` in 0..1, of both.

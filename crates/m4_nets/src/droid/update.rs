@@ -5,10 +5,10 @@ use super::aggregation::Aggregation;
 use super::gru::{ArrangedGru, Gru};
 use super::motion::MotionHead;
 use crate::correlation::taps;
-use crate::ops::{conv, convolve};
+use crate::ops::{conv, convolve, sigmoid};
 use burn_core as burn;
 use burn_core::module::Module;
-use burn_core::tensor::activation::{relu, sigmoid};
+use burn_core::tensor::activation::relu;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::conv::Conv2d;
 
@@ -34,18 +34,15 @@ impl Pair {
 
     /// Without the activation of the second.
     pub fn forward(&self, x: Tensor<4>, activation: impl Fn(Tensor<4>) -> Tensor<4>) -> Tensor<4> {
-        convolve(&[activation(convolve(&[x], &self.hidden))], &self.out)
+        convolve([activation(convolve([x], &self.hidden))], &self.out)
     }
 
     /// Keeps the first `n` outputs.
     fn keep(&mut self, n: usize) {
-        let kept = |out: &Conv2d| {
-            let mut out = out.clone();
-            out.weight = out.weight.map(|weight| weight.narrow(0, 0, n));
-            out.bias = out.bias.map(|bias| bias.map(|bias| bias.narrow(0, 0, n)));
-            out
-        };
-        self.out = kept(&self.out);
+        let mut out = self.out.clone();
+        out.weight = out.weight.map(|weight| weight.narrow(0, 0, n));
+        out.bias = out.bias.map(|bias| bias.map(|bias| bias.narrow(0, 0, n)));
+        self.out = out;
     }
 }
 

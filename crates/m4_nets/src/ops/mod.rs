@@ -2,7 +2,9 @@
 
 mod convex;
 mod convolution;
+mod gates;
 mod gelu;
+mod lanes;
 mod picture;
 mod positions;
 mod resample;
@@ -10,6 +12,7 @@ mod statistics;
 
 pub use convex::{convex_upsample, neighbours};
 pub use convolution::convolve;
+pub use gates::{sigmoid, tanh};
 pub use gelu::gelu;
 pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};
 pub use positions::sine_positions;

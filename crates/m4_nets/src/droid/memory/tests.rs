@@ -279,3 +279,10 @@ fn a_folder_that_is_not_there_is_told() {
     let error = memory(options).motion_px(0, 1).unwrap_err();
     assert!(error.to_string().contains("no such folder"), "{error}");
 }
+
+#[test]
+fn a_memory_can_go_to_another_thread() {
+    let memory = memory(options(10, Storage::F16));
+    let debug = std::thread::spawn(move || format!("{memory:?}")).join().unwrap();
+    assert!(debug.contains("edges: 0"), "{debug}");
+}

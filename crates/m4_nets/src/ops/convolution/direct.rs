@@ -91,43 +91,55 @@ fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filt
     let taps: Vec<usize> = (0..kh).flat_map(|y| (0..kw).map(move |x| y * wide + x)).collect();
     let groups = (h * wide).div_ceil(GROUP);
     let outputs = filter.out.next_multiple_of(shape.outputs());
-    // room for the last tile to read beyond the last plane
-    let mut padded = vec![0.0; filter.channels * plane + GROUP + kw];
-    let mut sums = vec![0.0; groups * outputs * GROUP];
+    // so many pictures at a time that all threads have work
+    let together = (4 * rayon::current_num_threads()).div_ceil(groups).clamp(1, n);
+    // the last tile reads beyond the last plane
+    let room = filter.channels * plane + GROUP + kw;
+    let mut padded = vec![0.0; together * room];
+    let mut sums = vec![0.0; together * groups * outputs * GROUP];
     let mut out = vec![0.0; n * filter.out * h * w];
-    for (i, out) in out.chunks_exact_mut(filter.out * h * w).enumerate() {
-        let planes = parts.iter().flat_map(|part| {
-            let size = part.len() / n;
-            part[i * size..][..size].chunks_exact(h * w)
+    for (batch, out) in out.chunks_mut(together * filter.out * h * w).enumerate() {
+        let count = out.len() / (filter.out * h * w);
+        let pictures = batch * together..batch * together + count;
+        let planes: Vec<&[f32]> = pictures
+            .flat_map(|i| {
+                parts.iter().flat_map(move |part| {
+                    let size = part.len() / n;
+                    part[i * size..][..size].chunks_exact(h * w)
+                })
+            })
+            .collect();
+        let rooms = padded.par_chunks_mut(room).zip(planes.par_chunks(filter.channels));
+        rooms.for_each(|(room, planes)| {
+            room.par_chunks_mut(plane).zip(planes).for_each(|(room, values)| {
+                let inner = room.chunks_exact_mut(wide).skip(kh / 2);
+                for (row, values) in inner.zip(values.chunks_exact(w)) {
+                    row[kw / 2..][..w].copy_from_slice(values);
+                }
+            });
         });
-        let planes: Vec<&[f32]> = planes.collect();
-        let rooms = padded.par_chunks_mut(plane);
-        rooms.zip(planes).for_each(|(room, values)| {
-            let inner = room.chunks_exact_mut(wide).skip(kh / 2);
-            for (row, values) in inner.zip(values.chunks_exact(w)) {
-                row[kw / 2..][..w].copy_from_slice(values);
-            }
-        });
-        let picture = Padded {
-            values: &padded,
-            plane,
-            taps: &taps,
-        };
-        sums.par_chunks_mut(outputs * GROUP).enumerate().for_each(|(g, sums)| {
+        let tasks = sums[..count * groups * outputs * GROUP].par_chunks_mut(outputs * GROUP);
+        tasks.enumerate().for_each(|(task, sums)| {
             sums.fill(0.0);
-            let (from, c) = (g * GROUP, filter.channels);
+            let picture = Padded {
+                values: &padded[task / groups * room..][..room],
+                plane,
+                taps: &taps,
+            };
+            let (from, c) = (task % groups * GROUP, filter.channels);
             dispatch!(level, s => match shape {
                 Shape::Wide => group::<_, 8, 3>(s, &picture, from, &packed, c, depth, sums),
                 Shape::Middle => group::<_, 6, 1>(s, &picture, from, &packed, c, depth, sums),
                 Shape::Narrow => group::<_, 3, 1>(s, &picture, from, &packed, c, depth, sums),
             });
         });
-        out.par_chunks_exact_mut(h * w).enumerate().for_each(|(o, out)| {
+        out.par_chunks_exact_mut(h * w).enumerate().for_each(|(map, out)| {
+            let (picture, o) = (map / filter.out, map % filter.out);
             let bias = filter.bias.map_or(0.0, |bias| bias[o]);
             for (y, row) in out.chunks_exact_mut(w).enumerate() {
                 let (mut at, mut row) = (y * wide, row);
                 while !row.is_empty() {
-                    let (g, inside) = (at / GROUP, at % GROUP);
+                    let (g, inside) = (picture * groups + at / GROUP, at % GROUP);
                     let len = row.len().min(GROUP - inside);
                     let (now, later) = row.split_at_mut(len);
                     let sums = &sums[(g * outputs + o) * GROUP + inside..][..len];
@@ -206,8 +218,11 @@ fn tile_sums<S: Simd, const OUT: usize, const VECTORS: usize>(
     for (c, panel) in panel.chunks_exact(taps.len() * OUT).enumerate() {
         let plane = &values[c * picture.plane..];
         for (weights, &tap) in panel.as_chunks::<OUT>().0.iter().zip(taps) {
-            let x = &plane[tap..][..VECTORS * LANES];
-            let x: [f32x16<S>; VECTORS] = std::array::from_fn(|v| f32x16::from_slice(s, &x[v * LANES..][..LANES]));
+            let pixels = plane[tap..][..VECTORS * LANES].as_chunks::<LANES>().0;
+            let mut x = [f32x16::splat(s, 0.0); VECTORS];
+            for v in 0..VECTORS {
+                x[v] = f32x16::simd_from(s, pixels[v]);
+            }
             for o in 0..OUT {
                 let weight = f32x16::splat(s, weights[o]);
                 for v in 0..VECTORS {
@@ -216,10 +231,16 @@ fn tile_sums<S: Simd, const OUT: usize, const VECTORS: usize>(
             }
         }
     }
-    for (acc, sums) in acc.iter().zip(sums.chunks_exact_mut(GROUP)) {
-        let sums = sums[tile..][..VECTORS * LANES].as_chunks_mut::<LANES>().0;
-        for (acc, sum) in acc.iter().zip(sums) {
-            *sum = (*acc + f32x16::from_slice(s, sum)).into();
+    // a loop so plain that it is unrolled: else the sums would lie in memory all along
+    let mut kept = [[[0.0; LANES]; VECTORS]; OUT];
+    for o in 0..OUT {
+        for v in 0..VECTORS {
+            kept[o][v] = acc[o][v].into();
+        }
+    }
+    for (kept, sums) in kept.iter().zip(sums.chunks_exact_mut(GROUP)) {
+        for (sum, kept) in sums[tile..].iter_mut().zip(kept.as_flattened()) {
+            *sum += kept;
         }
     }
 }
@@ -299,7 +320,7 @@ mod tests {
 
     #[test]
     fn any_number_of_threads_gives_the_same_bits() {
-        let (channels, out, n, h, w) = (40, 20, 2, 30, 41);
+        let (channels, out, n, h, w) = (40, 20, 7, 30, 41);
         let x = formula_input("x", 0.1, 1.0, n * channels * h * w);
         let weight = formula_input("w", 0.0, 0.1, out * channels * 9);
         let filter = Filter {

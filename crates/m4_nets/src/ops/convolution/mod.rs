@@ -12,60 +12,74 @@ use burn_nn::conv::Conv2d;
 use direct::Filter;
 
 /// `conv` of the channels of all `parts` `[n, c, h, w]`, one after the other.
-pub fn convolve(parts: &[Tensor<4>], conv: &Conv2d) -> Tensor<4> {
-    on_processor(parts, conv).unwrap_or_else(|| by_burn(parts, conv))
-}
-
-fn by_burn(parts: &[Tensor<4>], conv: &Conv2d) -> Tensor<4> {
-    match parts {
-        [x] => conv.forward(x.clone()),
-        parts => conv.forward(Tensor::cat(parts.to_vec(), 1)),
+pub fn convolve<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d) -> Tensor<4> {
+    if is_for_kernel(&parts, conv) {
+        on_processor(parts, conv)
+    } else {
+        by_burn(parts.to_vec(), conv)
     }
 }
 
-/// `None` if the kernel is not for this convolution.
-fn on_processor(parts: &[Tensor<4>], conv: &Conv2d) -> Option<Tensor<4>> {
+fn by_burn(mut parts: Vec<Tensor<4>>, conv: &Conv2d) -> Tensor<4> {
+    match parts.pop() {
+        Some(x) if parts.is_empty() => conv.forward(x),
+        x => {
+            parts.extend(x);
+            conv.forward(Tensor::cat(parts, 1))
+        }
+    }
+}
+
+/// Whether the kernel does what `conv` does with `parts`.
+fn is_for_kernel(parts: &[Tensor<4>], conv: &Conv2d) -> bool {
+    let weight = conv.weight.val();
+    let [_, channels, kh, kw] = weight.dims();
+    let Some([n, _, h, w]) = parts.first().map(Tensor::dims) else {
+        return false;
+    };
+    let half = PaddingConfig2d::Explicit(kh / 2, kw / 2, kh / 2, kw / 2);
+    let plain = conv.stride == [1, 1] && conv.dilation == [1, 1] && conv.groups == 1;
+    let given: usize = parts.iter().map(|p| p.dims()[1]).sum();
+    let fits = parts.iter().all(|p| [0, 2, 3].map(|k| p.dims()[k]) == [n, h, w]) && given == channels;
+    let centred = kh % 2 == 1 && kw % 2 == 1 && conv.padding == half;
+    let bias = conv.bias.iter().map(|bias| bias.val().dtype());
+    let mut types = parts.iter().map(Tensor::dtype).chain([weight.dtype()]).chain(bias);
+    let here = weight.device() == Device::flex() && types.all(|t| t == DType::F32);
+    here && plain && fits && centred && n * h * w * channels > 0
+}
+
+/// What is [for the kernel](is_for_kernel).
+fn on_processor<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d) -> Tensor<4> {
     let weight = conv.weight.val();
     let device = weight.device();
     let [out, channels, kh, kw] = weight.dims();
-    let half = PaddingConfig2d::Explicit(kh / 2, kw / 2, kh / 2, kw / 2);
-    let plain = conv.stride == [1, 1] && conv.dilation == [1, 1] && conv.groups == 1;
-    let [n, _, h, w] = parts.first()?.dims();
-    let given: usize = parts.iter().map(|p| p.dims()[1]).sum();
-    let fits = parts.iter().all(|p| [0, 2, 3].map(|k| p.dims()[k]) == [n, h, w]) && given == channels;
-    let sound = fits && kh % 2 == 1 && kw % 2 == 1 && conv.padding == half;
-    let floats = parts.iter().all(|p| p.dtype() == DType::F32) && weight.dtype() == DType::F32;
-    if device != Device::flex() || !plain || !sound || !floats || n * h * w * channels == 0 {
-        return None;
-    }
+    let [n, _, h, w] = parts[0].dims();
+    // borrowed, which cannot fail for 32 bits; else empty, which no filter is
     let weight = weight.into_data();
     let bias = conv.bias.as_ref().map(|bias| bias.val().into_data());
     let filter = Filter {
-        weight: weight.as_slice().ok()?,
-        bias: match &bias {
-            Some(bias) => Some(bias.as_slice().ok()?),
-            None => None,
-        },
+        weight: weight.as_slice().unwrap_or_default(),
+        bias: bias.as_ref().and_then(|bias| bias.as_slice().ok()),
         out,
         channels,
         kernel: [kh, kw],
     };
-    let parts: Vec<_> = parts.iter().map(|p| p.clone().into_data()).collect();
-    let planes: Option<Vec<&[f32]>> = parts.iter().map(|p| p.as_slice().ok()).collect();
-    let values = direct::convolve(&planes?, n, [h, w], &filter);
-    Some(super::tensor(values, [n, out, h, w], &device))
+    let parts = parts.map(Tensor::into_data);
+    let planes = parts.each_ref().map(|p| p.as_slice().unwrap_or_default());
+    let values = direct::convolve(&planes, n, [h, w], &filter);
+    super::tensor(values, [n, out, h, w], &device)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{by_burn, on_processor};
+    use super::{by_burn, convolve, is_for_kernel};
     use crate::cpu;
     use crate::ops::{conv, tensor};
     use burn_core::module::Param;
     use burn_core::tensor::Tensor;
     use m4_testkit::formula_input;
 
-    fn agrees(parts: &[usize], out: usize, kernel: [usize; 2], [n, h, w]: [usize; 3], bias: bool) {
+    fn agrees<const P: usize>(parts: [usize; P], out: usize, kernel: [usize; 2], [n, h, w]: [usize; 3], bias: bool) {
         let device = cpu();
         let channels: usize = parts.iter().sum();
         let values = |key: &str, n: usize| formula_input(key, 0.1, 1.0, n);
@@ -78,13 +92,14 @@ mod tests {
         let [py, px] = kernel.map(|k| k / 2);
         layer.padding = burn_nn::PaddingConfig2d::Explicit(py, px, py, px);
         layer.bias = bias.then(|| Param::from_tensor(tensor(values("b", out), [out], &device)));
-        let parts: Vec<Tensor<4>> = (0..)
-            .zip(parts)
-            .map(|(i, &c)| tensor(values(&format!("x{i}"), n * c * h * w), [n, c, h, w], &device))
-            .collect();
+        let parts: [Tensor<4>; P] = std::array::from_fn(|i| {
+            let c = parts[i];
+            tensor(values(&format!("x{i}"), n * c * h * w), [n, c, h, w], &device)
+        });
         let numbers = |x: Tensor<4>| -> Vec<f32> { x.try_into_vec_as().unwrap() };
-        let got = numbers(on_processor(&parts, &layer).unwrap());
-        let want = numbers(by_burn(&parts, &layer));
+        assert!(is_for_kernel(&parts, &layer));
+        let got = numbers(convolve(parts.clone(), &layer));
+        let want = numbers(by_burn(parts.to_vec(), &layer));
         let largest = want.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
         let error = got.iter().zip(&want).fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
         assert!(got.iter().all(|x| x.is_finite()) && got.len() == want.len());
@@ -96,21 +111,25 @@ mod tests {
 
     #[test]
     fn agrees_with_burn() {
-        agrees(&[128, 64], 256, [3, 3], [2, 9, 13], true);
-        agrees(&[5, 40, 1], 19, [3, 3], [3, 17, 30], false);
-        agrees(&[4], 128, [7, 7], [1, 16, 24], true);
-        agrees(&[196], 128, [1, 1], [2, 5, 7], true);
-        agrees(&[33], 2, [3, 3], [1, 1, 1], true);
-        agrees(&[24], 24, [1, 5], [1, 20, 33], true);
-        agrees(&[24], 24, [5, 1], [1, 20, 33], true);
-        agrees(&[3], 1, [3, 3], [1, 40, 200], false);
+        agrees([128, 64], 256, [3, 3], [2, 9, 13], true);
+        agrees([5, 40, 1], 19, [3, 3], [3, 17, 30], false);
+        agrees([4], 128, [7, 7], [1, 16, 24], true);
+        agrees([196], 128, [1, 1], [2, 5, 7], true);
+        agrees([33], 2, [3, 3], [1, 1, 1], true);
+        agrees([24], 24, [1, 5], [1, 20, 33], true);
+        agrees([24], 24, [5, 1], [1, 20, 33], true);
+        agrees([3], 1, [3, 3], [1, 40, 200], false);
     }
 
     #[test]
     fn a_stride_is_not_for_the_kernel() {
         let device = cpu();
         let layer = conv([4, 4], 3, 2, true, &device);
-        assert!(on_processor(&[Tensor::zeros([1, 4, 8, 8], &device)], &layer).is_none());
+        assert!(!is_for_kernel(&[Tensor::zeros([1, 4, 8, 8], &device)], &layer));
+        assert_eq!(
+            convolve([Tensor::zeros([1, 4, 8, 8], &device)], &layer).dims(),
+            [1, 4, 4, 4]
+        );
     }
 
     /// `cargo test --release -p m4_nets --lib convolution::tests::is_faster -- --ignored --nocapture`: seconds of all threads, so
@@ -147,8 +166,8 @@ mod tests {
             );
             layer.weight = Param::from_tensor(weight);
             let parts = [x];
-            let ours = best(&|| drop(on_processor(&parts, &layer).unwrap().into_data()));
-            let burns = best(&|| drop(by_burn(&parts, &layer).into_data()));
+            let ours = best(&|| drop(convolve(parts.clone(), &layer).into_data()));
+            let burns = best(&|| drop(by_burn(parts.to_vec(), &layer).into_data()));
             let work = 2.0 * (n * from * to * k * k * h * w) as f64;
             let rate = |seconds: f64| work / seconds / 1e9;
             println!(
