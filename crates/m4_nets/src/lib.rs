@@ -14,10 +14,12 @@
 #![forbid(unsafe_code)]
 
 pub mod depth_anything;
+pub mod droid;
 pub mod gmflow;
 pub mod mobile_sam;
 pub mod moge;
 
+mod correlation;
 mod dinov2;
 #[cfg(test)]
 mod fixture;
@@ -27,6 +29,7 @@ mod ops;
 pub use burn_core::tensor::Device;
 pub use depth_anything::{DepthAnything, DisparityError};
 pub use dinov2::BackboneSize;
+pub use droid::{DroidError, DroidMemory, DroidNet};
 pub use gmflow::{Flow, FlowError, GmFlow};
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};

@@ -1,9 +1,11 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
+mod convolution;
 mod gelu;
 mod picture;
 mod resample;
 
+pub use convolution::{convolve, convolve_edges};
 pub use gelu::gelu;
 pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};
 pub use resample::{Kernels, resampled};

@@ -1,0 +1,251 @@
+//! What the tracking network keeps of a clip, and what it answers.
+//!
+//! ```text
+//! add_frame --fnet--> features                    enter, leave: edges, whose hidden states start as their source's
+//! motion_px: one update from a frame's state      revise_source: one update of all edges of a frame
+//! ```
+//!
+//! Features, first states and hidden states lie in a store within a budget of memory; what was not used for longest goes to a
+//! nameless file. Numbers are rounded whenever they enter the store, so that no answer depends on the budget.
+
+mod revise;
+mod store;
+#[cfg(test)]
+mod tests;
+
+pub use revise::{EdgeUpdate, SourceUpdate};
+pub use store::Storage;
+
+use super::update::{LEVELS, RADIUS};
+use super::{DroidError, DroidNet, WIDTH};
+use crate::correlation::{FeatureMap, Pyramid, scores};
+use crate::ops::tensor;
+use burn_core::tensor::{DType, Tensor};
+use m4_scene::RgbImage;
+use std::collections::HashMap;
+use std::error::Error;
+use std::fmt;
+use std::io;
+use std::path::PathBuf;
+use std::sync::Arc;
+use store::Store;
+
+/// Gives the picture of a frame, by its number in the clip, in the size that the network works with.
+pub type Pictures = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send>;
+
+/// How a memory keeps what it keeps.
+#[derive(Debug, Clone)]
+pub struct MemoryOptions {
+    /// Bytes of features and states that may lie in memory; more goes to a file.
+    pub budget_bytes: usize,
+    /// How they are kept.
+    pub storage: Storage,
+    /// The folder of that file, which has no name and goes away with the memory.
+    pub scratch: PathBuf,
+}
+
+/// What is in the store; each is `128 * h * w` numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+enum Key {
+    /// Of a frame, `[h][w][128]`.
+    Features(usize),
+    /// The hidden state that edges of a frame start with, `[128][h][w]`.
+    First(usize),
+    /// Of a frame, `[128][h][w]`.
+    Context(usize),
+    /// Of an edge, `[128][h][w]`.
+    Hidden(u64),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Edge {
+    source: usize,
+    target: usize,
+}
+
+/// The network's memory of one clip. Frames are numbers in the clip, edges have identities of the caller's choice.
+pub struct DroidMemory {
+    net: Arc<DroidNet>,
+    store: Store<Key>,
+    pictures: Pictures,
+    edges: HashMap<u64, Edge>,
+    /// Columns and rows of the pictures, once one was seen.
+    size: Option<(usize, usize)>,
+}
+
+impl fmt::Debug for DroidMemory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DroidMemory")
+            .field("size", &self.size)
+            .field("edges", &self.edges.len())
+            .field("held", &self.store.held())
+            .finish_non_exhaustive()
+    }
+}
+
+impl DroidMemory {
+    /// An empty memory. `pictures` is asked for a frame whose first state is needed (that is when it becomes a source), and for
+    /// one that was not added.
+    #[must_use]
+    pub fn new(net: Arc<DroidNet>, options: MemoryOptions, pictures: Pictures) -> Self {
+        Self {
+            net,
+            store: Store::new(options.budget_bytes, options.storage, options.scratch),
+            pictures,
+            edges: HashMap::new(),
+            size: None,
+        }
+    }
+
+    /// Columns and rows of the grid, an eighth of the pictures', once a picture was seen.
+    #[must_use]
+    pub fn grid(&self) -> Option<(usize, usize)> {
+        self.size.map(|(w, h)| (w / 8, h / 8))
+    }
+
+    /// Bytes of features and states in memory: now, and at most so far.
+    #[must_use]
+    pub const fn held_bytes(&self) -> (usize, usize) {
+        self.store.held()
+    }
+
+    /// Bytes of the file that the rest lies in.
+    #[must_use]
+    pub const fn file_bytes(&self) -> u64 {
+        self.store.spilled()
+    }
+
+    /// Computes the features of `frame` from its picture, unless they are known. A frame that is not added is, when it is
+    /// needed.
+    ///
+    /// # Errors
+    ///
+    /// [`DroidError`] if the picture is too small, has sides that are no multiples of 8 or another size than those before, or
+    /// if file or device fail.
+    pub fn add_frame(&mut self, frame: usize, image: &RgbImage) -> Result<(), DroidError> {
+        if self.store.contains(Key::Features(frame)) {
+            return Ok(());
+        }
+        self.check_size(frame, image)?;
+        let features = self.net.features(image)?;
+        self.keep(Key::Features(frame), features.permute([0, 2, 3, 1]))
+    }
+
+    /// Forgets features and first state of `frame`. They are computed again if they are needed.
+    pub fn forget_frame(&mut self, frame: usize) {
+        for key in [Key::Features(frame), Key::First(frame), Key::Context(frame)] {
+            self.store.remove(key);
+        }
+    }
+
+    /// Starts an edge: where the pixels of `source` are in `target`. One that is there already starts anew.
+    pub fn enter(&mut self, edge_id: u64, source: usize, target: usize) {
+        self.store.remove(Key::Hidden(edge_id));
+        self.edges.insert(edge_id, Edge { source, target });
+    }
+
+    /// Forgets an edge; nothing happens if it is not there.
+    pub fn leave(&mut self, edge_id: u64) {
+        self.store.remove(Key::Hidden(edge_id));
+        self.edges.remove(&edge_id);
+    }
+
+    /// Mean length of what one update from the first state of `from`, at rest, says of the motion to `to`: pixels of the grid.
+    ///
+    /// # Errors
+    ///
+    /// [`DroidError`] if a picture cannot be had or does not fit, or if file or device fail.
+    pub fn motion_px(&mut self, from: usize, to: usize) -> Result<f64, DroidError> {
+        let [hidden, context] = self.first_state(from)?;
+        let source = FeatureMap::new(self.features(from)?);
+        let (w, h) = self.grid().unwrap_or_default();
+        let grid = (0..w * h).flat_map(|i| [(i % w) as f32, (i / w) as f32]).collect();
+        let corr = self.correlation(&source, to, grid)?;
+        let update = &self.net.net.update;
+        let context = self.net.gru.context(context);
+        let hidden = update.advance(&self.net.gru, hidden, context, corr, None);
+        let delta = read(update.delta(hidden))?;
+        let (u, v) = delta.split_at(w * h);
+        let lengths = u.iter().zip(v).map(|(u, v)| f64::from(*u).hypot(f64::from(*v)));
+        Ok(lengths.sum::<f64>() / (w * h).max(1) as f64)
+    }
+
+    /// Features of `frame`, `[h, w, 128]`.
+    fn features(&mut self, frame: usize) -> Result<Tensor<3>, DroidError> {
+        if !self.store.contains(Key::Features(frame)) {
+            let image = self.picture(frame)?;
+            self.add_frame(frame, &image)?;
+        }
+        let values = self.kept(Key::Features(frame))?;
+        let (w, h) = self.grid().unwrap_or_default();
+        Ok(tensor(values, [h, w, WIDTH], &self.net.device).cast(self.net.dtype()))
+    }
+
+    /// Hidden state and context that edges of `frame` start with, `[1, 128, h, w]` each.
+    fn first_state(&mut self, frame: usize) -> Result<[Tensor<4>; 2], DroidError> {
+        let keys = [Key::First(frame), Key::Context(frame)];
+        if !keys.iter().all(|&key| self.store.contains(key)) {
+            let image = self.picture(frame)?;
+            let parts = self.net.state(&image)?;
+            for (key, part) in keys.into_iter().zip(parts) {
+                self.keep(key, part)?;
+            }
+        }
+        Ok([self.map(keys[0])?, self.map(keys[1])?])
+    }
+
+    /// Scores `[1, 196, h, w]` of `source` in `target` around `centres` `[h][w][2]`.
+    fn correlation(&mut self, source: &FeatureMap, target: usize, centres: Vec<f32>) -> Result<Tensor<4>, DroidError> {
+        let target = Pyramid::new(self.features(target)?, LEVELS);
+        let (w, h) = self.grid().unwrap_or_default();
+        let centres = tensor(centres, [h, w, 2], &self.net.device).cast(DType::F32);
+        let found = scores(source, &target, centres, RADIUS);
+        Ok(found.permute([2, 0, 1]).unsqueeze())
+    }
+
+    fn picture(&mut self, frame: usize) -> Result<RgbImage, DroidError> {
+        let image = (self.pictures)(frame).map_err(|reason| DroidError::Picture { frame, reason })?;
+        self.check_size(frame, &image)?;
+        Ok(image)
+    }
+
+    fn check_size(&mut self, frame: usize, image: &RgbImage) -> Result<(), DroidError> {
+        let got = image.size();
+        super::picture::check(got)?;
+        let expected = *self.size.get_or_insert(got);
+        if got == expected {
+            return Ok(());
+        }
+        Err(DroidError::OtherSize { frame, got, expected })
+    }
+
+    fn keep<const D: usize>(&mut self, key: Key, values: Tensor<D>) -> Result<(), DroidError> {
+        let values = read(values)?;
+        self.store.put(key, &values).map_err(|e| self.scratch_failed(e))
+    }
+
+    fn kept(&mut self, key: Key) -> Result<Vec<f32>, DroidError> {
+        let found = self.store.get(key).map_err(|e| self.scratch_failed(e))?;
+        found.ok_or_else(|| self.scratch_failed(io::ErrorKind::NotFound.into()))
+    }
+
+    /// What is under `key` as a map, `[1, 128, h, w]`.
+    fn map(&mut self, key: Key) -> Result<Tensor<4>, DroidError> {
+        let (w, h) = self.grid().unwrap_or_default();
+        Ok(tensor(self.kept(key)?, [1, WIDTH, h, w], &self.net.device).cast(self.net.dtype()))
+    }
+
+    fn scratch_failed(&self, reason: io::Error) -> DroidError {
+        DroidError::Scratch {
+            folder: self.store.folder().clone(),
+            reason,
+        }
+    }
+}
+
+/// The numbers of a tensor, in 32 bits.
+fn read<const D: usize>(values: Tensor<D>) -> Result<Vec<f32>, DroidError> {
+    values
+        .try_into_vec_as()
+        .map_err(|error| DroidError::Device(error.to_string()))
+}

@@ -1,0 +1,154 @@
+//! MegaSaM's tracking network: DROID-SLAM's recurrent update with a head that tells what moves.
+//!
+//! - Papers: Teed and Deng, "DROID-SLAM: Deep Visual SLAM for Monocular, Stereo, and RGB-D Cameras", NeurIPS 2021; Li et al.,
+//!   "MegaSaM: Accurate, Fast, and Robust Structure and Motion from Casual Dynamic Videos", CVPR 2025, section 3.2.
+//! - Upstreams: princeton-vl/DROID-SLAM (BSD-3), mega-sam/mega-sam (Apache-2.0). Weights (CC-BY 4.0): a checkpoint of 130
+//!   tensors, 5,192,467 numbers, of which [`DroidNet`] leaves out those that only training used.
+//!
+//! ```text
+//! picture --fnet--> features at 1/8        --cnet--> hidden (tanh), context (relu)
+//! edge: correlation around where geometry sees the pixels, motion --update(hidden, context)--> hidden, delta, weight
+//! all edges of a source --mean--> eta (damping of disparities), upmask; how likely each edge's pixels stand still
+//! ```
+//!
+//! [`DroidNet`] is the network, [`DroidMemory`] what it keeps of a clip: features of frames and hidden states of edges, within
+//! a budget of memory. Positions are pixels of the grid at 1/8 whose centres are whole numbers, u to the right, v down.
+//!
+//! What a frame's context adds to the recurrent unit is computed once for all edges of the frame, and the two gates that read
+//! the same numbers are one convolution; upstream does both for every edge in every step.
+
+mod aggregation;
+mod encoder;
+mod error;
+mod gru;
+mod memory;
+mod motion;
+mod picture;
+#[cfg(test)]
+mod tests;
+mod update;
+mod upsampling;
+
+pub use error::DroidError;
+pub use memory::{DroidMemory, EdgeUpdate, MemoryOptions, Pictures, SourceUpdate, Storage};
+
+use crate::{LoadError, load};
+use burn_core as burn;
+use burn_core::module::Module;
+use burn_core::tensor::activation::relu;
+use burn_core::tensor::{DType, Device, Tensor};
+use encoder::{Encoder, Norm};
+use gru::ArrangedGru;
+use m4_scene::RgbImage;
+use std::path::Path;
+use update::Update;
+
+/// Channels of features, hidden states and contexts.
+const WIDTH: usize = 128;
+
+/// Names of the checkpoint that are not those of fields.
+const RENAMES: [(&str, &str); 5] = [
+    (r"^module\.", ""),
+    (r"\.downsample\.0\.", ".downsample.conv."),
+    (
+        r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.0\.",
+        ".${1}.hidden.",
+    ),
+    (
+        r"\.(corr_encoder|flow_encoder|weight|delta|logits_2)\.2\.",
+        ".${1}.out.",
+    ),
+    (r"\.agg\.(eta|upmask)\.0\.", ".agg.${1}."),
+];
+
+/// Tensors of the checkpoint (by the fields' names) that only training used.
+const UNNEEDED: [&str; 3] = [
+    "update.agg_motion.conv4.",
+    "update.agg_motion.norm_4.",
+    "update.agg_motion.eta.",
+];
+
+/// The network with its weights.
+#[derive(Debug)]
+pub struct DroidNet {
+    net: Net,
+    gru: ArrangedGru,
+    device: Device,
+}
+
+/// Fields as in the checkpoint.
+#[derive(Module, Debug)]
+struct Net {
+    fnet: Encoder,
+    cnet: Encoder,
+    update: Update,
+}
+
+impl DroidNet {
+    /// The network with the weights of the checkpoint at `path`, on `device`. Weights and steps may have two outputs, as the
+    /// network uses, or three, as published.
+    ///
+    /// # Errors
+    ///
+    /// [`LoadError`] if the file cannot be read or holds another network.
+    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+        let with_rows = |rows: usize| {
+            let mut net = Net {
+                fnet: Encoder::new(WIDTH, device),
+                cnet: Encoder::new(2 * WIDTH, device),
+                update: Update::new(rows, device),
+            };
+            let unneeded = |name: &str| UNNEEDED.iter().any(|start| name.starts_with(start));
+            load::fill(&mut net, "MegaSaM's tracking network", path, &RENAMES, unneeded)?;
+            Ok(net)
+        };
+        let fewer = |a: &LoadError, b: &LoadError| {
+            let wrong = |error: &LoadError| match error {
+                LoadError::OtherNetwork { wrong, .. } => wrong.len(),
+                _ => usize::MAX,
+            };
+            wrong(a) < wrong(b)
+        };
+        let net = match with_rows(2) {
+            Err(two @ LoadError::OtherNetwork { .. }) => match with_rows(3) {
+                Ok(net) => Net {
+                    update: net.update.without_third_rows(),
+                    ..net
+                },
+                // of the two, the one that finds less to complain about
+                Err(three) => return Err(if fewer(&three, &two) { three } else { two }),
+            },
+            other => other?,
+        };
+        Ok(Self {
+            gru: net.update.arranged_gru(),
+            net,
+            device: device.clone(),
+        })
+    }
+
+    /// Numbers that the network learned and uses.
+    #[must_use]
+    pub fn parameters(&self) -> usize {
+        self.net.num_params()
+    }
+
+    /// The type that it computes in.
+    fn dtype(&self) -> DType {
+        self.gru.dtype()
+    }
+
+    /// Features of `image` for correlation, `[1, 128, h / 8, w / 8]`.
+    fn features(&self, image: &RgbImage) -> Result<Tensor<4>, DroidError> {
+        let image = picture::normalised(image, &self.device)?.cast(self.dtype());
+        Ok(self.net.fnet.forward(image, Norm::Instance))
+    }
+
+    /// The hidden state that edges from `image` start with, and its context, `[1, 128, h / 8, w / 8]` each.
+    fn state(&self, image: &RgbImage) -> Result<[Tensor<4>; 2], DroidError> {
+        let image = picture::normalised(image, &self.device)?.cast(self.dtype());
+        let both = self.net.cnet.forward(image, Norm::None);
+        let half = |k: usize| both.clone().narrow(1, k * WIDTH, WIDTH);
+        Ok([half(0).tanh(), relu(half(1))])
+    }
+}

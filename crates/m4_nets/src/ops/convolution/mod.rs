@@ -1,0 +1,182 @@
+//! Convolutions, with a kernel of our own where tensors lie on the processor.
+//!
+//! Burn's copies each neighbourhood into a row of a matrix (im2col) and multiplies with the crate `gemm`, which reaches 30% of
+//! what a core with 512-bit vectors can do. [`direct`] reads the padded planes in place, and its innermost loop holds its
+//! sums in registers. Elsewhere, and for strides, dilations and groups, the convolution is Burn's.
+
+mod direct;
+
+use burn_core::tensor::module::conv2d;
+use burn_core::tensor::ops::{ConvOptions, PadMode};
+use burn_core::tensor::{DType, Device, Tensor};
+use burn_nn::PaddingConfig2d;
+use burn_nn::conv::Conv2d;
+use direct::Filter;
+
+pub use direct::Beyond;
+
+/// `conv` of the channels of all `parts` `[n, c, h, w]`, one after the other.
+pub fn convolve(parts: &[Tensor<4>], conv: &Conv2d) -> Tensor<4> {
+    on_processor(parts, conv, Beyond::Nothing).unwrap_or_else(|| by_burn(parts, conv, Beyond::Nothing))
+}
+
+/// `conv`, which is padded by half its kernel, of `x` `[n, c, h, w]` with its edges repeated instead of zeros around it.
+pub fn convolve_edges(x: Tensor<4>, conv: &Conv2d) -> Tensor<4> {
+    let parts = [x];
+    on_processor(&parts, conv, Beyond::Edges).unwrap_or_else(|| by_burn(&parts, conv, Beyond::Edges))
+}
+
+fn by_burn(parts: &[Tensor<4>], conv: &Conv2d, beyond: Beyond) -> Tensor<4> {
+    let x = match parts {
+        [x] => x.clone(),
+        parts => Tensor::cat(parts.to_vec(), 1),
+    };
+    if beyond == Beyond::Nothing {
+        return conv.forward(x);
+    }
+    let [up, left] = conv.kernel_size.map(|k| k / 2);
+    let x = x.pad([(0, 0), (0, 0), (up, up), (left, left)], PadMode::Edge);
+    let options = ConvOptions::new(conv.stride, [0, 0], conv.dilation, conv.groups);
+    conv2d(x, conv.weight.val(), conv.bias.as_ref().map(|bias| bias.val()), options)
+}
+
+/// `None` if the kernel is not for this convolution.
+fn on_processor(parts: &[Tensor<4>], conv: &Conv2d, beyond: Beyond) -> Option<Tensor<4>> {
+    let weight = conv.weight.val();
+    let device = weight.device();
+    let [out, channels, kh, kw] = weight.dims();
+    let half = PaddingConfig2d::Explicit(kh / 2, kw / 2, kh / 2, kw / 2);
+    let plain = conv.stride == [1, 1] && conv.dilation == [1, 1] && conv.groups == 1;
+    let [n, _, h, w] = parts.first()?.dims();
+    let given: usize = parts.iter().map(|p| p.dims()[1]).sum();
+    let fits = parts.iter().all(|p| [0, 2, 3].map(|k| p.dims()[k]) == [n, h, w]) && given == channels;
+    let sound = fits && kh % 2 == 1 && kw % 2 == 1 && conv.padding == half;
+    let floats = parts.iter().all(|p| p.dtype() == DType::F32) && weight.dtype() == DType::F32;
+    if device != Device::flex() || !plain || !sound || !floats || n * h * w * channels == 0 {
+        return None;
+    }
+    let weight = weight.into_data();
+    let bias = conv.bias.as_ref().map(|bias| bias.val().into_data());
+    let filter = Filter {
+        weight: weight.as_slice().ok()?,
+        bias: match &bias {
+            Some(bias) => Some(bias.as_slice().ok()?),
+            None => None,
+        },
+        out,
+        channels,
+        kernel: [kh, kw],
+        beyond,
+    };
+    let parts: Vec<_> = parts.iter().map(|p| p.clone().into_data()).collect();
+    let planes: Option<Vec<&[f32]>> = parts.iter().map(|p| p.as_slice().ok()).collect();
+    let values = direct::convolve(&planes?, n, [h, w], &filter);
+    Some(super::tensor(values, [n, out, h, w], &device))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Beyond, by_burn, on_processor};
+    use crate::cpu;
+    use crate::ops::{conv, tensor};
+    use burn_core::module::Param;
+    use burn_core::tensor::Tensor;
+    use m4_testkit::formula_input;
+
+    fn agrees(parts: &[usize], out: usize, kernel: [usize; 2], [n, h, w]: [usize; 3], bias: bool) {
+        let device = cpu();
+        let channels: usize = parts.iter().sum();
+        let values = |key: &str, n: usize| formula_input(key, 0.1, 1.0, n);
+        let mut layer = conv([channels, out], kernel[0], 1, bias, &device);
+        let count = out * channels * kernel[0] * kernel[1];
+        let scale = 1.0 / ((channels * kernel[0] * kernel[1]) as f32).sqrt();
+        let weight = tensor(values("w", count), [out, channels, kernel[0], kernel[1]], &device) * scale;
+        layer.weight = Param::from_tensor(weight);
+        layer.kernel_size = kernel;
+        let [py, px] = kernel.map(|k| k / 2);
+        layer.padding = burn_nn::PaddingConfig2d::Explicit(py, px, py, px);
+        layer.bias = bias.then(|| Param::from_tensor(tensor(values("b", out), [out], &device)));
+        let parts: Vec<Tensor<4>> = (0..)
+            .zip(parts)
+            .map(|(i, &c)| tensor(values(&format!("x{i}"), n * c * h * w), [n, c, h, w], &device))
+            .collect();
+        let numbers = |x: Tensor<4>| -> Vec<f32> { x.try_into_vec_as().unwrap() };
+        for beyond in [Beyond::Nothing, Beyond::Edges] {
+            let got = numbers(on_processor(&parts, &layer, beyond).unwrap());
+            let want = numbers(by_burn(&parts, &layer, beyond));
+            let largest = want.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
+            let error = got.iter().zip(&want).fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
+            assert!(got.iter().all(|x| x.is_finite()) && got.len() == want.len());
+            assert!(
+                largest > 0.1 && error < 3e-6 * largest,
+                "{out} {kernel:?}: {error:.1e} of {largest}"
+            );
+        }
+    }
+
+    #[test]
+    fn agrees_with_burn() {
+        agrees(&[128, 64], 256, [3, 3], [2, 9, 13], true);
+        agrees(&[5, 40, 1], 19, [3, 3], [3, 17, 30], false);
+        agrees(&[4], 128, [7, 7], [1, 16, 24], true);
+        agrees(&[196], 128, [1, 1], [2, 5, 7], true);
+        agrees(&[33], 2, [3, 3], [1, 1, 1], true);
+        agrees(&[24], 24, [1, 5], [1, 20, 33], true);
+        agrees(&[24], 24, [5, 1], [1, 20, 33], true);
+        agrees(&[3], 1, [3, 3], [1, 40, 200], false);
+    }
+
+    #[test]
+    fn a_stride_is_not_for_the_kernel() {
+        let device = cpu();
+        let layer = conv([4, 4], 3, 2, true, &device);
+        assert!(on_processor(&[Tensor::zeros([1, 4, 8, 8], &device)], &layer, Beyond::Nothing).is_none());
+    }
+
+    /// `cargo test --release -p m4_nets --lib convolution::tests::is_faster -- --ignored --nocapture`: seconds of all threads, so
+    /// that it can be measured on a machine that has other work.
+    #[test]
+    #[ignore = "a measurement"]
+    fn is_faster_than_burn() {
+        let device = cpu();
+        let best = |work: &dyn Fn()| {
+            let seconds = (0..8).map(|_| {
+                let start = cpu_time::ProcessTime::now();
+                work();
+                start.elapsed().as_secs_f64()
+            });
+            seconds.fold(f64::MAX, f64::min)
+        };
+        for (from, to, k, n) in [
+            (448, 256, 3, 1),
+            (448, 256, 3, 4),
+            (320, 256, 3, 4),
+            (128, 128, 3, 1),
+            (128, 128, 3, 4),
+            (196, 128, 1, 4),
+            (4, 128, 7, 4),
+            (128, 2, 3, 4),
+        ] {
+            let [h, w] = [41, 73];
+            let x = tensor(formula_input("x", 0.0, 1.0, n * from * h * w), [n, from, h, w], &device);
+            let mut layer = conv([from, to], k, 1, false, &device);
+            let weight = tensor(
+                formula_input("w", 0.0, 1.0, to * from * k * k),
+                [to, from, k, k],
+                &device,
+            );
+            layer.weight = Param::from_tensor(weight);
+            let parts = [x];
+            let ours = best(&|| drop(on_processor(&parts, &layer, Beyond::Nothing).unwrap().into_data()));
+            let burns = best(&|| drop(by_burn(&parts, &layer, Beyond::Nothing).into_data()));
+            let work = 2.0 * (n * from * to * k * k * h * w) as f64;
+            let rate = |seconds: f64| work / seconds / 1e9;
+            println!(
+                "{from} -> {to}, {k} x {k}, {n}: Burn {:.0} GFLOP/s, ours {:.0}",
+                rate(burns),
+                rate(ours)
+            );
+            assert!(ours < burns, "{from} -> {to}, {k} x {k}, {n}");
+        }
+    }
+}
