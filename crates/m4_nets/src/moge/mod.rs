@@ -149,8 +149,8 @@ impl Net {
 
     /// What the neck makes of a picture `[1, 3, 14 h, 14 w]`, from small to large, and the class token.
     fn features(&self, picture: Tensor<4>, taps: &[usize], grid: Grid) -> (Vec<Tensor<4>>, Tensor<2>) {
-        let (device, dtype) = (picture.device(), picture.dtype());
         let (map, class) = self.encoder.forward(picture, taps, [grid.down, grid.across]);
+        let (device, dtype) = (map.device(), map.dtype());
         let places = (0..self.neck.levels()).map(|level| grid.places(level, &device, dtype));
         let mut inputs: Vec<Tensor<4>> = places.collect();
         if let Some(first) = inputs.first_mut() {
