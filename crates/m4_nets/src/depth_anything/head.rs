@@ -8,7 +8,7 @@
 //! Bilinear is corner on corner here.
 
 use crate::dinov2::{BackboneSize, PATCH, Tap};
-use crate::ops::conv;
+use crate::ops::{conv, convolve};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
@@ -103,8 +103,8 @@ impl Residual {
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let y = self.conv1.forward(relu(x.clone()));
-        self.conv2.forward(relu(y)) + x
+        let y = convolve([relu(x.clone())], &self.conv1);
+        convolve([relu(y)], &self.conv2) + x
     }
 }
 
@@ -124,7 +124,7 @@ impl Fusion {
             None => coarse,
         };
         // a convolution of single pixels and a mean of pixels may change places: the smaller map is convolved
-        corner_on_corner(self.out_conv.forward(self.unit2.forward(x)), to)
+        corner_on_corner(convolve([self.unit2.forward(x)], &self.out_conv), to)
     }
 }
 
@@ -175,10 +175,10 @@ impl DepthHead {
     /// Of four maps of `grid` patches (rows, columns): `[b, 1, 14 h, 14 w]`.
     pub fn forward(&self, maps: [Tap; 4], grid: [usize; 2]) -> Tensor<4> {
         let [_, _, _, finest] = self.fused(self.levels(maps, grid));
-        let x = self.scratch.output_conv1.forward(finest);
+        let x = convolve([finest], &self.scratch.output_conv1);
         let x = corner_on_corner(x, grid.map(|side| side * PATCH));
         let output = &self.scratch.output_conv2;
-        output.last.forward(relu(output.wide.forward(x)))
+        convolve([relu(convolve([x], &output.wide))], &output.last)
     }
 
     /// The maps at their sizes, from fine to coarse, all with the same channels.
@@ -190,10 +190,10 @@ impl DepthHead {
         };
         let (layers, scratch) = (&self.resize_layers, &self.scratch);
         [
-            scratch.layer1_rn.forward(layers.four_times.forward(projected(0))),
-            scratch.layer2_rn.forward(layers.twice.forward(projected(1))),
-            scratch.layer3_rn.forward(projected(2)),
-            scratch.layer4_rn.forward(layers.half.forward(projected(3))),
+            convolve([layers.four_times.forward(projected(0))], &scratch.layer1_rn),
+            convolve([layers.twice.forward(projected(1))], &scratch.layer2_rn),
+            convolve([projected(2)], &scratch.layer3_rn),
+            convolve([layers.half.forward(projected(3))], &scratch.layer4_rn),
         ]
     }
 

@@ -120,6 +120,7 @@ impl DinoV2 {
 
     /// Tokens as the first block takes them.
     fn tokens(&self, pictures: Tensor<4>) -> Tensor<3> {
+        let pictures = pictures.cast(self.patch_embed.proj.weight.val().dtype());
         let maps = self.patch_embed.proj.forward(pictures);
         let [b, c, h, w] = maps.dims();
         let patches = maps.reshape([b, c, h * w]).swap_dims(1, 2);

@@ -56,12 +56,11 @@ pub struct Config {
 const NORMS: [Norm; 2] = [Norm::Layer, Norm::Group];
 
 impl Config {
-    /// Of a backbone of `size` whose taps number `taps`: blocks at equal distances, the last among them, 1200 to 3600 patches, exponential
-    /// depth. The published training configuration is that of the large one.
-    pub fn published(size: BackboneSize, taps: usize) -> Self {
-        let depth = size.depth();
+    /// Of a backbone of `size`: four blocks at equal distances, the last among them, 1200 to 3600 patches, exponential depth. The published
+    /// training configuration is that of the large one, whose blocks are 5, 11, 17 and 23.
+    pub fn published(size: BackboneSize) -> Self {
         Self {
-            taps: (1..=taps).map(|i| (i * depth / taps).max(1) - 1).collect(),
+            taps: (1..=4).map(|i| i * size.depth() / 4 - 1).collect(),
             tokens: (1200, 3600),
             remap: Remap::Exp,
             norms: Vec::new(),
@@ -73,8 +72,8 @@ impl Config {
     /// # Errors
     ///
     /// What it says that is not known here.
-    pub fn of_checkpoint(path: &Path, size: BackboneSize, taps: usize) -> Result<Self, String> {
-        let mut config = Self::published(size, taps);
+    pub fn of_checkpoint(path: &Path, size: BackboneSize) -> Result<Self, String> {
+        let mut config = Self::published(size);
         if path.extension().is_some_and(|end| end == "safetensors") {
             return Ok(config);
         }

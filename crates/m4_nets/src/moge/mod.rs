@@ -12,8 +12,8 @@
 //!
 //! The number of patches is free. Widths, levels and heads are read off the checkpoint's tensors; what they cannot tell (which blocks are
 //! tapped, how many patches it was trained with, how numbers become points) is read from the `model_config` of the official files, and
-//! is that of the public training configuration where a file has none ([`config::Config::published`]): a quarter of the blocks apart, 1200
-//! to 3600, exponential.
+//! is that of the public training configuration where a file has none: the last block of each quarter, 1200 to 3600, `z = exp c` and
+//! `(x, y) = (a, b) z` of the three numbers `a, b, c` of a point.
 
 mod config;
 mod encoder;
@@ -149,8 +149,8 @@ impl Net {
 
     /// What the neck makes of a picture `[1, 3, 14 h, 14 w]`, from small to large, and the class token.
     fn features(&self, picture: Tensor<4>, taps: &[usize], grid: Grid) -> (Vec<Tensor<4>>, Tensor<2>) {
-        let (device, dtype) = (picture.device(), picture.dtype());
         let (map, class) = self.encoder.forward(picture, taps, [grid.down, grid.across]);
+        let (device, dtype) = (map.device(), map.dtype());
         let places = (0..self.neck.levels()).map(|level| grid.places(level, &device, dtype));
         let mut inputs: Vec<Tensor<4>> = places.collect();
         if let Some(first) = inputs.first_mut() {
@@ -187,7 +187,7 @@ impl MoGe {
             wrong: vec![wrong],
         };
         let taps = Layout::taps_of(&shapes);
-        let config = Config::of_checkpoint(path, size, taps).map_err(other)?;
+        let config = Config::of_checkpoint(path, size).map_err(other)?;
         let layout = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).map_err(other)?;
         let rising = config.taps.windows(2).all(|pair| pair[0] < pair[1]);
         if config.taps.len() != taps || !rising || config.taps.iter().any(|&tap| tap >= size.depth()) {

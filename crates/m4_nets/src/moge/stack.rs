@@ -7,14 +7,14 @@
 //! How many levels there are and how wide they are is read off a checkpoint ([`StackLayout`]). Convolutions of 3 x 3 repeat the edges.
 
 use super::layout::{Level, StackLayout, Up};
-use crate::ops::conv;
+use crate::ops::{conv, convolve, convolve_edges};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::module::interpolate;
-use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions, PadMode};
+use burn_core::tensor::ops::{InterpolateMode, InterpolateOptions};
 use burn_core::tensor::{Device, Tensor};
-use burn_nn::conv::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dConfig};
+use burn_nn::conv::{Conv2d, ConvTranspose2d, ConvTranspose2dConfig};
 use burn_nn::{GroupNorm, GroupNormConfig, Initializer};
 
 /// The decoder or a head.
@@ -43,16 +43,9 @@ struct Residual {
     conv2: Conv2d,
 }
 
-/// A convolution of 3 x 3 without padding, for [`edged`].
-fn inner(channels: [usize; 2], device: &Device) -> Conv2d {
-    Conv2dConfig::new(channels, [3, 3])
-        .with_initializer(Initializer::Zeros)
-        .init(device)
-}
-
-/// `conv` of `x` with its edges repeated once.
-fn edged(conv: &Conv2d, x: Tensor<4>) -> Tensor<4> {
-    conv.forward(x.pad([(0, 0), (0, 0), (1, 1), (1, 1)], PadMode::Edge))
+/// A convolution of 3 x 3.
+fn wide(channels: [usize; 2], device: &Device) -> Conv2d {
+    conv(channels, 3, 1, true, device)
 }
 
 impl Residual {
@@ -60,9 +53,9 @@ impl Residual {
         let norm = |groups: Option<usize>, width| groups.map(|n| GroupNormConfig::new(n, width).init(device));
         Self {
             in_norm: norm(groups[0], width),
-            conv1: inner([width, hidden], device),
+            conv1: wide([width, hidden], device),
             hidden_norm: norm(groups[1], hidden),
-            conv2: inner([hidden, width], device),
+            conv2: wide([hidden, width], device),
         }
     }
 
@@ -71,8 +64,8 @@ impl Residual {
             Some(norm) => norm.forward(x),
             None => x,
         };
-        let y = edged(&self.conv1, relu(normed(&self.in_norm, x.clone())));
-        edged(&self.conv2, relu(normed(&self.hidden_norm, y))) + x
+        let y = convolve_edges(relu(normed(&self.in_norm, x.clone())), &self.conv1);
+        convolve_edges(relu(normed(&self.hidden_norm, y)), &self.conv2) + x
     }
 }
 
@@ -82,11 +75,11 @@ impl Enlarge {
         match up {
             Up::Transposed => Self {
                 transposed: Some(twice.with_initializer(Initializer::Zeros).init(device)),
-                conv: inner([to, to], device),
+                conv: wide([to, to], device),
             },
             Up::Bilinear => Self {
                 transposed: None,
-                conv: inner([from, to], device),
+                conv: wide([from, to], device),
             },
         }
     }
@@ -102,7 +95,7 @@ impl Enlarge {
                 interpolate(x, options)
             }
         };
-        edged(&self.conv, x)
+        convolve_edges(x, &self.conv)
     }
 }
 
@@ -169,7 +162,7 @@ impl Stack {
 /// `single` of `x`, or `x` itself.
 fn through(single: &Option<Conv2d>, x: Tensor<4>) -> Tensor<4> {
     match single {
-        Some(single) => single.forward(x),
+        Some(single) => convolve([x], single),
         None => x,
     }
 }

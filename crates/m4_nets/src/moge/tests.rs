@@ -135,7 +135,7 @@ fn each_model_has_exactly_the_tensors_of_its_checkpoint() {
         (BackboneSize::Large, LARGE_WITHOUT, false),
     ] {
         let shapes = renamed(keys, &RENAMES);
-        let config = Config::published(size, 4);
+        let config = Config::published(size);
         let layout = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).unwrap();
         assert_eq!(layout.normal.is_some(), normal);
         let net = Net::new(size, &layout, &cpu());
@@ -150,12 +150,12 @@ fn an_official_file_says_what_its_tensors_cannot() {
     let shapes = load::shapes("MoGe-2", &path, &RENAMES).unwrap();
     let names: Vec<&str> = shapes.keys().map(String::as_str).collect();
     assert_eq!(names, ["encoder.backbone.cls_token", "neck.resamplers.3.conv.bias"]);
-    let config = Config::of_checkpoint(&path, BackboneSize::Small, 4).unwrap();
+    let config = Config::of_checkpoint(&path, BackboneSize::Small).unwrap();
     assert_eq!(config.taps, [1, 4, 7, 11]);
     assert_eq!((config.tokens, config.remap), ((900, 2500), Remap::SinhExp));
     assert_eq!(config.norms("neck"), [Norm::Layer, Norm::Layer]);
     assert_eq!(config.norms("mask_head"), [Norm::Layer, Norm::Group]);
-    let published = Config::published(BackboneSize::Large, 4);
+    let published = Config::published(BackboneSize::Large);
     assert_eq!((published.taps, published.tokens), (vec![5, 11, 17, 23], (1200, 3600)));
 }
 
@@ -184,7 +184,7 @@ fn an_unknown_setting_is_an_error() {
             "intermediate_layers",
         ),
     ] {
-        let error = Config::published(BackboneSize::Small, 4).read(&said).unwrap_err();
+        let error = Config::published(BackboneSize::Small).read(&said).unwrap_err();
         assert!(error.contains(word), "{error}");
     }
 }
@@ -198,7 +198,7 @@ fn layouts_that_do_not_fit_are_refused() {
             Some(shape) => shapes.insert(name.to_owned(), shape),
             None => shapes.remove(name),
         };
-        let config = Config::published(BackboneSize::Small, 4);
+        let config = Config::published(BackboneSize::Small);
         let error = Layout::in_checkpoint(&shapes, |stack| config.norms(stack)).unwrap_err();
         assert!(error.contains(word), "{error}");
     };

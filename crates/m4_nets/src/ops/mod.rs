@@ -11,7 +11,7 @@ mod resample;
 mod statistics;
 
 pub use convex::{convex_upsample, neighbours};
-pub use convolution::convolve;
+pub use convolution::{convolve, convolve_edges};
 pub use gates::{sigmoid, tanh};
 pub use gelu::gelu;
 pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};

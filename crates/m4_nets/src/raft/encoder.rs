@@ -26,10 +26,10 @@ impl Norm {
 /// A convolution and what normalises its output: `statistics`, or without them that output itself.
 fn normalised(conv: &Conv2d, statistics: Option<&Statistics>, x: Tensor<4>) -> Tensor<4> {
     let Some(statistics) = statistics else {
-        return instance_norm(convolve(&[x], conv));
+        return instance_norm(convolve([x], conv));
     };
     let (kernel, bias) = statistics.after(conv.weight.val(), conv.bias.as_ref().map(|b| b.val()));
-    convolve(&[x], &with_weights(conv.clone(), kernel, Some(bias)))
+    convolve([x], &with_weights(conv.clone(), kernel, Some(bias)))
 }
 
 /// Two convolutions beside a shortcut.
@@ -124,7 +124,7 @@ impl Encoder {
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let x = relu(normalised(&self.conv1, self.norm1.as_ref(), x));
         let x = self.blocks().fold(x, |x, block| block.forward(x));
-        convolve(&[x], &self.conv2)
+        convolve([x], &self.conv2)
     }
 
     /// How many of its numbers are statistics of the pictures of training, which were not learned.

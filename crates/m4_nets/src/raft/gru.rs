@@ -110,7 +110,7 @@ impl SepConvGru {
                 .init(&device);
             with_weights(plain, kernel, bias)
         };
-        let of_context = |kernel, bias| convolve(&[context.clone()], &layer(kernel, Some(bias)));
+        let of_context = |kernel, bias| convolve([context.clone()], &layer(kernel, Some(bias)));
         let pass = |z: &Kernel, r: &Kernel, q: &Kernel| {
             let gates = Tensor::cat(vec![z.part(1), r.part(1)], 0);
             let bias = Tensor::cat(vec![z.bias.val(), r.bias.val()], 0);
@@ -134,11 +134,11 @@ impl Unit {
     /// The next hidden state, of `hidden` and `motion`, each `[n, 128, h, w]`.
     pub fn forward(&self, hidden: Tensor<4>, motion: &Tensor<4>) -> Tensor<4> {
         self.passes.iter().fold(hidden, |h, pass| {
-            let gates = convolve(&[h.clone(), motion.clone()], &pass.gates);
+            let gates = convolve([h.clone(), motion.clone()], &pass.gates);
             let gates = sigmoid(gates + pass.gates_context.clone());
             let z = gates.clone().narrow(1, 0, WIDTH);
             let r = gates.narrow(1, WIDTH, WIDTH);
-            let q = convolve(&[r * h.clone(), motion.clone()], &pass.candidate);
+            let q = convolve([r * h.clone(), motion.clone()], &pass.candidate);
             let q = tanh(q + pass.candidate_context.clone());
             h.clone() + z * (q - h)
         })

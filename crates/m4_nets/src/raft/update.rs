@@ -26,10 +26,10 @@ pub struct MotionEncoder {
 impl MotionEncoder {
     /// Of `correlation` `[n, 324, h, w]` and `flow` `[n, 2, h, w]`: `[n, 128, h, w]`, whose last two channels are the flow.
     pub fn forward(&self, correlation: Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
-        let layer = |x, conv| relu(convolve(&[x], conv));
+        let layer = |x, conv| relu(convolve([x], conv));
         let correlation = layer(layer(correlation, &self.convc1), &self.convc2);
         let motion = layer(layer(flow.clone(), &self.convf1), &self.convf2);
-        let both = relu(convolve(&[correlation, motion], &self.conv));
+        let both = relu(convolve([correlation, motion], &self.conv));
         Tensor::cat(vec![both, flow], 1)
     }
 }
@@ -44,7 +44,7 @@ pub struct FlowHead {
 impl FlowHead {
     /// Of `[n, 128, h, w]`: `[n, 2, h, w]`, in pixels of the map.
     pub fn forward(&self, hidden: Tensor<4>) -> Tensor<4> {
-        convolve(&[relu(convolve(&[hidden], &self.conv1))], &self.conv2)
+        convolve([relu(convolve([hidden], &self.conv1))], &self.conv2)
     }
 }
 
@@ -58,8 +58,8 @@ pub struct MaskHead {
 impl MaskHead {
     /// Of `[n, 128, h, w]`: `[n, 9 8 8, h, w]`, before their softmax.
     pub fn forward(&self, hidden: Tensor<4>) -> Tensor<4> {
-        let hidden = relu(convolve(&[hidden], &self.hidden));
-        convolve(&[hidden], &self.weights).mul_scalar(MASK_SCALE)
+        let hidden = relu(convolve([hidden], &self.hidden));
+        convolve([hidden], &self.weights).mul_scalar(MASK_SCALE)
     }
 }
 

@@ -28,6 +28,37 @@ pub struct Filter<'a> {
     pub channels: usize,
     /// Rows and columns, odd.
     pub kernel: [usize; 2],
+    /// What lies beyond the picture.
+    pub beyond: Beyond,
+}
+
+/// What lies beyond a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Beyond {
+    /// Zeros.
+    Nothing,
+    /// The nearest pixel.
+    Edges,
+}
+
+impl Beyond {
+    /// Fills what lies beyond the inner rows and columns of a plane of rows of `wide` numbers, of which `above` and `left` come first
+    /// and last. It is zero before.
+    fn fill(self, plane: &mut [f32], wide: usize, [above, left]: [usize; 2]) {
+        if self == Self::Nothing {
+            return;
+        }
+        let inner = above * wide..plane.len() - above * wide;
+        for row in plane[inner.clone()].chunks_exact_mut(wide) {
+            let (first, last) = (row[left], row[wide - left - 1]);
+            row[..left].fill(first);
+            row[wide - left..].fill(last);
+        }
+        for i in 0..above {
+            plane.copy_within(inner.start..inner.start + wide, i * wide);
+            plane.copy_within(inner.end - wide..inner.end, inner.end + i * wide);
+        }
+    }
 }
 
 /// How sums are laid out in registers: outputs and vectors of pixels of a tile.
@@ -116,6 +147,7 @@ fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filt
                 for (row, values) in inner.zip(values.chunks_exact(w)) {
                     row[kw / 2..][..w].copy_from_slice(values);
                 }
+                filter.beyond.fill(room, wide, [kh / 2, kw / 2]);
             });
         });
         let tasks = sums[..count * groups * outputs * GROUP].par_chunks_mut(outputs * GROUP);
@@ -301,6 +333,7 @@ mod tests {
                 out,
                 channels,
                 kernel,
+                beyond: Beyond::Nothing,
             };
             let want = by_definition(&x, [h, w], &filter);
             let largest = want.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
@@ -329,6 +362,7 @@ mod tests {
             out,
             channels,
             kernel: [3, 3],
+            beyond: Beyond::Nothing,
         };
         let with = |threads| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

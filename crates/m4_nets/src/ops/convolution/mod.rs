@@ -6,28 +6,48 @@
 
 mod direct;
 
+use burn_core::tensor::module::conv2d;
+use burn_core::tensor::ops::{ConvOptions, PadMode};
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_nn::PaddingConfig2d;
 use burn_nn::conv::Conv2d;
 use direct::Filter;
 
+pub use direct::Beyond;
+
 /// `conv` of the channels of all `parts` `[n, c, h, w]`, one after the other.
 pub fn convolve<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d) -> Tensor<4> {
+    with(parts, conv, Beyond::Nothing)
+}
+
+/// `conv`, which is padded by half its kernel, of `x` `[n, c, h, w]` with its edges repeated instead of zeros around it.
+pub fn convolve_edges(x: Tensor<4>, conv: &Conv2d) -> Tensor<4> {
+    with([x], conv, Beyond::Edges)
+}
+
+fn with<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d, beyond: Beyond) -> Tensor<4> {
     if is_for_kernel(&parts, conv) {
-        on_processor(parts, conv)
+        on_processor(parts, conv, beyond)
     } else {
-        by_burn(parts.to_vec(), conv)
+        by_burn(parts.to_vec(), conv, beyond)
     }
 }
 
-fn by_burn(mut parts: Vec<Tensor<4>>, conv: &Conv2d) -> Tensor<4> {
-    match parts.pop() {
-        Some(x) if parts.is_empty() => conv.forward(x),
+fn by_burn(mut parts: Vec<Tensor<4>>, conv: &Conv2d, beyond: Beyond) -> Tensor<4> {
+    let x = match parts.pop() {
+        Some(x) if parts.is_empty() => x,
         x => {
             parts.extend(x);
-            conv.forward(Tensor::cat(parts, 1))
+            Tensor::cat(parts, 1)
         }
+    };
+    if beyond == Beyond::Nothing {
+        return conv.forward(x);
     }
+    let [up, left] = conv.kernel_size.map(|k| k / 2);
+    let x = x.pad([(0, 0), (0, 0), (up, up), (left, left)], PadMode::Edge);
+    let options = ConvOptions::new(conv.stride, [0, 0], conv.dilation, conv.groups);
+    conv2d(x, conv.weight.val(), conv.bias.as_ref().map(|bias| bias.val()), options)
 }
 
 /// Whether the kernel does what `conv` does with `parts`.
@@ -49,7 +69,7 @@ fn is_for_kernel(parts: &[Tensor<4>], conv: &Conv2d) -> bool {
 }
 
 /// What is [for the kernel](is_for_kernel).
-fn on_processor<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d) -> Tensor<4> {
+fn on_processor<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d, beyond: Beyond) -> Tensor<4> {
     let weight = conv.weight.val();
     let device = weight.device();
     let [out, channels, kh, kw] = weight.dims();
@@ -63,6 +83,7 @@ fn on_processor<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d) -> Tensor<
         out,
         channels,
         kernel: [kh, kw],
+        beyond,
     };
     let parts = parts.map(Tensor::into_data);
     let planes = parts.each_ref().map(|p| p.as_slice().unwrap_or_default());
@@ -72,7 +93,7 @@ fn on_processor<const P: usize>(parts: [Tensor<4>; P], conv: &Conv2d) -> Tensor<
 
 #[cfg(test)]
 mod tests {
-    use super::{by_burn, convolve, is_for_kernel};
+    use super::{Beyond, by_burn, convolve, is_for_kernel, with};
     use crate::cpu;
     use crate::ops::{conv, tensor};
     use burn_core::module::Param;
@@ -98,15 +119,17 @@ mod tests {
         });
         let numbers = |x: Tensor<4>| -> Vec<f32> { x.try_into_vec_as().unwrap() };
         assert!(is_for_kernel(&parts, &layer));
-        let got = numbers(convolve(parts.clone(), &layer));
-        let want = numbers(by_burn(parts.to_vec(), &layer));
-        let largest = want.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
-        let error = got.iter().zip(&want).fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
-        assert!(got.iter().all(|x| x.is_finite()) && got.len() == want.len());
-        assert!(
-            largest > 0.1 && error < 3e-6 * largest,
-            "{out} {kernel:?}: {error:.1e} of {largest}"
-        );
+        for beyond in [Beyond::Nothing, Beyond::Edges] {
+            let got = numbers(with(parts.clone(), &layer, beyond));
+            let want = numbers(by_burn(parts.to_vec(), &layer, beyond));
+            let largest = want.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
+            let error = got.iter().zip(&want).fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
+            assert!(got.iter().all(|x| x.is_finite()) && got.len() == want.len());
+            assert!(
+                largest > 0.1 && error < 3e-6 * largest,
+                "{out} {kernel:?}: {error:.1e} of {largest}"
+            );
+        }
     }
 
     #[test]
@@ -167,7 +190,7 @@ mod tests {
             layer.weight = Param::from_tensor(weight);
             let parts = [x];
             let ours = best(&|| drop(convolve(parts.clone(), &layer).into_data()));
-            let burns = best(&|| drop(by_burn(parts.to_vec(), &layer).into_data()));
+            let burns = best(&|| drop(by_burn(parts.to_vec(), &layer, Beyond::Nothing).into_data()));
             let work = 2.0 * (n * from * to * k * k * h * w) as f64;
             let rate = |seconds: f64| work / seconds / 1e9;
             println!(
