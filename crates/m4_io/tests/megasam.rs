@@ -4,7 +4,7 @@ use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::megasam::{Layout, MegasamFault, MegasamOptions, ReadMegasamError, detect, read, write};
 use m4_math::nalgebra::{Vector3, Vector6};
-use m4_math::{CounterRng, Se3, exp_so3};
+use m4_math::{Se3, exp_so3};
 use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, Progress, Silent};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -532,61 +532,4 @@ fn other_files_are_refused_with_a_reason() {
         let text = refused(&folder).to_string();
         assert!(text.contains(&format!("no array `{name}`")), "{text}");
     }
-}
-
-/// Headers that promise what no file holds, damage in single bytes, and files that were cut: an error or a result, no
-/// panic, and no more memory than the file can unpack to.
-#[test]
-fn no_damage_makes_it_panic() {
-    let mut rng = CounterRng::new(7, 1, 0);
-    let mut random = |n: usize| rng.below(n);
-    for name in ["outputs/dog_droid.npz", "outputs_cvd/dog_sgd_cvd_hr.npz"] {
-        let dir = tempfile::tempdir().unwrap();
-        let path = dir.path().join(Path::new(name).file_name().unwrap());
-        let whole = fs::read(fixture(name)).unwrap();
-        let mut refused = 0;
-        for k in 0..400 {
-            let mut bytes = whole.clone();
-            match k % 4 {
-                0 => bytes.truncate(random(whole.len())),
-                1 => bytes[random(whole.len())] ^= 1 << random(8),
-                // the directory at the end, which tells sizes and places
-                2 => bytes[whole.len() - 1 - random(300)] = random(256) as u8,
-                _ => {
-                    let at = random(whole.len() - 8);
-                    bytes[at..at + 8].fill(0xff);
-                }
-            }
-            fs::write(&path, &bytes).unwrap();
-            refused += usize::from(read(&path, &MegasamOptions::default(), &Silent).is_err());
-        }
-        assert!(refused > 200, "{name}: {refused} of 400");
-    }
-
-    let dir = tempfile::tempdir().unwrap();
-    let names = ["images", "disps", "poses", "intrinsics", "motion_prob"].map(|n| format!("{n}.npy"));
-    let mut refused = 0;
-    for k in 0..500 {
-        for name in &names {
-            fs::copy(fixture("reconstructions/dog").join(name), dir.path().join(name)).unwrap();
-        }
-        let path = dir.path().join(&names[k % 5]);
-        let mut bytes = fs::read(&path).unwrap();
-        match k / 5 % 4 {
-            0 => bytes.truncate(random(bytes.len())),
-            // the header, its shape above all
-            1 => bytes[random(128)] = b"0123456789(),' \xff"[random(16)],
-            2 => {
-                let shape = bytes.windows(8).position(|w| w == b"'shape':").unwrap();
-                bytes[shape + 10 + random(2)] = b'9';
-            }
-            _ => {
-                let at = 128 + random(bytes.len() - 132);
-                bytes[at..at + 4].fill(0xff);
-            }
-        }
-        fs::write(&path, &bytes).unwrap();
-        refused += usize::from(read(dir.path(), &MegasamOptions::default(), &Silent).is_err());
-    }
-    assert!(refused > 250, "{refused} of 500");
 }
