@@ -30,14 +30,43 @@ fn a_capture_comes_back_through_every_layout() {
         ("megasam", "dog_droid.npz", "droid", 3e-4),
         ("megasam-cvd", "dog_sgd_cvd_hr.npz", "cvd", 1e-3),
     ] {
-        let args = ["export", &dir.at("capture"), "--format", format, "-o", &dir.at(out), "--json"];
+        let args = [
+            "export",
+            &dir.at("capture"),
+            "--format",
+            format,
+            "-o",
+            &dir.at(out),
+            "--json",
+        ];
         let report = succeed(&args).result();
-        assert_eq!((&report["format"], &report["path"]), (&format.into(), &dir.at(out).into()));
+        assert_eq!(
+            (&report["format"], &report["path"]),
+            (&format.into(), &dir.at(out).into())
+        );
         assert!(report["bytes"].as_u64().unwrap() > 5000 && report["comparison"].is_null());
-        assert!(report["losses"]["dropped"].to_string().contains("how long the clip lasts"));
-        refused(&["export", &dir.at("capture"), "--format", format, "-o", &dir.at(out)], 73, &["--force"]);
+        assert!(
+            report["losses"]["dropped"]
+                .to_string()
+                .contains("how long the clip lasts")
+        );
+        refused(
+            &["export", &dir.at("capture"), "--format", format, "-o", &dir.at(out)],
+            73,
+            &["--force"],
+        );
 
-        let args = ["import", &dir.at(out), "-o", &dir.at(name), "--fps", "10", "--tau-motion", "0.5", "--json"];
+        let args = [
+            "import",
+            &dir.at(out),
+            "-o",
+            &dir.at(name),
+            "--fps",
+            "10",
+            "--tau-motion",
+            "0.5",
+            "--json",
+        ];
         let report = succeed(&args).result();
         assert_eq!((&report["frames"], &report["format"]), (&6.into(), &format.into()));
         // the archives find the map of motion in the folder of reconstructions beside them
@@ -53,7 +82,10 @@ fn a_capture_comes_back_through_every_layout() {
             assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-6);
             let (za, zb) = (a.depth.as_ref().unwrap(), b.depth.as_ref().unwrap());
             assert!(za.every(1).all(|z| z > 2.0));
-            let most = za.every(1).zip(zb.every(1)).fold(0.0, |most, (a, b)| f32::max(most, (a - b).abs() / a));
+            let most = za
+                .every(1)
+                .zip(zb.every(1))
+                .fold(0.0, |most, (a, b)| f32::max(most, (a - b).abs() / a));
             assert!(most < depth_within, "{format}: {most}");
             let (ma, mb) = (a.mask.as_ref().unwrap(), b.mask.as_ref().unwrap());
             let common = ma.set_pixels().filter(|&(x, y)| mb.at(x, y)).count();
@@ -66,7 +98,10 @@ fn a_capture_comes_back_through_every_layout() {
 
         let record: serde_json::Value =
             serde_json::from_slice(&fs::read(dir.path(name).join("geometry.json")).unwrap()).unwrap();
-        assert_eq!((&record["status"], &record["settings"]["format"]), (&"finished".into(), &format.into()));
+        assert_eq!(
+            (&record["status"], &record["settings"]["format"]),
+            (&"finished".into(), &format.into())
+        );
         let facts = succeed(&["inspect", &dir.at(name), "--json"]).result();
         assert_eq!((&facts["kind"], &facts["with_depth"]), (&"capture".into(), &6.into()));
         let trained = train(&dir.at(name), &dir.at(&format!("{name}-out")), "5", &[]);
@@ -79,7 +114,11 @@ fn files_of_numpy_become_captures() {
     let dir = Scratch::new();
     let out = dir.at("out");
     let ended = succeed(&["import", &fixture("outputs_cvd/dog_sgd_cvd_hr.npz"), "-o", &out]);
-    assert!(ended.stderr.contains("30 were assumed") && ended.stderr.contains("3 frames of 24 x 16"), "{}", ended.stderr);
+    assert!(
+        ended.stderr.contains("30 were assumed") && ended.stderr.contains("3 frames of 24 x 16"),
+        "{}",
+        ended.stderr
+    );
     assert_eq!(ended.stdout.trim_end(), out);
     let again = ["import", &fixture("outputs/dog_droid.npz"), "-o", &out];
     refused(&again, 73, &["--force"]);
@@ -100,16 +139,44 @@ fn wrong_requests_are_refused_with_advice() {
     let empty = dir.at("empty");
     let droid = fixture("outputs/dog_droid.npz");
     for (args, code, says) in [
-        (vec!["export", &*given, "-o", &out], 65, "is a capture, which 4dgs does not hold"),
-        (vec!["export", &given, "--format", "megasam", "--fps", "3"], 2, "--fps has no meaning for megasam"),
-        (vec!["export", &given, "--format", "megasam", "--time", "3"], 2, "--time has no meaning for megasam"),
-        (vec!["export", &empty, "--format", "megasam"], 65, "transforms_train.json"),
+        (
+            vec!["export", &*given, "-o", &out],
+            65,
+            "is a capture, which 4dgs does not hold",
+        ),
+        (
+            vec!["export", &given, "--format", "megasam", "--fps", "3"],
+            2,
+            "--fps has no meaning for megasam",
+        ),
+        (
+            vec!["export", &given, "--format", "megasam", "--time", "3"],
+            2,
+            "--time has no meaning for megasam",
+        ),
+        (
+            vec!["export", &empty, "--format", "megasam"],
+            65,
+            "transforms_train.json",
+        ),
         (vec!["export", &scene, "--format", "megasam-cvd"], 65, "holds a capture"),
         (vec!["import", &npz, "-o", &out], 65, "no npz archive"),
         (vec!["import", &empty, "-o", &out], 65, "is a folder"),
-        (vec!["import", &empty, "-o", &out, "--format", "megasam-reconstruction"], 65, "no array `images`"),
-        (vec!["import", &ply, "-o", &out, "--fps", "3"], 2, "--fps has no meaning for ply"),
-        (vec!["import", &droid, "-o", &out, "--motion-prob", "/nowhere/m.npy"], 66, "/nowhere/m.npy"),
+        (
+            vec!["import", &empty, "-o", &out, "--format", "megasam-reconstruction"],
+            65,
+            "no array `images`",
+        ),
+        (
+            vec!["import", &ply, "-o", &out, "--fps", "3"],
+            2,
+            "--fps has no meaning for ply",
+        ),
+        (
+            vec!["import", &droid, "-o", &out, "--motion-prob", "/nowhere/m.npy"],
+            66,
+            "/nowhere/m.npy",
+        ),
     ] {
         refused(&args, code, &[says]);
     }

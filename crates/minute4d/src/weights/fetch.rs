@@ -37,7 +37,10 @@ pub fn fetch(
         });
     };
     agreed(entry, accept_licence)?;
-    if let Some(record) = store.record(entry).filter(|_| matches!(store.verify(entry), Ok(Condition::Published))) {
+    if let Some(record) = store
+        .record(entry)
+        .filter(|_| matches!(store.verify(entry), Ok(Condition::Published)))
+    {
         return Ok(record);
     }
     let found;

@@ -43,12 +43,23 @@ mod tests {
     fn every_file_says_how_to_get_it_and_what_goes_without() {
         for entry in all() {
             let command = entry.command();
-            assert!(command.contains(entry.name) && command.starts_with("minute4d weights "), "{command}");
+            assert!(
+                command.contains(entry.name) && command.starts_with("minute4d weights "),
+                "{command}"
+            );
             assert_eq!(command.ends_with("--accept-license"), !entry.commercial, "{command}");
             assert!(!entry.without().is_empty());
         }
         // those that a front end takes name one that works without
-        for name in ["gmflow", "mobile-sam", "megasam", "raft-things", "depth-anything-v1-l", "unidepth-v2-l", "moge-2-l"] {
+        for name in [
+            "gmflow",
+            "mobile-sam",
+            "megasam",
+            "raft-things",
+            "depth-anything-v1-l",
+            "unidepth-v2-l",
+            "moge-2-l",
+        ] {
             let without = find(name).unwrap().without();
             assert!(without != ONLY_HERE && without.contains("work"), "{name}: {without}");
         }
