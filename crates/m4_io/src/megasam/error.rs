@@ -27,11 +27,11 @@ pub enum MegasamFault {
     #[error("it is no npz archive, or a damaged one ({0}); copy it again, or run MegaSaM again")]
     Archive(String),
     /// An array is not there.
-    #[error("it has no array `{array}` (it has {has}); images, depths, intrinsic and cam_c2w are needed")]
+    #[error("it has no array `{array}` ({has})")]
     Missing {
         /// Name of the array.
         array: &'static str,
-        /// Names of those that are there.
+        /// Which are there, and which are needed.
         has: String,
     },
     /// A member is no array that is read here.

@@ -38,8 +38,11 @@ impl Input {
     /// An array that must be there.
     pub fn array(&mut self, name: &'static str, limit_bytes: u64) -> Result<Array<'_>, MegasamFault> {
         let has = match self {
-            Self::Archive(npz) => npz.names(),
-            Self::Folder(_) => "others".into(),
+            Self::Archive(npz) => format!(
+                "it has {}; images, depths, intrinsic and cam_c2w are needed",
+                npz.names()
+            ),
+            Self::Folder(_) => "images.npy, disps.npy, poses.npy and intrinsics.npy are needed".to_owned(),
         };
         let found = self.find(name, limit_bytes)?;
         found.ok_or(MegasamFault::Missing { array: name, has })
