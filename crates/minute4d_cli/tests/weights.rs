@@ -48,6 +48,8 @@ fn the_list_says_what_is_known_and_here() {
     assert!(row("gmflow")["path"].is_null());
     assert_eq!(row("tapip3d")["commercial"], false);
     assert_eq!(row("megasam")["got_by"], "add");
+    assert_eq!(row("megasam")["command"], "minute4d weights add megasam FILE");
+    assert!(row("megasam")["without"].as_str().unwrap().contains("classical"));
 }
 
 #[test]

@@ -9,10 +9,9 @@
 //! Other members of the archive are passed over. Files are not trusted: shapes are compared with the clip and with
 //! the memory allowed before anything is read, and no member is read further than its shape says.
 //!
-//! `npy` is read and written here and not by a crate: the one there is multiplies a shape without looking for an overflow.
+//! Headers of arrays are those of `crate::npy`.
 
 mod error;
-mod npy;
 mod read;
 mod write;
 

@@ -1,7 +1,7 @@
 //! `tracks.npz` to [`Tracks`].
 
-use super::npy::Header;
 use super::{ReadTracksError, TracksFault};
+use crate::npy::Header;
 use m4_scene::Tracks;
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -84,6 +84,9 @@ fn array(
     if !types.contains(&header.descr.as_str()) {
         let (found, types) = (&header.descr, types.join(" or "));
         return Err(bad(format!("holds numbers of type {found}; save it as {types}")));
+    }
+    if header.fortran_order {
+        return Err(bad("is in Fortran order; save it with numpy.ascontiguousarray".into()));
     }
     if let Some(expected) = unfit(&header.shape) {
         return Err(TracksFault::Shape {

@@ -1,7 +1,7 @@
 //! [`Tracks`] to `tracks.npz`.
 
-use super::npy::Header;
 use crate::atomic;
+use crate::npy::Header;
 use m4_scene::Tracks;
 use std::io::{self, Cursor, Write};
 use std::path::Path;
@@ -40,7 +40,6 @@ fn member(
         .last_modified_time(DateTime::default())
         .large_file(bytes.len() as u64 + 4096 > u64::from(u32::MAX));
     zip.start_file(format!("{name}.npy"), options)?;
-    let descr = descr.to_owned();
-    zip.write_all(&Header { descr, shape }.to_bytes())?;
+    zip.write_all(&Header::new(descr, shape).to_bytes())?;
     zip.write_all(bytes)
 }

@@ -10,6 +10,8 @@ use m4_formats::ply::WritePlyError;
 use m4_formats::splatv::WriteSplatvError;
 use m4_formats::spz::WriteSpzError;
 use m4_formats::usd::WriteUsdError;
+use m4_io::megasam::WriteMegasamError;
+use std::path::PathBuf;
 
 /// Why an export failed.
 #[derive(Debug, thiserror::Error)]
@@ -22,10 +24,26 @@ pub enum ExportError {
         format: Format,
     },
     /// A rate for a format without frames.
-    #[error("--fps has no meaning for {}, which has no frames; leave it out, or choose ply-sequence, usd or mp4", format.name())]
+    #[error("--fps has no meaning for {}; leave it out, or choose ply-sequence, usd or mp4", format.name())]
     NoRate {
         /// The format.
         format: Format,
+    },
+    /// A format that holds a capture, and something else to write.
+    #[error("{} holds a capture (frames with poses, depth and masks), and {} is none and has none in it; give the folder with transforms_train.json", format.name(), path.as_deref().map_or("a scene".into(), |p| p.display().to_string()))]
+    NeedsCapture {
+        /// The format.
+        format: Format,
+        /// What was given; `None` for a scene in memory.
+        path: Option<PathBuf>,
+    },
+    /// A capture for a format that holds a scene.
+    #[error("{} is a capture, which {} does not hold; choose megasam, megasam-cvd or megasam-reconstruction, or train it first (`minute4d train`)", path.display(), format.name())]
+    NeedsScene {
+        /// The format.
+        format: Format,
+        /// The capture.
+        path: PathBuf,
     },
     /// A format that is not known.
     #[error("{given:?} is no format; choose one of {}", Format::names())]
@@ -46,6 +64,9 @@ pub enum ExportError {
         /// Why not.
         source: Box<crate::import::ImportError>,
     },
+    /// Writing files of MegaSaM.
+    #[error(transparent)]
+    Megasam(#[from] WriteMegasamError),
     /// Writing `.4dgs`.
     #[error(transparent)]
     Fourdgs(#[from] WriteFourdgsError),
@@ -78,7 +99,8 @@ impl ExportError {
     pub fn category(&self) -> Category {
         match self {
             Self::NoInstant { .. } | Self::NoRate { .. } | Self::Unknown { .. } => Category::Usage,
-            Self::NoCameras => Category::BadInput,
+            Self::NoCameras | Self::NeedsCapture { .. } | Self::NeedsScene { .. } => Category::BadInput,
+            Self::Megasam(e) => e.kind().into(),
             Self::ReadBack { .. } => Category::Internal,
             Self::Fourdgs(e) => e.kind().into(),
             Self::Ply(e) => e.kind().into(),

@@ -1,6 +1,7 @@
 //! The formats there are.
 
 use super::ExportError;
+use m4_io::megasam::{self, Layout};
 use serde::Serialize;
 use std::path::Path;
 use std::str::FromStr;
@@ -31,6 +32,12 @@ pub enum Format {
     Nerfstudio,
     /// A video along the cameras of the source.
     Mp4,
+    /// `NAME_droid.npz` of MegaSaM: a capture.
+    Megasam,
+    /// `NAME_sgd_cvd_hr.npz` of MegaSaM: a capture with depth as halves.
+    MegasamCvd,
+    /// A folder as MegaSaM's `reconstructions/NAME`: a capture with its masks.
+    MegasamReconstruction,
 }
 
 /// What a format does with time.
@@ -46,6 +53,8 @@ pub enum Time {
     Video,
     /// It holds no splats.
     Cameras,
+    /// It holds a capture, not a scene.
+    Capture,
 }
 
 /// A row of the table: format, name, usual name of the file, time.
@@ -62,6 +71,14 @@ const FORMATS: &[Entry] = &[
     (Format::Colmap, "colmap", "colmap", Time::Cameras),
     (Format::Nerfstudio, "nerfstudio", "transforms.json", Time::Cameras),
     (Format::Mp4, "mp4", "scene.mp4", Time::Video),
+    (Format::Megasam, "megasam", "scene_droid.npz", Time::Capture),
+    (Format::MegasamCvd, "megasam-cvd", "scene_sgd_cvd_hr.npz", Time::Capture),
+    (
+        Format::MegasamReconstruction,
+        "megasam-reconstruction",
+        "reconstructions/scene",
+        Time::Capture,
+    ),
 ];
 
 impl Format {
@@ -93,6 +110,27 @@ impl Format {
         self.entry().3
     }
 
+    /// The format of a layout of MegaSaM.
+    #[must_use]
+    pub fn of_layout(layout: Layout) -> Self {
+        match layout {
+            Layout::Droid => Self::Megasam,
+            Layout::Cvd => Self::MegasamCvd,
+            Layout::Reconstruction => Self::MegasamReconstruction,
+        }
+    }
+
+    /// The layout of a format of MegaSaM, the formats that hold a capture and not a scene.
+    #[must_use]
+    pub fn layout(self) -> Option<Layout> {
+        match self {
+            Self::Megasam => Some(Layout::Droid),
+            Self::MegasamCvd => Some(Layout::Cvd),
+            Self::MegasamReconstruction => Some(Layout::Reconstruction),
+            _ => None,
+        }
+    }
+
     /// The names of all formats.
     #[must_use]
     pub fn names() -> String {
@@ -103,6 +141,9 @@ impl Format {
     /// The format that the ending of a file name stands for.
     #[must_use]
     pub fn of_path(path: &Path) -> Option<Self> {
+        if let Some(layout) = megasam::detect(path) {
+            return Some(Self::of_layout(layout));
+        }
         let ending = path.extension()?.to_str()?.to_ascii_lowercase();
         let same = |entry: &&Entry| Path::new(entry.2).extension().is_some_and(|e| e == ending.as_str());
         FORMATS.iter().find(same).map(|entry| entry.0)
@@ -122,7 +163,7 @@ impl FromStr for Format {
 
 #[cfg(test)]
 mod tests {
-    use super::{FORMATS, Format};
+    use super::{FORMATS, Format, Time};
     use std::path::Path;
 
     #[test]
@@ -131,6 +172,8 @@ mod tests {
             assert_eq!(format.entry().0, format);
             assert_eq!(format.name().parse::<Format>().unwrap(), format);
             assert_eq!(FORMATS.iter().filter(|e| e.1 == format.name()).count(), 1);
+            assert_eq!(format.layout().is_some(), format.time() == Time::Capture);
+            assert!(format.layout().is_none_or(|layout| Format::of_layout(layout) == format));
             let json = serde_json::to_value(format).unwrap();
             assert_eq!(json, format.name());
         }
@@ -142,5 +185,10 @@ mod tests {
         assert_eq!(Format::of_path(Path::new("a/b.4DGS")), Some(Format::Fourdgs));
         assert_eq!(Format::of_path(Path::new("b.ply")), Some(Format::Ply));
         assert_eq!(Format::of_path(Path::new("ply")), None);
+        assert_eq!(Format::of_path(Path::new("dog_droid.npz")), Some(Format::Megasam));
+        assert_eq!(
+            Format::of_path(Path::new("dog_sgd_cvd_hr.npz")),
+            Some(Format::MegasamCvd)
+        );
     }
 }

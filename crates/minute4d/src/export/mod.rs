@@ -2,9 +2,11 @@
 //! our own render.
 //!
 //! Adding a format: a variant of [`Format`] with its row in `format.rs`, an arm in `write.rs`, and, where
-//! there is a reader, one in `crate::import`.
+//! there is a reader, one in `crate::import`. Formats that hold a capture in place of a scene are those of
+//! `capture.rs`.
 
 mod bake;
+mod capture;
 mod compare;
 mod error;
 mod format;
@@ -19,7 +21,7 @@ pub use report::{ExportReport, Losses};
 
 use crate::folder::SCENE_FILE;
 use crate::render::{Moment, Span};
-use crate::{Error, Observer};
+use crate::{Error, Observer, is_capture};
 use m4_io::scene_file;
 use m4_scene::Scene;
 use std::path::{Path, PathBuf};
@@ -64,7 +66,8 @@ impl ExportJob {
     }
 }
 
-/// Exports a scene (a file, or the folder of a run).
+/// Exports a scene (a file, or the folder of a run); for a format that holds a capture, a capture or the one in the
+/// folder of a run.
 ///
 /// # Errors
 ///
@@ -72,6 +75,16 @@ impl ExportJob {
 /// or the file cannot be written.
 pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
     job.check()?;
+    if let Some(layout) = job.format.layout() {
+        return capture::make(input, layout, job, observer);
+    }
+    if is_capture(input) && !input.join(SCENE_FILE).is_file() {
+        return Err(ExportError::NeedsScene {
+            format: job.format,
+            path: input.to_path_buf(),
+        }
+        .into());
+    }
     let (folder, file) = if input.is_dir() {
         (input.to_path_buf(), input.join(SCENE_FILE))
     } else {
@@ -98,7 +111,7 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
     job.check()?;
     let moments = job.moments(scene)?;
     let start = Instant::now();
-    let has_splats = !matches!(job.format.time(), Time::Video | Time::Cameras);
+    let has_splats = !matches!(job.format.time(), Time::Video | Time::Cameras | Time::Capture);
     let baked = if has_splats && !job.keep_mip {
         bake::bake(scene)
     } else {
@@ -150,7 +163,7 @@ impl ExportJob {
                 let count = (last / step + 1e-9).floor() as usize + 1;
                 Ok((0..count).map(|i| (i as f64 * step).min(last)).collect())
             }
-            Time::Clip | Time::Video | Time::Cameras => Ok(Vec::new()),
+            Time::Clip | Time::Video | Time::Cameras | Time::Capture => Ok(Vec::new()),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::{Comparison, Format, Time};
 use m4_formats::{Loss, Written};
+use m4_io::megasam;
 use m4_scene::Scene;
 use serde::Serialize;
 use std::fmt;
@@ -73,7 +74,7 @@ impl ExportReport {
             Time::Instant => written.splats,
             _ => scene.splats.n(),
         };
-        let has_splats = !matches!(format.time(), Time::Video | Time::Cameras);
+        let has_splats = !matches!(format.time(), Time::Video | Time::Cameras | Time::Capture);
         let has_time = matches!(format.time(), Time::Clip | Time::Sequence | Time::Video);
         Self {
             format,
@@ -86,6 +87,28 @@ impl ExportReport {
             losses: Losses::of(written.losses),
             comparison,
             path: written.path,
+        }
+    }
+}
+
+impl ExportReport {
+    /// What was written of a capture.
+    pub(super) fn of_capture(format: Format, path: PathBuf, written: megasam::Written, encode_s: f64) -> Self {
+        Self {
+            format,
+            path,
+            bytes: written.bytes,
+            splats: 0,
+            bytes_per_splat: None,
+            bytes_per_s: None,
+            moments: Vec::new(),
+            encode_s,
+            losses: Losses {
+                baked: Vec::new(),
+                dropped: written.dropped,
+                quantised: written.rounded,
+            },
+            comparison: None,
         }
     }
 }

@@ -183,7 +183,7 @@ fn why_again(earlier: &GeometryRecord, now: &GeometryRecord) -> &'static str {
 }
 
 /// Makes or takes over the folder of a capture; gives the earlier record where it is to be used.
-fn open(capture: &Path, existing: Existing) -> Result<(Lock, Option<GeometryRecord>), Error> {
+pub(crate) fn open(capture: &Path, existing: Existing) -> Result<(Lock, Option<GeometryRecord>), Error> {
     let filled = folder::make(capture)?;
     let lock = Lock::take(capture)?;
     let earlier = if filled { take_over(capture, existing)? } else { None };

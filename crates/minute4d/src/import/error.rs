@@ -7,6 +7,7 @@ use m4_formats::ply::ReadPlyError;
 use m4_formats::splatv::ReadSplatvError;
 use m4_formats::spz::ReadSpzError;
 use m4_formats::usd::ReadUsdError;
+use m4_io::megasam::{MegasamFault, ReadMegasamError};
 use std::path::PathBuf;
 
 /// Why an import failed.
@@ -43,6 +44,17 @@ pub enum ImportError {
         /// The file.
         path: PathBuf,
     },
+    /// An option of captures for a file of splats.
+    #[error("{option} has no meaning for {format} files, which hold splats; leave it out")]
+    NoCaptureOption {
+        /// The option.
+        option: &'static str,
+        /// The format.
+        format: &'static str,
+    },
+    /// Reading files of MegaSaM.
+    #[error(transparent)]
+    Megasam(#[from] ReadMegasamError),
     /// Reading `.4dgs`.
     #[error(transparent)]
     Fourdgs(#[from] ReadFourdgsError),
@@ -74,7 +86,12 @@ impl ImportError {
     #[must_use]
     pub fn category(&self) -> Category {
         match self {
-            Self::Unknown { .. } | Self::WriteOnly { .. } => Category::Usage,
+            Self::Unknown { .. } | Self::WriteOnly { .. } | Self::NoCaptureOption { .. } => Category::Usage,
+            Self::Megasam(ReadMegasamError {
+                fault: MegasamFault::Option { .. },
+                ..
+            }) => Category::Usage,
+            Self::Megasam(e) => e.kind().into(),
             Self::Sequence { .. } | Self::NoSplats { .. } => Category::BadInput,
             Self::Fourdgs(e) => e.kind().into(),
             Self::Ply(e) => e.kind().into(),

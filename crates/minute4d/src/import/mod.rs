@@ -1,10 +1,13 @@
-//! Files of other tools as the folder of a run, which can be rendered, viewed and exported.
+//! Files of other tools: splats as the folder of a run, which can be rendered, viewed and exported; frames with poses,
+//! depth and masks (those of MegaSaM) as a capture, which can be trained.
 
 mod cameras;
+mod capture;
 mod error;
 mod read;
 
 pub use cameras::default_cameras;
+pub use capture::CaptureReport;
 pub use error::ImportError;
 pub(crate) use read::read_back;
 
@@ -43,25 +46,84 @@ pub struct ImportReport {
     pub seconds: f64,
 }
 
-/// Imports a file into the folder `out`. A file without cameras gets some that look at its middle.
+/// What to import, and what its files do not say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImportJob {
+    /// The format; `None` for what the name or the files of a folder say.
+    pub format: Option<Format>,
+    /// What to do with a folder that holds something.
+    pub existing: Existing,
+    /// Frames a second of a capture; `None` for 30.
+    pub fps: Option<f64>,
+    /// From which probability of motion on a pixel of a capture moves; `None` for 0.7.
+    pub tau_motion: Option<f64>,
+    /// The map of motion of a capture; `None` for the one that lies where MegaSaM writes it.
+    pub motion: Option<PathBuf>,
+}
+
+impl ImportJob {
+    /// Everything as the files say.
+    #[must_use]
+    pub fn new(format: Option<Format>) -> Self {
+        Self {
+            format,
+            existing: Existing::Refuse,
+            fps: None,
+            tau_motion: None,
+            motion: None,
+        }
+    }
+}
+
+/// What became of a file.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Report {
+    /// A scene.
+    Scene(ImportReport),
+    /// A capture.
+    Capture(CaptureReport),
+}
+
+/// Imports a file or folder into the folder `out`: splats as a scene, files of MegaSaM as a capture. A scene without
+/// cameras gets some that look at its middle.
 ///
 /// # Errors
 ///
-/// [`Error`]: the file cannot be read or is of no known format, or the folder cannot be used.
-pub fn make(
-    file: &Path,
-    out: &Path,
-    format: Option<Format>,
-    existing: Existing,
-    observer: &dyn Observer,
-) -> Result<ImportReport, Error> {
+/// [`Error`]: the file cannot be read or is of no known format, options and format do not go together, or the folder
+/// cannot be used.
+pub fn make(file: &Path, out: &Path, job: &ImportJob, observer: &dyn Observer) -> Result<Report, Error> {
     if !file.exists() {
         return Err(Error::Missing {
             what: "file to import",
             path: file.to_path_buf(),
         });
     }
-    let format = read::format(file, format)?;
+    let format = read::format(file, job.format)?;
+    if format.layout().is_some() {
+        return capture::make(file, out, format, job, observer).map(Report::Capture);
+    }
+    for (option, is_given) in [
+        ("--fps", job.fps.is_some()),
+        ("--tau-motion", job.tau_motion.is_some()),
+        ("--motion-prob", job.motion.is_some()),
+    ] {
+        if is_given {
+            let format = format.name();
+            return Err(ImportError::NoCaptureOption { option, format }.into());
+        }
+    }
+    scene(file, out, format, job.existing, observer).map(Report::Scene)
+}
+
+/// A file of splats as the folder of a run.
+fn scene(
+    file: &Path,
+    out: &Path,
+    format: Format,
+    existing: Existing,
+    observer: &dyn Observer,
+) -> Result<ImportReport, Error> {
     let job = Job {
         settings: Settings::fast(),
         profile: STAGE.to_owned(),

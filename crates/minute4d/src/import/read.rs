@@ -4,11 +4,21 @@ use super::ImportError;
 use crate::export::Format;
 use m4_formats::ply::frame_name;
 use m4_formats::{Imported, fourdgs, gltf, ply, splatv, spz, usd};
+use m4_io::megasam;
 use m4_scene::{Scene, Splats};
 use std::path::Path;
 
 /// Formats that can be imported.
-const READ: [Format; 5] = [Format::Fourdgs, Format::Ply, Format::Splatv, Format::Spz, Format::Gltf];
+const READ: [Format; 8] = [
+    Format::Fourdgs,
+    Format::Ply,
+    Format::Splatv,
+    Format::Spz,
+    Format::Gltf,
+    Format::Megasam,
+    Format::MegasamCvd,
+    Format::MegasamReconstruction,
+];
 
 fn known() -> String {
     READ.map(Format::name).join(", ")
@@ -16,7 +26,11 @@ fn known() -> String {
 
 /// The format of a file: the one asked for, or the one that its name says.
 pub(super) fn format(file: &Path, asked: Option<Format>) -> Result<Format, ImportError> {
-    if file.is_dir() {
+    if let Some(layout) = megasam::detect(file).filter(|_| file.is_dir()) {
+        return Ok(Format::of_layout(layout));
+    }
+    // a folder of MegaSaM that lacks files is told by its reader, which says which
+    if file.is_dir() && asked != Some(Format::MegasamReconstruction) {
         let first = file.join(frame_name(0));
         return Err(ImportError::Sequence {
             path: file.to_path_buf(),
@@ -59,7 +73,12 @@ pub(crate) fn read_back(format: Format, path: &Path, moment: usize, t: f64) -> O
         Format::Spz => spz::read(path, spz::SpzAxes::Rub).map(still).map_err(ImportError::from),
         Format::Gltf => gltf::read(path).map(still).map_err(ImportError::from),
         Format::Usd => usd::read(path, t).map(still).map_err(ImportError::from),
-        Format::Colmap | Format::Nerfstudio | Format::Mp4 => return None,
+        Format::Colmap
+        | Format::Nerfstudio
+        | Format::Mp4
+        | Format::Megasam
+        | Format::MegasamCvd
+        | Format::MegasamReconstruction => return None,
     })
 }
 

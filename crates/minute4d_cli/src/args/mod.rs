@@ -84,9 +84,9 @@ pub enum Command {
     Train(Train),
     /// Pictures or a video of a trained scene
     Render(Render),
-    /// A scene as a file that other tools play
+    /// A scene as a file that other tools play, or a capture as files of MegaSaM
     Export(Export),
-    /// A splat file of another tool as a scene
+    /// A splat file of another tool as a scene, or output of MegaSaM as a capture
     Import(Import),
     /// A scene in the browser, from a server on this machine; newer scenes appear by themselves
     View(View),
@@ -135,6 +135,8 @@ mod tests {
             "bench --memory --render",
             "export a --fps 0",
             "import a.ply",
+            "import a.npz -o b --fps 0",
+            "import a.npz -o b --tau-motion 1.1",
             "import a.ply -o b --format mp5",
             "view",
             "view a --port 0",
@@ -148,6 +150,7 @@ mod tests {
             assert!(Cli::try_parse_from(args).is_err(), "{line}");
         }
         let good = [
+            "import a.npz -o b --fps 24 --tau-motion 0.5 --motion-prob m.npy",
             "run a -o b --start 1.5s --end 3 --threads 2 --json",
             "train --print-config",
             "view a --port 8000 --no-open",

@@ -49,6 +49,16 @@ pub fn rate(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A share of 1.
+pub fn share(text: &str) -> Result<f64, String> {
+    let value = number(text)?;
+    if (0.0..=1.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err("it must lie between 0 and 1".to_owned())
+    }
+}
+
 /// A size such as 480x360 of pictures to render, pixels.
 pub fn picture_size(text: &str) -> Result<(usize, usize), String> {
     let sides = text

@@ -1,14 +1,30 @@
-//! `minute4d import`: a splat file of another tool as a scene.
+//! `minute4d import`: files of another tool as a scene or a capture.
 
 use crate::args::Import;
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::Existing;
+use minute4d::import::{CaptureReport, ImportJob, ImportReport, Report};
 
 pub fn run(args: &Import, output: &Output) -> Result<(), Failure> {
-    let existing = if args.force { Existing::Force } else { Existing::Refuse };
-    let report = minute4d::import::make(&args.file, &args.out, args.format, existing, output)?;
-    output.note(&format!(
+    let job = ImportJob {
+        format: args.format,
+        existing: if args.force { Existing::Force } else { Existing::Refuse },
+        fps: args.fps,
+        tau_motion: args.tau_motion,
+        motion: args.motion_prob.clone(),
+    };
+    let report = minute4d::import::make(&args.file, &args.out, &job, output)?;
+    output.note(&match &report {
+        Report::Scene(scene) => of_scene(scene),
+        Report::Capture(capture) => of_capture(capture),
+    });
+    output.result(&args.out.display().to_string(), minute4d::plain_json(&report)?);
+    Ok(())
+}
+
+fn of_scene(report: &ImportReport) -> String {
+    format!(
         "{}: {} static and {} dynamic splats, {} frames, {}",
         report.format.name(),
         report.splats_static,
@@ -18,7 +34,20 @@ pub fn run(args: &Import, output: &Output) -> Result<(), Failure> {
             0 => "no cameras".to_owned(),
             n => format!("{n} cameras"),
         }
-    ));
-    output.result(&report.path.display().to_string(), minute4d::plain_json(&report)?);
-    Ok(())
+    )
+}
+
+fn of_capture(report: &CaptureReport) -> String {
+    let [w, h] = report.size;
+    format!(
+        "{}: {} frames of {w} x {h} pixels, field of view {:.1} degrees, depth of {:.1} % of the pixels, {}",
+        report.format.name(),
+        report.frames,
+        report.fov_deg,
+        100.0 * report.known_share,
+        match report.moving_share {
+            None => "no masks".to_owned(),
+            Some(share) => format!("{:.1} % moving", 100.0 * share),
+        }
+    )
 }

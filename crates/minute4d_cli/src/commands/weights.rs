@@ -55,6 +55,10 @@ struct Row {
     used_for: &'static str,
     /// `fetch` or `add`.
     got_by: &'static str,
+    /// The command that gets it.
+    command: String,
+    /// What is lost without it, and what works all the same.
+    without: &'static str,
     origin: String,
     /// The file, where it is here.
     path: Option<PathBuf>,
@@ -73,6 +77,8 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
             Origin::Pip(_) => "fetch",
             _ => "add",
         },
+        command: entry.command(),
+        without: entry.without(),
         origin: entry.origin.words(),
         path: match store.state(entry) {
             State::Absent => None,
@@ -97,6 +103,14 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
             "{:<24} {size:>7}  {here:<4} {:<6} {licence:<38} {}\n",
             row.name, row.got_by, row.used_for
         );
+    }
+    let missing: Vec<&Row> = rows.iter().filter(|row| row.path.is_none()).collect();
+    if !missing.is_empty() {
+        text += "\nwhat is not here: the command that gets it, and what is lost without it\n";
+        for row in missing {
+            text += &format!("{:<24} {}\n{:<24} lost: {}\n", row.name, row.command, "", row.without);
+        }
+        text += "\n";
     }
     text += &format!("folder: {}\n", store.root().display());
     output.result(&text, minute4d::plain_json(&rows)?);

@@ -1,4 +1,4 @@
-//! Headers of `.npy` files (NumPy enhancement proposal 1), for arrays of numbers in C order.
+//! Headers of `.npy` files (NumPy enhancement proposal 1).
 
 use std::io::Read;
 
@@ -10,9 +10,11 @@ const ALIGN: usize = 64;
 
 /// What the bytes after it mean.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Header {
+pub(crate) struct Header {
     /// Type of a number, such as `<f4`.
     pub descr: String,
+    /// True where the first index runs fastest; written are arrays whose last one does.
+    pub fortran_order: bool,
     /// Slowest dimension first.
     pub shape: Vec<u64>,
 }
@@ -54,15 +56,27 @@ impl Header {
             Some(rest.trim_start().strip_prefix(':')?.trim_start())
         };
         let descr = value("descr")?.strip_prefix('\'')?.split_once('\'')?.0;
-        if !value("fortran_order")?.starts_with("False") {
+        let order = value("fortran_order")?;
+        let fortran_order = order.starts_with("True");
+        if !fortran_order && !order.starts_with("False") {
             return None;
         }
         let shape = value("shape")?.strip_prefix('(')?.split_once(')')?.0;
         let sizes = shape.split(',').map(str::trim).filter(|s| !s.is_empty());
         Some(Self {
             descr: descr.to_owned(),
+            fortran_order,
             shape: sizes.map(|s| s.parse().ok()).collect::<Option<_>>()?,
         })
+    }
+
+    /// That of an array in C order.
+    pub fn new(descr: &str, shape: Vec<u64>) -> Self {
+        Self {
+            descr: descr.to_owned(),
+            fortran_order: false,
+            shape,
+        }
     }
 
     /// Numbers in the array; `None` if they are more than can be counted.
@@ -70,7 +84,7 @@ impl Header {
         self.shape.iter().try_fold(1u64, |n, &side| n.checked_mul(side))
     }
 
-    /// The bytes of the header.
+    /// The bytes of the header of an array in C order.
     pub fn to_bytes(&self) -> Vec<u8> {
         let sizes: Vec<String> = self.shape.iter().map(|n| format!("{n},")).collect();
         let text = format!(
@@ -97,10 +111,7 @@ mod tests {
     #[test]
     fn a_header_comes_back() {
         for shape in [vec![], vec![7], vec![96, 20_000, 3]] {
-            let header = Header {
-                descr: "<f4".into(),
-                shape,
-            };
+            let header = Header::new("<f4", shape);
             let bytes = header.to_bytes();
             assert_eq!(bytes.len() % 64, 0);
             let mut rest = bytes.as_slice();
@@ -116,15 +127,17 @@ mod tests {
         assert!(refused(b"\x93NUMPX\x01\x00\x02\x00{}").contains("no npy"));
         assert!(refused(b"\x93NUMPY\x09\x00\x02\x00{}").contains("version 9"));
         assert!(refused(b"\x93NUMPY\x02\x00\xff\xff\xff\xff").contains("4294967295 bytes"));
-        let text = "{'descr': '<f4', 'fortran_order': True, 'shape': (2, 3), }";
-        let mut columns = b"\x93NUMPY\x01\x00".to_vec();
-        columns.extend((text.len() as u16).to_le_bytes());
-        columns.extend(text.as_bytes());
-        assert!(refused(&columns).contains("not understood"));
-        let most = Header {
-            descr: "|b1".into(),
-            shape: vec![u64::MAX, 2],
+        let written = |text: &str| {
+            let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+            bytes.extend((text.len() as u16).to_le_bytes());
+            bytes.extend(text.as_bytes());
+            bytes
         };
-        assert_eq!(most.len(), None);
+        let unknown = written("{'descr': '<f4', 'fortran_order': None, 'shape': (2, 3), }");
+        assert!(refused(&unknown).contains("not understood"));
+        let columns = written("{'shape': (2, 3), 'fortran_order': True, 'descr': '<f4'}");
+        let columns = Header::read(&mut columns.as_slice()).unwrap();
+        assert!(columns.fortran_order && columns.shape == [2, 3]);
+        assert_eq!(Header::new("|b1", vec![u64::MAX, 2]).len(), None);
     }
 }

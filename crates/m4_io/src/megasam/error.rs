@@ -1,0 +1,175 @@
+//! Why files of MegaSaM could not be read or written.
+
+use crate::ErrorKind;
+use crate::npy::ArrayFault;
+use std::io;
+use std::path::PathBuf;
+
+/// Why a file or folder of MegaSaM could not be read.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot read {} as output of MegaSaM: {fault}", path.display())]
+#[non_exhaustive]
+pub struct ReadMegasamError {
+    /// The file.
+    pub path: PathBuf,
+    /// What is wrong with it.
+    pub fault: MegasamFault,
+}
+
+/// What is wrong with a file of MegaSaM.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum MegasamFault {
+    /// The file could not be opened or read.
+    #[error("{0}; give a NAME_droid.npz, a NAME_sgd_cvd_hr.npz or a folder of reconstructions")]
+    Io(io::Error),
+    /// It is no zip archive, or a damaged one.
+    #[error("it is no npz archive, or a damaged one ({0}); copy it again, or run MegaSaM again")]
+    Archive(String),
+    /// An array is not there.
+    #[error("it has no array `{array}` ({has})")]
+    Missing {
+        /// Name of the array.
+        array: &'static str,
+        /// Which are there, and which are needed.
+        has: String,
+    },
+    /// A member is no array that is read here.
+    #[error("the array `{array}` {reason}")]
+    Array {
+        /// Name of the array.
+        array: &'static str,
+        /// What is wrong with it and what was expected.
+        reason: String,
+    },
+    /// An array has another shape than the others ask for.
+    #[error("the array `{array}` has shape {found:?} where {expected} was expected")]
+    Shape {
+        /// Name of the array.
+        array: &'static str,
+        /// The shape in the file.
+        found: Vec<usize>,
+        /// What was expected.
+        expected: String,
+    },
+    /// A number cannot be.
+    #[error("the array `{array}`, frame {frame}: {what}")]
+    Value {
+        /// Name of the array.
+        array: &'static str,
+        /// Index of the frame.
+        frame: usize,
+        /// What it holds and what was expected.
+        what: String,
+    },
+    /// An option has no meaning.
+    #[error("{option} = {value}: {expected}")]
+    Option {
+        /// The option.
+        option: &'static str,
+        /// Its value.
+        value: f64,
+        /// What was expected.
+        expected: &'static str,
+    },
+    /// It would not fit into memory.
+    #[error(
+        "{what} takes {} MiB of memory, above the limit of {} MiB; cut the clip, or raise the limit (max_memory_bytes)",
+        needed_bytes >> 20,
+        limit_bytes >> 20
+    )]
+    TooLarge {
+        /// What would take it.
+        what: String,
+        /// How much.
+        needed_bytes: u64,
+        /// What it may take.
+        limit_bytes: u64,
+    },
+    /// The caller asked to stop.
+    #[error("stopped")]
+    Cancelled,
+}
+
+impl MegasamFault {
+    /// A fault of the array of that name.
+    pub(super) fn of(array: &'static str) -> impl Fn(ArrayFault) -> Self {
+        move |fault| match fault {
+            ArrayFault::Bad(reason) => Self::Array { array, reason },
+            ArrayFault::TooLarge {
+                needed_bytes,
+                limit_bytes,
+            } => Self::TooLarge {
+                what: format!("the array `{array}`"),
+                needed_bytes,
+                limit_bytes,
+            },
+        }
+    }
+}
+
+impl ReadMegasamError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match &self.fault {
+            MegasamFault::Io(source) => ErrorKind::of_read(source),
+            MegasamFault::TooLarge { .. } => ErrorKind::Unsupported,
+            MegasamFault::Cancelled => ErrorKind::Cancelled,
+            MegasamFault::Archive(_)
+            | MegasamFault::Missing { .. }
+            | MegasamFault::Array { .. }
+            | MegasamFault::Shape { .. }
+            | MegasamFault::Value { .. }
+            | MegasamFault::Option { .. } => ErrorKind::BadData,
+        }
+    }
+}
+
+/// Why a capture could not be written as files of MegaSaM.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteMegasamError {
+    /// The file system refused.
+    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The capture cannot be said in this form.
+    #[error("the capture cannot be written to {} as files of MegaSaM: {what}", path.display())]
+    Capture {
+        /// The file.
+        path: PathBuf,
+        /// What is in the way, and what to do.
+        what: String,
+    },
+    /// What was written does not read back.
+    #[error("{} was written but does not read back: {what}; nothing was kept, check the disk", path.display())]
+    ReadBack {
+        /// The file.
+        path: PathBuf,
+        /// The difference.
+        what: String,
+    },
+    /// The caller asked to stop.
+    #[error("stopped while writing {}; nothing was kept", path.display())]
+    Cancelled {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl WriteMegasamError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { .. } | Self::ReadBack { .. } => ErrorKind::CannotWrite,
+            Self::Capture { .. } => ErrorKind::BadData,
+            Self::Cancelled { .. } => ErrorKind::Cancelled,
+        }
+    }
+}

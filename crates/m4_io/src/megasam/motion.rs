@@ -1,0 +1,151 @@
+//! `motion_prob` to masks and back.
+
+use super::{MegasamFault, MegasamOptions};
+use m4_scene::{CompactMask, Progress};
+use std::path::{Path, PathBuf};
+
+/// Name of the file.
+pub(super) const FILE: &str = "motion_prob.npy";
+/// Pixels to a side of what one number stands for.
+pub(super) const BLOCK: usize = 8;
+/// Largest share of moving pixels that is believed.
+const MOST_MOVING: f64 = 0.6;
+/// How far rounding may put a probability outside of 0 to 1.
+const ROUNDING: f64 = 1e-3;
+
+/// The file of the clip at `path`: the one given, or the first that is there of those of [`candidates`].
+pub(super) fn find(path: &Path, options: &MegasamOptions) -> Option<PathBuf> {
+    match &options.motion {
+        Some(given) => Some(given.clone()),
+        None => candidates(path).into_iter().find(|p| p.is_file()),
+    }
+}
+
+/// Where the file of the clip at `path` may be: in the folder of reconstructions itself; of `NAME_droid.npz` in
+/// `reconstructions/NAME` beside it or beside its folder (MegaSaM writes `outputs/` and `reconstructions/` side by
+/// side), else right beside it.
+pub(super) fn candidates(path: &Path) -> Vec<PathBuf> {
+    if path.is_dir() {
+        return vec![path.join(FILE)];
+    }
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let mut all = Vec::new();
+    if let Some(scene) = path.file_stem().and_then(|s| s.to_str()).map(scene_name) {
+        for base in [folder, &folder.join("..")] {
+            all.push(base.join("reconstructions").join(scene).join(FILE));
+        }
+    }
+    all.push(folder.join(FILE));
+    all
+}
+
+/// `dog` of `dog_droid` and `dog_sgd_cvd_hr`.
+fn scene_name(stem: &str) -> &str {
+    let ends = ["_sgd_cvd_hr", "_sgd_cvd", "_cvd", "_droid"];
+    ends.iter().find_map(|end| stem.strip_suffix(end)).unwrap_or(stem)
+}
+
+/// The mask of frame `frame` of `size` from the `map` of `of` numbers, row by row.
+pub(super) fn mask(
+    frame: usize,
+    map: &[f64],
+    of: (usize, usize),
+    size: (usize, usize),
+    tau_motion: f64,
+) -> Result<CompactMask, MegasamFault> {
+    if let Some(value) = map.iter().find(|m| !(-ROUNDING..=1.0 + ROUNDING).contains(*m)) {
+        return Err(MegasamFault::Value {
+            array: "motion_prob",
+            frame,
+            what: format!("it holds {value}; 0 (moving) to 1 (standing still) was expected"),
+        });
+    }
+    let across = taps(of.0, size.0);
+    let down = taps(of.1, size.1);
+    let at = |x: usize, y: usize| {
+        let ((x0, x1, fx), (y0, y1, fy)) = (across[x], down[y]);
+        let row = |y: usize| map[y * of.0 + x0] * (1.0 - fx) + map[y * of.0 + x1] * fx;
+        row(y0) * (1.0 - fy) + row(y1) * fy
+    };
+    Ok(CompactMask::from_fn(size.0, size.1, |x, y| 1.0 - at(x, y) > tau_motion))
+}
+
+/// For each of `to` pixels its two neighbours of `from` and the weight of the second: bilinear, by the centres of
+/// pixels, edges repeated.
+fn taps(from: usize, to: usize) -> Vec<(usize, usize, f64)> {
+    let last = (from - 1) as f64;
+    (0..to)
+        .map(|i| {
+            let at = ((i as f64 + 0.5) * from as f64 / to as f64 - 0.5).clamp(0.0, last);
+            let first = at.floor() as usize;
+            (first, (first + 1).min(from - 1), at - at.floor())
+        })
+        .collect()
+}
+
+/// Says so if the masks move more than is believed.
+pub(super) fn check_polarity(masks: &[CompactMask], tau_motion: f64, progress: &dyn Progress) {
+    let moving: usize = masks.iter().map(CompactMask::count).sum();
+    let all: usize = masks.iter().map(|m| m.size().0 * m.size().1).sum();
+    let share = moving as f64 / all.max(1) as f64;
+    if share > MOST_MOVING {
+        progress.warn(&format!(
+            "{:.0} % of the pixels count as moving: motion_prob is high where things stand still, and this file is \
+             probably the other way round; save 1 - motion_prob and import again, or raise tau_motion (now {tau_motion})",
+            100.0 * share
+        ));
+    }
+}
+
+/// The share of each whole block of a mask that stands still; `moving` tells of a pixel.
+pub(super) fn still_share(size: (usize, usize), moving: impl Fn(usize, usize) -> bool) -> Vec<f32> {
+    let (across, down) = (size.0 / BLOCK, size.1 / BLOCK);
+    let block = |i: usize| {
+        let (x0, y0) = (i % across * BLOCK, i / across * BLOCK);
+        let still = (0..BLOCK * BLOCK)
+            .filter(|k| !moving(x0 + k % BLOCK, y0 + k / BLOCK))
+            .count();
+        still as f32 / (BLOCK * BLOCK) as f32
+    };
+    (0..across * down).map(block).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{candidates, mask, still_share};
+    use std::path::Path;
+
+    #[test]
+    fn high_is_still_and_the_resizing_is_bilinear() {
+        // one row: still, moving; the middle between them is at column 8 of 16
+        let held = mask(0, &[1.0, 0.0], (2, 1), (16, 1), 0.7).unwrap();
+        let moves: Vec<bool> = (0..16).map(|x| held.at(x, 0)).collect();
+        // motion at column x is (x + 0.5 - 4) / 8: above 0.7 from x = 9.1 on
+        assert_eq!(moves, (0..16).map(|x| x >= 10).collect::<Vec<_>>());
+        let half = mask(0, &[1.0, 0.0], (2, 1), (16, 1), 0.5).unwrap();
+        assert_eq!(half.count(), 8);
+        assert!(mask(4, &[f64::NAN], (1, 1), (8, 8), 0.7).is_err());
+        assert!(
+            mask(4, &[1.5], (1, 1), (8, 8), 0.7)
+                .unwrap_err()
+                .to_string()
+                .contains("frame 4")
+        );
+    }
+
+    #[test]
+    fn blocks_say_how_much_of_them_stands_still() {
+        let got = still_share((17, 8), |x, _| x >= 12);
+        assert_eq!(got, [1.0, 0.5]);
+    }
+
+    #[test]
+    fn the_map_is_looked_for_where_megasam_writes_it() {
+        let at = candidates(Path::new("out/outputs_cvd/dog_sgd_cvd_hr.npz"));
+        assert!(
+            at.contains(&"out/outputs_cvd/../reconstructions/dog/motion_prob.npy".into()),
+            "{at:?}"
+        );
+        assert_eq!(at.last().unwrap(), Path::new("out/outputs_cvd/motion_prob.npy"));
+    }
+}
