@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # Checks the files of networks that are here, end to end: every file of weights, then the front end on a clip.
 #
-#   tools/models/check.sh                      # examples/pinwheel.mp4 with --frontend megasam
+#   tools/models/check.sh                      # examples/pinwheel.mp4 with the paper's chain
 #   tools/models/check.sh CLIP [TRUTH]         # another clip; TRUTH is a capture or a transforms file to compare with
-#   FRONTEND=moge+gmflow WEIGHTS="gmflow moge-2-l" tools/models/check.sh
+#   FRONTEND=moge+gmflow WEIGHTS="gmflow moge-2-l-normal" tools/models/check.sh
 #
 # MINUTE4D is the program (default: target/release/minute4d, built if it is not there). FRONTEND is what geometry runs with
-# (default: megasam), OPTIONS are more options of `minute4d geometry`, such as "--mono moge --end 1". WEIGHTS are the names that
+# (default: the paper's chain), OPTIONS are more options of `minute4d geometry`, such as "--device gpu --end 1". WEIGHTS are the names that
 # must be here (default: those that the front end takes). Whatever else is here is verified too. OUT keeps the capture.
 #
 # A table of what was checked and what was missing comes last. The exit code is 0 only if everything asked for was checked.
@@ -15,10 +15,12 @@ cd "$(dirname "${BASH_SOURCE[0]}")/../.."
 
 clip=${1:-examples/pinwheel.mp4}
 truth=${2:-}
-frontend=${FRONTEND:-megasam}
+frontend=${FRONTEND:-megasam+raft+depth-anything+unidepth}
 program=${MINUTE4D:-target/release/minute4d}
 case $frontend in
-    megasam) usual="megasam raft-things depth-anything-v1-l unidepth-v2-l" ;;
+    megasam) usual="megasam" ;;
+    megasam+raft+depth-anything+unidepth) usual="megasam raft-things depth-anything-v1-l unidepth-v2-l" ;;
+    megasam+raft+moge) usual="megasam raft-things moge-2-l" ;;
     moge+gmflow) usual="moge-2-l gmflow" ;;
     gmflow) usual="gmflow" ;;
     *) usual="" ;;

@@ -244,6 +244,7 @@ fn made() -> Capture {
             mask: Some(CompactMask::from_fn(w, h, |x, y| {
                 (8 + 4 * i..32 + 4 * i).contains(&x) && (8..24).contains(&y)
             })),
+            motion: None,
             camera_index: None,
         }
     };

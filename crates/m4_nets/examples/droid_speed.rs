@@ -52,7 +52,7 @@ fn picture(width: usize, height: usize, frame: usize) -> RgbImage {
 }
 
 /// One update of `edges` edges of frame 0.
-fn revise(memory: &mut DroidMemory, edges: usize, [w, h]: [usize; 2]) -> Result<(), Box<dyn Error>> {
+fn revise(memory: &mut DroidMemory<'_>, edges: usize, [w, h]: [usize; 2]) -> Result<(), Box<dyn Error>> {
     let projected = [
         (0..w * h).map(|i| (i % w) as f32 + 1.3).collect::<Vec<_>>(),
         (0..w * h).map(|i| (i / w) as f32 - 0.4).collect(),

@@ -2,7 +2,6 @@
 
 use crate::load::{self, Shapes};
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tensor};
-use burn_core::module::{Module, ModuleMapper, Param};
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_store::{BurnToPyTorchAdapter, KeyRemapper, ModuleSnapshot};
 use m4_scene::RgbImage;
@@ -144,15 +143,4 @@ pub fn renamed(keys: &str, renames: &[(&str, &str)]) -> Shapes {
         (name, words.map(|w| w.parse().unwrap()).collect())
     };
     keys.lines().map(line).collect()
-}
-
-/// `module` with all its numbers in 16 bits.
-pub fn halved<M: Module>(module: M) -> M {
-    struct Halves;
-    impl ModuleMapper for Halves {
-        fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-            param.map(|x| x.cast(DType::F16))
-        }
-    }
-    module.map(&mut Halves)
 }

@@ -33,11 +33,11 @@ mod padding;
 
 pub use burn_core::tensor::Device;
 pub use depth_anything::{DepthAnything, DisparityError};
-pub use device::cpu;
 #[cfg(feature = "cuda")]
 pub use device::cuda;
 #[cfg(feature = "gpu")]
 pub use device::gpu;
+pub use device::{Compute, cpu};
 pub use dinov2::BackboneSize;
 pub use droid::{DroidError, DroidMemory, DroidNet};
 pub use flow::{Flow, FlowError};

@@ -36,7 +36,7 @@ fn picture(w: usize, h: usize, moved: f32) -> RgbImage {
     })
 }
 
-fn memory(net: DroidNet) -> DroidMemory {
+fn memory(net: DroidNet) -> DroidMemory<'static> {
     let options = MemoryOptions {
         budget_bytes: 1 << 30,
         storage: Storage::F16,

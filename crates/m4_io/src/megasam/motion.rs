@@ -84,9 +84,16 @@ fn taps(from: usize, to: usize) -> Vec<(usize, usize, f64)> {
 }
 
 /// Says so if the masks move more than is believed.
-pub(super) fn check_polarity(masks: &[CompactMask], tau_motion: f64, progress: &dyn Progress) {
-    let moving: usize = masks.iter().map(CompactMask::count).sum();
-    let all: usize = masks.iter().map(|m| m.size().0 * m.size().1).sum();
+pub(super) fn check_polarity<'a>(
+    masks: impl Iterator<Item = &'a CompactMask>,
+    tau_motion: f64,
+    progress: &dyn Progress,
+) {
+    let (mut moving, mut all) = (0, 0);
+    for mask in masks {
+        moving += mask.count();
+        all += mask.size().0 * mask.size().1;
+    }
     let share = moving as f64 / all.max(1) as f64;
     if share > MOST_MOVING {
         progress.warn(&format!(
@@ -97,15 +104,13 @@ pub(super) fn check_polarity(masks: &[CompactMask], tau_motion: f64, progress: &
     }
 }
 
-/// The share of each whole block of a mask that stands still; `moving` tells of a pixel.
-pub(super) fn still_share(size: (usize, usize), moving: impl Fn(usize, usize) -> bool) -> Vec<f32> {
+/// The share of each whole block that stands still; `moving` tells how likely a pixel moves.
+pub(super) fn still_share(size: (usize, usize), moving: impl Fn(usize, usize) -> f32) -> Vec<f32> {
     let (across, down) = (size.0 / BLOCK, size.1 / BLOCK);
     let block = |i: usize| {
         let (x0, y0) = (i % across * BLOCK, i / across * BLOCK);
-        let still = (0..BLOCK * BLOCK)
-            .filter(|k| !moving(x0 + k % BLOCK, y0 + k / BLOCK))
-            .count();
-        still as f32 / (BLOCK * BLOCK) as f32
+        let still = (0..BLOCK * BLOCK).map(|k| 1.0 - moving(x0 + k % BLOCK, y0 + k / BLOCK));
+        still.sum::<f32>() / (BLOCK * BLOCK) as f32
     };
     (0..across * down).map(block).collect()
 }
@@ -135,7 +140,7 @@ mod tests {
 
     #[test]
     fn blocks_say_how_much_of_them_stands_still() {
-        let got = still_share((17, 8), |x, _| x >= 12);
+        let got = still_share((17, 8), |x, _| if x >= 12 { 1.0 } else { 0.0 });
         assert_eq!(got, [1.0, 0.5]);
     }
 

@@ -182,7 +182,7 @@ impl<'a> Output<'a> {
                 floats(lens::numbers(&frames[i].camera.intrinsics).iter())
             }),
         ];
-        if frames.iter().any(|f| f.mask.is_some()) {
+        if frames.iter().any(|f| f.mask.is_some() || f.motion.is_some()) {
             let shape = vec![n, h / motion::BLOCK, w / motion::BLOCK];
             arrays.push(self.frames("motion_prob", "<f4", shape, move |i| {
                 let still = motion::still_share(self.size, |x, y| self.moves(i, x, y));
@@ -231,12 +231,17 @@ impl<'a> Output<'a> {
         out
     }
 
-    fn moves(&self, i: usize, x: usize, y: usize) -> bool {
+    /// How likely pixel `(x, y)` of frame `i` moves: by its map of motion, else by its mask.
+    fn moves(&self, i: usize, x: usize, y: usize) -> f32 {
         let frame = &self.capture.frames[i];
-        frame.mask.as_ref().is_some_and(|mask| {
+        if let Some(motion) = &frame.motion {
+            return f32::from(motion[nearest((x, y), frame.rgb.size(), motion.size())]) / 255.0;
+        }
+        let moves = frame.mask.as_ref().is_some_and(|mask| {
             let (x, y) = nearest((x, y), frame.rgb.size(), mask.size());
             mask.at(x, y)
-        })
+        });
+        f32::from(u8::from(moves))
     }
 }
 

@@ -58,17 +58,19 @@ fn inner(path: &Path, options: &MegasamOptions, progress: &dyn Progress) -> Resu
     });
     let mut masks = masks.map(Vec::into_iter);
     let frames = pictures.into_iter().zip(depths).zip(lenses.into_iter().zip(poses));
-    let frames = frames
-        .enumerate()
-        .map(|(i, ((rgb, depth), (intrinsics, c2w)))| CaptureFrame {
+    let frames = frames.enumerate().map(|(i, ((rgb, depth), (intrinsics, c2w)))| {
+        let (mask, motion) = masks.as_mut().and_then(Iterator::next).unzip();
+        CaptureFrame {
             name: format!("{i:05}"),
             camera: Camera { intrinsics, c2w },
             t: i as f64,
             rgb,
             depth: Some(depth.into()),
-            mask: masks.as_mut().and_then(Iterator::next),
+            mask,
+            motion,
             camera_index: None,
-        });
+        }
+    });
     Ok(Capture {
         frames: frames.collect(),
         time_frames: clip.frames,
@@ -246,13 +248,13 @@ fn depths(
     Ok(maps)
 }
 
-/// Masks; `None` where there is no map of motion.
+/// Masks, and how likely each cell moves; `None` where there is no map of motion.
 fn masks(
     path: &Path,
     clip: Clip,
     options: &MegasamOptions,
     progress: &dyn Progress,
-) -> Result<Option<Vec<CompactMask>>, Fault> {
+) -> Result<Option<Vec<(CompactMask, Plane<u8>)>>, Fault> {
     let Some(file) = motion::find(path, options) else {
         let at: Vec<String> = motion::candidates(path)
             .iter()
@@ -274,12 +276,14 @@ fn masks(
     for i in 0..clip.frames {
         step("read masks", i, clip.frames, progress).map_err(there)?;
         let values = array.next_f64(map.0 * map.1).map_err(|e| there(of(e)))?;
-        masks.push(motion::mask(i, &values, map, clip.size, options.tau_motion).map_err(there)?);
+        let mask = motion::mask(i, &values, map, clip.size, options.tau_motion).map_err(there)?;
+        let moves = |x: usize, y: usize| (255.0 * (1.0 - values[y * map.0 + x]).clamp(0.0, 1.0)).round() as u8;
+        masks.push((mask, Plane::from_fn(map.0, map.1, moves)));
     }
     if array.shape[0] == clip.frames {
         array.end().map_err(|e| there(of(e)))?;
     }
-    motion::check_polarity(&masks, options.tau_motion, progress);
+    motion::check_polarity(masks.iter().map(|m| &m.0), options.tau_motion, progress);
     Ok(Some(masks))
 }
 

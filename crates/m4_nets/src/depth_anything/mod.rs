@@ -21,7 +21,7 @@ mod picture;
 mod tests;
 
 use crate::dinov2::{self, BackboneSize, DinoV2};
-use crate::{LoadError, load};
+use crate::{Compute, LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
@@ -87,11 +87,14 @@ impl DepthAnything {
     /// # Errors
     ///
     /// [`LoadError`] if the file cannot be read or holds another network.
-    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+    pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
+        let on: Compute = on.into();
+        let device = &on.device;
         let shapes = load::shapes(NAME, path, &head::RENAMES)?;
         let size = BackboneSize::in_checkpoint(&shapes, "pretrained.", NAME, path)?;
         let mut net = Net::new(size, size.depth(), device);
         load::fill(&mut net, NAME, path, &head::RENAMES, dinov2::unneeded)?;
+        let net = on.fit(net);
         Ok(Self {
             net,
             size,

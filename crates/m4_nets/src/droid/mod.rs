@@ -33,7 +33,7 @@ pub use error::DroidError;
 pub use memory::{DroidMemory, EdgeUpdate, MemoryOptions, Pictures, SourceUpdate, Storage};
 
 use crate::ops::tanh;
-use crate::{LoadError, load};
+use crate::{Compute, LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
@@ -92,7 +92,9 @@ impl DroidNet {
     /// # Errors
     ///
     /// [`LoadError`] if the file cannot be read or holds another network.
-    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+    pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
+        let on: Compute = on.into();
+        let device = &on.device;
         let with_rows = |rows: usize| {
             let mut net = Net {
                 fnet: Encoder::new(WIDTH, device),
@@ -101,6 +103,7 @@ impl DroidNet {
             };
             let unneeded = |name: &str| UNNEEDED.iter().any(|start| name.starts_with(start));
             load::fill(&mut net, "MegaSaM's tracking network", path, &RENAMES, unneeded)?;
+            let net = on.fit(net);
             Ok(net)
         };
         let fewer = |a: &LoadError, b: &LoadError| {

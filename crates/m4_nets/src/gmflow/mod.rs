@@ -24,7 +24,7 @@ mod windows;
 
 use crate::flow::same_size;
 use crate::padding::Padding;
-use crate::{Flow, FlowError, LoadError, load};
+use crate::{Compute, Flow, FlowError, LoadError, load};
 use backbone::Backbone;
 use burn_core as burn;
 use burn_core::module::Module;
@@ -92,7 +92,9 @@ impl GmFlow {
     /// # Errors
     ///
     /// [`LoadError`] if the file cannot be read or holds another network.
-    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+    pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
+        let on: Compute = on.into();
+        let device = &on.device;
         let mut net = Net {
             backbone: Backbone::new(WIDTH, device),
             transformer: Transformer::new(WIDTH, device),

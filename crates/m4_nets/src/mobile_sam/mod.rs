@@ -23,7 +23,7 @@ mod two_way;
 
 pub use prompt::{PointPrompt, Prompt};
 
-use crate::{LoadError, load};
+use crate::{Compute, LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::{Device, Tensor};
@@ -184,7 +184,9 @@ impl MobileSam {
     /// # Errors
     ///
     /// [`LoadError`] if the file cannot be read or holds another network.
-    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+    pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
+        let on: Compute = on.into();
+        let device = &on.device;
         let mut net = Net {
             image_encoder: TinyVit::new(device),
             prompt_encoder: PromptEncoder::new(device),

@@ -29,7 +29,7 @@ pub use map::{MoGeMap, MoGeOptions};
 
 use crate::dinov2::{self, BackboneSize};
 use crate::ops::linear;
-use crate::{LoadError, load};
+use crate::{Compute, LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
@@ -176,7 +176,9 @@ impl MoGe {
     /// # Errors
     ///
     /// [`LoadError`] if the file cannot be read or holds another network.
-    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+    pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
+        let on: Compute = on.into();
+        let device = &on.device;
         let shapes = load::shapes(NAME, path, &RENAMES)?;
         let size = BackboneSize::in_checkpoint(&shapes, "encoder.backbone.", NAME, path)?;
         let other = |wrong: String| LoadError::OtherNetwork {
@@ -196,6 +198,7 @@ impl MoGe {
         }
         let mut net = Net::new(size, &layout, device);
         load::fill(&mut net, NAME, path, &RENAMES, dinov2::unneeded)?;
+        let net = on.fit(net);
         Ok(Self {
             net,
             config,

@@ -24,7 +24,7 @@ use crate::correlation::{self, FeatureMap, Pyramid};
 use crate::flow::same_size;
 use crate::ops::convex_upsample;
 use crate::padding::{self, Padding};
-use crate::{Flow, FlowError, LoadError, load};
+use crate::{Compute, Flow, FlowError, LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::activation::{relu, tanh};
@@ -118,9 +118,12 @@ impl Raft {
     /// # Errors
     ///
     /// [`LoadError`] if the file cannot be read or holds another network.
-    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+    pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
+        let on: Compute = on.into();
+        let device = &on.device;
         let mut net = Net::new(device);
         load::fill(&mut net, "RAFT", path, &RENAMES, unneeded)?;
+        let net = on.fit(net);
         Ok(Self {
             net,
             device: device.clone(),

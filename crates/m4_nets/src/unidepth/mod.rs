@@ -25,10 +25,10 @@ mod rays;
 mod tests;
 mod up;
 
-use crate::LoadError;
 use crate::dinov2::{self, BackboneSize, DinoV2};
 use crate::load::{self, Shapes};
 use crate::ops::{gelu, linear, norm, sine_positions, zeros};
+use crate::{Compute, LoadError};
 use burn_core as burn;
 use burn_core::module::{Module, Param};
 use burn_core::tensor::{DType, Device, Tensor};
@@ -253,12 +253,15 @@ impl UniDepth {
     /// # Errors
     ///
     /// [`LoadError`] if the file cannot be read or holds another network.
-    pub fn load(path: &Path, device: &Device) -> Result<Self, LoadError> {
+    pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
+        let on: Compute = on.into();
+        let device = &on.device;
         let shapes = load::shapes(NAME, path, &RENAMES)?;
         let size = BackboneSize::in_checkpoint(&shapes, "pixel_encoder.", NAME, path)?;
         let (depth, width) = sizes(&shapes, path)?;
         let mut net = Net::new(size, depth, width, device);
         load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;
+        let net = on.fit(net);
         Ok(Self {
             net,
             size,

@@ -2,7 +2,8 @@
 
 use super::*;
 use crate::cpu;
-use crate::fixture::{Fixture, assert_near, assert_same_tensors, every, fill_by_formula, halved, relative_error};
+use crate::device::halved;
+use crate::fixture::{Fixture, assert_near, assert_same_tensors, every, fill_by_formula, relative_error};
 use m4_testkit::FormulaWeights;
 
 const FORMULA: &str = include_str!("../../../../fixtures/unidepth_v2/formula.keys.txt");

@@ -39,11 +39,11 @@ impl OpenGpu {
     pub(super) fn for_networks(&self) -> NetworkDevice {
         NetworkDevice {
             #[cfg(feature = "nets")]
-            device: match self.gpu.adapter().runtime() {
+            device: m4_nets::Compute::half(match self.gpu.adapter().runtime() {
                 Runtime::Wgpu(device) => m4_nets::gpu(device),
                 #[cfg(feature = "cuda")]
                 Runtime::Cuda(ordinal) => m4_nets::cuda(ordinal),
-            },
+            }),
             name: self.name().to_owned(),
         }
     }

@@ -7,7 +7,7 @@ use crate::Error;
 #[derive(Debug, Clone)]
 pub struct NetworkDevice {
     #[cfg(feature = "nets")]
-    pub(crate) device: m4_nets::Device,
+    pub(crate) device: m4_nets::Compute,
     pub(super) name: String,
 }
 
@@ -21,7 +21,7 @@ impl NetworkDevice {
     pub(super) fn processor() -> Self {
         Self {
             #[cfg(feature = "nets")]
-            device: m4_nets::cpu(),
+            device: m4_nets::cpu().into(),
             name: "cpu".to_owned(),
         }
     }

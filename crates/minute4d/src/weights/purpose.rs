@@ -19,15 +19,16 @@ impl Entry {
     #[must_use]
     pub fn without(&self) -> &'static str {
         match self.name {
-            "gmflow" => "--frontend gmflow and moge+gmflow; --frontend classical works without any weights",
+            "gmflow" => "the part gmflow of --frontend; classical works in its place without any weights",
             "mobile-sam" => "--segmenter mobilesam; --segmenter none works, with coarser outlines",
-            "megasam" => "--frontend megasam; moge+gmflow works without it, classical without any weights",
-            "raft-things" => "--flow raft; --flow gmflow and --flow classical work in its place",
-            "depth-anything-v1-l" | "unidepth-v2-l" => {
-                "--mono depth-anything+unidepth, the paper's own pair; --mono moge works in its place, --mono none without any"
+            "megasam" => "the part megasam of --frontend; moge+gmflow works without it, classical without any weights",
+            "raft-things" => "the part raft of --frontend; gmflow and classical work in its place",
+            "unidepth-v2-l" => "the part unidepth of --frontend; moge works in its place",
+            "depth-anything-v1-l" | "depth-anything-v1-b" | "depth-anything-v1-s" => {
+                "the part depth-anything of --frontend, where no other size is here; moge works in its place"
             }
             "moge-2-l" | "moge-2-l-normal" | "moge-2-b" | "moge-2-b-normal" | "moge-2-s-normal" => {
-                "--mono moge, where no other MoGe-2 is here; --mono none works without any"
+                "the part moge of --frontend, where no other size is here; a front end without it works, in no unit of length"
             }
             _ => ONLY_HERE,
         }

@@ -14,7 +14,7 @@ fn options(budget_bytes: usize, storage: Storage) -> MemoryOptions {
 }
 
 /// A memory of the pictures of the fixture, which are added when they are needed.
-fn memory(options: MemoryOptions) -> DroidMemory {
+fn memory(options: MemoryOptions) -> DroidMemory<'static> {
     let pictures = Fixture::open("encoders.safetensors").pictures();
     let pictures = move |frame: usize| pictures.get(frame).cloned().ok_or_else(|| "no such frame".into());
     DroidMemory::new(Arc::new(network()), options, Box::new(pictures))
@@ -45,7 +45,7 @@ fn start() -> Planes {
     }
 }
 
-fn revise(memory: &mut DroidMemory, source: usize, ids: &[usize], planes: &mut [Planes]) -> SourceUpdate {
+fn revise(memory: &mut DroidMemory<'_>, source: usize, ids: &[usize], planes: &mut [Planes]) -> SourceUpdate {
     let mut edges: Vec<EdgeUpdate<'_>> = (0..)
         .zip(planes)
         .filter(|(id, _)| ids.contains(id))
@@ -61,7 +61,7 @@ fn revise(memory: &mut DroidMemory, source: usize, ids: &[usize], planes: &mut [
 }
 
 /// Three steps of the published loop: all that it gives, checked against `limit` where there is one.
-fn run(memory: &mut DroidMemory, limit: Option<f32>) -> (Vec<Planes>, Vec<f32>) {
+fn run(memory: &mut DroidMemory<'_>, limit: Option<f32>) -> (Vec<Planes>, Vec<f32>) {
     let file = Fixture::open("update_loop.safetensors");
     let (ii, jj) = (file.indices("ii"), file.indices("jj"));
     let mut planes = vec![start(); ii.len()];

@@ -3,17 +3,20 @@
 use super::source::unusable;
 use super::{MonoClip, Part, Plan};
 use crate::Error;
-use m4_nets::{DepthAnything, Device, LoadError, MoGe, MoGeOptions};
+use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeOptions, UniDepth, cpu};
 use m4_scene::{Plane, Progress, RgbImage};
 use m4_slam::megasam::MegasamError;
 use std::path::Path;
 
 /// Longer side of the maps that are kept, pixels: those of MegaSaM's metric depth.
 const KEPT_SIDE: usize = 640;
+/// Patches that MoGe-2 cuts a picture into on the processor: the fewest that it was trained with. On a GPU it is the most.
+const PROCESSOR_TOKENS: usize = 1200;
 const PHASE: &str = "depth from one picture";
 
 enum Metric {
-    MoGe(MoGe),
+    MoGe(Box<MoGe>),
+    UniDepth(Box<UniDepth>),
 }
 
 struct Networks {
@@ -31,11 +34,18 @@ fn kept(plane: Plane<f32>) -> Plane<f32> {
     m4_slam::megasam::resize_nearest(&plane, side(w), side(h))
 }
 
+/// The picture with its longer side at most `long`.
+fn at_most(picture: &RgbImage, long: usize) -> Result<RgbImage, Box<dyn std::error::Error + Send + Sync>> {
+    let (w, h) = picture.size();
+    let side = |n: usize| (n * long.min(w.max(h)) / w.max(h).max(1)).max(1);
+    m4_io::image::resize_rgb(picture, side(w), side(h)).ok_or_else(|| "the picture is empty".into())
+}
+
 fn load<T>(
     part: Part,
     plan: &Plan,
-    device: &Device,
-    load: impl Fn(&Path, &Device) -> Result<T, LoadError>,
+    device: &Compute,
+    load: impl Fn(&Path, &Compute) -> Result<T, LoadError>,
 ) -> Result<Option<T>, Error> {
     let Some(path) = plan.file(part) else { return Ok(None) };
     load(path, device).map(Some).map_err(unusable(part))
@@ -52,13 +62,18 @@ impl MonoClip {
         plan: &Plan,
         pictures: &[&RgbImage],
         focal_px: Option<f64>,
-        device: &Device,
+        device: &Compute,
         progress: &dyn Progress,
     ) -> Result<Option<Self>, Error> {
-        let moge = load(Part::Moge, plan, device, MoGe::load)?.map(Metric::MoGe);
+        let moge =
+            load(Part::Moge, plan, device, |path, on| MoGe::load(path, on))?.map(|net| Metric::MoGe(Box::new(net)));
+        let unidepth = load(Part::Unidepth, plan, device, |path, on| UniDepth::load(path, on))?;
+        let unidepth = unidepth.map(|net| Metric::UniDepth(Box::new(net)));
         let networks = Networks {
-            metric: moge,
-            relative: load(Part::DepthAnything, plan, device, DepthAnything::load)?,
+            metric: moge.or(unidepth),
+            relative: load(Part::DepthAnything, plan, device, |path, on| {
+                DepthAnything::load(path, on)
+            })?,
         };
         if networks.metric.is_none() && networks.relative.is_none() {
             return Ok(None);
@@ -81,9 +96,9 @@ impl MonoClip {
                 reason: error,
             };
             if let Some(network) = &networks.metric {
-                let (depth_m, fov_rad) = network.depth(picture, focal_px).map_err(failed)?;
+                let (depth_m, fov_rad) = network.depth(picture, focal_px, device).map_err(failed)?;
                 metric_m.push(kept(depth_m));
-                fovs.push(fov_rad);
+                fovs.extend(fov_rad);
             }
             if let Some(network) = &networks.relative {
                 let disparity = network.disparity(picture).map_err(|e| failed(Box::new(e)))?;
@@ -107,15 +122,28 @@ impl Metric {
         &self,
         picture: &RgbImage,
         focal_px: Option<f64>,
-    ) -> Result<(Plane<f32>, f64), Box<dyn std::error::Error + Send + Sync>> {
+        device: &Compute,
+    ) -> Result<(Plane<f32>, Option<f64>), Box<dyn std::error::Error + Send + Sync>> {
         match self {
             Self::MoGe(net) => {
                 let options = MoGeOptions {
+                    tokens: (device.device == cpu()).then_some(PROCESSOR_TOKENS),
                     known_focal_px: focal_px,
-                    ..MoGeOptions::default()
                 };
-                let map = net.infer(picture, &options)?;
-                Ok((map.depth_m, map.fov_x_rad))
+                match net.infer(picture, &options) {
+                    Ok(map) => Ok((map.depth_m, Some(map.fov_x_rad))),
+                    // All sky, or no points of a camera: nothing is known of this frame.
+                    Err(MoGeError::NothingValid | MoGeError::NoFocal) => {
+                        Ok((Plane::filled(picture.width(), picture.height(), 0.0), None))
+                    }
+                    Err(error) => Err(error.into()),
+                }
+            }
+            Self::UniDepth(net) => {
+                // MegaSaM hands it pictures of this size.
+                let small = at_most(picture, KEPT_SIDE)?;
+                let map = net.depth(&small)?;
+                Ok((map.depth_m, Some(map.camera.horizontal_fov_rad())))
             }
         }
     }

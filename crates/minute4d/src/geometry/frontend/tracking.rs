@@ -4,7 +4,7 @@ use super::source::unusable;
 use super::{Part, Plan};
 use crate::Error;
 use m4_nets::droid::{DroidMemory, DroidNet, EdgeUpdate, MemoryOptions, Storage};
-use m4_nets::{Device, DroidError};
+use m4_nets::{Compute, DroidError};
 use m4_scene::{Mask, Plane, RgbImage};
 use m4_slam::graph::EdgeChanges;
 use m4_slam::megasam::TrackingSize;
@@ -31,7 +31,7 @@ impl<'a> NetworkCorrespondence<'a> {
         masks: Option<&[Mask]>,
         size: TrackingSize,
         budget_mb: usize,
-        device: &Device,
+        device: &Compute,
     ) -> Result<Self, Error> {
         let Some(path) = plan.file(Part::Megasam) else {
             let what = "the front end has no tracking network".to_owned();

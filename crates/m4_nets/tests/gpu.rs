@@ -1,0 +1,274 @@
+//! The networks on a GPU, or on software that plays one, against the fixtures and against the processor.
+#![cfg(feature = "gpu")]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use common::{fixtures, floats, picture};
+use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
+use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, try_init_setup};
+use m4_nets::droid::{EdgeUpdate, MemoryOptions, Storage};
+use m4_nets::raft::LowFlow;
+use m4_nets::{
+    Compute, DepthAnything, Device, DroidMemory, DroidNet, GmFlow, MoGe, MoGeOptions, MobileSam, PointPrompt, Prompt,
+    Raft, UniDepth, cpu,
+};
+use m4_scene::{Plane, RgbImage};
+use m4_testkit::{FormulaWeights, write_formula_weights};
+use std::fs;
+use std::path::PathBuf;
+use std::sync::{Arc, LazyLock};
+use tempfile::TempDir;
+
+/// The GPU, started once; `None`, and said so, without one.
+#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+fn gpu(test: &str) -> Option<Device> {
+    static GPU: LazyLock<Result<Device, String>> = LazyLock::new(|| {
+        let mut why = String::new();
+        for kind in [
+            WgpuDeviceKind::DiscreteGpu(0),
+            WgpuDeviceKind::IntegratedGpu(0),
+            WgpuDeviceKind::VirtualGpu(0),
+            WgpuDeviceKind::Cpu,
+        ] {
+            let device = WgpuDevice::new(kind).on(WgpuBackend::Vulkan);
+            match try_init_setup::<AutoGraphicsApi>(&device, RuntimeOptions::default()) {
+                Ok(_) => return Ok(m4_nets::gpu(device)),
+                Err(error) => why = error.to_string(),
+            }
+        }
+        Err(why)
+    });
+    GPU.as_ref()
+        .map_err(|why| eprintln!("{test}: NOT tested: {why}"))
+        .ok()
+        .cloned()
+}
+
+/// A checkpoint with weights by the formula; the folder goes with it.
+fn checkpoint(keys: &str) -> (TempDir, PathBuf) {
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    write_formula_weights(keys, &path);
+    (folder, path)
+}
+
+/// The largest difference, relative to the largest of `want`.
+fn error(got: &[f32], want: &[f32]) -> f32 {
+    assert_eq!(got.len(), want.len());
+    let largest = want.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
+    assert!(largest > 0.0, "nothing is wanted");
+    let off = got.iter().zip(want).map(|(a, b)| (a - b).abs());
+    off.fold(0.0_f32, |m, x| if x.is_nan() { f32::INFINITY } else { m.max(x) }) / largest
+}
+
+#[expect(clippy::print_stdout, reason = "what was reached is shown")]
+fn assert_near(what: &str, got: &[f32], want: &[f32], limit: f32) {
+    let error = error(got, want);
+    println!("{what}: {error:.1e}");
+    assert!(error < limit, "{what}: {error:.1e}");
+}
+
+fn pattern(w: usize, h: usize, moved: f32) -> RgbImage {
+    Plane::from_fn(w, h, |x, y| {
+        let (x, y) = (x as f32 + moved, y as f32);
+        let wave = |a: f32, b: f32| (127.0 + 60.0 * (a * x).sin() + 60.0 * (b * y + 0.03 * x).cos()) as u8;
+        [wave(0.21, 0.13), wave(0.09, 0.31), wave(0.37, 0.05)]
+    })
+}
+
+const RAFT: &str = include_str!("../../../fixtures/raft/keys.txt");
+
+#[test]
+fn raft_meets_its_fixture() {
+    let Some(gpu) = gpu("raft_meets_its_fixture") else {
+        return;
+    };
+    let (_folder, path) = checkpoint(RAFT);
+    let net = Raft::load(&path, &gpu).unwrap();
+    let file = fs::read(fixtures().join("raft/flow.safetensors")).unwrap();
+    let [a, b] = ["image1", "image2"].map(|name| net.encode(&picture(&file, name)).unwrap());
+    for iterations in [1, 4] {
+        let [there, _] = net.flow_both(&a, &b, iterations, None).unwrap();
+        let LowFlow(low) = &there.low;
+        let got = [low.u.clone(), low.v.clone()].concat();
+        let name = format!("flow_low_{iterations}");
+        assert_near(&name, &got, &floats(&file, &name), 1e-4);
+        if iterations == 1 {
+            let got = [there.flow.u.clone(), there.flow.v.clone()].concat();
+            assert_near("flow_up_1", &got, &floats(&file, "flow_up_1"), 1e-4);
+        }
+    }
+}
+
+#[test]
+fn raft_in_half_precision_is_near() {
+    let Some(gpu) = gpu("raft_in_half_precision_is_near") else {
+        return;
+    };
+    let compute = Compute::half(gpu);
+    if !compute.is_half() {
+        println!("this GPU has no 16 bits: 32 are tested again");
+    }
+    let (_folder, path) = checkpoint(RAFT);
+    let net = Raft::load(&path, compute).unwrap();
+    let file = fs::read(fixtures().join("raft/flow.safetensors")).unwrap();
+    let [a, b] = ["image1", "image2"].map(|name| net.encode(&picture(&file, name)).unwrap());
+    let [there, _] = net.flow_both(&a, &b, 1, None).unwrap();
+    let got = [there.flow.u.clone(), there.flow.v.clone()].concat();
+    assert_near("flow_up_1", &got, &floats(&file, "flow_up_1"), 2e-2);
+}
+
+/// What an update says, on a device.
+fn droid(path: &std::path::Path, on: impl Into<Compute>) -> (f64, Vec<Vec<f32>>) {
+    let net = Arc::new(DroidNet::load(path, on).unwrap());
+    let options = MemoryOptions {
+        budget_bytes: 1 << 28,
+        storage: Storage::F32,
+        scratch: std::env::temp_dir(),
+    };
+    let mut memory = DroidMemory::new(
+        net,
+        options,
+        Box::new(|frame| Ok(pattern(128, 128, 3.0 * frame as f32))),
+    );
+    let motion = memory.motion_px(0, 1).unwrap();
+    let n = 16 * 16;
+    let at: [Vec<f32>; 2] = [
+        (0..n).map(|i| (i % 16) as f32 + 0.3).collect(),
+        (0..n).map(|i| (i / 16) as f32 - 0.2).collect(),
+    ];
+    let mut out = Vec::new();
+    for id in 0..2 {
+        memory.enter(id, 0, 1 + id as usize);
+    }
+    for _ in 0..2 {
+        let mut targets = [at.clone(), at.clone()];
+        let mut weights: [[Vec<f32>; 2]; 2] = std::array::from_fn(|_| std::array::from_fn(|_| vec![0.0; n]));
+        let mut still = [vec![0.0; n], vec![0.0; n]];
+        let mut edges: Vec<EdgeUpdate<'_>> = Vec::new();
+        for (id, ((target_px, weight), static_confidence)) in
+            (0..).zip(targets.iter_mut().zip(&mut weights).zip(&mut still))
+        {
+            edges.push(EdgeUpdate {
+                id,
+                projected_px: [&at[0], &at[1]],
+                target_px,
+                weight,
+                static_confidence,
+            });
+        }
+        let update = memory.revise_source(0, &mut edges).unwrap();
+        out = [targets.concat(), weights.concat(), still.to_vec(), vec![update.eta]].concat();
+    }
+    (motion, out)
+}
+
+#[test]
+fn the_tracking_network_says_the_same_as_on_the_processor() {
+    let Some(gpu) = gpu("the_tracking_network_says_the_same_as_on_the_processor") else {
+        return;
+    };
+    let (_folder, path) = checkpoint(include_str!("../../../fixtures/droid/keys.txt"));
+    let (there, here) = (droid(&path, &gpu), droid(&path, &cpu()));
+    assert!((there.0 / here.0 - 1.0).abs() < 1e-4, "{} {}", there.0, here.0);
+    for (k, (there, here)) in there.1.iter().zip(&here.1).enumerate() {
+        assert_near(&format!("plane {k}"), there, here, 1e-4);
+    }
+    let compute = Compute::half(gpu);
+    if compute.is_half() {
+        let half = droid(&path, compute);
+        for (k, (half, here)) in half.1.iter().zip(&here.1).enumerate() {
+            assert_near(&format!("plane {k} in half precision"), half, here, 2e-2);
+        }
+    }
+}
+
+#[test]
+fn networks_of_depth_say_the_same_as_on_the_processor() {
+    let Some(gpu) = gpu("networks_of_depth_say_the_same_as_on_the_processor") else {
+        return;
+    };
+    let image = pattern(84, 56, 0.0);
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("weights.safetensors");
+
+    let keys = include_str!("../../../fixtures/depth_anything_v1/vits.keys.txt");
+    let weights = FormulaWeights::of_keys(keys).with("depth_head.scratch.output_conv2.2.bias", &[2.5]);
+    weights.write(&path);
+    let disparity = |on: &Device| DepthAnything::load(&path, on).unwrap().disparity(&image).unwrap();
+    let (there, here) = (disparity(&gpu), disparity(&cpu()));
+    assert_near("Depth-Anything", there.data(), here.data(), 1e-4);
+
+    let keys = include_str!("../../../fixtures/moge2/vits_normal.keys.txt");
+    let weights = FormulaWeights::of_keys(keys)
+        .with("mask_head.output_blocks.4.bias", &[0.3])
+        .scaled("points_head.output_blocks.4.weight", 0.3);
+    weights.write(&path);
+    let options = MoGeOptions {
+        tokens: Some(60),
+        known_focal_px: Some(70.0),
+    };
+    let map = |on: &Device| MoGe::load(&path, on).unwrap().infer(&image, &options).unwrap();
+    let (there, here) = (map(&gpu), map(&cpu()));
+    let differ = there
+        .mask
+        .data()
+        .iter()
+        .zip(here.mask.data())
+        .filter(|(a, b)| a != b)
+        .count();
+    assert!(differ * 500 < there.mask.data().len(), "{differ} pixels of the mask");
+    let known = |z: &Plane<f32>| -> Vec<f32> {
+        let both = there.mask.data().iter().zip(here.mask.data());
+        z.data()
+            .iter()
+            .zip(both)
+            .filter(|(_, (a, b))| **a && **b)
+            .map(|(z, _)| *z)
+            .collect()
+    };
+    assert_near("MoGe-2", &known(&there.depth_m), &known(&here.depth_m), 1e-3);
+}
+
+#[test]
+fn unidepth_meets_its_fixture() {
+    let Some(gpu) = gpu("unidepth_meets_its_fixture") else {
+        return;
+    };
+    let (_folder, path) = checkpoint(include_str!("../../../fixtures/unidepth_v2/formula.keys.txt"));
+    let image = pattern(84, 56, 0.0);
+    let map = |on: &Device| UniDepth::load(&path, on).unwrap().depth_by_patches(&image, 48).unwrap();
+    let (there, here) = (map(&gpu), map(&cpu()));
+    assert_near("UniDepth", there.depth_m.data(), here.depth_m.data(), 1e-4);
+    assert!((there.camera.fx / here.camera.fx - 1.0).abs() < 1e-4);
+}
+
+#[test]
+fn the_networks_of_before_run_there_too() {
+    let Some(gpu) = gpu("the_networks_of_before_run_there_too") else {
+        return;
+    };
+    let (_folder, path) = checkpoint(include_str!("../../../fixtures/gmflow/keys.txt"));
+    let (a, b) = (pattern(96, 64, 0.0), pattern(96, 64, 2.0));
+    let flow = |on: &Device| GmFlow::load(&path, on).unwrap().flow(&a, &b).unwrap();
+    let (there, here) = (flow(&gpu), flow(&cpu()));
+    // The softmax over all places of a picture makes much of little.
+    assert_near("GMFlow", &there.u, &here.u, 2e-3);
+    let (_folder, path) = checkpoint(include_str!("../../../fixtures/mobile_sam/keys.txt"));
+    let prompt = Prompt {
+        points: vec![PointPrompt {
+            at_px: [40.0, 30.0],
+            on_object: true,
+        }],
+        box_px: None,
+        mask_logits: None,
+    };
+    let logits = |on: &Device| {
+        let net = MobileSam::load(&path, on).unwrap();
+        let embedding = net.encode(&a).unwrap();
+        let masks = net.masks(&embedding, &prompt).unwrap();
+        masks[0].logits_at((96, 64)).data().to_vec()
+    };
+    assert_near("MobileSAM", &logits(&gpu), &logits(&cpu()), 1e-3);
+}
