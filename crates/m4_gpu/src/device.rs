@@ -267,15 +267,19 @@ impl Gpu {
         if let Some(why) = &adapter.unfit {
             return Err(refused(why.clone()));
         }
-        let device = match adapter.runtime() {
-            Runtime::Wgpu(device) => device,
-            #[cfg(feature = "cuda")]
-            Runtime::Cuda(ordinal) => {
-                return Ok(Self {
-                    client: crate::cuda::start(ordinal).map_err(refused)?,
-                    adapter: adapter.clone(),
-                });
-            }
+        #[cfg(feature = "cuda")]
+        if let Runtime::Cuda(ordinal) = adapter.runtime() {
+            return Ok(Self {
+                client: crate::cuda::start(ordinal).map_err(refused)?,
+                adapter: adapter.clone(),
+            });
+        }
+        #[cfg_attr(
+            not(feature = "cuda"),
+            expect(irrefutable_let_patterns, reason = "CUDA is the other one")
+        )]
+        let Runtime::Wgpu(device) = adapter.runtime() else {
+            return Err(refused("it belongs to no runtime of this build".to_owned()));
         };
         // a device of this process is started once; the second time it is there already
         let mut started = STARTED.lock().unwrap_or_else(std::sync::PoisonError::into_inner);

@@ -76,7 +76,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let folder = tempfile::TempDir::new()?;
     let path = folder.path().join("weights.safetensors");
     write_formula_weights(KEYS, &path);
-    let net = Arc::new(DroidNet::load(&path, &cpu())?);
+    let net = Arc::new(DroidNet::load(&path, cpu())?);
     let mut sizes: Vec<String> = std::env::args().skip(1).collect();
     if sizes.is_empty() {
         sizes.push("584x328".to_owned());

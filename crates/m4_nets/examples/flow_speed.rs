@@ -79,7 +79,7 @@ fn raft_operations(width: usize, height: usize) -> (f64, f64) {
 }
 
 fn gmflow(weights: &Path, size: &str, [a, b]: [RgbImage; 2]) -> Result<(), Box<dyn Error>> {
-    let net = GmFlow::load(weights, &cpu())?;
+    let net = GmFlow::load(weights, cpu())?;
     PEAK.reset_peak_usage();
     let encode = seconds(|| Ok(net.encode(&a)?))?;
     let (fa, fb) = (net.encode(&a)?, net.encode(&b)?);
@@ -97,7 +97,7 @@ fn gmflow(weights: &Path, size: &str, [a, b]: [RgbImage; 2]) -> Result<(), Box<d
 }
 
 fn raft(weights: &Path, size: &str, [a, b]: [RgbImage; 2]) -> Result<(), Box<dyn Error>> {
-    let net = Raft::load(weights, &cpu())?;
+    let net = Raft::load(weights, cpu())?;
     PEAK.reset_peak_usage();
     let encode = seconds(|| Ok(net.encode(&a)?))?;
     let (fa, fb) = (net.encode(&a)?, net.encode(&b)?);

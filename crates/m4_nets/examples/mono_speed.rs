@@ -175,7 +175,7 @@ fn report(row: Row<'_>) -> Result<(), Box<dyn Error>> {
 fn depth_anything(size: BackboneSize, keys: &str, path: &Path, bound: f64) -> Result<(), Box<dyn Error>> {
     FormulaWeights::of_keys(keys).write(path);
     let before = PEAK.current_usage_as_mb();
-    let net = DepthAnything::load(path, &cpu())?;
+    let net = DepthAnything::load(path, cpu())?;
     let image = frame();
     report(Row {
         name: format!("Depth-Anything {}", size.name()),
@@ -192,7 +192,7 @@ fn depth_anything(size: BackboneSize, keys: &str, path: &Path, bound: f64) -> Re
 fn moge(size: BackboneSize, keys: &str, path: &Path, bound: f64) -> Result<(), Box<dyn Error>> {
     FormulaWeights::of_keys(keys).write(path);
     let before = PEAK.current_usage_as_mb();
-    let net = MoGe::load(path, &cpu())?;
+    let net = MoGe::load(path, cpu())?;
     let image = frame();
     for tokens in TOKENS {
         let aspect = FRAME.0 as f64 / FRAME.1 as f64;

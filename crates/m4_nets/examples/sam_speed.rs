@@ -42,7 +42,7 @@ fn picture(width: usize, height: usize) -> RgbImage {
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let (weights, sizes) = args.split_first().ok_or("give the file of weights")?;
-    let net = MobileSam::load(Path::new(weights), &cpu())?;
+    let net = MobileSam::load(Path::new(weights), cpu())?;
     println!("size       encode s  masks s  to the picture's size s  peak MB  disc found, IoU");
     for size in sizes {
         let (w, h) = size.split_once('x').ok_or("sizes are WIDTHxHEIGHT")?;

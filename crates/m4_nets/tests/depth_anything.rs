@@ -26,7 +26,7 @@ fn formula_weights() -> PathBuf {
 }
 
 fn network() -> DepthAnything {
-    DepthAnything::load(&formula_weights(), &cpu()).unwrap()
+    DepthAnything::load(&formula_weights(), cpu()).unwrap()
 }
 
 fn picture(w: usize, h: usize) -> RgbImage {
@@ -84,7 +84,7 @@ fn odd_pictures_have_a_disparity_too() {
 }
 
 fn refused(path: &Path) -> LoadError {
-    match DepthAnything::load(path, &cpu()) {
+    match DepthAnything::load(path, cpu()) {
         Ok(_) => panic!("it was loaded"),
         Err(error) => error,
     }

@@ -26,7 +26,7 @@ fn numbers(keys: &str) -> usize {
 fn load(folder: &Path, keys: &str) -> Result<DroidNet, LoadError> {
     let path = folder.join("weights.safetensors");
     write_formula_weights(keys, &path);
-    DroidNet::load(&path, &cpu())
+    DroidNet::load(&path, cpu())
 }
 
 fn picture(w: usize, h: usize, moved: f32) -> RgbImage {
@@ -95,7 +95,7 @@ fn takes_prefix_and_third_rows() {
         (name.as_str(), view)
     });
     safetensors::serialize_to_file(views, None, &path).unwrap();
-    let three = DroidNet::load(&path, &cpu()).unwrap();
+    let three = DroidNet::load(&path, cpu()).unwrap();
     assert_eq!(three.parameters(), plain.parameters());
     let (mut a, mut b) = (memory(plain), memory(three));
     let motion = a.motion_px(0, 4).unwrap();
@@ -136,7 +136,7 @@ fn takes_the_published_file() {
         eprintln!("not tested with real weights: MINUTE4D_WEIGHTS names no folder with megasam/megasam_final.pth");
         return;
     };
-    let net = DroidNet::load(&path, &cpu()).unwrap();
+    let net = DroidNet::load(&path, cpu()).unwrap();
     assert_eq!(net.parameters(), ALL - TRAINING);
     let motion = memory(net).motion_px(0, 4).unwrap();
     assert!(motion.is_finite() && motion > 0.0, "{motion}");

@@ -46,7 +46,7 @@ fn formula_weights() -> &'static Path {
 }
 
 fn network() -> GmFlow {
-    GmFlow::load(formula_weights(), &cpu()).unwrap()
+    GmFlow::load(formula_weights(), cpu()).unwrap()
 }
 
 fn pair() -> (Vec<u8>, RgbImage, RgbImage) {
@@ -78,7 +78,7 @@ fn agrees_with_the_module_on_real_weights() {
     let Some(path) = real_weights("gmflow", "flownet.pkl") else {
         return;
     };
-    let net = GmFlow::load(&path, &cpu()).unwrap();
+    let net = GmFlow::load(&path, cpu()).unwrap();
     assert_eq!(net.parameters(), 4_716_720);
     let flow = net
         .flow(&png("gmflow/tennis_0.png"), &png("gmflow/tennis_1.png"))
@@ -148,7 +148,7 @@ fn a_checkpoint_is_read_strictly() {
     let path = folder.path().join("weights.safetensors");
     let load = |list: &str| {
         write_formula_weights(list, &path);
-        GmFlow::load(&path, &cpu()).map(|_| ())
+        GmFlow::load(&path, cpu()).map(|_| ())
     };
     let without: String = KEYS.lines().skip(1).map(|l| format!("{l}\n")).collect();
     let Err(LoadError::OtherNetwork {
@@ -171,7 +171,7 @@ fn a_checkpoint_is_read_strictly() {
     assert!(error.to_string().contains("upsampler.hidden.bias"), "{error}");
     let text = folder.path().join("text.pkl");
     fs::write(&text, "no checkpoint at all").unwrap();
-    assert!(matches!(GmFlow::load(&text, &cpu()), Err(LoadError::Unreadable { .. })));
+    assert!(matches!(GmFlow::load(&text, cpu()), Err(LoadError::Unreadable { .. })));
     let nothing = folder.path().join("nothing.pkl");
-    assert!(matches!(GmFlow::load(&nothing, &cpu()), Err(LoadError::Missing { .. })));
+    assert!(matches!(GmFlow::load(&nothing, cpu()), Err(LoadError::Missing { .. })));
 }

@@ -2,6 +2,7 @@
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+#[expect(dead_code, reason = "every test file uses its own part of this module")]
 mod common;
 
 use common::{fixtures, floats, picture};
@@ -170,7 +171,7 @@ fn the_tracking_network_says_the_same_as_on_the_processor() {
         return;
     };
     let (_folder, path) = checkpoint(include_str!("../../../fixtures/droid/keys.txt"));
-    let (there, here) = (droid(&path, &gpu), droid(&path, &cpu()));
+    let (there, here) = (droid(&path, &gpu), droid(&path, cpu()));
     assert!((there.0 / here.0 - 1.0).abs() < 1e-4, "{} {}", there.0, here.0);
     for (k, (there, here)) in there.1.iter().zip(&here.1).enumerate() {
         assert_near(&format!("plane {k}"), there, here, 1e-4);

@@ -30,7 +30,7 @@ fn formula_weights() -> &'static Path {
 }
 
 fn network() -> MobileSam {
-    MobileSam::load(formula_weights(), &cpu()).unwrap()
+    MobileSam::load(formula_weights(), cpu()).unwrap()
 }
 
 /// The largest difference and the standard deviation of what is wanted.
@@ -145,7 +145,7 @@ fn agrees_with_the_module_on_real_weights() {
     let Some(path) = real_weights("mobile-sam", "mobile_sam.pt") else {
         return;
     };
-    let net = MobileSam::load(&path, &cpu()).unwrap();
+    let net = MobileSam::load(&path, cpu()).unwrap();
     assert_eq!(net.parameters(), NUMBERS);
     let file = fs::read(fixtures().join("mobile_sam/tennis.safetensors")).unwrap();
     let limits = Limits {
@@ -232,7 +232,7 @@ fn a_checkpoint_is_read_strictly() {
     let path = folder.path().join("weights.safetensors");
     let load = |list: &str| {
         write_formula_weights(list, &path);
-        MobileSam::load(&path, &cpu()).err()
+        MobileSam::load(&path, cpu()).err()
     };
     let line = "prompt_encoder.no_mask_embed.weight 1 256\n";
     assert!(KEYS.contains(line));

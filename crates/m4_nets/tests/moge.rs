@@ -29,7 +29,7 @@ fn formula_weights() -> PathBuf {
 }
 
 fn network() -> MoGe {
-    MoGe::load(&formula_weights(), &cpu()).unwrap()
+    MoGe::load(&formula_weights(), cpu()).unwrap()
 }
 
 fn picture(w: usize, h: usize) -> RgbImage {
@@ -125,7 +125,7 @@ fn a_picture_without_depth_is_an_error() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("model.safetensors");
     weights().with("mask_head.output_blocks.4.bias", &[-50.0]).write(&path);
-    let net = MoGe::load(&path, &cpu()).unwrap();
+    let net = MoGe::load(&path, cpu()).unwrap();
     assert!(matches!(
         net.infer(&picture(40, 30), &few(12)),
         Err(MoGeError::NothingValid)
@@ -133,7 +133,7 @@ fn a_picture_without_depth_is_an_error() {
 }
 
 fn refused(path: &Path) -> LoadError {
-    match MoGe::load(path, &cpu()) {
+    match MoGe::load(path, cpu()) {
         Ok(_) => panic!("it was loaded"),
         Err(error) => error,
     }
@@ -194,7 +194,7 @@ fn a_checkpoint_without_normals_is_one_too() {
         .with("mask_head.output_blocks.4.bias", &[0.3])
         .scaled("points_head.output_blocks.4.weight", 0.3)
         .write(&path);
-    let other = MoGe::load(&path, &cpu()).unwrap();
+    let other = MoGe::load(&path, cpu()).unwrap();
     assert_eq!(
         (other.size(), other.has_normals(), net.has_normals()),
         (BackboneSize::Small, false, true)

@@ -27,7 +27,7 @@ fn formula_weights() -> &'static Path {
 }
 
 fn network() -> Raft {
-    Raft::load(formula_weights(), &cpu()).unwrap()
+    Raft::load(formula_weights(), cpu()).unwrap()
 }
 
 fn pair() -> (Vec<u8>, RgbImage, RgbImage) {
@@ -103,7 +103,7 @@ fn real_weights_see_what_another_network_sees() {
     let Some(path) = real_weights("raft-things", "raft-things.pth") else {
         return;
     };
-    let net = Raft::load(&path, &cpu()).unwrap();
+    let net = Raft::load(&path, cpu()).unwrap();
     assert_eq!(net.parameters(), 5_257_536);
     let (a, b) = (png("gmflow/tennis_0.png"), png("gmflow/tennis_1.png"));
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
@@ -212,7 +212,7 @@ fn a_checkpoint_is_read_strictly() {
     let path = folder.path().join("weights.safetensors");
     let load = |list: &str| {
         write_formula_weights(list, &path);
-        Raft::load(&path, &cpu()).map(|_| ())
+        Raft::load(&path, cpu()).map(|_| ())
     };
     let published: String = KEYS.lines().map(|line| format!("module.{line}\n")).collect();
     load(&published).unwrap();
@@ -244,7 +244,7 @@ fn a_checkpoint_is_read_strictly() {
     assert!(error.to_string().contains("mask.weights.bias"), "{error}");
     let text = folder.path().join("text.pth");
     fs::write(&text, "no checkpoint at all").unwrap();
-    assert!(matches!(Raft::load(&text, &cpu()), Err(LoadError::Unreadable { .. })));
+    assert!(matches!(Raft::load(&text, cpu()), Err(LoadError::Unreadable { .. })));
     let nothing = folder.path().join("nothing.pth");
-    assert!(matches!(Raft::load(&nothing, &cpu()), Err(LoadError::Missing { .. })));
+    assert!(matches!(Raft::load(&nothing, cpu()), Err(LoadError::Missing { .. })));
 }

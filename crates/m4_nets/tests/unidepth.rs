@@ -28,7 +28,7 @@ fn formula_weights() -> &'static Path {
 }
 
 fn network() -> UniDepth {
-    UniDepth::load(formula_weights(), &cpu()).unwrap()
+    UniDepth::load(formula_weights(), cpu()).unwrap()
 }
 
 fn fixture() -> (Vec<u8>, RgbImage) {
@@ -101,7 +101,7 @@ fn a_checkpoint_is_read_strictly() {
     let path = folder.path().join("weights.safetensors");
     let load = |list: &str| {
         write_formula_weights(list, &path);
-        UniDepth::load(&path, &cpu()).map(|_| ())
+        UniDepth::load(&path, cpu()).map(|_| ())
     };
     let without = |name: &str| -> String {
         let kept = KEYS.lines().filter(|line| !line.starts_with(name));
@@ -142,7 +142,7 @@ fn real_weights_are_those_that_are_expected() {
     let Some(path) = real_weights("unidepth-v2-l", "model.safetensors") else {
         return;
     };
-    let net = UniDepth::load(&path, &cpu()).unwrap();
+    let net = UniDepth::load(&path, cpu()).unwrap();
     assert_eq!(net.size(), BackboneSize::Large);
     let image = common::png("gmflow/tennis_0.png");
     let UniDepthMap { depth_m, camera } = net.depth_by_patches(&image, 300).unwrap();

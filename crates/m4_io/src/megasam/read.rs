@@ -248,13 +248,16 @@ fn depths(
     Ok(maps)
 }
 
+/// What moves, and how likely each cell does.
+type Moving = (CompactMask, Plane<u8>);
+
 /// Masks, and how likely each cell moves; `None` where there is no map of motion.
 fn masks(
     path: &Path,
     clip: Clip,
     options: &MegasamOptions,
     progress: &dyn Progress,
-) -> Result<Option<Vec<(CompactMask, Plane<u8>)>>, Fault> {
+) -> Result<Option<Vec<Moving>>, Fault> {
     let Some(file) = motion::find(path, options) else {
         let at: Vec<String> = motion::candidates(path)
             .iter()

@@ -21,7 +21,7 @@ pub fn network() -> DroidNet {
         write_formula_weights(KEYS, &folder.path().join("weights.safetensors"));
         folder
     });
-    DroidNet::load(&FOLDER.path().join("weights.safetensors"), &cpu()).unwrap()
+    DroidNet::load(&FOLDER.path().join("weights.safetensors"), cpu()).unwrap()
 }
 
 /// A file of the fixtures.

@@ -29,7 +29,7 @@ fn network() -> MoGe {
         .with("mask_head.output_blocks.4.bias", &[0.3])
         .scaled("points_head.output_blocks.4.weight", 0.3);
     weights.write(&path);
-    MoGe::load(&path, &cpu()).unwrap()
+    MoGe::load(&path, cpu()).unwrap()
 }
 
 /// Maps `[1, c, h, w]` without all channels but every `step`-th.

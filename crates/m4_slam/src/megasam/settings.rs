@@ -4,7 +4,7 @@ use crate::cvd::CvdSettings;
 use crate::tracker::TrackerSettings;
 use serde::{Deserialize, Serialize};
 
-/// Settings of [`super::reconstruct`].
+/// Settings of [`super::reconstruct()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MegasamSettings {

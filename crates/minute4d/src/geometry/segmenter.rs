@@ -147,7 +147,7 @@ mod network {
         }
 
         pub fn load(&self) -> Result<MobileSamSegmenter, Error> {
-            let net = MobileSam::load(&self.path, &m4_nets::cpu()).map_err(|source| Error::SegmenterLoad {
+            let net = MobileSam::load(&self.path, m4_nets::cpu()).map_err(|source| Error::SegmenterLoad {
                 segmenter: Segmenter::Mobilesam.name(),
                 source: Box::new(source),
             })?;

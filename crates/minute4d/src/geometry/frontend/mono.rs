@@ -2,6 +2,7 @@
 
 use m4_scene::{Plane, RgbImage};
 use m4_slam::dense::{MonoDepth, MonoError, MonoKind, MonoMap};
+#[cfg(feature = "nets")]
 use m4_slam::megasam::{DepthPrior, MegasamError, TrackingSize};
 use std::borrow::Cow;
 
@@ -27,6 +28,7 @@ impl MonoClip {
     /// # Errors
     ///
     /// [`MegasamError`] where the maps hold nothing.
+    #[cfg(feature = "nets")]
     pub fn prior(&self, size: &TrackingSize) -> Result<DepthPrior, MegasamError> {
         match (&self.metric_m, &self.relative) {
             (Some(metric), Some(relative)) => DepthPrior::aligned(metric, relative, size),

@@ -81,8 +81,10 @@ fn names(part: Part) -> &'static [&'static str] {
 }
 
 /// What the tracking network takes for flow where nobody says, the best first.
+#[cfg(feature = "nets")]
 const FLOWS: [Part; 3] = [Part::Raft, Part::Gmflow, Part::Classical];
 /// What it takes for depth.
+#[cfg(feature = "nets")]
 const DEPTHS: [&[Part]; 5] = [
     &[Part::Moge],
     &[Part::Unidepth, Part::DepthAnything],
@@ -224,7 +226,8 @@ fn find(store: &Store, part: Part) -> Option<(&'static weights::Entry, PathBuf)>
     })
 }
 
-#[cfg(all(test, feature = "nets"))]
+#[cfg(test)]
+#[cfg(feature = "nets")]
 mod tests {
     use super::{complete, names};
     use crate::geometry::frontend::{Frontend, Part};

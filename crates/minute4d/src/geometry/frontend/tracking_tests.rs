@@ -25,7 +25,7 @@ fn network() -> DroidNet {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("megasam_final.pth");
     write_formula_weights(KEYS, &path);
-    DroidNet::load(&path, &cpu()).unwrap()
+    DroidNet::load(&path, cpu()).unwrap()
 }
 
 /// A pattern that drifts.
