@@ -18,7 +18,7 @@ impl NetworkDevice {
         &self.name
     }
 
-    pub(super) fn processor() -> Self {
+    pub(crate) fn processor() -> Self {
         Self {
             #[cfg(feature = "nets")]
             device: m4_nets::cpu().into(),

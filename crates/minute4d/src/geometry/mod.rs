@@ -27,6 +27,7 @@ pub use given::GivenError;
 pub use options::GeometryOptions;
 pub use segmenter::Segmenter;
 
+use crate::device::NetworkDevice;
 use crate::folder::{self, Existing, Lock};
 use crate::record::{GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::settings::part_to_toml;
@@ -88,7 +89,11 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         (Cameras::Corners, asked) => asked,
     };
     let segmenter = segmenter::resolve(asked)?;
-    let device = job.device.choice.for_networks()?;
+    let device = match plan.used.as_slice() {
+        // A GPU that nobody needs is not started, and does not tell one result from another.
+        [] => NetworkDevice::processor(),
+        _ => job.device.choice.for_networks()?,
+    };
     let name = plan.frontend.to_string();
     let part = Part {
         video: &settings.video,

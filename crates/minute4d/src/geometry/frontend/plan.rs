@@ -98,7 +98,8 @@ const DEPTHS: [&[Part]; 5] = [
 ///
 /// # Errors
 ///
-/// [`Error::FrontEndWeights`] if weights are missing, [`Error::NoNetworks`] if the build has no networks.
+/// [`Error::FrontEndWeights`] if weights are missing, [`Error::NoNetworks`] if the build has no networks, [`Error::Gpu`] if a GPU is
+/// asked for and does not start.
 #[cfg(feature = "nets")]
 pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
     let store = Store::of_user();
@@ -108,7 +109,7 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
         let best = [Part::Megasam, Part::Raft];
         let depth = DEPTHS.iter().find(|d| !d.is_empty() && d.iter().all(|&p| here(p)));
         match depth {
-            Some(depth) if device != DeviceChoice::Cpu && best.iter().all(|&p| here(p)) => [&best, *depth].concat(),
+            Some(depth) if best.iter().all(|&p| here(p)) && has_gpu(device)? => [&best, *depth].concat(),
             _ => vec![Part::Classical],
         }
     } else {
@@ -169,6 +170,12 @@ pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
             notes: Vec::new(),
         }),
     }
+}
+
+/// Whether networks would run on a GPU.
+#[cfg(feature = "nets")]
+fn has_gpu(device: DeviceChoice) -> Result<bool, Error> {
+    Ok(device != DeviceChoice::Cpu && device.open()?.is_some())
 }
 
 #[cfg(feature = "nets")]
