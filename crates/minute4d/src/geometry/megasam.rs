@@ -92,7 +92,7 @@ fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Observe
             .warn("the camera hardly moves aside: depth is that of one picture, and views from aside will be wrong");
     }
     if !geometry.focal_adjusted && !focal_is_known {
-        observer.warn("the clip does not tell its focal length; a usual one was taken: --fov or --focal sets it");
+        observer.warn("the clip does not tell its focal length; a usual one was taken: --fov or --intrinsics sets it");
     }
 }
 

@@ -19,7 +19,6 @@ mod pip;
 mod purpose;
 mod registry;
 mod store;
-mod used;
 
 #[cfg(test)]
 #[cfg(unix)]
@@ -30,4 +29,3 @@ pub use fetch::{add, fetch};
 pub use pip::Pip;
 pub use registry::{Entry, Origin, Package, all, find};
 pub use store::{Condition, Record, State, Store};
-pub use used::Used;

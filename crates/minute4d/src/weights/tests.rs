@@ -358,24 +358,11 @@ fn what_is_here_and_right_is_not_fetched_again() {
 }
 
 #[test]
-fn a_record_of_what_was_used_has_licence_and_sum() {
+fn what_is_missing_says_what_gets_it_and_what_is_lost() {
     let place = Place::new();
-    let entry = entry(true);
-    let missing = place.store.used(&entry).unwrap_err().to_string();
+    let missing = place.store.require(&entry(true)).unwrap_err().to_string();
     assert!(
         missing.contains("minute4d weights fetch little") && missing.contains("Lost without"),
         "{missing}"
     );
-    let file = place.path("mine.pt");
-    fs::write(&file, WEIGHTS).unwrap();
-    add(&entry, &place.store, &file, false).unwrap();
-    let used = place.store.used(&entry).unwrap();
-    assert_eq!((used.licence.as_str(), used.commercial), ("MIT", true));
-    assert_eq!((used.sha256.as_str(), used.bytes), (SHA256, WEIGHTS.len() as u64));
-    assert_eq!(used.source, "a file of the user's");
-    // without its record the file is read
-    fs::remove_file(place.store.root().join("little/record.json")).unwrap();
-    let read = place.store.used(&entry).unwrap();
-    assert_eq!(read.sha256, SHA256);
-    assert!(read.source.contains("little-net==1.2.3"), "{}", read.source);
 }

@@ -106,6 +106,13 @@ impl MonoClip {
             }
             progress.update(PHASE, frame + 1, pictures.len(), &name);
         }
+        let blind = metric_m.len() - fovs.len();
+        if blind > 0 {
+            progress.warn(&format!(
+                "{name} sees no depth in {blind} of {} frames (sky alone, or nothing that a camera explains)",
+                pictures.len()
+            ));
+        }
         fovs.sort_unstable_by(f64::total_cmp);
         Ok(Some(Self {
             name,
