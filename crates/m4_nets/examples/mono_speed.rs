@@ -1,17 +1,17 @@
-//! Seconds, operations a second and memory of Depth-Anything V1 and MoGe-2 on this machine, beside what its matrix products reach.
+//! Seconds, operations a second and memory of Depth-Anything V1, MoGe-2 and UniDepth V2 on this machine, beside what its matrix products reach.
 //!
 //! ```text
-//! cargo run --release -p m4_nets --example mono_speed [-- small|base|large ...]
+//! cargo run --release -p m4_nets --example mono_speed [-- small|base|large|unidepth ...]
 //! ```
 //!
 //! Weights come from a formula, in a temporary file (1.3 GB for a large network). Operations are counted by formulas: those of matrix
-//! products and convolutions as upstream's modules state them, two for a product and its sum. The share of the bound is of the time that cores
+//! products and convolutions as upstream's modules state them, two for a product and its sum; of UniDepth those of its backbone alone. The share of the bound is of the time that cores
 //! spent, so that other work on the machine disturbs it little.
 #![expect(clippy::print_stdout, reason = "the table is what it is for")]
 
 use burn_core::tensor::{Device, Distribution, Tensor};
 use cpu_time::ProcessTime;
-use m4_nets::{BackboneSize, DepthAnything, MoGe, MoGeError, MoGeOptions, cpu};
+use m4_nets::{BackboneSize, DepthAnything, MoGe, MoGeError, MoGeOptions, UniDepth, cpu};
 use m4_scene::{Plane, RgbImage};
 use m4_testkit::FormulaWeights;
 use peak_alloc::PeakAlloc;
@@ -32,6 +32,7 @@ const MOGE: [&str; 3] = [
     include_str!("../../../fixtures/moge2/vitb_normal.keys.txt"),
     include_str!("../../../fixtures/moge2/vitl_normal.keys.txt"),
 ];
+const UNIDEPTH: &str = include_str!("../../../fixtures/unidepth_v2/vitl.keys.txt");
 /// The frame.
 const FRAME: (usize, usize) = (854, 480);
 /// Patches of MoGe-2.
@@ -219,6 +220,26 @@ fn moge(size: BackboneSize, keys: &str, path: &Path, bound: f64) -> Result<(), B
     Ok(())
 }
 
+/// The picture as MegaSaM hands it over, in the network's 2,400 patches.
+fn unidepth(path: &Path, bound: f64) -> Result<(), Box<dyn Error>> {
+    FormulaWeights::of_keys(UNIDEPTH).write(path);
+    let before = PEAK.current_usage_as_mb();
+    let net = UniDepth::load(path, cpu())?;
+    let full = frame();
+    let (width, height) = (640, 640 * FRAME.1 / FRAME.0);
+    let image = Plane::from_fn(width, height, |x, y| full[(x * FRAME.0 / width, y * FRAME.1 / height)]);
+    report(Row {
+        name: "UniDepth V2 ViT-L".to_owned(),
+        weights_mb: f64::from(PEAK.current_usage_as_mb() - before),
+        operations: backbone(BackboneSize::Large, 2400.0),
+        bound,
+        run: &mut || {
+            net.depth(&image)?;
+            Ok(())
+        },
+    })
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let asked: Vec<String> = std::env::args().skip(1).collect();
     let device = cpu();
@@ -244,6 +265,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         depth_anything(size, DEPTH_ANYTHING[i], &path, bound)?;
         moge(size, MOGE[i], &path, bound)?;
+    }
+    if asked.is_empty() || asked.iter().any(|a| a == "unidepth") {
+        unidepth(&path, bound)?;
     }
     Ok(())
 }

