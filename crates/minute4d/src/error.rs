@@ -165,6 +165,16 @@ pub enum Error {
         /// The capture.
         path: PathBuf,
     },
+    /// A row of an ablation could not be made.
+    #[error("the row {row} failed: {said}; what it made is in {}", folder.display())]
+    Row {
+        /// Its name.
+        row: &'static str,
+        /// Where it was to be made.
+        folder: PathBuf,
+        /// Its last words.
+        said: String,
+    },
     /// The finished scene did not read back as it was written.
     #[error("{} was written but does not read back as it was: {what}; check the disk", path.display())]
     Verify {
@@ -360,6 +370,7 @@ impl Error {
             Self::Missing { .. } => Category::NoInput,
             Self::Unknown { .. }
             | Self::NoTestList { .. }
+            | Self::Row { .. }
             | Self::Score(_)
             | Self::ScoreGeometry(_)
             | Self::Llff { .. } => Category::BadInput,

@@ -26,6 +26,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+pub mod ablate;
 pub mod bench;
 pub mod device;
 pub mod evaluate;

@@ -13,7 +13,9 @@ mod table;
 
 pub use memory::{MemoryCase, MemoryConfig, MemoryReport, memory};
 pub use report::{BenchReport, Bound, Case, GpuCase, GpuMachine, KernelRow, Machine, StepRow};
+pub(crate) use save::today;
 pub use save::{SavedReport, save};
+pub(crate) use table::aligned;
 
 use crate::device::DeviceChoice;
 use crate::{Error, Observer, with_threads};

@@ -158,7 +158,7 @@ fn millis(ms: f64) -> String {
 }
 
 /// A Markdown table whose cells are padded to the width of their column; the first row is the head.
-pub(super) fn aligned(rows: &[Vec<String>]) -> String {
+pub(crate) fn aligned(rows: &[Vec<String>]) -> String {
     let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
     let cell = |row: &Vec<String>, c: usize| row.get(c).cloned().unwrap_or_default();
     let widths: Vec<usize> = (0..columns)

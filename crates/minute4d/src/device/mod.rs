@@ -16,6 +16,7 @@ pub use no_gpu::{GpuPainter, OpenGpu};
 pub use network::NetworkDevice;
 
 use crate::Error;
+use std::fmt;
 use std::str::FromStr;
 
 /// Where kernels are asked to run.
@@ -48,6 +49,17 @@ impl FromStr for DeviceChoice {
                 Some(Ok(index)) => Ok(Self::Gpu(Some(index))),
                 _ => Err(UnknownDevice),
             },
+        }
+    }
+}
+
+impl fmt::Display for DeviceChoice {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Auto => out.write_str("auto"),
+            Self::Cpu => out.write_str("cpu"),
+            Self::Gpu(None) => out.write_str("gpu"),
+            Self::Gpu(Some(index)) => write!(out, "gpu:{index}"),
         }
     }
 }
@@ -88,6 +100,9 @@ mod tests {
         assert_eq!(named("cpu"), Ok(DeviceChoice::Cpu));
         assert_eq!(named("gpu"), Ok(DeviceChoice::Gpu(None)));
         assert_eq!(named("gpu:2"), Ok(DeviceChoice::Gpu(Some(2))));
+        for name in ["auto", "cpu", "gpu", "gpu:2"] {
+            assert_eq!(named(name).map(|device| device.to_string()), Ok(name.to_owned()));
+        }
         for wrong in ["", "GPU", "gpu:", "gpu:-1", "gpu:one", "cuda"] {
             assert_eq!(named(wrong), Err(UnknownDevice), "{wrong}");
         }

@@ -1,9 +1,11 @@
 //! Scores: of a scene over held-out views, of a capture against known geometry.
 
 mod align;
+mod held_out;
 mod views;
 
 pub use align::Alignment;
+pub(crate) use held_out::HeldOut;
 pub use views::{EvalReport, views};
 
 use crate::settings::Settings;

@@ -1,17 +1,14 @@
 //! A scene against the held-out views of a capture.
 
-use super::align::{self, Alignment};
+use super::align::Alignment;
+use super::held_out::HeldOut;
 use crate::device::DeviceChoice;
-use crate::folder::{EVAL_FILE, SCENE_FILE};
+use crate::folder::EVAL_FILE;
 use crate::record::write_json;
-use crate::render::Pictures;
-use crate::settings::Settings;
 use crate::{Error, Observer, hash};
 use m4_eval::image::{ImageReport, MeanScore, Picture};
-use m4_io::capture::{CaptureOptions, Split};
-use m4_io::scene_file;
 use m4_kernels::SimdLevel;
-use m4_scene::{Camera, Capture, CompactMask, Exposure};
+use m4_scene::CompactMask;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -59,60 +56,38 @@ pub fn views(
 ) -> Result<EvalReport, Error> {
     let start = Instant::now();
     let level = SimdLevel::detect()?;
-    let path = out.join(SCENE_FILE);
-    let scene = scene_file::read(&path)?.scene;
-    let test = test_views(data, &Settings::fast().capture, observer)?;
-    let alignment = align::between(&scene, data, observer)?;
-    let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
+    let held = HeldOut::read(out, data, observer)?;
+    let views = &held.test.frames;
     let mut images = ImageReport::new(data.display().to_string(), grow_mask);
     let gpu = device.open()?;
-    let mut pictures = Pictures::new(&scene, level, gpu.as_ref())?;
-    for (i, frame) in test.frames.iter().enumerate() {
+    let mut pictures = held.pictures(level, gpu.as_ref())?;
+    for (i, frame) in views.iter().enumerate() {
         if observer.cancelled() {
             return Err(Error::Stopped {
                 stage: "eval",
                 saved: false,
             });
         }
-        let t = frame.t * stretch;
-        let camera = alignment.as_ref().map_or(frame.camera, |a| Camera {
-            c2w: a.similarity().transform_pose(&frame.camera.c2w),
-            ..frame.camera
-        });
-        let drawn = pictures.picture(&camera, t, &Exposure::IDENTITY)?;
+        let t = held.moment(frame);
+        let drawn = held.draw(&mut pictures, frame)?;
         let (image, reference) = (Picture::from(&drawn), Picture::from(&frame.rgb));
         let index = frame.camera_index;
         let mask = frame.mask.as_ref().map(CompactMask::to_mask);
         let score = images.add(&frame.name, t, index, &image, &reference, mask.as_ref())?;
         let note = format!("{:.2} dB", score.psnr_db);
-        observer.update("eval", i + 1, test.frames.len(), &note);
+        observer.update("eval", i + 1, views.len(), &note);
     }
     let report = EvalReport {
         minute4d: env!("CARGO_PKG_VERSION").to_owned(),
-        scene_blake3: hash::of_path(&path)?,
-        scene: path,
+        scene_blake3: hash::of_path(&held.path)?,
         data: data.to_path_buf(),
-        alignment,
-        splats: scene.splats.n(),
+        splats: held.scene.splats.n(),
         mean: images.mean(),
         images,
+        scene: held.path,
+        alignment: held.alignment,
         seconds: start.elapsed().as_secs_f64(),
     };
     write_json(&out.join(EVAL_FILE), &report)?;
     Ok(report)
-}
-
-fn test_views(data: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
-    if !data.exists() {
-        return Err(Error::Missing {
-            what: "capture",
-            path: data.to_path_buf(),
-        });
-    }
-    if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
-        return Err(Error::NoTestList {
-            path: data.to_path_buf(),
-        });
-    }
-    Ok(m4_io::capture::read(data, Split::Test, options, observer)?)
 }

@@ -2,9 +2,11 @@
 
 mod layers;
 mod preset;
+mod without;
 
 pub use layers::{Layers, SettingsError};
 pub use preset::Preset;
+pub use without::Enhancement;
 
 use crate::geometry::GeometryOptions;
 use crate::preview::PreviewConfig;

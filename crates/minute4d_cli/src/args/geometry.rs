@@ -1,7 +1,7 @@
 //! `minute4d geometry`
 
 use super::device::device;
-use super::{OutArgs, SettingsArgs, VideoArgs};
+use super::{OutArgs, SettingsArgs, VideoArgs, WithoutArgs};
 use clap::Args;
 use minute4d::device::DeviceChoice;
 use std::path::PathBuf;
@@ -21,6 +21,9 @@ pub struct Geometry {
     /// Where networks run: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,
+    /// What to go without.
+    #[command(flatten)]
+    pub without: WithoutArgs,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,

@@ -1,5 +1,6 @@
 //! The command line, as clap reads it: what holds for all commands, and a file for each.
 
+mod ablate;
 mod bench;
 mod device;
 mod eval;
@@ -18,7 +19,9 @@ mod video;
 mod view;
 #[cfg(feature = "nets")]
 mod weights;
+mod without;
 
+pub use ablate::Ablate;
 pub use bench::{Bench, BenchScene};
 pub use device::{DeviceArgs, limit};
 pub use eval::{Eval, EvalGeometry};
@@ -36,6 +39,7 @@ pub use video::VideoArgs;
 pub use view::{PageArgs, View};
 #[cfg(feature = "nets")]
 pub use weights::{Weights, WeightsAction};
+pub use without::WithoutArgs;
 
 use clap::{Args, Parser, Subcommand};
 
@@ -92,6 +96,8 @@ pub enum Command {
     View(View),
     /// Compare a trained scene with the held-out views of a capture
     Eval(Eval),
+    /// What segmentation, tracking and density control are worth on a clip: a table
+    Ablate(Ablate),
     /// Compare the cameras, depth and masks of a capture with known ones
     EvalGeometry(EvalGeometry),
     /// Say what a video, a capture, a scene file or a run holds
@@ -144,6 +150,9 @@ mod tests {
             "geometry a -o b --segmenter best",
             "train a -o b --port 8000",
             "run a -o b --no-open",
+            "ablate a",
+            "ablate a -o b --rows no-fun",
+            "ablate a -o b --no-seg",
         ];
         for line in bad {
             let args = std::iter::once("minute4d").chain(line.split(' '));
@@ -153,6 +162,9 @@ mod tests {
             "import a.npz -o b --fps 24 --tau-motion 0.5 --motion-prob m.npy",
             "run a -o b --start 1.5s --end 3 --threads 2 --json",
             "train --print-config",
+            "train a -o b --no-track --no-density",
+            "run a -o b --no-seg",
+            "ablate a -o b --data c --rows no-seg,no-track --iterations 100",
             "view a --port 8000 --no-open",
             "train a -o b --view --port 8000 --no-open --no-viewer",
             "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick --save",

@@ -1,6 +1,6 @@
 //! `minute4d run`
 
-use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs, VideoArgs};
+use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs, VideoArgs, WithoutArgs};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -22,6 +22,9 @@ pub struct Run {
     /// Where to train.
     #[command(flatten)]
     pub device: DeviceArgs,
+    /// What to go without.
+    #[command(flatten)]
+    pub without: WithoutArgs,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,

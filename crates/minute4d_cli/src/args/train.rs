@@ -1,6 +1,6 @@
 //! `minute4d train`
 
-use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs};
+use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs, WithoutArgs};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -19,6 +19,9 @@ pub struct Train {
     /// Where to train.
     #[command(flatten)]
     pub device: DeviceArgs,
+    /// What to go without.
+    #[command(flatten)]
+    pub without: WithoutArgs,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,

@@ -9,7 +9,8 @@ use minute4d::geometry::Segmenter;
 use serde_json::json;
 
 pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
-    let settings = settings(&args.settings, Some(&args.video), None)?;
+    let mut settings = settings(&args.settings, Some(&args.video), None)?;
+    args.without.apply(&mut settings);
     let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };

@@ -1,5 +1,6 @@
 //! One file a command: arguments to a call of the library, and its result to words.
 
+mod ablate;
 mod bench;
 mod doctor;
 mod eval;
@@ -36,6 +37,7 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Import(args) => import::run(args, output),
         Command::View(args) => view::run(args, output),
         Command::Eval(args) => eval::run(args, output),
+        Command::Ablate(args) => ablate::run(args, output),
         Command::EvalGeometry(args) => eval_geometry::run(args, output),
         Command::Inspect(args) => inspect::run(args, output),
         Command::Doctor => doctor::run(output),

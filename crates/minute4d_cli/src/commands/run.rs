@@ -13,6 +13,7 @@ use std::path::Path;
 
 pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
+    args.without.apply(&mut settings);
     settings.viewer.write &= !args.page.no_viewer;
     let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);

@@ -10,6 +10,7 @@ use minute4d::Observer;
 
 pub fn run(args: &Train, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, None, Some(&args.length))?;
+    args.without.apply(&mut settings);
     settings.viewer.write &= !args.page.no_viewer;
     let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);

@@ -1,0 +1,90 @@
+//! A finished scene, and the held-out views of a capture placed in its world.
+
+use super::align::{self, Alignment};
+use crate::device::OpenGpu;
+use crate::folder::SCENE_FILE;
+use crate::render::Pictures;
+use crate::settings::Settings;
+use crate::{Error, Observer};
+use m4_io::capture::{CaptureOptions, Split};
+use m4_io::scene_file;
+use m4_kernels::SimdLevel;
+use m4_scene::{Camera, Capture, CaptureFrame, Exposure, RgbImage, Scene};
+use std::path::{Path, PathBuf};
+
+/// A scene and the views that it is judged by.
+pub struct HeldOut {
+    /// The file of the scene.
+    pub path: PathBuf,
+    /// The scene.
+    pub scene: Scene,
+    /// The views.
+    pub test: Capture,
+    /// How the held-out cameras were placed, where the scene has a world of its own.
+    pub alignment: Option<Alignment>,
+    stretch: f64,
+}
+
+impl HeldOut {
+    /// The scene of the run `out` and the held-out views of the capture `data`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoTestList`] without held-out views; else what could not be read.
+    pub fn read(out: &Path, data: &Path, observer: &dyn Observer) -> Result<Self, Error> {
+        let path = out.join(SCENE_FILE);
+        let scene = scene_file::read(&path)?.scene;
+        let test = test_views(data, &Settings::fast().capture, observer)?;
+        let alignment = align::between(&scene, data, observer)?;
+        let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
+        Ok(Self {
+            path,
+            scene,
+            test,
+            alignment,
+            stretch,
+        })
+    }
+
+    /// When a view was taken, frames of the scene.
+    pub fn moment(&self, frame: &CaptureFrame) -> f64 {
+        frame.t * self.stretch
+    }
+
+    /// What draws the scene.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if it does not fit.
+    pub fn pictures(&self, level: SimdLevel, gpu: Option<&OpenGpu>) -> Result<Pictures<'_>, Error> {
+        Pictures::new(&self.scene, level, gpu)
+    }
+
+    /// The scene as a view's camera sees it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if the device fails.
+    pub fn draw(&self, pictures: &mut Pictures<'_>, frame: &CaptureFrame) -> Result<RgbImage, Error> {
+        let camera = self.alignment.as_ref().map_or(frame.camera, |a| Camera {
+            c2w: a.similarity().transform_pose(&frame.camera.c2w),
+            ..frame.camera
+        });
+        pictures.picture(&camera, self.moment(frame), &Exposure::IDENTITY)
+    }
+}
+
+fn test_views(data: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Result<Capture, Error> {
+    if !data.exists() {
+        return Err(Error::Missing {
+            what: "capture",
+            path: data.to_path_buf(),
+        });
+    }
+    if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
+        return Err(Error::NoTestList {
+            path: data.to_path_buf(),
+        });
+    }
+    Ok(m4_io::capture::read(data, Split::Test, options, observer)?)
+}

@@ -1,0 +1,35 @@
+//! Parts of the method that can be switched off.
+
+use clap::Args;
+use minute4d::Settings;
+use minute4d::settings::Enhancement;
+
+/// Parts of the method that can be switched off (`minute4d ablate` makes a table of them).
+#[derive(Debug, Args)]
+pub struct WithoutArgs {
+    /// No network outlines what moves
+    #[arg(long)]
+    pub no_seg: bool,
+    /// No points are followed or carried from one frame to another
+    #[arg(long)]
+    pub no_track: bool,
+    /// Splats are neither born nor removed while training
+    #[arg(long)]
+    pub no_density: bool,
+}
+
+impl WithoutArgs {
+    /// Switches them off.
+    pub fn apply(&self, settings: &mut Settings) {
+        let parts = [
+            (self.no_seg, Enhancement::Segmentation),
+            (self.no_track, Enhancement::Tracking),
+            (self.no_density, Enhancement::Density),
+        ];
+        for (off, part) in parts {
+            if off {
+                settings.switch_off(part);
+            }
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! `minute4d ablate`: what each part of the method is worth.
+
+use super::settings::{job, print_config, settings};
+use crate::args::{Ablate, OutArgs};
+use crate::failure::Failure;
+use crate::output::Output;
+use minute4d::Error;
+use minute4d::ablate::{self, AblateOptions, Row};
+use minute4d::device::DeviceRequest;
+use std::path::PathBuf;
+
+pub fn run(args: &Ablate, output: &Output) -> Result<(), Failure> {
+    let settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
+    if args.settings.print_config {
+        return print_config(&settings, output);
+    }
+    let program = std::env::current_exe().map_err(|source| Error::Read {
+        path: PathBuf::from("the program itself"),
+        source,
+    })?;
+    let options = AblateOptions {
+        program,
+        rows: match args.rows.as_slice() {
+            [] => Row::ALL.to_vec(),
+            rows => rows.to_vec(),
+        },
+        data: args.data.clone(),
+        grow_mask: args.grow_mask,
+    };
+    let device = DeviceRequest {
+        choice: args.device,
+        max_vram_mb: None,
+    };
+    let existing = OutArgs {
+        resume: true,
+        force: false,
+    };
+    let job = job(&args.settings, device, &existing, settings, output);
+    let report = ablate::ablate(&args.input, &args.out, &options, &job)?;
+    if let Some(picture) = &report.picture {
+        output.note(&format!("{}: true, without tracking, full", picture.display()));
+    }
+    output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
+    Ok(())
+}
