@@ -163,7 +163,12 @@ fn measure(size: Sam2Size, which: usize, path: &Path, bound: f64) -> Result<(), 
         remember.wall += wall.elapsed().as_secs_f64();
         remember.cores += cores.elapsed().as_secs_f64();
         let count = f64::from(objects);
-        row(&format!("memory encoder, {objects} objects"), count * MEMORY_ENCODER, remember, bound);
+        row(
+            &format!("memory encoder, {objects} objects"),
+            count * MEMORY_ENCODER,
+            remember,
+            bound,
+        );
         let last = if objects == 1 { 16 } else { 7 };
         predictor.follow(1..=last, Direction::Forward, &Silent, |_, _| ())?;
         PEAK.reset_peak_usage();
@@ -172,7 +177,12 @@ fn measure(size: Sam2Size, which: usize, path: &Path, bound: f64) -> Result<(), 
         let pointers = last as f64 + 1.0;
         let operations = count * attention(7.0, pointers.min(16.0));
         let others = count * (DECODER + MEMORY_ENCODER);
-        row(&format!("follow, {objects} objects"), operations + others, follow, bound);
+        row(
+            &format!("follow, {objects} objects"),
+            operations + others,
+            follow,
+            bound,
+        );
         if objects == 1 {
             let alone = less(less(follow, decode), remember);
             row("  of that memory attention", operations, alone, bound);
@@ -186,7 +196,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let asked: Vec<String> = std::env::args().skip(1).collect();
     let device = cpu();
     println!("matrix products, GFLOP/s of a core:");
-    for (n, k, m) in [(4096, 256, 2048), (256, 256, 28_700), (256, 28_700, 64), (2048, 2048, 2048)] {
+    for (n, k, m) in [
+        (4096, 256, 2048),
+        (256, 256, 28_700),
+        (256, 28_700, 64),
+        (2048, 2048, 2048),
+    ] {
         println!("  {n} x {k} x {m}: {:.0}", bound(n, k, m, &device)?);
     }
     let bound = bound(2048, 2048, 2048, &device)?;

@@ -54,8 +54,12 @@ fn takes_exactly_the_published_keys() {
     assert_eq!(net.parameters(), ALL - UNUSED);
     assert_eq!((net.size(), net.mask_side()), (Sam2Size::Tiny, 256));
     drop(net);
-    let line = TINY.lines().find(|line| line.starts_with("obj_ptr_tpos_proj.bias")).unwrap();
-    let Err(LoadError::OtherNetwork { missing, .. }) = load(folder.path(), &TINY.replace(&format!("{line}\n"), "")) else {
+    let line = TINY
+        .lines()
+        .find(|line| line.starts_with("obj_ptr_tpos_proj.bias"))
+        .unwrap();
+    let Err(LoadError::OtherNetwork { missing, .. }) = load(folder.path(), &TINY.replace(&format!("{line}\n"), ""))
+    else {
         panic!("{line} is missing and nothing was said");
     };
     assert_eq!(missing.len(), 1);
@@ -67,7 +71,10 @@ fn takes_exactly_the_published_keys() {
     let published: String = TINY.lines().map(|line| format!("model.{line}\n")).collect();
     assert_eq!(load(folder.path(), &published).unwrap().parameters(), ALL - UNUSED);
     let small = load(folder.path(), SMALL).unwrap();
-    assert_eq!((small.size(), small.parameters()), (Sam2Size::Small, 46_060_610 - UNUSED));
+    assert_eq!(
+        (small.size(), small.parameters()),
+        (Sam2Size::Small, 46_060_610 - UNUSED)
+    );
     let Err(error) = load(folder.path(), include_str!("../../../fixtures/droid/keys.txt")) else {
         panic!("another network");
     };
@@ -154,7 +161,6 @@ fn passages(net: Arc<Sam2>, file: &[u8], options: VideoOptions) -> [Vec<f32>; 3]
     [a, b, c]
 }
 
-#[expect(clippy::print_stdout, reason = "figures for docs/networks.md")]
 #[test]
 fn a_clip_meets_its_fixture_on_any_number_of_threads() {
     let net = network(256);
@@ -233,7 +239,9 @@ fn what_is_far_off_is_forgotten() {
         }
         // what is forgotten can be corrected all the same
         predictor.show(30, 7, &here()).unwrap();
-        predictor.follow(25..=30, Direction::Backward, &Silent, |_, _| ()).unwrap();
+        predictor
+            .follow(25..=30, Direction::Backward, &Silent, |_, _| ())
+            .unwrap();
     }
 }
 
@@ -358,7 +366,9 @@ fn the_user_can_stop() {
     let mut predictor = clip(VideoOptions::default());
     predictor.show(0, 1, &here()).unwrap();
     let mut seen = 0;
-    let stopped = predictor.follow(0..=59, Direction::Forward, &Stops(AtomicUsize::new(3)), |_, _| seen += 1);
+    let stopped = predictor.follow(0..=59, Direction::Forward, &Stops(AtomicUsize::new(3)), |_, _| {
+        seen += 1
+    });
     assert!(matches!(stopped, Err(Sam2Error::Cancelled)));
     assert_eq!(seen, 3);
 }
@@ -368,7 +378,11 @@ fn refuses_what_makes_no_sense() {
     let pictures = |size: (usize, usize)| Box::new(move |_: usize| Ok(moving(size.0, size.1, 0)));
     let clip_of = |frames, width, height| Clip { frames, width, height };
     let options = VideoOptions::default;
-    let no = |clip| VideoPredictor::new(smallest(), clip, pictures((9, 9)), options()).map(drop).unwrap_err();
+    let no = |clip| {
+        VideoPredictor::new(smallest(), clip, pictures((9, 9)), options())
+            .map(drop)
+            .unwrap_err()
+    };
     assert!(matches!(no(clip_of(0, 9, 9)), Sam2Error::NoFrames));
     assert!(matches!(no(clip_of(4, 0, 9)), Sam2Error::NoPixels { .. }));
 
@@ -377,12 +391,14 @@ fn refuses_what_makes_no_sense() {
     let broken = Box::new(|_: usize| Err("no such file".into()));
     let mut broken = VideoPredictor::new(smallest(), CLIP, broken, options()).unwrap();
     let error = broken.show(3, 1, &here()).unwrap_err();
-    assert!(error.to_string().contains("frame 3") && error.to_string().contains("no such file"), "{error}");
+    assert!(
+        error.to_string().contains("frame 3") && error.to_string().contains("no such file"),
+        "{error}"
+    );
 
     let mut predictor = clip(options());
-    let follow = |predictor: &mut VideoPredictor<'_>, frames| {
-        predictor.follow(frames, Direction::Forward, &Silent, |_, _| ())
-    };
+    let follow =
+        |predictor: &mut VideoPredictor<'_>, frames| predictor.follow(frames, Direction::Forward, &Silent, |_, _| ());
     assert!(matches!(follow(&mut predictor, 0..=3), Err(Sam2Error::NoObjects)));
     assert!(matches!(predictor.mask(0, 5), Err(Sam2Error::UnknownObject(5))));
     assert!(matches!(predictor.remove(5), Err(Sam2Error::UnknownObject(5))));
@@ -424,12 +440,21 @@ fn refuses_what_makes_no_sense() {
     assert!(matches!(wild, Sam2Error::NotFinite), "{wild}");
     predictor.show(0, 1, &with_mask(Plane::filled(16, 16, 1e30))).unwrap();
     let mask = Plane::filled(0, 9, true);
-    assert!(matches!(predictor.show_mask(0, 1, &mask), Err(Sam2Error::NoPixels { .. })));
+    assert!(matches!(
+        predictor.show_mask(0, 1, &mask),
+        Err(Sam2Error::NoPixels { .. })
+    ));
 
     let far = predictor.show(60, 1, &here());
     assert!(matches!(far, Err(Sam2Error::NoSuchFrame { frame: 60, frames: 60 })));
-    assert!(matches!(follow(&mut predictor, 50..=60), Err(Sam2Error::NoSuchFrame { .. })));
-    assert!(matches!(predictor.mask(usize::MAX, 1), Err(Sam2Error::NoSuchFrame { .. })));
+    assert!(matches!(
+        follow(&mut predictor, 50..=60),
+        Err(Sam2Error::NoSuchFrame { .. })
+    ));
+    assert!(matches!(
+        predictor.mask(usize::MAX, 1),
+        Err(Sam2Error::NoSuchFrame { .. })
+    ));
     #[expect(clippy::reversed_empty_ranges, reason = "what is tested")]
     let backward = 5..=3;
     follow(&mut predictor, backward).unwrap();
@@ -450,9 +475,15 @@ fn a_clip_of_one_frame_can_be_corrected() {
     let mut predictor = VideoPredictor::new(smallest(), clip, pictures, VideoOptions::default()).unwrap();
     predictor.show(0, 1, &points(vec![point(&[12.0, 30.0], true)])).unwrap();
     predictor.follow(0..=0, Direction::Forward, &Silent, |_, _| ()).unwrap();
-    let corrected = predictor.show(0, 1, &points(vec![point(&[40.0, 30.0], false)])).unwrap();
+    let corrected = predictor
+        .show(0, 1, &points(vec![point(&[40.0, 30.0], false)]))
+        .unwrap();
     assert!(corrected.logits.data().iter().all(|x| x.is_finite()));
-    predictor.follow(0..=0, Direction::Backward, &Silent, |_, masks| assert_eq!(masks[&1], corrected)).unwrap();
+    predictor
+        .follow(0..=0, Direction::Backward, &Silent, |_, masks| {
+            assert_eq!(masks[&1], corrected)
+        })
+        .unwrap();
 }
 
 #[test]

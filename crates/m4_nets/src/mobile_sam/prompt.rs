@@ -46,7 +46,8 @@ pub fn encoded(
 ) -> Result<(Option<Tensor<2>>, Tensor<3>), SamError> {
     check(prompt, scale)?;
     let mut tokens = Vec::new();
-    let token = |at_px: [f32; 2], kind: usize| encoder.place(scale.to_input(at_px).map(|x| x / INPUT_SIDE as f32), kind);
+    let token =
+        |at_px: [f32; 2], kind: usize| encoder.place(scale.to_input(at_px).map(|x| x / INPUT_SIDE as f32), kind);
     for point in &prompt.points {
         tokens.push(token(point.at_px, usize::from(point.on_object)));
     }

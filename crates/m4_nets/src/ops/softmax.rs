@@ -55,7 +55,7 @@ fn each<S: Simd>(s: S, rows: &mut [f32], n: usize) {
         let mut sum = all(s, 0.0);
         for x in whole.iter_mut() {
             let e = power(s, f32x16::from_slice(s, x) - largest);
-            sum = sum + e;
+            sum += e;
             *x = e.into();
         }
         let mut ends: [f32; LANES] = power(s, f32x16::from_slice(s, &last) - largest).into();

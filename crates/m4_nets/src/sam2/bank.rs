@@ -17,9 +17,6 @@ const POINTER_FRAMES: usize = 15;
 #[derive(Debug, Clone)]
 pub struct Entry {
     pub mask: ObjectMask,
-    /// What the network thought of all masks that it chose from.
-    #[cfg(test)]
-    pub candidates: Vec<f32>,
     /// `[1, 256]`.
     pub pointer: Tensor<2>,
     /// `[1, n, 64]`; `None` before it is encoded, and where it is too far from everything.
@@ -37,10 +34,9 @@ impl Entry {
             mask: ObjectMask {
                 logits,
                 iou: answer.iou,
+                candidates: answer.candidates,
                 score: answer.score,
             },
-            #[cfg(test)]
-            candidates: answer.candidates,
             pointer: answer.pointer,
             memory: None,
             prompted,
@@ -126,7 +122,9 @@ impl Object {
         }
         for steps in 1..pointer_frames(frames) {
             let Some(at) = before(steps) else { break };
-            recall.pointers.extend(other(at).map(|entry| (steps, entry.pointer.clone())));
+            recall
+                .pointers
+                .extend(other(at).map(|entry| (steps, entry.pointer.clone())));
         }
         recall
     }

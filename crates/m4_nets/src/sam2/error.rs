@@ -56,7 +56,9 @@ pub enum Sam2Error {
     #[error("the mask of a prompt has numbers that are not finite")]
     NotFinite,
     /// The prompt's mask has another size.
-    #[error("the mask of a prompt has {expected} x {expected} pixels, as the logits of a prediction, not {width} x {height}")]
+    #[error(
+        "the mask of a prompt has {expected} x {expected} pixels, as the logits of a prediction, not {width} x {height}"
+    )]
     MaskSize {
         /// Columns.
         width: usize,

@@ -12,6 +12,8 @@ pub struct ObjectMask {
     pub logits: Plane<f32>,
     /// How well the network thinks that the mask fits: its intersection with the true one over their union, from 0 to 1.
     pub iou: f32,
+    /// The `iou` of all masks that this one was chosen from: three where the prompt was ambiguous or there was none, else its own.
+    pub candidates: Vec<f32>,
     /// Whether the network thinks that the object is in the picture: the more above 0, the surer.
     pub score: f32,
 }

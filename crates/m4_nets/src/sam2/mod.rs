@@ -75,8 +75,14 @@ const ABSENT: f32 = -1024.0;
 /// Names of the checkpoint that are not those of fields.
 const RENAMES: [(&str, &str); 22] = [
     (r"^model\.", ""),
-    (r"\.transformer\.layers\.(\d)\.mlp\.layers\.0\.", ".transformer.layers.$1.mlp.lin1."),
-    (r"\.transformer\.layers\.(\d)\.mlp\.layers\.1\.", ".transformer.layers.$1.mlp.lin2."),
+    (
+        r"\.transformer\.layers\.(\d)\.mlp\.layers\.0\.",
+        ".transformer.layers.$1.mlp.lin1.",
+    ),
+    (
+        r"\.transformer\.layers\.(\d)\.mlp\.layers\.1\.",
+        ".transformer.layers.$1.mlp.lin2.",
+    ),
     (r"\.encoder\.0\.", ".encoder.convs.0."),
     (r"\.encoder\.3\.", ".encoder.convs.1."),
     (r"\.encoder\.6\.", ".encoder.convs.2."),
@@ -296,9 +302,16 @@ impl Sam2 {
 
     /// Each stage after its layer.
     fn level(&self, stages: Vec<Tensor<4>>) -> [Tensor<4>; 4] {
-        let mut stages = stages.into_iter().zip(&self.laterals).map(|(x, layer)| layer.forward(x));
+        let mut stages = stages
+            .into_iter()
+            .zip(&self.laterals)
+            .map(|(x, layer)| layer.forward(x));
         // a trunk has four stages
-        std::array::from_fn(|_| stages.next().unwrap_or_else(|| Tensor::zeros([1, 0, 0, WIDTH], &self.device)))
+        std::array::from_fn(|_| {
+            stages
+                .next()
+                .unwrap_or_else(|| Tensor::zeros([1, 0, 0, WIDTH], &self.device))
+        })
     }
 
     /// Masks of what `prompt` shows in the picture of `features`: three where it [is ambiguous](Prompt::is_ambiguous), of which that of the
@@ -318,12 +331,14 @@ impl Sam2 {
             let one = answer::chosen(&iou, false, stability.first().copied().unwrap_or(f32::NAN));
             one..one + 1
         };
+        let candidates = iou.get(first.clone()).unwrap_or_default();
         first
             .map(|i| {
                 let logits = said.masks.clone().narrow(1, i, 1).squeeze_dim::<3>(1);
                 Ok(ObjectMask {
                     logits: plane(logits.cast(DType::F32))?,
                     iou: iou[i],
+                    candidates: candidates.to_vec(),
                     score,
                 })
             })
@@ -400,7 +415,11 @@ impl Tables {
             sine: sine(WIDTH),
             memory_sine: sine(MEMORY_WIDTH),
             rotations: Rotations::new(grid, device, dtype),
-            places: net.prompt_encoder.grid([grid, grid], device).unsqueeze_dim(0).cast(dtype),
+            places: net
+                .prompt_encoder
+                .grid([grid, grid], device)
+                .unsqueeze_dim(0)
+                .cast(dtype),
             enlarge: tensor(enlarge, [1, side, mask], device),
         }
     }

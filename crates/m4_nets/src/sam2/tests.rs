@@ -191,12 +191,7 @@ fn the_decoder_meets_its_fixture() {
         .map(|i| answer::chosen(&iou[4 * i..][..4], false, stability[i]))
         .collect();
     let one = |i: usize| said.masks.clone().narrow(0, i, 1).narrow(1, chosen[i], 1);
-    assert_near(
-        Tensor::cat(vec![one(0), one(1)], 0),
-        &fixture,
-        "single_masks",
-        LIMIT,
-    );
+    assert_near(Tensor::cat(vec![one(0), one(1)], 0), &fixture, "single_masks", LIMIT);
     let single: Vec<f32> = (0..2).map(|i| iou[4 * i + chosen[i]]).collect();
     assert_numbers(&single, &fixture, "single_iou");
 }
@@ -298,7 +293,11 @@ fn assert_entry(predictor: &VideoPredictor<'_>, fixture: &Fixture, what: &str, [
     let entry = predictor.objects[&(i as u32 + 1)].at(at).unwrap();
     let name = format!("{what}_obj{i}_f{at}");
     assert_numbers(entry.mask.logits.data(), fixture, &format!("{name}_mask"));
-    assert_numbers(&numbers(entry.pointer.clone()).unwrap(), fixture, &format!("{name}_ptr"));
+    assert_numbers(
+        &numbers(entry.pointer.clone()).unwrap(),
+        fixture,
+        &format!("{name}_ptr"),
+    );
     assert_numbers(&[entry.mask.score], fixture, &format!("{name}_score"));
     if what == "A" {
         let memory = entry.memory.clone().unwrap().reshape([16, 16, 64]);
@@ -309,7 +308,7 @@ fn assert_entry(predictor: &VideoPredictor<'_>, fixture: &Fixture, what: &str, [
 #[track_caller]
 fn assert_call(predictor: &VideoPredictor<'_>, fixture: &Fixture, name: &str, id: u32, at: usize) {
     let entry = predictor.objects[&id].at(at).unwrap();
-    assert_numbers(&entry.candidates, fixture, &format!("{name}_iou"));
+    assert_numbers(&entry.mask.candidates, fixture, &format!("{name}_iou"));
     assert_numbers(&[entry.mask.score], fixture, &format!("{name}_score"));
 }
 
@@ -347,8 +346,18 @@ fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
     let [s1, s0] = features.fine.clone().map(|map| map.squeeze_dim::<3>(0));
     assert_map(s0, fixture, "fpn_s0_strided", LIMIT);
     assert_map(s1, fixture, "fpn_s1_strided", LIMIT);
-    assert_map(features.map.clone().reshape([16, 16, 256]), fixture, "fpn_s2_strided", LIMIT);
-    assert_map(net.tables.sine.clone().reshape([16, 16, 256]), fixture, "pos_s2_strided", LIMIT);
+    assert_map(
+        features.map.clone().reshape([16, 16, 256]),
+        fixture,
+        "fpn_s2_strided",
+        LIMIT,
+    );
+    assert_map(
+        net.tables.sine.clone().reshape([16, 16, 256]),
+        fixture,
+        "pos_s2_strided",
+        LIMIT,
+    );
 
     let (one, _) = fixture.floats("prompt_obj1");
     let (three, _) = fixture.floats("prompt_obj2");
@@ -451,8 +460,12 @@ fn a_clip_without_its_objects_meets_its_fixture() {
     let fixture = Arc::new(Fixture::open("sam2/video_256_absent.safetensors"));
     let predictor = passage_a(&fixture, -0.1);
     let absent = |entry: &bank::Entry| !entry.mask.is_there();
-    assert!(predictor.objects.values().any(|object| object.others.values().any(absent)
-        || object.conditioning.values().any(absent)));
+    assert!(
+        predictor
+            .objects
+            .values()
+            .any(|object| object.others.values().any(absent) || object.conditioning.values().any(absent))
+    );
 }
 
 #[test]
@@ -465,7 +478,12 @@ fn a_picture_of_the_published_side_meets_its_fixture() {
         [bytes[at], bytes[at + 1], bytes[at + 2]]
     });
     let features = net.encode(&image).unwrap();
-    assert_map(features.map.clone().reshape([64, 64, 256]), &fixture, "image_embed_strided", 1e-3);
+    assert_map(
+        features.map.clone().reshape([64, 64, 256]),
+        &fixture,
+        "image_embed_strided",
+        1e-3,
+    );
     let [s1, s0] = features.fine.clone().map(|map| map.squeeze_dim::<3>(0));
     assert_map(s0, &fixture, "feat_s0_strided", 1e-3);
     assert_map(s1, &fixture, "feat_s1_strided", 1e-3);

@@ -288,8 +288,12 @@ impl<'a> VideoPredictor<'a> {
                 return Err(Sam2Error::Cancelled);
             }
             let features = self.features(frame)?;
-            let Some(object) = self.objects.get_mut(&id) else { continue };
-            let Some((mut entry, conditions)) = object.pending.remove(&frame) else { continue };
+            let Some(object) = self.objects.get_mut(&id) else {
+                continue;
+            };
+            let Some((mut entry, conditions)) = object.pending.remove(&frame) else {
+                continue;
+            };
             let side = net.mask_side();
             let logits = tensor(entry.mask.logits.data().to_vec(), [1, side, side], &net.device);
             let enlarged = net.enlarged(logits);
@@ -417,10 +421,15 @@ impl Sam2 {
             let pointers: Tensor<2> = Tensor::cat(pointers, 0);
             values.push(pointers.reshape([1, count * parts, MEMORY_WIDTH]));
             let most = (pointer_frames(frames) - 1).max(1) as f32;
-            let times = recall.pointers.iter().flat_map(|(steps, _)| waves(*steps as f32 / most));
+            let times = recall
+                .pointers
+                .iter()
+                .flat_map(|(steps, _)| waves(*steps as f32 / most));
             let times = tensor(times.collect(), [count, WIDTH], &self.device).cast(self.dtype);
             let times = self.net.obj_ptr_tpos_proj.forward(times);
-            let times = times.reshape([count, 1, MEMORY_WIDTH]).expand([count, parts, MEMORY_WIDTH]);
+            let times = times
+                .reshape([count, 1, MEMORY_WIDTH])
+                .expand([count, parts, MEMORY_WIDTH]);
             places.push(times.reshape([1, count * parts, MEMORY_WIDTH]));
         }
         let values = Tensor::cat(values, 1);
@@ -465,5 +474,7 @@ impl Sam2 {
 fn waves(time: f32) -> impl Iterator<Item = f32> {
     let half = WIDTH / 2;
     let angle = move |i: usize| time / 10_000f32.powf((i / 2 * 2) as f32 / half as f32);
-    (0..half).map(move |i| angle(i).sin()).chain((0..half).map(move |i| angle(i).cos()))
+    (0..half)
+        .map(move |i| angle(i).sin())
+        .chain((0..half).map(move |i| angle(i).cos()))
 }
