@@ -223,9 +223,16 @@ fn memory_attention_meets_its_fixture() {
     };
     let attention = &net.net.memory_attention;
     let layer = &attention.layers[0];
-    let among = layer.self_attn.among(curr.clone(), &rotations);
+    let alone: Tensor<3> = input("rope_q", 1.0, [1, 256, 256]);
+    let others: Tensor<3> = input("rope_k", 1.0, [1, 516, 64]);
+    let others = Memories {
+        values: others.clone(),
+        keys: others,
+        placed: 512,
+    };
+    let among = layer.self_attn.among(alone.clone(), &rotations);
     assert_near(every(among.squeeze_dim(0), 8), &fixture, "self_attn_strided", LIMIT);
-    let to = layer.cross_attn_image.to(curr.clone(), &memories, &rotations);
+    let to = layer.cross_attn_image.to(alone, &others, &rotations);
     assert_near(every(to.squeeze_dim(0), 8), &fixture, "cross_attn_strided", LIMIT);
     let begun = attention.begun(curr, &places, &rotations);
     let out = attention.forward(begun, &memories, &rotations);
@@ -479,7 +486,7 @@ fn a_picture_of_the_published_side_meets_its_fixture() {
     });
     let features = net.encode(&image).unwrap();
     assert_map(
-        features.map.clone().reshape([64, 64, 256]),
+        net.unremembered(&features).reshape([64, 64, 256]),
         &fixture,
         "image_embed_strided",
         1e-3,

@@ -437,7 +437,7 @@ impl Sam2 {
     }
 
     /// A frame's features where nothing is remembered.
-    fn unremembered(&self, features: &Features) -> Tensor<3> {
+    pub(super) fn unremembered(&self, features: &Features) -> Tensor<3> {
         features.map.clone() + self.net.no_mem_embed.val()
     }
 
