@@ -233,8 +233,9 @@ impl<'a> VideoPredictor<'a> {
         let answer = answers.into_iter().next().ok_or_else(nothing)?;
         let entry = Entry::of(answer, self.options.fill_holes_px, true)?;
         let mask = entry.mask.clone();
-        let conditions = first || self.options.corrections_condition;
         let known = self.objects.entry(object).or_default();
+        // what was shown first is corrected where it is
+        let conditions = first || self.options.corrections_condition || known.conditioning.contains_key(&frame);
         known.pending.insert(frame, (entry, conditions));
         Ok(mask)
     }
