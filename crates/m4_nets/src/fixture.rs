@@ -35,6 +35,30 @@ impl Fixture {
         (values.collect(), shape)
     }
 
+    /// A tensor of 64-bit numbers.
+    pub fn doubles(&self, name: &str) -> Vec<f64> {
+        let (bytes, dtype, _) = self.tensor(name);
+        assert_eq!(dtype, Dtype::F64, "{name}");
+        bytes
+            .as_chunks::<8>()
+            .0
+            .iter()
+            .map(|&b| f64::from_le_bytes(b))
+            .collect()
+    }
+
+    /// A tensor of whole numbers of 32 bits.
+    pub fn whole(&self, name: &str) -> Vec<i32> {
+        let (bytes, dtype, _) = self.tensor(name);
+        assert_eq!(dtype, Dtype::I32, "{name}");
+        bytes
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|&b| i32::from_le_bytes(b))
+            .collect()
+    }
+
     /// A tensor of bytes.
     pub fn bytes(&self, name: &str) -> Vec<u8> {
         let (bytes, dtype, _) = self.tensor(name);

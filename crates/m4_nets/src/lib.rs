@@ -19,6 +19,7 @@ pub mod gmflow;
 pub mod mobile_sam;
 pub mod moge;
 pub mod raft;
+pub mod sam2;
 pub mod unidepth;
 
 mod correlation;
@@ -30,6 +31,7 @@ mod flow;
 mod load;
 mod ops;
 mod padding;
+mod sam;
 
 pub use burn_core::tensor::Device;
 pub use depth_anything::{DepthAnything, DisparityError};
@@ -48,4 +50,5 @@ pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 pub use moge::MoGeOnnx;
 pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;
+pub use sam2::{Sam2, Sam2Error, Sam2Size};
 pub use unidepth::{UniDepth, UniDepthError, UniDepthMap};

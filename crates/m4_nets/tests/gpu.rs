@@ -10,12 +10,14 @@ use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
 use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, try_init_setup};
 use m4_nets::droid::{EdgeUpdate, MemoryOptions, Storage};
 use m4_nets::raft::LowFlow;
+use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoOptions, VideoPredictor};
 use m4_nets::{
     Compute, DepthAnything, Device, DroidMemory, DroidNet, GmFlow, MoGe, MoGeOptions, MobileSam, PointPrompt, Prompt,
-    Raft, UniDepth, cpu,
+    Raft, Sam2, UniDepth, cpu,
 };
-use m4_scene::{Plane, RgbImage};
+use m4_scene::{Plane, RgbImage, Silent};
 use m4_testkit::{FormulaWeights, write_formula_weights};
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 use std::sync::{Arc, LazyLock};
@@ -272,4 +274,62 @@ fn the_networks_of_before_run_there_too() {
         masks[0].logits_at((96, 64)).data().to_vec()
     };
     assert_near("MobileSAM", &logits(&gpu), &logits(&cpu()), 1e-3);
+}
+
+/// Three masks of a point, and two objects followed through five frames, as logits of all masks one after the other.
+fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f32>>) {
+    let net = Arc::new(Sam2::load(path, on).unwrap().with_side(256).unwrap());
+    let point = |at_px: [f32; 2], on_object| PointPrompt { at_px, on_object };
+    let prompt = |points| Prompt {
+        points,
+        ..Prompt::default()
+    };
+    let features = net.encode(&pattern(128, 96, 0.0)).unwrap();
+    let one = prompt(vec![point([40.0, 30.0], true)]);
+    let two = prompt(vec![point([90.0, 50.0], true), point([20.0, 70.0], false)]);
+    let masks = net.masks(&features, &one).unwrap();
+    let masks: Vec<f32> = masks.iter().flat_map(|mask| mask.logits.data().to_vec()).collect();
+    let clip = Clip {
+        frames: 5,
+        width: 128,
+        height: 96,
+    };
+    let pictures = Box::new(|i: usize| Ok(pattern(128, 96, 2.0 * i as f32)));
+    let mut predictor = VideoPredictor::new(net, clip, pictures, VideoOptions::default()).unwrap();
+    predictor.show(0, 1, &one).unwrap();
+    predictor.show(0, 2, &two).unwrap();
+    let mut frames = Vec::new();
+    let keep = |_, masks: &BTreeMap<u32, ObjectMask>| {
+        frames.push(masks.values().flat_map(|mask| mask.logits.data().to_vec()).collect());
+    };
+    predictor.follow(0..=4, Direction::Forward, &Silent, keep).unwrap();
+    (masks, frames)
+}
+
+#[test]
+fn sam2_says_the_same_as_on_the_processor() {
+    let Some(gpu) = gpu("sam2_says_the_same_as_on_the_processor") else {
+        return;
+    };
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    // objects are there beyond doubt
+    FormulaWeights::of_keys(include_str!("../../../fixtures/sam2/tiny.keys.txt"))
+        .with("sam_mask_decoder.pred_obj_score_head.layers.2.bias", &[5.0])
+        .write(&path);
+    let (there, here) = (sam2(&path, &gpu), sam2(&path, cpu()));
+    assert_near("masks", &there.0, &here.0, 1e-4);
+    for (k, (there, here)) in there.1.iter().zip(&here.1).enumerate() {
+        assert_near(&format!("frame {k}"), there, here, 3e-4);
+    }
+    let compute = Compute::half(gpu);
+    if compute.is_half() {
+        let half = sam2(&path, compute);
+        assert_near("masks in half precision", &half.0, &here.0, 2e-2);
+        // which of three readings is taken may be a close race from then on
+        assert_near("frame 0 in half precision", &half.1[0], &here.1[0], 2e-2);
+        for frame in &half.1[1..] {
+            assert!(frame.iter().all(|x| x.is_finite() && x.abs() < 100.0));
+        }
+    }
 }

@@ -17,12 +17,11 @@ mod decoder;
 mod layers;
 mod picture;
 mod prompt;
-mod resize;
 mod tiny_vit;
-mod two_way;
 
-pub use prompt::{PointPrompt, Prompt};
+pub use crate::sam::{PointPrompt, Prompt};
 
+use crate::sam::PromptEncoder;
 use crate::{Compute, LoadError, load};
 use burn_core as burn;
 use burn_core::module::Module;
@@ -30,12 +29,8 @@ use burn_core::tensor::{Device, Tensor};
 use decoder::MaskDecoder;
 use m4_scene::{Plane, RgbImage};
 use picture::{MASK_SIDE, Scale};
-use prompt::PromptEncoder;
 use std::path::Path;
 use tiny_vit::TinyVit;
-
-/// Channels of the embedding and of tokens.
-const WIDTH: usize = 256;
 
 /// Why there is no mask.
 #[derive(Debug, thiserror::Error)]
@@ -194,7 +189,7 @@ impl MobileSam {
         };
         load::fill(&mut net, "MobileSAM", path, &RENAMES, unneeded)?;
         Ok(Self {
-            grid: net.prompt_encoder.grid(device),
+            grid: prompt::grid(&net.prompt_encoder, device),
             net,
             device: device.clone(),
         })
@@ -227,7 +222,7 @@ impl MobileSam {
     ///
     /// [`SamError`] if the prompt is empty or wrong, or the device fails.
     pub fn masks(&self, embedding: &Embedding, prompt: &Prompt) -> Result<Vec<MaskPrediction>, SamError> {
-        let (tokens, map) = self.net.prompt_encoder.forward(prompt, embedding.scale, &self.device)?;
+        let (tokens, map) = prompt::encoded(&self.net.prompt_encoder, prompt, embedding.scale, &self.device)?;
         let map = embedding.map.clone() + map;
         let (masks, iou) = self.net.mask_decoder.forward(map, &self.grid, tokens);
         let logits: Vec<f32> = numbers(masks)?;

@@ -1,8 +1,8 @@
 //! Pictures of any size as the network takes them, and its masks in their size.
 
 use super::SamError;
-use super::resize::resized;
 use crate::ops::tensor;
+use crate::sam::{Filter, resized};
 use burn_core::tensor::{Device, Tensor};
 use m4_scene::{Plane, RgbImage};
 
@@ -68,7 +68,7 @@ impl Scale {
     /// The picture `[1, 3, 1024, 1024]`, normalised, zero beside it.
     pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
         let (width, height) = self.inside();
-        let image = resized(image, width, height);
+        let image = resized(image, width, height, Filter::Triangle);
         let mut values = vec![0.0; 3 * INPUT_SIDE * INPUT_SIDE];
         for (channel, plane) in values.chunks_exact_mut(INPUT_SIDE * INPUT_SIDE).enumerate() {
             for (y, row) in plane.chunks_exact_mut(INPUT_SIDE).take(height).enumerate() {

@@ -41,18 +41,18 @@ impl Function for Tanh {
 }
 
 #[inline(always)]
-fn all<S: Simd>(s: S, value: f32) -> f32x16<S> {
+pub(super) fn all<S: Simd>(s: S, value: f32) -> f32x16<S> {
     f32x16::splat(s, value)
 }
 
 #[inline(always)]
-fn keep_nan<S: Simd>(x: f32x16<S>, y: f32x16<S>) -> f32x16<S> {
+pub(super) fn keep_nan<S: Simd>(x: f32x16<S>, y: f32x16<S>) -> f32x16<S> {
     x.simd_eq(x).select(y, x)
 }
 
 /// `e^x` for `x <= 0` as `p (1 + r)` with a power of two `p`: both, so that `e^x - 1` loses nothing near 0. Saturates at -80.
 #[inline(always)]
-fn exp_parts<S: Simd>(s: S, x: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
+pub(super) fn exp_parts<S: Simd>(s: S, x: f32x16<S>) -> (f32x16<S>, f32x16<S>) {
     let x = x.max(all(s, -80.0));
     // adding 1.5 * 2^23 leaves the rounded number in the low bits of the mantissa
     let magic = all(s, 12_582_912.0);

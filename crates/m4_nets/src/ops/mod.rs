@@ -1,5 +1,6 @@
 //! Operations that several layers share. What changed between versions of Burn is called from here.
 
+mod attention;
 mod convex;
 mod convolution;
 mod gates;
@@ -8,8 +9,10 @@ mod lanes;
 mod picture;
 mod positions;
 mod resample;
+mod softmax;
 mod statistics;
 
+pub use attention::attend_heads;
 pub use convex::{convex_upsample, neighbours};
 pub use convolution::{convolve, convolve_edges};
 pub use gates::{sigmoid, tanh};
@@ -17,6 +20,7 @@ pub use gelu::gelu;
 pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};
 pub use positions::sine_positions;
 pub use resample::{Kernels, resampled};
+pub use softmax::softmax_rows;
 pub use statistics::Statistics;
 
 use burn_core::module::Param;

@@ -1,8 +1,7 @@
 //! The decoder's transformer: tokens that look at the picture and a picture that looks at the tokens, in turn (Kirillov et al.,
 //! "Segment Anything", ICCV 2023, appendix A).
 
-use super::WIDTH;
-use super::layers::heads;
+use super::{WIDTH, heads};
 use crate::ops::{linear, norm};
 use burn_core as burn;
 use burn_core::module::Module;
@@ -32,11 +31,11 @@ impl Attention {
         }
     }
 
-    /// Of `q` `[n, 256]`, `k` and `v` `[m, 256]`: `[n, 256]`.
-    fn forward(&self, q: Tensor<2>, k: Tensor<2>, v: Tensor<2>) -> Tensor<2> {
-        let split = |x: Tensor<2>| {
-            let [n, c] = x.dims();
-            x.reshape([1, n, HEADS, c / HEADS]).swap_dims(1, 2)
+    /// Of `q` `[b, n, 256]`, `k` and `v` `[b, m, 256]`: `[b, n, 256]`.
+    fn forward(&self, q: Tensor<3>, k: Tensor<3>, v: Tensor<3>) -> Tensor<3> {
+        let split = |x: Tensor<3>| {
+            let [b, n, c] = x.dims();
+            x.reshape([b, n, HEADS, c / HEADS]).swap_dims(1, 2)
         };
         let q = self.q_proj.forward(q);
         let shape = q.dims();
@@ -87,7 +86,7 @@ impl Layer {
 
     /// The tokens after their attention among themselves. In the first layer, where they are `places` itself, its result takes their
     /// place.
-    fn among_themselves(&self, tokens: Tensor<2>, places: &Tensor<2>, first: bool) -> Tensor<2> {
+    fn among_themselves(&self, tokens: Tensor<3>, places: &Tensor<3>, first: bool) -> Tensor<3> {
         let tokens = if first {
             self.self_attn.forward(tokens.clone(), tokens.clone(), tokens)
         } else {
@@ -115,8 +114,9 @@ impl TwoWay {
         }
     }
 
-    /// `tokens` `[n, 256]` and the picture's `pixels` `[m, 256]`, whose places are `grid`, after each has seen the other.
-    pub fn forward(&self, tokens: Tensor<2>, pixels: Tensor<2>, grid: &Tensor<2>) -> (Tensor<2>, Tensor<2>) {
+    /// `tokens` `[b, n, 256]` and the pictures' `pixels` `[b, m, 256]`, whose places are `grid` `[1, m, 256]`, after each has seen the
+    /// other.
+    pub fn forward(&self, tokens: Tensor<3>, pixels: Tensor<3>, grid: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
         let places = tokens.clone();
         let (mut tokens, mut pixels) = (tokens, pixels);
         for (i, layer) in self.layers.iter().enumerate() {

@@ -1,0 +1,165 @@
+//! What is kept of an object: its masks, pointers and memories, and which of them another frame is seen in the light of.
+
+use super::answer::Answer;
+use super::mask::ObjectMask;
+use super::video::Direction;
+use super::{MEMORIES, Sam2Error, holes, plane};
+use burn_core::tensor::Tensor;
+use m4_scene::Plane;
+use std::collections::BTreeMap;
+
+/// Frames before another whose memories it is seen in the light of.
+const MEMORY_FRAMES: usize = MEMORIES - 1;
+/// The same of pointers.
+const POINTER_FRAMES: usize = 15;
+
+/// An object in a frame.
+#[derive(Debug, Clone)]
+pub struct Entry {
+    pub mask: ObjectMask,
+    /// `[1, 256]`.
+    pub pointer: Tensor<2>,
+    /// `[1, n, 64]`; `None` before it is encoded, and where it is too far from everything.
+    pub memory: Option<Tensor<3>>,
+    /// Whether the caller showed it.
+    pub prompted: bool,
+}
+
+impl Entry {
+    /// What was found, without a memory; holes of at most `holes_px` pixels are filled.
+    pub fn of(answer: Answer, holes_px: usize, prompted: bool) -> Result<Self, Sam2Error> {
+        let mut logits = plane(answer.logits)?;
+        holes::fill(&mut logits, holes_px);
+        Ok(Self {
+            mask: ObjectMask {
+                logits,
+                iou: answer.iou,
+                candidates: answer.candidates,
+                score: answer.score,
+            },
+            pointer: answer.pointer,
+            memory: None,
+            prompted,
+        })
+    }
+}
+
+/// What a frame is seen in the light of.
+#[derive(Debug, Clone, Default)]
+pub struct Recall {
+    /// Memories, and which of the temporal positions each has.
+    pub memories: Vec<(usize, Tensor<3>)>,
+    /// Pointers, and how many frames ago.
+    pub pointers: Vec<(usize, Tensor<2>)>,
+}
+
+/// An object of a clip, by frames.
+#[derive(Debug, Clone, Default)]
+pub struct Object {
+    /// Where the caller showed it first.
+    pub conditioning: BTreeMap<usize, Entry>,
+    /// Where it was followed to, or corrected.
+    pub others: BTreeMap<usize, Entry>,
+    /// What was shown since it was last followed, and whether that belongs to the first.
+    pub pending: BTreeMap<usize, (Entry, bool)>,
+    /// Frames that it was followed to, and in which direction.
+    pub followed: BTreeMap<usize, Direction>,
+}
+
+impl Object {
+    /// What is known of it in a frame, the newest.
+    pub fn at(&self, frame: usize) -> Option<&Entry> {
+        let pending = self.pending.get(&frame).map(|(entry, _)| entry);
+        let settled = || self.conditioning.get(&frame).or_else(|| self.others.get(&frame));
+        pending.or_else(settled)
+    }
+
+    /// What was shown in a frame, and is not found anew.
+    pub fn shown(&self, frame: usize) -> Option<&Entry> {
+        let corrected = || self.others.get(&frame).filter(|entry| entry.prompted);
+        self.conditioning.get(&frame).or_else(corrected)
+    }
+
+    /// Earlier logits of a frame.
+    pub fn logits(&self, frame: usize) -> Option<&Plane<f32>> {
+        self.at(frame).map(|entry| &entry.mask.logits)
+    }
+
+    /// Puts what was shown in a frame, now with a memory, where it belongs.
+    pub fn settle(&mut self, frame: usize, entry: Entry, conditions: bool) {
+        if conditions {
+            self.others.remove(&frame);
+            self.conditioning.insert(frame, entry);
+        } else {
+            self.others.insert(frame, entry);
+        }
+    }
+
+    /// What `frame` of a clip of `frames` is seen in the light of when following in `direction`, of prompted frames at most `most`.
+    pub fn recall(&self, frame: usize, direction: Direction, frames: usize, most: Option<usize>) -> Recall {
+        let selected = closest(&self.conditioning, frame, most);
+        let other = |at: usize| {
+            let unselected = || self.conditioning.get(&at).filter(|_| !selected.contains(&at));
+            self.others.get(&at).or_else(unselected)
+        };
+        let before = |steps: usize| direction.before(frame, steps).filter(|&at| at < frames);
+        let mut recall = Recall::default();
+        for entry in selected.iter().filter_map(|at| self.conditioning.get(at)) {
+            recall.memories.extend(entry.memory.clone().map(|m| (MEMORIES - 1, m)));
+        }
+        for steps in (1..=MEMORY_FRAMES).rev() {
+            let memory = before(steps).and_then(other).and_then(|entry| entry.memory.clone());
+            recall.memories.extend(memory.map(|m| (steps - 1, m)));
+        }
+        for &at in &selected {
+            let past = match direction {
+                Direction::Forward => at <= frame,
+                Direction::Backward => at >= frame,
+            };
+            if let Some(entry) = self.conditioning.get(&at).filter(|_| past) {
+                recall.pointers.push((frame.abs_diff(at), entry.pointer.clone()));
+            }
+        }
+        for steps in 1..pointer_frames(frames) {
+            let Some(at) = before(steps) else { break };
+            recall
+                .pointers
+                .extend(other(at).map(|entry| (steps, entry.pointer.clone())));
+        }
+        recall
+    }
+
+    /// Forgets what no frame near `head` or near one that the caller showed is seen in the light of, but for `history` frames.
+    pub fn forget(&mut self, head: usize, history: usize) {
+        let shown = self.conditioning.keys().chain(self.pending.keys()).copied();
+        let anchors: Vec<usize> = shown.chain([head]).collect();
+        let near = |at: usize, reach: usize| anchors.iter().any(|&anchor| anchor.abs_diff(at) <= reach);
+        self.others
+            .retain(|&at, entry| entry.prompted || near(at, POINTER_FRAMES.max(history)));
+        for (&at, entry) in &mut self.others {
+            if !entry.prompted && !near(at, MEMORY_FRAMES.max(history)) {
+                entry.memory = None;
+            }
+        }
+    }
+}
+
+/// Pointers that a frame of a clip of `frames` may be seen in the light of, its own among them.
+pub fn pointer_frames(frames: usize) -> usize {
+    frames.min(POINTER_FRAMES + 1)
+}
+
+/// At most `most` of the frames of `entries`: the nearest before `frame`, the nearest from it on, then the nearest of the others.
+fn closest(entries: &BTreeMap<usize, Entry>, frame: usize, most: Option<usize>) -> Vec<usize> {
+    let Some(most) = most.filter(|&most| entries.len() > most.max(2)).map(|most| most.max(2)) else {
+        return entries.keys().copied().collect();
+    };
+    let before = entries.range(..frame).next_back().map(|(&at, _)| at);
+    let after = entries.range(frame..).next().map(|(&at, _)| at);
+    let mut chosen: Vec<usize> = before.into_iter().chain(after).collect();
+    let mut rest: Vec<usize> = entries.keys().copied().filter(|at| !chosen.contains(at)).collect();
+    rest.sort_by_key(|at| at.abs_diff(frame));
+    rest.truncate(most - chosen.len());
+    chosen.extend(rest);
+    chosen
+}

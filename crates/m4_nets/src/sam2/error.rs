@@ -1,0 +1,84 @@
+//! What can go wrong.
+
+use std::error::Error;
+
+/// Why there is no mask.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Sam2Error {
+    /// The network cannot take pictures of this side.
+    #[error("the side of the picture that SAM 2 takes is a multiple of 32 from 64 to 2048, not {0}")]
+    Side(usize),
+    /// A picture has no pixels.
+    #[error("{what} has no pixels: it is {width} x {height}")]
+    NoPixels {
+        /// What it is.
+        what: &'static str,
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+    },
+    /// A clip without frames.
+    #[error("a clip without frames has no masks")]
+    NoFrames,
+    /// A frame that the clip has not.
+    #[error("frame {frame} is asked for in a clip of {frames}, whose first is 0")]
+    NoSuchFrame {
+        /// The frame.
+        frame: usize,
+        /// Frames of the clip.
+        frames: usize,
+    },
+    /// An object that was never shown.
+    #[error("object {0} is not known; show it in a frame first")]
+    UnknownObject(u32),
+    /// There is no object to follow.
+    #[error("there is no object to follow; show one in a frame first")]
+    NoObjects,
+    /// The prompt is empty.
+    #[error("a prompt needs a point, a box or a mask")]
+    NothingAsked,
+    /// A point or a corner of the prompt is not in the picture.
+    #[error("the prompt has a place at column {}, row {} of a picture of {width} x {height} pixels", at_px[0], at_px[1])]
+    Outside {
+        /// Column and row, in pixels.
+        at_px: [f32; 2],
+        /// Columns of the picture.
+        width: usize,
+        /// Rows of the picture.
+        height: usize,
+    },
+    /// The box of the prompt ends before it begins.
+    #[error("the box of a prompt is its first column and row, then its last, not {0:?}")]
+    Reversed([f32; 4]),
+    /// The prompt's mask has numbers that are infinite or none.
+    #[error("the mask of a prompt has numbers that are not finite")]
+    NotFinite,
+    /// The prompt's mask has another size.
+    #[error(
+        "the mask of a prompt has {expected} x {expected} pixels, as the logits of a prediction, not {width} x {height}"
+    )]
+    MaskSize {
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Columns and rows that it should have.
+        expected: usize,
+    },
+    /// A frame's picture could not be had.
+    #[error("the picture of frame {frame} cannot be had: {reason}")]
+    Picture {
+        /// The frame.
+        frame: usize,
+        /// What its source says.
+        reason: Box<dyn Error + Send + Sync>,
+    },
+    /// The user asked to stop.
+    #[error("following objects was stopped")]
+    Cancelled,
+    /// The device failed, for one for lack of memory.
+    #[error("the device that computes masks failed: {0}")]
+    Device(String),
+}

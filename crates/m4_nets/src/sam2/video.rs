@@ -1,0 +1,481 @@
+//! Objects followed through a clip.
+//!
+//! ```text
+//! show an object in a frame --> its mask there (pending)
+//! follow: pending masks become memories; then frame by frame, each object that was not shown there:
+//!     memories and pointers of frames before and of those that were shown --> mask --> memory, pointer
+//! ```
+//!
+//! Objects do not know of each other; those that have equally many memories are computed together. A frame's features are computed once for
+//! all of them.
+
+use super::answer::Answer;
+use super::bank::{Entry, Object, Recall, pointer_frames};
+use super::mask::ObjectMask;
+use super::memory_attention::{MEMORY_WIDTH, Memories};
+use super::picture::{Frame, squared_mask};
+use super::{Features, Sam2, Sam2Error, prompts};
+use crate::ops::{Kernels, resampled, tensor};
+use crate::sam::{Prompt, WIDTH};
+use burn_core::tensor::Tensor;
+use m4_scene::{Plane, Progress, RgbImage};
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::fmt;
+use std::ops::RangeInclusive;
+use std::sync::Arc;
+
+/// Gives the picture of a frame, by its number in the clip. Pictures may be of any size: all are squeezed to the network's square.
+pub type Pictures<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
+
+/// Which way objects are followed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    /// Later frames after earlier ones.
+    Forward,
+    /// Earlier frames after later ones.
+    Backward,
+}
+
+impl Direction {
+    /// The frame that came `steps` before `frame`; it may lie beyond the clip's end.
+    pub(super) fn before(self, frame: usize, steps: usize) -> Option<usize> {
+        match self {
+            Self::Forward => frame.checked_sub(steps),
+            Self::Backward => frame.checked_add(steps),
+        }
+    }
+}
+
+/// A clip.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Clip {
+    /// Frames.
+    pub frames: usize,
+    /// Columns that places of prompts are counted in, whatever the size of the pictures.
+    pub width: usize,
+    /// Rows, likewise.
+    pub height: usize,
+}
+
+/// How objects are followed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct VideoOptions {
+    /// Holes of at most so many pixels of the logits are filled; 0 fills none. Upstream fills 8 where it runs on CUDA, and none elsewhere.
+    pub fill_holes_px: usize,
+    /// Whether a frame that an object is corrected in, after it was followed to it, counts as one that it was shown in first: later frames
+    /// then never forget it. Upstream's is false.
+    pub corrections_condition: bool,
+    /// Frames that an object was shown in, at most, that another is seen in the light of: the nearest ones, at least 2. `None` takes all, as
+    /// upstream does; each costs as much as a frame before.
+    pub most_conditioning: Option<usize>,
+    /// What was found is kept of frames that are so near to the last or to one that was shown. Less than 15 is 15 (6 for memories), which
+    /// is what following needs; a correction farther off starts without the mask of before.
+    pub history_frames: usize,
+    /// Objects that are computed together, at most.
+    pub together: usize,
+}
+
+impl Default for VideoOptions {
+    fn default() -> Self {
+        Self {
+            fill_holes_px: 0,
+            corrections_condition: false,
+            most_conditioning: None,
+            history_frames: 0,
+            together: 4,
+        }
+    }
+}
+
+/// Frames whose features are kept.
+const FEATURES: usize = 3;
+/// The largest logit of an earlier mask that a prompt takes up, up or down.
+const EARLIER_LOGIT: f32 = 32.0;
+
+/// Follows objects through a clip.
+///
+/// What is kept does not grow with the clip but for two numbers an object and frame: a megabyte for each of six frames before the last,
+/// a quarter of one for each of 15, and the same on both sides of each frame that an object was shown in.
+pub struct VideoPredictor<'a> {
+    pub(super) net: Arc<Sam2>,
+    clip: Clip,
+    frame: Frame,
+    pictures: Pictures<'a>,
+    options: VideoOptions,
+    pub(super) objects: BTreeMap<u32, Object>,
+    /// The last ones last.
+    features: Vec<(usize, Arc<Features>)>,
+}
+
+impl fmt::Debug for VideoPredictor<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("VideoPredictor")
+            .field("clip", &self.clip)
+            .field("options", &self.options)
+            .field("objects", &self.objects.keys())
+            .finish_non_exhaustive()
+    }
+}
+
+impl<'a> VideoPredictor<'a> {
+    /// For `clip`, whose pictures are asked for where they are needed.
+    ///
+    /// # Errors
+    ///
+    /// [`Sam2Error`] if the clip has no frames or no pixels.
+    pub fn new(net: Arc<Sam2>, clip: Clip, pictures: Pictures<'a>, options: VideoOptions) -> Result<Self, Sam2Error> {
+        if clip.frames == 0 {
+            return Err(Sam2Error::NoFrames);
+        }
+        Ok(Self {
+            net,
+            clip,
+            frame: Frame::of("a clip", (clip.width, clip.height))?,
+            pictures,
+            options,
+            objects: BTreeMap::new(),
+            features: Vec::new(),
+        })
+    }
+
+    /// Objects that were shown.
+    pub fn objects(&self) -> impl Iterator<Item = u32> {
+        self.objects.keys().copied()
+    }
+
+    /// Forgets an object.
+    ///
+    /// # Errors
+    ///
+    /// [`Sam2Error::UnknownObject`] if it was never shown.
+    pub fn remove(&mut self, object: u32) -> Result<(), Sam2Error> {
+        let found = self.objects.remove(&object);
+        found.map(drop).ok_or(Sam2Error::UnknownObject(object))
+    }
+
+    /// The mask of an object in a frame, if it is still known.
+    ///
+    /// # Errors
+    ///
+    /// [`Sam2Error`] if the object was never shown or the clip has no such frame.
+    pub fn mask(&self, frame: usize, object: u32) -> Result<Option<ObjectMask>, Sam2Error> {
+        self.check(frame)?;
+        let object = self.objects.get(&object).ok_or(Sam2Error::UnknownObject(object))?;
+        Ok(object.at(frame).map(|entry| entry.mask.clone()))
+    }
+
+    fn check(&self, frame: usize) -> Result<(), Sam2Error> {
+        let frames = self.clip.frames;
+        if frame < frames {
+            Ok(())
+        } else {
+            Err(Sam2Error::NoSuchFrame { frame, frames })
+        }
+    }
+
+    /// Shows an object in a frame by places, with a name of the caller's choice, or corrects it there; its mask in that frame. All places
+    /// of the frame are given each time: they replace earlier ones. `mask_logits` of the prompt take the place of what was found in that
+    /// frame before, which else counts. Other frames learn of it when they are [followed to](Self::follow).
+    ///
+    /// # Errors
+    ///
+    /// [`Sam2Error`] if the clip has no such frame, the prompt is empty or wrong, or the picture or the device fails.
+    pub fn show(&mut self, frame: usize, object: u32, prompt: &Prompt) -> Result<ObjectMask, Sam2Error> {
+        self.check(frame)?;
+        prompts::check(prompt)?;
+        let net = Arc::clone(&self.net);
+        let tokens = prompts::tokens(&net.net.prompt_encoder, prompt, self.frame, net.side)?;
+        let given = prompt.mask_logits.as_ref();
+        let known = self.objects.get(&object);
+        let mask = match given.or_else(|| known?.logits(frame)) {
+            Some(mask) => {
+                let mask = prompts::mask(mask, net.mask_side(), &net.device)?;
+                Some(mask.clamp(-EARLIER_LOGIT, EARLIER_LOGIT))
+            }
+            None => None,
+        };
+        let recall = known.and_then(|known| {
+            let direction = *known.followed.get(&frame)?;
+            let recall = known.recall(frame, direction, self.clip.frames, self.options.most_conditioning);
+            (!recall.memories.is_empty()).then_some(recall)
+        });
+        let first = known.is_none_or(|known| !known.followed.contains_key(&frame));
+        let features = self.features(frame)?;
+        let map = match recall {
+            Some(recall) => net.recalled(net.begun(&features), &[recall], self.clip.frames),
+            None => net.unremembered(&features),
+        };
+        let said = net.decoded(map, &features, tokens.unsqueeze_dim(0), mask);
+        let answers = net.answers(said, prompt.is_ambiguous())?;
+        self.pend(frame, object, answers, first)
+    }
+
+    /// Shows an object in a frame by its mask, of any size with pixels over the whole picture.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::show`].
+    pub fn show_mask(&mut self, frame: usize, object: u32, mask: &Plane<bool>) -> Result<ObjectMask, Sam2Error> {
+        self.check(frame)?;
+        Frame::of("a mask", mask.size())?;
+        let net = Arc::clone(&self.net);
+        let features = self.features(frame)?;
+        let known = self.objects.get(&object);
+        let first = known.is_none_or(|known| !known.followed.contains_key(&frame));
+        let answer = net.given(&features, squared_mask(mask, net.side))?;
+        self.pend(frame, object, vec![answer], first)
+    }
+
+    /// Keeps what was shown, the first of `answers`, until objects are followed.
+    fn pend(&mut self, frame: usize, object: u32, answers: Vec<Answer>, first: bool) -> Result<ObjectMask, Sam2Error> {
+        let nothing = || Sam2Error::Device("no answer".to_owned());
+        let answer = answers.into_iter().next().ok_or_else(nothing)?;
+        let entry = Entry::of(answer, self.options.fill_holes_px, true)?;
+        let mask = entry.mask.clone();
+        let known = self.objects.entry(object).or_default();
+        // what was shown first is corrected where it is
+        let conditions = first || self.options.corrections_condition || known.conditioning.contains_key(&frame);
+        known.pending.insert(frame, (entry, conditions));
+        Ok(mask)
+    }
+
+    /// Follows all objects through `frames`, from the first to the last or from the last to the first; `each` gets the frame and the masks of
+    /// all objects in it. What was shown in a frame is given as it was found there.
+    ///
+    /// # Errors
+    ///
+    /// [`Sam2Error`] if there is no object, the clip has no such frames, `progress` says to stop, or a picture or the device fails. Frames
+    /// that `each` got stay followed.
+    pub fn follow(
+        &mut self,
+        frames: RangeInclusive<usize>,
+        direction: Direction,
+        progress: &dyn Progress,
+        mut each: impl FnMut(usize, &BTreeMap<u32, ObjectMask>),
+    ) -> Result<(), Sam2Error> {
+        if self.objects.is_empty() {
+            return Err(Sam2Error::NoObjects);
+        }
+        self.check(*frames.start())?;
+        self.check(*frames.end())?;
+        let total = frames.clone().count();
+        self.settle(progress)?;
+        for done in 0..total {
+            if progress.cancelled() {
+                return Err(Sam2Error::Cancelled);
+            }
+            let frame = match direction {
+                Direction::Forward => frames.start() + done,
+                Direction::Backward => frames.end() - done,
+            };
+            let masks = self.step(frame, direction)?;
+            each(frame, &masks);
+            progress.update("masks", done + 1, total, "");
+        }
+        Ok(())
+    }
+
+    /// Encodes memories of what was shown.
+    fn settle(&mut self, progress: &dyn Progress) -> Result<(), Sam2Error> {
+        let net = Arc::clone(&self.net);
+        let pending: Vec<(u32, usize)> = self
+            .objects
+            .iter()
+            .flat_map(|(&id, object)| object.pending.keys().map(move |&frame| (id, frame)))
+            .collect();
+        for (id, frame) in pending {
+            if progress.cancelled() {
+                return Err(Sam2Error::Cancelled);
+            }
+            let features = self.features(frame)?;
+            let Some(object) = self.objects.get_mut(&id) else {
+                continue;
+            };
+            let Some((mut entry, conditions)) = object.pending.remove(&frame) else {
+                continue;
+            };
+            let side = net.mask_side();
+            let logits = tensor(entry.mask.logits.data().to_vec(), [1, side, side], &net.device);
+            let enlarged = net.enlarged(logits);
+            let mask = enlarged.clone().greater_elem(0.0).float().cast(enlarged.dtype());
+            entry.memory = Some(net.remembered(&features, mask, &[entry.mask.is_there()]));
+            object.settle(frame, entry, conditions);
+        }
+        Ok(())
+    }
+
+    /// The masks of all objects in a frame.
+    fn step(&mut self, frame: usize, direction: Direction) -> Result<BTreeMap<u32, ObjectMask>, Sam2Error> {
+        let mut groups: BTreeMap<(usize, usize), Vec<(u32, Recall)>> = BTreeMap::new();
+        for (&id, object) in &self.objects {
+            if object.shown(frame).is_none() {
+                let recall = object.recall(frame, direction, self.clip.frames, self.options.most_conditioning);
+                let size = (recall.memories.len(), recall.pointers.len());
+                groups.entry(size).or_default().push((id, recall));
+            }
+        }
+        if !groups.is_empty() {
+            let net = Arc::clone(&self.net);
+            let features = self.features(frame)?;
+            let begun = net.begun(&features);
+            for (_, group) in groups {
+                for some in group.chunks(self.options.together.max(1)) {
+                    let found = self.found(&net, &features, &begun, some)?;
+                    for (id, entry) in found {
+                        if let Some(object) = self.objects.get_mut(&id) {
+                            object.others.insert(frame, entry);
+                        }
+                    }
+                }
+            }
+        }
+        let mut masks = BTreeMap::new();
+        for (&id, object) in &mut self.objects {
+            object.followed.insert(frame, direction);
+            object.forget(frame, self.options.history_frames);
+            masks.extend(object.at(frame).map(|entry| (id, entry.mask.clone())));
+        }
+        Ok(masks)
+    }
+
+    /// Some objects, which have equally many memories, in a frame.
+    fn found(
+        &self,
+        net: &Sam2,
+        features: &Features,
+        begun: &Tensor<3>,
+        some: &[(u32, Recall)],
+    ) -> Result<Vec<(u32, Entry)>, Sam2Error> {
+        let recalls: Vec<Recall> = some.iter().map(|(_, recall)| recall.clone()).collect();
+        let map = net.recalled(begun.clone(), &recalls, self.clip.frames);
+        let answers = net.followed(map, features)?;
+        let logits = answers.iter().map(|answer| answer.logits.clone()).collect();
+        let there: Vec<bool> = answers.iter().map(|answer| answer.score > 0.0).collect();
+        let masks = crate::ops::sigmoid(net.enlarged(Tensor::cat(logits, 0)));
+        let memories = net.remembered(features, masks, &there);
+        let mut found = Vec::new();
+        for (i, (answer, (id, _))) in answers.into_iter().zip(some).enumerate() {
+            let mut entry = Entry::of(answer, self.options.fill_holes_px, false)?;
+            entry.memory = Some(memories.clone().narrow(0, i, 1));
+            found.push((*id, entry));
+        }
+        Ok(found)
+    }
+
+    /// A frame's features.
+    pub(super) fn features(&mut self, frame: usize) -> Result<Arc<Features>, Sam2Error> {
+        if let Some(i) = self.features.iter().position(|(at, _)| *at == frame) {
+            let kept = self.features.remove(i);
+            let features = Arc::clone(&kept.1);
+            self.features.push(kept);
+            return Ok(features);
+        }
+        let picture = (self.pictures)(frame).map_err(|reason| Sam2Error::Picture { frame, reason })?;
+        let features = Arc::new(self.net.encode(&picture)?);
+        if self.features.len() >= FEATURES {
+            self.features.remove(0);
+        }
+        self.features.push((frame, Arc::clone(&features)));
+        Ok(features)
+    }
+}
+
+impl Sam2 {
+    /// A frame's features after what of memory attention depends on the frame alone.
+    pub(super) fn begun(&self, features: &Features) -> Tensor<3> {
+        let tables = &self.tables;
+        let attention = &self.net.memory_attention;
+        attention.begun(features.map.clone(), &tables.sine, &tables.rotations)
+    }
+
+    /// The same in the light of memories, of which all `recalls` have equally many, at least one: `[b, n, 256]`.
+    pub(super) fn recalled(&self, begun: Tensor<3>, recalls: &[Recall], frames: usize) -> Tensor<3> {
+        let (mut values, mut keys) = (Vec::new(), Vec::new());
+        for recall in recalls {
+            let [value, key] = self.memories(recall, frames);
+            values.push(value);
+            keys.push(key);
+        }
+        let placed = recalls.first().map_or(0, |recall| recall.memories.len());
+        let memories = Memories {
+            values: Tensor::cat(values, 0),
+            keys: Tensor::cat(keys, 0),
+            placed: placed * self.tables.grid * self.tables.grid,
+        };
+        let attention = &self.net.memory_attention;
+        attention.forward(begun, &memories, &self.tables.rotations)
+    }
+
+    /// Memories and pointers one after the other, `[1, m, 64]`, without and with their positions.
+    fn memories(&self, recall: &Recall, frames: usize) -> [Tensor<3>; 2] {
+        let (mut values, mut places) = (Vec::new(), Vec::new());
+        for (time, memory) in &recall.memories {
+            let time = self.net.maskmem_tpos_enc.val().narrow(0, *time, 1);
+            values.push(memory.clone());
+            places.push(self.tables.memory_sine.clone() + time.reshape([1, 1, MEMORY_WIDTH]));
+        }
+        if !recall.pointers.is_empty() {
+            let count = recall.pointers.len();
+            let parts = WIDTH / MEMORY_WIDTH;
+            let pointers = recall.pointers.iter().map(|(_, pointer)| pointer.clone()).collect();
+            let pointers: Tensor<2> = Tensor::cat(pointers, 0);
+            values.push(pointers.reshape([1, count * parts, MEMORY_WIDTH]));
+            let most = (pointer_frames(frames) - 1).max(1) as f32;
+            let times = recall
+                .pointers
+                .iter()
+                .flat_map(|(steps, _)| waves(*steps as f32 / most));
+            let times = tensor(times.collect(), [count, WIDTH], &self.device).cast(self.dtype);
+            let times = self.net.obj_ptr_tpos_proj.forward(times);
+            let times = times
+                .reshape([count, 1, MEMORY_WIDTH])
+                .expand([count, parts, MEMORY_WIDTH]);
+            places.push(times.reshape([1, count * parts, MEMORY_WIDTH]));
+        }
+        let values = Tensor::cat(values, 1);
+        [values.clone(), values + Tensor::cat(places, 1)]
+    }
+
+    /// A frame's features where nothing is remembered.
+    pub(super) fn unremembered(&self, features: &Features) -> Tensor<3> {
+        features.map.clone() + self.net.no_mem_embed.val()
+    }
+
+    /// What a mask of the picture's square, 1 where the object is, stands for.
+    fn given(&self, features: &Features, mask: Vec<f32>) -> Result<Answer, Sam2Error> {
+        let (side, small) = (self.side, self.mask_side());
+        let there = mask.iter().any(|&x| x > 0.0);
+        let logits: Vec<f32> = mask.iter().map(|x| 20.0 * x - 10.0).collect();
+        let smaller = Kernels::triangle(side, small);
+        let logits = resampled(&logits, side, side, &smaller, &smaller);
+        let pointer = if there {
+            let mask = tensor(mask, [1, 1, side, side], &self.device).cast(self.dtype);
+            let mask = self.net.mask_downsample.forward(mask);
+            let nowhere = self.net.prompt_encoder.nowhere();
+            let tokens = Tensor::cat(vec![nowhere.clone(), nowhere], 0).unsqueeze_dim(0);
+            let mask = mask.cast(burn_core::tensor::DType::F32);
+            let said = self.decoded(features.map.clone(), features, tokens, Some(mask));
+            let mut answers = self.answers(said, false)?;
+            answers.pop().map(|answer| answer.pointer)
+        } else {
+            None
+        };
+        Ok(Answer {
+            logits: tensor(logits, [1, small, small], &self.device),
+            pointer: pointer.unwrap_or_else(|| self.net.no_obj_ptr.val()),
+            score: if there { 10.0 } else { -10.0 },
+            iou: 1.0,
+            candidates: vec![1.0],
+        })
+    }
+}
+
+/// A time as sines and cosines, 128 each, neighbours of the same wavelength.
+fn waves(time: f32) -> impl Iterator<Item = f32> {
+    let half = WIDTH / 2;
+    let angle = move |i: usize| time / 10_000f32.powf((i / 2 * 2) as f32 / half as f32);
+    (0..half)
+        .map(move |i| angle(i).sin())
+        .chain((0..half).map(move |i| angle(i).cos()))
+}
