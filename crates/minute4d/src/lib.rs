@@ -28,6 +28,7 @@
 
 pub mod bench;
 pub mod device;
+pub mod enhance;
 pub mod evaluate;
 pub mod export;
 pub mod folder;
