@@ -54,7 +54,8 @@ fn made(frames: usize) -> Capture {
             .then(|| Plane::from_fn(12, 9, |x, y| if x == 0 { 0.0 } else { 1.0 + (x * y) as f32 / 7.0 }).into()),
         mask: (i != 2).then(|| CompactMask::from_fn(24, 18, |x, y| x * y > 99)),
         motion: (i != 3).then(|| Plane::from_fn(6, 5, |x, y| (40 * x + y) as u8)),
-        instances: (i != 4).then(|| CompactIds::from(&Plane::from_fn(12, 9, |x, y| u16::from(x > 3) * (y as u16 / 4) * 200))),
+        instances: (i != 4)
+            .then(|| CompactIds::from(&Plane::from_fn(12, 9, |x, y| u16::from(x > 3) * (y as u16 / 4) * 200))),
         camera_index: None,
     };
     Capture {

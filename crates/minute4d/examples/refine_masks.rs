@@ -56,9 +56,19 @@ fn main() -> Result<(), Fault> {
     let settings = serde_json::from_str(&arg(4, "{}"))?;
     let follower = Follower::load(segmenter, serde_json::from_str(&arg(5, "{}"))?)?;
     let start = Instant::now();
-    let (found, report) = masks(capture, &settings, &follower.segmenter(), Some(follower.flow()), &Silent)?;
+    let (found, report) = masks(
+        capture,
+        &settings,
+        &follower.segmenter(),
+        Some(follower.flow()),
+        &Silent,
+    )?;
     let seconds = start.elapsed().as_secs_f64();
-    line(&format!("refined by {}, every {} frames", report.segmenter, report.every_frames), &truth, &found);
+    line(
+        &format!("refined by {}, every {} frames", report.segmenter, report.every_frames),
+        &truth,
+        &found,
+    );
     println!(
         "  {seconds:.1} s, {} things, {} parts refused, {:.4} of the pixels unexplained",
         report.instances.len(),

@@ -67,7 +67,9 @@ impl ReadImageError {
         match self {
             Self::Io { source, .. } => ErrorKind::of_read(source),
             Self::UnknownFormat { .. } => ErrorKind::Unsupported,
-            Self::Damaged { .. } | Self::TooLarge { .. } | Self::NotDepth { .. } | Self::NotIds { .. } => ErrorKind::BadData,
+            Self::Damaged { .. } | Self::TooLarge { .. } | Self::NotDepth { .. } | Self::NotIds { .. } => {
+                ErrorKind::BadData
+            }
         }
     }
 }

@@ -57,12 +57,12 @@ pub use config::{
 };
 pub use densify::{Dense, DenseFrame, densify};
 pub use error::DenseError;
-pub(crate) use flow::{FlowPair, bilinear, round_trip_px};
 pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
+pub(crate) use flow::{FlowPair, bilinear, round_trip_px};
 pub use given::Given;
 pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};
-pub(crate) use segment::{belief, points_apart, to_outside};
 pub use segment::{SegmentConfig, SegmentError, SegmentMask, SegmentPrompt, Segmenter};
+pub(crate) use segment::{belief, points_apart, to_outside};
 pub(crate) use shot::quantile;
 pub(crate) use smooth::Smoother;
 pub use sources::Sources;

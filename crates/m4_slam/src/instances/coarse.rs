@@ -89,7 +89,11 @@ impl Rough<'_> {
             Coarse::Masks(masks) => {
                 let share = masks[frame].to_mask().map(|&m| f32::from(m) / 255.0);
                 let share = resize_bilinear(&share, w, h);
-                share.data().iter().map(|&p| (if p >= 0.5 { 255 } else { 0 }, p < 0.5)).unzip()
+                share
+                    .data()
+                    .iter()
+                    .map(|&p| (if p >= 0.5 { 255 } else { 0 }, p < 0.5))
+                    .unzip()
             }
         };
         let radius_px = self.settings.open_share * w.max(h) as f32;

@@ -62,8 +62,10 @@ pub(super) fn finish(
             if progress.cancelled() {
                 return Err(InstanceError::Cancelled { phase: PHASE });
             }
-            let shown: Vec<(u16, &Outline)> =
-                kept.iter().filter_map(|(id, thing, _)| Some((*id, thing.masks.get(&frame)?))).collect();
+            let shown: Vec<(u16, &Outline)> = kept
+                .iter()
+                .filter_map(|(id, thing, _)| Some((*id, thing.masks.get(&frame)?)))
+                .collect();
             let out = paint_frame(rough, frame, frames, &shown);
             progress.update(PHASE, done.fetch_add(1, Ordering::Relaxed) + 1, frames, "");
             Ok(out)
@@ -71,9 +73,8 @@ pub(super) fn finish(
         .collect::<Result<_, _>>()?;
 
     let pixels = w * h;
-    let share = |of: &dyn Fn(&Painted) -> usize| {
-        painted.iter().map(of).sum::<usize>() as f64 / (pixels * frames).max(1) as f64
-    };
+    let share =
+        |of: &dyn Fn(&Painted) -> usize| painted.iter().map(of).sum::<usize>() as f64 / (pixels * frames).max(1) as f64;
     let record = |&(id, thing, supported): &(u16, &Thing, f64)| thing.record(id, supported, pixels, frames);
     let report = InstanceReport {
         segmenter: segmenter.to_owned(),
@@ -157,7 +158,9 @@ fn paint_frame(rough: &Rough<'_>, frame: usize, frames: usize, shown: &[(u16, &O
     let mut ids = paint::ids(shown, rough.size);
     paint::fill_holes(&mut ids, (settings.hole_share * (w * h) as f32) as usize);
     let mut mask: Vec<u8> = ids.data().iter().map(|&id| if id > 0 { 255 } else { 0 }).collect();
-    let keep = settings.keep_unexplained.unwrap_or(matches!(rough.coarse, Coarse::Masks(_)));
+    let keep = settings
+        .keep_unexplained
+        .unwrap_or(matches!(rough.coarse, Coarse::Masks(_)));
     let mut unexplained_px = 0;
     let coarse = if keep {
         let around = Around::of(rough, frame, frames);

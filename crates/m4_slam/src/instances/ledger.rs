@@ -32,7 +32,9 @@ impl Thing {
         if found.sight == Sight::Lost {
             self.lost[usize::from(!later)] = true;
         }
-        let Some(outline) = Outline::of(&found.mask) else { return };
+        let Some(outline) = Outline::of(&found.mask) else {
+            return;
+        };
         let near = if later {
             self.masks.range(..frame).next_back()
         } else {
@@ -48,7 +50,10 @@ impl Thing {
 
     /// Half of the frames that both are seen in, they overlap by more than `least`.
     pub fn is_also(&self, other: &Self, least: f32) -> bool {
-        let common = self.masks.iter().filter_map(|(frame, a)| Some((a, other.masks.get(frame)?)));
+        let common = self
+            .masks
+            .iter()
+            .filter_map(|(frame, a)| Some((a, other.masks.get(frame)?)));
         let (mut same, mut all) = (0usize, 0usize);
         for (a, b) in common {
             all += 1;

@@ -43,6 +43,6 @@ pub use error::InstanceError;
 pub use follow::{FlowFollower, FollowSettings};
 pub use polarity::{Polarity, PolarityEvidence};
 pub use refine::{RefineInput, Refined, RefinedFrame, refine};
-pub use report::{Ending, InstanceReport, InstanceRecord, Rejected, Rejection};
+pub use report::{Ending, InstanceRecord, InstanceReport, Rejected, Rejection};
 pub use settings::{MotionReading, Preset, RefineSettings};
 pub use source::{ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSegmenter, VideoSession};

@@ -39,7 +39,9 @@ mod tests {
     fn opening_takes_threads_and_leaves_what_is_wide() {
         let square = |x: usize, y: usize| (5..25).contains(&x) && (5..20).contains(&y);
         let thread = |x: usize, y: usize| y == 25 && x > 3 || x == 30;
-        let mask: Vec<u8> = (0..W * H).map(|p| u8::from(square(p % W, p / W) || thread(p % W, p / W))).collect();
+        let mask: Vec<u8> = (0..W * H)
+            .map(|p| u8::from(square(p % W, p / W) || thread(p % W, p / W)))
+            .collect();
         let found = opened(W, H, &mask, 2.0);
         for p in 0..W * H {
             let (x, y) = (p % W, p / W);

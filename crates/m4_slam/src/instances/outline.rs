@@ -46,7 +46,11 @@ impl Outline {
     /// Whether the pixel belongs to the thing; outside of its box none does.
     pub fn at(&self, x: usize, y: usize) -> bool {
         let (w, h) = self.bits.size();
-        x >= self.left && y >= self.top && x - self.left < w && y - self.top < h && self.bits.at(x - self.left, y - self.top)
+        x >= self.left
+            && y >= self.top
+            && x - self.left < w
+            && y - self.top < h
+            && self.bits.at(x - self.left, y - self.top)
     }
 
     /// Column and row of every pixel, row by row.
@@ -56,7 +60,11 @@ impl Outline {
 
     /// Pixels that both have.
     pub fn common(&self, other: &Self) -> usize {
-        let (small, large) = if self.area <= other.area { (self, other) } else { (other, self) };
+        let (small, large) = if self.area <= other.area {
+            (self, other)
+        } else {
+            (other, self)
+        };
         small.pixels().filter(|&(x, y)| large.at(x, y)).count()
     }
 
@@ -81,12 +89,16 @@ mod tests {
     #[test]
     fn an_outline_is_its_mask() {
         let (w, h) = (40, 30);
-        let one = CompactMask::from_fn(w, h, |x, y| (10..20).contains(&x) && (5..15).contains(&y) && (x + y) % 7 > 0);
+        let one = CompactMask::from_fn(w, h, |x, y| {
+            (10..20).contains(&x) && (5..15).contains(&y) && (x + y) % 7 > 0
+        });
         let two = CompactMask::from_fn(w, h, |x, y| (15..30).contains(&x) && (0..12).contains(&y));
         let (a, b) = (Outline::of(&one).unwrap(), Outline::of(&two).unwrap());
         assert_eq!((a.area(), b.area()), (one.count(), 180));
         assert!((0..w * h).all(|i| a.at(i % w, i / w) == one.at(i % w, i / w)));
-        let both = (0..w * h).filter(|i| one.at(i % w, i / w) && two.at(i % w, i / w)).count();
+        let both = (0..w * h)
+            .filter(|i| one.at(i % w, i / w) && two.at(i % w, i / w))
+            .count();
         assert_eq!((a.common(&b), b.common(&a)), (both, both));
         assert_eq!(a.overlap(&b), both as f32 / (a.area() + 180 - both) as f32);
         assert_eq!(a.with(&b, (w, h)).area(), a.area() + 180 - both);

@@ -38,7 +38,9 @@ pub(super) fn fill_holes(ids: &mut Plane<u16>, most_px: usize) {
             }
         }
         // Of equally many the lowest number.
-        let most = rim.into_iter().max_by_key(|&(id, count)| (count, std::cmp::Reverse(id)));
+        let most = rim
+            .into_iter()
+            .max_by_key(|&(id, count)| (count, std::cmp::Reverse(id)));
         if let (Some((id, _)), false) = (most, open) {
             for p in hole {
                 ids.data_mut()[p as usize] = id;
@@ -61,10 +63,14 @@ mod tests {
 
     #[test]
     fn the_smaller_lies_on_top_and_small_holes_close() {
-        let large = outline(|x, y| (2..22).contains(&x) && (2..18).contains(&y) && !((5..7).contains(&x) && y == 5) && x != 15);
+        let large =
+            outline(|x, y| (2..22).contains(&x) && (2..18).contains(&y) && !((5..7).contains(&x) && y == 5) && x != 15);
         let small = outline(|x, y| (10..14).contains(&x) && (8..12).contains(&y));
         let mut found = ids(&[(3, &large), (7, &small)], SIZE);
-        assert_eq!((found[(3, 3)], found[(11, 9)], found[(5, 5)], found[(15, 9)]), (3, 7, 0, 0));
+        assert_eq!(
+            (found[(3, 3)], found[(11, 9)], found[(5, 5)], found[(15, 9)]),
+            (3, 7, 0, 0)
+        );
         fill_holes(&mut found, 4);
         assert_eq!((found[(5, 5)], found[(15, 9)], found[(0, 0)]), (3, 0, 0));
         fill_holes(&mut found, 10_000);

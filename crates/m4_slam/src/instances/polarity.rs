@@ -6,8 +6,8 @@
 
 use super::clip::Clip;
 use super::coarse::Coarse;
-use super::source::VideoError;
 use super::follow::Picture;
+use super::source::VideoError;
 use crate::dense::{Flow, FlowPair, FlowSource, quantile, working_size};
 use m4_scene::Plane;
 use nalgebra::{Matrix3, Vector3};
@@ -59,7 +59,10 @@ impl fmt::Display for PolarityEvidence {
             percent(self.border_high_share)
         )?;
         match self.residual_px {
-            Some([high, low]) => write!(f, "; flow differs from the camera's by {high:.2} px where they are high and {low:.2} px elsewhere"),
+            Some([high, low]) => write!(
+                f,
+                "; flow differs from the camera's by {high:.2} px where they are high and {low:.2} px elsewhere"
+            ),
             None => Ok(()),
         }
     }
@@ -70,7 +73,11 @@ impl PolarityEvidence {
     #[must_use]
     pub fn verdict(&self) -> Polarity {
         let calm = self.residual_px.is_some_and(|[high, low]| high < CALM * low);
-        let witnesses = [self.high_share > MOST_MOVING, self.border_high_share > MOST_MOVING, calm];
+        let witnesses = [
+            self.high_share > MOST_MOVING,
+            self.border_high_share > MOST_MOVING,
+            calm,
+        ];
         match witnesses.iter().filter(|&&w| w).count() {
             0 => Polarity::Moving,
             1 => Polarity::Doubtful,
@@ -125,7 +132,10 @@ fn residuals(
     let full = clip.size();
     let (w, h) = working_size(full.0, full.1, SIDE_PX);
     let (mut high, mut low) = (Vec::new(), Vec::new());
-    let mut firsts: Vec<usize> = (1..=PAIRS).map(|k| k * n / (PAIRS + 1)).filter(|&i| i + 1 < n).collect();
+    let mut firsts: Vec<usize> = (1..=PAIRS)
+        .map(|k| k * n / (PAIRS + 1))
+        .filter(|&i| i + 1 < n)
+        .collect();
     firsts.dedup();
     for i in firsts {
         let (a, b) = (Picture::of(clip, i, (w, h))?, Picture::of(clip, i + 1, (w, h))?);
@@ -148,8 +158,17 @@ fn residuals(
 /// How far flow is from the affine motion that most of the picture follows, pixels; NaN where the way there and back does not close.
 fn off_camera(flow: &Flow, round_trip_px: &[f32]) -> Vec<f32> {
     let width = flow.width;
-    let known: Vec<usize> = (0..flow.u.len()).step_by(3).filter(|&i| round_trip_px[i] < 1.0).collect();
-    let place = |i: usize| Vector3::new((i % width) as f64 / width as f64, (i / width) as f64 / width as f64, 1.0);
+    let known: Vec<usize> = (0..flow.u.len())
+        .step_by(3)
+        .filter(|&i| round_trip_px[i] < 1.0)
+        .collect();
+    let place = |i: usize| {
+        Vector3::new(
+            (i % width) as f64 / width as f64,
+            (i / width) as f64 / width as f64,
+            1.0,
+        )
+    };
     let mut fit = [Vector3::zeros(), Vector3::zeros()];
     let left = |fit: &[Vector3<f64>; 2], i: usize| {
         let p = place(i);
@@ -172,7 +191,13 @@ fn off_camera(flow: &Flow, round_trip_px: &[f32]) -> Vec<f32> {
             *w = 1.0 / left(&fit, i).max(0.05);
         }
     }
-    let of = |i: usize| if round_trip_px[i] < 1.0 { left(&fit, i) as f32 } else { f32::NAN };
+    let of = |i: usize| {
+        if round_trip_px[i] < 1.0 {
+            left(&fit, i) as f32
+        } else {
+            f32::NAN
+        }
+    };
     (0..flow.u.len()).map(of).collect()
 }
 

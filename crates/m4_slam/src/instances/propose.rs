@@ -1,7 +1,7 @@
 //! Coarse parts that ask to become things, and what a segmenter is told of them.
 
 use super::coarse::{Rough, RoughFrame};
-use super::morphology::dilated;
+use super::morphology::{dilated, opened};
 use super::outline::Outline;
 use super::settings::RefineSettings;
 use super::source::{ObjectId, ObjectPrompt};
@@ -48,7 +48,12 @@ pub(super) fn proposals(rough: &Rough<'_>, around: &Around, covered: &[u8]) -> V
             *m = 0;
         }
     }
-    let others: Vec<Vec<u8>> = around.others.iter().map(|o| dilated(w, h, &o.moving, reach_px)).collect();
+    let left = if covered.contains(&255) { opened(w, h, &left, 0.5 * reach_px) } else { left };
+    let others: Vec<Vec<u8>> = around
+        .others
+        .iter()
+        .map(|o| dilated(w, h, &o.moving, reach_px))
+        .collect();
     let least = rough.least_px();
     let mut out: Vec<Proposal> = Vec::new();
     for pixels in Components::of(w, h, &left).pixels {
@@ -99,24 +104,27 @@ pub(super) fn prompt(
 }
 
 /// Places near the part that surely rest: deep in what rests, then the farthest from those before. `outer` is the distance to the part.
-fn points_off(
-    part: &Outline,
-    here: &RoughFrame,
-    outer: &[f32],
-    (w, h): (usize, usize),
-    count: usize,
-) -> Vec<[f32; 2]> {
+fn points_off(part: &Outline, here: &RoughFrame, outer: &[f32], (w, h): (usize, usize), count: usize) -> Vec<[f32; 2]> {
     let gap_px = (0.15 * (part.area() as f32).sqrt()).max(4.0);
     let clear = to_outside(w, h, |p| here.still[p] && here.raw[p] == 0);
-    let good: Vec<usize> = (0..w * h).filter(|&p| clear[p] >= 0.5 * gap_px && outer[p] >= gap_px && outer[p] <= 4.0 * gap_px).collect();
+    let good: Vec<usize> = (0..w * h)
+        .filter(|&p| clear[p] >= 0.5 * gap_px && outer[p] >= gap_px && outer[p] <= 4.0 * gap_px)
+        .collect();
     let mut out: Vec<[f32; 2]> = Vec::new();
     for _ in 0..count {
         let score = |p: usize| {
             let (x, y) = ((p % w) as f32 + 0.5, (p / w) as f32 + 0.5);
-            let nearest = out.iter().map(|o| (o[0] - x).hypot(o[1] - y)).fold(f32::INFINITY, f32::min);
+            let nearest = out
+                .iter()
+                .map(|o| (o[0] - x).hypot(o[1] - y))
+                .fold(f32::INFINITY, f32::min);
             let depth = clear[p].min(gap_px) / gap_px;
             // Before there is any, near is good; afterwards, far from those that are there.
-            let place = if out.is_empty() { -0.1 * outer[p] / gap_px } else { 0.5 * nearest / gap_px };
+            let place = if out.is_empty() {
+                -0.1 * outer[p] / gap_px
+            } else {
+                0.5 * nearest / gap_px
+            };
             (nearest >= gap_px).then_some(depth + place)
         };
         let best = good.iter().filter_map(|&p| Some((p, score(p)?)));

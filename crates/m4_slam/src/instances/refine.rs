@@ -3,6 +3,7 @@
 use super::clip::Clip;
 use super::coarse::{Coarse, Rough};
 use super::error::InstanceError;
+use super::finish::finish;
 use super::ledger::Thing;
 use super::outline::Outline;
 use super::polarity::{Polarity, PolarityEvidence};
@@ -10,7 +11,6 @@ use super::propose::{Around, Proposal, prompt, proposals};
 use super::report::{InstanceReport, Rejected, Rejection};
 use super::settings::{MotionReading, RefineSettings};
 use super::source::{ObjectId, ObjectMask, VideoError, VideoSegmenter, VideoSession};
-use super::finish::finish;
 use crate::dense::{FlowSource, working_size};
 use m4_scene::{CompactIds, CompactMask, Progress};
 use std::collections::BTreeMap;
@@ -194,7 +194,11 @@ impl Search<'_> {
         }
         let later = to > from;
         let known = |thing: &&Thing| {
-            let there = if later { thing.prompted <= from } else { thing.prompted >= from };
+            let there = if later {
+                thing.prompted <= from
+            } else {
+                thing.prompted >= from
+            };
             there && !thing.lost[usize::from(!later)]
         };
         let objects: Vec<ObjectId> = self.things.values().filter(known).map(|t| t.object).collect();
@@ -203,10 +207,19 @@ impl Search<'_> {
         }
         let (w, h) = self.rough.size;
         let most_px = (self.rough.settings.most_share * (w * h) as f32) as usize;
-        let (things, size, frames, progress, name) =
-            (&mut self.things, self.rough.size, self.frames, self.progress, self.segmenter);
+        let (things, size, frames, progress, name) = (
+            &mut self.things,
+            self.rough.size,
+            self.frames,
+            self.progress,
+            self.segmenter,
+        );
         let mut wrong: Option<VideoError> = None;
-        let way = if later { "following things" } else { "following things back" };
+        let way = if later {
+            "following things"
+        } else {
+            "following things back"
+        };
         let mut sink = |frame: usize, found: Vec<ObjectMask>| {
             let fits = found.iter().map(|f| f.object).eq(objects.iter().copied());
             if !fits {
@@ -319,7 +332,10 @@ impl Search<'_> {
         });
         let coarse_outline = overlap < least;
         let outline = if coarse_outline { part.outline.clone() } else { outline };
-        let there = self.things.values().filter_map(|thing| Some((thing.object, thing.masks.get(&frame)?)));
+        let there = self
+            .things
+            .values()
+            .filter_map(|thing| Some((thing.object, thing.masks.get(&frame)?)));
         let same = there.filter(|(_, mask)| mask.overlap(&outline) > settings.merge_overlap);
         let same = same.map(|(object, _)| object).next();
         if same.is_some() {

@@ -82,12 +82,7 @@ pub fn masks(
 /// # Errors
 ///
 /// [`Error::WriteCapture`] or [`Error::Write`] if the file system refuses, or `progress` says to stop.
-pub fn save(
-    folder: &Path,
-    capture: &Capture,
-    report: &InstanceReport,
-    progress: &dyn Progress,
-) -> Result<(), Error> {
+pub fn save(folder: &Path, capture: &Capture, report: &InstanceReport, progress: &dyn Progress) -> Result<(), Error> {
     m4_io::capture::write(folder, capture, Split::Train, progress)?;
     write_json(&folder.join(REPORT_FILE), report)
 }
@@ -96,13 +91,12 @@ fn coarse(capture: &Capture) -> Result<Coarse<'_>, EnhanceError> {
     if let Some(maps) = capture.frames.iter().map(|frame| frame.motion.as_ref()).collect() {
         return Ok(Coarse::Motion(maps));
     }
-    let mask = |(i, frame): (usize, &'_ m4_scene::CaptureFrame)| {
+    let masks = capture.frames.iter().enumerate().map(|(i, frame)| {
         frame.mask.as_ref().ok_or_else(|| EnhanceError::NoCoarse {
             frame: i,
             name: frame.name.clone(),
         })
-    };
-    let masks = capture.frames.iter().enumerate().map(|(i, frame)| mask((i, frame)));
+    });
     masks.collect::<Result<_, _>>().map(Coarse::Masks)
 }
 
@@ -118,7 +112,10 @@ fn at_size(found: RefinedFrame, (width, height): (usize, usize)) -> (CompactMask
         let (x, y) = at(x, y);
         found.mask.at(x, y)
     });
-    (mask, CompactIds::from(&Plane::from_fn(width, height, |x, y| ids[at(x, y)])))
+    (
+        mask,
+        CompactIds::from(&Plane::from_fn(width, height, |x, y| ids[at(x, y)])),
+    )
 }
 
 #[cfg(test)]
@@ -139,7 +136,9 @@ mod tests {
 
     fn capture(frames: usize) -> Capture {
         let frame = |i: usize| {
-            let wave = |x: f32, y: f32| (128.0 + 50.0 * (x * 0.6).sin() * (y * 0.5).cos() + 40.0 * (0.31 * (x + 2.0 * y)).sin()) as u8;
+            let wave = |x: f32, y: f32| {
+                (128.0 + 50.0 * (x * 0.6).sin() * (y * 0.5).cos() + 40.0 * (0.31 * (x + 2.0 * y)).sin()) as u8
+            };
             let rgb = Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
                 if on_square(x, y, i) {
                     [wave(3.0 + 1.3 * (x - 2 * i) as f32, 0.9 * y as f32), 20, 20]
@@ -175,12 +174,23 @@ mod tests {
     fn a_capture_gets_numbers_that_are_written_and_read() {
         let follower = Follower::load(Segmenter::None, FollowSettings::default()).unwrap();
         let settings = RefineSettings::default();
-        let (found, report) = masks(capture(12), &settings, &follower.segmenter(), Some(follower.flow()), &Silent).unwrap();
+        let (found, report) = masks(
+            capture(12),
+            &settings,
+            &follower.segmenter(),
+            Some(follower.flow()),
+            &Silent,
+        )
+        .unwrap();
         assert_eq!((report.instances.len(), report.coarse.as_str()), (1, "masks"));
         assert_eq!((report.instances[0].frames, report.instances[0].id), (12, 1));
         for (i, frame) in found.frames.iter().enumerate() {
             let ids = frame.instances.as_ref().unwrap();
-            assert_eq!((ids.size(), ids.at(20 + 2 * i, 30), ids.at(90, 65)), (SIZE, 1, 0), "frame {i}");
+            assert_eq!(
+                (ids.size(), ids.at(20 + 2 * i, 30), ids.at(90, 65)),
+                (SIZE, 1, 0),
+                "frame {i}"
+            );
             assert!(frame.mask.as_ref().unwrap().at(20 + 2 * i, 30));
         }
         let dir = tempfile::tempdir().unwrap();
@@ -199,7 +209,10 @@ mod tests {
         let mut given = capture(4);
         given.frames[2].mask = None;
         let error = masks(given, &RefineSettings::default(), &follower.segmenter(), None, &Silent).unwrap_err();
-        assert!(matches!(error, Error::Enhance(_)) && error.to_string().contains("00002"), "{error}");
+        assert!(
+            matches!(error, Error::Enhance(_)) && error.to_string().contains("00002"),
+            "{error}"
+        );
         assert_eq!(error.category(), Category::BadInput);
         let wrong = RefineSettings {
             every_frames: 0,

@@ -64,7 +64,11 @@ pub fn sharpened(
     settings: &FollowSettings,
 ) -> Result<Vec<Option<(CompactMask, Option<f32>)>>, SegmentError> {
     let asked: Vec<usize> = (0..carried.len())
-        .filter(|&k| carried[k].as_ref().is_some_and(|m| m.count() >= settings.segment.least_part_px))
+        .filter(|&k| {
+            carried[k]
+                .as_ref()
+                .is_some_and(|m| m.count() >= settings.segment.least_part_px)
+        })
         .collect();
     let prompts: Vec<SegmentPrompt> = asked
         .par_iter()
@@ -75,7 +79,9 @@ pub fn sharpened(
     for (&k, answer) in asked.iter().zip(&found) {
         if let Some((mask, quality)) = &mut out[k] {
             let sharp = above(&answer.logits, size);
-            if answer.quality >= settings.segment.least_quality && overlap(&sharp, mask) >= settings.segment.least_overlap {
+            if answer.quality >= settings.segment.least_quality
+                && overlap(&sharp, mask) >= settings.segment.least_overlap
+            {
                 *mask = sharp;
                 *quality = Some(answer.quality);
             }

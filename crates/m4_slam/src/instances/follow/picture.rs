@@ -12,7 +12,9 @@ pub fn read(clip: &dyn Clip, frame: usize) -> Result<Cow<'_, RgbImage>, VideoErr
     if frame >= frames {
         return Err(VideoError::Frame { frame, frames });
     }
-    let picture = clip.picture(frame).map_err(|reason| VideoError::Picture { frame, reason })?;
+    let picture = clip
+        .picture(frame)
+        .map_err(|reason| VideoError::Picture { frame, reason })?;
     if picture.size() != clip.size() {
         return Err(VideoError::PictureSize {
             frame,
@@ -35,7 +37,8 @@ pub struct Picture {
 
 impl Picture {
     pub fn of(clip: &dyn Clip, frame: usize, size: (usize, usize)) -> Result<Self, VideoError> {
-        Ok(Self::from_image(&read(clip, frame)?, size))
+        let image = read(clip, frame)?;
+        Ok(Self::from_image(image.as_ref(), size))
     }
 
     pub fn from_image(image: &RgbImage, (width, height): (usize, usize)) -> Self {

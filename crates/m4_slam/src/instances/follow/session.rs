@@ -124,10 +124,18 @@ impl<'a> Session<'a> {
     fn for_picture(&self, prompt: &ObjectPrompt) -> SegmentPrompt {
         let described = self.described(prompt);
         let (w, h) = self.size;
-        let somewhere = if described.count() > 0 { described } else { CompactMask::from_fn(w, h, |_, _| true) };
+        let somewhere = if described.count() > 0 {
+            described
+        } else {
+            CompactMask::from_fn(w, h, |_, _| true)
+        };
         let of_mask = ask::prompt_of(&somewhere, &self.follower.settings);
         SegmentPrompt {
-            points_px: if prompt.on_px.is_empty() { of_mask.points_px } else { prompt.on_px.clone() },
+            points_px: if prompt.on_px.is_empty() {
+                of_mask.points_px
+            } else {
+                prompt.on_px.clone()
+            },
             off_points_px: prompt.off_px.clone(),
             box_px: prompt.box_px.unwrap_or(of_mask.box_px),
             belief: prompt.belief.clone().unwrap_or(of_mask.belief),
@@ -207,7 +215,11 @@ impl VideoSession for Session<'_> {
             mask.ok_or(VideoError::Unknown { object, frame: from })
         };
         let mut masks: Vec<Option<CompactMask>> = objects.iter().map(start).collect::<Result<_, _>>()?;
-        let way: Vec<usize> = if later { (from..=to).collect() } else { (to..=from).rev().collect() };
+        let way: Vec<usize> = if later {
+            (from..=to).collect()
+        } else {
+            (to..=from).rev().collect()
+        };
         let mut at = from;
         'way: for k in (0..way.len().saturating_sub(1)).step_by(AHEAD) {
             if progress.cancelled() {
@@ -234,10 +246,12 @@ impl VideoSession for Session<'_> {
                     .into_iter()
                     .zip(objects)
                     // What was said of a frame outranks what is found there.
-                    .map(|(found, object)| match told.get(object).and_then(|k| k.told.get(&frame)) {
-                        Some(mask) => Some((mask.clone(), None)),
-                        None => found,
-                    })
+                    .map(
+                        |(found, object)| match told.get(object).and_then(|k| k.told.get(&frame)) {
+                            Some(mask) => Some((mask.clone(), None)),
+                            None => found,
+                        },
+                    )
                     .collect();
                 masks = found.iter().map(|m| m.as_ref().map(|(mask, _)| mask.clone())).collect();
                 let shown = found.into_iter().zip(objects).map(|(found, &object)| match found {

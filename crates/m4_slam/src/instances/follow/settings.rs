@@ -28,7 +28,7 @@ impl Default for FollowSettings {
         Self {
             flow_side_px: 480,
             round_trip_px: 1.0,
-            smooth_lambda: 10.0,
+            smooth_lambda: 40.0,
             edge_sigma: 8.0,
             least_kept: 0.2,
             least_share: 0.0003,

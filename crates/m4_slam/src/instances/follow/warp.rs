@@ -28,7 +28,10 @@ impl Step {
                 back_round_trip_px: pair.backward_round_trip,
             };
         }
-        let (there, back) = (pair.forward.resized(width, height), pair.backward.resized(width, height));
+        let (there, back) = (
+            pair.forward.resized(width, height),
+            pair.backward.resized(width, height),
+        );
         Self {
             there_round_trip_px: round_trip_px(&there, &back),
             back_round_trip_px: round_trip_px(&back, &there),
@@ -38,10 +41,14 @@ impl Step {
     }
 }
 
-/// Share of 0 to 1 by which a pixel counts whose way there and back misses by `miss_px`.
+/// Weight of what nobody vouches for: its neighbours of the same colour decide.
+const UNKNOWN: f32 = 1e-6;
+
+/// Share of 0 to 1 by which a pixel counts whose way there and back misses by `miss_px`. It falls fast: what comes out from behind a thing fetches
+/// its value from the thing, and misses by the thing's way.
 fn trust(miss_px: f32, half_px: f32) -> f32 {
     let r = miss_px / half_px;
-    if r.is_finite() { 1.0 / (1.0 + r * r) } else { 0.0 }
+    if r < 2.0 { 1.0 / (1.0 + r.powi(4)) } else { 0.0 }
 }
 
 /// The mask in the other frame, whose picture is `onto`; `None` where too little of the thing arrives.
@@ -69,7 +76,9 @@ pub fn carry(mask: &CompactMask, step: &Step, onto: &Picture, settings: &FollowS
     let (x0, y0) = (x0.saturating_sub(MARGIN_PX), y0.saturating_sub(MARGIN_PX));
     let (x1, y1) = ((x1 + MARGIN_PX + 1).min(w), (y1 + MARGIN_PX + 1).min(h));
     let (cw, ch) = (x1 - x0, y1 - y0);
-    let side: Vec<f32> = (0..w * h).map(|p| if mask.at(p % w, p / w) { 1.0 } else { -1.0 }).collect();
+    let side: Vec<f32> = (0..w * h)
+        .map(|p| if mask.at(p % w, p / w) { 1.0 } else { -1.0 })
+        .collect();
     let (mut value, mut weight) = (vec![0.0; cw * ch], vec![0.0; cw * ch]);
     let mut guide = vec![[0u8; 3]; cw * ch];
     for y in 0..ch {
@@ -77,13 +86,14 @@ pub fn carry(mask: &CompactMask, step: &Step, onto: &Picture, settings: &FollowS
             let (i, q) = (y * cw + x, (y0 + y) * w + x0 + x);
             let (px, py) = ((x0 + x) as f32 + step.back.u[q], (y0 + y) as f32 + step.back.v[q]);
             value[i] = bilinear(w, h, &side, px, py);
-            // What nobody vouches for is about as likely to be on either side; its neighbours of the same colour decide.
-            weight[i] = trust(step.back_round_trip_px[q], settings.round_trip_px).max(1e-3);
+            weight[i] = trust(step.back_round_trip_px[q], settings.round_trip_px).max(UNKNOWN);
             guide[i] = onto.rgb[q];
         }
     }
     let found = if cw > 1 && ch > 1 {
-        Smoother::new(cw, ch, &guide, settings.edge_sigma).fill(&value, &weight, settings.smooth_lambda).0
+        Smoother::new(cw, ch, &guide, settings.edge_sigma)
+            .fill(&value, &weight, settings.smooth_lambda)
+            .0
     } else {
         value
     };

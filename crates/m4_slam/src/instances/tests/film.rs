@@ -68,7 +68,8 @@ fn pattern(x: f32, y: f32) -> f32 {
 /// The picture: each thing in a hue of its own and with a pattern that goes along.
 pub fn picture(i: usize) -> RgbImage {
     Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
-        let with = |at: (f32, f32)| (60.0 + 90.0 * pattern(1.4 * (x as f32 - at.0) + 300.0, 1.4 * (y as f32 - at.1))) as u8;
+        let with =
+            |at: (f32, f32)| (60.0 + 90.0 * pattern(1.4 * (x as f32 - at.0) + 300.0, 1.4 * (y as f32 - at.1))) as u8;
         match thing_at(x, y, i) {
             1 => [250, with(walker(i)), 40],
             2 => [40, with(late(i)), 250],
@@ -101,7 +102,9 @@ fn coarse_at(x: usize, y: usize, i: usize) -> bool {
 }
 
 pub fn coarse_masks() -> Vec<CompactMask> {
-    (0..FRAMES).map(|i| CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| coarse_at(x, y, i))).collect()
+    (0..FRAMES)
+        .map(|i| CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| coarse_at(x, y, i)))
+        .collect()
 }
 
 /// Maps of a quarter of the size: how much of each 4 x 4 pixels is coarse.
@@ -142,7 +145,19 @@ pub fn as_masks(masks: &[CompactMask]) -> Coarse<'_> {
 fn hue(c: [u8; 3]) -> [i32; 3] {
     let c = c.map(i32::from);
     let grey = c.iter().max().unwrap() - c.iter().min().unwrap() < 20;
-    if grey { [0; 3] } else { c.map(|v| if v > 240 { 2 } else if v < 50 { 1 } else { 0 }) }
+    if grey {
+        [0; 3]
+    } else {
+        c.map(|v| {
+            if v > 240 {
+                2
+            } else if v < 50 {
+                1
+            } else {
+                0
+            }
+        })
+    }
 }
 
 /// Takes everything of the hue at the prompt's first point for the thing.
@@ -164,7 +179,11 @@ impl Segmenter for Hues {
             let [x, y] = prompt.points_px[0];
             let wanted = hue(image[(x as usize, y as usize)]);
             SegmentMask {
-                logits: image.data().iter().map(|c| if hue(*c) == wanted { 3.0 } else { -3.0 }).collect(),
+                logits: image
+                    .data()
+                    .iter()
+                    .map(|c| if hue(*c) == wanted { 3.0 } else { -3.0 })
+                    .collect(),
                 quality: 0.9,
             }
         };

@@ -5,7 +5,9 @@ mod sessions;
 
 use super::*;
 use crate::dense::{InverseSearch, Segmenter};
-use film::{FRAMES, Grabber, Hues, LATE_COARSE, LATE_SEEN, as_masks, as_motion, coarse_masks, iou, iou_of, motion_maps};
+use film::{
+    FRAMES, Grabber, Hues, LATE_COARSE, LATE_SEEN, as_masks, as_motion, coarse_masks, iou, iou_of, motion_maps,
+};
 use m4_scene::{Plane, Progress, RgbImage, Silent};
 use rayon::ThreadPoolBuilder;
 use std::sync::Mutex;
@@ -58,19 +60,34 @@ fn check_things(found: &Refined, better_than: f64) {
     // It is found when the masks show it, and followed back to where it came in.
     let late = number(found, 2, FRAMES - 1);
     assert!(late > 0 && late != walker && late != leaver);
-    assert!((LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late), "{:#?}", found.report);
+    assert!(
+        (LATE_SEEN + 3..FRAMES).all(|i| number(found, 2, i) == late),
+        "{:#?}",
+        found.report
+    );
     let record = |id: u16| &found.report.instances[usize::from(id) - 1];
     assert!(record(late).prompted_frame >= LATE_COARSE && record(late).first_frame < LATE_COARSE);
     assert_eq!((record(late).id, record(late).ending), (late, Ending::ClipEnd));
-    assert_eq!((record(walker).frames, record(walker).ending), (FRAMES, Ending::ClipEnd));
+    assert_eq!(
+        (record(walker).frames, record(walker).ending),
+        (FRAMES, Ending::ClipEnd)
+    );
     let Ending::Lost { frame } = record(leaver).ending else {
         panic!("{:#?}", record(leaver));
     };
     assert!((10..17).contains(&frame), "{frame}");
     // What rests was taken for moving at first, the ghost for a moment.
     let reasons: Vec<&Rejection> = found.report.rejected.iter().map(|r| &r.reason).collect();
-    assert!(reasons.iter().any(|r| matches!(r, Rejection::Unsupported { share } if *share < 0.15)), "{reasons:?}");
-    assert!(reasons.iter().any(|r| matches!(r, Rejection::Flicker { seen_in: 1 })), "{reasons:?}");
+    assert!(
+        reasons
+            .iter()
+            .any(|r| matches!(r, Rejection::Unsupported { share } if *share < 0.15)),
+        "{reasons:?}"
+    );
+    assert!(
+        reasons.iter().any(|r| matches!(r, Rejection::Flicker { seen_in: 1 })),
+        "{reasons:?}"
+    );
     assert!((0..FRAMES).all(|i| number(found, 4, i) == 0));
     for frame in &found.frames {
         let ids = frame.ids.to_plane();
@@ -95,7 +112,10 @@ fn things_are_outlined_and_followed_by_a_segmenter_and_flow() {
     println!("coarse {coarse:.3}, refined {:.3}", iou_of(&found));
     assert!(coarse < 0.75, "{coarse}");
     check_things(&found, 0.93);
-    assert_eq!((found.report.segmenter.as_str(), found.report.coarse.as_str()), ("hues+classical", "motion"));
+    assert_eq!(
+        (found.report.segmenter.as_str(), found.report.coarse.as_str()),
+        ("hues+classical", "motion")
+    );
 }
 
 #[test]
@@ -124,7 +144,13 @@ fn a_segmenter_that_grabs_the_background_is_not_believed() {
     }
     // Coarse masks are kept where nothing explains them, except for what is there for a moment.
     let masks = coarse_masks();
-    let found = run_with(&as_masks(&masks), Some(&Grabber { corner_px: 1000 }), &settings(), &Silent).unwrap();
+    let found = run_with(
+        &as_masks(&masks),
+        Some(&Grabber { corner_px: 1000 }),
+        &settings(),
+        &Silent,
+    )
+    .unwrap();
     assert!(found.report.instances.is_empty() && found.report.unexplained_share > 0.0);
     assert!(iou_of(&found) > iou(coarse_masks().into_iter()) - 0.02);
     assert!(!found.frames[film::FLICKER].mask.at(80, 66) && masks[film::FLICKER].at(80, 66));
@@ -149,7 +175,8 @@ impl Progress for Watch {
     }
 
     fn cancelled(&self) -> bool {
-        self.stop_after.is_some_and(|n| self.updates.load(Ordering::Relaxed) >= n)
+        self.stop_after
+            .is_some_and(|n| self.updates.load(Ordering::Relaxed) >= n)
     }
 }
 
@@ -158,9 +185,14 @@ fn maps_that_are_turned_round_are_refused() {
     let maps = motion_maps();
     let turned: Vec<Plane<u8>> = maps.iter().map(|map| map.map(|&m| 255 - m)).collect();
     let error = run_with(&as_motion(&turned), Some(&Hues), &settings(), &Silent).unwrap_err();
-    let InstanceError::Polarity { evidence } = &error else { panic!("{error}") };
+    let InstanceError::Polarity { evidence } = &error else {
+        panic!("{error}")
+    };
     let [high, low] = evidence.residual_px.unwrap();
-    assert!(evidence.high_share > 0.7 && evidence.border_high_share > 0.7 && high < 0.5 * low, "{evidence:?}");
+    assert!(
+        evidence.high_share > 0.7 && evidence.border_high_share > 0.7 && high < 0.5 * low,
+        "{evidence:?}"
+    );
     assert!(error.to_string().contains("reading = \"still\""), "{error}");
     let read = RefineSettings {
         reading: MotionReading::Still,
@@ -185,7 +217,9 @@ fn the_same_bits_for_any_number_of_threads() {
     let maps = motion_maps();
     let all = |threads: usize, segmenter: Option<&dyn Segmenter>| {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let found = pool.install(|| run_with(&as_motion(&maps), segmenter, &settings(), &Silent)).unwrap();
+        let found = pool
+            .install(|| run_with(&as_motion(&maps), segmenter, &settings(), &Silent))
+            .unwrap();
         (found.frames, found.report)
     };
     assert_eq!(all(1, Some(&Hues)), all(3, Some(&Hues)));
@@ -201,7 +235,10 @@ fn stopping_stops() {
             ..Watch::default()
         };
         let error = run_with(&as_motion(&maps), Some(&Hues), &settings(), &watch).unwrap_err();
-        assert!(matches!(error, InstanceError::Cancelled { .. }), "{stop_after}: {error}");
+        assert!(
+            matches!(error, InstanceError::Cancelled { .. }),
+            "{stop_after}: {error}"
+        );
         assert!(watch.updates.load(Ordering::Relaxed) <= stop_after + 10);
     }
 }
@@ -211,15 +248,33 @@ fn what_does_not_fit_is_an_error() {
     let mut maps = motion_maps();
     maps.pop();
     let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
-    assert!(matches!(error, InstanceError::Count { found: 29, expected: 30 }));
+    assert!(matches!(
+        error,
+        InstanceError::Count {
+            found: 29,
+            expected: 30
+        }
+    ));
     maps.push(Plane::filled(0, 7, 0));
     let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();
     assert!(matches!(error, InstanceError::EmptyMask { frame: 29 }));
     for wrong in [
-        RefineSettings { every_frames: 0, ..settings() },
-        RefineSettings { tau: f32::NAN, ..settings() },
-        RefineSettings { tau_still: 0.8, ..settings() },
-        RefineSettings { belief_limit: -1.0, ..settings() },
+        RefineSettings {
+            every_frames: 0,
+            ..settings()
+        },
+        RefineSettings {
+            tau: f32::NAN,
+            ..settings()
+        },
+        RefineSettings {
+            tau_still: 0.8,
+            ..settings()
+        },
+        RefineSettings {
+            belief_limit: -1.0,
+            ..settings()
+        },
     ] {
         assert!(matches!(wrong.check(), Err(InstanceError::Setting { .. })), "{wrong:?}");
     }

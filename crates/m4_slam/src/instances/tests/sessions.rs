@@ -70,7 +70,10 @@ fn things_are_followed_both_ways_in_one_pass_each() {
             assert_eq!(masks.iter().map(|m| m.object).collect::<Vec<_>>(), objects);
             for (mask, thing) in masks.iter().zip([2, 1]) {
                 let score = overlap(&mask.mask, &exactly(thing, frame));
-                assert!(mask.sight == Sight::Seen && score > 0.85, "thing {thing}, frame {frame}: {score}");
+                assert!(
+                    mask.sight == Sight::Seen && score > 0.85,
+                    "thing {thing}, frame {frame}: {score}"
+                );
             }
         }
     }
@@ -104,10 +107,14 @@ fn what_is_said_of_a_frame_holds_there() {
         box_px,
         belief,
     };
-    let of = |session: &mut dyn VideoSession, prompt: ObjectPrompt| session.prompt(3, &[prompt]).unwrap().remove(0).mask;
+    let of =
+        |session: &mut dyn VideoSession, prompt: ObjectPrompt| session.prompt(3, &[prompt]).unwrap().remove(0).mask;
     let belief: Vec<f32> = (0..w * h).map(|p| p as f32 - 100.0).collect();
     assert_eq!(of(session.as_mut(), prompt(Some(belief), None)).count(), w * h - 101);
-    assert_eq!(of(session.as_mut(), prompt(None, Some([2.5, 2.5, 5.5, 4.5]))).count(), 12);
+    assert_eq!(
+        of(session.as_mut(), prompt(None, Some([2.5, 2.5, 5.5, 4.5]))).count(),
+        12
+    );
     assert_eq!(of(session.as_mut(), prompt(None, None)).count(), 1);
 }
 
@@ -123,7 +130,10 @@ fn what_cannot_be_is_an_error() {
     let error = followed(session.as_mut(), &[WALKER], 4, FRAMES).unwrap_err();
     assert!(matches!(error, VideoError::Frame { frame: 30, frames: 30 }));
     let small = CompactMask::from_fn(SIZE.1, SIZE.0, |_, _| true);
-    assert!(matches!(session.set_mask(4, WALKER, &small), Err(VideoError::MaskSize { .. })));
+    assert!(matches!(
+        session.set_mask(4, WALKER, &small),
+        Err(VideoError::MaskSize { .. })
+    ));
     let short = ObjectPrompt {
         object: LATE,
         on_px: Vec::new(),
@@ -131,7 +141,30 @@ fn what_cannot_be_is_an_error() {
         box_px: None,
         belief: Some(vec![1.0; 7]),
     };
-    assert!(matches!(session.prompt(4, &[short]), Err(VideoError::Size { found: 7, .. })));
+    assert!(matches!(
+        session.prompt(4, &[short]),
+        Err(VideoError::Size { found: 7, .. })
+    ));
     session.forget(WALKER);
     assert!(unknown(followed(session.as_mut(), &[WALKER], 4, 7).unwrap_err()));
+}
+
+#[test]
+fn explore() {
+    let Ok(json) = std::env::var("FOLLOW") else { return };
+    let settings: FollowSettings = serde_json::from_str(&json).unwrap();
+    let (flow, clip) = (InverseSearch::default(), Lazy::default());
+    let follower = FlowFollower::new(&flow, None, settings);
+    let mut session = follower.open(&clip, SIZE).unwrap();
+    session.set_mask(15, WALKER, &exactly(1, 15)).unwrap();
+    session.set_mask(15, LATE, &exactly(2, 15)).unwrap();
+    for to in [25, 7] {
+        for (frame, masks) in followed(session.as_mut(), &[LATE, WALKER], 15, to).unwrap() {
+            let s: Vec<String> = masks.iter().zip([2, 1]).map(|(m, t)| {
+                let truth = exactly(t, frame);
+                format!("{:.3} ({} of {})", overlap(&m.mask, &truth), m.mask.count(), truth.count())
+            }).collect();
+            println!("{frame}: {s:?}");
+        }
+    }
 }
