@@ -214,6 +214,7 @@ mod tests {
             depth: Some(Plane::from_fn(40, 20, |x, _| if (22..28).contains(&x) { 1.0 } else { 3.0 }).into()),
             mask: None,
             motion: None,
+            instances: None,
             camera_index: None,
         };
         let capture = Capture {

@@ -178,6 +178,7 @@ mod tests {
                 depth: Some(Plane::from_fn(w, h, depth).into()),
                 mask: None,
                 motion: None,
+                instances: None,
                 camera_index: None,
             }
         };

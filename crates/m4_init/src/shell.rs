@@ -151,6 +151,7 @@ mod tests {
             depth: Some(Plane::from_fn(64, 64, |x, _| if x < 32 { 2.0 } else { 0.0 }).into()),
             mask: None,
             motion: None,
+            instances: None,
             camera_index: None,
         };
         let capture = Capture {

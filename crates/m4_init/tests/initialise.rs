@@ -46,6 +46,7 @@ fn capture(frames: usize) -> Capture {
             depth: Some(depth.into()),
             mask: Some(CompactMask::from_fn(w, h, |x, y| square(x, y).is_some())),
             motion: None,
+            instances: None,
             camera_index: None,
         }
     };

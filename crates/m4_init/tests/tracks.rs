@@ -33,6 +33,7 @@ fn capture(tracks: Option<Tracks>) -> Capture {
         depth: Some(Plane::from_fn(w, h, |_, y| if band(y) { BAND } else { WALL }).into()),
         mask: Some(CompactMask::from_fn(w, h, |_, y| band(y))),
         motion: None,
+        instances: None,
         camera_index: None,
     };
     Capture {

@@ -3,7 +3,7 @@
 use m4_io::capture::{CaptureOptions, Split, read, write};
 use m4_math::Se3;
 use m4_math::nalgebra::Vector6;
-use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Progress, Silent};
+use m4_scene::{Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Progress, Silent};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -54,6 +54,8 @@ fn made(frames: usize) -> Capture {
             .then(|| Plane::from_fn(12, 9, |x, y| if x == 0 { 0.0 } else { 1.0 + (x * y) as f32 / 7.0 }).into()),
         mask: (i != 2).then(|| CompactMask::from_fn(24, 18, |x, y| x * y > 99)),
         motion: (i != 3).then(|| Plane::from_fn(6, 5, |x, y| (40 * x + y) as u8)),
+        instances: (i != 4)
+            .then(|| CompactIds::from(&Plane::from_fn(12, 9, |x, y| u16::from(x > 3) * (y as u16 / 4) * 200))),
         camera_index: None,
     };
     Capture {
@@ -75,7 +77,7 @@ fn a_capture_comes_back_as_it_was_written() {
     for (got, want) in got.frames.iter().zip(&capture.frames) {
         assert_eq!(got.camera, want.camera);
         assert_eq!((&got.rgb, &got.mask), (&want.rgb, &want.mask));
-        assert_eq!(got.motion, want.motion);
+        assert_eq!((&got.motion, &got.instances), (&want.motion, &want.instances));
         assert!((got.t - want.t).abs() < 1e-12);
         match (&got.depth, &want.depth) {
             (Some(got), Some(want)) => {

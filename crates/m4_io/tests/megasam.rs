@@ -245,6 +245,7 @@ fn made() -> Capture {
                 (8 + 4 * i..32 + 4 * i).contains(&x) && (8..24).contains(&y)
             })),
             motion: None,
+            instances: None,
             camera_index: None,
         }
     };

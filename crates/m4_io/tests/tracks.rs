@@ -218,6 +218,7 @@ fn capture_with(tracks: Option<Tracks>) -> Capture {
         depth: None,
         mask: None,
         motion: None,
+        instances: None,
         camera_index: None,
     };
     Capture {

@@ -1,6 +1,6 @@
 //! Frames with their geometry: what training needs.
 
-use crate::{Camera, CompactDepth, CompactMask, Plane, RgbImage, Tracks};
+use crate::{Camera, CompactDepth, CompactIds, CompactMask, Plane, RgbImage, Tracks};
 
 /// One posed frame.
 #[derive(Debug, Clone)]
@@ -19,6 +19,9 @@ pub struct CaptureFrame {
     pub mask: Option<CompactMask>,
     /// How likely each pixel is to move, 255 = certainly, where somebody estimated that; the size may differ from that of `rgb`.
     pub motion: Option<Plane<u8>>,
+    /// Which thing each pixel shows, the same number in all frames, 0 for none, where somebody told things apart; the size may differ
+    /// from that of `rgb`.
+    pub instances: Option<CompactIds>,
     /// Which held-out camera took it; `None` for training frames.
     pub camera_index: Option<u32>,
 }

@@ -9,6 +9,8 @@
 //! seen in another, behind [`tracker::Correspondence`]: optical flow, or a network. [`megasam`] goes all the way with it, from
 //! pictures to consistent depth.
 //!
+//! Whatever found what moves, [`instances`] tells it apart into things, outlines them and follows them through the clip.
+//!
 //! `sparse` and `dense` meet in the types of [`reconstruction`] alone, so either can be replaced.
 #![forbid(unsafe_code)]
 
@@ -16,6 +18,7 @@ pub mod cvd;
 pub mod dba;
 pub mod dense;
 pub mod graph;
+pub mod instances;
 pub mod megasam;
 pub mod reconstruction;
 pub mod sparse;

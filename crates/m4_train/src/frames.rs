@@ -222,6 +222,7 @@ mod tests {
             depth: Some(Plane::from_fn(10, 8, |x, _| if x == 0 { f32::NAN } else { x as f32 }).into()),
             mask: None,
             motion: None,
+            instances: None,
             camera_index: None,
         };
         Capture {

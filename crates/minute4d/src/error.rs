@@ -1,5 +1,6 @@
 //! The one error of the library, and what sort of failure each is.
 
+use crate::enhance::EnhanceError;
 use crate::export::ExportError;
 use crate::geometry::GivenError;
 use crate::import::ImportError;
@@ -331,6 +332,9 @@ pub enum Error {
         /// What is wrong with them.
         source: Box<m4_nets::LoadError>,
     },
+    /// Refining masks.
+    #[error(transparent)]
+    Enhance(#[from] EnhanceError),
     /// Something that the user gave for the geometry of a clip.
     #[error(transparent)]
     Given(#[from] GivenError),
@@ -395,6 +399,7 @@ impl Error {
             Self::Given(GivenError::Missing { .. }) => Category::NoInput,
             Self::Given(GivenError::Read { source, .. }) => ErrorKind::of_read(source).into(),
             Self::Given(_) => Category::BadInput,
+            Self::Enhance(e) => e.category(),
             Self::Export(e) => e.category(),
             Self::Import(e) => e.category(),
             Self::ReadVideo(ReadVideoError::BadOption { .. }) => Category::BadSettings,

@@ -29,6 +29,7 @@
 pub mod ablate;
 pub mod bench;
 pub mod device;
+pub mod enhance;
 pub mod evaluate;
 pub mod export;
 pub mod folder;

@@ -73,6 +73,7 @@ fn video() -> (MovingScene, Capture) {
             depth: Some(Plane::from_fn(w, h, |x, y| depth(y * w + x)).into()),
             mask: None,
             motion: None,
+            instances: None,
             camera_index: None,
         }
     });

@@ -47,6 +47,7 @@ fn known() -> (Scratch, Vec<Camera>) {
         depth: None,
         mask: None,
         motion: None,
+        instances: None,
         camera_index: None,
     });
     let truth = Capture {

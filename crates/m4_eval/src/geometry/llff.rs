@@ -61,6 +61,7 @@ pub fn llff_truth(text: &str) -> Result<Capture, LlffError> {
             depth: None,
             mask: None,
             motion: None,
+            instances: None,
             camera_index: None,
         })
     };

@@ -198,6 +198,7 @@ pub(super) mod tests {
                 depth: Some(Plane::from_fn(16, 12, |x, _| if x < 8 { 4.0 } else { 2.0 }).into()),
                 mask: Some(CompactMask::from_fn(16, 12, |x, _| x < 8)),
                 motion: None,
+                instances: None,
                 camera_index: None,
             }
         };

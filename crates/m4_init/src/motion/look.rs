@@ -186,6 +186,7 @@ mod tests {
             depth: Some(Plane::filled(60, 40, 2.0).into()),
             mask: Some(CompactMask::from_fn(60, 40, |x, _| x >= 20)),
             motion: None,
+            instances: None,
             camera_index: None,
         }
     }

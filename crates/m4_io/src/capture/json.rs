@@ -147,6 +147,8 @@ pub struct Frame {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion_path: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub instance_path: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<u32>,

@@ -20,6 +20,8 @@
 //!           depth_file_path       optional: 16-bit PNG of z-depth, 0 = unknown
 //!           mask_path             optional: 255 = moving
 //!           motion_path           optional: how likely a pixel moves, 255 = certainly; any size
+//!           instance_path         optional: which thing a pixel shows, the same number in all frames, 0 = none; greyscale PNG of 8
+//!                                 or 16 bits, any size
 //!           camera                optional: index of a held-out camera
 //! ```
 //!

@@ -30,12 +30,12 @@ impl Split {
         }
     }
 
-    /// Folders of the pictures, depth maps, masks and maps of motion that are written.
+    /// Folders of the pictures, depth maps, masks, maps of motion and maps of instances that are written.
     #[must_use]
-    pub fn folders(self) -> [&'static str; 4] {
+    pub fn folders(self) -> [&'static str; 5] {
         match self {
-            Self::Train => ["train", "depth", "mask", "motion"],
-            Self::Test => ["test", "test_depth", "test_mask", "test_motion"],
+            Self::Train => ["train", "depth", "mask", "motion", "instance"],
+            Self::Test => ["test", "test_depth", "test_mask", "test_motion", "test_instance"],
         }
     }
 }

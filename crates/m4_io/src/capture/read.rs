@@ -84,6 +84,7 @@ struct Entry {
     depth: Option<PathBuf>,
     mask: Option<PathBuf>,
     motion: Option<PathBuf>,
+    instances: Option<PathBuf>,
     lens: Lens,
     c2w: Se3<f64>,
     /// 0..1.
@@ -206,6 +207,7 @@ impl Reader {
                 depth: frame.depth_file_path.map(|p| self.folder.join(p)),
                 mask: frame.mask_path.map(|p| self.folder.join(p)),
                 motion: frame.motion_path.map(|p| self.folder.join(p)),
+                instances: frame.instance_path.map(|p| self.folder.join(p)),
                 lens,
                 c2w: self.file.axes.to_opencv(&pose),
                 time,
@@ -300,6 +302,10 @@ impl Reader {
             },
             motion: match &entry.motion {
                 Some(path) => Some(image::read_grey(path).map_err(read)?),
+                None => None,
+            },
+            instances: match &entry.instances {
+                Some(path) => Some(image::read_ids(path).map_err(read)?),
                 None => None,
             },
             camera_index: entry.camera_index,

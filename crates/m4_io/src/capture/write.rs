@@ -64,6 +64,9 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
             if let (Some(path), Some(motion)) = (&entry.motion_path, &frame.motion) {
                 image::write_grey(&folder.join(path), motion)?;
             }
+            if let (Some(path), Some(ids)) = (&entry.instance_path, &frame.instances) {
+                image::write_ids(&folder.join(path), ids)?;
+            }
             Ok(clipped)
         })
         .collect();
@@ -131,12 +134,13 @@ fn entry(
             k.width, k.height
         )));
     }
-    let [picture, depth, mask, motion] = split.folders().map(|folder| format!("{folder}/{index:05}.png"));
+    let [picture, depth, mask, motion, instances] = split.folders().map(|folder| format!("{folder}/{index:05}.png"));
     Ok(Frame {
         file_path: Some(picture),
         depth_file_path: frame.depth.as_ref().map(|_| depth),
         mask_path: frame.mask.as_ref().map(|_| mask),
         motion_path: frame.motion.as_ref().map(|_| motion),
+        instance_path: frame.instances.as_ref().map(|_| instances),
         time: Some(time),
         camera: frame.camera_index,
         lens: Lens {

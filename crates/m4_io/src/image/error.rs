@@ -50,6 +50,14 @@ pub enum ReadImageError {
         /// What the file holds.
         found: String,
     },
+    /// A map of things that is not a greyscale PNG.
+    #[error("the map of instances {} is {found}; it must be a greyscale PNG with 8 or 16 bits a pixel, 0 where there is none", path.display())]
+    NotIds {
+        /// The file.
+        path: PathBuf,
+        /// What the file holds.
+        found: String,
+    },
 }
 
 impl ReadImageError {
@@ -59,7 +67,9 @@ impl ReadImageError {
         match self {
             Self::Io { source, .. } => ErrorKind::of_read(source),
             Self::UnknownFormat { .. } => ErrorKind::Unsupported,
-            Self::Damaged { .. } | Self::TooLarge { .. } | Self::NotDepth { .. } => ErrorKind::BadData,
+            Self::Damaged { .. } | Self::TooLarge { .. } | Self::NotDepth { .. } | Self::NotIds { .. } => {
+                ErrorKind::BadData
+            }
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
-use m4_scene::{CompactDepth, CompactMask, Plane, RgbImage};
+use m4_scene::{CompactDepth, CompactIds, CompactMask, Plane, RgbImage};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
@@ -139,6 +139,37 @@ pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadImageError
             found: format!("an image of type {:?}", other.color()),
         }),
     }
+}
+
+/// Reads a map of which thing each pixel shows: a greyscale PNG of 8 or 16 bits, whose values are the numbers.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if there is no such file or it is not a greyscale PNG: JPEG changes numbers.
+pub fn read_ids(path: &Path) -> Result<CompactIds, ReadImageError> {
+    let wrong = |found: String| ReadImageError::NotIds {
+        path: path.to_path_buf(),
+        found,
+    };
+    let image = decode(path)?;
+    let (width, height) = (image.width(), image.height());
+    let numbers: Vec<u16> = match image {
+        DynamicImage::ImageLuma8(grey) if is_png(path)? => grey.into_raw().into_iter().map(u16::from).collect(),
+        DynamicImage::ImageLuma16(grey) => grey.into_raw(),
+        DynamicImage::ImageLuma8(_) => return Err(wrong("a JPEG image".to_owned())),
+        other => return Err(wrong(format!("an image of type {:?}", other.color()))),
+    };
+    Ok(CompactIds::from(&plane(path, width, height, numbers)?))
+}
+
+/// Whether the bytes, not the name, are those of a PNG file.
+fn is_png(path: &Path) -> Result<bool, ReadImageError> {
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let reader = reader.map_err(|source| ReadImageError::Io {
+        path: path.to_path_buf(),
+        source,
+    })?;
+    Ok(reader.format() == Some(ImageFormat::Png))
 }
 
 /// Reads a mask: set where the picture's brightness is at least 128.

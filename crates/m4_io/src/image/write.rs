@@ -5,7 +5,7 @@ use crate::atomic;
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
-use m4_scene::{DepthMap, Mask, Plane, RgbImage};
+use m4_scene::{CompactIds, DepthMap, Mask, Plane, RgbImage};
 use std::path::Path;
 
 /// Quality of JPEG files, 1 to 100: at 95 the coding error is under that of 8-bit video.
@@ -92,6 +92,26 @@ pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), WriteImageError> {
     write_grey(path, mask)
 }
 
+/// Writes a map of which thing each pixel shows as a greyscale PNG, of 8 bits while no number is above 255 and of 16 beyond.
+///
+/// # Errors
+///
+/// [`WriteImageError`] when the extension is not `.png` or the file system refuses.
+pub fn write_ids(path: &Path, ids: &CompactIds) -> Result<(), WriteImageError> {
+    if is_jpeg(path)? {
+        return Err(WriteImageError::Encode {
+            path: path.to_path_buf(),
+            reason: "JPEG changes numbers; use .png".into(),
+        });
+    }
+    let plane = ids.to_plane();
+    if ids.largest() <= u16::from(u8::MAX) {
+        return write_grey(path, &plane.map(|&id| id as u8));
+    }
+    let bytes: Vec<u8> = plane.data().iter().flat_map(|id| id.to_ne_bytes()).collect();
+    save(path, &bytes, plane.size(), ExtendedColorType::L16)
+}
+
 /// Writes brightness as an 8-bit PNG.
 ///
 /// # Errors
@@ -103,9 +123,9 @@ pub fn write_grey(path: &Path, grey: &Plane<u8>) -> Result<(), WriteImageError> 
 
 #[cfg(test)]
 mod tests {
-    use super::{write_depth, write_mask, write_rgb};
-    use crate::image::{read_depth, read_mask, read_rgb, size};
-    use m4_scene::Plane;
+    use super::{write_depth, write_ids, write_mask, write_rgb};
+    use crate::image::{read_depth, read_ids, read_mask, read_rgb, size};
+    use m4_scene::{CompactIds, Plane};
 
     #[test]
     fn pictures_come_back_as_they_were() {
@@ -130,6 +150,22 @@ mod tests {
         write_depth(&path, &depth, 0.001).unwrap();
         let got = read_depth(&path, 0.001).unwrap();
         assert_eq!(got.to_map().data(), [0.0, 0.001, 1.234, 65.535, 65.535, 0.0]);
+    }
+
+    #[test]
+    fn numbers_of_things_come_back_exactly() {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, step) in [("small.png", 15u16), ("large.png", 4000)] {
+            let path = dir.path().join(name);
+            let ids = CompactIds::from(&Plane::from_fn(17, 9, |x, y| (x as u16 / 4) * (y as u16 / 3) * step));
+            assert_eq!(ids.largest() > 255, step > 255);
+            write_ids(&path, &ids).unwrap();
+            assert_eq!(read_ids(&path).unwrap(), ids);
+        }
+        let colours = dir.path().join("c.png");
+        write_rgb(&colours, &Plane::filled(4, 4, [1, 2, 3])).unwrap();
+        assert!(read_ids(&colours).unwrap_err().to_string().contains("greyscale PNG"));
+        assert!(write_ids(&dir.path().join("i.jpg"), &CompactIds::from(&Plane::filled(2, 2, 1))).is_err());
     }
 
     #[test]

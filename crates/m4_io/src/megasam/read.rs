@@ -68,6 +68,7 @@ fn inner(path: &Path, options: &MegasamOptions, progress: &dyn Progress) -> Resu
             depth: Some(depth.into()),
             mask,
             motion,
+            instances: None,
             camera_index: None,
         }
     });

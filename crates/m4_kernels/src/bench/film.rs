@@ -62,6 +62,7 @@ fn frame(camera: Camera, i: usize, t: f64) -> CaptureFrame {
         depth: Some(Plane::from_fn(width, height, |x, y| at(x, y).0 as f32).into()),
         mask: Some(CompactMask::from_fn(width, height, |x, y| at(x, y).2)),
         motion: None,
+        instances: None,
         camera_index: None,
     }
 }

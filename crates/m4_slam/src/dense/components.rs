@@ -1,7 +1,7 @@
 //! Connected parts of a mask.
 
 /// Connected parts (by edges and corners) of the pixels above 0.
-pub(super) struct Components {
+pub(crate) struct Components {
     /// `[height][width]`: 0 outside, else one plus the index of the part.
     pub label: Vec<u32>,
     /// Pixels of each part, in order of rows.

@@ -51,13 +51,19 @@ mod working;
 #[cfg(test)]
 mod bench_tests;
 
+pub(crate) use components::Components;
 pub use config::{
     BodyConfig, DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig, TrackConfig,
 };
 pub use densify::{Dense, DenseFrame, densify};
 pub use error::DenseError;
 pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
+pub(crate) use flow::{FlowPair, bilinear, round_trip_px};
 pub use given::Given;
 pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};
 pub use segment::{SegmentConfig, SegmentError, SegmentMask, SegmentPrompt, Segmenter};
+pub(crate) use segment::{belief, points_apart, to_outside};
+pub(crate) use shot::quantile;
+pub(crate) use smooth::Smoother;
 pub use sources::Sources;
+pub(crate) use working::{rgb_and_grey, working_size};

@@ -6,7 +6,7 @@ const ROUNDS: i32 = 3;
 const LEAST_COUPLING: f32 = 1e-4;
 
 /// The couplings of an image, ready to smooth several planes.
-pub(super) struct Smoother {
+pub(crate) struct Smoother {
     width: usize,
     height: usize,
     /// Between a pixel and the next in its row; 0 in the last column.

@@ -17,7 +17,7 @@ pub(super) struct WorkingFrame {
 }
 
 /// The size whose longest side is `side`, or the size itself if it is smaller.
-pub(super) fn working_size(width: usize, height: usize, side: usize) -> (usize, usize) {
+pub(crate) fn working_size(width: usize, height: usize, side: usize) -> (usize, usize) {
     let longest = width.max(height);
     if longest <= side {
         return (width, height);
@@ -43,15 +43,11 @@ pub(super) fn fitting_side(width: usize, height: usize, side: usize, frames: usi
 
 impl WorkingFrame {
     pub fn new(image: &RgbImage, camera: &Camera, width: usize, height: usize) -> Self {
-        let exact = shrink(image, width, height);
-        let grey = exact
-            .iter()
-            .map(|c| 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2])
-            .collect();
+        let (rgb, grey) = rgb_and_grey(image, width, height);
         Self {
             width,
             height,
-            rgb: exact.iter().map(|c| c.map(|v| v.round() as u8)).collect(),
+            rgb,
             grey,
             camera: camera.resized(width, height),
         }
@@ -79,6 +75,14 @@ fn overlap(cell: usize, n: usize, m: usize) -> Vec<(usize, f32)> {
             (i, (share / (end - start)) as f32)
         })
         .collect()
+}
+
+/// The picture at another size, not larger, and its luma 0..255, not rounded.
+pub(crate) fn rgb_and_grey(image: &RgbImage, width: usize, height: usize) -> (Vec<[u8; 3]>, Vec<f32>) {
+    let exact = shrink(image, width, height);
+    let luma = |c: &[f32; 3]| 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2];
+    let grey = exact.iter().map(luma).collect();
+    (exact.iter().map(|c| c.map(|v| v.round() as u8)).collect(), grey)
 }
 
 /// Area average; sizes must not grow.

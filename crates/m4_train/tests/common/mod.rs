@@ -51,6 +51,7 @@ pub fn video() -> (MovingScene, Capture) {
                 z > 0.0 && z < 3.2
             })),
             motion: None,
+            instances: None,
             camera_index: None,
         }
     });

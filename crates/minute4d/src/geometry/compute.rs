@@ -374,6 +374,7 @@ fn assemble(video: Video, sparse: &SparseReconstruction, dense: Dense, metric: b
         depth: Some(dense.depth.into()),
         mask: Some(dense.mask.into()),
         motion: None,
+        instances: None,
         camera_index: None,
     });
     Capture {

@@ -117,6 +117,7 @@ fn assemble(video: Video, geometry: &MegasamGeometry, given: &Given, tau: f64) -
             depth: Some(DepthMap::clone(&geometry.depth[i]).into()),
             mask: Some(mask),
             motion: Some(motion.map(|p| (255.0 * p).round() as u8)),
+            instances: None,
             camera_index: None,
         }
     });

@@ -26,6 +26,7 @@ pub use frontend::{Frontend, Part as FrontendPart, UnknownFrontend, UsedNetwork}
 pub use given::GivenError;
 pub use options::GeometryOptions;
 pub use segmenter::Segmenter;
+pub(crate) use segmenter::resolve as resolve_segmenter;
 
 use crate::device::NetworkDevice;
 use crate::folder::{self, Existing, Lock};
@@ -226,5 +227,6 @@ pub(crate) fn clear(capture: &Path) -> Result<(), Error> {
         }
     }
     folder::remove_file(&capture.join(TRACKS_FILE))?;
+    folder::remove_file(&capture.join(crate::enhance::REPORT_FILE))?;
     folder::remove_file(&capture.join(GEOMETRY_FILE))
 }

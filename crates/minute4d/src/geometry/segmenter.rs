@@ -30,7 +30,7 @@ impl Segmenter {
 }
 
 /// A segmenter that can be used: its weights were found.
-pub(super) struct Resolved {
+pub(crate) struct Resolved {
     #[cfg(feature = "nets")]
     weights: Option<network::Weights>,
 }
@@ -41,7 +41,7 @@ pub(super) struct Resolved {
 ///
 /// [`Error::SegmenterWeights`] if weights are missing, [`Error::NoSegmenter`] if the build has no networks.
 #[cfg(feature = "nets")]
-pub(super) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
+pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
     let weights = match asked {
         Segmenter::None => None,
         Segmenter::Auto => network::Weights::present()?,
@@ -56,7 +56,7 @@ pub(super) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
 ///
 /// [`Error::NoSegmenter`]: the build has no networks.
 #[cfg(not(feature = "nets"))]
-pub(super) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
+pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
     match asked {
         Segmenter::None | Segmenter::Auto => Ok(Resolved {}),
         Segmenter::Mobilesam => Err(Error::NoSegmenter {
@@ -67,7 +67,7 @@ pub(super) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
 
 impl Resolved {
     /// Its name, never `auto`.
-    pub(super) fn name(&self) -> &'static str {
+    pub(crate) fn name(&self) -> &'static str {
         if self.weights_hash().is_some() {
             Segmenter::Mobilesam.name()
         } else {
@@ -76,7 +76,7 @@ impl Resolved {
     }
 
     /// BLAKE3 of its weights.
-    pub(super) fn weights_hash(&self) -> Option<&str> {
+    pub(crate) fn weights_hash(&self) -> Option<&str> {
         #[cfg(feature = "nets")]
         return self.weights.as_ref().map(|w| w.hash.as_str());
         #[cfg(not(feature = "nets"))]
@@ -88,7 +88,7 @@ impl Resolved {
     /// # Errors
     ///
     /// [`Error::SegmenterLoad`] if the weights cannot be used.
-    pub(super) fn load(&self) -> Result<Option<Box<dyn dense::Segmenter>>, Error> {
+    pub(crate) fn load(&self) -> Result<Option<Box<dyn dense::Segmenter>>, Error> {
         #[cfg(feature = "nets")]
         if let Some(weights) = &self.weights {
             return Ok(Some(Box::new(weights.load()?)));
@@ -166,13 +166,15 @@ mod network {
             image.width() as f32 / size.0 as f32,
             image.height() as f32 / size.1 as f32,
         );
-        let point = |&[x, y]: &[f32; 2]| PointPrompt {
+        let point = |&[x, y]: &[f32; 2], on_object: bool| PointPrompt {
             at_px: [x * sx, y * sy],
-            on_object: true,
+            on_object,
         };
+        let on = prompt.points_px.iter().map(|p| point(p, true));
+        let off = prompt.off_points_px.iter().map(|p| point(p, false));
         let [x0, y0, x1, y1] = prompt.box_px;
         Prompt {
-            points: prompt.points_px.iter().map(point).collect(),
+            points: on.chain(off).collect(),
             box_px: Some([x0 * sx, y0 * sy, x1 * sx, y1 * sy]),
             mask_logits: Some(belief),
         }
@@ -262,6 +264,7 @@ mod tests {
         let coarse: Vec<bool> = pixels.map(|p| inside(at(p))).collect();
         let prompt = SegmentPrompt {
             points_px: vec![[0.48 * SMALL.0 as f32, 0.3 * SMALL.0 as f32]],
+            off_points_px: Vec::new(),
             box_px: edges.map(|v| v * SMALL.0 as f32),
             belief: coarse.iter().map(|&c| if c { 2.0 } else { -2.0 }).collect(),
         };

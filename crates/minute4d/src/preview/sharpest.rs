@@ -82,6 +82,7 @@ mod tests {
             depth: None,
             mask: Some(CompactMask::from_fn(32, 24, |x, _| x < if i == 3 { 2 } else { 16 })),
             motion: None,
+            instances: None,
             camera_index: None,
         };
         let capture = Capture {

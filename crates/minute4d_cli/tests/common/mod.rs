@@ -185,6 +185,7 @@ fn frame(size: (usize, usize), shift: f64, i: usize, n: usize, held_out: Option<
         depth: held_out.is_none().then(|| depth.into()),
         mask: Some(mask.into()),
         motion: None,
+        instances: None,
         camera_index: held_out,
     }
 }

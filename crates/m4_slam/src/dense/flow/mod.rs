@@ -67,7 +67,7 @@ fn cell(width: usize, height: usize, x: f32, y: f32) -> (usize, f32, f32) {
 }
 
 /// Bilinear value of a plane at `(x, y)`, clamped to the image.
-pub(super) fn bilinear(width: usize, height: usize, plane: &[f32], x: f32, y: f32) -> f32 {
+pub(crate) fn bilinear(width: usize, height: usize, plane: &[f32], x: f32, y: f32) -> f32 {
     let (i, wx, wy) = cell(width, height, x, y);
     let top = plane[i] * (1.0 - wx) + plane[i + 1] * wx;
     let bottom = plane[i + width] * (1.0 - wx) + plane[i + width + 1] * wx;
@@ -86,7 +86,7 @@ pub(super) fn bilinear_rgb(width: usize, height: usize, plane: &[[u8; 3]], x: f3
 }
 
 /// Flow between a frame and the next, both ways.
-pub(super) struct FlowPair {
+pub(crate) struct FlowPair {
     pub forward: Flow,
     pub backward: Flow,
     /// `[height][width]`: see [`round_trip_px`].
@@ -95,8 +95,12 @@ pub(super) struct FlowPair {
 }
 
 impl FlowPair {
-    pub fn new(a: &WorkingFrame, b: &WorkingFrame, source: &dyn FlowSource) -> Result<Self, FlowError> {
-        let (forward, backward) = source.both(&a.picture(), &b.picture())?;
+    pub(in crate::dense) fn new(a: &WorkingFrame, b: &WorkingFrame, source: &dyn FlowSource) -> Result<Self, FlowError> {
+        Self::between(&a.picture(), &b.picture(), source)
+    }
+
+    pub fn between(a: &FlowPicture<'_>, b: &FlowPicture<'_>, source: &dyn FlowSource) -> Result<Self, FlowError> {
+        let (forward, backward) = source.both(a, b)?;
         let expected = (a.width, a.height);
         for flow in [&forward, &backward] {
             let found = (flow.width, flow.height);
@@ -130,7 +134,7 @@ fn flow(a: &Pyramid, b: &Pyramid, config: &FlowConfig) -> Flow {
 }
 
 /// How far a pixel lands from where it started after going there and back, pixels; infinite outside.
-fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
+pub(crate) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
     let (w, h) = (there.width, there.height);
     let mut out = vec![0.0; w * h];
     for y in 0..h {

@@ -15,5 +15,7 @@ mod refine;
 mod source;
 
 pub use config::SegmentConfig;
+pub(crate) use distance::to_outside;
+pub(crate) use prompt::{belief, points_apart};
 pub(super) use refine::sharpen;
 pub use source::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};

@@ -16,15 +16,22 @@ pub fn prompt(
 ) -> Option<SegmentPrompt> {
     let inner = to_outside(width, height, part);
     let outer = to_outside(width, height, |p| !part(p));
-    let belief = inner.iter().zip(&outer).map(|(inner, outer)| {
-        let beyond_edge_px = if *inner > 0.0 { inner - 0.5 } else { 0.5 - outer };
-        (config.belief_per_px * beyond_edge_px).clamp(-config.belief_limit, config.belief_limit)
-    });
     Some(SegmentPrompt {
-        points_px: points(width, height, &inner, config.points),
+        points_px: points_apart(width, height, &inner, config.points),
+        off_points_px: Vec::new(),
         box_px: bounds(width, height, part)?,
-        belief: belief.collect(),
+        belief: belief(&inner, &outer, config.belief_per_px, config.belief_limit),
     })
+}
+
+/// Logits that grow by `per_px` with the distance from the edge of a part up to `limit`; `inner` is the distance of each pixel to what is outside
+/// of the part, `outer` that to the part.
+pub(crate) fn belief(inner: &[f32], outer: &[f32], per_px: f32, limit: f32) -> Vec<f32> {
+    let logit = |(inner, outer): (&f32, &f32)| {
+        let beyond_edge_px = if *inner > 0.0 { inner - 0.5 } else { 0.5 - outer };
+        (per_px * beyond_edge_px).clamp(-limit, limit)
+    };
+    inner.iter().zip(outer).map(logit).collect()
 }
 
 fn bounds(width: usize, height: usize, part: impl Fn(usize) -> bool) -> Option<[f32; 4]> {
@@ -39,7 +46,7 @@ fn bounds(width: usize, height: usize, part: impl Fn(usize) -> bool) -> Option<[
 
 /// The place deepest inside (the picture's border counts as an edge), then again and again the one that is both deep and far from those
 /// before it; `inner` is the distance to what is outside.
-fn points(width: usize, height: usize, inner: &[f32], count: usize) -> Vec<[f32; 2]> {
+pub(crate) fn points_apart(width: usize, height: usize, inner: &[f32], count: usize) -> Vec<[f32; 2]> {
     let mut depth: Vec<f32> = (0..width * height)
         .map(|p| {
             let (x, y) = (p % width, p / width);

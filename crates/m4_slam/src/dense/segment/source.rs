@@ -7,6 +7,8 @@ use m4_scene::RgbImage;
 pub struct SegmentPrompt {
     /// Columns and rows of places on the thing, the surest first.
     pub points_px: Vec<[f32; 2]>,
+    /// Columns and rows of places that are not on the thing.
+    pub off_points_px: Vec<[f32; 2]>,
     /// Column and row of the centre of the first pixel of the thing's box, then of the last.
     pub box_px: [f32; 4],
     /// `[height][width]`, logits: above 0 where the thing is believed to be.

@@ -1,0 +1,73 @@
+//! What refinement cannot work with.
+
+use super::polarity::PolarityEvidence;
+use super::source::VideoError;
+
+/// Why there are no refined masks.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum InstanceError {
+    /// The clip has no frames, or frames without pixels.
+    #[error("the clip has {frames} frames of {}x{} pixels; at least one frame of {minimum} px a side is needed", size.0, size.1)]
+    NoFrames {
+        /// Frames.
+        frames: usize,
+        /// Width and height.
+        size: (usize, usize),
+        /// Least side, pixels.
+        minimum: usize,
+    },
+    /// Coarse masks of another clip.
+    #[error("{found} coarse masks were given for {expected} frames; give one a frame")]
+    Count {
+        /// Masks.
+        found: usize,
+        /// Frames.
+        expected: usize,
+    },
+    /// A coarse mask without pixels.
+    #[error("the coarse mask of frame {frame} has no pixels")]
+    EmptyMask {
+        /// Frame.
+        frame: usize,
+    },
+    /// A map of motion is the other way round.
+    #[error(
+        "the maps of motion look turned round ({evidence}): high values are to mean that something moves. If they mean that it rests, set \
+         `reading = \"still\"`; if they are right as they are, `reading = \"moving\"`"
+    )]
+    Polarity {
+        /// What was found.
+        evidence: PolarityEvidence,
+    },
+    /// A setting out of range.
+    #[error("setting {name} is {value}; it must be {range}")]
+    Setting {
+        /// Path of the setting.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        range: &'static str,
+    },
+    /// Following failed.
+    #[error(transparent)]
+    Video(VideoError),
+    /// The user asked to stop.
+    #[error("stopped on request while {phase}")]
+    Cancelled {
+        /// What was going on.
+        phase: &'static str,
+    },
+}
+
+impl From<VideoError> for InstanceError {
+    fn from(error: VideoError) -> Self {
+        match error {
+            VideoError::Cancelled { .. } => Self::Cancelled {
+                phase: "following things",
+            },
+            other => Self::Video(other),
+        }
+    }
+}

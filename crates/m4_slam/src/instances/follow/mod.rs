@@ -1,0 +1,57 @@
+//! Following by optical flow, with a segmenter of single pictures or without.
+//!
+//! ```text
+//! mask of frame t --flow, there and back--> carried to t + 1 --edges of t + 1--> carried mask
+//!   carried mask --box, points, belief--> Segmenter --plausible?--> its mask, else the carried one
+//! ```
+//!
+//! A thing of which too little arrives is lost for good: nothing here remembers what it looks like. Source: mask propagation by
+//! flow is old; the rule when to believe a segmenter is that of `dense::segment`.
+
+mod ask;
+mod picture;
+mod session;
+mod settings;
+mod warp;
+
+pub(super) use picture::Picture;
+pub use settings::FollowSettings;
+
+use super::clip::Clip;
+use super::source::{VideoError, VideoSegmenter, VideoSession};
+use crate::dense::{FlowSource, Segmenter};
+
+/// Carries masks along optical flow. Where there is a segmenter of single pictures, it says what they mean in each frame.
+pub struct FlowFollower<'a> {
+    flow: &'a dyn FlowSource,
+    segmenter: Option<&'a dyn Segmenter>,
+    settings: FollowSettings,
+    name: String,
+}
+
+impl<'a> FlowFollower<'a> {
+    /// Follows by flow of `flow`; `segmenter` may outline things in each frame.
+    #[must_use]
+    pub fn new(flow: &'a dyn FlowSource, segmenter: Option<&'a dyn Segmenter>, settings: FollowSettings) -> Self {
+        let name = match segmenter {
+            Some(segmenter) => format!("{}+{}", segmenter.name(), flow.name()),
+            None => flow.name().to_owned(),
+        };
+        Self {
+            flow,
+            segmenter,
+            settings,
+            name,
+        }
+    }
+}
+
+impl VideoSegmenter for FlowFollower<'_> {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn open<'b>(&'b self, clip: &'b dyn Clip, size: (usize, usize)) -> Result<Box<dyn VideoSession + 'b>, VideoError> {
+        Ok(Box::new(session::Session::new(self, clip, size)))
+    }
+}

@@ -1,0 +1,103 @@
+//! A mask carried to the next frame along the flow, and sharpened there along the edges of the frame.
+
+use super::picture::Picture;
+use super::settings::FollowSettings;
+use crate::dense::{Flow, FlowPair, Smoother, bilinear, round_trip_px};
+use m4_scene::CompactMask;
+
+/// How far beyond the carried pixels of a thing its mask may reach after sharpening, pixels.
+const MARGIN_PX: usize = 16;
+
+/// Flow between the frame that a mask is of and the one that it is carried to, at the size of the mask.
+pub struct Step {
+    /// From the frame of the mask to the other, to say what arrives.
+    there: Flow,
+    there_round_trip_px: Vec<f32>,
+    /// From the other back, to fetch values.
+    back: Flow,
+    back_round_trip_px: Vec<f32>,
+}
+
+impl Step {
+    pub fn new(pair: FlowPair, (width, height): (usize, usize)) -> Self {
+        if (pair.forward.width, pair.forward.height) == (width, height) {
+            return Self {
+                there: pair.forward,
+                there_round_trip_px: pair.forward_round_trip,
+                back: pair.backward,
+                back_round_trip_px: pair.backward_round_trip,
+            };
+        }
+        let (there, back) = (
+            pair.forward.resized(width, height),
+            pair.backward.resized(width, height),
+        );
+        Self {
+            there_round_trip_px: round_trip_px(&there, &back),
+            back_round_trip_px: round_trip_px(&back, &there),
+            there,
+            back,
+        }
+    }
+}
+
+/// Weight of what nobody vouches for: its neighbours of the same colour decide.
+const UNKNOWN: f32 = 1e-6;
+
+/// Share of 0 to 1 by which a pixel counts whose way there and back misses by `miss_px`. It falls fast: what comes out from behind a thing fetches
+/// its value from the thing, and misses by the thing's way.
+fn trust(miss_px: f32, half_px: f32) -> f32 {
+    let r = miss_px / half_px;
+    if r < 2.0 { 1.0 / (1.0 + r.powi(4)) } else { 0.0 }
+}
+
+/// The mask in the other frame, whose picture is `onto`; `None` where too little of the thing arrives.
+pub fn carry(mask: &CompactMask, step: &Step, onto: &Picture, settings: &FollowSettings) -> Option<CompactMask> {
+    let (w, h) = mask.size();
+    let (mut area, mut arrives) = (0.0f32, 0.0f32);
+    let mut ends: Option<[usize; 4]> = None;
+    for (x, y) in mask.set_pixels() {
+        let p = y * w + x;
+        let t = trust(step.there_round_trip_px[p], settings.round_trip_px);
+        area += 1.0;
+        arrives += t;
+        if t > 0.0 {
+            let qx = (x as f32 + step.there.u[p] + 0.5).max(0.0) as usize;
+            let qy = (y as f32 + step.there.v[p] + 0.5).max(0.0) as usize;
+            let (qx, qy) = (qx.min(w - 1), qy.min(h - 1));
+            let [x0, y0, x1, y1] = ends.unwrap_or([qx, qy, qx, qy]);
+            ends = Some([x0.min(qx), y0.min(qy), x1.max(qx), y1.max(qy)]);
+        }
+    }
+    if arrives < settings.least_kept * area {
+        return None;
+    }
+    let [x0, y0, x1, y1] = ends?;
+    let (x0, y0) = (x0.saturating_sub(MARGIN_PX), y0.saturating_sub(MARGIN_PX));
+    let (x1, y1) = ((x1 + MARGIN_PX + 1).min(w), (y1 + MARGIN_PX + 1).min(h));
+    let (cw, ch) = (x1 - x0, y1 - y0);
+    let side: Vec<f32> = (0..w * h)
+        .map(|p| if mask.at(p % w, p / w) { 1.0 } else { -1.0 })
+        .collect();
+    let (mut value, mut weight) = (vec![0.0; cw * ch], vec![0.0; cw * ch]);
+    let mut guide = vec![[0u8; 3]; cw * ch];
+    for y in 0..ch {
+        for x in 0..cw {
+            let (i, q) = (y * cw + x, (y0 + y) * w + x0 + x);
+            let (px, py) = ((x0 + x) as f32 + step.back.u[q], (y0 + y) as f32 + step.back.v[q]);
+            value[i] = bilinear(w, h, &side, px, py);
+            weight[i] = trust(step.back_round_trip_px[q], settings.round_trip_px).max(UNKNOWN);
+            guide[i] = onto.rgb[q];
+        }
+    }
+    let found = if cw > 1 && ch > 1 {
+        Smoother::new(cw, ch, &guide, settings.edge_sigma)
+            .fill(&value, &weight, settings.smooth_lambda)
+            .0
+    } else {
+        value
+    };
+    let inside = |x: usize, y: usize| x >= x0 && y >= y0 && x < x1 && y < y1 && found[(y - y0) * cw + x - x0] > 0.0;
+    let out = CompactMask::from_fn(w, h, inside);
+    (out.count() as f32 >= (settings.least_share * (w * h) as f32).max(1.0)).then_some(out)
+}

@@ -1,0 +1,50 @@
+//! Who follows things where no network with a memory does.
+
+use crate::Error;
+use crate::geometry::{self, Segmenter};
+use m4_slam::dense::{self, FlowSource, InverseSearch};
+use m4_slam::instances::{FlowFollower, FollowSettings};
+
+/// Classical flow, and a segmenter of single pictures or none.
+pub struct Follower {
+    flow: InverseSearch,
+    pictures: Option<Box<dyn dense::Segmenter>>,
+    settings: FollowSettings,
+    weights_hash: Option<String>,
+}
+
+impl Follower {
+    /// With the segmenter that is asked for; its weights are looked for and loaded.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoSegmenter`] if the build has no networks; with networks [`Error::SegmenterWeights`] if weights are missing and
+    /// [`Error::SegmenterLoad`] if they cannot be used.
+    pub fn load(pictures: Segmenter, settings: FollowSettings) -> Result<Self, Error> {
+        let resolved = geometry::resolve_segmenter(pictures)?;
+        Ok(Self {
+            flow: InverseSearch::default(),
+            pictures: resolved.load()?,
+            settings,
+            weights_hash: resolved.weights_hash().map(str::to_owned),
+        })
+    }
+
+    /// What follows things.
+    #[must_use]
+    pub fn segmenter(&self) -> FlowFollower<'_> {
+        FlowFollower::new(&self.flow, self.pictures.as_deref(), self.settings.clone())
+    }
+
+    /// The source of flow, to check maps of motion with.
+    #[must_use]
+    pub fn flow(&self) -> &dyn FlowSource {
+        &self.flow
+    }
+
+    /// BLAKE3 of the weights, for records.
+    #[must_use]
+    pub fn weights_hash(&self) -> Option<&str> {
+        self.weights_hash.as_deref()
+    }
+}
