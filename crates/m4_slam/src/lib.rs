@@ -9,6 +9,8 @@
 //! seen in another, behind [`tracker::Correspondence`]: optical flow, or a network. [`megasam`] goes all the way with it, from
 //! pictures to consistent depth.
 //!
+//! [`tracks3d`] follows points of what moves through a clip whose cameras and depth are known, seen or hidden.
+//!
 //! `sparse` and `dense` meet in the types of [`reconstruction`] alone, so either can be replaced.
 #![forbid(unsafe_code)]
 
@@ -20,3 +22,4 @@ pub mod megasam;
 pub mod reconstruction;
 pub mod sparse;
 pub mod tracker;
+pub mod tracks3d;

@@ -8,7 +8,7 @@
 //!                                                     '------- once more ------------|
 //!                                                                                    v
 //!                                           depth of the moving parts -> full size
-//!                                                     '-> tracks along the flow
+//!                                                     '-> tracks along the flow ([`crate::tracks3d`])
 //! ```
 //!
 //! What measures flow, what outlines the parts of the masks and what knows depth from one picture, if anything does, is the
@@ -52,12 +52,16 @@ mod working;
 mod bench_tests;
 
 pub use config::{
-    BodyConfig, DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig, TrackConfig,
+    BodyConfig, DenseConfig, FillConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig,
+    TrackConfig,
 };
 pub use densify::{Dense, DenseFrame, densify};
 pub use error::DenseError;
+pub(crate) use flow::round_trip_px;
 pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
 pub use given::Given;
 pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};
 pub use segment::{SegmentConfig, SegmentError, SegmentMask, SegmentPrompt, Segmenter};
+pub(crate) use shot::quantile;
 pub use sources::Sources;
+pub(crate) use working::{shrunk, working_size};

@@ -51,7 +51,7 @@ pub(super) fn sparse_points(sparse: &SparseReconstruction, width: usize, height:
 }
 
 /// The value below which a share `q` of the values lies; `None` for none.
-pub(super) fn quantile(values: &mut [f32], q: f64) -> Option<f32> {
+pub(crate) fn quantile(values: &mut [f32], q: f64) -> Option<f32> {
     let last = values.len().checked_sub(1)?;
     let k = (q * last as f64).round() as usize;
     Some(*values.select_nth_unstable_by(k.min(last), f32::total_cmp).1)

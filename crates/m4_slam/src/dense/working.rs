@@ -1,7 +1,7 @@
 //! Frames at the working size.
 
 use super::flow::FlowPicture;
-use m4_scene::{Camera, RgbImage};
+use m4_scene::{Camera, Plane, RgbImage};
 
 /// One frame at the working size.
 #[derive(Debug, Clone)]
@@ -17,7 +17,7 @@ pub(super) struct WorkingFrame {
 }
 
 /// The size whose longest side is `side`, or the size itself if it is smaller.
-pub(super) fn working_size(width: usize, height: usize, side: usize) -> (usize, usize) {
+pub(crate) fn working_size(width: usize, height: usize, side: usize) -> (usize, usize) {
     let longest = width.max(height);
     if longest <= side {
         return (width, height);
@@ -79,6 +79,12 @@ fn overlap(cell: usize, n: usize, m: usize) -> Vec<(usize, f32)> {
             (i, (share / (end - start)) as f32)
         })
         .collect()
+}
+
+/// The mean of the pixels of each pixel of a smaller size.
+pub(crate) fn shrunk(image: &RgbImage, width: usize, height: usize) -> RgbImage {
+    let exact = shrink(image, width, height);
+    Plane::from_fn(width, height, |x, y| exact[y * width + x].map(|v| v.round() as u8))
 }
 
 /// Area average; sizes must not grow.

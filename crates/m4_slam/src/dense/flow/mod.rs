@@ -130,7 +130,7 @@ fn flow(a: &Pyramid, b: &Pyramid, config: &FlowConfig) -> Flow {
 }
 
 /// How far a pixel lands from where it started after going there and back, pixels; infinite outside.
-fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
+pub(crate) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
     let (w, h) = (there.width, there.height);
     let mut out = vec![0.0; w * h];
     for y in 0..h {
