@@ -5,6 +5,7 @@ use crate::change::changes;
 use crate::cloud::{Clouds, Pixels, clouds};
 use crate::motion::{Field, Fields, Registration, View, Ways, fields};
 use crate::shell::{Shell, shell};
+use crate::tracked::{self, Known};
 use crate::voxel::{Centroids, Grid, pixels_for};
 use crate::write::{BRIGHT, DARK, Writer};
 use crate::{InitConfig, InitError, TimeSpread, VelocityInit};
@@ -71,7 +72,6 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     progress.update("voxels", 2, 3, &format!("{} static", standing.xyz.len()));
 
     let fields = motions(capture, config, &clouds, &moving, &grid);
-    let velocities = velocities(&moving, &fields);
     if progress.cancelled() {
         return Err(InitError::Stopped);
     }
@@ -79,7 +79,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let by = Carry {
         keyframes: match config.velocity {
             // What does not move is carried nowhere.
-            VelocityInit::Zero => 0,
+            VelocityInit::Zero | VelocityInit::Tracks { .. } => 0,
             VelocityInit::Register { .. } => config.carry_keyframes,
         },
         most: config.carry_max,
@@ -87,6 +87,26 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         reach: (f64::from(config.carry_reach_pixels) * median_depth / focal_px) as f32,
     };
     let hidden = hidden(capture, &frames, &moving, &fields, &moving_grid, by);
+    let known = Known {
+        capture,
+        frames: &frames,
+        moving: &moving,
+        carried: &hidden,
+        grid: &moving_grid,
+        depth_range: [clouds.near_depth, clouds.far_depth],
+        median_depth,
+    };
+    let tracked = tracked::tracked(&known, config);
+    let velocities = match config.velocity {
+        VelocityInit::Tracks {
+            neighbours,
+            reach_pixels,
+        } => {
+            let reach = f64::from(reach_pixels) * median_depth / focal_px;
+            tracked::velocities(&known, neighbours, reach as f32, config)
+        }
+        VelocityInit::Zero | VelocityInit::Register { .. } => velocities(&moving, &fields),
+    };
     let tint_grid = grid(config.change_pixels);
     let tints: Vec<Tints> = frames
         .par_iter()
@@ -112,6 +132,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         moving,
         velocities,
         hidden,
+        tracked,
         tints,
     };
     let splats = assemble(capture, config, &parts);
@@ -138,6 +159,8 @@ struct Parts {
     velocities: Vec<Vec<[f32; 3]>>,
     /// Points that a keyframe cannot see.
     hidden: Vec<Moving>,
+    /// Points of tracks that each keyframe lacks.
+    tracked: Vec<Moving>,
     /// One a keyframe.
     tints: Vec<Tints>,
 }
@@ -154,7 +177,7 @@ fn motions(
     grid: &impl Fn(f32) -> Grid,
 ) -> Vec<Fields> {
     match config.velocity {
-        VelocityInit::Zero => vec![Fields::default(); moving.len().saturating_sub(1)],
+        VelocityInit::Zero | VelocityInit::Tracks { .. } => vec![Fields::default(); moving.len().saturating_sub(1)],
         VelocityInit::Register {
             pixels,
             colour_scale,
@@ -238,7 +261,8 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
         time_degree: 0,
     };
     let n_moving: usize = parts.moving.iter().map(|(_, c)| c.xyz.len()).sum();
-    let n_hidden: usize = parts.hidden.iter().map(|m| m.points.xyz.len()).sum();
+    let unseen = || parts.hidden.iter().chain(&parts.tracked);
+    let n_hidden: usize = unseen().map(|m| m.points.xyz.len()).sum();
     let n_tints: usize = parts
         .tints
         .iter()
@@ -263,9 +287,11 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
         let first = writer.row;
         writer.surface(points);
         writer.velocity(first, &parts.velocities[i]);
-        let first_hidden = writer.row;
-        writer.surface(&parts.hidden[i].points);
-        writer.velocity(first_hidden, &parts.hidden[i].velocity);
+        for unseen in [&parts.hidden[i], &parts.tracked[i]] {
+            let first = writer.row;
+            writer.surface(&unseen.points);
+            writer.velocity(first, &unseen.velocity);
+        }
         writer.tint(&parts.tints[i].darker, DARK);
         writer.tint(&parts.tints[i].brighter, BRIGHT);
         writer.time(first, (*t as f32, spans.moving));

@@ -62,6 +62,8 @@ pub(crate) struct Clouds {
     pub moving: Vec<Pixels>,
     /// Median z-depth of the sampled pixels, world units.
     pub median_depth: f64,
+    /// Depth above which 99 of 100 pixels lie, world units.
+    pub near_depth: f64,
     /// Depth below which 99 of 100 pixels lie, world units.
     pub far_depth: f64,
     /// Focal length at the size of the depth maps, pixels (mean of both axes and of the frames).
@@ -101,6 +103,7 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
         standing: Vec::new(),
         moving: Vec::new(),
         median_depth: 0.0,
+        near_depth: 0.0,
         far_depth: 0.0,
         focal_px: 0.0,
     };
@@ -147,6 +150,8 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
     free_space::clear(capture, &mut out.standing, config);
     let middle = depths.len() / 2;
     out.median_depth = f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1);
+    let near = (depths.len() - 1) / 100;
+    out.near_depth = f64::from(*depths.select_nth_unstable_by(near, f32::total_cmp).1);
     let far = (depths.len() - 1) * 99 / 100;
     out.far_depth = f64::from(*depths.select_nth_unstable_by(far, f32::total_cmp).1);
     Ok(out)

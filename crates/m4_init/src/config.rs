@@ -40,6 +40,14 @@ pub enum TimeSpread {
 pub enum VelocityInit {
     /// All 0: the optimiser finds them.
     Zero,
+    /// Points take the velocity of the nearest tracks, by the inverse of their distance; 0 where none is near, or the capture
+    /// brings none (section 2.6).
+    Tracks {
+        /// Tracks that are asked.
+        neighbours: usize,
+        /// Tracks farther away than this say nothing, pixels at the median depth.
+        reach_pixels: f32,
+    },
     /// Each keyframe's points are registered to those of the keyframes before and after: locally rigid
     /// motions that bring similar colours together; tracks that the capture brings refine them (section 2.6).
     Register {
@@ -62,6 +70,39 @@ pub enum VelocityInit {
         #[serde(default = "tracks_are_followed")]
         tracks: bool,
     },
+}
+
+/// Points of tracks that the capture brings, added to those of the frames (paper Eq. 5: the completed cloud; section 2.6). Without
+/// tracks nothing is added.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrackedInit {
+    /// Whether they are added: one a track and keyframe, hidden ones too.
+    pub enabled: bool,
+    /// Also where the frame itself sees the place (the paper's letter); such points fill cells that the frame's own points leave
+    /// empty. Else only where it cannot, by [`InitConfig::carry_margin`].
+    pub seen: bool,
+    /// Places that are trusted less than this are dropped where they lie outside the range of depths that frames see.
+    pub confidence: f32,
+    /// Places in front of what the frame sees by more than this share of the depth are dropped (section 2.6: 5 %).
+    pub free_space: f32,
+    /// Places that a track reaches or leaves by a step of more than this many times its median step are dropped.
+    pub jump: f32,
+    /// Most points, all keyframes together; more are thinned everywhere alike.
+    pub most: usize,
+}
+
+impl Default for TrackedInit {
+    fn default() -> Self {
+        Self {
+            enabled: true,
+            seen: false,
+            confidence: 0.5,
+            free_space: 0.05,
+            jump: 8.0,
+            most: 300_000,
+        }
+    }
 }
 
 /// Settings of [`crate::initialise`]. Defaults are those of [`InitConfig::fast`].
@@ -110,6 +151,8 @@ pub struct InitConfig {
     pub carry_margin: f32,
     /// Points closer than this, pixels at the median depth, belong to one body.
     pub carry_reach_pixels: f32,
+    /// Points of tracks.
+    pub tracked: TrackedInit,
     /// A patch of standing surface whose brightness differs by more than this (0..1) from its mean over
     /// all frames gets splats of its own for that time: moving shadows (our rule). 0 for none.
     pub change_threshold: f32,
@@ -174,6 +217,7 @@ impl InitConfig {
             carry_max: 300_000,
             carry_margin: 0.004,
             carry_reach_pixels: 6.0,
+            tracked: TrackedInit::default(),
             change_threshold: 0.05,
             change_max_share: 0.1,
             change_pixels: 5.0,
@@ -214,6 +258,11 @@ impl InitConfig {
             mask_margin_px: 0,
             free_space: 0.0,
             carry_keyframes: 0,
+            tracked: TrackedInit {
+                seen: true,
+                most: 40_000,
+                ..TrackedInit::default()
+            },
             change_threshold: 0.0,
             shell_splats: 0,
             isotropic: true,
@@ -258,6 +307,9 @@ impl InitConfig {
         at_least_0("free_space", self.free_space)?;
         at_least_0("carry_margin", self.carry_margin)?;
         positive("carry_reach_pixels", self.carry_reach_pixels)?;
+        at_least_0("tracked.confidence", self.tracked.confidence)?;
+        at_least_0("tracked.free_space", self.tracked.free_space)?;
+        positive("tracked.jump", self.tracked.jump)?;
         positive("disc_thickness", self.disc_thickness)?;
         at_least_0("change_threshold", self.change_threshold)?;
         if !(0.0..1.0).contains(&self.change_max_share) {
@@ -276,6 +328,14 @@ impl InitConfig {
                 positive("time_spread.min_frames", min_frames)?;
             }
             TimeSpread::Reference { time_range } => positive("time_spread.time_range", time_range)?,
+        }
+        if let VelocityInit::Tracks {
+            neighbours,
+            reach_pixels,
+        } = self.velocity
+        {
+            at_least_1("velocity.tracks.neighbours", neighbours)?;
+            positive("velocity.tracks.reach_pixels", reach_pixels)?;
         }
         if let VelocityInit::Register {
             pixels,

@@ -8,7 +8,7 @@
 //! ```text
 //! cloud (depth -> points) -> free_space (what other frames see through goes) -> voxel (points -> centroids) -> spacing (neighbours -> discs) -> assemble
 //!                                                        -> motion (keyframe to keyframe)
-//! carry (what a keyframe cannot see, from those that can)
+//! carry (what a keyframe cannot see, from those that can)    tracked (what tracks know of it)
 //! change (moving shadows on what stands still)    shell (something behind everything)
 //! ```
 //!
@@ -26,9 +26,10 @@ mod free_space;
 mod motion;
 mod shell;
 mod spacing;
+mod tracked;
 mod voxel;
 mod write;
 
 pub use assemble::initialise;
-pub use config::{CellSize, InitConfig, TimeSpread, VelocityInit};
+pub use config::{CellSize, InitConfig, TimeSpread, TrackedInit, VelocityInit};
 pub use error::InitError;

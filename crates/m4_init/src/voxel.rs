@@ -78,6 +78,11 @@ impl Grid {
         (level as i16, self.unit * (0.5 * level).exp2())
     }
 
+    /// Edge of the cell of a point, world units.
+    pub fn edge(&self, p: [f32; 3]) -> f32 {
+        self.level(p).1
+    }
+
     /// Sortable key of the cell of a point.
     pub fn key(&self, p: [f32; 3]) -> (i16, u64) {
         let (level, edge) = self.level(p);

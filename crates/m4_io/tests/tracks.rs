@@ -37,6 +37,7 @@ fn same(a: &Tracks, b: &Tracks) {
     assert_eq!((a.frames(), a.count()), (b.frames(), b.count()));
     assert_eq!(bits(a), bits(b));
     assert_eq!((a.visible(), a.colours()), (b.visible(), b.colours()));
+    assert_eq!(a.confidence_steps(), b.confidence_steps());
 }
 
 #[test]
@@ -53,6 +54,11 @@ fn tracks_come_back_bit_by_bit() {
     let coloured = plain.with_colours((0..7).map(|k| [k, 2 * k, 9]).collect()).unwrap();
     write(&path, &coloured).unwrap();
     same(&read(&path, 5, LIMIT).unwrap(), &coloured);
+
+    let trusted = coloured.with_confidence(&[0.3; 35]).unwrap();
+    assert!(trusted.confidence_steps().is_some());
+    write(&path, &trusted).unwrap();
+    same(&read(&path, 5, LIMIT).unwrap(), &trusted);
 }
 
 /// Written by numpy 2.4 (`savez_compressed`, with a member more): `oracles/README.md`.

@@ -17,6 +17,8 @@ pub struct Tracks {
     visible: Vec<bool>,
     /// `[count]`.
     rgb: Option<Vec<[u8; 3]>>,
+    /// `[frames][count]`, in steps of 1/255.
+    confidence: Option<Vec<u8>>,
 }
 
 impl Tracks {
@@ -39,6 +41,7 @@ impl Tracks {
             xyz,
             visible,
             rgb: None,
+            confidence: None,
         })
     }
 
@@ -50,6 +53,29 @@ impl Tracks {
     pub fn with_colours(self, rgb: Vec<[u8; 3]>) -> Result<Self, ShapeError> {
         ShapeError::check("colours of tracks", self.count, rgb.len())?;
         Ok(Self { rgb: Some(rgb), ..self })
+    }
+
+    /// The same with how far each place is to be trusted, 0..1, `[frames][count]`, kept in steps of 1/255; what is not a number counts as 0.
+    ///
+    /// # Errors
+    ///
+    /// [`ShapeError`] when there is not one a place.
+    pub fn with_confidence(self, confidence: &[f32]) -> Result<Self, ShapeError> {
+        // a NaN becomes 0 in the cast
+        self.with_confidence_steps(confidence.iter().map(|c| (255.0 * c).round() as u8).collect())
+    }
+
+    /// The same with how far each place is to be trusted, `[frames][count]`, 0 to 255.
+    ///
+    /// # Errors
+    ///
+    /// [`ShapeError`] when there is not one a place.
+    pub fn with_confidence_steps(self, steps: Vec<u8>) -> Result<Self, ShapeError> {
+        ShapeError::check("confidence of tracks", self.xyz.len(), steps.len())?;
+        Ok(Self {
+            confidence: Some(steps),
+            ..self
+        })
     }
 
     /// Number of frames.
@@ -80,6 +106,26 @@ impl Tracks {
     #[must_use]
     pub fn colours(&self) -> Option<&[[u8; 3]]> {
         self.rgb.as_deref()
+    }
+
+    /// How far the place of a track in a frame is to be trusted, 0..1; where the tracker did not say, 1 where the point was seen and
+    /// else 0.
+    #[must_use]
+    pub fn confidence(&self, frame: usize, track: usize) -> f32 {
+        if frame >= self.frames || track >= self.count {
+            return 0.0;
+        }
+        let i = frame * self.count + track;
+        match &self.confidence {
+            Some(steps) => f32::from(steps[i]) / 255.0,
+            None => f32::from(u8::from(self.visible[i])),
+        }
+    }
+
+    /// How far each place is to be trusted, `[frames][count]`, 0 to 255, where the tracker said so.
+    #[must_use]
+    pub fn confidence_steps(&self) -> Option<&[u8]> {
+        self.confidence.as_deref()
     }
 
     /// Where a track is in a frame; `None` where that is not known, or beyond the last frame or track.
@@ -123,6 +169,10 @@ impl Tracks {
                 .flat_map(|&i| self.visible[row(i)].iter().copied())
                 .collect(),
             rgb: self.rgb.clone(),
+            confidence: self
+                .confidence
+                .as_ref()
+                .map(|c| order.iter().flat_map(|&i| c[row(i)].iter().copied()).collect()),
         })
     }
 }
@@ -159,6 +209,17 @@ mod tests {
         assert!(Tracks::new(2, 2, vec![[0.0; 3]; 4], vec![true; 5]).is_err());
         assert!(Tracks::new(usize::MAX, 2, Vec::new(), Vec::new()).is_err());
         assert!(made().with_colours(vec![[0; 3]]).is_err());
+    }
+
+    #[test]
+    fn trust_is_what_was_seen_unless_the_tracker_says_otherwise() {
+        let tracks = made();
+        assert_eq!([tracks.confidence(0, 0), tracks.confidence(1, 0)], [1.0, 0.0]);
+        let told = tracks.with_confidence(&[0.8, f32::NAN, 0.4, 7.0]).unwrap();
+        let turned = told.in_order(&[1, 0]).unwrap();
+        assert_eq!([turned.confidence(0, 0), turned.confidence(0, 1)], [0.4, 1.0]);
+        assert_eq!([turned.confidence(1, 1), turned.confidence(2, 0)], [0.0, 0.0]);
+        assert!(made().with_confidence(&[1.0; 3]).is_err());
     }
 
     #[test]

@@ -10,6 +10,7 @@
 //! pictures to consistent depth.
 //!
 //! Whatever found what moves, [`instances`] tells it apart into things, outlines them and follows them through the clip.
+//! [`tracks3d`] follows points of what moves through a clip whose cameras and depth are known, seen or hidden.
 //!
 //! `sparse` and `dense` meet in the types of [`reconstruction`] alone, so either can be replaced.
 #![forbid(unsafe_code)]
@@ -23,3 +24,4 @@ pub mod megasam;
 pub mod reconstruction;
 pub mod sparse;
 pub mod tracker;
+pub mod tracks3d;

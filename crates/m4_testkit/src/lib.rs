@@ -5,6 +5,7 @@
 //! where a test should fail: that is what they are for.
 #![forbid(unsafe_code)]
 
+mod boxes;
 #[cfg(feature = "browser")]
 mod browser;
 mod compare;
@@ -15,6 +16,7 @@ mod levels;
 mod shared;
 mod synthetic;
 
+pub use boxes::{BoxScene, Hit};
 #[cfg(feature = "browser")]
 pub use browser::{Chromium, find_chromium};
 pub use compare::{Agreement, Flips, assert_gradient, assert_image};

@@ -4,6 +4,7 @@
 //! coords   [frames][tracks][3]   float32   world units; NaN where unknown
 //! visibs   [frames][tracks]      bool (or 8-bit integers)
 //! colors   [tracks][3]           uint8     optional, sRGB
+//! confidence [frames][tracks]    uint8     optional, of the places: 255 is sure (ours; not known to TAPIP3D)
 //! ```
 //!
 //! Other members of the archive are passed over. Files are not trusted: shapes are compared with the clip and with

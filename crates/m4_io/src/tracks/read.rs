@@ -48,9 +48,16 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, TracksF
         (shape != [count, 3]).then(|| format!("({count} tracks, 3)"))
     })?;
 
+    let confidence = array(&mut archive, "confidence", &["|u1"], limit_bytes, &|shape| {
+        (shape != [frames as u64, count]).then(|| format!("({frames} frames, {count} tracks)"))
+    })?;
+
     let wrong = |e: m4_scene::ShapeError| TracksFault::Archive(e.to_string());
     let visible = visible.bytes.iter().map(|&b| b != 0).collect();
-    let made = Tracks::new(frames, tracks, xyz, visible).map_err(wrong)?;
+    let mut made = Tracks::new(frames, tracks, xyz, visible).map_err(wrong)?;
+    if let Some(confidence) = confidence {
+        made = made.with_confidence_steps(confidence.bytes).map_err(wrong)?;
+    }
     match colours {
         Some(rgb) => made.with_colours(rgb.bytes.as_chunks::<3>().0.to_vec()).map_err(wrong),
         None => Ok(made),

@@ -24,6 +24,9 @@ pub fn write(path: &Path, tracks: &Tracks) -> io::Result<()> {
     if let Some(colours) = tracks.colours() {
         member(&mut zip, "colors", "|u1", vec![count, 3], colours.as_flattened())?;
     }
+    if let Some(confidence) = tracks.confidence_steps() {
+        member(&mut zip, "confidence", "|u1", vec![frames, count], confidence)?;
+    }
     let bytes = zip.finish().map_err(io::Error::from)?;
     atomic::write(path, bytes.get_ref())
 }

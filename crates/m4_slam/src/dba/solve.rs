@@ -50,7 +50,7 @@ impl System {
             .frames
             .iter()
             .enumerate()
-            .filter(|(_, frame)| self.window.contains(frame))
+            .filter(|&(_, &frame)| self.window.start <= frame && frame < self.window.end)
             .map(|(k, &frame)| (6 * k, 6 * (frame - self.window.start), 6))
             .collect();
         if self.focal {

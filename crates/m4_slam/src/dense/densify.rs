@@ -84,7 +84,7 @@ pub fn densify(
     progress: &dyn Progress,
 ) -> Result<Dense, DenseError> {
     let stages = run(frames, sparse, sources, given, config, progress)?;
-    let tracks = followed(&stages, config);
+    let tracks = followed(&stages, config, progress)?;
     let frames = each(frames.len(), "enlarging depth", progress, |i| {
         let small = Small {
             frame: &stages.shots[i].frame,
@@ -98,7 +98,10 @@ pub fn densify(
 }
 
 /// Tracks of what moves.
-fn followed(stages: &Stages, config: &DenseConfig) -> Option<Tracks> {
+fn followed(stages: &Stages, config: &DenseConfig, progress: &dyn Progress) -> Result<Option<Tracks>, DenseError> {
+    if !config.tracks.enabled {
+        return Ok(None);
+    }
     let cameras: Vec<Camera> = stages.shots.iter().map(|s| s.frame.camera).collect();
     let clip = tracks::Clip {
         width: stages.width,
@@ -108,7 +111,7 @@ fn followed(stages: &Stages, config: &DenseConfig) -> Option<Tracks> {
         disparity: &stages.disparity,
         flows: &stages.flows,
     };
-    config.tracks.enabled.then(|| tracks::tracks(&clip, &config.tracks))?
+    tracks::tracks(&clip, &config.tracks, progress)
 }
 
 fn check(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Result<(usize, usize), DenseError> {

@@ -4,6 +4,7 @@ use super::flow::FlowError;
 use super::mono::MonoError;
 use super::segment::SegmentError;
 use crate::cvd::CvdError;
+use crate::tracks3d::TrackError;
 
 /// Why no depth and masks could be made.
 #[derive(Debug, thiserror::Error)]
@@ -90,6 +91,9 @@ pub enum DenseError {
     /// Depth could not be made consistent.
     #[error("depth could not be made consistent over time")]
     Consistent(#[from] CvdError),
+    /// Points could not be followed.
+    #[error("what moves could not be followed")]
+    Tracks(#[from] TrackError),
     /// The user asked to stop.
     #[error("stopped on request while {phase}")]
     Cancelled {

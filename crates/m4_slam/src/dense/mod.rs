@@ -8,7 +8,7 @@
 //!                                                     '------- once more ------------|
 //!                                                                                    v
 //!                                           depth of the moving parts -> full size
-//!                                                     '-> tracks along the flow
+//!                                                     '-> tracks along the flow ([`crate::tracks3d`])
 //! ```
 //!
 //! What measures flow, what outlines the parts of the masks and what knows depth from one picture, if anything does, is the
@@ -53,7 +53,8 @@ mod bench_tests;
 
 pub(crate) use components::Components;
 pub use config::{
-    BodyConfig, DenseConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig, TrackConfig,
+    BodyConfig, DenseConfig, FillConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig,
+    TrackConfig,
 };
 pub use densify::{Dense, DenseFrame, densify};
 pub use error::DenseError;
@@ -66,4 +67,4 @@ pub(crate) use segment::{belief, points_apart, to_outside};
 pub(crate) use shot::quantile;
 pub(crate) use smooth::Smoother;
 pub use sources::Sources;
-pub(crate) use working::{rgb_and_grey, working_size};
+pub(crate) use working::{rgb_and_grey, shrunk, working_size};

@@ -1,7 +1,7 @@
 //! Frames at the working size.
 
 use super::flow::FlowPicture;
-use m4_scene::{Camera, RgbImage};
+use m4_scene::{Camera, Plane, RgbImage};
 
 /// One frame at the working size.
 #[derive(Debug, Clone)]
@@ -83,6 +83,12 @@ pub(crate) fn rgb_and_grey(image: &RgbImage, width: usize, height: usize) -> (Ve
     let luma = |c: &[f32; 3]| 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2];
     let grey = exact.iter().map(luma).collect();
     (exact.iter().map(|c| c.map(|v| v.round() as u8)).collect(), grey)
+}
+
+/// The mean of the pixels of each pixel of a smaller size.
+pub(crate) fn shrunk(image: &RgbImage, width: usize, height: usize) -> RgbImage {
+    let exact = shrink(image, width, height);
+    Plane::from_fn(width, height, |x, y| exact[y * width + x].map(|v| v.round() as u8))
 }
 
 /// Area average; sizes must not grow.

@@ -21,7 +21,7 @@ pub use moving_depth::MovingDepthConfig;
 pub use plate::PlateConfig;
 use serde::{Deserialize, Serialize};
 pub use static_depth::StaticDepthConfig;
-pub use tracks::TrackConfig;
+pub use tracks::{FillConfig, TrackConfig};
 
 /// Settings of [`super::densify()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
