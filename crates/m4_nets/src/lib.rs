@@ -19,6 +19,7 @@ pub mod gmflow;
 pub mod mobile_sam;
 pub mod moge;
 pub mod raft;
+pub mod tapip3d;
 pub mod unidepth;
 
 mod correlation;
@@ -46,4 +47,5 @@ pub use load::LoadError;
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;
+pub use tapip3d::{PointQuery, PointTracks, PosedClip, Tapip3d, Tapip3dError, Tapip3dOptions};
 pub use unidepth::{UniDepth, UniDepthError, UniDepthMap};
