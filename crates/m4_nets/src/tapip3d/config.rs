@@ -55,7 +55,7 @@ impl Config {
     pub fn of_checkpoint(path: &Path) -> Result<Self, String> {
         let said = metadata(path).ok_or(
             "it has no configuration: the published file is to be converted once by `python3 tools/models/convert_tapip3d.py`, \
-             which needs PyTorch, OmegaConf and safetensors",
+             which needs PyTorch, NumPy and safetensors",
         )?;
         let said: Value = serde_json::from_str(&said).map_err(|error| format!("its configuration is no JSON: {error}"))?;
         Self::read(&said).map_err(|reason| format!("of its configuration, {reason}"))
