@@ -66,6 +66,22 @@ impl Fixture {
         bytes
     }
 
+    /// A tensor of 64-bit numbers.
+    pub fn doubles(&self, name: &str) -> Vec<f64> {
+        let (bytes, dtype, _) = self.tensor(name);
+        assert_eq!(dtype, Dtype::F64, "{name}");
+        let values = bytes.as_chunks::<8>().0.iter().map(|&b| f64::from_le_bytes(b));
+        values.collect()
+    }
+
+    /// A tensor of 16-bit whole numbers.
+    pub fn shorts(&self, name: &str) -> Vec<i16> {
+        let (bytes, dtype, _) = self.tensor(name);
+        assert_eq!(dtype, Dtype::I16, "{name}");
+        let values = bytes.as_chunks::<2>().0.iter().map(|&b| i16::from_le_bytes(b));
+        values.collect()
+    }
+
     /// A picture of `[3, h, w]` bytes.
     pub fn picture(&self, name: &str) -> RgbImage {
         let (_, _, shape) = self.tensor(name);

@@ -20,6 +20,7 @@ pub mod mobile_sam;
 pub mod moge;
 pub mod raft;
 pub mod sam2;
+pub mod tapip3d;
 pub mod unidepth;
 
 mod correlation;
@@ -51,4 +52,5 @@ pub use moge::MoGeOnnx;
 pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;
 pub use sam2::{Sam2, Sam2Error, Sam2Size};
+pub use tapip3d::{PointQuery, PointTracks, PosedClip, Tapip3d, Tapip3dError, Tapip3dOptions};
 pub use unidepth::{UniDepth, UniDepthError, UniDepthMap};

@@ -11,11 +11,12 @@ use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, try_init_setup};
 use m4_nets::droid::{EdgeUpdate, MemoryOptions, Storage};
 use m4_nets::raft::LowFlow;
 use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoOptions, VideoPredictor};
+use m4_nets::tapip3d::ClipError;
 use m4_nets::{
-    Compute, DepthAnything, Device, DroidMemory, DroidNet, GmFlow, MoGe, MoGeOptions, MobileSam, PointPrompt, Prompt,
-    Raft, Sam2, UniDepth, cpu,
+    Compute, DepthAnything, Device, DroidMemory, DroidNet, GmFlow, MoGe, MoGeOptions, MobileSam, PointPrompt,
+    PointQuery, PosedClip, Prompt, Raft, Sam2, Tapip3d, Tapip3dOptions, UniDepth, cpu,
 };
-use m4_scene::{Plane, RgbImage, Silent};
+use m4_scene::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
 use m4_testkit::{FormulaWeights, write_formula_weights};
 use std::collections::BTreeMap;
 use std::fs;
@@ -331,5 +332,80 @@ fn sam2_says_the_same_as_on_the_processor() {
         for frame in &half.1[1..] {
             assert!(frame.iter().all(|x| x.is_finite() && x.abs() < 100.0));
         }
+    }
+}
+
+/// A wavy wall, before a camera that stands still.
+struct Wall;
+
+impl PosedClip for Wall {
+    fn frames(&self) -> usize {
+        5
+    }
+
+    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
+        Ok(pattern(288, 128, 2.0 * frame as f32))
+    }
+
+    fn depth(&self, frame: usize) -> Result<DepthMap, ClipError> {
+        let z = |x: usize, y: usize| 3.0 + 0.3 * (0.05 * x as f32 + 0.1 * frame as f32).sin() + 0.004 * y as f32;
+        Ok(Plane::from_fn(288, 128, z))
+    }
+
+    fn camera(&self, _frame: usize) -> Result<Camera, ClipError> {
+        Ok(Camera {
+            intrinsics: Intrinsics::centred(288, 128, 240.0),
+            c2w: m4_math::Se3::identity(),
+        })
+    }
+}
+
+#[test]
+fn points_are_followed_as_on_the_processor() {
+    let Some(gpu) = gpu("points_are_followed_as_on_the_processor") else {
+        return;
+    };
+    let folder = TempDir::new().unwrap();
+    let path = folder.path().join("weights.safetensors");
+    let config = include_str!("../../../fixtures/tapip3d/config.json");
+    // a random network makes much of the highest frequencies of offsets: they are damped, as in its fixture
+    let damped = |s: usize| 0.5f32.powi(s.saturating_sub(4) as i32);
+    let mut weights = FormulaWeights::of_keys(include_str!("../../../fixtures/tapip3d/keys.txt"))
+        .scaled("point_updater.flow_head.weight", 0.005)
+        .scaled_by("point_updater.input_transform.weight", |i| {
+            (i % 711).checked_sub(513 + 6).map_or(1.0, |j| damped(j % 96 / 6))
+        });
+    for level in 0..4 {
+        let name = format!("corr_processor.posenc_mlps.{level}.0.weight");
+        weights = weights.scaled_by(&name, |j| j.checked_sub(3).map_or(1.0, |j| damped(j % 48 / 3)));
+    }
+    weights.write_with(Some(("config", config)), &path);
+    let queries: Vec<PointQuery> = (0..70)
+        .map(|i| PointQuery {
+            frame: i % 5,
+            world: [0.04 * i as f64 - 1.4, 0.1 * (i % 9) as f64 - 0.4, 3.1],
+        })
+        .collect();
+    let options = Tapip3dOptions {
+        iterations: 2,
+        support_grid: 3,
+        ..Tapip3dOptions::at((288, 128))
+    };
+    let steps = |on: Compute| -> [Vec<f32>; 2] {
+        let net = Tapip3d::load(&path, on).unwrap();
+        let tracks = net.track(&Wall, &queries, &options, &Silent).unwrap();
+        let at = tracks.world().chunks_exact(5).zip(&queries);
+        let steps = at.flat_map(|(at, q)| at.iter().map(|p| [0, 1, 2].map(|i| p[i] - q.world[i] as f32)));
+        [steps.flatten().collect(), tracks.visibility().to_vec()]
+    };
+    let here = steps(cpu().into());
+    let there = steps(gpu.clone().into());
+    assert_near("steps", &there[0], &here[0], 2e-3);
+    assert_near("visibility", &there[1], &here[1], 1e-3);
+    let compute = Compute::half(gpu);
+    if compute.is_half() {
+        let half = steps(compute);
+        assert_near("steps in half precision", &half[0], &here[0], 1e-1);
+        assert_near("visibility in half precision", &half[1], &here[1], 2e-2);
     }
 }

@@ -4,6 +4,7 @@
 //! scale that follows from the name's last part and the shape.
 
 use safetensors::{Dtype, serialize_to_file, tensor::TensorView};
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Numbers in [-1, 1) from the name of a tensor alone, in row-major order.
@@ -92,6 +93,18 @@ impl FormulaWeights {
         self
     }
 
+    /// Multiplies each of the values of `name`, in 32 bits, by what `factor` says of its row-major index.
+    ///
+    /// # Panics
+    ///
+    /// If there is no such tensor.
+    #[must_use]
+    pub fn scaled_by(mut self, name: &str, factor: impl Fn(usize) -> f32) -> Self {
+        let values = self.at(name).iter_mut().enumerate();
+        values.for_each(|(i, x)| *x *= factor(i));
+        self
+    }
+
     /// Gives `name` the values of `of`, which is the same tensor under another name.
     ///
     /// # Panics
@@ -110,12 +123,22 @@ impl FormulaWeights {
     ///
     /// If it cannot be written.
     pub fn write(&self, path: &Path) {
+        self.write_with(None, path);
+    }
+
+    /// Writes a safetensors file whose metadata has one entry, a name and its text, or none.
+    ///
+    /// # Panics
+    ///
+    /// If it cannot be written.
+    pub fn write_with(&self, metadata: Option<(&str, &str)>, path: &Path) {
         let bytes: Vec<(Dtype, Vec<u8>)> = self.tensors.iter().map(FormulaTensor::bytes).collect();
         let views = self.tensors.iter().zip(&bytes).map(|(t, (dtype, bytes))| {
             let view = TensorView::new(*dtype, t.shape.clone(), bytes).expect("shape and values fit");
             (t.name.as_str(), view)
         });
-        serialize_to_file(views, None, path).expect("the checkpoint can be written");
+        let metadata = metadata.map(|(name, text)| HashMap::from([(name.to_owned(), text.to_owned())]));
+        serialize_to_file(views, metadata, path).expect("the checkpoint can be written");
     }
 }
 

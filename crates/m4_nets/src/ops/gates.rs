@@ -14,7 +14,7 @@ pub fn tanh<const D: usize>(x: Tensor<D>) -> Tensor<D> {
     apply::<Tanh, D>(x, Tensor::tanh)
 }
 
-struct Sigmoid;
+pub(super) struct Sigmoid;
 
 impl Function for Sigmoid {
     #[inline(always)]

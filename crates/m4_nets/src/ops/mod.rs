@@ -16,7 +16,7 @@ pub use attention::attend_heads;
 pub use convex::{convex_upsample, neighbours};
 pub use convolution::{convolve, convolve_edges};
 pub use gates::{sigmoid, tanh};
-pub use gelu::gelu;
+pub use gelu::{gelu, gelu_by_tanh};
 pub use picture::{IMAGENET_MEAN, IMAGENET_STD, planes};
 pub use positions::sine_positions;
 pub use resample::{Kernels, resampled};

@@ -160,10 +160,19 @@ fn explore() {
     session.set_mask(15, LATE, &exactly(2, 15)).unwrap();
     for to in [25, 7] {
         for (frame, masks) in followed(session.as_mut(), &[LATE, WALKER], 15, to).unwrap() {
-            let s: Vec<String> = masks.iter().zip([2, 1]).map(|(m, t)| {
-                let truth = exactly(t, frame);
-                format!("{:.3} ({} of {})", overlap(&m.mask, &truth), m.mask.count(), truth.count())
-            }).collect();
+            let s: Vec<String> = masks
+                .iter()
+                .zip([2, 1])
+                .map(|(m, t)| {
+                    let truth = exactly(t, frame);
+                    format!(
+                        "{:.3} ({} of {})",
+                        overlap(&m.mask, &truth),
+                        m.mask.count(),
+                        truth.count()
+                    )
+                })
+                .collect();
             println!("{frame}: {s:?}");
         }
     }

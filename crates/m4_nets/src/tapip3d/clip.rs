@@ -1,0 +1,130 @@
+//! What a tracker is given, and what it gives back.
+
+use m4_scene::{Camera, DepthMap, RgbImage, ShapeError, Tracks};
+use std::error::Error;
+
+/// What the source of a clip says when a frame cannot be had.
+pub type ClipError = Box<dyn Error + Send + Sync>;
+
+/// A clip whose frames are asked for when they are needed: each some times, in order and in reverse, a window of them kept.
+pub trait PosedClip {
+    /// How many frames there are.
+    fn frames(&self) -> usize;
+
+    /// The picture of `frame`, in any size.
+    ///
+    /// # Errors
+    ///
+    /// What hinders it.
+    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError>;
+
+    /// z-depth of `frame` in the unit of the poses, in any size that shows what the picture shows. 0, less, or not finite where
+    /// it is not known.
+    ///
+    /// # Errors
+    ///
+    /// What hinders it.
+    fn depth(&self, frame: usize) -> Result<DepthMap, ClipError>;
+
+    /// The camera of `frame`: its pose, and its intrinsics for the picture's or any other size.
+    ///
+    /// # Errors
+    ///
+    /// What hinders it.
+    fn camera(&self, frame: usize) -> Result<Camera, ClipError>;
+}
+
+/// A point to follow.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PointQuery {
+    /// The frame in which it is where it is.
+    pub frame: usize,
+    /// Where it is, in the world.
+    pub world: [f64; 3],
+}
+
+/// How points are followed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tapip3dOptions {
+    /// Columns and rows that frames are brought to; upstream's default, the training size with twice the pixels, is
+    /// [`Tapip3d::published_size`](super::Tapip3d::published_size). Time and memory of the encoder go with the pixels.
+    pub size: (usize, usize),
+    /// Times that each window is revised; 6, as published.
+    pub iterations: usize,
+    /// Rows and columns of points of the first frame that are followed beside those that are asked for, so that the network sees
+    /// how the scene moves; 16, as published.
+    pub support_grid: usize,
+    /// Whether frames before a point's own are followed too, on the reversed clip; as published.
+    pub backward: bool,
+    /// Whether depth at edges of objects is replaced by that beside them; as published.
+    pub clean_edges: bool,
+    /// Bytes for what is worked with. More lets more points be followed together and features of more frames be kept for the way
+    /// back; what is asked for and its answer come on top (some 70 kB a point in 32 bits).
+    pub memory_bytes: usize,
+}
+
+impl Tapip3dOptions {
+    /// As published, with frames of `size`.
+    #[must_use]
+    pub fn at(size: (usize, usize)) -> Self {
+        Self {
+            size,
+            iterations: 6,
+            support_grid: 16,
+            backward: true,
+            clean_edges: true,
+            memory_bytes: 2 << 30,
+        }
+    }
+}
+
+/// Where points went.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PointTracks {
+    pub(super) frames: usize,
+    /// `[query][frame]`.
+    pub(super) world: Vec<[f32; 3]>,
+    /// `[query][frame]`.
+    pub(super) visibility: Vec<f32>,
+}
+
+impl PointTracks {
+    /// Frames of the clip.
+    #[must_use]
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// Points that were followed.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.world.len().checked_div(self.frames).unwrap_or(0)
+    }
+
+    /// Where they are, in the world, `[query][frame]`.
+    #[must_use]
+    pub fn world(&self) -> &[[f32; 3]] {
+        &self.world
+    }
+
+    /// How likely they are seen, 0 to 1, `[query][frame]`.
+    #[must_use]
+    pub fn visibility(&self) -> &[f32] {
+        &self.visibility
+    }
+
+    /// The same as [`Tracks`], seen where that is at least as likely as `threshold`; upstream's is 0.9.
+    ///
+    /// # Errors
+    ///
+    /// [`ShapeError`] never, as lengths fit.
+    pub fn seen_from(&self, threshold: f32) -> Result<Tracks, ShapeError> {
+        let (frames, count) = (self.frames, self.count());
+        let at = |i: usize| i % count * frames + i / count;
+        let world = (0..frames * count).map(|i| self.world[at(i)]).collect();
+        let seen = (0..frames * count)
+            .map(|i| self.visibility[at(i)] >= threshold)
+            .collect();
+        Tracks::new(frames, count, world, seen)
+    }
+}

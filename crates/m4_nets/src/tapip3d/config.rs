@@ -1,0 +1,165 @@
+//! What the tensors of a checkpoint cannot tell. It stands in the metadata of a converted one.
+//!
+//! The published file is a pickle of PyTorch with an OmegaConf object beside the weights, which only Python can read;
+//! `tools/models/convert_tapip3d.py` writes the weights as safetensors and the configuration as JSON into the metadata entry
+//! `config`: the `model` section as it is, and `image_size` (rows, columns) from the section `train_dataset`. What it leaves out
+//! has the default of upstream's constructors.
+
+use serde_json::Value;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+/// How the scene is brought into the network's space.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NormMode {
+    /// Not at all.
+    None,
+    /// By a mean, and a standard deviation an axis.
+    Anisotropic,
+    /// By a mean and one standard deviation.
+    Isotropic,
+}
+
+/// What a checkpoint says of itself.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Config {
+    /// Columns and rows of training.
+    pub size: (usize, usize),
+    /// Frames of a window; even.
+    pub window: usize,
+    pub levels: usize,
+    pub norm_mode: NormMode,
+    pub norm_scale: f32,
+    /// Pixels from 0 to 1 are brought to -1 to 1 before the encoder does so again.
+    pub centre_rgb: bool,
+    /// Nearest points of a map.
+    pub neighbours: usize,
+    /// Heads of the attention between neighbourhoods.
+    pub heads: usize,
+    /// One set of weights for all levels.
+    pub shared: bool,
+    /// Heads of the updater.
+    pub updater_heads: usize,
+}
+
+/// Fewer and more of anything is no network that was ever made.
+const MOST: u64 = 4096;
+
+impl Config {
+    /// That of the converted checkpoint at `path`.
+    ///
+    /// # Errors
+    ///
+    /// What is not known here.
+    pub fn of_checkpoint(path: &Path) -> Result<Self, String> {
+        let said = metadata(path).ok_or(
+            "it has no configuration: the published file is to be converted once by `python3 tools/models/convert_tapip3d.py`, \
+             which needs PyTorch, NumPy and safetensors",
+        )?;
+        let said: Value =
+            serde_json::from_str(&said).map_err(|error| format!("its configuration is no JSON: {error}"))?;
+        Self::read(&said).map_err(|reason| format!("of its configuration, {reason}"))
+    }
+
+    /// That of a JSON object.
+    pub fn read(said: &Value) -> Result<Self, String> {
+        for (path, only) in ONLY {
+            let got = at(said, path);
+            if !got.is_none_or(|got| got == &only()) {
+                return Err(format!("{path} = {} is not known here", got.unwrap_or(&Value::Null)));
+            }
+        }
+        let updater = text(said, "point_updater.name").unwrap_or_default().to_lowercase();
+        if updater.contains("svd") || updater.contains("refine") {
+            return Err(format!("point_updater.name = {updater} is not known here"));
+        }
+        let window = count(said, "seq_len", None)?;
+        if window % 2 != 0 {
+            return Err(format!("seq_len = {window} is odd"));
+        }
+        let size = at(said, "image_size").and_then(Value::as_array);
+        let side = |i: usize| {
+            let side = size.and_then(|size| size.get(i)).and_then(Value::as_u64);
+            side.filter(|side| (1..=MOST).contains(side))
+                .map(|side| side as usize)
+                .ok_or("image_size is not rows and columns")
+        };
+        let norm_mode = match text(said, "norm_mode").unwrap_or("none").to_lowercase().as_str() {
+            "none" => NormMode::None,
+            "anisotropy" => NormMode::Anisotropic,
+            "isotropic" => NormMode::Isotropic,
+            other => return Err(format!("norm_mode = {other} is not known here")),
+        };
+        let norm_scale = match at(said, "norm_scale") {
+            Some(scale) => scale.as_f64().unwrap_or(f64::NAN),
+            None => 1.0,
+        };
+        if !(norm_scale.is_finite() && norm_scale > 0.0) {
+            return Err("norm_scale is no positive number".into());
+        }
+        Ok(Self {
+            size: (side(1)?, side(0)?),
+            window,
+            levels: count(said, "corr_levels", Some(4))?,
+            norm_mode,
+            norm_scale: norm_scale as f32,
+            centre_rgb: at(said, "center_rgb") == Some(&Value::Bool(true)),
+            neighbours: count(said, "corr_feature.k_neighbors", None)?,
+            heads: count(said, "corr_feature.transformer_num_heads", None)?,
+            shared: at(said, "corr_feature.share_weights_across_levels") == Some(&Value::Bool(true)),
+            updater_heads: count(said, "point_updater.num_heads", Some(8))?,
+        })
+    }
+}
+
+type Only = (&'static str, fn() -> Value);
+
+/// Options of upstream that the published network does not use, and that are not known here; `null` stands for none.
+const ONLY: [Only; 9] = [
+    ("use_local_pos_input", || Value::Bool(false)),
+    ("use_uv_input", || Value::Bool(false)),
+    ("relative", || Value::Bool(false)),
+    ("encoder.stride", || Value::from(4)),
+    ("corr_feature.use_features", || Value::Bool(false)),
+    ("corr_feature.use_absolute_pos", || Value::Bool(false)),
+    ("corr_feature.better_depth_downsample", || Value::Bool(true)),
+    ("point_updater.add_space_attn", || Value::Bool(true)),
+    ("point_updater.linear_layer_for_vis_conf", || Value::Bool(false)),
+];
+
+fn at<'a>(said: &'a Value, path: &str) -> Option<&'a Value> {
+    path.split('.').try_fold(said, |value, key| value.get(key))
+}
+
+fn text<'a>(said: &'a Value, path: &str) -> Option<&'a str> {
+    at(said, path).and_then(Value::as_str)
+}
+
+fn count(said: &Value, path: &str, otherwise: Option<usize>) -> Result<usize, String> {
+    match (at(said, path), otherwise) {
+        (Some(value), _) => {
+            let count = value.as_u64().filter(|n| (1..=MOST).contains(n));
+            count
+                .map(|n| n as usize)
+                .ok_or_else(|| format!("{path} = {value} is no number from 1 to {MOST}"))
+        }
+        (None, Some(otherwise)) => Ok(otherwise),
+        (None, None) => Err(format!("{path} is missing")),
+    }
+}
+
+/// The entry `config` of the metadata of a safetensors file; `None` for anything else.
+fn metadata(path: &Path) -> Option<String> {
+    let mut file = File::open(path).ok()?;
+    let mut length = [0; 8];
+    file.read_exact(&mut length).ok()?;
+    let length = u64::from_le_bytes(length);
+    if length > 100_000_000 {
+        return None;
+    }
+    let mut header = String::new();
+    file.take(length).read_to_string(&mut header).ok()?;
+    let header: Value = serde_json::from_str(&header).ok()?;
+    text(&header, "__metadata__.config").map(ToOwned::to_owned)
+}

@@ -1,0 +1,221 @@
+//! Depth as the network takes it: in its size, with edges of objects taken from beside them, and the range that counts.
+
+use super::camera::Lens;
+use super::nearest_pixel::nearest_pixels;
+use crate::ops::{Kernels, resampled};
+use m4_scene::DepthMap;
+use rayon::prelude::*;
+
+/// Depth may vary by this share of itself among neighbours before it is an edge...
+const JUMP: f32 = 0.08;
+/// ... if normals turn by more than this, too.
+const TURN_DEGREES: f64 = 15.0;
+
+/// `depth` in `size`: the mean of what is known around each pixel. 0 where nothing is.
+pub fn resized(depth: &DepthMap, size: (usize, usize)) -> Vec<f32> {
+    let (w, h) = depth.size();
+    let z: Vec<f32> = depth.data().iter().map(|&z| known(z)).collect();
+    if (w, h) == size {
+        return z;
+    }
+    let there: Vec<f32> = z.iter().map(|&z| f32::from(z > 0.0)).collect();
+    let (columns, rows) = (Kernels::linear(w, size.0), Kernels::linear(h, size.1));
+    let there = resampled(&there, w, h, &columns, &rows);
+    let mut z = resampled(&z, w, h, &columns, &rows);
+    for (z, there) in z.iter_mut().zip(there) {
+        *z = if there > 1e-6 { *z / (there + 1e-6) } else { 0.0 };
+    }
+    z
+}
+
+fn known(z: f32) -> f32 {
+    if z.is_finite() && z > 0.0 { z } else { 0.0 }
+}
+
+type Vec3 = [f64; 3];
+
+fn cross(a: Vec3, b: Vec3) -> Vec3 {
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
+}
+
+fn unit(a: Vec3) -> Vec3 {
+    let length = (a[0] * a[0] + a[1] * a[1] + a[2] * a[2]).sqrt() + 1e-12;
+    a.map(|x| x / length)
+}
+
+/// The places `(x, y)` of the window of three by three pixels around one, as far as they are in an image of `w` by `h`.
+fn window(x: usize, y: usize, w: usize, h: usize) -> impl Iterator<Item = usize> {
+    let columns = x.saturating_sub(1)..(x + 2).min(w);
+    (y.saturating_sub(1)..(y + 2).min(h)).flat_map(move |y| columns.clone().map(move |x| y * w + x))
+}
+
+/// `z` `[h][w]` with depth at edges replaced by that of the nearest pixel that is known and no edge.
+pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &Lens) -> Vec<f32> {
+    let steps = map(w, h, |x, y| {
+        let at = y * w + x;
+        let near = || window(x, y, w, h).map(|i| z[i]).filter(|&z| z > 0.0);
+        let (low, high) = near().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| {
+            (low.min(z), high.max(z))
+        });
+        z[at] > 0.0 && (high - low) / z[at] > JUMP
+    });
+    if !steps.contains(&true) {
+        return z.to_vec();
+    }
+    let normals = map(w, h, |x, y| normal(z, w, h, lens, x, y));
+    let least = TURN_DEGREES.to_radians().cos();
+    let turns = map(w, h, |x, y| {
+        let (n, _) = normals[y * w + x];
+        let n = unit(n);
+        // edges repeat the pixel itself, which never turns
+        window(x, y, w, h).any(|i| {
+            let (other, known) = normals[i];
+            let other = unit(other);
+            known && n[0] * other[0] + n[1] * other[1] + n[2] * other[2] < least
+        })
+    });
+    let edges = map(w, h, |x, y| steps[y * w + x] && window(x, y, w, h).any(|i| turns[i]));
+    let sound: Vec<bool> = z.iter().zip(&edges).map(|(&z, &edge)| z > 0.0 && !edge).collect();
+    let nearest = nearest_pixels(&sound, w, h);
+    let replaced = |i: usize| {
+        if edges[i] {
+            nearest[i].map_or(z[i], |j| z[j])
+        } else {
+            z[i]
+        }
+    };
+    (0..w * h).map(replaced).collect()
+}
+
+fn map<T: Send>(w: usize, h: usize, f: impl Fn(usize, usize) -> T + Sync) -> Vec<T> {
+    (0..h)
+        .into_par_iter()
+        .flat_map_iter(|y| (0..w).map(move |x| (x, y)))
+        .map(|(x, y)| f(x, y))
+        .collect()
+}
+
+/// The normal at a pixel, the mean of those of its four corners, and whether one of these is known.
+fn normal(z: &[f32], w: usize, h: usize, lens: &Lens, x: usize, y: usize) -> (Vec3, bool) {
+    let point = |dx: isize, dy: isize| -> Option<Vec3> {
+        let (x, y) = (x.checked_add_signed(dx)?, y.checked_add_signed(dy)?);
+        let depth = (x < w && y < h).then(|| z[y * w + x]).filter(|&z| z > 0.0)?;
+        Some(lens.ray([x as f64, y as f64]).map(|r| r * f64::from(depth)))
+    };
+    let none = ([0.0; 3], false);
+    let Some(here) = point(0, 0) else {
+        return none;
+    };
+    let around = [(0, -1), (-1, 0), (0, 1), (1, 0)].map(|(dx, dy)| {
+        let there = point(dx, dy)?;
+        Some([0, 1, 2].map(|i| there[i] - here[i]))
+    });
+    let mut sum = [0.0; 3];
+    let mut any = false;
+    for k in 0..4 {
+        if let (Some(a), Some(b)) = (around[k], around[(k + 1) % 4]) {
+            let n = unit(cross(a, b));
+            (0..3).for_each(|i| sum[i] += n[i]);
+            any = true;
+        }
+    }
+    if any { (unit(sum), true) } else { none }
+}
+
+/// How often depths occur, in steps of one part in 65,536 of themselves.
+#[derive(Debug)]
+pub struct Histogram {
+    counts: Vec<u64>,
+    total: u64,
+}
+
+/// Depths are told apart by these bits of theirs: the exponent and 16 bits of the fraction.
+const DROPPED_BITS: u32 = 7;
+/// Sign and exponent of the least and the largest depth that are told apart, 2^-40 and 2^40.
+const EXPONENTS: (u32, u32) = (127 - 40, 127 + 40);
+
+impl Histogram {
+    pub fn new() -> Self {
+        let bins = (EXPONENTS.1 - EXPONENTS.0) << (23 - DROPPED_BITS);
+        Self {
+            counts: vec![0; bins as usize],
+            total: 0,
+        }
+    }
+
+    /// Takes in the known ones of `depths`.
+    pub fn add(&mut self, depths: &[f32]) {
+        let first = EXPONENTS.0 << (23 - DROPPED_BITS);
+        for z in depths.iter().filter(|&&z| z > 0.0) {
+            let bin = (z.to_bits() >> DROPPED_BITS).saturating_sub(first) as usize;
+            let last = self.counts.len() - 1;
+            self.counts[bin.min(last)] += 1;
+            self.total += 1;
+        }
+    }
+
+    /// The `k`-th smallest depth, counted from 1.
+    fn value(&self, k: u64) -> f64 {
+        let first = EXPONENTS.0 << (23 - DROPPED_BITS);
+        let mut before = 0;
+        let bin = self.counts.iter().position(|count| {
+            before += count;
+            before >= k
+        });
+        let bits = (first + bin.unwrap_or(0) as u32) << DROPPED_BITS;
+        f64::from(f32::from_bits(bits + (1 << (DROPPED_BITS - 1))))
+    }
+
+    /// The depths that count: up to the third quartile and one and a half times what lies between it and the first. `None` if
+    /// no depth is known.
+    pub fn range(&self) -> Option<[f32; 2]> {
+        (self.total > 0).then(|| {
+            let quartile = |share: f64| self.value(((share * self.total as f64) as u64).max(1));
+            let (low, high) = (quartile(0.25), quartile(0.75));
+            [1e-7, (high + 1.5 * (high - low)) as f32]
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use m4_scene::Plane;
+
+    #[test]
+    fn quartiles_are_those_of_sorting() {
+        let mut depths: Vec<f32> = (0..4001).map(|i| 0.3 + ((i * 7919) % 4001) as f32 * 0.01).collect();
+        let mut histogram = Histogram::new();
+        depths.push(0.0);
+        depths.push(f32::NAN);
+        depths.chunks(100).for_each(|some| histogram.add(some));
+        assert_eq!(histogram.total, 4001);
+        let mut sorted = depths[..4001].to_vec();
+        sorted.sort_by(f32::total_cmp);
+        let (low, high) = (sorted[1000 - 1], sorted[3000 - 1]);
+        let want = high + 1.5 * (high - low);
+        let [least, most] = histogram.range().unwrap();
+        assert!(least == 1e-7 && (most / want - 1.0).abs() < 5e-5, "{most} for {want}");
+        assert_eq!(Histogram::new().range(), None);
+        histogram.add(&[1e-30, 1e30, f32::MIN_POSITIVE, f32::MAX]);
+        assert_eq!(histogram.total, 4005);
+    }
+
+    #[test]
+    fn unknown_depth_does_not_bleed_into_what_is_known() {
+        let depth = Plane::from_fn(8, 6, |x, _| if x < 4 { 2.0 } else { f32::NAN });
+        let z = resized(&depth, (16, 12));
+        for (i, z) in z.iter().enumerate() {
+            let x = i % 16;
+            if x <= 8 {
+                assert!((z - 2.0).abs() < 1e-4, "{x}: {z}");
+            } else {
+                assert_eq!(*z, 0.0, "{x}");
+            }
+        }
+    }
+}

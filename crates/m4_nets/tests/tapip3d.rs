@@ -1,0 +1,309 @@
+//! TAPIP3D: its checkpoint, clips that do not fit, and what its answers depend on.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+use m4_math::Se3;
+use m4_math::nalgebra::Vector3;
+use m4_nets::tapip3d::ClipError;
+use m4_nets::{LoadError, PointQuery, PointTracks, PosedClip, Tapip3d, Tapip3dError, Tapip3dOptions, cpu};
+use m4_scene::{Camera, DepthMap, Intrinsics, Plane, Progress, RgbImage, Silent};
+use m4_testkit::FormulaWeights;
+use rayon::ThreadPoolBuilder;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use tempfile::TempDir;
+
+const KEYS: &str = include_str!("../../../fixtures/tapip3d/keys.txt");
+const CONFIG: &str = include_str!("../../../fixtures/tapip3d/config.json");
+/// Numbers of the checkpoint, the table of times among them.
+const ALL: usize = 26_452_716;
+const SIZE: (usize, usize) = (288, 128);
+
+fn write(folder: &Path, keys: &str, config: Option<&str>) -> std::path::PathBuf {
+    let path = folder.join("weights.safetensors");
+    // the head is small, as a trained one is
+    let head = "point_updater.flow_head.weight";
+    let weights = FormulaWeights::of_keys(keys).scaled(head, 0.005);
+    weights.write_with(config.map(|config| ("config", config)), &path);
+    path
+}
+
+fn load() -> Tapip3d {
+    let folder = TempDir::new().unwrap();
+    Tapip3d::load(&write(folder.path(), KEYS, Some(CONFIG)), cpu()).unwrap()
+}
+
+/// A wavy wall that a camera passes by; `hole` is what its depth is on the left, and frames from `blind` on have none.
+struct Wall {
+    frames: usize,
+    hole: f32,
+    blind: usize,
+}
+
+impl Wall {
+    fn of(frames: usize) -> Self {
+        Self {
+            frames,
+            hole: 2.0,
+            blind: usize::MAX,
+        }
+    }
+}
+
+impl PosedClip for Wall {
+    fn frames(&self) -> usize {
+        self.frames
+    }
+
+    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
+        Ok(Plane::from_fn(144, 64, |x, y| {
+            let (x, y) = (x as f32 + 1.5 * frame as f32, y as f32);
+            [0.31, 0.17, 0.07].map(|f: f32| (127.0 + 90.0 * (x * f).sin() * (y * f * 0.7).cos()) as u8)
+        }))
+    }
+
+    fn depth(&self, frame: usize) -> Result<DepthMap, ClipError> {
+        if frame >= self.blind {
+            return Ok(Plane::filled(144, 64, 0.0));
+        }
+        Ok(Plane::from_fn(144, 64, |x, y| match x {
+            0..12 => self.hole,
+            _ => 3.0 + 0.4 * (x as f32 * 0.1 + frame as f32 * 0.1).sin() + 0.01 * y as f32,
+        }))
+    }
+
+    fn camera(&self, frame: usize) -> Result<Camera, ClipError> {
+        Ok(Camera {
+            intrinsics: Intrinsics::centred(144, 64, 120.0),
+            c2w: Se3 {
+                translation: Vector3::new(0.03 * frame as f64, 0.0, 0.0),
+                ..Se3::identity()
+            },
+        })
+    }
+}
+
+fn queries(frames: &[usize]) -> Vec<PointQuery> {
+    let query = |(i, &frame): (usize, &usize)| PointQuery {
+        frame,
+        world: [0.15 * i as f64 - 0.9, 0.1 * (i % 7) as f64 - 0.3, 3.2],
+    };
+    frames.iter().enumerate().map(query).collect()
+}
+
+fn options() -> Tapip3dOptions {
+    Tapip3dOptions {
+        iterations: 1,
+        support_grid: 2,
+        ..Tapip3dOptions::at(SIZE)
+    }
+}
+
+fn bits(tracks: &PointTracks) -> Vec<u32> {
+    let world = tracks.world().as_flattened().iter();
+    world.chain(tracks.visibility()).map(|x| x.to_bits()).collect()
+}
+
+#[test]
+fn takes_exactly_the_published_keys() {
+    let folder = TempDir::new().unwrap();
+    let net = load();
+    assert_eq!((KEYS.lines().count(), net.parameters()), (352, ALL));
+    assert_eq!((net.training_size(), net.published_size()), ((224, 160), (316, 226)));
+    for line in [
+        "encoder.backbone.conv3.bias",
+        "point_updater.flow_head.bias",
+        "time_emb",
+    ] {
+        let without: String = KEYS
+            .lines()
+            .filter(|l| !l.starts_with(line))
+            .map(|l| format!("{l}\n"))
+            .collect();
+        let error = Tapip3d::load(&write(folder.path(), &without, Some(CONFIG)), cpu()).unwrap_err();
+        assert!(error.to_string().contains(line.rsplit('.').next().unwrap()), "{error}");
+    }
+    let more = format!("{KEYS}point_updater.more.weight 2 2\n");
+    let error = Tapip3d::load(&write(folder.path(), &more, Some(CONFIG)), cpu()).unwrap_err();
+    assert!(error.to_string().contains("point_updater.more.weight"), "{error}");
+}
+
+#[test]
+fn says_how_a_checkpoint_is_converted() {
+    let folder = TempDir::new().unwrap();
+    let error = Tapip3d::load(&write(folder.path(), KEYS, None), cpu()).unwrap_err();
+    assert!(error.to_string().contains("convert_tapip3d.py"), "{error}");
+    let raw = folder.path().join("tapip3d_final.pth");
+    std::fs::write(&raw, b"PK\x03\x04 and so on").unwrap();
+    let error = Tapip3d::load(&raw, cpu()).unwrap_err();
+    assert!(error.to_string().contains("convert_tapip3d.py"), "{error}");
+    let missing = Tapip3d::load(&folder.path().join("none"), cpu()).unwrap_err();
+    assert!(matches!(missing, LoadError::Missing { .. }));
+    for (from, to, said) in [
+        ("\"seq_len\": 16", "\"seq_len\": 15", "seq_len"),
+        ("\"seq_len\": 16", "\"seq_len\": 8", "windows of 8"),
+        ("\"norm_scale\": 0.1", "\"norm_scale\": 0", "norm_scale"),
+        ("\"corr_levels\": 4", "\"corr_levels\": 3", "levels"),
+        ("\"k_neighbors\": 32", "\"use_features\": true", "use_features"),
+        ("\"k_neighbors\": 32", "\"k\": 32", "k_neighbors"),
+        ("\"num_heads\": 8", "\"num_heads\": 7", "7 heads"),
+        ("isotropic", "sideways", "sideways"),
+        ("{\"name\"", "\"name\"", "JSON"),
+    ] {
+        assert!(CONFIG.contains(from), "{from}");
+        let config = CONFIG.replace(from, to);
+        let error = Tapip3d::load(&write(folder.path(), KEYS, Some(&config)), cpu()).unwrap_err();
+        assert!(error.to_string().contains(said), "{to}: {error}");
+    }
+}
+
+#[test]
+fn the_same_bits_on_any_number_of_threads() {
+    let net = load();
+    let queries = queries(&[0, 3, 17, 17, 9]);
+    let run = |threads: usize| {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| net.track(&Wall::of(18), &queries, &options(), &Silent).unwrap())
+    };
+    let one = run(1);
+    assert_eq!((one.count(), one.frames()), (5, 18));
+    assert_eq!(bits(&one), bits(&run(3)));
+    let moved = one.world().iter().zip(queries.iter().flat_map(|q| [q.world; 18]));
+    let far = moved.map(|(p, q)| (0..3).map(|i| (f64::from(p[i]) - q[i]).abs()).fold(0.0, f64::max));
+    assert!(far.fold(0.0, f64::max) > 1e-4, "nothing moved");
+    let tracks = one.seen_from(0.0).unwrap();
+    assert_eq!((tracks.frames(), tracks.count()), (18, 5));
+    assert_eq!(tracks.place(4, 2), Some(one.world()[2 * 18 + 4]));
+    assert!(tracks.visible().iter().all(|&seen| seen));
+}
+
+/// Groups are followed as if each were asked for alone: the setting for memory decides on nothing but the groups.
+#[test]
+fn groups_are_followed_as_if_alone() {
+    let net = load();
+    let frames: Vec<usize> = (0..65).map(|i| i % 5).collect();
+    let queries = queries(&frames);
+    let little = Tapip3dOptions {
+        memory_bytes: 0,
+        backward: false,
+        ..options()
+    };
+    let much = Tapip3dOptions {
+        memory_bytes: 1 << 40,
+        ..little.clone()
+    };
+    let clip = Wall::of(9);
+    // 65 queries are one more than go together at least: two groups, dealt out one by one
+    let both = net.track(&clip, &queries, &little, &Silent).unwrap();
+    let even: Vec<PointQuery> = queries.iter().copied().step_by(2).collect();
+    let alone = net.track(&clip, &even, &much, &Silent).unwrap();
+    for (i, track) in alone.world().chunks_exact(9).enumerate() {
+        let want = &both.world()[2 * i * 9..][..9];
+        assert_eq!(track, want, "query {}", 2 * i);
+    }
+    // together they see each other
+    let together = net.track(&clip, &queries, &much, &Silent).unwrap();
+    assert_ne!(bits(&together), bits(&both));
+}
+
+#[test]
+fn frames_before_a_query_are_followed_on_the_way_back_alone() {
+    let net = load();
+    let queries = queries(&[6]);
+    let only_forward = Tapip3dOptions {
+        backward: false,
+        ..options()
+    };
+    let clip = Wall::of(10);
+    let forward = net.track(&clip, &queries, &only_forward, &Silent).unwrap();
+    let both = net.track(&clip, &queries, &options(), &Silent).unwrap();
+    assert_eq!(forward.world()[6..], both.world()[6..]);
+    for frame in 0..6 {
+        assert_eq!(forward.world()[frame], queries[0].world.map(|x| x as f32));
+        assert_eq!(forward.visibility()[frame], 0.0);
+        assert_ne!(both.world()[frame], forward.world()[frame]);
+        assert!(both.visibility()[frame] > 0.0);
+    }
+}
+
+#[test]
+fn clips_that_do_not_fit() {
+    let net = load();
+    let some = queries(&[0, 0]);
+    let track =
+        |clip: &Wall, queries: &[PointQuery], options: &Tapip3dOptions| net.track(clip, queries, options, &Silent);
+    let error = track(&Wall::of(0), &some, &options()).unwrap_err();
+    assert!(matches!(error, Tapip3dError::NoFrames), "{error}");
+    let error = track(&Wall::of(3), &queries(&[0, 3]), &options()).unwrap_err();
+    assert!(matches!(error, Tapip3dError::Query { index: 1, .. }), "{error}");
+    let nowhere = [PointQuery {
+        frame: 0,
+        world: [0.0, f64::NAN, 1.0],
+    }];
+    let error = track(&Wall::of(3), &nowhere, &options()).unwrap_err();
+    assert!(matches!(error, Tapip3dError::Query { index: 0, .. }), "{error}");
+    for size in [(0, 0), (128, 128), (1 << 20, 1 << 20)] {
+        let error = track(&Wall::of(3), &some, &Tapip3dOptions::at(size)).unwrap_err();
+        assert!(matches!(error, Tapip3dError::Size { .. }), "{error}");
+    }
+    let dark = Wall {
+        blind: 0,
+        ..Wall::of(3)
+    };
+    let error = track(&dark, &some, &options()).unwrap_err();
+    assert!(matches!(error, Tapip3dError::NoDepth { first: 0, last: 2 }), "{error}");
+    let later = Wall {
+        blind: 8,
+        ..Wall::of(24)
+    };
+    let error = track(&later, &some, &options()).unwrap_err();
+    assert!(matches!(error, Tapip3dError::NoDepth { first: 8, last: 23 }), "{error}");
+    // none asked for
+    let none = track(&Wall::of(3), &[], &options()).unwrap();
+    assert_eq!((none.count(), none.frames()), (0, 3));
+}
+
+/// One frame, and depth that is no number, are followed.
+#[test]
+fn clips_that_are_odd() {
+    let net = load();
+    for (frames, hole) in [
+        (1, 2.0),
+        (2, f32::NAN),
+        (2, f32::NEG_INFINITY),
+        (2, f32::INFINITY),
+        (2, -1.0),
+        (2, 1e30),
+    ] {
+        let clip = Wall {
+            hole,
+            ..Wall::of(frames)
+        };
+        let tracks = net
+            .track(&clip, &queries(&[0, frames - 1]), &options(), &Silent)
+            .unwrap();
+        assert_eq!(tracks.world().len(), 2 * frames);
+        let numbers = tracks.world().as_flattened().iter().chain(tracks.visibility());
+        assert!(numbers.into_iter().all(|x| x.is_finite()), "{hole}");
+    }
+}
+
+#[test]
+fn stops_when_it_is_told_to() {
+    struct Impatient(AtomicUsize);
+    impl Progress for Impatient {
+        fn update(&self, phase: &str, done: usize, total: usize, _note: &str) {
+            assert!(done <= total && !phase.is_empty());
+            self.0.fetch_add(1, Ordering::Relaxed);
+        }
+        fn warn(&self, _message: &str) {}
+        fn cancelled(&self) -> bool {
+            self.0.load(Ordering::Relaxed) > 3
+        }
+    }
+    let net = load();
+    let impatient = Impatient(AtomicUsize::new(0));
+    let error = net
+        .track(&Wall::of(3), &queries(&[0]), &options(), &impatient)
+        .unwrap_err();
+    assert!(matches!(error, Tapip3dError::Stopped), "{error}");
+}
