@@ -332,7 +332,39 @@ pub enum Error {
         /// What is wrong with them.
         source: Box<m4_nets::LoadError>,
     },
-    /// Refining masks.
+    /// A tracker that needs a network, in a build that has none.
+    #[error(
+        "this build has no networks, which the tracker {tracker} needs: build with the feature `nets`, or use --tracker flow, \
+         which works without"
+    )]
+    NoTracker {
+        /// The tracker.
+        tracker: &'static str,
+    },
+    /// A tracker whose weights are not there.
+    #[cfg(feature = "nets")]
+    #[error("the tracker {tracker} cannot be used: {source}; --tracker flow works without")]
+    TrackerWeights {
+        /// The tracker.
+        tracker: &'static str,
+        /// What is missing, and how to get it.
+        source: crate::weights::WeightsError,
+    },
+    /// A tracker whose weights are no weights.
+    #[cfg(feature = "nets")]
+    #[error("the tracker {tracker} cannot be used: {source}; --tracker flow works without")]
+    TrackerLoad {
+        /// The tracker.
+        tracker: &'static str,
+        /// What is wrong with them.
+        source: Box<m4_nets::LoadError>,
+    },
+    /// Nothing was asked for, or nothing is here that could do it.
+    #[error(
+        "there is nothing to do: --segmenter none and --tracker none leave a capture as it is; leave one of them out"
+    )]
+    NothingToEnhance,
+    /// Refining masks or following points.
     #[error(transparent)]
     Enhance(#[from] EnhanceError),
     /// Something that the user gave for the geometry of a clip.
@@ -390,12 +422,14 @@ impl Error {
             #[cfg(feature = "gpu")]
             Self::Gpu(_) => Category::NoDevice,
             #[cfg(feature = "nets")]
-            Self::Weights(e) | Self::FrontEndWeights { source: e, .. } | Self::SegmenterWeights { source: e, .. } => {
-                e.category()
-            }
+            Self::Weights(e)
+            | Self::FrontEndWeights { source: e, .. }
+            | Self::SegmenterWeights { source: e, .. }
+            | Self::TrackerWeights { source: e, .. } => e.category(),
             #[cfg(feature = "nets")]
-            Self::FrontEndLoad { .. } | Self::SegmenterLoad { .. } => Category::BadInput,
-            Self::NoNetworks { .. } | Self::NoSegmenter { .. } => Category::NoDevice,
+            Self::FrontEndLoad { .. } | Self::SegmenterLoad { .. } | Self::TrackerLoad { .. } => Category::BadInput,
+            Self::NoNetworks { .. } | Self::NoSegmenter { .. } | Self::NoTracker { .. } => Category::NoDevice,
+            Self::NothingToEnhance => Category::Usage,
             Self::Given(GivenError::Missing { .. }) => Category::NoInput,
             Self::Given(GivenError::Read { source, .. }) => ErrorKind::of_read(source).into(),
             Self::Given(_) => Category::BadInput,

@@ -19,10 +19,10 @@ use crate::ops::{Kernels, resampled, tensor};
 use crate::sam::{Prompt, WIDTH};
 use burn_core::tensor::Tensor;
 use m4_scene::{Plane, Progress, RgbImage};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::fmt;
-use std::ops::RangeInclusive;
+use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::Arc;
 
 /// Gives the picture of a frame, by its number in the clip. Pictures may be of any size: all are squeezed to the network's square.
@@ -254,11 +254,35 @@ impl<'a> VideoPredictor<'a> {
         progress: &dyn Progress,
         mut each: impl FnMut(usize, &BTreeMap<u32, ObjectMask>),
     ) -> Result<(), Sam2Error> {
-        if self.objects.is_empty() {
+        let all: Vec<u32> = self.objects().collect();
+        self.follow_some(&all, frames, direction, progress, |frame, masks| {
+            each(frame, masks);
+            ControlFlow::Continue(())
+        })
+    }
+
+    /// The same for some objects alone; others stay as they are. `each` may end it.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::follow`]; [`Sam2Error::UnknownObject`] if one was never shown.
+    pub fn follow_some(
+        &mut self,
+        objects: &[u32],
+        frames: RangeInclusive<usize>,
+        direction: Direction,
+        progress: &dyn Progress,
+        mut each: impl FnMut(usize, &BTreeMap<u32, ObjectMask>) -> ControlFlow<()>,
+    ) -> Result<(), Sam2Error> {
+        if objects.is_empty() {
             return Err(Sam2Error::NoObjects);
+        }
+        if let Some(&unknown) = objects.iter().find(|id| !self.objects.contains_key(id)) {
+            return Err(Sam2Error::UnknownObject(unknown));
         }
         self.check(*frames.start())?;
         self.check(*frames.end())?;
+        let some: BTreeSet<u32> = objects.iter().copied().collect();
         let total = frames.clone().count();
         self.settle(progress)?;
         for done in 0..total {
@@ -269,9 +293,11 @@ impl<'a> VideoPredictor<'a> {
                 Direction::Forward => frames.start() + done,
                 Direction::Backward => frames.end() - done,
             };
-            let masks = self.step(frame, direction)?;
-            each(frame, &masks);
+            let masks = self.step(frame, direction, &some)?;
             progress.update("masks", done + 1, total, "");
+            if each(frame, &masks).is_break() {
+                break;
+            }
         }
         Ok(())
     }
@@ -305,11 +331,16 @@ impl<'a> VideoPredictor<'a> {
         Ok(())
     }
 
-    /// The masks of all objects in a frame.
-    fn step(&mut self, frame: usize, direction: Direction) -> Result<BTreeMap<u32, ObjectMask>, Sam2Error> {
+    /// The masks of `some` objects in a frame.
+    fn step(
+        &mut self,
+        frame: usize,
+        direction: Direction,
+        some: &BTreeSet<u32>,
+    ) -> Result<BTreeMap<u32, ObjectMask>, Sam2Error> {
         let mut groups: BTreeMap<(usize, usize), Vec<(u32, Recall)>> = BTreeMap::new();
         for (&id, object) in &self.objects {
-            if object.shown(frame).is_none() {
+            if some.contains(&id) && object.shown(frame).is_none() {
                 let recall = object.recall(frame, direction, self.clip.frames, self.options.most_conditioning);
                 let size = (recall.memories.len(), recall.pointers.len());
                 groups.entry(size).or_default().push((id, recall));
@@ -320,8 +351,8 @@ impl<'a> VideoPredictor<'a> {
             let features = self.features(frame)?;
             let begun = net.begun(&features);
             for (_, group) in groups {
-                for some in group.chunks(self.options.together.max(1)) {
-                    let found = self.found(&net, &features, &begun, some)?;
+                for part in group.chunks(self.options.together.max(1)) {
+                    let found = self.found(&net, &features, &begun, part)?;
                     for (id, entry) in found {
                         if let Some(object) = self.objects.get_mut(&id) {
                             object.others.insert(frame, entry);
@@ -331,7 +362,7 @@ impl<'a> VideoPredictor<'a> {
             }
         }
         let mut masks = BTreeMap::new();
-        for (&id, object) in &mut self.objects {
+        for (&id, object) in self.objects.iter_mut().filter(|(id, _)| some.contains(id)) {
             object.followed.insert(frame, direction);
             object.forget(frame, self.options.history_frames);
             masks.extend(object.at(frame).map(|entry| (id, entry.mask.clone())));

@@ -1,9 +1,10 @@
-//! Why masks could not be refined.
+//! Why masks could not be refined or points not be followed.
 
 use crate::error::Category;
 use m4_slam::instances::InstanceError;
+use m4_slam::tracks3d::TrackError;
 
-/// Why masks could not be refined.
+/// Why masks could not be refined or points not be followed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EnhanceError {
@@ -21,14 +22,21 @@ pub enum EnhanceError {
     /// Refinement failed.
     #[error(transparent)]
     Instances(#[from] InstanceError),
+    /// Points could not be followed.
+    #[error(transparent)]
+    Tracks(#[from] TrackError),
 }
 
 impl EnhanceError {
     pub(crate) fn category(&self) -> Category {
         match self {
-            Self::Instances(InstanceError::Cancelled { .. }) => Category::Stopped,
-            Self::Instances(InstanceError::Setting { .. }) => Category::BadSettings,
-            Self::NoCoarse { .. } | Self::Instances(_) => Category::BadInput,
+            Self::Instances(InstanceError::Cancelled { .. }) | Self::Tracks(TrackError::Cancelled { .. }) => {
+                Category::Stopped
+            }
+            Self::Instances(InstanceError::Setting { .. }) | Self::Tracks(TrackError::Setting { .. }) => {
+                Category::BadSettings
+            }
+            Self::NoCoarse { .. } | Self::Instances(_) | Self::Tracks(_) => Category::BadInput,
         }
     }
 }

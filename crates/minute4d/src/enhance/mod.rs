@@ -4,14 +4,32 @@
 //! capture (maps of motion, or masks) --m4_slam::instances, with whoever follows things--> capture (masks, instances), report
 //! ```
 //!
-//! [`masks`] does the work on a capture in memory, with any [`VideoSegmenter`]; [`Follower`] is the one that needs no network
+//! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_slam::tracks3d`]); the geometry stage does the same to what its
+//! front ends find. [`masks`] does the first half on a capture in memory, with any [`VideoSegmenter`]; [`Follower`] is the one that needs no network
 //! with a memory; [`save`] writes the capture and [`REPORT_FILE`] beside its list of frames.
 
+mod apply;
+mod config;
 mod error;
 mod follower;
+mod plan;
+#[cfg(feature = "nets")]
+mod sam2;
+mod stage;
+#[cfg(feature = "nets")]
+mod tapip3d;
 
+pub use config::{EnhanceConfig, Tapip3dConfig, Tracker};
 pub use error::EnhanceError;
 pub use follower::Follower;
+#[cfg(feature = "nets")]
+pub use sam2::Sam2Follower;
+pub use stage::{EnhanceReport, STAGE, make};
+#[cfg(feature = "nets")]
+pub use tapip3d::Tapip3dTracker;
+
+pub(crate) use apply::apply;
+pub(crate) use plan::{Before, Plan};
 
 use crate::Error;
 use crate::record::write_json;

@@ -10,9 +10,9 @@ use super::scale::{depth_ratio, rescale, typical_depth};
 use super::segmenter;
 use crate::device::NetworkDevice;
 use crate::record::Found;
-use crate::{Error, Observer, Settings};
+use crate::{Error, Observer, Settings, enhance};
 use m4_io::capture::Split;
-use m4_scene::{Capture, CaptureFrame, DepthMap, Progress, RgbImage, Tracks, Video};
+use m4_scene::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, RgbImage, Tracks, Video};
 use m4_slam::dense::{self, Dense, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, densify};
 use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_slam::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError};
@@ -36,6 +36,7 @@ pub(super) fn compute(
     settings: &Settings,
     plan: &Plan,
     segmenter: &segmenter::Resolved,
+    enhance: &enhance::Plan,
     device: &NetworkDevice,
     observer: &dyn Observer,
 ) -> Result<Found, Error> {
@@ -56,22 +57,55 @@ pub(super) fn compute(
     let clip = Clip { video, given, focal_px };
     #[cfg(feature = "nets")]
     if plan.cameras == Cameras::Megasam {
-        return super::megasam::compute(clip, folder, settings, plan, device, observer);
+        let (capture, found) = super::megasam::compute(clip, settings, plan, device, observer)?;
+        return finish(capture, found, folder, settings, enhance, device, observer);
     }
-    by_corners(clip, folder, settings, config, plan, segmenter, device, observer)
+    let (capture, found) = by_corners(clip, settings, config, plan, segmenter, device, observer)?;
+    finish(capture, found, folder, settings, enhance, device, observer)
+}
+
+/// Refines masks and follows points as planned, and writes the capture.
+fn finish(
+    capture: Capture,
+    mut found: Found,
+    folder: &Path,
+    settings: &Settings,
+    plan: &enhance::Plan,
+    device: &NetworkDevice,
+    observer: &dyn Observer,
+) -> Result<Found, Error> {
+    if plan.nothing() {
+        m4_io::capture::write(folder, &capture, Split::Train, observer)?;
+        return Ok(found);
+    }
+    let (capture, report) = enhance::apply(capture, plan, settings, device, observer)?;
+    found.networks.extend(plan.used.iter().cloned());
+    match &report {
+        Some(report) => {
+            found.segmenter = plan.segmenter().to_owned();
+            let masks = capture.frames.iter().filter_map(|frame| frame.mask.as_ref());
+            let pixels: usize = masks.clone().map(|mask| mask.size().0 * mask.size().1).sum();
+            found.moving_share = masks.map(CompactMask::count).sum::<usize>() as f64 / pixels.max(1) as f64;
+            enhance::save(folder, &capture, report, observer)?;
+        }
+        None => m4_io::capture::write(folder, &capture, Split::Train, observer)?,
+    }
+    if let Some(tracks) = &capture.tracks {
+        found.moving_tracks = tracks.count();
+    }
+    Ok(found)
 }
 
 /// Cameras from tracked corners.
 fn by_corners(
     clip: Clip,
-    folder: &Path,
     settings: &Settings,
     mut config: SparseConfig,
     plan: &Plan,
     segmenter: &segmenter::Resolved,
     device: &NetworkDevice,
     observer: &dyn Observer,
-) -> Result<Found, Error> {
+) -> Result<(Capture, Found), Error> {
     let Clip { video, given, focal_px } = clip;
     let flow = plan.flow(&settings.dense.flow, settings.megasam.flow_iterations, device)?;
     let outlines = segmenter.load()?;
@@ -144,9 +178,7 @@ fn by_corners(
     }
     let found = summary(&sparse, &dense, plan, segmenter.name(), &given, rounds, confidence);
     drop(pictures);
-    let capture = assemble(video, &sparse, dense, metric);
-    m4_io::capture::write(folder, &capture, Split::Train, observer)?;
-    Ok(found)
+    Ok((assemble(video, &sparse, dense, metric), found))
 }
 
 /// Says what is doubtful, and takes the unit of depth that is known; true if lengths are metres then.

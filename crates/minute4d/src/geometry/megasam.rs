@@ -6,25 +6,22 @@ use super::given::{Given, GivenError};
 use crate::device::NetworkDevice;
 use crate::record::Found;
 use crate::{Error, Observer, Settings};
-use m4_io::capture::Split;
 use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, RgbImage, Video};
 use m4_slam::megasam::{
     DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TrackingSize, reconstruct, resize_bilinear,
 };
-use std::path::Path;
 
 /// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (section 1.9).
 const TOO_MUCH_MOTION: f64 = 0.6;
 
-/// Finds geometry of `clip` and writes the capture into `folder`.
+/// Finds geometry of `clip`.
 pub(super) fn compute(
     clip: Clip,
-    folder: &Path,
     settings: &Settings,
     plan: &Plan,
     device: &NetworkDevice,
     observer: &dyn Observer,
-) -> Result<Found, Error> {
+) -> Result<(Capture, Found), Error> {
     let Clip { video, given, focal_px } = clip;
     if given.cameras.is_some() {
         return Err(GivenError::CamerasTwice.into());
@@ -82,8 +79,7 @@ pub(super) fn compute(
             100.0 * found.moving_share
         ));
     }
-    m4_io::capture::write(folder, &capture, Split::Train, observer)?;
-    Ok(found)
+    Ok((capture, found))
 }
 
 fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Observer) {

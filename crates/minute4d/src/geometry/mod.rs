@@ -29,6 +29,7 @@ pub use segmenter::Segmenter;
 pub(crate) use segmenter::resolve as resolve_segmenter;
 
 use crate::device::NetworkDevice;
+use crate::enhance::{self, Before, EnhanceConfig};
 use crate::folder::{self, Existing, Lock};
 use crate::record::{GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::settings::part_to_toml;
@@ -65,6 +66,9 @@ struct Part<'a> {
     /// The same of what outlines what moves.
     segmenter: &'a str,
     segmenter_weights: Option<&'a str>,
+    /// What is done to its result, and by which networks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    enhance: Option<(&'a EnhanceConfig, &'a [UsedNetwork])>,
     /// Hashes of what the user gave.
     given: Sources,
 }
@@ -84,16 +88,22 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     let (_lock, earlier) = open(capture, job.existing)?;
     let settings = &job.settings;
     let plan = frontend::plan(&settings.geometry.frontend, job.device.choice)?;
-    let asked = match (plan.cameras, settings.geometry.segmenter) {
-        (Cameras::Megasam, Segmenter::Mobilesam) => return Err(GivenError::MasksTwice.into()),
-        (Cameras::Megasam, _) => Segmenter::None,
-        (Cameras::Corners, asked) => asked,
+    let (asked, before) = match plan.cameras {
+        // What its map of motion means is found afterwards.
+        Cameras::Megasam => (Segmenter::None, Before::Motion),
+        Cameras::Corners => (settings.geometry.segmenter, Before::Classical),
     };
     let segmenter = segmenter::resolve(asked)?;
-    let device = match plan.used.as_slice() {
+    let enhance = match &settings.geometry.masks {
+        // masks that the user gave stay
+        Some(_) => enhance::Plan::of(Segmenter::None, settings.geometry.tracker, before)?,
+        None => enhance::Plan::of(settings.geometry.segmenter, settings.geometry.tracker, before)?,
+    };
+    let device = if plan.used.is_empty() && !enhance.has_network() {
         // A GPU that nobody needs is not started, and does not tell one result from another.
-        [] => NetworkDevice::processor(),
-        _ => job.device.choice.for_networks()?,
+        NetworkDevice::processor()
+    } else {
+        job.device.choice.for_networks()?
     };
     let name = plan.frontend.to_string();
     let part = Part {
@@ -107,6 +117,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         device: device.name(),
         segmenter: segmenter.name(),
         segmenter_weights: segmenter.weights_hash(),
+        enhance: (!enhance.nothing()).then_some((&settings.enhance, enhance.used.as_slice())),
         given: Sources::of(&settings.geometry)?,
     };
     let input_hash = hash::of_path(input)?;
@@ -143,7 +154,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     for note in &plan.notes {
         keeper.warn(note);
     }
-    let outcome = compute(input, capture, settings, &plan, &segmenter, &device, &keeper);
+    let outcome = compute(input, capture, settings, &plan, &segmenter, &enhance, &device, &keeper);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
     let failed = match outcome {

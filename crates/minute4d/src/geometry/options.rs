@@ -1,6 +1,7 @@
 //! Settings of the stage itself.
 
 use super::{Frontend, Segmenter};
+use crate::enhance::Tracker;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -13,6 +14,8 @@ pub struct GeometryOptions {
     pub frontend: Frontend,
     /// Who outlines what moves.
     pub segmenter: Segmenter,
+    /// Who follows points of it.
+    pub tracker: Tracker,
     /// The lens: `fx,fy,cx,cy` in pixels of the frames (principal point from the image's corner), or a JSON file with
     /// `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h`.
     pub intrinsics: Option<String>,

@@ -8,13 +8,16 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Segmenter {
-    /// [`Self::Mobilesam`] where its weights are present, else [`Self::None`]: see `docs/geometry.md`.
+    /// [`Self::Mobilesam`] where its weights are present, else [`Self::None`], and [`Self::Sam2`] after it where its are: see
+    /// `docs/geometry.md`.
     #[default]
     Auto,
     /// Masks are what motion and colours say.
     None,
     /// MobileSAM, a pretrained network; needs its weights.
     Mobilesam,
+    /// SAM 2.1, a pretrained network with a memory, which follows things through the clip; needs the weights of one of its sizes.
+    Sam2,
 }
 
 impl Segmenter {
@@ -25,6 +28,7 @@ impl Segmenter {
             Self::Auto => "auto",
             Self::None => "none",
             Self::Mobilesam => "mobilesam",
+            Self::Sam2 => "sam2",
         }
     }
 }
@@ -43,7 +47,8 @@ pub(crate) struct Resolved {
 #[cfg(feature = "nets")]
 pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
     let weights = match asked {
-        Segmenter::None => None,
+        // SAM 2 follows things through the clip afterwards
+        Segmenter::None | Segmenter::Sam2 => None,
         Segmenter::Auto => network::Weights::present()?,
         Segmenter::Mobilesam => Some(network::Weights::find()?),
     };
@@ -59,7 +64,7 @@ pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
 pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
     match asked {
         Segmenter::None | Segmenter::Auto => Ok(Resolved {}),
-        Segmenter::Mobilesam => Err(Error::NoSegmenter {
+        Segmenter::Mobilesam | Segmenter::Sam2 => Err(Error::NoSegmenter {
             segmenter: asked.name(),
         }),
     }

@@ -8,6 +8,7 @@ pub use layers::{Layers, SettingsError};
 pub use preset::Preset;
 pub use without::Enhancement;
 
+use crate::enhance::EnhanceConfig;
 use crate::geometry::GeometryOptions;
 use crate::preview::PreviewConfig;
 use crate::viewer::ViewerConfig;
@@ -36,6 +37,8 @@ pub struct Settings {
     pub dense: DenseConfig,
     /// MegaSaM's way, where the front end is its own.
     pub megasam: MegasamSettings,
+    /// Masks over time, and points that are followed.
+    pub enhance: EnhanceConfig,
     /// The first splats.
     pub init: InitConfig,
     /// Optimisation.
@@ -81,6 +84,7 @@ impl Settings {
             sparse: SparseConfig::default(),
             dense: DenseConfig::default(),
             megasam: MegasamSettings::default(),
+            enhance: EnhanceConfig::default(),
             init: InitConfig::fast(),
             train: TrainConfig::fast(),
             checkpoint: CheckpointConfig::default(),

@@ -1,6 +1,7 @@
 //! Parts of the method that can be switched off, each on its own.
 
 use super::Settings;
+use crate::enhance::Tracker;
 use crate::geometry::Segmenter;
 use m4_init::VelocityInit;
 use serde::{Deserialize, Serialize};
@@ -23,10 +24,14 @@ impl Settings {
         match part {
             Enhancement::Segmentation => self.geometry.segmenter = Segmenter::None,
             Enhancement::Tracking => {
+                self.geometry.tracker = Tracker::None;
                 self.dense.tracks.enabled = false;
                 self.init.carry_keyframes = 0;
-                if let VelocityInit::Register { tracks, .. } = &mut self.init.velocity {
-                    *tracks = false;
+                self.init.tracked.enabled = false;
+                match &mut self.init.velocity {
+                    VelocityInit::Register { tracks, .. } => *tracks = false,
+                    velocity @ VelocityInit::Tracks { .. } => *velocity = VelocityInit::Zero,
+                    VelocityInit::Zero => {}
                 }
             }
             Enhancement::Density => self.train.density.enabled = false,

@@ -33,6 +33,10 @@ impl Entry {
             "moge-2-l-normal-onnx" | "moge-2-b-normal-onnx" | "moge-2-s-normal-onnx" => {
                 "a second door to moge of --frontend, for builds with ONNX Runtime; the other moge-2 files work without it"
             }
+            "sam2.1-tiny" | "sam2.1-small" | "sam2.1-base-plus" | "sam2.1-large" => {
+                "--segmenter sam2, where no other size is here; mobilesam works in its place, and none without any weights"
+            }
+            "tapip3d" => "--tracker tapip3d; --tracker flow works without any weights",
             _ => ONLY_HERE,
         }
     }

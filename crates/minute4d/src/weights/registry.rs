@@ -340,10 +340,12 @@ const ALL: [Entry; 27] = [
     ),
     not_commercial(known(
         "tapip3d",
-        "tapip3d_final.pth",
+        "tapip3d.safetensors",
         "see its repository; made from CoTracker3 (CC BY-NC 4.0)",
         "3D point tracks",
-        hub("zbww/tapip3d", "tapip3d_final.pth"),
+        Origin::Authors {
+            page: "the Hugging Face repository zbww/tapip3d, its tapip3d_final.pth, which tools/models/convert_tapip3d.py converts",
+        },
     )),
     known(
         "moge-2-b",

@@ -15,6 +15,9 @@ pub struct KnownArgs {
     /// Who outlines what moves [default: auto]
     #[arg(long, value_enum)]
     pub segmenter: Option<Segmenter>,
+    /// Who follows points of what moves [default: auto]
+    #[arg(long, value_enum)]
+    pub tracker: Option<Tracker>,
     /// The lens: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers in pixels of the frames
     #[arg(long, value_name = "FILE|FX,FY,CX,CY")]
     pub intrinsics: Option<String>,
@@ -32,12 +35,27 @@ pub struct KnownArgs {
 /// Who outlines what moves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Segmenter {
-    /// `mobilesam` where its weights are present, else `none`
+    /// `mobilesam` where its weights are present, and `sam2` after it where its are; else `none`
     Auto,
     /// Nobody: masks are what motion and colours say
     None,
     /// A network; `minute4d weights fetch mobile-sam` gets its weights
     Mobilesam,
+    /// SAM 2.1, a network that follows things through the clip; needs the weights of one of its sizes
+    Sam2,
+}
+
+/// Who follows points of what moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Tracker {
+    /// `flow`
+    Auto,
+    /// Nobody
+    None,
+    /// Chains of flow, lifted with depth, carried on behind what hides them
+    Flow,
+    /// A network; its licence forbids commercial use
+    Tapip3d,
 }
 
 /// A front end by its words.

@@ -3,6 +3,7 @@
 mod ablate;
 mod bench;
 mod device;
+mod enhance;
 mod eval;
 mod existing;
 mod export;
@@ -24,13 +25,14 @@ mod without;
 pub use ablate::Ablate;
 pub use bench::{Bench, BenchScene};
 pub use device::{DeviceArgs, limit};
+pub use enhance::Enhance;
 pub use eval::{Eval, EvalGeometry};
 pub use existing::OutArgs;
 pub use export::{Export, PrecisionArg};
 pub use geometry::Geometry;
 pub use import::Import;
 pub use inspect::Inspect;
-pub use known::{KnownArgs, Segmenter};
+pub use known::{KnownArgs, Segmenter, Tracker};
 pub use render::{FitArg, Render};
 pub use run::Run;
 pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
@@ -84,6 +86,8 @@ pub enum Command {
     Run(Run),
     /// From a video to a capture: poses, focal length, depth, motion masks
     Geometry(Geometry),
+    /// Better masks for a capture, and points of what moves followed through it
+    Enhance(Enhance),
     /// From a capture to a scene
     Train(Train),
     /// Pictures or a video of a trained scene
@@ -151,6 +155,8 @@ mod tests {
             "train a -o b --port 8000",
             "run a -o b --no-open",
             "ablate a",
+            "enhance a",
+            "enhance a -o b --tracker best",
             "ablate a -o b --rows no-fun",
             "ablate a -o b --no-seg",
         ];
@@ -164,6 +170,8 @@ mod tests {
             "train --print-config",
             "train a -o b --no-track --no-density",
             "run a -o b --no-seg",
+            "enhance a -o b --segmenter sam2 --tracker tapip3d --device gpu",
+            "geometry a -o b --tracker none",
             "ablate a -o b --data c --rows no-seg,no-track --iterations 100",
             "view a --port 8000 --no-open",
             "train a -o b --view --port 8000 --no-open --no-viewer",

@@ -3,6 +3,7 @@
 mod ablate;
 mod bench;
 mod doctor;
+mod enhance;
 mod eval;
 mod eval_geometry;
 mod export;
@@ -31,6 +32,7 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let outcome = minute4d::with_threads(threads, || match &cli.command {
         Command::Run(args) => run::run(args, output),
         Command::Geometry(args) => geometry::run(args, output),
+        Command::Enhance(args) => enhance::run(args, output),
         Command::Train(args) => train::run(args, output),
         Command::Render(args) => render::run(args, output),
         Command::Export(args) => export::run(args, output),

@@ -4,6 +4,7 @@ use crate::args::{self, LengthArgs, OutArgs, Profile, SettingsArgs, VideoArgs};
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::device::DeviceRequest;
+use minute4d::enhance::Tracker;
 use minute4d::geometry::Segmenter;
 use minute4d::settings::{Layers, Preset, Settings};
 use minute4d::{Existing, Job, Observer};
@@ -26,6 +27,18 @@ impl From<args::Segmenter> for Segmenter {
             args::Segmenter::Auto => Self::Auto,
             args::Segmenter::None => Self::None,
             args::Segmenter::Mobilesam => Self::Mobilesam,
+            args::Segmenter::Sam2 => Self::Sam2,
+        }
+    }
+}
+
+impl From<args::Tracker> for Tracker {
+    fn from(given: args::Tracker) -> Self {
+        match given {
+            args::Tracker::Auto => Self::Auto,
+            args::Tracker::None => Self::None,
+            args::Tracker::Flow => Self::Flow,
+            args::Tracker::Tapip3d => Self::Tapip3d,
         }
     }
 }
@@ -97,6 +110,7 @@ fn lay_video(settings: &mut Settings, args: &VideoArgs) {
         geometry.frontend.clone_from(frontend);
     }
     geometry.segmenter = known.segmenter.map_or(geometry.segmenter, Into::into);
+    geometry.tracker = known.tracker.map_or(geometry.tracker, Into::into);
     geometry.intrinsics = known.intrinsics.clone().or(geometry.intrinsics.take());
     geometry.poses = known.poses.clone().or(geometry.poses.take());
     geometry.masks = known.masks.clone().or(geometry.masks.take());

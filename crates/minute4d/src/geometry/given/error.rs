@@ -10,9 +10,6 @@ pub enum GivenError {
     /// Poses for a front end that finds them itself.
     #[error("the front end megasam finds the poses itself: leave --poses out, or take another --frontend")]
     CamerasTwice,
-    /// A segmenter for a front end that does without.
-    #[error("the front end megasam takes masks from its network: leave --segmenter out, or take another --frontend")]
-    MasksTwice,
     /// There is no such file or folder.
     #[error("there is nothing at {}, which was given with {option}", path.display())]
     Missing {

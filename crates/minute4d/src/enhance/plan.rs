@@ -1,0 +1,190 @@
+//! Who enhances a capture, by the weights that are here.
+
+use super::Tracker;
+use crate::Error;
+use crate::geometry::{Segmenter, UsedNetwork};
+#[cfg(feature = "nets")]
+use crate::weights::{self, State, Store, WeightsError};
+#[cfg(feature = "nets")]
+use std::path::PathBuf;
+
+/// Sizes of SAM 2.1, the best first.
+#[cfg(feature = "nets")]
+const SAM2: [&str; 4] = ["sam2.1-large", "sam2.1-base-plus", "sam2.1-small", "sam2.1-tiny"];
+#[cfg(feature = "nets")]
+const TAPIP3D: &str = "tapip3d";
+
+/// Who follows things.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Things {
+    /// Nobody: masks stay as they are.
+    Nobody,
+    /// Flow, with this segmenter of single pictures.
+    Flow(Segmenter),
+    /// SAM 2.1.
+    #[cfg(feature = "nets")]
+    Sam2(PathBuf),
+}
+
+/// Who follows points.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Points {
+    /// Nobody: tracks stay as they are.
+    Nobody,
+    /// Chains of flow.
+    Flow,
+    /// TAPIP3D.
+    #[cfg(feature = "nets")]
+    Tapip3d(PathBuf),
+}
+
+/// What is enhanced by whom: the weights were found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Plan {
+    pub things: Things,
+    pub points: Points,
+    /// The networks.
+    pub used: Vec<UsedNetwork>,
+}
+
+/// What has been done before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Before {
+    /// Masks that a segmenter of single pictures sharpened, and chains of flow: only networks with a memory can add to them.
+    Classical,
+    /// A map of how likely each pixel moves, and no tracks.
+    Motion,
+}
+
+impl Plan {
+    /// Nothing is done.
+    pub fn nothing(&self) -> bool {
+        self.things == Things::Nobody && self.points == Points::Nobody
+    }
+
+    /// Whether a network is among them.
+    pub fn has_network(&self) -> bool {
+        !self.used.is_empty() || matches!(self.things, Things::Flow(Segmenter::Mobilesam))
+    }
+
+    /// As records name who outlines what moves.
+    pub fn segmenter(&self) -> &'static str {
+        match self.things {
+            Things::Nobody => Segmenter::None.name(),
+            Things::Flow(Segmenter::Mobilesam) => Segmenter::Mobilesam.name(),
+            Things::Flow(_) => "flow",
+            #[cfg(feature = "nets")]
+            Things::Sam2(_) => Segmenter::Sam2.name(),
+        }
+    }
+
+    /// As records name who follows points.
+    pub fn tracker(&self) -> &'static str {
+        match self.points {
+            Points::Nobody => Tracker::None.name(),
+            Points::Flow => Tracker::Flow.name(),
+            #[cfg(feature = "nets")]
+            Points::Tapip3d(_) => Tracker::Tapip3d.name(),
+        }
+    }
+
+    /// Finds what is asked for.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::SegmenterWeights`] or [`Error::TrackerWeights`] if weights are missing, [`Error::NoSegmenter`] or
+    /// [`Error::NoTracker`] if the build has no networks.
+    #[cfg(feature = "nets")]
+    pub fn of(segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
+        let mut used = Vec::new();
+        let sam2 = || SAM2.iter().find_map(|name| here(name));
+        let found = match segmenter {
+            Segmenter::Sam2 => Some(sam2().ok_or_else(|| Error::SegmenterWeights {
+                segmenter: Segmenter::Sam2.name(),
+                source: missing(SAM2[0]),
+            })?),
+            Segmenter::Auto => sam2(),
+            Segmenter::None | Segmenter::Mobilesam => None,
+        };
+        let things = match (found, segmenter, before) {
+            (Some((entry, path)), ..) => {
+                used.push(used_network(entry, &path)?);
+                Things::Sam2(path)
+            }
+            (None, Segmenter::Mobilesam, Before::Motion) => Things::Flow(Segmenter::Mobilesam),
+            (None, Segmenter::Auto, Before::Motion) if here("mobile-sam").is_some() => Things::Flow(Segmenter::Mobilesam),
+            _ => Things::Nobody,
+        };
+        let points = match (tracker, before) {
+            (Tracker::Tapip3d, _) => {
+                let (entry, path) = here(TAPIP3D).ok_or_else(|| Error::TrackerWeights {
+                    tracker: tracker.name(),
+                    source: missing(TAPIP3D),
+                })?;
+                used.push(used_network(entry, &path)?);
+                Points::Tapip3d(path)
+            }
+            (Tracker::Auto | Tracker::Flow, Before::Motion) => Points::Flow,
+            _ => Points::Nobody,
+        };
+        Ok(Self { things, points, used })
+    }
+
+    /// Finds what is asked for.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoSegmenter`] or [`Error::NoTracker`]: the build has no networks.
+    #[cfg(not(feature = "nets"))]
+    pub fn of(segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
+        if matches!(segmenter, Segmenter::Mobilesam | Segmenter::Sam2) {
+            return Err(Error::NoSegmenter {
+                segmenter: segmenter.name(),
+            });
+        }
+        let points = match (tracker, before) {
+            (Tracker::Tapip3d, _) => {
+                return Err(Error::NoTracker {
+                    tracker: tracker.name(),
+                });
+            }
+            (Tracker::Auto | Tracker::Flow, Before::Motion) => Points::Flow,
+            _ => Points::Nobody,
+        };
+        Ok(Self {
+            things: Things::Nobody,
+            points,
+            used: Vec::new(),
+        })
+    }
+}
+
+#[cfg(feature = "nets")]
+fn here(name: &str) -> Option<(&'static weights::Entry, PathBuf)> {
+    let entry = weights::find(name).ok()?;
+    match Store::of_user().ok()?.state(entry) {
+        State::Stored(path) | State::InHub(path) => Some((entry, path)),
+        State::Absent => None,
+    }
+}
+
+/// Why the weights `name` are not here, and how to get them.
+#[cfg(feature = "nets")]
+fn missing(name: &str) -> WeightsError {
+    let entry = match weights::find(name) {
+        Ok(entry) => entry,
+        Err(error) => return error,
+    };
+    let told = Store::of_user().and_then(|store| store.require(entry));
+    told.err().unwrap_or(WeightsError::NoFolder)
+}
+
+#[cfg(feature = "nets")]
+fn used_network(entry: &weights::Entry, path: &std::path::Path) -> Result<UsedNetwork, Error> {
+    Ok(UsedNetwork {
+        weights: entry.name.to_owned(),
+        licence: entry.licence.to_owned(),
+        commercial: entry.commercial,
+        blake3: crate::hash::of_path(path)?,
+    })
+}

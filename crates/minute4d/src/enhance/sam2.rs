@@ -1,0 +1,202 @@
+//! SAM 2 as what follows things through a clip.
+
+use m4_nets::sam2::{self, Clip as NetClip, Direction, Sam2Error, VideoOptions, VideoPredictor};
+use m4_nets::{PointPrompt, Prompt, Sam2, Sam2Size};
+use m4_scene::{CompactMask, Plane, Progress};
+use m4_slam::instances::{Clip, ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSegmenter, VideoSession};
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+/// Pixels of holes that are filled, at the size of the network's masks: upstream's on CUDA.
+const HOLES_PX: usize = 8;
+
+/// The network, for any number of clips.
+#[derive(Debug)]
+pub struct Sam2Follower {
+    net: Arc<Sam2>,
+}
+
+impl Sam2Follower {
+    /// With this network.
+    #[must_use]
+    pub fn new(net: Sam2) -> Self {
+        Self { net: Arc::new(net) }
+    }
+}
+
+impl VideoSegmenter for Sam2Follower {
+    fn name(&self) -> &str {
+        match self.net.size() {
+            Sam2Size::Tiny => "sam2.1-tiny",
+            Sam2Size::Small => "sam2.1-small",
+            Sam2Size::BasePlus => "sam2.1-base-plus",
+            Sam2Size::Large => "sam2.1-large",
+        }
+    }
+
+    fn open<'a>(&'a self, clip: &'a dyn Clip, size: (usize, usize)) -> Result<Box<dyn VideoSession + 'a>, VideoError> {
+        let name = self.name();
+        let options = VideoOptions {
+            fill_holes_px: HOLES_PX,
+            ..VideoOptions::default()
+        };
+        let frames = NetClip {
+            frames: clip.frames(),
+            width: size.0,
+            height: size.1,
+        };
+        let pictures = Box::new(move |frame| clip.picture(frame).map(std::borrow::Cow::into_owned));
+        let predictor =
+            VideoPredictor::new(Arc::clone(&self.net), frames, pictures, options).map_err(|error| failed(name, 0, error))?;
+        Ok(Box::new(Session {
+            predictor,
+            name,
+            size,
+            frames: clip.frames(),
+        }))
+    }
+}
+
+fn failed(segmenter: &str, frame: usize, error: Sam2Error) -> VideoError {
+    match error {
+        Sam2Error::Picture { frame, reason } => VideoError::Picture { frame, reason },
+        Sam2Error::Cancelled => VideoError::Cancelled { frame },
+        Sam2Error::UnknownObject(object) => VideoError::Unknown {
+            object: ObjectId(object),
+            frame,
+        },
+        Sam2Error::NoSuchFrame { frame, frames } => VideoError::Frame { frame, frames },
+        other => VideoError::Source {
+            segmenter: segmenter.to_owned(),
+            frame,
+            reason: Box::new(other),
+        },
+    }
+}
+
+struct Session<'a> {
+    predictor: VideoPredictor<'a>,
+    name: &'a str,
+    size: (usize, usize),
+    frames: usize,
+}
+
+impl Session<'_> {
+    fn ours(&self, object: ObjectId, mask: &sam2::ObjectMask) -> ObjectMask {
+        if !mask.is_there() {
+            return ObjectMask::unseen(object, self.size, Sight::Hidden);
+        }
+        let found = mask.mask_at(self.size);
+        let mask_px = CompactMask::from_fn(self.size.0, self.size.1, |x, y| found[(x, y)]);
+        ObjectMask {
+            object,
+            sight: if mask_px.count() > 0 { Sight::Seen } else { Sight::Hidden },
+            mask: mask_px,
+            quality: Some(mask.iou),
+        }
+    }
+
+    /// Points as the paper asks; a box where there are none, a mask where there is nothing else.
+    fn show(&mut self, frame: usize, prompt: &ObjectPrompt) -> Result<sam2::ObjectMask, Sam2Error> {
+        let (w, h) = self.size;
+        let object = prompt.object.0;
+        if let (true, None, Some(belief)) = (prompt.on_px.is_empty(), prompt.box_px, &prompt.belief) {
+            let mask = Plane::from_fn(w, h, |x, y| belief.get(y * w + x).is_some_and(|&b| b > 0.0));
+            return self.predictor.show_mask(frame, object, &mask);
+        }
+        let on = prompt.on_px.iter().map(|&at_px| PointPrompt { at_px, on_object: true });
+        let off = prompt.off_px.iter().map(|&at_px| PointPrompt { at_px, on_object: false });
+        let prompt = Prompt {
+            points: on.chain(off).collect(),
+            box_px: prompt.box_px.filter(|_| prompt.on_px.is_empty()),
+            mask_logits: None,
+        };
+        self.predictor.show(frame, object, &prompt)
+    }
+}
+
+impl VideoSession for Session<'_> {
+    fn prompt(&mut self, frame: usize, prompts: &[ObjectPrompt]) -> Result<Vec<ObjectMask>, VideoError> {
+        let mut out = Vec::with_capacity(prompts.len());
+        for prompt in prompts {
+            if let Some(belief) = prompt.belief.as_ref().filter(|b| b.len() != self.size.0 * self.size.1) {
+                return Err(VideoError::Size {
+                    object: prompt.object,
+                    found: belief.len(),
+                    expected: self.size,
+                });
+            }
+            let mask = self.show(frame, prompt).map_err(|error| failed(self.name, frame, error))?;
+            out.push(self.ours(prompt.object, &mask));
+        }
+        Ok(out)
+    }
+
+    fn set_mask(&mut self, frame: usize, object: ObjectId, mask: &CompactMask) -> Result<(), VideoError> {
+        if mask.size() != self.size {
+            return Err(VideoError::MaskSize {
+                object,
+                found: mask.size(),
+                expected: self.size,
+            });
+        }
+        let plane = Plane::from_fn(self.size.0, self.size.1, |x, y| mask.at(x, y));
+        let shown = self.predictor.show_mask(frame, object.0, &plane);
+        shown.map(drop).map_err(|error| failed(self.name, frame, error))
+    }
+
+    fn forget(&mut self, object: ObjectId) {
+        // one that was never shown is as good as forgotten
+        let _ = self.predictor.remove(object.0);
+    }
+
+    fn follow(
+        &mut self,
+        objects: &[ObjectId],
+        from: usize,
+        to: usize,
+        progress: &dyn Progress,
+        sink: &mut dyn FnMut(usize, Vec<ObjectMask>) -> ControlFlow<()>,
+    ) -> Result<(), VideoError> {
+        for frame in [from, to] {
+            if frame >= self.frames {
+                let frames = self.frames;
+                return Err(VideoError::Frame { frame, frames });
+            }
+        }
+        let (frames, direction) = match to.cmp(&from) {
+            std::cmp::Ordering::Greater => (from + 1..=to, Direction::Forward),
+            std::cmp::Ordering::Less => (to..=from - 1, Direction::Backward),
+            std::cmp::Ordering::Equal => return Ok(()),
+        };
+        if objects.is_empty() {
+            return Ok(());
+        }
+        let ids: Vec<u32> = objects.iter().map(|object| object.0).collect();
+        let name = self.name;
+        let mut at = from;
+        let steps: Vec<usize> = match direction {
+            Direction::Forward => frames.collect(),
+            Direction::Backward => frames.rev().collect(),
+        };
+        for frame in steps {
+            let mut masks = BTreeMap::new();
+            let keep = |_, found: &BTreeMap<u32, sam2::ObjectMask>| {
+                masks.clone_from(found);
+                ControlFlow::Continue(())
+            };
+            let step = self.predictor.follow_some(&ids, frame..=frame, direction, progress, keep);
+            step.map_err(|error| failed(name, at, error))?;
+            at = frame;
+            let ours = objects.iter().map(|&object| match masks.get(&object.0) {
+                Some(mask) => self.ours(object, mask),
+                None => ObjectMask::unseen(object, self.size, Sight::Hidden),
+            });
+            if sink(frame, ours.collect()).is_break() {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
