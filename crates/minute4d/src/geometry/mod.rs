@@ -29,7 +29,7 @@ pub use segmenter::Segmenter;
 pub(crate) use segmenter::resolve as resolve_segmenter;
 
 use crate::device::NetworkDevice;
-use crate::enhance::{self, Before, EnhanceConfig};
+use crate::enhance::{self, Before, EnhanceConfig, Tracker};
 use crate::folder::{self, Existing, Lock};
 use crate::record::{GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::settings::part_to_toml;
@@ -86,7 +86,10 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         });
     }
     let (_lock, earlier) = open(capture, job.existing)?;
-    let settings = &job.settings;
+    let mut settings = job.settings.clone();
+    // chains of flow are made with the depth, unless somebody else follows points afterwards
+    settings.dense.tracks.enabled &= !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
+    let settings = &settings;
     let plan = frontend::plan(&settings.geometry.frontend, job.device.choice)?;
     let (asked, before) = match plan.cameras {
         // What its map of motion means is found afterwards.
