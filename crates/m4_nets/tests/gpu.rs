@@ -10,11 +10,11 @@ use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
 use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, try_init_setup};
 use m4_nets::droid::{EdgeUpdate, MemoryOptions, Storage};
 use m4_nets::raft::LowFlow;
-use m4_nets::{
-    Compute, DepthAnything, Device, DroidMemory, DroidNet, GmFlow, MoGe, MoGeOptions, MobileSam, PointPrompt, Prompt,
-    PointQuery, PosedClip, Raft, Tapip3d, Tapip3dOptions, UniDepth, cpu,
-};
 use m4_nets::tapip3d::ClipError;
+use m4_nets::{
+    Compute, DepthAnything, Device, DroidMemory, DroidNet, GmFlow, MoGe, MoGeOptions, MobileSam, PointPrompt,
+    PointQuery, PosedClip, Prompt, Raft, Tapip3d, Tapip3dOptions, UniDepth, cpu,
+};
 use m4_scene::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
 use m4_testkit::{FormulaWeights, write_formula_weights};
 use std::fs;

@@ -109,7 +109,11 @@ fn takes_exactly_the_published_keys() {
     let net = load();
     assert_eq!((KEYS.lines().count(), net.parameters()), (352, ALL));
     assert_eq!((net.training_size(), net.published_size()), ((224, 160), (316, 226)));
-    for line in ["encoder.backbone.conv3.bias", "point_updater.flow_head.bias", "time_emb"] {
+    for line in [
+        "encoder.backbone.conv3.bias",
+        "point_updater.flow_head.bias",
+        "time_emb",
+    ] {
         let without: String = KEYS
             .lines()
             .filter(|l| !l.starts_with(line))
@@ -225,7 +229,8 @@ fn frames_before_a_query_are_followed_on_the_way_back_alone() {
 fn clips_that_do_not_fit() {
     let net = load();
     let some = queries(&[0, 0]);
-    let track = |clip: &Wall, queries: &[PointQuery], options: &Tapip3dOptions| net.track(clip, queries, options, &Silent);
+    let track =
+        |clip: &Wall, queries: &[PointQuery], options: &Tapip3dOptions| net.track(clip, queries, options, &Silent);
     let error = track(&Wall::of(0), &some, &options()).unwrap_err();
     assert!(matches!(error, Tapip3dError::NoFrames), "{error}");
     let error = track(&Wall::of(3), &queries(&[0, 3]), &options()).unwrap_err();
@@ -261,12 +266,21 @@ fn clips_that_do_not_fit() {
 #[test]
 fn clips_that_are_odd() {
     let net = load();
-    for (frames, hole) in [(1, 2.0), (2, f32::NAN), (2, f32::NEG_INFINITY), (2, f32::INFINITY), (2, -1.0), (2, 1e30)] {
+    for (frames, hole) in [
+        (1, 2.0),
+        (2, f32::NAN),
+        (2, f32::NEG_INFINITY),
+        (2, f32::INFINITY),
+        (2, -1.0),
+        (2, 1e30),
+    ] {
         let clip = Wall {
             hole,
             ..Wall::of(frames)
         };
-        let tracks = net.track(&clip, &queries(&[0, frames - 1]), &options(), &Silent).unwrap();
+        let tracks = net
+            .track(&clip, &queries(&[0, frames - 1]), &options(), &Silent)
+            .unwrap();
         assert_eq!(tracks.world().len(), 2 * frames);
         let numbers = tracks.world().as_flattened().iter().chain(tracks.visibility());
         assert!(numbers.into_iter().all(|x| x.is_finite()), "{hole}");

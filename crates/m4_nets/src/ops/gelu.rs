@@ -117,7 +117,9 @@ mod tests {
     fn by_tanh_agrees_with_its_definition() {
         let n = 70_003;
         let xs: Vec<f32> = (0..n).map(|i| (i as f32 / n as f32 - 0.5) * 14.0).collect();
-        let got: Vec<f32> = gelu_by_tanh(tensor(xs.clone(), [1, n], &cpu())).try_into_vec_as().unwrap();
+        let got: Vec<f32> = gelu_by_tanh(tensor(xs.clone(), [1, n], &cpu()))
+            .try_into_vec_as()
+            .unwrap();
         for (x, got) in xs.iter().map(|&x| f64::from(x)).zip(got) {
             let want = 0.5 * x * (1.0 + ((2.0 / std::f64::consts::PI).sqrt() * (x + 0.044_715 * x * x * x)).tanh());
             assert!(
@@ -128,7 +130,10 @@ mod tests {
         let wild: Vec<f32> = gelu_by_tanh(tensor(vec![0.0, f32::INFINITY, 1e30, -1e30, f32::NAN], [5], &cpu()))
             .try_into_vec_as()
             .unwrap();
-        assert!(wild[0] == 0.0 && wild[1] == f32::INFINITY && wild[2] == 1e30, "{wild:?}");
+        assert!(
+            wild[0] == 0.0 && wild[1] == f32::INFINITY && wild[2] == 1e30,
+            "{wild:?}"
+        );
         assert!(wild[3].abs() < 1.0 && wild[4].is_nan(), "{wild:?}");
     }
 

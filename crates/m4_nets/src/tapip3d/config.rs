@@ -57,7 +57,8 @@ impl Config {
             "it has no configuration: the published file is to be converted once by `python3 tools/models/convert_tapip3d.py`, \
              which needs PyTorch, NumPy and safetensors",
         )?;
-        let said: Value = serde_json::from_str(&said).map_err(|error| format!("its configuration is no JSON: {error}"))?;
+        let said: Value =
+            serde_json::from_str(&said).map_err(|error| format!("its configuration is no JSON: {error}"))?;
         Self::read(&said).map_err(|reason| format!("of its configuration, {reason}"))
     }
 

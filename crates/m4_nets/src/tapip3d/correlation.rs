@@ -6,7 +6,7 @@
 //! upstream computes both for every frame and iteration, which is a quarter more operations.
 
 use super::encoding::{encoded, width};
-use super::layers::{CrossBlock, KeysValues, Attention, Pooling};
+use super::layers::{Attention, CrossBlock, KeysValues, Pooling};
 use super::sizes::Sizes;
 use crate::ops::{gelu, linear, norm, zeros};
 use burn_core as burn;
@@ -148,7 +148,11 @@ impl Correlation {
                 .expand([frames, n, h, m, c])
                 .reshape([frames * n, h, m, c])
         };
-        let x = side.x.clone().unsqueeze_dim::<4>(0).expand([frames, queries, tokens, width]);
+        let x = side
+            .x
+            .clone()
+            .unsqueeze_dim::<4>(0)
+            .expand([frames, queries, tokens, width]);
         let x = x.reshape([frames * queries, tokens, width]);
         let others = meeting.xblock1_2.context(y.clone());
         let x = meeting.xblock1_2.revised(x, again(&side.q), others);

@@ -38,7 +38,11 @@ const FARTHEST: f32 = 1e9;
 type Vec3 = [f64; 3];
 
 fn cross(a: Vec3, b: Vec3) -> Vec3 {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    [
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    ]
 }
 
 fn unit(a: Vec3) -> Vec3 {
@@ -57,7 +61,9 @@ pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &Lens) -> Vec<f32> {
     let steps = map(w, h, |x, y| {
         let at = y * w + x;
         let near = || window(x, y, w, h).map(|i| z[i]).filter(|&z| z > 0.0);
-        let (low, high) = near().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
+        let (low, high) = near().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), z| {
+            (low.min(z), high.max(z))
+        });
         z[at] > 0.0 && (high - low) / z[at] > JUMP
     });
     if !steps.contains(&true) {
@@ -78,7 +84,13 @@ pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &Lens) -> Vec<f32> {
     let edges = map(w, h, |x, y| steps[y * w + x] && window(x, y, w, h).any(|i| turns[i]));
     let sound: Vec<bool> = z.iter().zip(&edges).map(|(&z, &edge)| z > 0.0 && !edge).collect();
     let nearest = nearest_pixels(&sound, w, h);
-    let replaced = |i: usize| if edges[i] { nearest[i].map_or(z[i], |j| z[j]) } else { z[i] };
+    let replaced = |i: usize| {
+        if edges[i] {
+            nearest[i].map_or(z[i], |j| z[j])
+        } else {
+            z[i]
+        }
+    };
     (0..w * h).map(replaced).collect()
 }
 

@@ -86,7 +86,11 @@ fn by_tensors<const D: usize>(lengths: &[[f32; D]], device: &Device) -> Tensor<2
     let n = lengths.len();
     let turns: Vec<f64> = lengths.as_flattened().iter().map(|&x| f64::from(x) / TAU).collect();
     let high: Vec<f32> = turns.iter().map(|&t| t as f32).collect();
-    let low: Vec<f32> = turns.iter().zip(&high).map(|(t, &h)| (t - f64::from(h)) as f32).collect();
+    let low: Vec<f32> = turns
+        .iter()
+        .zip(&high)
+        .map(|(t, &h)| (t - f64::from(h)) as f32)
+        .collect();
     let scales = (0..FREQUENCIES as i32).map(|k| 2f32.powi(LOWEST + k)).collect();
     let scales: Tensor<3> = tensor(scales, [1, FREQUENCIES, 1], device);
     let [high, low] = [high, low].map(|part| tensor(part, [n, 1, D], device) * scales.clone());
@@ -97,10 +101,7 @@ fn by_tensors<const D: usize>(lengths: &[[f32; D]], device: &Device) -> Tensor<2
         wave.reshape([n, FREQUENCIES * D])
     };
     let same = tensor(lengths.as_flattened().to_vec(), [n, D], device);
-    Tensor::cat(
-        vec![same, sine(turn.clone()), sine(nearest(turn.add_scalar(0.25)))],
-        1,
-    )
+    Tensor::cat(vec![same, sine(turn.clone()), sine(nearest(turn.add_scalar(0.25)))], 1)
 }
 
 #[cfg(test)]
@@ -123,7 +124,10 @@ mod tests {
                     let angle = f64::from(x[d]) * 2f64.powi(LOWEST + k as i32);
                     let (sine, cosine) = (row[3 + 3 * k + d], row[3 + 3 * (FREQUENCIES + k) + d]);
                     assert!((f64::from(sine) - angle.sin()).abs() < 4e-7, "sin {angle}: {sine}");
-                    assert!((f64::from(cosine) - (angle + PI / 2.0).sin()).abs() < 4e-7, "cos {angle}: {cosine}");
+                    assert!(
+                        (f64::from(cosine) - (angle + PI / 2.0).sin()).abs() < 4e-7,
+                        "cos {angle}: {cosine}"
+                    );
                 }
             }
         }

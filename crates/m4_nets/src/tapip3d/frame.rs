@@ -1,10 +1,10 @@
 //! A frame as the network works with it: maps of features and of points, from fine to coarse.
 
+use super::Net;
 use super::camera::Lens;
 use super::config::Config;
 use super::encoder::STRIDE;
 use super::moments::Moments;
-use super::Net;
 use crate::ops::{Kernels, resampled, tensor};
 use burn_core::tensor::module::avg_pool2d;
 use burn_core::tensor::ops::AvgPoolOptions;
@@ -142,7 +142,11 @@ pub fn rows_of(map: &Tensor<2>, rows: Vec<i32>) -> Tensor<2> {
 /// what is at the edge.
 pub fn sampled(map: &Tensor<2>, (w, h): (usize, usize), places: &[[f64; 2]]) -> Tensor<2> {
     let corner = |x: f64, n: usize| {
-        let x = if x.is_finite() { x.clamp(0.0, (n - 1) as f64) } else { 0.0 };
+        let x = if x.is_finite() {
+            x.clamp(0.0, (n - 1) as f64)
+        } else {
+            0.0
+        };
         let first = (x as usize).min(n.saturating_sub(2));
         (first, (first + 1).min(n - 1), x - first as f64)
     };

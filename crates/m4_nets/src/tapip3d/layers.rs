@@ -72,7 +72,12 @@ impl Attention {
         let [_, width] = token.dims();
         let q = self.queries(token.unsqueeze_dim(0)).squeeze_dim::<3>(0);
         let [heads, _, c] = q.dims();
-        let weights = self.to_kv.weight.val().reshape([width, 2, heads, c]).permute([1, 2, 0, 3]);
+        let weights = self
+            .to_kv
+            .weight
+            .val()
+            .reshape([width, 2, heads, c])
+            .permute([1, 2, 0, 3]);
         let [keys, values] = [0, 1].map(|i| weights.clone().narrow(0, i, 1).squeeze_dim::<3>(0));
         let out = self.to_out.weight.val().reshape([heads, c, width]);
         Pooling {

@@ -34,8 +34,7 @@ impl Moments {
         Self {
             n,
             mean: [0, 1, 2].map(|i| self.mean[i] + apart[i] * other.n / n),
-            squares: [0, 1, 2]
-                .map(|i| self.squares[i] + other.squares[i] + apart[i] * apart[i] * self.n * other.n / n),
+            squares: [0, 1, 2].map(|i| self.squares[i] + other.squares[i] + apart[i] * apart[i] * self.n * other.n / n),
         }
     }
 

@@ -235,7 +235,12 @@ impl Known {
         }
         let ends = [frame == 0, frame + 1 == self.frames];
         if ends.contains(&true) && source.options.support_grid > 0 {
-            let points = grid(source.options.support_grid, &loaded.z, source.options.size, &loaded.geometry.lens);
+            let points = grid(
+                source.options.support_grid,
+                &loaded.z,
+                source.options.size,
+                &loaded.geometry.lens,
+            );
             if !points.is_empty() {
                 let batch = Batch {
                     queries: Vec::new(),

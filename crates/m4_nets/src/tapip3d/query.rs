@@ -35,10 +35,7 @@ pub fn sides(
         let own = sampled(map, (w, h), &places);
         let others = rows_of(map, near.iter().flatten().map(|&i| i as i32).collect());
         let (n, [_, c]) = (queries.len(), own.dims());
-        let both = Tensor::cat(
-            vec![own.reshape([n, 1, c]), others.reshape([n, neighbours, c])],
-            1,
-        );
+        let both = Tensor::cat(vec![own.reshape([n, 1, c]), others.reshape([n, neighbours, c])], 1);
         let tokens = net.corr_processor.prepared(both.reshape([n * (1 + neighbours), c]));
         let [_, c] = tokens.dims();
         features.push(tokens.reshape([n, 1 + neighbours, c]));
@@ -49,7 +46,10 @@ pub fn sides(
                 .collect(),
         );
     }
-    Sides { features, points: around }
+    Sides {
+        features,
+        points: around,
+    }
 }
 
 /// Where a point is seen; as far out as two images.

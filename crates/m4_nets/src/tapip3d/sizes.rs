@@ -80,18 +80,21 @@ impl Sizes {
         let sets = if config.shared { 1 } else { config.levels };
         fits(
             self.sets == sets,
-            format!("{} levels of neighbourhoods where the configuration has {sets}", self.sets),
+            format!(
+                "{} levels of neighbourhoods where the configuration has {sets}",
+                self.sets
+            ),
         )?;
         let input = 1 + config.levels * self.tokens + width(6);
         fits(
             self.input == input,
             format!("the updater takes {} numbers, not {input}", self.input),
         )?;
-        fits(self.output >= 4, format!("the updater says {} numbers, not 4", self.output))?;
-        let heads = [
-            (self.token_heads, config.heads),
-            (self.hidden, config.updater_heads),
-        ];
+        fits(
+            self.output >= 4,
+            format!("the updater says {} numbers, not 4", self.output),
+        )?;
+        let heads = [(self.token_heads, config.heads), (self.hidden, config.updater_heads)];
         for (width, heads) in heads {
             fits(
                 width % heads == 0,
@@ -100,7 +103,10 @@ impl Sizes {
         }
         fits(
             self.space_depth > 0 && self.time_depth >= self.space_depth,
-            format!("{} layers over time and {} over space", self.time_depth, self.space_depth),
+            format!(
+                "{} layers over time and {} over space",
+                self.time_depth, self.space_depth
+            ),
         )?;
         fits(
             self.times == config.window,

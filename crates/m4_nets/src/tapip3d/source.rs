@@ -44,15 +44,13 @@ impl<'a> Source<'a> {
     /// # Errors
     ///
     /// [`Tapip3dError`] if there is no frame, or its camera is none.
-    pub fn new(
-        net: &'a Tapip3d,
-        clip: &'a dyn PosedClip,
-        options: &'a Tapip3dOptions,
-    ) -> Result<Self, Tapip3dError> {
+    pub fn new(net: &'a Tapip3d, clip: &'a dyn PosedClip, options: &'a Tapip3dOptions) -> Result<Self, Tapip3dError> {
         if clip.frames() == 0 {
             return Err(Tapip3dError::NoFrames);
         }
-        let camera = clip.camera(0).map_err(|source| Tapip3dError::Frame { frame: 0, source })?;
+        let camera = clip
+            .camera(0)
+            .map_err(|source| Tapip3dError::Frame { frame: 0, source })?;
         let source = Self {
             net,
             clip,
@@ -87,7 +85,11 @@ impl<'a> Source<'a> {
         }
         let size = self.options.size;
         let z = resized(&depth, size);
-        let z = if self.options.clean_edges { cleaned(&z, size, &lens) } else { z };
+        let z = if self.options.clean_edges {
+            cleaned(&z, size, &lens)
+        } else {
+            z
+        };
         Ok((lens, z))
     }
 

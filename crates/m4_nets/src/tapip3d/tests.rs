@@ -127,7 +127,15 @@ impl Clip {
             let (maps, geometry) = (self.maps(net, frame), self.geometry(frame));
             for (side, (t, p)) in of.iter_mut().zip(&queries) {
                 if *t == frame {
-                    *side = Some(sides(&net.net, &maps, &geometry.points, &geometry.lens, SIZE, &[*p], 32));
+                    *side = Some(sides(
+                        &net.net,
+                        &maps,
+                        &geometry.points,
+                        &geometry.lens,
+                        SIZE,
+                        &[*p],
+                        32,
+                    ));
                 }
             }
             let prepared = |map| net.net.corr_processor.prepared(map);
@@ -192,8 +200,18 @@ fn windows_are_brought_to_the_network_s_space() {
         let all = (first..first + WINDOW).map(|frame| clip.geometry(frame).moments);
         let all = all.fold(moments::Moments::default(), |sum, m| sum.with(&m));
         let space = all.space(config.norm_mode, config.norm_scale).unwrap();
-        assert_close("mean", &space.mean, &clip.0.floats(&format!("norm_mean_{name}")).0, 1e-5);
-        assert_close("deviation", &space.std, &clip.0.floats(&format!("norm_std_{name}")).0, 1e-5);
+        assert_close(
+            "mean",
+            &space.mean,
+            &clip.0.floats(&format!("norm_mean_{name}")).0,
+            1e-5,
+        );
+        assert_close(
+            "deviation",
+            &space.std,
+            &clip.0.floats(&format!("norm_std_{name}")).0,
+            1e-5,
+        );
         if first == 0 {
             let begun = clip.queries().into_iter().filter(|(t, _)| *t < WINDOW);
             let got: Vec<f32> = begun
@@ -233,7 +251,9 @@ fn neighbours_and_queries_of_a_window() {
         let here: Vec<[f32; 3]> = sides.points[level].iter().map(|&p| window.space.enter(p)).collect();
         // of points at the same distance the order is open
         let lengths = |all: &[[f32; 3]]| -> Vec<f32> {
-            all.iter().map(|p| p.iter().map(|x| x * x).sum::<f32>().sqrt()).collect()
+            all.iter()
+                .map(|p| p.iter().map(|x| x * x).sum::<f32>().sqrt())
+                .collect()
         };
         let minus = |a: [f32; 3], b: [f32; 3]| [0, 1, 2].map(|i| a[i] - b[i]);
         let got: Vec<[f32; 3]> = here
@@ -297,7 +317,9 @@ fn a_window_is_revised() {
         let world: Vec<[f32; 3]> = state.at.iter().map(|&p| window.space.leave(p)).collect();
         let begun = |width: usize, values: Vec<f32>| -> Vec<f32> {
             let rows = values.chunks_exact(width).zip(clip.queries().into_iter().cycle());
-            rows.filter(|(_, (t, _))| *t < WINDOW).flat_map(|(x, _)| x.to_vec()).collect()
+            rows.filter(|(_, (t, _))| *t < WINDOW)
+                .flat_map(|(x, _)| x.to_vec())
+                .collect()
         };
         let want = begun(3, clip.0.floats(&format!("out{iteration}_coords")).0);
         assert_close(&format!("iteration {iteration}"), world.as_flattened(), &want, 1e-4);
@@ -346,7 +368,10 @@ fn the_whole_clip() {
         .flat_map(|&(i, t)| want[(t * n + i) * 3..][..3].to_vec())
         .collect();
     assert_close("tracks", &got, &coords, 1e-4);
-    let got: Vec<f32> = followed.iter().map(|&(i, t)| tracks.visibility()[i * FRAMES + t]).collect();
+    let got: Vec<f32> = followed
+        .iter()
+        .map(|&(i, t)| tracks.visibility()[i * FRAMES + t])
+        .collect();
     let seen: Vec<f32> = followed
         .iter()
         .map(|&(i, t)| 1.0 / (1.0 + (-logits[t * n + i]).exp()))

@@ -62,10 +62,12 @@ impl Updater {
             if i % every.max(1) != 0 {
                 continue;
             }
-            let Some(((gather, among, spread), points, virtual_tracks)) = space.next().map(|((gather, among), spread)| {
-                let points = tokens.clone().narrow(1, 0, tracks);
-                ((gather, among, spread), points, tokens.clone().narrow(1, tracks, more))
-            }) else {
+            let Some(((gather, among, spread), points, virtual_tracks)) =
+                space.next().map(|((gather, among), spread)| {
+                    let points = tokens.clone().narrow(1, 0, tracks);
+                    ((gather, among, spread), points, tokens.clone().narrow(1, tracks, more))
+                })
+            else {
                 continue;
             };
             let virtual_tracks = among.forward(gather.forward(virtual_tracks, points.clone()));

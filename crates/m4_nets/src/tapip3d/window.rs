@@ -57,22 +57,28 @@ impl Window {
                 .collect();
             net.corr_processor.query_side(level, features.clone(), &offsets)
         };
-        sides.features.iter().zip(&sides.points).enumerate().map(level).collect()
+        sides
+            .features
+            .iter()
+            .zip(&sides.points)
+            .enumerate()
+            .map(level)
+            .collect()
     }
 
     /// Numbers of the points of the maps near `at` `[frame][point]`, `[frame][point][neighbour]`.
     pub fn near(&self, level: usize, at: &[[f32; 3]], neighbours: usize) -> Vec<u32> {
         let points = at.len() / self.frames.len();
         let mut near = vec![0; at.len() * neighbours];
-        near.par_chunks_mut(neighbours)
-            .zip(at)
-            .enumerate()
-            .for_each_init(Search::default, |search, (i, (near, &at))| {
+        near.par_chunks_mut(neighbours).zip(at).enumerate().for_each_init(
+            Search::default,
+            |search, (i, (near, &at))| {
                 let cloud = &self.clouds[i / points][level];
                 for (near, found) in near.iter_mut().zip(cloud.nearest(at, neighbours, search)) {
                     *near = found;
                 }
-            });
+            },
+        );
         near
     }
 
@@ -99,9 +105,8 @@ impl Window {
                     })
                     .collect();
                 let features = self.frames.iter().zip(near.chunks_exact(n * neighbours));
-                let features = features.map(|(frame, near)| {
-                    rows_of(&frame.features[level], near.iter().map(|&j| j as i32).collect())
-                });
+                let features = features
+                    .map(|(frame, near)| rows_of(&frame.features[level], near.iter().map(|&j| j as i32).collect()));
                 let features = Tensor::cat(features.collect(), 0);
                 let [_, c] = features.dims();
                 let features = features.reshape([frames * n, neighbours, c]);
@@ -125,7 +130,11 @@ impl Window {
             .map(|k| {
                 let (t, i) = (k / points, k % points);
                 let here = at(t, i);
-                let next = if t + 1 < frames { minus(here, at(t + 1, i)) } else { [0.0; 3] };
+                let next = if t + 1 < frames {
+                    minus(here, at(t + 1, i))
+                } else {
+                    [0.0; 3]
+                };
                 let last = if t > 0 { minus(here, at(t - 1, i)) } else { [0.0; 3] };
                 [next[0], next[1], next[2], last[0], last[1], last[2]]
             })
@@ -151,7 +160,10 @@ impl Window {
         neighbours: usize,
     ) -> Result<State, Tapip3dError> {
         let compared = self.compared(net, sides, &state.at, neighbours);
-        let out = net.point_updater.forward(self.input(net, &state, compared)).narrow(2, 0, 4);
+        let out = net
+            .point_updater
+            .forward(self.input(net, &state, compared))
+            .narrow(2, 0, 4);
         let out = numbers(out)?;
         let points = state.at.iter_mut().zip(&mut state.logits);
         for ((at, logit), d) in points.zip(out.as_chunks::<4>().0) {
