@@ -140,7 +140,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let bound = bound(2048, &device)?;
     println!("matrix products: {bound:.0} GFLOP/s of a core");
     let clip = Wall(w, h);
-    let camera = clip.camera(0)?;
+    let camera = clip.camera(0).map_err(|error| error as Box<dyn Error>)?;
     let queries: Vec<PointQuery> = (0..n)
         .map(|i| {
             let (u, v) = ((i * 37 % w) as f64, (i * 91 % h) as f64);

@@ -289,21 +289,38 @@ fn clips_that_are_odd() {
 
 #[test]
 fn stops_when_it_is_told_to() {
-    struct Impatient(AtomicUsize);
+    /// Stops after some reports.
+    struct Impatient {
+        reports: AtomicUsize,
+        most: usize,
+    }
     impl Progress for Impatient {
         fn update(&self, phase: &str, done: usize, total: usize, _note: &str) {
             assert!(done <= total && !phase.is_empty());
-            self.0.fetch_add(1, Ordering::Relaxed);
+            self.reports.fetch_add(1, Ordering::Relaxed);
         }
         fn warn(&self, _message: &str) {}
         fn cancelled(&self) -> bool {
-            self.0.load(Ordering::Relaxed) > 3
+            self.reports.load(Ordering::Relaxed) >= self.most
         }
     }
     let net = load();
-    let impatient = Impatient(AtomicUsize::new(0));
-    let error = net
-        .track(&Wall::of(3), &queries(&[0]), &options(), &impatient)
-        .unwrap_err();
-    assert!(matches!(error, Tapip3dError::Stopped), "{error}");
+    let run = |most: usize| {
+        let impatient = Impatient {
+            reports: AtomicUsize::new(0),
+            most,
+        };
+        let result = net.track(&Wall::of(17), &queries(&[0]), &options(), &impatient);
+        (result, impatient.reports.into_inner())
+    };
+    // at once, while depth is read, before the first window, between two
+    for most in [0, 5, 17, 18] {
+        let (result, reports) = run(most);
+        assert!(matches!(result, Err(Tapip3dError::Stopped)), "{most}: {result:?}");
+        assert_eq!(reports, most);
+    }
+    // 17 frames' depth and two windows
+    let (result, reports) = run(1000);
+    assert!(result.is_ok());
+    assert_eq!(reports, 19);
 }

@@ -43,7 +43,7 @@ pub fn gelu_by_tanh<const D: usize>(x: Tensor<D>) -> Tensor<D> {
 }
 
 /// `2 sqrt(2 / pi)`: `(1 + tanh y) / 2` is the logistic function of `2 y`.
-const SLOPE: f32 = 1.595_769_1;
+const SLOPE: f32 = 1.595_769;
 const CUBIC: f32 = 0.044_715;
 
 struct GeluByTanh;

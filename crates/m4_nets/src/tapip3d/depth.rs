@@ -29,8 +29,11 @@ pub fn resized(depth: &DepthMap, size: (usize, usize)) -> Vec<f32> {
 }
 
 fn known(z: f32) -> f32 {
-    if z.is_finite() && z > 0.0 { z } else { 0.0 }
+    if z > 0.0 && z < FARTHEST { z } else { 0.0 }
 }
+
+/// Depth beyond this is taken for none.
+const FARTHEST: f32 = 1e9;
 
 type Vec3 = [f64; 3];
 

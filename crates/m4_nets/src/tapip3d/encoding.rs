@@ -7,7 +7,7 @@
 use crate::ops::tensor;
 use burn_core::tensor::{DType, Device, Tensor};
 use rayon::prelude::*;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 /// The exponent of the lowest frequency.
 const LOWEST: i32 = -2;
@@ -108,6 +108,7 @@ fn by_tensors<const D: usize>(lengths: &[[f32; D]], device: &Device) -> Tensor<2
 mod tests {
     use super::*;
     use crate::cpu;
+    use std::f64::consts::PI;
 
     #[test]
     fn agrees_with_its_definition_and_with_tensors() {

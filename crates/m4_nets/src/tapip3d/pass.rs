@@ -79,16 +79,22 @@ impl Walker {
 }
 
 /// Frames that were loaded, as many as memory may hold.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Frames {
     held: BTreeMap<usize, Arc<Frame>>,
-    pub most: usize,
+    most: usize,
 }
 
 impl Frames {
+    /// None yet, and at most `most` later.
+    pub fn new(most: usize) -> Self {
+        let held = BTreeMap::new();
+        Self { held, most }
+    }
+
     /// Lets go of frames that are not in `needed`, those first that the way back needs last.
     fn shrink(&mut self, needed: &[usize], way: Way) {
-        while self.held.len() > self.most {
+        while self.held.len() >= self.most {
             let mut free = self.held.keys().copied().filter(|frame| !needed.contains(frame));
             let Some(frame) = (if way.backward { free.next_back() } else { free.next() }) else {
                 return;

@@ -90,10 +90,8 @@ pub fn track_within(
         groups: vec![BTreeMap::new(); groups.len()],
         grids: [None, None],
     };
-    let mut held = Frames {
-        most: (options.memory_bytes / 2 / source.frame_bytes().max(1)).max(net.config.window),
-        ..Frames::default()
-    };
+    let most = options.memory_bytes / 2 / source.frame_bytes().max(1);
+    let mut held = Frames::new(most.max(net.config.window));
     let way = |backward| Way {
         frames,
         backward,

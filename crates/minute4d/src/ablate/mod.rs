@@ -21,6 +21,7 @@ use crate::{Error, Job, Settings, is_capture};
 use m4_io::atomic;
 use m4_io::capture::Split;
 use m4_scene::{Capture, CompactMask};
+use m4_slam::megasam::resize_bilinear;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -177,8 +178,10 @@ impl Bench<'_> {
         let tau = self.job.settings.megasam.tau_motion as f32;
         for frame in &mut capture.frames {
             let Some(motion) = &frame.motion else { continue };
-            let (w, h) = motion.size();
-            frame.mask = Some(CompactMask::from_fn(w, h, |x, y| motion[(x, y)] > tau));
+            let share = motion.map(|&m| f32::from(m) / 255.0);
+            let (w, h) = frame.rgb.size();
+            let share = resize_bilinear(&share, w, h);
+            frame.mask = Some(CompactMask::from_fn(w, h, |x, y| share[(x, y)] > tau));
         }
         m4_io::capture::write(&folder, &capture, Split::Train, self.job.observer)?;
         Ok(Some(folder))

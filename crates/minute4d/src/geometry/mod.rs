@@ -241,6 +241,6 @@ pub(crate) fn clear(capture: &Path) -> Result<(), Error> {
         }
     }
     folder::remove_file(&capture.join(TRACKS_FILE))?;
-    folder::remove_file(&capture.join(crate::enhance::REPORT_FILE))?;
+    folder::remove_file(&capture.join(enhance::REPORT_FILE))?;
     folder::remove_file(&capture.join(GEOMETRY_FILE))
 }
