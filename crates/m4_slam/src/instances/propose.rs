@@ -48,7 +48,11 @@ pub(super) fn proposals(rough: &Rough<'_>, around: &Around, covered: &[u8]) -> V
             *m = 0;
         }
     }
-    let left = if covered.contains(&255) { opened(w, h, &left, 0.5 * reach_px) } else { left };
+    let left = if covered.contains(&255) {
+        opened(w, h, &left, 0.5 * reach_px)
+    } else {
+        left
+    };
     let others: Vec<Vec<u8>> = around
         .others
         .iter()

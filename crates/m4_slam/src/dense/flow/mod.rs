@@ -95,7 +95,11 @@ pub(crate) struct FlowPair {
 }
 
 impl FlowPair {
-    pub(in crate::dense) fn new(a: &WorkingFrame, b: &WorkingFrame, source: &dyn FlowSource) -> Result<Self, FlowError> {
+    pub(in crate::dense) fn new(
+        a: &WorkingFrame,
+        b: &WorkingFrame,
+        source: &dyn FlowSource,
+    ) -> Result<Self, FlowError> {
         Self::between(&a.picture(), &b.picture(), source)
     }
 
