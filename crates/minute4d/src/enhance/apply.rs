@@ -52,7 +52,13 @@ fn things(
         Things::Nobody => Ok(None),
         Things::Flow(pictures) => {
             let follower = Follower::load(*pictures, config.follow.clone())?;
-            let found = masks(capture.clone(), &config.masks, &follower.segmenter(), Some(flow), progress)?;
+            let found = masks(
+                capture.clone(),
+                &config.masks,
+                &follower.segmenter(),
+                Some(flow),
+                progress,
+            )?;
             Ok(Some(found))
         }
         #[cfg(feature = "nets")]

@@ -112,7 +112,9 @@ impl Plan {
                 Things::Sam2(path)
             }
             (None, Segmenter::Mobilesam, Before::Motion) => Things::Flow(Segmenter::Mobilesam),
-            (None, Segmenter::Auto, Before::Motion) if here("mobile-sam").is_some() => Things::Flow(Segmenter::Mobilesam),
+            (None, Segmenter::Auto, Before::Motion) if here("mobile-sam").is_some() => {
+                Things::Flow(Segmenter::Mobilesam)
+            }
             _ => Things::Nobody,
         };
         let points = match (tracker, before) {

@@ -47,8 +47,8 @@ impl VideoSegmenter for Sam2Follower {
             height: size.1,
         };
         let pictures = Box::new(move |frame| clip.picture(frame).map(std::borrow::Cow::into_owned));
-        let predictor =
-            VideoPredictor::new(Arc::clone(&self.net), frames, pictures, options).map_err(|error| failed(name, 0, error))?;
+        let predictor = VideoPredictor::new(Arc::clone(&self.net), frames, pictures, options)
+            .map_err(|error| failed(name, 0, error))?;
         Ok(Box::new(Session {
             predictor,
             name,
@@ -91,7 +91,11 @@ impl Session<'_> {
         let mask_px = CompactMask::from_fn(self.size.0, self.size.1, |x, y| found[(x, y)]);
         ObjectMask {
             object,
-            sight: if mask_px.count() > 0 { Sight::Seen } else { Sight::Hidden },
+            sight: if mask_px.count() > 0 {
+                Sight::Seen
+            } else {
+                Sight::Hidden
+            },
             mask: mask_px,
             quality: Some(mask.iou),
         }
@@ -106,7 +110,10 @@ impl Session<'_> {
             return self.predictor.show_mask(frame, object, &mask);
         }
         let on = prompt.on_px.iter().map(|&at_px| PointPrompt { at_px, on_object: true });
-        let off = prompt.off_px.iter().map(|&at_px| PointPrompt { at_px, on_object: false });
+        let off = prompt.off_px.iter().map(|&at_px| PointPrompt {
+            at_px,
+            on_object: false,
+        });
         let prompt = Prompt {
             points: on.chain(off).collect(),
             box_px: prompt.box_px.filter(|_| prompt.on_px.is_empty()),
@@ -127,7 +134,9 @@ impl VideoSession for Session<'_> {
                     expected: self.size,
                 });
             }
-            let mask = self.show(frame, prompt).map_err(|error| failed(self.name, frame, error))?;
+            let mask = self
+                .show(frame, prompt)
+                .map_err(|error| failed(self.name, frame, error))?;
             out.push(self.ours(prompt.object, &mask));
         }
         Ok(out)
@@ -186,7 +195,9 @@ impl VideoSession for Session<'_> {
                 masks.clone_from(found);
                 ControlFlow::Continue(())
             };
-            let step = self.predictor.follow_some(&ids, frame..=frame, direction, progress, keep);
+            let step = self
+                .predictor
+                .follow_some(&ids, frame..=frame, direction, progress, keep);
             step.map_err(|error| failed(name, at, error))?;
             at = frame;
             let ours = objects.iter().map(|&object| match masks.get(&object.0) {

@@ -5,7 +5,8 @@
 //!   carried mask --box, points, belief--> Segmenter --plausible?--> its mask, else the carried one
 //! ```
 //!
-//! A thing of which too little arrives is lost for good: nothing here remembers what it looks like. Source: mask propagation by
+//! Without a segmenter nothing holds a mask to its thing but the edges of the frames: masks drift, and grow over what looks alike, within tens of
+//! frames. A thing of which too little arrives is lost for good: nothing here remembers what it looks like. Source: mask propagation by
 //! flow is old; the rule when to believe a segmenter is that of `dense::segment`.
 
 mod ask;

@@ -5,7 +5,7 @@ use super::super::source::{ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError
 use super::FlowFollower;
 use super::ask;
 use super::picture::{Picture, read};
-use super::warp::{Step, carry};
+use super::warp::{Step, carry, snap};
 use crate::dense::{FlowPair, SegmentPrompt, working_size};
 use m4_scene::{CompactMask, Progress};
 use rayon::prelude::*;
@@ -159,7 +159,15 @@ impl VideoSession for Session<'_> {
                 let mask = |m: &crate::dense::SegmentMask| (ask::above(&m.logits, self.size), Some(m.quality));
                 found.iter().map(mask).collect()
             }
-            None => prompts.iter().map(|p| (self.described(p), None)).collect(),
+            None => {
+                let picture = Picture::from_image(image.as_ref(), self.size);
+                let settings = &self.follower.settings;
+                let of = |p: &ObjectPrompt| match p.belief {
+                    Some(_) => (snap(&self.described(p), &picture, settings), None),
+                    None => (self.described(p), None),
+                };
+                prompts.par_iter().map(of).collect()
+            }
         };
         let mut out = Vec::with_capacity(prompts.len());
         for (prompt, (mask, quality)) in prompts.iter().zip(answers) {
@@ -208,6 +216,9 @@ impl VideoSession for Session<'_> {
             if frame >= frames {
                 return Err(VideoError::Frame { frame, frames });
             }
+        }
+        if from == to {
+            return Ok(());
         }
         let later = to > from;
         let start = |&object: &ObjectId| {

@@ -13,6 +13,9 @@ pub struct FollowSettings {
     pub round_trip_px: f32,
     /// Strength of the smoothing of a carried mask along the edges of the frame, pixels squared.
     pub smooth_lambda: f32,
+    /// How wide of its edge a coarse part may be, pixels: nearer to the edge than this, colours decide more than the part does, where there is no
+    /// segmenter.
+    pub rim_px: f32,
     /// Colour difference (0..255) over which neighbours stop to speak for one another.
     pub edge_sigma: f32,
     /// A thing of which less than this share arrives in the next frame is lost.
@@ -29,6 +32,7 @@ impl Default for FollowSettings {
             flow_side_px: 480,
             round_trip_px: 1.0,
             smooth_lambda: 40.0,
+            rim_px: 6.0,
             edge_sigma: 8.0,
             least_kept: 0.2,
             least_share: 0.0003,

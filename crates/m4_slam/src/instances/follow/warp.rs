@@ -2,7 +2,7 @@
 
 use super::picture::Picture;
 use super::settings::FollowSettings;
-use crate::dense::{Flow, FlowPair, Smoother, bilinear, round_trip_px};
+use crate::dense::{Flow, FlowPair, Smoother, bilinear, round_trip_px, to_outside};
 use m4_scene::CompactMask;
 
 /// How far beyond the carried pixels of a thing its mask may reach after sharpening, pixels.
@@ -49,6 +49,20 @@ const UNKNOWN: f32 = 1e-6;
 fn trust(miss_px: f32, half_px: f32) -> f32 {
     let r = miss_px / half_px;
     if r < 2.0 { 1.0 / (1.0 + r.powi(4)) } else { 0.0 }
+}
+
+/// A coarse mask with its edge moved to an edge of the picture: pixels count the less the nearer they are to where the mask ends.
+pub fn snap(mask: &CompactMask, picture: &Picture, settings: &FollowSettings) -> CompactMask {
+    let (w, h) = mask.size();
+    let inside = |p: usize| mask.at(p % w, p / w);
+    let inner = to_outside(w, h, inside);
+    let outer = to_outside(w, h, |p| !inside(p));
+    let value: Vec<f32> = (0..w * h).map(|p| if inside(p) { 1.0 } else { -1.0 }).collect();
+    let sure = |(i, o): (&f32, &f32)| (i.max(*o) / settings.rim_px.max(1.0)).min(1.0).powi(2).max(UNKNOWN);
+    let weight: Vec<f32> = inner.iter().zip(&outer).map(sure).collect();
+    let smoother = Smoother::new(w, h, &picture.rgb, settings.edge_sigma);
+    let found = smoother.fill(&value, &weight, settings.smooth_lambda).0;
+    CompactMask::from_fn(w, h, |x, y| found[y * w + x] > 0.0)
 }
 
 /// The mask in the other frame, whose picture is `onto`; `None` where too little of the thing arrives.
