@@ -94,7 +94,7 @@ impl MoGeOnnx {
             reason,
         };
         let threads = rayon::current_num_threads();
-        let builder = with_environment(|environment| Session::builder(environment))?;
+        let builder = with_environment(Session::builder)?;
         let builder = builder.map_err(|error| unreadable(error.to_string()))?;
         let mut builder = builder
             .with_intra_threads(threads)
