@@ -395,7 +395,7 @@ fn points_are_followed_as_on_the_processor() {
         let net = Tapip3d::load(&path, on).unwrap();
         let tracks = net.track(&Wall, &queries, &options, &Silent).unwrap();
         let at = tracks.world().chunks_exact(5).zip(&queries);
-        let steps = at.flat_map(|(at, q)| at.iter().map(|p| [0, 1, 2].map(|i| p[i] - q.world[i] as f32)));
+        let steps = at.flat_map(|(at, q)| at.iter().map(move |p| [0, 1, 2].map(|i| p[i] - q.world[i] as f32)));
         [steps.flatten().collect(), tracks.visibility().to_vec()]
     };
     let here = steps(cpu().into());
