@@ -1,6 +1,6 @@
 //! Initialisation of a capture that brings tracks: a plain band across the picture, whose motion no picture shows.
 
-use m4_init::{InitConfig, InitError, VelocityInit, initialise};
+use m4_init::{InitConfig, InitError, TrackedInit, VelocityInit, initialise};
 use m4_math::Se3;
 use m4_scene::{
     Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, ShapeError, Silent, Splats, Tracks,
@@ -71,6 +71,11 @@ fn config() -> InitConfig {
         max_dynamic: 2000,
         change_threshold: 0.0,
         shell_splats: 0,
+        // their velocities alone are looked at here
+        tracked: TrackedInit {
+            enabled: false,
+            ..TrackedInit::default()
+        },
         ..InitConfig::fast()
     }
 }

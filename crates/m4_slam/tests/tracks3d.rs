@@ -49,7 +49,7 @@ fn hidden_points_go_on_with_their_bodies() {
     assert!(chains.tracks > 200 && chains.recovered < 0.05);
     assert!(chains.seen_percent < 0.1, "{}", chains.seen_percent);
     assert!(filled.seen_percent < 0.1 && filled.hidden_percent < 1.0);
-    assert!(filled.recovered > 0.6 && filled.survival > 0.75);
+    assert!(filled.recovered > 0.75 && filled.survival > 0.9);
     assert!(filled.survival > chains.survival + 0.2);
     assert!(filled.false_seen < 0.05);
 }
@@ -67,7 +67,7 @@ fn our_own_flow_is_nearly_as_good() {
         .unwrap();
     let score = score(&scene, &followed);
     println!("own flow: {score}");
-    assert!(score.seen_percent < 0.5 && score.hidden_percent < 2.0);
+    assert!(score.seen_percent < 0.8 && score.hidden_percent < 2.5);
     assert!(score.recovered > 0.5 && score.survival > 0.65);
 }
 
@@ -84,19 +84,19 @@ fn a_query_is_answered_in_its_place_of_the_list() {
         let depth = scene.hit(t, x, y).depth as f32;
         Query::at_pixel(t, &scene.cameras[t], [x as f32, y as f32], depth)
     };
-    let body = |t: usize| {
+    let pixels = || {
         (0..SIZE.0 * SIZE.1)
             .filter(move |i| i % 7 == 0)
             .map(|i| (i % SIZE.0, i / SIZE.0))
     };
-    let mut queries: Vec<Query> = body(20)
+    let mut queries: Vec<Query> = pixels()
         .filter(|&(x, y)| scene.hit(20, x, y).body == 2)
         .take(80)
         .map(|(x, y)| at(20, x, y))
         .collect();
     queries.push(at(5, 3, 3));
     queries.extend(
-        body(2)
+        pixels()
             .filter(|&(x, y)| scene.hit(2, x, y).body == 2)
             .take(80)
             .map(|(x, y)| at(2, x, y)),

@@ -132,6 +132,15 @@ impl BoxScene {
         self.pose(body, t).inverse().transform(place)
     }
 
+    /// How far a place is from the surface of a body in frame `t`, inside or outside, world units.
+    #[must_use]
+    pub fn surface_distance(&self, body: usize, place: &Vector3<f64>, t: usize) -> f64 {
+        let local = self.local(body, place, t);
+        let off = Vector3::from_fn(|k, _| local[k].abs() - HALF[body][k]);
+        let outside = off.map(|v| v.max(0.0)).norm();
+        (outside + off.max().min(0.0)).abs()
+    }
+
     /// Whether frame `t` sees a point of a body.
     #[must_use]
     pub fn sees(&self, body: usize, local: &Vector3<f64>, t: usize) -> bool {
@@ -228,6 +237,9 @@ mod tests {
         assert!(seen[0] && seen[11] && seen.contains(&false), "{seen:?}");
         let place = scene.place(2, &hit.local, 5);
         assert!((scene.local(2, &place, 5) - hit.local).norm() < 1e-12);
+        assert!(scene.surface_distance(2, &place, 5) < 1e-9);
+        let off = scene.surface_distance(2, &scene.place(2, &Vector3::new(0.42, 0.1, 0.0).scale(1.5), 5), 5);
+        assert!((off - 0.21).abs() < 1e-9, "{off}");
     }
 
     #[test]

@@ -30,7 +30,7 @@ impl Fit {
 /// Rounds in which anchors that miss lose their weight.
 const ROUNDS: usize = 5;
 /// How much the `prior` weighs, in units of anchors that lie one `spacing` apart.
-const PRIOR: f64 = 0.05;
+const PRIOR: f64 = 0.01;
 /// Anchors that miss by this many times the median miss count a quarter.
 const OUTLIER: f64 = 2.0;
 

@@ -1,5 +1,6 @@
 //! Boxes followed, and how far the tracks are from the truth.
 
+use m4_math::nalgebra::Vector3;
 use m4_scene::RgbImage;
 use m4_slam::dense::{Flow, FlowError, FlowPicture, FlowSource};
 use m4_slam::tracks3d::{Followed, PosedFrame};
@@ -115,7 +116,7 @@ pub fn score(scene: &BoxScene, followed: &Followed) -> Score {
             said += u32::from(visible);
             wrong += u32::from(visible && !sees);
             let Some(place) = tracks.place(t, k) else { continue };
-            let place = place.map(f64::from).into();
+            let place = Vector3::from(place.map(f64::from));
             let error = 100.0 * (truth - place).norm() / z;
             if visible { &mut seen_errors } else { &mut hidden_errors }.push(error);
             let (here, depth) = scene.cameras[t].project(&place);
