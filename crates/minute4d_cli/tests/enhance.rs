@@ -149,7 +149,7 @@ fn networks_enhance_a_capture() {
     command.args(["enhance", &dir.at("capture"), "-o", &dir.at("better"), "--json"]);
     command.args(["--segmenter", "sam2", "--tracker", "tapip3d"]);
     for set in [
-        "enhance.tapip3d.size=0.4",
+        "enhance.tapip3d.size=1.0",
         "enhance.tapip3d.iterations=1",
         "enhance.tapip3d.most=40",
         "enhance.tapip3d.every=1",

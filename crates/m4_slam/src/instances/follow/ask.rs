@@ -5,6 +5,9 @@ use crate::dense::{SegmentError, SegmentMask, SegmentPrompt, Segmenter, belief, 
 use m4_scene::{CompactMask, RgbImage};
 use rayon::prelude::*;
 
+/// A mask, and how far the segmenter trusts it where one was asked.
+pub type Trusted = (CompactMask, Option<f32>);
+
 /// The masks of `prompts` in `image`, checked for number and size.
 pub fn masks(
     segmenter: &dyn Segmenter,
@@ -62,7 +65,7 @@ pub fn sharpened(
     size: (usize, usize),
     carried: Vec<Option<CompactMask>>,
     settings: &FollowSettings,
-) -> Result<Vec<Option<(CompactMask, Option<f32>)>>, SegmentError> {
+) -> Result<Vec<Option<Trusted>>, SegmentError> {
     let asked: Vec<usize> = (0..carried.len())
         .filter(|&k| {
             carried[k]

@@ -3,7 +3,7 @@
 use super::super::clip::Clip;
 use super::super::source::{ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSession};
 use super::FlowFollower;
-use super::ask;
+use super::ask::{self, Trusted};
 use super::picture::{Picture, read};
 use super::warp::{Step, carry, snap};
 use crate::dense::{FlowPair, SegmentPrompt, working_size};
@@ -77,7 +77,7 @@ impl<'a> Session<'a> {
         frame: usize,
         step: &Step,
         onto: &Picture,
-    ) -> Result<Vec<Option<(CompactMask, Option<f32>)>>, VideoError> {
+    ) -> Result<Vec<Option<Trusted>>, VideoError> {
         let settings = &self.follower.settings;
         let carried: Vec<Option<CompactMask>> = masks
             .par_iter()
@@ -253,7 +253,7 @@ impl VideoSession for Session<'_> {
                     None => vec![None; masks.len()],
                 };
                 let (told, size) = (&self.known, self.size);
-                let found: Vec<Option<(CompactMask, Option<f32>)>> = found
+                let found: Vec<Option<Trusted>> = found
                     .into_iter()
                     .zip(objects)
                     // What was said of a frame outranks what is found there.
