@@ -9,8 +9,8 @@
 //! the depth. Splats that it cannot see and that lie farther than that from all boxes are wrong.
 #![expect(clippy::print_stdout, reason = "a report is its output")]
 
-#[path = "../tests/track_support/mod.rs"]
-mod track_support;
+#[path = "../tests/track_support/score.rs"]
+mod track_score;
 
 use m4_init::{InitConfig, TrackedInit, initialise};
 use m4_math::nalgebra::Vector3;
@@ -19,7 +19,7 @@ use m4_slam::dense::{InverseSearch, TrackConfig};
 use m4_slam::tracks3d::{FlowTracker, QueryGrid, Tracker3d};
 use m4_testkit::BoxScene;
 use std::time::Instant;
-use track_support::{clip, score};
+use track_score::{clip, score};
 
 /// Distances that count as the same place, in depths.
 const SAME: f64 = 0.015;

@@ -7,7 +7,8 @@ use m4_scene::{Progress, Silent};
 use m4_slam::dense::{FillConfig, InverseSearch, TrackConfig};
 use m4_slam::tracks3d::{FlowTracker, Followed, PosedClip, PosedFrame, Query, QueryGrid, TrackError, Tracker3d};
 use m4_testkit::BoxScene;
-use track_support::{Score, TrueFlow, clip, score};
+use track_support::score::Score;
+use track_support::{TrueFlow, clip, score};
 
 const SIZE: (usize, usize) = (192, 144);
 const FRAMES: usize = 32;
