@@ -66,14 +66,6 @@ impl Fixture {
         bytes
     }
 
-    /// A tensor of 64-bit numbers.
-    pub fn doubles(&self, name: &str) -> Vec<f64> {
-        let (bytes, dtype, _) = self.tensor(name);
-        assert_eq!(dtype, Dtype::F64, "{name}");
-        let values = bytes.as_chunks::<8>().0.iter().map(|&b| f64::from_le_bytes(b));
-        values.collect()
-    }
-
     /// A tensor of 16-bit whole numbers.
     pub fn shorts(&self, name: &str) -> Vec<i16> {
         let (bytes, dtype, _) = self.tensor(name);
