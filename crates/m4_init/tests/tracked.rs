@@ -1,4 +1,5 @@
 //! The completed cloud: a square slides behind a pillar, and tracks know where it is meanwhile.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_init::{InitConfig, TrackedInit, VelocityInit, initialise};
 use m4_math::Se3;
@@ -53,6 +54,7 @@ fn capture(tracks: Option<Tracks>) -> Capture {
         ),
         mask: Some(CompactMask::from_fn(w, h, |x, y| square(t, x, y))),
         motion: None,
+        instances: None,
         camera_index: None,
     };
     Capture {

@@ -92,6 +92,7 @@ fn capture(scene: &BoxScene, tracks: Option<&Tracks>) -> Capture {
             depth: Some(scene.depth(t).into()),
             mask: Some(CompactMask::from_fn(w, h, |x, y| mask[(x, y)] > 0)),
             motion: None,
+            instances: None,
             camera_index: None,
         }
     };

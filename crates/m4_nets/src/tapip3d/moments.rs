@@ -108,7 +108,7 @@ mod tests {
             assert!((f64::from(space.std[a]) / std - 1.0).abs() < 1e-6);
             assert!((f64::from(apart.std[a]) / variance(a).sqrt() - 1.0).abs() < 1e-6);
         }
-        let p = [1e4 as f32, 3.0, -8.0];
+        let p = [1e4_f32, 3.0, -8.0];
         let back = space.leave(space.enter(p));
         assert!((0..3).all(|a| (back[a] - p[a]).abs() < 2e-3), "{back:?}");
         assert_eq!(Moments::default().space(NormMode::Isotropic, 1.0), None);

@@ -54,7 +54,7 @@ mod tests {
     }
 
     fn on_corner(x: usize, y: usize) -> bool {
-        (x < 7 || x > 22) && (y < 7 || y > 17)
+        !(7..=22).contains(&x) && !(7..=17).contains(&y)
     }
 
     #[test]
