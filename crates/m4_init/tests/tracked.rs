@@ -79,7 +79,7 @@ fn tracks(bend: impl Fn(usize, usize, [f32; 3]) -> [f32; 3]) -> Tracks {
             xyz.push(bend(t, k, p));
         }
     }
-    Tracks::new(FRAMES, count, xyz, visible).unwrap()
+    Tracks::new(FRAMES, count, xyz, visible).expect("as many as there are points")
 }
 
 fn true_tracks() -> Tracks {
@@ -133,7 +133,7 @@ fn is_hidden(p: [f32; 3]) -> bool {
 }
 
 fn run(tracks: Option<Tracks>, tracked: TrackedInit) -> Splats {
-    let splats = initialise(&capture(tracks), &config(tracked), &Silent).unwrap();
+    let splats = initialise(&capture(tracks), &config(tracked), &Silent).expect("a usable capture");
     assert!(splats.is_finite());
     splats
 }

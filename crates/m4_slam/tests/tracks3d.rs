@@ -28,25 +28,23 @@ fn config(fill: bool) -> TrackConfig {
     }
 }
 
-fn measured(scene: &BoxScene, fill: bool) -> (Followed, Score) {
+fn measured(scene: &BoxScene, fill: bool) -> Result<(Followed, Score), TrackError> {
     let flow = TrueFlow::new(scene);
     let tracker = FlowTracker {
         flow: &flow,
         config: config(fill),
     };
-    let followed = tracker
-        .follow_grid(&clip(scene), &QueryGrid::default(), &Silent)
-        .unwrap();
+    let followed = tracker.follow_grid(&clip(scene), &QueryGrid::default(), &Silent)?;
     let score = score(scene, &followed);
     println!("true flow, hidden points carried on: {fill}: {score}");
-    (followed, score)
+    Ok((followed, score))
 }
 
 #[test]
 fn hidden_points_go_on_with_their_bodies() {
     let scene = scene();
-    let (_, chains) = measured(&scene, false);
-    let (_, filled) = measured(&scene, true);
+    let (_, chains) = measured(&scene, false).unwrap();
+    let (_, filled) = measured(&scene, true).unwrap();
     // chains alone know nothing of what is hidden
     assert!(chains.tracks > 200 && chains.recovered < 0.05);
     assert!(chains.seen_percent < 0.1, "{}", chains.seen_percent);
@@ -146,7 +144,7 @@ fn the_number_of_threads_does_not_matter() {
     let scene = BoxScene::new(96, 72, 16);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| measured(&scene, true).0)
+        pool.install(|| measured(&scene, true).unwrap().0)
     };
     let bits = |f: &Followed| -> Vec<u32> {
         let places = f.tracks.xyz().as_flattened().iter().map(|v| v.to_bits());
