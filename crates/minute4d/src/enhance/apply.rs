@@ -40,6 +40,7 @@ pub(crate) fn apply(
     Ok((capture, report))
 }
 
+#[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
 fn things(
     capture: &Capture,
     who: &Things,
@@ -74,6 +75,7 @@ fn things(
     }
 }
 
+#[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
 fn tracker<'a>(
     who: &Points,
     settings: &Settings,
@@ -107,6 +109,7 @@ fn tracker<'a>(
 }
 
 /// Where points start.
+#[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
 fn grid(who: &Points, config: &EnhanceConfig, tracks: &TrackConfig) -> QueryGrid {
     let chains = QueryGrid {
         every: tracks.every,

@@ -20,6 +20,10 @@ pub(crate) enum Things {
     /// Nobody: masks stay as they are.
     Nobody,
     /// Flow, with this segmenter of single pictures.
+    #[cfg_attr(
+        not(feature = "nets"),
+        expect(dead_code, reason = "flow alone is never chosen: it makes masks worse")
+    )]
     Flow(Segmenter),
     /// SAM 2.1.
     #[cfg(feature = "nets")]
