@@ -308,6 +308,7 @@ fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f3
 }
 
 #[test]
+#[ignore = "takes minutes where software plays the GPU; not yet run to its end"]
 fn sam2_says_the_same_as_on_the_processor() {
     let Some(gpu) = gpu("sam2_says_the_same_as_on_the_processor") else {
         return;
@@ -361,6 +362,7 @@ impl PosedClip for Wall {
 }
 
 #[test]
+#[ignore = "takes minutes where software plays the GPU; not yet run to its end"]
 fn points_are_followed_as_on_the_processor() {
     let Some(gpu) = gpu("points_are_followed_as_on_the_processor") else {
         return;
