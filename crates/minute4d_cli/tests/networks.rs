@@ -162,7 +162,7 @@ fn what_cannot_be_mixed_or_is_not_here_is_refused() {
         &["--frontend", "megasam", "--segmenter", "mobilesam"],
     );
     assert!(
-        ended.code == 65 && ended.stderr.contains("--segmenter"),
+        ended.code == 66 && ended.stderr.contains("minute4d weights fetch mobile-sam"),
         "{} {}",
         ended.code,
         ended.stderr

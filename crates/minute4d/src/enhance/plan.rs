@@ -12,6 +12,8 @@ use std::path::PathBuf;
 #[cfg(feature = "nets")]
 const SAM2: [&str; 4] = ["sam2.1-large", "sam2.1-base-plus", "sam2.1-small", "sam2.1-tiny"];
 #[cfg(feature = "nets")]
+const MOBILE_SAM: &str = "mobile-sam";
+#[cfg(feature = "nets")]
 const TAPIP3D: &str = "tapip3d";
 
 /// Who follows things.
@@ -68,7 +70,7 @@ impl Plan {
 
     /// Whether a network is among them.
     pub fn has_network(&self) -> bool {
-        !self.used.is_empty() || matches!(self.things, Things::Flow(Segmenter::Mobilesam))
+        !self.used.is_empty()
     }
 
     /// As records name who outlines what moves.
@@ -115,10 +117,19 @@ impl Plan {
                 used.push(used_network(entry, &path)?);
                 Things::Sam2(path)
             }
-            (None, Segmenter::Mobilesam, Before::Motion) => Things::Flow(Segmenter::Mobilesam),
-            (None, Segmenter::Auto, Before::Motion) if here("mobile-sam").is_some() => {
-                Things::Flow(Segmenter::Mobilesam)
-            }
+            (None, Segmenter::Mobilesam | Segmenter::Auto, Before::Motion) => match here(MOBILE_SAM) {
+                Some((entry, path)) => {
+                    used.push(used_network(entry, &path)?);
+                    Things::Flow(Segmenter::Mobilesam)
+                }
+                None if segmenter == Segmenter::Mobilesam => {
+                    return Err(Error::SegmenterWeights {
+                        segmenter: segmenter.name(),
+                        source: missing(MOBILE_SAM),
+                    });
+                }
+                None => Things::Nobody,
+            },
             _ => Things::Nobody,
         };
         let points = match (tracker, before) {
