@@ -1,5 +1,4 @@
 //! The completed cloud: a square slides behind a pillar, and tracks know where it is meanwhile.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_init::{InitConfig, TrackedInit, VelocityInit, initialise};
 use m4_math::Se3;

@@ -1,5 +1,4 @@
 //! Points of boxes followed behind a pillar and out of the picture, against the truth.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 #![expect(clippy::print_stdout, reason = "figures that the documentation names")]
 
 mod track_support;
