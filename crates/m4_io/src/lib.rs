@@ -11,12 +11,12 @@ pub mod atomic;
 pub mod capture;
 pub mod image;
 pub mod megasam;
+pub mod npy;
 pub mod scene_file;
 pub mod tracks;
 pub mod trajectory;
 pub mod video;
 
 mod error;
-mod npy;
 
 pub use error::ErrorKind;

@@ -70,7 +70,12 @@ pub(super) fn shape(name: &'static str, array: &Array<'_>, expected: &[usize], i
 
 /// Refuses an array of whole numbers where fractions are needed, or the other way round.
 pub(super) fn numbers(name: &'static str, array: &Array<'_>, whole: bool) -> Result<(), MegasamFault> {
-    if (array.number == Number::U8) == whole {
+    let fits = match array.number {
+        Number::U8 => whole,
+        Number::F16 | Number::F32 | Number::F64 => !whole,
+        _ => false,
+    };
+    if fits {
         return Ok(());
     }
     let wanted = if whole { "uint8" } else { "float16, float32 or float64" };

@@ -9,7 +9,7 @@ const MAX_RANK: usize = 8;
 
 /// Why an array cannot be read.
 #[derive(Debug)]
-pub(crate) enum ArrayFault {
+pub enum ArrayFault {
     /// What is wrong with it, in words that follow "the array".
     Bad(String),
     /// It would take more memory than is allowed.
@@ -23,10 +23,30 @@ pub(crate) enum ArrayFault {
 
 /// Type of a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Number {
+pub enum Number {
+    /// `bool`, a byte each.
+    Bool,
+    /// `uint8`.
     U8,
+    /// `int8`.
+    I8,
+    /// `uint16`.
+    U16,
+    /// `int16`.
+    I16,
+    /// `uint32`.
+    U32,
+    /// `int32`.
+    I32,
+    /// `uint64`.
+    U64,
+    /// `int64`.
+    I64,
+    /// `float16`.
     F16,
+    /// `float32`.
     F32,
+    /// `float64`.
     F64,
 }
 
@@ -34,7 +54,15 @@ impl Number {
     /// The type of a `descr`, and whether its bytes are most significant first.
     fn parse(descr: &str) -> Option<(Self, bool)> {
         let number = match descr.get(1..)? {
+            "b1" => Self::Bool,
             "u1" => Self::U8,
+            "i1" => Self::I8,
+            "u2" => Self::U16,
+            "i2" => Self::I16,
+            "u4" => Self::U32,
+            "i4" => Self::I32,
+            "u8" => Self::U64,
+            "i8" => Self::I64,
             "f2" => Self::F16,
             "f4" => Self::F32,
             "f8" => Self::F64,
@@ -49,16 +77,16 @@ impl Number {
 
     fn bytes(self) -> usize {
         match self {
-            Self::U8 => 1,
-            Self::F16 => 2,
-            Self::F32 => 4,
-            Self::F64 => 8,
+            Self::Bool | Self::U8 | Self::I8 => 1,
+            Self::U16 | Self::I16 | Self::F16 => 2,
+            Self::U32 | Self::I32 | Self::F32 => 4,
+            Self::U64 | Self::I64 | Self::F64 => 8,
         }
     }
 }
 
 /// An array whose header was read and whose numbers follow, in C order.
-pub(crate) struct Array<'a> {
+pub struct Array<'a> {
     /// Type of its numbers.
     pub number: Number,
     /// Slowest dimension first.
@@ -76,7 +104,7 @@ impl<'a> Array<'a> {
     pub fn open(mut reader: impl Read + 'a, most_bytes: u64, limit_bytes: u64) -> Result<Self, ArrayFault> {
         let header = Header::read(&mut reader).map_err(ArrayFault::Bad)?;
         let Some((number, big_endian)) = Number::parse(&header.descr) else {
-            let types = "uint8, float16, float32 and float64 are read";
+            let types = "booleans, integers and floats are read";
             return Err(ArrayFault::Bad(format!(
                 "holds numbers of type {}; {types}",
                 header.descr
@@ -140,7 +168,7 @@ impl<'a> Array<'a> {
         self.bytes(n)
     }
 
-    /// The next `n` numbers.
+    /// The next `n` numbers; integers of 64 bits beyond 2^53 are rounded.
     ///
     /// # Errors
     ///
@@ -148,7 +176,21 @@ impl<'a> Array<'a> {
     pub fn next_f64(&mut self, n: usize) -> Result<Vec<f64>, ArrayFault> {
         let (number, big_endian) = (self.number, self.big_endian);
         let wide = |bytes: &[u8]| match (number, big_endian) {
+            (Number::Bool, _) => f64::from(u8::from(bytes[0] != 0)),
             (Number::U8, _) => f64::from(bytes[0]),
+            (Number::I8, _) => f64::from(i8::from_le_bytes(exact(bytes))),
+            (Number::U16, false) => f64::from(u16::from_le_bytes(exact(bytes))),
+            (Number::U16, true) => f64::from(u16::from_be_bytes(exact(bytes))),
+            (Number::I16, false) => f64::from(i16::from_le_bytes(exact(bytes))),
+            (Number::I16, true) => f64::from(i16::from_be_bytes(exact(bytes))),
+            (Number::U32, false) => f64::from(u32::from_le_bytes(exact(bytes))),
+            (Number::U32, true) => f64::from(u32::from_be_bytes(exact(bytes))),
+            (Number::I32, false) => f64::from(i32::from_le_bytes(exact(bytes))),
+            (Number::I32, true) => f64::from(i32::from_be_bytes(exact(bytes))),
+            (Number::U64, false) => u64::from_le_bytes(exact(bytes)) as f64,
+            (Number::U64, true) => u64::from_be_bytes(exact(bytes)) as f64,
+            (Number::I64, false) => i64::from_le_bytes(exact(bytes)) as f64,
+            (Number::I64, true) => i64::from_be_bytes(exact(bytes)) as f64,
             (Number::F16, false) => f16::from_le_bytes(exact(bytes)).to_f64(),
             (Number::F16, true) => f16::from_be_bytes(exact(bytes)).to_f64(),
             (Number::F32, false) => f64::from(f32::from_le_bytes(exact(bytes))),
@@ -242,6 +284,30 @@ mod tests {
             ("<f8", flat(&|v| f64::from(v).to_le_bytes().to_vec())),
             (">f8", flat(&|v| f64::from(v).to_be_bytes().to_vec())),
         ];
+        let steps = |f: &dyn Fn(i8) -> Vec<u8>| (-2..4).flat_map(f).collect::<Vec<u8>>();
+        let whole = [
+            ("|i1", steps(&|v| v.to_le_bytes().to_vec())),
+            ("<i2", steps(&|v| i16::from(v).to_le_bytes().to_vec())),
+            (">i2", steps(&|v| i16::from(v).to_be_bytes().to_vec())),
+            ("<i4", steps(&|v| i32::from(v).to_le_bytes().to_vec())),
+            (">i4", steps(&|v| i32::from(v).to_be_bytes().to_vec())),
+            ("<i8", steps(&|v| i64::from(v).to_le_bytes().to_vec())),
+            (">i8", steps(&|v| i64::from(v).to_be_bytes().to_vec())),
+        ];
+        for (descr, bytes) in &whole {
+            let got = values(&npy(descr, false, "(6,)", bytes)).unwrap();
+            assert_eq!(got, [-2.0, -1.0, 0.0, 1.0, 2.0, 3.0], "{descr}");
+        }
+        let large = 60_000u16;
+        assert_eq!(
+            values(&npy("<u2", false, "(1,)", &large.to_le_bytes())).unwrap(),
+            [60_000.0]
+        );
+        assert_eq!(
+            values(&npy(">u4", false, "(1,)", &3_000_000_000u32.to_be_bytes())).unwrap(),
+            [3e9]
+        );
+        assert_eq!(values(&npy("|b1", false, "(3,)", &[0, 1, 1])).unwrap(), [0.0, 1.0, 1.0]);
         for (descr, bytes) in &cases {
             let got = values(&npy(descr, false, "(2, 3)", bytes)).unwrap();
             assert_eq!(got, [0.0, 0.5, 1.0, 1.5, 2.0, 2.5], "{descr}");

@@ -11,7 +11,7 @@ use zip::{CompressionMethod, ZipArchive};
 const MAX_RATIO: u64 = 1032;
 
 /// An archive of arrays.
-pub(crate) struct Npz {
+pub struct Npz {
     zip: ZipArchive<BufReader<File>>,
     file_bytes: u64,
 }

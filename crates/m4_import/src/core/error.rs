@@ -1,0 +1,132 @@
+//! Why a source could not be read.
+
+use m4_io::ErrorKind;
+use m4_io::image::ReadImageError;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a source could not be read: the file, the place in it, and what to do.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot import {}{}: {fault}", path.display(), place.as_ref().map(|p| format!(", {p}")).unwrap_or_default())]
+#[non_exhaustive]
+pub struct ReadSourceError {
+    /// The file or folder at fault.
+    pub path: PathBuf,
+    /// The field, line or frame.
+    pub place: Option<String>,
+    /// What is wrong.
+    pub fault: SourceFault,
+}
+
+/// What is wrong with a source.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SourceFault {
+    /// The system could not read it.
+    #[error("{0}")]
+    Io(#[from] io::Error),
+    /// Something that the format needs is not there.
+    #[error("{what} is missing; {remedy}")]
+    Missing {
+        /// What.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// A value cannot be, or does not fit the others.
+    #[error("{what}; {remedy}")]
+    Bad {
+        /// What it holds and what was expected.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// It is in order but is not read here.
+    #[error("{what}; {remedy}")]
+    Unsupported {
+        /// What.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// It would not fit into memory.
+    #[error(
+        "{what} takes {} MiB of memory, above the limit of {} MiB; take fewer or smaller frames, or raise the limit (max_memory_bytes)",
+        needed_bytes >> 20,
+        limit_bytes >> 20
+    )]
+    TooLarge {
+        /// What would take it.
+        what: String,
+        /// How much.
+        needed_bytes: u64,
+        /// What it may take.
+        limit_bytes: u64,
+    },
+    /// A picture, depth map or mask cannot be decoded.
+    #[error(transparent)]
+    Image(#[from] ReadImageError),
+    /// The caller asked to stop.
+    #[error("stopped")]
+    Cancelled,
+}
+
+impl SourceFault {
+    /// Something is missing.
+    pub fn missing(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Missing {
+            what: what.into(),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// A value cannot be.
+    pub fn bad(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Bad {
+            what: what.into(),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// Something is not read here.
+    pub fn unsupported(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::Unsupported {
+            what: what.into(),
+            remedy: remedy.into(),
+        }
+    }
+
+    /// With the file.
+    #[must_use]
+    pub fn at(self, path: &Path) -> ReadSourceError {
+        ReadSourceError {
+            path: path.to_path_buf(),
+            place: None,
+            fault: self,
+        }
+    }
+
+    /// With the file and the field, line or frame.
+    #[must_use]
+    pub fn within(self, path: &Path, place: impl Into<String>) -> ReadSourceError {
+        ReadSourceError {
+            path: path.to_path_buf(),
+            place: Some(place.into()),
+            fault: self,
+        }
+    }
+}
+
+impl ReadSourceError {
+    /// The sort of this failure.
+    #[must_use]
+    pub fn kind(&self) -> ErrorKind {
+        match &self.fault {
+            SourceFault::Io(source) => ErrorKind::of_read(source),
+            SourceFault::Missing { .. } | SourceFault::Bad { .. } => ErrorKind::BadData,
+            SourceFault::Unsupported { .. } | SourceFault::TooLarge { .. } => ErrorKind::Unsupported,
+            SourceFault::Image(source) => source.kind(),
+            SourceFault::Cancelled => ErrorKind::Cancelled,
+        }
+    }
+}

@@ -1,0 +1,82 @@
+//! What a format lists before anything large is read.
+
+use super::{Lens, SourceFault};
+use m4_math::Se3;
+use m4_scene::{Capture, CompactDepth, CompactIds, CompactMask, Plane, RgbImage, Tracks};
+use std::fmt;
+
+/// How to get one picture, map or mask when its turn comes; called from several threads, once.
+pub struct FrameSource<T>(Box<dyn Fn() -> Result<T, SourceFault> + Send + Sync>);
+
+impl<T> FrameSource<T> {
+    /// From a function.
+    pub fn new(get: impl Fn() -> Result<T, SourceFault> + Send + Sync + 'static) -> Self {
+        Self(Box::new(get))
+    }
+
+    /// Reads and decodes it.
+    ///
+    /// # Errors
+    ///
+    /// [`SourceFault`].
+    pub fn get(&self) -> Result<T, SourceFault> {
+        (self.0)()
+    }
+}
+
+impl<T> fmt::Debug for FrameSource<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("FrameSource")
+    }
+}
+
+/// One frame, its camera known and its pictures still where they are.
+#[derive(Debug)]
+pub struct ListedFrame {
+    /// For messages and reports.
+    pub name: String,
+    /// Lens of the picture as it is stored.
+    pub lens: Lens,
+    /// Camera to world, OpenCV axes.
+    pub c2w: Se3<f64>,
+    /// When it was taken, in frames of the training video, `0 ..= time_frames - 1`.
+    pub t: f64,
+    /// The picture; its size must be that of the lens.
+    pub rgb: FrameSource<RgbImage>,
+    /// z-depth in the unit of the poses, 0 where unknown; of any size, through the same lens.
+    pub depth: Option<FrameSource<CompactDepth>>,
+    /// What moves; of any size, through the same lens.
+    pub mask: Option<FrameSource<CompactMask>>,
+    /// How likely each pixel is to move, 255 = certainly.
+    pub motion: Option<FrameSource<Plane<u8>>>,
+    /// Which thing each pixel shows.
+    pub instances: Option<FrameSource<CompactIds>>,
+    /// Which held-out camera took it; `None` for training frames.
+    pub camera_index: Option<u32>,
+}
+
+/// A source, read but for its pictures.
+#[derive(Debug)]
+pub struct Listing {
+    /// The training video, in order of time.
+    pub train: Vec<ListedFrame>,
+    /// Held-out views, in any order; may be empty.
+    pub test: Vec<ListedFrame>,
+    /// Frames that the unit of time refers to: `t` runs from 0 to `time_frames - 1`.
+    pub time_frames: usize,
+    /// Seconds from the first to the last frame, where known.
+    pub duration_s: Option<f64>,
+    /// Depth and poses are metres.
+    pub metric: bool,
+    /// Ways of points of moving parts, frames in the order of `train`.
+    pub tracks: Option<Tracks>,
+}
+
+/// A source, read.
+#[derive(Debug, Clone)]
+pub struct Imported {
+    /// The training video.
+    pub train: Capture,
+    /// Held-out views, where the source has some.
+    pub test: Option<Capture>,
+}

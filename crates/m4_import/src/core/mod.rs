@@ -1,0 +1,14 @@
+//! What all formats share: the list of frames, the lens, loading, errors.
+
+mod error;
+mod lens;
+mod listing;
+mod load;
+mod options;
+mod undistort;
+
+pub use error::{ReadSourceError, SourceFault};
+pub use lens::{Distortion, Lens};
+pub use listing::{FrameSource, Imported, ListedFrame, Listing};
+pub use load::load;
+pub use options::ImportOptions;

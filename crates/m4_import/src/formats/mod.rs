@@ -1,0 +1,60 @@
+//! One folder a format, and which one a path is of.
+
+use crate::core::{ImportOptions, Imported, Listing, ReadSourceError, load};
+use m4_scene::Progress;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// A format of posed clips.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum SourceFormat {}
+
+/// What is known of one format.
+struct Row {
+    format: SourceFormat,
+    name: &'static str,
+    /// Whether a file or folder is of it: looks at names and first bytes alone.
+    detect: fn(&Path) -> bool,
+    list: fn(&Path, &ImportOptions, &dyn Progress) -> Result<Listing, ReadSourceError>,
+}
+
+/// In the order in which they are tried: the special before the general.
+const ROWS: &[Row] = &[];
+
+impl SourceFormat {
+    /// All of them.
+    pub fn all() -> impl Iterator<Item = Self> {
+        ROWS.iter().map(|row| row.format)
+    }
+
+    /// As on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        ROWS.iter().find(|row| row.format == self).map_or("", |row| row.name)
+    }
+}
+
+/// The format of what is at `path`, by names and first bytes; `None` if it is none of these.
+#[must_use]
+pub fn detect(path: &Path) -> Option<SourceFormat> {
+    ROWS.iter().find(|row| (row.detect)(path)).map(|row| row.format)
+}
+
+/// Reads a file or folder of that format.
+///
+/// # Errors
+///
+/// [`ReadSourceError`], which names the file and the place at fault.
+pub fn read(
+    path: &Path,
+    format: SourceFormat,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Imported, ReadSourceError> {
+    match ROWS.iter().find(|row| row.format == format) {
+        Some(row) => load(path, (row.list)(path, options, progress)?, options, progress),
+        None => Err(crate::core::SourceFault::unsupported("no reader has this format", "name another").at(path)),
+    }
+}

@@ -1,0 +1,22 @@
+//! Clips that other tools posed, as captures that can be trained.
+//!
+//! ```text
+//! formats/NAME     a file or folder -> Listing: lens, pose, time and the places of pictures, depth and masks of each frame
+//! core/load        Listing -> Capture: everything decoded in parallel within a limit of memory, distortion removed
+//! ```
+//!
+//! A format is one folder of [`formats`]: its parser, and at the top the conventions that it converts. What it lists is in ours
+//! (OpenCV axes, camera to world, z-depth, principal points measured from the image's corner), and everything that follows is
+//! the same for all.
+//!
+//! Files are not trusted: counts are compared with the size of the file before memory is taken.
+#![forbid(unsafe_code)]
+
+pub mod formats;
+
+mod core;
+
+pub use core::{
+    Distortion, FrameSource, ImportOptions, Imported, Lens, ListedFrame, Listing, ReadSourceError, SourceFault, load,
+};
+pub use formats::{SourceFormat, detect, read};
