@@ -30,6 +30,7 @@ mod memory_encoder;
 mod neck;
 mod picture;
 mod prompts;
+mod recall;
 mod rope;
 #[cfg(test)]
 mod tests;

@@ -83,24 +83,6 @@ struct Session<'a> {
 }
 
 impl Session<'_> {
-    fn ours(&self, object: ObjectId, mask: &sam2::ObjectMask) -> ObjectMask {
-        if !mask.is_there() {
-            return ObjectMask::unseen(object, self.size, Sight::Hidden);
-        }
-        let found = mask.mask_at(self.size);
-        let mask_px = CompactMask::from_fn(self.size.0, self.size.1, |x, y| found[(x, y)]);
-        ObjectMask {
-            object,
-            sight: if mask_px.count() > 0 {
-                Sight::Seen
-            } else {
-                Sight::Hidden
-            },
-            mask: mask_px,
-            quality: Some(mask.iou),
-        }
-    }
-
     /// Points as the paper asks; a box where there are none, a mask where there is nothing else.
     fn show(&mut self, frame: usize, prompt: &ObjectPrompt) -> Result<sam2::ObjectMask, Sam2Error> {
         let (w, h) = self.size;
@@ -137,7 +119,7 @@ impl VideoSession for Session<'_> {
             let mask = self
                 .show(frame, prompt)
                 .map_err(|error| failed(self.name, frame, error))?;
-            out.push(self.ours(prompt.object, &mask));
+            out.push(converted(prompt.object, &mask, self.size));
         }
         Ok(out)
     }
@@ -183,31 +165,36 @@ impl VideoSession for Session<'_> {
             return Ok(());
         }
         let ids: Vec<u32> = objects.iter().map(|object| object.0).collect();
-        let name = self.name;
+        let (name, size) = (self.name, self.size);
         let mut at = from;
-        let steps: Vec<usize> = match direction {
-            Direction::Forward => frames.collect(),
-            Direction::Backward => frames.rev().collect(),
-        };
-        for frame in steps {
-            let mut masks = BTreeMap::new();
-            let keep = |_, found: &BTreeMap<u32, sam2::ObjectMask>| {
-                masks.clone_from(found);
-                ControlFlow::Continue(())
-            };
-            let step = self
-                .predictor
-                .follow_some(&ids, frame..=frame, direction, progress, keep);
-            step.map_err(|error| failed(name, at, error))?;
+        let each = |frame, found: &BTreeMap<u32, sam2::ObjectMask>| {
             at = frame;
-            let ours = objects.iter().map(|&object| match masks.get(&object.0) {
-                Some(mask) => self.ours(object, mask),
-                None => ObjectMask::unseen(object, self.size, Sight::Hidden),
+            let ours = objects.iter().map(|&object| match found.get(&object.0) {
+                Some(mask) => converted(object, mask, size),
+                None => ObjectMask::unseen(object, size, Sight::Hidden),
             });
-            if sink(frame, ours.collect()).is_break() {
-                break;
-            }
-        }
-        Ok(())
+            sink(frame, ours.collect())
+        };
+        let followed = self.predictor.follow_some(&ids, frames, direction, progress, each);
+        followed.map_err(|error| failed(name, at, error))
+    }
+}
+
+/// A mask of the network at the size of the pictures.
+fn converted(object: ObjectId, mask: &sam2::ObjectMask, size: (usize, usize)) -> ObjectMask {
+    if !mask.is_there() {
+        return ObjectMask::unseen(object, size, Sight::Hidden);
+    }
+    let found = mask.mask_at(size);
+    let mask_px = CompactMask::from_fn(size.0, size.1, |x, y| found[(x, y)]);
+    ObjectMask {
+        object,
+        sight: if mask_px.count() > 0 {
+            Sight::Seen
+        } else {
+            Sight::Hidden
+        },
+        mask: mask_px,
+        quality: Some(mask.iou),
     }
 }
