@@ -1,5 +1,6 @@
 //! What was followed, to masks and a report.
 
+use super::bound::bounded;
 use super::coarse::{Coarse, Rough};
 use super::error::InstanceError;
 use super::ledger::Thing;
@@ -20,10 +21,11 @@ const SUPPORT: f64 = 0.25;
 /// What is done, for messages.
 const PHASE: &str = "painting things";
 
+/// `segmenter`: its name, and how far from coarse pixels its masks may reach.
 pub(super) fn finish(
     rough: &Rough<'_>,
     frames: usize,
-    segmenter: &str,
+    (segmenter, bound): (&str, Option<f32>),
     things: BTreeMap<ObjectId, Thing>,
     mut refused: Vec<Refusal>,
     polarity: Option<PolarityEvidence>,
@@ -33,10 +35,14 @@ pub(super) fn finish(
     let settings = rough.settings;
     let (things, now) = merged(things, settings.merge_overlap, rough.size);
     let support = support(rough, &things, frames, progress)?;
+    let things = match bound {
+        Some(share) => bounded(rough, things, frames, share, progress)?,
+        None => things,
+    };
     let mut kept: Vec<(u16, &Thing, f64)> = Vec::new();
     let mut ids: BTreeMap<ObjectId, u16> = BTreeMap::new();
     for (thing, &share) in things.iter().zip(&support) {
-        if share < f64::from(settings.least_support) {
+        if share < f64::from(settings.least_support) || thing.masks.is_empty() {
             refused.push(Refusal {
                 frame: thing.prompted,
                 area: thing.part_area,

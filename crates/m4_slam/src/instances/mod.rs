@@ -18,6 +18,7 @@
 //! **Conventions.** Masks are of one working size for the clip, which has the shape of its frames. Places are in pixels of that size; the centre
 //! of the first pixel is (0.5, 0.5). Frames count from 0, numbers of instances from 1.
 
+mod bound;
 mod clip;
 mod coarse;
 mod error;

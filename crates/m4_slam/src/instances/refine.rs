@@ -94,7 +94,16 @@ pub fn refine(
         rejected,
         ..
     } = search;
-    finish(&rough, frames, segmenter.name(), things, rejected, polarity, progress)
+    let bound = settings.bound(segmenter.remembers());
+    finish(
+        &rough,
+        frames,
+        (segmenter.name(), bound),
+        things,
+        rejected,
+        polarity,
+        progress,
+    )
 }
 
 /// Checks the reading of maps of motion.

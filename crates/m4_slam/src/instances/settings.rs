@@ -89,6 +89,10 @@ pub struct RefineSettings {
     /// Whether coarse parts that no thing explains stay in the masks, without a number. `None`: yes for masks, which found them
     /// with more care, no for maps of motion (the paper).
     pub keep_unexplained: Option<bool>,
+    /// How far from coarse pixels masks may reach, share of the longest side. `None`: as far as they will where the segmenter knows what things
+    /// look like (the paper), and 6 px of 480 where masks are carried from frame to frame, which spread over what they pass and
+    /// stick to it. Where less than a quarter of a mask is left, it is kept whole within five frames of one where more is, and dropped elsewhere.
+    pub bound_share: Option<f32>,
     /// Holes of the masks up to this share of the picture are filled.
     pub hole_share: f32,
 }
@@ -116,12 +120,21 @@ impl Default for RefineSettings {
             persistent_overlap: 0.5,
             least_support: 0.1,
             keep_unexplained: None,
+            bound_share: None,
             hole_share: 0.001,
         }
     }
 }
 
+/// How far masks reach that are carried from frame to frame: [`RefineSettings::bound_share`].
+const CARRIED_BOUND: f32 = 6.0 / 480.0;
+
 impl RefineSettings {
+    /// The bound of masks of a segmenter that knows what things look like, or does not.
+    pub(super) fn bound(&self, remembers: bool) -> Option<f32> {
+        self.bound_share.or((!remembers).then_some(CARRIED_BOUND))
+    }
+
     /// The defaults with the paper's number of frames between searches.
     #[must_use]
     pub fn preset(preset: Preset) -> Self {
@@ -166,6 +179,7 @@ impl RefineSettings {
             ("cover_share", self.cover_share),
             ("persistent_overlap", self.persistent_overlap),
             ("least_support", self.least_support),
+            ("bound_share", self.bound_share.unwrap_or(0.0)),
             ("hole_share", self.hole_share),
         ];
         for (name, value) in shares {

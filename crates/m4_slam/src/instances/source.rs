@@ -170,6 +170,12 @@ pub trait VideoSegmenter: Sync {
     /// For records and messages.
     fn name(&self) -> &str;
 
+    /// Whether it knows what a thing looks like. One that does not carries masks from frame to frame, and what it gives is held near the
+    /// coarse masks ([`RefineSettings::bound_share`](super::RefineSettings::bound_share)).
+    fn remembers(&self) -> bool {
+        true
+    }
+
     /// Starts on a clip; prompts and masks are of `size` (width, height), which may be less than that of the frames but has
     /// their shape. No frame need be read yet.
     ///

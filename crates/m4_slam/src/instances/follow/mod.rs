@@ -52,6 +52,10 @@ impl VideoSegmenter for FlowFollower<'_> {
         &self.name
     }
 
+    fn remembers(&self) -> bool {
+        false
+    }
+
     fn open<'b>(&'b self, clip: &'b dyn Clip, size: (usize, usize)) -> Result<Box<dyn VideoSession + 'b>, VideoError> {
         Ok(Box::new(session::Session::new(self, clip, size)))
     }
