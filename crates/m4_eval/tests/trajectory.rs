@@ -1,5 +1,4 @@
 //! Errors of camera paths against evo's (`oracles/trajectory.py`).
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_eval::geometry::{ErrorStatistics, PathAlignment, absolute_error, relative_error};
 use m4_math::Se3;
