@@ -19,7 +19,8 @@ pub enum PsnrKind {
     /// [`Picture::from_planes_unclamped`].
     PerChannel,
     /// Of whole numbers from 0 to 255, `20 log10 (255 / sqrt mean)`: `cv2.PSNR` of pictures in 8 bits (RoDynRF's protocol on NVIDIA
-    /// Dynamic). Colours are rounded to the nearest step; a program that cuts the fraction off (`astype(uint8)`) scores its own
+    /// Dynamic). Colours are rounded to the nearest step, halves to the even one as NumPy and OpenCV
+    /// do; a program that cuts the fraction off (`astype(uint8)`) scores its own
     /// files a little otherwise.
     EightBit,
 }
@@ -88,7 +89,7 @@ pub fn psnr_db_of(
 }
 
 fn eight_bit(v: f32) -> f64 {
-    f64::from((v.clamp(0.0, 1.0) * 255.0).round())
+    f64::from((v.clamp(0.0, 1.0) * 255.0).round_ties_even())
 }
 
 #[cfg(test)]
