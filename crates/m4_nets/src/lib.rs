@@ -1,7 +1,7 @@
 //! Pretrained networks: their layers written in [Burn](https://burn.dev), their weights read from the published checkpoints.
 //!
 //! ```text
-//! checkpoint --load--> network;  frames --network--> flow, masks
+//! checkpoint --load--> network;  frames --network--> flow, masks, how alike pictures look
 //! ```
 //!
 //! One folder a network. Fields carry the names of the checkpoint's keys, so that a loader is a list of what is named
@@ -16,6 +16,7 @@
 pub mod depth_anything;
 pub mod droid;
 pub mod gmflow;
+pub mod lpips;
 pub mod mobile_sam;
 pub mod moge;
 pub mod raft;
@@ -46,6 +47,7 @@ pub use droid::{DroidError, DroidMemory, DroidNet};
 pub use flow::{Flow, FlowError};
 pub use gmflow::GmFlow;
 pub use load::LoadError;
+pub use lpips::{Lpips, LpipsError, LpipsNet, LpipsPicture, LpipsScore};
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 #[cfg(feature = "ort")]
 pub use moge::MoGeOnnx;

@@ -1,6 +1,8 @@
 //! Checkpoints, read strictly.
 
-use burn_store::{KeyRemapper, ModuleSnapshot, ModuleStore, PyTorchToBurnAdapter, PytorchStore, SafetensorsStore};
+use burn_store::{
+    ApplyResult, KeyRemapper, ModuleSnapshot, ModuleStore, PyTorchToBurnAdapter, PytorchStore, SafetensorsStore,
+};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
@@ -167,6 +169,30 @@ pub(crate) fn fill<M: ModuleSnapshot>(
         Store::PyTorch(store) => store.apply_to(module).map_err(|error| error.to_string()),
     }
     .map_err(|reason| unreadable(network, path, reason))?;
+    complete(result, network, path, unneeded)
+}
+
+/// Fills `module` with `tensors` of the file at `path`, whose names are the fields', each once and all of them.
+///
+/// # Errors
+///
+/// [`LoadError::OtherNetwork`] if they are not exactly those of `module`.
+pub(crate) fn fill_with<M: ModuleSnapshot>(
+    module: &mut M,
+    network: &'static str,
+    path: &Path,
+    tensors: Vec<burn_store::burn_pack::Tensor>,
+) -> Result<(), LoadError> {
+    complete(module.apply(tensors, None, None, false), network, path, |_| false)
+}
+
+/// Whether every field has its tensor and every tensor, but what is `unneeded`, its field.
+fn complete(
+    result: ApplyResult,
+    network: &'static str,
+    path: &Path,
+    unneeded: impl Fn(&str) -> bool,
+) -> Result<(), LoadError> {
     let unused: Vec<String> = result.unused.into_iter().filter(|name| !unneeded(name)).collect();
     if result.missing.is_empty() && unused.is_empty() && result.errors.is_empty() && result.skipped.is_empty() {
         return Ok(());

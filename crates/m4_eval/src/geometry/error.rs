@@ -40,4 +40,27 @@ pub enum GeometryError {
         /// What is not finite.
         what: &'static str,
     },
+    /// Two paths have other numbers of poses.
+    #[error("the estimate has {estimate} poses and the truth {truth}; give the poses of the same frames")]
+    Lengths {
+        /// Poses of the estimate.
+        estimate: usize,
+        /// Poses of the truth.
+        truth: usize,
+    },
+    /// A path stands still, or the two run against one another.
+    #[error(
+        "one of the paths has no extent, so there is nothing to align; compare without alignment, or rotations alone"
+    )]
+    NoExtent,
+    /// No two frames lie so far apart.
+    #[error(
+        "a path of {poses} poses has no two that lie {delta_frames} frames apart; give a delta from 1 to its length"
+    )]
+    NoPairs {
+        /// Poses of each path.
+        poses: usize,
+        /// Frames between the two of a pair.
+        delta_frames: usize,
+    },
 }

@@ -1,7 +1,10 @@
 //! The comparison of two captures.
 
 use super::matching::{Matching, Side, pair};
-use super::{GeometryError, RotationError, TrajectoryError, depth, trajectory};
+use super::{
+    AbsoluteError, GeometryError, PathAlignment, RelativeError, RotationError, TrajectoryError, absolute_error, depth,
+    relative_error, trajectory,
+};
 use m4_scene::{Camera, Capture, CaptureFrame};
 use serde::{Deserialize, Serialize};
 
@@ -54,6 +57,12 @@ pub struct GeometryReport {
     pub trajectory: Option<TrajectoryError>,
     /// Camera axes after the best rotation.
     pub rotation: Option<RotationError>,
+    /// Poses after Umeyama's similarity, as evo has them; `None` as `trajectory`.
+    #[serde(default)]
+    pub absolute: Option<AbsoluteError>,
+    /// Motions from each frame to the next, as evo has them; `None` as `trajectory`.
+    #[serde(default)]
+    pub relative: Option<RelativeError>,
     /// Mean over frames of the relative error of the horizontal focal length at equal image width,
     /// per cent, positive where the estimate is too long.
     pub focal_error_percent: f64,
@@ -83,6 +92,8 @@ pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, G
         .map(|&(e, t)| (estimate.frames[e], truth.frames[t]))
         .collect();
     let cameras: (Vec<Camera>, Vec<Camera>) = pairs.iter().map(|(e, t)| (e.camera, t.camera)).unzip();
+    let poses = |cameras: &[Camera]| cameras.iter().map(|c| c.c2w).collect::<Vec<_>>();
+    let (estimated, true_poses) = (poses(&cameras.0), poses(&cameras.1));
     let relative_focal = |c: &Camera| c.intrinsics.fx / c.intrinsics.width as f64;
     let focal_error = |(e, t): (&Camera, &Camera)| relative_focal(e) / relative_focal(t) - 1.0;
     let focal_sum: f64 = cameras.0.iter().zip(&cameras.1).map(focal_error).sum();
@@ -92,6 +103,9 @@ pub fn evaluate(estimate: &Capture, truth: &Capture) -> Result<GeometryReport, G
         metric,
         trajectory: trajectory::trajectory_error(&cameras.0, &cameras.1),
         rotation: trajectory::rotation_error(&cameras.0, &cameras.1),
+        // they fail where the trajectory's does, which a note says
+        absolute: absolute_error(&estimated, &true_poses, PathAlignment::Sim3).ok(),
+        relative: relative_error(&estimated, &true_poses, PathAlignment::Sim3, 1).ok(),
         focal_error_percent: 100.0 * focal_sum / pairs.len() as f64,
         depth: depth::depth_error(&pairs),
         mask: depth::mask_score(&pairs),
@@ -216,6 +230,7 @@ pub(super) mod tests {
         let report = evaluate(&capture(5), &capture(5)).unwrap();
         assert_eq!((report.frames, report.matching), (5, Matching::Name));
         assert!(report.trajectory.unwrap().rmse < 1e-9 && report.focal_error_percent.abs() < 1e-12);
+        assert!(report.absolute.unwrap().translation.max < 1e-9 && report.relative.unwrap().pairs == 4);
         let depth = report.depth.unwrap();
         assert_eq!((depth.static_abs_rel, depth.moving_abs_rel), (Some(0.0), Some(0.0)));
         assert_eq!(report.mask.unwrap().iou, 1.0);

@@ -73,15 +73,22 @@ fn common_rotation(estimate: &[Camera], truth: &[Camera]) -> Option<Matrix3<f64>
     Some(u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t)
 }
 
+/// Whether points are apart. Identical centres differ by rounding alone; a path of that length has no shape to align.
+pub(super) fn has_extent(points: &[Vector3<f64>]) -> bool {
+    let Some(first) = points.first() else {
+        return false;
+    };
+    let spread = points.iter().map(|p| (p - first).norm()).fold(0.0, f64::max);
+    let size = points.iter().map(|p| p.norm()).fold(1e-6, f64::max);
+    spread > 1e-9 * size
+}
+
 /// `None` if either path has no extent.
 pub(super) fn trajectory_error(estimate: &[Camera], truth: &[Camera]) -> Option<TrajectoryError> {
     let centres = |cameras: &[Camera]| cameras.iter().map(Camera::centre).collect::<Vec<_>>();
     let (estimate, truth) = (centres(estimate), centres(truth));
     let path_length: f64 = truth.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-    // Identical centres differ by rounding alone; a path of that length has no shape to align.
-    let spread = |points: &[Vector3<f64>]| points.iter().map(|p| (p - points[0]).norm()).fold(0.0, f64::max);
-    let size = |points: &[Vector3<f64>]| points.iter().map(|p| p.norm()).fold(1e-6, f64::max);
-    if [&estimate, &truth].iter().any(|p| spread(p) <= 1e-9 * size(p)) {
+    if ![&estimate, &truth].iter().all(|p| has_extent(p)) {
         return None;
     }
     let sim = Sim3::umeyama(&estimate, &truth)?;

@@ -1,16 +1,29 @@
-//! How close a picture is to the photograph: PSNR and SSIM, whole and inside a mask.
+//! How close a picture is to the photograph: PSNR and SSIM, whole and inside a mask, in the flavours that papers report.
 //!
-//! Colours are sRGB values in `[0, 1]`; both sides are clamped to it first. PSNR is joint over
-//! channels: `-10 log10` of the mean squared error over all pixels *and* channels. SSIM (Wang et al.
-//! 2004) uses an 11x11 Gaussian window with a standard deviation of 1.5 px and the constants
-//! `0.01^2` and `0.03^2`, a map a channel, averaged over the three; only windows that lie wholly
-//! inside the image count (the *valid* region). Inside a mask, PSNR takes the pixels of the mask and
-//! SSIM averages the map over those of its pixels that lie in the valid region.
+//! ```text
+//! picture, photograph, mask --Metric--> a number;  many --ImageReport--> rows, means, the protocol's name
+//! flow or depth of the training frames --covisible--> the mask of what they saw
+//! ```
+//!
+//! Colours are sRGB values in `[0, 1]`; both sides are clamped to it first unless a protocol says otherwise
+//! ([`Picture::from_planes_unclamped`]). What this crate reports by default is PSNR joint over channels and SSIM over an 11x11
+//! Gaussian window in the valid region ([`PsnrKind::Joint`], [`SsimKind::GaussianValid`]); inside a mask, PSNR takes the pixels of
+//! the mask and SSIM averages the map over those of its pixels that lie in the valid region. The other flavours are named by
+//! [`PsnrKind`] and [`SsimKind`], and a report says which it holds. LPIPS is `m4_nets::lpips`: it needs a network.
 
-mod metrics;
+pub mod covisible;
+mod mask;
+mod metric;
 mod picture;
+mod psnr;
 mod report;
+mod ssim;
 
-pub use metrics::{MAX_PSNR_DB, SSIM_SIGMA_PX, SSIM_WINDOW_PX, SsimMap, dilated, psnr_db, ssim_map};
+pub use mask::dilated;
+pub use metric::Metric;
 pub use picture::{ImageError, Picture};
+pub use psnr::{MAX_PSNR_DB, PsnrKind, psnr_db, psnr_db_of};
 pub use report::{FrameScore, ImageProtocol, ImageReport, MaskedScore, MeanScore};
+pub use ssim::{SSIM_SIGMA_PX, SSIM_WINDOW_PX, SsimKind, SsimMap, ssim, ssim_map, ssim_map_of};
+
+use picture::same_size;

@@ -57,7 +57,15 @@ pub enum ImageError {
     },
 }
 
-/// A colour picture in three planes, `[height][width]` each, sRGB values clamped to `[0, 1]`.
+pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (usize, usize)) -> Result<(), ImageError> {
+    if expected == found {
+        Ok(())
+    } else {
+        Err(ImageError::Size { what, expected, found })
+    }
+}
+
+/// A colour picture in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where a protocol does not clamp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
     width: usize,
@@ -73,6 +81,19 @@ impl Picture {
     /// [`ImageError::Length`] if a plane does not hold `width * height` values,
     /// [`ImageError::NotFinite`] if a value is NaN or infinite.
     pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, ImageError> {
+        let mut picture = Self::from_planes_unclamped(width, height, planes)?;
+        for value in picture.planes.iter_mut().flatten() {
+            *value = value.clamp(0.0, 1.0);
+        }
+        Ok(picture)
+    }
+
+    /// The same without clamping, for the protocols that score what a renderer gave as it is.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::from_planes`].
+    pub fn from_planes_unclamped(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, ImageError> {
         for (channel, plane) in planes.iter().enumerate() {
             if ShapeError::check("plane", width * height, plane.len()).is_err() {
                 let (expected, found) = (width * height, plane.len());
@@ -93,7 +114,7 @@ impl Picture {
                 });
             }
         }
-        let planes = planes.map(|plane| plane.iter().map(|v| v.clamp(0.0, 1.0)).collect());
+        let planes = planes.map(<[f32]>::to_vec);
         Ok(Self { width, height, planes })
     }
 
@@ -115,7 +136,7 @@ impl Picture {
         (self.width, self.height)
     }
 
-    /// The three colour planes, `[height][width]` each, in `[0, 1]`.
+    /// The three colour planes, `[height][width]` each, in `[0, 1]` unless made without clamping.
     #[must_use]
     pub fn planes(&self) -> &[Vec<f32>; 3] {
         &self.planes

@@ -1,9 +1,10 @@
 //! Scores of a set of views, with the protocol that made them.
 
-use super::metrics::same_size;
-use super::{ImageError, Picture, SSIM_SIGMA_PX, SSIM_WINDOW_PX, dilated, psnr_db, ssim_map};
+use super::{ImageError, Metric, Picture, SSIM_SIGMA_PX, SSIM_WINDOW_PX, dilated, psnr_db, same_size, ssim_map};
 use m4_scene::Mask;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt::Write;
 
 /// How scores were made: two reports compare only if these agree.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -26,6 +27,9 @@ pub struct ImageProtocol {
     pub psnr: String,
     /// How the mean line was made: `"mean over frames"`, of dB values for PSNR.
     pub mean: String,
+    /// What the names in [`FrameScore::others`] stand for.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub others: BTreeMap<String, String>,
 }
 
 /// Scores of one view.
@@ -43,6 +47,9 @@ pub struct FrameScore {
     pub ssim: f64,
     /// Inside the mask, where there was one with any pixel.
     pub masked: Option<MaskedScore>,
+    /// Scores by other metrics, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub others: BTreeMap<String, f64>,
 }
 
 /// Scores inside a mask.
@@ -96,6 +103,7 @@ impl ImageReport {
             ssim_region: "valid".to_owned(),
             psnr: "joint over channels, clamped to 0..1".to_owned(),
             mean: "mean over frames".to_owned(),
+            others: BTreeMap::new(),
         };
         Self {
             protocol,
@@ -143,8 +151,52 @@ impl ImageReport {
             psnr_db: whole,
             ssim: map.mean(),
             masked,
+            others: BTreeMap::new(),
         });
         Ok(&self.frames[self.frames.len() - 1])
+    }
+
+    /// Scores the view that was added last by another metric too, whole or inside `mask` as it is (not grown); the name then ends in
+    /// `_masked`. Nothing is kept, and `None` returned, where the mask leaves nothing.
+    ///
+    /// # Errors
+    ///
+    /// As [`Metric::score`].
+    pub fn add_metric(
+        &mut self,
+        metric: Metric,
+        image: &Picture,
+        reference: &Picture,
+        mask: Option<&Mask>,
+    ) -> Result<Option<f64>, ImageError> {
+        let score = metric.score(image, reference, mask)?;
+        let (name, title) = match mask {
+            None => (metric.to_string(), metric.title()),
+            Some(_) => (format!("{metric}_masked"), format!("{}, inside a mask", metric.title())),
+        };
+        if let Some(score) = score {
+            self.add_other(&name, &title, score);
+        }
+        Ok(score)
+    }
+
+    /// Keeps for the view that was added last what something else has scored it, such as `lpips_alex`; `title` says what that is.
+    pub fn add_other(&mut self, name: &str, title: &str, score: f64) {
+        if let Some(frame) = self.frames.last_mut() {
+            frame.others.insert(name.to_owned(), score);
+            self.protocol.others.insert(name.to_owned(), title.to_owned());
+        }
+    }
+
+    /// Means of the other metrics over the views that have them, and how many these are.
+    #[must_use]
+    pub fn mean_others(&self) -> BTreeMap<String, (f64, usize)> {
+        let mean = |name: &String| {
+            let values = self.frames.iter().filter_map(|f| f.others.get(name));
+            let (sum, n) = values.fold((0.0, 0usize), |(sum, n), v| (sum + v, n + 1));
+            (name.clone(), (sum / n as f64, n))
+        };
+        self.protocol.others.keys().map(mean).collect()
     }
 
     /// Means over all views; `None` if there are none.
@@ -197,6 +249,11 @@ impl ImageReport {
             );
         }
         let p = &self.protocol;
+        for (name, (mean, views)) in self.mean_others() {
+            let title = p.others.get(&name).map_or("", String::as_str);
+            // into a text, which cannot fail
+            let _ = writeln!(out, "{name:<28} {mean:>16.4}  mean of {views} views: {title}");
+        }
         out += &format!(
             "protocol: {}, {}x{}, PSNR {}, SSIM {} window {} sd {} px, masks grown by {} px\n",
             p.name, p.width, p.height, p.psnr, p.ssim_region, p.ssim_window_px, p.ssim_sigma_px, p.mask_dilation_px
@@ -208,7 +265,7 @@ impl ImageReport {
 #[cfg(test)]
 mod tests {
     use super::ImageReport;
-    use crate::image::{ImageError, Picture};
+    use crate::image::{ImageError, Metric, Picture, PsnrKind};
     use m4_scene::Plane;
 
     fn flat(width: usize, height: usize, value: f32) -> Picture {
@@ -250,6 +307,33 @@ mod tests {
     }
 
     #[test]
+    fn other_metrics_are_kept_by_name_with_their_means() {
+        let mut report = ImageReport::new("unit", 0);
+        let per_channel = Metric::Psnr(PsnrKind::PerChannel);
+        let reference = flat(16, 16, 0.5);
+        let mask = Plane::from_fn(16, 16, |x, _| u8::from(x == 3));
+        for (name, value) in [("a", 0.6), ("b", 0.51)] {
+            let image = flat(16, 16, value);
+            report.add(name, 0.0, None, &image, &reference, None).unwrap();
+            report.add_metric(per_channel, &image, &reference, None).unwrap();
+            let none = Plane::filled(16, 16, 0);
+            let mask = if name == "a" { &mask } else { &none };
+            report.add_metric(per_channel, &image, &reference, Some(mask)).unwrap();
+        }
+        report.add_other("lpips_alex", "LPIPS 0.1 with AlexNet", 0.25);
+        let means = report.mean_others();
+        assert!((means["psnr_per_channel"].0 - 30.0).abs() < 1e-3 && means["psnr_per_channel"].1 == 2);
+        assert!((means["psnr_per_channel_masked"].0 - 20.0).abs() < 1e-3 && means["psnr_per_channel_masked"].1 == 1);
+        assert_eq!(means["lpips_alex"], (0.25, 1));
+        assert_eq!(report.frames[0].others.len(), 2);
+        let table = report.table();
+        assert!(table.contains("mean of 1 views: LPIPS 0.1 with AlexNet"), "{table}");
+        let text = serde_json::to_string(&report).unwrap();
+        let back = serde_json::from_str::<ImageReport>(&text).unwrap();
+        assert_eq!((back.protocol, back.frames[1].others.len()), (report.protocol, 2));
+    }
+
+    #[test]
     fn a_report_survives_json() {
         let mut report = ImageReport::new("unit", 2);
         report
@@ -257,6 +341,7 @@ mod tests {
             .unwrap();
         let text = serde_json::to_string(&report).unwrap();
         assert_eq!(serde_json::from_str::<ImageReport>(&text).unwrap(), report);
+        assert!(!text.contains("others"), "{text}");
         assert!(ImageReport::new("none", 0).mean().is_none());
     }
 }

@@ -1,0 +1,148 @@
+//! What depth and poses say.
+
+use crate::image::{ImageError, same_size};
+use m4_scene::{Camera, DepthMap, Mask, Plane};
+
+/// By how much of itself a depth may differ and still be of the same surface: 5 %. Depth that was estimated agrees between frames to
+/// some per cent; what hides something else is usually further in front of it.
+pub const DEPTH_TOLERANCE: f64 = 0.05;
+
+/// A frame with its depth.
+#[derive(Debug, Clone, Copy)]
+pub struct DepthView<'a> {
+    /// Where it was taken, in the world of the other frames.
+    pub camera: &'a Camera,
+    /// z-depth in the units of that world, `[height][width]` of the camera's image; not above 0 or not finite where unknown.
+    pub depth: &'a DepthMap,
+}
+
+impl DepthView<'_> {
+    fn check(&self, what: &'static str) -> Result<(), ImageError> {
+        let k = &self.camera.intrinsics;
+        same_size(what, (k.width, k.height), self.depth.size())
+    }
+
+    fn at(&self, x: usize, y: usize) -> Option<f64> {
+        let z = f64::from(self.depth[(x, y)]);
+        (z.is_finite() && z > 0.0).then_some(z)
+    }
+}
+
+/// 255 where a pixel of `test` is seen by `training`: its point lies in front of the training camera, lands in its image, and the depth of
+/// the pixel there differs from the point's by at most `tolerance` times itself ([`DEPTH_TOLERANCE`] where there is no reason for another).
+/// A point that is hidden there, one that floats before the surface there, and one whose depth is unknown on either side are not
+/// seen.
+///
+/// # Errors
+///
+/// [`ImageError::Size`] if a depth map has another size than its camera's image.
+pub fn seen_by_depth(test: DepthView<'_>, training: DepthView<'_>, tolerance: f64) -> Result<Mask, ImageError> {
+    test.check("the depth of the test picture")?;
+    training.check("the depth of a training frame")?;
+    let (width, height) = training.depth.size();
+    let seen = |x: usize, y: usize| {
+        let z = test.at(x, y)?;
+        let world = test.camera.unproject(x as f64, y as f64, z);
+        let ([u, v], z) = training.camera.project(&world);
+        let (u, v) = (u.round(), v.round());
+        let inside = z > 0.0 && u >= 0.0 && v >= 0.0 && u < width as f64 && v < height as f64;
+        let there = inside.then(|| training.at(u as usize, v as usize))??;
+        ((z - there).abs() <= tolerance * there).then_some(())
+    };
+    let (width, height) = test.depth.size();
+    Ok(Plane::from_fn(width, height, |x, y| {
+        if seen(x, y).is_some() { 255 } else { 0 }
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{DEPTH_TOLERANCE, DepthView, seen_by_depth};
+    use m4_math::Se3;
+    use m4_math::nalgebra::Vector3;
+    use m4_scene::{Camera, Intrinsics, Plane};
+
+    fn camera(x: f64) -> Camera {
+        Camera {
+            intrinsics: Intrinsics::centred(20, 10, 10.0),
+            c2w: Se3 {
+                translation: Vector3::new(x, 0.0, 0.0),
+                ..Se3::identity()
+            },
+        }
+    }
+
+    /// A wall at 4 with a box at 2 before it, seen from two places: what the box hides there is not seen.
+    #[test]
+    fn what_something_hides_is_not_seen() {
+        let (here, there) = (camera(0.0), camera(1.0));
+        // the box spans x from 0 to 1 in the world: columns 10..15 here, 5..10 there
+        let of = |first: usize| {
+            Plane::from_fn(
+                20,
+                10,
+                move |x, _| if (first..first + 5).contains(&x) { 2.0 } else { 4.0 },
+            )
+        };
+        let (a, b) = (of(10), of(5));
+        let view = |camera, depth| DepthView { camera, depth };
+        let seen = seen_by_depth(view(&here, &a), view(&there, &b), DEPTH_TOLERANCE).unwrap();
+        for y in 0..10 {
+            for x in 0..20 {
+                // wall: moves by 2.5 columns; box: by 5
+                let want = match x {
+                    10..15 => true,
+                    // beyond the left border, or behind the box there
+                    _ => x >= 3 && !(8..13).contains(&x),
+                };
+                let edge = [2, 3, 7, 8, 12, 13].contains(&x);
+                assert!(edge || (seen[(x, y)] == 255) == want, "{x}, {y}: {}", seen[(x, y)]);
+            }
+        }
+        let count = seen.data().iter().filter(|&&m| m != 0).count();
+        assert!((130..170).contains(&count), "{count}");
+    }
+
+    #[test]
+    fn the_tolerance_is_a_share_and_the_unknown_is_not_seen() {
+        let (here, there) = (camera(0.0), camera(0.0));
+        let flat = |z: f32| Plane::filled(20, 10, z);
+        let share = |a: f32, b: f32, tolerance| {
+            let (a, b) = (flat(a), flat(b));
+            let (test, training) = (
+                DepthView {
+                    camera: &here,
+                    depth: &a,
+                },
+                DepthView {
+                    camera: &there,
+                    depth: &b,
+                },
+            );
+            let seen = seen_by_depth(test, training, tolerance).unwrap();
+            seen.data().iter().filter(|&&m| m != 0).count() as f64 / 200.0
+        };
+        assert_eq!(
+            (share(4.1, 4.0, 0.05), share(4.3, 4.0, 0.05), share(4.3, 4.0, 0.1)),
+            (1.0, 0.0, 1.0)
+        );
+        assert_eq!((share(3.9, 4.0, 0.05), share(3.7, 4.0, 0.05)), (1.0, 0.0));
+        for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            assert_eq!((share(bad, 4.0, 0.05), share(4.0, bad, 0.05)), (0.0, 0.0));
+        }
+        // behind the training camera
+        let mut turned = there;
+        turned.c2w.rotation[(0, 0)] = -1.0;
+        turned.c2w.rotation[(2, 2)] = -1.0;
+        let depth = flat(4.0);
+        let view = |camera| DepthView { camera, depth: &depth };
+        let seen = seen_by_depth(view(&here), view(&turned), 0.05).unwrap();
+        assert!(seen.data().iter().all(|&m| m == 0));
+        let small = Plane::filled(19, 10, 4.0);
+        let small = DepthView {
+            camera: &here,
+            depth: &small,
+        };
+        assert!(seen_by_depth(small, view(&there), 0.05).is_err());
+    }
+}

@@ -1,0 +1,31 @@
+//! Masks before they are used.
+
+use m4_scene::{Mask, Plane};
+
+/// The mask grown by `radius_px` in every direction (a square of side `2 radius + 1`).
+#[must_use]
+pub fn dilated(mask: &Mask, radius_px: usize) -> Mask {
+    let (width, height) = mask.size();
+    let reach = |i: usize, n: usize| i.saturating_sub(radius_px)..(i + radius_px + 1).min(n);
+    let rows = Plane::from_fn(width, height, |x, y| {
+        reach(x, width).map(|x| mask[(x, y)]).max().unwrap_or(0)
+    });
+    Plane::from_fn(width, height, |x, y| {
+        reach(y, height).map(|y| rows[(x, y)]).max().unwrap_or(0)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::dilated;
+    use m4_scene::Plane;
+
+    #[test]
+    fn dilation_grows_a_square() {
+        let dot = Plane::from_fn(9, 9, |x, y| if (x, y) == (4, 1) { 255 } else { 0 });
+        let grown = dilated(&dot, 2);
+        let count = grown.data().iter().filter(|&&m| m == 255).count();
+        assert_eq!(count, 5 * 4);
+        assert_eq!(dilated(&dot, 0), dot);
+    }
+}

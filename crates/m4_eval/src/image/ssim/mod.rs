@@ -1,0 +1,292 @@
+//! Structural similarity (Wang et al. 2004, equation 13), in the flavours that papers report.
+//!
+//! ```text
+//! two pictures --window--> means, variances, covariance around each pixel, a channel
+//!   --> (2 ma mb + C1)(2 cov + C2) / ((ma^2 + mb^2 + C1)(va + vb + C2)) --mean of the channels--> map --mean--> SSIM
+//! ```
+//!
+//! `C1 = 0.01^2`, `C2 = 0.03^2` for colours from 0 to 1. Flavours differ in the window, in what lies beyond the border, and in whether
+//! variances are of a sample (`n / (n - 1)` times as large): [`SsimKind`]. They differ in the second decimal, so a figure without its
+//! flavour says little.
+
+mod partial;
+mod window;
+
+use super::{ImageError, Picture, same_size};
+use m4_scene::{Mask, Plane};
+use serde::{Deserialize, Serialize};
+use window::Window;
+
+pub use window::{SSIM_SIGMA_PX, SSIM_WINDOW_PX};
+
+const C1: f64 = 0.01 * 0.01;
+const C2: f64 = 0.03 * 0.03;
+
+/// How the structural similarity is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SsimKind {
+    /// 11x11 Gaussian of 1.5 px, windows that lie wholly inside: Wang et al.'s own. Equals scikit-image's `structural_similarity` with
+    /// `gaussian_weights=True, sigma=1.5, use_sample_covariance=False`.
+    GaussianValid,
+    /// The same window with zeros beyond the border, every pixel: the SSIM of 3D Gaussian Splatting's training loss, which many
+    /// programs report as well. Borders score better than they should, where black meets black.
+    GaussianZeroPadded,
+    /// 7x7 window of equal weights, variances of a sample, windows that lie wholly inside: `structural_similarity` of scikit-image
+    /// with its defaults (RoDynRF's protocol).
+    SkimageUniform,
+    /// 11x11 Gaussian of 1.5 px with variances of a sample, windows that lie wholly inside: scikit-image's `gaussian_weights=True`
+    /// and nothing else.
+    SkimageGaussian,
+    /// DyCheck's mSSIM (Gao et al., NeurIPS 2022): 11x11 Gaussian of 1.5 px over the pixels of the mask alone, whose sums are multiplied
+    /// by the side of the window over how many of its pixels are in the mask, along rows and then along columns (the partial convolution
+    /// of Liu et al., ECCV 2018); variances are cut off at 0, the covariance at their geometric mean. The mean goes over all
+    /// windows that lie wholly inside the picture; one without a pixel of the mask counts as 1, as its authors' program has it.
+    DycheckMasked,
+}
+
+impl SsimKind {
+    /// What a report says of it.
+    #[must_use]
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::GaussianValid => "Gaussian 11/1.5, valid region",
+            Self::GaussianZeroPadded => "Gaussian 11/1.5, zeros beyond the border",
+            Self::SkimageUniform => "uniform 7, sample covariance, valid region (scikit-image's defaults)",
+            Self::SkimageGaussian => {
+                "Gaussian 11/1.5, sample covariance, valid region (scikit-image, gaussian_weights)"
+            }
+            Self::DycheckMasked => "Gaussian 11/1.5, partial convolution over the mask (DyCheck)",
+        }
+    }
+
+    fn window(self) -> Window {
+        match self {
+            Self::GaussianValid | Self::DycheckMasked => Window::gaussian(),
+            Self::GaussianZeroPadded => Window::gaussian().zero_padded(),
+            Self::SkimageUniform => Window::uniform(7).of_sample(),
+            Self::SkimageGaussian => Window::gaussian().of_sample(),
+        }
+    }
+}
+
+/// The structural similarity around each pixel of the region that counts, mean of the channels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SsimMap {
+    /// Entry `(x, y)` belongs to pixel `(x + border_px, y + border_px)`.
+    pub map: Plane<f64>,
+    /// How many pixels at each border of the pictures have no entry.
+    pub border_px: usize,
+}
+
+impl SsimMap {
+    /// Mean over the region.
+    #[must_use]
+    pub fn mean(&self) -> f64 {
+        self.map.data().iter().sum::<f64>() / self.map.data().len() as f64
+    }
+
+    /// Mean over those pixels of `mask` (as large as the pictures) that lie in the region; `None` if there are none.
+    #[must_use]
+    pub fn mean_inside(&self, mask: &Mask) -> Option<f64> {
+        let border = self.border_px;
+        let (mut sum, mut count) = (0.0, 0usize);
+        for y in 0..self.map.height().min(mask.height().saturating_sub(border)) {
+            for x in 0..self.map.width().min(mask.width().saturating_sub(border)) {
+                if mask[(x + border, y + border)] != 0 {
+                    sum += self.map[(x, y)];
+                    count += 1;
+                }
+            }
+        }
+        (count > 0).then(|| sum / count as f64)
+    }
+}
+
+/// The SSIM map of two pictures, [`SsimKind::GaussianValid`].
+///
+/// # Errors
+///
+/// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window fits.
+pub fn ssim_map(image: &Picture, reference: &Picture) -> Result<SsimMap, ImageError> {
+    ssim_map_of(SsimKind::GaussianValid, image, reference, None)
+}
+
+/// The SSIM map of two pictures of another kind. Only [`SsimKind::DycheckMasked`] looks at the mask here (all pixels without
+/// one); for the others it selects entries of the map: [`SsimMap::mean_inside`].
+///
+/// # Errors
+///
+/// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window fits.
+pub fn ssim_map_of(
+    kind: SsimKind,
+    image: &Picture,
+    reference: &Picture,
+    mask: Option<&Mask>,
+) -> Result<SsimMap, ImageError> {
+    same_size("the picture", reference.size(), image.size())?;
+    if let Some(mask) = mask {
+        same_size("the mask", reference.size(), mask.size())?;
+    }
+    let (width, height) = reference.size();
+    let window = kind.window();
+    if width < window.side() || height < window.side() {
+        return Err(ImageError::TooSmall {
+            width,
+            height,
+            window: window.side(),
+        });
+    }
+    let (out_w, out_h) = window.out_size(width, height);
+    let mut sum = vec![0.0; out_w * out_h];
+    for (a, b) in image.planes().iter().zip(reference.planes()) {
+        let mean = |f: &dyn Fn(f64, f64) -> f64| {
+            let values: Vec<f64> = a.iter().zip(b).map(|(&a, &b)| f(f64::from(a), f64::from(b))).collect();
+            match kind {
+                SsimKind::DycheckMasked => partial::filtered(&values, mask, width, height, &window),
+                _ => window.filtered(&values, width, height),
+            }
+        };
+        let (ma, mb) = (mean(&|a, _| a), mean(&|_, b| b));
+        let (aa, bb, ab) = (mean(&|a, _| a * a), mean(&|_, b| b * b), mean(&|a, b| a * b));
+        for i in 0..sum.len() {
+            let spread = [aa[i] - ma[i] * ma[i], bb[i] - mb[i] * mb[i], ab[i] - ma[i] * mb[i]];
+            let [va, vb, cov] = match kind {
+                SsimKind::DycheckMasked => partial::possible(spread),
+                _ => spread.map(|v| v * window.unbias()),
+            };
+            let means = (2.0 * ma[i] * mb[i] + C1) / (ma[i] * ma[i] + mb[i] * mb[i] + C1);
+            sum[i] += means * (2.0 * cov + C2) / (va + vb + C2) / 3.0;
+        }
+    }
+    let map = Plane::from_fn(out_w, out_h, |x, y| sum[y * out_w + x]);
+    let border_px = (width - out_w) / 2;
+    Ok(SsimMap { map, border_px })
+}
+
+/// The mean SSIM of two pictures: over the whole region, or inside `mask`. `None` if no pixel of the mask lies in the region.
+///
+/// # Errors
+///
+/// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window fits.
+pub fn ssim(
+    kind: SsimKind,
+    image: &Picture,
+    reference: &Picture,
+    mask: Option<&Mask>,
+) -> Result<Option<f64>, ImageError> {
+    let map = ssim_map_of(kind, image, reference, mask)?;
+    Ok(match mask {
+        None => Some(map.mean()),
+        Some(mask) if kind == SsimKind::DycheckMasked => mask.data().iter().any(|&m| m != 0).then(|| map.mean()),
+        Some(mask) => map.mean_inside(mask),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{SsimKind, ssim, ssim_map};
+    use crate::image::{ImageError, Picture};
+    use m4_scene::Plane;
+
+    fn flat(width: usize, height: usize, value: f32) -> Picture {
+        let plane = vec![value; width * height];
+        Picture::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
+    }
+
+    #[test]
+    fn ssim_of_flat_pictures_is_the_luminance_term() {
+        let (a, b) = (flat(15, 13, 0.2), flat(15, 13, 0.6));
+        let map = ssim_map(&a, &b).unwrap();
+        assert_eq!(map.map.size(), (5, 3));
+        let want = (2.0 * 0.2 * 0.6 + 1e-4) / (0.2 * 0.2 + 0.6 * 0.6 + 1e-4);
+        assert!(
+            (map.mean() - want).abs() < 1e-6,
+            "{} where {want} was expected",
+            map.mean()
+        );
+        assert!((ssim_map(&a, &a).unwrap().mean() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn ssim_of_scaled_contrast_has_a_closed_form() {
+        // b = a scaled about its local mean by -1 where the mean is the same everywhere: a checkerboard
+        // has window mean 0.5 + e and variance s^2; its negative has mean 0.5 - e and covariance -s^2.
+        let a: Vec<f32> = (0..400)
+            .map(|i| if (i % 20 + i / 20) % 2 == 0 { 0.75 } else { 0.25 })
+            .collect();
+        let b: Vec<f32> = a.iter().map(|v| 1.0 - v).collect();
+        let (a, b) = (
+            Picture::from_planes(20, 20, [&a, &a, &a]).unwrap(),
+            Picture::from_planes(20, 20, [&b, &b, &b]).unwrap(),
+        );
+        // Alternating Gaussian sum of an 11 tap window with sd 1.5, squared: below 1e-4, so e is nothing.
+        let got = ssim_map(&a, &b).unwrap().mean();
+        let want = (-2.0 * 0.0625 + 9e-4) / (2.0 * 0.0625 + 9e-4);
+        assert!((got - want).abs() < 1e-3, "{got} where {want} was expected");
+    }
+
+    #[test]
+    fn bad_input_is_named() {
+        let (a, b) = (flat(16, 16, 0.5), flat(12, 16, 0.5));
+        assert!(matches!(ssim_map(&a, &b), Err(ImageError::Size { .. })));
+        assert!(matches!(
+            ssim_map(&flat(10, 20, 0.0), &flat(10, 20, 0.0)),
+            Err(ImageError::TooSmall { .. })
+        ));
+        let (good, bad, short) = (vec![0.0; 4], vec![0.0, f32::NAN, 0.0, 0.0], vec![0.0; 3]);
+        let nan = Picture::from_planes(2, 2, [&good, &bad, &good]);
+        assert!(matches!(
+            nan,
+            Err(ImageError::NotFinite {
+                x: 1,
+                y: 0,
+                channel: 1,
+                ..
+            })
+        ));
+        assert!(matches!(
+            Picture::from_planes(2, 2, [&good, &good, &short]),
+            Err(ImageError::Length {
+                channel: 2,
+                found: 3,
+                ..
+            })
+        ));
+    }
+
+    #[test]
+    fn a_mask_over_everything_changes_nothing_and_an_empty_one_has_no_score() {
+        let a: Vec<f32> = (0..400).map(|i| (i * 7 % 23) as f32 / 23.0).collect();
+        let b: Vec<f32> = (0..400).map(|i| (i * 5 % 19) as f32 / 19.0).collect();
+        let (a, b) = (
+            Picture::from_planes(20, 20, [&a, &b, &a]).unwrap(),
+            Picture::from_planes(20, 20, [&b, &b, &a]).unwrap(),
+        );
+        let (all, none) = (Plane::filled(20, 20, 1), Plane::filled(20, 20, 0));
+        let kinds = [
+            SsimKind::GaussianValid,
+            SsimKind::GaussianZeroPadded,
+            SsimKind::SkimageUniform,
+            SsimKind::SkimageGaussian,
+            SsimKind::DycheckMasked,
+        ];
+        let mut seen = Vec::new();
+        for kind in kinds {
+            let score = |mask| ssim(kind, &a, &b, mask).unwrap();
+            let whole = score(None).unwrap();
+            assert!(
+                (score(Some(&all)).unwrap() - whole).abs() < 1e-12 && whole < 0.9,
+                "{kind:?}: {whole}"
+            );
+            assert_eq!(score(Some(&none)), None, "{kind:?}");
+            assert!((ssim(kind, &a, &a, None).unwrap().unwrap() - 1.0).abs() < 1e-12);
+            seen.push(whole);
+        }
+        // over all pixels DyCheck's is the plain one; the others are their own
+        assert!((seen[0] - seen[4]).abs() < 1e-9);
+        seen.truncate(4);
+        seen.sort_by(f64::total_cmp);
+        assert!(seen.windows(2).all(|w| w[1] - w[0] > 1e-5), "{seen:?}");
+    }
+}

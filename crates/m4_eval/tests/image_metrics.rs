@@ -1,0 +1,128 @@
+//! PSNR and SSIM against scikit-image, OpenCV and DyCheck's formulas (`oracles/image_metrics.py`).
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+use m4_eval::image::covisible::seen_by_flow;
+use m4_eval::image::{Metric, Picture, PsnrKind, SsimKind, psnr_db_of, ssim};
+use m4_scene::{Mask, Plane, RgbImage};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+#[derive(Deserialize)]
+struct Fixture {
+    psnr: BTreeMap<PsnrKind, f64>,
+    psnr_unclamped: BTreeMap<PsnrKind, f64>,
+    ssim: BTreeMap<SsimKind, f64>,
+    masked: BTreeMap<String, Masked>,
+    raw: Vec<f32>,
+    flow: Flow,
+}
+
+#[derive(Deserialize)]
+struct Masked {
+    psnr: BTreeMap<PsnrKind, f64>,
+    ssim: BTreeMap<SsimKind, Option<f64>>,
+}
+
+#[derive(Deserialize)]
+struct Flow {
+    forward: Vec<f32>,
+    backward: Vec<f32>,
+    seen: Vec<u8>,
+}
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/metrics")
+}
+
+fn fixture() -> Fixture {
+    serde_json::from_slice(&fs::read(folder().join("image.json")).unwrap()).unwrap()
+}
+
+fn picture(name: &str) -> Picture {
+    let image = image::open(folder().join(name)).unwrap().to_rgb8();
+    let (w, h) = (image.width() as usize, image.height() as usize);
+    Picture::from(&RgbImage::from_vec(w, h, image.pixels().map(|p| p.0).collect()).unwrap())
+}
+
+fn mask(name: &str) -> Mask {
+    let image = image::open(folder().join(format!("mask_{name}.png")))
+        .unwrap()
+        .to_luma8();
+    Plane::from_vec(image.width() as usize, image.height() as usize, image.into_raw()).unwrap()
+}
+
+fn near(what: &str, got: f64, want: f64) {
+    assert!(want.abs() > 0.1, "{what}: {want} says little");
+    assert!((got - want).abs() < 1e-6, "{what}: {got} where {want} is wanted");
+}
+
+#[test]
+fn agrees_with_scikit_image_and_opencv() {
+    let fixture = fixture();
+    let (image, reference) = (picture("image.png"), picture("reference.png"));
+    for (&kind, &want) in &fixture.psnr {
+        let got = Metric::Psnr(kind).score(&image, &reference, None).unwrap().unwrap();
+        near(&format!("{kind:?}"), got, want);
+    }
+    for (&kind, &want) in &fixture.ssim {
+        let got = Metric::Ssim(kind).score(&image, &reference, None).unwrap().unwrap();
+        near(&format!("{kind:?}"), got, want);
+    }
+    assert_eq!(fixture.psnr.len() + fixture.ssim.len(), Metric::ALL.len());
+}
+
+#[test]
+fn what_is_not_clamped_scores_as_it_is() {
+    let fixture = fixture();
+    let reference = picture("reference.png");
+    let (w, h) = reference.size();
+    let planes = [0, 1, 2].map(|c| fixture.raw.iter().skip(c).step_by(3).copied().collect::<Vec<f32>>());
+    let planes = planes.each_ref().map(|p| &p[..]);
+    let raw = Picture::from_planes_unclamped(w, h, planes).unwrap();
+    let clamped = Picture::from_planes(w, h, planes).unwrap();
+    assert_eq!(fixture.psnr_unclamped.len(), 3);
+    for (&kind, &want) in &fixture.psnr_unclamped {
+        let score = |image| psnr_db_of(kind, image, &reference, None).unwrap().unwrap();
+        near(&format!("{kind:?}"), score(&raw), want);
+        let differs = (score(&clamped) - want).abs() > 1e-3;
+        assert_eq!(differs, kind != PsnrKind::EightBit, "{kind:?}");
+    }
+}
+
+#[test]
+fn agrees_with_dycheck_inside_masks() {
+    let fixture = fixture();
+    let (image, reference) = (picture("image.png"), picture("reference.png"));
+    assert_eq!(fixture.masked.len(), 3);
+    let mut scores = 0;
+    for (name, want) in &fixture.masked {
+        let mask = mask(name);
+        for (&kind, &want) in &want.psnr {
+            let got = psnr_db_of(kind, &image, &reference, Some(&mask)).unwrap().unwrap();
+            near(&format!("{name}, {kind:?}"), got, want);
+            scores += 1;
+        }
+        for (&kind, &want) in &want.ssim {
+            let got = ssim(kind, &image, &reference, Some(&mask)).unwrap();
+            assert_eq!(got.is_some(), want.is_some(), "{name}, {kind:?}");
+            if let (Some(got), Some(want)) = (got, want) {
+                near(&format!("{name}, {kind:?}"), got, want);
+                scores += 1;
+            }
+        }
+    }
+    assert!(scores >= 15, "{scores}");
+}
+
+#[test]
+fn covisible_pixels_are_those_of_the_forward_backward_check() {
+    let flow = fixture().flow;
+    let plane = |values: &[f32]| Plane::from_fn(16, 12, |x, y| [0, 1].map(|c| values[2 * (16 * y + x) + c]));
+    let seen = seen_by_flow(&plane(&flow.forward), &plane(&flow.backward)).unwrap();
+    let want: Vec<u8> = flow.seen.iter().map(|&s| 255 * s).collect();
+    assert_eq!(seen.data(), want);
+    let share = want.iter().filter(|&&s| s != 0).count() as f64 / want.len() as f64;
+    assert!((0.2..0.8).contains(&share), "{share}");
+}
