@@ -15,6 +15,7 @@
 //! `sparse` and `dense` meet in the types of [`reconstruction`] alone, so either can be replaced.
 #![forbid(unsafe_code)]
 
+pub mod consistency;
 pub mod cvd;
 pub mod dba;
 pub mod dense;

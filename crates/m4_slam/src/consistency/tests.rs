@@ -1,0 +1,115 @@
+//! On a benchmark scene, where it is present: every misreading is told, and the truth is not accused.
+
+use super::{Cause, CheckOptions, Verdict, check, fixed};
+use crate::dense::InverseSearch;
+use m4_io::capture::{self, CaptureOptions, Split};
+use m4_scene::{Capture, CompactDepth, Silent};
+use std::path::Path;
+
+#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+fn scene() -> Option<Capture> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/bench/quad-1");
+    if !path.is_dir() {
+        eprintln!("NOT tested: no benchmark scene at {}", path.display());
+        return None;
+    }
+    Some(capture::read(&path, Split::Train, &CaptureOptions::default(), &Silent).unwrap())
+}
+
+fn misread(mut capture: Capture, wrong: &dyn Fn(&mut m4_scene::Camera)) -> Capture {
+    capture.frames.iter_mut().for_each(|f| wrong(&mut f.camera));
+    capture
+}
+
+#[test]
+fn every_usual_misreading_is_told() {
+    let Some(truth) = scene() else { return };
+    let flow = InverseSearch::default();
+    let said = |capture: &Capture| {
+        let report = check(capture, &flow, &CheckOptions::default(), &Silent).unwrap();
+        println!("{report:?}");
+        report
+    };
+    let good = said(&truth);
+    assert_eq!((good.verdict, good.causes.as_slice()), (Verdict::Good, &[][..]));
+    assert!(good.samples > 10_000 && good.error_px.unwrap() < 0.5 && good.error_px.unwrap() > 0.0);
+    assert!(good.depth_error.unwrap() < 0.02);
+
+    let turned = misread(truth.clone(), &|c| {
+        c.c2w.rotation.column_mut(1).neg_mut();
+        c.c2w.rotation.column_mut(2).neg_mut();
+    });
+    let report = said(&turned);
+    assert_eq!(
+        (report.verdict, report.causes.as_slice()),
+        (Verdict::Bad, &[Cause::Axes][..])
+    );
+    assert!(said(&fixed(turned, &report.causes)).verdict == Verdict::Good);
+
+    let inverted = misread(truth.clone(), &|c| c.c2w = c.c2w.inverse());
+    let report = said(&inverted);
+    assert_eq!(
+        (report.verdict, report.causes.as_slice()),
+        (Verdict::Bad, &[Cause::Inverted][..])
+    );
+    assert!(said(&fixed(inverted, &report.causes)).verdict == Verdict::Good);
+
+    let both = misread(truth.clone(), &|c| {
+        c.c2w.rotation.column_mut(1).neg_mut();
+        c.c2w.rotation.column_mut(2).neg_mut();
+        c.c2w = c.c2w.inverse();
+    });
+    assert_eq!(said(&both).causes, [Cause::Inverted, Cause::Axes]);
+
+    let mut millimetres = truth.clone();
+    for frame in &mut millimetres.frames {
+        let depth = frame.depth.take().unwrap().to_map();
+        frame.depth = Some(CompactDepth::from(depth.map(|z| 1000.0 * z)));
+    }
+    let report = said(&millimetres);
+    assert_eq!(report.verdict, Verdict::Bad);
+    assert_eq!(report.causes, [Cause::DepthUnit { factor: 1e-3 }]);
+    assert!(said(&fixed(millimetres, &report.causes)).verdict == Verdict::Good);
+
+    for half in [-0.5, 0.5] {
+        let shifted = misread(truth.clone(), &|c| {
+            c.intrinsics.cx += half;
+            c.intrinsics.cy += half;
+        });
+        let report = said(&shifted);
+        assert_eq!(
+            report.causes,
+            [Cause::PixelCentre {
+                shift_px: [-half, -half]
+            }]
+        );
+        assert!(said(&fixed(shifted, &report.causes)).causes.is_empty());
+    }
+}
+
+#[test]
+fn poses_without_depth_are_checked_too() {
+    let Some(mut truth) = scene() else { return };
+    truth.frames.iter_mut().for_each(|f| f.depth = None);
+    let flow = InverseSearch::default();
+    let said = |capture: &Capture| check(capture, &flow, &CheckOptions::default(), &Silent).unwrap();
+    let good = said(&truth);
+    println!("{good:?}");
+    assert_eq!((good.verdict, good.depth_error), (Verdict::Good, None));
+    let inverted = misread(truth.clone(), &|c| c.c2w = c.c2w.inverse());
+    assert_eq!(said(&inverted).causes, [Cause::Inverted]);
+    let turned = misread(truth, &|c| {
+        c.c2w.rotation.column_mut(1).neg_mut();
+        c.c2w.rotation.column_mut(2).neg_mut();
+    });
+    assert_eq!(said(&turned).causes, [Cause::Axes]);
+}
+
+#[test]
+fn a_camera_that_rests_says_nothing() {
+    let Some(truth) = scene() else { return };
+    let mut still = truth.clone();
+    still.frames = vec![truth.frames[0].clone(); 8];
+    let report = check(&still, &InverseSearch::default(), &CheckOptions::default(), &Silent).unwrap();
+    assert_eq!((report.verdict, report.causes.len()), (Verdict::Unknown, 0));
+}
