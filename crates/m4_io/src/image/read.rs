@@ -4,7 +4,7 @@ use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use m4_scene::{CompactDepth, CompactIds, CompactMask, Plane, RgbImage};
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Cursor};
 use std::path::Path;
 
 /// Longest side that is read, pixels: 16 times 1080p, and far under what overflows an index.
@@ -29,7 +29,11 @@ fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
         });
     }
     let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
-    let (width, height) = decoder.dimensions();
+    check_size(path, decoder.dimensions())?;
+    Ok(decoder)
+}
+
+fn check_size(path: &Path, (width, height): (u32, u32)) -> Result<(), ReadImageError> {
     if width > MAX_SIDE_PX || height > MAX_SIDE_PX {
         return Err(ReadImageError::TooLarge {
             path: path.to_path_buf(),
@@ -38,7 +42,7 @@ fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
             limit: MAX_SIDE_PX,
         });
     }
-    Ok(decoder)
+    Ok(())
 }
 
 fn decode(path: &Path) -> Result<DynamicImage, ReadImageError> {
@@ -147,14 +151,30 @@ pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadImageError
 ///
 /// [`ReadImageError`] if there is no such file or it is not a greyscale PNG: JPEG changes numbers.
 pub fn read_ids(path: &Path) -> Result<CompactIds, ReadImageError> {
+    ids(path, decode(path)?, is_png(path)?)
+}
+
+/// As [`read_ids`], of a file in memory; `path` is for messages.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if it is not a greyscale PNG.
+pub fn ids_of_bytes(path: &Path, bytes: &[u8]) -> Result<CompactIds, ReadImageError> {
+    let reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
+    let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
+    check_size(path, decoder.dimensions())?;
+    let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
+    ids(path, image, true)
+}
+
+fn ids(path: &Path, image: DynamicImage, is_png: bool) -> Result<CompactIds, ReadImageError> {
     let wrong = |found: String| ReadImageError::NotIds {
         path: path.to_path_buf(),
         found,
     };
-    let image = decode(path)?;
     let (width, height) = (image.width(), image.height());
     let numbers: Vec<u16> = match image {
-        DynamicImage::ImageLuma8(grey) if is_png(path)? => grey.into_raw().into_iter().map(u16::from).collect(),
+        DynamicImage::ImageLuma8(grey) if is_png => grey.into_raw().into_iter().map(u16::from).collect(),
         DynamicImage::ImageLuma16(grey) => grey.into_raw(),
         DynamicImage::ImageLuma8(_) => return Err(wrong("a JPEG image".to_owned())),
         other => return Err(wrong(format!("an image of type {:?}", other.color()))),

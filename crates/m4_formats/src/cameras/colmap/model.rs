@@ -146,7 +146,10 @@ impl Tables {
             });
         }
         Self {
-            cameras: (1..).zip(&lenses).map(|(id, lens)| ColmapCamera::pinhole(id, lens)).collect(),
+            cameras: (1..)
+                .zip(&lenses)
+                .map(|(id, lens)| ColmapCamera::pinhole(id, lens))
+                .collect(),
             images,
             points,
         }

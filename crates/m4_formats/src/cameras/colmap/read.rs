@@ -26,7 +26,13 @@ pub fn read(folder: &Path) -> Result<ColmapModel, ReadColmapError> {
         images,
         points,
     };
-    let file = || folder.join(if is_binary(folder) { "cameras.bin" } else { "cameras.txt" });
+    let file = || {
+        folder.join(if is_binary(folder) {
+            "cameras.bin"
+        } else {
+            "cameras.txt"
+        })
+    };
     tables.into_model().map_err(|fault| match fault {
         ModelFault::Camera(id, reason) => ReadColmapError::Damaged {
             path: file(),

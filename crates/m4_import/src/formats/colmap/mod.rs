@@ -1,0 +1,119 @@
+//! COLMAP's sparse models, text and binary, of COLMAP itself and of the many tools that write the same files.
+//!
+//! ```text
+//! PATH/sparse/0, PATH/sparse or PATH   cameras, images, each .bin or .txt; rigs, frames and points3D are not needed
+//! PATH/images, or options.pictures     the pictures by the names of `images`
+//!
+//! files -> m4_formats::cameras::colmap::read_tables -> lenses, poses -> frames in the natural order of their names
+//! ```
+//!
+//! **What is converted.** Poses are world to camera with a quaternion `w x y z` and OpenCV axes; they are inverted. Principal
+//! points are measured from the image's corner, as ours. Lenses of SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV,
+//! FULL_OPENCV, SIMPLE_FISHEYE, FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE and OPENCV_FISHEYE are undistorted. A sparse
+//! model has no clock: frames are evenly spaced in the order of their names. Its scale is arbitrary.
+//!
+//! Source: COLMAP's documentation, "Output Format" and "Camera Models"; the rigs of 3.12 and later leave `images` as it was.
+
+mod lens;
+
+use crate::core::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::parts::{clock, pictures};
+use m4_formats::cameras::colmap::{self, ColmapTables, ReadColmapError};
+use m4_io::video::natural;
+use m4_scene::Progress;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+/// Whether there is a sparse model in or at `path`.
+pub(super) fn detect(path: &Path) -> bool {
+    model_folder(path).is_some()
+}
+
+fn model_folder(path: &Path) -> Option<PathBuf> {
+    let folders = [path.join("sparse/0"), path.join("sparse"), path.to_path_buf()];
+    let is_model = |folder: &PathBuf| {
+        ["bin", "txt"].iter().any(|e| {
+            ["cameras", "images"]
+                .iter()
+                .all(|n| folder.join(format!("{n}.{e}")).is_file())
+        })
+    };
+    folders.into_iter().find(is_model)
+}
+
+/// The pictures: as the options say, else `images` beside the model or one or two folders up.
+fn picture_folder(model: &Path, options: &ImportOptions) -> Result<PathBuf, ReadSourceError> {
+    if let Some(folder) = &options.pictures {
+        return Ok(folder.clone());
+    }
+    let up = model.ancestors().take(3).map(|folder| folder.join("images"));
+    up.into_iter().find(|folder| folder.is_dir()).ok_or_else(|| {
+        SourceFault::missing("the folder `images`", "give the folder of the pictures (pictures)").at(model)
+    })
+}
+
+pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
+    clock::check(options).map_err(|fault| fault.at(path))?;
+    let folder = model_folder(path).ok_or_else(|| {
+        let remedy = "a folder with cameras and images, both .bin or both .txt, or one with sparse/0 is needed";
+        SourceFault::missing("a sparse model", remedy).at(path)
+    })?;
+    if path.join("sparse/1").is_dir() && folder.ends_with("sparse/0") {
+        progress.warn("there are several sparse models; the first (sparse/0) is read");
+    }
+    let ColmapTables { cameras, mut images } = colmap::read_tables(&folder).map_err(|e| fault(&folder, e))?;
+    let mut lenses = HashMap::new();
+    for camera in &cameras {
+        let k = lens::of(camera).map_err(|fault| fault.within(&folder, format!("camera {}", camera.id)))?;
+        lenses.entry(camera.id).or_insert(k);
+    }
+    let pictures_in = picture_folder(&folder, options)?;
+    images.sort_by(|a, b| natural(&a.name, &b.name));
+    let mut train = Vec::with_capacity(images.len());
+    for (i, image) in images.iter().enumerate() {
+        let at = |fault: SourceFault| fault.within(&folder, format!("image {} ({:?})", image.id, image.name));
+        let lens = lenses.get(&image.camera).ok_or_else(|| {
+            let what = format!("it was taken by camera {}, which is not there", image.camera);
+            at(SourceFault::bad(what, "export the model again"))
+        })?;
+        let c2w = image
+            .c2w()
+            .map_err(|what| at(SourceFault::bad(what, "export the model again")))?;
+        let file = pictures::below(&pictures_in, &image.name).map_err(at)?;
+        let picture = pictures::of_file(&file).map_err(at)?;
+        train.push(ListedFrame {
+            name: image.name.clone(),
+            lens: *lens,
+            c2w,
+            t: i as f64,
+            rgb: picture.rgb,
+            depth: None,
+            mask: None,
+            motion: None,
+            instances: None,
+            camera_index: None,
+        });
+    }
+    let time_frames = train.len();
+    Ok(Listing {
+        duration_s: clock::duration_s(time_frames, options, progress),
+        train,
+        test: Vec::new(),
+        time_frames,
+        metric: false,
+        tracks: None,
+    })
+}
+
+fn fault(folder: &Path, error: ReadColmapError) -> ReadSourceError {
+    let remedy = "the models that are read are listed in the documentation of `colmap`; `colmap model_converter` and \
+                  `colmap image_undistorter` make others";
+    match error {
+        ReadColmapError::Io { path, source } => SourceFault::Io(source).at(&path),
+        ReadColmapError::Damaged { path, place, reason } => {
+            SourceFault::bad(reason, "export the model again").within(&path, place)
+        }
+        ReadColmapError::Unsupported { path, what } => SourceFault::unsupported(what, remedy).at(&path),
+        other => SourceFault::bad(other.to_string(), "export the model again").at(folder),
+    }
+}
