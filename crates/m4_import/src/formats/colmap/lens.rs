@@ -57,3 +57,75 @@ pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, SourceFault> {
         .map_err(|what| SourceFault::bad(what, "export the model again"))?;
     Ok(lens)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::of;
+    use crate::core::Distortion;
+    use m4_formats::cameras::colmap::ColmapCamera;
+    use serde::Deserialize;
+
+    #[derive(Deserialize)]
+    struct Fixture {
+        points: Vec<[f64; 2]>,
+        models: Vec<Case>,
+        opencv: Vec<[f64; 2]>,
+        opencv_fisheye: Vec<[f64; 2]>,
+    }
+
+    #[derive(Deserialize)]
+    struct Case {
+        model: String,
+        parameters: Vec<f64>,
+        pixels: Vec<[f64; 2]>,
+    }
+
+    #[test]
+    fn every_model_bends_rays_as_pycolmap_and_opencv_do() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/import/clip/lenses.json");
+        let fixture: Fixture = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+        assert_eq!(fixture.models.len(), 11);
+        for case in &fixture.models {
+            let camera = ColmapCamera {
+                id: 1,
+                model: case.model.clone(),
+                width: 48,
+                height: 36,
+                parameters: case.parameters.clone(),
+            };
+            let lens = of(&camera).unwrap();
+            let pinhole = ["SIMPLE_PINHOLE", "PINHOLE"].contains(&case.model.as_str());
+            assert_eq!(lens.distortion == Distortion::None, pinhole, "{}", case.model);
+            let by_opencv = match case.model.as_str() {
+                "OPENCV" => Some(&fixture.opencv),
+                "OPENCV_FISHEYE" => Some(&fixture.opencv_fisheye),
+                _ => None,
+            };
+            assert_eq!(case.pixels.len(), fixture.points.len());
+            for pixels in [Some(&case.pixels), by_opencv].into_iter().flatten() {
+                for ([x, y], [u, v]) in fixture.points.iter().zip(pixels) {
+                    let [a, b] = lens.distortion.distorted(*x, *y);
+                    let k = lens.intrinsics;
+                    let off = (k.fx * a + k.cx - u).abs().max((k.fy * b + k.cy - v).abs());
+                    assert!(off < 1e-9, "{} at ({x}, {y}): {off:e}", case.model);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn other_models_and_sizes_are_refused() {
+        let camera = |model: &str, width, parameters: &[f64]| ColmapCamera {
+            id: 1,
+            model: model.into(),
+            width,
+            height: 36,
+            parameters: parameters.to_vec(),
+        };
+        let refused = |c: &ColmapCamera| of(c).unwrap_err().to_string();
+        assert!(refused(&camera("FOV", 48, &[50.0, 50.0, 24.0, 18.0, 0.9])).contains("FOV"));
+        assert!(refused(&camera("PINHOLE", 48, &[50.0, 24.0, 18.0])).contains("3 parameters"));
+        assert!(refused(&camera("PINHOLE", 1 << 40, &[50.0, 50.0, 24.0, 18.0])).contains("1099511627776 x 36"));
+        assert!(refused(&camera("PINHOLE", 48, &[50.0, f64::NAN, 24.0, 18.0])).contains("NaN"));
+    }
+}

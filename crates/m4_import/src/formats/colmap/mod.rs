@@ -30,7 +30,12 @@ pub(super) fn detect(path: &Path) -> bool {
 }
 
 fn model_folder(path: &Path) -> Option<PathBuf> {
-    let folders = [path.join("sparse/0"), path.join("sparse"), path.to_path_buf()];
+    let folders = [
+        path.join("sparse/0"),
+        path.join("sparse"),
+        path.join("0"),
+        path.to_path_buf(),
+    ];
     let is_model = |folder: &PathBuf| {
         ["bin", "txt"].iter().any(|e| {
             ["cameras", "images"]
