@@ -85,6 +85,21 @@ pub(crate) fn below(folder: &Path, name: &str) -> Result<PathBuf, SourceFault> {
     Ok(folder.join(name))
 }
 
+/// Refuses a picture of another size than its camera, before it is decoded.
+pub(crate) fn same_size(k: &Intrinsics, (width, height): (usize, usize)) -> Result<(), SourceFault> {
+    if (k.width, k.height) == (width, height) {
+        return Ok(());
+    }
+    let what = format!(
+        "its picture is {width} x {height} but its camera is of {} x {} pixels",
+        k.width, k.height
+    );
+    Err(SourceFault::bad(
+        what,
+        "give the pictures that the cameras were computed on",
+    ))
+}
+
 /// A lens that was computed on pictures of its own size, for the same picture at another: sides are scaled, nothing is cut off.
 pub(crate) fn scaled(k: &Intrinsics, (width, height): (usize, usize)) -> Result<Intrinsics, SourceFault> {
     let aspect = (width as f64 / k.width as f64) / (height as f64 / k.height as f64);

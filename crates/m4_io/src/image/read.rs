@@ -17,7 +17,8 @@ fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
         source,
     };
     let file = File::open(path).map_err(io)?;
-    if file.metadata().map_err(io)?.is_dir() {
+    let facts = file.metadata().map_err(io)?;
+    if facts.is_dir() {
         return Err(io(std::io::Error::from(std::io::ErrorKind::IsADirectory)));
     }
     let reader = ImageReader::new(BufReader::new(file))
@@ -28,9 +29,24 @@ fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
             path: path.to_path_buf(),
         });
     }
+    let is_png = reader.format() == Some(ImageFormat::Png);
     let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
     check_size(path, decoder.dimensions())?;
+    if is_png {
+        check_held(path, decoder.dimensions(), facts.len())?;
+    }
     Ok(decoder)
+}
+
+/// Refuses a PNG header with more pixels than its file can hold: deflate packs 1032 bytes into one, a pixel takes at least a bit.
+fn check_held(path: &Path, (width, height): (u32, u32), file_bytes: u64) -> Result<(), ReadImageError> {
+    if u64::from(width) * u64::from(height) <= file_bytes.saturating_mul(8 * 1032) {
+        return Ok(());
+    }
+    Err(ReadImageError::Damaged {
+        path: path.to_path_buf(),
+        reason: format!("{file_bytes} bytes cannot hold {width} x {height} pixels"),
+    })
 }
 
 fn check_size(path: &Path, (width, height): (u32, u32)) -> Result<(), ReadImageError> {
@@ -163,6 +179,7 @@ pub fn ids_of_bytes(path: &Path, bytes: &[u8]) -> Result<CompactIds, ReadImageEr
     let reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
     let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
     check_size(path, decoder.dimensions())?;
+    check_held(path, decoder.dimensions(), bytes.len() as u64)?;
     let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
     ids(path, image, true)
 }

@@ -86,6 +86,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             .map_err(|what| at(SourceFault::bad(what, "export the model again")))?;
         let file = pictures::below(&pictures_in, &image.name).map_err(at)?;
         let picture = pictures::of_file(&file).map_err(at)?;
+        pictures::same_size(&lens.intrinsics, picture.size).map_err(at)?;
         train.push(ListedFrame {
             name: image.name.clone(),
             lens: *lens,
