@@ -37,11 +37,20 @@ const SURE: f64 = 0.9;
 pub(super) fn detect(path: &Path) -> bool {
     ["pred_traj.txt", "pred_intrinsics.txt"]
         .iter()
-        .all(|name| path.join(name).is_file())
+        .all(|name| folder(path).join(name).is_file())
+}
+
+/// The folder, also of the trajectory in it.
+fn folder(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if path.file_name().is_some_and(|name| name == "pred_traj.txt") => parent,
+        _ => path,
+    }
 }
 
 pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
     clock::check(options).map_err(|fault| fault.at(path))?;
+    let path = folder(path);
     let poses_file = path.join("pred_traj.txt");
     let poses = table::read(&poses_file, |n| n == 8, "time x y z qw qx qy qz")?;
     let lens_file = path.join("pred_intrinsics.txt");

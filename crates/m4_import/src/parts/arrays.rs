@@ -1,13 +1,15 @@
 //! Arrays of an npz archive, by any of several names.
 
 use super::depth::{no_archive, of_array, plane};
-use super::pose;
+use super::{file, pose};
 use crate::core::{FrameSource, ImportOptions, ReadSourceError, SourceFault};
 use m4_io::npy::{Array, Npz, Number};
 use m4_math::Se3;
 use m4_scene::{CompactDepth, Intrinsics, Plane, Progress, RgbImage, Silent};
 use std::path::{Path, PathBuf};
 
+/// Bytes of an array of poses or lenses: a quarter of a million frames.
+const MAX_SMALL_BYTES: u64 = 16 << 20;
 /// Bytes a pixel of a decoded frame: colour and depth, and room for a mask.
 const BYTES_A_PIXEL: u64 = 8;
 
@@ -56,7 +58,8 @@ impl Arrays {
     pub fn numbers(&mut self, name: &'static str, rank: usize) -> Result<(Vec<usize>, Vec<f64>), ReadSourceError> {
         let at = self.at(name);
         let mut read = || -> Result<_, SourceFault> {
-            let mut array = self.array(name)?;
+            let array = self.npz.array(name, MAX_SMALL_BYTES).map_err(of_array)?;
+            let mut array = array.ok_or_else(|| SourceFault::missing("the array", "save it again"))?;
             let values = array.next_f64(array.shape.iter().product()).map_err(of_array)?;
             array.end().map_err(of_array)?;
             Ok((unbatched(&array.shape, rank).to_vec(), values))
@@ -280,13 +283,11 @@ pub(crate) fn lens_of_matrix(k: &[f64], (width, height): (usize, usize)) -> Resu
     })
 }
 
-/// The fault without the file: frames name it themselves.
+/// The fault with the file and the place in its words: frames name the source and themselves.
 pub(crate) fn inner(error: ReadSourceError) -> SourceFault {
-    match error.fault {
-        SourceFault::Bad { what, remedy } => {
-            let place = error.place.unwrap_or_default();
-            SourceFault::bad(format!("{}, {place}: {what}", error.path.display()), remedy)
-        }
-        other => other,
-    }
+    let file = match &error.place {
+        Some(place) => PathBuf::from(format!("{}, {place}", error.path.display())),
+        None => error.path,
+    };
+    file::named(&file, error.fault)
 }

@@ -17,6 +17,10 @@ const KEYS: [&str; 4] = ["depth", "depths", "depth_map", "arr_0"];
 /// Reads a z-depth map: a greyscale PNG of 16 bits, times `unit`; `.npy` `[h][w]` or `[h][w][1]`, `.npz` with such an array, and EXR
 /// with a channel Z, Y or R, times `float_unit`. What is no number or not above 0 is unknown.
 pub(crate) fn read(path: &Path, unit: f64, float_unit: f64) -> Result<CompactDepth, SourceFault> {
+    of_any(path, unit, float_unit).map_err(|fault| file::named(path, fault))
+}
+
+fn of_any(path: &Path, unit: f64, float_unit: f64) -> Result<CompactDepth, SourceFault> {
     let mut start = Vec::new();
     File::open(path)?.take(8).read_to_end(&mut start)?;
     if start.starts_with(b"\x93NUMPY") {

@@ -28,6 +28,18 @@ pub(crate) fn bytes(path: &Path, limit_bytes: u64) -> Result<Vec<u8>, SourceFaul
     Ok(bytes)
 }
 
+/// The fault with the file that it is of, for frames, which name the source and themselves.
+pub(crate) fn named(path: &Path, fault: SourceFault) -> SourceFault {
+    let of = |what: String| format!("{}: {what}", path.display());
+    match fault {
+        SourceFault::Io(e) => SourceFault::Io(io::Error::new(e.kind(), of(e.to_string()))),
+        SourceFault::Missing { what, remedy } => SourceFault::Missing { what: of(what), remedy },
+        SourceFault::Bad { what, remedy } => SourceFault::Bad { what: of(what), remedy },
+        SourceFault::Unsupported { what, remedy } => SourceFault::Unsupported { what: of(what), remedy },
+        other => other,
+    }
+}
+
 /// A text file.
 pub(crate) fn text(path: &Path) -> Result<String, ReadSourceError> {
     let bytes = bytes(path, MAX_TEXT_BYTES).map_err(|fault| fault.at(path))?;

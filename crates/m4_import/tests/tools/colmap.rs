@@ -23,6 +23,24 @@ fn text_and_binary_are_the_same_clip() {
 }
 
 #[test]
+fn pictures_without_a_pose_leave_a_gap_in_time() {
+    let dir = tempfile::tempdir().unwrap();
+    copy(&fixture("import/colmap_text"), dir.path());
+    let path = dir.path().join("sparse/0/images.txt");
+    let text = std::fs::read_to_string(&path).unwrap();
+    // two lines an image
+    let mut lines: Vec<&str> = text.lines().collect();
+    let at = lines.iter().position(|line| line.ends_with("00002.png")).unwrap();
+    lines.drain(at..at + 2);
+    std::fs::write(&path, lines.join("\n") + "\n").unwrap();
+    let got = m4_import::read(dir.path(), Colmap, &with_pictures(), &m4_scene::Silent)
+        .unwrap()
+        .train;
+    let times: Vec<f64> = got.frames.iter().map(|f| f.t).collect();
+    assert_eq!((times, got.time_frames), (vec![0.0, 1.0, 3.0, 4.0], 5));
+}
+
+#[test]
 fn what_is_missing_or_not_read_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path().join("model");

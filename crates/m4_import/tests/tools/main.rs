@@ -32,6 +32,7 @@ fn every_source_is_told_by_its_files() {
         ("import/da3_streaming", Da3),
         ("import/vggt/predictions.npz", Vggt),
         ("import/monst3r", Monst3r),
+        ("import/monst3r/pred_traj.txt", Monst3r),
         ("import/tum", Tum),
         ("import/tum/groundtruth.txt", Tum),
         ("import/kitti/poses.txt", Kitti),

@@ -10,7 +10,8 @@
 //! **What is converted.** Poses are world to camera with a quaternion `w x y z` and OpenCV axes; they are inverted. Principal
 //! points are measured from the image's corner, as ours. Lenses of SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV,
 //! FULL_OPENCV, SIMPLE_FISHEYE, FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE and OPENCV_FISHEYE are undistorted. A sparse
-//! model has no clock: frames are evenly spaced in the order of their names. Its scale is arbitrary.
+//! model has no clock: time is a frame's place among the pictures of its folder in the natural order of names, so that pictures that
+//! COLMAP could not register leave a gap; where pictures lie in several folders frames are evenly spaced. Its scale is arbitrary.
 //!
 //! Source: COLMAP's documentation, "Output Format" and "Camera Models"; the rigs of 3.12 and later leave `images` as it was.
 
@@ -18,7 +19,7 @@ mod lens;
 
 use crate::core::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::parts::{clock, pictures};
-use m4_formats::cameras::colmap::{self, ColmapTables, ReadColmapError};
+use m4_formats::cameras::colmap::{self, ColmapPose, ColmapTables, ReadColmapError};
 use m4_io::video::natural;
 use m4_scene::Progress;
 use std::collections::HashMap;
@@ -74,6 +75,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     }
     let pictures_in = picture_folder(&folder, options)?;
     images.sort_by(|a, b| natural(&a.name, &b.name));
+    let places = places(&pictures_in, &images);
     let mut train = Vec::with_capacity(images.len());
     for (i, image) in images.iter().enumerate() {
         let at = |fault: SourceFault| fault.within(&folder, format!("image {} ({:?})", image.id, image.name));
@@ -91,7 +93,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             name: image.name.clone(),
             lens: *lens,
             c2w,
-            t: i as f64,
+            t: places.as_ref().map_or(i as f64, |places| places.of[i] as f64),
             rgb: picture.rgb,
             depth: None,
             mask: None,
@@ -100,7 +102,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             camera_index: None,
         });
     }
-    let time_frames = train.len();
+    let time_frames = places.map_or(train.len(), |places| places.all);
     Ok(Listing {
         duration_s: clock::duration_s(time_frames, options, progress),
         train,
@@ -108,6 +110,28 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         time_frames,
         metric: false,
         tracks: None,
+    })
+}
+
+/// Where frames are in the folder that they were taken from.
+struct Places {
+    of: Vec<usize>,
+    all: usize,
+}
+
+/// The places of the images among all pictures of the folder; `None` where they lie in folders of that folder.
+fn places(folder: &Path, images: &[ColmapPose]) -> Option<Places> {
+    let files = m4_io::video::pictures(folder).ok()?;
+    let name = |file: &PathBuf| Some(file.file_name()?.to_str()?.to_owned());
+    let index: HashMap<String, usize> = files
+        .iter()
+        .enumerate()
+        .filter_map(|(i, f)| Some((name(f)?, i)))
+        .collect();
+    let of: Option<Vec<usize>> = images.iter().map(|image| index.get(&image.name).copied()).collect();
+    Some(Places {
+        of: of?,
+        all: files.len(),
     })
 }
 

@@ -59,7 +59,6 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
         );
         return Err(SourceFault::bad(what, "give a picture a pose").at(&file));
     }
-    let calib = folder.join("calib.txt");
     let times = folder.join("times.txt");
     let times_s = match times.is_file() {
         true => {
@@ -86,23 +85,20 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
             (t, clock::duration_s(time_frames, options, progress))
         }
     };
-    let metric = calib.is_file();
+    let mut metric = false;
+    let mut given = None;
     let mut train = Vec::with_capacity(time_frames);
     for ((row, picture), t) in rows.iter().zip(pictures.all).zip(t) {
         let mut c2w = pose::of_matrix("the matrix", &row.values).map_err(|fault| fault.within(&file, row.place()))?;
-        let lens = match lens::given(&folder, picture.size, options)? {
-            Some(lens) => lens,
-            None if metric => {
-                let projection = lens::kitti(&calib, camera, picture.size)?;
-                let to_zero = Se3 {
-                    rotation: Matrix3::identity(),
-                    translation: -projection.offset_m,
-                };
-                c2w = c2w.compose(&to_zero);
-                Lens::pinhole(projection.intrinsics)
-            }
-            None => return Err(lens::missing(&file, ", or calib.txt of the data set")),
+        let (lens, to_zero) = match given {
+            Some((size, lens)) if size == picture.size => lens,
+            _ => camera_of(&file, camera, picture.size, options)?,
         };
+        given = Some((picture.size, (lens, to_zero)));
+        metric |= to_zero.is_some();
+        if let Some(to_zero) = to_zero {
+            c2w = c2w.compose(&to_zero);
+        }
         train.push(ListedFrame {
             name: picture.name,
             lens,
@@ -124,4 +120,27 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
         metric,
         tracks: None,
     })
+}
+
+/// The lens of a camera, and with `calib.txt` of the data set the way from camera 0 to it, metres.
+fn camera_of(
+    trajectory: &Path,
+    camera: usize,
+    size: (usize, usize),
+    options: &ImportOptions,
+) -> Result<(Lens, Option<Se3<f64>>), ReadSourceError> {
+    let folder = trajectory.parent().unwrap_or(Path::new(""));
+    if let Some(lens) = lens::given(folder, size, options)? {
+        return Ok((lens, None));
+    }
+    let calib = folder.join("calib.txt");
+    if !calib.is_file() {
+        return Err(lens::missing(trajectory, ", or calib.txt of the data set"));
+    }
+    let projection = lens::kitti(&calib, camera, size)?;
+    let to_zero = Se3 {
+        rotation: Matrix3::identity(),
+        translation: -projection.offset_m,
+    };
+    Ok((Lens::pinhole(projection.intrinsics), Some(to_zero)))
 }

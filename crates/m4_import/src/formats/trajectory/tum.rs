@@ -2,7 +2,7 @@
 
 use super::associate::Stamped;
 use super::lens;
-use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::parts::pictures::{self, Picture};
 use crate::parts::table::{self, Row};
 use crate::parts::{clock, depth, pose};
@@ -48,11 +48,16 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     let depths = stamps.is_file().then(|| Stamped::read(&stamps)).transpose()?;
     let unit = options.depth_unit.unwrap_or(DEPTH_UNIT);
     let mut train = Vec::with_capacity(clip.frames.len());
+    let mut given: Option<((usize, usize), Lens)> = None;
     for ((row, picture), t) in clip.frames.into_iter().zip(&clip.t) {
         let v = &row.values;
         let c2w = pose::of_quaternion([v[1], v[2], v[3]], [v[7], v[4], v[5], v[6]]);
         let c2w = c2w.map_err(|fault| fault.within(&file, row.place()))?;
-        let lens = lens::given(&folder, picture.size, options)?.ok_or_else(|| lens::missing(&file, ""))?;
+        let lens = match given {
+            Some((size, lens)) if size == picture.size => lens,
+            _ => lens::given(&folder, picture.size, options)?.ok_or_else(|| lens::missing(&file, ""))?,
+        };
+        given = Some((picture.size, lens));
         let map = depths.as_ref().and_then(|all| all.at(v[0])).map(Path::to_path_buf);
         train.push(ListedFrame {
             name: picture.name,
