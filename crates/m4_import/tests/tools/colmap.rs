@@ -41,6 +41,24 @@ fn pictures_without_a_pose_leave_a_gap_in_time() {
 }
 
 #[test]
+fn names_may_begin_with_the_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    copy(&fixture("import/colmap_text/sparse/0"), dir.path());
+    copy(&fixture("import/clip/images"), &dir.path().join("images"));
+    let path = dir.path().join("images.txt");
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replace(" 7 0000", " 7 images/0000")).unwrap();
+    let got = m4_import::read(dir.path(), Colmap, &ImportOptions::default(), &m4_scene::Silent)
+        .unwrap()
+        .train;
+    Truth::read().same_cameras(&got, (0, 0.0));
+    assert_eq!(
+        (got.frames[4].name.as_str(), got.frames[4].t),
+        ("images/00004.png", 4.0)
+    );
+}
+
+#[test]
 fn what_is_missing_or_not_read_is_named() {
     let dir = tempfile::tempdir().unwrap();
     let here = dir.path().join("model");

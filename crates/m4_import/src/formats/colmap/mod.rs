@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! PATH/sparse/0, PATH/sparse or PATH   cameras, images, each .bin or .txt; rigs, frames and points3D are not needed
-//! PATH/images, or options.pictures     the pictures by the names of `images`
+//! PATH/images, or options.pictures     the pictures by the names of `images` (which may begin with `images/`)
 //!
 //! files -> m4_formats::cameras::colmap::read_tables -> lenses, poses -> frames in the natural order of their names
 //! ```
@@ -47,14 +47,21 @@ fn model_folder(path: &Path) -> Option<PathBuf> {
     folders.into_iter().find(is_model)
 }
 
-/// The pictures: as the options say, else `images` beside the model or one or two folders up.
-fn picture_folder(model: &Path, options: &ImportOptions) -> Result<PathBuf, ReadSourceError> {
+/// The folder that names start from: as the options say, else `images` beside the model or one or two folders up, or one of these
+/// folders themselves (ViPE's script writes names with `images/`), whichever has the first picture.
+fn picture_folder(model: &Path, images: &[ColmapPose], options: &ImportOptions) -> Result<PathBuf, ReadSourceError> {
     if let Some(folder) = &options.pictures {
         return Ok(folder.clone());
     }
-    let up = model.ancestors().take(3).map(|folder| folder.join("images"));
-    up.into_iter().find(|folder| folder.is_dir()).ok_or_else(|| {
-        SourceFault::missing("the folder `images`", "give the folder of the pictures (pictures)").at(model)
+    let first = images.first().map_or("", |image| image.name.as_str());
+    let up = || model.ancestors().take(3);
+    let folders = up()
+        .map(|folder| folder.join("images"))
+        .chain(up().map(Path::to_path_buf));
+    let has = |folder: &PathBuf| pictures::below(folder, first).is_ok_and(|file| file.is_file());
+    folders.into_iter().find(has).ok_or_else(|| {
+        let what = format!("the picture {first:?}, in a folder `images` beside the model or above it,");
+        SourceFault::missing(what, "give the folder of the pictures (pictures)").at(model)
     })
 }
 
@@ -73,8 +80,8 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         let k = lens::of(camera).map_err(|fault| fault.within(&folder, format!("camera {}", camera.id)))?;
         lenses.entry(camera.id).or_insert(k);
     }
-    let pictures_in = picture_folder(&folder, options)?;
     images.sort_by(|a, b| natural(&a.name, &b.name));
+    let pictures_in = picture_folder(&folder, &images, options)?;
     let places = places(&pictures_in, &images);
     let mut train = Vec::with_capacity(images.len());
     for (i, image) in images.iter().enumerate() {
@@ -119,16 +126,20 @@ struct Places {
     all: usize,
 }
 
-/// The places of the images among all pictures of the folder; `None` where they lie in folders of that folder.
+/// The places of the images among all pictures of their folder; `None` where they lie in several.
 fn places(folder: &Path, images: &[ColmapPose]) -> Option<Places> {
-    let files = m4_io::video::pictures(folder).ok()?;
-    let name = |file: &PathBuf| Some(file.file_name()?.to_str()?.to_owned());
-    let index: HashMap<String, usize> = files
+    let inner = Path::new(&images.first()?.name).parent()?;
+    let files = m4_io::video::pictures(&folder.join(inner)).ok()?;
+    let name = |file: &PathBuf| Some(inner.join(file.file_name()?));
+    let index: HashMap<PathBuf, usize> = files
         .iter()
         .enumerate()
         .filter_map(|(i, f)| Some((name(f)?, i)))
         .collect();
-    let of: Option<Vec<usize>> = images.iter().map(|image| index.get(&image.name).copied()).collect();
+    let of: Option<Vec<usize>> = images
+        .iter()
+        .map(|image| index.get(Path::new(&image.name)).copied())
+        .collect();
     Some(Places {
         of: of?,
         all: files.len(),
