@@ -263,7 +263,8 @@ def vipe(fresh, folder, text, images, depth, moving, c2w):
             half[depth[i] == 0] = np.nan
             name = os.path.join(path, f"{i:05}.exr")
             OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, {"Z": half}).write(name)
-            z.write(name, f"{i:05}.exr")
+            with open(name, "rb") as file:
+                z.writestr(zipfile.ZipInfo(f"{i:05}.exr"), file.read(), zipfile.ZIP_DEFLATED)
             os.remove(name)
     with zipfile.ZipFile(os.path.join(path, "mask/dog.zip"), "w", zipfile.ZIP_DEFLATED) as z:
         for i in range(N):
@@ -271,7 +272,7 @@ def vipe(fresh, folder, text, images, depth, moving, c2w):
             ids[:3] = 1  # the sky
             out = io.BytesIO()
             Image.fromarray(ids).save(out, "png")
-            z.writestr(f"{i:05}.png", out.getvalue())
+            z.writestr(zipfile.ZipInfo(f"{i:05}.png"), out.getvalue(), zipfile.ZIP_DEFLATED)
     text(os.path.join(path, "mask/dog.txt"), "1: sky\n2: dog\n")
 
 
@@ -323,11 +324,11 @@ def monst3r(fresh, text, png, images, depth, moving, c2w):
 def trajectories(fresh, folder, text, png, images, depth, c2w):
     path = fresh("tum")
     folder("tum", "rgb"), folder("tum", "depth")
-    # seconds that are not evenly spaced; a pose between two pictures, which no picture is near to
+    # seconds that are not evenly spaced; a pose between two pictures, which no picture is near to, and one that is near, but not nearest
     seconds = 1305031102.0 + np.array([0.0, 0.1, 0.2, 0.3, 0.5])
     between = np.eye(4)
-    poses = [*c2w, between]
-    when = np.array([*(seconds + 0.004), seconds[3] + 0.1])
+    poses = [*c2w, between, between]
+    when = np.array([*(seconds + 0.004), seconds[3] + 0.1, seconds[2] - 0.012])
     order = np.argsort(when)
     file_interface.write_tum_trajectory_file(
         os.path.join(path, "groundtruth.txt"), PoseTrajectory3D(poses_se3=[poses[i] for i in order], timestamps=when[order])

@@ -36,13 +36,23 @@ impl Stamped {
         Ok(Self(all))
     }
 
+    /// The files and their seconds, in order.
+    pub fn all(&self) -> &[(f64, PathBuf)] {
+        &self.0
+    }
+
     /// The file that is nearest to a moment, if one is near enough.
     pub fn at(&self, time: f64) -> Option<&Path> {
-        let after = self.0.partition_point(|(t, _)| *t < time);
-        let near = [after.checked_sub(1), Some(after)];
-        let apart = |k: usize| self.0.get(k).map(|(t, _)| (t - time).abs());
-        let nearest = near.into_iter().flatten().filter_map(|k| Some((apart(k)?, k)));
-        let (apart, k) = nearest.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        (apart <= MAX_APART_S).then(|| self.0[k].1.as_path())
+        nearest(&self.0, |(t, _)| *t, time).map(|k| self.0[k].1.as_path())
     }
+}
+
+/// Which of `all`, in order of time, is nearest to a moment, if one is near enough.
+pub fn nearest<T>(all: &[T], time_of: impl Fn(&T) -> f64, time: f64) -> Option<usize> {
+    let after = all.partition_point(|one| time_of(one) < time);
+    let near = [after.checked_sub(1), Some(after)];
+    let apart = |k: usize| all.get(k).map(|one| (time_of(one) - time).abs());
+    let candidates = near.into_iter().flatten().filter_map(|k| Some((apart(k)?, k)));
+    let (apart, k) = candidates.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    (apart <= MAX_APART_S).then_some(k)
 }

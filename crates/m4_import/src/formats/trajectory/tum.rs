@@ -1,6 +1,6 @@
 //! Trajectories of the TUM benchmark.
 
-use super::associate::Stamped;
+use super::associate::{Stamped, nearest};
 use super::lens;
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::parts::pictures::{self, Picture};
@@ -98,15 +98,13 @@ impl Clip {
     /// Pictures of the data set, each with the pose that is nearest.
     fn of_stamps(rows: &[Row], stamps: &Stamped, list: &Path) -> Result<Self, ReadSourceError> {
         let mut frames: Vec<(Row, Picture)> = Vec::new();
-        let mut last: Option<&Path> = None;
-        for row in rows {
-            // poses come faster than pictures: the first that is near enough is taken
-            let Some(picture) = stamps.at(row.values[0]).filter(|file| last != Some(*file)) else {
+        for (time, picture) in stamps.all() {
+            // poses come faster than pictures
+            let Some(k) = nearest(rows, |row| row.values[0], *time) else {
                 continue;
             };
-            last = Some(picture);
             let of_file = pictures::of_file(picture).map_err(|fault| fault.at(picture))?;
-            frames.push((row.clone(), of_file));
+            frames.push((rows[k].clone(), of_file));
         }
         if frames.is_empty() {
             let what = "no picture was taken within 20 ms of a pose";
