@@ -339,6 +339,8 @@ def trajectories(fresh, folder, text, png, images, depth, c2w):
         png(os.path.join(path, f"depth/{seconds[i]:.6f}.png"), (depth[i] * 5000).round().astype(np.uint16))
         rgb += f"{seconds[i]:.6f} rgb/{seconds[i]:.6f}.png\n"
         maps += f"{seconds[i] + 0.01:.6f} depth/{seconds[i]:.6f}.png\n"
+    # taken long after the last pose; the file is not even there
+    rgb += f"{seconds[-1] + 1:.6f} rgb/late.png\n"
     text(os.path.join(path, "rgb.txt"), rgb)
     text(os.path.join(path, "depth.txt"), maps)
     text(os.path.join(path, "intrinsics.txt"), f"{FX} {FY} {CX} {CY}\n")
