@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! formats/NAME     a file or folder -> Listing: lens, pose, time and the places of pictures, depth and masks of each frame
+//! parts/           what several formats read: tables of numbers, arrays, poses, pictures, depth maps, time
 //! core/load        Listing -> Capture: everything decoded in parallel within a limit of memory, distortion removed
 //! ```
 //!
@@ -15,6 +16,7 @@
 pub mod formats;
 
 mod core;
+mod parts;
 
 pub use core::{
     Distortion, FrameSource, ImportOptions, Imported, Lens, ListedFrame, Listing, ReadSourceError, SourceFault, load,

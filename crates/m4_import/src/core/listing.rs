@@ -4,6 +4,7 @@ use super::{Lens, SourceFault};
 use m4_math::Se3;
 use m4_scene::{Capture, CompactDepth, CompactIds, CompactMask, Plane, RgbImage, Tracks};
 use std::fmt;
+use std::sync::Mutex;
 
 /// How to get one picture, map or mask when its turn comes; called from several threads, once.
 pub struct FrameSource<T>(Box<dyn Fn() -> Result<T, SourceFault> + Send + Sync>);
@@ -12,6 +13,18 @@ impl<T> FrameSource<T> {
     /// From a function.
     pub fn new(get: impl Fn() -> Result<T, SourceFault> + Send + Sync + 'static) -> Self {
         Self(Box::new(get))
+    }
+
+    /// Of what is already in memory. It is given out once.
+    pub fn held(value: T) -> Self
+    where
+        T: Send + 'static,
+    {
+        let held = Mutex::new(Some(value));
+        Self::new(move || {
+            let taken = held.lock().ok().and_then(|mut held| held.take());
+            taken.ok_or_else(|| SourceFault::bad("a picture or map was asked for twice", "list the source again"))
+        })
     }
 
     /// Reads and decodes it.

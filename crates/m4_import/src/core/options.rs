@@ -12,13 +12,15 @@ pub struct ImportOptions {
     pub fps: Option<f64>,
     /// Folder or video of the pictures, for sources that bring poses alone; `None` looks where the format has them.
     pub pictures: Option<PathBuf>,
+    /// Focal length of the pictures, pixels, for sources that bring no lens; the principal point is then their centre.
+    pub focal_px: Option<f64>,
     /// Folder of depth maps, one a frame in the order of names (PNG of 16 bits, EXR, PFM, npy), or an npz file.
     pub depth: Option<PathBuf>,
     /// Scene units a step of 16-bit depth maps; `None` takes what the format says, or 0.001.
     pub depth_unit: Option<f64>,
     /// Folder of masks, one a frame in the order of names.
     pub masks: Option<PathBuf>,
-    /// Masks are 0 where things move.
+    /// Masks mean the opposite of what the format says (of formats that say nothing: 255 where things move).
     pub invert_masks: bool,
     /// File of tracks (npz of TAPIP3D, SpatialTracker, CoTracker).
     pub tracks: Option<PathBuf>,
@@ -37,6 +39,7 @@ impl Default for ImportOptions {
         Self {
             fps: None,
             pictures: None,
+            focal_px: None,
             depth: None,
             depth_unit: None,
             masks: None,

@@ -1,5 +1,16 @@
 //! One folder a format, and which one a path is of.
 
+mod colmap;
+mod da3;
+mod dump;
+mod megasam;
+mod monst3r;
+mod nerfstudio;
+mod trajectory;
+mod vggt;
+mod vipe;
+mod zipped;
+
 use crate::core::{ImportOptions, Imported, Listing, ReadSourceError, load};
 use m4_scene::Progress;
 use serde::{Deserialize, Serialize};
@@ -9,7 +20,27 @@ use std::path::Path;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
-pub enum SourceFormat {}
+pub enum SourceFormat {
+    /// COLMAP's sparse model with its pictures.
+    Colmap,
+    /// `transforms.json` of nerfstudio, Blender, Instant4D, and our own captures.
+    Nerfstudio,
+    /// Artifacts of ViPE.
+    Vipe,
+    /// Depth Anything 3 and DA3-Streaming.
+    Da3,
+    /// Archives of VGGT and networks that name their arrays alike.
+    Vggt,
+    /// Folders of MonST3R.
+    #[serde(rename = "monst3r")]
+    Monst3r,
+    /// Files of MegaSaM.
+    Megasam,
+    /// Trajectories of the TUM benchmark.
+    Tum,
+    /// Trajectories of KITTI.
+    Kitti,
+}
 
 /// What is known of one format.
 struct Row {
@@ -21,7 +52,62 @@ struct Row {
 }
 
 /// In the order in which they are tried: the special before the general.
-const ROWS: &[Row] = &[];
+const ROWS: &[Row] = &[
+    Row {
+        format: SourceFormat::Colmap,
+        name: "colmap",
+        detect: colmap::detect,
+        list: colmap::list,
+    },
+    Row {
+        format: SourceFormat::Nerfstudio,
+        name: "nerfstudio",
+        detect: nerfstudio::detect,
+        list: nerfstudio::list,
+    },
+    Row {
+        format: SourceFormat::Vipe,
+        name: "vipe",
+        detect: vipe::detect,
+        list: vipe::list,
+    },
+    Row {
+        format: SourceFormat::Da3,
+        name: "da3",
+        detect: da3::detect,
+        list: da3::list,
+    },
+    Row {
+        format: SourceFormat::Megasam,
+        name: "megasam",
+        detect: megasam::detect,
+        list: megasam::list,
+    },
+    Row {
+        format: SourceFormat::Vggt,
+        name: "vggt",
+        detect: vggt::detect,
+        list: vggt::list,
+    },
+    Row {
+        format: SourceFormat::Monst3r,
+        name: "monst3r",
+        detect: monst3r::detect,
+        list: monst3r::list,
+    },
+    Row {
+        format: SourceFormat::Tum,
+        name: "tum",
+        detect: trajectory::detect_tum,
+        list: trajectory::list_tum,
+    },
+    Row {
+        format: SourceFormat::Kitti,
+        name: "kitti",
+        detect: trajectory::detect_kitti,
+        list: trajectory::list_kitti,
+    },
+];
 
 impl SourceFormat {
     /// All of them.

@@ -38,6 +38,7 @@ mod write;
 pub use axes::Axes;
 pub use error::{ReadCaptureError, WriteCaptureError};
 pub use options::{CaptureOptions, Split};
+pub use pose::{Pose, PoseFault};
 pub use read::read;
 pub use write::write;
 
@@ -45,4 +46,3 @@ pub use write::write;
 pub const TRACKS_FILE: &str = "tracks.npz";
 
 pub(crate) use json::Lens;
-pub(crate) use pose::Pose;

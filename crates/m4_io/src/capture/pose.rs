@@ -9,28 +9,54 @@ const EXACT_WITHIN: f64 = 1e-6;
 
 /// Why a matrix is no pose.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum PoseFault {
     /// Not 4 rows (or 3, without the last) of 4 numbers.
     #[error("has {rows} rows of {columns} numbers where 4 rows of 4 were expected")]
-    Shape { rows: usize, columns: usize },
+    Shape {
+        /// How many there are.
+        rows: usize,
+        /// Length of the first that is not 4 long.
+        columns: usize,
+    },
     /// NaN or infinity.
     #[error("holds {value} in row {row}, column {column}")]
-    NotFinite { row: usize, column: usize, value: f64 },
+    NotFinite {
+        /// Counted from 0.
+        row: usize,
+        /// Counted from 0.
+        column: usize,
+        /// What is there.
+        value: f64,
+    },
     /// The last row is not `0 0 0 1`.
     #[error("ends with the row {row:?} where [0, 0, 0, 1] was expected (is it transposed?)")]
-    LastRow { row: [f64; 4] },
+    LastRow {
+        /// What is there.
+        row: [f64; 4],
+    },
     /// Scaled, sheared or mirrored.
     #[error(
         "is not a rotation and a translation: its upper left 3x3 part has determinant {determinant:.6} (1 was expected) and its columns differ from orthonormal by {off:.2e}"
     )]
-    NotRotation { determinant: f64, off: f64 },
+    NotRotation {
+        /// Of the upper left 3x3 part.
+        determinant: f64,
+        /// Largest entry of `R^T R - I`.
+        off: f64,
+    },
 }
 
 /// A checked rigid motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose(pub Se3<f64>);
 
 impl Pose {
-    /// Takes rows of a 4x4 (or 3x4) matrix.
+    /// Takes rows of a 4x4 (or 3x4) matrix. A rotation that is off by what printing with few digits does is made orthonormal.
+    ///
+    /// # Errors
+    ///
+    /// [`PoseFault`], in words that follow the name of the matrix.
     pub fn from_rows<R: AsRef<[f64]>>(rows: &[R]) -> Result<Self, PoseFault> {
         let width = rows.iter().map(|r| r.as_ref().len()).find(|&n| n != 4).unwrap_or(4);
         if !(3..=4).contains(&rows.len()) || width != 4 {

@@ -4,7 +4,7 @@ use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use m4_scene::{CompactDepth, CompactIds, CompactMask, Plane, RgbImage};
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Cursor};
 use std::path::Path;
 
 /// Longest side that is read, pixels: 16 times 1080p, and far under what overflows an index.
@@ -17,7 +17,8 @@ fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
         source,
     };
     let file = File::open(path).map_err(io)?;
-    if file.metadata().map_err(io)?.is_dir() {
+    let facts = file.metadata().map_err(io)?;
+    if facts.is_dir() {
         return Err(io(std::io::Error::from(std::io::ErrorKind::IsADirectory)));
     }
     let reader = ImageReader::new(BufReader::new(file))
@@ -28,8 +29,27 @@ fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
             path: path.to_path_buf(),
         });
     }
+    let is_png = reader.format() == Some(ImageFormat::Png);
     let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
-    let (width, height) = decoder.dimensions();
+    check_size(path, decoder.dimensions())?;
+    if is_png {
+        check_held(path, decoder.dimensions(), facts.len())?;
+    }
+    Ok(decoder)
+}
+
+/// Refuses a PNG header with more pixels than its file can hold: deflate packs 1032 bytes into one, a pixel takes at least a bit.
+fn check_held(path: &Path, (width, height): (u32, u32), file_bytes: u64) -> Result<(), ReadImageError> {
+    if u64::from(width) * u64::from(height) <= file_bytes.saturating_mul(8 * 1032) {
+        return Ok(());
+    }
+    Err(ReadImageError::Damaged {
+        path: path.to_path_buf(),
+        reason: format!("{file_bytes} bytes cannot hold {width} x {height} pixels"),
+    })
+}
+
+fn check_size(path: &Path, (width, height): (u32, u32)) -> Result<(), ReadImageError> {
     if width > MAX_SIDE_PX || height > MAX_SIDE_PX {
         return Err(ReadImageError::TooLarge {
             path: path.to_path_buf(),
@@ -38,7 +58,7 @@ fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
             limit: MAX_SIDE_PX,
         });
     }
-    Ok(decoder)
+    Ok(())
 }
 
 fn decode(path: &Path) -> Result<DynamicImage, ReadImageError> {
@@ -147,14 +167,31 @@ pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadImageError
 ///
 /// [`ReadImageError`] if there is no such file or it is not a greyscale PNG: JPEG changes numbers.
 pub fn read_ids(path: &Path) -> Result<CompactIds, ReadImageError> {
+    ids(path, decode(path)?, is_png(path)?)
+}
+
+/// As [`read_ids`], of a file in memory; `path` is for messages.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if it is not a greyscale PNG.
+pub fn ids_of_bytes(path: &Path, bytes: &[u8]) -> Result<CompactIds, ReadImageError> {
+    let reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
+    let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
+    check_size(path, decoder.dimensions())?;
+    check_held(path, decoder.dimensions(), bytes.len() as u64)?;
+    let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
+    ids(path, image, true)
+}
+
+fn ids(path: &Path, image: DynamicImage, is_png: bool) -> Result<CompactIds, ReadImageError> {
     let wrong = |found: String| ReadImageError::NotIds {
         path: path.to_path_buf(),
         found,
     };
-    let image = decode(path)?;
     let (width, height) = (image.width(), image.height());
     let numbers: Vec<u16> = match image {
-        DynamicImage::ImageLuma8(grey) if is_png(path)? => grey.into_raw().into_iter().map(u16::from).collect(),
+        DynamicImage::ImageLuma8(grey) if is_png => grey.into_raw().into_iter().map(u16::from).collect(),
         DynamicImage::ImageLuma16(grey) => grey.into_raw(),
         DynamicImage::ImageLuma8(_) => return Err(wrong("a JPEG image".to_owned())),
         other => return Err(wrong(format!("an image of type {:?}", other.color()))),

@@ -31,6 +31,12 @@ impl Npz {
         })
     }
 
+    /// Whether it has an array of that name.
+    #[must_use]
+    pub fn has(&self, name: &str) -> bool {
+        self.zip.index_for_name(&format!("{name}.npy")).is_some()
+    }
+
     /// Names of its first arrays, for messages.
     pub fn names(&self) -> String {
         let names: Vec<String> = self

@@ -1,10 +1,29 @@
 //! The three tables as binary files.
 
-use super::model::{CameraRow, ColmapPoint, ImageRow, lens};
+use super::model::{ColmapCamera, ColmapPoint, ColmapPose};
 use std::io::{self, Write};
 
-/// COLMAP's numbers of the models that are read, with their names and parameters.
-const MODELS: [(i32, &str, usize); 2] = [(0, "SIMPLE_PINHOLE", 3), (1, "PINHOLE", 4)];
+/// COLMAP's models in the order of their numbers, each with how many parameters it has (`colmap/sensor/models.h`, 4.2).
+const MODELS: [(&str, usize); 18] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
+];
 
 /// Why a file could not be parsed, and where: line or byte.
 #[derive(Debug, PartialEq)]
@@ -13,19 +32,21 @@ pub enum Fault {
     Unsupported(String),
 }
 
-pub fn write_cameras(out: &mut impl Write, rows: &[CameraRow]) -> io::Result<()> {
+pub fn write_cameras(out: &mut impl Write, rows: &[ColmapCamera]) -> io::Result<()> {
     out.write_all(&(rows.len() as u64).to_le_bytes())?;
-    for CameraRow { id, lens } in rows {
-        out.write_all(&id.to_le_bytes())?;
-        out.write_all(&1i32.to_le_bytes())?;
-        out.write_all(&(lens.width as u64).to_le_bytes())?;
-        out.write_all(&(lens.height as u64).to_le_bytes())?;
-        numbers(out, &[lens.fx, lens.fy, lens.cx, lens.cy])?;
+    for row in rows {
+        let model = MODELS.iter().position(|(name, _)| *name == row.model);
+        let model = model.ok_or_else(|| io::Error::other(format!("{} is no model of COLMAP", row.model)))?;
+        out.write_all(&row.id.to_le_bytes())?;
+        out.write_all(&(model as i32).to_le_bytes())?;
+        out.write_all(&row.width.to_le_bytes())?;
+        out.write_all(&row.height.to_le_bytes())?;
+        numbers(out, &row.parameters)?;
     }
     Ok(())
 }
 
-pub fn write_images(out: &mut impl Write, rows: &[ImageRow]) -> io::Result<()> {
+pub fn write_images(out: &mut impl Write, rows: &[ColmapPose]) -> io::Result<()> {
     out.write_all(&(rows.len() as u64).to_le_bytes())?;
     for row in rows {
         out.write_all(&row.id.to_le_bytes())?;
@@ -55,24 +76,29 @@ fn numbers(out: &mut impl Write, values: &[f64]) -> io::Result<()> {
     values.iter().try_for_each(|v| out.write_all(&v.to_le_bytes()))
 }
 
-pub fn read_cameras(bytes: &[u8]) -> Result<Vec<CameraRow>, Fault> {
+pub fn read_cameras(bytes: &[u8]) -> Result<Vec<ColmapCamera>, Fault> {
     let mut from = Cursor { bytes, at: 0 };
     let count = from.u64()?;
     let mut rows = Vec::new();
     for _ in 0..count {
         let (id, model) = (from.u32()?, from.u32()? as i32);
         let (width, height) = (from.u64()?, from.u64()?);
-        let known = MODELS.iter().find(|(number, _, _)| *number == model);
-        let &(_, name, len) = known.ok_or_else(|| Fault::Unsupported(format!("model {model}")))?;
+        let known = usize::try_from(model).ok().and_then(|k| MODELS.get(k));
+        let &(name, len) = known.ok_or_else(|| Fault::Unsupported(format!("model {model}")))?;
         let parameters: Vec<f64> = (0..len).map(|_| from.f64()).collect::<Result<_, _>>()?;
-        let lens = lens(name, width, height, &parameters).map_err(|reason| from.damaged(reason))?;
-        rows.push(CameraRow { id, lens });
+        rows.push(ColmapCamera {
+            id,
+            model: name.to_owned(),
+            width,
+            height,
+            parameters,
+        });
     }
     from.end()?;
     Ok(rows)
 }
 
-pub fn read_images(bytes: &[u8]) -> Result<Vec<ImageRow>, Fault> {
+pub fn read_images(bytes: &[u8]) -> Result<Vec<ColmapPose>, Fault> {
     let mut from = Cursor { bytes, at: 0 };
     let count = from.u64()?;
     let mut rows = Vec::new();
@@ -84,7 +110,7 @@ pub fn read_images(bytes: &[u8]) -> Result<Vec<ImageRow>, Fault> {
         let name = from.name()?;
         let seen = from.u64()?;
         from.skip(seen, 24)?;
-        rows.push(ImageRow {
+        rows.push(ColmapPose {
             id,
             rotation,
             translation,

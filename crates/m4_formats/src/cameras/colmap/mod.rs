@@ -9,6 +9,8 @@
 //!                                                      (unknown), no track
 //! ```
 //!
+//! [`read`] takes models of pinholes; [`read_tables`] gives the lenses of all models as they are, for who can undistort pictures.
+//!
 //! In binary files counts are u64, identifiers of cameras and images u32, numbers f64, all little-endian.
 //! The names of the folders are the caller's (COLMAP's own is `sparse/0`). Rigs and frames, which
 //! COLMAP 3.12 added, are left to it: it makes the trivial ones where the files are missing.
@@ -23,6 +25,6 @@ mod text;
 mod write;
 
 pub use error::{ReadColmapError, WriteColmapError};
-pub use model::{ColmapImage, ColmapModel, ColmapPoint};
-pub use read::read;
+pub use model::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, ColmapPose, ColmapTables};
+pub use read::{read, read_tables};
 pub use write::{ColmapEncoding, ColmapOptions, write};

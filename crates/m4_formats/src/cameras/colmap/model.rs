@@ -3,6 +3,10 @@
 use m4_math::Se3;
 use m4_math::nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use m4_scene::{Camera, Intrinsics};
+use std::collections::HashMap;
+
+/// Models without distortion.
+const PINHOLES: [&str; 2] = ["SIMPLE_PINHOLE", "PINHOLE"];
 
 /// A picture of a sparse model.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,48 +35,109 @@ pub struct ColmapModel {
     pub points: Vec<ColmapPoint>,
 }
 
-/// A line of `cameras`.
+/// A line of `cameras`: a lens of any of COLMAP's models, as the file has it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CameraRow {
+pub struct ColmapCamera {
+    /// Identifier that images refer to.
     pub id: u32,
-    pub lens: Intrinsics,
+    /// COLMAP's name of the model, such as `OPENCV`.
+    pub model: String,
+    /// Columns of the pictures.
+    pub width: u64,
+    /// Rows of the pictures.
+    pub height: u64,
+    /// Focal lengths and principal point in pixels (from the picture's corner), then distortion, in the order of the model.
+    pub parameters: Vec<f64>,
 }
 
-/// A line of `images`.
+impl ColmapCamera {
+    /// A pinhole.
+    pub(super) fn pinhole(id: u32, lens: &Intrinsics) -> Self {
+        Self {
+            id,
+            model: "PINHOLE".into(),
+            width: lens.width as u64,
+            height: lens.height as u64,
+            parameters: vec![lens.fx, lens.fy, lens.cx, lens.cy],
+        }
+    }
+}
+
+/// A line of `images`: a picture with its pose, as the file has it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ImageRow {
+pub struct ColmapPose {
+    /// Identifier of the image.
     pub id: u32,
-    /// `(w, x, y, z)`, world to camera.
+    /// `(w, x, y, z)`, world to camera, OpenCV axes.
     pub rotation: [f64; 4],
+    /// World to camera.
     pub translation: [f64; 3],
+    /// Identifier of its camera.
     pub camera: u32,
+    /// File name, relative to the folder of pictures.
     pub name: String,
+}
+
+impl ColmapPose {
+    /// Camera to world, OpenCV axes; what is wrong with the numbers where they are no pose.
+    ///
+    /// # Errors
+    ///
+    /// The image and its numbers.
+    pub fn c2w(&self) -> Result<Se3<f64>, String> {
+        let w2c = pose(self).ok_or_else(|| {
+            format!(
+                "image {} ({:?}) has the pose {:?} {:?}; a rotation and a place were expected",
+                self.id, self.name, self.rotation, self.translation
+            )
+        })?;
+        Ok(w2c.inverse())
+    }
+}
+
+/// The cameras and poses of a sparse model, as the files have them.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ColmapTables {
+    /// In the order of the file.
+    pub cameras: Vec<ColmapCamera>,
+    /// In the order of the file.
+    pub images: Vec<ColmapPose>,
 }
 
 /// The three files.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Tables {
-    pub cameras: Vec<CameraRow>,
-    pub images: Vec<ImageRow>,
+    pub cameras: Vec<ColmapCamera>,
+    pub images: Vec<ColmapPose>,
     pub points: Vec<ColmapPoint>,
+}
+
+/// Why tables are no model of pinholes.
+pub enum ModelFault {
+    /// A lens that is none.
+    Camera(u32, String),
+    /// A lens of another model.
+    Unsupported(String),
+    /// The files contradict each other.
+    Inconsistent(String),
 }
 
 impl Tables {
     /// Tables of cameras: equal lenses become one camera, identifiers count from 1.
     pub fn new(cameras: &[Camera], names: Vec<String>, points: Vec<ColmapPoint>) -> Self {
-        let mut lenses: Vec<CameraRow> = Vec::new();
+        let mut lenses: Vec<Intrinsics> = Vec::new();
         let mut images = Vec::with_capacity(cameras.len());
         for (i, (camera, name)) in cameras.iter().zip(names).enumerate() {
             let lens = camera.intrinsics;
-            let known = lenses.iter().find(|row| row.lens == lens).map(|row| row.id);
+            let known = lenses.iter().position(|k| *k == lens);
             let id = known.unwrap_or_else(|| {
-                let id = lenses.len() as u32 + 1;
-                lenses.push(CameraRow { id, lens });
-                id
-            });
+                lenses.push(lens);
+                lenses.len() - 1
+            }) as u32
+                + 1;
             let w2c = camera.w2c();
             let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(w2c.rotation));
-            images.push(ImageRow {
+            images.push(ColmapPose {
                 id: i as u32 + 1,
                 rotation: [q.w, q.i, q.j, q.k],
                 translation: w2c.translation.into(),
@@ -81,41 +146,44 @@ impl Tables {
             });
         }
         Self {
-            cameras: lenses,
+            cameras: (1..)
+                .zip(&lenses)
+                .map(|(id, lens)| ColmapCamera::pinhole(id, lens))
+                .collect(),
             images,
             points,
         }
     }
 
-    /// The model; what is wrong with the tables where they are none.
-    pub fn into_model(mut self) -> Result<ColmapModel, String> {
+    /// The model, all of pinholes; what is wrong with the tables where they are none.
+    pub fn into_model(mut self) -> Result<ColmapModel, ModelFault> {
         self.images.sort_by_key(|row| row.id);
+        let mut lenses = HashMap::new();
+        for camera in &self.cameras {
+            if !PINHOLES.contains(&camera.model.as_str()) {
+                return Err(ModelFault::Unsupported(format!("model {}", camera.model)));
+            }
+            let k = lens(&camera.model, camera.width, camera.height, &camera.parameters);
+            let k = k.map_err(|reason| ModelFault::Camera(camera.id, reason))?;
+            lenses.entry(camera.id).or_insert(k);
+        }
         let mut images = Vec::with_capacity(self.images.len());
         for row in self.images {
-            let lens = self.cameras.iter().find(|c| c.id == row.camera);
-            let lens = lens.ok_or_else(|| {
-                format!(
+            let lens = lenses.get(&row.camera).ok_or_else(|| {
+                ModelFault::Inconsistent(format!(
                     "image {} ({:?}) was taken by camera {}, which is not there",
                     row.id, row.name, row.camera
-                )
+                ))
             })?;
-            let w2c = pose(&row).ok_or_else(|| {
-                format!(
-                    "image {} ({:?}) has the pose {:?} {:?}; a rotation and a place were expected",
-                    row.id, row.name, row.rotation, row.translation
-                )
-            })?;
+            let c2w = row.c2w().map_err(ModelFault::Inconsistent)?;
             images.push(ColmapImage {
                 name: row.name,
-                camera: Camera {
-                    intrinsics: lens.lens,
-                    c2w: w2c.inverse(),
-                },
+                camera: Camera { intrinsics: *lens, c2w },
             });
         }
         if let Some((i, p)) = (self.points.iter().enumerate()).find(|(_, p)| !p.position.iter().all(|v| v.is_finite()))
         {
-            return Err(format!("point {i} lies at {:?}", p.position));
+            return Err(ModelFault::Inconsistent(format!("point {i} lies at {:?}", p.position)));
         }
         Ok(ColmapModel {
             images,
@@ -125,7 +193,7 @@ impl Tables {
 }
 
 /// World to camera; `None` where the numbers are no pose.
-fn pose(row: &ImageRow) -> Option<Se3<f64>> {
+fn pose(row: &ColmapPose) -> Option<Se3<f64>> {
     let [w, x, y, z] = row.rotation;
     let q = Quaternion::new(w, x, y, z);
     let numbers = row.translation.iter().all(|v| v.is_finite());
@@ -140,7 +208,7 @@ fn pose(row: &ImageRow) -> Option<Se3<f64>> {
 }
 
 /// Parameters of the models that are read, as many as the file has; what is wrong with them.
-pub fn lens(model: &str, width: u64, height: u64, parameters: &[f64]) -> Result<Intrinsics, String> {
+fn lens(model: &str, width: u64, height: u64, parameters: &[f64]) -> Result<Intrinsics, String> {
     let (fx, fy, cx, cy) = match (model, parameters) {
         ("PINHOLE", &[fx, fy, cx, cy]) => (fx, fy, cx, cy),
         ("SIMPLE_PINHOLE", &[f, cx, cy]) => (f, f, cx, cy),

@@ -2,7 +2,7 @@
 
 use super::binary::{self, Fault};
 use super::error::ReadColmapError;
-use super::model::{ColmapModel, Tables};
+use super::model::{ColmapModel, ColmapTables, ModelFault, Tables};
 use super::text;
 use crate::file::load;
 use std::path::Path;
@@ -15,24 +15,59 @@ use std::path::Path;
 ///
 /// [`ReadColmapError`], which names the file and the line or byte at fault.
 pub fn read(folder: &Path) -> Result<ColmapModel, ReadColmapError> {
-    let is_binary = folder.join("cameras.bin").exists();
-    let tables = if is_binary {
-        Tables {
+    let ColmapTables { cameras, images } = read_tables(folder)?;
+    let points = if is_binary(folder) {
+        parse(&folder.join("points3D.bin"), binary::read_points)?
+    } else {
+        parse(&folder.join("points3D.txt"), utf8(text::read_points))?
+    };
+    let tables = Tables {
+        cameras,
+        images,
+        points,
+    };
+    let file = || {
+        folder.join(if is_binary(folder) {
+            "cameras.bin"
+        } else {
+            "cameras.txt"
+        })
+    };
+    tables.into_model().map_err(|fault| match fault {
+        ModelFault::Camera(id, reason) => ReadColmapError::Damaged {
+            path: file(),
+            place: format!("camera {id}"),
+            reason,
+        },
+        ModelFault::Unsupported(what) => ReadColmapError::Unsupported { path: file(), what },
+        ModelFault::Inconsistent(reason) => ReadColmapError::Inconsistent {
+            path: folder.to_path_buf(),
+            reason,
+        },
+    })
+}
+
+/// Reads `cameras` and `images` of a folder as they are, lenses of every model: the binary files where they are, else the text.
+///
+/// # Errors
+///
+/// [`ReadColmapError`], which names the file and the line or byte at fault.
+pub fn read_tables(folder: &Path) -> Result<ColmapTables, ReadColmapError> {
+    Ok(if is_binary(folder) {
+        ColmapTables {
             cameras: parse(&folder.join("cameras.bin"), binary::read_cameras)?,
             images: parse(&folder.join("images.bin"), binary::read_images)?,
-            points: parse(&folder.join("points3D.bin"), binary::read_points)?,
         }
     } else {
-        Tables {
+        ColmapTables {
             cameras: parse(&folder.join("cameras.txt"), utf8(text::read_cameras))?,
             images: parse(&folder.join("images.txt"), utf8(text::read_images))?,
-            points: parse(&folder.join("points3D.txt"), utf8(text::read_points))?,
         }
-    };
-    tables.into_model().map_err(|reason| ReadColmapError::Inconsistent {
-        path: folder.to_path_buf(),
-        reason,
     })
+}
+
+fn is_binary(folder: &Path) -> bool {
+    folder.join("cameras.bin").exists()
 }
 
 fn utf8<T>(parse: impl Fn(&str) -> Result<T, Fault>) -> impl Fn(&[u8]) -> Result<T, Fault> {

@@ -1,20 +1,21 @@
 //! The three tables as text.
 
 use super::binary::Fault;
-use super::model::{CameraRow, ColmapPoint, ImageRow, lens};
+use super::model::{ColmapCamera, ColmapPoint, ColmapPose};
 use std::io::{self, Write};
 use std::str::{FromStr, SplitAsciiWhitespace};
 
-pub fn write_cameras(out: &mut impl Write, rows: &[CameraRow]) -> io::Result<()> {
+pub fn write_cameras(out: &mut impl Write, rows: &[ColmapCamera]) -> io::Result<()> {
     writeln!(out, "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]")?;
-    for CameraRow { id, lens: k } in rows {
-        let (w, h) = (k.width, k.height);
-        writeln!(out, "{id} PINHOLE {w} {h} {} {} {} {}", k.fx, k.fy, k.cx, k.cy)?;
+    for row in rows {
+        write!(out, "{} {} {} {}", row.id, row.model, row.width, row.height)?;
+        row.parameters.iter().try_for_each(|v| write!(out, " {v}"))?;
+        writeln!(out)?;
     }
     Ok(())
 }
 
-pub fn write_images(out: &mut impl Write, rows: &[ImageRow]) -> io::Result<()> {
+pub fn write_images(out: &mut impl Write, rows: &[ColmapPose]) -> io::Result<()> {
     writeln!(out, "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME")?;
     writeln!(out, "# POINTS2D[] as (X, Y, POINT3D_ID)")?;
     for row in rows {
@@ -39,24 +40,25 @@ pub fn write_points(out: &mut impl Write, rows: &[ColmapPoint]) -> io::Result<()
     Ok(())
 }
 
-pub fn read_cameras(text: &str) -> Result<Vec<CameraRow>, Fault> {
+pub fn read_cameras(text: &str) -> Result<Vec<ColmapCamera>, Fault> {
     let mut rows = Vec::new();
     for (number, line) in lines(text).filter(|(_, l)| !l.trim().is_empty()) {
         let mut words = Words::new(number, line);
         let id = words.next("CAMERA_ID")?;
         let model: String = words.next("MODEL")?;
         let (width, height) = (words.next("WIDTH")?, words.next("HEIGHT")?);
-        let parameters = words.rest("PARAMS")?;
-        if !["PINHOLE", "SIMPLE_PINHOLE"].contains(&model.as_str()) {
-            return Err(Fault::Unsupported(format!("model {model}")));
-        }
-        let lens = lens(&model, width, height, &parameters).map_err(|reason| words.damaged(reason))?;
-        rows.push(CameraRow { id, lens });
+        rows.push(ColmapCamera {
+            id,
+            model,
+            width,
+            height,
+            parameters: words.rest("PARAMS")?,
+        });
     }
     Ok(rows)
 }
 
-pub fn read_images(text: &str) -> Result<Vec<ImageRow>, Fault> {
+pub fn read_images(text: &str) -> Result<Vec<ColmapPose>, Fault> {
     let mut rows = Vec::new();
     let mut lines = lines(text);
     while let Some((number, line)) = lines.next() {
@@ -70,7 +72,7 @@ pub fn read_images(text: &str) -> Result<Vec<ImageRow>, Fault> {
             *v = words.next(name)?;
         }
         let [w, x, y, z, a, b, c] = pose;
-        rows.push(ImageRow {
+        rows.push(ColmapPose {
             id,
             rotation: [w, x, y, z],
             translation: [a, b, c],

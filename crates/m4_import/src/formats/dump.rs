@@ -1,0 +1,103 @@
+//! Archives with the arrays of a whole clip, as networks of one pass leave them.
+
+use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::parts::arrays::Arrays;
+use crate::parts::clock;
+use crate::parts::pictures::{self, Picture};
+use m4_scene::Progress;
+use std::path::Path;
+
+/// Names of the arrays; the first that is there is read.
+pub(super) struct Keys {
+    pub images: &'static [&'static str],
+    pub depth: &'static [&'static str],
+    /// World to camera.
+    pub w2c: &'static [&'static str],
+    /// Camera to world.
+    pub c2w: &'static [&'static str],
+    pub intrinsics: &'static [&'static str],
+}
+
+/// Reads the arrays; pictures that are not among them come from the options.
+pub(super) fn list(
+    path: &Path,
+    keys: &Keys,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Listing, ReadSourceError> {
+    clock::check(options).map_err(|fault| fault.at(path))?;
+    let mut arrays = Arrays::open(path, options)?;
+    let depth = arrays.need(keys.depth, "depth maps tell the size that the cameras are for")?;
+    let (n, w, h) = arrays.map_shape(depth)?;
+    let c2w = match arrays.find(keys.c2w) {
+        Some(name) => arrays.poses(name)?,
+        None => {
+            let name = arrays.need(keys.w2c, "poses are needed")?;
+            arrays.poses(name)?.iter().map(m4_math::Se3::inverse).collect()
+        }
+    };
+    let intrinsics = arrays.need(keys.intrinsics, "intrinsics are needed, in pixels of the depth maps")?;
+    let lenses = arrays.lenses(intrinsics, n, (w, h))?;
+    let count = |what: &str, found: usize| {
+        let what = format!("it has {n} depth maps but {found} {what}");
+        SourceFault::bad(what, "give what one run of the network left").at(path)
+    };
+    if c2w.len() != n {
+        return Err(count("poses", c2w.len()));
+    }
+    let mut times_s = None;
+    let pictures = match (&options.pictures, arrays.find(keys.images)) {
+        (Some(folder), _) => {
+            let all = pictures::read(folder, options, progress)?;
+            times_s = all.times_s;
+            all.all
+        }
+        (None, Some(name)) => {
+            let all = arrays.pictures(name, progress)?.into_iter().enumerate();
+            all.map(|(i, rgb)| Picture {
+                name: format!("{i:05}"),
+                size: rgb.size(),
+                rgb: FrameSource::held(rgb),
+            })
+            .collect()
+        }
+        (None, None) => {
+            let what = format!("the array {}", keys.images.join(" or "));
+            let remedy = "give the folder of the pictures that the network saw (pictures)";
+            return Err(SourceFault::missing(what, remedy).at(path));
+        }
+    };
+    if pictures.len() != n {
+        return Err(count("pictures", pictures.len()));
+    }
+    let depths = arrays.maps(depth, progress)?;
+    let mut train = Vec::with_capacity(n);
+    for (i, ((picture, depth), (k, c2w))) in pictures.into_iter().zip(depths).zip(lenses.iter().zip(c2w)).enumerate() {
+        let k = pictures::scaled(k, picture.size);
+        let k = k.map_err(|fault| fault.within(path, format!("frame {i} ({})", picture.name)))?;
+        train.push(ListedFrame {
+            name: picture.name,
+            lens: Lens::pinhole(k),
+            c2w,
+            t: i as f64,
+            rgb: picture.rgb,
+            depth: Some(depth),
+            mask: None,
+            motion: None,
+            instances: None,
+            camera_index: None,
+        });
+    }
+    let duration_s = match times_s.as_deref().and_then(<[f64]>::last) {
+        Some(&last) if options.fps.is_none() => Some(last),
+        _ => clock::duration_s(n, options, progress),
+    };
+    Ok(Listing {
+        train,
+        test: Vec::new(),
+        time_frames: n,
+        duration_s,
+        metric: false,
+        tracks: None,
+    })
+}

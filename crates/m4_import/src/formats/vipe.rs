@@ -1,0 +1,241 @@
+//! ViPE's artifacts.
+//!
+//! ```text
+//! PATH                       the folder of the run, or its pose/NAME.npz where it has several clips
+//! rgb/NAME.mp4               the clip (or options.pictures)
+//! pose/NAME.npz              data [n][4][4] camera to world, inds [n]: which frames of the clip they are of
+//! intrinsics/NAME.npz        data [n][4] fx fy cx cy, pixels, inds [n]; NAME_camera.txt: "0: PINHOLE", a line a frame
+//! depth/NAME.zip             00000.exr, ...: halves, channel Z, metres; not a number where unknown (optional)
+//! mask/NAME.zip, NAME.txt    00000.png, ...: which instance a pixel shows, 0 = none; "1: person", what each is (optional)
+//! flow, vipe                 are not read
+//! ```
+//!
+//! **What is converted.** Poses are OpenCV's and depth is z-depth: nothing is turned. Principal points are taken as they are, from the
+//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see [`m4_io::megasam`]). What moves is what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
+//! phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and keep their place in time.
+//!
+//! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
+
+use super::zipped::Zipped;
+use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::parts::arrays::Arrays;
+use crate::parts::{clock, depth, exr, file, pictures, pose};
+use m4_io::image;
+use m4_scene::{CompactDepth, CompactIds, CompactMask, Intrinsics, Progress};
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Whether it is the folder of a run, or a pose file in one.
+pub(super) fn detect(path: &Path) -> bool {
+    if path.is_dir() {
+        return path.join("intrinsics").is_dir() && !names(path).is_empty();
+    }
+    run_of(path).is_some()
+}
+
+/// The run and the name of the clip of `RUN/pose/NAME.npz`.
+fn run_of(file: &Path) -> Option<(PathBuf, String)> {
+    let folder = file.parent()?;
+    let run = folder.parent()?;
+    let name = file.file_stem()?.to_str()?.to_owned();
+    let fits = folder.file_name()? == "pose" && file.extension()? == "npz";
+    (fits && run.join("intrinsics").join(format!("{name}.npz")).is_file()).then(|| (run.to_path_buf(), name))
+}
+
+/// Names of the clips of a run, in order.
+fn names(run: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(run.join("pose")).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries
+        .filter_map(|entry| run_of(&entry.path()).map(|(_, name)| name))
+        .collect();
+    names.sort();
+    names
+}
+
+pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
+    clock::check(options).map_err(|fault| fault.at(path))?;
+    let (run, name) = match run_of(path) {
+        Some(found) => found,
+        None => {
+            let names = names(path);
+            match names.as_slice() {
+                [one] => (path.to_path_buf(), one.clone()),
+                [] => {
+                    let remedy = "give the folder of a run, with pose, intrinsics and rgb";
+                    return Err(SourceFault::missing("pose/NAME.npz with its intrinsics/NAME.npz", remedy).at(path));
+                }
+                several => {
+                    let what = format!("the run has {} clips: {}", several.len(), several.join(", "));
+                    return Err(SourceFault::unsupported(what, "give pose/NAME.npz of one of them").at(path));
+                }
+            }
+        }
+    };
+    let part = |folder: &str, file: &str| run.join(folder).join(file);
+    let (pose_file, poses) = indexed(&part("pose", &format!("{name}.npz")), 16, options)?;
+    let (lens_file, lenses) = indexed(&part("intrinsics", &format!("{name}.npz")), 4, options)?;
+    pinholes(&part("intrinsics", &format!("{name}_camera.txt")))?;
+    let clip = options
+        .pictures
+        .clone()
+        .unwrap_or_else(|| part("rgb", &format!("{name}.mp4")));
+    if !clip.exists() {
+        let remedy = "give the clip or the folder of its pictures (pictures)";
+        return Err(SourceFault::missing("the clip", remedy).at(&clip));
+    }
+    let pictures = pictures::read(&clip, options, progress)?;
+    let zipped = |folder: &str| -> Result<Option<Arc<Zipped>>, ReadSourceError> {
+        let file = part(folder, &format!("{name}.zip"));
+        let open = file.is_file().then(|| Zipped::open(&file));
+        Ok(open.transpose()?.map(Arc::new))
+    };
+    let (depths, masks) = (zipped("depth")?, zipped("mask")?);
+    let still = Arc::new(sky(&part("mask", &format!("{name}.txt")))?);
+    let time_frames = pictures.all.len();
+    if let Some((&last, _)) = poses.last_key_value().filter(|(last, _)| **last >= time_frames) {
+        let what = format!("it has a pose of frame {last}, but the clip has {time_frames}");
+        return Err(SourceFault::bad(what, "give the clip of this run").at(&pose_file));
+    }
+    let duration_s = match pictures.times_s.as_deref().and_then(<[f64]>::last) {
+        Some(&last) if options.fps.is_none() => Some(last),
+        _ => clock::duration_s(time_frames, options, progress),
+    };
+    let mut train = Vec::with_capacity(poses.len());
+    for (i, picture) in pictures.all.into_iter().enumerate() {
+        let Some(matrix) = poses.get(&i) else { continue };
+        let c2w = pose::of_matrix("the matrix", matrix)
+            .map_err(|fault| fault.within(&pose_file, format!("array `data`, frame {i}")))?;
+        let k = lenses.get(&i).ok_or_else(|| {
+            let remedy = "give the files of one run";
+            SourceFault::missing(format!("the line of frame {i}"), remedy).within(&lens_file, "array `inds`")
+        })?;
+        let (width, height) = picture.size;
+        let member = |zip: &Option<Arc<Zipped>>, extension: &str| {
+            let name = format!("{i:05}.{extension}");
+            zip.as_ref()
+                .filter(|zip| zip.has(&name))
+                .map(|zip| (Arc::clone(zip), name))
+        };
+        let mask = member(&masks, "png");
+        train.push(ListedFrame {
+            name: format!("{i:05}"),
+            lens: Lens::pinhole(Intrinsics {
+                width,
+                height,
+                fx: k[0],
+                fy: k[1],
+                cx: k[2],
+                cy: k[3],
+            }),
+            c2w,
+            t: i as f64,
+            rgb: picture.rgb,
+            depth: member(&depths, "exr").map(|(zip, name)| FrameSource::new(move || exr_member(&zip, &name))),
+            mask: mask.clone().map(|(zip, name)| {
+                let still = Arc::clone(&still);
+                FrameSource::new(move || {
+                    let ids = ids_member(&zip, &name)?.to_plane();
+                    let (w, h) = ids.size();
+                    Ok(CompactMask::from_fn(w, h, |x, y| {
+                        ids[(x, y)] != 0 && !still.contains(&ids[(x, y)])
+                    }))
+                })
+            }),
+            motion: None,
+            instances: mask.map(|(zip, name)| FrameSource::new(move || ids_member(&zip, &name))),
+            camera_index: None,
+        });
+    }
+    Ok(Listing {
+        train,
+        test: Vec::new(),
+        time_frames,
+        duration_s,
+        metric: true,
+        tracks: None,
+    })
+}
+
+/// The arrays `data` and `inds`: the `width` numbers of each frame that has some.
+fn indexed(
+    file: &Path,
+    width: usize,
+    options: &ImportOptions,
+) -> Result<(PathBuf, BTreeMap<usize, Vec<f64>>), ReadSourceError> {
+    let mut arrays = Arrays::open(file, options)?;
+    let data = arrays.need(&["data"], "it is needed")?;
+    let inds = arrays.need(&["inds"], "it is needed")?;
+    let (shape, data) = arrays.numbers(data, 2)?;
+    let (_, inds) = arrays.numbers(inds, 1)?;
+    if inds.is_empty() || data.len() != inds.len() * width {
+        let what = format!(
+            "data has shape {shape:?} and there are {} inds; {width} numbers for each were expected",
+            inds.len()
+        );
+        let remedy = "lenses other than pinholes have more; run ViPE with a pinhole camera";
+        return Err(SourceFault::bad(what, remedy).at(file));
+    }
+    let mut all = BTreeMap::new();
+    for (index, numbers) in inds.iter().zip(data.chunks_exact(width)) {
+        let whole = *index >= 0.0 && index.fract() == 0.0 && *index < f64::from(u32::MAX);
+        if !whole || all.insert(*index as usize, numbers.to_vec()).is_some() {
+            let what = format!("it holds {index}, no frame or one that was there before");
+            return Err(SourceFault::bad(what, "give the file that ViPE wrote").within(file, "array `inds`"));
+        }
+    }
+    Ok((file.to_path_buf(), all))
+}
+
+/// Refuses lenses that are no pinholes; a file that is not there says nothing, as in ViPE.
+fn pinholes(path: &Path) -> Result<(), ReadSourceError> {
+    if !path.is_file() {
+        return Ok(());
+    }
+    for (i, line) in file::text(path)?.lines().enumerate() {
+        let kind = line.split_once(':').map_or("", |(_, kind)| kind.trim());
+        if !(line.trim().is_empty() || kind == "PINHOLE") {
+            let what = format!("the camera is {line:?}; only PINHOLE is read");
+            let remedy = "run ViPE with a pinhole camera (`pipeline=default`)";
+            return Err(SourceFault::unsupported(what, remedy).within(path, format!("line {}", i + 1)));
+        }
+    }
+    Ok(())
+}
+
+/// Numbers of instances that stand still: the sky.
+fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
+    if !path.is_file() {
+        return Ok(HashSet::new());
+    }
+    let mut phrases = HashMap::new();
+    for (i, line) in file::text(path)?
+        .lines()
+        .enumerate()
+        .filter(|(_, l)| !l.trim().is_empty())
+    {
+        let parsed = line
+            .split_once(':')
+            .and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
+        let (id, phrase) = parsed.ok_or_else(|| {
+            let what = format!("{line:?} is no number with a phrase, such as `1: person`");
+            SourceFault::bad(what, "give the file that ViPE wrote").within(path, format!("line {}", i + 1))
+        })?;
+        phrases.insert(id, phrase.trim().to_ascii_lowercase());
+    }
+    Ok(phrases
+        .into_iter()
+        .filter(|(_, p)| p == "sky")
+        .map(|(id, _): (u16, _)| id)
+        .collect())
+}
+
+fn exr_member(zip: &Zipped, name: &str) -> Result<CompactDepth, SourceFault> {
+    let plane = exr::read_depth(&zip.bytes(name)?)?;
+    let (w, h) = plane.size();
+    depth::plane(w, h, plane.into_vec().into_iter().map(f64::from).collect(), 1.0)
+}
+
+fn ids_member(zip: &Zipped, name: &str) -> Result<CompactIds, SourceFault> {
+    Ok(image::ids_of_bytes(zip.path(), &zip.bytes(name)?)?)
+}
