@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! formats/NAME     a file or folder -> Listing: lens, pose, time and the places of pictures, depth and masks of each frame
+//! side            depth maps, masks and tracks that the options name, to the frames of any listing
 //! core/load        Listing -> Capture: everything decoded in parallel within a limit of memory, distortion removed
 //! ```
 //!
@@ -13,8 +14,10 @@
 #![forbid(unsafe_code)]
 
 pub mod formats;
+pub mod side;
 
 mod core;
+mod files;
 
 pub use core::{
     Distortion, FrameSource, ImportOptions, Imported, Lens, ListedFrame, Listing, ReadSourceError, SourceFault, load,

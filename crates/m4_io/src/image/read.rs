@@ -4,7 +4,7 @@ use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use m4_scene::{CompactDepth, CompactIds, CompactMask, Plane, RgbImage};
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Cursor};
 use std::path::Path;
 
 /// Longest side that is read, pixels: 16 times 1080p, and far under what overflows an index.
@@ -67,6 +67,38 @@ fn plane<T>(path: &Path, width: u32, height: u32, data: Vec<T>) -> Result<Plane<
 pub fn size(path: &Path) -> Result<(usize, usize), ReadImageError> {
     let (width, height) = open(path)?.dimensions();
     Ok((width as usize, height as usize))
+}
+
+/// Decodes a colour picture that was read from an archive; as [`read_rgb`], at most `most_pixels`. `name` is for messages.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if it is not a whole PNG or JPEG image, or is larger.
+pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImage, ReadImageError> {
+    let reader = ImageReader::new(Cursor::new(bytes));
+    let reader = reader.with_guessed_format().map_err(|source| ReadImageError::Io {
+        path: name.to_path_buf(),
+        source,
+    })?;
+    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
+        return Err(ReadImageError::UnknownFormat {
+            path: name.to_path_buf(),
+        });
+    }
+    let decoder = reader.into_decoder().map_err(|e| damaged(name, &e))?;
+    let (width, height) = decoder.dimensions();
+    if width > MAX_SIDE_PX || height > MAX_SIDE_PX || u64::from(width) * u64::from(height) > most_pixels {
+        return Err(ReadImageError::TooLarge {
+            path: name.to_path_buf(),
+            width,
+            height,
+            limit: MAX_SIDE_PX.min(most_pixels.isqrt() as u32),
+        });
+    }
+    rgb(
+        name,
+        DynamicImage::from_decoder(decoder).map_err(|e| damaged(name, &e))?,
+    )
 }
 
 /// Reads a colour picture; grey becomes colour, 16 bits become 8, transparency becomes black.

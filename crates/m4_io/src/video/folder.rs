@@ -99,8 +99,9 @@ pub fn pictures(path: &Path) -> Result<Vec<PathBuf>, ReadVideoError> {
     Ok(pictures)
 }
 
-/// Compares text in which runs of digits count as numbers.
-fn natural(a: &str, b: &str) -> Ordering {
+/// Compares text in which runs of digits count as numbers: `2.png` before `10.png`.
+#[must_use]
+pub fn natural(a: &str, b: &str) -> Ordering {
     let (mut a_rest, mut b_rest) = (a, b);
     loop {
         let (a_text, a_digits, a_next) = split(a_rest);

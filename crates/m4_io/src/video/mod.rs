@@ -16,7 +16,7 @@ mod read;
 mod write;
 
 pub use error::{ReadVideoError, WriteVideoError};
-pub use folder::pictures;
+pub use folder::{natural, pictures};
 pub use options::VideoOptions;
 pub use read::read;
 pub use write::Mp4Writer;
