@@ -25,7 +25,8 @@ pub(super) fn depth(path: &Path, near: f64, far: f64) -> Result<CompactDepth, So
     let mut sorted: Vec<f64> = array.values.iter().copied().filter(|v| v.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let [low, high] = QUANTILES.map(|q| quantile(&sorted, q));
-    if !(high > low) {
+    let differs = high > low;
+    if !differs {
         let what = "its disparity is the same everywhere";
         return Err(SourceFault::bad(
             what,

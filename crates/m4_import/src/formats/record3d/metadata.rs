@@ -12,6 +12,8 @@ use std::path::Path;
 const MAX_BYTES: u64 = 64 << 20;
 /// Depth of the rear sensor where the file, of an early version, does not say: long and short side.
 const SENSOR: (usize, usize) = (256, 192);
+/// Longest side of depth maps, pixels; sensors have 640 at most.
+const MAX_SENSOR_SIDE: usize = 4096;
 const REMEDY: &str = "export the recording again as .r3d";
 
 #[derive(Deserialize)]
@@ -59,7 +61,8 @@ impl Metadata {
         }
         let side = |v: usize| (1..=1 << 16).contains(&v);
         let (dw, dh) = metadata.depth_size();
-        if !(side(metadata.w) && side(metadata.h) && side(dw) && side(dh)) {
+        let sensed = |v: usize| (1..=MAX_SENSOR_SIDE).contains(&v);
+        if !(side(metadata.w) && side(metadata.h) && sensed(dw) && sensed(dh)) {
             return bad(format!(
                 "pictures of {} x {} and depth of {dw} x {dh} pixels",
                 metadata.w, metadata.h
