@@ -220,7 +220,11 @@ def record3d(root, c):
         z.writestr(zipfile.ZipInfo("metadata"), json.dumps(metadata))
         for i in range(N):
             jpeg = io.BytesIO()
-            Image.fromarray(c.rgb[i]).save(jpeg, "JPEG", **JPEG)
+            exif = Image.Exif()
+            if i == 2:
+                # a block that asks to be turned by a quarter; poses, K and depth are those of the stored rows
+                exif[0x0112] = 6
+            Image.fromarray(c.rgb[i]).save(jpeg, "JPEG", exif=exif, **JPEG)
             z.writestr(zipfile.ZipInfo(f"rgbd/{i}.jpg"), jpeg.getvalue())
             depth = c.small[i].astype(np.float32)
             depth[0, 0] = np.nan

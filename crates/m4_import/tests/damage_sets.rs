@@ -9,16 +9,20 @@ use m4_io::video::VideoOptions;
 use m4_math::CounterRng;
 use m4_scene::{Capture, Silent};
 use peak_alloc::PeakAlloc;
+use std::fs::File;
+use std::io::{Cursor, Read as _, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
 /// Damaged clips a parser.
-const CLIPS: u64 = 250;
+const CLIPS: u64 = 120;
 /// Memory that reading may take, bytes: this, and so many times the clip.
-const FREE: usize = 64 << 20;
+const FREE: usize = 16 << 20;
 const TIMES: usize = 64;
 
 /// The captures of a clip.
@@ -83,6 +87,12 @@ fn cases() -> Vec<Case> {
         }),
         case("record3d", "record3d", &[], |p| {
             plain(&p.join("clip.r3d"), SourceFormat::Record3d)
+        }),
+        case("record3d unpacked", "record3d unpacked", &["metadata", "jpg"], |p| {
+            plain(p, SourceFormat::Record3d)
+        }),
+        case("record3d depth", "record3d unpacked", &[".depth", ".conf"], |p| {
+            plain(p, SourceFormat::Record3d)
         }),
         case("polycam", "polycam", &["corrected", "depth", "confidence"], |p| {
             plain(p, SourceFormat::Polycam)
@@ -224,12 +234,40 @@ fn damage(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
     }
 }
 
+/// Harm to an array of an archive, which is then sound itself.
+fn damage_within(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> String {
+    let mut archive = ZipArchive::new(Cursor::new(bytes.as_slice())).unwrap();
+    let mut arrays: Vec<(String, Vec<u8>)> = Vec::new();
+    for i in 0..archive.len() {
+        let mut member = archive.by_index(i).unwrap();
+        let name = member.name().unwrap().into_owned();
+        // of arrays that are not read damage is not seen
+        if !["query_points.npy", "intrinsics.npy", "video.npy"].contains(&name.as_str()) {
+            let mut array = Vec::new();
+            member.read_to_end(&mut array).unwrap();
+            arrays.push((name, array));
+        }
+    }
+    let which = rng.below(arrays.len());
+    let what = format!("{} within {}", damage(&mut arrays[which].1, rng), arrays[which].0);
+    let mut to = ZipWriter::new(Cursor::new(Vec::new()));
+    let options = SimpleFileOptions::default()
+        .compression_method([CompressionMethod::Stored, CompressionMethod::Deflated][rng.below(2)]);
+    for (name, array) in arrays {
+        to.start_file(name, options).unwrap();
+        to.write_all(&array).unwrap();
+    }
+    *bytes = to.finish().unwrap().into_inner();
+    what
+}
+
 /// Reads within the memory allowed.
-fn read_bounded(case: &Case, path: &Path, bytes: usize, what: &str) -> Result<Vec<Capture>, String> {
+fn read_bounded(case: &Case, path: &Path, bytes: usize, what: &str, most: &mut usize) -> Result<Vec<Capture>, String> {
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
     let outcome = catch_unwind(AssertUnwindSafe(|| (case.read)(path)));
     let used = MEMORY.peak_usage().saturating_sub(before);
+    *most = used.max(*most);
     assert!(
         used <= FREE + TIMES * bytes,
         "{} with {what}: {used} bytes of memory for a clip of {bytes}",
@@ -274,7 +312,15 @@ fn damage_is_an_error_or_a_sound_capture() {
     let dir = tempfile::tempdir().unwrap();
     for case in cases() {
         let root = dir.path().join(case.name);
-        let from = fixtures().join(case.clip);
+        let from = match case.clip.strip_suffix(" unpacked") {
+            None => fixtures().join(case.clip),
+            Some(clip) => {
+                let folder = dir.path().join("from").join(case.name);
+                let archive = File::open(fixtures().join(clip).join("clip.r3d")).unwrap();
+                ZipArchive::new(archive).unwrap().extract(&folder).unwrap();
+                folder
+            }
+        };
         let mut total = 0;
         for file in files_below(&from) {
             let to = root.join(file.strip_prefix(&from).unwrap());
@@ -286,7 +332,8 @@ fn damage_is_an_error_or_a_sound_capture() {
             let name = f.strip_prefix(&root).unwrap().to_string_lossy().into_owned();
             name != "truth.npz" && (case.files.is_empty() || case.files.iter().any(|part| name.contains(part)))
         });
-        let sound = read_bounded(&case, &root, total, "no damage").unwrap();
+        let mut most = 0;
+        let sound = read_bounded(&case, &root, total, "no damage", &mut most).unwrap();
         assert_sound(&sound, case.name);
         let (mut refused, mut taken) = (0, 0);
         for i in 0..CLIPS {
@@ -294,13 +341,18 @@ fn damage_is_an_error_or_a_sound_capture() {
             let file = &files[rng.below(files.len())];
             let whole = std::fs::read(file).unwrap();
             let mut bytes = whole.clone();
-            let mut what = damage(&mut bytes, &mut rng).to_owned();
-            if rng.below(4) == 0 && !bytes.is_empty() {
+            let within = file.extension().is_some_and(|e| e == "npz") && rng.below(3) > 0;
+            let mut what = if within {
+                damage_within(&mut bytes, &mut rng)
+            } else {
+                damage(&mut bytes, &mut rng).to_owned()
+            };
+            if !within && rng.below(4) == 0 && !bytes.is_empty() {
                 what = format!("{what} and {}", damage(&mut bytes, &mut rng));
             }
             let what = format!("{what} in {}, clip {i}", file.strip_prefix(&root).unwrap().display());
             std::fs::write(file, &bytes).unwrap();
-            match read_bounded(&case, &root, total + bytes.len(), &what) {
+            match read_bounded(&case, &root, total + bytes.len(), &what, &mut most) {
                 Err(reason) => {
                     let said = reason.len() < 2000 && reason.contains('/');
                     assert!(said, "{} with {what}: {reason}", case.name);
@@ -313,7 +365,11 @@ fn damage_is_an_error_or_a_sound_capture() {
             }
             std::fs::write(file, &whole).unwrap();
         }
-        println!("{}: {refused} refused, {taken} read", case.name);
+        println!(
+            "{}: {refused} refused, {taken} read, {} KiB at most",
+            case.name,
+            most >> 10
+        );
         assert!(
             refused > CLIPS / 8,
             "{}: only {refused} of {CLIPS} refused: does the damage reach the reader?",

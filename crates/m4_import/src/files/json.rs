@@ -9,6 +9,9 @@ use std::path::Path;
 /// Largest JSON file that is read: the pose of a frame takes under 2 kB, and a hundred thousand frames are no clip.
 const MAX_JSON_BYTES: u64 = 256 << 20;
 
+/// Longest part of a parser's message that is passed on, letters.
+const MAX_SAID: usize = 200;
+
 /// All bytes of a file of at most `limit_bytes`.
 pub(crate) fn bytes(path: &Path, limit_bytes: u64) -> Result<Vec<u8>, ReadSourceError> {
     let io = |source| SourceFault::Io(source).at(path);
@@ -36,7 +39,13 @@ pub(crate) fn json<T: DeserializeOwned>(path: &Path) -> Result<T, ReadSourceErro
 /// JSON that was read from `path`.
 pub(crate) fn parse_json<T: DeserializeOwned>(bytes: &[u8], path: &Path) -> Result<T, ReadSourceError> {
     serde_json::from_slice(bytes).map_err(|e| {
-        let what = format!("it is not the JSON that was expected ({e})");
+        let mut said = e.to_string();
+        // it may quote the file at any length
+        if said.chars().count() > MAX_SAID {
+            said = said.chars().take(MAX_SAID).collect();
+            said.push_str(&format!("... at line {} column {}", e.line(), e.column()));
+        }
+        let what = format!("it is not the JSON that was expected ({said})");
         SourceFault::bad(what, "export it again").at(path)
     })
 }

@@ -5,6 +5,7 @@
 mod array;
 mod json;
 mod names;
+mod options;
 mod picture;
 mod pose;
 mod zipped;
@@ -12,6 +13,7 @@ mod zipped;
 pub(crate) use array::{NpyFile, array_fault};
 pub(crate) use json::{bytes, json, parse_json};
 pub(crate) use names::{first_bytes, listed, stem};
+pub(crate) use options::{depth_unit, fps};
 pub(crate) use picture::{check_pixels, kept_where, opened_size, resized_lens};
 pub(crate) use pose::{from_quaternion_xyzw, from_rows};
 pub(crate) use zipped::Members;

@@ -103,7 +103,7 @@ pub(crate) fn of_video(path: &Path, error: ReadVideoError) -> ReadSourceError {
         ReadVideoError::Cancelled { .. } => SourceFault::Cancelled.at(path),
         other => {
             let unsupported = other.kind() == m4_io::ErrorKind::Unsupported;
-            let (what, remedy) = (other.to_string(), "see above");
+            let (what, remedy) = (other.to_string(), "or give a folder of its frames");
             let fault = if unsupported {
                 SourceFault::unsupported(what, remedy)
             } else {

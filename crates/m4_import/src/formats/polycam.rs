@@ -12,7 +12,7 @@
 //! nerfstudio's `polycam_utils.py` permutes its rows, which is a turn of the world. Source: the README of PolyCam/polyform.
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{from_rows, json, kept_where, listed, opened_size, resized_lens, stem};
+use crate::files::{depth_unit, from_rows, json, kept_where, listed, opened_size, resized_lens, stem};
 use m4_io::capture::Axes;
 use m4_io::image;
 use m4_math::Se3;
@@ -106,13 +106,14 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     }
     let span = times[times.len() - 1] - times[0];
     let steps = (pictures.len() - 1) as f64;
+    let unit = depth_unit(options, DEPTH_UNIT).map_err(|fault| fault.at(path))?;
     let frames = pictures.iter().zip(&times).map(|(picture, time)| {
         let t = if span > 0.0 {
             (time - times[0]) / span * steps
         } else {
             0.0
         };
-        frame(&root, &cameras, picture, t.clamp(0.0, steps))
+        frame(&root, &cameras, picture, t.clamp(0.0, steps), unit)
     });
     Ok(Listing {
         train: frames.collect::<Result<_, _>>()?,
@@ -132,7 +133,7 @@ fn microseconds(picture: &Path) -> Result<f64, ReadSourceError> {
     })
 }
 
-fn frame(root: &Path, cameras: &Path, picture: &Path, t: f64) -> Result<ListedFrame, ReadSourceError> {
+fn frame(root: &Path, cameras: &Path, picture: &Path, t: f64, unit: f64) -> Result<ListedFrame, ReadSourceError> {
     let name = stem(picture);
     let file = cameras.join(format!("{name}.json"));
     let camera: Camera = json(&file)?;
@@ -154,7 +155,7 @@ fn frame(root: &Path, cameras: &Path, picture: &Path, t: f64) -> Result<ListedFr
         rgb: FrameSource::new(move || Ok(image::read_rgb(&picture)?)),
         depth: depth
             .is_file()
-            .then(|| FrameSource::new(move || sensed(&depth, &confidence, DEPTH_UNIT))),
+            .then(|| FrameSource::new(move || sensed(&depth, &confidence, unit))),
         mask: None,
         motion: None,
         instances: None,

@@ -2,7 +2,7 @@
 
 use super::{depth, mask, tracks};
 use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::listed;
+use crate::files::{depth_unit, listed};
 use m4_scene::{CompactDepth, CompactMask, Progress};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,11 +17,7 @@ const DEFAULT_DEPTH_UNIT: f64 = 1e-3;
 /// [`ReadSourceError`], which names the folder or file: it cannot be read, or does not hold one map for each frame.
 pub fn attach(listing: &mut Listing, options: &ImportOptions, progress: &dyn Progress) -> Result<(), ReadSourceError> {
     if let Some(path) = &options.depth {
-        let unit = options.depth_unit.unwrap_or(DEFAULT_DEPTH_UNIT);
-        if !(unit.is_finite() && unit > 0.0) {
-            let what = format!("depth_unit is {unit}; scene units a step, above 0, were expected");
-            return Err(SourceFault::bad(what, "give another").at(path));
-        }
+        let unit = depth_unit(options, DEFAULT_DEPTH_UNIT).map_err(|fault| fault.at(path))?;
         attach_depth(&mut listing.train, path, unit, options.max_memory_bytes)?;
     }
     if let Some(path) = &options.masks {

@@ -30,6 +30,13 @@ fn without_corrected_cameras_the_device_s_are_taken() {
     for (i, frame) in train.frames.iter().enumerate() {
         assert!((frame.camera.c2w.translation.x - want[16 * i + 3] - 0.5).abs() < 1e-9);
     }
+    let centimetres = ImportOptions {
+        depth_unit: Some(0.01),
+        ..ImportOptions::default()
+    };
+    let ten = import(&path, FORMAT, &centimetres).unwrap().train;
+    let at = |c: &m4_scene::Capture| c.frames[1].depth.as_ref().unwrap().at(20, 9);
+    assert!((at(&ten) / at(&train) - 10.0).abs() < 1e-4);
     // frames that a device left out are further apart in time
     let (_dir, path) = copy("polycam");
     std::fs::remove_file(path.join("keyframes/corrected_images/9999900000.jpg")).unwrap();

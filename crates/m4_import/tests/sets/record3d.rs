@@ -80,7 +80,7 @@ fn faults_say_where_they_are() {
     broken(
         r#""dw": 24, "dh": 18"#,
         r#""dw": 24000, "dh": 18000"#,
-        &["rgbd/0.depth"],
+        &["metadata", "24000 x 18000"],
     );
     broken(r#""w": 96, "h": 72"#, r#""w": 96, "h": 54"#, &["48 x 36", "96 x 54"]);
     broken("7.2, 7.3", "7.3, 7.2", &["frameTimestamps"]);

@@ -166,5 +166,5 @@ fn faults_say_where_they_are() {
         o.depth = side("depth_png");
         o.depth_unit = Some(-1.0);
     };
-    refused(&unit, &["depth_unit is -1"]);
+    refused(&unit, &["depth_unit is -1", "above 0"]);
 }

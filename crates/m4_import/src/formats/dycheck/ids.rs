@@ -7,6 +7,9 @@ use serde::Deserialize;
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
+/// Longest name of a frame.
+const MAX_NAME: usize = 80;
+
 /// A frame.
 #[derive(Debug, Clone)]
 pub(super) struct Id {
@@ -58,8 +61,9 @@ pub(super) fn read(root: &Path, progress: &dyn Progress) -> Result<Split, ReadSo
     };
     for id in train.iter().chain(&test) {
         // a name becomes part of a path
-        if id.name.is_empty() || id.name.contains(['/', '\\']) || id.name.contains("..") {
-            let what = format!("{:?} is no name of a frame", id.name);
+        if !(1..=MAX_NAME).contains(&id.name.len()) || id.name.contains(['/', '\\']) || id.name.contains("..") {
+            let short: String = id.name.chars().take(MAX_NAME).collect();
+            let what = format!("{short:?} is no name of a frame");
             return Err(SourceFault::bad(what, "correct the list of frames").at(&file));
         }
     }
@@ -116,7 +120,8 @@ fn of_dataset(root: &Path) -> Result<(Vec<Id>, Vec<Id>), ReadSourceError> {
             let found = meta.get(&name);
             let time = found.and_then(|m| m.warp_id.or(m.time_id));
             let Some((meta, time)) = found.zip(time) else {
-                let what = format!("warp_id of {name} in metadata.json");
+                let short: String = name.chars().take(MAX_NAME).collect();
+                let what = format!("warp_id of {short} in metadata.json");
                 return Err(SourceFault::missing(what, "give the moment of each frame").at(&file));
             };
             Ok(Id {

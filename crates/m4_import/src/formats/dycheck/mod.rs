@@ -102,18 +102,19 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
 
 fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<f64, ReadSourceError> {
     let file = path.join("extra.json");
+    let given = crate::files::fps(options).map_err(|fault| fault.at(path))?;
     let own = if file.is_file() {
         json::<Extra>(&file)?.fps
     } else {
         None
     };
-    if own.or(options.fps).is_none() {
+    if own.or(given).is_none() {
         progress.warn(&format!(
             "{} does not say how fast it was taken; 30 frames a second are assumed",
             path.display()
         ));
     }
-    let fps = own.or(options.fps).unwrap_or(DEFAULT_FPS);
+    let fps = own.or(given).unwrap_or(DEFAULT_FPS);
     if fps.is_finite() && fps > 0.0 {
         return Ok(fps);
     }

@@ -2,8 +2,8 @@
 
 use super::ids::Id;
 use crate::core::{ImportOptions, ReadSourceError, SourceFault};
-use crate::files::json;
-use crate::side::depth::read_depth;
+use crate::files::{depth_unit, json};
+use crate::side::depth::{known, read_depth};
 use m4_scene::{CompactDepth, DepthMap, Progress};
 use serde::Deserialize;
 use std::path::Path;
@@ -56,11 +56,8 @@ pub(super) fn of_depth(
     }
     let middle = seen.len() / 2;
     let median = f64::from(*seen.select_nth_unstable_by(middle, f32::total_cmp).1);
-    if let Some(unit) = options.depth_unit {
-        if !(unit.is_finite() && unit > 0.0) {
-            let what = format!("depth_unit is {unit}; scene units a step, above 0, were expected");
-            return Err(SourceFault::bad(what, "give another").at(root));
-        }
+    if options.depth_unit.is_some() {
+        let unit = depth_unit(options, 1.0).map_err(|fault| fault.at(root))?;
         let metric = median * unit < NO_METRES;
         return Ok(Some(Unit {
             scene_units: unit,
@@ -102,6 +99,6 @@ pub(super) fn scaled(depth: &CompactDepth, unit: f64) -> Result<CompactDepth, So
     if unit == 1.0 {
         return Ok(depth.clone());
     }
-    let map: DepthMap = depth.to_map().map(|z| (f64::from(*z) * unit) as f32);
+    let map: DepthMap = depth.to_map().map(|z| known((f64::from(*z) * unit) as f32));
     Ok(map.into())
 }

@@ -2,6 +2,7 @@
 
 use crate::core::SourceFault;
 use crate::files::NpyFile;
+use crate::side::depth::known;
 use m4_scene::{CompactDepth, DepthMap, Plane};
 use std::path::Path;
 
@@ -37,9 +38,9 @@ pub(super) fn depth(path: &Path, near: f64, far: f64) -> Result<CompactDepth, So
     let b = 1.0 / far - a * low;
     let least = 1.0 / (FARTHEST * far);
     let map: DepthMap = Plane::from_fn(w, h, |x, y| {
-        let d = array.values[y * w + x];
-        if d.is_finite() {
-            (1.0 / (a * d + b).max(least)) as f32
+        let disparity = a * array.values[y * w + x] + b;
+        if disparity.is_finite() {
+            known((1.0 / disparity.max(least)) as f32)
         } else {
             0.0
         }

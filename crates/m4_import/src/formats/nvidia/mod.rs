@@ -22,7 +22,7 @@ mod poses;
 mod views;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{listed, opened_size, resized_lens, stem};
+use crate::files::{fps, listed, opened_size, resized_lens, stem};
 use crate::side::mask::read_mask;
 use m4_io::image;
 use m4_scene::Progress;
@@ -39,6 +39,7 @@ pub(crate) fn detect(path: &Path) -> bool {
 pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
     let poses = poses::read(&path.join("poses_bounds.npy"))?;
     let n = poses.len();
+    let fps = fps(options).map_err(|fault| fault.at(path))?;
     let folder = pictures(path, options)?;
     let pictures = as_many(&folder, PICTURES, "pictures", n)?;
     let optional = |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadSourceError> {
@@ -80,10 +81,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         train,
         test: test.collect::<Result<_, _>>()?,
         time_frames: n,
-        duration_s: options
-            .fps
-            .filter(|f| f.is_finite() && *f > 0.0)
-            .map(|f| (n - 1) as f64 / f),
+        duration_s: fps.map(|fps| (n - 1) as f64 / fps),
         metric: false,
         tracks: None,
     })

@@ -19,7 +19,7 @@ mod metadata;
 mod sensor;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{Members, first_bytes, resized_lens};
+use crate::files::{Members, first_bytes, fps, resized_lens};
 use m4_io::image;
 use m4_scene::{Progress, RgbImage};
 use metadata::Metadata;
@@ -60,7 +60,8 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     }
     // of the first picture; `load` compares the others
     let size = picture(&members, pictures[0]).map_err(|fault| fault.at(path))?.size();
-    let fps = metadata.fps.or(options.fps);
+    let given = fps(options).map_err(|fault| fault.at(path))?;
+    let fps = metadata.fps.or(given);
     let clock = metadata.clock(&pictures, fps, path)?;
     let frames = pictures.iter().zip(&clock.t).map(|(&n, &t)| {
         let place = |fault: SourceFault| fault.within(path, format!("frame {n}"));

@@ -15,7 +15,7 @@
 mod odometry;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{from_quaternion_xyzw, resized_lens};
+use crate::files::{depth_unit, from_quaternion_xyzw, resized_lens};
 use crate::formats::davis::of_video;
 use crate::formats::polycam::sensed;
 use m4_io::video::{VideoOptions, read};
@@ -63,6 +63,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     };
     let (start, span) = (first.time_s, last.time_s - first.time_s);
     let steps = (rows.len() - 1) as f64;
+    let unit = depth_unit(options, DEPTH_UNIT).map_err(|fault| fault.at(path))?;
     let n = rows.len();
     let listed = rows.iter().zip(pictures).map(|(row, picture)| {
         let t = if span > 0.0 {
@@ -71,7 +72,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             0.0
         };
         let listed = intrinsics(row.lens.unwrap_or(matrix), stored)
-            .and_then(|lens| frame(path, row, &lens, picture, t.clamp(0.0, steps)));
+            .and_then(|lens| frame(path, row, &lens, picture, t.clamp(0.0, steps), unit));
         listed.map_err(|e| e.within(&file, format!("frame {}", row.frame)))
     });
     Ok(Listing {
@@ -150,7 +151,14 @@ fn intrinsics([fx, fy, cx, cy]: [f64; 4], stored: (usize, usize)) -> Result<Intr
     Ok(k)
 }
 
-fn frame(path: &Path, row: &Row, lens: &Intrinsics, picture: RgbImage, t: f64) -> Result<ListedFrame, SourceFault> {
+fn frame(
+    path: &Path,
+    row: &Row,
+    lens: &Intrinsics,
+    picture: RgbImage,
+    t: f64,
+    unit: f64,
+) -> Result<ListedFrame, SourceFault> {
     let intrinsics = resized_lens(lens, picture.size())?;
     let (quaternion, place) = (row.quaternion_xyzw, row.place);
     let name = format!("{:06}", row.frame);
@@ -166,7 +174,7 @@ fn frame(path: &Path, row: &Row, lens: &Intrinsics, picture: RgbImage, t: f64) -
             let taken = rgb.lock().ok().and_then(|mut rgb| rgb.take());
             taken.ok_or_else(|| SourceFault::bad("the picture was taken before", "read the source again"))
         }),
-        depth: depth.map(|depth| FrameSource::new(move || sensed(&depth, &confidence, DEPTH_UNIT))),
+        depth: depth.map(|depth| FrameSource::new(move || sensed(&depth, &confidence, unit))),
         mask: None,
         motion: None,
         instances: None,
