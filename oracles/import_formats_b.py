@@ -294,6 +294,14 @@ def side(root, c):
         ids.putpalette([0, 0, 0] + [8 * j for j in range(1, 31)])
         os.makedirs(f"{root}/masks_palette", exist_ok=True)
         ids.save(f"{root}/masks_palette/{name}.png", bits=4 if i % 2 else 8)
+    z = c.small[0].astype(np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    parts = [OpenEXR.Part(header | {"name": "colour"}, {"R": z * 2, "G": z * 2, "B": z * 2}, "colour"),
+             OpenEXR.Part(header | {"name": "depth"}, {"Z": z}, "depth")]
+    os.makedirs(f"{root}/exr_other")
+    OpenEXR.File(parts).write(f"{root}/exr_other/parts.exr")
+    window = {"dataWindow": ((2, 1), (DW + 1, DH)), "displayWindow": ((0, 0), (DW + 9, DH + 9))}
+    OpenEXR.File(header | {k: tuple(np.array(v, np.int32) for v in w) for k, w in window.items()}, {"Z": z}).write(f"{root}/exr_other/cropped.exr")
     np.savez_compressed(f"{root}/depth.npz", depths=c.depth.astype(np.float32))
     np.savez_compressed(f"{root}/masks.npz", masks=c.mask)
     # a world turned, moved and twice as large, as a tracker with its own poses has it

@@ -80,7 +80,8 @@ pub(crate) fn detect(path: &Path) -> bool {
     let root = keyframes(path);
     let has = |name: &str| root.join(name).is_dir();
     let folders = (has("cameras") && has("images")) || (has("corrected_cameras") && has("corrected_images"));
-    folders && (root.ends_with("keyframes") || has("depth"))
+    // others have folders of these names too
+    folders && root.ends_with("keyframes")
 }
 
 pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {

@@ -18,10 +18,10 @@ const DEFAULT_DEPTH_UNIT: f64 = 1e-3;
 pub fn attach(listing: &mut Listing, options: &ImportOptions, progress: &dyn Progress) -> Result<(), ReadSourceError> {
     if let Some(path) = &options.depth {
         let unit = depth_unit(options, DEFAULT_DEPTH_UNIT).map_err(|fault| fault.at(path))?;
-        attach_depth(&mut listing.train, path, unit, options.max_memory_bytes)?;
+        attach_depth(&mut listing.train, path, unit, options.max_memory_bytes, progress)?;
     }
     if let Some(path) = &options.masks {
-        attach_masks(&mut listing.train, path, options)?;
+        attach_masks(&mut listing.train, path, options, progress)?;
     }
     if let Some(path) = &options.tracks {
         let read = tracks::read_tracks(path, &listing.train, options.max_memory_bytes, progress);
@@ -30,7 +30,13 @@ pub fn attach(listing: &mut Listing, options: &ImportOptions, progress: &dyn Pro
     Ok(())
 }
 
-fn attach_depth(frames: &mut [ListedFrame], path: &Path, unit: f64, limit_bytes: u64) -> Result<(), ReadSourceError> {
+fn attach_depth(
+    frames: &mut [ListedFrame],
+    path: &Path,
+    unit: f64,
+    limit_bytes: u64,
+    progress: &dyn Progress,
+) -> Result<(), ReadSourceError> {
     if path.is_dir() {
         let files = one_a_frame(path, depth::EXTENSIONS, "depth maps", frames.len())?;
         for (frame, file) in frames.iter_mut().zip(files) {
@@ -38,7 +44,7 @@ fn attach_depth(frames: &mut [ListedFrame], path: &Path, unit: f64, limit_bytes:
         }
         return Ok(());
     }
-    let stack = depth::read_stack(path, frames.len(), unit, limit_bytes).map_err(|fault| fault.at(path))?;
+    let stack = depth::read_stack(path, frames.len(), unit, limit_bytes, progress).map_err(|fault| fault.at(path))?;
     let stack: Arc<Vec<CompactDepth>> = Arc::new(stack);
     for (i, frame) in frames.iter_mut().enumerate() {
         let stack = Arc::clone(&stack);
@@ -47,7 +53,12 @@ fn attach_depth(frames: &mut [ListedFrame], path: &Path, unit: f64, limit_bytes:
     Ok(())
 }
 
-fn attach_masks(frames: &mut [ListedFrame], path: &Path, options: &ImportOptions) -> Result<(), ReadSourceError> {
+fn attach_masks(
+    frames: &mut [ListedFrame],
+    path: &Path,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<(), ReadSourceError> {
     let invert = options.invert_masks;
     if path.is_dir() {
         let files = one_a_frame(path, mask::EXTENSIONS, "masks", frames.len())?;
@@ -69,7 +80,7 @@ fn attach_masks(frames: &mut [ListedFrame], path: &Path, options: &ImportOptions
         }
         return Ok(());
     }
-    let stack = mask::read_stack(path, frames.len(), invert, options.max_memory_bytes);
+    let stack = mask::read_stack(path, frames.len(), invert, options.max_memory_bytes, progress);
     let stack: Arc<Vec<CompactMask>> = Arc::new(stack.map_err(|fault| fault.at(path))?);
     for (i, frame) in frames.iter_mut().enumerate() {
         let stack = Arc::clone(&stack);

@@ -5,7 +5,7 @@ use super::stack::Stack;
 use crate::core::SourceFault;
 use crate::files::{first_bytes, opened_size};
 use m4_io::image;
-use m4_scene::{CompactIds, CompactMask};
+use m4_scene::{CompactIds, CompactMask, Progress};
 use std::path::Path;
 
 /// Extensions of masks that are read.
@@ -58,8 +58,9 @@ pub(crate) fn read_stack(
     frames: usize,
     invert: bool,
     limit_bytes: u64,
+    progress: &dyn Progress,
 ) -> Result<Vec<CompactMask>, SourceFault> {
-    Stack::open(path, KEYS, frames, limit_bytes, |stack, values| {
+    Stack::open(path, KEYS, frames, limit_bytes, progress, |stack, values| {
         let from = if stack.whole_numbers { 0.0 } else { 0.5 };
         let w = stack.width;
         Ok(CompactMask::from_fn(w, stack.height, |x, y| {

@@ -3,6 +3,7 @@
 use crate::core::SourceFault;
 use crate::files::array_fault;
 use m4_io::npy::{Npz, Number};
+use m4_scene::Progress;
 use std::path::Path;
 
 /// What is known of a stack while its maps are read.
@@ -20,6 +21,7 @@ impl Stack {
         keys: &[&str],
         frames: usize,
         limit_bytes: u64,
+        progress: &dyn Progress,
         one: impl Fn(&Self, &[f64]) -> Result<T, SourceFault>,
     ) -> Result<Vec<T>, SourceFault> {
         let mut npz = open_npz(path)?;
@@ -58,7 +60,11 @@ impl Stack {
             whole_numbers: !matches!(array.number, Number::F16 | Number::F32 | Number::F64),
         };
         let mut maps = Vec::new();
-        for _ in 0..n {
+        for i in 0..n {
+            if progress.cancelled() {
+                return Err(SourceFault::Cancelled);
+            }
+            progress.update("read maps", i + 1, n, "");
             let values = array.next_f64(width * height).map_err(|e| array_fault(key, e))?;
             maps.push(one(&stack, &values)?);
         }

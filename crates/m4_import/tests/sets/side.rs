@@ -1,6 +1,7 @@
 //! `fixtures/import/side`: depth, masks and tracks of other tools for the clip of Record3D.
 
 use crate::truth::*;
+use m4_import::side::depth::read_depth;
 use m4_import::{ImportOptions, Imported, SourceFormat, read};
 use m4_scene::Silent;
 use std::path::PathBuf;
@@ -41,6 +42,19 @@ fn depth_of_every_kind_is_that_which_was_written() {
     for i in 0..5 {
         assert_depth(&train, i, &depth[i * W * H..(i + 1) * W * H], 1e-6, |_, _| true);
     }
+}
+
+#[test]
+fn depth_of_exr_files_with_parts_is_found_and_of_cropped_ones_refused() {
+    let map = read_depth(&fixture("side/exr_other/parts.exr"), 1.0).unwrap();
+    assert_eq!(map.size(), (24, 18));
+    for (got, want) in map.every(1).zip(truth("small")) {
+        assert!((f64::from(got) - want).abs() < 1e-6);
+    }
+    let why = read_depth(&fixture("side/exr_other/cropped.exr"), 1.0)
+        .unwrap_err()
+        .to_string();
+    assert!(why.contains("24 x 18 pixels of a picture of 34 x 28"), "{why}");
 }
 
 #[test]

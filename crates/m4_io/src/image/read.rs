@@ -223,3 +223,32 @@ pub fn read_grey(path: &Path) -> Result<Plane<u8>, ReadImageError> {
     let (width, height) = grey.dimensions();
     plane(path, width, height, grey.into_raw())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{ReadImageError, decode_rgb};
+    use image::{ImageFormat, RgbImage};
+    use std::io::Cursor;
+    use std::path::Path;
+
+    #[test]
+    fn bytes_are_a_picture_within_the_limit_or_refused() {
+        let mut bytes = Vec::new();
+        let picture = RgbImage::from_fn(5, 3, |x, y| image::Rgb([x as u8, y as u8, 77]));
+        picture
+            .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
+            .unwrap();
+        let decode = |bytes: &[u8], most| decode_rgb(bytes, Path::new("a.png"), most);
+        let read = decode(&bytes, 15).unwrap();
+        assert_eq!((read.size(), read[(4, 2)]), ((5, 3), [4, 2, 77]));
+        assert!(matches!(
+            decode(&bytes, 14),
+            Err(ReadImageError::TooLarge { width: 5, .. })
+        ));
+        assert!(matches!(decode(&bytes[..40], 15), Err(ReadImageError::Damaged { .. })));
+        assert!(matches!(
+            decode(b"GIF89a", 15),
+            Err(ReadImageError::UnknownFormat { .. })
+        ));
+    }
+}

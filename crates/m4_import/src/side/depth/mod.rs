@@ -10,7 +10,7 @@ use super::stack::Stack;
 use crate::core::SourceFault;
 use crate::files::{NpyFile, first_bytes, opened_size};
 use m4_io::image;
-use m4_scene::{CompactDepth, DepthMap, Plane};
+use m4_scene::{CompactDepth, DepthMap, Plane, Progress};
 use std::path::Path;
 
 /// Extensions of maps that are read.
@@ -75,8 +75,9 @@ pub(crate) fn read_stack(
     frames: usize,
     unit: f64,
     limit_bytes: u64,
+    progress: &dyn Progress,
 ) -> Result<Vec<CompactDepth>, SourceFault> {
-    Stack::open(path, KEYS, frames, limit_bytes, |stack, values| {
+    Stack::open(path, KEYS, frames, limit_bytes, progress, |stack, values| {
         let unit = if stack.whole_numbers { unit } else { 1.0 };
         map(stack.width, stack.height, values.iter().map(|v| (v * unit) as f32))
     })

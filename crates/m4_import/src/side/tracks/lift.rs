@@ -3,7 +3,7 @@
 use super::arrays::Numbers;
 use crate::core::{Distortion, Lens, ListedFrame, SourceFault};
 use m4_math::nalgebra::Vector3;
-use m4_scene::CompactDepth;
+use m4_scene::{CompactDepth, Progress};
 
 /// Steps of the search for the ray of a distorted pixel, and how far from it the search may end, pixels of a focal length of 1.
 const STEPS: usize = 100;
@@ -15,11 +15,16 @@ pub(super) fn lift(
     tracks: &Numbers,
     frames: &[ListedFrame],
     size: Option<(usize, usize)>,
+    progress: &dyn Progress,
 ) -> Result<Vec<f64>, SourceFault> {
     let columns = tracks.third;
     let mut out = Vec::with_capacity(tracks.values.len() / columns.max(1) * 3);
     let rows = tracks.values.chunks(tracks.second.max(1) * columns);
-    for (row, frame) in rows.zip(frames) {
+    for (i, (row, frame)) in rows.zip(frames).enumerate() {
+        if progress.cancelled() {
+            return Err(SourceFault::Cancelled);
+        }
+        progress.update("lift tracks", i + 1, frames.len(), "");
         let k = &frame.lens.intrinsics;
         let (w, h) = size.unwrap_or((k.width, k.height));
         let (sx, sy) = (k.width as f64 / w as f64, k.height as f64 / h as f64);

@@ -54,7 +54,7 @@ pub fn read_tracks(
         }
         ("tracks" | "pred_tracks", 2 | 3) => {
             let size = read.video_size()?;
-            lift::lift(&places, frames, size)?
+            lift::lift(&places, frames, size, progress)?
         }
         _ => {
             let what = format!("{key} has {columns} numbers a place; 3, or 2 for pixels, were expected");
