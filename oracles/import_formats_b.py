@@ -232,6 +232,18 @@ def record3d(root, c):
             z.writestr(zipfile.ZipInfo(f"rgbd/{i}.conf"), liblzfse.compress(confidence(i).tobytes()))
 
 
+    # maps of more than 4 kB are packed in another way (bvx2 in place of bvxn)
+    metadata |= {"dw": 2 * W, "dh": 2 * H, "poses": poses[:1], "perFrameIntrinsicCoeffs": [], "frameTimestamps": []}
+    with zipfile.ZipFile(f"{root}/large.r3d", "w") as z:
+        z.writestr(zipfile.ZipInfo("metadata"), json.dumps(metadata))
+        jpeg = io.BytesIO()
+        Image.fromarray(c.rgb[0]).save(jpeg, "JPEG", **JPEG)
+        z.writestr(zipfile.ZipInfo("rgbd/0.jpg"), jpeg.getvalue())
+        depth = liblzfse.compress(c.depth[0].astype(np.float32).repeat(2, 0).repeat(2, 1).tobytes())
+        assert depth[:4] == b"bvx2"
+        z.writestr(zipfile.ZipInfo("rgbd/0.depth"), depth)
+
+
 def polycam(root, c):
     k = intrinsics(W, H)
     for i in range(N):

@@ -85,13 +85,16 @@ fn cases() -> Vec<Case> {
             let clip = davis::read_clip(&folder, &VideoOptions::default(), &Silent);
             clip.map(|_| Vec::new()).map_err(|e| e.to_string())
         }),
-        case("record3d", "record3d", &[], |p| {
+        case("record3d", "record3d", &["clip"], |p| {
             plain(&p.join("clip.r3d"), SourceFormat::Record3d)
         }),
         case("record3d unpacked", "record3d unpacked", &["metadata", "jpg"], |p| {
             plain(p, SourceFormat::Record3d)
         }),
         case("record3d depth", "record3d unpacked", &[".depth", ".conf"], |p| {
+            plain(p, SourceFormat::Record3d)
+        }),
+        case("record3d large depth", "record3d large", &[".depth"], |p| {
             plain(p, SourceFormat::Record3d)
         }),
         case("polycam", "polycam", &["corrected", "depth", "confidence"], |p| {
@@ -312,11 +315,16 @@ fn damage_is_an_error_or_a_sound_capture() {
     let dir = tempfile::tempdir().unwrap();
     for case in cases() {
         let root = dir.path().join(case.name);
-        let from = match case.clip.strip_suffix(" unpacked") {
+        let archive = match case.clip {
+            "record3d unpacked" => Some("clip.r3d"),
+            "record3d large" => Some("large.r3d"),
+            _ => None,
+        };
+        let from = match archive {
             None => fixtures().join(case.clip),
-            Some(clip) => {
+            Some(name) => {
                 let folder = dir.path().join("from").join(case.name);
-                let archive = File::open(fixtures().join(clip).join("clip.r3d")).unwrap();
+                let archive = File::open(fixtures().join("record3d").join(name)).unwrap();
                 ZipArchive::new(archive).unwrap().extract(&folder).unwrap();
                 folder
             }

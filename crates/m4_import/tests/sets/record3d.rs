@@ -35,6 +35,22 @@ fn it_is_the_clip_that_was_written() {
 }
 
 #[test]
+fn large_maps_are_packed_in_another_way() {
+    let clip = import(&fixture("record3d/large.r3d"), FORMAT, &ImportOptions::default())
+        .unwrap()
+        .train;
+    assert_eq!(
+        (clip.frames.len(), clip.time_frames, clip.duration_s),
+        (1, 1, Some(0.0))
+    );
+    let depth = truth("depth");
+    let twice: Vec<f64> = (0..4 * W * H)
+        .map(|i| depth[i / (2 * W) / 2 * W + i % (2 * W) / 2])
+        .collect();
+    assert_depth(&clip, 0, &twice, 1e-6, |_, _| true);
+}
+
+#[test]
 fn a_folder_that_it_was_unpacked_to_is_the_same() {
     check(&unpacked().1);
 }
