@@ -3,6 +3,7 @@
 //! ```text
 //! formats/NAME     a file or folder -> Listing: lens, pose, time and the places of pictures, depth and masks of each frame
 //! parts/           what several formats read: tables of numbers, arrays, poses, pictures, depth maps, time
+//! side            depth maps, masks and tracks that the options name, to the frames of any listing
 //! core/load        Listing -> Capture: everything decoded in parallel within a limit of memory, distortion removed
 //! ```
 //!
@@ -14,8 +15,10 @@
 #![forbid(unsafe_code)]
 
 pub mod formats;
+pub mod side;
 
 mod core;
+mod files;
 mod parts;
 
 pub use core::{

@@ -96,6 +96,28 @@ impl SourceFault {
         }
     }
 
+    /// The same with the name of a file beside the source, where the message does not have it.
+    #[must_use]
+    pub fn of_file(self, file: &Path) -> Self {
+        let of = |what: String| format!("{}: {what}", file.display());
+        match self {
+            Self::Io(e) => Self::Io(io::Error::new(e.kind(), of(e.to_string()))),
+            Self::Missing { what, remedy } => Self::Missing { what: of(what), remedy },
+            Self::Bad { what, remedy } => Self::Bad { what: of(what), remedy },
+            Self::Unsupported { what, remedy } => Self::Unsupported { what: of(what), remedy },
+            Self::TooLarge {
+                what,
+                needed_bytes,
+                limit_bytes,
+            } => Self::TooLarge {
+                what: of(what),
+                needed_bytes,
+                limit_bytes,
+            },
+            other @ (Self::Image(_) | Self::Cancelled) => other,
+        }
+    }
+
     /// With the file.
     #[must_use]
     pub fn at(self, path: &Path) -> ReadSourceError {

@@ -2,7 +2,9 @@
 
 mod colmap;
 mod da3;
+pub mod davis;
 mod dump;
+pub mod dycheck;
 mod megasam;
 mod monst3r;
 mod nerfstudio;
@@ -11,7 +13,13 @@ mod vggt;
 mod vipe;
 mod zipped;
 
+mod nvidia;
+mod polycam;
+mod record3d;
+mod stray;
+
 use crate::core::{ImportOptions, Imported, Listing, ReadSourceError, load};
+use crate::side;
 use m4_scene::Progress;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -40,6 +48,16 @@ pub enum SourceFormat {
     Tum,
     /// Trajectories of KITTI.
     Kitti,
+    /// Nerfies, HyperNeRF, DyCheck's iPhone scenes ([`dycheck`]).
+    Dycheck,
+    /// NVIDIA Dynamic Scenes and other clips with LLFF's `poses_bounds.npy`.
+    Nvidia,
+    /// Record3D's `.r3d`.
+    Record3d,
+    /// Polycam's raw data.
+    Polycam,
+    /// Stray Scanner.
+    StrayScanner,
 }
 
 /// What is known of one format.
@@ -53,6 +71,36 @@ struct Row {
 
 /// In the order in which they are tried: the special before the general.
 const ROWS: &[Row] = &[
+    Row {
+        format: SourceFormat::Dycheck,
+        name: "dycheck",
+        detect: dycheck::detect,
+        list: dycheck::list,
+    },
+    Row {
+        format: SourceFormat::Nvidia,
+        name: "nvidia",
+        detect: nvidia::detect,
+        list: nvidia::list,
+    },
+    Row {
+        format: SourceFormat::Record3d,
+        name: "record3d",
+        detect: record3d::detect,
+        list: record3d::list,
+    },
+    Row {
+        format: SourceFormat::Polycam,
+        name: "polycam",
+        detect: polycam::detect,
+        list: polycam::list,
+    },
+    Row {
+        format: SourceFormat::StrayScanner,
+        name: "stray-scanner",
+        detect: stray::detect,
+        list: stray::list,
+    },
     Row {
         format: SourceFormat::Colmap,
         name: "colmap",
@@ -128,7 +176,7 @@ pub fn detect(path: &Path) -> Option<SourceFormat> {
     ROWS.iter().find(|row| (row.detect)(path)).map(|row| row.format)
 }
 
-/// Reads a file or folder of that format.
+/// Reads a file or folder of that format; depth, masks and tracks that the options name take the place of its own.
 ///
 /// # Errors
 ///
@@ -140,7 +188,11 @@ pub fn read(
     progress: &dyn Progress,
 ) -> Result<Imported, ReadSourceError> {
     match ROWS.iter().find(|row| row.format == format) {
-        Some(row) => load(path, (row.list)(path, options, progress)?, options, progress),
+        Some(row) => {
+            let mut listing = (row.list)(path, options, progress)?;
+            side::attach(&mut listing, options, progress)?;
+            load(path, listing, options, progress)
+        }
         None => Err(crate::core::SourceFault::unsupported("no reader has this format", "name another").at(path)),
     }
 }

@@ -89,6 +89,38 @@ pub fn size(path: &Path) -> Result<(usize, usize), ReadImageError> {
     Ok((width as usize, height as usize))
 }
 
+/// Decodes a colour picture that was read from an archive; as [`read_rgb`], at most `most_pixels`. `name` is for messages.
+///
+/// # Errors
+///
+/// [`ReadImageError`] if it is not a whole PNG or JPEG image, or is larger.
+pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImage, ReadImageError> {
+    let reader = ImageReader::new(Cursor::new(bytes));
+    let reader = reader.with_guessed_format().map_err(|source| ReadImageError::Io {
+        path: name.to_path_buf(),
+        source,
+    })?;
+    if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
+        return Err(ReadImageError::UnknownFormat {
+            path: name.to_path_buf(),
+        });
+    }
+    let decoder = reader.into_decoder().map_err(|e| damaged(name, &e))?;
+    let (width, height) = decoder.dimensions();
+    if width > MAX_SIDE_PX || height > MAX_SIDE_PX || u64::from(width) * u64::from(height) > most_pixels {
+        return Err(ReadImageError::TooLarge {
+            path: name.to_path_buf(),
+            width,
+            height,
+            limit: MAX_SIDE_PX.min(most_pixels.isqrt() as u32),
+        });
+    }
+    rgb(
+        name,
+        DynamicImage::from_decoder(decoder).map_err(|e| damaged(name, &e))?,
+    )
+}
+
 /// Reads a colour picture; grey becomes colour, 16 bits become 8, transparency becomes black.
 ///
 /// # Errors
@@ -227,4 +259,33 @@ pub fn read_grey(path: &Path) -> Result<Plane<u8>, ReadImageError> {
     let grey = decode(path)?.into_luma8();
     let (width, height) = grey.dimensions();
     plane(path, width, height, grey.into_raw())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{ReadImageError, decode_rgb};
+    use image::{ImageFormat, RgbImage};
+    use std::io::Cursor;
+    use std::path::Path;
+
+    #[test]
+    fn bytes_are_a_picture_within_the_limit_or_refused() {
+        let mut bytes = Vec::new();
+        let picture = RgbImage::from_fn(5, 3, |x, y| image::Rgb([x as u8, y as u8, 77]));
+        picture
+            .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
+            .unwrap();
+        let decode = |bytes: &[u8], most| decode_rgb(bytes, Path::new("a.png"), most);
+        let read = decode(&bytes, 15).unwrap();
+        assert_eq!((read.size(), read[(4, 2)]), ((5, 3), [4, 2, 77]));
+        assert!(matches!(
+            decode(&bytes, 14),
+            Err(ReadImageError::TooLarge { width: 5, .. })
+        ));
+        assert!(matches!(decode(&bytes[..40], 15), Err(ReadImageError::Damaged { .. })));
+        assert!(matches!(
+            decode(b"GIF89a", 15),
+            Err(ReadImageError::UnknownFormat { .. })
+        ));
+    }
 }

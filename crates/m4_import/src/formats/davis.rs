@@ -1,0 +1,115 @@
+//! DAVIS: clips without poses, whose things were outlined by hand.
+//!
+//! ```text
+//! JPEGImages/480p/NAME/00000.jpg      the video, 24 frames a second
+//! Annotations/480p/NAME/00000.png     a palette picture: the number of the thing that each pixel shows, 0 for none
+//! ```
+//!
+//! A [`Listing`](crate::Listing) is of posed frames, which these are not: [`read_clip`] gives what the estimation of geometry starts
+//! from, a video, and the maps of things for its frames. Source: the README of davischallenge/davis-2017.
+
+use crate::core::{ReadSourceError, SourceFault};
+use crate::files::{opened_size, stem};
+use crate::side::mask::read_mask;
+use m4_io::video::{ReadVideoError, VideoOptions, pictures, read};
+use m4_scene::{CompactIds, Progress, Video};
+use std::path::{Path, PathBuf};
+
+/// Frames a second of all clips.
+const FPS: f64 = 24.0;
+
+/// A clip and what was outlined in it.
+#[derive(Debug, Clone)]
+pub struct DavisClip {
+    /// The pictures.
+    pub video: Video,
+    /// Which thing each pixel shows, for each frame of `video`, of the size of the files; `None` for frames that nobody outlined (test
+    /// sets have the first alone, or none).
+    pub instances: Vec<Option<CompactIds>>,
+}
+
+/// Whether a folder is that of the pictures of a clip (`.../JPEGImages/480p/NAME`).
+#[must_use]
+pub fn detect(path: &Path) -> bool {
+    let named = |p: Option<&Path>| p.and_then(Path::file_name).is_some_and(|n| n == "JPEGImages");
+    path.is_dir() && named(path.parent().and_then(Path::parent))
+}
+
+/// Reads the clip whose pictures lie in `path`, `ROOT/JPEGImages/RESOLUTION/NAME`; the maps lie in `ROOT/Annotations/RESOLUTION/NAME`.
+/// `options` choose frames and size as for any video; its `folder_fps` is passed over.
+///
+/// # Errors
+///
+/// [`ReadSourceError`]: another layout, pictures that cannot be read, or a map that has no palette or another size than its picture.
+pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<DavisClip, ReadSourceError> {
+    let annotations = annotations(path)?;
+    let options = VideoOptions {
+        folder_fps: FPS,
+        ..options.clone()
+    };
+    let files = pictures(path).map_err(|e| of_video(path, e))?;
+    let video = read(path, &options, progress).map_err(|e| of_video(path, e))?;
+    let mut instances = Vec::with_capacity(video.frames.len());
+    for frame in &video.frames {
+        let index = (frame.time_s * FPS).round() as usize;
+        let Some(picture) = files.get(index) else {
+            let what = format!("frame {index} is not among the {} pictures", files.len());
+            return Err(SourceFault::bad(what, "do not change files while they are read").at(path));
+        };
+        let file = annotations.join(format!("{}.png", stem(picture)));
+        instances.push(if file.is_file() {
+            Some(map(&file, picture)?)
+        } else {
+            None
+        });
+    }
+    Ok(DavisClip { video, instances })
+}
+
+fn annotations(path: &Path) -> Result<PathBuf, ReadSourceError> {
+    let parts = (path.file_name(), path.parent().and_then(Path::file_name));
+    let root = path.parent().and_then(Path::parent).and_then(Path::parent);
+    match (parts, root) {
+        ((Some(name), Some(resolution)), Some(root)) if detect(path) => {
+            Ok(root.join("Annotations").join(resolution).join(name))
+        }
+        _ => {
+            let what = "it is no folder ROOT/JPEGImages/RESOLUTION/NAME";
+            Err(SourceFault::bad(what, "give the folder of the clip's pictures").at(path))
+        }
+    }
+}
+
+fn map(file: &Path, picture: &Path) -> Result<CompactIds, ReadSourceError> {
+    let read = read_mask(file, false).map_err(|fault| fault.at(file))?;
+    let Some(ids) = read.instances else {
+        let what = "it has no palette, so it does not tell things apart";
+        return Err(SourceFault::bad(what, "give the annotations as they were published").at(file));
+    };
+    let size = opened_size(picture).map_err(|fault| fault.at(picture))?;
+    if ids.size() != size {
+        let ((w, h), (pw, ph)) = (ids.size(), size);
+        let what = format!("it is {w} x {h} pixels but its picture is {pw} x {ph}");
+        return Err(SourceFault::bad(what, "give pictures and annotations of one resolution").at(file));
+    }
+    Ok(ids)
+}
+
+/// A video's error as that of a source; it names its file itself.
+pub(crate) fn of_video(path: &Path, error: ReadVideoError) -> ReadSourceError {
+    match error {
+        ReadVideoError::Io { source, .. } => SourceFault::Io(source).at(path),
+        ReadVideoError::Picture(e) => SourceFault::Image(e).at(path),
+        ReadVideoError::Cancelled { .. } => SourceFault::Cancelled.at(path),
+        other => {
+            let unsupported = other.kind() == m4_io::ErrorKind::Unsupported;
+            let (what, remedy) = (other.to_string(), "or give a folder of its frames");
+            let fault = if unsupported {
+                SourceFault::unsupported(what, remedy)
+            } else {
+                SourceFault::bad(what, remedy)
+            };
+            fault.at(path)
+        }
+    }
+}

@@ -1,0 +1,25 @@
+//! Files beside a clip: depth maps, masks and tracks that another tool made for it, whatever the clip's own format.
+//!
+//! ```text
+//! depth   folder of maps, one a training frame in natural order of names, or an npz stack (depths | depth | arr_0: [n][h][w] or [n][h][w][1])
+//!           .exr   first of the channels Z, Y, R, depth; half or float                 .pfm   one channel, rows from the bottom
+//!           .png   16 bits a pixel, times ImportOptions::depth_unit                    .npy   [h][w]; integers times depth_unit
+//! masks   folder, one a training frame, or an npz stack (masks | mask | dyn_masks | arr_0)
+//!           .png   not 0 moves: a number of a palette (DAVIS, SAM 2), a grey value or a colour    .jpg  128 and more moves
+//! tracks  npz   TAPIP3D, SpatialTracker v2: coords [n][k][3], visibs, extrinsics
+//!               SpatialTracker v1: pred_tracks [n][k][3], pixels and z-depth; CoTracker: tracks or pred_tracks [n][k][2], pixels
+//! ```
+//!
+//! What is converted: NaN, infinite and negative depth become 0 (unknown); PFM's rows are turned; places in pixels are counted
+//! from the centre of the first pixel there and from the corner here; coordinates of a world whose cameras the file brings
+//! (`extrinsics`, world to camera) go through those cameras to ours.
+
+pub mod depth;
+pub mod mask;
+pub mod tracks;
+
+mod attach;
+mod palette;
+mod stack;
+
+pub use attach::attach;

@@ -1,0 +1,11 @@
+//! Clips of data sets, telephones and trackers, compared with what `oracles/import_formats_b.py` wrote them from.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod davis;
+mod dycheck;
+mod nvidia;
+mod polycam;
+mod record3d;
+mod side;
+mod stray;
+mod truth;
