@@ -227,19 +227,25 @@ fn take_over(capture: &Path, existing: Existing) -> Result<Option<GeometryRecord
     }
 }
 
-/// Removes what this stage writes, and nothing else.
-pub(crate) fn clear(capture: &Path) -> Result<(), Error> {
-    if GeometryRecord::read(capture)?.is_none() {
-        return Ok(());
-    }
-    folder::remove_file(&capture.join(Split::Train.file_name()))?;
-    for name in Split::Train.folders() {
+/// Removes a list of frames and what it names.
+pub(crate) fn clear_split(capture: &Path, split: Split) -> Result<(), Error> {
+    folder::remove_file(&capture.join(split.file_name()))?;
+    for name in split.folders() {
         let path = capture.join(name);
         match fs::remove_dir_all(&path) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(Error::Write { path, source }),
             _ => {}
         }
     }
+    Ok(())
+}
+
+/// Removes what this stage writes, and nothing else.
+pub(crate) fn clear(capture: &Path) -> Result<(), Error> {
+    if GeometryRecord::read(capture)?.is_none() {
+        return Ok(());
+    }
+    clear_split(capture, Split::Train)?;
     folder::remove_file(&capture.join(TRACKS_FILE))?;
     folder::remove_file(&capture.join(enhance::REPORT_FILE))?;
     folder::remove_file(&capture.join(GEOMETRY_FILE))

@@ -1,10 +1,12 @@
-//! Files of MegaSaM as a capture.
+//! A posed clip as a capture.
 
-use super::{ImportError, ImportJob, STAGE};
+use super::checked::{Checked, checked};
+use super::{ImportError, ImportFormat, ImportJob, ImportOptions, STAGE};
 use crate::export::Format;
 use crate::progress::Keeper;
 use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::{Error, Observer, Settings, StageEvent, geometry, hash};
+use m4_import::{Imported, ReadSourceError, SourceFault};
 use m4_io::capture::{self, Split};
 use m4_io::megasam::{self, MegasamFault, MegasamOptions, ReadMegasamError};
 use m4_scene::{Capture, CompactMask};
@@ -16,7 +18,7 @@ use std::time::Instant;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CaptureReport {
     /// The format that was read.
-    pub format: Format,
+    pub format: ImportFormat,
     /// The capture that was made.
     pub path: PathBuf,
     /// Its frames.
@@ -31,6 +33,10 @@ pub struct CaptureReport {
     pub known_share: f64,
     /// Share of pixels that move; `None` where there is no map of motion.
     pub moving_share: Option<f64>,
+    /// Held-out views.
+    pub held_out: usize,
+    /// How well cameras and depth fit the pictures; `None` where that was not asked for.
+    pub check: Option<Checked>,
     /// Wall-clock seconds.
     pub seconds: f64,
 }
@@ -38,32 +44,43 @@ pub struct CaptureReport {
 /// The settings in the record of the capture.
 #[derive(Serialize)]
 struct Part<'a> {
-    import: &'a MegasamOptions,
-    format: Format,
+    import: &'a ImportOptions,
+    motion: &'a Option<PathBuf>,
+    fix: bool,
+    format: ImportFormat,
 }
 
 /// Reads `file` and writes a capture into the folder `out`.
 pub(super) fn make(
     file: &Path,
     out: &Path,
-    format: Format,
+    format: ImportFormat,
     job: &ImportJob,
     observer: &dyn Observer,
 ) -> Result<CaptureReport, Error> {
     let start = Instant::now();
     let keeper = Keeper::new(observer);
-    let defaults = MegasamOptions::default();
-    let options = MegasamOptions {
-        fps: job.fps,
-        tau_motion: job.tau_motion.unwrap_or(defaults.tau_motion),
-        motion: job.motion.clone(),
+    let options = ImportOptions {
         max_memory_bytes: Settings::fast().capture.max_memory_bytes,
+        ..job.options.clone()
     };
     // Read before the folder is made, so that a wrong file leaves nothing behind.
     observer.stage(STAGE, StageEvent::Started { because: None });
-    let capture = megasam::read(file, &options, &keeper).map_err(stopped)?;
+    let mut imported = match format {
+        ImportFormat::Source(source) => m4_import::read(file, source, &options, &keeper).map_err(source_stopped)?,
+        ImportFormat::Known(layout) => of_megasam(file, layout, &options, job, &keeper)?,
+    };
+    let check = if job.check || job.fix {
+        let (found, fixed) = checked(imported, job.fix, &keeper)?;
+        imported = fixed;
+        Some(found)
+    } else {
+        None
+    };
     let part = Part {
         import: &options,
+        motion: &job.motion,
+        fix: job.fix,
         format,
     };
     let settings = plain_json(&part)?;
@@ -72,7 +89,11 @@ pub(super) fn make(
         blake3: hash::of_path(file)?,
     };
     let (_lock, _) = geometry::open(out, job.existing)?;
+    let ours = GeometryRecord::read(out)?.is_some_and(|record| record.settings.get("import").is_some());
     geometry::clear(out)?;
+    if ours {
+        geometry::clear_split(out, Split::Test)?;
+    }
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
     let mut record = GeometryRecord {
         format: GEOMETRY_FORMAT.to_owned(),
@@ -88,7 +109,10 @@ pub(super) fn make(
         warnings: Vec::new(),
     };
     record.write(out)?;
-    let written = capture::write(out, &capture, Split::Train, &keeper);
+    let written = capture::write(out, &imported.train, Split::Train, &keeper).and_then(|()| match &imported.test {
+        Some(test) => capture::write(out, test, Split::Test, &keeper),
+        None => Ok(()),
+    });
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
     record.status = match &written {
@@ -103,20 +127,67 @@ pub(super) fn make(
             seconds: record.seconds,
         },
     );
-    Ok(report(format, out, &capture, record.seconds))
+    let held_out = imported.test.as_ref().map_or(0, |test| test.frames.len());
+    Ok(report(format, out, &imported.train, (held_out, check), record.seconds))
 }
 
-fn stopped(error: ReadMegasamError) -> Error {
+/// Files of MegaSaM, whose map of motion may lie elsewhere.
+fn of_megasam(
+    file: &Path,
+    layout: Format,
+    options: &ImportOptions,
+    job: &ImportJob,
+    keeper: &Keeper<'_>,
+) -> Result<Imported, Error> {
+    let beside = [
+        ("--images", options.pictures.is_some()),
+        ("--focal", options.focal_px.is_some()),
+        ("--depth", options.depth.is_some()),
+        ("--masks", options.masks.is_some()),
+        ("--tracks", options.tracks.is_some()),
+        ("--axes", options.axes.is_some()),
+        ("--factor", options.factor.is_some()),
+    ];
+    if let Some((option, _)) = beside.into_iter().find(|(_, is_given)| *is_given) {
+        let format = layout.name();
+        return Err(ImportError::NotOfFormat { option, format }.into());
+    }
+    let options = MegasamOptions {
+        fps: options.fps,
+        tau_motion: options.tau_motion,
+        motion: job.motion.clone(),
+        max_memory_bytes: options.max_memory_bytes,
+    };
+    let train = megasam::read(file, &options, keeper).map_err(megasam_stopped)?;
+    Ok(Imported { train, test: None })
+}
+
+const STOPPED: Error = Error::Stopped {
+    stage: STAGE,
+    saved: false,
+};
+
+fn megasam_stopped(error: ReadMegasamError) -> Error {
     match error.fault {
-        MegasamFault::Cancelled => Error::Stopped {
-            stage: STAGE,
-            saved: false,
-        },
+        MegasamFault::Cancelled => STOPPED,
         _ => ImportError::from(error).into(),
     }
 }
 
-fn report(format: Format, out: &Path, capture: &Capture, seconds: f64) -> CaptureReport {
+fn source_stopped(error: ReadSourceError) -> Error {
+    match error.fault {
+        SourceFault::Cancelled => STOPPED,
+        _ => ImportError::from(error).into(),
+    }
+}
+
+fn report(
+    format: ImportFormat,
+    out: &Path,
+    capture: &Capture,
+    (held_out, check): (usize, Option<Checked>),
+    seconds: f64,
+) -> CaptureReport {
     let frames = &capture.frames;
     let lens = frames.first().map(|f| f.camera.intrinsics);
     let size = lens.map_or([0, 0], |k| [k.width, k.height]);
@@ -138,6 +209,8 @@ fn report(format: Format, out: &Path, capture: &Capture, seconds: f64) -> Captur
         duration_s: capture.duration_s,
         known_share: known as f64 / pixels,
         moving_share: masks().next().map(|_| moving as f64 / pixels),
+        held_out,
+        check,
         seconds,
     }
 }

@@ -7,7 +7,9 @@ use m4_formats::ply::ReadPlyError;
 use m4_formats::splatv::ReadSplatvError;
 use m4_formats::spz::ReadSpzError;
 use m4_formats::usd::ReadUsdError;
+use m4_import::ReadSourceError;
 use m4_io::megasam::{MegasamFault, ReadMegasamError};
+use m4_slam::consistency::ConsistencyError;
 use std::path::PathBuf;
 
 /// Why an import failed.
@@ -30,13 +32,35 @@ pub enum ImportError {
         /// The formats that can be imported.
         known: String,
     },
-    /// A folder.
-    #[error("{} is a folder: a sequence cannot be imported as a clip, since nothing says which splat of one file is which of the next; give one of its files{}", path.display(), example(first))]
+    /// A name that no format has.
+    #[error("no format is called {given}; these can be imported: {known}")]
+    NoSuchFormat {
+        /// What was given.
+        given: String,
+        /// The formats that can be imported.
+        known: String,
+    },
+    /// A folder of nothing that is known.
+    #[error("{} is a folder of none of the layouts that are known; if it is one, name it by --format, one of {known}", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// The formats that can be imported.
+        known: String,
+    },
+    /// A sequence of splats.
+    #[error("{} is a folder: a sequence cannot be imported as a clip, since nothing says which splat of one file is which of the next; give one of its files, such as {}", path.display(), first.display())]
     Sequence {
         /// The folder.
         path: PathBuf,
         /// A file in it.
-        first: Option<PathBuf>,
+        first: PathBuf,
+    },
+    /// A clip without poses.
+    #[error("{} is of DAVIS, whose clips have no poses; `minute4d run PICTURES --masks ANNOTATIONS -o OUT`, with the folders of one clip, finds them", path.display())]
+    NoPoses {
+        /// The folder.
+        path: PathBuf,
     },
     /// A file without splats.
     #[error("{} holds no splats, so there is nothing to see", path.display())]
@@ -52,6 +76,20 @@ pub enum ImportError {
         /// The format.
         format: &'static str,
     },
+    /// An option that the format has no use for.
+    #[error("{option} has no meaning for {format}, which brings its own; leave it out")]
+    NotOfFormat {
+        /// The option.
+        option: &'static str,
+        /// The format.
+        format: &'static str,
+    },
+    /// Reading a clip that another tool posed.
+    #[error(transparent)]
+    Source(#[from] ReadSourceError),
+    /// Comparing a capture with the flow of its pictures.
+    #[error("the capture cannot be checked: {0}; --no-check imports it all the same")]
+    Check(#[from] ConsistencyError),
     /// Reading files of MegaSaM.
     #[error(transparent)]
     Megasam(#[from] ReadMegasamError),
@@ -75,24 +113,27 @@ pub enum ImportError {
     Usd(#[from] ReadUsdError),
 }
 
-fn example(first: &Option<PathBuf>) -> String {
-    first
-        .as_ref()
-        .map_or_else(String::new, |f| format!(", such as {}", f.display()))
-}
-
 impl ImportError {
     /// What sort of failure this is.
     #[must_use]
     pub fn category(&self) -> Category {
         match self {
-            Self::Unknown { .. } | Self::WriteOnly { .. } | Self::NoCaptureOption { .. } => Category::Usage,
+            Self::Unknown { .. }
+            | Self::WriteOnly { .. }
+            | Self::NoSuchFormat { .. }
+            | Self::NoCaptureOption { .. }
+            | Self::NotOfFormat { .. } => Category::Usage,
+            Self::Source(e) => e.kind().into(),
             Self::Megasam(ReadMegasamError {
                 fault: MegasamFault::Option { .. },
                 ..
             }) => Category::Usage,
             Self::Megasam(e) => e.kind().into(),
-            Self::Sequence { .. } | Self::NoSplats { .. } => Category::BadInput,
+            Self::Folder { .. }
+            | Self::Sequence { .. }
+            | Self::NoPoses { .. }
+            | Self::NoSplats { .. }
+            | Self::Check(_) => Category::BadInput,
             Self::Fourdgs(e) => e.kind().into(),
             Self::Ply(e) => e.kind().into(),
             Self::Splatv(e) => e.kind().into(),

@@ -1,14 +1,26 @@
-//! Files of other tools: splats as the folder of a run, which can be rendered, viewed and exported; frames with poses,
-//! depth and masks (those of MegaSaM) as a capture, which can be trained.
+//! Files of other tools: splats as the folder of a run, which can be rendered, viewed and exported; clips with poses as a capture, which can be
+//! trained.
+//!
+//! ```text
+//! format   which it is                     read      splats -> Scene
+//! capture  a posed clip -> Capture -> check -> fixed, if that is asked for -> written
+//! ```
 
 mod cameras;
 mod capture;
+mod checked;
 mod error;
+mod format;
+mod job;
 mod read;
 
 pub use cameras::default_cameras;
 pub use capture::CaptureReport;
+pub use checked::Checked;
 pub use error::ImportError;
+pub use format::ImportFormat;
+pub use job::ImportJob;
+pub use m4_import::{ImportOptions, SourceFormat};
 pub(crate) use read::read_back;
 
 use crate::export::{Format, Losses};
@@ -46,35 +58,6 @@ pub struct ImportReport {
     pub seconds: f64,
 }
 
-/// What to import, and what its files do not say.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ImportJob {
-    /// The format; `None` for what the name or the files of a folder say.
-    pub format: Option<Format>,
-    /// What to do with a folder that holds something.
-    pub existing: Existing,
-    /// Frames a second of a capture; `None` for 30.
-    pub fps: Option<f64>,
-    /// From which probability of motion on a pixel of a capture moves; `None` for 0.7.
-    pub tau_motion: Option<f64>,
-    /// The map of motion of a capture; `None` for the one that lies where MegaSaM writes it.
-    pub motion: Option<PathBuf>,
-}
-
-impl ImportJob {
-    /// Everything as the files say.
-    #[must_use]
-    pub fn new(format: Option<Format>) -> Self {
-        Self {
-            format,
-            existing: Existing::Refuse,
-            fps: None,
-            tau_motion: None,
-            motion: None,
-        }
-    }
-}
-
 /// What became of a file.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
@@ -82,11 +65,11 @@ pub enum Report {
     /// A scene.
     Scene(ImportReport),
     /// A capture.
-    Capture(CaptureReport),
+    Capture(Box<CaptureReport>),
 }
 
-/// Imports a file or folder into the folder `out`: splats as a scene, files of MegaSaM as a capture. A scene without
-/// cameras gets some that look at its middle.
+/// Imports a file or folder into the folder `out`: splats as a scene, posed clips as a capture. A scene without
+/// cameras gets some that look at its middle; the cameras and depth of a capture are compared with the flow of its pictures.
 ///
 /// # Errors
 ///
@@ -99,21 +82,16 @@ pub fn make(file: &Path, out: &Path, job: &ImportJob, observer: &dyn Observer) -
             path: file.to_path_buf(),
         });
     }
-    let format = read::format(file, job.format)?;
-    if format.layout().is_some() {
-        return capture::make(file, out, format, job, observer).map(Report::Capture);
+    let format = ImportFormat::of(file, job.format)?;
+    let splats = match format {
+        ImportFormat::Known(format) if format.layout().is_none() => format,
+        _ => return capture::make(file, out, format, job, observer).map(|report| Report::Capture(Box::new(report))),
+    };
+    if let Some(option) = job.of_captures() {
+        let format = format.name();
+        return Err(ImportError::NoCaptureOption { option, format }.into());
     }
-    for (option, is_given) in [
-        ("--fps", job.fps.is_some()),
-        ("--tau-motion", job.tau_motion.is_some()),
-        ("--motion-prob", job.motion.is_some()),
-    ] {
-        if is_given {
-            let format = format.name();
-            return Err(ImportError::NoCaptureOption { option, format }.into());
-        }
-    }
-    scene(file, out, format, job.existing, observer).map(Report::Scene)
+    scene(file, out, splats, job.existing, observer).map(Report::Scene)
 }
 
 /// A file of splats as the folder of a run.

@@ -1,63 +1,18 @@
 //! One arm a format.
 
-use super::ImportError;
+use super::{ImportError, ImportFormat};
 use crate::export::Format;
 use m4_formats::ply::frame_name;
 use m4_formats::{Imported, fourdgs, gltf, ply, splatv, spz, usd};
-use m4_io::megasam;
 use m4_scene::{Scene, Splats};
 use std::path::Path;
-
-/// Formats that can be imported.
-const READ: [Format; 8] = [
-    Format::Fourdgs,
-    Format::Ply,
-    Format::Splatv,
-    Format::Spz,
-    Format::Gltf,
-    Format::Megasam,
-    Format::MegasamCvd,
-    Format::MegasamReconstruction,
-];
-
-fn known() -> String {
-    READ.map(Format::name).join(", ")
-}
-
-/// The format of a file: the one asked for, or the one that its name says.
-pub(super) fn format(file: &Path, asked: Option<Format>) -> Result<Format, ImportError> {
-    if let Some(layout) = megasam::detect(file).filter(|_| file.is_dir()) {
-        return Ok(Format::of_layout(layout));
-    }
-    // a folder of MegaSaM that lacks files is told by its reader, which says which
-    if file.is_dir() && asked != Some(Format::MegasamReconstruction) {
-        let first = file.join(frame_name(0));
-        return Err(ImportError::Sequence {
-            path: file.to_path_buf(),
-            first: first.is_file().then_some(first),
-        });
-    }
-    let format = asked
-        .or_else(|| Format::of_path(file))
-        .ok_or_else(|| ImportError::Unknown {
-            path: file.to_path_buf(),
-            known: known(),
-        })?;
-    if READ.contains(&format) {
-        return Ok(format);
-    }
-    Err(ImportError::WriteOnly {
-        name: format.name(),
-        known: known(),
-    })
-}
 
 /// The scene in a file.
 pub(super) fn read(format: Format, path: &Path) -> Result<Imported, ImportError> {
     read_back(format, path, 0, 0.0).unwrap_or_else(|| {
         Err(ImportError::WriteOnly {
             name: format.name(),
-            known: known(),
+            known: ImportFormat::names(),
         })
     })
 }

@@ -49,6 +49,16 @@ pub fn rate(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A finite number above 0.
+pub fn positive(text: &str) -> Result<f64, String> {
+    let value = number(text)?;
+    if value > 0.0 {
+        Ok(value)
+    } else {
+        Err("it must be above 0".to_owned())
+    }
+}
+
 /// A share of 1.
 pub fn share(text: &str) -> Result<f64, String> {
     let value = number(text)?;

@@ -3,22 +3,19 @@
 use crate::args::Import;
 use crate::failure::Failure;
 use crate::output::Output;
-use minute4d::Existing;
-use minute4d::import::{CaptureReport, ImportJob, ImportReport, Report};
+use minute4d::import::{CaptureReport, ImportReport, Report};
 
 pub fn run(args: &Import, output: &Output) -> Result<(), Failure> {
-    let job = ImportJob {
-        format: args.format,
-        existing: if args.force { Existing::Force } else { Existing::Refuse },
-        fps: args.fps,
-        tau_motion: args.tau_motion,
-        motion: args.motion_prob.clone(),
-    };
-    let report = minute4d::import::make(&args.file, &args.out, &job, output)?;
-    output.note(&match &report {
-        Report::Scene(scene) => of_scene(scene),
-        Report::Capture(capture) => of_capture(capture),
-    });
+    let report = minute4d::import::make(&args.file, &args.out, &args.job(), output)?;
+    match &report {
+        Report::Scene(scene) => output.note(&of_scene(scene)),
+        Report::Capture(capture) => {
+            output.note(&of_capture(capture));
+            if let Some(check) = &capture.check {
+                output.note(&check.to_string());
+            }
+        }
+    }
     output.result(&args.out.display().to_string(), minute4d::plain_json(&report)?);
     Ok(())
 }
@@ -40,7 +37,7 @@ fn of_scene(report: &ImportReport) -> String {
 fn of_capture(report: &CaptureReport) -> String {
     let [w, h] = report.size;
     format!(
-        "{}: {} frames of {w} x {h} pixels, field of view {:.1} degrees, depth of {:.1} % of the pixels, {}",
+        "{}: {} frames of {w} x {h} pixels, field of view {:.1} degrees, depth of {:.1} % of the pixels, {}{}",
         report.format.name(),
         report.frames,
         report.fov_deg,
@@ -48,6 +45,10 @@ fn of_capture(report: &CaptureReport) -> String {
         match report.moving_share {
             None => "no masks".to_owned(),
             Some(share) => format!("{:.1} % moving", 100.0 * share),
+        },
+        match report.held_out {
+            0 => String::new(),
+            n => format!(", {n} held-out views"),
         }
     )
 }

@@ -1,0 +1,60 @@
+//! What to import, and how.
+
+use super::ImportFormat;
+use crate::folder::Existing;
+use m4_import::ImportOptions;
+use std::path::PathBuf;
+
+/// What to import, and what its files do not say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImportJob {
+    /// The format; `None` for what the name or the files of a folder say.
+    pub format: Option<ImportFormat>,
+    /// What to do with a folder that holds something.
+    pub existing: Existing,
+    /// Of captures.
+    pub options: ImportOptions,
+    /// MegaSaM's map of motion; `None` for the one that lies where MegaSaM writes it.
+    pub motion: Option<PathBuf>,
+    /// Compare cameras and depth of a capture with the flow of its pictures.
+    pub check: bool,
+    /// Put right what that finds.
+    pub fix: bool,
+}
+
+impl ImportJob {
+    /// Everything as the files say.
+    #[must_use]
+    pub fn new(format: Option<ImportFormat>) -> Self {
+        Self {
+            format,
+            existing: Existing::Refuse,
+            options: ImportOptions::default(),
+            motion: None,
+            check: true,
+            fix: false,
+        }
+    }
+
+    /// An option that has a meaning for captures alone and was given.
+    pub(super) fn of_captures(&self) -> Option<&'static str> {
+        let (o, d) = (&self.options, ImportOptions::default());
+        let given = [
+            ("--fps", o.fps != d.fps),
+            ("--tau-motion", o.tau_motion != d.tau_motion),
+            ("--motion-prob", self.motion.is_some()),
+            ("--images", o.pictures != d.pictures),
+            ("--focal", o.focal_px != d.focal_px),
+            ("--depth", o.depth != d.depth),
+            ("--depth-unit", o.depth_unit != d.depth_unit),
+            ("--masks", o.masks != d.masks),
+            ("--invert-masks", o.invert_masks != d.invert_masks),
+            ("--tracks", o.tracks != d.tracks),
+            ("--axes", o.axes != d.axes),
+            ("--factor", o.factor != d.factor),
+            ("--fix", self.fix),
+            ("--no-check", !self.check),
+        ];
+        given.into_iter().find(|(_, is_given)| *is_given).map(|(name, _)| name)
+    }
+}

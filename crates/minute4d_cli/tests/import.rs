@@ -1,0 +1,128 @@
+//! Clips that other tools posed, from outside.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+mod common;
+
+use common::{Scratch, refused, succeed, train};
+use minute4d::Silent;
+use minute4d::io::capture::{self, CaptureOptions, Split};
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn fixture(name: &str) -> String {
+    format!("{}/../../fixtures/import/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Fixtures whose folder says what they are.
+#[test]
+fn sources_are_told_apart_and_become_captures() {
+    let dir = Scratch::new();
+    for (name, format, held_out) in [
+        ("colmap_text", "colmap", 0),
+        ("nerfstudio", "nerfstudio", 0),
+        ("vipe", "vipe", 0),
+        ("dycheck", "dycheck", 2),
+        ("nvidia", "nvidia", 0),
+        ("record3d/clip.r3d", "record3d", 0),
+        ("polycam", "polycam", 0),
+        ("stray", "stray-scanner", 0),
+    ] {
+        let out = dir.at(format);
+        let report = succeed(&["import", &fixture(name), "-o", &out, "--json"]).result();
+        assert_eq!(report["format"], format, "{name}");
+        assert!(report["frames"].as_u64().unwrap() > 2, "{name}: {report}");
+        assert!(report["check"]["verdict"].is_string(), "{name}: {report}");
+        let train = capture::read(&dir.path(format), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
+        assert_eq!(train.frames.len() as u64, report["frames"].as_u64().unwrap());
+        assert!(report["held_out"].as_u64().unwrap() >= held_out, "{name}: {report}");
+        let listed = dir.path(format).join(Split::Test.file_name()).is_file();
+        assert_eq!(listed, report["held_out"] != 0, "{name}");
+    }
+    // held-out views of an earlier import do not stay behind
+    assert!(dir.path("dycheck").join(Split::Test.file_name()).is_file());
+    succeed(&[
+        "import",
+        &fixture("polycam"),
+        "-o",
+        &dir.at("dycheck"),
+        "--force",
+        "--no-check",
+    ]);
+    assert!(!dir.path("dycheck").join(Split::Test.file_name()).exists());
+    let trained = train(&dir.at("colmap"), &dir.at("out"), "5", &[]);
+    assert!(
+        trained.code == 0 || trained.stderr.contains("depth"),
+        "{}",
+        trained.stderr
+    );
+}
+
+#[test]
+fn wrong_requests_are_refused_with_advice() {
+    let dir = Scratch::new();
+    let out = dir.at("out");
+    fs::create_dir_all(dir.path("empty")).unwrap();
+    let empty = dir.at("empty");
+    let (colmap, davis) = (fixture("colmap_text"), fixture("davis"));
+    for (args, code, says) in [
+        (vec!["import", &*empty, "-o", &out], 65, "none of the layouts"),
+        (vec!["import", &empty, "-o", &out, "--format", "vipe"], 65, "pose"),
+        (
+            vec!["import", &empty, "-o", &out, "--format", "obj"],
+            2,
+            "no format is called obj",
+        ),
+        (vec!["import", &davis, "-o", &out], 65, "no poses"),
+        (
+            vec!["import", &colmap, "-o", &out, "--fix", "--no-check"],
+            2,
+            "cannot be used with",
+        ),
+        (
+            vec!["import", &colmap, "-o", &out, "--depth", "/nowhere"],
+            66,
+            "/nowhere",
+        ),
+    ] {
+        refused(&args, code, &[says]);
+    }
+    assert!(!dir.path("out").exists(), "what cannot be used leaves nothing behind");
+}
+
+#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+fn bench() -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/bench/quad-1");
+    if !path.is_dir() {
+        eprintln!("NOT tested: no benchmark scene at {}", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+/// A scene whose cameras are said to have axes that they have not.
+#[test]
+fn axes_that_are_wrong_are_found_and_put_right() {
+    let Some(scene) = bench() else { return };
+    let dir = Scratch::new();
+    let source = scene.display().to_string();
+    let told = |name: &str, more: &[&str]| -> Value {
+        let out = dir.at(name);
+        let args = ["import", &source, "-o", &out, "--axes", "opencv", "--json"];
+        succeed(&[&args[..], more].concat()).result()
+    };
+    let wrong = told("wrong", &[]);
+    assert_eq!(
+        (&wrong["check"]["verdict"], &wrong["check"]["causes"][0]["cause"]),
+        (&"bad".into(), &"axes".into())
+    );
+    let right = told("right", &["--fix"]);
+    assert_eq!(right["check"]["verdict"], "good", "{right}");
+    assert_eq!(right["check"]["repaired"]["causes"][0]["cause"], "axes");
+    let read = |path: &Path| capture::read(path, Split::Test, &CaptureOptions::default(), &Silent).unwrap();
+    let (truth, fixed) = (read(&scene), read(&dir.path("right")));
+    assert_eq!(truth.frames.len(), fixed.frames.len());
+    for (a, b) in truth.frames.iter().zip(&fixed.frames) {
+        assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-9);
+    }
+}
