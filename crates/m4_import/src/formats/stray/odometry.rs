@@ -1,11 +1,9 @@
 //! `odometry.csv` and `camera_matrix.csv`.
 
 use crate::core::{ReadSourceError, SourceFault};
-use crate::files::bytes;
+use crate::files::text;
 use std::path::Path;
 
-/// Largest list of poses: a line takes some 150 bytes.
-const MAX_BYTES: u64 = 64 << 20;
 const REMEDY: &str = "export the recording again";
 
 /// A line.
@@ -89,10 +87,6 @@ pub(super) fn matrix(path: &Path) -> Result<[f64; 4], ReadSourceError> {
             Err(SourceFault::bad(what, REMEDY).at(path))
         }
     }
-}
-
-fn text(path: &Path) -> Result<String, ReadSourceError> {
-    String::from_utf8(bytes(path, MAX_BYTES)?).map_err(|_| SourceFault::bad("it is no text", REMEDY).at(path))
 }
 
 /// The start of a line, for messages.

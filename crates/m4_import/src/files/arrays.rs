@@ -1,9 +1,10 @@
 //! Arrays of an npz archive, by any of several names.
 
-use super::depth::{no_archive, of_array, plane};
-use super::{file, pose};
-use crate::core::{FrameSource, ImportOptions, ReadSourceError, SourceFault};
-use m4_io::npy::{Array, Npz, Number};
+use super::npy::{NpyFile, array_fault, array_of, open_npz, present};
+use super::{lens, pose};
+use crate::core::{FrameSource, ImportOptions, ReadSourceError, SourceFault, step};
+use crate::side::depth;
+use m4_io::npy::{ArrayFault, Npz, Number};
 use m4_math::Se3;
 use m4_scene::{CompactDepth, Intrinsics, Plane, Progress, RgbImage, Silent};
 use std::path::{Path, PathBuf};
@@ -22,17 +23,16 @@ pub(crate) struct Arrays {
 
 impl Arrays {
     pub fn open(path: &Path, options: &ImportOptions) -> Result<Self, ReadSourceError> {
-        let npz = Npz::open(path).map_err(|e| SourceFault::Io(e).at(path))?;
         Ok(Self {
             path: path.to_path_buf(),
-            npz: npz.map_err(|reason| no_archive(reason).at(path))?,
+            npz: open_npz(path).map_err(|fault| fault.at(path))?,
             limit_bytes: options.max_memory_bytes,
         })
     }
 
     /// Which of the names it has.
     pub fn find(&self, names: &[&'static str]) -> Option<&'static str> {
-        names.iter().copied().find(|name| self.npz.has(name))
+        present(&self.npz, names)
     }
 
     /// Which of the names it has; an error that lists what is there if none.
@@ -41,11 +41,6 @@ impl Arrays {
             let what = format!("the array {}", names.join(" or "));
             SourceFault::missing(what, format!("it has {}; {remedy}", self.npz.names())).at(&self.path)
         })
-    }
-
-    fn array(&mut self, name: &'static str) -> Result<Array<'_>, SourceFault> {
-        let array = self.npz.array(name, self.limit_bytes).map_err(of_array)?;
-        array.ok_or_else(|| SourceFault::missing("the array", "save it again"))
     }
 
     /// A fault of one array.
@@ -57,14 +52,9 @@ impl Arrays {
     /// A small array: its numbers and its shape without leading 1s beyond `rank`.
     pub fn numbers(&mut self, name: &'static str, rank: usize) -> Result<(Vec<usize>, Vec<f64>), ReadSourceError> {
         let at = self.at(name);
-        let mut read = || -> Result<_, SourceFault> {
-            let array = self.npz.array(name, MAX_SMALL_BYTES).map_err(of_array)?;
-            let mut array = array.ok_or_else(|| SourceFault::missing("the array", "save it again"))?;
-            let values = array.next_f64(array.shape.iter().product()).map_err(of_array)?;
-            array.end().map_err(of_array)?;
-            Ok((unbatched(&array.shape, rank).to_vec(), values))
-        };
-        read().map_err(at)
+        let array = array_of(&mut self.npz, name, MAX_SMALL_BYTES).and_then(NpyFile::of_array);
+        let array = array.map_err(at)?;
+        Ok((unbatched(&array.shape, rank).to_vec(), array.values))
     }
 
     /// Rigid motions `[n][3][4]` or `[n][4][4]`, as they are stored.
@@ -92,14 +82,14 @@ impl Arrays {
         match *shape.as_slice() {
             [m, 3, 3] if m == n => {}
             [3, 3] => {
-                let one = lens_of_matrix(&values, size).map_err(&at)?;
+                let one = lens::of_matrix(&values, size).map_err(&at)?;
                 return Ok(vec![one; n]);
             }
             ref other => return Err(at(wrong_shape(other, &format!("({n} frames, 3, 3)")))),
         }
         let all = values.chunks_exact(9).enumerate();
         all.map(|(i, k)| {
-            lens_of_matrix(k, size).map_err(|fault| fault.within(&self.path, format!("array `{name}`, frame {i}")))
+            lens::of_matrix(k, size).map_err(|fault| fault.within(&self.path, format!("array `{name}`, frame {i}")))
         })
         .collect()
     }
@@ -108,7 +98,7 @@ impl Arrays {
     pub fn map_shape(&mut self, name: &'static str) -> Result<(usize, usize, usize), ReadSourceError> {
         let (at, path) = (self.at(name), self.path.clone());
         let limit_bytes = self.limit_bytes;
-        let array = self.array(name).map_err(&at)?;
+        let array = array_of(&mut self.npz, name, limit_bytes).map_err(&at)?;
         let shape = match array.shape.as_slice() {
             [rest @ .., 1] if rest.len() >= 3 => unbatched(rest, 3),
             all => unbatched(all, 3),
@@ -135,14 +125,14 @@ impl Arrays {
         let (n, w, h) = self.map_shape(name)?;
         let at = self.at(name);
         let mut read = || -> Result<Vec<_>, SourceFault> {
-            let mut array = self.array(name)?;
+            let mut array = array_of(&mut self.npz, name, self.limit_bytes)?;
             let mut maps = Vec::with_capacity(n);
             for i in 0..n {
                 step("read depth", i, n, progress)?;
-                let values = array.next_f64(w * h).map_err(of_array)?;
-                maps.push(FrameSource::held(plane(w, h, values, 1.0)?));
+                let values = array.next_f64(w * h).map_err(bad)?;
+                maps.push(FrameSource::held(depth::map(w, h, values, 1.0)?));
             }
-            array.end().map_err(of_array)?;
+            array.end().map_err(bad)?;
             Ok(maps)
         };
         read().map_err(at)
@@ -152,7 +142,7 @@ impl Arrays {
     pub fn pictures(&mut self, name: &'static str, progress: &dyn Progress) -> Result<Vec<RgbImage>, ReadSourceError> {
         let (at, path) = (self.at(name), self.path.clone());
         let limit_bytes = self.limit_bytes;
-        let mut array = self.array(name).map_err(&at)?;
+        let mut array = array_of(&mut self.npz, name, limit_bytes).map_err(&at)?;
         let shape = unbatched(&array.shape, 4);
         let (n, h, w, planar) = match *shape {
             [h, w, 3] => (1, h, w, false),
@@ -172,9 +162,9 @@ impl Arrays {
             for i in 0..n {
                 step("read pictures", i, n, progress)?;
                 let bytes = if array.number == Number::U8 {
-                    array.next_u8(3 * w * h).map_err(of_array)?
+                    array.next_u8(3 * w * h).map_err(bad)?
                 } else {
-                    let values = array.next_f64(3 * w * h).map_err(of_array)?;
+                    let values = array.next_f64(3 * w * h).map_err(bad)?;
                     to_bytes(&values)?
                 };
                 let pixel = |k: usize| {
@@ -188,7 +178,7 @@ impl Arrays {
                 let image = Plane::from_vec(w, h, pixels);
                 all.push(image.map_err(|e| SourceFault::bad(e.to_string(), "save the pictures again"))?);
             }
-            array.end().map_err(of_array)?;
+            array.end().map_err(bad)?;
             Ok(all)
         };
         read().map_err(at)
@@ -254,33 +244,9 @@ fn fits(path: &Path, (n, w, h): (usize, usize, usize), limit_bytes: u64) -> Resu
     .at(path))
 }
 
-fn step(phase: &str, i: usize, n: usize, progress: &dyn Progress) -> Result<(), SourceFault> {
-    if progress.cancelled() {
-        return Err(SourceFault::Cancelled);
-    }
-    progress.update(phase, i + 1, n, "");
-    Ok(())
-}
-
-/// The pinhole of a matrix of 9 numbers, row by row, for pictures of that size.
-pub(crate) fn lens_of_matrix(k: &[f64], (width, height): (usize, usize)) -> Result<Intrinsics, SourceFault> {
-    let &[fx, skew, cx, zero, fy, cy, a, b, one] = k else {
-        return Err(wrong_shape(&[k.len()], "(3, 3)"));
-    };
-    let small = |v: f64| v.abs() <= 1e-3 * fx.abs();
-    let is_matrix = small(skew) && small(zero) && a == 0.0 && b == 0.0 && (one - 1.0).abs() < 1e-6;
-    if !(is_matrix && fx.is_finite() && fx > 0.0 && fy.is_finite() && fy > 0.0 && cx.is_finite() && cy.is_finite()) {
-        let what = format!("{k:?} is no matrix fx 0 cx 0 fy cy 0 0 1");
-        return Err(SourceFault::bad(what, "correct the intrinsics in the source"));
-    }
-    Ok(Intrinsics {
-        width,
-        height,
-        fx,
-        fy,
-        cx,
-        cy,
-    })
+/// What is wrong with the array that the place names.
+fn bad(fault: ArrayFault) -> SourceFault {
+    array_fault("the array", fault)
 }
 
 /// The fault with the file and the place in its words: frames name the source and themselves.
@@ -289,5 +255,5 @@ pub(crate) fn inner(error: ReadSourceError) -> SourceFault {
         Some(place) => PathBuf::from(format!("{}, {place}", error.path.display())),
         None => error.path,
     };
-    file::named(&file, error.fault)
+    error.fault.of_file(&file)
 }

@@ -1,6 +1,6 @@
 //! Lines of numbers.
 
-use super::file;
+use super::{first_bytes, text};
 use crate::core::{ReadSourceError, SourceFault};
 use std::path::Path;
 
@@ -21,7 +21,7 @@ impl Row {
 /// The lines of a file that are neither empty nor comments (`#`), with `fits(count)` numbers each; `expected` says how many.
 /// Numbers are separated by spaces, tabs or commas.
 pub(crate) fn read(path: &Path, fits: impl Fn(usize) -> bool, expected: &str) -> Result<Vec<Row>, ReadSourceError> {
-    let text = file::text(path)?;
+    let text = text(path)?;
     let mut rows = Vec::new();
     for (i, line) in text.lines().enumerate() {
         let line_text = line.trim();
@@ -62,14 +62,7 @@ pub(crate) fn words(line: &str) -> impl Iterator<Item = &str> {
 
 /// The first line that is neither empty nor a comment holds `count` numbers: for telling formats apart.
 pub(crate) fn starts_with_numbers(path: &Path, count: usize) -> bool {
-    use std::io::Read;
-    let mut start = Vec::new();
-    let Ok(open) = std::fs::File::open(path) else {
-        return false;
-    };
-    if open.take(8192).read_to_end(&mut start).is_err() {
-        return false;
-    }
+    let start = first_bytes::<8192>(path);
     let start = String::from_utf8_lossy(&start);
     let mut lines = start.lines().map(str::trim);
     lines
