@@ -5,9 +5,6 @@ use crate::core::{ReadSourceError, SourceFault};
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
-/// Longest part of a parser's message that is passed on, letters: it may quote the file at any length.
-const MAX_SAID: usize = 200;
-
 /// A JSON file.
 pub(crate) fn json<T: DeserializeOwned>(path: &Path) -> Result<T, ReadSourceError> {
     parse_json(&text(path)?, path)
@@ -23,11 +20,6 @@ pub(crate) fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result
         } else {
             "write the file again with the tool that made it"
         };
-        let mut said = e.to_string();
-        if said.chars().count() > MAX_SAID {
-            said = said.chars().take(MAX_SAID).collect();
-            said.push_str(&format!("... at line {} column {}", e.line(), e.column()));
-        }
-        SourceFault::bad(format!("it is not the JSON that was expected ({said})"), remedy).at(path)
+        SourceFault::bad(format!("it is not the JSON that was expected ({e})"), remedy).at(path)
     })
 }

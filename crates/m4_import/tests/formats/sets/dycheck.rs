@@ -1,6 +1,7 @@
 //! `fixtures/import/dycheck`: five frames of camera 0, one each of cameras 1 and 2, depth in millimetres.
 
-use crate::truth::*;
+use super::truth::*;
+use crate::support::{Heard, copied, edit, fixture, refused};
 use m4_import::formats::dycheck::covisible;
 use m4_import::{ImportOptions, SourceFormat, read};
 use m4_io::image;
@@ -9,7 +10,7 @@ const FORMAT: SourceFormat = SourceFormat::Dycheck;
 
 #[test]
 fn it_is_the_clip_that_was_written() {
-    let path = fixture("dycheck");
+    let path = fixture("import/dycheck");
     let heard = Heard::default();
     let clip = read(&path, FORMAT, &ImportOptions::default(), &heard).unwrap();
     assert!(heard.all().contains("thousandths"), "{}", heard.all());
@@ -43,7 +44,7 @@ fn it_is_the_clip_that_was_written() {
 
 #[test]
 fn without_splits_the_lists_of_the_data_set_say_the_same() {
-    let (_dir, path) = copy("dycheck");
+    let (_dir, path) = copied("import/dycheck");
     std::fs::remove_dir_all(path.join("splits")).unwrap();
     std::fs::remove_file(path.join("extra.json")).unwrap();
     let heard = Heard::default();
@@ -75,7 +76,7 @@ fn the_unit_of_depth_is_that_which_fits_the_scene() {
             clip.train.metric,
         )
     };
-    let (_dir, path) = copy("dycheck");
+    let (_dir, path) = copied("import/dycheck");
     let given = ImportOptions {
         depth_unit: Some(0.002),
         ..ImportOptions::default()
@@ -95,7 +96,7 @@ fn the_unit_of_depth_is_that_which_fits_the_scene() {
 
 #[test]
 fn lenses_are_distorted_stretched_or_refused() {
-    let (_dir, path) = copy("dycheck");
+    let (_dir, path) = copied("import/dycheck");
     for i in 0..5 {
         let file = path.join(format!("camera/0_{i:05}.json"));
         edit(
@@ -121,10 +122,10 @@ fn faults_say_where_they_are() {
         factor: Some(4),
         ..ImportOptions::default()
     };
-    let why = refused(&fixture("dycheck"), FORMAT, &factor);
+    let why = refused(&fixture("import/dycheck"), FORMAT, &factor);
     assert!(why.contains("rgb/4x is missing") && why.contains("factor"), "{why}");
     let broken = |file: &str, from: &str, to: &str, says: &[&str]| {
-        let (_dir, path) = copy("dycheck");
+        let (_dir, path) = copied("import/dycheck");
         edit(&path.join(file), from, to);
         let why = refused(&path, FORMAT, &ImportOptions::default());
         assert!(says.iter().all(|s| why.contains(s)), "{why}");

@@ -1,6 +1,7 @@
 //! `fixtures/import/side`: depth, masks and tracks of other tools for the clip of Record3D.
 
-use crate::truth::*;
+use super::truth::*;
+use crate::support::{Heard, fixture};
 use m4_import::side::depth::read_depth;
 use m4_import::{ImportOptions, Imported, SourceFormat, read};
 use m4_scene::Silent;
@@ -9,12 +10,12 @@ use std::path::PathBuf;
 fn with(change: impl Fn(&mut ImportOptions)) -> Result<Imported, String> {
     let mut options = ImportOptions::default();
     change(&mut options);
-    let path = fixture("record3d/clip.r3d");
+    let path = fixture("import/record3d/clip.r3d");
     read(&path, SourceFormat::Record3d, &options, &Silent).map_err(|e| e.to_string())
 }
 
 fn side(name: &str) -> Option<PathBuf> {
-    Some(fixture("side").join(name))
+    Some(fixture("import/side").join(name))
 }
 
 #[test]
@@ -46,12 +47,12 @@ fn depth_of_every_kind_is_that_which_was_written() {
 
 #[test]
 fn depth_of_exr_files_with_parts_is_found_and_of_cropped_ones_refused() {
-    let map = read_depth(&fixture("side/exr_other/parts.exr"), 1.0).unwrap();
+    let map = read_depth(&fixture("import/side/exr_other/parts.exr"), 1.0).unwrap();
     assert_eq!(map.size(), (24, 18));
     for (got, want) in map.every(1).zip(truth("small")) {
         assert!((f64::from(got) - want).abs() < 1e-6);
     }
-    let why = read_depth(&fixture("side/exr_other/cropped.exr"), 1.0)
+    let why = read_depth(&fixture("import/side/exr_other/cropped.exr"), 1.0)
         .unwrap_err()
         .to_string();
     assert!(why.contains("24 x 18 pixels of a picture of 34 x 28"), "{why}");
@@ -117,7 +118,13 @@ fn tracks_of_every_kind_are_those_that_were_written() {
         tracks: side("tapip3d.npz"),
         ..ImportOptions::default()
     };
-    read(&fixture("record3d/clip.r3d"), SourceFormat::Record3d, &options, &heard).unwrap();
+    read(
+        &fixture("import/record3d/clip.r3d"),
+        SourceFormat::Record3d,
+        &options,
+        &heard,
+    )
+    .unwrap();
     assert!(heard.all().contains("2.0000 times as far"), "{}", heard.all());
 }
 
@@ -153,10 +160,10 @@ fn faults_say_where_they_are() {
     refused(&|o| o.masks = folder.clone(), &["0 masks", "5 training frames"]);
     std::fs::write(dir.path().join("4.exr"), b"x").unwrap();
     refused(&|o| o.depth = folder.clone(), &["frame 0", "0.exr", "EXR"]);
-    std::fs::copy(fixture("side/depth_pfm/frame8.pfm"), dir.path().join("0.exr")).unwrap();
+    std::fs::copy(fixture("import/side/depth_pfm/frame8.pfm"), dir.path().join("0.exr")).unwrap();
     for i in 1..4 {
         std::fs::copy(
-            fixture("side/depth_pfm/frame8.pfm"),
+            fixture("import/side/depth_pfm/frame8.pfm"),
             dir.path().join(format!("{i}.exr")),
         )
         .unwrap();

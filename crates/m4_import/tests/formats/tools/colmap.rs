@@ -1,6 +1,7 @@
 //! COLMAP, as pycolmap 4.2 writes it.
 
-use crate::truth::{Truth, copy, error, fixture, read, with_pictures};
+use super::truth::{Truth, read, with_pictures};
+use crate::support::{copied, copy, fixture, refused};
 use m4_import::ImportOptions;
 use m4_import::SourceFormat::Colmap;
 
@@ -24,16 +25,15 @@ fn text_and_binary_are_the_same_clip() {
 
 #[test]
 fn pictures_without_a_pose_leave_a_gap_in_time() {
-    let dir = tempfile::tempdir().unwrap();
-    copy(&fixture("import/colmap_text"), dir.path());
-    let path = dir.path().join("sparse/0/images.txt");
+    let (_dir, here) = copied("import/colmap_text");
+    let path = here.join("sparse/0/images.txt");
     let text = std::fs::read_to_string(&path).unwrap();
     // two lines an image
     let mut lines: Vec<&str> = text.lines().collect();
     let at = lines.iter().position(|line| line.ends_with("00002.png")).unwrap();
     lines.drain(at..at + 2);
     std::fs::write(&path, lines.join("\n") + "\n").unwrap();
-    let got = m4_import::read(dir.path(), Colmap, &with_pictures(), &m4_scene::Silent)
+    let got = m4_import::read(&here, Colmap, &with_pictures(), &m4_scene::Silent)
         .unwrap()
         .train;
     let times: Vec<f64> = got.frames.iter().map(|f| f.t).collect();
@@ -60,18 +60,16 @@ fn names_may_begin_with_the_folder() {
 
 #[test]
 fn what_is_missing_or_not_read_is_named() {
-    let dir = tempfile::tempdir().unwrap();
-    let here = dir.path().join("model");
-    copy(&fixture("import/colmap_text"), &here);
+    let (dir, here) = copied("import/colmap_text");
     let plain = ImportOptions::default();
-    assert!(error(&here, Colmap, &plain).contains("images"));
-    assert!(error(dir.path(), Colmap, &plain).contains("sparse/0"));
+    assert!(refused(&here, Colmap, &plain).contains("images"));
+    assert!(refused(dir.path(), Colmap, &plain).contains("sparse/0"));
     let change = |file: &str, from: &str, to: &str| {
         let path = here.join("sparse/0").join(file);
         let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.contains(from), "{text}");
         std::fs::write(&path, text.replace(from, to)).unwrap();
-        let message = error(&here, Colmap, &with_pictures());
+        let message = refused(&here, Colmap, &with_pictures());
         std::fs::write(&path, text).unwrap();
         message
     };
@@ -95,5 +93,5 @@ fn what_is_missing_or_not_read_is_named() {
         max_memory_bytes: 48 * 36 * 8 * 5 - 1,
         ..with_pictures()
     };
-    assert!(error(&here, Colmap, &small).contains("max_memory_bytes"));
+    assert!(refused(&here, Colmap, &small).contains("max_memory_bytes"));
 }

@@ -1,13 +1,12 @@
 //! What the clip is, from the files of the oracle alone.
 
+use crate::support::fixture;
 use m4_import::{ImportOptions, Imported, ReadSourceError, SourceFormat};
 use m4_io::npy::Array;
 use m4_math::Se3;
 use m4_math::nalgebra::Matrix4;
-use m4_scene::{Capture, CaptureFrame, Progress, RgbImage, Silent};
+use m4_scene::{Capture, CaptureFrame, RgbImage, Silent};
 use serde::Deserialize;
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 
 pub const FRAMES: usize = 5;
 pub const SIZE: (usize, usize) = (48, 36);
@@ -26,10 +25,6 @@ pub struct Truth {
     pub depth: Vec<Vec<f64>>,
     pub moving: Vec<Vec<bool>>,
     pub images: Vec<RgbImage>,
-}
-
-pub fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures").join(name)
 }
 
 /// Options with the pictures of the clip.
@@ -147,44 +142,4 @@ pub fn colour(i: usize, x: f64, y: f64) -> [f64; 3] {
         127.0 + 100.0 * (4.0 * y - 0.2 * i).cos(),
         127.0 + 90.0 * (2.0 * x + 3.0 * y + 0.5 * i).sin(),
     ]
-}
-
-/// Keeps what it is told.
-#[derive(Default)]
-pub struct Heard(pub Mutex<Vec<String>>);
-
-impl Progress for Heard {
-    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-
-    fn warn(&self, message: &str) {
-        self.0.lock().unwrap().push(message.to_owned());
-    }
-
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
-
-impl Heard {
-    pub fn has(&self, part: &str) -> bool {
-        self.0.lock().unwrap().iter().any(|m| m.contains(part))
-    }
-}
-
-/// Copies a fixture to where a test may change it.
-pub fn copy(from: &Path, to: &Path) {
-    if from.is_dir() {
-        std::fs::create_dir_all(to).unwrap();
-        for entry in std::fs::read_dir(from).unwrap() {
-            let entry = entry.unwrap();
-            copy(&entry.path(), &to.join(entry.file_name()));
-        }
-    } else {
-        std::fs::copy(from, to).unwrap();
-    }
-}
-
-/// What reading says of a folder that lacks something or is changed.
-pub fn error(path: &Path, format: SourceFormat, options: &ImportOptions) -> String {
-    m4_import::read(path, format, options, &Silent).unwrap_err().to_string()
 }

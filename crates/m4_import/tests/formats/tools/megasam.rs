@@ -1,6 +1,7 @@
 //! Files of MegaSaM come through the same door.
 
-use crate::truth::{fixture, read};
+use super::truth::read;
+use crate::support::fixture;
 use m4_import::ImportOptions;
 use m4_import::SourceFormat::Megasam;
 use m4_io::megasam::{self, MegasamOptions};

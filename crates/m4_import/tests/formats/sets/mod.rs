@@ -1,5 +1,4 @@
 //! Clips of data sets, telephones and trackers, compared with what `oracles/import_formats_b.py` wrote them from.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 mod davis;
 mod dycheck;

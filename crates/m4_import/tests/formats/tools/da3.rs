@@ -1,6 +1,7 @@
 //! Depth Anything 3.
 
-use crate::truth::{Truth, copy, error, fixture, read, with_pictures};
+use super::truth::{Truth, read, with_pictures};
+use crate::support::{copied, refused};
 use m4_import::ImportOptions;
 use m4_import::SourceFormat::Da3;
 
@@ -36,13 +37,11 @@ fn a_streaming_folder() {
         .train;
     truth.same_cameras(&got, (0, 0.0));
     truth.same_depth(&got, 1e-6, 0.0);
-    let dir = tempfile::tempdir().unwrap();
-    let here = dir.path().join("run");
-    copy(&fixture("import/da3_streaming"), &here);
+    let (_dir, here) = copied("import/da3_streaming");
     std::fs::remove_file(here.join("results_output/frame_2.npz")).unwrap();
-    let message = error(&here, Da3, &ImportOptions::default());
+    let message = refused(&here, Da3, &ImportOptions::default());
     assert!(message.contains("5 poses") && message.contains("4 files"), "{message}");
     std::fs::remove_dir_all(here.join("results_output")).unwrap();
-    let message = error(&here, Da3, &ImportOptions::default());
+    let message = refused(&here, Da3, &ImportOptions::default());
     assert!(message.contains("save_depth_conf_result"), "{message}");
 }

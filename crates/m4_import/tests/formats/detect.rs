@@ -1,24 +1,18 @@
-//! The made-up clip of `fixtures/import` (made by `oracles/import_formats_a.py`) as every tool of reconstruction leaves it.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+//! Which format a path is of, and what formats are called.
 
-mod colmap;
-mod da3;
-mod lenses;
-mod megasam;
-mod monst3r;
-mod nerfstudio;
-mod trajectory;
-mod truth;
-mod vggt;
-mod vipe;
-
+use crate::support::fixture;
 use m4_import::SourceFormat;
-use truth::fixture;
 
 #[test]
 fn every_source_is_told_by_its_files() {
-    use SourceFormat::{Colmap, Da3, Kitti, Megasam, Monst3r, Nerfstudio, Tum, Vggt, Vipe};
+    use SourceFormat::{Colmap, Da3, Dycheck, Kitti, Megasam, Monst3r, Nerfstudio, Nvidia, Polycam, Record3d};
+    use SourceFormat::{StrayScanner, Tum, Vggt, Vipe};
     for (path, format) in [
+        ("import/dycheck", Dycheck),
+        ("import/nvidia", Nvidia),
+        ("import/record3d/clip.r3d", Record3d),
+        ("import/polycam", Polycam),
+        ("import/stray", StrayScanner),
         ("import/colmap_text", Colmap),
         ("import/colmap_binary/sparse", Colmap),
         ("import/colmap_binary/sparse/0", Colmap),
@@ -48,6 +42,8 @@ fn every_source_is_told_by_its_files() {
         "import/clip",
         "import/clip/clip.json",
         "import/clip/images",
+        "import/davis",
+        "import/side",
         "tracks/numpy.npz",
         "nothing",
     ] {
@@ -58,19 +54,23 @@ fn every_source_is_told_by_its_files() {
 #[test]
 fn names_are_those_of_the_command_line() {
     let names: Vec<&str> = SourceFormat::all().map(SourceFormat::name).collect();
-    for name in [
+    let want = [
+        "dycheck",
+        "nvidia",
+        "record3d",
+        "polycam",
+        "stray-scanner",
         "colmap",
         "nerfstudio",
         "vipe",
         "da3",
+        "megasam",
         "vggt",
         "monst3r",
-        "megasam",
         "tum",
         "kitti",
-    ] {
-        assert!(names.contains(&name), "{name}");
-    }
+    ];
+    assert_eq!(names, want);
     for format in SourceFormat::all() {
         let written = serde_json::to_string(&format).unwrap();
         assert_eq!(written, format!("{:?}", format.name()));

@@ -1,6 +1,7 @@
 //! ViPE's artifacts, EXR files by OpenEXR 3.5, the clip by x264.
 
-use crate::truth::{Truth, copy, error, fixture, read, with_pictures};
+use super::truth::{Truth, read, with_pictures};
+use crate::support::{copied, refused};
 use m4_import::ImportOptions;
 use m4_import::SourceFormat::Vipe;
 
@@ -26,16 +27,14 @@ fn a_run_is_the_clip() {
 
 #[test]
 fn what_is_missing_or_not_read_is_named() {
-    let dir = tempfile::tempdir().unwrap();
-    let here = dir.path().join("run");
-    copy(&fixture("import/vipe"), &here);
+    let (_dir, here) = copied("import/vipe");
     let plain = ImportOptions::default();
     std::fs::write(here.join("intrinsics/dog_camera.txt"), "0: PINHOLE\n1: MEI\n").unwrap();
-    let message = error(&here, Vipe, &plain);
+    let message = refused(&here, Vipe, &plain);
     assert!(message.contains("MEI") && message.contains("line 2"), "{message}");
     std::fs::remove_file(here.join("intrinsics/dog_camera.txt")).unwrap();
     std::fs::rename(here.join("rgb/dog.mp4"), here.join("rgb/cat.mp4")).unwrap();
-    let message = error(&here, Vipe, &plain);
+    let message = refused(&here, Vipe, &plain);
     assert!(
         message.contains("rgb/dog.mp4") && message.contains("pictures"),
         "{message}"
@@ -44,7 +43,7 @@ fn what_is_missing_or_not_read_is_named() {
     for part in ["pose", "intrinsics"] {
         std::fs::copy(here.join(part).join("dog.npz"), here.join(part).join("cat.npz")).unwrap();
     }
-    let message = error(&here, Vipe, &plain);
+    let message = refused(&here, Vipe, &plain);
     assert!(message.contains("cat, dog"), "{message}");
     // depth and masks may be missing
     std::fs::remove_dir_all(here.join("depth")).unwrap();

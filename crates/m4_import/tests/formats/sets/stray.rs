@@ -1,13 +1,14 @@
 //! `fixtures/import/stray`: an H.264 video, lenses a frame that differ from `camera_matrix.csv`.
 
-use crate::truth::*;
+use super::truth::*;
+use crate::support::{copied, edit, fixture, refused};
 use m4_import::{ImportOptions, SourceFormat};
 
 const FORMAT: SourceFormat = SourceFormat::StrayScanner;
 
 #[test]
 fn it_is_the_clip_that_was_written() {
-    let train = import(&fixture("stray"), FORMAT, &ImportOptions::default())
+    let train = import(&fixture("import/stray"), FORMAT, &ImportOptions::default())
         .unwrap()
         .train;
     assert_poses(&train, "c2w");
@@ -21,13 +22,13 @@ fn it_is_the_clip_that_was_written() {
 
 #[test]
 fn pictures_of_a_folder_may_stand_for_the_video() {
-    let (_dir, path) = copy("stray");
+    let (_dir, path) = copied("import/stray");
     std::fs::remove_file(path.join("rgb.mp4")).unwrap();
     let why = refused(&path, FORMAT, &ImportOptions::default());
     assert!(why.contains("rgb.mp4 is missing") && why.contains("pictures"), "{why}");
     edit(&path.join("odometry.csv"), "fx, fy, cx, cy", "a, b, c, d");
     let options = ImportOptions {
-        pictures: Some(fixture("davis/JPEGImages/480p/ball")),
+        pictures: Some(fixture("import/davis/JPEGImages/480p/ball")),
         factor: Some(2),
         ..ImportOptions::default()
     };
@@ -43,7 +44,7 @@ fn pictures_of_a_folder_may_stand_for_the_video() {
 #[test]
 fn faults_say_where_they_are() {
     let broken = |file: &str, from: &str, to: &str, says: &[&str]| {
-        let (_dir, path) = copy("stray");
+        let (_dir, path) = copied("import/stray");
         edit(&path.join(file), from, to);
         let why = refused(&path, FORMAT, &ImportOptions::default());
         assert!(why.contains(file) && says.iter().all(|s| why.contains(s)), "{why}");
@@ -61,7 +62,7 @@ fn faults_say_where_they_are() {
         "53.000000, 0.100000",
         &["0, fy, cy"],
     );
-    let (_dir, path) = copy("stray");
+    let (_dir, path) = copied("import/stray");
     let text = std::fs::read_to_string(path.join("odometry.csv")).unwrap();
     let few: Vec<&str> = text.lines().take(2).collect();
     std::fs::write(path.join("odometry.csv"), few.join("\n")).unwrap();
@@ -73,7 +74,7 @@ fn faults_say_where_they_are() {
         pictures: Some(turned),
         ..ImportOptions::default()
     };
-    let (_dir, whole) = copy("stray");
+    let (_dir, whole) = copied("import/stray");
     let why = refused(&whole, FORMAT, &options);
     assert!(
         why.contains("principal point") && why.contains("neither turned"),
@@ -85,7 +86,7 @@ fn image_turned(path: &std::path::Path) -> std::path::PathBuf {
     let folder = path.join("turned");
     std::fs::create_dir(&folder).unwrap();
     for i in 0..5 {
-        let rgb = m4_io::image::read_rgb(&fixture(&format!("davis/JPEGImages/480p/ball/{i:05}.jpg"))).unwrap();
+        let rgb = m4_io::image::read_rgb(&fixture(&format!("import/davis/JPEGImages/480p/ball/{i:05}.jpg"))).unwrap();
         let turned = m4_scene::Plane::from_fn(H, W, |x, y| rgb[(y, x)]);
         m4_io::image::write_rgb(&folder.join(format!("{i}.png")), &turned).unwrap();
     }

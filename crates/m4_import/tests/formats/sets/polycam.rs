@@ -1,13 +1,14 @@
 //! `fixtures/import/polycam`: corrected cameras, and the device's own half a metre aside.
 
-use crate::truth::*;
+use super::truth::*;
+use crate::support::{Heard, copied, edit, fixture, refused};
 use m4_import::{ImportOptions, SourceFormat, read};
 
 const FORMAT: SourceFormat = SourceFormat::Polycam;
 
 #[test]
 fn it_is_the_clip_that_was_written() {
-    for path in [fixture("polycam"), fixture("polycam/keyframes")] {
+    for path in [fixture("import/polycam"), fixture("import/polycam/keyframes")] {
         let train = import(&path, FORMAT, &ImportOptions::default()).unwrap().train;
         assert_poses(&train, "c2w");
         assert_true_lens(&train);
@@ -21,7 +22,7 @@ fn it_is_the_clip_that_was_written() {
 
 #[test]
 fn without_corrected_cameras_the_device_s_are_taken() {
-    let (_dir, path) = copy("polycam");
+    let (_dir, path) = copied("import/polycam");
     std::fs::remove_dir_all(path.join("keyframes/corrected_cameras")).unwrap();
     let heard = Heard::default();
     let train = read(&path, FORMAT, &ImportOptions::default(), &heard).unwrap().train;
@@ -38,7 +39,7 @@ fn without_corrected_cameras_the_device_s_are_taken() {
     let at = |c: &m4_scene::Capture| c.frames[1].depth.as_ref().unwrap().at(20, 9);
     assert!((at(&ten) / at(&train) - 10.0).abs() < 1e-4);
     // frames that a device left out are further apart in time
-    let (_dir, path) = copy("polycam");
+    let (_dir, path) = copied("import/polycam");
     std::fs::remove_file(path.join("keyframes/corrected_images/9999900000.jpg")).unwrap();
     let train = import(&path, FORMAT, &ImportOptions::default()).unwrap().train;
     assert_near(&times(&train), &[0.0, 1.5, 2.25, 3.0], 1e-9);
@@ -47,7 +48,7 @@ fn without_corrected_cameras_the_device_s_are_taken() {
 #[test]
 fn faults_say_where_they_are() {
     let broken = |from: &str, to: &str, says: &[&str]| {
-        let (_dir, path) = copy("polycam");
+        let (_dir, path) = copied("import/polycam");
         edit(&path.join("keyframes/corrected_cameras/9999900000.json"), from, to);
         let why = refused(&path, FORMAT, &ImportOptions::default());
         assert!(
@@ -63,9 +64,9 @@ fn faults_say_where_they_are() {
     );
     broken(r#""width": 48"#, r#""width": 36"#, &["48 x 36"]);
     broken(r#""fx": "#, r#""fx": -"#, &["focal lengths"]);
-    let (_dir, path) = copy("polycam");
+    let (_dir, path) = copied("import/polycam");
     std::fs::copy(
-        fixture("dycheck/covisible/2x/val/1_00001.png"),
+        fixture("import/dycheck/covisible/2x/val/1_00001.png"),
         path.join("keyframes/confidence/9999900000.png"),
     )
     .unwrap();

@@ -1,6 +1,7 @@
 //! `fixtures/import/nvidia`: five cameras at five moments, held-out views of camera 0 and of cameras 0 to 2.
 
-use crate::truth::*;
+use super::truth::*;
+use crate::support::{Heard, copied, fixture, refused};
 use m4_import::{ImportOptions, SourceFormat, read};
 
 const FORMAT: SourceFormat = SourceFormat::Nvidia;
@@ -12,7 +13,7 @@ fn own(name: &str) -> Vec<f64> {
 #[test]
 fn it_is_the_clip_that_was_written() {
     let heard = Heard::default();
-    let clip = read(&fixture("nvidia"), FORMAT, &ImportOptions::default(), &heard).unwrap();
+    let clip = read(&fixture("import/nvidia"), FORMAT, &ImportOptions::default(), &heard).unwrap();
     assert!(heard.all().contains("disp"), "{}", heard.all());
     let train = &clip.train;
     assert_poses(train, "c2w");
@@ -57,7 +58,7 @@ fn truth_mask() -> Vec<usize> {
 
 #[test]
 fn views_of_many_cameras_are_held_out_but_for_those_that_train() {
-    let (_dir, path) = copy("nvidia");
+    let (_dir, path) = copied("import/nvidia");
     std::fs::remove_dir_all(path.join("gt")).unwrap();
     let clip = import(&path, FORMAT, &ImportOptions::default()).unwrap();
     let test = clip.test.unwrap();
@@ -77,7 +78,7 @@ fn views_of_many_cameras_are_held_out_but_for_those_that_train() {
 
 #[test]
 fn faults_say_where_they_are() {
-    let (_dir, path) = copy("nvidia");
+    let (_dir, path) = copied("import/nvidia");
     let why = refused(
         &path,
         FORMAT,

@@ -1,6 +1,7 @@
 //! Trajectories of the TUM and KITTI benchmarks, as evo 1.38 writes them.
 
-use crate::truth::{Truth, copy, error, fixture, read, with_pictures};
+use super::truth::{Truth, read, with_pictures};
+use crate::support::{copied, fixture, refused};
 use m4_import::ImportOptions;
 use m4_import::SourceFormat::{Kitti, Tum};
 
@@ -34,7 +35,7 @@ fn poses_that_name_their_pictures() {
         format!("# t x y z q\n0 {}\n2.0 {}\n4 {}\n", rest[0], rest[3], rest[6]),
     )
     .unwrap();
-    let message = error(&file, Tum, &with_pictures());
+    let message = refused(&file, Tum, &with_pictures());
     assert!(
         message.contains("intrinsics.txt") && message.contains("focal_px"),
         "{message}"
@@ -59,12 +60,12 @@ fn poses_that_name_their_pictures() {
         .map(|(i, r)| format!("{} {r}\n", 0.5 + 0.1 * i as f64))
         .collect();
     std::fs::write(&file, stamped).unwrap();
-    let message = error(&file, Tum, &options);
+    let message = refused(&file, Tum, &options);
     assert!(
         message.contains("7 poses") && message.contains("5 pictures"),
         "{message}"
     );
-    let message = error(&file, Tum, &ImportOptions::default());
+    let message = refused(&file, Tum, &ImportOptions::default());
     assert!(message.contains("pictures"), "{message}");
 }
 
@@ -76,11 +77,9 @@ fn a_sequence_of_kitti() {
         truth.same_cameras(&got, (0, 0.0));
         assert!(got.metric && (got.duration_s.unwrap() - 0.4).abs() < 1e-6);
     }
-    let dir = tempfile::tempdir().unwrap();
-    let here = dir.path().join("kitti");
-    copy(&fixture("import/kitti"), &here);
+    let (_dir, here) = copied("import/kitti");
     std::fs::remove_file(here.join("calib.txt")).unwrap();
-    let message = error(&here, Kitti, &ImportOptions::default());
+    let message = refused(&here, Kitti, &ImportOptions::default());
     assert!(
         message.contains("calib.txt") && message.contains("intrinsics.txt"),
         "{message}"
@@ -94,6 +93,6 @@ fn a_sequence_of_kitti() {
     assert!(k.fx < 49.5 && [k.cx, k.cy] == [23.5, 18.75], "{k:?}");
     assert!(!got.metric);
     std::fs::write(here.join("intrinsics.txt"), "50 52 23.5 18.75 1\n").unwrap();
-    let message = error(&here, Kitti, &ImportOptions::default());
+    let message = refused(&here, Kitti, &ImportOptions::default());
     assert!(message.contains("5 numbers"), "{message}");
 }

@@ -1,6 +1,7 @@
 //! `transforms.json` of nerfstudio, Instant4D and D-NeRF, and our own captures.
 
-use crate::truth::{Heard, SIZE, Truth, copy, error, fixture, read};
+use super::truth::{SIZE, Truth, read};
+use crate::support::{Heard, copied, fixture, refused};
 use m4_import::SourceFormat::Nerfstudio;
 use m4_import::{ImportOptions, read as import};
 use m4_io::capture::{Axes, Split};
@@ -45,7 +46,7 @@ fn axes_by_keys_or_by_the_option() {
         .unwrap()
         .train;
     truth.same_cameras(&got, (0, 0.0));
-    assert!(heard.has("OpenCV axes were assumed"));
+    assert!(heard.all().contains("OpenCV axes were assumed"));
     // depth in an npy file, in steps of a thousandth too
     let z = got.frames[2].depth.as_ref().unwrap().at(11, 7);
     assert!((f64::from(z) - truth.depth[2][7 * SIZE.0 + 11]).abs() < 1e-6);
@@ -113,9 +114,7 @@ fn our_own_captures_come_back() {
 
 #[test]
 fn files_that_list_their_splits() {
-    let dir = tempfile::tempdir().unwrap();
-    let here = dir.path().join("nerfstudio");
-    copy(&fixture("import/nerfstudio"), &here);
+    let (_dir, here) = copied("import/nerfstudio");
     let file = here.join("transforms.json");
     let text = std::fs::read_to_string(&file).unwrap();
     let name = |i: usize| format!("\"images/frame_{i}.jpg\"");
@@ -137,15 +136,13 @@ fn files_that_list_their_splits() {
 
 #[test]
 fn what_cannot_be_is_named() {
-    let dir = tempfile::tempdir().unwrap();
-    let here = dir.path().join("nerfstudio");
-    copy(&fixture("import/nerfstudio"), &here);
+    let (_dir, here) = copied("import/nerfstudio");
     let file = here.join("transforms.json");
     let text = std::fs::read_to_string(&file).unwrap();
     let check = |from: &str, to: &str, parts: &[&str]| {
         assert!(text.contains(from), "{from}");
         std::fs::write(&file, text.replacen(from, to, 1)).unwrap();
-        let message = error(&here, Nerfstudio, &ImportOptions::default());
+        let message = refused(&here, Nerfstudio, &ImportOptions::default());
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     };
     check("\"fl_x\"", "\"fl\"", &["fl_x", "frame_1.jpg"]);

@@ -1,6 +1,6 @@
 //! Archives of VGGT.
 
-use crate::truth::{Truth, read};
+use super::truth::{Truth, read};
 use m4_import::ImportOptions;
 use m4_import::SourceFormat::Vggt;
 

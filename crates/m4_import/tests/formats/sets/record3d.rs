@@ -1,6 +1,7 @@
 //! `fixtures/import/record3d/clip.r3d`: lenses of 96 x 72 for pictures of 48 x 36, depth of 24 x 18.
 
-use crate::truth::*;
+use super::truth::*;
+use crate::support::{edit, fixture, refused};
 use m4_import::{ImportOptions, SourceFormat};
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -24,19 +25,19 @@ fn check(path: &Path) {
 fn unpacked() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("unpacked");
-    let archive = File::open(fixture("record3d/clip.r3d")).unwrap();
+    let archive = File::open(fixture("import/record3d/clip.r3d")).unwrap();
     zip::ZipArchive::new(archive).unwrap().extract(&path).unwrap();
     (dir, path)
 }
 
 #[test]
 fn it_is_the_clip_that_was_written() {
-    check(&fixture("record3d/clip.r3d"));
+    check(&fixture("import/record3d/clip.r3d"));
 }
 
 #[test]
 fn large_maps_are_packed_in_another_way() {
-    let clip = import(&fixture("record3d/large.r3d"), FORMAT, &ImportOptions::default())
+    let clip = import(&fixture("import/record3d/large.r3d"), FORMAT, &ImportOptions::default())
         .unwrap()
         .train;
     assert_eq!(

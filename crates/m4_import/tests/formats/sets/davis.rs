@@ -1,14 +1,15 @@
 //! `fixtures/import/davis`: five pictures of which four are annotated.
 
-use crate::truth::*;
+use super::truth::*;
+use crate::support::{copied, fixture};
 use m4_import::formats::davis::{detect, read_clip};
 use m4_io::video::VideoOptions;
 use m4_scene::Silent;
 
 #[test]
 fn pictures_come_with_the_things_in_them() {
-    let path = fixture("davis/JPEGImages/480p/ball");
-    assert!(detect(&path) && !detect(&fixture("davis")));
+    let path = fixture("import/davis/JPEGImages/480p/ball");
+    assert!(detect(&path) && !detect(&fixture("import/davis")));
     let clip = read_clip(&path, &VideoOptions::default(), &Silent).unwrap();
     let (rgb, mask) = (truth("rgb"), truth("mask"));
     assert_eq!((clip.video.frames.len(), clip.instances.len()), (5, 5));
@@ -40,18 +41,18 @@ fn fewer_frames_keep_their_own_maps() {
         max_frames: Some(2),
         ..VideoOptions::default()
     };
-    let clip = read_clip(&fixture("davis/JPEGImages/480p/ball"), &options, &Silent).unwrap();
+    let clip = read_clip(&fixture("import/davis/JPEGImages/480p/ball"), &options, &Silent).unwrap();
     assert_eq!(clip.instances.len(), 2);
     assert!(clip.instances[0].is_some() && clip.instances[1].is_none());
 }
 
 #[test]
 fn faults_say_where_they_are() {
-    let why = read_clip(&fixture("davis"), &VideoOptions::default(), &Silent).unwrap_err();
+    let why = read_clip(&fixture("import/davis"), &VideoOptions::default(), &Silent).unwrap_err();
     assert!(why.to_string().contains("JPEGImages"), "{why}");
-    let (_dir, path) = copy("davis");
+    let (_dir, path) = copied("import/davis");
     let map = path.join("Annotations/480p/ball/00001.png");
-    std::fs::copy(fixture("nvidia/motion_masks/001.png"), &map).unwrap();
+    std::fs::copy(fixture("import/nvidia/motion_masks/001.png"), &map).unwrap();
     let why = read_clip(&path.join("JPEGImages/480p/ball"), &VideoOptions::default(), &Silent).unwrap_err();
     assert!(
         why.to_string().contains("00001.png") && why.to_string().contains("no palette"),

@@ -1,6 +1,7 @@
 //! Folders of MonST3R.
 
-use crate::truth::{Heard, Truth, copy, error, fixture, read, with_pictures};
+use super::truth::{Truth, read, with_pictures};
+use crate::support::{Heard, copied, refused};
 use m4_import::ImportOptions;
 use m4_import::SourceFormat::Monst3r;
 
@@ -17,9 +18,7 @@ fn a_folder_is_the_clip() {
 
 #[test]
 fn the_other_order_of_a_quaternion_is_told_by_the_first_pose() {
-    let dir = tempfile::tempdir().unwrap();
-    let here = dir.path().join("run");
-    copy(&fixture("import/monst3r"), &here);
+    let (_dir, here) = copied("import/monst3r");
     let file = here.join("pred_traj.txt");
     let text = std::fs::read_to_string(&file).unwrap();
     let turned = text.lines().map(|line| {
@@ -32,15 +31,15 @@ fn the_other_order_of_a_quaternion_is_told_by_the_first_pose() {
         .unwrap()
         .train;
     Truth::read().same_cameras(&got, (0, 0.0));
-    assert!(heard.has("qx qy qz qw"));
+    assert!(heard.all().contains("qx qy qz qw"));
     std::fs::remove_file(here.join("frame_0003.npy")).unwrap();
-    let message = error(&here, Monst3r, &ImportOptions::default());
+    let message = refused(&here, Monst3r, &ImportOptions::default());
     assert!(
         message.contains("frame_0003.npy") && message.contains("frame 3"),
         "{message}"
     );
     std::fs::write(&file, "0 0 0 0 1 0 0\n").unwrap();
-    let message = error(&here, Monst3r, &ImportOptions::default());
+    let message = refused(&here, Monst3r, &ImportOptions::default());
     assert!(
         message.contains("pred_traj.txt") && message.contains("7 numbers"),
         "{message}"

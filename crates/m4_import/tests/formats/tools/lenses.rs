@@ -1,6 +1,6 @@
 //! Lenses: pictures that OpenCV drew through one, undistorted.
 
-use crate::truth::{SIZE, Truth, colour, read};
+use super::truth::{SIZE, Truth, colour, read};
 use m4_import::ImportOptions;
 use m4_import::SourceFormat::{Colmap, Nerfstudio};
 

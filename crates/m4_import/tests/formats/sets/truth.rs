@@ -1,51 +1,17 @@
 //! What every fixture means, and how results are compared with it.
 
+use crate::support::fixture;
 use m4_import::{ImportOptions, Imported, ReadSourceError, SourceFormat, detect, read};
 use m4_io::npy::Npz;
-use m4_scene::{Capture, CaptureFrame, Progress, Silent};
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use m4_scene::{Capture, CaptureFrame, Silent};
+use std::path::Path;
 
 pub const W: usize = 48;
 pub const H: usize = 36;
 
-/// `fixtures/import/NAME`.
-pub fn fixture(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../fixtures/import")
-        .join(name)
-}
-
-/// A copy of a fixture that a test may change.
-pub fn copy(name: &str) -> (tempfile::TempDir, PathBuf) {
-    let dir = tempfile::tempdir().unwrap();
-    let to = dir.path().join("copy");
-    copy_all(&fixture(name), &to);
-    (dir, to)
-}
-
-fn copy_all(from: &Path, to: &Path) {
-    if from.is_file() {
-        std::fs::copy(from, to).unwrap();
-        return;
-    }
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        copy_all(&entry.path(), &to.join(entry.file_name()));
-    }
-}
-
-/// One text for another in a file; it must be there.
-pub fn edit(path: &Path, from: &str, to: &str) {
-    let text = std::fs::read_to_string(path).unwrap();
-    assert!(text.contains(from), "{} has no {from}", path.display());
-    std::fs::write(path, text.replace(from, to)).unwrap();
-}
-
 /// An array of the truth, `[count]` numbers.
 pub fn array(file: &str, name: &str) -> Vec<f64> {
-    let mut npz = Npz::open(&fixture(file)).unwrap().unwrap();
+    let mut npz = Npz::open(&fixture(&format!("import/{file}"))).unwrap().unwrap();
     let mut array = npz.array(name, 1 << 24).ok().flatten().unwrap();
     let n = array.shape.iter().product();
     array.next_f64(n).ok().unwrap()
@@ -55,38 +21,10 @@ pub fn truth(name: &str) -> Vec<f64> {
     array("clip/truth.npz", name)
 }
 
-/// Warnings that were given.
-#[derive(Default)]
-pub struct Heard(Mutex<Vec<String>>);
-
-impl Heard {
-    pub fn all(&self) -> String {
-        self.0.lock().unwrap().join("\n")
-    }
-}
-
-impl Progress for Heard {
-    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
-    fn cancelled(&self) -> bool {
-        false
-    }
-    fn warn(&self, message: &str) {
-        self.0.lock().unwrap().push(message.to_owned());
-    }
-}
-
 /// Detects and reads.
 pub fn import(path: &Path, format: SourceFormat, options: &ImportOptions) -> Result<Imported, ReadSourceError> {
     assert_eq!(detect(path), Some(format), "{}", path.display());
     read(path, format, options, &Silent)
-}
-
-/// Why it is refused.
-pub fn refused(path: &Path, format: SourceFormat, options: &ImportOptions) -> String {
-    match read(path, format, options, &Silent) {
-        Ok(_) => panic!("{} was taken", path.display()),
-        Err(e) => e.to_string(),
-    }
 }
 
 /// Poses are those of the truth `key`.
