@@ -63,6 +63,12 @@ fn prepared(source: &str, dir: &Path) -> PathBuf {
     here
 }
 
+/// Writes a file anew: one that is emptied and written again is sent to the disk at once by some file systems.
+fn replace(file: &Path, bytes: &[u8]) {
+    std::fs::remove_file(file).unwrap();
+    std::fs::write(file, bytes).unwrap();
+}
+
 /// What is wrong with a capture that was read, if something is.
 fn fault_of(capture: &Capture) -> Option<&'static str> {
     let last = capture.time_frames as f64 - 1.0;
@@ -113,7 +119,7 @@ fn run(case: &Case) -> (String, Vec<String>) {
     let about = |what: &str| format!("{} {:?}, {what}", case.source, case.files);
     let (mut failures, mut refused, mut read, mut most) = (Vec::new(), 0, 0, 0);
     let mut check = |file: &Path, bytes: &[u8], what: &str| {
-        std::fs::write(file, bytes).unwrap();
+        replace(file, bytes);
         let (outcome, taken) = measured(|| (case.read)(&here));
         let mut fail = |why: String| failures.push(about(&format!("{what} in {}: {why}", name(file))));
         most = most.max(taken);
@@ -142,7 +148,7 @@ fn run(case: &Case) -> (String, Vec<String>) {
         let whole = std::fs::read(file).unwrap();
         let (bytes, what) = mutate::damaged(&whole, file.extension().is_some_and(|e| e == "npz"), i);
         check(file, &bytes, &format!("copy {i}: {what}"));
-        std::fs::write(file, whole).unwrap();
+        replace(file, &whole);
     }
     let whole = std::fs::read(&files[0]).unwrap();
     for (bytes, what) in mutate::made(&whole, &files[0].file_name().unwrap().to_string_lossy()) {
