@@ -6,8 +6,9 @@ use m4_io::video::{self, ReadVideoError, VideoOptions};
 use m4_scene::{Progress, RgbImage};
 use std::path::Path;
 
-/// Pixels that a byte of a packed picture can stand for at most: deflate makes 1032 bytes of one, JPEG about 400 pixels.
-const PIXELS_A_BYTE: u64 = 1032;
+/// Pixels that a byte of a packed picture can stand for at most: deflate makes 1032 bytes of one, each of eight pixels of a bit; JPEG
+/// about 400 pixels.
+const PIXELS_A_BYTE: u64 = 8 * 1032;
 /// Pixels that are always read.
 const FREE_PIXELS: u64 = 1 << 20;
 

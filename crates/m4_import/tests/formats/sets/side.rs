@@ -3,8 +3,10 @@
 use super::truth::*;
 use crate::support::{Heard, fixture};
 use m4_import::side::depth::read_depth;
+use m4_import::side::mask::read_mask;
 use m4_import::{ImportOptions, Imported, SourceFormat, read};
 use m4_scene::Silent;
+use std::fs::File;
 use std::path::PathBuf;
 
 fn with(change: impl Fn(&mut ImportOptions)) -> Result<Imported, String> {
@@ -188,4 +190,28 @@ fn faults_say_where_they_are() {
         o.depth_unit = Some(-1.0);
     };
     refused(&unit, &["depth_unit is -1", "above 0"]);
+}
+
+#[test]
+fn a_large_mask_of_one_bit_in_which_nothing_moves_is_taken() {
+    let dir = tempfile::tempdir().unwrap();
+    let (w, h) = (4096, 2304);
+    for moves in [false, true] {
+        let path = dir.path().join("mask.png");
+        let mut encoder = png::Encoder::new(File::create(&path).unwrap(), w, h);
+        encoder.set_color(png::ColorType::Indexed);
+        encoder.set_depth(png::BitDepth::One);
+        encoder.set_palette(vec![0, 0, 0, 128, 0, 0]);
+        encoder.set_compression(png::Compression::High);
+        let mut bits = vec![0; (w * h / 8) as usize];
+        // the pixel (9, 1)
+        bits[w as usize / 8 + 1] = u8::from(moves) << 6;
+        encoder.write_header().unwrap().write_image_data(&bits).unwrap();
+        let mask = read_mask(&path, false).unwrap().mask;
+        assert_eq!(
+            (mask.size(), mask.count()),
+            ((w as usize, h as usize), usize::from(moves))
+        );
+        assert_eq!(mask.at(9, 1), moves);
+    }
 }
