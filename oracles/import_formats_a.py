@@ -80,7 +80,7 @@ def main(root):
     def png(path, value):
         Image.fromarray(value).save(path, optimize=True)
 
-    fresh("clip"), folder("clip", "images")
+    fresh("clip/images")  # truth.npz beside it is import_formats_b.py's
     for i in range(N):
         png(os.path.join(root, "clip/images", f"{i:05}.png"), images[i])
     np.save(os.path.join(root, "clip/depth.npy"), depth)

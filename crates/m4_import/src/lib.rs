@@ -1,13 +1,13 @@
 //! Clips that other tools posed, as captures that can be trained.
 //!
 //! ```text
-//! formats/NAME     a file or folder -> Listing: lens, pose, time and the places of pictures, depth and masks of each frame
-//! parts/           what several formats read: tables of numbers, arrays, poses, pictures, depth maps, time
-//! side            depth maps, masks and tracks that the options name, to the frames of any listing
-//! core/load        Listing -> Capture: everything decoded in parallel within a limit of memory, distortion removed
+//! formats     which format a path is of; a file or folder -> Listing: lens, pose, time and the places of pictures, depth and masks
+//! files       what formats read: bytes within a limit, JSON, tables, arrays, zip members, pictures, lenses, poses, time
+//! side        depth maps, masks and tracks: of formats, and those that the options name, to the frames of any listing
+//! core/load   Listing -> Capture: everything decoded in parallel within a limit of memory, distortion removed
 //! ```
 //!
-//! A format is one folder of [`formats`]: its parser, and at the top the conventions that it converts. What it lists is in ours
+//! A format is one file or folder of [`formats`]: its parser, and at the top the conventions that it converts. What it lists is in ours
 //! (OpenCV axes, camera to world, z-depth, principal points measured from the image's corner), and everything that follows is
 //! the same for all.
 //!
@@ -19,7 +19,6 @@ pub mod side;
 
 mod core;
 mod files;
-mod parts;
 
 pub use core::{
     Distortion, FrameSource, ImportOptions, Imported, Lens, ListedFrame, Listing, ReadSourceError, SourceFault, load,

@@ -2,12 +2,21 @@
 
 use m4_io::ErrorKind;
 use m4_io::image::ReadImageError;
+use std::fmt::Display;
 use std::io;
 use std::path::{Path, PathBuf};
 
+/// Letters of a path, a place and a fault that a message has at most: damaged files are quoted, and may be of any length.
+const MAX_LETTERS: usize = 500;
+
 /// Why a source could not be read: the file, the place in it, and what to do.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot import {}{}: {fault}", path.display(), place.as_ref().map(|p| format!(", {p}")).unwrap_or_default())]
+#[error(
+    "cannot import {}{}: {}",
+    shortened(path.display()),
+    place.as_ref().map(|p| format!(", {}", shortened(p))).unwrap_or_default(),
+    shortened(fault)
+)]
 #[non_exhaustive]
 pub struct ReadSourceError {
     /// The file or folder at fault.
@@ -150,5 +159,31 @@ impl ReadSourceError {
             SourceFault::Image(source) => source.kind(),
             SourceFault::Cancelled => ErrorKind::Cancelled,
         }
+    }
+}
+
+/// A part of a message without its middle where it is too long.
+fn shortened(part: impl Display) -> String {
+    let part = part.to_string();
+    let letters = part.chars().count();
+    if letters <= MAX_LETTERS {
+        return part;
+    }
+    let start: String = part.chars().take(MAX_LETTERS / 2).collect();
+    let end: String = part.chars().skip(letters - MAX_LETTERS / 2).collect();
+    format!("{start} ... {end}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::SourceFault;
+    use std::path::Path;
+
+    #[test]
+    fn what_is_quoted_at_length_keeps_its_start_and_what_to_do() {
+        let fault = SourceFault::bad(format!("{:?} is no number", "9ü".repeat(100_000)), "correct it");
+        let said = fault.within(Path::new("a.txt"), "line 7").to_string();
+        assert!(said.starts_with("cannot import a.txt, line 7: \"9ü9ü") && said.ends_with("is no number; correct it"));
+        assert!(said.chars().count() < 600, "{said}");
     }
 }

@@ -1,5 +1,6 @@
 //! Lenses with distortion.
 
+use super::SourceFault;
 use m4_scene::Intrinsics;
 
 /// How a lens bends rays, from normalised pinhole coordinates `(x, y) = (X / Z, Y / Z)` to those that the pixels have.
@@ -113,5 +114,21 @@ impl Lens {
             return Err(format!("a lens with a value that is not a number: {self:?}"));
         }
         Ok(())
+    }
+
+    /// Refuses a picture of another size.
+    pub(crate) fn check_size(&self, (width, height): (usize, usize)) -> Result<(), SourceFault> {
+        let k = &self.intrinsics;
+        if (k.width, k.height) == (width, height) {
+            return Ok(());
+        }
+        let what = format!(
+            "its picture is {width} x {height} but its camera is of {} x {} pixels",
+            k.width, k.height
+        );
+        Err(SourceFault::bad(
+            what,
+            "give the pictures that the cameras were computed on",
+        ))
     }
 }

@@ -68,6 +68,25 @@ pub struct ListedFrame {
     pub camera_index: Option<u32>,
 }
 
+impl ListedFrame {
+    /// A training frame of a picture alone.
+    #[must_use]
+    pub fn new(name: String, lens: Lens, c2w: Se3<f64>, t: f64, rgb: FrameSource<RgbImage>) -> Self {
+        Self {
+            name,
+            lens,
+            c2w,
+            t,
+            rgb,
+            depth: None,
+            mask: None,
+            motion: None,
+            instances: None,
+            camera_index: None,
+        }
+    }
+}
+
 /// A source, read but for its pictures.
 #[derive(Debug)]
 pub struct Listing {
@@ -83,6 +102,21 @@ pub struct Listing {
     pub metric: bool,
     /// Ways of points of moving parts, frames in the order of `train`.
     pub tracks: Option<Tracks>,
+}
+
+impl Listing {
+    /// A training video without held-out views and tracks, of `time_frames` moments, in no known unit.
+    #[must_use]
+    pub fn of_video(train: Vec<ListedFrame>, time_frames: usize, duration_s: Option<f64>) -> Self {
+        Self {
+            train,
+            test: Vec::new(),
+            time_frames,
+            duration_s,
+            metric: false,
+            tracks: None,
+        }
+    }
 }
 
 /// A source, read.

@@ -117,21 +117,10 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, SourceFa
     let get = |e: String| SourceFault::unsupported(e, "undistort the pictures with the tool that made them");
     let undistort = Undistort::new(&frame.lens).map_err(get)?;
     let rgb = frame.rgb.get()?;
-    let k = frame.lens.intrinsics;
-    if rgb.size() != (k.width, k.height) {
-        let (w, h) = rgb.size();
-        let what = format!(
-            "its picture is {w} x {h} but its camera is of {} x {} pixels",
-            k.width, k.height
-        );
-        return Err(SourceFault::bad(
-            what,
-            "give the pictures that the cameras were computed on",
-        ));
-    }
+    frame.lens.check_size(rgb.size())?;
     let (mut depth, mut mask) = (got(&frame.depth)?, got(&frame.mask)?);
     let (mut motion, mut instances) = (got(&frame.motion)?, got(&frame.instances)?);
-    let (mut rgb, mut intrinsics) = (rgb, k);
+    let (mut rgb, mut intrinsics) = (rgb, frame.lens.intrinsics);
     if let Some(map) = undistort {
         rgb = map.rgb(&rgb);
         intrinsics = map.to;
@@ -154,6 +143,15 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, SourceFa
         instances,
         camera_index: frame.camera_index,
     })
+}
+
+/// Says that the `i`th of `n` steps of a loop begins, or stops it.
+pub(crate) fn step(phase: &str, i: usize, n: usize, progress: &dyn Progress) -> Result<(), SourceFault> {
+    if progress.cancelled() {
+        return Err(SourceFault::Cancelled);
+    }
+    progress.update(phase, i + 1, n, "");
+    Ok(())
 }
 
 fn got<T>(source: &Option<super::FrameSource<T>>) -> Result<Option<T>, SourceFault> {

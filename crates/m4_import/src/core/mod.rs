@@ -11,4 +11,5 @@ pub use error::{ReadSourceError, SourceFault};
 pub use lens::{Distortion, Lens};
 pub use listing::{FrameSource, Imported, ListedFrame, Listing};
 pub use load::load;
+pub(crate) use load::step;
 pub use options::ImportOptions;

@@ -1,19 +1,35 @@
-//! What several formats need of files: bytes within a limit, JSON, arrays, names in order, rotations.
+//! Files of a source: their bytes within a limit, and what they say.
 //!
-//! Every function names the file that it fails on.
+//! ```text
+//! bytes      whole files, text
+//! json       JSON, of a file or of a member of an archive
+//! table      lines of numbers
+//! npy        an array in a .npy file; opening archives of arrays (.npz)
+//! arrays     arrays of an archive as poses, lenses, depth and pictures
+//! zipped     members of a zip archive, or of the folder that it was unpacked to
+//! names      files of a folder in order, names below a folder
+//! pictures   a folder or a video as pictures of known size
+//! lens       pinholes, and whether they fit pictures of a size
+//! pose       matrices and quaternions to camera to world
+//! clock      frames a second, times in frames
+//! ```
+//!
+//! Faults of a file beside the source are named by [`SourceFault::of_file`](crate::SourceFault::of_file).
 
-mod array;
+pub(crate) mod arrays;
+pub(crate) mod clock;
+pub(crate) mod lens;
+pub(crate) mod npy;
+pub(crate) mod pictures;
+pub(crate) mod pose;
+pub(crate) mod table;
+
+mod bytes;
 mod json;
 mod names;
-mod options;
-mod picture;
-mod pose;
 mod zipped;
 
-pub(crate) use array::{NpyFile, array_fault};
-pub(crate) use json::{bytes, json, parse_json};
-pub(crate) use names::{first_bytes, listed, stem};
-pub(crate) use options::{depth_unit, fps};
-pub(crate) use picture::{check_pixels, kept_where, opened_size, resized_lens};
-pub(crate) use pose::{from_quaternion_xyzw, from_rows};
+pub(crate) use bytes::{bytes, text};
+pub(crate) use json::{json, parse_json};
+pub(crate) use names::{below, first_bytes, listed, stem};
 pub(crate) use zipped::Members;

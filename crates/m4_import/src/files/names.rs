@@ -1,10 +1,10 @@
-//! Names of files in order.
+//! Names of files: in order, below a folder, and what they begin with.
 
 use crate::core::{ReadSourceError, SourceFault};
 use m4_io::video::natural;
 use std::fs::File;
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// The files of a folder whose extension is one of `extensions` (small letters), in natural order: `2.png` before `10.png`.
 /// Hidden files are passed over; an empty list is no error.
@@ -28,6 +28,16 @@ pub(crate) fn stem(path: &Path) -> String {
     path.file_stem()
         .map(|s| s.to_string_lossy().into_owned())
         .unwrap_or_default()
+}
+
+/// `name`, as a file lists it, below `folder`; names that lead out of it are refused.
+pub(crate) fn below(folder: &Path, name: &str) -> Result<PathBuf, SourceFault> {
+    let inside = |part: Component<'_>| matches!(part, Component::Normal(_) | Component::CurDir);
+    if name.is_empty() || !Path::new(name).components().all(inside) {
+        let what = format!("the name {name:?} is not below the folder of the pictures");
+        return Err(SourceFault::bad(what, "write names relative to that folder"));
+    }
+    Ok(folder.join(name))
 }
 
 /// The first `N` bytes of a file; fewer if it is shorter, none if it cannot be read.

@@ -9,6 +9,7 @@ use zip::ZipArchive;
 use zip::result::ZipError;
 
 /// An archive, or the folder that it was unpacked to. Reading takes one member at a time from an archive.
+#[derive(Debug)]
 pub(crate) enum Members {
     Folder(PathBuf),
     Zip(Mutex<ZipArchive<BufReader<File>>>),
@@ -23,7 +24,7 @@ impl Members {
         let archive = ZipArchive::new(BufReader::new(File::open(path)?));
         let archive = archive.map_err(|e| {
             let what = format!("it is no zip archive, or a damaged one ({e})");
-            SourceFault::bad(what, "copy it again from the device")
+            SourceFault::bad(what, "copy it again")
         })?;
         Ok(Self::Zip(Mutex::new(archive)))
     }
@@ -77,12 +78,8 @@ impl Members {
             }
             Self::Zip(archive) => {
                 let mut archive = archive.lock().map_err(|_| poisoned())?;
-                let unpacked = |e: String| {
-                    SourceFault::bad(
-                        format!("{name} cannot be unpacked ({e})"),
-                        "copy the archive again from the device",
-                    )
-                };
+                let unpacked =
+                    |e: String| SourceFault::bad(format!("{name} cannot be unpacked ({e})"), "copy the archive again");
                 let mut member = match archive.by_name(name) {
                     Ok(member) => member,
                     Err(ZipError::FileNotFound) => return Ok(None),

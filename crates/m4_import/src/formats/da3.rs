@@ -18,11 +18,10 @@
 
 use super::dump::{self, Keys};
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::parts::arrays::{self, Arrays};
-use crate::parts::{clock, pose, table};
+use crate::files::arrays::{self, Arrays};
+use crate::files::{clock, lens, listed, pose, stem, table};
 use m4_io::npy::Npz;
-use m4_io::video::natural;
-use m4_scene::{Intrinsics, Progress};
+use m4_scene::Progress;
 use std::path::{Path, PathBuf};
 
 const KEYS: Keys = Keys {
@@ -77,7 +76,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
 }
 
 fn streaming(folder: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::check(options).map_err(|fault| fault.at(folder))?;
+    clock::fps(options).map_err(|fault| fault.at(folder))?;
     let poses_file = folder.join("camera_poses.txt");
     let poses = table::read(&poses_file, |n| n == 16, "16 numbers of a matrix")?;
     let lens_file = folder.join("intrinsic.txt");
@@ -93,48 +92,26 @@ fn streaming(folder: &Path, options: &ImportOptions, progress: &dyn Progress) ->
         return Err(SourceFault::bad(what, "give the whole folder of one run").at(&poses_file));
     }
     let mut train = Vec::with_capacity(poses.len());
-    for (i, ((pose, lens), file)) in poses.iter().zip(&lenses).zip(frames).enumerate() {
+    for (i, ((pose, k), file)) in poses.iter().zip(&lenses).zip(frames).enumerate() {
         let c2w =
             pose::of_matrix("the matrix", &pose.values).map_err(|fault| fault.within(&poses_file, pose.place()))?;
         let (_, w, h) = Arrays::open(&file, options)?.map_shape("depth")?;
-        let k = &lens.values;
-        let k = Intrinsics {
-            width: w,
-            height: h,
-            fx: k[0],
-            fy: k[1],
-            cx: k[2],
-            cy: k[3],
-        };
+        let k = lens::pinhole([k.values[0], k.values[1], k.values[2], k.values[3]], (w, h));
         let (rgb_file, depth_file, options, quiet) = (file.clone(), file, options.clone(), options.clone());
+        let rgb = FrameSource::new(move || {
+            let mut arrays = Arrays::open(&rgb_file, &options).map_err(arrays::inner)?;
+            arrays.only_picture("image").map_err(arrays::inner)
+        });
         train.push(ListedFrame {
-            name: format!("{i:05}"),
-            lens: Lens::pinhole(k),
-            c2w,
-            t: i as f64,
-            rgb: FrameSource::new(move || {
-                let mut arrays = Arrays::open(&rgb_file, &options).map_err(arrays::inner)?;
-                arrays.only_picture("image").map_err(arrays::inner)
-            }),
             depth: Some(FrameSource::new(move || {
                 let mut arrays = Arrays::open(&depth_file, &quiet).map_err(arrays::inner)?;
                 arrays.only_map("depth").map_err(arrays::inner)
             })),
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
+            ..ListedFrame::new(format!("{i:05}"), Lens::pinhole(k), c2w, i as f64, rgb)
         });
     }
-    let time_frames = train.len();
-    Ok(Listing {
-        duration_s: clock::duration_s(time_frames, options, progress),
-        train,
-        test: Vec::new(),
-        time_frames,
-        metric: false,
-        tracks: None,
-    })
+    let n = train.len();
+    Ok(Listing::of_video(train, n, clock::duration_s(n, options, progress)))
 }
 
 /// The files `frame_I.npz` in order.
@@ -146,17 +123,10 @@ fn frame_files(folder: &Path) -> Result<Vec<PathBuf>, ReadSourceError> {
     if !folder.is_dir() {
         return Err(missing());
     }
-    let io = |e: std::io::Error| SourceFault::Io(e).at(folder);
-    let mut names = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(io)? {
-        let name = entry.map_err(io)?.file_name().to_string_lossy().into_owned();
-        if name.starts_with("frame_") && name.ends_with(".npz") {
-            names.push(name);
-        }
-    }
-    if names.is_empty() {
+    let mut files = listed(folder, &["npz"])?;
+    files.retain(|file| stem(file).starts_with("frame_"));
+    if files.is_empty() {
         return Err(missing());
     }
-    names.sort_by(|a, b| natural(a, b));
-    Ok(names.iter().map(|name| folder.join(name)).collect())
+    Ok(files)
 }

@@ -9,9 +9,10 @@
 //! from, a video, and the maps of things for its frames. Source: the README of davischallenge/davis-2017.
 
 use crate::core::{ReadSourceError, SourceFault};
-use crate::files::{opened_size, stem};
+use crate::files::pictures::{of_video, size_of};
+use crate::files::stem;
 use crate::side::mask::read_mask;
-use m4_io::video::{ReadVideoError, VideoOptions, pictures, read};
+use m4_io::video::{VideoOptions, pictures, read};
 use m4_scene::{CompactIds, Progress, Video};
 use std::path::{Path, PathBuf};
 
@@ -86,30 +87,11 @@ fn map(file: &Path, picture: &Path) -> Result<CompactIds, ReadSourceError> {
         let what = "it has no palette, so it does not tell things apart";
         return Err(SourceFault::bad(what, "give the annotations as they were published").at(file));
     };
-    let size = opened_size(picture).map_err(|fault| fault.at(picture))?;
+    let size = size_of(picture).map_err(|fault| fault.at(picture))?;
     if ids.size() != size {
         let ((w, h), (pw, ph)) = (ids.size(), size);
         let what = format!("it is {w} x {h} pixels but its picture is {pw} x {ph}");
         return Err(SourceFault::bad(what, "give pictures and annotations of one resolution").at(file));
     }
     Ok(ids)
-}
-
-/// A video's error as that of a source; it names its file itself.
-pub(crate) fn of_video(path: &Path, error: ReadVideoError) -> ReadSourceError {
-    match error {
-        ReadVideoError::Io { source, .. } => SourceFault::Io(source).at(path),
-        ReadVideoError::Picture(e) => SourceFault::Image(e).at(path),
-        ReadVideoError::Cancelled { .. } => SourceFault::Cancelled.at(path),
-        other => {
-            let unsupported = other.kind() == m4_io::ErrorKind::Unsupported;
-            let (what, remedy) = (other.to_string(), "or give a folder of its frames");
-            let fault = if unsupported {
-                SourceFault::unsupported(what, remedy)
-            } else {
-                SourceFault::bad(what, remedy)
-            };
-            fault.at(path)
-        }
-    }
 }

@@ -1,9 +1,9 @@
 //! Archives with the arrays of a whole clip, as networks of one pass leave them.
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::parts::arrays::Arrays;
-use crate::parts::clock;
-use crate::parts::pictures::{self, Picture};
+use crate::files::arrays::Arrays;
+use crate::files::pictures::{self, Picture};
+use crate::files::{clock, lens};
 use m4_scene::Progress;
 use std::path::Path;
 
@@ -25,7 +25,7 @@ pub(super) fn list(
     options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<Listing, ReadSourceError> {
-    clock::check(options).map_err(|fault| fault.at(path))?;
+    clock::fps(options).map_err(|fault| fault.at(path))?;
     let mut arrays = Arrays::open(path, options)?;
     let depth = arrays.need(keys.depth, "depth maps tell the size that the cameras are for")?;
     let (n, w, h) = arrays.map_shape(depth)?;
@@ -73,31 +73,14 @@ pub(super) fn list(
     let depths = arrays.maps(depth, progress)?;
     let mut train = Vec::with_capacity(n);
     for (i, ((picture, depth), (k, c2w))) in pictures.into_iter().zip(depths).zip(lenses.iter().zip(c2w)).enumerate() {
-        let k = pictures::scaled(k, picture.size);
+        let k = lens::scaled(k, picture.size);
         let k = k.map_err(|fault| fault.within(path, format!("frame {i} ({})", picture.name)))?;
         train.push(ListedFrame {
-            name: picture.name,
-            lens: Lens::pinhole(k),
-            c2w,
-            t: i as f64,
-            rgb: picture.rgb,
             depth: Some(depth),
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
+            ..ListedFrame::new(picture.name, Lens::pinhole(k), c2w, i as f64, picture.rgb)
         });
     }
-    let duration_s = match times_s.as_deref().and_then(<[f64]>::last) {
-        Some(&last) if options.fps.is_none() => Some(last),
-        _ => clock::duration_s(n, options, progress),
-    };
-    Ok(Listing {
-        train,
-        test: Vec::new(),
-        time_frames: n,
-        duration_s,
-        metric: false,
-        tracks: None,
-    })
+    let last_s = times_s.and_then(|times| times.last().copied());
+    let duration_s = clock::duration_of(last_s, n, options, progress);
+    Ok(Listing::of_video(train, n, duration_s))
 }

@@ -1,4 +1,13 @@
-//! One folder a format, and which one a path is of.
+//! One file or folder a format, and which one a path is of.
+//!
+//! ```text
+//! data sets          dycheck, nvidia; davis, which has no poses and is read by itself
+//! telephones         record3d, polycam, stray
+//! reconstructions    colmap, nerfstudio, vipe, da3, megasam, vggt, monst3r; dump: archives of a whole clip (da3, vggt)
+//! poses alone        trajectory: tum, kitti
+//!
+//! path -> detect -> the format's list -> Listing -> side::attach -> core::load -> Imported
+//! ```
 
 mod colmap;
 mod da3;
@@ -8,46 +17,25 @@ pub mod dycheck;
 mod megasam;
 mod monst3r;
 mod nerfstudio;
-mod trajectory;
-mod vggt;
-mod vipe;
-mod zipped;
-
 mod nvidia;
 mod polycam;
 mod record3d;
 mod stray;
+mod trajectory;
+mod vggt;
+mod vipe;
 
-use crate::core::{ImportOptions, Imported, Listing, ReadSourceError, load};
+use crate::core::{ImportOptions, Imported, Listing, ReadSourceError, SourceFault, load};
 use crate::side;
 use m4_scene::Progress;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// A format of posed clips.
+/// A format of posed clips, the special before the general: the order in which they are tried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum SourceFormat {
-    /// COLMAP's sparse model with its pictures.
-    Colmap,
-    /// `transforms.json` of nerfstudio, Blender, Instant4D, and our own captures.
-    Nerfstudio,
-    /// Artifacts of ViPE.
-    Vipe,
-    /// Depth Anything 3 and DA3-Streaming.
-    Da3,
-    /// Archives of VGGT and networks that name their arrays alike.
-    Vggt,
-    /// Folders of MonST3R.
-    #[serde(rename = "monst3r")]
-    Monst3r,
-    /// Files of MegaSaM.
-    Megasam,
-    /// Trajectories of the TUM benchmark.
-    Tum,
-    /// Trajectories of KITTI.
-    Kitti,
     /// Nerfies, HyperNeRF, DyCheck's iPhone scenes ([`dycheck`]).
     Dycheck,
     /// NVIDIA Dynamic Scenes and other clips with LLFF's `poses_bounds.npy`.
@@ -58,6 +46,25 @@ pub enum SourceFormat {
     Polycam,
     /// Stray Scanner.
     StrayScanner,
+    /// COLMAP's sparse model with its pictures.
+    Colmap,
+    /// `transforms.json` of nerfstudio, Blender, Instant4D, and our own captures.
+    Nerfstudio,
+    /// Artifacts of ViPE.
+    Vipe,
+    /// Depth Anything 3 and DA3-Streaming.
+    Da3,
+    /// Files of MegaSaM.
+    Megasam,
+    /// Archives of VGGT and networks that name their arrays alike.
+    Vggt,
+    /// Folders of MonST3R.
+    #[serde(rename = "monst3r")]
+    Monst3r,
+    /// Trajectories of the TUM benchmark.
+    Tum,
+    /// Trajectories of KITTI.
+    Kitti,
 }
 
 /// What is known of one format.
@@ -69,7 +76,7 @@ struct Row {
     list: fn(&Path, &ImportOptions, &dyn Progress) -> Result<Listing, ReadSourceError>,
 }
 
-/// In the order in which they are tried: the special before the general.
+/// In the order of [`SourceFormat`].
 const ROWS: &[Row] = &[
     Row {
         format: SourceFormat::Dycheck,
@@ -193,6 +200,6 @@ pub fn read(
             side::attach(&mut listing, options, progress)?;
             load(path, listing, options, progress)
         }
-        None => Err(crate::core::SourceFault::unsupported("no reader has this format", "name another").at(path)),
+        None => Err(SourceFault::unsupported("no reader has this format", "name another").at(path)),
     }
 }

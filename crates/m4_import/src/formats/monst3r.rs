@@ -22,10 +22,10 @@
 //! Source: `dust3r/cloud_opt/base_opt.py` and `dust3r/utils/vo_eval.py` of MonST3R's repository, read to learn what they write.
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::parts::arrays::lens_of_matrix;
-use crate::parts::pictures::{self, Picture};
-use crate::parts::table::{self, Row};
-use crate::parts::{clock, depth, pose};
+use crate::files::pictures::{self, Picture};
+use crate::files::table::{self, Row};
+use crate::files::{clock, lens, pose};
+use crate::side::depth;
 use m4_io::image;
 use m4_scene::{CompactMask, Progress};
 use std::path::Path;
@@ -49,7 +49,7 @@ fn folder(path: &Path) -> &Path {
 }
 
 pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::check(options).map_err(|fault| fault.at(path))?;
+    clock::fps(options).map_err(|fault| fault.at(path))?;
     let path = folder(path);
     let poses_file = path.join("pred_traj.txt");
     let poses = table::read(&poses_file, |n| n == 8, "time x y z qw qx qy qz")?;
@@ -90,15 +90,8 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         frame.c2w = c2w.map_err(|fault| fault.within(&poses_file, pose.place()))?;
         train.push(frame);
     }
-    let time_frames = train.len();
-    Ok(Listing {
-        duration_s: clock::duration_s(time_frames, options, progress),
-        train,
-        test: Vec::new(),
-        time_frames,
-        metric: false,
-        tracks: None,
-    })
+    let n = train.len();
+    Ok(Listing::of_video(train, n, clock::duration_s(n, options, progress)))
 }
 
 /// Whether quaternions end in `qw`.
@@ -128,33 +121,28 @@ fn frame(folder: &Path, i: usize, picture: Option<Picture>, k: &[f64]) -> Result
     // the network's own pictures are of the size of the depth maps; others are scaled to it
     let seen = folder.join(format!("frame_{i:04}.png"));
     let seen = if seen.is_file() {
-        image::size(&seen)?
+        pictures::size_of(&seen)?
     } else {
         depth_size(&depth_file)?
     };
-    let k = lens_of_matrix(k, seen)?;
+    let k = lens::of_matrix(k, seen)?;
     if !depth_file.is_file() {
         let what = format!("the depth map {}", depth_file.display());
         return Err(SourceFault::missing(what, "give the whole folder of one run"));
     }
     let mask_file = folder.join(format!("dynamic_mask_{i}.png"));
+    let lens = Lens::pinhole(lens::scaled(&k, picture.size)?);
     Ok(ListedFrame {
-        name: picture.name,
-        lens: Lens::pinhole(pictures::scaled(&k, picture.size)?),
-        c2w: m4_math::Se3::identity(),
-        t: i as f64,
-        rgb: picture.rgb,
-        depth: Some(FrameSource::new(move || depth::read(&depth_file, 1.0, 1.0))),
+        depth: Some(depth::source(depth_file, 1.0, 1.0)),
         mask: mask_file
             .is_file()
             .then(|| FrameSource::new(move || Ok(CompactMask::from(image::read_grey(&mask_file)?)))),
-        motion: None,
-        instances: None,
-        camera_index: None,
+        ..ListedFrame::new(picture.name, lens, m4_math::Se3::identity(), i as f64, picture.rgb)
     })
 }
 
 /// Width and height of a depth map.
 fn depth_size(file: &Path) -> Result<(usize, usize), SourceFault> {
-    Ok(depth::read(file, 1.0, 1.0)?.size())
+    let map = depth::read_depth(file, 1.0).map_err(|fault| fault.of_file(file))?;
+    Ok(map.size())
 }

@@ -12,9 +12,10 @@
 //! nerfstudio's `polycam_utils.py` permutes its rows, which is a turn of the world. Source: the README of PolyCam/polyform.
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{depth_unit, from_rows, json, kept_where, listed, opened_size, resized_lens, stem};
+use crate::files::pictures::{Picture, of_file};
+use crate::files::{clock, json, lens, listed, pose, stem};
+use crate::side::depth;
 use m4_io::capture::Axes;
-use m4_io::image;
 use m4_math::Se3;
 use m4_scene::{Intrinsics, Progress};
 use serde::Deserialize;
@@ -53,19 +54,12 @@ impl Camera {
             [self.t_10, self.t_11, self.t_12],
             [self.t_20, self.t_21, self.t_22],
         ];
-        let arkit = from_rows(rows, [self.t_03, self.t_13, self.t_23])?;
+        let arkit = pose::of_rotation(rows, [self.t_03, self.t_13, self.t_23])?;
         Ok(Axes::OpenGl.to_opencv(&arkit))
     }
 
     fn intrinsics(&self) -> Intrinsics {
-        Intrinsics {
-            width: self.width,
-            height: self.height,
-            fx: self.fx,
-            fy: self.fy,
-            cx: self.cx,
-            cy: self.cy,
-        }
+        lens::pinhole([self.fx, self.fy, self.cx, self.cy], (self.width, self.height))
     }
 }
 
@@ -105,24 +99,16 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         let what = "its time is not after that of the picture before it";
         return Err(SourceFault::bad(what, "name each picture by its time").at(&pictures[i]));
     }
-    let span = times[times.len() - 1] - times[0];
-    let steps = (pictures.len() - 1) as f64;
-    let unit = depth_unit(options, DEPTH_UNIT).map_err(|fault| fault.at(path))?;
-    let frames = pictures.iter().zip(&times).map(|(picture, time)| {
-        let t = if span > 0.0 {
-            (time - times[0]) / span * steps
-        } else {
-            0.0
-        };
-        frame(&root, &cameras, picture, t.clamp(0.0, steps), unit)
-    });
+    let (t, span) = clock::in_frames(&times);
+    let unit = depth::unit(options, DEPTH_UNIT).map_err(|fault| fault.at(path))?;
+    let frames = pictures
+        .iter()
+        .zip(t)
+        .map(|(picture, t)| frame(&root, &cameras, picture, t, unit));
+    let train = frames.collect::<Result<_, _>>()?;
     Ok(Listing {
-        train: frames.collect::<Result<_, _>>()?,
-        test: Vec::new(),
-        time_frames: pictures.len(),
-        duration_s: Some(span * MICROSECONDS),
         metric: true,
-        tracks: None,
+        ..Listing::of_video(train, pictures.len(), Some(span * MICROSECONDS))
     })
 }
 
@@ -142,36 +128,16 @@ fn frame(root: &Path, cameras: &Path, picture: &Path, t: f64, unit: f64) -> Resu
     let lens = Lens::pinhole(camera.intrinsics());
     lens.check()
         .map_err(|what| SourceFault::bad(what, "export the raw data again").at(&file))?;
-    let size = opened_size(picture).map_err(|fault| fault.at(picture))?;
-    let intrinsics = resized_lens(&lens.intrinsics, size).map_err(|fault| fault.at(picture))?;
-    let (depth, confidence) = (
+    let Picture { size, rgb, .. } = of_file(picture).map_err(|fault| fault.at(picture))?;
+    let k = lens::resized(&lens.intrinsics, size).map_err(|fault| fault.at(picture))?;
+    let (sensed, confidence) = (
         root.join(format!("depth/{name}.png")),
         root.join(format!("confidence/{name}.png")),
     );
-    let picture = picture.to_path_buf();
     Ok(ListedFrame {
-        lens: Lens::pinhole(intrinsics),
-        c2w,
-        t,
-        rgb: FrameSource::new(move || Ok(image::read_rgb(&picture)?)),
-        depth: depth
+        depth: sensed
             .is_file()
-            .then(|| FrameSource::new(move || sensed(&depth, &confidence, unit))),
-        mask: None,
-        motion: None,
-        instances: None,
-        camera_index: None,
-        name,
+            .then(|| FrameSource::new(move || depth::read_sensed(&sensed, &confidence, unit))),
+        ..ListedFrame::new(name, Lens::pinhole(k), c2w, t, rgb)
     })
-}
-
-/// Depth of a sensor, where its confidence is above 0 or not given.
-pub(crate) fn sensed(depth: &Path, confidence: &Path, unit: f64) -> Result<m4_scene::CompactDepth, SourceFault> {
-    let map = crate::side::depth::read_depth(depth, unit).map_err(|fault| fault.of_file(depth))?;
-    if !confidence.is_file() {
-        return Ok(map);
-    }
-    opened_size(confidence)?;
-    let confidence_map = image::read_grey(confidence)?;
-    kept_where(&map, &confidence_map).map_err(|fault| fault.of_file(confidence))
 }

@@ -16,15 +16,18 @@
 //!
 //! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
 
-use super::zipped::Zipped;
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::parts::arrays::Arrays;
-use crate::parts::{clock, depth, exr, file, pictures, pose};
+use crate::files::arrays::Arrays;
+use crate::files::{Members, clock, lens, pictures, pose, text};
+use crate::side::depth::decode_exr;
 use m4_io::image;
-use m4_scene::{CompactDepth, CompactIds, CompactMask, Intrinsics, Progress};
+use m4_scene::{CompactDepth, CompactIds, CompactMask, Progress};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+
+/// Largest depth map or mask, unpacked.
+const MAX_MEMBER_BYTES: u64 = 1 << 30;
 
 /// Whether it is the folder of a run, or a pose file in one.
 pub(super) fn detect(path: &Path) -> bool {
@@ -54,7 +57,7 @@ fn names(run: &Path) -> Vec<String> {
 }
 
 pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::check(options).map_err(|fault| fault.at(path))?;
+    clock::fps(options).map_err(|fault| fault.at(path))?;
     let (run, name) = match run_of(path) {
         Some(found) => found,
         None => {
@@ -97,10 +100,8 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         let what = format!("it has a pose of frame {last}, but the clip has {time_frames}");
         return Err(SourceFault::bad(what, "give the clip of this run").at(&pose_file));
     }
-    let duration_s = match pictures.times_s.as_deref().and_then(<[f64]>::last) {
-        Some(&last) if options.fps.is_none() => Some(last),
-        _ => clock::duration_s(time_frames, options, progress),
-    };
+    let last_s = pictures.times_s.and_then(|times| times.last().copied());
+    let duration_s = clock::duration_of(last_s, time_frames, options, progress);
     let mut train = Vec::with_capacity(poses.len());
     for (i, picture) in pictures.all.into_iter().enumerate() {
         let Some(matrix) = poses.get(&i) else { continue };
@@ -110,50 +111,34 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             let remedy = "give the files of one run";
             SourceFault::missing(format!("the line of frame {i}"), remedy).within(&lens_file, "array `inds`")
         })?;
-        let (width, height) = picture.size;
-        let member = |zip: &Option<Arc<Zipped>>, extension: &str| {
+        let member = |zip: &Option<Arc<Zipped>>, extension: &str| -> Result<Option<Member>, ReadSourceError> {
             let name = format!("{i:05}.{extension}");
-            zip.as_ref()
-                .filter(|zip| zip.has(&name))
-                .map(|zip| (Arc::clone(zip), name))
+            match zip {
+                Some(zip) => zip.member(name),
+                None => Ok(None),
+            }
         };
-        let mask = member(&masks, "png");
+        let (depth, mask) = (member(&depths, "exr")?, member(&masks, "png")?);
+        let k = lens::pinhole([k[0], k[1], k[2], k[3]], picture.size);
         train.push(ListedFrame {
-            name: format!("{i:05}"),
-            lens: Lens::pinhole(Intrinsics {
-                width,
-                height,
-                fx: k[0],
-                fy: k[1],
-                cx: k[2],
-                cy: k[3],
-            }),
-            c2w,
-            t: i as f64,
-            rgb: picture.rgb,
-            depth: member(&depths, "exr").map(|(zip, name)| FrameSource::new(move || exr_member(&zip, &name))),
-            mask: mask.clone().map(|(zip, name)| {
+            depth: depth.map(|member| FrameSource::new(move || member.depth())),
+            mask: mask.clone().map(|member| {
                 let still = Arc::clone(&still);
                 FrameSource::new(move || {
-                    let ids = ids_member(&zip, &name)?.to_plane();
+                    let ids = member.ids()?.to_plane();
                     let (w, h) = ids.size();
                     Ok(CompactMask::from_fn(w, h, |x, y| {
                         ids[(x, y)] != 0 && !still.contains(&ids[(x, y)])
                     }))
                 })
             }),
-            motion: None,
-            instances: mask.map(|(zip, name)| FrameSource::new(move || ids_member(&zip, &name))),
-            camera_index: None,
+            instances: mask.map(|member| FrameSource::new(move || member.ids())),
+            ..ListedFrame::new(format!("{i:05}"), Lens::pinhole(k), c2w, i as f64, picture.rgb)
         });
     }
     Ok(Listing {
-        train,
-        test: Vec::new(),
-        time_frames,
-        duration_s,
         metric: true,
-        tracks: None,
+        ..Listing::of_video(train, time_frames, duration_s)
     })
 }
 
@@ -192,7 +177,7 @@ fn pinholes(path: &Path) -> Result<(), ReadSourceError> {
     if !path.is_file() {
         return Ok(());
     }
-    for (i, line) in file::text(path)?.lines().enumerate() {
+    for (i, line) in text(path)?.lines().enumerate() {
         let kind = line.split_once(':').map_or("", |(_, kind)| kind.trim());
         if !(line.trim().is_empty() || kind == "PINHOLE") {
             let what = format!("the camera is {line:?}; only PINHOLE is read");
@@ -209,11 +194,7 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
         return Ok(HashSet::new());
     }
     let mut phrases = HashMap::new();
-    for (i, line) in file::text(path)?
-        .lines()
-        .enumerate()
-        .filter(|(_, l)| !l.trim().is_empty())
-    {
+    for (i, line) in text(path)?.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
         let parsed = line
             .split_once(':')
             .and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
@@ -230,12 +211,54 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
         .collect())
 }
 
-fn exr_member(zip: &Zipped, name: &str) -> Result<CompactDepth, SourceFault> {
-    let plane = exr::read_depth(&zip.bytes(name)?)?;
-    let (w, h) = plane.size();
-    depth::plane(w, h, plane.into_vec().into_iter().map(f64::from).collect(), 1.0)
+/// An archive of maps, one a frame.
+struct Zipped {
+    path: PathBuf,
+    members: Members,
 }
 
-fn ids_member(zip: &Zipped, name: &str) -> Result<CompactIds, SourceFault> {
-    Ok(image::ids_of_bytes(zip.path(), &zip.bytes(name)?)?)
+impl Zipped {
+    fn open(path: &Path) -> Result<Self, ReadSourceError> {
+        Ok(Self {
+            path: path.to_path_buf(),
+            members: Members::open(path).map_err(|fault| fault.at(path))?,
+        })
+    }
+
+    /// The map of that name, if it is there.
+    fn member(self: &Arc<Self>, name: String) -> Result<Option<Member>, ReadSourceError> {
+        let has = self.members.has(&name).map_err(|fault| fault.at(&self.path))?;
+        Ok(has.then(|| Member {
+            zip: Arc::clone(self),
+            name,
+        }))
+    }
+}
+
+/// One map of an archive.
+#[derive(Clone)]
+struct Member {
+    zip: Arc<Zipped>,
+    name: String,
+}
+
+impl Member {
+    fn path(&self) -> PathBuf {
+        self.zip.path.join(&self.name)
+    }
+
+    fn bytes(&self) -> Result<Vec<u8>, SourceFault> {
+        let bytes = self.zip.members.read(&self.name, MAX_MEMBER_BYTES)?;
+        bytes.ok_or_else(|| SourceFault::missing(&self.name, "copy the archive again"))
+    }
+
+    fn depth(&self) -> Result<CompactDepth, SourceFault> {
+        let decoded = self.bytes().and_then(|bytes| decode_exr(&bytes));
+        Ok(decoded.map_err(|fault| fault.of_file(&self.path()))?.into())
+    }
+
+    fn ids(&self) -> Result<CompactIds, SourceFault> {
+        let bytes = self.bytes().map_err(|fault| fault.of_file(&self.zip.path))?;
+        Ok(image::ids_of_bytes(&self.path(), &bytes)?)
+    }
 }

@@ -2,13 +2,10 @@
 
 use super::{depth, mask, tracks};
 use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{depth_unit, listed};
+use crate::files::listed;
 use m4_scene::{CompactDepth, CompactMask, Progress};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// Scene units a step of 16-bit depth maps where nobody says: millimetres where the unit is a metre.
-const DEFAULT_DEPTH_UNIT: f64 = 1e-3;
 
 /// Gives the training frames of `listing` the depth, masks and tracks that `options` name, in place of their own.
 ///
@@ -17,7 +14,7 @@ const DEFAULT_DEPTH_UNIT: f64 = 1e-3;
 /// [`ReadSourceError`], which names the folder or file: it cannot be read, or does not hold one map for each frame.
 pub fn attach(listing: &mut Listing, options: &ImportOptions, progress: &dyn Progress) -> Result<(), ReadSourceError> {
     if let Some(path) = &options.depth {
-        let unit = depth_unit(options, DEFAULT_DEPTH_UNIT).map_err(|fault| fault.at(path))?;
+        let unit = depth::unit(options, depth::DEFAULT_UNIT).map_err(|fault| fault.at(path))?;
         attach_depth(&mut listing.train, path, unit, options.max_memory_bytes, progress)?;
     }
     if let Some(path) = &options.masks {
@@ -40,7 +37,7 @@ fn attach_depth(
     if path.is_dir() {
         let files = one_a_frame(path, depth::EXTENSIONS, "depth maps", frames.len())?;
         for (frame, file) in frames.iter_mut().zip(files) {
-            frame.depth = Some(FrameSource::new(move || named(&file, depth::read_depth(&file, unit))));
+            frame.depth = Some(depth::source(file, unit, 1.0));
         }
         return Ok(());
     }

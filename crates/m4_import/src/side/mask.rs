@@ -3,7 +3,8 @@
 use super::palette::read_numbers;
 use super::stack::Stack;
 use crate::core::SourceFault;
-use crate::files::{first_bytes, opened_size};
+use crate::files::first_bytes;
+use crate::files::pictures::size_of;
 use m4_io::image;
 use m4_scene::{CompactIds, CompactMask, Progress};
 use std::path::Path;
@@ -30,7 +31,7 @@ pub struct ReadMask {
 /// [`SourceFault`]: it cannot be read or is damaged.
 pub fn read_mask(path: &Path, invert: bool) -> Result<ReadMask, SourceFault> {
     if !first_bytes::<4>(path).starts_with(b"\x89PNG") {
-        opened_size(path)?;
+        size_of(path)?;
         let grey = image::read_grey(path)?;
         let (w, h) = grey.size();
         return Ok(ReadMask {

@@ -1,7 +1,7 @@
 //! The numbers of PNG pictures as they are stored: of a palette its indices, which other readers turn into colours.
 
 use crate::core::SourceFault;
-use crate::files::check_pixels;
+use crate::files::pictures::check_pixels;
 use m4_scene::Plane;
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
 use std::fs::File;

@@ -1,8 +1,7 @@
 //! Maps of all frames in one array of an npz archive.
 
-use crate::core::SourceFault;
-use crate::files::array_fault;
-use m4_io::npy::{Npz, Number};
+use crate::core::{SourceFault, step};
+use crate::files::npy::{array_fault, array_of, is_float, open_npz, present};
 use m4_scene::Progress;
 use std::path::Path;
 
@@ -22,18 +21,15 @@ impl Stack {
         frames: usize,
         limit_bytes: u64,
         progress: &dyn Progress,
-        one: impl Fn(&Self, &[f64]) -> Result<T, SourceFault>,
+        one: impl Fn(&Self, Vec<f64>) -> Result<T, SourceFault>,
     ) -> Result<Vec<T>, SourceFault> {
         let mut npz = open_npz(path)?;
-        let Some(key) = present(&mut npz, keys, limit_bytes)? else {
+        let Some(key) = present(&npz, keys) else {
             let what = format!("an array named {} (there are: {})", keys.join(" or "), npz.names());
             return Err(SourceFault::missing(what, "save the maps under such a name"));
         };
         // both a map and its copy in the capture
-        let array = npz.array(key, limit_bytes / 4).map_err(|e| array_fault(key, e))?;
-        let Some(mut array) = array else {
-            return Err(SourceFault::missing(key, "save it"));
-        };
+        let mut array = array_of(&mut npz, key, limit_bytes / 4)?;
         let (n, height, width) = match array.shape[..] {
             [n, h, w] | [n, h, w, 1] => (n, h, w),
             _ => {
@@ -57,36 +53,15 @@ impl Stack {
         let stack = Self {
             width,
             height,
-            whole_numbers: !matches!(array.number, Number::F16 | Number::F32 | Number::F64),
+            whole_numbers: !is_float(&array),
         };
         let mut maps = Vec::new();
         for i in 0..n {
-            if progress.cancelled() {
-                return Err(SourceFault::Cancelled);
-            }
-            progress.update("read maps", i + 1, n, "");
+            step("read maps", i, n, progress)?;
             let values = array.next_f64(width * height).map_err(|e| array_fault(key, e))?;
-            maps.push(one(&stack, &values)?);
+            maps.push(one(&stack, values)?);
         }
         array.end().map_err(|e| array_fault(key, e))?;
         Ok(maps)
     }
-}
-
-/// An archive of arrays.
-pub(crate) fn open_npz(path: &Path) -> Result<Npz, SourceFault> {
-    Npz::open(path)?.map_err(|e| {
-        let what = format!("it is no npz archive, or a damaged one ({e})");
-        SourceFault::bad(what, "save it again with numpy")
-    })
-}
-
-/// The first of `keys` that the archive has.
-pub(crate) fn present<'k>(npz: &mut Npz, keys: &[&'k str], limit_bytes: u64) -> Result<Option<&'k str>, SourceFault> {
-    for &key in keys {
-        if npz.array(key, limit_bytes).map_err(|e| array_fault(key, e))?.is_some() {
-            return Ok(Some(key));
-        }
-    }
-    Ok(None)
 }

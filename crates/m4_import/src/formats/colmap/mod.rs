@@ -18,7 +18,7 @@
 mod lens;
 
 use crate::core::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::parts::{clock, pictures};
+use crate::files::{below, clock, pictures};
 use m4_formats::cameras::colmap::{self, ColmapPose, ColmapTables, ReadColmapError};
 use m4_io::video::natural;
 use m4_scene::Progress;
@@ -58,7 +58,7 @@ fn picture_folder(model: &Path, images: &[ColmapPose], options: &ImportOptions) 
     let folders = up()
         .map(|folder| folder.join("images"))
         .chain(up().map(Path::to_path_buf));
-    let has = |folder: &PathBuf| pictures::below(folder, first).is_ok_and(|file| file.is_file());
+    let has = |folder: &PathBuf| below(folder, first).is_ok_and(|file| file.is_file());
     folders.into_iter().find(has).ok_or_else(|| {
         let what = format!("the picture {first:?}, in a folder `images` beside the model or above it,");
         SourceFault::missing(what, "give the folder of the pictures (pictures)").at(model)
@@ -66,7 +66,7 @@ fn picture_folder(model: &Path, images: &[ColmapPose], options: &ImportOptions) 
 }
 
 pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::check(options).map_err(|fault| fault.at(path))?;
+    clock::fps(options).map_err(|fault| fault.at(path))?;
     let folder = model_folder(path).ok_or_else(|| {
         let remedy = "a folder with cameras and images, both .bin or both .txt, or one with sparse/0 is needed";
         SourceFault::missing("a sparse model", remedy).at(path)
@@ -93,31 +93,15 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         let c2w = image
             .c2w()
             .map_err(|what| at(SourceFault::bad(what, "export the model again")))?;
-        let file = pictures::below(&pictures_in, &image.name).map_err(at)?;
+        let file = below(&pictures_in, &image.name).map_err(at)?;
         let picture = pictures::of_file(&file).map_err(at)?;
-        pictures::same_size(&lens.intrinsics, picture.size).map_err(at)?;
-        train.push(ListedFrame {
-            name: image.name.clone(),
-            lens: *lens,
-            c2w,
-            t: places.as_ref().map_or(i as f64, |places| places.of[i] as f64),
-            rgb: picture.rgb,
-            depth: None,
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
-        });
+        lens.check_size(picture.size).map_err(at)?;
+        let t = places.as_ref().map_or(i as f64, |places| places.of[i] as f64);
+        train.push(ListedFrame::new(image.name.clone(), *lens, c2w, t, picture.rgb));
     }
     let time_frames = places.map_or(train.len(), |places| places.all);
-    Ok(Listing {
-        duration_s: clock::duration_s(time_frames, options, progress),
-        train,
-        test: Vec::new(),
-        time_frames,
-        metric: false,
-        tracks: None,
-    })
+    let duration_s = clock::duration_s(time_frames, options, progress);
+    Ok(Listing::of_video(train, time_frames, duration_s))
 }
 
 /// Where frames are in the folder that they were taken from.

@@ -1,7 +1,7 @@
 //! `camera/ID.json`.
 
 use crate::core::{Distortion, Lens, ReadSourceError, SourceFault};
-use crate::files::{from_rows, json};
+use crate::files::{json, pose};
 use m4_math::Se3;
 use m4_scene::Intrinsics;
 use serde::Deserialize;
@@ -71,6 +71,7 @@ pub(super) fn read(path: &Path) -> Result<Camera, ReadSourceError> {
     // orientation is world to camera: its transpose turns camera to world
     let o = file.orientation;
     let turned = [0, 1, 2].map(|i| [o[0][i], o[1][i], o[2][i]]);
-    let c2w = from_rows(turned, file.position).map_err(|fault| fault.within(path, "orientation and position"))?;
+    let c2w =
+        pose::of_rotation(turned, file.position).map_err(|fault| fault.within(path, "orientation and position"))?;
     Ok(Camera { lens, c2w })
 }

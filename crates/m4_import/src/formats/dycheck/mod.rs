@@ -23,19 +23,17 @@ mod camera;
 mod ids;
 mod unit;
 
-use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{json, opened_size, resized_lens};
-use crate::side::depth::read_depth;
+use crate::core::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::files::pictures::{Picture, of_file};
+use crate::files::{clock, json, lens};
+use crate::side::depth;
 use ids::{Id, Split};
-use m4_io::image;
 use m4_scene::Progress;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
 /// By what pictures are shrunk: 2 in the tables of the papers.
 const DEFAULT_FACTOR: u32 = 2;
-/// Frames a second where the files have no clock.
-const DEFAULT_FPS: f64 = 30.0;
 
 /// Whether a folder is of it.
 pub(crate) fn detect(path: &Path) -> bool {
@@ -102,7 +100,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
 
 fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<f64, ReadSourceError> {
     let file = path.join("extra.json");
-    let given = crate::files::fps(options).map_err(|fault| fault.at(path))?;
+    let given = clock::fps(options).map_err(|fault| fault.at(path))?;
     let own = if file.is_file() {
         json::<Extra>(&file)?.fps
     } else {
@@ -114,7 +112,7 @@ fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<
             path.display()
         ));
     }
-    let fps = own.or(given).unwrap_or(DEFAULT_FPS);
+    let fps = own.or(given).unwrap_or(clock::DEFAULT_FPS);
     if fps.is_finite() && fps > 0.0 {
         return Ok(fps);
     }
@@ -138,22 +136,16 @@ impl Reader<'_> {
         let file = self.root.join(format!("camera/{}.json", id.name));
         let camera = camera::read(&file)?;
         let picture = self.root.join(format!("rgb/{}x/{}.png", self.factor, id.name));
-        let size = opened_size(&picture).map_err(|fault| fault.at(&picture))?;
+        let Picture { size, rgb, .. } = of_file(&picture).map_err(|fault| fault.at(&picture))?;
         let mut lens = camera.lens;
-        lens.intrinsics = resized_lens(&lens.intrinsics, size).map_err(|fault| fault.at(&picture))?;
+        lens.intrinsics = lens::resized(&lens.intrinsics, size).map_err(|fault| fault.at(&picture))?;
         let depth = self.root.join(format!("depth/{}x/{}.npy", self.factor, id.name));
         let unit = self.unit.filter(|_| depth.is_file());
+        let t = ((id.time - self.first) / self.step).clamp(0.0, self.steps);
         Ok(ListedFrame {
-            name: id.name.clone(),
-            lens,
-            c2w: camera.c2w,
-            t: ((id.time - self.first) / self.step).clamp(0.0, self.steps),
-            rgb: FrameSource::new(move || Ok(image::read_rgb(&picture)?)),
-            depth: unit.map(|unit| FrameSource::new(move || unit::scaled(&read_depth(&depth, 1.0)?, unit.scene_units))),
-            mask: None,
-            motion: None,
-            instances: None,
+            depth: unit.map(|unit| depth::source(depth, unit.scene_units, unit.scene_units)),
             camera_index,
+            ..ListedFrame::new(id.name.clone(), lens, camera.c2w, t, rgb)
         })
     }
 }

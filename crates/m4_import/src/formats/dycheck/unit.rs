@@ -2,9 +2,9 @@
 
 use super::ids::Id;
 use crate::core::{ImportOptions, ReadSourceError, SourceFault};
-use crate::files::{depth_unit, json};
-use crate::side::depth::{known, read_depth};
-use m4_scene::{CompactDepth, DepthMap, Progress};
+use crate::files::json;
+use crate::side::depth::{self, read_depth};
+use m4_scene::Progress;
 use serde::Deserialize;
 use std::path::Path;
 
@@ -57,7 +57,7 @@ pub(super) fn of_depth(
     let middle = seen.len() / 2;
     let median = f64::from(*seen.select_nth_unstable_by(middle, f32::total_cmp).1);
     if options.depth_unit.is_some() {
-        let unit = depth_unit(options, 1.0).map_err(|fault| fault.at(root))?;
+        let unit = depth::unit(options, 1.0).map_err(|fault| fault.at(root))?;
         let metric = median * unit < NO_METRES;
         return Ok(Some(Unit {
             scene_units: unit,
@@ -92,13 +92,4 @@ pub(super) fn of_depth(
         scene_units,
         metric: median * scene_units < NO_METRES,
     }))
-}
-
-/// Depth times `unit`.
-pub(super) fn scaled(depth: &CompactDepth, unit: f64) -> Result<CompactDepth, SourceFault> {
-    if unit == 1.0 {
-        return Ok(depth.clone());
-    }
-    let map: DepthMap = depth.to_map().map(|z| known((f64::from(*z) * unit) as f32));
-    Ok(map.into())
 }

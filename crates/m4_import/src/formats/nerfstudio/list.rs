@@ -3,7 +3,8 @@
 use super::json::{Frame, Transforms};
 use super::{axes, lens};
 use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::parts::{clock, depth, file, pictures, pose};
+use crate::files::{clock, json, pictures, pose};
+use crate::side::depth;
 use m4_io::capture::Axes;
 use m4_io::image;
 use m4_io::tracks::{self, TracksFault};
@@ -11,9 +12,6 @@ use m4_io::video::natural;
 use m4_math::Se3;
 use m4_scene::{CompactMask, Progress};
 use std::path::{Path, PathBuf};
-
-/// Scene units a step of the depth maps where nothing says it: nerfstudio's default, millimetres.
-const DEFAULT_DEPTH_UNIT: f64 = 1e-3;
 
 /// Whether it is `transforms*.json`, or a folder with one.
 pub fn detect(path: &Path) -> bool {
@@ -40,7 +38,7 @@ fn files(path: &Path) -> Option<(PathBuf, Option<PathBuf>)> {
 }
 
 pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::check(options).map_err(|fault| fault.at(path))?;
+    clock::fps(options).map_err(|fault| fault.at(path))?;
     let (train_file, test_file) = files(path).ok_or_else(|| {
         let remedy = "give it or the folder that it is in";
         SourceFault::missing("transforms.json or transforms_train.json", remedy).at(path)
@@ -104,7 +102,7 @@ struct Split {
 
 impl Split {
     fn read(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Self, ReadSourceError> {
-        let mut file: Transforms = file::json(path)?;
+        let mut file: Transforms = json(path)?;
         let bad = |key: &str, what: String, remedy: &str| SourceFault::bad(what, remedy).within(path, key.to_owned());
         let values = file.frames.take().unwrap_or_default();
         let mut entries = Vec::with_capacity(values.len());
@@ -121,7 +119,7 @@ impl Split {
         let depth_unit = options
             .depth_unit
             .or(file.depth_unit_scale_factor)
-            .unwrap_or(DEFAULT_DEPTH_UNIT);
+            .unwrap_or(depth::DEFAULT_UNIT);
         if !(depth_unit.is_finite() && depth_unit > 0.0) {
             let what = format!("it is {depth_unit}");
             return Err(bad("depth_unit_scale_factor", what, "give scene units a step, above 0"));
@@ -235,15 +233,12 @@ impl Split {
         }
         let picture = pictures::of_file(&self.picture(&entry.file_path, options)?)?;
         let beside = |name: &Option<String>| name.as_ref().map(|name| self.folder.join(name));
+        let lens = lens::of(&entry.lens.or(&self.file.lens), picture.size)?;
+        let t = time * (time_frames - 1) as f64;
         let (depth_unit, zero_moves) = (self.depth_unit, self.moving_is_zero);
         Ok(ListedFrame {
-            name: entry.file_path.clone(),
-            lens: lens::of(&entry.lens.or(&self.file.lens), picture.size)?,
-            c2w,
-            t: time * (time_frames - 1) as f64,
-            rgb: picture.rgb,
-            depth: beside(&entry.depth_file_path)
-                .map(|file| FrameSource::new(move || depth::read(&file, depth_unit, depth_unit))),
+            // as nerfstudio does, numbers of floats are multiplied too
+            depth: beside(&entry.depth_file_path).map(|file| depth::source(file, depth_unit, depth_unit)),
             mask: beside(&entry.mask_path).map(|file| {
                 FrameSource::new(move || {
                     let grey = image::read_grey(&file)?;
@@ -258,6 +253,7 @@ impl Split {
             motion: beside(&entry.motion_path).map(|file| FrameSource::new(move || Ok(image::read_grey(&file)?))),
             instances: beside(&entry.instance_path).map(|file| FrameSource::new(move || Ok(image::read_ids(&file)?))),
             camera_index: held_out.then_some(entry.camera).flatten(),
+            ..ListedFrame::new(entry.file_path.clone(), lens, c2w, t, picture.rgb)
         })
     }
 

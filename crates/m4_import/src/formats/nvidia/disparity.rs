@@ -1,7 +1,7 @@
 //! Relative disparity of a network to depth, by the bounds of a view.
 
 use crate::core::SourceFault;
-use crate::files::NpyFile;
+use crate::files::npy::NpyFile;
 use crate::side::depth::known;
 use m4_scene::{CompactDepth, DepthMap, Plane};
 use std::path::Path;
@@ -16,13 +16,7 @@ const FARTHEST: f64 = 4.0;
 /// z-depth of a map `[h][w]` of disparity up to scale and shift.
 pub(super) fn depth(path: &Path, near: f64, far: f64) -> Result<CompactDepth, SourceFault> {
     let array = NpyFile::read(path, MAX_BYTES)?;
-    let (h, w) = match array.shape[..] {
-        [h, w] | [h, w, 1] | [1, h, w] if h * w > 0 => (h, w),
-        _ => {
-            let what = format!("an array of shape {:?}; [height, width] was expected", array.shape);
-            return Err(SourceFault::bad(what, "save one map a file"));
-        }
-    };
+    let (h, w) = array.map_size()?;
     let mut sorted: Vec<f64> = array.values.iter().copied().filter(|v| v.is_finite()).collect();
     sorted.sort_unstable_by(f64::total_cmp);
     let [low, high] = QUANTILES.map(|q| quantile(&sorted, q));

@@ -22,9 +22,9 @@ mod poses;
 mod views;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{fps, listed, opened_size, resized_lens, stem};
+use crate::files::pictures::{Picture, of_file};
+use crate::files::{clock, lens, listed, stem};
 use crate::side::mask::read_mask;
-use m4_io::image;
 use m4_scene::Progress;
 use poses::Pose;
 use std::path::{Path, PathBuf};
@@ -39,7 +39,7 @@ pub(crate) fn detect(path: &Path) -> bool {
 pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
     let poses = poses::read(&path.join("poses_bounds.npy"))?;
     let n = poses.len();
-    let fps = fps(options).map_err(|fault| fault.at(path))?;
+    let fps = clock::fps(options).map_err(|fault| fault.at(path))?;
     let folder = pictures(path, options)?;
     let pictures = as_many(&folder, PICTURES, "pictures", n)?;
     let optional = |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadSourceError> {
@@ -111,19 +111,10 @@ fn as_many(folder: &Path, extensions: &[&str], what: &str, n: usize) -> Result<V
 }
 
 fn frame(picture: &Path, pose: &Pose, t: f64, camera_index: Option<u32>) -> Result<ListedFrame, ReadSourceError> {
-    let size = opened_size(picture).map_err(|fault| fault.at(picture))?;
-    let intrinsics = resized_lens(&pose.intrinsics, size).map_err(|fault| fault.at(picture))?;
-    let file = picture.to_path_buf();
+    let Picture { size, rgb, .. } = of_file(picture).map_err(|fault| fault.at(picture))?;
+    let k = lens::resized(&pose.intrinsics, size).map_err(|fault| fault.at(picture))?;
     Ok(ListedFrame {
-        name: stem(picture),
-        lens: Lens::pinhole(intrinsics),
-        c2w: pose.c2w,
-        t,
-        rgb: FrameSource::new(move || Ok(image::read_rgb(&file)?)),
-        depth: None,
-        mask: None,
-        motion: None,
-        instances: None,
         camera_index,
+        ..ListedFrame::new(stem(picture), Lens::pinhole(k), pose.c2w, t, rgb)
     })
 }

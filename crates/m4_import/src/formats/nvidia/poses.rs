@@ -1,7 +1,8 @@
 //! `poses_bounds.npy`.
 
 use crate::core::{ReadSourceError, SourceFault};
-use crate::files::{NpyFile, from_rows};
+use crate::files::npy::NpyFile;
+use crate::files::pose;
 use m4_math::Se3;
 use m4_scene::Intrinsics;
 use std::path::Path;
@@ -32,16 +33,16 @@ pub(super) fn read(path: &Path) -> Result<Vec<Pose>, ReadSourceError> {
         }
     }
     let rows = array.values.as_chunks::<WIDTH>().0.iter().enumerate();
-    rows.map(|(i, row)| pose(row).map_err(|fault| fault.within(path, format!("camera {i}"))))
+    rows.map(|(i, row)| camera(row).map_err(|fault| fault.within(path, format!("camera {i}"))))
         .collect()
 }
 
-fn pose(row: &[f64; WIDTH]) -> Result<Pose, SourceFault> {
+fn camera(row: &[f64; WIDTH]) -> Result<Pose, SourceFault> {
     let bad = |what: String| Err(SourceFault::bad(what, REMEDY));
     let m = |i: usize, j: usize| row[5 * i + j];
     // down, right, back -> right, down, forward
     let turned = [0, 1, 2].map(|i| [m(i, 1), m(i, 0), -m(i, 2)]);
-    let c2w = from_rows(turned, [0, 1, 2].map(|i| m(i, 3)))?;
+    let c2w = pose::of_rotation(turned, [0, 1, 2].map(|i| m(i, 3)))?;
     let [height, width, focal] = [0, 1, 2].map(|i| m(i, 4));
     let side = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let (Some(w), Some(h)) = (side(width), side(height)) else {

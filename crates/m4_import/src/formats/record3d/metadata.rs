@@ -1,7 +1,7 @@
 //! The file `metadata`.
 
 use crate::core::{Lens, ReadSourceError, SourceFault};
-use crate::files::{Members, from_quaternion_xyzw, parse_json};
+use crate::files::{Members, clock, lens, parse_json, pose};
 use m4_io::capture::Axes;
 use m4_math::Se3;
 use m4_scene::Intrinsics;
@@ -43,36 +43,37 @@ impl Metadata {
     pub(super) fn read(members: &Members, path: &Path) -> Result<Self, ReadSourceError> {
         let bytes = members.read("metadata", MAX_BYTES).map_err(|fault| fault.at(path))?;
         let bytes = bytes.ok_or_else(|| SourceFault::missing("metadata", REMEDY).at(path))?;
-        let metadata: Self = parse_json(&bytes, &path.join("metadata"))?;
+        let bad = |what: String| SourceFault::bad(what, REMEDY).within(path, "metadata");
+        let text = std::str::from_utf8(&bytes).map_err(|e| bad(format!("it is no text ({e})")))?;
+        let metadata: Self = parse_json(text, &path.join("metadata"))?;
         let n = metadata.poses.len();
-        let bad = |what: String| Err(SourceFault::bad(what, REMEDY).within(path, "metadata"));
         for (key, count) in [
             ("perFrameIntrinsicCoeffs", metadata.coefficients.as_ref().map(Vec::len)),
             ("frameTimestamps", metadata.timestamps.as_ref().map(Vec::len)),
         ] {
             // an empty list stands for none
             if let Some(count) = count.filter(|&c| c != n && c != 0) {
-                return bad(format!("{key} has {count} entries for {n} poses"));
+                return Err(bad(format!("{key} has {count} entries for {n} poses")));
             }
         }
         let k = &metadata.k;
         if [k[1], k[2], k[3], k[5]] != [0.0; 4] || k[8] != 1.0 {
-            return bad(format!("K is {k:?}; fx 0 0, 0 fy 0, cx cy 1 was expected"));
+            return Err(bad(format!("K is {k:?}; fx 0 0, 0 fy 0, cx cy 1 was expected")));
         }
         let side = |v: usize| (1..=1 << 16).contains(&v);
         let (dw, dh) = metadata.depth_size();
         let sensed = |v: usize| (1..=MAX_SENSOR_SIDE).contains(&v);
         if !(side(metadata.w) && side(metadata.h) && sensed(dw) && sensed(dh)) {
-            return bad(format!(
+            return Err(bad(format!(
                 "pictures of {} x {} and depth of {dw} x {dh} pixels",
                 metadata.w, metadata.h
-            ));
+            )));
         }
         if (dw > dh) != (metadata.w > metadata.h) {
-            return bad(format!(
+            return Err(bad(format!(
                 "pictures of {} x {} but depth of {dw} x {dh} pixels: one of them was turned",
                 metadata.w, metadata.h
-            ));
+            )));
         }
         Ok(metadata)
     }
@@ -87,15 +88,8 @@ impl Metadata {
     /// Of pictures of `w x h`.
     pub(super) fn intrinsics(&self, n: usize) -> Result<Intrinsics, SourceFault> {
         let own = self.coefficients.as_ref().and_then(|c| c.get(n));
-        let [fx, fy, cx, cy] = own.copied().unwrap_or([self.k[0], self.k[4], self.k[6], self.k[7]]);
-        let k = Intrinsics {
-            width: self.w,
-            height: self.h,
-            fx,
-            fy,
-            cx,
-            cy,
-        };
+        let numbers = own.copied().unwrap_or([self.k[0], self.k[4], self.k[6], self.k[7]]);
+        let k = lens::pinhole(numbers, (self.w, self.h));
         Lens::pinhole(k)
             .check()
             .map_err(|what| SourceFault::bad(what, REMEDY))?;
@@ -107,7 +101,7 @@ impl Metadata {
         let Some(&[qx, qy, qz, qw, x, y, z]) = self.poses.get(n) else {
             return Err(SourceFault::missing("the pose", REMEDY));
         };
-        let arkit = from_quaternion_xyzw([qx, qy, qz, qw], [x, y, z])?;
+        let arkit = pose::of_quaternion([x, y, z], [qw, qx, qy, qz])?;
         Ok(Axes::OpenGl.to_opencv(&arkit))
     }
 
@@ -130,15 +124,10 @@ impl Metadata {
         if times.len() != frames.len() || !apart {
             return bad("frameTimestamps do not grow from frame to frame".into());
         }
-        let span = times[times.len() - 1] - times[0];
-        let t = |time: &f64| ((time - times[0]) / span * steps).clamp(0.0, steps);
+        let (t, span_s) = clock::in_frames(&times);
         Ok(Clock {
-            t: if span > 0.0 {
-                times.iter().map(t).collect()
-            } else {
-                vec![0.0]
-            },
-            duration_s: Some(span),
+            t,
+            duration_s: Some(span_s),
         })
     }
 }

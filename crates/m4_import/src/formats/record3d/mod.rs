@@ -19,7 +19,7 @@ mod metadata;
 mod sensor;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{Members, first_bytes, fps, resized_lens};
+use crate::files::{Members, clock, first_bytes, lens};
 use m4_io::image;
 use m4_scene::{Progress, RgbImage};
 use metadata::Metadata;
@@ -60,38 +60,29 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     }
     // of the first picture; `load` compares the others
     let size = picture(&members, pictures[0]).map_err(|fault| fault.at(path))?.size();
-    let given = fps(options).map_err(|fault| fault.at(path))?;
+    let given = clock::fps(options).map_err(|fault| fault.at(path))?;
     let fps = metadata.fps.or(given);
-    let clock = metadata.clock(&pictures, fps, path)?;
-    let frames = pictures.iter().zip(&clock.t).map(|(&n, &t)| {
+    let taken = metadata.clock(&pictures, fps, path)?;
+    let frames = pictures.iter().zip(&taken.t).map(|(&n, &t)| {
         let place = |fault: SourceFault| fault.within(path, format!("frame {n}"));
         let k = metadata.intrinsics(n).map_err(place)?;
-        let intrinsics = resized_lens(&k, size).map_err(place)?;
+        let intrinsics = lens::resized(&k, size).map_err(place)?;
         let (for_rgb, for_depth) = (Arc::clone(&members), Arc::clone(&members));
         let (dw, dh) = metadata.depth_size();
+        let c2w = metadata.c2w(n).map_err(place)?;
+        let rgb = FrameSource::new(move || picture(&for_rgb, n));
         Ok(ListedFrame {
-            name: format!("rgbd/{n}.jpg"),
-            lens: Lens::pinhole(intrinsics),
-            c2w: metadata.c2w(n).map_err(place)?,
-            t,
-            rgb: FrameSource::new(move || picture(&for_rgb, n)),
             depth: members
                 .has(&format!("rgbd/{n}.depth"))
                 .map_err(place)?
                 .then(|| FrameSource::new(move || sensor::depth(&for_depth, n, dw, dh))),
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
+            ..ListedFrame::new(format!("rgbd/{n}.jpg"), Lens::pinhole(intrinsics), c2w, t, rgb)
         })
     });
+    let train = frames.collect::<Result<_, _>>()?;
     Ok(Listing {
-        train: frames.collect::<Result<_, _>>()?,
-        test: Vec::new(),
-        time_frames: pictures.len(),
-        duration_s: clock.duration_s,
         metric: true,
-        tracks: None,
+        ..Listing::of_video(train, pictures.len(), taken.duration_s)
     })
 }
 

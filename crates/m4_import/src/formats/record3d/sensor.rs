@@ -1,8 +1,8 @@
 //! Depth of the sensor.
 
 use crate::core::SourceFault;
-use crate::files::{Members, kept_where};
-use crate::side::depth::known;
+use crate::files::Members;
+use crate::side::depth::{kept_where, known};
 use lzfse_rust::LzfseRingDecoder;
 use m4_scene::{CompactDepth, Plane};
 use std::io::Read;

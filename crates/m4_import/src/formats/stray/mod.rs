@@ -15,14 +15,13 @@
 mod odometry;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{depth_unit, from_quaternion_xyzw, resized_lens};
-use crate::formats::davis::of_video;
-use crate::formats::polycam::sensed;
+use crate::files::pictures::of_video;
+use crate::files::{clock, lens, pose};
+use crate::side::depth;
 use m4_io::video::{VideoOptions, read};
 use m4_scene::{Intrinsics, Progress, RgbImage};
 use odometry::Row;
 use std::path::Path;
-use std::sync::{Arc, Mutex};
 
 /// Metres a step of depth.
 const DEPTH_UNIT: f64 = 1e-3;
@@ -58,30 +57,21 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         rows.truncate(n);
         pictures.truncate(n);
     }
-    let Some((first, last)) = rows.first().zip(rows.last()) else {
+    if rows.is_empty() {
         return Err(SourceFault::missing("every frame", "record the scene again").at(&file));
-    };
-    let (start, span) = (first.time_s, last.time_s - first.time_s);
-    let steps = (rows.len() - 1) as f64;
-    let unit = depth_unit(options, DEPTH_UNIT).map_err(|fault| fault.at(path))?;
-    let n = rows.len();
-    let listed = rows.iter().zip(pictures).map(|(row, picture)| {
-        let t = if span > 0.0 {
-            (row.time_s - start) / span * steps
-        } else {
-            0.0
-        };
-        let listed = intrinsics(row.lens.unwrap_or(matrix), stored)
-            .and_then(|lens| frame(path, row, &lens, picture, t.clamp(0.0, steps), unit));
+    }
+    let times_s: Vec<f64> = rows.iter().map(|row| row.time_s).collect();
+    let (t, span_s) = clock::in_frames(&times_s);
+    let unit = depth::unit(options, DEPTH_UNIT).map_err(|fault| fault.at(path))?;
+    let listed = rows.iter().zip(pictures).zip(t).map(|((row, picture), t)| {
+        let listed =
+            intrinsics(row.lens.unwrap_or(matrix), stored).and_then(|lens| frame(path, row, &lens, picture, t, unit));
         listed.map_err(|e| e.within(&file, format!("frame {}", row.frame)))
     });
+    let train = listed.collect::<Result<_, _>>()?;
     Ok(Listing {
-        train: listed.collect::<Result<_, _>>()?,
-        test: Vec::new(),
-        time_frames: n,
-        duration_s: Some(span),
         metric: true,
-        tracks: None,
+        ..Listing::of_video(train, rows.len(), Some(span_s))
     })
 }
 
@@ -138,14 +128,7 @@ fn intrinsics([fx, fy, cx, cy]: [f64; 4], stored: (usize, usize)) -> Result<Intr
         let remedy = "give the video as it was recorded, neither turned nor resized";
         return Err(SourceFault::bad(what, remedy));
     }
-    let k = Intrinsics {
-        width: stored.0,
-        height: stored.1,
-        fx,
-        fy,
-        cx,
-        cy,
-    };
+    let k = lens::pinhole([fx, fy, cx, cy], stored);
     let checked = Lens::pinhole(k).check();
     checked.map_err(|what| SourceFault::bad(what, "record the scene again"))?;
     Ok(k)
@@ -159,26 +142,15 @@ fn frame(
     t: f64,
     unit: f64,
 ) -> Result<ListedFrame, SourceFault> {
-    let intrinsics = resized_lens(lens, picture.size())?;
-    let (quaternion, place) = (row.quaternion_xyzw, row.place);
+    let k = lens::resized(lens, picture.size())?;
+    let [x, y, z, w] = row.quaternion_xyzw;
+    let c2w = pose::of_quaternion(row.place, [w, x, y, z])?;
     let name = format!("{:06}", row.frame);
     let at = |extension: &str| path.join(format!("depth/{name}.{extension}"));
-    let depth = [at("png"), at("npy")].into_iter().find(|p| p.is_file());
+    let sensed = [at("png"), at("npy")].into_iter().find(|p| p.is_file());
     let confidence = path.join(format!("confidence/{name}.png"));
-    let rgb = Arc::new(Mutex::new(Some(picture)));
     Ok(ListedFrame {
-        lens: Lens::pinhole(intrinsics),
-        c2w: from_quaternion_xyzw(quaternion, place)?,
-        t,
-        rgb: FrameSource::new(move || {
-            let taken = rgb.lock().ok().and_then(|mut rgb| rgb.take());
-            taken.ok_or_else(|| SourceFault::bad("the picture was taken before", "read the source again"))
-        }),
-        depth: depth.map(|depth| FrameSource::new(move || sensed(&depth, &confidence, unit))),
-        mask: None,
-        motion: None,
-        instances: None,
-        camera_index: None,
-        name,
+        depth: sensed.map(|sensed| FrameSource::new(move || depth::read_sensed(&sensed, &confidence, unit))),
+        ..ListedFrame::new(name, Lens::pinhole(k), c2w, t, FrameSource::held(picture))
     })
 }

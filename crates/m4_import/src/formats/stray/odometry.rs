@@ -1,11 +1,9 @@
 //! `odometry.csv` and `camera_matrix.csv`.
 
 use crate::core::{ReadSourceError, SourceFault};
-use crate::files::bytes;
+use crate::files::text;
 use std::path::Path;
 
-/// Largest list of poses: a line takes some 150 bytes.
-const MAX_BYTES: u64 = 64 << 20;
 const REMEDY: &str = "export the recording again";
 
 /// A line.
@@ -28,11 +26,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<Row>, ReadSourceError> {
     let names: Vec<String> = head.split(',').map(|n| n.trim().to_ascii_lowercase()).collect();
     let column = |name: &str| names.iter().position(|n| n == name);
     let Some(columns) = NAMES.iter().map(|n| column(n)).collect::<Option<Vec<usize>>>() else {
-        let what = format!(
-            "its first line is {:?}; {} were expected",
-            short(head),
-            NAMES.join(", ")
-        );
+        let what = format!("its first line is {:?}; {} were expected", head, NAMES.join(", "));
         return Err(SourceFault::bad(what, REMEDY).at(path));
     };
     let lens: Option<Vec<usize>> = LENS.iter().map(|n| column(n)).collect();
@@ -51,7 +45,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<Row>, ReadSourceError> {
         let (Some(values), Some(frame)) = (values, frame) else {
             return Err(bad(format!(
                 "{:?} has not a number for each of {}",
-                short(line),
+                line,
                 NAMES.join(", ")
             )));
         };
@@ -89,13 +83,4 @@ pub(super) fn matrix(path: &Path) -> Result<[f64; 4], ReadSourceError> {
             Err(SourceFault::bad(what, REMEDY).at(path))
         }
     }
-}
-
-fn text(path: &Path) -> Result<String, ReadSourceError> {
-    String::from_utf8(bytes(path, MAX_BYTES)?).map_err(|_| SourceFault::bad("it is no text", REMEDY).at(path))
-}
-
-/// The start of a line, for messages.
-fn short(line: &str) -> String {
-    line.chars().take(80).collect()
 }

@@ -1,7 +1,7 @@
 //! Timestamps of poses to those of files.
 
 use crate::core::{ReadSourceError, SourceFault};
-use crate::parts::{file, pictures};
+use crate::files::{below, text};
 use std::path::{Path, PathBuf};
 
 /// Farthest that two moments of one frame are apart, seconds: that of the benchmark's `associate.py`.
@@ -16,7 +16,7 @@ impl Stamped {
     pub fn read(list: &Path) -> Result<Self, ReadSourceError> {
         let folder = list.parent().unwrap_or(Path::new(""));
         let mut all = Vec::new();
-        for (i, line) in file::text(list)?.lines().enumerate() {
+        for (i, line) in text(list)?.lines().enumerate() {
             let line = line.trim();
             if line.is_empty() || line.starts_with('#') {
                 continue;
@@ -30,7 +30,7 @@ impl Stamped {
                     "give the list of the data set",
                 ))
             })?;
-            all.push((time, pictures::below(folder, name).map_err(at)?));
+            all.push((time, below(folder, name).map_err(at)?));
         }
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
         Ok(Self(all))

@@ -2,7 +2,7 @@
 
 use super::lens;
 use crate::core::{ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::parts::{clock, pictures, pose, table};
+use crate::files::{clock, pictures, pose, table};
 use m4_math::Se3;
 use m4_math::nalgebra::Matrix3;
 use m4_scene::Progress;
@@ -30,7 +30,7 @@ fn beside(folder: &Path) -> Option<PathBuf> {
 }
 
 pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::check(options).map_err(|fault| fault.at(path))?;
+    clock::fps(options).map_err(|fault| fault.at(path))?;
     let file = trajectory(path).ok_or_else(|| {
         SourceFault::missing("a trajectory", "give its text file, or a folder with poses.txt").at(path)
     })?;
@@ -99,26 +99,11 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
         if let Some(to_zero) = to_zero {
             c2w = c2w.compose(&to_zero);
         }
-        train.push(ListedFrame {
-            name: picture.name,
-            lens,
-            c2w,
-            t,
-            rgb: picture.rgb,
-            depth: None,
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
-        });
+        train.push(ListedFrame::new(picture.name, lens, c2w, t, picture.rgb));
     }
     Ok(Listing {
-        train,
-        test: Vec::new(),
-        time_frames,
-        duration_s,
         metric,
-        tracks: None,
+        ..Listing::of_video(train, time_frames, duration_s)
     })
 }
 

@@ -1,8 +1,8 @@
 //! The lens of a trajectory that brings none.
 
 use crate::core::{Distortion, ImportOptions, Lens, ReadSourceError, SourceFault};
-use crate::parts::arrays::lens_of_matrix;
-use crate::parts::{file, table};
+use crate::files::lens::{of_matrix, pinhole};
+use crate::files::{table, text};
 use m4_math::nalgebra::{Matrix3, Vector3};
 use m4_scene::Intrinsics;
 use std::path::Path;
@@ -29,22 +29,11 @@ pub fn given(folder: &Path, size: (usize, usize), options: &ImportOptions) -> Re
         "fx fy cx cy (and k1 k2 p1 p2, k3), or 9 numbers of a matrix,",
     )?;
     let numbers: Vec<f64> = rows.iter().flat_map(|row| row.values.iter().copied()).collect();
-    let (width, height) = size;
-    let pinhole = |fx, fy, cx, cy| Intrinsics {
-        width,
-        height,
-        fx,
-        fy,
-        cx,
-        cy,
-    };
     let lens = match *numbers.as_slice() {
-        [fx, fy, cx, cy] => Lens::pinhole(pinhole(fx, fy, cx, cy)),
-        [_, _, _, _, _, _, 0.0, 0.0, 1.0] => {
-            Lens::pinhole(lens_of_matrix(&numbers, size).map_err(|fault| fault.at(&file))?)
-        }
+        [fx, fy, cx, cy] => Lens::pinhole(pinhole([fx, fy, cx, cy], size)),
+        [_, _, _, _, _, _, 0.0, 0.0, 1.0] => Lens::pinhole(of_matrix(&numbers, size).map_err(|fault| fault.at(&file))?),
         [fx, fy, cx, cy, k1, k2, p1, p2, ref k3 @ ..] if k3.len() <= 1 => Lens {
-            intrinsics: pinhole(fx, fy, cx, cy),
+            intrinsics: pinhole([fx, fy, cx, cy], size),
             distortion: Distortion::brown(k1, k2, k3.first().copied().unwrap_or(0.0), p1, p2),
         },
         _ => {
@@ -76,7 +65,7 @@ pub struct Projection {
 pub fn kitti(file: &Path, camera: usize, size: (usize, usize)) -> Result<Projection, ReadSourceError> {
     let key = format!("P{camera}");
     let at = |fault: SourceFault| fault.within(file, key.clone());
-    let text = file::text(file)?;
+    let text = text(file)?;
     let line = text.lines().find_map(|line| {
         let (name, numbers) = line.split_once([':', ' '])?;
         (name.trim() == key || name.trim() == format!("P_rect_0{camera}")).then_some(numbers)
@@ -94,7 +83,7 @@ pub fn kitti(file: &Path, camera: usize, size: (usize, usize)) -> Result<Project
         ))
     })?;
     let k: Vec<f64> = (0..9).map(|i| p[4 * (i / 3) + i % 3]).collect();
-    let mut intrinsics = lens_of_matrix(&k, size).map_err(at)?;
+    let mut intrinsics = of_matrix(&k, size).map_err(at)?;
     let matrix = Matrix3::from_row_slice(&k);
     let inverse = matrix.try_inverse();
     let inverse = inverse.ok_or_else(|| {

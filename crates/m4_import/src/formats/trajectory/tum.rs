@@ -2,10 +2,11 @@
 
 use super::associate::{Stamped, nearest};
 use super::lens;
-use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::parts::pictures::{self, Picture};
-use crate::parts::table::{self, Row};
-use crate::parts::{clock, depth, pose};
+use crate::core::{ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::files::pictures::{self, Picture};
+use crate::files::table::{self, Row};
+use crate::files::{clock, pose};
+use crate::side::depth;
 use m4_scene::Progress;
 use std::path::{Path, PathBuf};
 
@@ -28,7 +29,7 @@ fn trajectory(path: &Path) -> Option<PathBuf> {
 }
 
 pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::check(options).map_err(|fault| fault.at(path))?;
+    clock::fps(options).map_err(|fault| fault.at(path))?;
     let file = trajectory(path).ok_or_else(|| {
         SourceFault::missing("a trajectory", "give its text file, or a folder with groundtruth.txt").at(path)
     })?;
@@ -46,7 +47,7 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     };
     let stamps = folder.join("depth.txt");
     let depths = stamps.is_file().then(|| Stamped::read(&stamps)).transpose()?;
-    let unit = options.depth_unit.unwrap_or(DEPTH_UNIT);
+    let unit = depth::unit(options, DEPTH_UNIT).map_err(|fault| fault.at(path))?;
     let mut train = Vec::with_capacity(clip.frames.len());
     let mut given: Option<((usize, usize), Lens)> = None;
     for ((row, picture), t) in clip.frames.into_iter().zip(&clip.t) {
@@ -60,29 +61,14 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
         given = Some((picture.size, lens));
         let map = depths.as_ref().and_then(|all| all.at(v[0])).map(Path::to_path_buf);
         train.push(ListedFrame {
-            name: picture.name,
-            lens,
-            c2w,
-            t: *t,
-            rgb: picture.rgb,
-            depth: map.map(|map| FrameSource::new(move || depth::read(&map, unit, 1.0))),
-            mask: None,
-            motion: None,
-            instances: None,
-            camera_index: None,
+            depth: map.map(|map| depth::source(map, unit, 1.0)),
+            ..ListedFrame::new(picture.name, lens, c2w, *t, picture.rgb)
         });
     }
-    let duration_s = match clip.duration_s {
-        Some(s) if options.fps.is_none() => Some(s),
-        _ => clock::duration_s(clip.time_frames, options, progress),
-    };
+    let duration_s = clock::duration_of(clip.duration_s, clip.time_frames, options, progress);
     Ok(Listing {
-        train,
-        test: Vec::new(),
-        time_frames: clip.time_frames,
-        duration_s,
         metric: depths.is_some(),
-        tracks: None,
+        ..Listing::of_video(train, clip.time_frames, duration_s)
     })
 }
 

@@ -1,8 +1,8 @@
 //! The arrays of an archive of tracks, by name and shape.
 
 use crate::core::SourceFault;
-use crate::files::{array_fault, from_rows};
-use crate::side::stack::present;
+use crate::files::npy::{array_fault, array_of, present};
+use crate::files::pose;
 use m4_io::npy::Npz;
 use m4_math::Se3;
 
@@ -39,15 +39,14 @@ impl Read {
 
     /// The first of `keys` that is there, `[frames][..][..]` or with a dimension of 1 before; two dimensions stand for a last one of 1.
     pub(super) fn one_of<'k>(&mut self, keys: &[&'k str]) -> Result<Option<(&'k str, Numbers)>, SourceFault> {
-        let Some(key) = present(&mut self.npz, keys, u64::MAX)? else {
+        let Some(key) = present(&self.npz, keys) else {
             return Ok(None);
         };
-        Ok(self.numbers(key)?.map(|numbers| (key, numbers)))
+        Ok(Some((key, self.numbers(key)?)))
     }
 
-    fn numbers(&mut self, key: &str) -> Result<Option<Numbers>, SourceFault> {
-        let array = self.npz.array(key, self.limit_bytes).map_err(|e| array_fault(key, e))?;
-        let Some(mut array) = array else { return Ok(None) };
+    fn numbers(&mut self, key: &str) -> Result<Numbers, SourceFault> {
+        let mut array = array_of(&mut self.npz, key, self.limit_bytes)?;
         let frames = self.frames;
         let (second, third) = match array.shape[..] {
             [n, k, c] | [1, n, k, c] if n == frames => (k, c),
@@ -61,23 +60,22 @@ impl Read {
         let n = array.shape.iter().product();
         let values = array.next_f64(n).map_err(|e| array_fault(key, e))?;
         array.end().map_err(|e| array_fault(key, e))?;
-        Ok(Some(Numbers { second, third, values }))
+        Ok(Numbers { second, third, values })
     }
 
     /// One pose a frame.
     pub(super) fn cameras(&mut self, key: &str) -> Result<Option<Vec<Se3<f64>>>, SourceFault> {
-        let Some(Numbers { second, third, values }) = self.numbers(key)? else {
+        if !self.npz.has(key) {
             return Ok(None);
-        };
+        }
+        let Numbers { second, third, values } = self.numbers(key)?;
         if !(3..=4).contains(&second) || third != 4 {
             let what = format!("{key} are matrices of {second} x {third}; 4 x 4 were expected");
             return Err(SourceFault::bad(what, REMEDY));
         }
         let pose = |(i, m): (usize, &[f64])| {
-            let row = |r: usize| [m[4 * r], m[4 * r + 1], m[4 * r + 2]];
-            let t = [m[3], m[7], m[11]];
-            from_rows([row(0), row(1), row(2)], t)
-                .map_err(|e| SourceFault::bad(format!("{key} of frame {i}: {e}"), REMEDY))
+            // of 4x4 matrices the last row is not looked at
+            pose::of_matrix(&format!("{key} of frame {i}"), &m[..12])
         };
         let poses: Result<Vec<_>, _> = values.chunks_exact(4 * second).enumerate().map(pose).collect();
         poses.map(Some)

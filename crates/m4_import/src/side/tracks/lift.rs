@@ -1,7 +1,7 @@
 //! Tracks in pixels to places in the world.
 
 use super::arrays::Numbers;
-use crate::core::{Distortion, Lens, ListedFrame, SourceFault};
+use crate::core::{Distortion, Lens, ListedFrame, SourceFault, step};
 use m4_math::nalgebra::Vector3;
 use m4_scene::{CompactDepth, Progress};
 
@@ -21,10 +21,7 @@ pub(super) fn lift(
     let mut out = Vec::with_capacity(tracks.values.len() / columns.max(1) * 3);
     let rows = tracks.values.chunks(tracks.second.max(1) * columns);
     for (i, (row, frame)) in rows.zip(frames).enumerate() {
-        if progress.cancelled() {
-            return Err(SourceFault::Cancelled);
-        }
-        progress.update("lift tracks", i + 1, frames.len(), "");
+        step("lift tracks", i, frames.len(), progress)?;
         let k = &frame.lens.intrinsics;
         let (w, h) = size.unwrap_or((k.width, k.height));
         let (sx, sy) = (k.width as f64 / w as f64, k.height as f64 / h as f64);

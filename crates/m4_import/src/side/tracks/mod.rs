@@ -5,7 +5,7 @@ mod cameras;
 mod lift;
 
 use crate::core::{ListedFrame, SourceFault};
-use crate::side::stack::open_npz;
+use crate::files::npy::open_npz;
 use arrays::Read;
 use m4_scene::{Progress, Tracks};
 use std::path::Path;

@@ -1,0 +1,10 @@
+//! Clips of data sets, telephones and trackers, compared with what `oracles/import_formats_b.py` wrote them from.
+
+mod davis;
+mod dycheck;
+mod nvidia;
+mod polycam;
+mod record3d;
+mod side;
+mod stray;
+mod truth;
