@@ -3,7 +3,7 @@
 use super::fit::fit;
 use super::reading::{Reading, depth_scale, errors, median};
 use super::report::Cause;
-use super::samples::Pair;
+use super::samples::{Pair, Samples};
 use m4_scene::Camera;
 
 /// Another reading of the poses is believed if it takes the error to less than this share.
@@ -20,6 +20,20 @@ const HALF_PX: [f64; 2] = [0.3, 0.7];
 const SURE: f64 = 4.0;
 /// A focal length is wrong from this share on.
 const FOCAL: f64 = 0.03;
+
+/// Whether the pixels that the masks say move fit one reading of the cameras far better than those that rest fit any: the masks are turned
+/// round. There must be more of them, as most of a clip rests.
+pub(super) fn masks_turned(cameras: &[Camera], samples: &Samples) -> bool {
+    let count = |pairs: &[Pair]| pairs.iter().map(|p| p.samples.len()).sum::<usize>();
+    if count(&samples.moving) <= count(&samples.resting) {
+        return false;
+    }
+    let least = |pairs: &[Pair]| {
+        let (reading, _) = likeliest(cameras, pairs);
+        median(&mut errors(&reading, cameras, pairs)).unwrap_or(f64::INFINITY)
+    };
+    least(&samples.moving) < CONVINCING * least(&samples.resting)
+}
 
 /// The likeliest reading, and what of it differs from the one given.
 pub(super) fn likeliest(cameras: &[Camera], pairs: &[Pair]) -> (Reading, Vec<Cause>) {

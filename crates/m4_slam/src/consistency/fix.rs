@@ -2,12 +2,13 @@
 
 use super::reading::Reading;
 use super::report::Cause;
-use m4_scene::{Capture, CompactDepth, DepthMap};
+use m4_scene::{Capture, CompactDepth, CompactMask, DepthMap};
 
-/// The capture with its causes of inconsistency put right: cameras and depth changed, pictures and masks as they are.
+/// The capture with its causes of inconsistency put right: cameras, depth and masks; pictures as they are.
 #[must_use]
 pub fn fixed(mut capture: Capture, causes: &[Cause]) -> Capture {
     let reading = causes.iter().fold(Reading::GIVEN, |reading, cause| match *cause {
+        Cause::Masks => reading,
         Cause::Inverted => Reading {
             inverted: true,
             ..reading
@@ -26,7 +27,15 @@ pub fn fixed(mut capture: Capture, causes: &[Cause]) -> Capture {
         },
         Cause::PixelCentre { shift_px } => Reading { shift_px, ..reading },
     });
+    let turned = causes.contains(&Cause::Masks);
     for frame in &mut capture.frames {
+        if turned {
+            frame.mask = frame
+                .mask
+                .take()
+                .map(|mask| CompactMask::from(&mask.to_mask().map(|m| 255 - m)));
+            frame.motion = frame.motion.take().map(|motion| motion.map(|m| 255 - m));
+        }
         frame.camera = reading.camera(&frame.camera);
         if reading.scale != 1.0 {
             frame.depth = frame.depth.take().map(|depth| {

@@ -1,8 +1,8 @@
 //! The report, and its words.
 
-use super::causes::likeliest;
+use super::causes::{likeliest, masks_turned};
 use super::reading::{Reading, depth_errors, errors, median, quantile};
-use super::samples::{CheckOptions, ConsistencyError, Pair, samples};
+use super::samples::{CheckOptions, ConsistencyError, Pair, Samples, samples};
 use crate::dense::FlowSource;
 use m4_scene::{Camera, Capture, Progress};
 use serde::{Deserialize, Serialize};
@@ -24,6 +24,8 @@ const FAIR_DEPTH: f64 = 0.15;
 #[serde(rename_all = "kebab-case", tag = "cause")]
 #[non_exhaustive]
 pub enum Cause {
+    /// The masks are turned round: what they say moves rests.
+    Masks,
     /// The poses are world to camera.
     Inverted,
     /// The cameras' y and z axes point the other way: OpenGL's where OpenCV's were taken, or the other way round.
@@ -48,6 +50,9 @@ pub enum Cause {
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Masks => {
+                f.write_str("the masks look turned round (what they say moves fits the cameras, what rests does not)")
+            }
             Self::Inverted => f.write_str("the poses look inverted (world to camera taken for camera to world)"),
             Self::Axes => {
                 f.write_str("the cameras' axes look turned (OpenGL's y up, z back for OpenCV's y down, z forward)")
@@ -129,8 +134,21 @@ pub fn check(
     options: &CheckOptions,
     progress: &dyn Progress,
 ) -> Result<Consistency, ConsistencyError> {
-    let pairs = samples(capture, flow, options, progress)?;
+    let found = samples(capture, flow, options, progress)?;
     let cameras: Vec<Camera> = capture.frames.iter().map(|f| f.camera).collect();
+    let mut report = of_pairs(capture, &cameras, &found.resting);
+    if masks_turned(&cameras, &found) {
+        let Samples { moving, .. } = &found;
+        let turned = of_pairs(capture, &cameras, moving);
+        report.verdict = Verdict::Bad;
+        report.fixed = Some(turned.fixed.unwrap_or([turned.error_px, turned.depth_error]));
+        report.causes = [vec![Cause::Masks], turned.causes].concat();
+    }
+    Ok(report)
+}
+
+/// The report of one set of samples.
+fn of_pairs(capture: &Capture, cameras: &[Camera], pairs: &[Pair]) -> Consistency {
     let total: usize = pairs.iter().map(|p| p.samples.len()).sum();
     let mut lengths: Vec<f64> = pairs
         .iter()
@@ -143,7 +161,7 @@ pub fn check(
         .first()
         .map_or(640, |f| f.rgb.width().max(f.rgb.height()));
     let unit = width as f64 / 640.0;
-    let (error, depth) = figures(&Reading::GIVEN, &cameras, &pairs);
+    let (error, depth) = figures(&Reading::GIVEN, cameras, pairs);
     let mut report = Consistency {
         pairs: pairs.len(),
         samples: total,
@@ -156,7 +174,7 @@ pub fn check(
         fixed: None,
     };
     if total < LEAST_SAMPLES || flow_px < LEAST_FLOW_PX * unit {
-        return Ok(report);
+        return report;
     }
     let within = |px: f64, share: f64| {
         report.error_px.is_some_and(|e| e <= px * unit) && (report.depth_error.is_none_or(|d| d <= share))
@@ -168,13 +186,13 @@ pub fn check(
     } else {
         Verdict::Bad
     };
-    let (reading, causes) = likeliest(&cameras, &pairs);
+    let (reading, causes) = likeliest(cameras, pairs);
     if !causes.is_empty() {
-        let (error, depth) = figures(&reading, &cameras, &pairs);
+        let (error, depth) = figures(&reading, cameras, pairs);
         report.fixed = Some([error[0], depth]);
         report.causes = causes;
     }
-    Ok(report)
+    report
 }
 
 /// Median and nine tenths of the errors, and the median error of depth; `None` where not finite.

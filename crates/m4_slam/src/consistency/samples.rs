@@ -69,13 +69,20 @@ pub(super) struct Pair {
     pub samples: Vec<Sample>,
 }
 
-/// Samples of all pairs, in order.
+/// Samples of all pairs, in order: of pixels that rest by the masks, and of pixels that move by them.
+#[derive(Debug, Default)]
+pub(super) struct Samples {
+    pub resting: Vec<Pair>,
+    pub moving: Vec<Pair>,
+}
+
+/// Takes the samples.
 pub(super) fn samples(
     capture: &Capture,
     flow: &dyn FlowSource,
     options: &CheckOptions,
     progress: &dyn Progress,
-) -> Result<Vec<Pair>, ConsistencyError> {
+) -> Result<Samples, ConsistencyError> {
     let n = capture.frames.len();
     let anchors = options.anchors.clamp(1, n.max(1));
     let mut pairs: Vec<[usize; 2]> = Vec::new();
@@ -90,7 +97,7 @@ pub(super) fn samples(
     pairs.sort_unstable();
     pairs.dedup();
     let done = AtomicUsize::new(0);
-    let found: Vec<Result<Pair, ConsistencyError>> = pairs
+    let found: Vec<Result<[Pair; 2], ConsistencyError>> = pairs
         .par_iter()
         .map(|&frames| {
             if progress.cancelled() {
@@ -101,7 +108,13 @@ pub(super) fn samples(
             Ok(pair)
         })
         .collect();
-    found.into_iter().collect()
+    let mut out = Samples::default();
+    for pair in found {
+        let [resting, moving] = pair?;
+        out.resting.push(resting);
+        out.moving.push(moving);
+    }
+    Ok(out)
 }
 
 fn between(
@@ -109,7 +122,7 @@ fn between(
     frames: [usize; 2],
     flow: &dyn FlowSource,
     options: &CheckOptions,
-) -> Result<Pair, ConsistencyError> {
+) -> Result<[Pair; 2], ConsistencyError> {
     let [a, b] = frames.map(|i| &capture.frames[i]);
     let (w, h) = a.rgb.size();
     let (fw, fh) = working_size(w, h, options.side_px);
@@ -126,7 +139,7 @@ fn between(
     })?;
     let (sx, sy) = (w as f64 / fw as f64, h as f64 / fh as f64);
     let stride = options.stride_px.max(1);
-    let mut samples = Vec::new();
+    let (mut resting, mut moving) = (Vec::new(), Vec::new());
     for y in (stride / 2..fh).step_by(stride) {
         for x in (stride / 2..fw).step_by(stride) {
             let i = y * fw + x;
@@ -140,13 +153,15 @@ fn between(
             ];
             let to_px = [to[0] * sx, to[1] * sy];
             let inside = to_px[0] > 0.0 && to_px[0] < w as f64 && to_px[1] > 0.0 && to_px[1] < h as f64;
-            if inside && !moves(a, from_px) && !moves(b, to_px) {
+            let moves = [moves(a, from_px), moves(b, to_px)];
+            if inside && moves[0] == moves[1] {
                 let depth = [depth_at(a, from_px), depth_at(b, to_px)];
-                samples.push(Sample { from_px, to_px, depth });
+                let sample = Sample { from_px, to_px, depth };
+                if moves[0] { &mut moving } else { &mut resting }.push(sample);
             }
         }
     }
-    Ok(Pair { frames, samples })
+    Ok([resting, moving].map(|samples| Pair { frames, samples }))
 }
 
 /// The pixel of a map of size `(w, h)` under a place in the picture.

@@ -3,7 +3,7 @@
 use super::{Cause, CheckOptions, Verdict, check, fixed};
 use crate::dense::InverseSearch;
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_scene::{Capture, CompactDepth, Silent};
+use m4_scene::{Capture, CompactDepth, CompactMask, Silent};
 use std::path::Path;
 
 #[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
@@ -70,6 +70,18 @@ fn every_usual_misreading_is_told() {
     assert_eq!(report.verdict, Verdict::Bad);
     assert_eq!(report.causes, [Cause::DepthUnit { factor: 1e-3 }]);
     assert!(said(&fixed(millimetres, &report.causes)).verdict == Verdict::Good);
+
+    let mut masked = truth.clone();
+    for frame in &mut masked.frames {
+        let mask = frame.mask.take().unwrap().to_mask();
+        frame.mask = Some(CompactMask::from(&mask.map(|m| 255 - m)));
+    }
+    let report = said(&masked);
+    assert_eq!(
+        (report.verdict, report.causes.as_slice()),
+        (Verdict::Bad, &[Cause::Masks][..])
+    );
+    assert!(said(&fixed(masked, &report.causes)).verdict == Verdict::Good);
 
     for half in [-0.5, 0.5] {
         let shifted = misread(truth.clone(), &|c| {

@@ -24,7 +24,7 @@ pub struct Import {
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
     /// Pictures, a folder or a video, of sources that bring poses alone [default: where the format has them]
-    #[arg(long, value_name = "PATH")]
+    #[arg(long, visible_alias = "pictures", value_name = "PATH")]
     pub images: Option<PathBuf>,
     /// Focal length of sources that bring no lens, pixels
     #[arg(long, value_name = "PX", value_parser = positive)]
