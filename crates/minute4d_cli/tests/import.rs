@@ -118,10 +118,13 @@ fn axes_that_are_wrong_are_found_and_put_right() {
         succeed(&[&args[..], more].concat()).result()
     };
     let wrong = told("wrong", &[]);
-    assert_eq!(
-        (&wrong["check"]["verdict"], &wrong["check"]["causes"][0]["cause"]),
-        (&"bad".into(), &"axes".into())
-    );
+    // its masks are 255 where something moves, nerfstudio's are 0
+    let causes = |found: &Value| -> Vec<String> {
+        let causes = found["causes"].as_array().unwrap().iter();
+        causes.map(|c| c["cause"].as_str().unwrap().to_owned()).collect()
+    };
+    assert_eq!(wrong["check"]["verdict"], "bad");
+    assert_eq!(causes(&wrong["check"]), ["masks", "axes"]);
     let right = told("right", &["--fix"]);
     assert_eq!(right["check"]["verdict"], "good", "{right}");
     assert_eq!(causes(&right["check"]["repaired"]), ["masks", "axes"]);

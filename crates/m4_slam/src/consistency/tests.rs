@@ -6,7 +6,6 @@ use m4_io::capture::{self, CaptureOptions, Split};
 use m4_scene::{Capture, CompactDepth, CompactMask, Silent};
 use std::path::Path;
 
-#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
 fn scene() -> Option<Capture> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/bench/quad-1");
     if !path.is_dir() {
