@@ -70,7 +70,8 @@ fn wrong_requests_are_refused_with_advice() {
     let out = dir.at("out");
     fs::create_dir_all(dir.path("empty")).unwrap();
     let empty = dir.at("empty");
-    let (colmap, davis) = (fixture("colmap_text"), fixture("davis/JPEGImages/480p/ball"));
+    let (colmap, polycam) = (fixture("colmap_text"), fixture("polycam"));
+    let davis = fixture("davis/JPEGImages/480p/ball");
     for (args, code, says) in [
         (vec!["import", &*empty, "-o", &out], 65, "none of the layouts"),
         (vec!["import", &empty, "-o", &out, "--format", "vipe"], 65, "pose"),
@@ -86,7 +87,7 @@ fn wrong_requests_are_refused_with_advice() {
             "cannot be used with",
         ),
         (
-            vec!["import", &colmap, "-o", &out, "--depth", "/nowhere"],
+            vec!["import", &polycam, "-o", &out, "--depth", "/nowhere"],
             66,
             "/nowhere",
         ),
