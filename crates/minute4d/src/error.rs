@@ -1,10 +1,12 @@
 //! The one error of the library, and what sort of failure each is.
 
 use crate::enhance::EnhanceError;
+use crate::evaluate::ProtocolError;
 use crate::export::ExportError;
 use crate::geometry::GivenError;
 use crate::import::ImportError;
 use crate::render::{PathError, TimeError};
+use crate::reproduce::ReproduceError;
 use crate::settings::SettingsError;
 use m4_eval::geometry::{GeometryError, LlffError};
 use m4_eval::image::ImageError;
@@ -374,6 +376,12 @@ pub enum Error {
     #[cfg(feature = "nets")]
     #[error(transparent)]
     Weights(#[from] crate::weights::WeightsError),
+    /// A protocol of evaluation.
+    #[error(transparent)]
+    Protocol(#[from] ProtocolError),
+    /// The table of a data set.
+    #[error(transparent)]
+    Reproduce(#[from] ReproduceError),
     /// Scoring pictures.
     #[error(transparent)]
     Score(#[from] ImageError),
@@ -434,6 +442,8 @@ impl Error {
             Self::Given(GivenError::Read { source, .. }) => ErrorKind::of_read(source).into(),
             Self::Given(_) => Category::BadInput,
             Self::Enhance(e) => e.category(),
+            Self::Protocol(e) => e.category(),
+            Self::Reproduce(e) => e.category(),
             Self::Export(e) => e.category(),
             Self::Import(e) => e.category(),
             Self::ReadVideo(ReadVideoError::BadOption { .. }) => Category::BadSettings,

@@ -144,6 +144,17 @@ pub(crate) fn remove_file(path: &Path) -> Result<(), Error> {
     }
 }
 
+/// Removes a folder with what is in it, which may be missing.
+pub(crate) fn remove_folder(path: &Path) -> Result<(), Error> {
+    match fs::remove_dir_all(path) {
+        Err(source) if source.kind() != ErrorKind::NotFound => Err(Error::Write {
+            path: path.to_path_buf(),
+            source,
+        }),
+        _ => Ok(()),
+    }
+}
+
 /// The file of the checkpoint after so many iterations.
 pub(crate) fn checkpoint_file(folder: &Path, iteration: usize) -> PathBuf {
     folder

@@ -39,6 +39,7 @@ pub mod inspect;
 pub mod preview;
 pub mod record;
 pub mod render;
+pub mod reproduce;
 pub mod settings;
 pub mod train;
 pub mod viewer;

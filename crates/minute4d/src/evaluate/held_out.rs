@@ -66,11 +66,15 @@ impl HeldOut {
     ///
     /// [`Error::Gpu`] if the device fails.
     pub fn draw(&self, pictures: &mut Pictures<'_>, frame: &CaptureFrame) -> Result<RgbImage, Error> {
-        let camera = self.alignment.as_ref().map_or(frame.camera, |a| Camera {
+        pictures.picture(&self.camera(frame), self.moment(frame), &Exposure::IDENTITY)
+    }
+
+    /// A view's camera in the world of the scene.
+    pub fn camera(&self, frame: &CaptureFrame) -> Camera {
+        self.alignment.as_ref().map_or(frame.camera, |a| Camera {
             c2w: a.similarity().transform_pose(&frame.camera.c2w),
             ..frame.camera
-        });
-        pictures.picture(&camera, self.moment(frame), &Exposure::IDENTITY)
+        })
     }
 }
 

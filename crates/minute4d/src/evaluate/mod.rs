@@ -1,12 +1,34 @@
-//! Scores: of a scene over held-out views, of a capture against known geometry.
+//! Scores: of a scene over held-out views, by a protocol or without one; of a capture against known geometry.
+//!
+//! ```text
+//! capture of a video --split by a Protocol--> capture that trains and judges --train--> scene
+//! scene, its held-out views --views (Rules: masks, metrics, poses)--> eval.json with every choice
+//! ```
+
+pub mod protocol;
 
 mod align;
+mod by_protocol;
+mod choices;
+mod covisible;
+mod error;
 mod held_out;
+mod perceptual;
+mod refine;
+mod split;
 mod views;
 
 pub use align::Alignment;
+pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
+pub(crate) use covisible::adopt as adopt_covisible;
+pub use covisible::{COVISIBLE_FOLDER, MaskSource};
+pub use error::ProtocolError;
 pub(crate) use held_out::HeldOut;
-pub use views::{EvalReport, views};
+pub use perceptual::LpipsChoice;
+pub use protocol::{FrameRule, Protocol, Task};
+pub use refine::Moved;
+pub use split::{Parts, SPLIT_FILE, SplitRecord, parts, split};
+pub use views::{EvalOptions, EvalReport, OtherMean, views, views_by};
 
 use crate::settings::Settings;
 use crate::{Error, Observer};

@@ -1,17 +1,46 @@
 //! A scene against the held-out views of a capture.
 
 use super::align::Alignment;
+use super::by_protocol;
+use super::choices::Choices;
 use super::held_out::HeldOut;
+use super::protocol::Protocol;
 use crate::device::DeviceChoice;
 use crate::folder::EVAL_FILE;
 use crate::record::write_json;
+use crate::render::Pictures;
 use crate::{Error, Observer, hash};
 use m4_eval::image::{ImageReport, MeanScore, Picture};
 use m4_kernels::SimdLevel;
 use m4_scene::CompactMask;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+/// A mean over the views that have a score.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct OtherMean {
+    /// The mean.
+    pub mean: f64,
+    /// How many views have it.
+    pub views: usize,
+}
+
+/// How views are scored.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EvalOptions {
+    /// Masks of moving parts are grown by so many pixels first.
+    pub grow_mask: usize,
+    /// Where views are drawn and LPIPS is computed.
+    pub device: DeviceChoice,
+    /// The protocol; `None` for joint PSNR and SSIM of what the capture holds out, in 8 bits.
+    pub protocol: Option<Protocol>,
+    /// Masks of co-visibility, for protocols that have some; `None` for those of the capture, or made ones.
+    pub covisible: Option<PathBuf>,
+    /// Refine the poses of test pictures as the protocol's peers do.
+    pub refine_poses: bool,
+}
 
 /// `eval.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -32,6 +61,16 @@ pub struct EvalReport {
     pub mean: Option<MeanScore>,
     /// Protocol, and one row a view.
     pub images: ImageReport,
+    /// Means of the scores by other metrics.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub mean_others: BTreeMap<String, OtherMean>,
+    /// Everything that the protocol chose, where there was one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub choices: Option<Choices>,
+    /// Pictures a second while drawing, one after the other, each copied to the host.
+    pub frames_per_s: Option<f64>,
+    /// What drew: `cpu`, or the GPU's name.
+    pub device: String,
     /// Seconds it took.
     pub seconds: f64,
 }
@@ -54,13 +93,73 @@ pub fn views(
     device: DeviceChoice,
     observer: &dyn Observer,
 ) -> Result<EvalReport, Error> {
+    let options = EvalOptions {
+        grow_mask,
+        device,
+        ..EvalOptions::default()
+    };
+    views_by(out, data, &options, observer)
+}
+
+/// The same, by a protocol where the options name one; `eval.json` then names every choice.
+///
+/// # Errors
+///
+/// As [`views`]; [`Error::Protocol`] if the capture cannot be judged by the protocol.
+pub fn views_by(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Observer) -> Result<EvalReport, Error> {
     let start = Instant::now();
     let level = SimdLevel::detect()?;
+    // before anything large is read
+    let split = match options.protocol {
+        Some(protocol) => by_protocol::check(data, protocol, options)?,
+        None => None,
+    };
     let held = HeldOut::read(out, data, observer)?;
+    let gpu = options.device.open()?;
+    let mut pictures = held.pictures(level, gpu.as_ref())?;
+    let (images, choices, drawing_s) = match options.protocol {
+        None => {
+            let (images, drawing_s) = plain(&held, data, options.grow_mask, &mut pictures, observer)?;
+            (images, None, drawing_s)
+        }
+        Some(protocol) => {
+            let scored = by_protocol::score(&held, data, protocol, split, options, (level, &mut pictures), observer)?;
+            (scored.images, Some(scored.choices), scored.drawing_s)
+        }
+    };
+    let means = images.mean_others().into_iter();
+    let report = EvalReport {
+        minute4d: env!("CARGO_PKG_VERSION").to_owned(),
+        scene_blake3: hash::of_path(&held.path)?,
+        data: data.to_path_buf(),
+        splats: held.scene.splats.n(),
+        mean: images.mean(),
+        mean_others: means
+            .map(|(name, (mean, views))| (name, OtherMean { mean, views }))
+            .collect(),
+        choices,
+        frames_per_s: (drawing_s > 0.0).then(|| images.frames.len() as f64 / drawing_s),
+        device: gpu.as_ref().map_or("cpu", |gpu| gpu.name()).to_owned(),
+        images,
+        scene: held.path,
+        alignment: held.alignment,
+        seconds: start.elapsed().as_secs_f64(),
+    };
+    write_json(&out.join(EVAL_FILE), &report)?;
+    Ok(report)
+}
+
+/// Joint PSNR and SSIM of pictures in 8 bits, and the seconds of drawing.
+fn plain(
+    held: &HeldOut,
+    data: &Path,
+    grow_mask: usize,
+    pictures: &mut Pictures<'_>,
+    observer: &dyn Observer,
+) -> Result<(ImageReport, f64), Error> {
     let views = &held.test.frames;
     let mut images = ImageReport::new(data.display().to_string(), grow_mask);
-    let gpu = device.open()?;
-    let mut pictures = held.pictures(level, gpu.as_ref())?;
+    let mut drawing_s = 0.0;
     for (i, frame) in views.iter().enumerate() {
         if observer.cancelled() {
             return Err(Error::Stopped {
@@ -69,7 +168,9 @@ pub fn views(
             });
         }
         let t = held.moment(frame);
-        let drawn = held.draw(&mut pictures, frame)?;
+        let begin = Instant::now();
+        let drawn = held.draw(pictures, frame)?;
+        drawing_s += begin.elapsed().as_secs_f64();
         let (image, reference) = (Picture::from(&drawn), Picture::from(&frame.rgb));
         let index = frame.camera_index;
         let mask = frame.mask.as_ref().map(CompactMask::to_mask);
@@ -77,17 +178,5 @@ pub fn views(
         let note = format!("{:.2} dB", score.psnr_db);
         observer.update("eval", i + 1, views.len(), &note);
     }
-    let report = EvalReport {
-        minute4d: env!("CARGO_PKG_VERSION").to_owned(),
-        scene_blake3: hash::of_path(&held.path)?,
-        data: data.to_path_buf(),
-        splats: held.scene.splats.n(),
-        mean: images.mean(),
-        images,
-        scene: held.path,
-        alignment: held.alignment,
-        seconds: start.elapsed().as_secs_f64(),
-    };
-    write_json(&out.join(EVAL_FILE), &report)?;
-    Ok(report)
+    Ok((images, drawing_s))
 }

@@ -40,7 +40,6 @@ use given::Sources;
 use m4_io::capture::{Split, TRACKS_FILE};
 use m4_scene::Progress;
 use serde::Serialize;
-use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
@@ -231,11 +230,7 @@ fn take_over(capture: &Path, existing: Existing) -> Result<Option<GeometryRecord
 pub(crate) fn clear_split(capture: &Path, split: Split) -> Result<(), Error> {
     folder::remove_file(&capture.join(split.file_name()))?;
     for name in split.folders() {
-        let path = capture.join(name);
-        match fs::remove_dir_all(&path) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(Error::Write { path, source }),
-            _ => {}
-        }
+        folder::remove_folder(&capture.join(name))?;
     }
     Ok(())
 }

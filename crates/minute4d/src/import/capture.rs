@@ -2,11 +2,13 @@
 
 use super::checked::{Checked, checked};
 use super::{ImportError, ImportFormat, ImportJob, ImportOptions, STAGE};
+use crate::evaluate::{COVISIBLE_FOLDER, adopt_covisible};
 use crate::export::Format;
 use crate::progress::Keeper;
 use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
-use crate::{Error, Observer, Settings, StageEvent, geometry, hash};
-use m4_import::{Imported, ReadSourceError, SourceFault};
+use crate::{Error, Observer, Settings, StageEvent, folder, geometry, hash};
+use m4_import::formats::dycheck;
+use m4_import::{Imported, ReadSourceError, SourceFault, SourceFormat};
 use m4_io::capture::{self, Split};
 use m4_io::megasam::{self, MegasamFault, MegasamOptions, ReadMegasamError};
 use m4_scene::{Capture, CompactMask};
@@ -93,6 +95,7 @@ pub(super) fn make(
     geometry::clear(out)?;
     if ours {
         geometry::clear_split(out, Split::Test)?;
+        folder::remove_folder(&out.join(COVISIBLE_FOLDER))?;
     }
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, &settings.to_string()]);
     let mut record = GeometryRecord {
@@ -109,10 +112,7 @@ pub(super) fn make(
         warnings: Vec::new(),
     };
     record.write(out)?;
-    let written = capture::write(out, &imported.train, Split::Train, &keeper).and_then(|()| match &imported.test {
-        Some(test) => capture::write(out, test, Split::Test, &keeper),
-        None => Ok(()),
-    });
+    let written = write(out, &imported, (file, format), options.factor, &keeper);
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
     record.status = match &written {
@@ -129,6 +129,32 @@ pub(super) fn make(
     );
     let held_out = imported.test.as_ref().map_or(0, |test| test.frames.len());
     Ok(report(format, out, &imported.train, (held_out, check), record.seconds))
+}
+
+/// Writes the held-out views with the masks of co-visibility that their data set publishes, then the frames.
+pub(crate) fn write(
+    out: &Path,
+    imported: &Imported,
+    (source, format): (&Path, ImportFormat),
+    factor: Option<u32>,
+    observer: &dyn Observer,
+) -> Result<(), Error> {
+    if let Some(test) = &imported.test {
+        capture::write(out, test, Split::Test, observer)?;
+        if format == ImportFormat::Source(SourceFormat::Dycheck) {
+            let masks = adopt_covisible(out, test, |name| dycheck::covisible(source, name, factor))?;
+            // Nerfies and HyperNeRF publish none
+            if (1..test.frames.len()).contains(&masks) {
+                observer.warn(&format!(
+                    "{} of {} views of {} have no published mask of co-visibility",
+                    test.frames.len() - masks,
+                    test.frames.len(),
+                    source.display()
+                ));
+            }
+        }
+    }
+    Ok(capture::write(out, &imported.train, Split::Train, observer)?)
 }
 
 /// Files of MegaSaM, whose map of motion may lie elsewhere.

@@ -16,6 +16,7 @@ mod read;
 
 pub use cameras::default_cameras;
 pub use capture::CaptureReport;
+pub(crate) use capture::write as write_capture;
 pub use checked::Checked;
 pub use error::ImportError;
 pub use format::ImportFormat;

@@ -3,7 +3,7 @@
 use super::draw::{Painter, to_rgb, view};
 use crate::Error;
 use crate::device::{GpuPainter, OpenGpu};
-use m4_kernels::SimdLevel;
+use m4_kernels::{Frame, SimdLevel};
 use m4_scene::{Camera, Exposure, RgbImage, Scene};
 
 /// Draws a scene on a GPU where there is one, else on the processor.
@@ -30,6 +30,18 @@ impl<'a> Pictures<'a> {
     /// What plans look at: always on the processor.
     pub fn painter(&mut self) -> &mut Painter<'a> {
         &mut self.painter
+    }
+
+    /// What a camera sees at a moment (frames), as the kernels give it: not exposed, clamped or rounded.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Gpu`] if it does not fit or the device fails.
+    pub fn frame(&mut self, camera: &Camera, t: f64) -> Result<Frame, Error> {
+        match &mut self.on_gpu {
+            Some(gpu) => gpu.frame(&view(self.scene, camera, t)),
+            None => Ok(self.painter.frame(camera, t, false).clone()),
+        }
     }
 
     /// What a camera sees at a moment (frames), eight bits a channel, with an exposure.

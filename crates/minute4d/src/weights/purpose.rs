@@ -36,6 +36,7 @@ impl Entry {
             "sam2.1-tiny" | "sam2.1-small" | "sam2.1-base-plus" | "sam2.1-large" => {
                 "--segmenter sam2, where no other size is here; mobilesam works in its place, and none without any weights"
             }
+            "lpips-alex" | "lpips-vgg" => "LPIPS of `minute4d eval --protocol`; PSNR and SSIM work without",
             "tapip3d" => "--tracker tapip3d; --tracker flow works without any weights",
             _ => ONLY_HERE,
         }

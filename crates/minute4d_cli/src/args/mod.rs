@@ -12,8 +12,10 @@ mod import;
 mod inspect;
 mod known;
 mod render;
+mod reproduce;
 mod run;
 mod settings;
+mod split;
 mod train;
 mod values;
 mod video;
@@ -34,8 +36,10 @@ pub use import::Import;
 pub use inspect::Inspect;
 pub use known::{KnownArgs, Segmenter, Tracker};
 pub use render::{FitArg, Render};
+pub use reproduce::Reproduce;
 pub use run::Run;
 pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
+pub use split::Split;
 pub use train::Train;
 pub use video::VideoArgs;
 pub use view::{PageArgs, View};
@@ -98,8 +102,12 @@ pub enum Command {
     Import(Import),
     /// A scene in the browser, from a server on this machine; newer scenes appear by themselves
     View(View),
-    /// Compare a trained scene with the held-out views of a capture
+    /// Compare a trained scene with the held-out views of a capture, by a protocol of the papers or without one
     Eval(Eval),
+    /// Hold out frames of a capture by a protocol: a capture that trains and can be judged
+    Split(Split),
+    /// The tables of papers from the data sets themselves: import, split, train and judge every scene
+    Reproduce(Reproduce),
     /// What segmentation, tracking and density control are worth on a clip: a table
     Ablate(Ablate),
     /// Compare the cameras, depth and masks of a capture with known ones
@@ -159,6 +167,14 @@ mod tests {
             "enhance a -o b --tracker best",
             "ablate a -o b --rows no-fun",
             "ablate a -o b --no-seg",
+            "eval a --data b --protocol psnr",
+            "eval a --data b --refine-poses",
+            "eval a --data b --covisible c",
+            "split a -o b",
+            "split a --protocol dycheck2 -o b",
+            "reproduce dycheck -o b",
+            "reproduce kitti --data a -o b",
+            "reproduce dycheck --data a -o b --factor 0",
         ];
         for line in bad {
             let args = std::iter::once("minute4d").chain(line.split(' '));
@@ -175,6 +191,10 @@ mod tests {
             "ablate a -o b --data c --rows no-seg,no-track --iterations 100",
             "view a --port 8000 --no-open",
             "train a -o b --view --port 8000 --no-open --no-viewer",
+            "eval a --data b --protocol rodygs --refine-poses",
+            "eval a --data b --protocol dycheck --covisible c --device auto",
+            "split a --protocol instant4d -o b --force",
+            "reproduce dycheck --data a -o b --protocols instant4d,rodygs --scenes apple,spin --preset draft",
             "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick --save",
         ];
         for line in good {

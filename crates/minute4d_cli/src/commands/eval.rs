@@ -3,9 +3,46 @@
 use crate::args::Eval;
 use crate::failure::Failure;
 use crate::output::Output;
+use minute4d::evaluate::{Choices, EvalOptions};
+use std::fmt::Write;
 
 pub fn run(args: &Eval, output: &Output) -> Result<(), Failure> {
-    let report = minute4d::evaluate::views(&args.out, &args.data, args.grow_mask, args.device, output)?;
-    output.result(&report.images.table(), minute4d::plain_json(&report)?);
+    let options = EvalOptions {
+        grow_mask: args.grow_mask,
+        device: args.device,
+        protocol: args.protocol,
+        covisible: args.covisible.clone(),
+        refine_poses: args.refine_poses,
+    };
+    let report = minute4d::evaluate::views_by(&args.out, &args.data, &options, output)?;
+    let mut text = report.images.table();
+    if let Some(choices) = &report.choices {
+        text += &words(choices);
+    }
+    output.result(&text, minute4d::plain_json(&report)?);
     Ok(())
+}
+
+/// The choices of a protocol for people.
+fn words(c: &Choices) -> String {
+    let mut out = String::new();
+    let mut line = |name: &str, text: &str| {
+        // into a text, which cannot fail
+        let _ = writeln!(out, "{name:<10} {text}");
+    };
+    line("protocol", &format!("{}: {}", c.protocol, c.title));
+    line("task", c.task.title());
+    line("frames", &c.frames.words);
+    line("masks", &c.mask.words);
+    line("poses", &c.poses.words);
+    for lpips in &c.lpips {
+        if let Some(absent) = &lpips.absent {
+            line("lpips", &format!("not scored: {absent}"));
+        }
+    }
+    line("note", c.note);
+    if let Some(mean) = c.headline.mean {
+        line("headline", &format!("{} {mean:.3}", c.headline.name));
+    }
+    out
 }

@@ -11,8 +11,10 @@ mod geometry;
 mod import;
 mod inspect;
 mod render;
+mod reproduce;
 mod run;
 mod settings;
+mod split;
 mod train;
 mod view;
 #[cfg(feature = "nets")]
@@ -39,6 +41,8 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Import(args) => import::run(args, output),
         Command::View(args) => view::run(args, output),
         Command::Eval(args) => eval::run(args, output),
+        Command::Split(args) => split::run(args, output),
+        Command::Reproduce(args) => reproduce::run(args, output),
         Command::Ablate(args) => ablate::run(args, output),
         Command::EvalGeometry(args) => eval_geometry::run(args, output),
         Command::Inspect(args) => inspect::run(args, output),

@@ -190,6 +190,11 @@ fn frame(size: (usize, usize), shift: f64, i: usize, n: usize, held_out: Option<
     }
 }
 
+/// What a camera sees at the moment of frame `i` of `n`.
+pub fn seen_from(camera: &Camera, i: usize, n: usize) -> RgbImage {
+    see(camera, i as f64 / (n - 1) as f64).0
+}
+
 /// A capture of `n` frames of [`SIZE`]; with held-out views where `held_out`.
 pub fn capture(n: usize, held_out: bool) -> Capture {
     capture_of(SIZE, n, held_out)

@@ -1,0 +1,318 @@
+//! Masks of co-visibility: which pixels of a test picture the training video saw.
+//!
+//! The masks that a data set publishes come first (`covisible/` in the capture, or a folder that is named); they are files named as the
+//! picture of their view. Where there are none, masks are made from the poses and depth of the training frames. A test picture has no
+//! depth of its own, so that what the training frames saw is drawn into it first, each pixel a square as large as it lands, the nearest on
+//! top; then each training frame is asked whether it saw that point (`m4_eval::image::covisible::seen_by_depth`). What moves counts at
+//! the test picture's moment alone: pixels of masks of motion are drawn from the training frame that is nearest in time.
+
+use super::ProtocolError;
+use crate::{Error, Observer, Settings};
+use m4_eval::image::covisible::{CovisibleCounts, DEPTH_TOLERANCE, DepthView, seen_by_depth};
+use m4_io::image::{read_mask, write_mask};
+use m4_scene::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
+use serde::Serialize;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// The folder of a capture that holds the masks which its data set publishes.
+pub const COVISIBLE_FOLDER: &str = "covisible";
+/// Training frames that are asked at most: the share that saw a pixel hardly changes with more.
+const MOST_FRAMES: usize = 60;
+/// Largest square that a pixel is drawn as, pixels.
+const MOST_SIDE: f64 = 4.0;
+
+/// Where masks come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MaskSource {
+    /// The protocol scores whole pictures.
+    None,
+    /// Files that a data set publishes, or that were given.
+    Files,
+    /// Made from poses and depth of the training frames: such scores compare with one another alone.
+    Computed,
+}
+
+/// The masks of a protocol.
+pub(super) enum Masks {
+    None,
+    Files(PathBuf),
+    Computed(Box<Training>),
+}
+
+/// What training frames saw.
+pub(super) struct Training {
+    frames: Vec<Seen>,
+    of: usize,
+}
+
+struct Seen {
+    camera: Camera,
+    t: f64,
+    depth: DepthMap,
+    moves: Option<Mask>,
+}
+
+impl Masks {
+    /// Of the capture in the folder `data`, or of the folder `given`.
+    pub fn find(data: &Path, given: Option<&Path>, observer: &dyn Observer) -> Result<Self, Error> {
+        if let Some(folder) = given {
+            if folder.is_dir() {
+                return Ok(Self::Files(folder.to_path_buf()));
+            }
+            return Err(Error::Missing {
+                what: "folder of masks of co-visibility",
+                path: folder.to_path_buf(),
+            });
+        }
+        let root = if data.is_dir() {
+            data
+        } else {
+            data.parent().unwrap_or(data)
+        };
+        let own = root.join(COVISIBLE_FOLDER);
+        if own.is_dir() {
+            return Ok(Self::Files(own));
+        }
+        let capture = crate::train::read(root, &Settings::fast(), observer)?;
+        let training = Training::of(capture).map_err(|why| ProtocolError::NoCovisibility {
+            path: root.to_path_buf(),
+            why,
+        })?;
+        observer.warn(
+            "there are no published masks of co-visibility: they are made from poses and depth of the training frames, and the scores inside \
+             them do not compare with published ones",
+        );
+        Ok(Self::Computed(Box::new(training)))
+    }
+
+    pub fn source(&self) -> MaskSource {
+        match self {
+            Self::None => MaskSource::None,
+            Self::Files(_) => MaskSource::Files,
+            Self::Computed(_) => MaskSource::Computed,
+        }
+    }
+
+    /// What a report says of them.
+    pub fn words(&self) -> String {
+        match self {
+            Self::None => "none: whole pictures".to_owned(),
+            Self::Files(folder) => format!("the files of {}", folder.display()),
+            Self::Computed(training) => format!(
+                "made from poses and depth of {} of {} training frames: seen by more than {} of them, depth within {} %",
+                training.frames.len(),
+                training.of,
+                m4_eval::image::covisible::too_few_frames(training.frames.len()),
+                100.0 * DEPTH_TOLERANCE
+            ),
+        }
+    }
+
+    /// The mask of a view, 255 where it counts; its camera is in the world of the capture.
+    pub fn mask(&self, view: &CaptureFrame) -> Result<Option<Mask>, Error> {
+        match self {
+            Self::None => Ok(None),
+            Self::Files(folder) => {
+                let stem = Path::new(&view.name).file_stem().unwrap_or_default();
+                let path = folder.join(format!("{}.png", stem.to_string_lossy()));
+                if !path.is_file() {
+                    let view = view.name.clone();
+                    return Err(ProtocolError::NoMask { path, view }.into());
+                }
+                let mask = read_mask(&path)?.to_mask();
+                let (expected, found) = (view.rgb.size(), mask.size());
+                if expected != found {
+                    return Err(ProtocolError::MaskSize { path, expected, found }.into());
+                }
+                Ok(Some(mask))
+            }
+            Self::Computed(training) => Ok(Some(training.mask(view)?)),
+        }
+    }
+}
+
+impl Training {
+    fn of(capture: Capture) -> Result<Self, String> {
+        let of = capture.frames.len();
+        let step = of.div_ceil(MOST_FRAMES).max(1);
+        let seen = |frame: CaptureFrame| {
+            let depth = frame.depth?.to_map();
+            (depth.size() == frame.rgb.size()).then(|| Seen {
+                camera: frame.camera,
+                t: frame.t,
+                depth,
+                moves: frame.mask.map(|m| m.to_mask()),
+            })
+        };
+        let frames: Vec<Seen> = capture.frames.into_iter().step_by(step).filter_map(seen).collect();
+        if frames.is_empty() {
+            return Err("its training frames have no depth".to_owned());
+        }
+        let few = m4_eval::image::covisible::too_few_frames(frames.len());
+        if frames.len() <= few {
+            return Err(format!(
+                "a place counts when more than {few} training frames saw it, and {} have depth",
+                frames.len()
+            ));
+        }
+        Ok(Self { frames, of })
+    }
+
+    fn mask(&self, view: &CaptureFrame) -> Result<Mask, Error> {
+        let depth = match view.depth.as_ref().map(m4_scene::CompactDepth::to_map) {
+            Some(own) if own.size() == view.rgb.size() => own,
+            _ => self.depth(view),
+        };
+        let test = DepthView {
+            camera: &view.camera,
+            depth: &depth,
+        };
+        let (width, height) = view.rgb.size();
+        let mut counts = CovisibleCounts::new(width, height);
+        for seen in &self.frames {
+            let training = DepthView {
+                camera: &seen.camera,
+                depth: &seen.depth,
+            };
+            counts.add(&seen_by_depth(test, training, DEPTH_TOLERANCE)?)?;
+        }
+        Ok(counts.mask())
+    }
+
+    /// z-depth of the view, 0 where no training frame saw anything.
+    fn depth(&self, view: &CaptureFrame) -> DepthMap {
+        let camera = &view.camera;
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let mut out: DepthMap = Plane::filled(width, height, f32::INFINITY);
+        let apart = |s: &Seen| (s.t - view.t).abs();
+        let nearest = self.frames.iter().map(apart).fold(f64::INFINITY, f64::min);
+        for seen in &self.frames {
+            let with_motion = apart(seen) <= nearest;
+            let moves = |x, y| {
+                seen.moves
+                    .as_ref()
+                    .is_some_and(|m| m.size() == seen.depth.size() && m[(x, y)] != 0)
+            };
+            let (w, h) = seen.depth.size();
+            for y in 0..h {
+                for x in 0..w {
+                    let z = f64::from(seen.depth[(x, y)]);
+                    if !(z.is_finite() && z > 0.0) || (!with_motion && moves(x, y)) {
+                        continue;
+                    }
+                    let point = seen.camera.unproject(x as f64, y as f64, z);
+                    let ([u, v], there) = camera.project(&point);
+                    if there > 0.0 {
+                        // as large as the pixel lands
+                        let side = camera.intrinsics.fx / seen.camera.intrinsics.fx * z / there;
+                        draw(&mut out, u, v, there as f32, side.clamp(1.0, MOST_SIDE));
+                    }
+                }
+            }
+        }
+        out.map(|&z| if z.is_finite() { z } else { 0.0 })
+    }
+}
+
+/// A square of `side` pixels around a place, where nothing nearer is.
+fn draw(out: &mut DepthMap, u: f64, v: f64, z: f32, side: f64) {
+    let (width, height) = out.size();
+    let range = |at: f64, length: usize| {
+        let (from, to) = ((at - side / 2.0).ceil().max(0.0), (at + side / 2.0).floor());
+        // a cast saturates: below 0 there is nothing to draw
+        let to = if to < 0.0 { 0 } else { (to as usize + 1).min(length) };
+        from as usize..to
+    };
+    for y in range(v, height) {
+        for x in range(u, width) {
+            if z < out[(x, y)] {
+                out[(x, y)] = z;
+            }
+        }
+    }
+}
+
+/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the capture is that of its picture. Files that
+/// do not exist are passed over; says how many were copied.
+pub(crate) fn adopt(capture: &Path, views: &Capture, from: impl Fn(&str) -> PathBuf) -> Result<usize, Error> {
+    let folder = capture.join(COVISIBLE_FOLDER);
+    let mut copied = 0;
+    for (i, view) in views.frames.iter().enumerate() {
+        let source = from(&view.name);
+        if !source.is_file() {
+            continue;
+        }
+        let mask = read_mask(&source)?.to_mask();
+        if copied == 0 {
+            fs::create_dir_all(&folder).map_err(|source| Error::Write {
+                path: folder.clone(),
+                source,
+            })?;
+        }
+        write_mask(&folder.join(format!("{i:05}.png")), &mask)?;
+        copied += 1;
+    }
+    Ok(copied)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Masks, Training};
+    use m4_math::Se3;
+    use m4_math::nalgebra::Vector3;
+    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+
+    fn frame(x: f64, t: f64, depth: bool) -> CaptureFrame {
+        let camera = Camera {
+            intrinsics: Intrinsics::centred(32, 16, 16.0),
+            c2w: Se3 {
+                translation: Vector3::new(x, 0.0, 0.0),
+                ..Se3::identity()
+            },
+        };
+        CaptureFrame {
+            name: format!("test/{t}.png"),
+            camera,
+            t,
+            rgb: Plane::filled(32, 16, [9; 3]),
+            depth: depth.then(|| Plane::filled(32, 16, 4.0).into()),
+            mask: None,
+            motion: None,
+            instances: None,
+            camera_index: None,
+        }
+    }
+
+    fn capture(n: usize, depth: bool) -> Capture {
+        Capture {
+            frames: (0..n).map(|i| frame(0.0, i as f64, depth)).collect(),
+            time_frames: n,
+            duration_s: None,
+            metric: false,
+            tracks: None,
+        }
+    }
+
+    /// A wall at depth 4: a test camera a unit and a half to the right sees 6 columns that nobody saw.
+    #[test]
+    fn what_the_training_frames_did_not_see_does_not_count() {
+        let training = Training::of(capture(8, true)).unwrap();
+        let masks = Masks::Computed(Box::new(training));
+        let mask = masks.mask(&frame(1.5, 3.0, false)).unwrap().unwrap();
+        for y in 0..16 {
+            for x in 0..32 {
+                let seen = mask[(x, y)] != 0;
+                assert!(seen == (x < 26) || x == 26 || x == 25, "{x} {y}: {seen}");
+            }
+        }
+        assert!(masks.words().contains("8 of 8 training frames"), "{}", masks.words());
+    }
+
+    #[test]
+    fn too_little_to_go_by_is_said() {
+        assert!(Training::of(capture(8, false)).is_err_and(|why| why.contains("no depth")));
+        assert!(Training::of(capture(5, true)).is_err_and(|why| why.contains("more than 5")));
+    }
+}

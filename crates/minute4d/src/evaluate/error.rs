@@ -1,0 +1,118 @@
+//! Why a protocol cannot be followed.
+
+use super::Protocol;
+use crate::Category;
+use std::path::PathBuf;
+
+/// Why a protocol cannot be followed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ProtocolError {
+    /// The held-out frames of the capture are not those of the protocol.
+    #[error(
+        "{} was not split by the protocol {asked} ({found}); `minute4d split CAPTURE --protocol {asked} -o NEW` makes a capture that is, to \
+         be trained and judged",
+        path.display()
+    )]
+    NotSplit {
+        /// The capture.
+        path: PathBuf,
+        /// The protocol asked for.
+        asked: Protocol,
+        /// What the capture says.
+        found: String,
+    },
+    /// A capture whose views come with it was to be split.
+    #[error(
+        "the protocol {0} takes the held-out views that a data set brings, so there is nothing to split; import it with them"
+    )]
+    NothingToSplit(Protocol),
+    /// A capture was to be split into its own folder.
+    #[error("{} would be split into itself and lose frames; name another folder", .0.display())]
+    SameFolder(PathBuf),
+    /// Nothing would be left.
+    #[error(
+        "the protocol {protocol} leaves {train} of {frames} frames to train and {test} to judge; give a longer clip"
+    )]
+    TooShort {
+        /// The protocol.
+        protocol: Protocol,
+        /// Frames of the video.
+        frames: usize,
+        /// Of these train.
+        train: usize,
+        /// Of these are held out.
+        test: usize,
+    },
+    /// A frame belongs to no number of the full video.
+    #[error("tracks of {} do not go with its frames: {what}; make them again with `minute4d enhance`", path.display())]
+    Tracks {
+        /// The capture.
+        path: PathBuf,
+        /// What is wrong.
+        what: String,
+    },
+    /// A mask of co-visibility is not there.
+    #[error(
+        "there is no mask of co-visibility {} for the view {view}; masks are PNG files named as the picture of their view, white where the \
+         training video saw the place",
+        path.display()
+    )]
+    NoMask {
+        /// Where it was looked for.
+        path: PathBuf,
+        /// The view.
+        view: String,
+    },
+    /// Masks of co-visibility cannot be made.
+    #[error(
+        "masks of co-visibility cannot be made for {}: {why}; give the official ones with --covisible DIR",
+        path.display()
+    )]
+    NoCovisibility {
+        /// The capture.
+        path: PathBuf,
+        /// What is lacking.
+        why: String,
+    },
+    /// A mask has another size than its view.
+    #[error("{} has {} x {} pixels but its view {} x {}; give the masks of the same factor", path.display(), found.0, found.1, expected.0, expected.1)]
+    MaskSize {
+        /// The mask.
+        path: PathBuf,
+        /// Columns and rows of the view.
+        expected: (usize, usize),
+        /// Columns and rows of the mask.
+        found: (usize, usize),
+    },
+    /// Refinement was asked of a protocol that has none.
+    #[error("the protocol {0} does not refine the poses of test pictures; leave --refine-poses away")]
+    NoRefinement(Protocol),
+    /// A network of LPIPS failed.
+    #[error("LPIPS of the view {view} failed: {why}")]
+    Lpips {
+        /// The view.
+        view: String,
+        /// What it said.
+        why: String,
+    },
+    /// The weights of LPIPS are here and no weights.
+    #[error("the weights of LPIPS cannot be used: {why}; `minute4d weights verify` says more")]
+    LpipsWeights {
+        /// What is wrong with them.
+        why: String,
+    },
+}
+
+impl ProtocolError {
+    /// What sort of failure this is.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::NothingToSplit(_) | Self::NoRefinement(_) | Self::SameFolder(_) => Category::Usage,
+            Self::NoMask { .. } => Category::NoInput,
+            Self::Lpips { .. } => Category::NoDevice,
+            _ => Category::BadInput,
+        }
+    }
+}

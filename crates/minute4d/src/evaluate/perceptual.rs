@@ -1,0 +1,182 @@
+//! LPIPS of a protocol: by the networks whose weights are here, and in plain words why by no others.
+
+#[cfg(feature = "nets")]
+use super::ProtocolError;
+use super::protocol::LpipsRule;
+use crate::Error;
+use crate::device::DeviceChoice;
+use m4_eval::image::{ImageReport, Picture};
+use m4_scene::Mask;
+use serde::Serialize;
+
+/// What became of one network.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LpipsChoice {
+    /// The network whose features are compared.
+    pub net: LpipsRule,
+    /// The release of the metric, and how colours enter it.
+    pub definition: &'static str,
+    /// The name of its score in `images.frames[].others`; absent where nothing was scored.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub score: Option<&'static str>,
+    /// Why nothing was scored, and what changes that.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub absent: Option<String>,
+}
+
+const DEFINITION: &str =
+    "LPIPS 0.1; sRGB values from 0 to 1 enter as 2 x - 1, less the shift of the scaling layer, over its scale";
+
+impl LpipsRule {
+    /// Names of its score over the whole picture, and inside a mask.
+    fn scores(self) -> [&'static str; 2] {
+        match self {
+            Self::Alex => ["lpips_alex", "lpips_alex_masked"],
+            Self::Vgg => ["lpips_vgg", "lpips_vgg_masked"],
+        }
+    }
+}
+
+fn choice(net: LpipsRule, masked: bool, absent: Option<String>) -> LpipsChoice {
+    LpipsChoice {
+        net,
+        definition: DEFINITION,
+        score: absent.is_none().then_some(net.scores()[usize::from(masked)]),
+        absent,
+    }
+}
+
+/// The networks of a protocol that can be used.
+pub(super) struct Perceptual {
+    #[cfg(feature = "nets")]
+    nets: Vec<(LpipsRule, m4_nets::lpips::Lpips)>,
+    choices: Vec<LpipsChoice>,
+}
+
+#[cfg(feature = "nets")]
+mod with_nets {
+    use super::{DeviceChoice, Error, ImageReport, LpipsRule, Mask, Perceptual, Picture, ProtocolError, choice};
+    use crate::weights::{Store, find};
+    use m4_nets::lpips::{Lpips, LpipsNet, LpipsPicture};
+
+    impl LpipsRule {
+        fn net(self) -> LpipsNet {
+            match self {
+                Self::Alex => LpipsNet::Alex,
+                Self::Vgg => LpipsNet::Vgg,
+            }
+        }
+
+        fn weights(self) -> &'static str {
+            match self {
+                Self::Alex => "lpips-alex",
+                Self::Vgg => "lpips-vgg",
+            }
+        }
+    }
+
+    impl Perceptual {
+        /// Loads what is here of `wanted`, for pictures whose shorter side is `least_px`.
+        pub fn load(wanted: &[LpipsRule], masked: bool, least_px: usize, device: DeviceChoice) -> Result<Self, Error> {
+            let mut out = Self {
+                nets: Vec::new(),
+                choices: Vec::new(),
+            };
+            if wanted.is_empty() {
+                return Ok(out);
+            }
+            let store = Store::of_user();
+            let device = device.for_networks()?;
+            for &rule in wanted {
+                let net = rule.net();
+                let absent = if least_px < net.min_side_px() {
+                    Some(format!(
+                        "{} needs pictures of {} pixels a side at least, these have {least_px}",
+                        net.title(),
+                        net.min_side_px()
+                    ))
+                } else {
+                    let entry = find(rule.weights())?;
+                    match store
+                        .as_ref()
+                        .map_err(ToString::to_string)
+                        .and_then(|store| store.require(entry).map_err(|absent| absent.to_string()))
+                    {
+                        Err(absent) => Some(absent),
+                        Ok(path) => {
+                            let loaded = Lpips::load(net, &path, &device.device)
+                                .map_err(|e| ProtocolError::LpipsWeights { why: e.to_string() })?;
+                            out.nets.push((rule, loaded));
+                            None
+                        }
+                    }
+                };
+                out.choices.push(choice(rule, masked, absent));
+            }
+            Ok(out)
+        }
+
+        /// Scores the view that was added to `report` last; inside `mask` as DyCheck does where there is one.
+        pub fn score(
+            &self,
+            report: &mut ImageReport,
+            name: &str,
+            image: &Picture,
+            reference: &Picture,
+            mask: Option<&Mask>,
+        ) -> Result<(), Error> {
+            let failed = |e: m4_nets::lpips::LpipsError| ProtocolError::Lpips {
+                view: name.to_owned(),
+                why: e.to_string(),
+            };
+            if self.nets.is_empty() {
+                return Ok(());
+            }
+            let of = |picture: &Picture| {
+                let planes = picture.planes().each_ref().map(Vec::as_slice);
+                LpipsPicture::from_planes(picture.width(), picture.height(), planes).map_err(failed)
+            };
+            let (image, reference) = (of(image)?, of(reference)?);
+            for (rule, net) in &self.nets {
+                let title = rule.net().title();
+                match mask {
+                    None => {
+                        let score = net.compare(&image, &reference).map_err(failed)?;
+                        report.add_other(rule.scores()[0], title, score.distance);
+                    }
+                    Some(mask) => {
+                        let score = net.compare_inside(&image, &reference, mask).map_err(failed)?;
+                        if let Some(score) = score {
+                            let title = format!(
+                                "{title}, both pictures black outside a mask, the map averaged over it (DyCheck)"
+                            );
+                            report.add_other(rule.scores()[1], &title, score);
+                        }
+                    }
+                }
+            }
+            Ok(())
+        }
+    }
+}
+
+#[cfg(not(feature = "nets"))]
+impl Perceptual {
+    pub fn load(wanted: &[LpipsRule], masked: bool, _: usize, _: DeviceChoice) -> Result<Self, Error> {
+        let why = "this build has no networks: build with the feature `nets`";
+        let choices = wanted.iter().map(|&net| choice(net, masked, Some(why.to_owned())));
+        Ok(Self {
+            choices: choices.collect(),
+        })
+    }
+
+    pub fn score(&self, _: &mut ImageReport, _: &str, _: &Picture, _: &Picture, _: Option<&Mask>) -> Result<(), Error> {
+        Ok(())
+    }
+}
+
+impl Perceptual {
+    pub fn into_choices(self) -> Vec<LpipsChoice> {
+        self.choices
+    }
+}

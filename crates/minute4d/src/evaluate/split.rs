@@ -1,0 +1,322 @@
+//! A capture of a whole video, parted into frames that train and frames that judge.
+
+use super::{FrameRule, Protocol, ProtocolError};
+use crate::folder::{self, Existing, Lock};
+use crate::record::write_json;
+use crate::{Error, Observer, Settings, hash};
+use m4_io::capture::{Split, TRACKS_FILE};
+use m4_scene::Capture;
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Says how a capture was split.
+pub const SPLIT_FILE: &str = "split.json";
+const FORMAT: &str = "minute4d-split";
+
+/// `split.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SplitRecord {
+    /// `minute4d-split`.
+    pub format: String,
+    /// Its version.
+    pub version: u32,
+    /// Release of the program that wrote it.
+    pub minute4d: String,
+    /// By which protocol.
+    pub protocol: Protocol,
+    /// The rule of its frames.
+    pub frame_rule: FrameRule,
+    /// The capture that was split.
+    pub source: PathBuf,
+    /// BLAKE3 of what training would read of it.
+    pub source_blake3: String,
+    /// Frames of the whole video.
+    pub frames: usize,
+    /// Indices of the held-out frames in it, ascending: those of `transforms_test.json`, in order.
+    pub held_out: Vec<usize>,
+    /// Their names in the source.
+    pub held_out_names: Vec<String>,
+    /// The poses, depth and masks are those of the source: whatever made them saw the held-out frames.
+    pub geometry_saw_held_out: bool,
+}
+
+impl SplitRecord {
+    /// That of a capture; `None` where there is none.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Read`] if there is one that cannot be read.
+    pub fn read(capture: &Path) -> Result<Option<Self>, Error> {
+        let path = capture.join(SPLIT_FILE);
+        match fs::read(&path) {
+            Ok(bytes) => serde_json::from_slice(&bytes)
+                .map(Some)
+                .map_err(|e| Error::Read { path, source: e.into() }),
+            Err(_) if !path.exists() => Ok(None),
+            Err(source) => Err(Error::Read { path, source }),
+        }
+    }
+}
+
+/// The two parts of a video.
+#[derive(Debug, Clone)]
+pub struct Parts {
+    /// Frames that train; moments and `time_frames` are those of the whole video, tracks lack the held-out frames.
+    pub train: Capture,
+    /// Held-out frames, with the same moments.
+    pub test: Capture,
+    /// Indices of the held-out frames in the video.
+    pub held_out: Vec<usize>,
+}
+
+/// Parts the frames of a video by a protocol. Moments stay, so that a frame is of the same time in both parts.
+///
+/// # Errors
+///
+/// [`ProtocolError::NothingToSplit`] for protocols whose views come with the data, [`ProtocolError::TooShort`] if fewer than two frames
+/// would train or none judge, [`ProtocolError::Tracks`] if tracks do not go with the frames.
+pub fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, ProtocolError> {
+    let frames = capture.frames.len();
+    let rule = protocol.rules().frames;
+    let held_out = rule.held_out(frames).ok_or(ProtocolError::NothingToSplit(protocol))?;
+    let (train, test) = (frames - held_out.len(), held_out.len());
+    if train < 2 || test == 0 {
+        return Err(ProtocolError::TooShort {
+            protocol,
+            frames,
+            train,
+            test,
+        });
+    }
+    let trains: Vec<usize> = (0..frames).filter(|i| held_out.binary_search(i).is_err()).collect();
+    let tracks = capture.tracks.as_ref().map(|tracks| tracks.in_order(&trains));
+    let tracks = tracks.transpose().map_err(|e| ProtocolError::Tracks {
+        path: PathBuf::from("the capture"),
+        what: e.to_string(),
+    })?;
+    let (mut kept, mut judged) = (Vec::with_capacity(train), Vec::with_capacity(test));
+    for (i, frame) in capture.frames.into_iter().enumerate() {
+        if held_out.binary_search(&i).is_ok() {
+            judged.push(frame);
+        } else {
+            kept.push(frame);
+        }
+    }
+    let part = |frames, tracks| Capture {
+        frames,
+        time_frames: capture.time_frames,
+        duration_s: capture.duration_s,
+        metric: capture.metric,
+        tracks,
+    };
+    Ok(Parts {
+        train: part(kept, tracks),
+        test: part(judged, None),
+        held_out,
+    })
+}
+
+/// Splits the training frames of the capture `data` by a protocol and writes the capture `out`, whose record is
+/// [`SPLIT_FILE`].
+///
+/// [`Existing::Resume`] keeps what is there if it is the same split of the same capture.
+///
+/// # Errors
+///
+/// As [`parts`]; [`Error::Exists`] or [`Error::Foreign`] for a folder that holds something; else what could not be read or written.
+pub fn split(
+    data: &Path,
+    protocol: Protocol,
+    out: &Path,
+    existing: Existing,
+    observer: &dyn Observer,
+) -> Result<SplitRecord, Error> {
+    if !data.exists() {
+        return Err(Error::Missing {
+            what: "capture",
+            path: data.to_path_buf(),
+        });
+    }
+    let folder = if data.is_dir() {
+        data
+    } else {
+        data.parent().unwrap_or(data)
+    };
+    if let (Ok(from), Ok(to)) = (fs::canonicalize(folder), fs::canonicalize(out))
+        && from == to
+    {
+        return Err(ProtocolError::SameFolder(out.to_path_buf()).into());
+    }
+    let capture = crate::train::read(data, &Settings::fast(), observer)?;
+    let source_blake3 = hash::of_capture(&capture);
+    let frames = capture.frames.len();
+    let names: Vec<String> = capture.frames.iter().map(|f| f.name.clone()).collect();
+    let parts = parts(capture, protocol).map_err(|e| match e {
+        ProtocolError::Tracks { what, .. } => ProtocolError::Tracks {
+            path: data.to_path_buf(),
+            what,
+        },
+        other => other,
+    })?;
+    let record = SplitRecord {
+        format: FORMAT.to_owned(),
+        version: 1,
+        minute4d: env!("CARGO_PKG_VERSION").to_owned(),
+        protocol,
+        frame_rule: protocol.rules().frames,
+        source: data.to_path_buf(),
+        source_blake3,
+        frames,
+        held_out_names: parts.held_out.iter().map(|&i| names[i].clone()).collect(),
+        held_out: parts.held_out.clone(),
+        geometry_saw_held_out: true,
+    };
+    let filled = folder::make(out)?;
+    let _lock = Lock::take(out)?;
+    if filled {
+        match (SplitRecord::read(out)?, existing) {
+            (Some(earlier), Existing::Resume) if earlier == record => return Ok(record),
+            (Some(_), Existing::Resume | Existing::Force) => clear(out)?,
+            (None, Existing::Force) => {}
+            (Some(_), Existing::Refuse) => {
+                return Err(Error::Exists {
+                    path: out.to_path_buf(),
+                    what: "a split capture",
+                });
+            }
+            (None, _) => {
+                return Err(Error::Foreign {
+                    path: out.to_path_buf(),
+                    missing: SPLIT_FILE,
+                });
+            }
+        }
+    }
+    m4_io::capture::write(out, &parts.test, Split::Test, observer)?;
+    m4_io::capture::write(out, &parts.train, Split::Train, observer)?;
+    // last: a folder that was left half-way is not taken for a split
+    write_json(&out.join(SPLIT_FILE), &record)?;
+    Ok(record)
+}
+
+/// Removes what [`split`] writes, and nothing else.
+fn clear(out: &Path) -> Result<(), Error> {
+    folder::remove_file(&out.join(SPLIT_FILE))?;
+    folder::remove_file(&out.join(TRACKS_FILE))?;
+    for split in [Split::Train, Split::Test] {
+        folder::remove_file(&out.join(split.file_name()))?;
+        for name in split.folders() {
+            let path = out.join(name);
+            match fs::remove_dir_all(&path) {
+                Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(Error::Write { path, source });
+                }
+                _ => {}
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Parts, parts, split};
+    use crate::evaluate::{Protocol, ProtocolError};
+    use crate::{Error, Existing, Silent};
+    use m4_io::capture::{self, CaptureOptions, Split};
+    use m4_math::Se3;
+    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Tracks};
+
+    fn clip(n: usize) -> Capture {
+        let frame = |i: usize| CaptureFrame {
+            name: format!("{i:05}"),
+            camera: Camera {
+                intrinsics: Intrinsics::centred(16, 12, 15.0),
+                c2w: Se3::identity(),
+            },
+            t: i as f64,
+            rgb: Plane::filled(16, 12, [i as u8; 3]),
+            depth: Some(Plane::filled(16, 12, 2.0 + i as f32).into()),
+            mask: None,
+            motion: None,
+            instances: None,
+            camera_index: None,
+        };
+        let xyz = (0..n).map(|i| [i as f32, 0.0, 1.0]).collect();
+        Capture {
+            frames: (0..n).map(frame).collect(),
+            time_frames: n,
+            duration_s: Some(3.0),
+            metric: true,
+            tracks: Some(Tracks::new(n, 1, xyz, vec![true; n]).unwrap()),
+        }
+    }
+
+    #[test]
+    fn moments_stay_and_tracks_lose_the_held_out_frames() {
+        let Parts { train, test, held_out } = parts(clip(24), Protocol::Rodygs).unwrap();
+        assert_eq!(held_out, [4, 12, 20]);
+        let moments = |c: &Capture| c.frames.iter().map(|f| f.t).collect::<Vec<_>>();
+        assert_eq!(moments(&test), [4.0, 12.0, 20.0]);
+        assert_eq!(train.frames.len(), 21);
+        assert_eq!((train.time_frames, test.time_frames, train.metric), (24, 24, true));
+        assert!(train.frames.iter().all(|f| f.t == f64::from(f.rgb[(0, 0)][0])));
+        let tracks = train.tracks.unwrap();
+        assert_eq!((tracks.frames(), tracks.place(4, 0)), (21, Some([5.0, 0.0, 1.0])));
+    }
+
+    #[test]
+    fn what_cannot_be_split_is_refused() {
+        assert!(matches!(
+            parts(clip(8), Protocol::Dycheck),
+            Err(ProtocolError::NothingToSplit(_))
+        ));
+        let short = parts(clip(3), Protocol::Rodygs);
+        assert!(matches!(short, Err(ProtocolError::TooShort { test: 0, train: 3, .. })));
+        let one = parts(clip(2), Protocol::Instant4d);
+        assert!(matches!(one, Err(ProtocolError::TooShort { train: 1, .. })), "{one:?}");
+    }
+
+    #[test]
+    fn both_parts_are_read_at_the_times_of_the_video() {
+        let dir = tempfile::tempdir().unwrap();
+        let (full, out) = (dir.path().join("full"), dir.path().join("out"));
+        capture::write(&full, &clip(24), Split::Train, &Silent).unwrap();
+        let record = split(&full, Protocol::Instant4d, &out, Existing::Refuse, &Silent).unwrap();
+        assert_eq!(record.held_out, [5, 11, 17, 22]);
+        assert_eq!(record.held_out_names[0], "train/00005.png");
+        let read = |which| capture::read(&out, which, &CaptureOptions::default(), &Silent).unwrap();
+        let (train, test) = (read(Split::Train), read(Split::Test));
+        assert_eq!((train.frames.len(), test.frames.len()), (20, 4));
+        assert_eq!(train.time_frames, test.time_frames);
+        // the moment of a frame as a share of the video, whatever its number of frames is taken to be
+        let last = (train.time_frames - 1) as f64;
+        for frame in train.frames.iter().chain(&test.frames) {
+            let i = f64::from(frame.rgb[(0, 0)][0]);
+            assert!((frame.t / last - i / 23.0).abs() < 1e-12, "{} {i}", frame.t);
+        }
+        let again = |existing| split(&full, Protocol::Instant4d, &out, existing, &Silent);
+        assert!(matches!(again(Existing::Refuse), Err(Error::Exists { .. })));
+        assert_eq!(again(Existing::Resume).unwrap(), record);
+        let other = split(&full, Protocol::Holdout, &out, Existing::Force, &Silent).unwrap();
+        assert_eq!(other.held_out, [0, 8, 16]);
+        assert_eq!(
+            capture::read(&out, Split::Test, &CaptureOptions::default(), &Silent)
+                .unwrap()
+                .frames
+                .len(),
+            3
+        );
+        assert_eq!(
+            std::fs::read_dir(out.join("test")).unwrap().count(),
+            3,
+            "nothing of the first split is left"
+        );
+        let foreign = split(&full, Protocol::Holdout, &full, Existing::Force, &Silent);
+        assert!(
+            matches!(foreign, Err(Error::Protocol(ProtocolError::SameFolder(_)))),
+            "{foreign:?}"
+        );
+    }
+}

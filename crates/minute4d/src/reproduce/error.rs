@@ -1,0 +1,80 @@
+//! Why a table cannot be made.
+
+use super::{MissingScene, Suite};
+use crate::Category;
+use crate::evaluate::Protocol;
+use m4_import::ReadSourceError;
+use std::path::{Path, PathBuf};
+
+/// Why a table cannot be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReproduceError {
+    /// No scene of the data set is there.
+    #[error("no scene of {suite} is in {}: {missing}. {source_words}", path.display())]
+    NoScenes {
+        /// The data set.
+        suite: Suite,
+        /// Where it was looked for.
+        path: PathBuf,
+        /// What is lacking of each.
+        missing: String,
+        /// Where people get it.
+        source_words: &'static str,
+    },
+    /// The data set has no test of that protocol.
+    #[error("{suite} is not judged by the protocol {protocol}; its protocols are {known}")]
+    NotItsProtocol {
+        /// The data set.
+        suite: Suite,
+        /// The protocol.
+        protocol: Protocol,
+        /// Those that it has.
+        known: String,
+    },
+    /// A scene lacks its held-out views.
+    #[error("{} has no held-out views, which the protocol {protocol} judges; {remedy}", path.display())]
+    NoViews {
+        /// The scene.
+        path: PathBuf,
+        /// The protocol.
+        protocol: Protocol,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// A scene cannot be imported.
+    #[error(transparent)]
+    Import(#[from] ReadSourceError),
+    /// A picture of a table cannot be written.
+    #[error("cannot write {}: {what}", path.display())]
+    Plot {
+        /// The picture.
+        path: PathBuf,
+        /// What was said.
+        what: String,
+    },
+}
+
+impl ReproduceError {
+    pub(super) fn no_scenes(suite: Suite, path: &Path, missing: &[MissingScene]) -> Self {
+        let words: Vec<String> = missing.iter().map(|m| format!("{} ({})", m.scene, m.why)).collect();
+        Self::NoScenes {
+            suite,
+            path: path.to_path_buf(),
+            missing: words.join(", "),
+            source_words: suite.source(),
+        }
+    }
+
+    /// What sort of failure this is.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::NoScenes { .. } => Category::NoInput,
+            Self::NotItsProtocol { .. } => Category::Usage,
+            Self::NoViews { .. } => Category::BadInput,
+            Self::Import(e) => e.kind().into(),
+            Self::Plot { .. } => Category::CannotWrite,
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! The tables of papers again, on this machine: every scene of a data set that is here, imported, split, trained and judged.
+//!
+//! ```text
+//! folder of a data set --Suite--> scenes --import, or geometry of a video--> capture --split--> capture of the protocol
+//!   --train--> scene --evaluate by the protocol--> eval.json --> a table a protocol, beside published numbers of the same task
+//! ```
+//!
+//! What is finished is not made again: a scene is skipped when its record has the key of its data, its settings and its device. Tables of
+//! two tasks are apart ([`crate::evaluate::Task`]), and so are ours and the published numbers in a table: those were measured on
+//! other machines, most with poses of their own.
+
+mod error;
+mod plot;
+mod published;
+mod report;
+mod scene;
+mod suite;
+mod table;
+
+pub use error::ReproduceError;
+pub use published::{Published, published};
+pub use report::{MissingScene, ReproduceReport, SceneRow, TableReport};
+pub use suite::{Suite, UnknownSuite};
+
+use crate::bench::today;
+use crate::evaluate::Protocol;
+use crate::record::write_json;
+use crate::{Error, Job};
+use m4_io::atomic;
+use std::fs;
+use std::path::Path;
+
+/// Name of the report in numbers.
+pub const REPORT_FILE: &str = "reproduce.json";
+/// Name of the tables.
+pub const TABLE_FILE: &str = "reproduce.md";
+
+/// What to make again.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct ReproduceOptions {
+    /// Which protocols; those of the data set where empty.
+    pub protocols: Vec<Protocol>,
+    /// Which scenes; those of the published tables where empty.
+    pub scenes: Vec<String>,
+    /// By how much the pictures of a data set are shrunk; `None` for what published numbers use.
+    pub factor: Option<u32>,
+    /// Refine the poses of test pictures where peers do.
+    pub refine_poses: bool,
+}
+
+/// Makes the tables of a data set in the folder `out`: `reproduce.md`, `reproduce.json`, and a picture a table. Scenes that are finished are
+/// not made again; [`Job::existing`] is of no meaning.
+///
+/// # Errors
+///
+/// [`ReproduceError::NoScenes`] where no scene of the data set is in `data`, with where people get them; [`Error`] of the scene that failed,
+/// when those before it are kept.
+pub fn reproduce(
+    suite: Suite,
+    data: &Path,
+    out: &Path,
+    options: &ReproduceOptions,
+    job: &Job<'_>,
+) -> Result<ReproduceReport, Error> {
+    if !data.is_dir() {
+        return Err(Error::Missing {
+            what: "folder of the data set",
+            path: data.to_path_buf(),
+        });
+    }
+    job.check()?;
+    let protocols = suite.protocols_of(&options.protocols)?;
+    let scenes = suite.find(data, &options.scenes);
+    let (found, missing) = scenes;
+    if found.is_empty() {
+        return Err(ReproduceError::no_scenes(suite, data, &missing).into());
+    }
+    for scene in &missing {
+        job.observer
+            .warn(&format!("{}: {}; {}", scene.scene, scene.why, suite.source()));
+    }
+    fs::create_dir_all(out).map_err(|source| Error::Write {
+        path: out.to_path_buf(),
+        source,
+    })?;
+    let total = found.len() * protocols.len();
+    let mut done = 0;
+    let mut tables: Vec<TableReport> = Vec::new();
+    for &protocol in &protocols {
+        let mut rows = Vec::new();
+        for found in &found {
+            job.observer
+                .update("scenes", done, total, &format!("{protocol} {}", found.name));
+            rows.push(scene::make(suite, found, protocol, out, options, job)?);
+            done += 1;
+            job.observer.update("scenes", done, total, "");
+        }
+        tables.push(TableReport::new(suite, protocol, rows));
+    }
+    let report = ReproduceReport {
+        format: "minute4d-reproduce".to_owned(),
+        version: 1,
+        minute4d: env!("CARGO_PKG_VERSION").to_owned(),
+        date: today(),
+        suite,
+        data: data.to_path_buf(),
+        profile: job.profile.clone(),
+        threads: crate::threads(),
+        tables,
+        missing,
+    };
+    for table in &report.tables {
+        plot::write(&out.join(table.picture()), table)?;
+    }
+    write_json(&out.join(REPORT_FILE), &report)?;
+    let path = out.join(TABLE_FILE);
+    atomic::write(&path, report.to_markdown().as_bytes()).map_err(|source| Error::Write { path, source })?;
+    Ok(report)
+}

@@ -1,0 +1,226 @@
+//! One scene by one protocol.
+//!
+//! ```text
+//! OUT/captures/SCENE              the data set's own poses and depth, or geometry of its video; shared by protocols
+//! OUT/PROTOCOL/SCENE/capture      the split, where the protocol holds out frames of the video
+//! OUT/PROTOCOL/SCENE/run          a run as of `minute4d train`, with eval.json
+//! OUT/PROTOCOL/SCENE/row.json     the row of the table and its key: written last
+//! ```
+
+use super::report::{SceneRow, pose_word};
+use super::suite::{FoundScene, Suite};
+use super::{ReproduceError, ReproduceOptions};
+use crate::evaluate::{self, EvalOptions, EvalReport, FrameRule, Protocol};
+use crate::folder::{self, EVAL_FILE, Existing};
+use crate::import::{self, ImportFormat};
+use crate::record::{RunRecord, write_json};
+use crate::{Error, Job, geometry, hash};
+use m4_import::{ImportOptions, SourceFormat};
+use m4_io::capture::Split;
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+const ROW_FILE: &str = "row.json";
+/// Says of what data a capture was imported.
+const KEY_FILE: &str = "import.json";
+/// Frames a second of the clips of DAVIS.
+const DAVIS_FPS: f64 = 24.0;
+const REMEDY: &str = "get the pictures that results are compared with too";
+
+/// `row.json`.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    key: String,
+    row: SceneRow,
+}
+
+/// `import.json`.
+#[derive(Serialize, Deserialize)]
+struct Imported {
+    key: String,
+}
+
+/// The row of a scene, as it was kept or made now.
+pub(super) fn make(
+    suite: Suite,
+    scene: &FoundScene,
+    protocol: Protocol,
+    out: &Path,
+    options: &ReproduceOptions,
+    job: &Job<'_>,
+) -> Result<SceneRow, Error> {
+    let folder = out.join(protocol.name()).join(&scene.name);
+    let source = fingerprint(&scene.path)?;
+    let key = hash::of_parts(&[
+        env!("CARGO_PKG_VERSION"),
+        protocol.name(),
+        &source,
+        &job.settings.to_toml()?,
+        &job.profile,
+        &job.device.choice.to_string(),
+        &format!("{:?} {}", options.factor, options.refine_poses),
+    ]);
+    let file = folder.join(ROW_FILE);
+    let run = folder.join("run");
+    if let Some(kept) = read::<Kept>(&file)
+        && kept.key == key
+        && run.join(EVAL_FILE).is_file()
+    {
+        return Ok(kept.row);
+    }
+    folder::remove_file(&file)?;
+    let mut settings = job.settings.clone();
+    // nobody looks at them
+    settings.viewer.write = false;
+    if suite == Suite::Davis {
+        settings.video.folder_fps = DAVIS_FPS;
+    }
+    let job = Job {
+        settings,
+        profile: job.profile.clone(),
+        existing: Existing::Resume,
+        ..*job
+    };
+    let whole = out.join("captures").join(&scene.name);
+    let geometry_s = whole_capture(suite, scene, &source, &whole, options, &job)?;
+    let held_out_frames = protocol.rules().frames != FrameRule::TestSplit;
+    let data = if held_out_frames {
+        let part = folder.join("capture");
+        evaluate::split(&whole, protocol, &part, Existing::Resume, job.observer)?;
+        part
+    } else if whole.join(Split::Test.file_name()).is_file() {
+        whole
+    } else {
+        return Err(ReproduceError::NoViews {
+            path: scene.path.clone(),
+            protocol,
+            remedy: REMEDY,
+        }
+        .into());
+    };
+    let record = crate::train::make(&data, &run, &job)?;
+    let judging = EvalOptions {
+        device: job.device.choice,
+        protocol: Some(protocol),
+        refine_poses: options.refine_poses && protocol.rules().refine.is_some(),
+        ..EvalOptions::default()
+    };
+    let report = evaluate::views_by(&run, &data, &judging, job.observer)?;
+    let row = row(scene, &report, &record, geometry_s)?;
+    write_json(&file, &Kept { key, row: row.clone() })?;
+    Ok(row)
+}
+
+/// The capture of a scene with all its frames, made if it is not there; seconds of its geometry where that was estimated.
+fn whole_capture(
+    suite: Suite,
+    scene: &FoundScene,
+    source: &str,
+    whole: &Path,
+    options: &ReproduceOptions,
+    job: &Job<'_>,
+) -> Result<Option<f64>, Error> {
+    let format = match suite {
+        Suite::Dycheck => SourceFormat::Dycheck,
+        Suite::Nvidia => SourceFormat::Nvidia,
+        Suite::Davis => return Ok(Some(geometry::make(&scene.path, whole, job)?.seconds)),
+    };
+    let key = hash::of_parts(&[env!("CARGO_PKG_VERSION"), source, &format!("{:?}", options.factor)]);
+    let file = whole.join(KEY_FILE);
+    if read::<Imported>(&file).is_some_and(|kept| kept.key == key) {
+        return Ok(None);
+    }
+    if folder::make(whole)? {
+        if !file.is_file() {
+            return Err(Error::Foreign {
+                path: whole.to_path_buf(),
+                missing: KEY_FILE,
+            });
+        }
+        // what an earlier import of other data left must not stay beside the new
+        folder::remove_folder(whole)?;
+        folder::make(whole)?;
+    }
+    // an import that is cut off has no key
+    write_json(&file, &Imported { key: String::new() })?;
+    let import = ImportOptions {
+        factor: options.factor,
+        max_memory_bytes: job.settings.capture.max_memory_bytes,
+        ..ImportOptions::default()
+    };
+    let read = m4_import::read(&scene.path, format, &import, job.observer).map_err(ReproduceError::from)?;
+    let source = (scene.path.as_path(), ImportFormat::Source(format));
+    import::write_capture(whole, &read, source, options.factor, job.observer)?;
+    write_json(&file, &Imported { key })?;
+    Ok(None)
+}
+
+fn row(
+    scene: &FoundScene,
+    report: &EvalReport,
+    record: &RunRecord,
+    geometry_s: Option<f64>,
+) -> Result<SceneRow, Error> {
+    let lacks = |what: &str| Error::Internal {
+        what: format!("the report of {} has no {what}", scene.name),
+    };
+    let choices = report.choices.as_ref().ok_or_else(|| lacks("choices"))?;
+    let mean = report.mean.ok_or_else(|| lacks("mean"))?;
+    let others = report.mean_others.iter().map(|(name, m)| (name.clone(), m.mean));
+    Ok(SceneRow {
+        scene: scene.name.clone(),
+        views: mean.frames,
+        headline: choices.headline.mean,
+        psnr_db: mean.psnr_db,
+        ssim: mean.ssim,
+        others: others.collect(),
+        poses: pose_word(choices.poses.treatment).to_owned(),
+        mask: match choices.mask.source {
+            evaluate::MaskSource::None => "whole pictures,".to_owned(),
+            evaluate::MaskSource::Files => "published masks of co-visibility,".to_owned(),
+            evaluate::MaskSource::Computed => "masks of co-visibility made here,".to_owned(),
+        },
+        size_px: choices.resolution.scored_px,
+        train_s: record.stages.get(crate::train::STAGE).map(|stage| stage.seconds),
+        geometry_s,
+        iterations: record.iterations,
+        splats: report.splats,
+        frames_per_s: report.frames_per_s,
+        device: report.device.clone(),
+    })
+}
+
+fn read<T: for<'a> Deserialize<'a>>(path: &Path) -> Option<T> {
+    serde_json::from_slice(&fs::read(path).ok()?).ok()
+}
+
+/// Names, sizes and times of all files below a folder: reading them all would take longer than training does.
+fn fingerprint(folder: &Path) -> Result<String, Error> {
+    let mut parts = Vec::new();
+    let mut open = vec![folder.to_path_buf()];
+    let failed = |path: &Path| {
+        let path = path.to_path_buf();
+        move |source| Error::Read { path, source }
+    };
+    while let Some(next) = open.pop() {
+        for entry in fs::read_dir(&next).map_err(failed(&next))? {
+            let path: PathBuf = entry.map_err(failed(&next))?.path();
+            let meta = fs::metadata(&path).map_err(failed(&path))?;
+            if meta.is_dir() {
+                open.push(path);
+                continue;
+            }
+            let modified = meta.modified().ok().and_then(|t| t.duration_since(UNIX_EPOCH).ok());
+            let name = path.strip_prefix(folder).unwrap_or(&path).display().to_string();
+            parts.push(format!(
+                "{name} {} {}",
+                meta.len(),
+                modified.map_or(0, |t| t.as_nanos())
+            ));
+        }
+    }
+    parts.sort();
+    Ok(hash::of_parts(&parts.iter().map(String::as_str).collect::<Vec<_>>()))
+}

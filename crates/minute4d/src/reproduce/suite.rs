@@ -1,0 +1,254 @@
+//! Data sets: their scenes, where these lie in a folder, and where people get them.
+
+use super::{MissingScene, ReproduceError};
+use crate::evaluate::Protocol;
+use m4_import::formats::davis;
+use m4_import::{SourceFormat, detect};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// A data set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum Suite {
+    /// The iPhone scenes of DyCheck.
+    Dycheck,
+    /// NVIDIA Dynamic Scenes in the layout of RoDynRF's bundle.
+    Nvidia,
+    /// DAVIS 2017.
+    Davis,
+}
+
+/// What is known of a data set.
+struct Facts {
+    name: &'static str,
+    title: &'static str,
+    /// Of the published tables; those of the paper's first table come first.
+    scenes: &'static [&'static str],
+    /// Folders in which scenes lie.
+    below: &'static [&'static str],
+    protocols: &'static [Protocol],
+    /// May be asked for, and are not made otherwise.
+    more_protocols: &'static [Protocol],
+    source: &'static str,
+}
+
+const DYCHECK: Facts = Facts {
+    name: "dycheck",
+    title: "DyCheck (iPhone)",
+    scenes: &[
+        "apple",
+        "block",
+        "paper-windmill",
+        "spin",
+        "teddy",
+        "space-out",
+        "wheel",
+    ],
+    below: &["", "iphone", "dycheck", "dycheck/iphone"],
+    protocols: &[Protocol::Instant4d, Protocol::Dycheck],
+    more_protocols: &[Protocol::Rodygs, Protocol::Holdout],
+    source: "The scenes are on the project page of DyCheck (Gao et al., NeurIPS 2022: the README of KAIR-BAIR/dycheck, docs/DATASETS.md), a \
+             zip file each; unpack them side by side",
+};
+const NVIDIA: Facts = Facts {
+    name: "nvidia",
+    title: "NVIDIA Dynamic Scenes",
+    scenes: &[
+        "Balloon1",
+        "Balloon2",
+        "Jumping",
+        "Playground",
+        "Skating",
+        "Truck",
+        "Umbrella",
+    ],
+    below: &["", "nvidia", "Nvidia", "NVIDIA"],
+    protocols: &[Protocol::Nvidia],
+    more_protocols: &[],
+    source: "The scenes with poses and masks, and the pictures that results are compared with (gt/v000_tTTT.png), are bundles that the \
+             README of facebookresearch/robust-dynrf links; unpack them side by side",
+};
+const DAVIS: Facts = Facts {
+    name: "davis",
+    title: "DAVIS 2017",
+    scenes: &["breakdance-flare"],
+    below: &[
+        "JPEGImages/480p",
+        "DAVIS/JPEGImages/480p",
+        "JPEGImages/Full-Resolution",
+        "DAVIS/JPEGImages/Full-Resolution",
+    ],
+    protocols: &[Protocol::Davis],
+    more_protocols: &[Protocol::Holdout],
+    source: "DAVIS 2017 (TrainVal, 480p) is on davischallenge.org, a zip file; give the folder that holds JPEGImages, and other clips of it with \
+             --scenes",
+};
+
+/// A scene that is there.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FoundScene {
+    pub name: String,
+    pub path: PathBuf,
+}
+
+impl Suite {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Dycheck, Self::Nvidia, Self::Davis];
+
+    fn facts(self) -> &'static Facts {
+        match self {
+            Self::Dycheck => &DYCHECK,
+            Self::Nvidia => &NVIDIA,
+            Self::Davis => &DAVIS,
+        }
+    }
+
+    /// As on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.facts().name
+    }
+
+    /// As tables call it.
+    #[must_use]
+    pub fn title(self) -> &'static str {
+        self.facts().title
+    }
+
+    /// Where people get it.
+    #[must_use]
+    pub fn source(self) -> &'static str {
+        self.facts().source
+    }
+
+    /// The scenes over which published numbers of a protocol are means.
+    #[must_use]
+    pub fn scenes(self, protocol: Protocol) -> &'static [&'static str] {
+        let all = self.facts().scenes;
+        match (self, protocol) {
+            // the first table of the paper has five
+            (Self::Dycheck, Protocol::Instant4d | Protocol::Rodygs | Protocol::Holdout) => &all[..5],
+            _ => all,
+        }
+    }
+
+    /// The protocols to follow: those asked for, or its own.
+    pub(super) fn protocols_of(self, asked: &[Protocol]) -> Result<Vec<Protocol>, ReproduceError> {
+        let facts = self.facts();
+        if asked.is_empty() {
+            return Ok(facts.protocols.to_vec());
+        }
+        let known: Vec<Protocol> = facts.protocols.iter().chain(facts.more_protocols).copied().collect();
+        if let Some(&protocol) = asked.iter().find(|p| !known.contains(p)) {
+            let known: Vec<&str> = known.iter().map(|p| p.name()).collect();
+            return Err(ReproduceError::NotItsProtocol {
+                suite: self,
+                protocol,
+                known: known.join(", "),
+            });
+        }
+        Ok(asked.to_vec())
+    }
+
+    /// The scenes in a folder, of those asked for or all of them, and what the others lack.
+    pub(super) fn find(self, data: &Path, asked: &[String]) -> (Vec<FoundScene>, Vec<MissingScene>) {
+        let all: Vec<String> = self.facts().scenes.iter().map(|s| (*s).to_owned()).collect();
+        let wanted = if asked.is_empty() { &all } else { asked };
+        let (mut found, mut missing) = (Vec::new(), Vec::new());
+        for name in wanted {
+            match self.locate(data, name) {
+                Ok(path) => found.push(FoundScene {
+                    name: name.clone(),
+                    path,
+                }),
+                Err(why) => missing.push(MissingScene {
+                    scene: name.clone(),
+                    why,
+                }),
+            }
+        }
+        (found, missing)
+    }
+
+    fn locate(self, data: &Path, name: &str) -> Result<PathBuf, String> {
+        // a name becomes part of a path
+        if name.is_empty() || name.contains(['/', '\\']) || name.contains("..") {
+            return Err("is no name of a scene".to_owned());
+        }
+        let mut there = None;
+        for below in self.facts().below {
+            let path = data.join(below).join(name);
+            if path.is_dir() {
+                if self.is_scene(&path) {
+                    return Ok(path);
+                }
+                there.get_or_insert(path);
+            }
+        }
+        Err(match there {
+            Some(path) => format!("{} is not in the layout of the data set", path.display()),
+            None => "is not there".to_owned(),
+        })
+    }
+
+    fn is_scene(self, path: &Path) -> bool {
+        match self {
+            Self::Dycheck => detect(path) == Some(SourceFormat::Dycheck),
+            Self::Nvidia => detect(path) == Some(SourceFormat::Nvidia),
+            Self::Davis => davis::detect(path),
+        }
+    }
+}
+
+impl fmt::Display for Suite {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// No data set of that name.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("there is no data set {0:?}; the data sets are dycheck, nvidia and davis")]
+pub struct UnknownSuite(pub String);
+
+impl FromStr for Suite {
+    type Err = UnknownSuite;
+
+    fn from_str(text: &str) -> Result<Self, UnknownSuite> {
+        let found = Self::ALL.into_iter().find(|s| s.name() == text);
+        found.ok_or_else(|| UnknownSuite(text.to_owned()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Suite;
+    use crate::evaluate::Protocol;
+
+    #[test]
+    fn published_means_are_over_their_own_scenes() {
+        assert_eq!(Suite::Dycheck.scenes(Protocol::Instant4d).len(), 5);
+        assert_eq!(Suite::Dycheck.scenes(Protocol::Dycheck).len(), 7);
+        assert!(!Suite::Dycheck.scenes(Protocol::Instant4d).contains(&"wheel"));
+        for suite in Suite::ALL {
+            assert_eq!(suite.name().parse(), Ok(suite));
+            assert!(!suite.protocols_of(&[]).unwrap().is_empty());
+        }
+        assert!(Suite::Nvidia.protocols_of(&[Protocol::Dycheck]).is_err());
+    }
+
+    #[test]
+    fn what_is_not_there_is_listed_with_the_reason() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir_all(dir.path().join("iphone/apple")).unwrap();
+        let (found, missing) = Suite::Dycheck.find(dir.path(), &[]);
+        assert!(found.is_empty() && missing.len() == 7);
+        assert!(missing[0].why.contains("not in the layout") && missing[1].why == "is not there");
+        let (_, missing) = Suite::Dycheck.find(dir.path(), &["../x".to_owned()]);
+        assert_eq!(missing[0].why, "is no name of a scene");
+    }
+}
