@@ -1,4 +1,4 @@
-//! Splat and camera files that other tools play: one folder a format.
+//! Splat and camera files that other tools play, and captures that they rebuild: one folder a format.
 //!
 //! A writer takes a [`m4_scene::Scene`], writes the file whole or not at all, and returns what it
 //! wrote and what the format could not hold ([`Written`]). A format with one instant, or one a frame,
@@ -8,6 +8,7 @@
 #![forbid(unsafe_code)]
 
 pub mod cameras;
+pub mod captures;
 pub mod fourdgs;
 pub mod gltf;
 pub mod ply;

@@ -136,3 +136,66 @@ fn axes_that_are_wrong_are_found_and_put_right() {
         assert!((a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-9);
     }
 }
+
+/// What is exported comes back by the importer, which was written against the formats and not against the exporter.
+#[test]
+fn captures_go_out_and_come_back() {
+    let dir = Scratch::new();
+    let source = fixture("dycheck");
+    let own = dir.at("own");
+    succeed(&["import", &source, "-o", &own, "--no-check"]);
+    let read = |name: &str, split| capture::read(&dir.path(name), split, &CaptureOptions::default(), &Silent).unwrap();
+    let (train, test) = (read("own", Split::Train), read("own", Split::Test));
+    let moves = |c: &minute4d::scene::Capture| {
+        c.frames
+            .iter()
+            .filter_map(|f| f.mask.as_ref())
+            .map(|m| m.count())
+            .sum::<usize>()
+    };
+    for (format, views) in [("nerfstudio", true), ("colmap", false)] {
+        let (out, again) = (dir.at(format), dir.at(&format!("again-{format}")));
+        let report = succeed(&["export", &own, "--format", format, "-o", &out, "--json"]).result();
+        assert!(report["bytes"].as_u64().unwrap() > 1000, "{report}");
+        assert_eq!(
+            report["losses"]["dropped"].to_string().contains("held-out views"),
+            !views,
+            "{report}"
+        );
+        succeed(&["import", &out, "-o", &again, "--no-check"]);
+        let back = read(&format!("again-{format}"), Split::Train);
+        assert_eq!(back.frames.len(), train.frames.len(), "{format}");
+        for (a, b) in back.frames.iter().zip(&train.frames) {
+            assert!(
+                (a.camera.c2w.matrix() - b.camera.c2w.matrix()).amax() < 1e-6,
+                "{format}"
+            );
+            assert!((a.camera.intrinsics.fx - b.camera.intrinsics.fx).abs() < 1e-9);
+            assert_eq!(a.rgb, b.rgb, "{format}");
+            if views {
+                let (Some(a), Some(b)) = (&a.depth, &b.depth) else {
+                    continue;
+                };
+                assert!((a.at(9, 7) - b.at(9, 7)).abs() <= 1e-3 * b.at(9, 7), "{format}");
+            }
+        }
+        assert_eq!(moves(&back), moves(&train), "{format}");
+        if views {
+            assert_eq!(
+                read(&format!("again-{format}"), Split::Test).frames.len(),
+                test.frames.len()
+            );
+        }
+        refused(
+            &["export", &own, "--format", format, "-o", &out],
+            73,
+            &["already there", "--force"],
+        );
+    }
+    if cfg!(feature = "rerun") {
+        let report = succeed(&["export", &own, "--format", "rerun", "--json"]).result();
+        assert!(dir.path("own/capture.rrd").is_file(), "{report}");
+    } else {
+        refused(&["export", &own, "--format", "rerun"], 2, &["feature `rerun`"]);
+    }
+}

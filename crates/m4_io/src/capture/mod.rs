@@ -40,7 +40,7 @@ pub use error::{ReadCaptureError, WriteCaptureError};
 pub use options::{CaptureOptions, Split};
 pub use pose::{Pose, PoseFault};
 pub use read::read;
-pub use write::write;
+pub use write::{depth_unit, write};
 
 /// The file of tracks that [`write()`] puts beside the list of training frames, if there are tracks.
 pub const TRACKS_FILE: &str = "tracks.npz";

@@ -174,9 +174,9 @@ fn pictures(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Re
     Ok(clipped)
 }
 
-/// Scene units a step: the finest with which the farthest depth fits, unless the near would become
+/// Scene units a step of the depth maps that [`write()`] makes: the finest with which the farthest depth fits, unless the near would become
 /// coarse; then the far is clipped.
-fn depth_unit(capture: &Capture) -> f64 {
+pub fn depth_unit(capture: &Capture) -> f64 {
     let mut known: Vec<f32> = capture
         .frames
         .iter()

@@ -1,41 +1,92 @@
-//! A capture as files of MegaSaM.
+//! A capture as files of other tools.
 
-use super::{ExportError, ExportJob, ExportReport, occupied};
+use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
 use crate::folder::CAPTURE_FOLDER;
 use crate::{Error, Observer, Settings, is_capture};
+use m4_formats::captures::{self, WriteCaptureAsError};
 use m4_io::capture::{self, Split};
-use m4_io::megasam::{self, Layout, WriteMegasamError};
+use m4_io::megasam::{self, WriteMegasamError};
+use m4_scene::Capture;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Writes the training frames of the capture at `input`, or of the one in the folder of a run.
-pub(super) fn make(
-    input: &Path,
-    layout: Layout,
-    job: &ExportJob,
-    observer: &dyn Observer,
-) -> Result<ExportReport, Error> {
+/// Writes the capture at `input`, or the one in the folder of a run.
+pub(super) fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
     let found = find(input, job)?;
+    let name = job.format.name_of_capture();
     let out = match &job.out {
         Some(out) => out.clone(),
-        None if input.is_dir() => input.join(job.format.file_name()),
-        None => input.parent().unwrap_or(Path::new("")).join(job.format.file_name()),
+        None if input.is_dir() => input.join(name),
+        None => input.parent().unwrap_or(Path::new("")).join(name),
     };
     if !job.replace && occupied(&out) {
         return Err(Error::WouldReplace { path: out });
     }
-    let capture = capture::read(&found, Split::Train, &Settings::fast().capture, observer)?;
+    let options = Settings::fast().capture;
+    let train = capture::read(&found, Split::Train, &options, observer)?;
+    // MegaSaM and COLMAP have no place for views of other cameras
+    let has_views = found.join(Split::Test.file_name()).is_file();
+    let takes_views = matches!(job.format, Format::Nerfstudio | Format::Rerun);
+    let test = if has_views && takes_views {
+        Some(capture::read(&found, Split::Test, &options, observer)?)
+    } else {
+        None
+    };
     let start = Instant::now();
-    let written = megasam::write(&out, &capture, layout, observer).map_err(|error| match error {
-        WriteMegasamError::Cancelled { .. } => Error::Stopped {
-            stage: "export",
-            saved: false,
-        },
+    let (bytes, mut losses) = write(&out, &train, test.as_ref(), job.format, observer)?;
+    if has_views && !takes_views {
+        losses.dropped.push("held-out views".to_owned());
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    Ok(ExportReport::of_capture(job.format, out, bytes, losses, seconds))
+}
+
+/// One arm a format; bytes that were written, and what they hold differently.
+fn write(
+    out: &Path,
+    train: &Capture,
+    test: Option<&Capture>,
+    format: Format,
+    observer: &dyn Observer,
+) -> Result<(u64, Losses), Error> {
+    if let Some(layout) = format.layout() {
+        let written = megasam::write(out, train, layout, observer).map_err(|error| match error {
+            WriteMegasamError::Cancelled { .. } => STOPPED,
+            other => ExportError::from(other).into(),
+        })?;
+        let losses = Losses {
+            baked: Vec::new(),
+            dropped: written.dropped,
+            quantised: written.rounded,
+        };
+        return Ok((written.bytes, losses));
+    }
+    let written = match format {
+        Format::Colmap => {
+            captures::colmap::write(out, train, &captures::colmap::CaptureColmapOptions::default(), observer)
+        }
+        Format::Nerfstudio => captures::nerfstudio::write(out, train, test, observer),
+        #[cfg(feature = "rerun")]
+        Format::Rerun => captures::rerun::write(out, train, test, observer),
+        #[cfg(not(feature = "rerun"))]
+        Format::Rerun => return Err(ExportError::NoRerun.into()),
+        other => {
+            return Err(Error::Internal {
+                what: format!("{} was taken for a format of captures", other.name()),
+            });
+        }
+    };
+    let written = written.map_err(|error| match error {
+        WriteCaptureAsError::Cancelled { .. } => STOPPED,
         other => ExportError::from(other).into(),
     })?;
-    let seconds = start.elapsed().as_secs_f64();
-    Ok(ExportReport::of_capture(job.format, out, written, seconds))
+    Ok((written.bytes, Losses::of(written.losses)))
 }
+
+const STOPPED: Error = Error::Stopped {
+    stage: "export",
+    saved: false,
+};
 
 /// The capture that is meant.
 fn find(input: &Path, job: &ExportJob) -> Result<PathBuf, Error> {

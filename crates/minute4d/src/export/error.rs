@@ -4,6 +4,7 @@ use super::Format;
 use crate::Category;
 use m4_formats::cameras::colmap::WriteColmapError;
 use m4_formats::cameras::nerfstudio::WriteNerfstudioError;
+use m4_formats::captures::WriteCaptureAsError;
 use m4_formats::fourdgs::WriteFourdgsError;
 use m4_formats::gltf::WriteGltfError;
 use m4_formats::ply::WritePlyError;
@@ -38,7 +39,7 @@ pub enum ExportError {
         path: Option<PathBuf>,
     },
     /// A capture for a format that holds a scene.
-    #[error("{} is a capture, which {} does not hold; choose megasam, megasam-cvd or megasam-reconstruction, or train it first (`minute4d train`)", path.display(), format.name())]
+    #[error("{} is a capture, which {} does not hold; choose colmap, nerfstudio, rerun, megasam, megasam-cvd or megasam-reconstruction, or train it first (`minute4d train`)", path.display(), format.name())]
     NeedsScene {
         /// The format.
         format: Format,
@@ -64,6 +65,12 @@ pub enum ExportError {
         /// Why not.
         source: Box<crate::import::ImportError>,
     },
+    /// A recording, in a build that cannot make any.
+    #[error("this build makes no recordings of Rerun; build with the feature `rerun`")]
+    NoRerun,
+    /// Writing a capture for another tool.
+    #[error(transparent)]
+    Capture(#[from] WriteCaptureAsError),
     /// Writing files of MegaSaM.
     #[error(transparent)]
     Megasam(#[from] WriteMegasamError),
@@ -100,6 +107,8 @@ impl ExportError {
         match self {
             Self::NoInstant { .. } | Self::NoRate { .. } | Self::Unknown { .. } => Category::Usage,
             Self::NoCameras | Self::NeedsCapture { .. } | Self::NeedsScene { .. } => Category::BadInput,
+            Self::NoRerun => Category::Usage,
+            Self::Capture(e) => e.kind().into(),
             Self::Megasam(e) => e.kind().into(),
             Self::ReadBack { .. } => Category::Internal,
             Self::Fourdgs(e) => e.kind().into(),

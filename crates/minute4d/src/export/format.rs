@@ -26,9 +26,9 @@ pub enum Format {
     Gltf,
     /// USD with time samples.
     Usd,
-    /// A COLMAP model: cameras, and splats as points.
+    /// A COLMAP model: cameras, and splats as points; of a capture, its pictures and masks with points of what rests.
     Colmap,
-    /// `transforms.json` of nerfstudio: cameras.
+    /// `transforms.json` of nerfstudio: cameras; of a capture, a folder with pictures, masks, depth and points.
     Nerfstudio,
     /// A video along the cameras of the source.
     Mp4,
@@ -38,6 +38,8 @@ pub enum Format {
     MegasamCvd,
     /// A folder as MegaSaM's `reconstructions/NAME`: a capture with its masks.
     MegasamReconstruction,
+    /// A recording of Rerun: a capture, to look at.
+    Rerun,
 }
 
 /// What a format does with time.
@@ -79,6 +81,7 @@ const FORMATS: &[Entry] = &[
         "reconstructions/scene",
         Time::Capture,
     ),
+    (Format::Rerun, "rerun", "capture.rrd", Time::Capture),
 ];
 
 impl Format {
@@ -104,6 +107,20 @@ impl Format {
         self.entry().2
     }
 
+    /// The same for a capture.
+    pub(super) fn name_of_capture(self) -> &'static str {
+        match self {
+            Self::Nerfstudio => "nerfstudio",
+            other => other.file_name(),
+        }
+    }
+
+    /// Whether it can hold a capture, beside a scene or alone.
+    #[must_use]
+    pub fn takes_capture(self) -> bool {
+        matches!(self, Self::Colmap | Self::Nerfstudio) || self.time() == Time::Capture
+    }
+
     /// What it does with time.
     #[must_use]
     pub fn time(self) -> Time {
@@ -120,7 +137,7 @@ impl Format {
         }
     }
 
-    /// The layout of a format of MegaSaM, the formats that hold a capture and not a scene.
+    /// The layout of a format of MegaSaM.
     #[must_use]
     pub fn layout(self) -> Option<Layout> {
         match self {
@@ -172,7 +189,7 @@ mod tests {
             assert_eq!(format.entry().0, format);
             assert_eq!(format.name().parse::<Format>().unwrap(), format);
             assert_eq!(FORMATS.iter().filter(|e| e.1 == format.name()).count(), 1);
-            assert_eq!(format.layout().is_some(), format.time() == Time::Capture);
+            assert!(format.layout().is_none() || format.time() == Time::Capture);
             assert!(format.layout().is_none_or(|layout| Format::of_layout(layout) == format));
             let json = serde_json::to_value(format).unwrap();
             assert_eq!(json, format.name());
@@ -185,6 +202,7 @@ mod tests {
         assert_eq!(Format::of_path(Path::new("a/b.4DGS")), Some(Format::Fourdgs));
         assert_eq!(Format::of_path(Path::new("b.ply")), Some(Format::Ply));
         assert_eq!(Format::of_path(Path::new("ply")), None);
+        assert_eq!(Format::of_path(Path::new("a.rrd")), Some(Format::Rerun));
         assert_eq!(Format::of_path(Path::new("dog_droid.npz")), Some(Format::Megasam));
         assert_eq!(
             Format::of_path(Path::new("dog_sgd_cvd_hr.npz")),

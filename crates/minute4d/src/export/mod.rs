@@ -66,8 +66,8 @@ impl ExportJob {
     }
 }
 
-/// Exports a scene (a file, or the folder of a run); for a format that holds a capture, a capture or the one in the
-/// folder of a run.
+/// Exports a scene (a file, or the folder of a run) or, for a format that holds one, a capture; of the folder of a run the scene where the
+/// format holds scenes, else the capture.
 ///
 /// # Errors
 ///
@@ -75,10 +75,11 @@ impl ExportJob {
 /// or the file cannot be written.
 pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
     job.check()?;
-    if let Some(layout) = job.format.layout() {
-        return capture::make(input, layout, job, observer);
+    let lone_capture = is_capture(input) && !input.join(SCENE_FILE).is_file();
+    if job.format.time() == Time::Capture || (lone_capture && job.format.takes_capture()) {
+        return capture::make(input, job, observer);
     }
-    if is_capture(input) && !input.join(SCENE_FILE).is_file() {
+    if lone_capture {
         return Err(ExportError::NeedsScene {
             format: job.format,
             path: input.to_path_buf(),

@@ -2,7 +2,6 @@
 
 use super::{Comparison, Format, Time};
 use m4_formats::{Loss, Written};
-use m4_io::megasam;
 use m4_scene::Scene;
 use serde::Serialize;
 use std::fmt;
@@ -93,21 +92,17 @@ impl ExportReport {
 
 impl ExportReport {
     /// What was written of a capture.
-    pub(super) fn of_capture(format: Format, path: PathBuf, written: megasam::Written, encode_s: f64) -> Self {
+    pub(super) fn of_capture(format: Format, path: PathBuf, bytes: u64, losses: Losses, encode_s: f64) -> Self {
         Self {
             format,
             path,
-            bytes: written.bytes,
+            bytes,
             splats: 0,
             bytes_per_splat: None,
             bytes_per_s: None,
             moments: Vec::new(),
             encode_s,
-            losses: Losses {
-                baked: Vec::new(),
-                dropped: written.dropped,
-                quantised: written.rounded,
-            },
+            losses,
             comparison: None,
         }
     }

@@ -33,7 +33,8 @@ pub(crate) fn read_back(format: Format, path: &Path, moment: usize, t: f64) -> O
         | Format::Mp4
         | Format::Megasam
         | Format::MegasamCvd
-        | Format::MegasamReconstruction => return None,
+        | Format::MegasamReconstruction
+        | Format::Rerun => return None,
     })
 }
 

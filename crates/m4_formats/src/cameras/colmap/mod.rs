@@ -28,3 +28,6 @@ pub use error::{ReadColmapError, WriteColmapError};
 pub use model::{ColmapCamera, ColmapImage, ColmapModel, ColmapPoint, ColmapPose, ColmapTables};
 pub use read::{read, read_tables};
 pub use write::{ColmapEncoding, ColmapOptions, write};
+
+pub(crate) use model::Tables;
+pub(crate) use write::write_tables;

@@ -90,9 +90,23 @@ pub fn write(folder: &Path, scene: &Scene, options: &ColmapOptions) -> Result<Wr
         return Err(bad(format!("a splat lies at {:?}", p.position)));
     }
     let tables = Tables::new(&cameras, names, points);
-    let extension = options.encoding.extension();
+    let bytes = write_tables(folder, &tables, options.encoding)?;
+    Ok(Written {
+        path: path(),
+        bytes,
+        splats: tables.points.len(),
+        losses: vec![
+            Loss::Dropped("all of the splats but places and colours of some, times of the pictures".into()),
+            Loss::Baked(format!("points, at frame {}", options.t)),
+        ],
+    })
+}
+
+/// Writes the three tables and reads them back; the size of the files, bytes.
+pub(crate) fn write_tables(folder: &Path, tables: &Tables, encoding: ColmapEncoding) -> Result<u64, WriteFileError> {
+    let extension = encoding.extension();
     type Writer<'a> = &'a dyn Fn(&mut BufWriter<&mut VerifiedFile>) -> io::Result<()>;
-    let writers: [(&str, Writer<'_>); 3] = match options.encoding {
+    let writers: [(&str, Writer<'_>); 3] = match encoding {
         ColmapEncoding::Binary => [
             ("cameras", &|out| binary::write_cameras(out, &tables.cameras)),
             ("images", &|out| binary::write_images(out, &tables.images)),
@@ -119,24 +133,16 @@ pub fn write(folder: &Path, scene: &Scene, options: &ColmapOptions) -> Result<Wr
     for (path, file) in files {
         bytes += file.commit().map_err(|e| WriteFileError::io(&path, e))?;
     }
-    let verify = |reason: String| WriteColmapError::File(WriteFileError::verify(folder, reason));
+    let verify = |reason: String| WriteFileError::verify(folder, reason);
     let back = super::read(folder).map_err(|e| verify(e.to_string()))?;
-    if (back.images.len(), back.points.len()) != (cameras.len(), tables.points.len()) {
+    if (back.images.len(), back.points.len()) != (tables.images.len(), tables.points.len()) {
         return Err(verify(format!(
             "it has {} and {}",
             plural(back.images.len(), "image"),
             plural(back.points.len(), "point")
         )));
     }
-    Ok(Written {
-        path: path(),
-        bytes,
-        splats: tables.points.len(),
-        losses: vec![
-            Loss::Dropped("all of the splats but places and colours of some, times of the pictures".into()),
-            Loss::Baked(format!("points, at frame {}", options.t)),
-        ],
-    })
+    Ok(bytes)
 }
 
 /// Solid splats of the instant.

@@ -1,0 +1,124 @@
+//! A capture as COLMAP's folders, for COLMAP and all that trains on its models.
+//!
+//! ```text
+//! images/00000.png       the training frames
+//! masks/00000.png.png    0 where something moves, as COLMAP names and reads masks
+//! sparse/0/*.bin         PINHOLE cameras, poses (world to camera, OpenCV axes), points of what rests
+//! ```
+
+use super::WriteCaptureAsError;
+use super::pictures::{self, Places};
+use super::points::of_what_rests;
+use super::staging::Staging;
+use crate::cameras::colmap::{ColmapEncoding, ColmapPoint, Tables, write_tables};
+use crate::cameras_check::usable;
+use crate::{Loss, Written, plural};
+use m4_scene::{Capture, Exposure, Progress, SourceFrame};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Settings of [`write()`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CaptureColmapOptions {
+    /// Text or binary. Default: binary.
+    pub encoding: ColmapEncoding,
+    /// Most points. Default 100,000, the order of what COLMAP itself makes of a few hundred pictures.
+    pub max_points: usize,
+}
+
+impl Default for CaptureColmapOptions {
+    fn default() -> Self {
+        Self {
+            encoding: ColmapEncoding::Binary,
+            max_points: 100_000,
+        }
+    }
+}
+
+/// Writes the training frames `capture` into the folder `out`, where `images`, `masks` and `sparse` are replaced.
+///
+/// # Errors
+///
+/// [`WriteCaptureAsError`]: nothing is then changed, unless the last renames fail.
+pub fn write(
+    out: &Path,
+    capture: &Capture,
+    options: &CaptureColmapOptions,
+    progress: &dyn Progress,
+) -> Result<Written, WriteCaptureAsError> {
+    check(out, capture)?;
+    let staging = Staging::new(out)?;
+    let name = |i: usize| format!("{i:05}.png");
+    let frames = capture.frames.iter().enumerate().map(|(i, frame)| {
+        let places = Places {
+            picture: format!("images/{}", name(i)),
+            mask: frame.mask.as_ref().map(|_| format!("masks/{}.png", name(i))),
+            depth: None,
+        };
+        (frame, places)
+    });
+    pictures::write(staging.path(), out, &frames.collect::<Vec<_>>(), 1.0, progress)?;
+    let points = of_what_rests(capture, options.max_points)
+        .into_iter()
+        .map(|p| ColmapPoint {
+            position: p.position,
+            colour: p.colour,
+        });
+    let cameras: Vec<_> = capture.frames.iter().map(|f| f.camera).collect();
+    let names = (0..cameras.len()).map(name).collect();
+    let tables = Tables::new(&cameras, names, points.collect());
+    write_tables(&staging.path().join("sparse/0"), &tables, options.encoding)?;
+    let bytes = staging.commit("sparse")?;
+    Ok(Written {
+        path: out.to_path_buf(),
+        bytes,
+        splats: 0,
+        losses: losses(capture, tables.points.len()),
+    })
+}
+
+fn losses(capture: &Capture, points: usize) -> Vec<Loss> {
+    let mut losses = vec![Loss::Dropped("when the pictures were taken".to_owned())];
+    if capture.frames.iter().any(|f| f.depth.is_some()) {
+        losses.push(Loss::Dropped(format!("depth, but for {}", plural(points, "point"))));
+    }
+    if capture.tracks.is_some() {
+        losses.push(Loss::Dropped("tracks".to_owned()));
+    }
+    losses
+}
+
+/// Refuses captures without frames, and cameras that are none.
+pub(super) fn check(out: &Path, capture: &Capture) -> Result<(), WriteCaptureAsError> {
+    let bad = |what: String| WriteCaptureAsError::BadCapture {
+        path: out.to_path_buf(),
+        what,
+    };
+    if capture.frames.is_empty() {
+        return Err(bad("the capture has no frames".to_owned()));
+    }
+    for (i, frame) in capture.frames.iter().enumerate() {
+        let camera = frame.camera;
+        let seen = SourceFrame {
+            camera,
+            t: frame.t,
+            exposure: Exposure::IDENTITY,
+        };
+        if !usable(&seen) {
+            return Err(bad(format!(
+                "the camera of frame {i} ({}) is none: {camera:?}",
+                frame.name
+            )));
+        }
+        let k = &camera.intrinsics;
+        if frame.rgb.size() != (k.width, k.height) {
+            let (w, h) = frame.rgb.size();
+            return Err(bad(format!(
+                "the picture of frame {i} ({}) is {w} x {h} pixels and its camera {} x {}",
+                frame.name, k.width, k.height
+            )));
+        }
+    }
+    Ok(())
+}
