@@ -14,13 +14,9 @@ fn made_up(n: usize) -> (BoxScene, Capture) {
     let world = BoxScene::new(SIZE[0], SIZE[1], n);
     let frames = (0..n).map(|t| {
         let mask = world.mask(t);
-        let mut camera = world.cameras[t];
-        // that world measures from the centre of the first pixel
-        camera.intrinsics.cx += 0.5;
-        camera.intrinsics.cy += 0.5;
         CaptureFrame {
             name: format!("{t}.png"),
-            camera,
+            camera: world.cameras[t],
             t: t as f64,
             rgb: world.rgb(t),
             depth: Some(world.depth(t).into()),

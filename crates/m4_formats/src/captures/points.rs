@@ -42,7 +42,8 @@ pub(super) fn of_what_rests(capture: &Capture, most: usize) -> Vec<CapturePoint>
                 }) {
                     continue;
                 }
-                let position = frame.camera.unproject(u, v, z);
+                // from the centre of the first pixel
+                let position = frame.camera.unproject(u - 0.5, v - 0.5, z);
                 points.push(CapturePoint {
                     position: position.into(),
                     colour: frame.rgb[((u as usize).min(pw - 1), (v as usize).min(ph - 1))],

@@ -10,7 +10,7 @@ const FRAMES: usize = 32;
 const HALF: [f64; 3] = [3.0, 2.0, 6.0];
 const RADIUS: f64 = 0.6;
 
-/// What a ray from inside the room meets: z-depth along it, place, whether it is the ball.
+/// What the ray of a pixel (centre of the first: 0, 0) meets from inside the room: z-depth along it, place, whether it is the ball.
 fn meet(camera: &Camera, ball: Vector3<f64>, u: f64, v: f64) -> (f64, Vector3<f64>, bool) {
     let (o, d) = (camera.centre(), camera.unproject(u, v, 1.0) - camera.centre());
     let wall = |k: usize| (HALF[k].copysign(d[k]) - o[k]) / d[k];
@@ -55,7 +55,7 @@ pub fn room() -> Capture {
             },
         };
         let ball = Vector3::new(1.6 - 3.0 * s, 0.3 - 0.8 * s, 2.5);
-        let met = Plane::from_fn(w, h, |x, y| meet(&camera, ball, x as f64 + 0.5, y as f64 + 0.5));
+        let met = Plane::from_fn(w, h, |x, y| meet(&camera, ball, x as f64, y as f64));
         let rgb = Plane::from_fn(w, h, |x, y| {
             let (_, p, is_ball) = met[(x, y)];
             // its texture flies with it
