@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Scratch, capture, refused, succeed, train, write_capture};
+use common::{Scratch, capture, clips, refused, succeed, train, write_capture};
 use minute4d::Silent;
 use minute4d::io::capture::Split;
 use minute4d::io::image::{write_mask, write_rgb};
@@ -62,10 +62,15 @@ fn dycheck_camera(path: &Path, camera: &Camera) {
 
 /// A scene as DyCheck publishes it: `n` frames of camera 0 with depth, every fourth moment from camera 1 with a mask of co-visibility.
 fn write_dycheck(root: &Path, n: usize, with_masks: bool) {
+    write_dycheck_of(root, [capture(n, false), capture(n, true)], with_masks);
+}
+
+/// The same of training frames and views.
+fn write_dycheck_of(root: &Path, [train, test]: [Capture; 2], with_masks: bool) {
+    let n = train.frames.len();
     for folder in ["camera", "rgb/2x", "depth/2x", "splits", "covisible/2x/val"] {
         fs::create_dir_all(root.join(folder)).unwrap();
     }
-    let (train, test) = (capture(n, false), capture(n, true));
     let mut meta = serde_json::Map::new();
     let mut put = |frame: &CaptureFrame, camera: usize, i: usize| {
         let id = format!("{camera}_{i:05}");
@@ -446,6 +451,80 @@ fn nvidia_is_reproduced_from_its_layout() {
     );
     fs::remove_dir_all(dir.path("data/Balloon1/gt")).unwrap();
     refused(&args[..args.len() - 1], 65, &["no held-out views"]);
+}
+
+/// What cameras see of a room in which nothing moves.
+fn room(cameras: &[Camera]) -> Capture {
+    let frame = |(i, camera): (usize, &Camera)| {
+        let (w, h) = clips::SIZE;
+        let depth = Plane::from_fn(w, h, |x, y| clips::see(camera, x as f64, y as f64).1 as f32);
+        CaptureFrame {
+            name: format!("{i:05}"),
+            camera: *camera,
+            t: i as f64,
+            rgb: clips::picture(camera),
+            depth: Some(depth.into()),
+            mask: None,
+            motion: None,
+            instances: None,
+            camera_index: None,
+        }
+    };
+    Capture {
+        frames: cameras.iter().enumerate().map(frame).collect(),
+        time_frames: cameras.len(),
+        duration_s: Some(2.3),
+        metric: false,
+        tracks: None,
+    }
+}
+
+#[test]
+fn scenes_are_made_without_each_part_and_with_geometry_of_their_own() {
+    let dir = Scratch::new();
+    let views: Vec<Camera> = (0..24)
+        .map(|i| clips::camera(0.02 * f64::from(i), 0.1, clips::FOCAL_PX))
+        .collect();
+    let captures = [room(&clips::walk(24)), room(&views)];
+    write_dycheck_of(&dir.path("data/spin"), captures, true);
+    let (data, out) = (dir.at("data"), dir.at("out"));
+    let args = [
+        "reproduce",
+        "dycheck",
+        "--data",
+        &data,
+        "-o",
+        &out,
+        "--scenes",
+        "spin",
+        "--json",
+        "--iterations",
+        "15",
+    ];
+    let with = |more: &[&str]| succeed(&[&args[..], more].concat()).result();
+    let report = with(&["--protocols", "instant4d", "--ablations"]);
+    let rows = report["tables"][0]["ablations"][0]["report"]["rows"]
+        .as_array()
+        .unwrap();
+    assert_eq!(rows.len(), 4, "{report}");
+    for row in rows {
+        // depth without a map of motion: there is nothing that segmentation could have made of it
+        assert_eq!(row["skipped"].is_string(), row["row"] == "no-seg", "{row}");
+        assert_eq!(row["psnr_db"].is_number(), row["row"] != "no-seg", "{row}");
+    }
+    let table = fs::read_to_string(dir.path("out/reproduce.md")).unwrap();
+    for words in ["#### spin", "without density control", "1.17 dB"] {
+        assert!(table.contains(words), "{words} is not in {table}");
+    }
+    // poses of the pictures alone: the views of other cameras are placed by aligning
+    let report = with(&["--protocols", "dycheck", "--geometry", "own"]);
+    let row = &report["tables"][0]["rows"][0];
+    assert_eq!(row["poses"], "aligned", "{row}");
+    assert!(
+        row["geometry_s"].as_f64().unwrap() > 0.0 && row["psnr_db"].is_number(),
+        "{row}"
+    );
+    assert!(dir.path("out/captures-own/spin/geometry.json").is_file());
 }
 
 #[test]

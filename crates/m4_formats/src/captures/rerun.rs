@@ -157,9 +157,8 @@ impl Recorder<'_> {
         let kinds = kinds.map(|(id, name, [r, g, b, a])| {
             ClassDescription::from((id, name, Rgba32::from_unmultiplied_rgba(r, g, b, a)))
         });
-        for image in ["world/camera/image", "world/held_out"] {
-            self.always(image, &AnnotationContext::new(kinds.clone()))?;
-        }
+        // of all below
+        self.always("world", &AnnotationContext::new(kinds))?;
         let points = of_what_rests(train, MAX_POINTS);
         if !points.is_empty() {
             let places = points.iter().map(|p| p.position);

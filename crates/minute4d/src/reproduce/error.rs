@@ -42,6 +42,18 @@ pub enum ReproduceError {
         /// What to do.
         remedy: &'static str,
     },
+    /// Training pictures that are not one step of time apart each.
+    #[error("the training pictures of {} are not evenly spaced in time, and geometry from pictures alone takes them to be; leave out --geometry own", path.display())]
+    UnevenTimes {
+        /// The capture.
+        path: PathBuf,
+    },
+    /// Poses of our own that lie nowhere near those of the data set.
+    #[error("the cameras found from the pictures of {} do not align with those of the data set, so its views cannot be placed; train with --geometry given", path.display())]
+    NotAligned {
+        /// The scene.
+        path: PathBuf,
+    },
     /// A scene cannot be imported.
     #[error(transparent)]
     Import(#[from] ReadSourceError),
@@ -72,7 +84,7 @@ impl ReproduceError {
         match self {
             Self::NoScenes { .. } => Category::NoInput,
             Self::NotItsProtocol { .. } => Category::Usage,
-            Self::NoViews { .. } => Category::BadInput,
+            Self::NoViews { .. } | Self::UnevenTimes { .. } | Self::NotAligned { .. } => Category::BadInput,
             Self::Import(e) => e.kind().into(),
             Self::Plot { .. } => Category::CannotWrite,
         }

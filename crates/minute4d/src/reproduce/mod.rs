@@ -3,12 +3,14 @@
 //! ```text
 //! folder of a data set --Suite--> scenes --import, or geometry of a video--> capture --split--> capture of the protocol
 //!   --train--> scene --evaluate by the protocol--> eval.json --> a table a protocol, beside published numbers of the same task
+//!   --without each part--> the ablations
 //! ```
 //!
 //! What is finished is not made again: a scene is skipped when its record has the key of its data, its settings and its device. Tables of
 //! two tasks are apart ([`crate::evaluate::Task`]), and so are ours and the published numbers in a table: those were measured on
 //! other machines, most with poses of their own.
 
+mod ablation;
 mod error;
 mod plot;
 mod published;
@@ -17,6 +19,7 @@ mod scene;
 mod suite;
 mod table;
 
+pub use ablation::SceneAblation;
 pub use error::ReproduceError;
 pub use published::{Published, published};
 pub use report::{MissingScene, ReproduceReport, SceneRow, TableReport};
@@ -27,13 +30,25 @@ use crate::evaluate::Protocol;
 use crate::record::write_json;
 use crate::{Error, Job};
 use m4_io::atomic;
+use serde::Serialize;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Name of the report in numbers.
 pub const REPORT_FILE: &str = "reproduce.json";
 /// Name of the tables.
 pub const TABLE_FILE: &str = "reproduce.md";
+
+/// Whose poses and depth a scene is trained with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum GeometrySource {
+    /// Those that the data set brings; of a data set without any, as [`Self::Own`].
+    #[default]
+    Given,
+    /// Those of [`crate::geometry`], from the training pictures alone.
+    Own,
+}
 
 /// What to make again.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -46,6 +61,10 @@ pub struct ReproduceOptions {
     pub factor: Option<u32>,
     /// Refine the poses of test pictures where peers do.
     pub refine_poses: bool,
+    /// Whose poses and depth.
+    pub geometry: GeometrySource,
+    /// The program itself, to make every scene again without each part of the method ([`mod@crate::ablate`]); `None` to leave that out.
+    pub ablations: Option<PathBuf>,
 }
 
 /// Makes the tables of a data set in the folder `out`: `reproduce.md`, `reproduce.json`, and a picture a table. Scenes that are finished are
@@ -87,15 +106,19 @@ pub fn reproduce(
     let mut done = 0;
     let mut tables: Vec<TableReport> = Vec::new();
     for &protocol in &protocols {
-        let mut rows = Vec::new();
+        let (mut rows, mut ablations) = (Vec::new(), Vec::new());
         for found in &found {
             job.observer
                 .update("scenes", done, total, &format!("{protocol} {}", found.name));
-            rows.push(scene::make(suite, found, protocol, out, options, job)?);
+            let made = scene::make(suite, found, protocol, out, options, job)?;
+            if let Some(program) = &options.ablations {
+                ablations.push(ablation::of(&made, program, job)?);
+            }
+            rows.push(made.row);
             done += 1;
             job.observer.update("scenes", done, total, "");
         }
-        tables.push(TableReport::new(suite, protocol, rows));
+        tables.push(TableReport::new(suite, protocol, rows, ablations));
     }
     let report = ReproduceReport {
         format: "minute4d-reproduce".to_owned(),

@@ -1,7 +1,7 @@
 //! What was made.
 
 use super::published::{Published, caveat, published};
-use super::{Suite, table};
+use super::{SceneAblation, Suite, table};
 use crate::evaluate::{PoseTreatment, Protocol, Task};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -58,6 +58,9 @@ pub struct TableReport {
     pub mean: BTreeMap<String, f64>,
     /// Over how many of the scenes of the published mean ours is.
     pub scenes_of_published: [usize; 2],
+    /// The scenes again without each part of the method, where that was asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub ablations: Vec<SceneAblation>,
     /// Published numbers of the same task.
     pub published: Vec<Published>,
     /// What must be said beside them.
@@ -109,7 +112,7 @@ pub(super) fn pose_word(treatment: PoseTreatment) -> &'static str {
 }
 
 impl TableReport {
-    pub(super) fn new(suite: Suite, protocol: Protocol, rows: Vec<SceneRow>) -> Self {
+    pub(super) fn new(suite: Suite, protocol: Protocol, rows: Vec<SceneRow>, ablations: Vec<SceneAblation>) -> Self {
         let rules = protocol.rules();
         let published_scenes = suite.scenes(protocol);
         let counted = rows
@@ -142,6 +145,7 @@ impl TableReport {
             rows,
             mean,
             scenes_of_published: [counted, published_scenes.len()],
+            ablations,
             published: published(protocol).to_vec(),
             caveat: caveat(protocol),
         }

@@ -2,21 +2,23 @@
 //!
 //! ```text
 //! OUT/captures/SCENE              the data set's own poses and depth, or geometry of its video; shared by protocols
+//! OUT/captures-own/SCENE          geometry of its training pictures, where that was asked for of a data set with poses
 //! OUT/PROTOCOL/SCENE/capture      the split, where the protocol holds out frames of the video
 //! OUT/PROTOCOL/SCENE/run          a run as of `minute4d train`, with eval.json
 //! OUT/PROTOCOL/SCENE/row.json     the row of the table and its key: written last
+//! OUT/PROTOCOL/SCENE/ablation     as of `minute4d ablate`
 //! ```
 
 use super::report::{SceneRow, pose_word};
 use super::suite::{FoundScene, Suite};
-use super::{ReproduceError, ReproduceOptions};
-use crate::evaluate::{self, EvalOptions, EvalReport, FrameRule, Protocol};
+use super::{GeometrySource, ReproduceError, ReproduceOptions};
+use crate::evaluate::{self, EvalOptions, EvalReport, FrameRule, PoseTreatment, Protocol};
 use crate::folder::{self, EVAL_FILE, Existing};
 use crate::import::{self, ImportFormat};
 use crate::record::{RunRecord, write_json};
 use crate::{Error, Job, geometry, hash};
 use m4_import::{ImportOptions, SourceFormat};
-use m4_io::capture::Split;
+use m4_io::capture::{self, Split};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -42,7 +44,18 @@ struct Imported {
     key: String,
 }
 
-/// The row of a scene, as it was kept or made now.
+/// A scene by a protocol, and of what it was made.
+pub(super) struct Made {
+    pub row: SceneRow,
+    /// `OUT/PROTOCOL/SCENE`.
+    pub folder: PathBuf,
+    /// The capture that was trained.
+    pub capture: PathBuf,
+    /// The capture with the views that were scored.
+    pub views: PathBuf,
+}
+
+/// A scene, as it was kept or made now.
 pub(super) fn make(
     suite: Suite,
     scene: &FoundScene,
@@ -50,7 +63,7 @@ pub(super) fn make(
     out: &Path,
     options: &ReproduceOptions,
     job: &Job<'_>,
-) -> Result<SceneRow, Error> {
+) -> Result<Made, Error> {
     let folder = out.join(protocol.name()).join(&scene.name);
     let source = fingerprint(&scene.path)?;
     let key = hash::of_parts(&[
@@ -60,17 +73,10 @@ pub(super) fn make(
         &job.settings.to_toml()?,
         &job.profile,
         &job.device.choice.to_string(),
-        &format!("{:?} {}", options.factor, options.refine_poses),
+        &format!("{:?} {} {:?}", options.factor, options.refine_poses, options.geometry),
     ]);
     let file = folder.join(ROW_FILE);
     let run = folder.join("run");
-    if let Some(kept) = read::<Kept>(&file)
-        && kept.key == key
-        && run.join(EVAL_FILE).is_file()
-    {
-        return Ok(kept.row);
-    }
-    folder::remove_file(&file)?;
     let mut settings = job.settings.clone();
     // nobody looks at them
     settings.viewer.write = false;
@@ -84,22 +90,46 @@ pub(super) fn make(
         ..*job
     };
     let whole = out.join("captures").join(&scene.name);
-    let geometry_s = whole_capture(suite, scene, &source, &whole, options, &job)?;
-    let held_out_frames = protocol.rules().frames != FrameRule::TestSplit;
-    let data = if held_out_frames {
-        let part = folder.join("capture");
-        evaluate::split(&whole, protocol, &part, Existing::Resume, job.observer)?;
-        part
-    } else if whole.join(Split::Test.file_name()).is_file() {
-        whole
+    let own = options.geometry == GeometrySource::Own && suite != Suite::Davis;
+    let trained = if own {
+        out.join("captures-own").join(&scene.name)
     } else {
+        whole.clone()
+    };
+    let splits = protocol.rules().frames != FrameRule::TestSplit;
+    let part = folder.join("capture");
+    let (data, views) = if splits {
+        (part.clone(), part)
+    } else {
+        (trained.clone(), whole.clone())
+    };
+    let made = |row| Made {
+        row,
+        folder: folder.clone(),
+        capture: data.clone(),
+        views: views.clone(),
+    };
+    if let Some(kept) = read::<Kept>(&file)
+        && kept.key == key
+        && run.join(EVAL_FILE).is_file()
+    {
+        return Ok(made(kept.row));
+    }
+    folder::remove_file(&file)?;
+    let mut geometry_s = whole_capture(suite, scene, &source, &whole, options, &job)?;
+    if own {
+        geometry_s = Some(own_geometry(&whole, &trained, &job)?);
+    }
+    if splits {
+        evaluate::split(&trained, protocol, &data, Existing::Resume, job.observer)?;
+    } else if !whole.join(Split::Test.file_name()).is_file() {
         return Err(ReproduceError::NoViews {
             path: scene.path.clone(),
             protocol,
             remedy: REMEDY,
         }
         .into());
-    };
+    }
     let record = crate::train::make(&data, &run, &job)?;
     let judging = EvalOptions {
         device: job.device.choice,
@@ -107,10 +137,42 @@ pub(super) fn make(
         refine_poses: options.refine_poses && protocol.rules().refine.is_some(),
         ..EvalOptions::default()
     };
-    let report = evaluate::views_by(&run, &data, &judging, job.observer)?;
+    let report = evaluate::views_by(&run, &views, &judging, job.observer)?;
+    let treatment = report.choices.as_ref().map(|choices| choices.poses.treatment);
+    if own && !splits && treatment == Some(PoseTreatment::Given) {
+        let path = scene.path.clone();
+        return Err(ReproduceError::NotAligned { path }.into());
+    }
     let row = row(scene, &report, &record, geometry_s)?;
     write_json(&file, &Kept { key, row: row.clone() })?;
-    Ok(row)
+    Ok(made(row))
+}
+
+/// Geometry from the training pictures alone, as they lie in the capture that was imported; its seconds.
+fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error> {
+    let mut settings = job.settings.clone();
+    let options = &settings.capture;
+    let train = capture::read(imported, Split::Train, options, job.observer)?;
+    let n = train.frames.len();
+    let even = |(i, frame): (usize, &m4_scene::CaptureFrame)| (frame.t - i as f64).abs() < 0.25;
+    if train.time_frames != n || !train.frames.iter().enumerate().all(even) {
+        return Err(ReproduceError::UnevenTimes {
+            path: imported.to_path_buf(),
+        }
+        .into());
+    }
+    if let Some(duration_s) = train.duration_s.filter(|d| *d > 0.0 && n > 1) {
+        settings.video.folder_fps = (n - 1) as f64 / duration_s;
+    }
+    drop(train);
+    let [pictures, ..] = Split::Train.folders();
+    let job = Job {
+        settings,
+        profile: job.profile.clone(),
+        existing: Existing::Resume,
+        ..*job
+    };
+    Ok(geometry::make(&imported.join(pictures), out, &job)?.seconds)
 }
 
 /// The capture of a scene with all its frames, made if it is not there; seconds of its geometry where that was estimated.

@@ -1,5 +1,6 @@
 //! Tables for people.
 
+use super::ablation;
 use super::report::{ReproduceReport, TableReport};
 use crate::bench::aligned;
 
@@ -29,6 +30,7 @@ pub(super) fn markdown(report: &ReproduceReport) -> String {
     );
     for table in &report.tables {
         out += &one(table);
+        out += &ablation::markdown(&table.ablations);
     }
     if !report.missing.is_empty() {
         out += "\n## Scenes that are not here\n\n";

@@ -36,7 +36,7 @@ pub use import::Import;
 pub use inspect::Inspect;
 pub use known::{KnownArgs, Segmenter, Tracker};
 pub use render::{FitArg, Render};
-pub use reproduce::Reproduce;
+pub use reproduce::{Reproduce, WhoseGeometry};
 pub use run::Run;
 pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
 pub use split::Split;
@@ -175,6 +175,7 @@ mod tests {
             "reproduce dycheck -o b",
             "reproduce kitti --data a -o b",
             "reproduce dycheck --data a -o b --factor 0",
+            "reproduce dycheck --data a -o b --geometry theirs",
         ];
         for line in bad {
             let args = std::iter::once("minute4d").chain(line.split(' '));

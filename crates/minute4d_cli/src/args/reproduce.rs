@@ -2,11 +2,20 @@
 
 use super::device::device;
 use super::{LengthArgs, SettingsArgs};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use minute4d::device::DeviceChoice;
 use minute4d::evaluate::Protocol;
 use minute4d::reproduce::Suite;
 use std::path::PathBuf;
+
+/// Whose poses and depth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum WhoseGeometry {
+    /// Those of the data set.
+    Given,
+    /// From the training pictures alone.
+    Own,
+}
 
 /// `minute4d reproduce`
 #[derive(Debug, Args)]
@@ -31,6 +40,13 @@ pub struct Reproduce {
     /// Refine the poses of test pictures against these pictures where the protocol's peers do
     #[arg(long)]
     pub refine_poses: bool,
+    /// Whose poses and depth to train with: given (those of the data set) or own (from the training pictures alone; views of other cameras are
+    /// then placed by aligning) [davis: always own]
+    #[arg(long, value_name = "WHOSE", default_value = "given", value_enum)]
+    pub geometry: WhoseGeometry,
+    /// Make every scene again without segmentation, tracking and density control each
+    #[arg(long)]
+    pub ablations: bool,
     /// Where to train and draw, and where networks run: `cpu`, `gpu`, `gpu:N` or `auto`
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,

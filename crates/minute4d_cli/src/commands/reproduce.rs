@@ -1,18 +1,29 @@
 //! `minute4d reproduce`: the tables of papers, from the data sets themselves.
 
 use super::settings::{job, print_config, settings};
-use crate::args::{OutArgs, Reproduce};
+use crate::args::{OutArgs, Reproduce, WhoseGeometry};
 use crate::failure::Failure;
 use crate::output::Output;
+use minute4d::Error;
 use minute4d::device::DeviceRequest;
-use minute4d::reproduce::{ReproduceOptions, TABLE_FILE, reproduce};
+use minute4d::reproduce::{GeometrySource, ReproduceOptions, TABLE_FILE, reproduce};
+use std::path::PathBuf;
 
 pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
     let settings = settings(&args.settings, None, Some(&args.length))?;
     if args.settings.print_config {
         return print_config(&settings, output);
     }
+    let ablations = args.ablations.then(std::env::current_exe).transpose();
     let options = ReproduceOptions {
+        geometry: match args.geometry {
+            WhoseGeometry::Given => GeometrySource::Given,
+            WhoseGeometry::Own => GeometrySource::Own,
+        },
+        ablations: ablations.map_err(|source| Error::Read {
+            path: PathBuf::from("the program itself"),
+            source,
+        })?,
         protocols: args.protocols.clone(),
         scenes: args.scenes.clone(),
         factor: args.factor,
