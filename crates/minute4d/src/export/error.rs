@@ -66,7 +66,7 @@ pub enum ExportError {
         source: Box<crate::import::ImportError>,
     },
     /// A recording, in a build that cannot make any.
-    #[error("this build makes no recordings of Rerun; build with the feature `rerun`")]
+    #[error("this build makes no recordings of Rerun; build the program with `--features rerun`")]
     NoRerun,
     /// Writing a capture for another tool.
     #[error(transparent)]

@@ -85,6 +85,9 @@ const FORMATS: &[Entry] = &[
 ];
 
 impl Format {
+    /// Whether this build makes recordings of Rerun.
+    pub const RECORDS: bool = cfg!(feature = "rerun");
+
     /// Every format.
     pub fn all() -> impl Iterator<Item = Self> {
         FORMATS.iter().map(|entry| entry.0)
