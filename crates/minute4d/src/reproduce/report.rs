@@ -82,7 +82,7 @@ pub struct SceneRow {
     pub ssim: f64,
     /// Means of the other scores.
     pub others: BTreeMap<String, f64>,
-    /// How test pictures got their poses.
+    /// Whose poses the scene was trained with (`own`: found from the pictures), and how test pictures got theirs.
     pub poses: String,
     /// Where scores count, in words.
     pub mask: String,

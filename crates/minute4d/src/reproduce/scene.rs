@@ -238,7 +238,11 @@ fn row(
         psnr_db: mean.psnr_db,
         ssim: mean.ssim,
         others: others.collect(),
-        poses: pose_word(choices.poses.treatment).to_owned(),
+        poses: match (geometry_s, choices.poses.treatment) {
+            (None, treatment) => pose_word(treatment).to_owned(),
+            (Some(_), PoseTreatment::Given) => "own".to_owned(),
+            (Some(_), treatment) => format!("own, {}", pose_word(treatment)),
+        },
         mask: match choices.mask.source {
             evaluate::MaskSource::None => "whole pictures,".to_owned(),
             evaluate::MaskSource::Files => "published masks of co-visibility,".to_owned(),
