@@ -7,13 +7,13 @@
 //! ```
 
 use super::WriteCaptureAsError;
+use super::check::check;
 use super::pictures::{self, Places};
 use super::points::of_what_rests;
 use super::staging::Staging;
 use crate::cameras::colmap::{ColmapEncoding, ColmapPoint, Tables, write_tables};
-use crate::cameras_check::usable;
 use crate::{Loss, Written, plural};
-use m4_scene::{Capture, Exposure, Progress, SourceFrame};
+use m4_scene::{Capture, Progress};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -87,38 +87,4 @@ fn losses(capture: &Capture, points: usize) -> Vec<Loss> {
         losses.push(Loss::Dropped("tracks".to_owned()));
     }
     losses
-}
-
-/// Refuses captures without frames, and cameras that are none.
-pub(super) fn check(out: &Path, capture: &Capture) -> Result<(), WriteCaptureAsError> {
-    let bad = |what: String| WriteCaptureAsError::BadCapture {
-        path: out.to_path_buf(),
-        what,
-    };
-    if capture.frames.is_empty() {
-        return Err(bad("the capture has no frames".to_owned()));
-    }
-    for (i, frame) in capture.frames.iter().enumerate() {
-        let camera = frame.camera;
-        let seen = SourceFrame {
-            camera,
-            t: frame.t,
-            exposure: Exposure::IDENTITY,
-        };
-        if !usable(&seen) {
-            return Err(bad(format!(
-                "the camera of frame {i} ({}) is none: {camera:?}",
-                frame.name
-            )));
-        }
-        let k = &camera.intrinsics;
-        if frame.rgb.size() != (k.width, k.height) {
-            let (w, h) = frame.rgb.size();
-            return Err(bad(format!(
-                "the picture of frame {i} ({}) is {w} x {h} pixels and its camera {} x {}",
-                frame.name, k.width, k.height
-            )));
-        }
-    }
-    Ok(())
 }

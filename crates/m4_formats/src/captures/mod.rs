@@ -16,6 +16,7 @@ pub mod nerfstudio;
 #[cfg(feature = "rerun")]
 pub mod rerun;
 
+mod check;
 mod error;
 mod pictures;
 mod points;

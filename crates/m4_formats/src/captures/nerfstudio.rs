@@ -13,7 +13,7 @@
 //! --auto-scale-poses False` keeps them).
 
 use super::WriteCaptureAsError;
-use super::colmap::check;
+use super::check::check;
 use super::pictures::{self, Places};
 use super::points::{CapturePoint, of_what_rests};
 use super::staging::Staging;

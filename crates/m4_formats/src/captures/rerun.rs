@@ -16,7 +16,7 @@
 //! Identifiers inside are made of the clock, so that two recordings of one capture differ in bytes. Nothing is sent anywhere.
 
 use super::WriteCaptureAsError;
-use super::colmap::check;
+use super::check::check;
 use super::points::of_what_rests;
 use crate::{Loss, WriteFileError, Written};
 use m4_io::capture::depth_unit;
