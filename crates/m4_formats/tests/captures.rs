@@ -112,6 +112,21 @@ fn nerfstudio_gets_opengl_axes_millimetres_and_masks_of_what_rests() {
     assert_eq!(ply.len() - start, 15 * count);
 }
 
+#[test]
+fn without_depth_no_points_are_promised() {
+    let (_, mut capture) = made_up(3);
+    capture.frames.iter_mut().for_each(|f| f.depth = None);
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("ns");
+    nerfstudio::write(&out, &capture, None, &Silent).unwrap();
+    let list = std::fs::read_to_string(out.join("transforms.json")).unwrap();
+    assert!(
+        !list.contains("ply_file_path") && !list.contains("depth_file_path"),
+        "{list}"
+    );
+    assert!(list.contains("mask_path") && !out.join("points.ply").exists());
+}
+
 /// Asks to stop at once.
 struct Stop;
 
@@ -141,6 +156,14 @@ fn nothing_is_left_of_what_was_stopped_or_cannot_be() {
     broken.frames[1].camera.c2w.rotation[(0, 0)] = f64::NAN;
     let said = nerfstudio::write(&out, &broken, None, &Silent).unwrap_err().to_string();
     assert!(said.contains("frame 1"), "{said}");
+    let mut late = capture.clone();
+    late.frames[2].t = 9.0;
+    let said = nerfstudio::write(&out, &late, None, &Silent).unwrap_err().to_string();
+    assert!(said.contains("frame 2") && said.contains("t = 9"), "{said}");
+    let mut hollow = capture.clone();
+    hollow.frames[0].mask = Some(CompactMask::from_fn(0, 0, |_, _| true));
+    let said = colmap::write(&out, &hollow, &colmap::CaptureColmapOptions::default(), &Silent).unwrap_err();
+    assert!(said.to_string().contains("no pixels"), "{said}");
     let empty = Capture {
         frames: Vec::new(),
         ..capture

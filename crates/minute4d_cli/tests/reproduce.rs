@@ -517,8 +517,16 @@ fn scenes_are_made_without_each_part_and_with_geometry_of_their_own() {
         assert!(table.contains(words), "{words} is not in {table}");
     }
     // poses of the pictures alone: the views of other cameras are placed by aligning
-    let report = with(&["--protocols", "dycheck", "--geometry", "own"]);
-    let row = &report["tables"][0]["rows"][0];
+    // ... and what was made with the data set's is made anew
+    let report = with(&["--protocols", "instant4d,dycheck", "--geometry", "own", "--ablations"]);
+    let [held_out, novel] = [0, 1].map(|k| &report["tables"][k]);
+    assert_eq!(held_out["rows"][0]["poses"], "own", "{held_out}");
+    for table in [held_out, novel] {
+        let full = &table["ablations"][0]["report"]["rows"][0];
+        let [a, b] = [full, &table["rows"][0]].map(|row| row["psnr_db"].as_f64().unwrap());
+        assert!((a - b).abs() < 0.5, "{full}");
+    }
+    let row = &novel["rows"][0];
     assert_eq!(row["poses"], "own, aligned", "{row}");
     assert!(
         row["geometry_s"].as_f64().unwrap() > 0.0 && row["psnr_db"].is_number(),

@@ -14,7 +14,24 @@ pub(super) fn check(out: &Path, capture: &Capture) -> Result<(), WriteCaptureAsE
     if capture.frames.is_empty() {
         return Err(bad("the capture has no frames".to_owned()));
     }
+    let last = capture.time_frames.max(2) as f64 - 1.0;
     for (i, frame) in capture.frames.iter().enumerate() {
+        if !(0.0..=last).contains(&frame.t) {
+            return Err(bad(format!(
+                "frame {i} ({}) was taken at t = {}; 0 to {last} frames were expected",
+                frame.name, frame.t
+            )));
+        }
+        let maps = [
+            frame.depth.as_ref().map(|d| d.size()),
+            frame.mask.as_ref().map(|m| m.size()),
+        ];
+        if maps.into_iter().flatten().any(|(w, h)| w == 0 || h == 0) {
+            return Err(bad(format!(
+                "a depth map or mask of frame {i} ({}) has no pixels",
+                frame.name
+            )));
+        }
         let camera = frame.camera;
         let seen = SourceFrame {
             camera,

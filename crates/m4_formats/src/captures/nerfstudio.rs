@@ -63,10 +63,13 @@ pub fn write(
         .collect();
     let unit = unit(train);
     let last = train.time_frames.max(2) as f64 - 1.0;
-    let list = list(train, &frames, unit, last);
+    let points = of_what_rests(train, MAX_POINTS);
+    let mut list = list(train, &frames, unit, last);
+    if !points.is_empty() {
+        list.insert("ply_file_path".into(), json!(POINTS));
+    }
     let frames: Vec<_> = frames.into_iter().map(|(places, frame)| (frame, places)).collect();
     let clipped = pictures::write(staging.path(), out, &frames, unit, progress)?;
-    let points = of_what_rests(train, MAX_POINTS);
     let put = |name: &str, bytes: &[u8]| {
         let path = staging.path().join(name);
         let io = |e| WriteFileError::io(&out.join(name), e);
@@ -123,7 +126,6 @@ fn list(train: &Capture, frames: &[(Places, &CaptureFrame)], unit: f64, last: f6
     if let Some(duration_s) = train.duration_s {
         root.insert("duration_s".into(), json!(duration_s));
     }
-    root.insert("ply_file_path".into(), json!(POINTS));
     let names = |from: &[(Places, &CaptureFrame)]| from.iter().map(|(p, _)| p.picture.clone()).collect::<Vec<_>>();
     let (own, held_out) = frames.split_at(train.frames.len());
     if !held_out.is_empty() {

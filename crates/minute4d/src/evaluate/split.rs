@@ -3,7 +3,7 @@
 use super::{FrameRule, Protocol, ProtocolError};
 use crate::folder::{self, Existing, Lock};
 use crate::record::write_json;
-use crate::{Error, Observer, Settings, hash};
+use crate::{Error, Observer, Settings, geometry, hash};
 use m4_io::capture::{Split, TRACKS_FILE};
 use m4_scene::Capture;
 use serde::{Deserialize, Serialize};
@@ -205,16 +205,7 @@ fn clear(out: &Path) -> Result<(), Error> {
     folder::remove_file(&out.join(SPLIT_FILE))?;
     folder::remove_file(&out.join(TRACKS_FILE))?;
     for split in [Split::Train, Split::Test] {
-        folder::remove_file(&out.join(split.file_name()))?;
-        for name in split.folders() {
-            let path = out.join(name);
-            match fs::remove_dir_all(&path) {
-                Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(Error::Write { path, source });
-                }
-                _ => {}
-            }
-        }
+        geometry::clear_split(out, split)?;
     }
     Ok(())
 }
