@@ -116,6 +116,15 @@ impl Drop for AtomicFile {
     }
 }
 
+/// Whether a file of this name is what a process that was killed left of one to be called `of`.
+#[must_use]
+pub fn is_temporary_of(name: &str, of: &str) -> bool {
+    let process = name
+        .strip_prefix('.')
+        .and_then(|name| name.strip_prefix(of)?.strip_prefix(".tmp-"));
+    process.is_some_and(|digits| !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()))
+}
+
 /// Makes the rename itself durable. Not every system lets a folder be opened, and the file's own
 /// bytes are safe by now, so a failure is not one of the write.
 fn sync_folder(target: &Path) {
@@ -150,6 +159,9 @@ mod tests {
         let mut file = AtomicFile::create(&path).unwrap();
         file.write_all(b"new and longer").unwrap();
         file.sync().unwrap();
+        let temporary = file.temporary_path().file_name().unwrap().to_str().unwrap().to_owned();
+        assert!(super::is_temporary_of(&temporary, "scene.bin") && !super::is_temporary_of(&temporary, "scene"));
+        assert!(!super::is_temporary_of("scene.bin", "scene.bin"));
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(fs::read(file.temporary_path()).unwrap(), b"new and longer");
         file.commit().unwrap();

@@ -6,7 +6,8 @@ use nalgebra::{Matrix3, Matrix4, Vector3, Vector6};
 /// A rigid motion `x -> rotation * x + translation`.
 ///
 /// As `c2w` it maps camera coordinates (OpenCV axes) to world coordinates, as `w2c` the other way.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(bound(serialize = "T: serde::Serialize", deserialize = "T: serde::Deserialize<'de>"))]
 pub struct Se3<T: Real> {
     /// Orthonormal, determinant 1.
     pub rotation: Matrix3<T>,

@@ -3,7 +3,7 @@
 use m4_math::{Se3, nalgebra::Vector3};
 
 /// Pinhole intrinsics in pixels, without distortion.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Intrinsics {
     /// Columns of the image.
     pub width: usize,
@@ -55,7 +55,7 @@ impl Intrinsics {
 }
 
 /// A pinhole camera somewhere in the world.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Camera {
     /// Lens and image size.
     pub intrinsics: Intrinsics,

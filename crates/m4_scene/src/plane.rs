@@ -3,11 +3,34 @@
 use crate::ShapeError;
 
 /// `height` rows of `width` values.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(try_from = "Written<T>")]
 pub struct Plane<T> {
     width: usize,
     height: usize,
     data: Vec<T>,
+}
+
+/// As it is written: its length is checked when it is read.
+#[derive(serde::Deserialize)]
+#[serde(rename = "Plane")]
+struct Written<T> {
+    width: usize,
+    height: usize,
+    data: Vec<T>,
+}
+
+impl<T> TryFrom<Written<T>> for Plane<T> {
+    type Error = ShapeError;
+
+    fn try_from(written: Written<T>) -> Result<Self, ShapeError> {
+        ShapeError::check(
+            "plane",
+            written.width.saturating_mul(written.height),
+            written.data.len(),
+        )?;
+        Self::from_vec(written.width, written.height, written.data)
+    }
 }
 
 impl<T> Plane<T> {

@@ -7,7 +7,8 @@ use crate::ShapeError;
 /// Places are world units, in the world of the cameras; one that is not known is NaN. A place can be known where the
 /// point was not seen (behind something, or out of the picture), never the other way round in what
 /// [`Tracks::new`] accepts.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(try_from = "Written")]
 pub struct Tracks {
     frames: usize,
     count: usize,
@@ -19,6 +20,33 @@ pub struct Tracks {
     rgb: Option<Vec<[u8; 3]>>,
     /// `[frames][count]`, in steps of 1/255.
     confidence: Option<Vec<u8>>,
+}
+
+/// As they are written: their lengths are checked when they are read.
+#[derive(serde::Deserialize)]
+#[serde(rename = "Tracks")]
+struct Written {
+    frames: usize,
+    count: usize,
+    xyz: Vec<[f32; 3]>,
+    visible: Vec<bool>,
+    rgb: Option<Vec<[u8; 3]>>,
+    confidence: Option<Vec<u8>>,
+}
+
+impl TryFrom<Written> for Tracks {
+    type Error = ShapeError;
+
+    fn try_from(written: Written) -> Result<Self, ShapeError> {
+        let mut tracks = Self::new(written.frames, written.count, written.xyz, written.visible)?;
+        if let Some(rgb) = written.rgb {
+            tracks = tracks.with_colours(rgb)?;
+        }
+        match written.confidence {
+            Some(steps) => tracks.with_confidence_steps(steps),
+            None => Ok(tracks),
+        }
+    }
 }
 
 impl Tracks {

@@ -4,7 +4,7 @@ use m4_math::nalgebra::Vector3;
 use m4_scene::Camera;
 
 /// What a track shows, judged from its residuals under the static-world geometry.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Motion {
     /// Consistent with a point that does not move.
     Static,
@@ -15,7 +15,7 @@ pub enum Motion {
 }
 
 /// One image point followed through consecutive frames.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Track {
     /// Frame of the first observation.
     pub first_frame: usize,
@@ -50,7 +50,7 @@ pub enum CameraMotion {
 }
 
 /// Cameras, tracks and points of a clip.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct SparseReconstruction {
     /// One camera a frame, sharing intrinsics; world units are arbitrary (median point depth about 1).
     pub cameras: Vec<Camera>,

@@ -107,6 +107,17 @@ pub enum Error {
         /// What the system said.
         source: io::Error,
     },
+    /// The time that the user gave was up before there was a scene.
+    #[error(
+        "the time limit of {seconds:.0} s was reached in the stage {stage}; what it finished is kept: the same command with \
+         --resume goes on, and --time-limit changes the limit"
+    )]
+    TimeLimit {
+        /// The stage.
+        stage: &'static str,
+        /// The limit.
+        seconds: f64,
+    },
     /// A GPU was asked for and is not there, does not start, or failed.
     #[cfg(feature = "gpu")]
     #[error(transparent)]
@@ -410,7 +421,7 @@ impl Error {
             | Self::Exists { .. }
             | Self::WouldReplace { .. }
             | Self::Verify { .. } => Category::CannotWrite,
-            Self::Busy { .. } | Self::Serve(_) => Category::TryAgain,
+            Self::Busy { .. } | Self::Serve(_) | Self::TimeLimit { .. } => Category::TryAgain,
             Self::Missing { .. } => Category::NoInput,
             Self::Unknown { .. }
             | Self::NoTestList { .. }
@@ -469,6 +480,15 @@ impl Error {
             #[cfg(feature = "nets")]
             Self::MonoDepth { .. } => Category::BadInput,
         }
+    }
+
+    /// True where the same work may succeed later or on another machine: what was finished is worth keeping.
+    #[must_use]
+    pub fn may_pass(&self) -> bool {
+        matches!(
+            self.category(),
+            Category::CannotWrite | Category::Io | Category::TryAgain | Category::NoDevice
+        )
     }
 
     /// True when the caller asked to stop.

@@ -1,6 +1,6 @@
 //! The folder of a run: what may be replaced, and where its files are.
 
-use crate::record::{RUN_FILE, RunRecord, Status};
+use crate::record::{GEOMETRY_FILE, RUN_FILE, RunRecord, Status};
 use crate::{Error, geometry};
 use std::fs::{self, File, TryLockError};
 use std::io::ErrorKind;
@@ -45,7 +45,54 @@ pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<Ru
     let filled = make(folder)?;
     let lock = Lock::take(folder)?;
     let earlier = if filled { take_over(folder, existing)? } else { None };
+    // Nobody else writes these while the folder is locked.
+    for path in half_written(folder, &OWN_FILES)?
+        .into_iter()
+        .chain(half_written_checkpoints(folder)?)
+    {
+        remove_file(&path)?;
+    }
     Ok((lock, earlier))
+}
+
+/// What a run writes into its folder, its record first.
+const OWN_FILES: [&str; 5] = [RUN_FILE, SCENE_FILE, METRICS_FILE, PREVIEW_FILE, VIEWER_FILE];
+
+/// What a process that was killed left of files of these names ([`m4_io::atomic`]).
+pub(crate) fn half_written(folder: &Path, names: &[&str]) -> Result<Vec<PathBuf>, Error> {
+    let found = hidden(folder)?;
+    let ours = |name: &str| names.iter().any(|own| m4_io::atomic::is_temporary_of(name, own));
+    Ok(found
+        .into_iter()
+        .filter(|(name, _)| ours(name))
+        .map(|(_, path)| path)
+        .collect())
+}
+
+fn half_written_checkpoints(folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let found = hidden(&folder.join(CHECKPOINT_FOLDER))?;
+    Ok(found.into_iter().map(|(_, path)| path).collect())
+}
+
+/// Hidden files of a folder; none of one that is not there.
+fn hidden(folder: &Path) -> Result<Vec<(String, PathBuf)>, Error> {
+    let failed = |source| Error::Read {
+        path: folder.to_path_buf(),
+        source,
+    };
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(failed)?,
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let entry = entry.map_err(failed)?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if name.starts_with('.') && entry.file_type().map_err(failed)?.is_file() {
+            found.push((name, entry.path()));
+        }
+    }
+    Ok(found)
 }
 
 fn take_over(folder: &Path, existing: Existing) -> Result<Option<RunRecord>, Error> {
@@ -101,7 +148,7 @@ impl Lock {
     }
 }
 
-/// Makes the folder if it is missing; true if something is in it.
+/// Makes the folder if it is missing; true if something is in it. What a killed process left half written of a first record is nothing.
 pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
     let write = |source| Error::Write {
         path: folder.to_path_buf(),
@@ -111,7 +158,10 @@ pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
         Ok(kind) if !kind.is_dir() => Err(Error::InTheWay {
             path: folder.to_path_buf(),
         }),
-        Ok(_) => Ok(fs::read_dir(folder).map_err(write)?.next().is_some()),
+        Ok(_) => {
+            let torn = half_written(folder, &[RUN_FILE, GEOMETRY_FILE])?;
+            Ok(fs::read_dir(folder).map_err(write)?.count() > torn.len())
+        }
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
             fs::create_dir_all(folder).map_err(write)?;
             Ok(false)
@@ -120,9 +170,9 @@ pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
     }
 }
 
-/// Removes what a run writes, and nothing else.
+/// Removes what a run writes, and nothing else. Its record stays: a new one takes its place, so that there always is one.
 fn clear(folder: &Path) -> Result<(), Error> {
-    for file in [RUN_FILE, SCENE_FILE, METRICS_FILE, PREVIEW_FILE, VIEWER_FILE, EVAL_FILE] {
+    for file in [SCENE_FILE, METRICS_FILE, PREVIEW_FILE, VIEWER_FILE, EVAL_FILE] {
         remove_file(&folder.join(file))?;
     }
     remove_checkpoints(folder)?;

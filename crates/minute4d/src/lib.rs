@@ -46,11 +46,13 @@ pub mod viewer;
 #[cfg(feature = "nets")]
 pub mod weights;
 
+mod clock;
 mod error;
 mod hash;
 mod job;
 mod pipeline;
 mod progress;
+mod steps;
 mod workspace;
 
 pub use error::{Category, Error};

@@ -1,11 +1,13 @@
 //! Everything in one go: geometry, train, preview, viewer.
 
+use crate::clock::Clock;
 use crate::device::DeviceRequest;
 use crate::folder::CAPTURE_FOLDER;
 use crate::geometry::GeometryOptions;
+use crate::progress::Keeper;
 use crate::record::{Input, RunRecord, StageRecord};
 use crate::workspace::Workspace;
-use crate::{Error, Existing, Job, geometry, hash, preview, train, viewer};
+use crate::{Error, Existing, Job, geometry, hash, train};
 use std::path::Path;
 
 /// Makes a scene of a video, a folder of pictures, or a capture; what an earlier run finished is used
@@ -31,12 +33,14 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
         });
     }
     job.check()?;
+    let clock = Clock::start(&job.settings);
     let source = Input {
         path: input.display().to_string(),
         blake3: hash::of_path(input)?,
     };
-    Workspace::open(out, source, job)?.finish(|run| {
+    Workspace::open(out, source, job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
+        let keeper = Keeper::new(job.observer).until(clock.end());
         let stage_job = Job {
             settings: job.settings.clone(),
             profile: job.profile.clone(),
@@ -44,9 +48,10 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
             // geometry is the processor's
             device: DeviceRequest::default(),
             existing: Existing::Resume,
-            observer: job.observer,
+            observer: &keeper,
         };
-        let made = geometry::make(input, &folder, &stage_job)?;
+        let made = geometry::make(input, &folder, &stage_job)
+            .map_err(|error| clock.blame(error, geometry::STAGE, job.observer.cancelled()))?;
         let stage = StageRecord {
             key: made.key,
             done: true,
@@ -56,9 +61,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
         };
         run.record.stages.insert(geometry::STAGE.to_owned(), stage);
         let capture = train::read(&folder, &job.settings, job.observer)?;
-        let scene = train::stage(run, &capture)?;
-        preview::stage(run, &capture, &scene)?;
-        viewer::stage(run, &capture, &scene)
+        train::all(run, &capture)
     })
 }
 

@@ -3,6 +3,7 @@
 use m4_scene::{Progress, Scene};
 use m4_train::MetricsEvent;
 use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 /// What happens to a stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,6 +61,7 @@ impl Observer for m4_scene::Silent {
 pub struct Keeper<'a> {
     observer: &'a dyn Observer,
     warnings: Mutex<Vec<String>>,
+    until: Option<Instant>,
 }
 
 impl<'a> Keeper<'a> {
@@ -69,7 +71,14 @@ impl<'a> Keeper<'a> {
         Self {
             observer,
             warnings: Mutex::new(Vec::new()),
+            until: None,
         }
+    }
+
+    /// The same; says stop from then on.
+    #[must_use]
+    pub fn until(self, end: Option<Instant>) -> Self {
+        Self { until: end, ..self }
     }
 
     /// Every warning so far, each once, in the order of their first appearance.
@@ -95,7 +104,7 @@ impl Progress for Keeper<'_> {
     }
 
     fn cancelled(&self) -> bool {
-        self.observer.cancelled()
+        self.observer.cancelled() || self.until.is_some_and(|end| Instant::now() >= end)
     }
 }
 

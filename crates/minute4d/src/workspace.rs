@@ -1,5 +1,6 @@
 //! A run at work: its folder, its record, and who listens.
 
+use crate::clock::Clock;
 use crate::device::OpenGpu;
 use crate::folder::{self, Lock};
 use crate::progress::Keeper;
@@ -20,7 +21,39 @@ pub(crate) struct Workspace<'a> {
     pub record: RunRecord,
     /// What an earlier run left, when this one goes on with it.
     pub earlier: Option<RunRecord>,
+    /// How much time there is.
+    pub clock: Clock,
+    /// From when on a stage that can be left out is told to stop.
+    until: Option<Instant>,
+    room: Room,
     _lock: Lock,
+}
+
+/// A little of the disk, held so that the record can say how a run ended when the disk is full.
+struct Room(PathBuf);
+
+/// More than a record has, bytes.
+const ROOM: usize = 1 << 18;
+
+impl Room {
+    /// Takes it, if there is any: where there is none, that is said when something is to be written.
+    fn keep(folder: &Path) -> Self {
+        let path = folder.join(".room");
+        if fs::write(&path, vec![0xa5; ROOM]).is_err() {
+            let _ = fs::remove_file(&path);
+        }
+        Self(path)
+    }
+
+    fn free(&self) {
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+impl Drop for Room {
+    fn drop(&mut self) {
+        self.free();
+    }
 }
 
 /// What a stage has to do.
@@ -36,7 +69,7 @@ pub(crate) enum Task {
 
 impl<'a> Workspace<'a> {
     /// Makes or takes over a folder and writes that work has begun.
-    pub fn open(path: &Path, input: Input, job: &'a Job<'a>) -> Result<Self, Error> {
+    pub fn open(path: &Path, input: Input, job: &'a Job<'a>, clock: Clock) -> Result<Self, Error> {
         let level = job.check()?;
         let gpu = job.device.choice.open()?;
         let (lock, earlier) = folder::open(path, job.existing)?;
@@ -53,6 +86,7 @@ impl<'a> Workspace<'a> {
             record.iterations = earlier.iterations;
         }
         record.write(path)?;
+        let room = Room::keep(path);
         Ok(Self {
             folder: path.to_path_buf(),
             job,
@@ -60,6 +94,9 @@ impl<'a> Workspace<'a> {
             gpu,
             record,
             earlier,
+            clock,
+            until: None,
+            room,
             _lock: lock,
         })
     }
@@ -78,10 +115,35 @@ impl<'a> Workspace<'a> {
                 self.record.error = Some(error.to_string());
             }
         }
+        self.room.free();
         let written = self.record.write(&self.folder);
         outcome?;
         written?;
         Ok(self.record)
+    }
+
+    /// A stage that the result can be without: where the time is up it is left out, and that is said.
+    pub fn if_there_is_time(
+        &mut self,
+        what: &str,
+        stage: impl FnOnce(&mut Self) -> Result<(), Error>,
+    ) -> Result<(), Error> {
+        self.until = self.clock.end();
+        let outcome = if self.clock.is_over() {
+            Err(Error::Stopped { stage: "", saved: true })
+        } else {
+            stage(self)
+        };
+        self.until = None;
+        match outcome {
+            Err(error) if error.is_stop() && self.clock.is_over() && !self.job.observer.cancelled() => {
+                self.job.observer.warn(&format!(
+                    "the time limit left none for {what}; the same command with --resume makes it"
+                ));
+                Ok(())
+            }
+            other => other,
+        }
     }
 
     /// A file of the run.
@@ -155,7 +217,7 @@ impl<'a> Workspace<'a> {
         let (because, seconds_before) = task;
         let observer = self.job.observer;
         observer.stage(name, StageEvent::Started { because });
-        let (start, keeper) = (Instant::now(), Keeper::new(observer));
+        let (start, keeper) = (Instant::now(), Keeper::new(observer).until(self.until));
         let begun = StageRecord {
             key,
             done: false,

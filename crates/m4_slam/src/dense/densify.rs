@@ -8,6 +8,8 @@ use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
 use super::flow::FlowPair;
 use super::given::Given;
+use super::ground::Ground;
+use super::kept::{Placed, numbers};
 use super::mono::Mono;
 use super::motion::{self, Clues, Seen};
 use super::moving_depth;
@@ -18,7 +20,7 @@ use super::smooth::Smoother;
 use super::sources::Sources;
 use super::static_depth::{self, Measured, Swept};
 use super::tracks;
-use super::working::{WorkingFrame, fitting_side, working_size};
+use super::working::WorkingFrame;
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_scene::{Camera, DepthMap, Mask, Plane, Progress, RgbImage, Tracks};
 use rayon::prelude::*;
@@ -45,8 +47,6 @@ pub struct Dense {
     pub tracks: Option<Tracks>,
 }
 
-/// Least side of a frame, pixels.
-const LEAST_SIDE: usize = 32;
 /// Sides below this, at the working size, have no neighbourhood of 5x5 pixels at half of it: long, thin pictures.
 const LEAST_CONSISTENT: usize = 16;
 /// How often depth and motion are estimated in turn.
@@ -83,14 +83,28 @@ pub fn densify(
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Dense, DenseError> {
-    let stages = run(frames, sparse, sources, given, config, progress)?;
-    let tracks = followed(&stages, config, progress)?;
+    let ground = Ground::of(frames, sparse, sources, given, config, progress)?;
+    let (w, h) = ground.size;
+    let (working, flows, placed) = match Placed::kept(sources.shelf, frames.len(), w * h) {
+        Some(placed) => {
+            let working = ground.working(frames, sparse, progress)?;
+            let flows = ground.flows(&working, sources, progress)?;
+            (working, flows, placed)
+        }
+        None => {
+            let mut stages = estimate(&ground, frames, sparse, sources, given, config, progress)?;
+            let placed = Placed::put(&mut stages, sources.shelf);
+            let working = stages.shots.into_iter().map(|shot| shot.frame).collect();
+            (working, stages.flows, placed)
+        }
+    };
+    let tracks = followed(&ground, &working, &flows, &placed, config, progress)?;
     let frames = each(frames.len(), "enlarging depth", progress, |i| {
         let small = Small {
-            frame: &stages.shots[i].frame,
-            disparity: &stages.disparity[i],
-            moving: &stages.moving[i],
-            confidence: &stages.measured[i].confidence,
+            frame: &working[i],
+            disparity: &placed.disparity[i],
+            moving: &placed.moving[i],
+            confidence: &placed.confidence[i],
         };
         enlarge(frames[i], &small)
     })?;
@@ -98,61 +112,31 @@ pub fn densify(
 }
 
 /// Tracks of what moves.
-fn followed(stages: &Stages, config: &DenseConfig, progress: &dyn Progress) -> Result<Option<Tracks>, DenseError> {
+fn followed(
+    ground: &Ground,
+    working: &[WorkingFrame],
+    flows: &[FlowPair],
+    placed: &Placed,
+    config: &DenseConfig,
+    progress: &dyn Progress,
+) -> Result<Option<Tracks>, DenseError> {
     if !config.tracks.enabled {
         return Ok(None);
     }
-    let cameras: Vec<Camera> = stages.shots.iter().map(|s| s.frame.camera).collect();
+    let cameras: Vec<Camera> = working.iter().map(|frame| frame.camera).collect();
     let clip = tracks::Clip {
-        width: stages.width,
-        height: stages.height,
+        width: ground.size.0,
+        height: ground.size.1,
         cameras: &cameras,
-        moving: &stages.moving,
-        disparity: &stages.disparity,
-        flows: &stages.flows,
+        moving: &placed.moving,
+        disparity: &placed.disparity,
+        flows,
     };
     tracks::tracks(&clip, &config.tracks, progress)
 }
 
-fn check(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Result<(usize, usize), DenseError> {
-    let first = frames.first().ok_or(DenseError::NoFrames)?.size();
-    if frames.len() != sparse.cameras.len() {
-        return Err(DenseError::Count {
-            frames: frames.len(),
-            cameras: sparse.cameras.len(),
-        });
-    }
-    for (frame, image) in frames.iter().enumerate() {
-        let found = image.size();
-        if found != first || found.0.min(found.1) < LEAST_SIDE {
-            return Err(DenseError::Size {
-                frame,
-                found,
-                expected: first,
-                minimum: LEAST_SIDE,
-            });
-        }
-    }
-    for (frame, camera) in sparse.cameras.iter().enumerate() {
-        let k = &camera.intrinsics;
-        let finite = |v: &[f64]| v.iter().all(|v| v.is_finite());
-        let pose = &camera.c2w;
-        let what = if k.width == 0 || k.height == 0 {
-            "an empty image"
-        } else if !finite(&[k.fx, k.fy, k.cx, k.cy]) || k.fx <= 0.0 || k.fy <= 0.0 {
-            "no valid focal length"
-        } else if !finite(pose.rotation.as_slice()) || !finite(pose.translation.as_slice()) {
-            "a pose that is not finite"
-        } else {
-            continue;
-        };
-        return Err(DenseError::Camera { frame, what });
-    }
-    Ok(first)
-}
-
 /// Runs `f` for every frame in parallel, in order of frames, with progress.
-fn each<T: Send>(
+pub(super) fn each<T: Send>(
     count: usize,
     phase: &'static str,
     progress: &dyn Progress,
@@ -171,12 +155,8 @@ fn each<T: Send>(
     all.ok_or(DenseError::Cancelled { phase })
 }
 
-/// Whether all frames were taken through the same lens, as bundle adjustment of bodies and consistent depth need it.
-fn one_lens(cameras: &[Camera]) -> bool {
-    cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics)
-}
-
 /// Everything but the enlargement.
+#[cfg(test)]
 pub(super) fn run(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
@@ -185,48 +165,36 @@ pub(super) fn run(
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Stages, DenseError> {
-    config.check()?;
-    given.check(frames.len())?;
-    let (full_w, full_h) = check(frames, sparse)?;
-    let count = frames.len();
-    let side = fitting_side(full_w, full_h, config.working_side_px, count, config.memory_mb);
-    if side < config.working_side_px.min(full_w.max(full_h)) {
-        progress.warn(&format!(
-            "{count} frames are too many for full detail within {} MB: depth and masks are made at {side} px instead of {} (raise \
-             dense.memory_mb, or cut the clip)",
-            config.memory_mb, config.working_side_px
-        ));
-    }
-    let (w, h) = working_size(full_w, full_h, side);
-    let parallax = sparse.camera_motion == CameraMotion::Parallax;
-    if !parallax {
-        progress.warn(
-            "the camera hardly moves, so depth cannot be measured: everything is placed at distance 1; \
-             views from beside the camera will look flat (film again while walking sideways)",
-        );
-    }
-    if let Some(found) = sources.mono.frames().filter(|&n| n != count) {
-        let (what, expected) = ("depth", count);
-        return Err(DenseError::Given { what, found, expected });
-    }
+    let ground = Ground::of(frames, sparse, sources, given, config, progress)?;
+    estimate(&ground, frames, sparse, sources, given, config, progress)
+}
+
+fn estimate(
+    ground: &Ground,
+    frames: &[&RgbImage],
+    sparse: &SparseReconstruction,
+    sources: &Sources<'_>,
+    given: &Given<'_>,
+    config: &DenseConfig,
+    progress: &dyn Progress,
+) -> Result<Stages, DenseError> {
+    let (count, (w, h)) = (frames.len(), ground.size);
+    let (parallax, one_lens) = (ground.parallax, ground.one_lens);
     let mono = each(count, "reading depth", progress, |i| {
         Mono::read(sources.mono, i, frames[i], (w, h)).map_err(|source| DenseError::Mono { frame: i, source })
     })?;
     let mono = Mono::of(mono.into_iter().collect::<Result<Vec<_>, _>>()?);
-    let working = each(count, "shrinking frames", progress, |i| {
-        WorkingFrame::new(frames[i], &sparse.cameras[i], w, h)
-    })?;
-    let flows = each(count - 1, "computing flow", progress, |i| {
-        FlowPair::new(&working[i], &working[i + 1], sources.flow)
-            .map_err(|source| DenseError::Flow { frame: i, source })
-    })?;
-    let flows = flows.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let working = ground.working(frames, sparse, progress)?;
+    let flows = ground.flows(&working, sources, progress)?;
     let points = sparse_points(sparse, w, h);
     let shots = each(count, "preparing frames", progress, |i| {
         Shot::new(&working, i, &points, &config.static_depth, parallax)
     })?;
     let swept = each(count, "sweeping depth", progress, |i| {
-        static_depth::sweep(&shots, i, &config.static_depth)
+        let sweep = || static_depth::sweep(&shots, i, &config.static_depth).disparity;
+        Swept {
+            disparity: numbers(sources.shelf, &format!("swept-{i:05}"), w * h, sweep),
+        }
     })?;
     // Made anew where needed: cheaper than keeping them.
     let smoother = |i: usize| Smoother::new(w, h, &shots[i].frame.rgb, config.static_depth.fill_sigma);
@@ -328,13 +296,6 @@ pub(super) fn run(
                 &config.static_depth,
             )
         })?;
-    }
-    let one_lens = one_lens(&clues.cameras);
-    if parallax && !one_lens {
-        progress.warn(
-            "the lens changes from frame to frame: depth is not made consistent over time, and moving parts keep the depth \
-             of what they touch",
-        );
     }
     let large = w.min(h) >= LEAST_CONSISTENT;
     if parallax && one_lens && large && config.consistent.enabled && count > 1 {

@@ -34,6 +34,8 @@ mod enlarge;
 mod error;
 mod flow;
 mod given;
+mod ground;
+mod kept;
 mod mono;
 mod motion;
 mod moving_depth;

@@ -1,8 +1,9 @@
-//! What densification asks others.
+//! What densification asks others, and where it puts what it finished.
 
 use super::flow::FlowSource;
 use super::mono::{MonoDepth, NoDepth};
 use super::segment::Segmenter;
+use m4_scene::{NoShelf, Shelf};
 
 /// Who measures flow, who knows outlines, and who knows depth.
 #[derive(Clone, Copy)]
@@ -13,6 +14,8 @@ pub struct Sources<'a> {
     pub segmenter: Option<&'a dyn Segmenter>,
     /// Depth from one picture: [`NoDepth`] if there is none.
     pub mono: &'a dyn MonoDepth,
+    /// Keeps what is finished of each frame, and has what an earlier attempt finished: [`NoShelf`] if nobody does.
+    pub shelf: &'a dyn Shelf,
 }
 
 impl<'a> Sources<'a> {
@@ -23,6 +26,7 @@ impl<'a> Sources<'a> {
             flow,
             segmenter: None,
             mono: &NoDepth,
+            shelf: &NoShelf,
         }
     }
 }

@@ -29,7 +29,7 @@ pub struct MegasamInput<'a> {
 }
 
 /// What was found; lists are `[frames]`.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct MegasamGeometry {
     /// The size at which the clip was tracked.
     pub size: TrackingSize,

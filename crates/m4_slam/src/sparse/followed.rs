@@ -8,7 +8,7 @@ use super::{SparseConfig, SparseError};
 use m4_scene::{Progress, RgbImage};
 
 /// What was followed through a clip. Following takes most of the time of a reconstruction.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Followed {
     tracks: Vec<RawTrack>,
     frames: usize,

@@ -14,7 +14,7 @@ pub struct Known<'a> {
 }
 
 /// Where the focal length comes from.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum FocalSource {
     /// The caller gave it.
     Given,
@@ -29,7 +29,7 @@ pub enum FocalSource {
 }
 
 /// A reconstruction and how far its focal length is known.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Recovered {
     /// Cameras, tracks and points.
     pub sparse: SparseReconstruction,

@@ -6,7 +6,7 @@ use m4_scene::{Plane, RgbImage};
 const BT601: [f32; 3] = [0.299, 0.587, 0.114];
 
 /// How working pixels relate to those of the input.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct WorkingSize {
     /// Columns at working size.
     pub width: usize,

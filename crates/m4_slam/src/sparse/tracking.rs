@@ -9,7 +9,7 @@ use m4_scene::{Progress, RgbImage};
 use rayon::prelude::*;
 
 /// One point followed through consecutive frames.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct RawTrack {
     /// Frame of the first observation.
     pub first: usize,

@@ -6,10 +6,12 @@ use super::frontend::Cameras;
 use super::frontend::{MonoClip, Plan};
 use super::given::Given;
 use super::iterate::{self, Change};
+use super::kept::KeptFlow;
 use super::scale::{depth_ratio, rescale, typical_depth};
 use super::segmenter;
 use crate::device::NetworkDevice;
 use crate::record::Found;
+use crate::steps::Steps;
 use crate::{Error, Observer, Settings, enhance};
 use m4_io::capture::Split;
 use m4_scene::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, RgbImage, Tracks, Video};
@@ -38,6 +40,7 @@ pub(super) fn compute(
     segmenter: &segmenter::Resolved,
     enhance: &enhance::Plan,
     device: &NetworkDevice,
+    steps: &Steps<'_>,
     observer: &dyn Observer,
 ) -> Result<Found, Error> {
     let video = m4_io::video::read(input, &settings.video, observer)?;
@@ -60,7 +63,7 @@ pub(super) fn compute(
         let (capture, found) = super::megasam::compute(clip, settings, plan, device, observer)?;
         return finish(capture, found, folder, settings, enhance, device, observer);
     }
-    let (capture, found) = by_corners(clip, settings, config, plan, segmenter, device, observer)?;
+    let (capture, found) = by_corners(clip, settings, config, plan, segmenter, device, steps, observer)?;
     finish(capture, found, folder, settings, enhance, device, observer)
 }
 
@@ -104,6 +107,7 @@ fn by_corners(
     plan: &Plan,
     segmenter: &segmenter::Resolved,
     device: &NetworkDevice,
+    steps: &Steps<'_>,
     observer: &dyn Observer,
 ) -> Result<(Capture, Found), Error> {
     let Clip { video, given, focal_px } = clip;
@@ -117,9 +121,15 @@ fn by_corners(
     if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
         config.geometry.default_fov_deg = fov_rad.to_degrees();
     }
+    let flow = KeptFlow {
+        source: flow.as_ref(),
+        shelf: steps,
+    };
+    let first = steps.part("first");
     let sources = Sources {
         segmenter: outlines.as_deref(),
-        ..Sources::flow(flow.as_ref())
+        shelf: &first,
+        ..Sources::flow(&flow)
     };
     let depth = Depth::of(&given, mono);
     let known = Known {
@@ -127,12 +137,15 @@ fn by_corners(
     };
     let (mut recovered, followed) = match &given.cameras {
         Some(cameras) => (
-            sparse::with_cameras(&pictures, cameras, &known, &config, observer)?,
+            steps.keep("cameras", |observer| {
+                sparse::with_cameras(&pictures, cameras, &known, &config, observer)
+            })?,
             None,
         ),
         None => {
-            let followed = sparse::follow(&pictures, &config, observer)?;
-            (followed.recover(&known, &config, observer)?, Some(followed))
+            let followed = steps.keep("corners", |observer| sparse::follow(&pictures, &config, observer))?;
+            let recovered = steps.keep("cameras", |observer| followed.recover(&known, &config, observer))?;
+            (recovered, Some(followed))
         }
     };
     let posed = given.cameras.is_some();
@@ -148,8 +161,20 @@ fn by_corners(
     )?;
     let mut rounds = 1;
     if let (Some(followed), None) = (followed, &given.masks)
-        && let Some(better) = once_more(&followed, &recovered.sparse, &mut dense.frames, &config, observer)?
+        && let Some(better) = once_more(
+            &followed,
+            &recovered.sparse,
+            &mut dense.frames,
+            &config,
+            steps,
+            observer,
+        )?
     {
+        let second = steps.part("second");
+        let sources = Sources {
+            shelf: &second,
+            ..sources
+        };
         drop(dense);
         recovered = better;
         metric = finish_sparse(&mut recovered.sparse, &depth, posed, observer)?;
@@ -223,6 +248,7 @@ fn once_more(
     first: &SparseReconstruction,
     frames: &mut [DenseFrame],
     config: &SparseConfig,
+    steps: &Steps<'_>,
     observer: &dyn Observer,
 ) -> Result<Option<Recovered>, Error> {
     const PHASE: &str = "cameras without what moves";
@@ -232,10 +258,12 @@ fn once_more(
         observer.update(PHASE, 0, 1, "");
         let known = Known { masks: Some(&masks) };
         // What the second look says of the clip was said by the first, or is said when it is taken.
-        let second = match followed.recover(&known, config, &Quiet(observer)) {
-            Err(stop @ SparseError::Cancelled) => return Err(stop.into()),
-            other => other.ok().filter(|r| r.sparse.camera_motion == CameraMotion::Parallax),
-        };
+        let second = steps.keep("second-cameras", |observer| {
+            match followed.recover(&known, config, &Quiet(observer)) {
+                Err(stop @ SparseError::Cancelled) => Err(stop),
+                other => Ok(other.ok().filter(|r| r.sparse.camera_motion == CameraMotion::Parallax)),
+            }
+        })?;
         let change = second
             .as_ref()
             .map(|second| Change::between(first, &second.sparse, |track| iterate::within(&masks, track)));

@@ -7,6 +7,8 @@
 //!              '---- once more without what is masked (iterate) ------------'
 //! ```
 //!
+//! Finished steps are kept in the folder until all is done, so that what was interrupted goes on.
+//!
 //! This file keeps the record and the folder; `compute` does the work, `frontend` chooses who measures flow, `segmenter` who outlines what moves,
 //! `given` reads what the user knows, `confidence` says how far the result can be trusted.
 
@@ -15,6 +17,7 @@ mod confidence;
 mod frontend;
 mod given;
 mod iterate;
+mod kept;
 #[cfg(feature = "nets")]
 mod megasam;
 mod options;
@@ -33,6 +36,7 @@ use crate::enhance::{self, Before, EnhanceConfig, Tracker};
 use crate::folder::{self, Existing, Lock};
 use crate::record::{GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::settings::part_to_toml;
+use crate::steps::{self, Steps};
 use crate::{Error, Job, StageEvent, hash, progress::Keeper};
 use compute::compute;
 use frontend::Cameras;
@@ -149,14 +153,18 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         return Ok(earlier.clone());
     }
     let because = earlier.as_ref().map(|earlier| why_again(earlier, &record));
-    clear(capture)?;
+    // First: a folder with anything of ours in it always has a record.
     record.write(capture)?;
+    clear_results(capture)?;
     job.observer.stage(STAGE, StageEvent::Started { because });
     let (start, keeper) = (Instant::now(), Keeper::new(job.observer));
+    let steps = Steps::open(capture, &record.key, &keeper);
     for note in &plan.notes {
         keeper.warn(note);
     }
-    let outcome = compute(input, capture, settings, &plan, &segmenter, &enhance, &device, &keeper);
+    let outcome = compute(
+        input, capture, settings, &plan, &segmenter, &enhance, &device, &steps, &keeper,
+    );
     record.seconds = start.elapsed().as_secs_f64();
     record.warnings = keeper.warnings();
     let failed = match outcome {
@@ -173,6 +181,12 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
             Some(error)
         }
     };
+    if failed
+        .as_ref()
+        .is_none_or(|error| !error.is_stop() && !error.may_pass())
+    {
+        steps.remove();
+    }
     let written = record.write(capture);
     match failed {
         Some(error) if error.is_stop() => Err(Error::Stopped {
@@ -195,7 +209,7 @@ fn why_again(earlier: &GeometryRecord, now: &GeometryRecord) -> &'static str {
     } else if earlier.settings != now.settings {
         "because its settings changed"
     } else if earlier.status != Status::Finished {
-        "because it was not finished"
+        "because it was not finished; its finished steps are used"
     } else {
         "because its files are not complete or another version made them"
     }
@@ -206,6 +220,15 @@ pub(crate) fn open(capture: &Path, existing: Existing) -> Result<(Lock, Option<G
     let filled = folder::make(capture)?;
     let lock = Lock::take(capture)?;
     let earlier = if filled { take_over(capture, existing)? } else { None };
+    let own = [
+        GEOMETRY_FILE,
+        Split::Train.file_name(),
+        TRACKS_FILE,
+        enhance::REPORT_FILE,
+    ];
+    for path in folder::half_written(capture, &own)? {
+        folder::remove_file(&path)?;
+    }
     Ok((lock, earlier))
 }
 
@@ -240,8 +263,14 @@ pub(crate) fn clear(capture: &Path) -> Result<(), Error> {
     if GeometryRecord::read(capture)?.is_none() {
         return Ok(());
     }
+    clear_results(capture)?;
+    steps::remove(capture);
+    folder::remove_file(&capture.join(GEOMETRY_FILE))
+}
+
+/// The same but for the record and the finished steps.
+fn clear_results(capture: &Path) -> Result<(), Error> {
     clear_split(capture, Split::Train)?;
     folder::remove_file(&capture.join(TRACKS_FILE))?;
-    folder::remove_file(&capture.join(enhance::REPORT_FILE))?;
-    folder::remove_file(&capture.join(GEOMETRY_FILE))
+    folder::remove_file(&capture.join(enhance::REPORT_FILE))
 }

@@ -24,6 +24,7 @@ pub use job::ImportJob;
 pub use m4_import::{ImportOptions, SourceFormat};
 pub(crate) use read::read_back;
 
+use crate::clock::Clock;
 use crate::export::{Format, Losses};
 use crate::folder::{Existing, SCENE_FILE};
 use crate::record::{Input, RunRecord, SplatCount};
@@ -127,7 +128,7 @@ fn scene(
         blake3: hash::of_path(file)?,
     };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, format.name()]);
-    let record: RunRecord = Workspace::open(out, input, &job)?.finish(|run| {
+    let record: RunRecord = Workspace::open(out, input, &job, Clock::start(&job.settings))?.finish(|run| {
         run.record.splats = Some(SplatCount {
             r#static: scene.splats.n_static(),
             dynamic: scene.splats.n_dynamic(),

@@ -43,12 +43,23 @@ pub struct Settings {
     pub init: InitConfig,
     /// Optimisation.
     pub train: TrainConfig,
+    /// How long a run may take; no part of the result where it suffices.
+    pub limit: LimitConfig,
     /// When training is saved; no part of the result.
     pub checkpoint: CheckpointConfig,
     /// The clip that shows the result.
     pub preview: PreviewConfig,
     /// The page that shows the result.
     pub viewer: ViewerConfig,
+}
+
+/// How long a run may take.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LimitConfig {
+    /// Seconds from start to end; 0 for as long as it takes. Training is planned to end in time, and ended where it would
+    /// not. Geometry that takes longer is saved and goes on with the next attempt.
+    pub time_s: f64,
 }
 
 /// When training is saved.
@@ -87,6 +98,7 @@ impl Settings {
             enhance: EnhanceConfig::default(),
             init: InitConfig::fast(),
             train: TrainConfig::fast(),
+            limit: LimitConfig::default(),
             checkpoint: CheckpointConfig::default(),
             preview: PreviewConfig::default(),
             viewer: ViewerConfig::default(),

@@ -71,11 +71,21 @@ impl Checkpoints {
         Ok(None)
     }
 
-    /// Saves, then removes all but the newest.
+    /// Saves, then removes all but the newest. Where the disk is full, all but the newest make room.
     pub fn save(&mut self, trainer: &mut Trainer<'_>) -> Result<(), Error> {
         let path = folder::checkpoint_file(&self.folder, trainer.iteration());
         let metadata = BTreeMap::from([(KEY.to_owned(), self.key.clone())]);
-        trainer.save(|scene, state| scene_file::write(&path, scene, Some(state), &metadata))?;
+        let mut write = || trainer.save(|scene, state| scene_file::write(&path, scene, Some(state), &metadata));
+        if let Err(error) = write() {
+            let all = folder::checkpoints(&self.folder);
+            let Some((_, older)) = all.split_last().filter(|(_, older)| !older.is_empty()) else {
+                return Err(error.into());
+            };
+            for (_, old) in older {
+                folder::remove_file(old)?;
+            }
+            write()?;
+        }
         let all = folder::checkpoints(&self.folder);
         for (_, old) in &all[..all.len().saturating_sub(self.keep)] {
             folder::remove_file(old)?;
@@ -105,6 +115,12 @@ impl<'a> Patience<'a> {
             until: Instant::now() + wait,
             asked: AtomicBool::new(false),
         }
+    }
+
+    /// The same, but not beyond `end`.
+    pub fn at_most(self, end: Option<Instant>) -> Self {
+        let until = end.map_or(self.until, |end| end.min(self.until));
+        Self { until, ..self }
     }
 
     /// True when it is time for a checkpoint.

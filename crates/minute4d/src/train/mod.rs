@@ -3,6 +3,7 @@
 mod checkpoint;
 mod metrics;
 
+use crate::clock::Clock;
 use crate::device::OpenGpu;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::progress::Keeper;
@@ -19,6 +20,7 @@ use metrics::MetricsLog;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::time::Instant;
 
 /// Name of the stage.
 pub const STAGE: &str = "train";
@@ -43,17 +45,21 @@ pub fn make(capture: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Erro
         });
     }
     job.check()?;
+    let clock = Clock::start(&job.settings);
     // Read before the folder is made, so that a wrong path leaves nothing behind.
     let data = read(capture, &job.settings, job.observer)?;
     let input = Input {
         path: capture.display().to_string(),
         blake3: hash::of_capture(&data),
     };
-    Workspace::open(out, input, job)?.finish(|run| {
-        let scene = stage(run, &data)?;
-        preview::stage(run, &data, &scene)?;
-        viewer::stage(run, &data, &scene)
-    })
+    Workspace::open(out, input, job, clock)?.finish(|run| all(run, &data))
+}
+
+/// Trains, and shows what came of it as far as there is time.
+pub(crate) fn all(run: &mut Workspace<'_>, capture: &Capture) -> Result<(), Error> {
+    let scene = stage(run, capture)?;
+    run.if_there_is_time("a preview", |run| preview::stage(run, capture, &scene))?;
+    run.if_there_is_time("the page", |run| viewer::stage(run, capture, &scene))
 }
 
 /// Reads the training frames of a capture.
@@ -90,9 +96,12 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene,
         } => (because, seconds_before),
     };
     let same_key = key.clone();
-    run.stage(STAGE, key, (because, seconds), &files, |run, keeper| {
+    let scene = run.stage(STAGE, key, (because, seconds), &files, |run, keeper| {
         train(run, capture, &same_key, keeper)
-    })
+    })?;
+    // Only now: until the record says that the scene is whole, they are what a killed run goes on from.
+    folder::remove_checkpoints(&run.folder)?;
+    Ok(scene)
 }
 
 fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<'_>) -> Result<Scene, Error> {
@@ -107,6 +116,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
     folder::remove_file(&run.path(VIEWER_FILE))?;
     run.record.files.remove(VIEWER_FILE);
     run.record.stages.remove(viewer::STAGE);
+    let end = run.clock.end_of_training();
     let mut checkpoints = Checkpoints::new(&run.folder, key, settings.checkpoint.keep);
     let (mut trainer, mut log) = match checkpoints.latest(capture, &settings.train, run.level, keeper)? {
         Some(trainer) => {
@@ -120,16 +130,22 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
             folder::remove_file(&run.path(METRICS_FILE))?;
             let splats = m4_init::initialise(capture, &settings.init, keeper)?;
             let mut config = settings.train.clone();
-            if config.budget_s > 0.0 {
+            let left_s = end.map(|end| end.saturating_duration_since(Instant::now()).as_secs_f64());
+            if let Some(seconds) = affordable(config.budget_s, left_s) {
                 let trial = run.gpu.as_ref().map(|_| &make as DeviceMaker<'_>);
-                config.iterations =
-                    m4_train::affordable_iterations(capture, &splats, &config, run.level, trial, config.budget_s)?;
-                let (n, s) = (config.iterations, config.budget_s);
-                let note = format!("{n} iterations fit into {s:.0} s here; --iterations {n} repeats this run");
-                keeper.update(STAGE, 0, n, &note);
+                let n = m4_train::affordable_iterations(capture, &splats, &config, run.level, trial, seconds)?;
+                if config.budget_s > 0.0 || n < config.iterations {
+                    config.iterations = n;
+                    let note =
+                        format!("{n} iterations fit into {seconds:.0} s here; --iterations {n} repeats this run");
+                    keeper.update(STAGE, 0, n, &note);
+                }
             }
-            let trainer = Trainer::new(capture, splats, config, run.level)?;
-            (trainer, MetricsLog::new(&run.path(METRICS_FILE)))
+            let mut trainer = Trainer::new(capture, splats, config, run.level)?;
+            let mut log = MetricsLog::new(&run.path(METRICS_FILE));
+            // The number of iterations may have been measured: who goes on after a kill takes that one.
+            save(run, &mut trainer, &mut checkpoints, &mut log)?;
+            (trainer, log)
         }
     };
     if gpu.is_some() {
@@ -142,7 +158,8 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
     }
     let observer = run.job.observer;
     let total = trainer.iterations();
-    let mut patience = Patience::new(keeper, observer, settings.checkpoint.every_s);
+    let every_s = settings.checkpoint.every_s;
+    let mut patience = Patience::new(keeper, observer, every_s).at_most(end);
     loop {
         let mut note = |event: &MetricsEvent| {
             log.push(event);
@@ -164,6 +181,13 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
             let depth = f64::from(trainer.scale().median_depth);
             observer.scene(&mut || trainer.scene(), depth);
         }
+        if !patience.stopped_by_user() && end.is_some_and(|end| Instant::now() >= end) {
+            keeper.warn(&format!(
+                "the time limit ended training after {} of {total} iterations",
+                trainer.iteration()
+            ));
+            break;
+        }
         if patience.stopped_by_user() || patience.is_over() {
             save(run, &mut trainer, &mut checkpoints, &mut log)?;
             if patience.stopped_by_user() {
@@ -172,7 +196,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
                     saved: true,
                 });
             }
-            patience = Patience::new(keeper, observer, settings.checkpoint.every_s);
+            patience = Patience::new(keeper, observer, every_s).at_most(end);
         }
         patience.take_a_step();
     }
@@ -180,8 +204,16 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
     note_progress(&mut run.record, &trainer);
     let path = run.path(SCENE_FILE);
     trainer.save(|scene, state| publish(&path, scene, state))?;
-    folder::remove_checkpoints(&run.folder)?;
     Ok(trainer.into_scene())
+}
+
+/// Seconds that the number of iterations is to be measured for: the budget, where there is one, as far as time is left.
+fn affordable(budget_s: f64, left_s: Option<f64>) -> Option<f64> {
+    match (budget_s > 0.0, left_s) {
+        (true, Some(left_s)) => Some(budget_s.min(left_s)),
+        (true, None) => Some(budget_s),
+        (false, left_s) => left_s,
+    }
 }
 
 /// A checkpoint: the scene so far, the metrics so far, the record.
@@ -191,8 +223,9 @@ fn save(
     checkpoints: &mut Checkpoints,
     log: &mut MetricsLog,
 ) -> Result<(), Error> {
-    checkpoints.save(trainer)?;
+    // The log first: lines after the checkpoint are cut off again, lines that are missing would stay so.
     log.write()?;
+    checkpoints.save(trainer)?;
     note_progress(&mut run.record, trainer);
     run.record.write(&run.folder)
 }

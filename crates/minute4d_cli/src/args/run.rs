@@ -1,6 +1,6 @@
 //! `minute4d run`
 
-use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs, VideoArgs, WithoutArgs};
+use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs, VideoArgs, WithoutArgs, values};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -16,6 +16,10 @@ pub struct Run {
     /// How long to train.
     #[command(flatten)]
     pub length: LengthArgs,
+    /// End in time: training is cut to what is left, and a preview left out; geometry that takes longer is saved (exit code
+    /// 75, go on with --resume). Such as 90s, 10m, 1.5h
+    #[arg(long, value_name = "TIME", value_parser = values::duration)]
+    pub time_limit: Option<f64>,
     /// Which part of the video.
     #[command(flatten)]
     pub video: VideoArgs,

@@ -29,6 +29,21 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A length of time above 0 in seconds, or with `s`, `m` or `h` behind it: 90, 90s, 10m, 1.5h.
+pub fn duration(text: &str) -> Result<f64, String> {
+    let units = [("h", 3600.0), ("m", 60.0), ("s", 1.0)];
+    let (digits, unit) = units
+        .into_iter()
+        .find_map(|(name, unit)| Some((text.strip_suffix(name)?, unit)))
+        .unwrap_or((text, 1.0));
+    match positive(digits) {
+        Ok(value) => Ok(value * unit),
+        Err(_) => Err(format!(
+            "{text:?} is no length of time above 0: write 90, 90s, 10m or 1.5h"
+        )),
+    }
+}
+
 /// A field of view.
 pub fn degrees(text: &str) -> Result<f64, String> {
     let value = number(text)?;

@@ -15,6 +15,9 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
     args.without.apply(&mut settings);
     settings.viewer.write &= !args.page.no_viewer;
+    if let Some(seconds) = args.time_limit {
+        settings.limit.time_s = seconds;
+    }
     let (Some(input), Some(out), false) = (&args.input, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };

@@ -12,6 +12,9 @@ pub fn run(args: &Train, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, None, Some(&args.length))?;
     args.without.apply(&mut settings);
     settings.viewer.write &= !args.page.no_viewer;
+    if let Some(seconds) = args.time_limit {
+        settings.limit.time_s = seconds;
+    }
     let (Some(capture), Some(out), false) = (&args.capture, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };

@@ -1,0 +1,76 @@
+//! Finished parts of a clip on a shelf: swept depth frame by frame, and in the end what was found of every frame.
+
+use super::densify::Stages;
+use m4_scene::Shelf;
+
+/// What was found of a clip at the working size; lists are `[frames][height][width]`.
+pub(super) struct Placed {
+    /// One over z-depth.
+    pub disparity: Vec<Vec<f32>>,
+    /// How far the depth was measured, 0..1.
+    pub confidence: Vec<Vec<f32>>,
+    /// Above 0 where something moves.
+    pub moving: Vec<Vec<u8>>,
+}
+
+fn name(i: usize) -> String {
+    format!("placed-{i:05}")
+}
+
+impl Placed {
+    /// What was kept of `count` frames of `pixels` pixels, if it was of all.
+    pub fn kept(shelf: &dyn Shelf, count: usize, pixels: usize) -> Option<Self> {
+        let mut all = Self {
+            disparity: Vec::with_capacity(count),
+            confidence: Vec::with_capacity(count),
+            moving: Vec::with_capacity(count),
+        };
+        for i in 0..count {
+            let bytes = shelf.get(&name(i)).filter(|bytes| bytes.len() == 9 * pixels)?;
+            let (disparity, rest) = bytes.split_at(4 * pixels);
+            let (confidence, moving) = rest.split_at(4 * pixels);
+            all.disparity.push(floats(disparity));
+            all.confidence.push(floats(confidence));
+            all.moving.push(moving.to_vec());
+        }
+        Some(all)
+    }
+
+    /// What was found, put on the shelf, and the frames and flows that it was found in.
+    pub fn put(stages: &mut Stages, shelf: &dyn Shelf) -> Self {
+        let measured = std::mem::take(&mut stages.measured);
+        let all = Self {
+            disparity: std::mem::take(&mut stages.disparity),
+            confidence: measured.into_iter().map(|measured| measured.confidence).collect(),
+            moving: std::mem::take(&mut stages.moving),
+        };
+        for (i, ((disparity, confidence), moving)) in
+            all.disparity.iter().zip(&all.confidence).zip(&all.moving).enumerate()
+        {
+            let mut frame = bytes(disparity);
+            frame.extend(bytes(confidence));
+            frame.extend_from_slice(moving);
+            shelf.put(&name(i), &frame);
+        }
+        all
+    }
+}
+
+/// `count` numbers of this name: kept ones, else what `work` gives, which is kept then.
+pub(super) fn numbers(shelf: &dyn Shelf, name: &str, count: usize, work: impl FnOnce() -> Vec<f32>) -> Vec<f32> {
+    if let Some(kept) = shelf.get(name).filter(|bytes| bytes.len() == 4 * count) {
+        return floats(&kept);
+    }
+    let made = work();
+    shelf.put(name, &bytes(&made));
+    made
+}
+
+fn floats(bytes: &[u8]) -> Vec<f32> {
+    let (numbers, _) = bytes.as_chunks();
+    numbers.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+}
+
+fn bytes(numbers: &[f32]) -> Vec<u8> {
+    numbers.iter().flat_map(|v| v.to_le_bytes()).collect()
+}

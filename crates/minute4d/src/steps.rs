@@ -1,0 +1,270 @@
+//! Finished steps of a stage, on disk until the stage is done: what was killed goes on after the last of them.
+//!
+//! A step is a file in a hidden folder beside the result, one `.steps/NAME` each: magic, a hash, what was warned of, and
+//! the value. The hash covers the stage's key, the name and the bytes, so a torn file, one of another input and one of
+//! other settings are all the same: not there. Values come back bit by bit, so the result of a run that was killed is
+//! that of one that was not. Steps cost disk and save time alone: one that cannot be written is said once, and work
+//! goes on.
+
+use crate::Observer;
+use crate::folder;
+use crate::progress::Keeper;
+use m4_scene::Shelf;
+use serde::{Serialize, de::DeserializeOwned};
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// The hidden folder.
+const FOLDER: &str = ".steps";
+/// Holds the key of the stage that the steps belong to.
+const KEY_FILE: &str = "key";
+/// What a step begins with: the format and its version.
+const MAGIC: &[u8; 8] = b"m4step01";
+/// Length of the hash.
+const HASH: usize = 32;
+
+/// The finished steps of one stage.
+pub(crate) struct Steps<'a> {
+    folder: PathBuf,
+    key: String,
+    observer: &'a dyn Observer,
+    /// False once something could not be written.
+    usable: AtomicBool,
+}
+
+impl<'a> Steps<'a> {
+    /// Those of the stage with this key whose result goes to `folder`; steps of another key are removed.
+    pub fn open(folder: &Path, key: &str, observer: &'a dyn Observer) -> Self {
+        let steps = Self {
+            folder: folder.join(FOLDER),
+            key: key.to_owned(),
+            observer,
+            usable: AtomicBool::new(true),
+        };
+        let of_key = fs::read(steps.folder.join(KEY_FILE)).is_ok_and(|found| found == key.as_bytes());
+        if !of_key {
+            steps.remove();
+            let made = fs::create_dir_all(&steps.folder).and_then(|()| steps.write(KEY_FILE, &[key.as_bytes()]));
+            if let Err(error) = made {
+                steps.give_up(&error);
+            }
+        }
+        steps
+    }
+
+    /// The value of a step: from disk, with its warnings said again, or as `work` makes it, kept then. What `work` warns
+    /// of goes to the observer that it is given.
+    ///
+    /// # Errors
+    ///
+    /// Those of `work`.
+    pub fn keep<T: Serialize + DeserializeOwned, E>(
+        &self,
+        name: &str,
+        work: impl FnOnce(&dyn Observer) -> Result<T, E>,
+    ) -> Result<T, E> {
+        let kept = self.get(name);
+        if let Some((warnings, value)) = kept.and_then(|b| postcard::from_bytes::<(Vec<String>, T)>(&b).ok()) {
+            for warning in &warnings {
+                self.observer.warn(warning);
+            }
+            return Ok(value);
+        }
+        let keeper = Keeper::new(self.observer);
+        let value = work(&keeper)?;
+        // A value without a form on disk is one that is made again.
+        if let Ok(bytes) = postcard::to_stdvec(&(keeper.warnings(), &value)) {
+            self.put(name, &bytes);
+        }
+        Ok(value)
+    }
+
+    /// The steps whose names begin with `prefix`: of the second time that something is done.
+    pub fn part<'s>(&'s self, prefix: &'s str) -> Part<'s> {
+        Part { steps: self, prefix }
+    }
+
+    /// Removes them: the stage is done, or something else is to be done.
+    pub fn remove(&self) {
+        remove(self.folder.parent().unwrap_or(&self.folder));
+    }
+
+    fn hash(&self, name: &str, bytes: &[u8]) -> blake3::Hash {
+        let mut hasher = blake3::Hasher::new();
+        for part in [self.key.as_bytes(), name.as_bytes(), bytes] {
+            hasher.update(&(part.len() as u64).to_le_bytes());
+            hasher.update(part);
+        }
+        hasher.finalize()
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    /// Without waiting for the disk: what a lost machine tears apart is recognised by its hash.
+    fn write(&self, name: &str, parts: &[&[u8]]) -> std::io::Result<()> {
+        let temporary = self.path(&format!("{name}.part"));
+        let written = (|| {
+            let mut file = fs::File::create(&temporary)?;
+            for part in parts {
+                file.write_all(part)?;
+            }
+            fs::rename(&temporary, self.path(name))
+        })();
+        if written.is_err() {
+            let _ = fs::remove_file(&temporary);
+        }
+        written
+    }
+
+    /// Says that nothing more is kept.
+    fn give_up(&self, error: &std::io::Error) {
+        if self.usable.swap(false, Ordering::Relaxed) {
+            self.observer.warn(&format!(
+                "finished steps cannot be kept in {}: {error}; if this run is interrupted now, it does them again",
+                self.folder.display()
+            ));
+        }
+    }
+}
+
+impl Shelf for Steps<'_> {
+    fn get(&self, name: &str) -> Option<Vec<u8>> {
+        let mut file = fs::read(self.path(name)).ok()?;
+        let bytes = file.get(MAGIC.len() + HASH..)?;
+        let whole = file.starts_with(MAGIC) && file[MAGIC.len()..][..HASH] == *self.hash(name, bytes).as_bytes();
+        whole.then(|| file.split_off(MAGIC.len() + HASH))
+    }
+
+    fn put(&self, name: &str, bytes: &[u8]) {
+        if !self.usable.load(Ordering::Relaxed) {
+            return;
+        }
+        if let Err(error) = self.write(name, &[MAGIC, self.hash(name, bytes).as_bytes(), bytes]) {
+            self.give_up(&error);
+        }
+    }
+}
+
+/// See [`Steps::part`].
+pub(crate) struct Part<'a> {
+    steps: &'a Steps<'a>,
+    prefix: &'a str,
+}
+
+impl Shelf for Part<'_> {
+    fn get(&self, name: &str) -> Option<Vec<u8>> {
+        self.steps.get(&format!("{}-{name}", self.prefix))
+    }
+
+    fn put(&self, name: &str, bytes: &[u8]) {
+        self.steps.put(&format!("{}-{name}", self.prefix), bytes);
+    }
+}
+
+/// Removes the steps of whatever stage that are in `folder`.
+pub(crate) fn remove(folder: &Path) {
+    // What stays is no part of any result, and is removed or used by the next attempt.
+    let _ = folder::remove_folder(&folder.join(FOLDER));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Steps;
+    use crate::{Observer, StageEvent};
+    use m4_scene::{Progress, Shelf};
+    use std::convert::Infallible;
+    use std::fs;
+    use std::sync::Mutex;
+
+    #[derive(Default)]
+    struct Heard(Mutex<Vec<String>>);
+
+    impl Progress for Heard {
+        fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
+
+        fn warn(&self, message: &str) {
+            self.0.lock().unwrap().push(message.to_owned());
+        }
+
+        fn cancelled(&self) -> bool {
+            false
+        }
+    }
+
+    impl Observer for Heard {
+        fn stage(&self, _: &str, _: StageEvent<'_>) {}
+    }
+
+    fn step(steps: &Steps<'_>, value: f64) -> f64 {
+        let made = steps.keep("cameras", |observer| {
+            observer.warn("blurred");
+            Ok::<_, Infallible>(value)
+        });
+        made.unwrap()
+    }
+
+    #[test]
+    fn a_step_is_made_once_and_its_warnings_are_said_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let heard = Heard::default();
+        let nan = f64::from_bits(0x7ff8_0000_dead_beef);
+        assert_eq!(
+            step(&Steps::open(dir.path(), "k", &heard), nan).to_bits(),
+            nan.to_bits()
+        );
+        let again = Steps::open(dir.path(), "k", &heard);
+        assert_eq!(step(&again, 1.0).to_bits(), nan.to_bits(), "from disk, bit by bit");
+        assert_eq!(*heard.0.lock().unwrap(), ["blurred", "blurred"]);
+        again.part("second").put("x", b"12");
+        assert_eq!((again.get("x"), again.get("second-x")), (None, Some(b"12".to_vec())));
+        assert_eq!(step(&Steps::open(dir.path(), "other", &heard), 2.0), 2.0, "another key");
+        let last = Steps::open(dir.path(), "other", &heard);
+        last.remove();
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_torn_step_is_not_there() {
+        let dir = tempfile::tempdir().unwrap();
+        let heard = Heard::default();
+        let steps = Steps::open(dir.path(), "k", &heard);
+        steps.put("flow", &[7; 100]);
+        let path = dir.path().join(".steps/flow");
+        let whole = fs::read(&path).unwrap();
+        for length in 0..whole.len() {
+            fs::write(&path, &whole[..length]).unwrap();
+            assert_eq!(steps.get("flow"), None, "{length} bytes");
+        }
+        for place in 0..whole.len() {
+            let mut bytes = whole.clone();
+            bytes[place] ^= 1;
+            fs::write(&path, &bytes).unwrap();
+            assert_eq!(steps.get("flow"), None, "byte {place}");
+        }
+        // of another name
+        fs::write(dir.path().join(".steps/fl0w"), &whole).unwrap();
+        assert_eq!(steps.get("fl0w"), None);
+        fs::write(&path, &whole).unwrap();
+        assert_eq!(steps.get("flow"), Some(vec![7; 100]));
+    }
+
+    #[test]
+    fn what_cannot_be_kept_is_said_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let heard = Heard::default();
+        fs::write(dir.path().join(".steps"), "in the way").unwrap();
+        let steps = Steps::open(dir.path(), "k", &heard);
+        assert_eq!(step(&steps, 3.0), 3.0);
+        steps.put("more", b"1");
+        let said = heard.0.lock().unwrap();
+        assert_eq!(
+            said.iter().filter(|s| s.contains("cannot be kept")).count(),
+            1,
+            "{said:?}"
+        );
+    }
+}
