@@ -65,8 +65,7 @@ impl<'a> Steps<'a> {
         name: &str,
         work: impl FnOnce(&dyn Observer) -> Result<T, E>,
     ) -> Result<T, E> {
-        let kept = self.get(name);
-        if let Some((warnings, value)) = kept.and_then(|b| postcard::from_bytes::<(Vec<String>, T)>(&b).ok()) {
+        if let Some((warnings, value)) = self.load::<(Vec<String>, T)>(name) {
             for warning in &warnings {
                 self.observer.warn(warning);
             }
@@ -74,11 +73,26 @@ impl<'a> Steps<'a> {
         }
         let keeper = Keeper::new(self.observer);
         let value = work(&keeper)?;
-        // A value without a form on disk is one that is made again.
-        if let Ok(bytes) = postcard::to_stdvec(&(keeper.warnings(), &value)) {
+        self.store(name, &(keeper.warnings(), &value));
+        Ok(value)
+    }
+
+    /// A value that was stored.
+    pub fn load<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
+        postcard::from_bytes(&self.get(name)?).ok()
+    }
+
+    /// Keeps a value.
+    pub fn store(&self, name: &str, value: &impl Serialize) {
+        // One without a form on disk is made again.
+        if let Ok(bytes) = postcard::to_stdvec(value) {
             self.put(name, &bytes);
         }
-        Ok(value)
+    }
+
+    /// Who is told.
+    pub fn observer(&self) -> &'a dyn Observer {
+        self.observer
     }
 
     /// The steps whose names begin with `prefix`: of the second time that something is done.

@@ -3,43 +3,106 @@
 use super::plan::{Plan, Points, Things};
 use super::{EnhanceConfig, EnhanceError, Follower, masks};
 use crate::device::NetworkDevice;
+use crate::record::plain_json;
+use crate::steps::Steps;
 use crate::{Error, Settings};
-use m4_scene::{Capture, Progress};
+use m4_scene::{Capture, CompactIds, CompactMask, Mask, Plane, Progress};
 use m4_slam::dense::{FlowSource, InverseSearch, TrackConfig};
 use m4_slam::instances::InstanceReport;
 use m4_slam::tracks3d::{CaptureClip, FlowTracker, QueryGrid, Tracker3d};
 
-/// Refines masks, then follows points in them; gives what was found of things where anybody followed them.
+/// Refines masks, then follows points in them, each a step; gives what was found of things where anybody followed them.
 ///
 /// # Errors
 ///
-/// [`Error`] where a network cannot be loaded or fails, the capture says nothing of what moves, or `progress` says to stop.
+/// [`Error`] where a network cannot be loaded or fails, the capture says nothing of what moves, or the observer says to stop.
 pub(crate) fn apply(
     mut capture: Capture,
     plan: &Plan,
     settings: &Settings,
     device: &NetworkDevice,
-    progress: &dyn Progress,
+    steps: &Steps<'_>,
 ) -> Result<(Capture, Option<InstanceReport>), Error> {
     let config = &settings.enhance;
     let flow = InverseSearch {
         config: settings.dense.flow.clone(),
     };
     let mut report = None;
-    if let Some((refined, found)) = things(&capture, &plan.things, config, &flow, device, progress)? {
-        capture = refined;
-        report = Some(found);
+    if plan.things != Things::Nobody {
+        let work = |progress: &dyn Progress| things(&capture, &plan.things, config, &flow, device, progress);
+        let found = kept_masks(steps, capture.frames.len(), work)?;
+        for (frame, (mask, ids)) in capture.frames.iter_mut().zip(found.frames) {
+            (frame.mask, frame.instances) = (mask, ids);
+        }
+        report = Some(found.report);
     }
     let tracks = &settings.dense.tracks;
     if let Some(tracker) = tracker(&plan.points, settings, &flow, device)? {
         let clip = CaptureClip::new(&capture, settings.dense.working_side_px);
-        let followed = tracker.follow_grid(&clip, &grid(&plan.points, config, tracks), progress);
-        let found = followed.map_err(EnhanceError::from)?.tracks;
+        let found = steps.keep("tracks", |progress| {
+            let followed = tracker.follow_grid(&clip, &grid(&plan.points, config, tracks), progress);
+            followed.map(|found| found.tracks).map_err(EnhanceError::from)
+        })?;
         capture.tracks = (found.count() > 0).then_some(found);
     }
     Ok((capture, report))
 }
 
+/// Masks and maps of things, a pair a frame, and what was found.
+struct Masks {
+    frames: Vec<(Option<CompactMask>, Option<CompactIds>)>,
+    report: InstanceReport,
+}
+
+/// Name of the step that is stored last.
+const MASKS: &str = "masks";
+
+/// Masks from the finished steps, or as `work` makes them; they are steps then, one a frame.
+fn kept_masks(
+    steps: &Steps<'_>,
+    frames: usize,
+    work: impl Fn(&dyn Progress) -> Result<(Capture, InstanceReport), Error>,
+) -> Result<Masks, Error> {
+    let name = |i: usize| format!("{MASKS}-{i:05}");
+    let load = |i: usize| -> Option<(Option<CompactMask>, Option<CompactIds>)> {
+        let (mask, ids): (Option<Mask>, Option<Plane<u16>>) = steps.load(&name(i))?;
+        Some((mask.map(CompactMask::from), ids.as_ref().map(CompactIds::from)))
+    };
+    let mut made = None;
+    // As text, the form in which it is written in the end: its kinds are told apart by names.
+    let report: String = steps.keep(MASKS, |observer| {
+        let (refined, report) = work(observer)?;
+        let mut frames = Vec::with_capacity(refined.frames.len());
+        for (i, frame) in refined.frames.into_iter().enumerate() {
+            let planes = (
+                frame.mask.as_ref().map(CompactMask::to_mask),
+                frame.instances.as_ref().map(CompactIds::to_plane),
+            );
+            steps.store(&name(i), &planes);
+            frames.push((frame.mask, frame.instances));
+        }
+        let text = plain_json(&report)?.to_string();
+        made = Some(Masks { frames, report });
+        Ok::<_, Error>(text)
+    })?;
+    if let Some(made) = made {
+        return Ok(made);
+    }
+    let kept: Option<Vec<_>> = (0..frames).map(load).collect();
+    match (kept, serde_json::from_str(&report)) {
+        (Some(frames), Ok(report)) => Ok(Masks { frames, report }),
+        _ => {
+            let (refined, report) = work(steps.observer())?;
+            let frames = refined.frames.into_iter().map(|frame| (frame.mask, frame.instances));
+            Ok(Masks {
+                frames: frames.collect(),
+                report,
+            })
+        }
+    }
+}
+
+/// Masks by whoever follows things; as they are where nobody does.
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
 fn things(
     capture: &Capture,
@@ -48,19 +111,18 @@ fn things(
     flow: &dyn FlowSource,
     device: &NetworkDevice,
     progress: &dyn Progress,
-) -> Result<Option<(Capture, InstanceReport)>, Error> {
+) -> Result<(Capture, InstanceReport), Error> {
     match who {
-        Things::Nobody => Ok(None),
+        Things::Nobody => Err(Error::NothingToEnhance),
         Things::Flow(pictures) => {
             let follower = Follower::load(*pictures, config.follow.clone())?;
-            let found = masks(
+            masks(
                 capture.clone(),
                 &config.masks,
                 &follower.segmenter(),
                 Some(flow),
                 progress,
-            )?;
-            Ok(Some(found))
+            )
         }
         #[cfg(feature = "nets")]
         Things::Sam2(path) => {
@@ -69,8 +131,7 @@ fn things(
                 source: Box::new(source),
             })?;
             let follower = super::Sam2Follower::new(net);
-            let found = masks(capture.clone(), &config.masks, &follower, Some(flow), progress)?;
-            Ok(Some(found))
+            masks(capture.clone(), &config.masks, &follower, Some(flow), progress)
         }
     }
 }

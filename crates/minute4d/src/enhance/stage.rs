@@ -7,6 +7,7 @@ use crate::device::NetworkDevice;
 use crate::geometry::{self, UsedNetwork};
 use crate::progress::Keeper;
 use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
+use crate::steps::Steps;
 use crate::{Error, Job, StageEvent, hash};
 use m4_io::capture::Split;
 use m4_scene::CompactMask;
@@ -85,8 +86,7 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
             blake3: hash::of_capture(&capture),
         },
     );
-    let (_lock, _) = geometry::open(out, job.existing)?;
-    geometry::clear(out)?;
+    let (_lock, earlier) = geometry::open(out, job.existing)?;
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &source.blake3, &written.to_string()]);
     let mut record = GeometryRecord {
         format: GEOMETRY_FORMAT.to_owned(),
@@ -101,15 +101,19 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         peak_memory_bytes: None,
         warnings: Vec::new(),
     };
+    let because = earlier.is_some_and(|earlier| earlier.key == record.key && earlier.status != Status::Finished);
+    let because = because.then_some("because it was not finished; its finished steps are used");
     record.write(out)?;
-    job.observer.stage(STAGE, StageEvent::Started { because: None });
+    geometry::clear_results(out)?;
+    job.observer.stage(STAGE, StageEvent::Started { because });
+    let steps = Steps::open(out, &record.key, &keeper);
     let device = if plan.has_network() {
         job.device.choice.for_networks()?
     } else {
         NetworkDevice::processor()
     };
     let before = moving_share(&capture);
-    let outcome = apply(capture, &plan, settings, &device, &keeper).and_then(|(capture, found)| {
+    let outcome = apply(capture, &plan, settings, &device, &steps).and_then(|(capture, found)| {
         match &found {
             Some(report) => save(out, &capture, report, &keeper)?,
             None => m4_io::capture::write(out, &capture, Split::Train, &keeper)?,
@@ -123,8 +127,16 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         Err(error) if error.is_stop() => Status::Stopped,
         Err(_) => Status::Failed,
     };
-    record.write(out)?;
+    if outcome
+        .as_ref()
+        .err()
+        .is_none_or(|error| !error.is_stop() && !error.may_pass())
+    {
+        steps.remove();
+    }
+    let written = record.write(out);
     let (capture, found) = outcome?;
+    written?;
     let seconds = record.seconds;
     job.observer.stage(STAGE, StageEvent::Finished { seconds });
     Ok(EnhanceReport {

@@ -60,11 +60,11 @@ pub(super) fn compute(
     let clip = Clip { video, given, focal_px };
     #[cfg(feature = "nets")]
     if plan.cameras == Cameras::Megasam {
-        let (capture, found) = super::megasam::compute(clip, settings, plan, device, observer)?;
-        return finish(capture, found, folder, settings, enhance, device, observer);
+        let (capture, found) = super::megasam::compute(clip, settings, plan, device, steps, observer)?;
+        return finish(capture, found, folder, settings, enhance, device, steps, observer);
     }
     let (capture, found) = by_corners(clip, settings, config, plan, segmenter, device, steps, observer)?;
-    finish(capture, found, folder, settings, enhance, device, observer)
+    finish(capture, found, folder, settings, enhance, device, steps, observer)
 }
 
 /// Refines masks and follows points as planned, and writes the capture.
@@ -75,13 +75,14 @@ fn finish(
     settings: &Settings,
     plan: &enhance::Plan,
     device: &NetworkDevice,
+    steps: &Steps<'_>,
     observer: &dyn Observer,
 ) -> Result<Found, Error> {
     if plan.nothing() {
         m4_io::capture::write(folder, &capture, Split::Train, observer)?;
         return Ok(found);
     }
-    let (capture, report) = enhance::apply(capture, plan, settings, device, observer)?;
+    let (capture, report) = enhance::apply(capture, plan, settings, device, steps)?;
     found.networks.extend(plan.used.iter().cloned());
     match &report {
         Some(report) => {
@@ -116,7 +117,7 @@ fn by_corners(
     let pictures: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
     let mono = match &given.depth {
         Some(_) => None,
-        None => plan.depth(&pictures, focal_px, device, observer)?,
+        None => plan.depth(&pictures, focal_px, device, steps, observer)?,
     };
     if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
         config.geometry.default_fov_deg = fov_rad.to_degrees();

@@ -3,8 +3,10 @@
 use super::compute::{Clip, instants, moments};
 use super::frontend::{MonoClip, NetworkCorrespondence, Plan};
 use super::given::{Given, GivenError};
+use super::kept::KeptFlow;
 use crate::device::NetworkDevice;
 use crate::record::Found;
+use crate::steps::Steps;
 use crate::{Error, Observer, Settings};
 use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, RgbImage, Video};
 use m4_slam::megasam::{
@@ -20,6 +22,7 @@ pub(super) fn compute(
     settings: &Settings,
     plan: &Plan,
     device: &NetworkDevice,
+    steps: &Steps<'_>,
     observer: &dyn Observer,
 ) -> Result<(Capture, Found), Error> {
     let Clip { video, given, focal_px } = clip;
@@ -32,7 +35,7 @@ pub(super) fn compute(
     let known_focal_px = given.lens.map(|lens| lens.fx).or(focal_px);
     let mono = match &given.depth {
         Some(_) => None,
-        None => plan.depth(&pictures, known_focal_px, device, observer)?,
+        None => plan.depth(&pictures, known_focal_px, device, steps, observer)?,
     };
     let prior = match (&given.depth, &mono) {
         (Some(maps), _) => Some(DepthPrior::metric(maps, &size)?),
@@ -49,16 +52,6 @@ pub(super) fn compute(
     let times_s: Vec<f64> = instants(&video);
     let masks = given.masks.as_deref();
     let budget_mb = settings.megasam.memory_budget_mb;
-    let mut network = NetworkCorrespondence::load(plan, &pictures, masks, size, budget_mb, &device.device)?;
-    let iterations = settings.megasam.flow_iterations;
-    let source;
-    let mut flow: Box<dyn PairFlow + '_> = match plan.raft_pairs(iterations, device)? {
-        Some(raft) => raft,
-        None => {
-            source = plan.flow(&settings.dense.flow, iterations, device)?;
-            Box::new(SourceFlow(source.as_ref()))
-        }
-    };
     let input = MegasamInput {
         pictures: &pictures,
         times_s: &times_s,
@@ -66,8 +59,30 @@ pub(super) fn compute(
         focal_is_free: known_focal_px.is_none(),
         prior: prior.as_ref(),
     };
-    let geometry = reconstruct(&input, &mut network, flow.as_mut(), &settings.megasam, observer)?;
-    drop((network, flow, prior));
+    let geometry = steps.keep("megasam", |observer| -> Result<_, Error> {
+        let mut network = NetworkCorrespondence::load(plan, &pictures, masks, size, budget_mb, &device.device)?;
+        let iterations = settings.megasam.flow_iterations;
+        let (source, kept);
+        let mut flow: Box<dyn PairFlow + '_> = match plan.raft_pairs(iterations, device)? {
+            Some(raft) => raft,
+            None => {
+                source = plan.flow(&settings.dense.flow, iterations, device)?;
+                kept = KeptFlow {
+                    source: source.as_ref(),
+                    shelf: steps,
+                };
+                Box::new(SourceFlow(&kept))
+            }
+        };
+        Ok(reconstruct(
+            &input,
+            &mut network,
+            flow.as_mut(),
+            &settings.megasam,
+            observer,
+        )?)
+    })?;
+    drop(prior);
     warn(&geometry, known_focal_px.is_some() || fov_rad.is_some(), observer);
     let tau = settings.megasam.tau_motion;
     drop(pictures);

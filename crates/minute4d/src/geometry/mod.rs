@@ -269,7 +269,7 @@ pub(crate) fn clear(capture: &Path) -> Result<(), Error> {
 }
 
 /// The same but for the record and the finished steps.
-fn clear_results(capture: &Path) -> Result<(), Error> {
+pub(crate) fn clear_results(capture: &Path) -> Result<(), Error> {
     clear_split(capture, Split::Train)?;
     folder::remove_file(&capture.join(TRACKS_FILE))?;
     folder::remove_file(&capture.join(enhance::REPORT_FILE))

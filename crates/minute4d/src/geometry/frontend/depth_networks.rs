@@ -3,6 +3,7 @@
 use super::source::unusable;
 use super::{MonoClip, Part, Plan};
 use crate::Error;
+use crate::steps::Steps;
 use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeMap, MoGeOptions, UniDepth, cpu};
 use m4_scene::{Plane, Progress, RgbImage};
 use m4_slam::megasam::MegasamError;
@@ -88,6 +89,7 @@ impl MonoClip {
         pictures: &[&RgbImage],
         focal_px: Option<f64>,
         device: &Compute,
+        steps: &Steps<'_>,
         progress: &dyn Progress,
     ) -> Result<Option<Self>, Error> {
         let moge = load(Part::Moge, plan, device, moge)?;
@@ -119,15 +121,27 @@ impl MonoClip {
                 frame,
                 reason: error,
             };
-            if let Some(network) = &networks.metric {
-                let (depth_m, fov_rad) = network.depth(picture, focal_px, device).map_err(failed)?;
-                metric_m.push(kept(depth_m));
-                fovs.extend(fov_rad);
+            let step = format!("depth-{frame:05}");
+            let (measured, disparity) = match steps.load(&step) {
+                Some(made) => made,
+                None => {
+                    let measured = networks.metric.as_ref().map(|n| n.depth(picture, focal_px, device));
+                    let measured = measured.transpose().map_err(failed)?;
+                    let disparity = networks.relative.as_ref().map(|n| n.disparity(picture));
+                    let disparity = disparity.transpose().map_err(|e| failed(Box::new(e)))?;
+                    let made = (
+                        measured.map(|(depth_m, fov_rad)| (kept(depth_m), fov_rad)),
+                        disparity.map(kept),
+                    );
+                    steps.store(&step, &made);
+                    made
+                }
+            };
+            if let Some((depth_m, fov_rad)) = measured {
+                metric_m.push(depth_m);
+                fovs.extend::<Option<f64>>(fov_rad);
             }
-            if let Some(network) = &networks.relative {
-                let disparity = network.disparity(picture).map_err(|e| failed(Box::new(e)))?;
-                relative.push(kept(disparity));
-            }
+            relative.extend(disparity);
             progress.update(PHASE, frame + 1, pictures.len(), &name);
         }
         let blind = metric_m.len() - fovs.len();

@@ -3,6 +3,7 @@
 use super::{MonoClip, Plan};
 use crate::Error;
 use crate::device::NetworkDevice;
+use crate::steps::Steps;
 use m4_scene::{Progress, RgbImage};
 use m4_slam::dense::{FlowConfig, FlowSource, InverseSearch};
 
@@ -29,7 +30,7 @@ impl Plan {
 
 impl Plan {
     /// Depth of every picture from itself alone; `None` where the front end has no network for that. A focal length that is
-    /// known (pixels of the pictures) is given to networks that take one.
+    /// known (pixels of the pictures) is given to networks that take one. Each frame is a step.
     ///
     /// # Errors
     ///
@@ -39,13 +40,14 @@ impl Plan {
         pictures: &[&RgbImage],
         focal_px: Option<f64>,
         device: &NetworkDevice,
+        steps: &Steps<'_>,
         progress: &dyn Progress,
     ) -> Result<Option<MonoClip>, Error> {
         #[cfg(feature = "nets")]
-        return MonoClip::measure(self, pictures, focal_px, &device.device, progress);
+        return MonoClip::measure(self, pictures, focal_px, &device.device, steps, progress);
         #[cfg(not(feature = "nets"))]
         {
-            let _ = (pictures, focal_px, device, progress);
+            let _ = (pictures, focal_px, device, steps, progress);
             Ok(None)
         }
     }
