@@ -67,6 +67,10 @@ pub fn read_with(
                 path: path.to_path_buf(),
                 reason: reason.to_owned(),
             }),
+            Err(ReadVideoError::NotVideo { path, reason: said }) => Err(ReadVideoError::NotVideo {
+                path,
+                reason: format!("{reason} ({said})"),
+            }),
             other => other,
         },
     }
