@@ -13,7 +13,11 @@ const ARGUMENT: &str = "__decode-h264";
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<_> = std::env::args_os().skip(1).collect();
     if arguments.first().is_some_and(|a| a == ARGUMENT) {
-        return Ok(serve_decoder(&arguments[1..], std::io::stdin().lock(), std::io::stdout().lock())?);
+        return Ok(serve_decoder(
+            &arguments[1..],
+            std::io::stdin().lock(),
+            std::io::stdout().lock(),
+        )?);
     }
     let clip = PathBuf::from(arguments.first().ok_or("which clip?")?);
     let rounds: usize = match arguments.get(1).and_then(|a| a.to_str()) {

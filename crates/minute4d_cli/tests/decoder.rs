@@ -24,9 +24,9 @@ fn limits_are_settings() {
 fn a_decoder_that_takes_too_much_is_an_error_of_the_clip() {
     let dir = Scratch::new();
     let clip = dir.path("large.mp4");
-    let mut writer = Mp4Writer::create(&clip, 2560, 1440, 24.0).unwrap();
+    let mut writer = Mp4Writer::create(&clip, 3840, 2160, 24.0).unwrap();
     for i in 0..2 {
-        let picture = Plane::from_fn(2560, 1440, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);
+        let picture = Plane::from_fn(3840, 2160, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);
         writer.push(&picture).unwrap();
     }
     writer.finish().unwrap();
