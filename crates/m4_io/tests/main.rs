@@ -7,6 +7,8 @@ mod capture;
 #[cfg(test)]
 mod common;
 #[cfg(test)]
+mod decoder;
+#[cfg(test)]
 mod megasam;
 #[cfg(test)]
 mod mp4_writer;

@@ -3,6 +3,7 @@
 
 mod args;
 mod commands;
+mod decoder;
 mod failure;
 mod output;
 mod panics;
@@ -16,8 +17,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    panics::report_instead_of_abort();
     let args: Vec<OsString> = std::env::args_os().collect();
+    if let Some(code) = decoder::serve(&args) {
+        return code;
+    }
+    panics::report_instead_of_abort();
+    decoder::register(&args);
     let cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => return refuse(&error, &args),

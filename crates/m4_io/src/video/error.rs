@@ -1,5 +1,6 @@
 //! Why a clip could not be read or written.
 
+use super::decoder::DecoderEnd;
 use crate::ErrorKind;
 use crate::image::ReadImageError;
 use std::io;
@@ -107,6 +108,26 @@ pub enum ReadVideoError {
         /// Its last messages.
         reason: String,
     },
+    /// The process that decodes the clip crashed, hung, or took more than it may.
+    #[error("{decoder} failed on the video {}: {how}; {}", path.display(), how.advice())]
+    DecoderFailed {
+        /// The file.
+        path: PathBuf,
+        /// Which decoder, for people.
+        decoder: String,
+        /// How it failed.
+        how: DecoderEnd,
+    },
+    /// The registered decoder is not there, or the system refuses it.
+    #[error("cannot decode the video {}: the decoder program {} cannot be started ({source}); install the program again", path.display(), program.display())]
+    DecoderNotStarted {
+        /// The file.
+        path: PathBuf,
+        /// The program.
+        program: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
     /// The size of the frames changes within the clip.
     #[error("the video {} changes its size from {} x {} to {} x {} at {time_s:.2} s; cut it there", path.display(), from.0, from.1, to.0, to.1)]
     SizeChanges {
@@ -178,6 +199,7 @@ impl ReadVideoError {
             Self::Io { source, .. } => ErrorKind::of_read(source),
             Self::Picture(e) => e.kind(),
             Self::NeedsFfmpeg { .. } | Self::SizeChanges { .. } | Self::TooLarge { .. } => ErrorKind::Unsupported,
+            Self::DecoderNotStarted { .. } => ErrorKind::Io,
             Self::Cancelled { .. } => ErrorKind::Cancelled,
             Self::Empty { .. }
             | Self::NotVideo { .. }
@@ -188,6 +210,7 @@ impl ReadVideoError {
             | Self::NothingInRange { .. }
             | Self::DamagedFrames { .. }
             | Self::Ffmpeg { .. }
+            | Self::DecoderFailed { .. }
             | Self::BadOption { .. }
             | Self::NoPictures { .. }
             | Self::PictureSize { .. } => ErrorKind::BadData,

@@ -1,9 +1,29 @@
 //! Clips: reading video files and folders of pictures, writing MP4.
 //!
-//! 8-bit H.264 in MP4 and MOV files is decoded by the program itself. Everything else goes through
-//! an `ffmpeg` on the PATH, as a child process, if there is one.
+//! 8-bit H.264 in MP4 and MOV files is decoded by OpenH264, which is built in. Everything else goes through
+//! an `ffmpeg` on the PATH, if there is one.
+//!
+//! Decoders run in processes of their own, with limits ([`DecoderLimits`]): what breaks one of them is an error of
+//! the clip. `ffmpeg` is such a process anyway; for OpenH264 a program starts itself once more. That only the
+//! program can arrange, at its start; a program that does not has OpenH264 in its own process:
+//!
+//! ```no_run
+//! use m4_io::video::{DecoderProgram, serve_decoder, set_decoder_program};
+//! # fn main() -> std::io::Result<()> {
+//! let arguments: Vec<_> = std::env::args_os().skip(1).collect();
+//! if arguments.first().is_some_and(|a| a == "__decode-h264") {
+//!     return serve_decoder(&arguments[1..], std::io::stdin().lock(), std::io::stdout().lock());
+//! }
+//! // Fails only when there is one already.
+//! let _ = set_decoder_program(DecoderProgram::new(std::env::current_exe()?, "__decode-h264"));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! The program `m4_decode_h264` of this crate is such a decoder, for those who cannot start themselves.
 
 mod colour;
+mod decoder;
 mod error;
 mod ffmpeg;
 mod folder;
@@ -15,8 +35,10 @@ mod plan;
 mod read;
 mod write;
 
+pub use decoder::{DecoderEnd, DecoderLimits, DecoderProgram, decoder_program, set_decoder_program};
 pub use error::{ReadVideoError, WriteVideoError};
 pub use folder::{natural, pictures};
+pub use h264::serve as serve_decoder;
 pub use options::VideoOptions;
-pub use read::read;
+pub use read::{read, read_with};
 pub use write::Mp4Writer;

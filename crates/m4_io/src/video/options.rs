@@ -1,5 +1,6 @@
 //! Which part of a clip is read, how large, and within which limits.
 
+use super::decoder::DecoderLimits;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -27,6 +28,8 @@ pub struct VideoOptions {
     /// The program that decodes what this one does not (all but 8-bit H.264 in MP4 and MOV files);
     /// `ffprobe` is expected beside it. Default `ffmpeg`, looked up on the PATH.
     pub ffmpeg: PathBuf,
+    /// What the processes that decode may take.
+    pub decoder: DecoderLimits,
 }
 
 impl Default for VideoOptions {
@@ -40,6 +43,7 @@ impl Default for VideoOptions {
             max_memory_bytes: 4 << 30,
             folder_fps: 30.0,
             ffmpeg: PathBuf::from("ffmpeg"),
+            decoder: DecoderLimits::default(),
         }
     }
 }

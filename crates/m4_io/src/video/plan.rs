@@ -38,7 +38,7 @@ pub fn check_options(options: &VideoOptions) -> Result<(), ReadVideoError> {
         let expected = "frames a second, above 0, were expected";
         return Err(bad("folder_fps", options.folder_fps.to_string(), expected));
     }
-    Ok(())
+    options.decoder.check()
 }
 
 /// True for a moment between the start and the end that were asked for.

@@ -1,5 +1,6 @@
 //! Which decoder reads a clip.
 
+use super::decoder::{DecoderProgram, decoder_program};
 use super::mp4::{Movie, Mp4Error};
 use super::{ReadVideoError, VideoOptions, ffmpeg, folder, h264, mp4, plan};
 use m4_scene::{Progress, Video};
@@ -12,11 +13,26 @@ const START_BYTES: u64 = 512;
 
 /// Reads a clip: a video file or a folder of pictures. Frames come upright (display matrix applied),
 /// in sRGB, in order of time, all of one size; what the user should know is in [`Video::warnings`].
+/// H.264 is decoded by the program of [`super::set_decoder_program`], and in this process where there is none.
 ///
 /// # Errors
 ///
 /// [`ReadVideoError`], which names the file, what is wrong with it and what to do.
 pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
+    read_with(decoder_program(), path, options, progress)
+}
+
+/// As [`read()`], with H.264 decoded by the given program, or in this process.
+///
+/// # Errors
+///
+/// As [`read()`].
+pub fn read_with(
+    decoder: Option<&DecoderProgram>,
+    path: &Path,
+    options: &VideoOptions,
+    progress: &dyn Progress,
+) -> Result<Video, ReadVideoError> {
     plan::check_options(options)?;
     if path.is_dir() {
         return folder::read(path, options, progress);
@@ -41,7 +57,7 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
     let mut start = Vec::new();
     (&mut file).take(START_BYTES).read_to_end(&mut start).map_err(io)?;
     if mp4::looks_like_mp4(&start) {
-        return mp4(path, &mut file, meta.len(), options, progress);
+        return mp4(path, &mut file, meta.len(), options, decoder, progress);
     }
     match container(&start) {
         Ok(what) => ffmpeg::read(path, what, options, progress),
@@ -50,6 +66,10 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
             Err(ReadVideoError::NeedsFfmpeg { .. }) => Err(ReadVideoError::NotVideo {
                 path: path.to_path_buf(),
                 reason: reason.to_owned(),
+            }),
+            Err(ReadVideoError::NotVideo { path, reason: said }) => Err(ReadVideoError::NotVideo {
+                path,
+                reason: format!("{reason} ({said})"),
             }),
             other => other,
         },
@@ -90,6 +110,7 @@ fn mp4(
     file: &mut File,
     len: u64,
     options: &VideoOptions,
+    decoder: Option<&DecoderProgram>,
     progress: &dyn Progress,
 ) -> Result<Video, ReadVideoError> {
     let movie = match Movie::read(file, len) {
@@ -131,7 +152,7 @@ fn mp4(
     }
     let codec = track.entries[0].codec;
     let h264::Unsupported(what) = if matches!(&codec, b"avc1" | b"avc3") {
-        match h264::read(path, file, track, options, progress)? {
+        match h264::read(path, file, track, options, decoder, progress)? {
             h264::Outcome::Decoded(video) => return Ok(video),
             h264::Outcome::Unsupported(unsupported) => unsupported,
         }

@@ -1,18 +1,7 @@
-//! Child processes that do not outlive their owner.
+//! Commands for ffmpeg and ffprobe.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-
-/// Ends the child when dropped: a reader that stops early must not leave a decoder running.
-pub struct Guard(pub Child);
-
-impl Drop for Guard {
-    fn drop(&mut self) {
-        // Both fail when the child has ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
+use std::process::Command;
 
 /// `ffprobe` beside `ffmpeg`.
 pub fn probe_beside(ffmpeg: &Path) -> PathBuf {
@@ -20,20 +9,32 @@ pub fn probe_beside(ffmpeg: &Path) -> PathBuf {
     ffmpeg.with_file_name(name.replacen("ffmpeg", "ffprobe", 1))
 }
 
-/// A command that reads one local file and nothing else: no standard input, no network, and the file
-/// name cannot be taken for an option or a protocol.
+/// Containers that are taken apart: those of clips that hold their pictures themselves. Lists of other files (`hls`,
+/// `concat`, `dash`, ...) and descriptions of streams (`sdp`) are not among them. What a build does not know is
+/// passed over.
+const FORMATS: &str = "3g2,apng,asf,av1,avi,dv,flv,gif,h264,hevc,ivf,m4v,matroska,mj2,mjpeg,mov,mp4,mpeg,mpegts,mpegtsraw,\
+                       mpegvideo,mxf,nut,obu,ogg,rm,vc1,vvc,webm,wtv,yuv4mpegpipe";
+
+/// A command that reads one local file and nothing else: no network, no other file that the clip may name, and the
+/// file name cannot be taken for an option or a protocol.
 pub fn command(program: &Path, options: &[&str], input: &Path) -> Command {
     let mut name = std::ffi::OsString::from("file:");
     name.push(input);
     let mut command = Command::new(program);
     command
-        .args(["-hide_banner", "-protocol_whitelist", "file,pipe"])
+        .args([
+            "-hide_banner",
+            "-protocol_whitelist",
+            "file",
+            "-format_whitelist",
+            FORMATS,
+        ])
         .args(options)
         .arg("-i")
         .arg(name)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped());
+        // A log file is not for us to fill; arenas of the C library take address space for every thread.
+        .env_remove("FFREPORT")
+        .env("MALLOC_ARENA_MAX", "4");
     command
 }
 

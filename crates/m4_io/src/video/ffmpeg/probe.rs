@@ -1,14 +1,19 @@
 //! What `ffprobe` says about a clip: codec, colours, and when each frame is shown.
 
-use super::child::{Guard, command, probe_beside};
-use crate::video::ReadVideoError;
+use super::child::{command, probe_beside};
 use crate::video::colour::Hdr;
+use crate::video::decoder::{Child, DecoderEnd, Halt, Work};
+use crate::video::{ReadVideoError, VideoOptions};
+use m4_scene::Progress;
 use serde::Deserialize;
-use std::io::Read;
 use std::path::Path;
 
 /// Longest description that is read, bytes: some 100 a frame, so a million frames.
-const MAX_OUTPUT_BYTES: u64 = 256 << 20;
+const MAX_OUTPUT_BYTES: usize = 256 << 20;
+/// Most bytes of complaints.
+const MESSAGE_BYTES: u64 = 64 << 20;
+/// Pixels of 8K, since the size is not known before: finding the format may take decoding some pictures.
+const MAX_PIXELS: u64 = 7680 * 4320;
 
 #[derive(Debug, Deserialize)]
 struct Output {
@@ -24,6 +29,8 @@ struct Stream {
     codec_name: String,
     color_space: Option<String>,
     color_transfer: Option<String>,
+    #[serde(default)]
+    width: usize,
     #[serde(default)]
     height: usize,
     field_order: Option<String>,
@@ -48,6 +55,8 @@ pub struct Description {
     pub matrix_known: bool,
     /// Pictures are woven from two fields.
     pub interlaced: bool,
+    /// Pixels of a picture as coded.
+    pub pixels: u64,
     /// Rows as coded, which the guess of the YUV matrix depends on.
     pub height: usize,
     /// Seconds, in order; `None` where some packets have no time stamp.
@@ -57,11 +66,16 @@ pub struct Description {
 }
 
 /// Describes the first video stream of `path`, or `None` when there is no such stream.
-pub fn describe(path: &Path, ffmpeg: &Path, what: &str) -> Result<Option<Description>, ReadVideoError> {
-    let program = probe_beside(ffmpeg);
+pub fn describe(
+    path: &Path,
+    what: &str,
+    options: &VideoOptions,
+    progress: &dyn Progress,
+) -> Result<Option<Description>, ReadVideoError> {
+    let program = probe_beside(&options.ffmpeg);
     // V: no cover pictures.
-    let entries = "stream=codec_name,pix_fmt,color_space,color_transfer,height,field_order:packet=pts_time,flags";
-    let options = [
+    let entries = "stream=codec_name,pix_fmt,color_space,color_transfer,width,height,field_order:packet=pts_time,flags";
+    let arguments = [
         "-v",
         "error",
         "-of",
@@ -71,42 +85,45 @@ pub fn describe(path: &Path, ffmpeg: &Path, what: &str) -> Result<Option<Descrip
         "-show_entries",
         entries,
     ];
-    let child = command(&program, &options, path).spawn();
-    let mut child = Guard(child.map_err(|e| ReadVideoError::NeedsFfmpeg {
+    let work = Work {
+        pixels: MAX_PIXELS,
+        frames: 0,
+        bytes: std::fs::metadata(path).map_or(0, |m| m.len()),
+    };
+    let allowed = options.decoder.allowed(work);
+    let mut command = command(&program, &arguments, path);
+    let child = Child::start(
+        &mut command,
+        false,
+        allowed,
+        MESSAGE_BYTES,
+        Box::new(|_| true),
+        progress,
+    );
+    let mut child = child.map_err(|e| ReadVideoError::NeedsFfmpeg {
         path: path.to_path_buf(),
         what: what.to_owned(),
         ffmpeg: program.clone(),
         reason: e.to_string(),
-    })?);
+    })?;
     let failed = |reason: String| ReadVideoError::Ffmpeg {
         path: path.to_path_buf(),
         reason,
     };
-    let stderr = child.0.stderr.take();
-    let complaints = std::thread::spawn(move || {
-        let mut text = Vec::new();
-        if let Some(stderr) = stderr {
-            // A pipe that breaks is a child that ended, which its exit status tells.
-            let _ = stderr.take(1 << 20).read_to_end(&mut text);
-        }
-        String::from_utf8_lossy(&text).into_owned()
-    });
-    let mut text = Vec::new();
-    if let Some(stdout) = child.0.stdout.take() {
-        let read = stdout.take(MAX_OUTPUT_BYTES + 1).read_to_end(&mut text);
-        read.map_err(|e| failed(format!("ffprobe's answer could not be read: {e}")))?;
-    }
-    if text.len() as u64 > MAX_OUTPUT_BYTES {
+    let text = child
+        .read_to_end(MAX_OUTPUT_BYTES)
+        .map_err(|halt| halt.into_error(path, "ffprobe"))?;
+    let Some(text) = text else {
         return Err(failed("it has more than two million frames".into()));
-    }
-    let status = child.0.wait().map_err(|e| failed(e.to_string()))?;
-    let complaints = complaints.join().unwrap_or_default();
-    if !status.success() {
-        let last = complaints
-            .lines()
-            .rev()
-            .find(|l| !l.trim().is_empty())
-            .unwrap_or("no reason given");
+    };
+    let exit = child.finish().map_err(|halt| halt.into_error(path, "ffprobe"))?;
+    if !exit.status.success() {
+        let how = child.why(&exit);
+        if !matches!(how, DecoderEnd::Answer { .. }) {
+            return Err(Halt::Failed(how).into_error(path, "ffprobe"));
+        }
+        let said = child.said();
+        let last = said.last().map_or("no reason given", String::as_str);
         let name = format!("file:{}: ", path.display());
         return Err(ReadVideoError::NotVideo {
             path: path.to_path_buf(),
@@ -140,6 +157,7 @@ fn summary(stream: &Stream, packets: &[Packet]) -> Description {
                 .as_deref()
                 .is_some_and(|s| s != "unknown" && s != "reserved"),
         interlaced: matches!(stream.field_order.as_deref(), Some("tt" | "bb" | "tb" | "bt")),
+        pixels: (stream.width as u64).saturating_mul(stream.height as u64),
         height: stream.height,
         times_s,
         packets: shown.len(),

@@ -1,32 +1,40 @@
 //! Decodes a clip through `ffmpeg`.
 
-use super::child::{Guard, command};
+use super::child::command;
 use super::log::{FrameInfo, Line, parse};
 use super::probe::{Description, describe};
 use crate::video::colour::ToneMap;
+use crate::video::decoder::{Child, DecoderEnd, Halt, Work, is_of_memory};
 use crate::video::plan::{self, Collector};
 use crate::video::{ReadVideoError, VideoOptions};
 use m4_scene::{Plane, Progress, RgbImage, Video};
-use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, channel};
-use std::thread::JoinHandle;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Largest picture that is taken from the pipe, pixels: 16384 x 16384.
 const MAX_PIXELS: usize = 1 << 28;
 /// Complaints that are kept for a message.
 const KEPT_COMPLAINTS: usize = 8;
+/// Bytes of messages that are read at most, and so many more for every picture: a line on each takes some 300, and a
+/// damaged one may be complained of many times.
+const MESSAGE_BYTES: u64 = 64 << 20;
+const MESSAGE_BYTES_A_PICTURE: u64 = 8 << 10;
+/// Most threads for one clip, as ffmpeg itself would take.
+const MAX_THREADS: usize = 16;
 
 /// What went wrong inside the decoder.
 #[derive(Default)]
 struct Complaints {
     count: usize,
     first: Vec<String>,
+    /// One of them says that memory ran out.
+    of_memory: bool,
 }
 
 /// Reads `path`; `what` names the codec or container and why it is not decoded without ffmpeg.
 pub fn read(path: &Path, what: &str, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
-    let description = describe(path, &options.ffmpeg, what)?;
+    let description = describe(path, what, options, progress)?;
     let Some(description) = description.filter(|d| !d.codec.is_empty()) else {
         return Err(ReadVideoError::NoVideoTrack {
             path: path.to_path_buf(),
@@ -39,11 +47,19 @@ pub fn read(path: &Path, what: &str, options: &VideoOptions, progress: &dyn Prog
             reason: format!("its {} stream is empty", description.codec),
         });
     }
-    let first = Decoder::start(path, what, &description, options, ["-fps_mode", "passthrough"])?.run(progress);
+    let first = Decoder::start(
+        path,
+        what,
+        &description,
+        options,
+        ["-fps_mode", "passthrough"],
+        progress,
+    )?
+    .run(progress);
     match first {
         // Before ffmpeg 5.1 the option had another name.
         Err(ReadVideoError::Ffmpeg { reason, .. }) if reason.contains("fps_mode") => {
-            Decoder::start(path, what, &description, options, ["-vsync", "passthrough"])?.run(progress)
+            Decoder::start(path, what, &description, options, ["-vsync", "passthrough"], progress)?.run(progress)
         }
         other => other,
     }
@@ -53,9 +69,9 @@ struct Decoder<'a> {
     path: &'a Path,
     options: &'a VideoOptions,
     description: &'a Description,
-    child: Guard,
+    child: Child<'a>,
     frames: Receiver<FrameInfo>,
-    log: JoinHandle<Complaints>,
+    complaints: Arc<Mutex<Complaints>>,
     tone_map: Option<ToneMap>,
     /// Frames between the start and the end.
     in_range: usize,
@@ -70,6 +86,7 @@ impl<'a> Decoder<'a> {
         description: &'a Description,
         options: &'a VideoOptions,
         every_frame_once: [&str; 2],
+        progress: &'a dyn Progress,
     ) -> Result<Self, ReadVideoError> {
         let in_range = match &description.times_s {
             Some(times) => {
@@ -83,53 +100,64 @@ impl<'a> Decoder<'a> {
             None => description.packets,
         };
         let strict: &[&str] = if options.strict { &["-xerror"] } else { &[] };
+        let threads = std::thread::available_parallelism()
+            .map_or(1, |n| n.get().min(MAX_THREADS))
+            .to_string();
         let before: Vec<&str> = ["-nostdin", "-nostats", "-loglevel", "level+info"]
             .iter()
+            .chain(&["-filter_threads", &threads, "-threads", &threads])
             .chain(strict)
             .copied()
             .collect();
-        let mut child = command(&options.ffmpeg, &before, path);
-        child
+        let mut command = command(&options.ffmpeg, &before, path);
+        command
             .args(["-map", "0:V:0", "-an", "-sn", "-dn"])
             .args(every_frame_once)
             .arg("-vf")
             .arg(filters(description))
             .args(["-f", "rawvideo", "pipe:1"]);
-        let child = child.spawn().map_err(|e| ReadVideoError::NeedsFfmpeg {
+        let work = Work {
+            pixels: description.pixels,
+            frames: description.packets as u64,
+            bytes: std::fs::metadata(path).map_or(0, |m| m.len()),
+        };
+        let message_bytes = MESSAGE_BYTES + MESSAGE_BYTES_A_PICTURE * work.frames;
+        let (sender, frames) = channel();
+        let complaints = Arc::new(Mutex::new(Complaints::default()));
+        let for_thread = Arc::clone(&complaints);
+        let on_line = Box::new(move |line: &str| {
+            match parse(line) {
+                // The receiver is gone when the reader stopped early; the pipe is still drained.
+                Line::Frame(info) => drop(sender.send(info)),
+                Line::Error(message) => {
+                    let mut complaints = for_thread.lock().unwrap_or_else(PoisonError::into_inner);
+                    complaints.count += 1;
+                    complaints.of_memory |= is_of_memory(&message);
+                    if complaints.first.len() < KEPT_COMPLAINTS {
+                        complaints.first.push(message);
+                    }
+                    return true;
+                }
+                Line::Other => {}
+            }
+            // What the loader of shared libraries says has no level.
+            line.contains("error while loading")
+        });
+        let allowed = options.decoder.allowed(work);
+        let child = Child::start(&mut command, false, allowed, message_bytes, on_line, progress);
+        let child = child.map_err(|e| ReadVideoError::NeedsFfmpeg {
             path: path.to_path_buf(),
             what: what.to_owned(),
             ffmpeg: options.ffmpeg.clone(),
             reason: e.to_string(),
         })?;
-        let mut child = Guard(child);
-        let (sender, frames) = channel();
-        let stderr = child.0.stderr.take();
-        let log = std::thread::spawn(move || {
-            let mut complaints = Complaints::default();
-            let Some(stderr) = stderr else { return complaints };
-            for line in BufReader::new(stderr).split(b'\n') {
-                let Ok(line) = line else { break };
-                match parse(&String::from_utf8_lossy(&line)) {
-                    // The receiver is gone when the reader stopped early; the pipe is still drained.
-                    Line::Frame(info) => drop(sender.send(info)),
-                    Line::Error(message) => {
-                        complaints.count += 1;
-                        if complaints.first.len() < KEPT_COMPLAINTS {
-                            complaints.first.push(message);
-                        }
-                    }
-                    Line::Other => {}
-                }
-            }
-            complaints
-        });
         Ok(Self {
             path,
             options,
             description,
             child,
             frames,
-            log,
+            complaints,
             tone_map: description.hdr.map(ToneMap::new),
             in_range,
             keep: plan::evenly(in_range, options.max_frames),
@@ -137,9 +165,6 @@ impl<'a> Decoder<'a> {
     }
 
     fn run(mut self, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
-        let Some(mut pipe) = self.child.0.stdout.take() else {
-            return Err(self.failed("its output is not connected".into()));
-        };
         let total = self.keep.last().map_or(0, |&i| i + 1);
         let mut collector: Option<Collector> = None;
         let mut first: Option<(FrameInfo, f64)> = None;
@@ -151,7 +176,8 @@ impl<'a> Decoder<'a> {
                     path: self.path.to_path_buf(),
                 });
             }
-            let Ok(info) = self.frames.recv() else { break };
+            let info = self.child.wait_for(&self.frames).map_err(|halt| self.halted(halt))?;
+            let Some(info) = info else { break };
             let (start, origin_s) = *first.get_or_insert((info, info.time_s.unwrap_or(0.0)));
             let time_s = info
                 .time_s
@@ -165,7 +191,7 @@ impl<'a> Decoder<'a> {
                     time_s,
                 });
             }
-            if !self.picture_bytes(&mut pipe, &info, &mut bytes)? {
+            if !self.picture_bytes(&info, &mut bytes)? {
                 break;
             }
             if !plan::in_range(time_s, self.options) {
@@ -193,26 +219,15 @@ impl<'a> Decoder<'a> {
     }
 
     /// Reads one picture; false when the child ended before it was whole.
-    fn picture_bytes(
-        &self,
-        pipe: &mut impl Read,
-        info: &FrameInfo,
-        bytes: &mut Vec<u8>,
-    ) -> Result<bool, ReadVideoError> {
+    fn picture_bytes(&mut self, info: &FrameInfo, bytes: &mut Vec<u8>) -> Result<bool, ReadVideoError> {
         let pixels = info.width.saturating_mul(info.height);
         if pixels == 0 || pixels > MAX_PIXELS {
             let what = format!("its frames are {} x {} pixels", info.width, info.height);
             return Err(self.failed(what));
         }
         bytes.resize(pixels * if self.tone_map.is_some() { 6 } else { 3 }, 0);
-        match pipe.read_exact(bytes) {
-            Ok(()) => Ok(true),
-            Err(e) if e.kind() == ErrorKind::UnexpectedEof => Ok(false),
-            Err(source) => Err(ReadVideoError::Io {
-                path: self.path.to_path_buf(),
-                source,
-            }),
-        }
+        let whole = self.child.read_exact(bytes);
+        whole.map_err(|halt| self.halted(halt))
     }
 
     fn picture(&self, info: &FrameInfo, bytes: &[u8]) -> Result<RgbImage, ReadVideoError> {
@@ -228,18 +243,25 @@ impl<'a> Decoder<'a> {
 
     fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, ReadVideoError> {
         let complete = kept == self.keep.len();
-        let status = if complete {
-            // What remains is not needed.
-            let _ = self.child.0.kill();
-            let _ = self.child.0.wait();
+        // What remains of a clip of which enough was read is not needed.
+        let exit = if complete {
             None
         } else {
-            self.child.0.wait().ok()
+            Some(self.child.finish().map_err(|halt| self.halted(halt))?)
         };
         let path = self.path.to_path_buf();
         let description = self.description;
-        drop(self.frames);
-        let complaints = self.log.join().unwrap_or_default();
+        let complaints = std::mem::take(&mut *self.complaints.lock().unwrap_or_else(PoisonError::into_inner));
+        if let Some(exit) = &exit
+            && (!exit.status.success() || complaints.of_memory)
+        {
+            let how = self.child.why(exit);
+            // That it ended early by its own decision is told below, and what it decoded is kept.
+            if !matches!(how, DecoderEnd::Answer { .. }) {
+                return Err(self.halted(Halt::Failed(how)));
+            }
+        }
+        drop(self.child);
         let said = complaints
             .first
             .first()
@@ -270,7 +292,7 @@ impl<'a> Decoder<'a> {
             ));
         }
         if !complete {
-            let ended = status.map_or_else(|| "the decoder was lost".to_owned(), |s| s.to_string());
+            let ended = exit.map_or_else(String::new, |e| e.status.to_string());
             collector.warnings.push(format!(
                 "only {decoded} of {} frames could be decoded ({ended})",
                 description.packets
@@ -280,6 +302,10 @@ impl<'a> Decoder<'a> {
         collector
             .finish(None)
             .ok_or(ReadVideoError::NoFrames { path, reason: said })
+    }
+
+    fn halted(&self, halt: Halt) -> ReadVideoError {
+        halt.into_error(self.path, "ffmpeg")
     }
 
     fn failed(&self, reason: String) -> ReadVideoError {

@@ -2,6 +2,7 @@
 
 use super::Unsupported;
 use super::sps::{Sps, undelayed};
+use super::wire::Setup;
 
 const START_CODE: [u8; 4] = [0, 0, 0, 1];
 
@@ -80,13 +81,17 @@ impl Config {
         Err(Unsupported(what))
     }
 
-    /// Writes a sample with start codes to `out`, parameter sets first when `with_headers`. `None` when
-    /// its lengths do not add up.
-    pub fn annex_b(&self, sample: &[u8], with_headers: bool, out: &mut Vec<u8>) -> Option<SampleKind> {
-        out.clear();
-        if with_headers {
-            out.extend_from_slice(&self.headers);
+    /// What a decoder of this stream must know.
+    pub fn setup(&self) -> Setup {
+        Setup {
+            size: (self.sps.width, self.sps.height),
+            headers: self.headers.clone(),
         }
+    }
+
+    /// Writes a sample with start codes to `out`. `None` when its lengths do not add up.
+    pub fn annex_b(&self, sample: &[u8], out: &mut Vec<u8>) -> Option<SampleKind> {
+        out.clear();
         let mut kind = SampleKind {
             disposable: true,
             resizes: None,

@@ -1,4 +1,4 @@
-//! H.264 inside of MP4 files, decoded in this process.
+//! H.264 inside of MP4 files, decoded in a process of its own where one is registered, and here where none is.
 //!
 //! The decoder (OpenH264) takes 8-bit 4:2:0 progressive streams of the Baseline, Main and High
 //! profiles, B-frames included; [`Unsupported`] says why anything else is left to ffmpeg.
@@ -6,10 +6,14 @@
 mod bits;
 mod config;
 mod decode;
+mod engine;
 mod read;
+mod serve;
 mod sps;
+mod wire;
 
 pub use read::{Outcome, count, read};
+pub use serve::serve;
 
 /// Why a stream is not decoded here, for "the video is ...".
 #[derive(Debug, Clone, PartialEq, Eq)]

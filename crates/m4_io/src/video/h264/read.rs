@@ -2,17 +2,22 @@
 
 use super::Unsupported;
 use super::config::Config;
-use super::decode::H264;
-use crate::video::colour::{Hdr, ToneMap};
+use super::decode::{Frame, H264};
+use super::engine::{Engine, Refusal};
+use crate::video::colour::{Hdr, Range, ToneMap, YuvMatrix};
+use crate::video::decoder::{DecoderProgram, Work};
 use crate::video::mp4::{Sample, SampleEntry, Track};
 use crate::video::orient::Orientation;
 use crate::video::plan::{self, Collector};
 use crate::video::{ReadVideoError, VideoOptions};
 use m4_scene::{Progress, Video};
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
+/// The decoder, for messages.
+const DECODER: &str = "the H.264 decoder";
 /// Largest coded frame that is read, bytes: raw 4K is 12 MB.
 const MAX_SAMPLE_BYTES: u32 = 64 << 20;
 
@@ -32,12 +37,13 @@ struct Shown {
     time_s: f64,
 }
 
-/// Reads the frames of `track`, which lie in `file`.
+/// Reads the frames of `track`, which lie in `file`; `decoder` decodes, or this process itself.
 pub fn read(
     path: &Path,
     file: &mut File,
     track: &Track,
     options: &VideoOptions,
+    decoder: Option<&DecoderProgram>,
     progress: &dyn Progress,
 ) -> Result<Outcome, ReadVideoError> {
     let (entry, config) = match track.entries.as_slice() {
@@ -74,7 +80,8 @@ pub fn read(
         sps.transfer
     };
     let full_range = sps.full_range.or(colours.and_then(|c| c.full_range)).unwrap_or(false);
-    let Some(decoder) = H264::new(&config, matrix, full_range) else {
+    let range = if full_range { Range::Full } else { Range::Limited };
+    let Some(matrix) = YuvMatrix::from_code(matrix, sps.height, range) else {
         let what = format!("H.264 with colours of an unusual kind (matrix {matrix})");
         return Ok(Outcome::Unsupported(Unsupported(what)));
     };
@@ -86,11 +93,15 @@ pub fn read(
     let size = plan::target_size(width, height, options);
     plan::check_memory(path, kept.len(), size, options)?;
 
+    let Some(engine) = engine(path, &config, matrix, track, options, decoder, progress)? else {
+        let what = "H.264, for which the decoder cannot be set up here";
+        return Ok(Outcome::Unsupported(Unsupported(what.into())));
+    };
     let hdr = Hdr::from_code(transfer);
     let mut run = Run {
         path,
         config: &config,
-        decoder,
+        engine,
         orientation,
         tone_map: hdr.map(ToneMap::new),
         collector: Collector::new(size),
@@ -141,6 +152,42 @@ pub fn read(
         })
 }
 
+/// Starts the decoder; `None` when OpenH264 cannot be set up.
+fn engine<'a>(
+    path: &Path,
+    config: &Config,
+    matrix: YuvMatrix,
+    track: &Track,
+    options: &VideoOptions,
+    decoder: Option<&DecoderProgram>,
+    progress: &'a dyn Progress,
+) -> Result<Option<Engine<'a>>, ReadVideoError> {
+    let Some(program) = decoder else {
+        return Ok(Engine::here(config.setup(), matrix));
+    };
+    let work = Work {
+        pixels: (config.sps.width * config.sps.height) as u64,
+        frames: track.samples.len() as u64,
+        bytes: track.samples.iter().map(|s| u64::from(s.size)).sum(),
+    };
+    match Engine::there(
+        program,
+        &config.setup(),
+        matrix,
+        options.decoder.allowed(work),
+        progress,
+    ) {
+        Ok(engine) => Ok(Some(engine)),
+        Err(Refusal::Setup) => Ok(None),
+        Err(Refusal::Halt(halt)) => Err(halt.into_error(path, DECODER)),
+        Err(Refusal::Start(source)) => Err(ReadVideoError::DecoderNotStarted {
+            path: path.to_path_buf(),
+            program: program.program.clone(),
+            source,
+        }),
+    }
+}
+
 fn configure(entry: &SampleEntry) -> Result<Config, Unsupported> {
     let avcc = entry.avcc.as_deref();
     let config = Config::parse(avcc.ok_or_else(|| Unsupported("H.264 without a decoder configuration".into()))?)?;
@@ -168,7 +215,7 @@ fn presentation(track: &Track) -> Vec<Shown> {
 struct Run<'a> {
     path: &'a Path,
     config: &'a Config,
-    decoder: H264,
+    engine: Engine<'a>,
     orientation: Option<Orientation>,
     tone_map: Option<ToneMap>,
     collector: Collector,
@@ -177,7 +224,8 @@ struct Run<'a> {
 }
 
 impl Run<'_> {
-    /// Decodes in the order of the file up to the last frame that is kept.
+    /// Decodes in the order of the file up to the last frame that is kept. The decoder itself sees to parameter sets
+    /// after a frame that it finds damaged; a frame that never reaches it is told to it with the next.
     fn frames(
         &mut self,
         file: &mut File,
@@ -196,7 +244,8 @@ impl Run<'_> {
         }
         let total = keep.iter().rposition(|&k| k).map_or(0, |i| i + 1);
         let (mut coded, mut annex_b) = (Vec::new(), Vec::new());
-        let mut headers = true;
+        let mut given = VecDeque::new();
+        let mut fresh = true;
         for (i, sample) in samples[..total].iter().enumerate() {
             if progress.cancelled() {
                 return Err(ReadVideoError::Cancelled {
@@ -208,45 +257,56 @@ impl Run<'_> {
                 path: self.path.to_path_buf(),
                 source,
             })?;
-            let decoded = match there {
-                true => self.config.annex_b(&coded, headers, &mut annex_b),
+            let kind = match there {
+                true => self.config.annex_b(&coded, &mut annex_b),
                 false => None,
             };
-            let decoded = match decoded {
-                Some(kind) => {
-                    if let Some(to) = kind.resizes {
-                        return Err(ReadVideoError::SizeChanges {
-                            path: self.path.to_path_buf(),
-                            from: (self.config.sps.width, self.config.sps.height),
-                            to,
-                            time_s: time_of[i].unwrap_or(0.0),
-                        });
-                    }
-                    if kind.disposable && !keep[i] {
-                        continue;
-                    }
-                    headers = false;
-                    self.decoder.decode(&annex_b, keep[i])
-                }
-                None => None,
+            let Some(kind) = kind else {
+                fresh = true;
+                self.damaged.extend(time_of[i]);
+                continue;
             };
-            // A decoder that met an error may have dropped its parameter sets.
-            headers |= decoded.is_none();
-            match (decoded, time_of[i]) {
-                (Some(Some(picture)), Some(time_s)) => {
-                    let picture = match &self.tone_map {
-                        Some(map) => map.picture_8(&picture),
-                        None => picture,
-                    };
-                    let picture = match self.orientation {
-                        Some(orientation) => orientation.apply(picture),
-                        None => picture,
-                    };
-                    self.collector.push(picture, time_s);
-                }
-                (None, Some(time_s)) => self.damaged.push(time_s),
-                _ => {}
+            if let Some(to) = kind.resizes {
+                return Err(ReadVideoError::SizeChanges {
+                    path: self.path.to_path_buf(),
+                    from: (self.config.sps.width, self.config.sps.height),
+                    to,
+                    time_s: time_of[i].unwrap_or(0.0),
+                });
             }
+            if kind.disposable && !keep[i] {
+                continue;
+            }
+            self.engine.give(&annex_b, fresh, keep[i]);
+            fresh = false;
+            given.push_back(time_of[i]);
+            if given.len() > self.engine.window() {
+                self.take(given.pop_front().flatten())?;
+            }
+        }
+        for time_s in given {
+            self.take(time_s)?;
+        }
+        Ok(())
+    }
+
+    /// Takes what became of the frame that is shown at `time_s`.
+    fn take(&mut self, time_s: Option<f64>) -> Result<(), ReadVideoError> {
+        let decoded = self.engine.take().map_err(|halt| halt.into_error(self.path, DECODER))?;
+        match (decoded, time_s) {
+            (Some(Some(picture)), Some(time_s)) => {
+                let picture = match &self.tone_map {
+                    Some(map) => map.picture_8(&picture),
+                    None => picture,
+                };
+                let picture = match self.orientation {
+                    Some(orientation) => orientation.apply(picture),
+                    None => picture,
+                };
+                self.collector.push(picture, time_s);
+            }
+            (None, Some(time_s)) => self.damaged.push(time_s),
+            _ => {}
         }
         Ok(())
     }
@@ -268,18 +328,18 @@ fn coded_bytes(file: &mut File, sample: &Sample, bytes: &mut Vec<u8>) -> io::Res
     }
 }
 
-/// Size of the pictures of a track and how many of them decode, or why none does.
+/// Size of the pictures of a track and how many of them decode in this process, or why none does: for files of our own.
 pub fn count(file: &mut File, track: &Track) -> Result<((usize, usize), usize), String> {
     let entry = track.entries.first().ok_or("its track has no decoder configuration")?;
     let config = configure(entry).map_err(|Unsupported(what)| format!("it is {what}"))?;
     let sps = &config.sps;
-    let mut decoder = H264::new(&config, sps.matrix, false).ok_or("the decoder cannot be set up")?;
+    let mut decoder = H264::new(config.setup()).ok_or("the decoder cannot be set up")?;
     let (mut coded, mut annex_b, mut decoded) = (Vec::new(), Vec::new(), 0);
-    for (i, sample) in track.samples.iter().enumerate() {
+    for sample in &track.samples {
         let there = coded_bytes(file, sample, &mut coded).map_err(|e| e.to_string())?;
-        if there && config.annex_b(&coded, i == 0, &mut annex_b).is_some() && decoder.decode(&annex_b, false).is_some()
-        {
-            decoded += 1;
+        if there && config.annex_b(&coded, &mut annex_b).is_some() {
+            let whole = matches!(decoder.decode(&annex_b, false), Frame::Whole(_));
+            decoded += usize::from(whole);
         }
     }
     Ok(((sps.width, sps.height), decoded))

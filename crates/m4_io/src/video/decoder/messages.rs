@@ -1,0 +1,128 @@
+//! What a child writes to standard error, of which a bounded part is read and kept.
+
+use std::io::{BufRead, BufReader, Read};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Longest part of a line that is looked at, bytes.
+const LINE_BYTES: u64 = 8 << 10;
+/// Lines that are kept: the first half and the last half.
+const KEPT_LINES: usize = 16;
+
+/// What is done with a line: true for those worth keeping.
+pub type OnLine = Box<dyn FnMut(&str) -> bool + Send>;
+
+/// Standard error of a child, read by a thread.
+pub struct Messages {
+    shared: Arc<Shared>,
+    end: Receiver<()>,
+    /// Bytes that are read at most.
+    limit_bytes: u64,
+}
+
+#[derive(Default)]
+struct Shared {
+    kept: Mutex<Vec<String>>,
+    too_many: AtomicBool,
+}
+
+impl Messages {
+    /// Starts to read.
+    pub fn read(stderr: impl Read + Send + 'static, limit_bytes: u64, on_line: OnLine) -> Self {
+        let shared = Arc::new(Shared::default());
+        let (sender, end) = channel();
+        let for_thread = Arc::clone(&shared);
+        std::thread::spawn(move || drain(stderr, limit_bytes, on_line, &for_thread, sender));
+        Self {
+            shared,
+            end,
+            limit_bytes,
+        }
+    }
+
+    /// MiB that were read, when there were too many.
+    pub fn too_many_mb(&self) -> Option<u64> {
+        self.shared
+            .too_many
+            .load(Ordering::Relaxed)
+            .then_some(self.limit_bytes >> 20)
+    }
+
+    /// Closed when all was read.
+    pub fn end(&self) -> &Receiver<()> {
+        &self.end
+    }
+
+    /// The lines that were kept.
+    pub fn kept(&self) -> Vec<String> {
+        let kept = self.shared.kept.lock();
+        kept.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// Dropping `_end` closes the channel on which the end is waited for.
+fn drain(stderr: impl Read, limit_bytes: u64, mut on_line: OnLine, shared: &Shared, _end: Sender<()>) {
+    let mut stderr = BufReader::new(stderr.take(limit_bytes));
+    let (mut line, mut starts) = (Vec::new(), true);
+    loop {
+        line.clear();
+        match (&mut stderr).take(LINE_BYTES).read_until(b'\n', &mut line) {
+            // A pipe that breaks is a child that ended, which its exit status tells.
+            Ok(0) | Err(_) => break,
+            Ok(_) => {}
+        }
+        let ends = line.last() == Some(&b'\n');
+        // The rest of a line that is too long is no line of its own.
+        if starts {
+            let text = String::from_utf8_lossy(&line);
+            let text = text.trim_end();
+            if !text.is_empty() && on_line(text) {
+                keep(&mut shared.kept.lock().unwrap_or_else(PoisonError::into_inner), text);
+            }
+        }
+        starts = ends;
+    }
+    if stderr.get_ref().limit() == 0 {
+        shared.too_many.store(true, Ordering::Relaxed);
+    }
+}
+
+fn keep(kept: &mut Vec<String>, line: &str) {
+    if kept.len() == KEPT_LINES {
+        kept.remove(KEPT_LINES / 2);
+    }
+    kept.push(line.to_owned());
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Messages;
+    use std::io::{Cursor, Read};
+    use std::time::Duration;
+
+    fn all(input: impl Read + Send + 'static, limit: u64) -> (Vec<String>, Option<u64>) {
+        let messages = Messages::read(input, limit, Box::new(|_| true));
+        assert!(messages.end().recv_timeout(Duration::from_secs(60)).is_err());
+        (messages.kept(), messages.too_many_mb())
+    }
+
+    #[test]
+    fn the_first_and_the_last_lines_are_kept() {
+        let text: String = (0..100).map(|i| format!("line {i}\n")).collect();
+        let (kept, many) = all(Cursor::new(text), 1 << 20);
+        assert_eq!((kept.len(), many), (16, None));
+        assert_eq!(
+            (kept[7].as_str(), kept[8].as_str(), kept[15].as_str()),
+            ("line 7", "line 92", "line 99")
+        );
+    }
+
+    #[test]
+    fn messages_without_end_take_no_memory() {
+        let (kept, many) = all(std::io::repeat(b'x'), 3 << 20);
+        assert_eq!((kept.len(), kept[0].len(), many), (1, 8 << 10, Some(3)));
+        let (kept, many) = all(std::io::repeat(b'\n'), 1 << 20);
+        assert_eq!((kept.len(), many), (0, Some(1)));
+    }
+}

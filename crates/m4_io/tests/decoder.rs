@@ -1,0 +1,510 @@
+//! Decoders in processes of their own: the same pictures, and errors of the clip where they fail.
+
+use crate::common::{ffmpeg, have_ffmpeg, pinwheel};
+use m4_io::ErrorKind;
+use m4_io::video::{
+    DecoderEnd, DecoderLimits, DecoderProgram, Mp4Writer, ReadVideoError, VideoOptions, read, read_with,
+};
+use m4_math::CounterRng;
+use m4_scene::{Plane, Progress, Silent, Video};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+fn program() -> DecoderProgram {
+    DecoderProgram::new(env!("CARGO_BIN_EXE_m4_decode_h264"), "decode")
+}
+
+fn options(limits: DecoderLimits) -> VideoOptions {
+    VideoOptions {
+        size: None,
+        ffmpeg: PathBuf::from("/nonexistent/ffmpeg"),
+        decoder: limits,
+        ..VideoOptions::default()
+    }
+}
+
+fn limits(set: impl FnOnce(&mut DecoderLimits)) -> DecoderLimits {
+    let mut limits = DecoderLimits::default();
+    set(&mut limits);
+    limits
+}
+
+/// How the decoder failed; checks that the clip is to blame and that the message says all that it must.
+fn failure(result: Result<Video, ReadVideoError>, words: &[&str]) -> DecoderEnd {
+    let Err(error) = result else { panic!("it was decoded") };
+    let text = error.to_string();
+    assert_eq!(error.kind(), ErrorKind::BadData, "{text}");
+    for word in words {
+        assert!(text.contains(word), "{word:?} is not in: {text}");
+    }
+    match error {
+        ReadVideoError::DecoderFailed { how, .. } => how,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// The same pictures at the same times.
+fn same(a: &Video, b: &Video) -> bool {
+    let pairs = || a.frames.iter().zip(&b.frames);
+    a.frames.len() == b.frames.len() && pairs().all(|(a, b)| a.time_s == b.time_s && a.rgb == b.rgb)
+}
+
+#[test]
+fn a_child_decodes_the_same_bits() {
+    let options = options(DecoderLimits::default());
+    let here = read_with(None, &pinwheel(), &options, &Silent).unwrap();
+    let there = read_with(Some(&program()), &pinwheel(), &options, &Silent).unwrap();
+    assert_eq!((here.frames.len(), &here.warnings), (96, &there.warnings));
+    assert!(same(&here, &there));
+    let part = VideoOptions {
+        max_frames: Some(7),
+        start_s: Some(1.0),
+        size: Some(200),
+        ..options
+    };
+    let here = read_with(None, &pinwheel(), &part, &Silent).unwrap();
+    let there = read_with(Some(&program()), &pinwheel(), &part, &Silent).unwrap();
+    assert!(same(&here, &there) && here.frames.len() == 7);
+}
+
+/// The example with some bytes of its coded pictures, and now and then of its index, replaced.
+fn damaged(case: u32, whole: &[u8], mdat: usize) -> Vec<u8> {
+    let mut rng = CounterRng::new(17, 0, u64::from(case));
+    let mut bytes = whole.to_vec();
+    for _ in 0..1 + case % 7 {
+        let (start, end) = match case % 8 {
+            0 => (0, mdat),
+            // The first picture has 53,848 bytes, and all others need it.
+            1 => (mdat + 8, mdat + 53_000),
+            _ => (mdat + 54_000, mdat + 280_000),
+        };
+        let at = start + rng.below(end.min(bytes.len()) - start);
+        bytes[at] = rng.below(256) as u8;
+    }
+    bytes
+}
+
+#[test]
+fn damaged_clips_end_as_they_do_here_and_never_take_us_along() {
+    let whole = std::fs::read(pinwheel()).unwrap();
+    let mdat = whole.windows(4).position(|w| w == b"mdat").unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("clip.mp4");
+    let part = VideoOptions {
+        end_s: Some(0.7),
+        size: Some(64),
+        ..options(DecoderLimits::default())
+    };
+    let (mut whole_clips, mut with_warnings, mut refused) = (0, 0, 0);
+    for case in 0..160 {
+        std::fs::write(&path, damaged(case, &whole, mdat)).unwrap();
+        let there = read_with(Some(&program()), &path, &part, &Silent);
+        match &there {
+            Ok(video) if video.warnings.is_empty() => whole_clips += 1,
+            Ok(_) => with_warnings += 1,
+            // A crash of OpenH264 would be one of these.
+            Err(error) => {
+                assert!(
+                    matches!(error.kind(), ErrorKind::BadData | ErrorKind::Unsupported),
+                    "case {case}: {error}"
+                );
+                refused += 1;
+            }
+        }
+        // What the child survived, this process does too.
+        if let Err(ReadVideoError::DecoderFailed { how, .. }) = &there {
+            eprintln!("case {case}: {how}");
+            continue;
+        }
+        match (there, read_with(None, &path, &part, &Silent)) {
+            (Ok(there), Ok(here)) => {
+                assert!(same(&there, &here) && there.warnings == here.warnings, "case {case}");
+            }
+            (Err(there), Err(here)) => assert_eq!(there.to_string(), here.to_string(), "case {case}"),
+            (there, here) => panic!("case {case}: {:?} there, {:?} here", there.err(), here.err()),
+        }
+    }
+    eprintln!("{whole_clips} whole, {with_warnings} with warnings, {refused} refused");
+    // The damage reaches the decoder.
+    assert!(with_warnings > 10 && refused > 0, "{with_warnings} {refused}");
+}
+
+#[test]
+fn a_decoder_without_memory() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("large.mp4");
+    let mut writer = Mp4Writer::create(&path, 3840, 2160, 24.0).unwrap();
+    for i in 0..2 {
+        let picture = Plane::from_fn(3840, 2160, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);
+        writer.push(&picture).unwrap();
+    }
+    writer.finish().unwrap();
+    let few = options(limits(|l| l.memory_mb = 64));
+    let how = failure(
+        read_with(Some(&program()), &path, &few, &Silent),
+        &["large.mp4", "H.264 decoder", "64 MiB", "video.decoder.memory_mb"],
+    );
+    assert_eq!(how, DecoderEnd::Memory { limit_mb: 64 });
+    let enough = options(DecoderLimits::default());
+    assert_eq!(
+        read_with(Some(&program()), &path, &enough, &Silent)
+            .unwrap()
+            .frames
+            .len(),
+        2
+    );
+}
+
+#[test]
+fn a_decoder_that_is_not_there() {
+    let nowhere = DecoderProgram::new("/nowhere/decoder", "decode");
+    let error = read_with(Some(&nowhere), &pinwheel(), &options(DecoderLimits::default()), &Silent).unwrap_err();
+    assert!(matches!(error, ReadVideoError::DecoderNotStarted { .. }), "{error}");
+    assert!(error.to_string().contains("/nowhere/decoder"), "{error}");
+    // This is no clip's fault.
+    assert_eq!(error.kind(), ErrorKind::Io);
+}
+
+#[test]
+fn the_decoder_started_by_hand_says_what_it_is() {
+    let run = |arguments: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_m4_decode_h264"));
+        command
+            .args(arguments)
+            .stdin(std::process::Stdio::null())
+            .output()
+            .unwrap()
+    };
+    for arguments in [&["decode"][..], &["decode", "x", "y"], &["decode", "1000000000", "10"]] {
+        let output = run(arguments);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}");
+        assert!(!output.stderr.is_empty() && output.stdout.is_empty(), "{arguments:?}");
+    }
+}
+
+/// A script in a folder of its own.
+#[cfg(unix)]
+fn script(dir: &Path, name: &str, body: &str) -> PathBuf {
+    use std::os::unix::fs::PermissionsExt;
+    let path = dir.join(name);
+    // Written under another name by a shell of its own: a file that some thread has open for writing while another
+    // one forks cannot be started.
+    let write = format!(
+        "cat > '{0}.new' && chmod 755 '{0}.new' && mv '{0}.new' '{0}'",
+        path.display()
+    );
+    let mut shell = std::process::Command::new("sh")
+        .args(["-c", &write])
+        .stdin(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let text = format!("#!/bin/sh\n{body}\n");
+    std::io::Write::write_all(&mut shell.stdin.take().unwrap(), text.as_bytes()).unwrap();
+    assert!(shell.wait().unwrap().success());
+    assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o755);
+    path
+}
+
+/// Reads the example with a script as its decoder.
+#[cfg(unix)]
+fn with_fake(body: &str, limits: DecoderLimits, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
+    let dir = tempfile::tempdir().unwrap();
+    let fake = DecoderProgram::new(script(dir.path(), "fake", body), "decode");
+    read_with(Some(&fake), &pinwheel(), &options(limits), progress)
+}
+
+#[cfg(unix)]
+#[test]
+fn decoders_that_crash() {
+    let usual = DecoderLimits::default;
+    for (body, signal, word) in [
+        ("kill -KILL $$", 9, "SIGKILL"),
+        ("kill -SEGV $$", 11, "SIGSEGV"),
+        ("head -c 20 >/dev/null; kill -ABRT $$", 6, "SIGABRT"),
+    ] {
+        let how = failure(
+            with_fake(body, usual(), &Silent),
+            &["pinwheel.mp4", "H.264 decoder", word],
+        );
+        assert_eq!(how, DecoderEnd::Signal { signal });
+    }
+    let how = failure(
+        with_fake("echo it is broken >&2; exit 3", usual(), &Silent),
+        &["it is broken", "3"],
+    );
+    assert!(matches!(how, DecoderEnd::Answer { .. }));
+    // As loud as a decoder, and no decoder.
+    failure(
+        with_fake("echo hello, hello, hello, hello; cat >/dev/null", usual(), &Silent),
+        &["does not answer"],
+    );
+    // Agreed, and then gone: no shorter answer passes for a picture.
+    let ready = "printf 'm4h264\\000\\001\\001'";
+    failure(
+        with_fake(&format!("{ready}; exit 0"), usual(), &Silent),
+        &["ended early"],
+    );
+    failure(
+        with_fake(&format!("{ready}; printf '\\002abc'; exit 0"), usual(), &Silent),
+        &["ended early"],
+    );
+    failure(
+        with_fake(&format!("{ready}; printf '\\011'; cat >/dev/null"), usual(), &Silent),
+        &["answer 9"],
+    );
+}
+
+#[cfg(unix)]
+#[test]
+fn decoders_that_hang() {
+    let patience = limits(|l| l.idle_seconds = 1);
+    for body in [
+        "sleep 600",
+        // Takes everything and says nothing; or talks, and decodes nothing.
+        "cat >/dev/null; sleep 600",
+        "printf 'm4h264\\000\\001\\001'; while :; do echo working >&2; sleep 0.2; done",
+        // Lets go of its output, and stays.
+        "exec >&- ; sleep 600",
+    ] {
+        let start = Instant::now();
+        let how = failure(
+            with_fake(body, patience, &Silent),
+            &["nothing came from it for 1 s", "idle_seconds"],
+        );
+        assert_eq!(how, DecoderEnd::Idle { seconds: 1 });
+        assert!(start.elapsed() < Duration::from_secs(30), "{body}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn decoders_that_talk_without_end() {
+    let how = failure(
+        with_fake("exec yes >&2", DecoderLimits::default(), &Silent),
+        &["MiB of messages"],
+    );
+    assert_eq!(how, DecoderEnd::Messages { read_mb: 1 });
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn decoders_that_take_too_much() {
+    // `tail` keeps a line until it ends.
+    let how = failure(
+        with_fake("exec tail -n 1 /dev/zero", limits(|l| l.memory_mb = 200), &Silent),
+        &["200 MiB", "memory_mb"],
+    );
+    assert_eq!(how, DecoderEnd::Memory { limit_mb: 200 });
+    let how = failure(
+        with_fake("while :; do :; done", limits(|l| l.cpu_seconds = 1), &Silent),
+        &["longer than the 1 s", "cpu_seconds"],
+    );
+    assert_eq!(how, DecoderEnd::Cpu { limit_s: 1 });
+    // Files: 1 MiB, no core dump.
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("filled");
+    let body = format!("ulimit -c >&2; exec head -c 9000000 /dev/zero >{}", file.display());
+    failure(with_fake(&body, DecoderLimits::default(), &Silent), &["pinwheel.mp4"]);
+    assert_eq!(std::fs::metadata(&file).unwrap().len(), 1 << 20);
+}
+
+/// Stops when a file is there.
+struct StopAt<'a>(&'a Path, AtomicUsize);
+
+impl Progress for StopAt<'_> {
+    fn update(&self, _: &str, _: usize, _: usize, _: &str) {}
+    fn warn(&self, _: &str) {}
+    fn cancelled(&self) -> bool {
+        let stop = self.0.is_file();
+        self.1.fetch_add(usize::from(stop), Ordering::Relaxed);
+        stop
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn stopping_ends_the_child_and_what_it_started() {
+    let dir = tempfile::tempdir().unwrap();
+    let note = dir.path().join("pids");
+    // The grandchild holds the pipes open.
+    let body = format!("sleep 600 & echo $$ $! >{0}.new; mv {0}.new {0}; wait", note.display());
+    let stop = StopAt(&note, AtomicUsize::new(0));
+    let start = Instant::now();
+    let error = with_fake(&body, DecoderLimits::default(), &stop).unwrap_err();
+    assert!(matches!(error, ReadVideoError::Cancelled { .. }), "{error}");
+    assert!(stop.1.load(Ordering::Relaxed) > 0 && start.elapsed() < Duration::from_secs(30));
+    for pid in std::fs::read_to_string(&note).unwrap().split_whitespace() {
+        let gone = || {
+            let status = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+            // The grandchild is waited for by somebody else: Z until then.
+            status.is_empty() || status.contains(") Z ") || status.contains(") X ")
+        };
+        let deadline = Instant::now() + Duration::from_secs(20);
+        while !gone() {
+            assert!(Instant::now() < deadline, "process {pid} is still there");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+/// A clip for ffmpeg, and a folder with programs under its names.
+#[cfg(unix)]
+fn with_fake_ffmpeg(probe: &str, decode: &str, limits: DecoderLimits) -> Result<Video, ReadVideoError> {
+    let dir = tempfile::tempdir().unwrap();
+    let clip = dir.path().join("clip.mkv");
+    std::fs::write(&clip, [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]).unwrap();
+    script(dir.path(), "ffprobe", probe);
+    let options = VideoOptions {
+        ffmpeg: script(dir.path(), "ffmpeg", decode),
+        ..options(limits)
+    };
+    read(&clip, &options, &Silent)
+}
+
+/// What ffprobe says of a clip of three pictures of 4 x 2 pixels.
+#[cfg(unix)]
+const PROBED: &str = r#"echo '{"packets":[{"pts_time":"0","flags":"K_"},{"pts_time":"1","flags":"__"},{"pts_time":"2","flags":"__"}],
+"streams":[{"codec_name":"ffv1","width":4,"height":2,"pix_fmt":"yuv420p"}]}'"#;
+
+/// One of these pictures, as ffmpeg sends it.
+#[cfg(unix)]
+fn sent(second: u32) -> String {
+    format!(
+        "echo '[Parsed_showinfo_0 @ 0x5] [info] n: {second} pts: {second} pts_time:{second} fmt:yuv420p sar:1/1 s:4x2 i:P' >&2
+         printf 'abcdefghijklabcdefghijkl'"
+    )
+}
+
+#[cfg(unix)]
+#[test]
+fn an_ffmpeg_that_hangs_crashes_or_talks_without_end() {
+    let patience = limits(|l| l.idle_seconds = 1);
+    let usual = DecoderLimits::default();
+    let whole = [sent(0), sent(1), sent(2)].join("\n");
+    let video = with_fake_ffmpeg(PROBED, &whole, usual).unwrap();
+    assert_eq!(
+        (video.frames.len(), video.warnings.len()),
+        (3, 0),
+        "{:?}",
+        video.warnings
+    );
+
+    let hang = format!("{}\nsleep 600", sent(0));
+    let how = failure(
+        with_fake_ffmpeg(PROBED, &hang, patience),
+        &["ffmpeg failed on", "clip.mkv", "idle_seconds"],
+    );
+    assert_eq!(how, DecoderEnd::Idle { seconds: 1 });
+    let crash = format!("{}\nkill -SEGV $$", sent(0));
+    let how = failure(
+        with_fake_ffmpeg(PROBED, &crash, usual),
+        &["ffmpeg failed on", "SIGSEGV"],
+    );
+    assert_eq!(how, DecoderEnd::Signal { signal: 11 });
+    let talk = format!("{}\nexec yes '[h264 @ 0x1] [error] broken' >&2", sent(0));
+    let how = failure(
+        with_fake_ffmpeg(PROBED, &talk, usual),
+        &["ffmpeg failed on", "MiB of messages"],
+    );
+    assert!(matches!(how, DecoderEnd::Messages { .. }));
+    // No line end ever.
+    let talk = "exec tr '\\0' x </dev/zero >&2";
+    let how = failure(with_fake_ffmpeg(PROBED, talk, usual), &["MiB of messages"]);
+    assert!(matches!(how, DecoderEnd::Messages { .. }));
+    let memory = format!(
+        "{}\necho '[h264 @ 0x1] [error] Cannot allocate memory' >&2; exit 1",
+        sent(0)
+    );
+    let how = failure(
+        with_fake_ffmpeg(PROBED, &memory, limits(|l| l.memory_mb = 300)),
+        &["300 MiB"],
+    );
+    assert_eq!(how, DecoderEnd::Memory { limit_mb: 300 });
+    // An end by its own decision leaves what was decoded.
+    let short = format!("{}\nexit 1", sent(0));
+    let video = with_fake_ffmpeg(PROBED, &short, usual).unwrap();
+    assert_eq!(video.frames.len(), 1);
+    assert!(video.warnings[0].contains("only 1 of 3 frames"), "{:?}", video.warnings);
+
+    let how = failure(
+        with_fake_ffmpeg("sleep 600", "", patience),
+        &["ffprobe failed on", "idle_seconds"],
+    );
+    assert_eq!(how, DecoderEnd::Idle { seconds: 1 });
+    let how = failure(
+        with_fake_ffmpeg("kill -SEGV $$", "", usual),
+        &["ffprobe failed on", "SIGSEGV"],
+    );
+    assert_eq!(how, DecoderEnd::Signal { signal: 11 });
+    let how = failure(
+        with_fake_ffmpeg("exec yes >&2", "", usual),
+        &["ffprobe failed on", "messages"],
+    );
+    assert!(matches!(how, DecoderEnd::Messages { .. }));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn the_real_ffmpeg_obeys_limits() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let clip = dir.path().join("clip.mkv");
+    if !ffmpeg(
+        "-f lavfi -i testsrc2=size=3840x2160:rate=24 -frames:v 12 -c:v ffv1",
+        &clip,
+    ) {
+        return;
+    }
+    let with = |limits| VideoOptions {
+        size: Some(64),
+        decoder: limits,
+        ..VideoOptions::default()
+    };
+    let usual = with(DecoderLimits::default());
+    assert_eq!(read(&clip, &usual, &Silent).unwrap().frames.len(), 12);
+    let few = with(limits(|l| l.memory_mb = 64));
+    let how = failure(read(&clip, &few, &Silent), &["clip.mkv", "64 MiB"]);
+    assert_eq!(how, DecoderEnd::Memory { limit_mb: 64 });
+}
+
+#[test]
+fn a_clip_cannot_name_other_files() {
+    if !have_ffmpeg() {
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let other = dir.path().join("secret.ts");
+    assert!(ffmpeg(
+        &format!("-i {} -c copy -frames:v 8", pinwheel().display()),
+        &other
+    ));
+    let options = VideoOptions {
+        size: Some(64),
+        ..VideoOptions::default()
+    };
+    assert_eq!(read(&other, &options, &Silent).unwrap().frames.len(), 8);
+    let lists = [
+        ("concat.txt", "ffconcat version 1.0\nfile secret.ts\n"),
+        (
+            "list.m3u8",
+            "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n",
+        ),
+        (
+            "clip.mp4",
+            "#EXTM3U\n#EXT-X-TARGETDURATION:4\n#EXTINF:4,\nsecret.ts\n#EXT-X-ENDLIST\n",
+        ),
+        (
+            "remote.sdp",
+            "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video 5004 RTP/AVP 96\na=rtpmap:96 H264/90000\n",
+        ),
+    ];
+    for (name, text) in lists {
+        let list = dir.path().join(name);
+        std::fs::write(&list, text).unwrap();
+        let error = read(&list, &options, &Silent).unwrap_err();
+        assert!(matches!(error, ReadVideoError::NotVideo { .. }), "{name}: {error}");
+    }
+}
