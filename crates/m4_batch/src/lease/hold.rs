@@ -146,7 +146,8 @@ impl Shared {
     /// Renews the lease until it is given up or lost.
     fn keep_up(&self) {
         let mut held = self.lock();
-        loop {
+        // Asked before each wait: the lease may have been given up before this thread began.
+        while !(held.ended || held.lost) {
             let waited = self.wake.wait_timeout(held, self.lasts / RENEWALS);
             held = waited.map_or_else(|e| e.into_inner().0, |(held, _)| held);
             if held.ended || held.lost {

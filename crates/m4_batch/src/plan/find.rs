@@ -58,7 +58,13 @@ fn expand(given: &str) -> Result<Vec<PathBuf>, PlanError> {
         pattern: given.to_owned(),
         reason,
     };
-    let matches = glob::glob(given).map_err(|e| pattern(e.to_string()))?;
+    // As a shell has it: a star means neither hidden files nor folders.
+    let as_shell = glob::MatchOptions {
+        case_sensitive: true,
+        require_literal_separator: true,
+        require_literal_leading_dot: true,
+    };
+    let matches = glob::glob_with(given, as_shell).map_err(|e| pattern(e.to_string()))?;
     let matches: Vec<PathBuf> = matches.collect::<Result<_, _>>().map_err(|e| pattern(e.to_string()))?;
     match matches.is_empty() {
         true => Err(nothing(given, true)),
