@@ -137,21 +137,13 @@ pub enum PlanError {
         /// Why.
         reason: String,
     },
-    /// The build knows no object stores.
+    /// The clip is in an object store.
     #[error(
-        "{uri} is in an object store, which this build cannot read: build with the feature `cloud`, or copy the clips here"
+        "{uri} is in an object store, which this release does not read; copy the clips to a folder that all workers see"
     )]
-    NoCloud {
+    ObjectStore {
         /// What was given.
         uri: String,
-    },
-    /// A store did not answer as it should.
-    #[error("{uri}: {reason}")]
-    Store {
-        /// What was asked for.
-        uri: String,
-        /// What it said.
-        reason: String,
     },
     /// Something of another kind is where a result is to be.
     #[error("{} is there and was not made by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
@@ -169,9 +161,9 @@ impl PlanError {
             Self::File(error) => error.kind(),
             Self::Missing { .. } => ErrorKind::NotFound,
             Self::Foreign { .. } => ErrorKind::CannotWrite,
-            Self::Hash { .. } | Self::Store { .. } => ErrorKind::Io,
+            Self::Hash { .. } => ErrorKind::Io,
             Self::Pattern { .. } | Self::Nothing { .. } | Self::Name { .. } => ErrorKind::BadData,
-            Self::NoCloud { .. } => ErrorKind::Unsupported,
+            Self::ObjectStore { .. } => ErrorKind::Unsupported,
         }
     }
 }
@@ -199,14 +191,6 @@ pub enum WorkError {
         /// Its value.
         value: String,
     },
-    /// An object store did not answer as it should.
-    #[error("{uri}: {reason}")]
-    Store {
-        /// What was asked for.
-        uri: String,
-        /// What it said.
-        reason: String,
-    },
 }
 
 impl WorkError {
@@ -216,7 +200,6 @@ impl WorkError {
         match self {
             Self::File(error) => error.kind(),
             Self::NoSuchJob { .. } | Self::Index { .. } => ErrorKind::NotFound,
-            Self::Store { .. } => ErrorKind::Io,
         }
     }
 }

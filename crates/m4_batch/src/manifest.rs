@@ -49,7 +49,7 @@ struct Header {
     version: u32,
     /// Release of the program that planned.
     minute4d: String,
-    /// Where results go: a folder with its whole path, or a URI.
+    /// Where results go: a folder with its whole path.
     results: String,
     /// How many lines follow.
     jobs: usize,
@@ -63,16 +63,13 @@ struct Header {
 pub struct Job {
     /// Name of the job and of its result; unique, safe as a file name.
     pub id: String,
-    /// The clip: a whole path or a URI.
+    /// The clip, with its whole path.
     pub input: String,
     /// Its size; of all files of a folder together.
     pub bytes: u64,
-    /// BLAKE3 of a clip on a disk, hexadecimal.
+    /// BLAKE3 of its bytes, hexadecimal.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub blake3: Option<String>,
-    /// What an object store calls this version of the clip.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub etag: Option<String>,
     /// Where its result will be.
     pub output: String,
     /// Seconds that it will take, where something is known of that.
@@ -87,7 +84,7 @@ impl Job {
     /// Hash of the input and the settings: a result with the same key need not be made again.
     #[must_use]
     pub fn key(&self, run: &Arguments) -> String {
-        let input = self.blake3.as_deref().or(self.etag.as_deref()).unwrap_or(&self.input);
+        let input = self.blake3.as_deref().unwrap_or(&self.input);
         of_parts([input, &run.blake3()])
     }
 }
@@ -95,7 +92,7 @@ impl Job {
 /// What is to be done.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Manifest {
-    /// Where results go: a folder with its whole path, or a URI.
+    /// Where results go: a folder with its whole path.
     pub results: String,
     /// What every run is started with.
     pub run: Arguments,
@@ -210,7 +207,6 @@ mod tests {
             input: format!("/clips/{id}.mp4"),
             bytes: 7,
             blake3: Some("00".to_owned()),
-            etag: None,
             output: format!("/results/{id}"),
             estimate_s: Some(60.0),
             estimate_of: Some("training".to_owned()),

@@ -19,6 +19,10 @@ use std::time::{Duration, Instant};
 
 /// Workers that may vanish over a job, for each attempt that may crash. Machines go away for reasons of their own.
 const VANISHED_AN_ATTEMPT: u32 = 3;
+/// Exit code of a run that found no device.
+const NO_DEVICE: i32 = 69;
+/// Exit code of a run that could not write.
+const CANNOT_WRITE: i32 = 73;
 /// How long to wait for the run of a vanished worker to let go of the working folder.
 const LET_GO: Duration = Duration::from_secs(120);
 
@@ -78,6 +82,8 @@ pub enum JobEnd {
     Again {
         /// Why.
         reason: String,
+        /// True when this machine cannot do other jobs either: it has no device, or nothing can be written.
+        machine: bool,
     },
 }
 
@@ -142,10 +148,9 @@ pub fn work(
                 continue;
             };
             listener.ended(&job.id, &end);
-            let stop = matches!(end, JobEnd::Again { .. });
+            let stop = matches!(end, JobEnd::Again { machine: true, .. });
             summary.count(&job.id, end);
             if stop {
-                // What this machine cannot do for one clip it cannot do for the next.
                 summary.leave(&waiting[i + 1..], manifest, &mut held, "left for another worker");
                 return Ok(summary);
             }
@@ -171,7 +176,7 @@ impl Summary {
                 self.poison += 1;
                 self.reasons.push((id.to_owned(), reason));
             }
-            JobEnd::Again { reason } => {
+            JobEnd::Again { reason, .. } => {
                 self.again += 1;
                 self.reasons.push((id.to_owned(), reason));
             }
@@ -280,14 +285,7 @@ impl Worker<'_> {
                     Published::Bad(said) => {
                         (verdict, reason) = (Verdict::Failed, format!("the result was not published: {said}"));
                     }
-                    Published::Foreign => {
-                        let place = self.layout.result(&job.id);
-                        reason = format!(
-                            "{} is there and was not made by `minute4d batch`; move it away and use --retry-failed",
-                            place.display()
-                        );
-                        verdict = Verdict::Poison;
-                    }
+                    Published::Foreign => (verdict, reason) = (Verdict::Poison, self.in_the_way(job)),
                 }
             }
             if verdict == Verdict::Failed {
@@ -314,7 +312,10 @@ impl Worker<'_> {
                     }));
                 }
                 Verdict::Poison => return Ok(Some(JobEnd::Poison { reason })),
-                Verdict::Interrupted => return Ok(Some(JobEnd::Again { reason })),
+                Verdict::Interrupted => {
+                    let machine = matches!(code, Some(NO_DEVICE | CANNOT_WRITE));
+                    return Ok(Some(JobEnd::Again { reason, machine }));
+                }
                 Verdict::Failed => {}
             }
         }
@@ -329,6 +330,9 @@ impl Worker<'_> {
         };
         if let Some(refused) = self.check_input(job) {
             return Ok(refused);
+        }
+        if present(&self.layout.result(&job.id), "")? == Present::Foreign {
+            return Ok(Attempt::Refused(Meaning::Poison, CANNOT_WRITE, self.in_the_way(job)));
         }
         let (work, settings) = (self.layout.work(&job.id), self.layout.settings(&job.id));
         let failed = FileError::write(&settings);
@@ -365,6 +369,15 @@ impl Worker<'_> {
         } else {
             Attempt::Ended(ended)
         })
+    }
+
+    /// What is said of a folder that is not ours where a result should go.
+    fn in_the_way(&self, job: &Job) -> String {
+        let place = self.layout.result(&job.id);
+        format!(
+            "{} is there and was not made by `minute4d batch`; move it away and use --retry-failed",
+            place.display()
+        )
     }
 
     /// The input must be what was planned: results are kept under its hash.

@@ -48,7 +48,7 @@ fn expand(given: &str) -> Result<Vec<PathBuf>, PlanError> {
         };
     }
     if is_uri(given) {
-        return Err(PlanError::NoCloud { uri: given.to_owned() });
+        return Err(PlanError::ObjectStore { uri: given.to_owned() });
     }
     let path = PathBuf::from(given);
     if path.exists() || !given.contains(['*', '?', '[']) {
@@ -73,7 +73,7 @@ fn expand(given: &str) -> Result<Vec<PathBuf>, PlanError> {
 }
 
 /// `s3://bucket/clip.mp4` and the like.
-pub(crate) fn is_uri(text: &str) -> bool {
+fn is_uri(text: &str) -> bool {
     let schemes = ["s3", "gs", "az", "http", "https"];
     text.split_once("://")
         .is_some_and(|(scheme, _)| schemes.contains(&scheme))
@@ -199,6 +199,6 @@ mod tests {
         assert!(said(&at("v/*.avi")).contains("no video"));
         fs::create_dir(root.join("empty")).unwrap();
         assert!(said(&at("empty")).contains("--recursive"));
-        assert!(said("s3://bucket/a.mp4").contains("feature `cloud`"));
+        assert!(said("s3://bucket/a.mp4").contains("object store"));
     }
 }

@@ -62,7 +62,6 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, PlanError> {
             input,
             bytes: size(path)?,
             blake3: Some(blake3),
-            etag: None,
             estimate_s: plan.training_s,
             estimate_of: plan.training_s.map(|_| "training alone".to_owned()),
         });

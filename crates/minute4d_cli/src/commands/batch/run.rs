@@ -112,7 +112,7 @@ impl Listener for Voice<'_> {
             JobEnd::Done { seconds: Some(s) } => self.0.note(&format!("{id}: done in {}", duration(*s))),
             JobEnd::Done { seconds: None } => self.0.note(&format!("{id}: done before")),
             JobEnd::Poison { reason } => self.0.warn(&format!("{id} is given up: {reason}")),
-            JobEnd::Again { reason } => self.0.warn(&format!("{id} is to be tried again: {reason}")),
+            JobEnd::Again { reason, .. } => self.0.warn(&format!("{id} is to be tried again: {reason}")),
         }
     }
 }
