@@ -132,10 +132,10 @@ pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str, lease: &
     if present(&target, key)? == Present::Foreign {
         return Ok(Published::Foreign);
     }
-    remove_temporary(&work).map_err(FileError::write(&work))?;
     if let Err(reason) = check(&work, true)? {
         return Ok(Published::Bad(reason));
     }
+    remove_temporary(&work).map_err(FileError::write(&work))?;
     if !lease.confirm()? {
         return Ok(Published::Lost);
     }

@@ -249,12 +249,16 @@ mod tests {
 
     #[cfg(unix)]
     fn drive_in(state: &str, worker: &str, restarts: &str, term: bool) -> (Option<i32>, String) {
-        use std::os::unix::fs::PermissionsExt;
         let dir = tempfile::tempdir().unwrap();
+        // Made by another process: one that is forked here meanwhile would hold it open for writing.
         let write = |name: &str, text: &str| {
-            let path = dir.path().join(name);
-            fs::write(&path, format!("#!/bin/bash\n{text}\n")).unwrap();
-            fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).unwrap();
+            let (text_file, path) = (dir.path().join(format!("{name}.txt")), dir.path().join(name));
+            fs::write(&text_file, format!("#!/bin/bash\n{text}\n")).unwrap();
+            let status = Command::new("install")
+                .args(["-m", "755"])
+                .args([&text_file, &path])
+                .status();
+            assert!(status.unwrap().success());
             path
         };
         let heard = dir.path().join("heard");

@@ -199,3 +199,6 @@ impl Worker<'_> {
         }
     }
 }
+
+#[cfg(all(test, unix))]
+mod tests;
