@@ -57,12 +57,14 @@ mod workspace;
 
 pub use error::{Category, Error};
 pub use folder::Existing;
+pub use hash::of_path as hash_of_path;
 pub use job::{Job, threads, with_threads};
 pub use pipeline::{is_capture, run};
 pub use progress::{Keeper, Observer, StageEvent};
 pub use record::{plain_json, pretty_json};
 pub use settings::Settings;
 
+pub use m4_batch as batch;
 pub use m4_eval as eval;
 pub use m4_formats as formats;
 #[cfg(feature = "gpu")]

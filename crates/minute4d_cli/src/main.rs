@@ -29,6 +29,9 @@ fn main() -> ExitCode {
     };
     let output = Output::new(cli.common.json, cli.common.quiet, StopSignal::default());
     output::watch_signals(&output);
+    if cli.common.stop_at_eof {
+        output::stop_at_eof(&output);
+    }
     let outcome = catch_unwind(AssertUnwindSafe(|| commands::run(&cli, &output)));
     let (code, reason) = match outcome {
         Ok(Ok(())) => (0, "done".to_owned()),

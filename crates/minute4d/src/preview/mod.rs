@@ -2,7 +2,10 @@
 
 mod label;
 mod panels;
+mod poster;
 mod sharpest;
+
+pub use poster::{POSTER_FILE, poster};
 
 use crate::folder::PREVIEW_FILE;
 use crate::progress::Keeper;

@@ -1,6 +1,7 @@
 //! The command line, as clap reads it: what holds for all commands, and a file for each.
 
 mod ablate;
+mod batch;
 mod bench;
 mod device;
 mod enhance;
@@ -25,6 +26,7 @@ mod weights;
 mod without;
 
 pub use ablate::Ablate;
+pub use batch::{Batch, BatchAction, BatchPlan, BatchRun, BatchStatus, BatchSubmit};
 pub use bench::{Bench, BenchScene};
 pub use device::{DeviceArgs, limit};
 pub use enhance::Enhance;
@@ -81,6 +83,9 @@ pub struct Common {
     /// Threads to compute on; the result does not depend on it [default: all cores]
     #[arg(long, global = true, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
+    /// Save and stop when standard input ends: for a parent that holds the other end.
+    #[arg(long, global = true, hide = true)]
+    pub stop_at_eof: bool,
 }
 
 /// What the program does.
@@ -112,6 +117,8 @@ pub enum Command {
     Ablate(Ablate),
     /// Compare the cameras, depth and masks of a capture with known ones
     EvalGeometry(EvalGeometry),
+    /// Many clips on many machines: plan, run, hand to Slurm, see how far they are
+    Batch(Batch),
     /// Say what a video, a capture, a scene file or a run holds
     Inspect(Inspect),
     /// Say what this machine has: cores, instructions, memory, disk, ffmpeg
@@ -176,6 +183,15 @@ mod tests {
             "reproduce kitti --data a -o b",
             "reproduce dycheck --data a -o b --factor 0",
             "reproduce dycheck --data a -o b --geometry theirs",
+            "batch",
+            "batch plan a -o b",
+            "batch plan -o b --out c",
+            "batch run",
+            "batch run --manifest a --attempts 0",
+            "batch run --manifest a --lease-seconds 1",
+            "batch run --manifest a --stride 0 --index 1",
+            "batch run --manifest a --index -1",
+            "batch submit --manifest a --engine cron",
         ];
         for line in bad {
             let args = std::iter::once("minute4d").chain(line.split(' '));
@@ -197,6 +213,10 @@ mod tests {
             "split a --protocol instant4d -o b --force",
             "reproduce dycheck --data a -o b --protocols instant4d,rodygs --scenes apple,spin --preset draft",
             "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick --save",
+            "batch plan a b --recursive -o jobs.jsonl --out c --preset draft --set train.seed=1 --device cpu --no-track",
+            "batch run --manifest a --index 3 --stride 10 --scratch b --attempts 1 --retry-failed --no-wait",
+            "batch submit --engine slurm --manifest a --gpus 1 --max-parallel 64 --sbatch-arg=--account=me --dry-run",
+            "batch status --manifest a --failed --html b --json",
         ];
         for line in good {
             let args = std::iter::once("minute4d").chain(line.split(' '));

@@ -38,4 +38,7 @@ pub struct Run {
     /// An existing folder.
     #[command(flatten)]
     pub existing: OutArgs,
+    /// Make poster.jpg besides, for lists of many clips.
+    #[arg(long, hide = true)]
+    pub poster: bool,
 }

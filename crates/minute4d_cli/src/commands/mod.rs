@@ -1,6 +1,7 @@
 //! One file a command: arguments to a call of the library, and its result to words.
 
 mod ablate;
+mod batch;
 mod bench;
 mod doctor;
 mod enhance;
@@ -45,6 +46,7 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Reproduce(args) => reproduce::run(args, output),
         Command::Ablate(args) => ablate::run(args, output),
         Command::EvalGeometry(args) => eval_geometry::run(args, output),
+        Command::Batch(args) => batch::run(args, &cli.common, output),
         Command::Inspect(args) => inspect::run(args, output),
         Command::Doctor => doctor::run(output),
         Command::Bench(args) => bench::run(args, &cli.common, output),

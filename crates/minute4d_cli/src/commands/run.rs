@@ -24,7 +24,11 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     let device = args.device.request()?;
     let work = |observer: &dyn Observer| {
         let job = job(&args.settings, device, &args.existing, settings, observer);
-        minute4d::run(input, out, &job)
+        let done = minute4d::run(input, out, &job)?;
+        if args.poster {
+            minute4d::preview::poster(out, input, &job.settings)?;
+        }
+        Ok(done)
     };
     while_training(&args.page, (input, out), output, work, |done| report(out, done, output))
 }

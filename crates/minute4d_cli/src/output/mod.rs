@@ -5,7 +5,7 @@ mod lines;
 mod stop;
 mod terminal;
 
-pub use stop::{StopSignal, watch_signals};
+pub use stop::{StopSignal, stop_at_eof, watch_signals};
 
 use events::Events;
 pub use events::end_of_json;

@@ -8,6 +8,8 @@ use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 #[derive(Debug, Clone, Default)]
 pub struct StopSignal {
     code: Arc<AtomicU8>,
+    /// True once a signal came; the end of standard input is none.
+    signalled: Arc<AtomicBool>,
     idle: Arc<AtomicBool>,
 }
 
@@ -25,12 +27,28 @@ impl StopSignal {
         self.idle.store(true, Ordering::SeqCst);
     }
 
-    /// Notes a request; true if it is the first.
+    /// Notes a signal; true if it is the first.
     fn request(&self, code: u8) -> bool {
-        self.code
-            .compare_exchange(0, code, Ordering::SeqCst, Ordering::SeqCst)
-            .is_ok()
+        self.ask(code);
+        !self.signalled.swap(true, Ordering::SeqCst)
     }
+
+    /// Notes a wish that is not urgent, however often it comes.
+    fn ask(&self, code: u8) {
+        // The first one says how the program ends.
+        let _ = self.code.compare_exchange(0, code, Ordering::SeqCst, Ordering::SeqCst);
+    }
+}
+
+/// Asks to stop, as SIGTERM does, when standard input ends: whoever held its other end let go of it, or died. A signal
+/// may come besides, from an engine that tells all processes, and is still the first.
+pub fn stop_at_eof(output: &Arc<Output>) {
+    let stop = output.stop().clone();
+    std::thread::spawn(move || {
+        // An input that cannot be read tells as little as one that ended.
+        let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
+        stop.ask(143);
+    });
 }
 
 /// Starts to listen for signals. Where that is impossible, the system's default stays: the process
@@ -73,4 +91,20 @@ pub fn watch_signals(output: &Arc<Output>) {
         }
         stop.request(130);
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::StopSignal;
+
+    #[test]
+    fn the_end_of_the_input_and_a_signal_are_one_wish() {
+        let stop = StopSignal::default();
+        assert_eq!(stop.code(), None);
+        stop.ask(143);
+        stop.ask(143);
+        assert!(stop.request(130), "the first signal");
+        assert_eq!(stop.code(), Some(143));
+        assert!(!stop.request(130), "the second ends the program");
+    }
 }

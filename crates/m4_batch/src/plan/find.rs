@@ -1,0 +1,204 @@
+//! Clips by files, folders, patterns and lists.
+
+use crate::error::{FileError, PlanError};
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Extensions of files in folders that are taken for videos; a file that is named itself may have any.
+const VIDEOS: [&str; 15] = [
+    "mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "wmv", "flv", "ogv",
+];
+/// Extensions of pictures: a folder of these is a clip.
+const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
+/// Lists of posed frames: a folder with one is a capture, and so a clip.
+const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
+
+/// The clips that a user named, each once, with their whole paths.
+///
+/// # Errors
+///
+/// [`PlanError`] for what does not exist, holds nothing, or cannot be read.
+pub fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, PlanError> {
+    let mut found = BTreeSet::new();
+    for one in given {
+        for path in expand(one)? {
+            add(&path, recursive, &mut found)?;
+        }
+    }
+    Ok(found.into_iter().collect())
+}
+
+/// Lists and patterns to paths.
+fn expand(given: &str) -> Result<Vec<PathBuf>, PlanError> {
+    if let Some(list) = given.strip_prefix('@') {
+        let path = Path::new(list);
+        let text = fs::read_to_string(path).map_err(FileError::read(path))?;
+        let lines = text
+            .lines()
+            .map(str::trim)
+            .filter(|l| !l.is_empty() && !l.starts_with('#'));
+        let mut all = Vec::new();
+        for line in lines.filter(|l| !l.starts_with('@')) {
+            all.extend(expand(line)?);
+        }
+        return match all.is_empty() {
+            true => Err(nothing(given, true)),
+            false => Ok(all),
+        };
+    }
+    if is_uri(given) {
+        return Err(PlanError::ObjectStore { uri: given.to_owned() });
+    }
+    let path = PathBuf::from(given);
+    if path.exists() || !given.contains(['*', '?', '[']) {
+        return Ok(vec![path]);
+    }
+    let pattern = |reason: String| PlanError::Pattern {
+        pattern: given.to_owned(),
+        reason,
+    };
+    // As a shell has it: a star means neither hidden files nor folders.
+    let as_shell = glob::MatchOptions {
+        case_sensitive: true,
+        require_literal_separator: true,
+        require_literal_leading_dot: true,
+    };
+    let matches = glob::glob_with(given, as_shell).map_err(|e| pattern(e.to_string()))?;
+    let matches: Vec<PathBuf> = matches.collect::<Result<_, _>>().map_err(|e| pattern(e.to_string()))?;
+    match matches.is_empty() {
+        true => Err(nothing(given, true)),
+        false => Ok(matches),
+    }
+}
+
+/// `s3://bucket/clip.mp4` and the like.
+fn is_uri(text: &str) -> bool {
+    let schemes = ["s3", "gs", "az", "http", "https"];
+    text.split_once("://")
+        .is_some_and(|(scheme, _)| schemes.contains(&scheme))
+}
+
+fn nothing(given: impl Into<String>, recursive: bool) -> PlanError {
+    PlanError::Nothing {
+        given: given.into(),
+        recursive,
+    }
+}
+
+fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<(), PlanError> {
+    // `canonicalize` follows links, so that a clip that is named twice is one clip.
+    let path = fs::canonicalize(path).map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => PlanError::Missing {
+            path: path.to_path_buf(),
+        },
+        _ => FileError::read(path)(e).into(),
+    })?;
+    if !path.is_dir() {
+        found.insert(path);
+        return Ok(());
+    }
+    let clips = clips_of(&path, recursive)?;
+    if clips.is_empty() {
+        return Err(nothing(path.display().to_string(), recursive));
+    }
+    found.extend(clips);
+    Ok(())
+}
+
+/// The clips in a folder, or the folder itself where it is one.
+fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, PlanError> {
+    let (mut videos, mut folders, mut pictures) = (Vec::new(), Vec::new(), false);
+    for entry in fs::read_dir(folder).map_err(FileError::read(folder))? {
+        let path = entry.map_err(FileError::read(folder))?.path();
+        let name = path
+            .file_name()
+            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        if name.starts_with('.') {
+            continue;
+        }
+        if CAPTURES.contains(&name.as_str()) {
+            return Ok(vec![folder.to_path_buf()]);
+        }
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
+        let is = |list: &[&str]| extension.as_deref().is_some_and(|e| list.contains(&e));
+        if path.is_dir() {
+            folders.push(path);
+        } else if is(&VIDEOS) {
+            videos.push(fs::canonicalize(&path).map_err(FileError::read(&path))?);
+        } else {
+            pictures |= is(&PICTURES);
+        }
+    }
+    if videos.is_empty() && pictures {
+        return Ok(vec![folder.to_path_buf()]);
+    }
+    if recursive {
+        for inner in folders {
+            videos.extend(clips_of(&inner, recursive)?);
+        }
+    }
+    Ok(videos)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::inputs;
+    use std::fs;
+    use std::path::Path;
+
+    fn touch(path: &Path) {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, "x").unwrap();
+    }
+
+    #[test]
+    fn files_folders_patterns_and_lists_are_found_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = fs::canonicalize(dir.path()).unwrap();
+        let at = |name: &str| root.join(name).to_str().unwrap().to_owned();
+        for name in [
+            "v/b.mp4",
+            "v/a.MOV",
+            "v/notes.txt",
+            "v/.c.mp4",
+            "v/in/d.mkv",
+            "v/pics/1.png",
+            "v/cap/transforms.json",
+        ] {
+            touch(&root.join(name));
+        }
+        let found = |given: &[String], recursive: bool| -> Vec<String> {
+            let all = inputs(given, recursive).unwrap();
+            all.iter()
+                .map(|p| p.strip_prefix(&root).unwrap().display().to_string().replace('\\', "/"))
+                .collect()
+        };
+        assert_eq!(found(&[at("v")], false), ["v/a.MOV", "v/b.mp4"]);
+        let all = ["v/a.MOV", "v/b.mp4", "v/cap", "v/in/d.mkv", "v/pics"];
+        assert_eq!(found(&[at("v")], true), all);
+        assert_eq!(found(&[at("v/pics")], false), ["v/pics"], "pictures are a clip");
+        assert_eq!(
+            found(&[at("v/*.mp4"), at("v/b.mp4"), at("v/in/../b.mp4")], false),
+            ["v/b.mp4"]
+        );
+        assert_eq!(
+            found(&[at("v/notes.txt")], false),
+            ["v/notes.txt"],
+            "who names a file means it"
+        );
+        fs::write(
+            root.join("list"),
+            format!("# clips\n{}\n\n{}\n", at("v/b.mp4"), at("v/i*")),
+        )
+        .unwrap();
+        assert_eq!(found(&[format!("@{}", at("list"))], false), ["v/b.mp4", "v/in/d.mkv"]);
+
+        let said = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();
+        assert!(said(&at("none.mp4")).contains("there is no"));
+        assert!(said(&at("v/*.avi")).contains("no video"));
+        fs::create_dir(root.join("empty")).unwrap();
+        assert!(said(&at("empty")).contains("--recursive"));
+        assert!(said("s3://bucket/a.mp4").contains("object store"));
+    }
+}

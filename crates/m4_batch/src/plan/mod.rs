@@ -1,0 +1,112 @@
+//! From what a user names to a manifest.
+
+mod find;
+
+pub use find::inputs;
+
+use crate::error::PlanError;
+use crate::layout::Layout;
+use crate::manifest::{Arguments, Job, Manifest};
+use crate::names;
+use crate::publish::{Present, present};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// What to plan.
+pub struct Plan<'a> {
+    /// Files, folders, patterns, lists (`@FILE`).
+    pub given: &'a [String],
+    /// Look into folders of folders.
+    pub recursive: bool,
+    /// Where results go.
+    pub results: &'a Path,
+    /// What every run is started with.
+    pub run: Arguments,
+    /// Seconds that training is given, where it is given a time.
+    pub training_s: Option<f64>,
+    /// BLAKE3 of a file or a folder, as runs compute it.
+    pub hash: &'a dyn Fn(&Path) -> Result<String, String>,
+}
+
+/// Lists the clips with their sizes and hashes, in natural order of their ids.
+///
+/// # Errors
+///
+/// [`PlanError`].
+pub fn plan(plan: &Plan<'_>) -> Result<Manifest, PlanError> {
+    let found = inputs(plan.given, plan.recursive)?;
+    let mut named = Vec::with_capacity(found.len());
+    for path in &found {
+        named.push((text(path)?, name(path)));
+    }
+    let ids = names::ids(
+        &named
+            .iter()
+            .map(|(path, name)| (name.clone(), path.clone()))
+            .collect::<Vec<_>>(),
+    );
+    let layout = Layout::new(plan.results, None);
+    let mut jobs = Vec::with_capacity(found.len());
+    for ((path, (input, _)), id) in found.iter().zip(named).zip(ids) {
+        let result = layout.result(&id);
+        if present(&result, "")? == Present::Foreign {
+            return Err(PlanError::Foreign { path: result });
+        }
+        let blake3 = (plan.hash)(path).map_err(|reason| PlanError::Hash {
+            path: path.clone(),
+            reason,
+        })?;
+        jobs.push(Job {
+            output: text(&result)?,
+            id,
+            input,
+            bytes: size(path)?,
+            blake3: Some(blake3),
+            estimate_s: plan.training_s,
+            estimate_of: plan.training_s.map(|_| "training alone".to_owned()),
+        });
+    }
+    jobs.sort_by(|a, b| names::natural_order(&a.id, &b.id));
+    Ok(Manifest {
+        results: text(plan.results)?,
+        run: plan.run.clone(),
+        jobs,
+    })
+}
+
+fn text(path: &Path) -> Result<String, PlanError> {
+    path.to_str().map(str::to_owned).ok_or_else(|| PlanError::Name {
+        path: path.to_path_buf(),
+    })
+}
+
+/// The name of a clip: that of its file without the extension, or of its folder.
+fn name(path: &Path) -> String {
+    let name = if path.is_dir() {
+        path.file_name()
+    } else {
+        path.file_stem()
+    };
+    name.map_or_else(String::new, |n| n.to_string_lossy().into_owned())
+}
+
+/// Bytes of a file, or of everything in a folder that is not hidden.
+pub(crate) fn size(path: &Path) -> Result<u64, PlanError> {
+    let failed = |source| crate::error::FileError::Read {
+        path: path.to_path_buf(),
+        source,
+    };
+    let found = fs::metadata(path).map_err(failed)?;
+    if !found.is_dir() {
+        return Ok(found.len());
+    }
+    let mut sum = 0;
+    for entry in fs::read_dir(path).map_err(failed)? {
+        let entry: PathBuf = entry.map_err(failed)?.path();
+        let hidden = entry.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+        if !hidden {
+            sum += size(&entry)?;
+        }
+    }
+    Ok(sum)
+}

@@ -1,0 +1,122 @@
+//! `minute4d batch plan`: clips and settings to a manifest.
+
+use super::super::settings::{print_config, settings};
+use crate::args::BatchPlan;
+use crate::failure::Failure;
+use crate::output::{Output, duration};
+use clap::ValueEnum;
+use minute4d::Settings;
+use minute4d::batch::{Arguments, Plan, plan};
+use minute4d::io::atomic::AtomicFile;
+use minute4d::settings::Layers;
+use serde_json::json;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+pub fn run(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
+    let mut settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
+    args.without.apply(&mut settings);
+    settings.viewer.write &= !args.no_viewer;
+    let (Some(manifest), Some(results), false) = (&args.manifest, &args.out, args.settings.print_config) else {
+        return print_config(&settings, output);
+    };
+    whole_paths(&mut settings)?;
+    args.device.request()?;
+    let results = whole(results)?;
+    let planned = plan(&Plan {
+        given: &args.given,
+        recursive: args.recursive,
+        results: &results,
+        run: arguments(args, &settings, manifest)?,
+        training_s: Some(settings.train.budget_s).filter(|s| *s > 0.0),
+        hash: &super::hash,
+    })?;
+    planned.write(manifest, args.force)?;
+    let training: f64 = planned.jobs.iter().filter_map(|j| j.estimate_s).sum();
+    let bytes: u64 = planned.jobs.iter().map(|j| j.bytes).sum();
+    let spent = match training > 0.0 {
+        true => format!("; training alone takes {}", duration(training)),
+        false => String::new(),
+    };
+    output.note(&format!(
+        "{} clips, {:.1} MB{spent}; `minute4d batch run --manifest {}` does them",
+        planned.jobs.len(),
+        bytes as f64 / 1e6,
+        manifest.display()
+    ));
+    let ids: Vec<&str> = planned.jobs.iter().map(|j| j.id.as_str()).collect();
+    output.result(
+        &manifest.display().to_string(),
+        json!({"path": manifest, "jobs": ids.len(), "ids": ids, "bytes": bytes, "training_s": training, "results": results}),
+    );
+    Ok(())
+}
+
+/// What every run is started with. The settings must read back as they are, from a file that is there for a moment beside
+/// the manifest: what is planned is what is run.
+fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<Arguments, Failure> {
+    let text = settings.to_toml()?;
+    let failed = |source| minute4d::Error::Write {
+        path: manifest.to_path_buf(),
+        source,
+    };
+    let mut file = AtomicFile::create(manifest).map_err(failed)?;
+    file.write_all(text.as_bytes())
+        .and_then(|()| file.sync())
+        .map_err(failed)?;
+    let profile = args.settings.profile;
+    let base = match profile {
+        crate::args::Profile::Fast => Settings::fast(),
+        crate::args::Profile::Faithful => Settings::faithful(),
+    };
+    let again = Layers::new(base)?.file(file.temporary_path())?.finish();
+    if again != *settings {
+        return Err(minute4d::Error::Internal {
+            what: "the settings do not read back as they were written".to_owned(),
+        }
+        .into());
+    }
+    let name = profile
+        .to_possible_value()
+        .map_or_else(String::new, |v| v.get_name().to_owned());
+    let mut arguments = vec![
+        "--profile".to_owned(),
+        name,
+        "--device".to_owned(),
+        args.device.device.to_string(),
+    ];
+    if let Some(mb) = args.device.max_vram {
+        arguments.extend(["--max-vram".to_owned(), mb.to_string()]);
+    }
+    Ok(Arguments {
+        settings: text,
+        arguments,
+    })
+}
+
+/// Files that settings name must be found from whatever folder a worker is started in.
+fn whole_paths(settings: &mut Settings) -> Result<(), Failure> {
+    let geometry = &mut settings.geometry;
+    for path in [&mut geometry.poses, &mut geometry.masks, &mut geometry.depth]
+        .into_iter()
+        .flatten()
+    {
+        *path = whole(path)?;
+    }
+    // Numbers, unless there is a file of that name.
+    if let Some(lens) = geometry.intrinsics.as_mut().filter(|lens| Path::new(lens).is_file()) {
+        *lens = whole(Path::new(lens))?.display().to_string();
+    }
+    Ok(())
+}
+
+/// The path from the root.
+fn whole(path: &Path) -> Result<PathBuf, Failure> {
+    std::path::absolute(path).map_err(|source| {
+        minute4d::Error::Read {
+            path: path.to_path_buf(),
+            source,
+        }
+        .into()
+    })
+}

@@ -1,0 +1,30 @@
+//! `minute4d batch status`: how far all are.
+
+use crate::args::BatchStatus;
+use crate::failure::Failure;
+use crate::output::Output;
+use minute4d::batch::{Manifest, Report, sheet};
+use minute4d::io::atomic;
+use std::time::Duration;
+
+pub fn run(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
+    let manifest = Manifest::read(&args.manifest)?;
+    let mut report = Report::read(&manifest, Duration::from_secs(args.lease_seconds.into()))?;
+    if let Some(path) = &args.html {
+        let title = args
+            .manifest
+            .file_stem()
+            .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
+        atomic::write(path, sheet(&report, &title).as_bytes()).map_err(|source| minute4d::Error::Write {
+            path: path.clone(),
+            source,
+        })?;
+        output.note(&format!("{} shows every clip", path.display()));
+    }
+    let table = report.table(args.failed);
+    if args.failed {
+        report.clips.retain(|clip| clip.state.is_trouble());
+    }
+    output.result(&table, minute4d::plain_json(&report)?);
+    Ok(())
+}
