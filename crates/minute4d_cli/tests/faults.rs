@@ -1,0 +1,192 @@
+//! What is left of a run that was killed, ran out of time or out of disk, and how it goes on.
+#![cfg(unix)]
+
+mod common;
+
+use common::clips::{picture, walk, write};
+use common::{Ended, Scratch, call, program, write_capture};
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+const FRAMES: usize = 10;
+/// Small and quick.
+const SMALL: [&str; 6] = [
+    "--iterations",
+    "30",
+    "--set",
+    "dense.working_side_px=160",
+    "--set",
+    "preview.panel_px=64",
+];
+
+fn read_json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+fn run<'a>(input: &'a str, out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    [&["run", input, "-o", out, "--json"], SMALL.as_slice(), more].concat()
+}
+
+fn write_walk(folder: &Path) {
+    write(folder, walk(FRAMES).iter().map(picture));
+}
+
+fn same_result(a: &Path, b: &Path) {
+    for name in ["scene.safetensors", "capture/transforms_train.json"] {
+        assert!(
+            fs::read(a.join(name)).unwrap() == fs::read(b.join(name)).unwrap(),
+            "{name} differs"
+        );
+    }
+}
+
+/// Names of the finished steps of geometry.
+fn steps(out: &Path) -> Vec<String> {
+    let found = fs::read_dir(out.join("capture/.steps")).into_iter().flatten();
+    let names = found.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    names.filter(|name| name != "key" && !name.ends_with(".part")).collect()
+}
+
+#[test]
+fn geometry_that_was_killed_goes_on_after_its_last_step() {
+    let dir = Scratch::new();
+    write_walk(&dir.path("walk"));
+    let (input, calm, killed) = (dir.at("walk"), dir.at("calm"), dir.at("killed"));
+    assert_eq!(call(&run(&input, &calm, &[])).code, 0);
+    assert!(
+        steps(&dir.path("calm")).is_empty() && !dir.path("calm/capture/.steps").exists(),
+        "steps go when all is done"
+    );
+    // killed when corners are followed, when cameras are known, and when some frame was swept
+    for step in ["corners", "cameras", "first-swept-"] {
+        let mut child = program()
+            .args(run(&input, &killed, &["--resume"]))
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        while !steps(&dir.path("killed")).iter().any(|name| name.starts_with(step)) {
+            assert!(child.try_wait().unwrap().is_none(), "it ended before {step} was seen");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert!(!dir.path("killed/capture/transforms_train.json").exists());
+    }
+    // one step is torn, as by a machine that lost its power
+    let torn = dir.path("killed/capture/.steps/corners");
+    let bytes = fs::read(&torn).unwrap();
+    fs::write(&torn, &bytes[..bytes.len() / 2]).unwrap();
+    let ended = call(&run(&input, &killed, &["--resume"]));
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    let told = ended.events();
+    assert!(
+        told.iter()
+            .any(|e| e.to_string().contains("its finished steps are used")),
+        "{told:?}"
+    );
+    assert!(!dir.path("killed/capture/.steps").exists());
+    same_result(&dir.path("calm"), &dir.path("killed"));
+}
+
+#[test]
+fn what_a_killed_process_left_half_written_is_in_nobodys_way() {
+    let dir = Scratch::new();
+    write_capture(&dir.path("capture"), false);
+    fs::create_dir(dir.path("out")).unwrap();
+    let torn = dir.path("out/.run.json.tmp-999999999");
+    fs::write(&torn, "{\"format\":\"minu").unwrap();
+    let (data, out) = (dir.at("capture"), dir.at("out"));
+    let ended = call(&["train", &data, "-o", &out, "--iterations", "20"]);
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    assert!(!torn.exists());
+    let hidden = fs::read_dir(dir.path("out")).unwrap();
+    let hidden: Vec<_> = hidden
+        .map(|entry| entry.unwrap().file_name())
+        .filter(|name| name.to_string_lossy().starts_with('.'))
+        .collect();
+    assert!(hidden.is_empty(), "{hidden:?}");
+}
+
+#[test]
+fn a_time_limit_ends_with_a_scene_or_with_what_goes_on() {
+    let dir = Scratch::new();
+    write_walk(&dir.path("walk"));
+    let (input, out) = (dir.at("walk"), dir.at("out"));
+    let ended = call(&run(&input, &out, &["--time-limit", "0.05s"]));
+    let end = ended.end();
+    assert_eq!((ended.code, &end["ok"]), (75, &false.into()), "{}", ended.stderr);
+    let reason = end["reason"].as_str().unwrap();
+    assert!(reason.contains("time limit") && reason.contains("--resume"), "{reason}");
+    assert_eq!(call(&run(&input, &out, &["--resume"])).code, 0);
+
+    write_capture(&dir.path("capture"), false);
+    let (data, cut) = (dir.at("capture"), dir.at("cut"));
+    let args = [
+        "train",
+        &data,
+        "-o",
+        &cut,
+        "--iterations",
+        "1000000",
+        "--time-limit",
+        "3s",
+    ];
+    let ended = call(&args);
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    let record = read_json(&dir.path("cut/run.json"));
+    assert_eq!(record["status"], "finished");
+    let done = record["iterations"].as_u64().unwrap();
+    assert!((1..1_000_000).contains(&done), "{done}");
+    assert_eq!(call(&["inspect", &cut]).code, 0, "the scene can be read");
+    let wrong = call(&["train", &data, "-o", &dir.at("x"), "--time-limit", "soon"]);
+    assert!(
+        wrong.code == 2 && wrong.stderr.contains("write 90, 90s, 10m or 1.5h"),
+        "{}",
+        wrong.stderr
+    );
+}
+
+/// No file may be larger than that: what a disk that is full does to the first large file.
+fn with_files_of(kilobytes: usize, args: &[&str]) -> Ended {
+    let mut command = Command::new("sh");
+    let limited = format!("trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"", 2 * kilobytes);
+    let program = program();
+    command.args(["-c", &limited]).arg(program.get_program()).args(args);
+    for (name, value) in program.get_envs() {
+        match value {
+            Some(value) => command.env(name, value),
+            None => command.env_remove(name),
+        };
+    }
+    Ended::of(command.output().unwrap())
+}
+
+#[test]
+fn a_full_disk_is_said_and_recorded_and_the_run_goes_on_when_there_is_room() {
+    let dir = Scratch::new();
+    write_walk(&dir.path("walk"));
+    let (input, calm, full) = (dir.at("walk"), dir.at("calm"), dir.at("full"));
+    assert_eq!(call(&run(&input, &calm, &[])).code, 0);
+    // what is large is refused: steps, pictures or the scene; records are small
+    for kilobytes in [24, 60, 200] {
+        let ended = with_files_of(kilobytes, &run(&input, &full, &["--resume"]));
+        let end = ended.end();
+        assert_eq!(ended.code, 73, "{kilobytes} kB: {} {}", ended.stdout, ended.stderr);
+        let reason = end["reason"].as_str().unwrap();
+        assert!(
+            reason.contains("cannot write") && reason.contains("free space"),
+            "{reason}"
+        );
+        let record = read_json(&dir.path("full/run.json"));
+        assert_eq!(record["status"], "failed", "{kilobytes} kB");
+        assert_eq!(record["error"].as_str().unwrap(), reason);
+        assert!(!dir.path("full/scene.safetensors").exists());
+    }
+    let ended = call(&run(&input, &full, &["--resume"]));
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    same_result(&dir.path("calm"), &dir.path("full"));
+}
