@@ -202,7 +202,6 @@ fill-disk)
     first=$(first_process "$node") || die "$node does not run"
     # Until the disk is full: dd must fail, or something else is wrong.
     nsenter --target $first --mount dd if=/dev/zero of="$dir/scratch/ballast" bs=64k status=none 2>/dev/null && die "$node: its disk does not fill up"
-    nsenter --target $first --mount df -h "$dir/scratch" >&2
     ;;
 free-disk)
     first=$(first_process "$node") || die "$node does not run"
