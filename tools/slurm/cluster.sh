@@ -7,7 +7,7 @@
 #   tools/slurm/cluster.sh env     [DIR]          # eval "$(tools/slurm/cluster.sh env)": sbatch, squeue, ... talk to it
 #   tools/slurm/cluster.sh kill-node  gn1 [DIR]   # as if the plug were pulled: every process there gets SIGKILL at once
 #   tools/slurm/cluster.sh start-node gn1 [DIR]   # and it comes back, with an empty scratch disk
-#   tools/slurm/cluster.sh fill-disk  gn1 [DIR]   # the machine's scratch disk, DIR/scratch, is full ...
+#   tools/slurm/cluster.sh fill-disk  gn1 [DIR]   # the machine's scratch disk, DIR/scratch, is full (FREE=500K leaves so much) ...
 #   tools/slurm/cluster.sh free-disk  gn1 [DIR]   # ... and is not any more
 #
 # A machine is a set of Linux namespaces (mounts, processes, host name) around one slurmd: `hostname` says gn1 there, its
@@ -201,7 +201,8 @@ start-node)
 fill-disk)
     first=$(first_process "$node") || die "$node does not run"
     # Until the disk is full: dd must fail, or something else is wrong.
-    nsenter --target $first --mount dd if=/dev/zero of="$dir/scratch/ballast" bs=64k status=none 2>/dev/null && die "$node: its disk does not fill up"
+    nsenter --target $first --mount dd if=/dev/zero of="$dir/scratch/ballast" bs=4k status=none 2>/dev/null && die "$node: its disk does not fill up"
+    [ -z "${FREE:-}" ] || nsenter --target $first --mount truncate --size="-$FREE" "$dir/scratch/ballast" || die "$node: FREE=$FREE is no size"
     ;;
 free-disk)
     first=$(first_process "$node") || die "$node does not run"
