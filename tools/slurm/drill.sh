@@ -49,7 +49,7 @@ published() { find "$results" -mindepth 2 -maxdepth 2 -path "$results/[!.]*/run.
 at_least() { [ "$(published)" -ge "$1" ]; }
 queue_empty() { [ -z "$(squeue -h)" ]; }
 put_back() { [ "$(grep -hs 'minute4d: to be tried again' "$logs/$1"_*.log | wc -l)" -ge "$2" ]; }
-node_is() { [[ $(sinfo -h -n "$1" -o %T) == $2 ]]; }
+is_down() { scontrol show node "$1" | grep -q 'State=DOWN'; }
 clip() { printf 'clip-%03d' "${1#*_}"; }
 list() { paste -sd' ' | sed 's/ /, /g'; }
 
@@ -93,14 +93,14 @@ FREE=600K "$here/cluster.sh" fill-disk gn2 "$cluster"
 say "a task of array $disk found no space and is put back; 600 KB are freed, which is too little"
 until_true 300 "tasks are put back for want of space" put_back "$disk" 4
 "$here/cluster.sh" free-disk gn2 "$cluster"
-say "tasks were put back $(grep -hs 'to be tried again' "$logs/$disk"_*.log | wc -l) times for want of space; the disk is mended"
+say "tasks were put back $(grep -hs 'minute4d: to be tried again' "$logs/$disk"_*.log | wc -l) times for want of space; the disk is mended"
 
 until_true 1200 "some clips are done" at_least $((clips / 5))
 until_true 60 "gn1 is at work" a_task_is_at_work
 killed=$(squeue -h -r -t running -w gn1 -o %i)
 "$here/cluster.sh" kill-node gn1 "$cluster"
 say "$(published) are done; gn1 loses its power, and with it $(for task in $killed; do clip "$task"; echo; done | list)"
-until_true 120 "Slurm notices" node_is gn1 'down*'
+until_true 120 "Slurm notices" is_down gn1
 say "Slurm has noticed"
 
 until_true 60 "a task is in its middle" a_task_is_at_work
