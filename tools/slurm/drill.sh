@@ -44,7 +44,8 @@ trap 'exit 143' TERM
 say() { printf '%02d:%02d  %s\n' $((SECONDS / 60)) $((SECONDS % 60)) "$*" | tee -a "$dir/drill.log"; }
 batch() { "$program" --quiet batch "$@"; }
 submit() { batch submit --engine slurm --manifest "$manifest" --cpus 1 --sbatch-arg=--nice=0 "$@" || die "submitting failed: $*"; }
-states() { batch status --manifest "$manifest" --json | jq -r '[.counts | to_entries[] | select(.value > 0) | "\(.value) \(.key)"] | join(", ")'; }
+status() { batch status --manifest "$manifest" --json | jq 'select(.event == "result").result'; }
+states() { status | jq -r '[.counts | to_entries[] | select(.value > 0) | "\(.value) \(.key)"] | join(", ")'; }
 published() { find "$results" -mindepth 2 -maxdepth 2 -path "$results/[!.]*/run.json" | wc -l; }
 at_least() { [ "$(published)" -ge "$1" ]; }
 queue_empty() { [ -z "$(squeue -h)" ]; }
@@ -122,8 +123,8 @@ scancel "$cancelled" || die "$cancelled cannot be cancelled"
 say "$(clip "$cancelled") is cancelled by its owner"
 
 until_true "$limit" "the queue is empty" queue_empty
-first_round=$(states)
-say "the queue is empty: $first_round"
+status > "$dir/first.json"
+say "the queue is empty: $(states)"
 again=$(submit)
 say "submitted once more: array $again"
 until_true "$limit" "the queue is empty" queue_empty
@@ -145,8 +146,7 @@ holds() {
     shift
     if "$@" > /dev/null 2>&1; then say "holds: $what"; else say "DOES NOT HOLD: $what"; failures=$((failures + 1)); fi
 }
-status=$dir/status.json
-batch status --manifest "$manifest" --json > "$status"
+status > "$dir/status.json"
 good=$((clips - 1))
 told() { jq -s "$@" "$dir/watch.jsonl"; }
 once_in_logs() {
@@ -155,6 +155,7 @@ once_in_logs() {
         [ "$(grep -hE "clip-$(printf %03d "$i"): done in" "$logs"/*.log | wc -l)" = $([ "$i" = 7 ] && echo 0 || echo 1) ] || return 1
     done
 }
+taken_up() { grep -lE '"status":"(reused|resumed)"' "$results"/.log/*.txt | xargs -n 1 basename -s .txt; }
 vanished() { jq -se '[.[] | select(.vanished > 0)] | length > 0' "$results"/.state/*.json; }
 no_remains() { [ -z "$(find "$results"/.work "$results"/.incoming "$results"/.outgoing "$cluster/scratch" -mindepth 1 -name "clip-*" -not -name "$bad*" 2> /dev/null)" ]; }
 leases_given_back() {
@@ -165,14 +166,15 @@ leases_given_back() {
 }
 
 holds "all $good good clips are done, $bad is given up, and the sum is $clips" \
-    jq -e ".jobs == $clips and ([.counts[]] | add) == $clips and .counts.done == $good and .counts.poison == 1" "$status"
-holds "$bad is the one, with exit code 65" jq -e "[.clips[] | select(.state == \"poison\") | [.id, .code]] == [[\"$bad\", 65]]" "$status"
-holds "$bad was tried once" [ "$(grep -l "$bad is given up" "$logs"/*.log | wc -l)" = 1 ]
+    jq -e ".jobs == $clips and ([.counts[]] | add) == $clips and .counts.done == $good and .counts.poison == 1" "$dir/status.json"
+holds "$bad is the one, with exit code 65" jq -e "[.clips[] | select(.state == \"poison\") | [.id, .code]] == [[\"$bad\", 65]]" "$dir/status.json"
+holds "$bad was tried once" [ "$(find "$results/.lease/$bad" -name '[0-9]*.json' | wc -l)" = 1 ]
 holds "every good clip was seen to appear once" told -e "[.[] | select(.event == \"published\") | .id] | length == $good and (unique | length) == $good"
 holds "every good clip was finished once by the workers' own words" once_in_logs
 holds "no part of a result was ever seen" told -e '[.[] | select(.event == "broken")] == []'
 holds "what gn1 had at work was found deserted and taken over" vanished
-holds "$(clip "$cancelled") stayed cancelled until it was submitted again" [ "$first_round" != "$(states)" ]
+holds "what had been saved was gone on with, by $(taken_up | list)" [ "$(taken_up | wc -l)" -gt 0 ]
+holds "$(clip "$cancelled") stayed cancelled until it was submitted again" jq -e ".clips[] | select(.id == \"$(clip "$cancelled")\") | .state == \"interrupted\"" "$dir/first.json"
 holds "the last worker had nothing to do and changed nothing" [ "$last" = 0 -a "$before" = "$(find "$results" -type f -not -path "$results/.*" -exec sha256sum {} + | sort)" ]
 holds "no lease is held" leases_given_back
 holds "nothing half-done is left" no_remains
