@@ -20,6 +20,8 @@ use std::time::{Duration, Instant};
 pub(super) const NO_DEVICE: i32 = 69;
 /// Exit code of a run that could not write.
 pub(super) const CANNOT_WRITE: i32 = 73;
+/// Exit code of a run that could not read.
+pub(super) const CANNOT_READ: i32 = 74;
 /// How long to wait for the run of a vanished worker to let go of the working folder.
 const LET_GO: Duration = Duration::from_secs(120);
 
@@ -103,14 +105,14 @@ impl Worker<'_> {
             Err(e) => {
                 return Some(Attempt::Refused(
                     Meaning::GiveBack,
-                    74,
+                    CANNOT_READ,
                     format!("cannot read {}: {e}", job.input),
                 ));
             }
             Ok(_) => {}
         }
         match (self.tools.hash)(path) {
-            Err(reason) => Some(Attempt::Refused(Meaning::GiveBack, 74, reason)),
+            Err(reason) => Some(Attempt::Refused(Meaning::GiveBack, CANNOT_READ, reason)),
             Ok(found) if job.blake3.as_ref().is_some_and(|planned| *planned != found) => {
                 poison(65, format!("{} changed since it was planned; plan again", job.input))
             }

@@ -1,6 +1,6 @@
 //! One job: its lease, its attempts, what is recorded of it.
 
-use super::attempt::{Attempt, CANNOT_WRITE, NO_DEVICE};
+use super::attempt::{Attempt, CANNOT_READ, CANNOT_WRITE, NO_DEVICE};
 use super::{JobEnd, Worker};
 use crate::error::{FileError, WorkError};
 use crate::lease::{self, Lease, Taken};
@@ -70,9 +70,9 @@ impl Worker<'_> {
                 let said = format!("{} workers vanished while they were at it", record.vanished);
                 Attempt::Refused(Meaning::Poison, 1, said)
             } else {
-                self.attempt(job, lease)?
+                self.attempt(job, lease).or_else(given_back)?
             };
-            let (how, code, mut reason) = match attempt {
+            let (how, mut code, mut reason) = match attempt {
                 Attempt::Lost => return Ok(None),
                 Attempt::Refused(how, code, reason) => (how, Some(code), reason),
                 Attempt::Ended(ended) if ended.asked && ended.code != Some(0) => (
@@ -89,13 +89,17 @@ impl Worker<'_> {
                 Meaning::Crash => Verdict::Failed,
             };
             if verdict == Verdict::Done {
-                match publish(&self.layout, &job.id, key, &self.tools.host, lease)? {
-                    Published::Yes => {}
-                    Published::Lost => return Ok(None),
-                    Published::Bad(said) => {
+                match publish(&self.layout, &job.id, key, &self.tools.host, lease) {
+                    Ok(Published::Yes) => {}
+                    Ok(Published::Lost) => return Ok(None),
+                    Err(error) => {
+                        (verdict, code) = (Verdict::Interrupted, Some(exit_code(&error)));
+                        reason = format!("the result was not published: {error}");
+                    }
+                    Ok(Published::Bad(said)) => {
                         (verdict, reason) = (Verdict::Failed, format!("the result was not published: {said}"));
                     }
-                    Published::Foreign => (verdict, reason) = (Verdict::Poison, self.in_the_way(job)),
+                    Ok(Published::Foreign) => (verdict, reason) = (Verdict::Poison, self.in_the_way(job)),
                 }
             }
             if verdict == Verdict::Failed {
@@ -129,5 +133,24 @@ impl Worker<'_> {
                 Verdict::Failed => {}
             }
         }
+    }
+}
+
+/// What this machine cannot write or read, a full disk above all, is no fault of the clip: another may.
+fn given_back(error: WorkError) -> Result<Attempt, WorkError> {
+    match error {
+        WorkError::File(error) => {
+            let reason = error.to_string();
+            Ok(Attempt::Refused(Meaning::GiveBack, exit_code(&error), reason))
+        }
+        error => Err(error),
+    }
+}
+
+/// The code that a run ends with for the same reason.
+fn exit_code(error: &FileError) -> i32 {
+    match error {
+        FileError::Read { .. } => CANNOT_READ,
+        FileError::Write { .. } => CANNOT_WRITE,
     }
 }

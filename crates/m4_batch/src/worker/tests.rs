@@ -156,6 +156,20 @@ fn a_machine_that_cannot_leaves_the_rest_to_others() {
 }
 
 #[test]
+fn a_disk_that_cannot_be_used_is_recorded_and_no_fault_of_the_clip() {
+    let batch = Batch::new(&["a", "b"]);
+    let scratch = batch.path("scratch");
+    fs::write(&scratch, "no folder").unwrap();
+    let (summary, ends) = batch.work("finish", |o| o.scratch = Some(scratch.clone()));
+    assert_eq!((summary.again, ends.len(), batch.calls()), (2, 1, 0), "{summary:?}");
+    let state = batch.state("a");
+    assert_eq!((&state["verdict"], &state["code"]), (&"interrupted".into(), &73.into()));
+    fs::remove_file(&scratch).unwrap();
+    let (summary, _) = batch.work("finish", |o| o.scratch = Some(scratch));
+    assert_eq!(summary.done, 2, "its lease was given back");
+}
+
+#[test]
 fn crashes_and_lies_are_counted_and_given_up() {
     let batch = Batch::new(&["a"]);
     // A success without a result is none.

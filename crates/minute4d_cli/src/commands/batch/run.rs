@@ -4,7 +4,9 @@ use crate::args::{BatchRun, Common};
 use crate::failure::Failure;
 use crate::output::{Output, duration};
 use minute4d::Progress;
-use minute4d::batch::{JobEnd, Listener, Manifest, Share, Summary, Tools, WorkOptions, index_of_environment, work};
+use minute4d::batch::{
+    JobEnd, Listener, Manifest, Share, Summary, Tools, WorkError, WorkOptions, index_of_environment, work,
+};
 use serde_json::json;
 use std::time::Duration;
 use sysinfo::System;
@@ -47,7 +49,7 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
         hash: &super::hash,
         host: System::host_name().unwrap_or_else(|_| "unknown".to_owned()),
     };
-    let summary = work(&manifest, &options, &tools, &Voice(output))?;
+    let summary = work(&manifest, &options, &tools, &Voice(output)).map_err(elsewhere)?;
     let text = words(&summary);
     output.result(
         &text,
@@ -58,6 +60,16 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
         }),
     );
     ended(&summary, index.is_some(), output)
+}
+
+/// What a machine cannot write or read may be better on another, or later.
+fn elsewhere(error: WorkError) -> Failure {
+    let code = matches!(error, WorkError::File(_)).then_some(AGAIN);
+    let failure = Failure::from(error);
+    Failure {
+        code: code.unwrap_or(failure.code),
+        ..failure
+    }
 }
 
 /// The exit code of a worker: what should be tried again comes before what never will work.

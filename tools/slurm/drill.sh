@@ -1,0 +1,182 @@
+#!/usr/bin/env bash
+# A batch on a Slurm cluster to which everything happens that happens to batches; then the books are checked.
+#
+#   tools/slurm/drill.sh PROGRAM [CLIPS=40]      # PROGRAM: minute4d; CLIPS: at least 20
+#
+# On the cluster of two machines of cluster.sh: the scratch disk of gn2 is full, then nearly full, then mended; clip 7 is
+# corrupt; gn1 loses its power in the middle of its work and comes back; one task is preempted, one is told that its
+# time is nearly over, one is cancelled by its owner. What is left when the queue is empty is submitted once more. Then:
+# every good clip is done, and was published once; the bad one is recorded as such and was tried once; no part of a result was
+# ever to be seen; `batch status` counts all of it; and one more worker finds nothing to do. Exit code 0 only if all of
+# that holds. Needs root, slurm-wlm, munge, ffmpeg, jq and python3. Everything is in DRILL_DIR (a new folder in /tmp, kept).
+# SETTINGS are the settings of the runs, LIMIT (3600) the seconds that it may take in all.
+set -uo pipefail
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+
+die() { echo "drill: $*" >&2; exit 1; }
+[ $# -ge 1 ] || { sed -n '2,/^set/{/^set/d;s/^# \{0,1\}//;p}' "${BASH_SOURCE[0]}" >&2; exit 2; }
+program=$(realpath -- "$1") && [ -x "$program" ] || die "$1: no program"
+clips=${2:-40}
+[ "$clips" -ge 20 ] || die "$clips clips are too few for all that happens: 20 at least"
+for tool in ffmpeg jq python3 scontrol; do
+    command -v $tool > /dev/null || die "$tool not found. Install: apt-get install slurm-wlm munge ffmpeg jq python3"
+done
+dir=${DRILL_DIR:-$(mktemp -d /tmp/minute4d-drill.XXXXXX)}
+mkdir -p "$dir" && chmod 755 "$dir" || die "$dir cannot be made"
+cluster=$dir/cluster results=$dir/results manifest=$dir/jobs.jsonl logs=$dir/jobs.logs
+[ ! -e "$manifest" ] || die "$dir holds a drill already"
+read -r -a settings <<< "${SETTINGS:---fov 56 --iterations 250 --set checkpoint.every_s=2}"
+limit=${LIMIT:-3600}
+# The last jobs work on gn2's own disk, the others beside the results, on any machine.
+on_disk=3
+first_on_disk=$((clips - on_disk))
+bad=clip-007
+
+watcher=
+finish() {
+    [ -z "$watcher" ] || kill "$watcher" 2> /dev/null
+    "$here/cluster.sh" stop "$cluster"
+}
+trap finish EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM
+
+say() { printf '%02d:%02d  %s\n' $((SECONDS / 60)) $((SECONDS % 60)) "$*" | tee -a "$dir/drill.log"; }
+batch() { "$program" --quiet batch "$@"; }
+submit() { batch submit --engine slurm --manifest "$manifest" --cpus 1 --sbatch-arg=--nice=0 "$@" || die "submitting failed: $*"; }
+status() { batch status --manifest "$manifest" --json | jq 'select(.event == "result").result'; }
+states() { status | jq -r '[.counts | to_entries[] | select(.value > 0) | "\(.value) \(.key)"] | join(", ")'; }
+published() { find "$results" -mindepth 2 -maxdepth 2 -path "$results/[!.]*/run.json" | wc -l; }
+at_least() { [ "$(published)" -ge "$1" ]; }
+queue_empty() { [ -z "$(squeue -h)" ]; }
+put_back() { [ "$(grep -hs 'minute4d: to be tried again' "$logs/$1"_*.log | wc -l)" -ge "$2" ]; }
+is_down() { scontrol show node "$1" | grep -q 'State=DOWN'; }
+clip() { printf 'clip-%03d' "${1#*_}"; }
+list() { paste -sd' ' | sed 's/ /, /g'; }
+
+# until_true SECONDS WHAT COMMAND...: waits for it.
+until_true() {
+    local stop=$((SECONDS + $1)) what=$2
+    shift 2
+    [ $stop -lt "$limit" ] || stop=$limit
+    until "$@"; do
+        [ $SECONDS -lt $stop ] || { squeue -r >&2; die "$what: it did not come to that. See $dir"; }
+        sleep 0.5
+    done
+}
+
+# newest_task JOB: of the array's tasks at work, the one that began last and has saved something: it is in its middle.
+newest_task() {
+    local task
+    for task in $(squeue -h -r -j "$1" -t running --sort=-S -o %i); do
+        [ "$(jq -r .status "$results/.work/$(clip "$task")/run.json" 2> /dev/null)" = running ] && echo "$task" && return 0
+    done
+    return 1
+}
+a_task_is_at_work() { task=$(newest_task "$main"); }
+
+"$here/cluster.sh" start "$cluster" 2> /dev/null || die "no cluster; ask: $here/cluster.sh start $cluster"
+eval "$("$here/cluster.sh" env "$cluster")"
+"$here/clip.py" "$dir/clips" "$clips" || die "no clips"
+batch plan "$dir/clips" -o "$manifest" --out "$results" "${settings[@]}" > /dev/null || die "planning failed"
+mkdir -p "$results"
+"$here/watch.py" "$results" "$dir/watch.jsonl" &
+watcher=$!
+say "$clips clips are planned; $bad is corrupt"
+
+"$here/cluster.sh" fill-disk gn2 "$cluster" || die "gn2's disk cannot be filled"
+disk=$(submit --scratch "$cluster/scratch" --sbatch-arg=--nodelist=gn2 --sbatch-arg="--array=$first_on_disk-$((clips - 1))")
+main=$(submit --sbatch-arg="--array=0-$((first_on_disk - 1))")
+say "array $disk of $on_disk tasks that use gn2's scratch disk, which is full; array $main of $first_on_disk tasks"
+
+until_true 300 "a task is put back for want of space" put_back "$disk" 1
+FREE=600K "$here/cluster.sh" fill-disk gn2 "$cluster"
+say "a task of array $disk found no space and is put back; 600 KB are freed, which is too little"
+until_true 300 "tasks are put back for want of space" put_back "$disk" 4
+"$here/cluster.sh" free-disk gn2 "$cluster"
+say "tasks were put back $(grep -hs 'minute4d: to be tried again' "$logs/$disk"_*.log | wc -l) times for want of space; the disk is mended"
+
+until_true 1200 "some clips are done" at_least $((clips / 5))
+until_true 60 "gn1 is at work" a_task_is_at_work
+killed=$(squeue -h -r -t running -w gn1 -o %i)
+"$here/cluster.sh" kill-node gn1 "$cluster"
+say "$(published) are done; gn1 loses its power, and with it $(for task in $killed; do clip "$task"; echo; done | list)"
+until_true 120 "Slurm notices" is_down gn1
+say "Slurm has noticed"
+
+until_true 60 "a task is in its middle" a_task_is_at_work
+preempted=$task
+scontrol requeue "$preempted" || die "$preempted cannot be preempted"
+say "$(clip "$preempted") is preempted"
+"$here/cluster.sh" start-node gn1 "$cluster" || die "gn1 does not come back"
+say "gn1 is back"
+
+until_true 1200 "more clips are done" at_least $((clips / 2))
+until_true 60 "a task is in its middle" a_task_is_at_work
+warned=$task
+scancel --batch --signal=TERM "$warned" || die "$warned cannot be warned"
+say "$(published) are done; $(clip "$warned") is told that its time is nearly over"
+sleep 5
+until_true 60 "a task is in its middle" a_task_is_at_work
+cancelled=$task
+scancel "$cancelled" || die "$cancelled cannot be cancelled"
+say "$(clip "$cancelled") is cancelled by its owner"
+
+until_true "$limit" "the queue is empty" queue_empty
+status > "$dir/first.json"
+say "the queue is empty: $(states)"
+again=$(submit)
+say "submitted once more: array $again"
+until_true "$limit" "the queue is empty" queue_empty
+say "the queue is empty: $(states)"
+
+before=$(find "$results" -type f -not -path "$results/.*" -exec sha256sum {} + | sort)
+batch run --manifest "$manifest" > "$dir/last.txt"
+last=$?
+say "one more worker: $(head -n 1 "$dir/last.txt")"
+sleep 1
+kill "$watcher"
+wait "$watcher"
+watcher=
+
+failures=0
+# holds WHAT COMMAND...: one line of the verdict.
+holds() {
+    local what=$1
+    shift
+    if "$@" > /dev/null 2>&1; then say "holds: $what"; else say "DOES NOT HOLD: $what"; failures=$((failures + 1)); fi
+}
+status > "$dir/status.json"
+good=$((clips - 1))
+told() { jq -s "$@" "$dir/watch.jsonl"; }
+once_in_logs() {
+    local i
+    for i in $(seq 0 $((clips - 1))); do
+        [ "$(grep -hE "clip-$(printf %03d "$i"): done in" "$logs"/*.log | wc -l)" = $([ "$i" = 7 ] && echo 0 || echo 1) ] || return 1
+    done
+}
+taken_up() { grep -lE '"status":"(reused|resumed)"' "$results"/.log/*.txt | xargs -n 1 basename -s .txt; }
+vanished() { jq -se '[.[] | select(.vanished > 0)] | length > 0' "$results"/.state/*.json; }
+no_remains() { [ -z "$(find "$results"/.work "$results"/.incoming "$results"/.outgoing "$cluster/scratch" -mindepth 1 -name "clip-*" -not -name "$bad*" 2> /dev/null)" ]; }
+leases_given_back() {
+    local folder
+    for folder in "$results"/.lease/*; do
+        jq -e .released "$(find "$folder" -name '[0-9]*.json' | sort | tail -n 1)" || return 1
+    done
+}
+
+holds "all $good good clips are done, $bad is given up, and the sum is $clips" \
+    jq -e ".jobs == $clips and ([.counts[]] | add) == $clips and .counts.done == $good and .counts.poison == 1" "$dir/status.json"
+holds "$bad is the one, with exit code 65" jq -e "[.clips[] | select(.state == \"poison\") | [.id, .code]] == [[\"$bad\", 65]]" "$dir/status.json"
+holds "$bad was tried once" [ "$(find "$results/.lease/$bad" -name '[0-9]*.json' | wc -l)" = 1 ]
+holds "every good clip was seen to appear once" told -e "[.[] | select(.event == \"published\") | .id] | length == $good and (unique | length) == $good"
+holds "every good clip was finished once by the workers' own words" once_in_logs
+holds "no part of a result was ever seen" told -e '[.[] | select(.event == "broken")] == []'
+holds "what gn1 had at work was found deserted and taken over" vanished
+holds "what had been saved was gone on with, by $(taken_up | list)" [ "$(taken_up | wc -l)" -gt 0 ]
+holds "$(clip "$cancelled") stayed cancelled until it was submitted again" jq -e ".clips[] | select(.id == \"$(clip "$cancelled")\") | .state == \"interrupted\"" "$dir/first.json"
+holds "the last worker had nothing to do and changed nothing" [ "$last" = 0 -a "$before" = "$(find "$results" -type f -not -path "$results/.*" -exec sha256sum {} + | sort)" ]
+holds "no lease is held" leases_given_back
+holds "nothing half-done is left" no_remains
+[ $failures = 0 ] || die "$failures of the promises do not hold. See $dir"
+say "all of it holds"
