@@ -33,6 +33,6 @@ pub use corpus::corpus;
 pub use harm::harmed;
 pub use hostile::hostile;
 pub use reader::{MAX_REASON, Outcome, Reader, Stage};
-pub use table::{reader, readers};
+pub use table::{broken_readers, reader, readers};
 pub use watch::{Finding, Report, watch};
 pub use worker::{Meter, work};

@@ -4,7 +4,7 @@
 //! the reader; the input is saved below `target`.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use m4_fuzz::{Meter, Outcome, Report, Stage, corpus, hostile, reader, readers, watch, work};
+use m4_fuzz::{Meter, Outcome, Report, Stage, broken_readers, corpus, hostile, reader, readers, watch, work};
 use peak_alloc::PeakAlloc;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -110,6 +110,27 @@ fn no_reader_is_harmed() {
         "does the harm reach these readers?\n{}",
         idle.join("\n")
     );
+}
+
+#[test]
+fn harm_of_every_kind_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let words = [
+        "this reader is broken",
+        "aborted",
+        "200 MiB",
+        "5000 characters",
+        "what was read",
+    ];
+    for (reader, words) in broken_readers().iter().zip(words) {
+        let report = replayed(reader.name, folder.path());
+        let found: Vec<_> = report.findings.iter().filter(|f| f.input == "seed 1").collect();
+        assert_eq!(found.len(), 1, "{}: {:?}", reader.name, report.findings);
+        assert!(found[0].why.contains(words), "{}", found[0].why);
+        assert_eq!(fs::read(&found[0].saved).unwrap(), b"!");
+        // what comes behind it is read all the same
+        assert!(report.read > 50, "{}: {report:?}", reader.name);
+    }
 }
 
 #[test]

@@ -5,8 +5,10 @@
 //! formats   splats and cameras of other tools
 //! import    clips of other tools: one row for each file that is parsed
 //! side      depth, masks and tracks that are given with a clip
+//! broken    readers that do harm, for the tests of those who look for it
 //! ```
 
+mod broken;
 mod formats;
 mod import;
 mod io;
@@ -27,10 +29,16 @@ pub fn readers() -> Vec<Reader> {
         .collect()
 }
 
+/// Readers that do harm, each in its own way: what looks for harm has to find it in them.
+#[must_use]
+pub fn broken_readers() -> Vec<Reader> {
+    broken::rows()
+}
+
 /// The reader of that name.
 #[must_use]
 pub fn reader(name: &str) -> Option<Reader> {
-    readers().into_iter().find(|r| r.name == name)
+    readers().into_iter().chain(broken_readers()).find(|r| r.name == name)
 }
 
 /// A reader of one file that is called `file`.
