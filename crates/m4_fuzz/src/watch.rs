@@ -1,6 +1,6 @@
 //! Watches processes that read: they may panic, be aborted or not come back.
 
-use crate::worker::{MAX_TIME, current};
+use crate::worker::{MAX_TIME, current, saved};
 use std::io::{self, BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -78,7 +78,7 @@ pub fn watch(reader: &str, folder: &Path, mut command: impl FnMut(usize) -> Comm
                     names.push(rest.to_owned());
                     report.executions += 1;
                 }
-                Some("found") => save(&mut report, reader, folder, &at, rest)?,
+                Some("found") => save(&mut report, reader, folder, &at, rest),
                 Some("done") => {
                     let rest: Vec<usize> = rest.split(' ').filter_map(|w| w.parse().ok()).collect();
                     report.read += number;
@@ -99,7 +99,11 @@ pub fn watch(reader: &str, folder: &Path, mut command: impl FnMut(usize) -> Comm
         let Some(why) = ended else {
             return Ok(report);
         };
-        save(&mut report, reader, folder, &at, &format!("{why} ({status})"))?;
+        // it may have died before it wrote one
+        if current(folder, reader).is_file() {
+            fs::copy(current(folder, reader), saved(folder, reader, at.0))?;
+        }
+        save(&mut report, reader, folder, &at, &format!("{why} ({status})"));
         if report.findings.len() >= MAX_FINDINGS {
             return Ok(report);
         }
@@ -120,20 +124,13 @@ fn lines(child: &mut Child) -> io::Result<Receiver<String>> {
     Ok(from)
 }
 
-fn save(report: &mut Report, reader: &str, folder: &Path, at: &(usize, String), why: &str) -> io::Result<()> {
-    if report.findings.len() >= MAX_FINDINGS {
-        return Ok(());
+fn save(report: &mut Report, reader: &str, folder: &Path, at: &(usize, String), why: &str) {
+    if report.findings.len() < MAX_FINDINGS {
+        report.findings.push(Finding {
+            reader: reader.to_owned(),
+            input: at.1.clone(),
+            why: why.to_owned(),
+            saved: saved(folder, reader, at.0),
+        });
     }
-    let saved = folder.join(format!("{reader}-{}", at.0));
-    // the process may have died before it wrote one
-    if current(folder, reader).is_file() {
-        fs::copy(current(folder, reader), &saved)?;
-    }
-    report.findings.push(Finding {
-        reader: reader.to_owned(),
-        input: at.1.clone(),
-        why: why.to_owned(),
-        saved,
-    });
-    Ok(())
 }

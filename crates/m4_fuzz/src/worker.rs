@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! at I NAME                input I is read; its bytes lie in FOLDER/READER-current, should the process not come back
-//! found I WHY              a panic, something not sound, a long message, much memory, much time
+//! found I WHY              a panic, something not sound, a long message, much memory, much time; the input lies in FOLDER/READER-I
 //! done READ REFUSED PEAK I so many were read and refused; the most memory that one took, bytes, and which
 //! ```
 
@@ -36,6 +36,11 @@ pub struct Meter {
 /// Where the input that is being read lies.
 pub fn current(folder: &Path, reader: &str) -> PathBuf {
     folder.join(format!("{reader}-current"))
+}
+
+/// Where input `i`, which did harm, is kept.
+pub fn saved(folder: &Path, reader: &str, i: usize) -> PathBuf {
+    folder.join(format!("{reader}-{i}"))
 }
 
 /// Reads all inputs from number `from` on.
@@ -95,6 +100,7 @@ pub fn work(
         let much = much.then(|| format!("{} MiB of memory for {} bytes", taken >> 20, bytes.len()));
         let slow = (time > MAX_TIME).then(|| format!("{time:.1?}"));
         if let Some(why) = fault.or(much).or(slow) {
+            std::fs::write(saved(folder, reader.name, i), &bytes)?;
             let short: String = why.chars().take(300).collect();
             writeln!(out, "found {i} {}", short.replace('\n', " "))?;
             out.flush()?;

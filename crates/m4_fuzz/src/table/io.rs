@@ -155,7 +155,7 @@ fn arrays() -> Vec<Reader> {
 }
 
 fn numpy_tracks(path: &Path) -> Outcome {
-    Outcome::of(tracks::read(path, 2, MAX_ARRAY_BYTES), sound::tracks)
+    Outcome::of(tracks::read(path, 3, MAX_ARRAY_BYTES), sound::tracks)
 }
 
 fn npy(path: &Path, whole: bool) -> Result<(), String> {

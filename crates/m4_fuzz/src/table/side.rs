@@ -55,12 +55,7 @@ fn one_map(path: &Path) -> Outcome {
 
 pub fn rows() -> Vec<Reader> {
     let bytes = |p: &Path| std::fs::read(p).unwrap_or_default();
-    let exrs = &[
-        "depth_exr/frame9.exr",
-        "depth_exr/frame10.exr",
-        "exr_other/parts.exr",
-        "exr_other/cropped.exr",
-    ];
+    let exrs = &["depth_exr/frame9.exr", "depth_exr/frame10.exr", "exr_other/parts.exr"];
     let pfms = &["depth_pfm/frame8.pfm", "depth_pfm/frame9.pfm"];
     let pngs = &["masks_palette/frame8.png", "masks_png/frame8.png"];
     let seen = |p: &Path| Outcome::of(read_mask(p, false), |_| None);

@@ -1,9 +1,12 @@
 //! Numbers that no scene holds.
 
+use m4_math::nalgebra::Matrix3;
 use m4_scene::{Scene, SourceFrame};
 
 /// Longest side of a picture of the source, pixels.
 const MAX_SIDE_PX: usize = 1 << 16;
+/// Farthest that the product of a rotation and its transpose may be from the identity.
+const ROTATION_WITHIN: f64 = 1e-2;
 /// Most frames of a clip: nine hours at 30 frames a second. What goes through them frame by frame has to end.
 const MAX_FRAMES: usize = 1_000_000;
 
@@ -39,8 +42,13 @@ fn of_source(frame: &SourceFrame) -> Option<String> {
         return Some(format!("the lens {lens:?} (fx, fy, cx, cy)"));
     }
     let c2w = &frame.camera.c2w;
-    if !c2w.rotation.iter().chain(c2w.translation.iter()).all(|v| v.is_finite()) {
-        return Some("a pose that is not of numbers".into());
+    if !c2w.translation.iter().all(|v| v.is_finite()) {
+        return Some("a place that is not of numbers".into());
+    }
+    let turned = c2w.rotation.transpose() * c2w.rotation - Matrix3::identity();
+    // a comparison that what is no number fails
+    if !turned.iter().all(|v| v.abs() < ROTATION_WITHIN) || c2w.rotation.determinant() < 0.0 {
+        return Some("a pose that is no rotation".into());
     }
     if !frame.t.is_finite() {
         return Some(format!("the time {}", frame.t));
