@@ -18,5 +18,7 @@ pub mod trajectory;
 pub mod video;
 
 mod error;
+mod shortened;
 
 pub use error::ErrorKind;
+pub use shortened::shortened;

@@ -2,6 +2,7 @@
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
+use m4_io::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -18,7 +19,7 @@ pub enum ReadFourdgsError {
         source: io::Error,
     },
     /// The file is of another kind, or of a version, model or codec that is not known here.
-    #[error("{} cannot be imported: {reason}; write it again as .4dgs version 1 with the model gaussian-birth and deflate streams", path.display())]
+    #[error("{} cannot be imported: {reason}; write it again as .4dgs version 1 with the model gaussian-birth and deflate streams", path.display(), reason = shortened(reason))]
     Unsupported {
         /// The file.
         path: PathBuf,
@@ -26,7 +27,7 @@ pub enum ReadFourdgsError {
         reason: String,
     },
     /// The file ends too early or contradicts itself.
-    #[error("{} is damaged: {reason}; copy or export it again", path.display())]
+    #[error("{} is damaged: {reason}; copy or export it again", path.display(), reason = shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,

@@ -2,6 +2,7 @@
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
+use m4_io::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -18,7 +19,7 @@ pub enum ReadGltfError {
         source: io::Error,
     },
     /// The file is something else.
-    #[error("{} is not binary glTF: {reason}", path.display())]
+    #[error("{} is not binary glTF: {reason}", path.display(), reason = shortened(reason))]
     NotGlb {
         /// The file.
         path: PathBuf,
@@ -26,7 +27,7 @@ pub enum ReadGltfError {
         reason: String,
     },
     /// Splats in a form that is allowed but not read.
-    #[error("{} has {what}, which is not read; {instead}", path.display())]
+    #[error("{} has {what}, which is not read; {instead}", path.display(), what = shortened(what))]
     Unsupported {
         /// The file.
         path: PathBuf,
@@ -36,7 +37,7 @@ pub enum ReadGltfError {
         instead: &'static str,
     },
     /// The file ends too early or contradicts itself.
-    #[error("{} is damaged: {reason}; copy it again or write it anew", path.display())]
+    #[error("{} is damaged: {reason}; copy it again or write it anew", path.display(), reason = shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -44,7 +45,7 @@ pub enum ReadGltfError {
         reason: String,
     },
     /// A number that no splat has.
-    #[error("splat {splat} of {} has {attribute} = {value}; {expected} was expected", path.display())]
+    #[error("splat {splat} of {} has {attribute} = {value}; {expected} was expected", path.display(), attribute = shortened(attribute))]
     BadValue {
         /// The file.
         path: PathBuf,

@@ -2,6 +2,7 @@
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
+use m4_io::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -18,7 +19,7 @@ pub enum ReadPlyError {
         source: io::Error,
     },
     /// The file is of another kind.
-    #[error("{} is not a PLY file: {reason}; check the name, or import it as another format", path.display())]
+    #[error("{} is not a PLY file: {reason}; check the name, or import it as another format", path.display(), reason = shortened(reason))]
     NotPly {
         /// The file.
         path: PathBuf,
@@ -26,7 +27,7 @@ pub enum ReadPlyError {
         reason: String,
     },
     /// A PLY file without splats, or with splats in a layout that is not known here.
-    #[error("{} cannot be imported: {reason}; give a PLY file of splats as 3DGS writes it", path.display())]
+    #[error("{} cannot be imported: {reason}; give a PLY file of splats as 3DGS writes it", path.display(), reason = shortened(reason))]
     Unsupported {
         /// The file.
         path: PathBuf,
@@ -34,7 +35,7 @@ pub enum ReadPlyError {
         reason: String,
     },
     /// The header makes no sense, or the file ends too early.
-    #[error("{} is damaged: {reason}; copy or export it again", path.display())]
+    #[error("{} is damaged: {reason}; copy or export it again", path.display(), reason = shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -42,7 +43,7 @@ pub enum ReadPlyError {
         reason: String,
     },
     /// A number that no splat can have.
-    #[error("{} is damaged: {property} of splat {splat} is {value}; export it again", path.display())]
+    #[error("{} is damaged: {property} of splat {splat} is {value}; export it again", path.display(), property = shortened(property))]
     BadValue {
         /// The file.
         path: PathBuf,

@@ -2,6 +2,7 @@
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
+use m4_io::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -18,7 +19,7 @@ pub enum ReadSplatvError {
         source: io::Error,
     },
     /// The file is of another kind.
-    #[error("{} is not a .splatv file: {reason}; check the name, or import it as another format", path.display())]
+    #[error("{} is not a .splatv file: {reason}; check the name, or import it as another format", path.display(), reason = shortened(reason))]
     NotSplatv {
         /// The file.
         path: PathBuf,
@@ -26,7 +27,7 @@ pub enum ReadSplatvError {
         reason: String,
     },
     /// The file ends too early or contradicts itself.
-    #[error("{} is damaged: {reason}; copy or export it again", path.display())]
+    #[error("{} is damaged: {reason}; copy or export it again", path.display(), reason = shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,

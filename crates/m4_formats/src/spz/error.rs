@@ -2,6 +2,7 @@
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
+use m4_io::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -18,7 +19,7 @@ pub enum ReadSpzError {
         source: io::Error,
     },
     /// The file is something else.
-    #[error("{} is not an SPZ file: {reason}", path.display())]
+    #[error("{} is not an SPZ file: {reason}", path.display(), reason = shortened(reason))]
     NotSpz {
         /// The file.
         path: PathBuf,
@@ -26,7 +27,7 @@ pub enum ReadSpzError {
         reason: String,
     },
     /// A version or a degree that is not read.
-    #[error("{} has {what}, and this program reads versions 2 and 3 with harmonics up to degree 3; convert it with `splat-transform IN.spz OUT.ply`", path.display())]
+    #[error("{} has {what}, and this program reads versions 2 and 3 with harmonics up to degree 3; convert it with `splat-transform IN.spz OUT.ply`", path.display(), what = shortened(what))]
     Unsupported {
         /// The file.
         path: PathBuf,
@@ -34,7 +35,7 @@ pub enum ReadSpzError {
         what: String,
     },
     /// The header contradicts the rest, or the stream is broken.
-    #[error("{} is damaged: {reason}; copy it again or write it anew", path.display())]
+    #[error("{} is damaged: {reason}; copy it again or write it anew", path.display(), reason = shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,

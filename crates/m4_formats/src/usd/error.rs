@@ -2,6 +2,7 @@
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
+use m4_io::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -24,7 +25,7 @@ pub enum ReadUsdError {
         path: PathBuf,
     },
     /// The file ends too early or contradicts itself.
-    #[error("{} is damaged: {reason}; copy or export it again", path.display())]
+    #[error("{} is damaged: {reason}; copy or export it again", path.display(), reason = shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -32,7 +33,7 @@ pub enum ReadUsdError {
         reason: String,
     },
     /// It uses parts of USD that are not read.
-    #[error("{} has {what}; only the layout that `minute4d export` writes is read", path.display())]
+    #[error("{} has {what}; only the layout that `minute4d export` writes is read", path.display(), what = shortened(what))]
     Foreign {
         /// The file.
         path: PathBuf,

@@ -1,13 +1,9 @@
 //! Why a source could not be read.
 
-use m4_io::ErrorKind;
 use m4_io::image::ReadImageError;
-use std::fmt::Display;
+use m4_io::{ErrorKind, shortened};
 use std::io;
 use std::path::{Path, PathBuf};
-
-/// Letters of a path, a place and a fault that a message has at most: damaged files are quoted, and may be of any length.
-const MAX_LETTERS: usize = 500;
 
 /// Why a source could not be read: the file, the place in it, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -160,18 +156,6 @@ impl ReadSourceError {
             SourceFault::Cancelled => ErrorKind::Cancelled,
         }
     }
-}
-
-/// A part of a message without its middle where it is too long.
-fn shortened(part: impl Display) -> String {
-    let part = part.to_string();
-    let letters = part.chars().count();
-    if letters <= MAX_LETTERS {
-        return part;
-    }
-    let start: String = part.chars().take(MAX_LETTERS / 2).collect();
-    let end: String = part.chars().skip(letters - MAX_LETTERS / 2).collect();
-    format!("{start} ... {end}")
 }
 
 #[cfg(test)]

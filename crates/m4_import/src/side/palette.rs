@@ -11,6 +11,9 @@ use std::path::Path;
 /// Largest side and what a picture may take, bytes.
 const MAX_SIDE: u32 = 32_768;
 const MAX_BYTES: usize = 512 << 20;
+/// What deflate makes of a byte at most, and what a file of any length may unpack to.
+const MAX_RATIO: u64 = 1032;
+const FREE_BYTES: u64 = 4 << 20;
 
 /// A PNG picture of numbers.
 pub(crate) struct Numbers {
@@ -43,6 +46,10 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
             "resize it",
         ));
     };
+    if bytes as u64 > file_bytes.saturating_mul(MAX_RATIO).max(FREE_BYTES) {
+        let what = format!("{w} x {h} pixels are claimed by {file_bytes} bytes");
+        return Err(SourceFault::bad(what, "the file is damaged; export it again"));
+    }
     let mut data = vec![0; bytes];
     let frame = reader.next_frame(&mut data).map_err(damaged)?;
     let line = frame.line_size;

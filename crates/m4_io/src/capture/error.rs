@@ -3,6 +3,7 @@
 use super::pose::PoseFault;
 use crate::ErrorKind;
 use crate::image::{ReadImageError, WriteImageError};
+use crate::shortened;
 use crate::tracks::ReadTracksError;
 use std::io;
 use std::path::PathBuf;
@@ -20,7 +21,7 @@ pub enum ReadCaptureError {
         source: io::Error,
     },
     /// The file is not JSON, or a key holds the wrong type.
-    #[error("{} is not a list of frames: {reason}", path.display())]
+    #[error("{} is not a list of frames: {reason}", path.display(), reason = shortened(reason))]
     Json {
         /// The file.
         path: PathBuf,
@@ -34,7 +35,7 @@ pub enum ReadCaptureError {
         path: PathBuf,
     },
     /// A key of the whole file has a value that cannot be.
-    #[error("{} has {key} = {value}: {expected}", path.display())]
+    #[error("{} has {key} = {value}: {expected}", path.display(), value = shortened(value))]
     BadKey {
         /// The file.
         path: PathBuf,
@@ -46,7 +47,7 @@ pub enum ReadCaptureError {
         expected: &'static str,
     },
     /// A key of one frame has a value that cannot be, or is missing.
-    #[error("{}, frame {frame} ({name:?}): {what}", path.display())]
+    #[error("{}, frame {frame} ({name}): {what}", path.display(), name = shortened(format!("{name:?}")), what = shortened(what))]
     BadFrame {
         /// The file.
         path: PathBuf,
@@ -58,7 +59,7 @@ pub enum ReadCaptureError {
         what: String,
     },
     /// The matrix of a frame is no pose.
-    #[error("{}, frame {frame} ({name:?}): transform_matrix {fault}", path.display())]
+    #[error("{}, frame {frame} ({name}): transform_matrix {fault}", path.display(), name = shortened(format!("{name:?}")), fault = shortened(fault))]
     BadPose {
         /// The file.
         path: PathBuf,
@@ -90,7 +91,7 @@ pub enum ReadCaptureError {
         source: ReadImageError,
     },
     /// A picture has another size than the file says.
-    #[error("{}, frame {frame}: the image {} is {} x {} pixels but w and h say {} x {}; scale the images or the intrinsics (w, h, fl_x, fl_y, cx, cy) so that they agree", path.display(), image.display(), found.0, found.1, expected.0, expected.1)]
+    #[error("{}, frame {frame}: the image {} is {} x {} pixels but w and h say {} x {}; scale the images or the intrinsics (w, h, fl_x, fl_y, cx, cy) so that they agree", path.display(), shortened(image.display()), found.0, found.1, expected.0, expected.1)]
     ImageSize {
         /// The file that names the picture.
         path: PathBuf,

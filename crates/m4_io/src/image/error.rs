@@ -1,6 +1,7 @@
 //! Why a picture could not be read or written.
 
 use crate::ErrorKind;
+use crate::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -9,7 +10,7 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum ReadImageError {
     /// The file could not be opened or read.
-    #[error("cannot read the image {}: {source}", path.display())]
+    #[error("cannot read the image {}: {source}", shortened(path.display()))]
     Io {
         /// The file.
         path: PathBuf,
@@ -17,13 +18,13 @@ pub enum ReadImageError {
         source: io::Error,
     },
     /// The file is not a PNG or JPEG file.
-    #[error("{} is not a PNG or JPEG image; convert it to one of these", path.display())]
+    #[error("{} is not a PNG or JPEG image; convert it to one of these", shortened(path.display()))]
     UnknownFormat {
         /// The file.
         path: PathBuf,
     },
     /// The bytes are not a picture.
-    #[error("the image {} is damaged ({reason}); export it again", path.display())]
+    #[error("the image {} is damaged ({reason}); export it again", shortened(path.display()), reason = shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -31,7 +32,7 @@ pub enum ReadImageError {
         reason: String,
     },
     /// The picture claims to be larger than the limit.
-    #[error("the image {} is {width} x {height} pixels, more than the {limit} pixels a side that are read; resize it", path.display())]
+    #[error("the image {} is {width} x {height} pixels, more than the {limit} pixels a side that are read; resize it", shortened(path.display()))]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -43,7 +44,7 @@ pub enum ReadImageError {
         limit: u32,
     },
     /// A depth map that is not a 16-bit greyscale PNG.
-    #[error("the depth map {} is {found}; it must be a greyscale PNG with 16 bits a pixel", path.display())]
+    #[error("the depth map {} is {found}; it must be a greyscale PNG with 16 bits a pixel", shortened(path.display()), found = shortened(found))]
     NotDepth {
         /// The file.
         path: PathBuf,
@@ -51,7 +52,7 @@ pub enum ReadImageError {
         found: String,
     },
     /// A map of things that is not a greyscale PNG.
-    #[error("the map of instances {} is {found}; it must be a greyscale PNG with 8 or 16 bits a pixel, 0 where there is none", path.display())]
+    #[error("the map of instances {} is {found}; it must be a greyscale PNG with 8 or 16 bits a pixel, 0 where there is none", shortened(path.display()), found = shortened(found))]
     NotIds {
         /// The file.
         path: PathBuf,

@@ -4,11 +4,17 @@ use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use m4_scene::{CompactDepth, CompactIds, CompactMask, Plane, RgbImage};
 use std::fs::File;
-use std::io::{BufReader, Cursor};
+use std::io::{BufRead as _, BufReader, Cursor};
 use std::path::Path;
 
 /// Longest side that is read, pixels: 16 times 1080p, and far under what overflows an index.
 const MAX_SIDE_PX: u32 = 32_768;
+/// What deflate makes of a byte at most.
+const MAX_RATIO: u64 = 1032;
+/// Pixels that a byte of JPEG stands for at most: a block of 64 takes a bit or more.
+const JPEG_PIXELS_A_BYTE: u64 = 512;
+/// Pixels that a file of any length may claim.
+const FREE_PIXELS: u64 = 1 << 20;
 
 /// Opens a picture and checks its format and size, from the header alone.
 fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
@@ -21,26 +27,45 @@ fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
     if facts.is_dir() {
         return Err(io(std::io::Error::from(std::io::ErrorKind::IsADirectory)));
     }
-    let reader = ImageReader::new(BufReader::new(file))
-        .with_guessed_format()
-        .map_err(io)?;
+    let mut file = BufReader::new(file);
+    let bits = bits_a_pixel(file.fill_buf().map_err(io)?);
+    let reader = ImageReader::new(file).with_guessed_format().map_err(io)?;
     if !matches!(reader.format(), Some(ImageFormat::Png | ImageFormat::Jpeg)) {
         return Err(ReadImageError::UnknownFormat {
             path: path.to_path_buf(),
         });
     }
-    let is_png = reader.format() == Some(ImageFormat::Png);
     let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
     check_size(path, decoder.dimensions())?;
-    if is_png {
-        check_held(path, decoder.dimensions(), facts.len())?;
-    }
+    check_held(path, decoder.dimensions(), bits, facts.len())?;
     Ok(decoder)
 }
 
-/// Refuses a PNG header with more pixels than its file can hold: deflate packs 1032 bytes into one, a pixel takes at least a bit.
-fn check_held(path: &Path, (width, height): (u32, u32), file_bytes: u64) -> Result<(), ReadImageError> {
-    if u64::from(width) * u64::from(height) <= file_bytes.saturating_mul(8 * 1032) {
+/// Bits that a pixel of a PNG takes before it is packed, by the start of the file (PNG specification, 11.2.2); `None` for JPEG.
+fn bits_a_pixel(start: &[u8]) -> Option<u64> {
+    let channels = match start.get(25) {
+        _ if !start.starts_with(b"\x89PNG") => return None,
+        Some(2) => 3,
+        Some(4) => 2,
+        Some(6) => 4,
+        _ => 1,
+    };
+    Some(channels * u64::from(start.get(24).copied().unwrap_or(1).max(1)))
+}
+
+/// Refuses a header with more pixels than its file can hold, before there is memory for them.
+fn check_held(
+    path: &Path,
+    (width, height): (u32, u32),
+    bits: Option<u64>,
+    file_bytes: u64,
+) -> Result<(), ReadImageError> {
+    let pixels = u64::from(width) * u64::from(height);
+    let most = match bits {
+        Some(bits) => file_bytes.saturating_mul(8 * MAX_RATIO) / bits,
+        None => file_bytes.saturating_mul(JPEG_PIXELS_A_BYTE),
+    };
+    if pixels <= most.max(FREE_PIXELS) {
         return Ok(());
     }
     Err(ReadImageError::Damaged {
@@ -115,6 +140,7 @@ pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImag
             limit: MAX_SIDE_PX.min(most_pixels.isqrt() as u32),
         });
     }
+    check_held(name, (width, height), bits_a_pixel(bytes), bytes.len() as u64)?;
     rgb(
         name,
         DynamicImage::from_decoder(decoder).map_err(|e| damaged(name, &e))?,
@@ -211,7 +237,7 @@ pub fn ids_of_bytes(path: &Path, bytes: &[u8]) -> Result<CompactIds, ReadImageEr
     let reader = ImageReader::with_format(Cursor::new(bytes), ImageFormat::Png);
     let decoder = reader.into_decoder().map_err(|e| damaged(path, &e))?;
     check_size(path, decoder.dimensions())?;
-    check_held(path, decoder.dimensions(), bytes.len() as u64)?;
+    check_held(path, decoder.dimensions(), bits_a_pixel(bytes), bytes.len() as u64)?;
     let image = DynamicImage::from_decoder(decoder).map_err(|e| damaged(path, &e))?;
     ids(path, image, true)
 }

@@ -28,8 +28,9 @@ pub(super) fn depth(stored: Stored, value: f64) -> f32 {
         Stored::Clipped => (value, CLIP.0 * 1.001),
         Stored::Disparity => (1.0 / value - DISPARITY_EPSILON, LEAST_DEPTH),
     };
-    // `z < least` would let what is no number pass
-    if z.is_finite() && z >= least { z as f32 } else { 0.0 }
+    // `z < least` would let what is no number pass; the inverse of a tiny disparity is finite, but not as 32 bits
+    let known = z >= least && (z as f32).is_finite();
+    if known { z as f32 } else { 0.0 }
 }
 
 /// The bytes of a depth, 0 where unknown, as MegaSaM stores it.
@@ -69,6 +70,8 @@ mod tests {
         assert_eq!(depth(Stored::Clipped, f64::NAN), 0.0);
         assert_eq!(depth(Stored::Clipped, 100.0), 100.0);
         assert_eq!(depth(Stored::Disparity, 0.0), 0.0);
+        assert_eq!(depth(Stored::Disparity, 1e-40), 0.0);
+        assert_eq!(depth(Stored::Depth, 1e300), 0.0);
         assert_eq!(depth(Stored::Depth, 1e-6), 0.0);
     }
 }

@@ -2,12 +2,13 @@
 
 use crate::ErrorKind;
 use crate::npy::ArrayFault;
+use crate::shortened;
 use std::io;
 use std::path::PathBuf;
 
 /// Why a file or folder of MegaSaM could not be read.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot read {} as output of MegaSaM: {fault}", path.display())]
+#[error("cannot read {} as output of MegaSaM: {fault}", path.display(), fault = shortened(fault))]
 #[non_exhaustive]
 pub struct ReadMegasamError {
     /// The file.
@@ -35,7 +36,7 @@ pub enum MegasamFault {
         has: String,
     },
     /// A member is no array that is read here.
-    #[error("the array `{array}` {reason}")]
+    #[error("the array `{array}` {reason}", reason = shortened(reason))]
     Array {
         /// Name of the array.
         array: &'static str,
@@ -43,7 +44,7 @@ pub enum MegasamFault {
         reason: String,
     },
     /// An array has another shape than the others ask for.
-    #[error("the array `{array}` has shape {found:?} where {expected} was expected")]
+    #[error("the array `{array}` has shape {found:?} where {expected} was expected", expected = shortened(expected))]
     Shape {
         /// Name of the array.
         array: &'static str,
@@ -53,7 +54,7 @@ pub enum MegasamFault {
         expected: String,
     },
     /// A number cannot be.
-    #[error("the array `{array}`, frame {frame}: {what}")]
+    #[error("the array `{array}`, frame {frame}: {what}", what = shortened(what))]
     Value {
         /// Name of the array.
         array: &'static str,
@@ -73,11 +74,9 @@ pub enum MegasamFault {
         expected: &'static str,
     },
     /// It would not fit into memory.
-    #[error(
-        "{what} takes {} MiB of memory, above the limit of {} MiB; cut the clip, or raise the limit (max_memory_bytes)",
+    #[error("{what} takes {} MiB of memory, above the limit of {} MiB; cut the clip, or raise the limit (max_memory_bytes)",
         needed_bytes >> 20,
-        limit_bytes >> 20
-    )]
+        limit_bytes >> 20, what = shortened(what))]
     TooLarge {
         /// What would take it.
         what: String,

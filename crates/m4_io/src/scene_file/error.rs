@@ -1,6 +1,7 @@
 //! Why a scene file could not be read or written.
 
 use crate::ErrorKind;
+use crate::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -17,7 +18,7 @@ pub enum ReadSceneError {
         source: io::Error,
     },
     /// The file is no safetensors file.
-    #[error("{} is not a scene file: {reason}; give the scene.safetensors of a run", path.display())]
+    #[error("{} is not a scene file: {reason}; give the scene.safetensors of a run", path.display(), reason = shortened(reason))]
     NotScene {
         /// The file.
         path: PathBuf,
@@ -25,7 +26,7 @@ pub enum ReadSceneError {
         reason: String,
     },
     /// The file ends too early or its parts overlap.
-    #[error("the scene {} is damaged: {reason}; copy it again or use the last checkpoint of the run", path.display())]
+    #[error("the scene {} is damaged: {reason}; copy it again or use the last checkpoint of the run", path.display(), reason = shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -43,7 +44,7 @@ pub enum ReadSceneError {
         known: u32,
     },
     /// The bytes are not those that were written.
-    #[error("the scene {} is damaged: its checksum is {found} where {expected} was written; copy it again or use the last checkpoint of the run", path.display())]
+    #[error("the scene {} is damaged: its checksum is {found} where {expected} was written; copy it again or use the last checkpoint of the run", path.display(), expected = shortened(expected), found = shortened(found))]
     Checksum {
         /// The file.
         path: PathBuf,
@@ -53,7 +54,7 @@ pub enum ReadSceneError {
         found: String,
     },
     /// An array is missing.
-    #[error("the scene {} has no array {name:?}", path.display())]
+    #[error("the scene {} has no array {name}", path.display(), name = shortened(format!("{name:?}")))]
     MissingArray {
         /// The file.
         path: PathBuf,
@@ -61,7 +62,7 @@ pub enum ReadSceneError {
         name: String,
     },
     /// An array has another type or shape than the rest implies.
-    #[error("array {name:?} of the scene {} is {found} where {expected} was expected", path.display())]
+    #[error("array {name} of the scene {} is {found} where {expected} was expected", path.display(), name = shortened(format!("{name:?}")), found = shortened(found), expected = shortened(expected))]
     BadArray {
         /// The file.
         path: PathBuf,
@@ -73,7 +74,7 @@ pub enum ReadSceneError {
         expected: String,
     },
     /// A number that no scene holds.
-    #[error("splat {splat} of {} has {name} = {value}; {expected}", path.display())]
+    #[error("splat {splat} of {} has {name} = {value}; {expected}", path.display(), value = shortened(value), expected = shortened(expected))]
     BadValue {
         /// The file.
         path: PathBuf,

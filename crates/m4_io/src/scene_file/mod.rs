@@ -27,6 +27,7 @@ mod covariance4;
 mod error;
 mod header;
 mod read;
+mod sound;
 mod tensor;
 mod write;
 

@@ -3,6 +3,7 @@
 use super::ReadSceneError;
 use super::convert::{Arrays, Fault, arrays_to_source, arrays_to_splats};
 use super::header::{Header, KEY, VERSION, Version, checksum};
+use super::sound;
 use super::tensor::{self, Source};
 use m4_scene::{Scene, TrainState};
 use safetensors::tensor::Metadata;
@@ -149,16 +150,21 @@ fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, R
         let take = |name: String| Some((name["state.".len()..].to_owned(), arrays.remove(&name)?));
         named.into_iter().filter_map(take).collect()
     });
+    let scene = Scene {
+        splats,
+        background: facts.background,
+        time_frames: facts.time_frames,
+        duration_s: facts.duration_s,
+        mip: facts.mip,
+        near: facts.near,
+        source,
+    };
+    if let Some(reason) = sound::fault(&scene) {
+        let path = path.to_path_buf();
+        return Err(ReadSceneError::Damaged { path, reason });
+    }
     Ok(SceneFile {
-        scene: Scene {
-            splats,
-            background: facts.background,
-            time_frames: facts.time_frames,
-            duration_s: facts.duration_s,
-            mip: facts.mip,
-            near: facts.near,
-            source,
-        },
+        scene,
         state,
         metadata: header.metadata,
     })

@@ -3,6 +3,7 @@
 use super::WriteSceneError;
 use super::convert::{Sources, source_to_arrays, splats_to_arrays};
 use super::header::{Facts, Header, KEY, VERSION, checksum};
+use super::sound;
 use super::tensor::Source;
 use crate::atomic::AtomicFile;
 use m4_scene::{Scene, TrainState};
@@ -72,15 +73,8 @@ fn check(path: &Path, scene: &Scene, state: Option<&TrainState<'_>>) -> Result<(
             "a parameter of a splat is not a finite number; lower the learning rates".into(),
         ));
     }
-    let finite = |v: f32| v.is_finite();
-    if !(scene.background.iter().copied().all(finite) && finite(scene.near)) {
-        return Err(bad(format!(
-            "background {:?} or near {} is not a number",
-            scene.background, scene.near
-        )));
-    }
-    if let Some(s) = scene.duration_s.filter(|s| !s.is_finite()) {
-        return Err(bad(format!("the duration is {s} s")));
+    if let Some(what) = sound::fault(scene) {
+        return Err(bad(what));
     }
     for (name, array) in state.into_iter().flatten() {
         array.check().map_err(|e| bad(format!("state {name:?}: {e}")))?;

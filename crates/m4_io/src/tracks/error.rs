@@ -1,12 +1,13 @@
 //! Why tracks could not be read.
 
 use crate::ErrorKind;
+use crate::shortened;
 use std::io;
 use std::path::PathBuf;
 
 /// Why a file of tracks could not be read.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot read the tracks {}: {fault}", path.display())]
+#[error("cannot read the tracks {}: {fault}", path.display(), fault = shortened(fault))]
 #[non_exhaustive]
 pub struct ReadTracksError {
     /// The file.
@@ -37,7 +38,7 @@ pub enum TracksFault {
         reason: String,
     },
     /// The tracks are not of this clip.
-    #[error("its array `{array}` has shape {found:?} where {expected} was expected")]
+    #[error("its array `{array}` has shape {found:?} where {expected} was expected", expected = shortened(expected))]
     Shape {
         /// Name of the array.
         array: &'static str,

@@ -1,6 +1,7 @@
 //! Why a camera path could not be read.
 
 use crate::ErrorKind;
+use crate::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -17,7 +18,7 @@ pub enum ReadTrajectoryError {
         source: io::Error,
     },
     /// The file is not JSON of a known layout.
-    #[error("{} is not a camera path: {reason}; give a nerfstudio transforms.json or camera_path.json, a path of LichtFeld Studio, or keyframes as docs/paths.md describes them", path.display())]
+    #[error("{} is not a camera path: {reason}; give a nerfstudio transforms.json or camera_path.json, a path of LichtFeld Studio, or keyframes as docs/paths.md describes them", path.display(), reason = shortened(reason))]
     Json {
         /// The file.
         path: PathBuf,
@@ -25,7 +26,7 @@ pub enum ReadTrajectoryError {
         reason: String,
     },
     /// A camera is wrong.
-    #[error("{}, camera {camera}: {what}", path.display())]
+    #[error("{}, camera {camera}: {what}", path.display(), what = shortened(what))]
     BadCamera {
         /// The file.
         path: PathBuf,

@@ -3,6 +3,7 @@
 use super::decoder::DecoderEnd;
 use crate::ErrorKind;
 use crate::image::ReadImageError;
+use crate::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -25,7 +26,7 @@ pub enum ReadVideoError {
         path: PathBuf,
     },
     /// The file is none that any decoder knows.
-    #[error("{} is not a video: {reason}", path.display())]
+    #[error("{} is not a video: {reason}", path.display(), reason = shortened(reason))]
     NotVideo {
         /// The file.
         path: PathBuf,
@@ -33,7 +34,7 @@ pub enum ReadVideoError {
         reason: String,
     },
     /// The file ends too early.
-    #[error("the video {} is incomplete: {what}; copy it again from the camera, or repair the recording (`untrunc`)", path.display())]
+    #[error("the video {} is incomplete: {what}; copy it again from the camera, or repair the recording (`untrunc`)", path.display(), what = shortened(what))]
     Truncated {
         /// The file.
         path: PathBuf,
@@ -41,7 +42,7 @@ pub enum ReadVideoError {
         what: String,
     },
     /// The file contradicts itself.
-    #[error("the video {} is damaged: {what}; copy it again, or convert it with `ffmpeg -i IN -pix_fmt yuv420p OUT.mp4`", path.display())]
+    #[error("the video {} is damaged: {what}; copy it again, or convert it with `ffmpeg -i IN -pix_fmt yuv420p OUT.mp4`", path.display(), what = shortened(what))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -49,7 +50,7 @@ pub enum ReadVideoError {
         what: String,
     },
     /// There is sound but no picture.
-    #[error("{} has no video track ({found}); a clip filmed with a moving camera is needed", path.display())]
+    #[error("{} has no video track ({found}); a clip filmed with a moving camera is needed", path.display(), found = shortened(found))]
     NoVideoTrack {
         /// The file.
         path: PathBuf,
@@ -57,7 +58,7 @@ pub enum ReadVideoError {
         found: String,
     },
     /// Not one frame came out.
-    #[error("the video {} has no frame that can be decoded: {reason}", path.display())]
+    #[error("the video {} has no frame that can be decoded: {reason}", path.display(), reason = shortened(reason))]
     NoFrames {
         /// The file.
         path: PathBuf,
@@ -89,7 +90,7 @@ pub enum ReadVideoError {
         first_s: f64,
     },
     /// The clip needs ffmpeg and there is none.
-    #[error("the video {} is {what}, which is decoded by ffmpeg, and `{}` cannot be started ({reason}); install ffmpeg (apt, brew or winget install ffmpeg) or convert the clip to 8-bit H.264 elsewhere: ffmpeg -i IN -c:v libx264 -pix_fmt yuv420p OUT.mp4", path.display(), ffmpeg.display())]
+    #[error("the video {} is {what}, which is decoded by ffmpeg, and `{}` cannot be started ({reason}); install ffmpeg (apt, brew or winget install ffmpeg) or convert the clip to 8-bit H.264 elsewhere: ffmpeg -i IN -c:v libx264 -pix_fmt yuv420p OUT.mp4", path.display(), ffmpeg.display(), what = shortened(what), reason = shortened(reason))]
     NeedsFfmpeg {
         /// The file.
         path: PathBuf,
@@ -101,7 +102,7 @@ pub enum ReadVideoError {
         reason: String,
     },
     /// ffmpeg gave up.
-    #[error("ffmpeg cannot decode the video {}: {reason}; see whether a player shows it, and copy or export it again", path.display())]
+    #[error("ffmpeg cannot decode the video {}: {reason}; see whether a player shows it, and copy or export it again", path.display(), reason = shortened(reason))]
     Ffmpeg {
         /// The file.
         path: PathBuf,
@@ -155,7 +156,7 @@ pub enum ReadVideoError {
         limit_bytes: u64,
     },
     /// An option has a value that cannot be.
-    #[error("the video option {option} is {value}: {expected}")]
+    #[error("the video option {option} is {value}: {expected}", value = shortened(value))]
     BadOption {
         /// The option.
         option: &'static str,

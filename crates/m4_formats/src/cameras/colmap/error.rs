@@ -3,6 +3,7 @@
 use crate::WriteFileError;
 use crate::cameras::BadName;
 use m4_io::ErrorKind;
+use m4_io::shortened;
 use std::io;
 use std::path::PathBuf;
 
@@ -19,7 +20,7 @@ pub enum ReadColmapError {
         source: io::Error,
     },
     /// A file ends too early or holds what it cannot.
-    #[error("{} is damaged at {place}: {reason}", path.display())]
+    #[error("{} is damaged at {place}: {reason}", path.display(), place = shortened(place), reason = shortened(reason))]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -29,7 +30,7 @@ pub enum ReadColmapError {
         reason: String,
     },
     /// A lens with distortion, or one that is unknown.
-    #[error("{} has a camera that is not read: {what}; PINHOLE and SIMPLE_PINHOLE are (`colmap image_undistorter` makes such)", path.display())]
+    #[error("{} has a camera that is not read: {what}; PINHOLE and SIMPLE_PINHOLE are (`colmap image_undistorter` makes such)", path.display(), what = shortened(what))]
     Unsupported {
         /// The file.
         path: PathBuf,
@@ -37,7 +38,7 @@ pub enum ReadColmapError {
         what: String,
     },
     /// The files contradict each other.
-    #[error("the sparse model {} contradicts itself: {reason}", path.display())]
+    #[error("the sparse model {} contradicts itself: {reason}", path.display(), reason = shortened(reason))]
     Inconsistent {
         /// The folder.
         path: PathBuf,

@@ -63,9 +63,10 @@ impl Movie {
         let skipped = if mvhd.version()? == 1 { 16 } else { 8 };
         mvhd.take(skipped)?;
         let scale = mvhd.u32()?;
+        let mut left = len;
         let traks = children(&moov).filter(|(kind, _)| kind == b"trak");
         let tracks: Vec<Track> = traks
-            .map(|(_, body)| track(body, scale, len))
+            .map(|(_, body)| track(body, scale, &mut left))
             .collect::<Result<_, _>>()?;
         let empty = tracks.iter().all(|t| t.samples.is_empty());
         if empty && child(&moov, b"mvex").is_some() {
@@ -85,7 +86,7 @@ impl Movie {
     }
 }
 
-fn track(trak: &[u8], movie_scale: u32, file_len: u64) -> Result<Track, Mp4Error> {
+fn track(trak: &[u8], movie_scale: u32, left: &mut u64) -> Result<Track, Mp4Error> {
     let mut tkhd = required(trak, b"tkhd", "a track")?;
     let times = if tkhd.version()? == 1 { 32 } else { 20 };
     // Times, reserved, layer, group, volume, reserved.
@@ -118,7 +119,7 @@ fn track(trak: &[u8], movie_scale: u32, file_len: u64) -> Result<Track, Mp4Error
         entries = children(stsd.bytes)
             .filter_map(|(kind, body)| entry(kind, body))
             .collect();
-        list = samples(stbl, file_len)?;
+        list = samples(stbl, left)?;
     }
     let edits = match child(trak, b"edts").and_then(|edts| child(edts.bytes, b"elst")) {
         Some(elst) => edit_list(elst)?,

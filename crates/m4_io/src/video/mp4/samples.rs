@@ -17,9 +17,10 @@ pub struct Sample {
     pub ticks: i64,
 }
 
-/// The samples of a `stbl` box in decoding order.
-pub fn samples(stbl: &[u8], file_len: u64) -> Result<Vec<Sample>, Mp4Error> {
-    let sizes = Sizes::read(required(stbl, b"stsz", "the sample table")?, file_len)?;
+/// The samples of a `stbl` box in decoding order. Those of one size have no list of which the length could be compared: they take
+/// their bytes from `left`, what the tracks before have left of the file.
+pub fn samples(stbl: &[u8], left: &mut u64) -> Result<Vec<Sample>, Mp4Error> {
+    let sizes = Sizes::read(required(stbl, b"stsz", "the sample table")?, left)?;
     if sizes.count > MAX_SAMPLES {
         return Err(Mp4Error::Bad(format!("it has {} samples", sizes.count)));
     }
@@ -37,7 +38,7 @@ struct Sizes<'a> {
 }
 
 impl<'a> Sizes<'a> {
-    fn read(mut stsz: Body<'a>, file_len: u64) -> Result<Self, Mp4Error> {
+    fn read(mut stsz: Body<'a>, left: &mut u64) -> Result<Self, Mp4Error> {
         stsz.version()?;
         let constant = stsz.u32()?;
         if constant == 0 {
@@ -49,11 +50,12 @@ impl<'a> Sizes<'a> {
             });
         }
         let count = stsz.u32()? as usize;
-        if (count as u64).saturating_mul(u64::from(constant)) > file_len {
+        let Some(rest) = left.checked_sub((count as u64).saturating_mul(u64::from(constant))) else {
             return Err(Mp4Error::Bad(format!(
                 "{count} samples of {constant} bytes are more than the file has"
             )));
-        }
+        };
+        *left = rest;
         Ok(Self {
             count,
             constant,

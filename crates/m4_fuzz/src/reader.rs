@@ -1,0 +1,155 @@
+//! One reader, the folder that it reads in, and what came of it.
+
+use crate::dress::Dress;
+use crate::fixture;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
+use tempfile::TempDir;
+
+/// Longest message of a refusal, characters: one that is longer quotes the file without end.
+pub const MAX_REASON: usize = 1000;
+
+/// What a reader made of some bytes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Outcome {
+    /// They were read, and what was read is sound.
+    Read,
+    /// They were refused, with this message.
+    Refused(String),
+    /// They were taken, but what was read is not sound: what is wrong.
+    Unsound(String),
+}
+
+impl Outcome {
+    /// Of a result and a look at what was read.
+    pub(crate) fn of<T, E: std::fmt::Display>(read: Result<T, E>, fault: impl FnOnce(&T) -> Option<String>) -> Self {
+        match read {
+            Err(e) => Self::Refused(e.to_string()),
+            Ok(value) => fault(&value).map_or(Self::Read, Self::Unsound),
+        }
+    }
+}
+
+/// What else lies in the folder of a reader.
+pub(crate) enum Around {
+    /// Nothing.
+    Nothing,
+    /// Copies of fixtures: from, to (below the stage).
+    Fixtures(Vec<(String, String)>),
+    /// What a function writes.
+    Made(fn(&Path)),
+}
+
+type Call = Box<dyn Fn(&Path) -> Outcome + Send + Sync>;
+type Seeds = Box<dyn Fn(&Path) -> Vec<Vec<u8>> + Send + Sync>;
+
+/// One reader of files.
+pub struct Reader {
+    /// As the target of the fuzzer and the folder of the corpus are called.
+    pub name: &'static str,
+    /// Where the bytes are put, below the stage.
+    pub(crate) file: String,
+    /// What the reader is given, below the stage.
+    pub(crate) given: String,
+    pub(crate) around: Around,
+    pub(crate) dress: Dress,
+    pub(crate) seeds: Seeds,
+    pub(crate) call: Call,
+}
+
+impl Reader {
+    /// A folder in which this reader reads, ready for bytes. A temporary one, gone when the stage is.
+    ///
+    /// # Errors
+    ///
+    /// Whatever the system says.
+    pub fn stage(&self) -> io::Result<Stage<'_>> {
+        let folder = tempfile::Builder::new().prefix("m4fuzz").tempdir()?;
+        let here = folder.path();
+        match &self.around {
+            Around::Nothing => {}
+            Around::Fixtures(all) => {
+                for (from, to) in all {
+                    fixture::copy(&fixture::fixture(from), &here.join(to))?;
+                }
+            }
+            Around::Made(make) => make(here),
+        }
+        let file = here.join(&self.file);
+        if let Some(parent) = file.parent() {
+            fs::create_dir_all(parent)?;
+        }
+        let seeds = (self.seeds)(&file);
+        Ok(Stage {
+            reader: self,
+            file,
+            given: if self.given.is_empty() {
+                here.to_path_buf()
+            } else {
+                here.join(&self.given)
+            },
+            seeds,
+            folder,
+        })
+    }
+}
+
+/// A reader with its folder.
+pub struct Stage<'a> {
+    reader: &'a Reader,
+    file: PathBuf,
+    given: PathBuf,
+    seeds: Vec<Vec<u8>>,
+    folder: TempDir,
+}
+
+impl Stage<'_> {
+    /// Sound contents of the file; at least one.
+    #[must_use]
+    pub fn seeds(&self) -> &[Vec<u8>] {
+        &self.seeds
+    }
+
+    /// The reader.
+    #[must_use]
+    pub fn reader(&self) -> &Reader {
+        self.reader
+    }
+
+    /// Puts the bytes where they belong, and reads. A message has `STAGE` in place of the folder.
+    ///
+    /// # Errors
+    ///
+    /// What the system says of writing the file.
+    ///
+    /// # Panics
+    ///
+    /// Where the reader does: that is what is looked for.
+    pub fn read(&self, bytes: &[u8]) -> io::Result<Outcome> {
+        // a file that is emptied and written again is sent to the disk at once by some file systems
+        match fs::remove_file(&self.file) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
+            _ => fs::write(&self.file, self.reader.dress.on(bytes))?,
+        }
+        let folder = self.folder.path().to_string_lossy();
+        Ok(match (self.reader.call)(&self.given) {
+            Outcome::Refused(reason) => Outcome::Refused(reason.replace(&*folder, "STAGE")),
+            other => other,
+        })
+    }
+
+    /// What is wrong with what came of some bytes: not sound, or a message that quotes the file.
+    #[must_use]
+    pub fn fault(outcome: &Outcome) -> Option<String> {
+        match outcome {
+            Outcome::Read => None,
+            Outcome::Unsound(what) => Some(format!("unsound: {what}")),
+            Outcome::Refused(reason) => {
+                let n = reason.chars().count();
+                let start: String = reason.chars().take(160).collect();
+                (n > MAX_REASON).then(|| format!("a message of {n} characters: {start}"))
+            }
+        }
+    }
+}

@@ -1,0 +1,173 @@
+//! Readers of `m4_formats`.
+
+use super::{alone, made};
+use crate::dress::Dress;
+use crate::reader::{Around, Outcome, Reader};
+use crate::sound;
+use flate2::read::GzDecoder;
+use m4_formats::cameras::colmap::{self, ColmapEncoding, ColmapOptions};
+use m4_formats::cameras::nerfstudio::{self, NerfstudioOptions};
+use m4_formats::spz::{self, SpzAxes, SpzOptions};
+use m4_formats::{fourdgs, gltf, ply, splatv, usd};
+use std::io::Read as _;
+use std::path::Path;
+
+pub fn rows() -> Vec<Reader> {
+    [splats(), cameras()].into_iter().flatten().collect()
+}
+
+/// The scenes that are written: without and with harmonics.
+const DEGREES: [usize; 2] = [0, 2];
+
+fn splats() -> Vec<Reader> {
+    let clips = || {
+        let one = |degree| {
+            let encoded = fourdgs::encode(&made::scene(degree), &fourdgs::FourdgsConfig::default());
+            encoded.unwrap_or_else(|e| panic!("a sound clip: {e}")).0
+        };
+        DEGREES.map(one).to_vec()
+    };
+    let instants = || {
+        let one = |degree| made::written("a.ply", |p| ply::write(p, &made::scene(degree), 1.0));
+        let mut all = DEGREES.map(one).to_vec();
+        all.push(text_of(&all[0]));
+        all
+    };
+    let textures = || vec![splatv_of_few()];
+    let stages = || {
+        let options = usd::UsdOptions {
+            step_frames: 3,
+            ..usd::UsdOptions::default()
+        };
+        DEGREES
+            .map(|d| made::written("a.usda", |p| usd::write(p, &made::scene(d), &options)))
+            .to_vec()
+    };
+    let meshes = || {
+        DEGREES
+            .map(|d| {
+                made::written("a.glb", |p| {
+                    gltf::write(p, &made::scene(d), &gltf::GltfOptions::default())
+                })
+            })
+            .to_vec()
+    };
+    let packed = || {
+        DEGREES
+            .map(|d| made::written("a.spz", |p| spz::write(p, &made::scene(d), &SpzOptions::default())))
+            .to_vec()
+    };
+    let unpacked = move || {
+        let one = |packed: Vec<u8>| {
+            let mut bytes = Vec::new();
+            let read = GzDecoder::new(packed.as_slice()).read_to_end(&mut bytes);
+            read.unwrap_or_else(|e| panic!("what was packed: {e}"));
+            bytes
+        };
+        packed().into_iter().map(one).collect()
+    };
+    let read_spz = |p: &Path| Outcome::of(spz::read(p, SpzAxes::Rub), sound::splats);
+    vec![
+        alone("formats-4dgs", "a.4dgs", clips, |p| {
+            Outcome::of(fourdgs::read(p), |found| sound::scene(&found.scene))
+        }),
+        alone("formats-ply", "a.ply", instants, |p| {
+            Outcome::of(ply::read(p), |found| sound::scene(&found.scene))
+        }),
+        alone("formats-splatv", "a.splatv", textures, |p| {
+            Outcome::of(splatv::read(p), |found| sound::scene(&found.scene))
+        }),
+        alone("formats-usd", "a.usda", stages, |p| {
+            Outcome::of(usd::read(p, 1.5), sound::splats)
+        }),
+        alone("formats-gltf", "a.glb", meshes, |p| {
+            Outcome::of(gltf::read(p), sound::splats)
+        }),
+        alone("formats-spz", "a.spz", packed, read_spz),
+        Reader {
+            dress: Dress::Gzip,
+            ..alone("formats-spz-unpacked", "a.spz", unpacked, read_spz)
+        },
+    ]
+}
+
+/// A `.splatv` file of which the texture is one row: 64 KiB, most of it nothing.
+fn splatv_of_few() -> Vec<u8> {
+    made::written("a.splatv", |p| splatv::write(p, &made::scene(0)))
+}
+
+/// A binary PLY file of 32-bit numbers as text.
+fn text_of(binary: &[u8]) -> Vec<u8> {
+    let end = b"end_header\n";
+    let at = binary.windows(end.len()).position(|w| w == end);
+    let at = at.unwrap_or_else(|| panic!("our PLY file has a head")) + end.len();
+    let head = String::from_utf8_lossy(&binary[..at]);
+    let mut text = head.replace("binary_little_endian", "ascii");
+    for word in binary[at..].as_chunks::<4>().0 {
+        text.push_str(&format!("{} ", f32::from_le_bytes(*word)));
+    }
+    text.into_bytes()
+}
+
+fn model(folder: &Path, encoding: ColmapEncoding) {
+    let options = ColmapOptions {
+        encoding,
+        t: 1.0,
+        least_opacity: 0.0,
+        ..ColmapOptions::default()
+    };
+    let written = colmap::write(folder, &made::scene(0), &options);
+    written.unwrap_or_else(|e| panic!("a sound model: {e}"));
+}
+
+/// A row for one file of a model.
+fn of_model(name: &'static str, file: &'static str) -> Reader {
+    let around: fn(&Path) = if file.ends_with(".bin") {
+        |folder| model(folder, ColmapEncoding::Binary)
+    } else {
+        |folder| model(folder, ColmapEncoding::Text)
+    };
+    Reader {
+        name,
+        file: file.to_owned(),
+        given: String::new(),
+        around: Around::Made(around),
+        dress: Dress::Plain,
+        seeds: Box::new(|file| vec![std::fs::read(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))]),
+        call: Box::new(|folder| {
+            let tables = colmap::read_tables(folder);
+            if let Err(e) = &tables {
+                let said = Outcome::Refused(e.to_string());
+                // the whole model reads the points too
+                return match colmap::read(folder) {
+                    Ok(_) => Outcome::Unsound("read as a model, but not as tables".into()),
+                    Err(_) => said,
+                };
+            }
+            Outcome::of(colmap::read(folder), |model| {
+                let of_images = model.images.iter().find_map(|i| sound::camera(&i.camera));
+                let finite = model.points.iter().all(|p| p.position.iter().all(|v| v.is_finite()));
+                of_images.or_else(|| (!finite).then(|| "a point".into()))
+            })
+        }),
+    }
+}
+
+fn cameras() -> Vec<Reader> {
+    let list = || {
+        vec![made::written("t.json", |p| {
+            nerfstudio::write(p, &made::scene(0), &NerfstudioOptions::default())
+        })]
+    };
+    vec![
+        of_model("formats-colmap-cameras-bin", "cameras.bin"),
+        of_model("formats-colmap-images-bin", "images.bin"),
+        of_model("formats-colmap-points-bin", "points3D.bin"),
+        of_model("formats-colmap-cameras-txt", "cameras.txt"),
+        of_model("formats-colmap-images-txt", "images.txt"),
+        of_model("formats-colmap-points-txt", "points3D.txt"),
+        alone("formats-nerfstudio", "transforms.json", list, |p| {
+            Outcome::of(m4_io::trajectory::load(p, 5), sound::trajectory)
+        }),
+    ]
+}

@@ -1,0 +1,290 @@
+//! Readers of `m4_import`: one row for each file that a format parses, in a clip that is sound but for it.
+
+use super::{among, within};
+use crate::dress::Dress;
+use crate::fixture::{copy, fixture};
+use crate::reader::{Around, Outcome, Reader};
+use crate::sound;
+use m4_import::SourceFormat::{self, Colmap, Da3, Dycheck, Kitti, Megasam, Monst3r, Nerfstudio, Nvidia, Polycam};
+use m4_import::SourceFormat::{Record3d, StrayScanner, Tum, Vggt, Vipe};
+use m4_import::{ImportOptions, formats::davis};
+use m4_io::video::VideoOptions;
+use m4_scene::Silent;
+use std::path::Path;
+
+/// Reads a clip, and looks at what else it could be taken for.
+pub fn clip(path: &Path, format: SourceFormat, options: &ImportOptions) -> Outcome {
+    let _ = m4_import::detect(path);
+    Outcome::of(m4_import::read(path, format, options, &Silent), |found| {
+        sound::capture(&found.train).or_else(|| found.test.as_ref().and_then(sound::capture))
+    })
+}
+
+/// A file of a fixture.
+fn plain(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
+    let reader = among(name, &format!("import/{source}"), file, move |p| {
+        clip(p, format, &ImportOptions::default())
+    });
+    let dress = if file.ends_with(".png") {
+        Dress::Png
+    } else {
+        Dress::Plain
+    };
+    Reader { dress, ..reader }
+}
+
+/// A file of a fixture whose pictures lie elsewhere.
+fn pictured(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
+    let options = ImportOptions {
+        pictures: Some(fixture("import/clip/images")),
+        ..ImportOptions::default()
+    };
+    among(name, &format!("import/{source}"), file, move |p| {
+        clip(p, format, &options)
+    })
+}
+
+/// A member of an archive of a fixture.
+fn member(name: &'static str, format: SourceFormat, source: &str, file: &str, inside: &'static str) -> Reader {
+    within(name, inside, plain(name, format, source, file))
+}
+
+pub fn rows() -> Vec<Reader> {
+    [cameras_of_tools(), archives_of_tools(), telephones(), data_sets()]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+fn cameras_of_tools() -> Vec<Reader> {
+    vec![
+        pictured(
+            "import-colmap-cameras-txt",
+            Colmap,
+            "colmap_text",
+            "sparse/0/cameras.txt",
+        ),
+        pictured("import-colmap-images-txt", Colmap, "colmap_text", "sparse/0/images.txt"),
+        pictured(
+            "import-colmap-cameras-bin",
+            Colmap,
+            "colmap_binary",
+            "sparse/0/cameras.bin",
+        ),
+        pictured(
+            "import-colmap-images-bin",
+            Colmap,
+            "colmap_binary",
+            "sparse/0/images.bin",
+        ),
+        plain("import-colmap-opencv", Colmap, "colmap_opencv", "sparse/0/cameras.txt"),
+        plain(
+            "import-colmap-fisheye",
+            Colmap,
+            "colmap_fisheye",
+            "sparse/0/cameras.bin",
+        ),
+        plain("import-nerfstudio", Nerfstudio, "nerfstudio", "transforms.json"),
+        plain("import-nerfstudio-depth", Nerfstudio, "nerfstudio", "depth/2.png"),
+        plain("import-nerfstudio-mask", Nerfstudio, "nerfstudio", "masks/2.png"),
+        plain(
+            "import-nerfstudio-picture",
+            Nerfstudio,
+            "nerfstudio",
+            "images/frame_2.jpg",
+        ),
+        beside_clip(plain("import-instant4d", Nerfstudio, "instant4d", "transforms.json")),
+        beside_clip(plain("import-instant4d-depth", Nerfstudio, "instant4d", "depth_2.npy")),
+        plain("import-monst3r-trajectory", Monst3r, "monst3r", "pred_traj.txt"),
+        plain("import-monst3r-intrinsics", Monst3r, "monst3r", "pred_intrinsics.txt"),
+        plain("import-monst3r-depth", Monst3r, "monst3r", "frame_0001.npy"),
+        plain("import-tum-poses", Tum, "tum", "groundtruth.txt"),
+        plain("import-tum-pictures", Tum, "tum", "rgb.txt"),
+        plain("import-tum-depth", Tum, "tum", "depth.txt"),
+        plain("import-tum-intrinsics", Tum, "tum", "intrinsics.txt"),
+        plain("import-kitti-poses", Kitti, "kitti", "poses.txt"),
+        plain("import-kitti-calibration", Kitti, "kitti", "calib.txt"),
+        plain("import-kitti-times", Kitti, "kitti", "times.txt"),
+        plain("import-da3-streaming-poses", Da3, "da3_streaming", "camera_poses.txt"),
+        plain("import-da3-streaming-lens", Da3, "da3_streaming", "intrinsic.txt"),
+    ]
+}
+
+/// The same with the pictures that its list names beside it.
+fn beside_clip(reader: Reader) -> Reader {
+    let Around::Fixtures(mut all) = reader.around else {
+        panic!("{} is among no fixtures", reader.name)
+    };
+    all.push(("import/clip".to_owned(), "clip".to_owned()));
+    Reader {
+        around: Around::Fixtures(all),
+        ..reader
+    }
+}
+
+fn archives_of_tools() -> Vec<Reader> {
+    let megasam = || {
+        among("import-megasam", "megasam/outputs/dog_droid.npz", "", |p| {
+            clip(p, Megasam, &ImportOptions::default())
+        })
+    };
+    vec![
+        plain("import-vipe-pose", Vipe, "vipe", "pose/dog.npz"),
+        member("import-vipe-pose-data", Vipe, "vipe", "pose/dog.npz", "data.npy"),
+        member("import-vipe-pose-inds", Vipe, "vipe", "pose/dog.npz", "inds.npy"),
+        plain("import-vipe-lens", Vipe, "vipe", "intrinsics/dog.npz"),
+        member("import-vipe-lens-data", Vipe, "vipe", "intrinsics/dog.npz", "data.npy"),
+        plain("import-vipe-camera", Vipe, "vipe", "intrinsics/dog_camera.txt"),
+        plain("import-vipe-depth", Vipe, "vipe", "depth/dog.zip"),
+        member("import-vipe-depth-exr", Vipe, "vipe", "depth/dog.zip", "00002.exr"),
+        plain("import-vipe-mask", Vipe, "vipe", "mask/dog.zip"),
+        member("import-vipe-mask-png", Vipe, "vipe", "mask/dog.zip", "00002.png"),
+        plain("import-vipe-names", Vipe, "vipe", "mask/dog.txt"),
+        plain("import-vipe-video", Vipe, "vipe", "rgb/dog.mp4"),
+        plain("import-da3", Da3, "da3", "exports/npz/results.npz"),
+        member("import-da3-image", Da3, "da3", "exports/npz/results.npz", "image.npy"),
+        member("import-da3-depth", Da3, "da3", "exports/npz/results.npz", "depth.npy"),
+        member(
+            "import-da3-extrinsics",
+            Da3,
+            "da3",
+            "exports/npz/results.npz",
+            "extrinsics.npy",
+        ),
+        member(
+            "import-da3-intrinsics",
+            Da3,
+            "da3",
+            "exports/npz/results.npz",
+            "intrinsics.npy",
+        ),
+        plain(
+            "import-da3-streaming-frame",
+            Da3,
+            "da3_streaming",
+            "results_output/frame_2.npz",
+        ),
+        plain("import-vggt", Vggt, "vggt/predictions.npz", ""),
+        member(
+            "import-vggt-extrinsic",
+            Vggt,
+            "vggt/predictions.npz",
+            "",
+            "extrinsic.npy",
+        ),
+        member("import-vggt-images", Vggt, "vggt/predictions.npz", "", "images.npy"),
+        member("import-vggt-depth", Vggt, "vggt/predictions.npz", "", "depth.npy"),
+        megasam(),
+    ]
+}
+
+fn telephones() -> Vec<Reader> {
+    vec![
+        plain("import-record3d", Record3d, "record3d/clip.r3d", ""),
+        member(
+            "import-record3d-metadata",
+            Record3d,
+            "record3d/clip.r3d",
+            "",
+            "metadata",
+        ),
+        member(
+            "import-record3d-depth",
+            Record3d,
+            "record3d/clip.r3d",
+            "",
+            "rgbd/1.depth",
+        ),
+        member(
+            "import-record3d-confidence",
+            Record3d,
+            "record3d/clip.r3d",
+            "",
+            "rgbd/1.conf",
+        ),
+        member(
+            "import-record3d-picture",
+            Record3d,
+            "record3d/clip.r3d",
+            "",
+            "rgbd/1.jpg",
+        ),
+        member(
+            "import-record3d-large",
+            Record3d,
+            "record3d/large.r3d",
+            "",
+            "rgbd/0.depth",
+        ),
+        plain(
+            "import-polycam-camera",
+            Polycam,
+            "polycam",
+            "keyframes/corrected_cameras/10000000000.json",
+        ),
+        plain(
+            "import-polycam-depth",
+            Polycam,
+            "polycam",
+            "keyframes/depth/10000000000.png",
+        ),
+        plain(
+            "import-polycam-confidence",
+            Polycam,
+            "polycam",
+            "keyframes/confidence/10000000000.png",
+        ),
+        plain(
+            "import-polycam-picture",
+            Polycam,
+            "polycam",
+            "keyframes/corrected_images/10000000000.jpg",
+        ),
+        plain("import-stray-odometry", StrayScanner, "stray", "odometry.csv"),
+        plain("import-stray-lens", StrayScanner, "stray", "camera_matrix.csv"),
+        plain("import-stray-video", StrayScanner, "stray", "rgb.mp4"),
+        plain("import-stray-depth", StrayScanner, "stray", "depth/000001.png"),
+    ]
+}
+
+/// The same where `dataset.json` and `metadata.json` say which frames there are, as in scenes of Nerfies.
+fn without_splits(reader: Reader) -> Reader {
+    Reader {
+        around: Around::Made(|here| {
+            let to = here.join("dycheck");
+            let copied = copy(&fixture("import/dycheck"), &to);
+            let gone = copied.and_then(|()| std::fs::remove_dir_all(to.join("splits")));
+            gone.unwrap_or_else(|e| panic!("a copy of import/dycheck: {e}"));
+        }),
+        ..reader
+    }
+}
+
+fn data_sets() -> Vec<Reader> {
+    let annotation = among(
+        "import-davis-annotation",
+        "import/davis",
+        "Annotations/480p/ball/00001.png",
+        |p| {
+            let folder = p.join("JPEGImages/480p/ball");
+            let read = davis::read_clip(&folder, &VideoOptions::default(), &Silent);
+            Outcome::of(read, |clip| sound::video(&clip.video))
+        },
+    );
+    vec![
+        without_splits(plain("import-dycheck-dataset", Dycheck, "dycheck", "dataset.json")),
+        without_splits(plain("import-dycheck-metadata", Dycheck, "dycheck", "metadata.json")),
+        plain("import-dycheck-scene", Dycheck, "dycheck", "scene.json"),
+        plain("import-dycheck-extra", Dycheck, "dycheck", "extra.json"),
+        plain("import-dycheck-split", Dycheck, "dycheck", "splits/train.json"),
+        plain("import-dycheck-camera", Dycheck, "dycheck", "camera/0_00001.json"),
+        plain("import-dycheck-depth", Dycheck, "dycheck", "depth/2x/0_00001.npy"),
+        plain("import-nvidia-poses", Nvidia, "nvidia", "poses_bounds.npy"),
+        plain("import-nvidia-disparity", Nvidia, "nvidia", "disp/001.npy"),
+        plain("import-nvidia-mask", Nvidia, "nvidia", "motion_masks/001.png"),
+        Reader {
+            dress: Dress::Png,
+            ..annotation
+        },
+    ]
+}

@@ -1,0 +1,353 @@
+//! Readers of `m4_io`.
+
+use super::{alone, among, made, within};
+use crate::dress::Dress;
+use crate::fixture::fixture_bytes;
+use crate::reader::{Around, Outcome, Reader};
+use crate::sound;
+use m4_io::capture::{self, CaptureOptions, Split};
+use m4_io::megasam::{self, MegasamOptions};
+use m4_io::npy::{Array, ArrayFault, Npz};
+use m4_io::scene_file::{self, ReadSceneError};
+use m4_io::trajectory;
+use m4_io::video::{self, Mp4Writer, VideoOptions};
+use m4_io::{image, tracks};
+use m4_scene::{Plane, Silent, SplatLayout};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Bytes that an array may take.
+const MAX_ARRAY_BYTES: u64 = 64 << 20;
+
+pub fn rows() -> Vec<Reader> {
+    [
+        pictures(),
+        arrays(),
+        paths(),
+        captures(),
+        scenes(),
+        megasam_files(),
+        videos(),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
+}
+
+fn png(reader: Reader) -> Reader {
+    Reader {
+        dress: Dress::Png,
+        ..reader
+    }
+}
+
+fn pictures() -> Vec<Reader> {
+    let jpegs = || {
+        vec![
+            made::picture("a.jpg"),
+            fixture_bytes("import/nerfstudio/images/frame_1.jpg"),
+            with_exif(&fixture_bytes("import/davis/JPEGImages/480p/ball/00001.jpg")),
+        ]
+    };
+    let pngs = || {
+        vec![
+            made::picture("a.png"),
+            fixture_bytes("import/side/masks_palette/frame8.png"),
+        ]
+    };
+    let depths = || vec![fixture_bytes("import/side/depth_png/frame8.png")];
+    let greys = || {
+        vec![
+            fixture_bytes("import/nvidia/motion_masks/001.png"),
+            fixture_bytes("import/side/depth_png/frame8.png"),
+        ]
+    };
+    let read_rgb = |p: &Path| Outcome::of(image::read_rgb(p), |_| None);
+    let photo = |p: &Path| {
+        Outcome::of(image::read_photo(p), |photo| {
+            let odd = photo.focal_px.is_some_and(|f| !f.is_finite());
+            odd.then(|| "the focal length".into())
+        })
+    };
+    let bytes = |p: &Path| {
+        let bytes = std::fs::read(p).unwrap_or_default();
+        Outcome::of(image::decode_rgb(&bytes, p, 1 << 20), |_| None)
+    };
+    let depth = |p: &Path| Outcome::of(image::read_depth(p, 0.001), sound::depth);
+    let ids = |p: &Path| Outcome::of(image::read_ids(p), |_| None);
+    let ids_of_bytes = |p: &Path| {
+        let bytes = std::fs::read(p).unwrap_or_default();
+        Outcome::of(image::ids_of_bytes(p, &bytes), |_| None)
+    };
+    vec![
+        alone("io-jpeg", "a.jpg", jpegs, read_rgb),
+        png(alone("io-png", "a.png", pngs, read_rgb)),
+        alone("io-jpeg-photo", "a.jpg", jpegs, photo),
+        png(alone("io-png-photo", "a.png", pngs, photo)),
+        alone("io-jpeg-bytes", "a.jpg", jpegs, bytes),
+        png(alone("io-png-bytes", "a.png", pngs, bytes)),
+        png(alone("io-png-depth", "a.png", depths, depth)),
+        png(alone("io-png-ids", "a.png", greys, ids)),
+        png(alone("io-png-ids-bytes", "a.png", greys, ids_of_bytes)),
+        png(alone("io-png-mask", "a.png", greys, |p| {
+            Outcome::of(image::read_mask(p), |_| None)
+        })),
+        alone("io-jpeg-grey", "a.jpg", jpegs, |p| {
+            Outcome::of(image::read_grey(p), |_| None)
+        }),
+    ]
+}
+
+/// A JPEG file with an EXIF block: orientation 6, focal length 26 mm of 35 mm film.
+fn with_exif(jpeg: &[u8]) -> Vec<u8> {
+    let mut tiff = b"II*\0\x08\0\0\0\x02\0".to_vec();
+    tiff.extend([0x12, 0x01, 3, 0, 1, 0, 0, 0, 6, 0, 0, 0]);
+    tiff.extend([0x69, 0x87, 4, 0, 1, 0, 0, 0, 38, 0, 0, 0]);
+    tiff.extend([0, 0, 0, 0]);
+    tiff.extend([1, 0, 0x05, 0xa4, 3, 0, 1, 0, 0, 0, 26, 0, 0, 0, 0, 0, 0, 0]);
+    let mut out = jpeg[..2].to_vec();
+    out.extend([0xff, 0xe1]);
+    out.extend(((tiff.len() + 8) as u16).to_be_bytes());
+    out.extend(b"Exif\0\0");
+    out.extend(tiff);
+    out.extend(&jpeg[2..]);
+    out
+}
+
+fn arrays() -> Vec<Reader> {
+    let npys = || {
+        let mut all: Vec<Vec<u8>> = crate::dress::members("megasam/outputs/dog_droid.npz")
+            .into_iter()
+            .filter(|(name, _)| name != "images.npy")
+            .map(|(_, bytes)| bytes)
+            .collect();
+        all.push(fixture_bytes("import/side/depth_npy/frame9.npy"));
+        all
+    };
+    let numbers = |p: &Path| Outcome::of(npy(p, false), |_| None);
+    let bytes = |p: &Path| Outcome::of(npy(p, true), |_| None);
+    vec![
+        alone("io-npy", "a.npy", npys, numbers),
+        alone(
+            "io-npy-bytes",
+            "a.npy",
+            || vec![crate::dress::members("tracks/numpy.npz")[1].1.clone()],
+            bytes,
+        ),
+        among("io-npz", "tracks/numpy.npz", "", |p| Outcome::of(npz(p), |_| None)),
+        alone(
+            "io-tracks",
+            "tracks.npz",
+            || vec![made::written("t.npz", |p| tracks::write(p, &made::tracks()))],
+            |p| Outcome::of(tracks::read(p, 2, MAX_ARRAY_BYTES), sound::tracks),
+        ),
+        within(
+            "io-tracks-coords",
+            "coords.npy",
+            among("", "tracks/numpy.npz", "", numpy_tracks),
+        ),
+        within(
+            "io-tracks-visibs",
+            "visibs.npy",
+            among("", "tracks/numpy.npz", "", numpy_tracks),
+        ),
+    ]
+}
+
+fn numpy_tracks(path: &Path) -> Outcome {
+    Outcome::of(tracks::read(path, 3, MAX_ARRAY_BYTES), sound::tracks)
+}
+
+fn npy(path: &Path, whole: bool) -> Result<(), String> {
+    let bytes = std::fs::read(path).map_err(|e| e.to_string())?;
+    let mut array = Array::open(bytes.as_slice(), bytes.len() as u64, MAX_ARRAY_BYTES).map_err(said)?;
+    drain(&mut array, whole)
+}
+
+fn npz(path: &Path) -> Result<(), String> {
+    let mut npz = Npz::open(path).map_err(|e| e.to_string())??;
+    for name in ["coords", "visibs", "intrinsics"] {
+        if let Some(mut array) = npz.array(name, MAX_ARRAY_BYTES).map_err(said)? {
+            drain(&mut array, false)?;
+        } else {
+            return Err(format!("no {name} among {}", npz.names()));
+        }
+    }
+    Ok(())
+}
+
+/// The fault in words; who reads arrays puts it into a message of its own.
+fn said(fault: ArrayFault) -> String {
+    match fault {
+        ArrayFault::Bad(why) => m4_io::shortened(why),
+        ArrayFault::TooLarge { needed_bytes, .. } => format!("{needed_bytes} bytes"),
+    }
+}
+
+fn drain(array: &mut Array<'_>, whole: bool) -> Result<(), String> {
+    let n = array.shape.iter().product();
+    if whole {
+        array.next_u8(n).map_err(said)?;
+    } else {
+        array.next_f64(n).map_err(said)?;
+    }
+    array.end().map_err(said)
+}
+
+fn paths() -> Vec<Reader> {
+    let seeds = || {
+        let texts: [&str; 5] = [
+            r#"{"camera_type": "perspective", "render_height": 100, "render_width": 200, "fps": 24, "seconds": 4, "camera_path": [
+              {"camera_to_world": [1,0,0,1, 0,1,0,0, 0,0,1,0, 0,0,0,1], "fov": 90, "aspect": 2},
+              {"camera_to_world": [0,0,1,2, 1,0,0,3, 0,1,0,4, 0,0,0,1], "fov": 90, "aspect": 2}]}"#,
+            r#"{"render_height": 10, "render_width": 20, "fps": 25, "default_transition_sec": 1.5, "default_fov": 40, "is_cycle": true,
+              "keyframes": [{"matrix": "[1,0,0,0,0,1,0,0,0,0,1,0,9,8,7,1]", "fov": 50, "render_time": 0.5},
+              {"matrix": [0,0,1,2, 1,0,0,3, 0,1,0,4, 0,0,0,1], "override_transition_enabled": true, "override_transition_sec": 0.5}]}"#,
+            r#"{"fl_x": 30, "w": 20, "h": 10, "axes": "opencv", "frames": [
+              {"transform_matrix": [[1,0,0,3],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "time": 1.0}]}"#,
+            r#"{"version": 4, "clip_duration": 30, "keyframes": [
+              {"time": 3, "position": [0, 5, 0], "rotation": [0.6, -0.8, 0, 0], "focal_length_mm": 24, "easing": 3},
+              {"time": 1, "position": [0, 0, 5], "rotation": [1, 0, 0, 0], "focal_length_mm": 12, "easing": 0}]}"#,
+            r#"{"format": "minute4d-path", "version": 1, "width": 40, "height": 30, "fps": 24, "back_s": 2, "keyframes": [
+              {"time_s": 0, "c2w": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "fov_y_deg": 45, "scene_s": 1.5},
+              {"time_s": 2, "position": [1, 2, 3], "look_at": [0, 0, 0], "up": [0, -1, 0], "scene_frame": 4, "speed": 0}]}"#,
+        ];
+        texts.map(|t| t.as_bytes().to_vec()).to_vec()
+    };
+    vec![alone("io-camera-path", "path.json", seeds, |p| {
+        Outcome::of(trajectory::load(p, 11), sound::trajectory)
+    })]
+}
+
+/// A row for one file of a capture of ours.
+fn of_capture(name: &'static str, file: &str, split: Split) -> Reader {
+    Reader {
+        name,
+        file: file.to_owned(),
+        given: String::new(),
+        around: Around::Made(made::capture_into),
+        dress: if file.ends_with(".png") {
+            Dress::Png
+        } else {
+            Dress::Plain
+        },
+        seeds: Box::new(|file| vec![std::fs::read(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))]),
+        call: Box::new(move |folder| {
+            let read = capture::read(folder, split, &CaptureOptions::default(), &Silent);
+            Outcome::of(read, sound::capture)
+        }),
+    }
+}
+
+fn captures() -> Vec<Reader> {
+    vec![
+        of_capture("io-capture", "transforms_train.json", Split::Train),
+        of_capture("io-capture-test", "transforms_test.json", Split::Test),
+        of_capture("io-capture-tracks", "tracks.npz", Split::Train),
+    ]
+}
+
+fn scenes() -> Vec<Reader> {
+    let seeds = || {
+        let write = |degree| {
+            let pairs = BTreeMap::from([("a".to_owned(), "b".to_owned())]);
+            made::written("s", |p| scene_file::write(p, &made::scene(degree), None, &pairs))
+        };
+        vec![write(0), write(2)]
+    };
+    let covariance = || {
+        let mut scene = made::scene(1);
+        scene.splats = m4_testkit::random_splats(
+            1,
+            &scene.source[0].camera,
+            &m4_testkit::SceneSpec {
+                layout: scene.splats.layout(),
+                n_static: 0,
+                n_dynamic: 3,
+                ..m4_testkit::SceneSpec::default()
+            },
+        );
+        vec![made::written("s", |p| scene_file::write_covariance4(p, &scene.splats))]
+    };
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 1,
+        time_degree: 0,
+    };
+    vec![
+        alone("io-scene-file", "scene.safetensors", seeds, sealed_scene),
+        alone("io-scene-covariance", "c.safetensors", covariance, move |p| {
+            Outcome::of(scene_file::read_covariance4(p, layout), sound::splats)
+        }),
+    ]
+}
+
+/// Reads a scene file; where only its checksum is wrong, once more with the right one.
+fn sealed_scene(path: &Path) -> Outcome {
+    let read = scene_file::read(path);
+    if let Err(ReadSceneError::Checksum { expected, found, .. }) = &read {
+        let mut bytes = std::fs::read(path).unwrap_or_default();
+        let at = bytes.windows(expected.len()).position(|w| w == expected.as_bytes());
+        if let Some(at) = at.filter(|_| expected.len() == found.len()) {
+            bytes[at..at + found.len()].copy_from_slice(found.as_bytes());
+            if std::fs::write(path, bytes).is_ok() {
+                return Outcome::of(scene_file::read(path), |file| sound::scene(&file.scene));
+            }
+        }
+    }
+    Outcome::of(read, |file| sound::scene(&file.scene))
+}
+
+fn megasam_files() -> Vec<Reader> {
+    let read = |p: &Path| Outcome::of(megasam::read(p, &MegasamOptions::default(), &Silent), sound::capture);
+    let droid = move || among("", "megasam/outputs/dog_droid.npz", "", read);
+    let of_folder = |name, file| among(name, "megasam/reconstructions/dog", file, read);
+    vec![
+        Reader {
+            name: "io-megasam-droid",
+            ..droid()
+        },
+        within("io-megasam-images", "images.npy", droid()),
+        within("io-megasam-depths", "depths.npy", droid()),
+        within("io-megasam-intrinsic", "intrinsic.npy", droid()),
+        within("io-megasam-poses", "cam_c2w.npy", droid()),
+        among("io-megasam-cvd", "megasam/outputs_cvd/dog_sgd_cvd_hr.npz", "", read),
+        of_folder("io-megasam-folder-images", "images.npy"),
+        of_folder("io-megasam-folder-disps", "disps.npy"),
+        of_folder("io-megasam-folder-poses", "poses.npy"),
+        of_folder("io-megasam-folder-intrinsics", "intrinsics.npy"),
+        of_folder("io-megasam-folder-motion", "motion_prob.npy"),
+    ]
+}
+
+/// Nothing but what is decoded here, and few frames.
+fn own_video() -> VideoOptions {
+    VideoOptions {
+        size: Some(64),
+        max_frames: Some(4),
+        ffmpeg: PathBuf::from("/nonexistent/ffmpeg"),
+        ..VideoOptions::default()
+    }
+}
+
+fn videos() -> Vec<Reader> {
+    let seeds = || {
+        let ours = made::written("a.mp4", |path| {
+            let mut to = Mp4Writer::create(path, 32, 16, 24.0)?;
+            for i in 0..3u8 {
+                to.push(&Plane::from_fn(32, 16, |x, y| [x as u8 * 8, y as u8 * 8, i * 40]))?;
+            }
+            to.finish()
+        });
+        vec![
+            ours,
+            fixture_bytes("import/stray/rgb.mp4"),
+            fixture_bytes("import/vipe/rgb/dog.mp4"),
+        ]
+    };
+    let read = |p: &Path| Outcome::of(video::read(p, &own_video(), &Silent), sound::video);
+    vec![
+        alone("io-mp4", "a.mp4", seeds, read),
+        png(among("io-video-folder", "import/clip/images", "00002.png", read)),
+    ]
+}

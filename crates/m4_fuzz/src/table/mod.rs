@@ -1,0 +1,115 @@
+//! All readers.
+//!
+//! ```text
+//! io        pictures, arrays, tracks, camera paths, captures, scene files, MegaSaM, video
+//! formats   splats and cameras of other tools
+//! import    clips of other tools: one row for each file that is parsed
+//! side      depth, masks and tracks that are given with a clip
+//! broken    readers that do harm, for the tests of those who look for it
+//! ```
+
+mod broken;
+mod formats;
+mod import;
+mod io;
+mod made;
+mod side;
+
+use crate::dress::Dress;
+use crate::fixture::fixture_bytes;
+use crate::reader::{Around, Outcome, Reader};
+use std::path::Path;
+
+/// Every reader, in the order of the crates; names are unique.
+#[must_use]
+pub fn readers() -> Vec<Reader> {
+    [io::rows(), formats::rows(), import::rows(), side::rows()]
+        .into_iter()
+        .flatten()
+        .collect()
+}
+
+/// Readers that do harm, each in its own way: what looks for harm has to find it in them.
+#[must_use]
+pub fn broken_readers() -> Vec<Reader> {
+    broken::rows()
+}
+
+/// The reader of that name.
+#[must_use]
+pub fn reader(name: &str) -> Option<Reader> {
+    readers().into_iter().chain(broken_readers()).find(|r| r.name == name)
+}
+
+/// A reader of one file that is called `file`.
+fn alone(
+    name: &'static str,
+    file: &str,
+    seeds: impl Fn() -> Vec<Vec<u8>> + Send + Sync + 'static,
+    call: impl Fn(&Path) -> Outcome + Send + Sync + 'static,
+) -> Reader {
+    Reader {
+        name,
+        file: file.to_owned(),
+        given: file.to_owned(),
+        around: Around::Nothing,
+        dress: Dress::Plain,
+        seeds: Box::new(move |_| seeds()),
+        call: Box::new(call),
+    }
+}
+
+/// A reader of a copy of `fixtures/SOURCE`, in which the bytes take the place of `file` (empty: of the source itself).
+fn among(
+    name: &'static str,
+    source: &str,
+    file: &str,
+    call: impl Fn(&Path) -> Outcome + Send + Sync + 'static,
+) -> Reader {
+    let base = source.rsplit('/').next().unwrap_or(source);
+    let of = |from: &str| {
+        if file.is_empty() {
+            from.to_owned()
+        } else {
+            format!("{from}/{file}")
+        }
+    };
+    let seed = of(source);
+    Reader {
+        name,
+        file: of(base),
+        given: base.to_owned(),
+        around: Around::Fixtures(vec![(source.to_owned(), base.to_owned())]),
+        dress: Dress::Plain,
+        seeds: Box::new(move |_| vec![fixture_bytes(&seed)]),
+        call: Box::new(call),
+    }
+}
+
+/// The same where the bytes are one member of the archive.
+fn within(name: &'static str, member: &'static str, of: Reader) -> Reader {
+    let archive = match &of.around {
+        Around::Fixtures(all) => {
+            let (from, to) = &all[0];
+            if of.file == *to {
+                from.clone()
+            } else {
+                format!("{from}{}", &of.file[to.len()..])
+            }
+        }
+        _ => panic!("{name} is within no fixture"),
+    };
+    let dress = Dress::member(&archive, member);
+    Reader {
+        name,
+        dress,
+        seeds: Box::new(move |_| {
+            let all = crate::dress::members(&archive);
+            all.into_iter()
+                .filter(|(n, _)| n == member)
+                .map(|(_, bytes)| bytes)
+                .collect()
+        }),
+        ..of
+    }
+}

@@ -1,0 +1,170 @@
+//! Every reader against what once did harm and against hostile heads, in processes whose memory is limited.
+//!
+//! A panic, an abort, something that is not sound, a message that quotes the file, much memory or much time fails with the name of
+//! the reader; the input is saved below `target`.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
+
+use m4_fuzz::{Meter, Outcome, Report, Stage, broken_readers, corpus, hostile, reader, readers, watch, work};
+use peak_alloc::PeakAlloc;
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Mutex;
+use std::{env, fs, thread};
+
+#[global_allocator]
+static MEMORY: PeakAlloc = PeakAlloc;
+
+const READER: &str = "MINUTE4D_FUZZ_READER";
+const FROM: &str = "MINUTE4D_FUZZ_FROM";
+const FOLDER: &str = "MINUTE4D_FUZZ_FOLDER";
+/// Hostile relatives of each sound file.
+const HOSTILE: usize = 300;
+
+/// What once did harm, sound files, and hostile ones made of them.
+fn inputs(stage: &Stage<'_>) -> Box<dyn Iterator<Item = (String, Vec<u8>)>> {
+    let found = corpus(stage.reader().name).unwrap();
+    let found = found.into_iter().map(|(name, bytes)| (format!("corpus/{name}"), bytes));
+    let seeds = stage.seeds().to_vec();
+    let most = HOSTILE / seeds.len().min(3);
+    let sound = seeds
+        .clone()
+        .into_iter()
+        .enumerate()
+        .map(|(i, bytes)| (format!("seed {i}"), bytes));
+    Box::new(
+        found
+            .chain(sound)
+            .chain(seeds.into_iter().flat_map(move |seed| hostile(seed, most))),
+    )
+}
+
+/// The process that reads: does nothing where it is not asked to.
+#[test]
+fn one_reader_within_limits() {
+    let Ok(name) = env::var(READER) else { return };
+    let from = env::var(FROM).unwrap().parse().unwrap();
+    let meter = Meter {
+        reset: || MEMORY.reset_peak_usage(),
+        peak: || MEMORY.peak_usage(),
+        now: || MEMORY.current_usage(),
+    };
+    let folder = PathBuf::from(env::var(FOLDER).unwrap());
+    work(&reader(&name).unwrap(), &folder, from, inputs, meter).unwrap();
+}
+
+fn replayed(name: &str, folder: &Path) -> Report {
+    let again = |from: usize| {
+        let mut command = Command::new(env::current_exe().unwrap());
+        command.args(["--exact", "one_reader_within_limits", "--nocapture"]);
+        command
+            .env(READER, name)
+            .env(FROM, from.to_string())
+            .env(FOLDER, folder);
+        command
+    };
+    watch(name, folder, again).unwrap()
+}
+
+#[test]
+fn no_reader_is_harmed() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("findings");
+    fs::create_dir_all(&folder).unwrap();
+    let names: Vec<&str> = readers().iter().map(|r| r.name).collect();
+    let (next, reports) = (Mutex::new(names.iter()), Mutex::new(Vec::new()));
+    let threads = thread::available_parallelism().map_or(1, usize::from).min(8);
+    thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                loop {
+                    let Some(name) = next.lock().unwrap().next() else { break };
+                    let report = replayed(name, &folder);
+                    reports.lock().unwrap().push((*name, report));
+                }
+            });
+        }
+    });
+    let reports = reports.into_inner().unwrap();
+    assert_eq!(reports.len(), names.len());
+    let executions: usize = reports.iter().map(|(_, r)| r.executions).sum();
+    println!("{} readers, {executions} files", reports.len());
+    let findings: Vec<String> = reports
+        .iter()
+        .flat_map(|(_, r)| &r.findings)
+        .map(|f| format!("{}: {}: {} ({})", f.reader, f.input, f.why, f.saved.display()))
+        .collect();
+    assert!(
+        findings.is_empty(),
+        "{} findings:\n{}",
+        findings.len(),
+        findings.join("\n")
+    );
+    // hostile files that are all taken, or all refused with the sound ones, test nothing
+    let idle: Vec<String> = reports
+        .iter()
+        .filter(|(_, r)| r.executions < 60 || r.refused * 5 < r.executions || r.read == 0)
+        .map(|(name, r)| format!("{name}: {} files, {} read, {} refused", r.executions, r.read, r.refused))
+        .collect();
+    assert!(
+        idle.is_empty(),
+        "does the harm reach these readers?\n{}",
+        idle.join("\n")
+    );
+}
+
+#[test]
+fn harm_of_every_kind_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let words = [
+        "this reader is broken",
+        "aborted",
+        "200 MiB",
+        "5000 characters",
+        "what was read",
+    ];
+    for (reader, words) in broken_readers().iter().zip(words) {
+        let report = replayed(reader.name, folder.path());
+        let found: Vec<_> = report.findings.iter().filter(|f| f.input == "seed 1").collect();
+        assert_eq!(found.len(), 1, "{}: {:?}", reader.name, report.findings);
+        assert!(found[0].why.contains(words), "{}", found[0].why);
+        assert_eq!(fs::read(&found[0].saved).unwrap(), b"!");
+        // what comes behind it is read all the same
+        assert!(report.read > 50, "{}: {report:?}", reader.name);
+    }
+}
+
+#[test]
+fn every_sound_file_is_read_and_names_are_unique() {
+    let (mut names, mut refused) = (HashSet::new(), Vec::new());
+    for reader in readers() {
+        assert!(names.insert(reader.name), "{} twice", reader.name);
+        let stage = reader.stage().unwrap();
+        assert!(!stage.seeds().is_empty(), "{}", reader.name);
+        for (i, seed) in stage.seeds().iter().enumerate() {
+            assert!(!seed.is_empty(), "{}: seed {i} is empty", reader.name);
+            let outcome = stage.read(seed).unwrap();
+            if outcome != Outcome::Read {
+                refused.push(format!("{}, seed {i}: {outcome:?}", reader.name));
+            }
+        }
+    }
+    assert!(refused.is_empty(), "{}", refused.join("\n"));
+    assert!(names.len() >= 60, "{}", names.len());
+}
+
+#[test]
+fn every_folder_of_the_corpus_is_of_a_reader_and_every_target_too() {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let names: HashSet<String> = readers().iter().map(|r| r.name.to_owned()).collect();
+    if let Ok(entries) = fs::read_dir(here.join("corpus")) {
+        for entry in entries {
+            let name = entry.unwrap().file_name().to_string_lossy().into_owned();
+            assert!(names.contains(&name), "corpus/{name} is of no reader");
+        }
+    }
+    let targets: HashSet<String> = fs::read_dir(here.join("../../fuzz/fuzz_targets"))
+        .unwrap()
+        .map(|e| e.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
+        .collect();
+    assert_eq!(targets, names, "fuzz/targets.sh writes the targets anew");
+}
