@@ -102,6 +102,7 @@ fn words(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match status.signal() {
         Some(9) => "killed by signal 9; where nobody sent it, the machine was out of memory".to_owned(),
+        Some(6) => "aborted (signal 6), as a program that gets no more memory is; .log has its last words".to_owned(),
         Some(signal) => format!("ended by signal {signal}"),
         None => format!("ended without a word ({status})"),
     }

@@ -1,6 +1,6 @@
 //! `minute4d batch`
 
-use super::{DeviceArgs, LengthArgs, SettingsArgs, VideoArgs, WithoutArgs};
+use super::{DeviceArgs, LengthArgs, SettingsArgs, VideoArgs, WithoutArgs, values};
 use clap::{Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -46,6 +46,9 @@ pub struct BatchPlan {
     /// How long to train.
     #[command(flatten)]
     pub length: LengthArgs,
+    /// End each run in time, as `run` does with the same option
+    #[arg(long, value_name = "TIME", value_parser = values::duration)]
+    pub time_limit: Option<f64>,
     /// Which part of each video.
     #[command(flatten)]
     pub video: VideoArgs,

@@ -17,6 +17,9 @@ pub fn run(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
     args.without.apply(&mut settings);
     settings.viewer.write &= !args.no_viewer;
+    if let Some(seconds) = args.time_limit {
+        settings.limit.time_s = seconds;
+    }
     let (Some(manifest), Some(results), false) = (&args.manifest, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
