@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{Ended, Scratch, call, program, refused, succeed, text, write_capture};
+use common::{Ended, Scratch, call, program, refused, succeed, write_capture};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -75,15 +75,24 @@ fn start(mut command: Command) -> Running {
     Running(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
 }
 
-/// Waits for so many checkpoints of a clip at work.
-fn wait_for_checkpoints(running: &mut Running, work: &Path, n: usize) {
-    while fs::read_dir(work.join("checkpoints")).map_or(0, Iterator::count) < n {
+/// Names of the checkpoints of a clip at work.
+fn checkpoints(work: &Path) -> Vec<std::ffi::OsString> {
+    let entries = fs::read_dir(work.join("checkpoints")).into_iter().flatten();
+    entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect()
+}
+
+/// Starts a worker and waits until its run has saved so often that so many checkpoints are new: it is at work by then.
+fn start_until_saved(command: Command, work: &Path, n: usize) -> Running {
+    let before = checkpoints(work);
+    let mut running = start(command);
+    while checkpoints(work).iter().filter(|name| !before.contains(name)).count() < n {
         assert!(
             running.0.try_wait().unwrap().is_none(),
             "the worker ended before it could be stopped"
         );
         sleep(Duration::from_millis(2));
     }
+    running
 }
 
 #[test]
@@ -214,8 +223,7 @@ fn after_a_killed_worker_another_goes_on_and_ends_with_the_same_bits() {
     succeed(&[&["run", &input, "-o", &whole], settings.as_slice()].concat());
     let manifest = plan(&dir, &settings);
     let lease = ["--lease-seconds", "4"];
-    let mut running = start(worker(&manifest, &lease));
-    wait_for_checkpoints(&mut running, &dir.path("results/.work/clip1"), 2);
+    let mut running = start_until_saved(worker(&manifest, &lease), &dir.path("results/.work/clip1"), 2);
     assert_eq!(clip(&status(&manifest, &[]), "clip1")["state"], "running");
     let refused = ended(worker(&manifest, &[&lease[..], &["--no-wait"]].concat()));
     assert_eq!(refused.code, 75, "another has it: {}", refused.stderr);
@@ -244,8 +252,7 @@ fn a_worker_that_is_told_to_stop_gives_its_job_back() {
     write_clips(&dir, 2);
     let manifest = plan(&dir, &["--iterations", "3000", "--set", "checkpoint.every_s=0.02"]);
     for (name, code) in [("-TERM", 75), ("-INT", 130)] {
-        let mut running = start(worker(&manifest, &[]));
-        wait_for_checkpoints(&mut running, &dir.path("results/.work/clip1"), 1);
+        let mut running = start_until_saved(worker(&manifest, &[]), &dir.path("results/.work/clip1"), 1);
         let pid = running.0.id().to_string();
         assert!(Command::new("kill").args([name, &pid]).status().unwrap().success());
         assert_eq!(running.0.wait().unwrap().code(), Some(code), "{name}");
