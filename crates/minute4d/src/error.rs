@@ -483,3 +483,24 @@ impl Error {
         self.category() == Category::Stopped
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Category, Error};
+    use m4_slam::cvd::CvdError;
+    use m4_slam::dense::DenseError;
+    use m4_slam::tracks3d::TrackError;
+
+    #[test]
+    fn a_stop_is_no_fault_of_the_input_however_deep_it_was_noticed() {
+        let phase = "at work";
+        let stops = [
+            DenseError::Cancelled { phase },
+            DenseError::Consistent(CvdError::Cancelled { stage: 2, step: 39 }),
+            DenseError::Tracks(TrackError::Cancelled { phase }),
+        ];
+        for stop in stops {
+            assert_eq!(Error::from(stop).category(), Category::Stopped);
+        }
+    }
+}
