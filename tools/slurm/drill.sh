@@ -65,15 +65,31 @@ until_true() {
     done
 }
 
-# newest_task JOB: of the array's tasks at work, the one that began last and has saved something: it is in its middle.
-newest_task() {
-    local task
-    for task in $(squeue -h -r -j "$1" -t running --sort=-S -o %i); do
-        [ "$(jq -r .status "$results/.work/$(clip "$task")/run.json" 2> /dev/null)" = running ] && echo "$task" && return 0
+# at_work [squeue's options]: `task` is the task of the great array that began last, has saved something, and was left in
+# peace so far: it is in its middle.
+harmed=
+at_work() {
+    for task in $(squeue -h -r -j "$main" -t running --sort=-S -o %i "$@"); do
+        [[ " $harmed " == *" $task "* ]] && continue
+        [ "$(jq -r .status "$results/.work/$(clip "$task")/run.json" 2> /dev/null)" = running ] && return 0
     done
     return 1
 }
-a_task_is_at_work() { task=$(newest_task "$main"); }
+ended_since_mark() { [ "$results/.state/$(clip "$task").json" -nt "$dir/mark" ]; }
+
+# harm COMMAND...: does it to a task in its middle, and to another one where that one was just done.
+harm() {
+    local try
+    for try in 1 2 3 4 5 6 7 8; do
+        until_true 300 "a task is in its middle" at_work
+        touch "$dir/mark"
+        if ! "$@" "$task" 2> /dev/null; then sleep 1; continue; fi
+        until_true 90 "$(clip "$task") ends" ended_since_mark
+        harmed+=" $task"
+        [ "$(jq -r .verdict "$results/.state/$(clip "$task").json")" = interrupted ] && return 0
+    done
+    die "no task is to be met in its middle: more iterations, by SETTINGS, would help"
+}
 
 "$here/cluster.sh" start "$cluster" 2> /dev/null || die "no cluster; ask: $here/cluster.sh start $cluster"
 eval "$("$here/cluster.sh" env "$cluster")"
@@ -97,30 +113,24 @@ until_true 300 "tasks are put back for want of space" put_back "$disk" 4
 say "tasks were put back $(grep -hs 'minute4d: to be tried again' "$logs/$disk"_*.log | wc -l) times for want of space; the disk is mended"
 
 until_true 1200 "some clips are done" at_least $((clips / 5))
-until_true 60 "gn1 is at work" a_task_is_at_work
+until_true 120 "gn1 is at work" at_work -w gn1
 killed=$(squeue -h -r -t running -w gn1 -o %i)
 "$here/cluster.sh" kill-node gn1 "$cluster"
 say "$(published) are done; gn1 loses its power, and with it $(for task in $killed; do clip "$task"; echo; done | list)"
 until_true 120 "Slurm notices" is_down gn1
 say "Slurm has noticed"
 
-until_true 60 "a task is in its middle" a_task_is_at_work
-preempted=$task
-scontrol requeue "$preempted" || die "$preempted cannot be preempted"
-say "$(clip "$preempted") is preempted"
+harm scontrol requeue
+say "$(clip "$task") was preempted"
 "$here/cluster.sh" start-node gn1 "$cluster" || die "gn1 does not come back"
 say "gn1 is back"
 
 until_true 1200 "more clips are done" at_least $((clips / 2))
-until_true 60 "a task is in its middle" a_task_is_at_work
-warned=$task
-scancel --batch --signal=TERM "$warned" || die "$warned cannot be warned"
-say "$(published) are done; $(clip "$warned") is told that its time is nearly over"
-sleep 5
-until_true 60 "a task is in its middle" a_task_is_at_work
+harm scancel --batch --signal=TERM
+say "$(clip "$task") was told that its time is nearly over, and has saved; $(published) are done"
+harm scancel
 cancelled=$task
-scancel "$cancelled" || die "$cancelled cannot be cancelled"
-say "$(clip "$cancelled") is cancelled by its owner"
+say "$(clip "$task") was cancelled by its owner"
 
 until_true "$limit" "the queue is empty" queue_empty
 status > "$dir/first.json"

@@ -18,9 +18,11 @@ use m4_io::scene_file::{ReadSceneError, WriteSceneError};
 use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
 use m4_kernels::SimdLevelError;
+use m4_slam::cvd::CvdError;
 use m4_slam::dense::DenseError;
 use m4_slam::megasam::MegasamError;
 use m4_slam::sparse::SparseError;
+use m4_slam::tracks3d::TrackError;
 use m4_train::TrainError;
 use m4_viewer::FramesError;
 use m4_viewer::page::PageError;
@@ -473,7 +475,11 @@ impl Error {
             | Self::Train(TrainError::BadSetting { .. }) => Category::BadSettings,
             Self::Train(TrainError::Device { .. }) => Category::NoDevice,
             Self::Sparse(SparseError::Cancelled)
-            | Self::Dense(DenseError::Cancelled { .. })
+            | Self::Dense(
+                DenseError::Cancelled { .. }
+                | DenseError::Consistent(CvdError::Cancelled { .. })
+                | DenseError::Tracks(TrackError::Cancelled { .. }),
+            )
             | Self::Init(InitError::Stopped) => Category::Stopped,
             Self::Megasam(e) if e.is_stop() => Category::Stopped,
             Self::Sparse(_) | Self::Dense(_) | Self::Megasam(_) | Self::Init(_) | Self::Train(_) => Category::BadInput,
@@ -495,5 +501,26 @@ impl Error {
     #[must_use]
     pub fn is_stop(&self) -> bool {
         self.category() == Category::Stopped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Category, Error};
+    use m4_slam::cvd::CvdError;
+    use m4_slam::dense::DenseError;
+    use m4_slam::tracks3d::TrackError;
+
+    #[test]
+    fn a_stop_is_no_fault_of_the_input_however_deep_it_was_noticed() {
+        let phase = "at work";
+        let stops = [
+            DenseError::Cancelled { phase },
+            DenseError::Consistent(CvdError::Cancelled { stage: 2, step: 39 }),
+            DenseError::Tracks(TrackError::Cancelled { phase }),
+        ];
+        for stop in stops {
+            assert_eq!(Error::from(stop).category(), Category::Stopped);
+        }
     }
 }

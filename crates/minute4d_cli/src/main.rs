@@ -30,6 +30,7 @@ fn main() -> ExitCode {
     let output = Output::new(cli.common.json, cli.common.quiet, StopSignal::default());
     output::watch_signals(&output);
     if cli.common.stop_at_eof {
+        output.stop().of_an_engine();
         output::stop_at_eof(&output);
     }
     let outcome = catch_unwind(AssertUnwindSafe(|| commands::run(&cli, &output)));

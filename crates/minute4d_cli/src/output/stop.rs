@@ -4,12 +4,27 @@ use super::Output;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
+/// Exit code of a program that SIGTERM stopped.
+const TERM: u8 = 143;
+
+/// What a signal asks for.
+#[derive(Debug, PartialEq, Eq)]
+enum Answer {
+    /// To save and stop.
+    Save,
+    /// What was asked for before.
+    Known,
+    /// To stop at once.
+    End,
+}
+
 /// Whether, and by which signal, the program was asked to stop.
 #[derive(Debug, Clone, Default)]
 pub struct StopSignal {
     code: Arc<AtomicU8>,
     /// True once a signal came; the end of standard input is none.
     signalled: Arc<AtomicBool>,
+    engine: Arc<AtomicBool>,
     idle: Arc<AtomicBool>,
 }
 
@@ -27,10 +42,21 @@ impl StopSignal {
         self.idle.store(true, Ordering::SeqCst);
     }
 
-    /// Notes a signal; true if it is the first.
-    fn request(&self, code: u8) -> bool {
+    /// From now on SIGTERM is no urgent wish, however often it comes: engines tell every process of a task, and a script
+    /// passes on what it was told. Whoever is in a hurry has SIGKILL.
+    pub fn of_an_engine(&self) {
+        self.engine.store(true, Ordering::SeqCst);
+    }
+
+    /// Notes a signal; what is to be done about it.
+    fn request(&self, code: u8) -> Answer {
         self.ask(code);
-        !self.signalled.swap(true, Ordering::SeqCst)
+        let first = !self.signalled.swap(true, Ordering::SeqCst);
+        match first {
+            true => Answer::Save,
+            false if code == TERM && self.engine.load(Ordering::SeqCst) => Answer::Known,
+            false => Answer::End,
+        }
     }
 
     /// Notes a wish that is not urgent, however often it comes.
@@ -47,7 +73,7 @@ pub fn stop_at_eof(output: &Arc<Output>) {
     std::thread::spawn(move || {
         // An input that cannot be read tells as little as one that ended.
         let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
-        stop.ask(143);
+        stop.ask(TERM);
     });
 }
 
@@ -62,14 +88,16 @@ pub fn watch_signals(output: &Arc<Output>) {
     let output = Arc::clone(output);
     std::thread::spawn(move || {
         for signal in signals.forever() {
-            let code = if signal == SIGINT { 130 } else { 143 };
-            if output.stop().request(code) {
-                if !output.stop().idle.load(Ordering::SeqCst) {
+            let code = if signal == SIGINT { 130 } else { TERM };
+            match output.stop().request(code) {
+                Answer::Save if !output.stop().idle.load(Ordering::SeqCst) => {
                     output.note("stopping after this step, what is done will be saved; once more to stop at once");
                 }
-            } else {
-                output.end(code, "stopped at once, without saving");
-                std::process::exit(i32::from(code));
+                Answer::Save | Answer::Known => {}
+                Answer::End => {
+                    output.end(code, "stopped at once, without saving");
+                    std::process::exit(i32::from(code));
+                }
             }
         }
     });
@@ -95,7 +123,7 @@ pub fn watch_signals(output: &Arc<Output>) {
 
 #[cfg(test)]
 mod tests {
-    use super::StopSignal;
+    use super::{Answer, StopSignal};
 
     #[test]
     fn the_end_of_the_input_and_a_signal_are_one_wish() {
@@ -103,8 +131,18 @@ mod tests {
         assert_eq!(stop.code(), None);
         stop.ask(143);
         stop.ask(143);
-        assert!(stop.request(130), "the first signal");
+        assert_eq!(stop.request(130), Answer::Save, "the first signal");
         assert_eq!(stop.code(), Some(143));
-        assert!(!stop.request(130), "the second ends the program");
+        assert_eq!(stop.request(130), Answer::End, "the second ends the program");
+    }
+
+    #[test]
+    fn an_engine_may_say_it_twice() {
+        let stop = StopSignal::default();
+        assert_eq!((stop.request(143), stop.request(143)), (Answer::Save, Answer::End));
+        let stop = StopSignal::default();
+        stop.of_an_engine();
+        assert_eq!((stop.request(143), stop.request(143)), (Answer::Save, Answer::Known));
+        assert_eq!(stop.request(130), Answer::End, "a person is in a hurry");
     }
 }

@@ -17,6 +17,7 @@ const AGAIN: u8 = 75;
 const POISON: u8 = 65;
 
 pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Failure> {
+    output.stop().of_an_engine();
     let manifest = Manifest::read(&args.manifest)?;
     let index = match args.index {
         Some(index) => Some(index),
