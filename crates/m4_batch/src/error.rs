@@ -1,5 +1,6 @@
 //! Why planning, reading a manifest and working may fail.
 
+use crate::cloud::CloudError;
 use m4_io::ErrorKind;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -137,14 +138,9 @@ pub enum PlanError {
         /// Why.
         reason: String,
     },
-    /// The clip is in an object store.
-    #[error(
-        "{uri} is in an object store, which this release does not read; copy the clips to a folder that all workers see"
-    )]
-    ObjectStore {
-        /// What was given.
-        uri: String,
-    },
+    /// An object store could not be used.
+    #[error(transparent)]
+    Cloud(#[from] CloudError),
     /// Something of another kind is where a result is to be.
     #[error("{} is there and was not made by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
     Foreign {
@@ -163,7 +159,7 @@ impl PlanError {
             Self::Foreign { .. } => ErrorKind::CannotWrite,
             Self::Hash { .. } => ErrorKind::Io,
             Self::Pattern { .. } | Self::Nothing { .. } | Self::Name { .. } => ErrorKind::BadData,
-            Self::ObjectStore { .. } => ErrorKind::Unsupported,
+            Self::Cloud(error) => error.kind(),
         }
     }
 }

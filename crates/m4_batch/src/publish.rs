@@ -114,7 +114,8 @@ pub(crate) fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, F
     Ok(Ok(()))
 }
 
-fn hash(path: &Path) -> Result<String, FileError> {
+/// BLAKE3 of a file, hexadecimal.
+pub(crate) fn hash(path: &Path) -> Result<String, FileError> {
     let failed = |source| FileError::Read {
         path: path.to_path_buf(),
         source,

@@ -1,7 +1,8 @@
 //! Clips by files, folders, patterns and lists.
 
+use crate::cloud::{self, Object};
 use crate::error::{FileError, PlanError};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -14,23 +15,52 @@ const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Lists of posed frames: a folder with one is a capture, and so a clip.
 const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
 
-/// The clips that a user named, each once, with their whole paths.
+/// True for the extension of a video, in small letters.
+pub(crate) fn is_video(extension: &str) -> bool {
+    VIDEOS.contains(&extension)
+}
+
+/// The clips that a user named.
+#[derive(Debug, Default)]
+pub(crate) struct Found {
+    /// Files and folders, each once, with their whole paths.
+    pub(crate) paths: Vec<PathBuf>,
+    /// Those in object stores, each once.
+    pub(crate) objects: Vec<Object>,
+}
+
+/// What a user named, before anybody looked whether it is there.
+enum Named {
+    Path(PathBuf),
+    Uri(String),
+}
+
+/// The clips that a user named.
 ///
 /// # Errors
 ///
 /// [`PlanError`] for what does not exist, holds nothing, or cannot be read.
-pub fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, PlanError> {
-    let mut found = BTreeSet::new();
+pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Found, PlanError> {
+    let (mut paths, mut objects) = (BTreeSet::new(), BTreeMap::new());
     for one in given {
-        for path in expand(one)? {
-            add(&path, recursive, &mut found)?;
+        for named in expand(one)? {
+            match named {
+                Named::Path(path) => add(&path, recursive, &mut paths)?,
+                Named::Uri(uri) => {
+                    let found = cloud::find(&uri, recursive)?;
+                    objects.extend(found.into_iter().map(|object| (object.uri.clone(), object)));
+                }
+            }
         }
     }
-    Ok(found.into_iter().collect())
+    Ok(Found {
+        paths: paths.into_iter().collect(),
+        objects: objects.into_values().collect(),
+    })
 }
 
-/// Lists and patterns to paths.
-fn expand(given: &str) -> Result<Vec<PathBuf>, PlanError> {
+/// Lists and patterns to paths and URIs.
+fn expand(given: &str) -> Result<Vec<Named>, PlanError> {
     if let Some(list) = given.strip_prefix('@') {
         let path = Path::new(list);
         let text = fs::read_to_string(path).map_err(FileError::read(path))?;
@@ -47,12 +77,12 @@ fn expand(given: &str) -> Result<Vec<PathBuf>, PlanError> {
             false => Ok(all),
         };
     }
-    if is_uri(given) {
-        return Err(PlanError::ObjectStore { uri: given.to_owned() });
+    if cloud::is_uri(given) {
+        return Ok(vec![Named::Uri(given.to_owned())]);
     }
     let path = PathBuf::from(given);
     if path.exists() || !given.contains(['*', '?', '[']) {
-        return Ok(vec![path]);
+        return Ok(vec![Named::Path(path)]);
     }
     let pattern = |reason: String| PlanError::Pattern {
         pattern: given.to_owned(),
@@ -65,18 +95,14 @@ fn expand(given: &str) -> Result<Vec<PathBuf>, PlanError> {
         require_literal_leading_dot: true,
     };
     let matches = glob::glob_with(given, as_shell).map_err(|e| pattern(e.to_string()))?;
-    let matches: Vec<PathBuf> = matches.collect::<Result<_, _>>().map_err(|e| pattern(e.to_string()))?;
+    let matches: Vec<Named> = matches
+        .map(|path| path.map(Named::Path))
+        .collect::<Result<_, _>>()
+        .map_err(|e| pattern(e.to_string()))?;
     match matches.is_empty() {
         true => Err(nothing(given, true)),
         false => Ok(matches),
     }
-}
-
-/// `s3://bucket/clip.mp4` and the like.
-fn is_uri(text: &str) -> bool {
-    let schemes = ["s3", "gs", "az", "http", "https"];
-    text.split_once("://")
-        .is_some_and(|(scheme, _)| schemes.contains(&scheme))
 }
 
 fn nothing(given: impl Into<String>, recursive: bool) -> PlanError {
@@ -121,13 +147,12 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, PlanError> {
             return Ok(vec![folder.to_path_buf()]);
         }
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
-        let is = |list: &[&str]| extension.as_deref().is_some_and(|e| list.contains(&e));
         if path.is_dir() {
             folders.push(path);
-        } else if is(&VIDEOS) {
+        } else if extension.as_deref().is_some_and(is_video) {
             videos.push(fs::canonicalize(&path).map_err(FileError::read(&path))?);
         } else {
-            pictures |= is(&PICTURES);
+            pictures |= extension.as_deref().is_some_and(|e| PICTURES.contains(&e));
         }
     }
     if videos.is_empty() && pictures {
@@ -169,7 +194,7 @@ mod tests {
             touch(&root.join(name));
         }
         let found = |given: &[String], recursive: bool| -> Vec<String> {
-            let all = inputs(given, recursive).unwrap();
+            let all = inputs(given, recursive).unwrap().paths;
             all.iter()
                 .map(|p| p.strip_prefix(&root).unwrap().display().to_string().replace('\\', "/"))
                 .collect()
@@ -199,6 +224,12 @@ mod tests {
         assert!(said(&at("v/*.avi")).contains("no video"));
         fs::create_dir(root.join("empty")).unwrap();
         assert!(said(&at("empty")).contains("--recursive"));
-        assert!(said("s3://bucket/a.mp4").contains("object store"));
+    }
+
+    #[test]
+    #[cfg(not(feature = "cloud"))]
+    fn without_object_stores_their_clips_are_refused() {
+        let said = inputs(&["s3://bucket/a.mp4".to_owned()], false).unwrap_err();
+        assert!(said.to_string().contains("--features cloud"), "{said}");
     }
 }

@@ -2,8 +2,11 @@
 
 mod find;
 
-pub use find::inputs;
+use find::inputs;
+#[cfg(feature = "cloud")]
+pub(crate) use find::is_video;
 
+use crate::cloud;
 use crate::error::PlanError;
 use crate::layout::Layout;
 use crate::manifest::{Arguments, Job, Manifest};
@@ -14,12 +17,14 @@ use std::path::{Path, PathBuf};
 
 /// What to plan.
 pub struct Plan<'a> {
-    /// Files, folders, patterns, lists (`@FILE`).
+    /// Files, folders, patterns, URIs in object stores, lists (`@FILE`).
     pub given: &'a [String],
     /// Look into folders of folders.
     pub recursive: bool,
     /// Where results go.
     pub results: &'a Path,
+    /// Where results are copied to besides: a prefix in an object store.
+    pub upload: Option<&'a str>,
     /// What every run is started with.
     pub run: Arguments,
     /// Seconds that training is given, where it is given a time.
@@ -34,34 +39,41 @@ pub struct Plan<'a> {
 ///
 /// [`PlanError`].
 pub fn plan(plan: &Plan<'_>) -> Result<Manifest, PlanError> {
-    let found = inputs(plan.given, plan.recursive)?;
-    let mut named = Vec::with_capacity(found.len());
-    for path in &found {
-        named.push((text(path)?, name(path)));
+    if let Some(uri) = plan.upload {
+        cloud::check_upload(uri)?;
     }
-    let ids = names::ids(
-        &named
-            .iter()
-            .map(|(path, name)| (name.clone(), path.clone()))
-            .collect::<Vec<_>>(),
-    );
+    let found = inputs(plan.given, plan.recursive)?;
+    let mut named = Vec::with_capacity(found.paths.len() + found.objects.len());
+    for path in &found.paths {
+        named.push((name(path), text(path)?));
+    }
+    named.extend(found.objects.iter().map(|o| (o.name.clone(), o.uri.clone())));
+    let ids = names::ids(&named);
     let layout = Layout::new(plan.results, None);
-    let mut jobs = Vec::with_capacity(found.len());
-    for ((path, (input, _)), id) in found.iter().zip(named).zip(ids) {
-        let result = layout.result(&id);
+    for id in &ids {
+        let result = layout.result(id);
         if present(&result, "")? == Present::Foreign {
             return Err(PlanError::Foreign { path: result });
         }
+    }
+    let mut what = Vec::with_capacity(named.len());
+    for path in &found.paths {
         let blake3 = (plan.hash)(path).map_err(|reason| PlanError::Hash {
             path: path.clone(),
             reason,
         })?;
+        what.push((size(path)?, Some(blake3), None));
+    }
+    what.extend(found.objects.into_iter().map(|o| (o.bytes, None, Some(o.etag))));
+    let mut jobs = Vec::with_capacity(named.len());
+    for (((_, input), id), (bytes, blake3, etag)) in named.into_iter().zip(ids).zip(what) {
         jobs.push(Job {
-            output: text(&result)?,
+            output: text(&layout.result(&id))?,
             id,
             input,
-            bytes: size(path)?,
-            blake3: Some(blake3),
+            bytes,
+            blake3,
+            etag,
             estimate_s: plan.training_s,
             estimate_of: plan.training_s.map(|_| "training alone".to_owned()),
         });
@@ -69,6 +81,7 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, PlanError> {
     jobs.sort_by(|a, b| names::natural_order(&a.id, &b.id));
     Ok(Manifest {
         results: text(plan.results)?,
+        upload: plan.upload.map(str::to_owned),
         run: plan.run.clone(),
         jobs,
     })

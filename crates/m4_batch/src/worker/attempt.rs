@@ -42,7 +42,9 @@ impl Worker<'_> {
             lease,
             listener: self.listener,
         };
-        if let Some(refused) = self.check_input(job) {
+        if job.etag.is_none()
+            && let Some(refused) = self.check_input(job)
+        {
             return Ok(refused);
         }
         if present(&self.layout.result(&job.id), "")? == Present::Foreign {
@@ -62,6 +64,10 @@ impl Worker<'_> {
             }
             Ok(true) => {}
         }
+        let input = match self.fetched(job, lease)? {
+            Ok(input) => input,
+            Err(refused) => return Ok(refused),
+        };
         atomic::write(&settings, self.manifest.run.settings.as_bytes()).map_err(failed)?;
         let log = self.layout.log(&job.id);
         let log = open_log(&log).map_err(FileError::write(&log))?;
@@ -76,7 +82,7 @@ impl Worker<'_> {
             .arg("--out")
             .arg(&work)
             .arg("--")
-            .arg(&job.input);
+            .arg(&input);
         let ended = child::run(command, log, &guard).map_err(FileError::read(&self.tools.program))?;
         Ok(if lease.is_lost() {
             Attempt::Lost

@@ -2,6 +2,7 @@
 
 mod attempt;
 mod job;
+mod remote;
 
 use crate::error::{FileError, WorkError};
 use crate::layout::Layout;
