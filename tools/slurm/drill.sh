@@ -127,7 +127,7 @@ say "gn1 is back"
 
 until_true 1200 "more clips are done" at_least $((clips / 2))
 harm scancel --batch --signal=TERM
-say "$(clip "$task") was told that its time is nearly over, and has saved; $(published) are done"
+say "$(clip "$task") was told that its time is nearly over, and has stopped; $(published) are done"
 harm scancel
 cancelled=$task
 say "$(clip "$task") was cancelled by its owner"
