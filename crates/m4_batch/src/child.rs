@@ -139,7 +139,8 @@ fn read_events(events: Option<ChildStdout>, watch: &dyn Watch, last_words: &Mute
     }
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
+#[cfg(unix)]
 mod tests {
     use super::{Watch, run};
     use std::fs::File;

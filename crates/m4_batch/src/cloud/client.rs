@@ -50,6 +50,9 @@ pub(super) fn open(uri: &str) -> Result<Place, CloudError> {
         reason,
     };
     let url = Url::parse(uri).map_err(|e| bad(e.to_string()))?;
+    if url.cannot_be_a_base() {
+        return Err(bad("it has no path".to_owned()));
+    }
     if url.query().is_some() || url.fragment().is_some() {
         let said = "a query or a fragment is no part of an object's name; write %3F for ? and %23 for #";
         return Err(bad(said.to_owned()));

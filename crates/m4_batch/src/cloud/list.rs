@@ -50,7 +50,7 @@ pub(super) async fn objects(place: &Place, recursive: bool) -> Result<Vec<Object
         if hidden || parts.is_empty() || !extension.is_some_and(|e| is_video(&e)) {
             continue;
         }
-        found.push(object(inside(place, &parts)?, &meta)?);
+        found.push(object(inside(place, &parts), &meta)?);
     }
     if found.is_empty() {
         return Err(CloudError::Nothing {
@@ -62,20 +62,13 @@ pub(super) async fn objects(place: &Place, recursive: bool) -> Result<Vec<Object
 }
 
 /// The URI of an object under a prefix.
-fn inside(place: &Place, parts: &[String]) -> Result<String, CloudError> {
+fn inside(place: &Place, parts: &[String]) -> String {
     let mut url = place.url.clone();
-    match url.path_segments_mut() {
-        Ok(mut segments) => {
-            segments.pop_if_empty().extend(parts);
-        }
-        Err(()) => {
-            return Err(CloudError::Uri {
-                uri: url.to_string(),
-                reason: "it has no path".to_owned(),
-            });
-        }
+    // Opening the place made sure that it has a path.
+    if let Ok(mut segments) = url.path_segments_mut() {
+        segments.pop_if_empty().extend(parts);
     }
-    Ok(url.into())
+    url.into()
 }
 
 fn object(uri: String, meta: &ObjectMeta) -> Result<Object, CloudError> {

@@ -78,5 +78,6 @@ pub(crate) fn extension(uri: &str) -> &str {
     }
 }
 
-#[cfg(all(test, feature = "cloud"))]
+#[cfg(test)]
+#[cfg(feature = "cloud")]
 pub(crate) mod tests;
