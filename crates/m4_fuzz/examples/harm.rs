@@ -7,7 +7,7 @@
 use m4_fuzz::{Meter, Stage, harmed, reader, readers, watch, work};
 use peak_alloc::PeakAlloc;
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs};
 
@@ -72,7 +72,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
 }
 
-fn read(name: &str, folder: &PathBuf, from: usize, each: u64, seed: u64) -> Result<(), Box<dyn Error>> {
+fn read(name: &str, folder: &Path, from: usize, each: u64, seed: u64) -> Result<(), Box<dyn Error>> {
     let reader = reader(name).ok_or_else(|| format!("there is no reader {name}"))?;
     let meter = Meter {
         reset: || MEMORY.reset_peak_usage(),

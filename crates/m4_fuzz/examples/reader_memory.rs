@@ -4,7 +4,7 @@
 use m4_fuzz::{Meter, Stage, hostile, reader, readers, watch, work};
 use peak_alloc::PeakAlloc;
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs};
 
@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         rows.push((report.peak_bytes, name, report));
     }
-    rows.sort_by(|a, b| b.0.cmp(&a.0));
+    rows.sort_by_key(|row| std::cmp::Reverse(row.0));
     println!("| reader | files | most memory, MiB | of |\n|---|---|---|---|");
     for (bytes, name, report) in rows {
         let mib = bytes as f64 / f64::from(1 << 20);
@@ -51,7 +51,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-fn read(name: &str, folder: &PathBuf, from: usize) -> Result<(), Box<dyn Error>> {
+fn read(name: &str, folder: &Path, from: usize) -> Result<(), Box<dyn Error>> {
     let reader = reader(name).ok_or_else(|| format!("there is no reader {name}"))?;
     let meter = Meter {
         reset: || MEMORY.reset_peak_usage(),

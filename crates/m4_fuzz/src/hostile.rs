@@ -89,7 +89,7 @@ pub fn hostile(sound: Vec<u8>, most: usize) -> impl Iterator<Item = (String, Vec
     let taken = all
         .into_iter()
         .enumerate()
-        .filter(move |(i, _)| (i + i / step) % step == 0);
+        .filter(move |(i, _)| (i + i / step).is_multiple_of(step));
     whole.into_iter().chain(taken.map(move |(_, harm)| harm.on(&sound)))
 }
 

@@ -1,14 +1,18 @@
 //! What is left of a run that was killed, ran out of time or out of disk, and how it goes on.
-#![cfg(unix)]
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 mod common;
 
+#[cfg(unix)]
+use common::Ended;
 use common::clips::{picture, walk, write};
-use common::{Ended, Scratch, call, program, write_capture};
+use common::{Scratch, call, program, write_capture};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+#[cfg(unix)]
+use std::process::Command;
+use std::process::Stdio;
 use std::time::Duration;
 
 const FRAMES: usize = 10;
@@ -151,6 +155,7 @@ fn a_time_limit_ends_with_a_scene_or_with_what_goes_on() {
 }
 
 /// No file may be larger than that: what a disk that is full does to the first large file.
+#[cfg(unix)]
 fn with_files_of(kilobytes: usize, args: &[&str]) -> Ended {
     let mut command = Command::new("sh");
     let limited = format!("trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"", 2 * kilobytes);
@@ -165,6 +170,7 @@ fn with_files_of(kilobytes: usize, args: &[&str]) -> Ended {
     Ended::of(command.output().unwrap())
 }
 
+#[cfg(unix)]
 #[test]
 fn a_full_disk_is_said_and_recorded_and_the_run_goes_on_when_there_is_room() {
     let dir = Scratch::new();

@@ -69,6 +69,11 @@ impl DecoderEnd {
             Self::Signal { signal: 9 } => {
                 "the system kills programs when memory runs out; else the clip is damaged: copy or export it again"
             }
+            // Many decoders crash where memory is refused: SIGABRT, SIGBUS, SIGSEGV.
+            Self::Signal { signal: 6 | 7 | 11 } => {
+                "the clip is damaged, made to break decoders, or needs more memory: copy or export it again; if it is to be \
+                 trusted, raise video.decoder.memory_mb"
+            }
             Self::Signal { .. } | Self::Messages { .. } | Self::Answer { .. } => {
                 "the clip is damaged, or made to break decoders: copy or export it again"
             }
