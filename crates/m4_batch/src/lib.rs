@@ -1,7 +1,7 @@
 //! Many clips on many machines: what to do, who does it, what came of it.
 //!
 //! A [`Manifest`] lists the clips and holds the settings. Any number of workers ([`work`]) share it: each takes
-//! a [lease](lease) on a clip, has a child process make the scene in a working folder, and publishes the
+//! a [lease] on a clip, has a child process make the scene in a working folder, and publishes the
 //! whole result by one rename. All that is known afterwards ([`Report`]) is read from the results themselves, so it needs no
 //! engine and no server. [`slurm`] hands the same worker to a cluster. Clips may lie in object stores, and copies of results go
 //! there, with the feature `cloud`.

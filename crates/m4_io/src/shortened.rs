@@ -77,7 +77,7 @@ mod tests {
         assert_eq!(said.chars().count(), 405);
         // in pieces, as a formatter hands it over
         assert_eq!(
-            shortened(format_args!("{}{}{}", &long[..7], &long[7..900], &long[900..])),
+            shortened(format_args!("{}{}{}", &long[..8], &long[8..899], &long[899..])),
             said
         );
     }
