@@ -8,6 +8,7 @@ One worker has two threads; of two workers each has one. Makes clips of examples
 import argparse
 import json
 import pathlib
+import shlex
 import shutil
 import subprocess
 import sys
@@ -32,8 +33,9 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("program")
     parser.add_argument("--clips", type=int, default=8)
-    parser.add_argument("options", nargs="*", help="options of `batch plan` in place of small settings")
-    args = parser.parse_args()
+    ours, _, options = " ".join(map(shlex.quote, sys.argv[1:])).partition(" -- ")
+    args = parser.parse_args(shlex.split(ours))
+    args.options = shlex.split(options)
     program, options = str(pathlib.Path(args.program).resolve()), args.options or SMALL
     work = pathlib.Path(tempfile.mkdtemp(prefix="throughput-"))
     try:

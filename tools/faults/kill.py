@@ -12,6 +12,7 @@ import hashlib
 import json
 import pathlib
 import random
+import shlex
 import shutil
 import signal
 import subprocess
@@ -95,8 +96,9 @@ def main():
     parser.add_argument("--signal", choices=["KILL", "TERM"], default="KILL")
     parser.add_argument("--clip", default=str(ROOT / "examples/pinwheel.mp4"))
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("options", nargs="*", help="options of `run` in place of small settings")
-    args = parser.parse_args()
+    ours, _, options = " ".join(map(shlex.quote, sys.argv[1:])).partition(" -- ")
+    args = parser.parse_args(shlex.split(ours))
+    args.options = shlex.split(options)
     args.program = str(pathlib.Path(args.program).resolve())
     options = args.options or [word for s in SMALL for word in ("--set", s)]
     work = pathlib.Path(tempfile.mkdtemp(prefix="faults-"))
