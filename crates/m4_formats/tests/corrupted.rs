@@ -6,7 +6,7 @@
 use m4_formats::{fourdgs, ply, splatv, usd};
 use m4_math::CounterRng;
 use m4_scene::{Scene, SplatLayout};
-use m4_testkit::{SceneSpec, random_scene};
+use m4_testkit::{SceneSpec, harm, random_scene};
 use peak_alloc::PeakAlloc;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -89,72 +89,6 @@ fn text_of(binary: &[u8]) -> Vec<u8> {
     text.into_bytes()
 }
 
-/// One way of doing harm to a file.
-fn damage(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
-    let n = bytes.len();
-    // half of the harm goes to the start, where the counts are
-    let place = |rng: &mut CounterRng| {
-        let within = if rng.below(2) == 0 { n.min(2048) } else { n };
-        rng.below(within)
-    };
-    match rng.below(8) {
-        0 => {
-            for _ in 0..=rng.below(4) {
-                let at = place(rng);
-                bytes[at] ^= 1 << rng.below(8);
-            }
-            "flipped bits"
-        }
-        1 => {
-            let at = place(rng);
-            bytes[at] = rng.next_u64() as u8;
-            "another byte"
-        }
-        2 => {
-            bytes.truncate(rng.below(n));
-            "a cut"
-        }
-        3 => {
-            // a count of 32 or 64 bits that is far too large
-            let (at, wide) = (place(rng), rng.below(2) == 0);
-            let value = [u64::MAX, 1 << 31, 0x7fff_ffff, 1 << 20, 1 << 24, 1 << 40][rng.below(6)];
-            let value = value.to_le_bytes();
-            let width = if wide { 8 } else { 4 }.min(n - at);
-            bytes[at..at + width].copy_from_slice(&value[..width]);
-            "an inflated count"
-        }
-        4 => {
-            // a number of a text: more digits
-            let digits: Vec<usize> = (0..n.min(2048)).filter(|&i| bytes[i].is_ascii_digit()).collect();
-            if let Some(&at) = digits.get(rng.below(digits.len())) {
-                let more = b"99999999999999999999";
-                let count = 1 + rng.below(more.len());
-                bytes.splice(at..at, more[..count].iter().copied());
-            }
-            "more digits"
-        }
-        5 => {
-            let (from, len, to) = (place(rng), rng.below(64), place(rng));
-            let piece = bytes[from..(from + len).min(n)].to_vec();
-            bytes.splice(to..to, piece);
-            "a piece twice"
-        }
-        6 => {
-            let (from, len) = (place(rng), 1 + rng.below(64));
-            bytes.drain(from..(from + len).min(n));
-            "a piece missing"
-        }
-        _ => {
-            let at = place(rng);
-            let end = (at + rng.below(16)).min(n);
-            for byte in &mut bytes[at..end] {
-                *byte = rng.next_u64() as u8;
-            }
-            "noise"
-        }
-    }
-}
-
 /// Parses within the memory allowed.
 fn parse_bounded(name: &str, parse: Parse, bytes: &[u8], what: &str) -> Result<Scene, String> {
     let before = MEMORY.current_usage();
@@ -181,9 +115,9 @@ fn damage_is_an_error_or_a_sound_scene() {
         for i in 0..FILES {
             let mut rng = CounterRng::new(7, 0xc0_44_09_7e, i);
             let mut bytes = files[rng.below(files.len())].clone();
-            let mut what = damage(&mut bytes, &mut rng);
+            let mut what = harm(&mut bytes, &mut rng);
             if rng.below(4) == 0 && !bytes.is_empty() {
-                what = damage(&mut bytes, &mut rng);
+                what = harm(&mut bytes, &mut rng);
             }
             match parse_bounded(name, parse, &bytes, &format!("{what}, file {i}")) {
                 Err(reason) => {

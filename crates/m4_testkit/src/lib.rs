@@ -12,6 +12,8 @@ mod compare;
 mod differences;
 mod fixture;
 mod formula;
+mod harm;
+mod interrupt;
 mod levels;
 mod shared;
 mod synthetic;
@@ -23,6 +25,8 @@ pub use compare::{Agreement, Flips, assert_gradient, assert_image};
 pub use differences::{Differences, Side, central_differences};
 pub use fixture::{FixtureCamera, FixtureSplat, GradientCase, GradientFixtures, gradient_fixtures};
 pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights};
+pub use harm::harm;
+pub use interrupt::{MemoryShelf, StopAtPoll};
 pub use levels::on_every_level;
 pub use shared::shared_dir;
 pub use synthetic::{

@@ -1,6 +1,7 @@
 //! Ways of doing harm to a file.
 
 use m4_math::CounterRng;
+use m4_testkit::harm;
 use std::io::{Cursor, Read as _, Write};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
@@ -14,106 +15,11 @@ pub fn damaged(whole: &[u8], is_npz: bool, i: u64) -> (Vec<u8>, String) {
         let what = within(&mut bytes, &mut rng);
         return (bytes, what);
     }
-    let mut what = once(&mut bytes, &mut rng).to_owned();
+    let mut what = harm(&mut bytes, &mut rng).to_owned();
     if rng.below(4) == 0 && !bytes.is_empty() {
-        what = format!("{what} and {}", once(&mut bytes, &mut rng));
+        what = format!("{what} and {}", harm(&mut bytes, &mut rng));
     }
     (bytes, what)
-}
-
-/// One way of doing harm.
-fn once(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {
-    let n = bytes.len();
-    // half of the harm goes to the start, where the counts are
-    let place = |rng: &mut CounterRng| {
-        let within = if rng.below(2) == 0 { n.min(512) } else { n };
-        rng.below(within)
-    };
-    match rng.below(10) {
-        0 => {
-            for _ in 0..=rng.below(4) {
-                let at = place(rng);
-                bytes[at] ^= 1 << rng.below(8);
-            }
-            "flipped bits"
-        }
-        1 => {
-            let at = place(rng);
-            bytes[at] = rng.next_u64() as u8;
-            "another byte"
-        }
-        2 => {
-            bytes.truncate(rng.below(n));
-            "a cut"
-        }
-        3 => {
-            // a count that is far too large, of either byte order
-            let (at, width) = (place(rng), [2, 4, 8][rng.below(3)]);
-            let value = [u64::MAX, 1 << 31, 0x7fff_ffff, 1 << 20, 60_000, 1 << 40][rng.below(6)];
-            let value = if rng.below(2) == 0 {
-                value.to_le_bytes()
-            } else {
-                value.rotate_right(8 * width as u32).to_be_bytes()
-            };
-            let width = width.min(n - at);
-            bytes[at..at + width].copy_from_slice(&value[..width]);
-            "an inflated count"
-        }
-        4 => {
-            let digits: Vec<usize> = (0..n.min(4096)).filter(|&i| bytes[i].is_ascii_digit()).collect();
-            if !digits.is_empty() {
-                let at = digits[rng.below(digits.len())];
-                let more = [
-                    &b"9999999999"[..],
-                    b"99",
-                    b"e300",
-                    b"-",
-                    b"0.5",
-                    b"99999999999999999999",
-                ][rng.below(6)];
-                bytes.splice(at..at, more.iter().copied());
-            }
-            "more digits"
-        }
-        5 => {
-            let (from, len, to) = (place(rng), rng.below(200), place(rng));
-            let piece = bytes[from..(from + len).min(n)].to_vec();
-            bytes.splice(to..to, piece);
-            "a piece twice"
-        }
-        6 => {
-            let (from, len) = (place(rng), 1 + rng.below(64));
-            bytes.drain(from..(from + len).min(n));
-            "a piece missing"
-        }
-        7 => {
-            let at = place(rng);
-            let deep = [&b"["[..], b"{\"a\":"][rng.below(2)];
-            bytes.splice(at..at, deep.iter().copied().cycle().take(deep.len() * 50_000));
-            "depth without end"
-        }
-        8 => {
-            let at = place(rng);
-            let text = [
-                &b"1e308"[..],
-                b"-",
-                b"NaN",
-                b"99999999999999999999",
-                b"[[[[",
-                b"\xff\xfe",
-            ][rng.below(6)];
-            bytes.splice(at..(at + text.len()).min(n), text.iter().copied());
-            "other text"
-        }
-        _ => {
-            let at = place(rng);
-            let end = (at + rng.below(16)).min(n);
-            for byte in &mut bytes[at..end] {
-                *byte = rng.next_u64() as u8;
-            }
-            "noise"
-        }
-    }
 }
 
 /// Harm to an array of an archive, which is then sound itself.
@@ -131,7 +37,7 @@ fn within(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> String {
         }
     }
     let which = rng.below(arrays.len());
-    let what = format!("{} within {}", once(&mut arrays[which].1, rng), arrays[which].0);
+    let what = format!("{} within {}", harm(&mut arrays[which].1, rng), arrays[which].0);
     let mut to = ZipWriter::new(Cursor::new(Vec::new()));
     let options = SimpleFileOptions::default()
         .compression_method([CompressionMethod::Stored, CompressionMethod::Deflated][rng.below(2)]);

@@ -1,0 +1,76 @@
+//! Work that is interrupted and goes on.
+
+use m4_scene::{Progress, Shelf};
+use std::collections::HashMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// A shelf in memory.
+#[derive(Debug, Default)]
+pub struct MemoryShelf(Mutex<HashMap<String, Vec<u8>>>);
+
+impl MemoryShelf {
+    /// Names of what is there, in order.
+    ///
+    /// # Panics
+    ///
+    /// If another thread panicked here.
+    #[must_use]
+    pub fn names(&self) -> Vec<String> {
+        let mut names: Vec<String> = self.0.lock().unwrap().keys().cloned().collect();
+        names.sort();
+        names
+    }
+
+    /// Removes what has this name.
+    ///
+    /// # Panics
+    ///
+    /// If another thread panicked here.
+    pub fn remove(&self, name: &str) {
+        self.0.lock().unwrap().remove(name);
+    }
+}
+
+impl Shelf for MemoryShelf {
+    fn get(&self, name: &str) -> Option<Vec<u8>> {
+        self.0.lock().unwrap().get(name).cloned()
+    }
+
+    fn put(&self, name: &str, bytes: &[u8]) {
+        self.0.lock().unwrap().insert(name.to_owned(), bytes.to_vec());
+    }
+}
+
+/// Says stop from the so-manieth time on that it is asked.
+#[derive(Debug)]
+pub struct StopAtPoll {
+    at: usize,
+    asked: AtomicUsize,
+}
+
+impl StopAtPoll {
+    /// Answers no this many times.
+    #[must_use]
+    pub fn after(polls: usize) -> Self {
+        Self {
+            at: polls,
+            asked: AtomicUsize::new(0),
+        }
+    }
+
+    /// How often it was asked.
+    pub fn asked(&self) -> usize {
+        self.asked.load(Ordering::Relaxed)
+    }
+}
+
+impl Progress for StopAtPoll {
+    fn update(&self, _phase: &str, _done: usize, _total: usize, _note: &str) {}
+
+    fn warn(&self, _message: &str) {}
+
+    fn cancelled(&self) -> bool {
+        self.asked.fetch_add(1, Ordering::Relaxed) >= self.at
+    }
+}
