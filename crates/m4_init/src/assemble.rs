@@ -3,6 +3,7 @@
 use crate::carry::{Carry, Moving, hidden, is_seen};
 use crate::change::changes;
 use crate::cloud::{Clouds, Pixels, clouds};
+use crate::error::stopped;
 use crate::motion::{Field, Fields, Registration, View, Ways, fields};
 use crate::shell::{Shell, shell};
 use crate::tracked::{self, Known};
@@ -47,9 +48,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     };
     let standing_grid = grid(static_pixels);
     let standing = standing_grid.merge_all(&clouds.standing, points);
-    if progress.cancelled() {
-        return Err(InitError::Stopped);
-    }
+    stopped(progress)?;
     progress.update("voxels", 1, 3, &format!("{} static", standing.xyz.len()));
 
     let count = |p| {
@@ -66,15 +65,10 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         .par_iter()
         .map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k))))
         .collect();
-    if progress.cancelled() {
-        return Err(InitError::Stopped);
-    }
+    stopped(progress)?;
     progress.update("voxels", 2, 3, &format!("{} static", standing.xyz.len()));
 
-    let fields = motions(capture, config, &clouds, &moving, &grid);
-    if progress.cancelled() {
-        return Err(InitError::Stopped);
-    }
+    let fields = motions(capture, config, &clouds, &moving, &grid, progress)?;
     let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
     let by = Carry {
         keyframes: match config.velocity {
@@ -86,7 +80,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         margin: config.carry_margin,
         reach: (f64::from(config.carry_reach_pixels) * median_depth / focal_px) as f32,
     };
-    let hidden = hidden(capture, &frames, &moving, &fields, &moving_grid, by);
+    let hidden = hidden(capture, &frames, &moving, &fields, &moving_grid, by, progress)?;
     let known = Known {
         capture,
         frames: &frames,
@@ -96,7 +90,9 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         depth_range: [clouds.near_depth, clouds.far_depth],
         median_depth,
     };
+    stopped(progress)?;
     let tracked = tracked::tracked(&known, config);
+    stopped(progress)?;
     let velocities = match config.velocity {
         VelocityInit::Tracks {
             neighbours,
@@ -107,6 +103,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         }
         VelocityInit::Zero | VelocityInit::Register { .. } => velocities(&moving, &fields),
     };
+    stopped(progress)?;
     let tint_grid = grid(config.change_pixels);
     let tints: Vec<Tints> = frames
         .par_iter()
@@ -175,9 +172,10 @@ fn motions(
     clouds: &Clouds,
     moving: &[(f64, Centroids)],
     grid: &impl Fn(f32) -> Grid,
-) -> Vec<Fields> {
+    progress: &dyn Progress,
+) -> Result<Vec<Fields>, InitError> {
     match config.velocity {
-        VelocityInit::Zero | VelocityInit::Tracks { .. } => vec![Fields::default(); moving.len().saturating_sub(1)],
+        VelocityInit::Zero | VelocityInit::Tracks { .. } => Ok(vec![Fields::default(); moving.len().saturating_sub(1)]),
         VelocityInit::Register {
             pixels,
             colour_scale,
@@ -216,7 +214,7 @@ fn motions(
                 frames: &frames,
                 reach: by.reach,
             });
-            fields(&keyframes, ways, &by)
+            fields(&keyframes, ways, &by, progress)
         }
     }
 }

@@ -5,9 +5,11 @@
 //! belong to, or, where nothing of it can be seen, as they moved last. In every keyframe they pass through, those that the camera would see are dropped, since the keyframe's own
 //! points are better; so are those that would float in front of something.
 
+use crate::InitError;
+use crate::error::stopped;
 use crate::motion::{Field, Fields, bodies};
 use crate::voxel::{Centroids, Grid};
-use m4_scene::{Capture, CaptureFrame};
+use m4_scene::{Capture, CaptureFrame, Progress};
 use rayon::prelude::*;
 
 /// What is carried, and how far.
@@ -64,15 +66,17 @@ pub(crate) fn hidden(
     fields: &[Fields],
     grid: &Grid,
     by: Carry,
-) -> Vec<Moving> {
+    progress: &dyn Progress,
+) -> Result<Vec<Moving>, InitError> {
     let n = moving.len();
     let mut out: Vec<Vec<Point>> = vec![Vec::new(); n];
     if by.keyframes == 0 {
-        return vec![Moving::default(); n];
+        return Ok(vec![Moving::default(); n]);
     }
     for forward in [true, false] {
         let mut carried: Vec<Point> = Vec::new();
         for step in 1..n {
+            stopped(progress)?;
             let (from, to, field) = if forward {
                 (step - 1, step, &fields[step - 1].forward)
             } else {
@@ -107,7 +111,7 @@ pub(crate) fn hidden(
     for points in &mut out {
         points.retain(|p| p.age <= oldest);
     }
-    out.into_iter().map(collect).collect()
+    Ok(out.into_iter().map(collect).collect())
 }
 
 /// The age up to which all points together are no more than may be kept.
@@ -194,7 +198,7 @@ mod tests {
     use crate::motion::{Field, Fields, Rigid};
     use crate::voxel::{Centroids, Grid};
     use m4_math::Se3;
-    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Silent};
 
     /// A point at depth 3 moves to the right by 0.5 a frame: it leaves the picture after frame 3, and a
     /// pillar at depth 1 hides it in frame 2.
@@ -257,7 +261,7 @@ mod tests {
             margin: 0.05,
             reach: 0.3,
         };
-        let got = hidden(&capture, &frames, &moving, &fields, &grid, by(2));
+        let got = hidden(&capture, &frames, &moving, &fields, &grid, by(2), &Silent).unwrap();
         let counts: Vec<usize> = got.iter().map(|m| m.points.xyz.len()).collect();
         assert_eq!(
             counts,
@@ -270,15 +274,15 @@ mod tests {
         assert_eq!(got[6].points.rgb[0][0], 0.4, "from the last keyframe that saw it");
         // keyframes of one instant, from several cameras: points are handed on, and have no endless velocity
         let at_once: Vec<(f64, Centroids)> = moving.iter().map(|(_, points)| (0.0, points.clone())).collect();
-        let got_at_once = hidden(&capture, &frames, &at_once, &fields, &grid, by(2));
+        let got_at_once = hidden(&capture, &frames, &at_once, &fields, &grid, by(2), &Silent).unwrap();
         let all: Vec<&[f32; 3]> = got_at_once.iter().flat_map(|m| &m.velocity).collect();
         assert!(!all.is_empty());
         assert!(all.iter().all(|v| **v == [0.0; 3]), "{all:?}");
         let few = Carry { most: 2, ..by(2) };
-        let got = hidden(&capture, &frames, &moving, &fields, &grid, few);
+        let got = hidden(&capture, &frames, &moving, &fields, &grid, few, &Silent).unwrap();
         let counts: Vec<usize> = got.iter().map(|m| m.points.xyz.len()).collect();
         assert_eq!(counts, [0, 0, 1, 0, 0, 1, 0, 0], "those carried twice are one too many");
-        let none = hidden(&capture, &frames, &moving, &fields, &grid, by(0));
+        let none = hidden(&capture, &frames, &moving, &fields, &grid, by(0), &Silent).unwrap();
         assert!(none.iter().all(|m| m.points.xyz.is_empty()));
     }
 }

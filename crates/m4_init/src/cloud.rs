@@ -1,5 +1,6 @@
 //! Depth maps to coloured points in the world.
 
+use crate::error::stopped;
 use crate::{InitConfig, InitError, free_space};
 use m4_math::nalgebra::Vector3;
 use m4_scene::{Capture, CaptureFrame, CompactMask, DepthMap, Progress};
@@ -111,9 +112,7 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
     // A few frames at a time: in parallel, joined in order, without a second copy of everything.
     const BATCH: usize = 8;
     for (b, batch) in with_depth.chunks(BATCH).enumerate() {
-        if progress.cancelled() {
-            return Err(InitError::Stopped);
-        }
+        stopped(progress)?;
         let parts: Vec<Part> = batch
             .par_iter()
             .enumerate()
@@ -147,7 +146,7 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
             first_frame: capture.frames[with_depth[0]].name.clone(),
         });
     }
-    free_space::clear(capture, &mut out.standing, config);
+    free_space::clear(capture, &mut out.standing, config, progress)?;
     let middle = depths.len() / 2;
     out.median_depth = f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1);
     let near = (depths.len() - 1) / 100;

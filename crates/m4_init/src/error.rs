@@ -55,3 +55,12 @@ pub enum InitError {
     #[error("stopped before the first splats were complete")]
     Stopped,
 }
+
+/// Fails once the user asked to stop.
+pub(crate) fn stopped(progress: &dyn m4_scene::Progress) -> Result<(), InitError> {
+    if progress.cancelled() {
+        Err(InitError::Stopped)
+    } else {
+        Ok(())
+    }
+}

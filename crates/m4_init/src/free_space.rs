@@ -3,10 +3,11 @@
 //! Depth that was estimated smears over edges, and each frame smears in a way of its own. A point that hangs in front of what
 //! several other frames see behind it is no surface (section 2.6 has the check for tracked points).
 
-use crate::InitConfig;
 use crate::cloud::{Pixels, dilate, is_depth, moving_pixels};
+use crate::error::stopped;
+use crate::{InitConfig, InitError};
 use m4_math::nalgebra::Vector3;
-use m4_scene::{Camera, Capture, CompactMask};
+use m4_scene::{Camera, Capture, CompactMask, Progress};
 use rayon::prelude::*;
 
 /// Other frames that are asked about a point.
@@ -16,12 +17,22 @@ const LEAST: u8 = 2;
 
 /// Drops the points that at least [`LEAST`] other frames, and more than agree with them, see through: that are nearer than the
 /// depth there and around by more than `config.free_space` of it.
-pub(crate) fn clear(capture: &Capture, standing: &mut [Pixels], config: &InitConfig) {
+///
+/// # Errors
+///
+/// [`InitError::Stopped`].
+pub(crate) fn clear(
+    capture: &Capture,
+    standing: &mut [Pixels],
+    config: &InitConfig,
+    progress: &dyn Progress,
+) -> Result<(), InitError> {
     if config.free_space == 0.0 {
-        return;
+        return Ok(());
     }
     let frames: Vec<usize> = standing.iter().map(|s| s.frame).collect();
-    standing.par_iter_mut().enumerate().for_each(|(at, pixels)| {
+    standing.par_iter_mut().enumerate().try_for_each(|(at, pixels)| {
+        stopped(progress)?;
         let votes = votes(capture, pixels, &witnesses(&frames, at), config);
         let mut votes = votes.into_iter();
         let (w, h) = pixels.kept.size();
@@ -29,7 +40,8 @@ pub(crate) fn clear(capture: &Capture, standing: &mut [Pixels], config: &InitCon
         pixels.kept = CompactMask::from_fn(w, h, |x, y| {
             kept.at(x, y) && votes.next().is_none_or(|v| v.through < LEAST || v.through <= v.agree)
         });
-    });
+        Ok(())
+    })
 }
 
 /// The frames that are asked about the points of `frames[at]`: evenly spread over the others.
@@ -199,7 +211,7 @@ mod tests {
         };
         let mut clouds = clouds(capture, &config, &Silent).unwrap();
         let config = InitConfig { free_space, ..config };
-        clear(capture, &mut clouds.standing, &config);
+        clear(capture, &mut clouds.standing, &config, &Silent).unwrap();
         let kept = &clouds.standing[2].kept;
         let all = (0..SIZE.0 * SIZE.1).map(|i| (i % SIZE.0, i / SIZE.0));
         all.filter(|&(x, y)| !kept.at(x, y)).collect()

@@ -36,7 +36,7 @@ pub use error::ShapeError;
 pub use plane::Plane;
 pub use progress::{Progress, Silent};
 pub use scene::{Exposure, Scene, SourceFrame};
-pub use shelf::{NoShelf, Shelf};
+pub use shelf::{NoShelf, Shelf, ShelfPart, kept, load, store};
 pub use splats::{Column, SplatLayout, Splats};
 pub use state::{StateTensor, TrainState};
 pub use tracks::Tracks;

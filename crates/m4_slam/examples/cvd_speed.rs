@@ -12,7 +12,7 @@
 use cpu_time::ProcessTime;
 use m4_math::Se3;
 use m4_math::nalgebra::{Vector3, Vector6};
-use m4_scene::{Intrinsics, Plane, Progress};
+use m4_scene::{Intrinsics, NoShelf, Plane, Progress};
 use m4_slam::cvd::pairs::{FlowView, PairSource, PairStore, pair_list};
 use m4_slam::cvd::{CvdInput, CvdSettings, optimise};
 use std::sync::Mutex;
@@ -155,7 +155,7 @@ fn main() -> Result<(), Anything> {
             prior_confidence: None,
         };
         let cpu = ProcessTime::now();
-        let found = pool.install(|| optimise(&input, &clip.pairs, &settings, &clock))?;
+        let found = pool.install(|| optimise(&input, &clip.pairs, &settings, &clock, &NoShelf))?;
         let cpu = cpu.elapsed().as_secs_f64() * 1e3 / (2 * steps) as f64;
         let times = clock.0.into_inner().unwrap_or_default();
         let ms = |range: std::ops::Range<usize>| {

@@ -9,7 +9,7 @@
 use crate::Observer;
 use crate::folder;
 use crate::progress::Keeper;
-use m4_scene::Shelf;
+use m4_scene::{Shelf, ShelfPart};
 use serde::{Serialize, de::DeserializeOwned};
 use std::fs;
 use std::io::Write;
@@ -79,15 +79,12 @@ impl<'a> Steps<'a> {
 
     /// A value that was stored.
     pub fn load<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
-        postcard::from_bytes(&self.get(name)?).ok()
+        m4_scene::load(self, name)
     }
 
     /// Keeps a value.
     pub fn store(&self, name: &str, value: &impl Serialize) {
-        // One without a form on disk is made again.
-        if let Ok(bytes) = postcard::to_stdvec(value) {
-            self.put(name, &bytes);
-        }
+        m4_scene::store(self, name, value);
     }
 
     /// Who is told.
@@ -96,8 +93,8 @@ impl<'a> Steps<'a> {
     }
 
     /// The steps whose names begin with `prefix`: of the second time that something is done.
-    pub fn part<'s>(&'s self, prefix: &'s str) -> Part<'s> {
-        Part { steps: self, prefix }
+    pub fn part<'s>(&'s self, prefix: &'s str) -> ShelfPart<'s> {
+        ShelfPart { shelf: self, prefix }
     }
 
     /// Removes them: the stage is done, or something else is to be done.
@@ -160,22 +157,6 @@ impl Shelf for Steps<'_> {
         if let Err(error) = self.write(name, &[MAGIC, self.hash(name, bytes).as_bytes(), bytes]) {
             self.give_up(&error);
         }
-    }
-}
-
-/// See [`Steps::part`].
-pub(crate) struct Part<'a> {
-    steps: &'a Steps<'a>,
-    prefix: &'a str,
-}
-
-impl Shelf for Part<'_> {
-    fn get(&self, name: &str) -> Option<Vec<u8>> {
-        self.steps.get(&format!("{}-{name}", self.prefix))
-    }
-
-    fn put(&self, name: &str, bytes: &[u8]) {
-        self.steps.put(&format!("{}-{name}", self.prefix), bytes);
     }
 }
 

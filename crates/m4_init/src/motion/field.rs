@@ -5,8 +5,11 @@ use super::look::Look;
 use super::register::{Registration, View, register};
 
 use super::rigid::Rigid;
+use crate::InitError;
+use crate::error::stopped;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_math::nalgebra::{UnitQuaternion, Vector3};
+use m4_scene::Progress;
 use rayon::prelude::*;
 use std::num::NonZero;
 
@@ -27,12 +30,23 @@ pub(crate) struct Fields {
 }
 
 /// Motions between every keyframe and the next; `ways` is what tracks know of them.
-pub(crate) fn fields(keyframes: &[View<'_>], ways: Option<Ways<'_>>, by: &Registration) -> Vec<Fields> {
+///
+/// # Errors
+///
+/// [`InitError::Stopped`].
+pub(crate) fn fields(
+    keyframes: &[View<'_>],
+    ways: Option<Ways<'_>>,
+    by: &Registration,
+    progress: &dyn Progress,
+) -> Result<Vec<Fields>, InitError> {
     let mut out: Vec<Fields> = Vec::new();
     let look = |view: &View<'_>| view.frame.and_then(Look::new);
     // two pictures at a time: all of them would be most of the memory of a run
     let mut ahead = keyframes.first().and_then(look);
     for (i, pair) in keyframes.windows(2).enumerate() {
+        stopped(progress)?;
+        progress.update("motions", i, keyframes.len() - 1, "");
         let (a, b) = (&pair[0], &pair[1]);
         let behind = std::mem::replace(&mut ahead, look(b));
         let follow = |from, to| ways.and_then(|w| w.between(from, to));
@@ -53,7 +67,7 @@ pub(crate) fn fields(keyframes: &[View<'_>], ways: Option<Ways<'_>>, by: &Regist
         };
         out.push(Fields { forward, backward });
     }
-    out
+    Ok(out)
 }
 
 fn shifts(from: &[[f32; 3]], to: &[[f32; 3]]) -> Vec<Rigid> {
@@ -127,6 +141,7 @@ mod tests {
     use crate::voxel::Centroids;
     use m4_math::CounterRng;
     use m4_math::nalgebra::{UnitQuaternion, Vector3};
+    use m4_scene::Silent;
 
     const BY: Registration = Registration {
         colour_scale: 0.1,
@@ -168,7 +183,7 @@ mod tests {
             frame: None,
             sees,
         };
-        fields(&clouds.iter().map(view).collect::<Vec<_>>(), None, &BY)
+        fields(&clouds.iter().map(view).collect::<Vec<_>>(), None, &BY, &Silent).unwrap()
     }
 
     fn turn(p: [f32; 3], rad: f32) -> [f32; 3] {

@@ -1,11 +1,12 @@
 //! The two stages from the caller's side: checks, conventions, units.
 
+use super::course::{Course, Keeper};
 use super::fast::{Descent, Moves, SimdLevel, Start};
 use super::pairs::PairSource;
 use super::reference::{DISPARITY, Lens, UNCERTAINTY};
 use super::{CvdError, CvdInput, CvdSettings, PairError};
 use m4_math::Se3;
-use m4_scene::{Plane, Progress};
+use m4_scene::{Plane, Progress, Shelf};
 use std::collections::HashSet;
 
 /// Images below this have no 5x5 neighbourhood to reflect.
@@ -29,7 +30,8 @@ pub struct Consistent {
 /// Moves the disparity of every frame until the frames agree with one another along the flow.
 ///
 /// Poses and intrinsics are held fixed, and the scale of the poses decides the scale of the result. See the module for the
-/// method and [`super::pairs::PairStore`] for the flow. The result is the same on any number of threads.
+/// method and [`super::pairs::PairStore`] for the flow. The result is the same on any number of threads, and where it was
+/// interrupted and goes on from what `shelf` kept of the same input and settings.
 ///
 /// # Errors
 ///
@@ -40,6 +42,7 @@ pub fn optimise(
     pairs: &dyn PairSource,
     settings: &CvdSettings,
     progress: &dyn Progress,
+    shelf: &dyn Shelf,
 ) -> Result<Consistent, CvdError> {
     settings.check()?;
     check(input, pairs)?;
@@ -79,7 +82,8 @@ pub fn optimise(
     let mut descent = Descent::new(SimdLevel::best(), lens, &w2c, pairs, &starts);
     drop(starts);
     drop(scaled);
-    run(&mut descent, pairs.pairs().len(), settings, progress).map(|(affine, losses)| {
+    run(&mut descent, pairs.pairs().len(), settings, progress, shelf).map(|course| {
+        let Course { affine, losses, .. } = course;
         let (width, height) = pairs.size();
         let plane = |data: Vec<f32>, factor: f64, limits: [f64; 2]| {
             let at = |x: usize, y: usize| (f64::from(data[y * width + x]).clamp(limits[0], limits[1]) / factor) as f32;
@@ -97,45 +101,60 @@ pub fn optimise(
     })
 }
 
-/// Scale and shift of each frame, and the losses of both stages.
-type Course = (Vec<(f64, f64)>, [Vec<f64>; 2]);
-
 /// Both stages.
 pub(super) fn run(
     descent: &mut Descent<'_>,
     pairs: usize,
     settings: &CvdSettings,
     progress: &dyn Progress,
+    shelf: &dyn Shelf,
 ) -> Result<Course, CvdError> {
-    let mut losses = [Vec::new(), Vec::new()];
-    let mut affine = Vec::new();
-    let total = settings.stage1.steps + settings.stage2.steps;
-    let stages = [(&settings.stage1, Moves::Affine), (&settings.stage2, Moves::Pixels)];
-    for (index, (stage, moves)) in stages.into_iter().enumerate() {
-        descent.begin();
-        for step in 0..stage.steps {
-            if progress.cancelled() {
-                return Err(CvdError::Cancelled { stage: index + 1, step });
+    const MOVES: [Moves; 2] = [Moves::Affine, Moves::Pixels];
+    let stages = [&settings.stage1, &settings.stage2];
+    let total = stages[0].steps + stages[1].steps;
+    let mut keeper = Keeper::new(shelf);
+    let mut course = keeper.resume(descent, &MOVES).unwrap_or_default();
+    for index in course.stage..stages.len() {
+        let (stage, moves) = (stages[index], MOVES[index]);
+        course.stage = index;
+        if course.step == 0 {
+            descent.begin();
+            if moves == Moves::Pixels {
+                keeper.second_stage(descent);
             }
+        }
+        while course.step < stage.steps {
+            if progress.cancelled() {
+                keeper.save(&mut course, descent);
+                return Err(CvdError::Cancelled {
+                    stage: index + 1,
+                    step: course.step,
+                });
+            }
+            course.step += 1;
             let report = descent.step(
                 moves,
                 &stage.weights,
                 stage.learning_rate,
                 settings.adam_epsilon,
-                step + 1,
+                course.step,
             )?;
-            if index == 0 && step == 0 && report.count == 0.0 {
+            if index == 0 && course.step == 1 && report.count == 0.0 {
                 return Err(CvdError::NoFlow { pairs });
             }
-            losses[index].push(report.loss);
-            let done = losses[0].len() + losses[1].len();
+            course.losses[index].push(report.loss);
+            let done = course.losses[0].len() + course.losses[1].len();
             progress.update("consistent depth", done, total, &format!("loss {:.4}", report.loss));
+            if keeper.due() {
+                keeper.save(&mut course, descent);
+            }
         }
         if moves == Moves::Affine {
-            affine = descent.settle();
+            course.affine = descent.settle();
         }
+        course.step = 0;
     }
-    Ok((affine, losses))
+    Ok(course)
 }
 
 fn check(input: &CvdInput<'_>, pairs: &dyn PairSource) -> Result<(), CvdError> {

@@ -78,7 +78,7 @@ impl Pinhole<f64> {
 }
 
 /// Poses, depth and lens: everything that bundle adjustment moves.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Geometry<T: Real> {
     /// Size of every plane.
     pub grid: Grid,

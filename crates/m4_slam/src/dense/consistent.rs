@@ -14,7 +14,7 @@ use super::shot::quantile;
 use crate::cvd::pairs::{FlowView, FramePair, PairSource, PairStore, consistency_mask, pair_list};
 use crate::cvd::{CvdError, CvdInput, optimise, uncertainty_of_static};
 use m4_math::Se3;
-use m4_scene::{Camera, Plane, Progress};
+use m4_scene::{Camera, Plane, Progress, Shelf};
 
 /// What is known of the clip; planes are `[height][width]` by frame, at the working size.
 pub(super) struct Clip<'a> {
@@ -152,6 +152,7 @@ pub(super) fn factors(
     disparity: &[Vec<f32>],
     config: &ConsistentConfig,
     progress: &dyn Progress,
+    shelf: &dyn Shelf,
 ) -> Result<Option<Vec<Vec<f32>>>, DenseError> {
     let (w, h) = (clip.width / 2, clip.height / 2);
     let (store, left_out) = pairs(clip, disparity, config, progress)?;
@@ -194,7 +195,7 @@ pub(super) fn factors(
         uncertainty: &u,
         prior_confidence: Some(&prior),
     };
-    let found = optimise(&input, &store, &config.optimiser, progress)?;
+    let found = optimise(&input, &store, &config.optimiser, progress, shelf)?;
     let factors = (0..frames)
         .map(|i| {
             let ratio: Vec<f32> = found.disparity[i]
@@ -220,7 +221,7 @@ mod tests {
     use crate::dense::config::ConsistentConfig;
     use m4_math::Se3;
     use m4_math::nalgebra::Vector6;
-    use m4_scene::{Camera, Intrinsics, Progress};
+    use m4_scene::{Camera, Intrinsics, NoShelf, Progress};
     use std::sync::Mutex;
 
     const W: usize = 64;
@@ -276,7 +277,7 @@ mod tests {
             confidence: &vec![vec![0.6; W * H]; FRAMES],
         };
         let warnings = Warnings::default();
-        let found = factors(&clip, &disparity, &ConsistentConfig::default(), &warnings).unwrap();
+        let found = factors(&clip, &disparity, &ConsistentConfig::default(), &warnings, &NoShelf).unwrap();
         (found, warnings.0.into_inner().unwrap())
     }
 

@@ -308,7 +308,7 @@ fn estimate(
             moving: &moving,
             confidence: &confidence,
         };
-        let factors = consistent::factors(&clip, &filled, &config.consistent, progress)?;
+        let factors = consistent::factors(&clip, &filled, &config.consistent, progress, sources.shelf)?;
         for (filled, factors) in filled.iter_mut().zip(factors.into_iter().flatten()) {
             for (d, f) in filled.iter_mut().zip(factors) {
                 *d *= f;
@@ -325,7 +325,14 @@ fn estimate(
             background: &filled,
             flows: &flows,
         };
-        bodies::place(&clip, smoother, &config.moving_depth, &config.bodies, &mut disparity);
+        bodies::place(
+            &clip,
+            smoother,
+            &config.moving_depth,
+            &config.bodies,
+            &mut disparity,
+            progress,
+        )?;
     }
     for i in 0..count {
         if parallax {

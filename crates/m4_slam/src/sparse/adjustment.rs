@@ -8,8 +8,9 @@ use super::motion::classify;
 use super::reconstruct::Clip;
 use super::rotation::keyframes;
 use super::selection::{Selected, select};
-use super::{SparseError, stopped};
+use super::{GeometryConfig, SparseError};
 use crate::reconstruction::{CameraMotion, Motion};
+use serde::{Deserialize, Serialize};
 
 /// Fewest points of a reconstruction, whatever the number of tracks; else one in twenty.
 pub(super) const MIN_POINTS: usize = 30;
@@ -28,19 +29,17 @@ impl Clip<'_> {
     ) -> Result<Result<Recovered, SparseError>, SparseError> {
         let geometry = &self.geometry;
         let free_focal = self.given_focal().is_none();
-        let keys = keyframes(&self.tracks, self.frames, self.size.width, likely_focal, geometry);
-        let pairs = start_pairs(&self.tracks, &keys, likely_focal, self.size.width);
-        let starts = scan(&self.tracks, &pairs, focals, geometry, self.progress)?;
-        let selected = select(
-            &self.tracks,
-            &keys,
-            &starts,
-            self.frames,
-            free_focal,
-            geometry,
-            self.progress,
-        )?;
-        let Some(Selected { mut map, rival_focal }) = selected else {
+        let (keys, starts) = self.work.part("starts", || {
+            let keys = keyframes(&self.tracks, self.frames, self.size.width, likely_focal, geometry);
+            let pairs = start_pairs(&self.tracks, &keys, likely_focal, self.size.width);
+            let starts = scan(&self.tracks, &pairs, focals, geometry, &self.work)?;
+            Ok((keys, starts))
+        })?;
+        let selected = self.work.part("selected", || {
+            let (tracks, frames) = (&self.tracks, self.frames);
+            select(tracks, &keys, &starts, frames, free_focal, geometry, &self.work)
+        })?;
+        let Some(Selected { map, rival_focal }) = selected else {
             let first = starts.iter().max_by_key(|s| s.view.inliers.len());
             return Ok(Err(SparseError::NoStart {
                 inliers: first.map_or(0, |s| s.view.inliers.len()),
@@ -48,7 +47,13 @@ impl Clip<'_> {
                 needed: MIN_MATCHES,
             }));
         };
-        let (motions, report) = self.refine(&mut map, free_focal)?;
+        let Refined {
+            map,
+            geometry,
+            motions,
+            report,
+        } = self.refine(map, free_focal)?;
+        self.geometry = geometry;
         let points = map.points.iter().flatten().count();
         let judged = motions.iter().filter(|m| **m != Motion::Unknown).count();
         let needed = MIN_POINTS.max(judged / 20);
@@ -68,7 +73,7 @@ impl Clip<'_> {
             ));
         }
         if !free_focal {
-            self.check_given_focal(&map);
+            self.check_given_focal(&map)?;
         }
         let sigma = self.judge(&map, &motions, &report, free_focal);
         let sparse = self.finish(map, &motions, CameraMotion::Parallax);
@@ -80,23 +85,18 @@ impl Clip<'_> {
         Ok(Ok(Recovered { sparse, focal }))
     }
 
-    fn bundle_options(&self, free_focal: bool) -> BundleOptions {
-        BundleOptions {
-            cauchy_px: self.geometry.cauchy_px,
-            iterations: self.geometry.bundle_iterations,
-            tolerance: self.geometry.bundle_tolerance,
-            free_focal,
-            free_poses: true,
-        }
-    }
-
     /// Warns when the clip fits another focal length than the given one clearly better.
-    fn check_given_focal(&mut self, map: &Map) {
-        let (mut held, mut freed) = (map.clone(), map.clone());
-        let (with, without) = (
-            held.adjust(&self.tracks, &self.bundle_options(false)),
-            freed.adjust(&self.tracks, &self.bundle_options(true)),
-        );
+    fn check_given_focal(&mut self, map: &Map) -> Result<(), SparseError> {
+        let adjusted = |free_focal| {
+            let mut map = map.clone();
+            let report = map.adjust(
+                &self.tracks,
+                &bundle_options(&self.geometry, free_focal),
+                self.work.progress,
+            );
+            self.work.stopped().map(|()| (map, report))
+        };
+        let ((_, with), (freed, without)) = (adjusted(false)?, adjusted(true)?);
         if (freed.focal / map.focal).ln().abs() > 0.1 && without.cost < 0.8 * with.cost {
             self.warn(format!(
                 "the given field of view of {:.1} degrees was kept, but the clip fits one of {:.1} degrees better (mean \
@@ -107,55 +107,116 @@ impl Clip<'_> {
                 with.cost
             ));
         }
+        Ok(())
     }
 
     /// All frames, bundle adjustment and classification in turn.
-    fn refine(&mut self, map: &mut Map, free_focal: bool) -> Result<(Vec<Motion>, BundleReport), SparseError> {
-        let mut usable = vec![true; self.tracks.len()];
-        self.register_all(map)?;
-        map.triangulate(&self.tracks, &usable, &self.geometry);
+    fn refine(&self, map: Map, free_focal: bool) -> Result<Refined, SparseError> {
+        let usable = vec![true; self.tracks.len()];
+        let mut refined = self.work.part("all-frames", || {
+            let geometry = self.geometry.clone();
+            let motions = Vec::new();
+            self.adjusted(map, geometry, motions, &usable, free_focal, Order::FramesFirst)
+        })?;
         let rounds = self.config.motion.rounds.max(1);
-        let mut motions = Vec::new();
-        let mut report = map.adjust(&self.tracks, &self.bundle_options(free_focal));
         for round in 0..rounds {
-            stopped(self.progress)?;
-            self.progress.update(
+            self.work.progress.update(
                 "bundle adjustment",
                 round,
                 rounds,
-                &format!("focal {:.1} px", map.focal / self.size.scale),
+                &format!("focal {:.1} px", refined.map.focal / self.size.scale),
             );
-            if let Some(typical) = map.median_error(&self.tracks) {
-                self.geometry.sharpen(typical);
-            }
-            motions = classify(map, &self.tracks, &self.config.motion);
-            for (u, m) in usable.iter_mut().zip(&motions) {
-                *u = *m != Motion::Dynamic;
-            }
-            map.triangulate(&self.tracks, &usable, &self.geometry);
-            self.register_all(map)?;
-            report = map.adjust(&self.tracks, &self.bundle_options(free_focal));
+            refined = self.work.part(&format!("round-{round}"), || {
+                let Refined { map, mut geometry, .. } = refined;
+                if let Some(typical) = map.median_error(&self.tracks) {
+                    geometry.sharpen(typical);
+                }
+                let motions = classify(&map, &self.tracks, &self.config.motion);
+                let usable = usable_by(&motions);
+                self.adjusted(map, geometry, motions, &usable, free_focal, Order::PointsFirst)
+            })?;
         }
-        map.triangulate(&self.tracks, &usable, &self.geometry);
-        self.progress.update("bundle adjustment", rounds, rounds, "");
-        Ok((motions, report))
+        let usable = usable_by(&refined.motions);
+        refined.map.triangulate(&self.tracks, &usable, &refined.geometry);
+        self.work.progress.update("bundle adjustment", rounds, rounds, "");
+        Ok(refined)
+    }
+
+    /// Points of usable tracks, frames that had no pose, and all of them adjusted.
+    fn adjusted(
+        &self,
+        mut map: Map,
+        geometry: GeometryConfig,
+        motions: Vec<Motion>,
+        usable: &[bool],
+        free_focal: bool,
+        order: Order,
+    ) -> Result<Refined, SparseError> {
+        match order {
+            Order::FramesFirst => {
+                self.register_all(&mut map, &geometry)?;
+                map.triangulate(&self.tracks, usable, &geometry);
+            }
+            Order::PointsFirst => {
+                map.triangulate(&self.tracks, usable, &geometry);
+                self.register_all(&mut map, &geometry)?;
+            }
+        }
+        let report = map.adjust(&self.tracks, &bundle_options(&geometry, free_focal), self.work.progress);
+        Ok(Refined {
+            map,
+            geometry,
+            motions,
+            report,
+        })
     }
 
     /// Places the frames that have no pose yet, nearest to placed ones first.
-    fn register_all(&mut self, map: &mut Map) -> Result<(), SparseError> {
+    fn register_all(&self, map: &mut Map, geometry: &GeometryConfig) -> Result<(), SparseError> {
         loop {
-            stopped(self.progress)?;
             let open: Vec<usize> = (0..self.frames).filter(|&i| map.poses[i].is_none()).collect();
             let mut placed = 0;
             for frame in open {
+                self.work.stopped()?;
                 let beside = frame.checked_sub(1).is_some_and(|i| map.poses[i].is_some())
                     || map.poses.get(frame + 1).is_some_and(Option::is_some);
-                placed += usize::from(beside && map.register(&self.tracks, frame, &self.geometry));
+                placed += usize::from(beside && map.register(&self.tracks, frame, geometry));
             }
-            self.progress.update("frames", map.registered(), self.frames, "");
+            self.work.progress.update("frames", map.registered(), self.frames, "");
             if placed == 0 {
                 return Ok(());
             }
         }
+    }
+}
+
+/// A map of all frames, on its way.
+#[derive(Serialize, Deserialize)]
+struct Refined {
+    map: Map,
+    /// The settings, as sharp as the errors of the map allow.
+    geometry: GeometryConfig,
+    /// By track; empty before they were judged.
+    motions: Vec<Motion>,
+    report: BundleReport,
+}
+
+/// Whether frames are placed before points are triangulated anew.
+enum Order {
+    FramesFirst,
+    PointsFirst,
+}
+
+fn usable_by(motions: &[Motion]) -> Vec<bool> {
+    motions.iter().map(|m| *m != Motion::Dynamic).collect()
+}
+
+fn bundle_options(geometry: &GeometryConfig, free_focal: bool) -> BundleOptions {
+    BundleOptions {
+        cauchy_px: geometry.cauchy_px,
+        iterations: geometry.bundle_iterations,
+        tolerance: geometry.bundle_tolerance,
+        free_focal,
+        free_poses: true,
     }
 }

@@ -4,7 +4,7 @@ use super::known::{Known, Recovered};
 use super::luma::WorkingSize;
 use super::reconstruct::{check, check_masks, from_tracks};
 use super::tracking::{RawTrack, track};
-use super::{SparseConfig, SparseError};
+use super::{SparseConfig, SparseError, Work};
 use m4_scene::{Progress, RgbImage};
 
 /// What was followed through a clip. Following takes most of the time of a reconstruction.
@@ -38,12 +38,7 @@ impl Followed {
     /// # Errors
     ///
     /// As [`super::recover`].
-    pub fn recover(
-        &self,
-        known: &Known<'_>,
-        config: &SparseConfig,
-        progress: &dyn Progress,
-    ) -> Result<Recovered, SparseError> {
+    pub fn recover(&self, known: &Known<'_>, config: &SparseConfig, work: &Work<'_>) -> Result<Recovered, SparseError> {
         check_masks(known, self.frames)?;
         from_tracks(
             self.tracks.clone(),
@@ -52,7 +47,7 @@ impl Followed {
             self.working,
             known,
             config,
-            progress,
+            work,
         )
     }
 }

@@ -8,10 +8,11 @@ use super::tracking::RawTrack;
 use super::triangulate::{View, median, triangulate};
 use m4_math::Se3;
 use m4_math::nalgebra::Vector3;
+use m4_scene::Progress;
 use rayon::prelude::*;
 
 /// What is known so far.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(crate) struct Map {
     /// Focal length, working pixels.
     pub focal: f64,
@@ -101,10 +102,12 @@ impl Map {
     /// Of a long clip every n-th frame is adjusted with the points; the frames between follow the points, and points that hardly
     /// any of the adjusted frames sees are triangulated anew. All frames at once would take work that grows with the square of
     /// the length of tracks.
-    pub fn adjust(&mut self, tracks: &[RawTrack], options: &BundleOptions) -> BundleReport {
+    ///
+    /// It ends early when the user asks to stop; what is found then is not to be used.
+    pub fn adjust(&mut self, tracks: &[RawTrack], options: &BundleOptions, progress: &dyn Progress) -> BundleReport {
         let all: Vec<usize> = (0..self.poses.len()).filter(|&i| self.poses[i].is_some()).collect();
         if all.len() <= MOST_FRAMES {
-            return self.adjust_frames(tracks, &all, options);
+            return self.adjust_frames(tracks, &all, options, progress);
         }
         let some: Vec<usize> = spread(all.len(), MOST_FRAMES).iter().map(|&k| all[k]).collect();
         let mut adjusted = self.clone();
@@ -116,7 +119,7 @@ impl Map {
         for (point, held) in adjusted.points.iter_mut().zip(&held) {
             *point = point.filter(|_| *held);
         }
-        let report = adjusted.adjust_frames(tracks, &some, options);
+        let report = adjusted.adjust_frames(tracks, &some, options, progress);
         if options.free_poses {
             adjusted.follow_points(tracks, &all, &some, options.cauchy_px);
         }
@@ -151,7 +154,13 @@ impl Map {
     }
 
     /// Adjusts `frames`, which have poses, and the points that they see.
-    fn adjust_frames(&mut self, tracks: &[RawTrack], frames: &[usize], options: &BundleOptions) -> BundleReport {
+    fn adjust_frames(
+        &mut self,
+        tracks: &[RawTrack],
+        frames: &[usize],
+        options: &BundleOptions,
+        progress: &dyn Progress,
+    ) -> BundleReport {
         let mut index = vec![usize::MAX; self.poses.len()];
         for (k, &i) in frames.iter().enumerate() {
             index[i] = k;
@@ -176,7 +185,7 @@ impl Map {
             log_focal: self.focal.ln(),
             observations,
         };
-        let report = bundle.adjust(options);
+        let report = bundle.adjust(options, progress);
         self.focal = bundle.focal();
         for (&i, pose) in frames.iter().zip(&bundle.poses) {
             self.poses[i] = Some(*pose);

@@ -40,6 +40,7 @@ mod selection;
 mod tracking;
 mod triangulate;
 mod two_view;
+mod work;
 mod zoom;
 mod zoomed;
 
@@ -52,12 +53,4 @@ pub use followed::{Followed, follow};
 pub use known::{FocalSource, Known, Recovered};
 pub use posed::with_cameras;
 pub use reconstruct::{reconstruct, recover};
-
-/// Fails once the user asked to stop.
-fn stopped(progress: &dyn m4_scene::Progress) -> Result<(), SparseError> {
-    if progress.cancelled() {
-        Err(SparseError::Cancelled)
-    } else {
-        Ok(())
-    }
-}
+pub use work::Work;

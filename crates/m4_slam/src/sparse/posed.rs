@@ -9,9 +9,9 @@ use super::motion::{classify, median_far_error};
 use super::reconstruct::{Clip, MIN_TRACKS, check};
 use super::rotation::sway;
 use super::tracking::{RawTrack, track};
-use super::{SparseConfig, SparseError, stopped};
+use super::{SparseConfig, SparseError, Work};
 use crate::reconstruction::{CameraMotion, Motion};
-use m4_scene::{Camera, Progress, RgbImage};
+use m4_scene::{Camera, RgbImage};
 
 /// Share of the tracks that must agree with given poses; below, they are doubted.
 const DOUBTFUL_SHARE: f64 = 0.5;
@@ -29,7 +29,7 @@ pub fn with_cameras(
     cameras: &[Camera],
     known: &Known<'_>,
     config: &SparseConfig,
-    progress: &dyn Progress,
+    work: &Work<'_>,
 ) -> Result<Recovered, SparseError> {
     let (width, height) = check(frames, known, config)?;
     if cameras.len() != frames.len() {
@@ -42,8 +42,8 @@ pub fn with_cameras(
         check_camera(frame, camera, (width, height))?;
     }
     let size = WorkingSize::new(width, height, config.tracking.longest_side_px);
-    let tracks = track(frames, size, &config.tracking, progress)?;
-    posed_tracks(tracks, cameras, [width, height], size, known, config, progress)
+    let tracks = work.part("corners", || track(frames, size, &config.tracking, work.progress))?;
+    posed_tracks(tracks, cameras, [width, height], size, known, config, work)
 }
 
 /// The same from tracks.
@@ -54,7 +54,7 @@ pub(super) fn posed_tracks(
     size: WorkingSize,
     known: &Known<'_>,
     config: &SparseConfig,
-    progress: &dyn Progress,
+    work: &Work<'_>,
 ) -> Result<Recovered, SparseError> {
     let (tracks, masked) = known.part(tracks, size);
     let mut clip = Clip {
@@ -67,7 +67,7 @@ pub(super) fn posed_tracks(
         height,
         config,
         geometry: config.geometry.clone(),
-        progress,
+        work: *work,
         warnings: Vec::new(),
         quiet: false,
     };
@@ -123,7 +123,7 @@ impl Clip<'_> {
         let mut usable = vec![true; self.tracks.len()];
         let mut motions = Vec::new();
         for _ in 0..self.config.motion.rounds.max(1) {
-            stopped(self.progress)?;
+            self.work.stopped()?;
             map.triangulate(&self.tracks, &usable, &self.geometry);
             motions = classify(&map, &self.tracks, &self.config.motion);
             for (usable, motion) in usable.iter_mut().zip(&motions) {

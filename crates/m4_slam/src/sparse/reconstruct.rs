@@ -1,5 +1,6 @@
 //! The whole way from frames to a reconstruction.
 
+use super::SparseError;
 use super::config::{GeometryConfig, SparseConfig};
 use super::degenerate::{standing, turning};
 use super::known::{FocalSource, Known, Lenses, Recovered};
@@ -8,7 +9,7 @@ use super::map::Map;
 use super::motion::classify;
 use super::rotation::{Sway, focal_candidates, focal_from_fov, matches, sway};
 use super::tracking::{RawTrack, track};
-use super::{SparseError, stopped};
+use super::work::Work;
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_scene::{Intrinsics, Progress, RgbImage};
 
@@ -38,7 +39,7 @@ pub fn reconstruct(
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<SparseReconstruction, SparseError> {
-    recover(frames, &Known::default(), config, progress).map(|r| r.sparse)
+    recover(frames, &Known::default(), config, &Work::new(progress)).map(|r| r.sparse)
 }
 
 /// As [`reconstruct`], with what else is known, and with how far the focal length is known afterwards.
@@ -50,12 +51,12 @@ pub fn recover(
     frames: &[&RgbImage],
     known: &Known<'_>,
     config: &SparseConfig,
-    progress: &dyn Progress,
+    work: &Work<'_>,
 ) -> Result<Recovered, SparseError> {
     let (width, height) = check(frames, known, config)?;
     let size = WorkingSize::new(width, height, config.tracking.longest_side_px);
-    let tracks = track(frames, size, &config.tracking, progress)?;
-    from_tracks(tracks, frames.len(), [width, height], size, known, config, progress)
+    let tracks = track(frames, size, &config.tracking, work.progress)?;
+    from_tracks(tracks, frames.len(), [width, height], size, known, config, work)
 }
 
 /// The same from tracks.
@@ -66,7 +67,7 @@ pub(super) fn from_tracks(
     size: WorkingSize,
     known: &Known<'_>,
     config: &SparseConfig,
-    progress: &dyn Progress,
+    work: &Work<'_>,
 ) -> Result<Recovered, SparseError> {
     let (tracks, masked) = known.part(tracks, size);
     let lens = config.intrinsics.map(|[fx, fy, cx, cy]| Intrinsics {
@@ -87,7 +88,7 @@ pub(super) fn from_tracks(
         height,
         config,
         geometry: config.geometry.clone(),
-        progress,
+        work: *work,
         warnings: Vec::new(),
         quiet: false,
     };
@@ -167,7 +168,7 @@ pub(super) struct Clip<'a> {
     pub(super) config: &'a SparseConfig,
     /// The settings, adapted to how much parallax there is.
     pub(super) geometry: GeometryConfig,
-    pub(super) progress: &'a dyn Progress,
+    pub(super) work: Work<'a>,
     pub(super) warnings: Vec<String>,
     /// Whether warnings are kept back for now.
     pub(super) quiet: bool,
@@ -176,7 +177,7 @@ pub(super) struct Clip<'a> {
 impl Clip<'_> {
     pub(super) fn warn(&mut self, message: String) {
         if !self.quiet {
-            self.progress.warn(&message);
+            self.work.progress.warn(&message);
         }
         self.warnings.push(message);
     }
@@ -250,7 +251,7 @@ impl Clip<'_> {
                 return Ok(self.zoomed(zoom));
             }
             for warning in walk.map_or(&self.warnings, |walk| &walk.sparse.warnings) {
-                self.progress.warn(warning);
+                self.work.progress.warn(warning);
             }
         }
         match moving {
@@ -294,7 +295,7 @@ impl Clip<'_> {
 
     /// Rotations alone.
     fn turning(&mut self, focals: &[f64], sway: &Sway) -> Result<Recovered, SparseError> {
-        stopped(self.progress)?;
+        self.work.stopped()?;
         let assumed = self.default_focal();
         let found = turning(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, &self.geometry);
         let note = if found.focal_observed {

@@ -2,11 +2,11 @@
 
 use super::known::Lenses;
 use super::reconstruct::Clip;
-use super::{SparseConfig, SparseError};
+use super::{SparseConfig, SparseError, Work};
 use crate::reconstruction::CameraMotion;
 use m4_math::nalgebra::Vector3;
 use m4_math::{Sim3, log_so3};
-use m4_scene::Camera;
+use m4_scene::{Camera, ShelfPart};
 
 /// How many times as many tracks must agree with other poses.
 const TIMES: usize = 2;
@@ -42,7 +42,13 @@ impl Clip<'_> {
             height: self.height,
             geometry: config.geometry.clone(),
             config: &config,
-            progress: self.progress,
+            work: Work {
+                shelf: &ShelfPart {
+                    shelf: self.work.shelf,
+                    prefix: "free",
+                },
+                ..self.work
+            },
             warnings: Vec::new(),
             quiet: true,
         };

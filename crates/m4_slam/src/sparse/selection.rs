@@ -1,15 +1,15 @@
 //! Which of several starts the reconstruction goes on with.
 
-use super::SparseError;
 use super::bundle::BundleOptions;
 use super::config::GeometryConfig;
 use super::growth::{Start, grow};
 use super::map::Map;
 use super::tracking::RawTrack;
+use super::{SparseError, Work};
 use m4_scene::Progress;
 
 /// The map that explains the tracks best.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(crate) struct Selected {
     /// The winner.
     pub map: Map,
@@ -35,7 +35,7 @@ pub(crate) fn select(
     frames: usize,
     free_focal: bool,
     config: &GeometryConfig,
-    progress: &dyn Progress,
+    work: &Work<'_>,
 ) -> Result<Option<Selected>, SparseError> {
     let usable = vec![true; tracks.len()];
     let mut maps: Vec<Map> = Vec::new();
@@ -43,7 +43,9 @@ pub(crate) fn select(
         if tried >= ENOUGH && !maps.is_empty() {
             break;
         }
-        let grown = grow(tracks, &usable, keys, start, frames, free_focal, config, progress)?;
+        let grown = work.part(&format!("grown-{tried}"), || {
+            grow(tracks, &usable, keys, start, frames, free_focal, config, work)
+        })?;
         let Some(map) = grown.filter(|m| 2 * m.registered_among(keys) >= keys.len()) else {
             continue;
         };
@@ -57,7 +59,8 @@ pub(crate) fn select(
     let medians = maps.iter().filter_map(|m| m.median_error(tracks));
     let least = medians.fold(f64::INFINITY, f64::min);
     if maps.len() > 1 {
-        polish(&mut maps, tracks, least, free_focal, config);
+        polish(&mut maps, tracks, least, free_focal, config, work.progress);
+        work.stopped()?;
     }
     let scale = (3.0 * least).clamp(0.1, config.inlier_px);
     let mut scored: Vec<(f64, Map)> = maps.into_iter().map(|m| (m.explained(tracks, scale), m)).collect();
@@ -73,7 +76,14 @@ pub(crate) fn select(
 }
 
 /// Bundle adjustment with the narrow loss, so that maps which only stopped short of one another meet.
-fn polish(maps: &mut [Map], tracks: &[RawTrack], median_px: f64, free_focal: bool, config: &GeometryConfig) {
+fn polish(
+    maps: &mut [Map],
+    tracks: &[RawTrack],
+    median_px: f64,
+    free_focal: bool,
+    config: &GeometryConfig,
+    progress: &dyn Progress,
+) {
     let mut narrow = config.clone();
     narrow.sharpen(median_px);
     let options = BundleOptions {
@@ -84,7 +94,7 @@ fn polish(maps: &mut [Map], tracks: &[RawTrack], median_px: f64, free_focal: boo
         free_poses: true,
     };
     for map in maps {
-        map.adjust(tracks, &options);
+        map.adjust(tracks, &options, progress);
     }
 }
 

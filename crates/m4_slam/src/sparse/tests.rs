@@ -5,11 +5,12 @@ use super::luma::WorkingSize;
 use super::posed::posed_tracks;
 use super::reconstruct::from_tracks;
 use super::tracking::RawTrack;
-use super::{SparseConfig, SparseError};
+use super::{SparseConfig, SparseError, Work};
 use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_math::nalgebra::Vector3;
 use m4_math::{CounterRng, Se3, Sim3, exp_so3, log_so3};
 use m4_scene::{Camera, Intrinsics, Plane, Silent};
+use m4_testkit::{MemoryShelf, StopAtPoll};
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -107,9 +108,51 @@ fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<
         size,
         &Known::default(),
         config,
-        &Silent,
+        &Work::new(&Silent),
     )
     .map(|r| r.sparse)
+}
+
+#[test]
+fn what_is_interrupted_goes_on_to_the_same_bits() {
+    let scene = Scene { frames: 12, ..ROOM };
+    let (tracks, _) = scene.tracks();
+    let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
+    let config = SparseConfig::default();
+    let go = |work: &Work<'_>| {
+        let known = Known::default();
+        from_tracks(
+            tracks.clone(),
+            scene.frames,
+            [WIDTH, HEIGHT],
+            size,
+            &known,
+            &config,
+            work,
+        )
+        .map(|found| format!("{found:?}"))
+    };
+    let counter = StopAtPoll::after(usize::MAX);
+    let want = go(&Work::new(&counter)).unwrap();
+    let polls = counter.asked();
+    assert!(polls > 50, "asked {polls} times only");
+    let mut kept = 0;
+    for at in (0..polls).step_by(polls / 16) {
+        let shelf = MemoryShelf::default();
+        let stopped = go(&Work {
+            progress: &StopAtPoll::after(at),
+            shelf: &shelf,
+        });
+        assert!(matches!(stopped, Err(SparseError::Cancelled)), "{stopped:?}");
+        let rest = StopAtPoll::after(usize::MAX);
+        let found = go(&Work {
+            progress: &rest,
+            shelf: &shelf,
+        });
+        assert!(found.unwrap() == want, "stopped at poll {at} of {polls}");
+        kept += usize::from(rest.asked() < polls);
+    }
+    assert!(kept > 8, "{kept} of 16 went on from what was kept");
 }
 
 /// Trajectory error over path length after alignment, and the greatest rotation error in radians
@@ -404,7 +447,7 @@ fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
         size,
         &known,
         &config,
-        &Silent,
+        &Work::new(&Silent),
     )
     .map(|r| r.sparse)
 }
@@ -483,7 +526,15 @@ fn tracks_in_given_masks_move_and_do_not_count() {
     let known = Known { masks: Some(&masks) };
     let config = SparseConfig::default();
     let count = tracks.len();
-    let found = from_tracks(tracks, ROOM.frames, [WIDTH, HEIGHT], size, &known, &config, &Silent);
+    let found = from_tracks(
+        tracks,
+        ROOM.frames,
+        [WIDTH, HEIGHT],
+        size,
+        &known,
+        &config,
+        &Work::new(&Silent),
+    );
     let found = found.expect("a reconstruction").sparse;
     assert_eq!(found.tracks.len(), count);
     let inside = |t: &&Track| t.observations.iter().all(|p| p[0] < 150.0);

@@ -4,7 +4,7 @@ use super::config::TrackingConfig;
 use super::corners::fill_empty_cells;
 use super::klt::{Template, follow, inside};
 use super::luma::{Pyramid, WorkingSize, luma};
-use super::{SparseError, stopped};
+use super::{SparseError, Work};
 use m4_scene::{Progress, RgbImage};
 use rayon::prelude::*;
 
@@ -63,7 +63,7 @@ pub(crate) fn track(
         let pyramids: Vec<Pyramid> = batch.par_iter().map(|f| pyramid(f)).collect();
         for (i, current) in pyramids.into_iter().enumerate() {
             let frame = batch_index * BATCH + i;
-            stopped(progress)?;
+            Work::new(progress).stopped()?;
             if let Some(previous) = &previous {
                 let moved: Vec<Option<([f32; 2], Option<Template>)>> = live
                     .par_iter()

@@ -8,7 +8,7 @@ use m4_math::{CounterRng, Se3};
 pub(crate) type Match = ([f64; 2], [f64; 2]);
 
 /// How two frames relate.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(crate) struct TwoView {
     /// First camera to second camera; translation of length 1.
     pub motion: Se3<f64>,

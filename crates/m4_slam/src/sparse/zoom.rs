@@ -14,7 +14,7 @@ use m4_math::{Se3, exp_so3};
 use rayon::prelude::*;
 
 /// One frame of a camera that stays in place.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct Aim {
     /// World to camera.
     pub rotation: Matrix3<f64>,
@@ -23,7 +23,7 @@ pub(crate) struct Aim {
 }
 
 /// A camera that stays in place and zooms.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(crate) struct Zooming {
     /// One a frame; the world is the camera of frame 0.
     pub aims: Vec<Aim>,

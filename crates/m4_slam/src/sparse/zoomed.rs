@@ -1,5 +1,6 @@
 //! What comes of a clip whose lens zooms while the camera stays in place: rotations and a lens a frame.
 
+use super::SparseError;
 use super::config::MotionConfig;
 use super::known::{FocalSource, Lenses, Recovered};
 use super::map::Map;
@@ -7,7 +8,6 @@ use super::motion::{classify, median_far_error};
 use super::reconstruct::{Clip, MIN_TRACKS};
 use super::tracking::RawTrack;
 use super::zoom::{Aim, MOST_PX, Zooming, range, zooming};
-use super::{SparseError, stopped};
 use crate::reconstruction::{CameraMotion, Motion};
 use m4_math::nalgebra::Vector3;
 use m4_math::{Se3, exp_so3, log_so3};
@@ -53,10 +53,13 @@ fn through(tracks: &[RawTrack], aims: &[Aim], focal: f64) -> Vec<RawTrack> {
 impl Clip<'_> {
     /// How the lens zooms, if turns and zooms alone explain the tracks.
     pub(super) fn zoom(&self, focals: &[f64]) -> Result<Option<Zoom>, SparseError> {
-        stopped(self.progress)?;
         let assumed = self.default_focal();
         let cauchy_px = self.geometry.cauchy_px;
-        let Some(found) = zooming(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, cauchy_px) else {
+        let found = self.work.part("zoom", || {
+            let found = zooming(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, cauchy_px);
+            Ok(found)
+        })?;
+        let Some(found) = found else {
             return Ok(None);
         };
         let (least, most) = range(&found.aims);

@@ -24,7 +24,7 @@ pub struct Clip<'a> {
 }
 
 /// The geometry of a clip; lists are `[frames]`.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Tracked {
     /// World to camera, disparities and lens, in the tracker's conventions ([`crate::dba`]). The first camera is the
     /// origin.

@@ -17,7 +17,7 @@ use m4_io::capture::Split;
 use m4_scene::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, RgbImage, Tracks, Video};
 use m4_slam::dense::{self, Dense, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, densify};
 use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_slam::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError};
+use m4_slam::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError, Work};
 use std::path::Path;
 
 /// Given poses and given depth whose units differ by more than this factor do not fit.
@@ -139,13 +139,23 @@ fn by_corners(
     let (mut recovered, followed) = match &given.cameras {
         Some(cameras) => (
             steps.keep("cameras", |observer| {
-                sparse::with_cameras(&pictures, cameras, &known, &config, observer)
+                let work = Work {
+                    progress: observer,
+                    shelf: &steps.part("cameras"),
+                };
+                sparse::with_cameras(&pictures, cameras, &known, &config, &work)
             })?,
             None,
         ),
         None => {
             let followed = steps.keep("corners", |observer| sparse::follow(&pictures, &config, observer))?;
-            let recovered = steps.keep("cameras", |observer| followed.recover(&known, &config, observer))?;
+            let recovered = steps.keep("cameras", |observer| {
+                let work = Work {
+                    progress: observer,
+                    shelf: &steps.part("cameras"),
+                };
+                followed.recover(&known, &config, &work)
+            })?;
             (recovered, Some(followed))
         }
     };
@@ -260,7 +270,11 @@ fn once_more(
         let known = Known { masks: Some(&masks) };
         // What the second look says of the clip was said by the first, or is said when it is taken.
         let second = steps.keep("second-cameras", |observer| {
-            match followed.recover(&known, config, &Quiet(observer)) {
+            let work = Work {
+                progress: &Quiet(observer),
+                shelf: &steps.part("second-cameras"),
+            };
+            match followed.recover(&known, config, &work) {
                 Err(stop @ SparseError::Cancelled) => Err(stop),
                 other => Ok(other.ok().filter(|r| r.sparse.camera_motion == CameraMotion::Parallax)),
             }

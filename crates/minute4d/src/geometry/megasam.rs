@@ -80,6 +80,7 @@ pub(super) fn compute(
             flow.as_mut(),
             &settings.megasam,
             observer,
+            &steps.part("megasam"),
         )?)
     })?;
     drop(prior);

@@ -26,9 +26,11 @@ mod tracklet;
 mod tests;
 
 use super::config::{BodyConfig, MovingDepthConfig};
+use super::densify::each;
+use super::error::DenseError;
 use super::flow::FlowPair;
 use super::smooth::Smoother;
-use m4_scene::Camera;
+use m4_scene::{Camera, Progress};
 use rayon::prelude::*;
 pub(super) use tracklet::Tracklet;
 
@@ -48,23 +50,27 @@ pub(super) struct Clip<'a> {
 
 /// Replaces the disparity of moving parts, `[height][width]` by frame, where a part could be followed long
 /// enough to be understood as a body.
+///
+/// # Errors
+///
+/// [`DenseError::Cancelled`].
 pub(super) fn place<'s>(
     clip: &Clip<'_>,
     smoother: impl Fn(usize) -> Smoother + Sync + 's,
     contact: &MovingDepthConfig,
     config: &BodyConfig,
     disparity: &mut [Vec<f32>],
-) {
+    progress: &dyn Progress,
+) -> Result<(), DenseError> {
     let tracklets = tracklet::follow(clip, config);
     let before: &[Vec<f32>] = disparity;
-    let bodies: Vec<_> = tracklets
-        .par_iter()
-        .filter_map(|t| {
-            let shape = rigid::reconstruct(clip, t, before, config)?;
-            let reading = scale::read(clip, t, &shape, contact, config)?;
-            Some((t, shape, reading))
-        })
-        .collect();
+    let bodies = each(tracklets.len(), "shaping moving parts", progress, |i| {
+        let t = &tracklets[i];
+        let shape = rigid::reconstruct(clip, t, before, config)?;
+        let reading = scale::read(clip, t, &shape, contact, config)?;
+        Some((t, shape, reading))
+    })?;
+    let bodies: Vec<_> = bodies.into_iter().flatten().collect();
     let scales = scale::settle(&bodies.iter().map(|(_, _, reading)| reading).collect::<Vec<_>>());
     let mut scales: Vec<Vec<f32>> = bodies
         .iter()
@@ -88,6 +94,7 @@ pub(super) fn place<'s>(
             spread(clip, i, &smoother(i), &bodies, &values[i], config, disparity);
         }
     });
+    Ok(())
 }
 
 /// Corrects the scales (by body and frame) of what flies.

@@ -6,7 +6,7 @@ use super::super::smooth::Smoother;
 use super::{Clip, place};
 use m4_math::Se3;
 use m4_math::nalgebra::{Vector3, Vector6};
-use m4_scene::{Camera, Intrinsics};
+use m4_scene::{Camera, Intrinsics, Silent};
 
 const W: usize = 160;
 const H: usize = 120;
@@ -151,7 +151,15 @@ fn errors_with(disc: &Disc, guess: impl Fn(usize) -> f32, config: &BodyConfig) -
         flows: &world.flows,
     };
     let smoother = |_: usize| Smoother::new(W, H, &[[90; 3]; W * H], 8.0);
-    place(&clip, smoother, &MovingDepthConfig::default(), config, &mut disparity);
+    let done = place(
+        &clip,
+        smoother,
+        &MovingDepthConfig::default(),
+        config,
+        &mut disparity,
+        &Silent,
+    );
+    done.expect("nobody stops it");
     (before, error(&disparity))
 }
 

@@ -14,6 +14,7 @@ pub(crate) use jacobian::Jacobian;
 use jacobian::project;
 use m4_math::Se3;
 use m4_math::nalgebra::{Vector3, Vector6};
+use m4_scene::Progress;
 use rayon::prelude::*;
 use system::{Reduced, reduce, substitute};
 
@@ -57,7 +58,7 @@ pub(crate) struct BundleOptions {
 }
 
 /// How it went.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(crate) struct BundleReport {
     /// Mean loss an observation, squared pixels.
     pub cost: f64,
@@ -72,8 +73,9 @@ impl Bundle {
         self.log_focal.exp()
     }
 
-    /// Levenberg and Marquardt's method with Nielsen's damping rule (1999).
-    pub fn adjust(&mut self, options: &BundleOptions) -> BundleReport {
+    /// Levenberg and Marquardt's method with Nielsen's damping rule (1999). It ends at once when the user asks to stop; what
+    /// is found then is not to be used.
+    pub fn adjust(&mut self, options: &BundleOptions, progress: &dyn Progress) -> BundleReport {
         let runs = point_runs(&self.observations, self.points.len());
         let fixed = self.observations.iter().map(|o| o.pose).min().unwrap_or(0);
         let mut cost = self.cost(options);
@@ -81,6 +83,9 @@ impl Bundle {
         let mut log_focal_sigma = f64::INFINITY;
         let mut jacobians = self.linearise(options);
         for _ in 0..options.iterations {
+            if progress.cancelled() {
+                break;
+            }
             let system = reduce(self, &jacobians, &runs, damping, fixed, options);
             let Some((step, sigma)) = system.solve() else {
                 damping *= growth;
@@ -212,6 +217,7 @@ mod tests {
     use super::{Bundle, BundleOptions, Observation};
     use m4_math::nalgebra::{Vector3, Vector6};
     use m4_math::{CounterRng, Se3, Sim3, exp_so3};
+    use m4_scene::Silent;
 
     /// Eight cameras on an arc around 60 points, all seen everywhere, every tenth sighting wrong.
     fn scene() -> Bundle {
@@ -269,7 +275,7 @@ mod tests {
             *point += Vector3::from_fn(|_, _| 0.03 * rng.normal());
         }
         bundle.log_focal += 0.08;
-        let report = bundle.adjust(&options(true));
+        let report = bundle.adjust(&options(true), &Silent);
         assert!((bundle.focal() / 400.0 - 1.0).abs() < 2e-3, "{}", bundle.focal());
         let fit = Sim3::umeyama(&bundle.points, &truth.points).expect("a cloud");
         let worst = bundle
@@ -296,7 +302,7 @@ mod tests {
             free_poses: false,
             ..options(false)
         };
-        let report = bundle.adjust(&held);
+        let report = bundle.adjust(&held, &Silent);
         assert!(report.cost < before && report.log_focal_sigma.is_infinite());
         assert_eq!((bundle.log_focal, &bundle.poses), (focal, &poses));
     }
@@ -309,6 +315,6 @@ mod tests {
             log_focal: 6.0,
             observations: Vec::new(),
         };
-        assert_eq!(bundle.adjust(&options(true)).cost, 0.0);
+        assert_eq!(bundle.adjust(&options(true), &Silent).cost, 0.0);
     }
 }
