@@ -137,6 +137,13 @@ pub enum WriteSceneError {
 }
 
 impl WriteSceneError {
+    /// Whether the disk or the quota is full: with more room it would be written.
+    #[must_use]
+    pub fn wants_room(&self) -> bool {
+        let full = [io::ErrorKind::StorageFull, io::ErrorKind::QuotaExceeded];
+        matches!(self, Self::Io { source, .. } if full.contains(&source.kind()))
+    }
+
     /// The sort of this failure.
     #[must_use]
     pub fn kind(&self) -> ErrorKind {

@@ -77,6 +77,9 @@ impl Checkpoints {
         let metadata = BTreeMap::from([(KEY.to_owned(), self.key.clone())]);
         let mut write = || trainer.save(|scene, state| scene_file::write(&path, scene, Some(state), &metadata));
         if let Err(error) = write() {
+            if !error.wants_room() {
+                return Err(error.into());
+            }
             let all = folder::checkpoints(&self.folder);
             let Some((_, older)) = all.split_last().filter(|(_, older)| !older.is_empty()) else {
                 return Err(error.into());

@@ -41,8 +41,7 @@ impl MetricsLog {
 
     /// Writes the file, whole or not at all.
     pub fn write(&self) -> Result<(), Error> {
-        let mut text = self.lines.join("\n");
-        text.push('\n');
+        let text: String = self.lines.iter().flat_map(|line| [line.as_str(), "\n"]).collect();
         atomic::write(&self.path, text.as_bytes()).map_err(|source| Error::Write {
             path: self.path.clone(),
             source,
@@ -77,6 +76,8 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("metrics.jsonl");
         let mut log = MetricsLog::new(&path);
+        log.write().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"", "no line without an event");
         for i in [50, 100, 150] {
             log.push(&event(i));
         }
