@@ -151,7 +151,7 @@ pub fn work(
             return Ok(summary);
         }
         waiting = held;
-        worker.rest();
+        worker.rest(waiting.len());
     }
 }
 
@@ -180,6 +180,10 @@ impl Summary {
     }
 }
 
+/// Rest for each job that another worker has, and the longest before looking again.
+const LOOK: Duration = Duration::from_millis(500);
+const LONGEST_REST: Duration = Duration::from_secs(10);
+
 /// What a worker needs for every job.
 struct Worker<'a> {
     manifest: &'a Manifest,
@@ -191,9 +195,10 @@ struct Worker<'a> {
 }
 
 impl Worker<'_> {
-    /// Between two looks at jobs that others have.
-    fn rest(&self) {
-        let long = (self.options.lease / 4).clamp(Duration::from_millis(200), Duration::from_secs(10));
+    /// Between two looks at `held` jobs that others have: the more there are, the longer, for the file server's sake.
+    fn rest(&self, held: usize) {
+        let each = LOOK.saturating_mul(u32::try_from(held).unwrap_or(u32::MAX));
+        let long = each.clamp(LOOK, LONGEST_REST).min(self.options.lease / 4);
         let start = Instant::now();
         while start.elapsed() < long && !self.listener.stop() {
             thread::sleep(Duration::from_millis(50));
