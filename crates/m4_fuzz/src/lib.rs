@@ -1,7 +1,7 @@
 //! Every reader of files, as the fuzzer and the replay of its findings call it.
 //!
 //! ```text
-//! table     all readers of m4_io, m4_formats and m4_import: a name, a file among others, sound contents, the call
+//! table     all readers of m4_io, m4_formats, m4_import and of the program itself: a name, a file among others, sound contents, the call
 //! reader    one of them: its folder, the bytes put where they belong, what came of it
 //! dress     what bytes are wrapped in so that harm goes deeper than a checksum: chunks of PNG, gzip, members of archives
 //! sound     what is wrong with what was read, if something is

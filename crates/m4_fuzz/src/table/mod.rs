@@ -5,6 +5,7 @@
 //! formats   splats and cameras of other tools
 //! import    clips of other tools: one row for each file that is parsed
 //! side      depth, masks and tracks that are given with a clip
+//! program   settings, records, manifests of batches and what workers leave
 //! broken    readers that do harm, for the tests of those who look for it
 //! ```
 
@@ -13,6 +14,7 @@ mod formats;
 mod import;
 mod io;
 mod made;
+mod program;
 mod side;
 
 use crate::dress::Dress;
@@ -23,10 +25,16 @@ use std::path::Path;
 /// Every reader, in the order of the crates; names are unique.
 #[must_use]
 pub fn readers() -> Vec<Reader> {
-    [io::rows(), formats::rows(), import::rows(), side::rows()]
-        .into_iter()
-        .flatten()
-        .collect()
+    [
+        io::rows(),
+        formats::rows(),
+        import::rows(),
+        side::rows(),
+        program::rows(),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 /// Readers that do harm, each in its own way: what looks for harm has to find it in them.

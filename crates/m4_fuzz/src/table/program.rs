@@ -1,0 +1,178 @@
+//! Readers of the program and its batches: settings, records of runs, manifests, what workers leave for one another.
+
+use super::{alone, made};
+use crate::reader::{Around, Outcome, Reader};
+use minute4d::batch::lease::Holder;
+use minute4d::batch::{Arguments, Job, JobRecord, Manifest, Report, VERSION, Verdict};
+use minute4d::record::{self, Device, GEOMETRY_FORMAT, GeometryRecord, Input, RunRecord, Status};
+use minute4d::settings::{Layers, Settings};
+use serde::Serialize;
+use std::path::Path;
+use std::time::Duration;
+
+pub fn rows() -> Vec<Reader> {
+    vec![
+        alone("program-settings", "a.toml", settings, |p| {
+            let read = Layers::new(Settings::default()).and_then(|layers| layers.file(p));
+            Outcome::of(read.map(Layers::finish), |_| None)
+        }),
+        below("program-run-record", "run.json", runs, |p| {
+            Outcome::of(RunRecord::read(p), |_| None)
+        }),
+        below("program-geometry-record", "geometry.json", geometries, |p| {
+            Outcome::of(GeometryRecord::read(p), |_| None)
+        }),
+        alone("batch-manifest", "jobs.jsonl", manifests, |p| {
+            Outcome::of(Manifest::read(p), |read| {
+                let same = read.jobs.iter().map(|job| job.id.to_lowercase());
+                let mut ids: Vec<String> = same.collect();
+                ids.sort_unstable();
+                ids.dedup();
+                (ids.len() < read.jobs.len()).then(|| "two jobs of one name".to_owned())
+            })
+        }),
+        below("batch-record", ".state/clip.json", records, report),
+        below("batch-lease", ".lease/clip/000001.json", leases, report),
+        below("batch-result-mark", "clip/batch.json", marks, report),
+    ]
+}
+
+/// A reader of a folder in which the bytes are `file`.
+fn below(
+    name: &'static str,
+    file: &str,
+    seeds: fn() -> Vec<Vec<u8>>,
+    call: impl Fn(&Path) -> Outcome + Send + Sync + 'static,
+) -> Reader {
+    Reader {
+        given: String::new(),
+        around: Around::Nothing,
+        ..alone(name, file, seeds, call)
+    }
+}
+
+fn json(value: &impl Serialize) -> Vec<u8> {
+    serde_json::to_vec_pretty(value).unwrap_or_else(|e| panic!("a sound value: {e}"))
+}
+
+fn settings() -> Vec<Vec<u8>> {
+    let text = |s: Settings| s.to_toml().unwrap_or_else(|e| panic!("sound settings: {e}"));
+    vec![
+        text(Settings::fast()).into_bytes(),
+        text(Settings::faithful()).into_bytes(),
+        b"[train]\niterations = 3\n".to_vec(),
+    ]
+}
+
+fn input() -> Input {
+    Input {
+        path: "a clip.mp4".to_owned(),
+        blake3: "00".repeat(32),
+    }
+}
+
+fn runs() -> Vec<Vec<u8>> {
+    let device = Device::here(minute4d::kernels::SimdLevel::best(), None);
+    let record = RunRecord::begin(input(), "fast", &Settings::fast(), device);
+    vec![json(&record.unwrap_or_else(|e| panic!("a sound record: {e}")))]
+}
+
+fn geometries() -> Vec<Vec<u8>> {
+    let record = GeometryRecord {
+        format: GEOMETRY_FORMAT.to_owned(),
+        version: record::VERSION,
+        minute4d: "0.1.0".to_owned(),
+        status: Status::Finished,
+        input: input(),
+        key: "00".repeat(32),
+        settings: serde_json::Value::Null,
+        found: None,
+        seconds: 1.5,
+        peak_memory_bytes: Some(1 << 20),
+        warnings: vec!["blurred".to_owned()],
+    };
+    vec![json(&record)]
+}
+
+fn manifest(results: &str) -> Manifest {
+    let job = |id: &str| Job {
+        id: id.to_owned(),
+        input: format!("/clips/{id}.mp4"),
+        bytes: 1000,
+        blake3: Some("00".repeat(32)),
+        etag: None,
+        output: format!("{results}/{id}"),
+        estimate_s: Some(20.0),
+        estimate_of: Some("a clip like it".to_owned()),
+    };
+    Manifest {
+        results: results.to_owned(),
+        upload: None,
+        run: Arguments {
+            settings: "[train]\niterations = 3\n".to_owned(),
+            arguments: vec!["--device".to_owned(), "cpu".to_owned()],
+        },
+        jobs: vec![job("clip"), job("other")],
+    }
+}
+
+fn manifests() -> Vec<Vec<u8>> {
+    vec![made::written("jobs.jsonl", |p| manifest("/results").write(p, false))]
+}
+
+/// What is seen of a batch whose results are in `folder`.
+fn report(folder: &Path) -> Outcome {
+    let read = Report::read(&manifest(&folder.to_string_lossy()), Duration::from_secs(60));
+    Outcome::of(read, |report| {
+        let sum: usize = report.counts.values().sum();
+        if sum != report.jobs {
+            return Some(format!("{sum} clips in all states, {} in all", report.jobs));
+        }
+        let _ = report.table(false);
+        None
+    })
+}
+
+fn records() -> Vec<Vec<u8>> {
+    let manifest = manifest("/results");
+    let record = |verdict| JobRecord {
+        version: VERSION,
+        id: "clip".to_owned(),
+        key: manifest.jobs[0].key(&manifest.run),
+        verdict,
+        reason: "exit code 65".to_owned(),
+        code: Some(65),
+        attempts: 2,
+        vanished: 1,
+        seconds: 12.5,
+        host: "node".to_owned(),
+        when_s: 1_700_000_000,
+        uploaded: false,
+    };
+    [Verdict::Poison, Verdict::Failed]
+        .map(|verdict| json(&record(verdict)))
+        .to_vec()
+}
+
+fn leases() -> Vec<Vec<u8>> {
+    let holder = Holder {
+        nonce: "0123456789abcdef".to_owned(),
+        host: "node".to_owned(),
+        pid: 17,
+        since_s: 1_700_000_000,
+        released: true,
+    };
+    vec![json(&holder)]
+}
+
+fn marks() -> Vec<Vec<u8>> {
+    let manifest = manifest("/results");
+    vec![json(&serde_json::json!({
+        "format": "minute4d-batch-result",
+        "version": VERSION,
+        "id": "clip",
+        "key": manifest.jobs[0].key(&manifest.run),
+        "host": "node",
+        "when_s": 1_700_000_000,
+    }))]
+}
