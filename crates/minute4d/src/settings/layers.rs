@@ -3,6 +3,7 @@
 //! A layer is checked when it is laid: its error names the layer, the key and, where a key is not
 //! known, the nearest one that is.
 
+use m4_io::shortened;
 use serde::{Serialize, de::DeserializeOwned};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -20,7 +21,7 @@ pub enum SettingsError {
         source: std::io::Error,
     },
     /// The file is not TOML.
-    #[error("{} is not valid TOML: {reason}", path.display())]
+    #[error("{} is not valid TOML: {}", path.display(), shortened(reason))]
     Syntax {
         /// The file given.
         path: PathBuf,
@@ -34,7 +35,7 @@ pub enum SettingsError {
         given: String,
     },
     /// A key that no setting has.
-    #[error("{layer}: there is no setting {key:?}{}; known here: {}", suggest(suggestion), known.join(", "))]
+    #[error("{layer}: there is no setting {:?}{}; known here: {}", shortened(key), suggest(suggestion), known.join(", "))]
     UnknownKey {
         /// The file or argument.
         layer: String,
@@ -46,7 +47,12 @@ pub enum SettingsError {
         known: Vec<String>,
     },
     /// A value of the wrong type or out of range.
-    #[error("{layer}: {key} = {value} does not work: {reason}")]
+    #[error(
+        "{layer}: {} = {} does not work: {}",
+        shortened(key),
+        shortened(value),
+        shortened(reason)
+    )]
     BadValue {
         /// The file or argument.
         layer: String,
