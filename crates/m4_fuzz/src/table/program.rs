@@ -3,7 +3,7 @@
 use super::{alone, made};
 use crate::reader::{Around, Outcome, Reader};
 use minute4d::batch::lease::Holder;
-use minute4d::batch::{Arguments, Job, JobRecord, Manifest, Report, VERSION, Verdict};
+use minute4d::batch::{Arguments, ClipReport, Job, JobRecord, Manifest, Report, VERSION, Verdict};
 use minute4d::record::{self, Device, GEOMETRY_FORMAT, GeometryRecord, Input, RunRecord, Status};
 use minute4d::settings::{Layers, Settings};
 use serde::Serialize;
@@ -16,11 +16,9 @@ pub fn rows() -> Vec<Reader> {
             let read = Layers::new(Settings::default()).and_then(|layers| layers.file(p));
             Outcome::of(read.map(Layers::finish), |_| None)
         }),
-        below("program-run-record", "run.json", runs, |p| {
-            Outcome::of(RunRecord::read(p), |_| None)
-        }),
+        below("program-run-record", "run.json", runs, |p| usable(RunRecord::read(p))),
         below("program-geometry-record", "geometry.json", geometries, |p| {
-            Outcome::of(GeometryRecord::read(p), |_| None)
+            usable(GeometryRecord::read(p))
         }),
         alone("batch-manifest", "jobs.jsonl", manifests, |p| {
             Outcome::of(Manifest::read(p), |read| {
@@ -123,6 +121,14 @@ fn manifests() -> Vec<Vec<u8>> {
 /// What is seen of a batch whose results are in `folder`.
 fn report(folder: &Path) -> Outcome {
     let read = Report::read(&manifest(&folder.to_string_lossy()), Duration::from_secs(60));
+    // What cannot be understood counts as not there, or as somebody else's.
+    let understood = |clip: &ClipReport| {
+        let of_batch = |reason: &String| reason.starts_with("its result is of");
+        clip.host.is_some() || clip.reason.as_ref().is_some_and(of_batch)
+    };
+    if read.as_ref().is_ok_and(|report| !report.clips.iter().any(understood)) {
+        return Outcome::Refused("nothing that can be used".to_owned());
+    }
     Outcome::of(read, |report| {
         let sum: usize = report.counts.values().sum();
         if sum != report.jobs {
@@ -131,6 +137,14 @@ fn report(folder: &Path) -> Outcome {
         let _ = report.table(false);
         None
     })
+}
+
+/// A record that is damaged is none: the stage begins anew.
+fn usable<T, E: std::fmt::Display>(read: Result<Option<T>, E>) -> Outcome {
+    match read {
+        Ok(None) => Outcome::Refused("no record that can be used".to_owned()),
+        read => Outcome::of(read, |_| None),
+    }
 }
 
 fn records() -> Vec<Vec<u8>> {
@@ -160,7 +174,7 @@ fn leases() -> Vec<Vec<u8>> {
         host: "node".to_owned(),
         pid: 17,
         since_s: 1_700_000_000,
-        released: true,
+        released: false,
     };
     vec![json(&holder)]
 }
