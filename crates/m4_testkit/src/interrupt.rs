@@ -2,43 +2,31 @@
 
 use m4_scene::{Progress, Shelf};
 use std::collections::HashMap;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// A shelf in memory.
 #[derive(Debug, Default)]
 pub struct MemoryShelf(Mutex<HashMap<String, Vec<u8>>>);
 
 impl MemoryShelf {
-    /// Names of what is there, in order.
-    ///
-    /// # Panics
-    ///
-    /// If another thread panicked here.
-    #[must_use]
-    pub fn names(&self) -> Vec<String> {
-        let mut names: Vec<String> = self.0.lock().unwrap().keys().cloned().collect();
-        names.sort();
-        names
+    fn all(&self) -> MutexGuard<'_, HashMap<String, Vec<u8>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Removes what has this name.
-    ///
-    /// # Panics
-    ///
-    /// If another thread panicked here.
     pub fn remove(&self, name: &str) {
-        self.0.lock().unwrap().remove(name);
+        self.all().remove(name);
     }
 }
 
 impl Shelf for MemoryShelf {
     fn get(&self, name: &str) -> Option<Vec<u8>> {
-        self.0.lock().unwrap().get(name).cloned()
+        self.all().get(name).cloned()
     }
 
     fn put(&self, name: &str, bytes: &[u8]) {
-        self.0.lock().unwrap().insert(name.to_owned(), bytes.to_vec());
+        self.all().insert(name.to_owned(), bytes.to_vec());
     }
 }
 
