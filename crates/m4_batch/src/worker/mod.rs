@@ -183,6 +183,8 @@ impl Summary {
 /// Rest for each job that another worker has, and the longest before looking again.
 const LOOK: Duration = Duration::from_millis(500);
 const LONGEST_REST: Duration = Duration::from_secs(10);
+/// However short leases are.
+const LEAST_REST: Duration = Duration::from_millis(200);
 
 /// What a worker needs for every job.
 struct Worker<'a> {
@@ -198,7 +200,10 @@ impl Worker<'_> {
     /// Between two looks at `held` jobs that others have: the more there are, the longer, for the file server's sake.
     fn rest(&self, held: usize) {
         let each = LOOK.saturating_mul(u32::try_from(held).unwrap_or(u32::MAX));
-        let long = each.clamp(LOOK, LONGEST_REST).min(self.options.lease / 4);
+        let long = each
+            .clamp(LOOK, LONGEST_REST)
+            .min(self.options.lease / 4)
+            .max(LEAST_REST);
         let start = Instant::now();
         while start.elapsed() < long && !self.listener.stop() {
             thread::sleep(Duration::from_millis(50));
