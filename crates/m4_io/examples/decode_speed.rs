@@ -1,5 +1,5 @@
 //! How long a clip takes to decode in this process and in one of its own (docs/video.md):
-//! `cargo run -p m4_io --example decode_speed -- CLIP [ROUNDS]`.
+//! `cargo run --release -p m4_io --example decode_speed -- CLIP [ROUNDS]`.
 
 use m4_io::video::{DecoderProgram, VideoOptions, read_with, serve_decoder};
 use m4_scene::Silent;

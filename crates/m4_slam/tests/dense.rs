@@ -3,12 +3,13 @@
 
 use m4_math::Se3;
 use m4_math::nalgebra::Vector3;
-use m4_scene::{Camera, Intrinsics, Mask, Plane, Progress, RgbImage, Silent};
+use m4_scene::{Camera, Intrinsics, Mask, NoShelf, Plane, Progress, RgbImage, Shelf, Silent};
 use m4_slam::dense::{
     DenseConfig, DenseError, DenseFrame, Given, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
     SegmentMask, SegmentPrompt, Segmenter, Sources,
 };
 use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_testkit::{MemoryShelf, StopAtPoll};
 use std::borrow::Cow;
 use std::sync::Mutex;
 
@@ -19,16 +20,23 @@ fn densify(
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
+    keeping(frames, sparse, config, progress, &NoShelf)
+}
+
+/// The same, with finished parts on a shelf.
+fn keeping(
+    frames: &[&RgbImage],
+    sparse: &SparseReconstruction,
+    config: &DenseConfig,
+    progress: &dyn Progress,
+    shelf: &dyn Shelf,
+) -> Result<Vec<DenseFrame>, DenseError> {
     let flow = InverseSearch::default();
-    m4_slam::dense::densify(
-        frames,
-        sparse,
-        &Sources::flow(&flow),
-        &Given::default(),
-        config,
-        progress,
-    )
-    .map(|dense| dense.frames)
+    let sources = Sources {
+        shelf,
+        ..Sources::flow(&flow)
+    };
+    m4_slam::dense::densify(frames, sparse, &sources, &Given::default(), config, progress).map(|dense| dense.frames)
 }
 
 const SIZE: (usize, usize) = (128, 96);
@@ -192,6 +200,35 @@ fn any_number_of_threads_gives_the_same_bits() {
         })
     };
     assert_eq!(run(1), run(3));
+}
+
+#[test]
+fn what_was_stopped_goes_on_to_the_same_bits() {
+    const FEW: usize = 6;
+    let drawn = draw(0.06);
+    let frames = &references(&drawn)[..FEW];
+    let sparse = first(&sparse(&drawn, CameraMotion::Parallax), FEW);
+    let mut config = DenseConfig::default();
+    config.consistent.optimiser.stage1.steps = 3;
+    config.consistent.optimiser.stage2.steps = 3;
+    let go = |progress: &dyn Progress, shelf: &dyn Shelf| keeping(frames, &sparse, &config, progress, shelf);
+    let counter = StopAtPoll::after(usize::MAX);
+    let want = go(&counter, &NoShelf).unwrap();
+    let polls = counter.asked();
+    let mut spared = Vec::new();
+    // Once in each phase.
+    for at in (0..polls).step_by(FEW) {
+        let shelf = MemoryShelf::default();
+        let stopped = go(&StopAtPoll::after(at), &shelf);
+        assert!(matches!(stopped, Err(DenseError::Cancelled { .. })), "{stopped:?}");
+        let rest = StopAtPoll::after(usize::MAX);
+        assert!(go(&rest, &shelf).unwrap() == want, "stopped at poll {at} of {polls}");
+        spared.push(polls - rest.asked());
+    }
+    // Of rounds, sharp masks and depth of what stands still, each spares more than the one before.
+    spared.sort_unstable();
+    spared.dedup();
+    assert!(spared.len() >= 5, "{spared:?}");
 }
 
 fn first(sparse: &SparseReconstruction, n: usize) -> SparseReconstruction {

@@ -240,7 +240,6 @@ fn montage(truth: &Truth, stages: &Stages, i: usize, path: &Path) {
                 [(128.0 + 10.0 * u) as u8, (128.0 + 10.0 * v) as u8, 128]
             });
             let tint = |m: bool| if m { [255, rgb[1] / 2, rgb[2] / 2] } else { rgb };
-            let e = stages.evidence[i][p];
             let cells = [
                 tint(truth.moving.get(i).is_some_and(|m| m[at] != 0)),
                 truth.depth.get(i).map_or(rgb, |d| shade(1.0 / d[at] / factor)),
@@ -248,7 +247,7 @@ fn montage(truth: &Truth, stages: &Stages, i: usize, path: &Path) {
                 tint(stages.moving[i][p] != 0),
                 shade(stages.disparity[i][p]),
                 shade(stages.swept[i].disparity[p]),
-                [(127.0 + 127.0 * e.clamp(-1.0, 1.0)) as u8; 3],
+                [(255.0 * confidence) as u8; 3],
                 shade(stages.filled[i][p]),
                 if confidence > 0.0 {
                     shade(stages.measured[i].disparity[p])

@@ -1,5 +1,6 @@
 //! The dense half from end to end.
 
+use super::apart::{self, Apart};
 use super::background::Background;
 use super::bodies;
 use super::config::DenseConfig;
@@ -11,12 +12,9 @@ use super::given::Given;
 use super::ground::Ground;
 use super::kept::{Placed, numbers};
 use super::mono::Mono;
-use super::motion::{self, Clues, Seen};
+use super::motion::{self, Clues};
 use super::moving_depth;
-use super::plate;
-use super::segment;
 use super::shot::{Shot, sparse_points};
-use super::smooth::Smoother;
 use super::sources::Sources;
 use super::static_depth::{self, Measured, Swept};
 use super::tracks;
@@ -49,8 +47,6 @@ pub struct Dense {
 
 /// Sides below this, at the working size, have no neighbourhood of 5x5 pixels at half of it: long, thin pictures.
 const LEAST_CONSISTENT: usize = 16;
-/// How often depth and motion are estimated in turn.
-const ROUNDS: usize = 2;
 /// Fewer frames have no background that is seen most of the time.
 const LEAST_BACKGROUND: usize = 8;
 
@@ -64,7 +60,6 @@ pub(super) struct Stages {
     pub swept: Vec<Swept>,
     pub measured: Vec<Measured>,
     pub filled: Vec<Vec<f32>>,
-    pub evidence: Vec<Vec<f32>>,
     pub moving: Vec<Vec<u8>>,
     pub disparity: Vec<Vec<f32>>,
 }
@@ -196,8 +191,6 @@ fn estimate(
             disparity: numbers(sources.shelf, &format!("swept-{i:05}"), w * h, sweep),
         }
     })?;
-    // Made anew where needed: cheaper than keeping them.
-    let smoother = |i: usize| Smoother::new(w, h, &shots[i].frame.rgb, config.static_depth.fill_sigma);
     let still = sparse.camera_motion == CameraMotion::Static && count >= LEAST_BACKGROUND;
     let clues = Clues {
         cameras: working.iter().map(|f| f.camera).collect(),
@@ -205,102 +198,30 @@ fn estimate(
         background: still.then(|| Background::new(&working)),
     };
     drop(working);
-
-    // Motion spoils depth and depth shows motion: the second round knows the masks of the first.
-    let told = given.masks.is_some();
-    let mut moving: Option<Vec<Vec<u8>>> = (0..count).map(|i| given.mask(i, w, h)).collect();
-    let mut last = None;
-    for _ in 0..if told { 1 } else { ROUNDS } {
-        let measured = each(count, "comparing depth", progress, |i| {
-            let mut measured = static_depth::measure(&shots, &swept, moving.as_deref(), i, &config.static_depth);
-            mono.impose(i, &mut measured, moving.as_ref().map(|m| m[i].as_slice()));
-            measured
-        })?;
-        let filled = each(count, "filling depth", progress, |i| {
-            if parallax {
-                let moving = moving.as_ref().map(|m| m[i].as_slice());
-                let measured = mono.with_prior(i, &measured[i], moving);
-                static_depth::fill(&shots[i], &smoother(i), &measured, moving, &config.static_depth)
-            } else {
-                mono.without_parallax(i, w * h)
-            }
-        })?;
-        let mut evidence = each(count, "finding motion", progress, |i| {
-            let seen = Seen {
-                frame: &shots[i].frame,
-                disparity: &filled[i],
-                confidence: &measured[i].confidence,
-            };
-            motion::evidence(&clues, &shots, &flows, i, &seen, &smoother(i), &config.motion)
-        })?;
-        for _ in 0..config.motion.votes {
-            evidence = each(count, "voting on motion", progress, |i| {
-                motion::vote(w, h, &evidence, &flows, i)
-            })?;
-        }
-        if !told {
-            moving = Some(each(count, "cutting masks", progress, |i| {
-                motion::mask(w, h, &evidence[i], &config.motion)
-            })?);
-        }
-        last = Some((measured, filled, evidence));
-    }
-    let (Some((mut measured, mut filled, evidence)), Some(mut moving)) = (last, moving) else {
-        return Err(DenseError::NoFrames);
+    let clip = apart::Clip {
+        width: w,
+        height: h,
+        parallax,
+        frames,
+        shots: &shots,
+        swept: &swept,
+        flows: &flows,
+        mono: &mono,
+        clues: &clues,
+        sources,
+        config,
+        progress,
     };
-    if parallax && !told {
-        let near = each(count, "growing masks", progress, |i| {
-            plate::grown(w, h, &moving[i], config.plate.guard_px)
-        })?;
-        filled = each(count, "filling depth", progress, |i| {
-            let mut measured = mono.with_prior(i, &measured[i], Some(&near[i]));
-            for (c, near) in measured.confidence.iter_mut().zip(&near[i]) {
-                if *near > 0 {
-                    *c = 0.0;
-                }
-            }
-            static_depth::fill(&shots[i], &smoother(i), &measured, Some(&near[i]), &config.static_depth)
-        })?;
-        let scene = plate::Scene {
-            width: w,
-            height: h,
-            cameras: &clues.cameras,
-            shots: &shots,
-            background: &filled,
-            near: &near,
-        };
-        moving = each(count, "sharpening masks", progress, |i| {
-            plate::sharpen(&scene, i, &moving[i], &smoother(i), &config.motion, &config.plate)
-        })?;
-    }
-    if let (false, Some(segmenter)) = (told, sources.segmenter) {
-        let sharp = each(count, "outlining moving parts", progress, |i| {
-            segment::sharpen(segmenter, frames[i], (w, h), &moving[i], &config.segment)
-                .map_err(|source| DenseError::Segment { frame: i, source })
-        })?;
-        moving = sharp.into_iter().collect::<Result<Vec<_>, _>>()?;
-    }
-    if parallax && !told {
-        measured = each(count, "comparing depth", progress, |i| {
-            let mut measured = static_depth::measure(&shots, &swept, Some(&moving), i, &config.static_depth);
-            mono.impose(i, &mut measured, Some(&moving[i]));
-            measured
-        })?;
-        filled = each(count, "filling depth", progress, |i| {
-            let measured = mono.with_prior(i, &measured[i], Some(&moving[i]));
-            static_depth::fill(
-                &shots[i],
-                &smoother(i),
-                &measured,
-                Some(&moving[i]),
-                &config.static_depth,
-            )
-        })?;
-    }
+    let told = (0..count).map(|i| given.mask(i, w, h)).collect();
+    let Apart {
+        moving,
+        measured,
+        mut filled,
+    } = clip.apart(told)?;
     let large = w.min(h) >= LEAST_CONSISTENT;
     if parallax && one_lens && large && config.consistent.enabled && count > 1 {
         let confidence: Vec<Vec<f32>> = measured.iter().map(|m| m.confidence.clone()).collect();
-        let clip = consistent::Clip {
+        let input = consistent::Clip {
             width: w,
             height: h,
             cameras: &clues.cameras,
@@ -308,7 +229,7 @@ fn estimate(
             moving: &moving,
             confidence: &confidence,
         };
-        let factors = consistent::factors(&clip, &filled, &config.consistent, progress, sources.shelf)?;
+        let factors = consistent::factors(&input, &filled, &config.consistent, progress, sources.shelf)?;
         for (filled, factors) in filled.iter_mut().zip(factors.into_iter().flatten()) {
             for (d, f) in filled.iter_mut().zip(factors) {
                 *d *= f;
@@ -317,7 +238,7 @@ fn estimate(
     }
     let mut disparity = moving_depth::place(w, h, &moving, &filled, &flows, &config.moving_depth);
     if parallax && one_lens {
-        let clip = bodies::Clip {
+        let input = bodies::Clip {
             width: w,
             height: h,
             cameras: &clues.cameras,
@@ -326,8 +247,8 @@ fn estimate(
             flows: &flows,
         };
         bodies::place(
-            &clip,
-            smoother,
+            &input,
+            |i| clip.smoother(i),
             &config.moving_depth,
             &config.bodies,
             &mut disparity,
@@ -348,7 +269,6 @@ fn estimate(
         swept,
         measured,
         filled,
-        evidence,
         moving,
         disparity,
     })

@@ -1,7 +1,11 @@
-//! Finished parts of a clip on a shelf: swept depth frame by frame, and in the end what was found of every frame.
+//! Finished parts of a clip on a shelf: swept depth frame by frame, masks round by round, depth of what stands still, and in
+//! the end what was found of every frame.
 
+use super::apart::Masks;
 use super::densify::Stages;
-use m4_scene::Shelf;
+use super::error::DenseError;
+use super::static_depth::Measured;
+use m4_scene::{Shelf, load, store};
 
 /// What was found of a clip at the working size; lists are `[frames][height][width]`.
 pub(super) struct Placed {
@@ -64,6 +68,52 @@ pub(super) fn numbers(shelf: &dyn Shelf, name: &str, count: usize, work: impl Fn
     let made = work();
     shelf.put(name, &bytes(&made));
     made
+}
+
+/// Masks of all `count` frames under this name: kept ones, else what `work` gives, which are kept then.
+pub(super) fn masks(
+    shelf: &dyn Shelf,
+    name: &str,
+    count: usize,
+    pixels: usize,
+    work: impl FnOnce() -> Result<Masks, DenseError>,
+) -> Result<Masks, DenseError> {
+    let name = |i: usize| format!("{name}-{i:05}");
+    let get = |i: usize| shelf.get(&name(i)).filter(|mask| mask.len() == pixels);
+    if let Some(kept) = (0..count).map(get).collect() {
+        return Ok(kept);
+    }
+    let made = work()?;
+    for (i, mask) in made.iter().enumerate() {
+        shelf.put(&name(i), mask);
+    }
+    Ok(made)
+}
+
+/// What was measured of what stands still, and the same carried on everywhere.
+type Still = (Vec<Measured>, Vec<Vec<f32>>);
+
+/// The same of depth of what stands still.
+pub(super) fn still(
+    shelf: &dyn Shelf,
+    count: usize,
+    pixels: usize,
+    work: impl FnOnce() -> Result<Still, DenseError>,
+) -> Result<Still, DenseError> {
+    let name = |i: usize| format!("still-{i:05}");
+    let get = |i: usize| {
+        let kept: (Measured, Vec<f32>) = load(shelf, &name(i))?;
+        let sizes = [kept.0.disparity.len(), kept.0.confidence.len(), kept.1.len()];
+        (sizes == [pixels; 3]).then_some(kept)
+    };
+    if let Some(kept) = (0..count).map(get).collect::<Option<Vec<_>>>() {
+        return Ok(kept.into_iter().unzip());
+    }
+    let made = work()?;
+    for (i, frame) in made.0.iter().zip(&made.1).enumerate() {
+        store(shelf, &name(i), &frame);
+    }
+    Ok(made)
 }
 
 fn floats(bytes: &[u8]) -> Vec<f32> {

@@ -24,6 +24,7 @@
 //! (Hirschmueller 2008), and fast global smoothing (Min et al. 2014).
 
 mod aggregate;
+mod apart;
 mod background;
 mod bodies;
 mod components;

@@ -5,6 +5,7 @@ use super::config::StaticDepthConfig;
 use super::shot::{Shot, SparsePoint};
 use super::smooth::Smoother;
 use super::sweep::{Partner, cost_volume};
+use serde::{Deserialize, Serialize};
 
 /// What the sweep of one frame found.
 pub(super) struct Swept {
@@ -13,7 +14,7 @@ pub(super) struct Swept {
 }
 
 /// A disparity a pixel and how far to trust it.
-#[derive(Clone)]
+#[derive(Clone, Serialize, Deserialize)]
 pub(super) struct Measured {
     /// `[height][width]`: mean of the agreeing frames.
     pub disparity: Vec<f32>,
