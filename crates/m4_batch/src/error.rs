@@ -1,6 +1,5 @@
 //! Why planning, reading a manifest and working may fail.
 
-use crate::cloud::CloudError;
 use m4_io::ErrorKind;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -138,9 +137,12 @@ pub enum PlanError {
         /// Why.
         reason: String,
     },
-    /// An object store could not be used.
-    #[error(transparent)]
-    Cloud(#[from] CloudError),
+    /// An address of an object store or a web server.
+    #[error("{given} is an address, not a path; mount the store as a folder, or download the clip first")]
+    Address {
+        /// What was given.
+        given: String,
+    },
     /// Something of another kind is where a result is to be.
     #[error("{} is there and was not made by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
     Foreign {
@@ -158,8 +160,9 @@ impl PlanError {
             Self::Missing { .. } => ErrorKind::NotFound,
             Self::Foreign { .. } => ErrorKind::CannotWrite,
             Self::Hash { .. } => ErrorKind::Io,
-            Self::Pattern { .. } | Self::Nothing { .. } | Self::Name { .. } => ErrorKind::BadData,
-            Self::Cloud(error) => error.kind(),
+            Self::Pattern { .. } | Self::Nothing { .. } | Self::Name { .. } | Self::Address { .. } => {
+                ErrorKind::BadData
+            }
         }
     }
 }

@@ -58,16 +58,6 @@ impl Layout {
         folder.with_file_name(format!("{id}.toml"))
     }
 
-    /// The clip itself, where it had to be fetched, and what is noted of that.
-    pub(crate) fn input(&self, id: &str, extension: &str) -> (PathBuf, PathBuf) {
-        let folder = self.work(id).with_file_name(".input");
-        // No id begins with a dot.
-        (
-            folder.join(format!("{id}.{extension}")),
-            folder.join(format!(".{id}.json")),
-        )
-    }
-
     /// The leases of a clip.
     #[must_use]
     pub fn leases(&self, id: &str) -> PathBuf {

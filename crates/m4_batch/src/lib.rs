@@ -3,15 +3,13 @@
 //! A [`Manifest`] lists the clips and holds the settings. Any number of workers ([`work`]) share it: each takes
 //! a [lease] on a clip, has a child process make the scene in a working folder, and publishes the
 //! whole result by one rename. All that is known afterwards ([`Report`]) is read from the results themselves, so it needs no
-//! engine and no server. [`slurm`] hands the same worker to a cluster. Clips may lie in object stores, and copies of results go
-//! there, with the feature `cloud`.
+//! engine and no server. [`slurm`] hands the same worker to a cluster.
 #![forbid(unsafe_code)]
 
 pub mod lease;
 pub mod slurm;
 
 mod child;
-mod cloud;
 mod error;
 mod layout;
 mod manifest;
@@ -25,7 +23,6 @@ mod verdict;
 mod worker;
 
 pub use child::Watch;
-pub use cloud::CloudError;
 pub use error::{FileError, ManifestError, PlanError, WorkError};
 pub use layout::{Layout, POSTER_FILE, RESULT_FILE};
 pub use manifest::{Arguments, FORMAT, Job, Manifest, VERSION};

@@ -51,9 +51,6 @@ struct Header {
     minute4d: String,
     /// Where results go: a folder with its whole path.
     results: String,
-    /// Where results are copied to besides.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    upload: Option<String>,
     /// How many lines follow.
     jobs: usize,
     settings_blake3: String,
@@ -66,16 +63,12 @@ struct Header {
 pub struct Job {
     /// Name of the job and of its result; unique, safe as a file name.
     pub id: String,
-    /// The clip, with its whole path, or its URI in an object store.
+    /// The clip, with its whole path.
     pub input: String,
     /// Its size; of all files of a folder together.
     pub bytes: u64,
     /// BLAKE3 of its bytes, hexadecimal; of a file or folder.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub blake3: Option<String>,
-    /// What its store changes whenever it changes: ETag or version; of an object. Either this or `blake3` is there.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub etag: Option<String>,
+    pub blake3: String,
     /// Where its result will be.
     pub output: String,
     /// Seconds that it will take, where something is known of that.
@@ -90,12 +83,7 @@ impl Job {
     /// Hash of the input and the settings: a result with the same key need not be made again.
     #[must_use]
     pub fn key(&self, run: &Arguments) -> String {
-        let run = run.blake3();
-        match (&self.blake3, &self.etag) {
-            (Some(blake3), _) => of_parts([blake3.as_str(), &run]),
-            // An ETag says something of its own object alone.
-            (None, etag) => of_parts([&self.input, etag.as_deref().unwrap_or_default(), &run]),
-        }
+        of_parts([self.blake3.as_str(), &run.blake3()])
     }
 }
 
@@ -104,8 +92,6 @@ impl Job {
 pub struct Manifest {
     /// Where results go: a folder with its whole path.
     pub results: String,
-    /// Where results are copied to besides: a prefix in an object store.
-    pub upload: Option<String>,
     /// What every run is started with.
     pub run: Arguments,
     /// The clips, in natural order of their ids.
@@ -130,7 +116,6 @@ impl Manifest {
             version: VERSION,
             minute4d: env!("CARGO_PKG_VERSION").to_owned(),
             results: self.results.clone(),
-            upload: self.upload.clone(),
             jobs: self.jobs.len(),
             settings_blake3: self.run.blake3(),
             run: self.run.clone(),
@@ -190,9 +175,6 @@ impl Manifest {
                     format!("the id {:?} cannot be the name of a folder", job.id),
                 ));
             }
-            if job.blake3.is_some() == job.etag.is_some() {
-                return Err(bad(i + 1, "a job has either `blake3` or `etag`".to_owned()));
-            }
             if !seen.insert(job.id.to_lowercase()) {
                 return Err(bad(i + 1, format!("the id {:?} was given before", job.id)));
             }
@@ -206,7 +188,6 @@ impl Manifest {
         }
         Ok(Self {
             results: header.results,
-            upload: header.upload,
             run: header.run,
             jobs,
         })
@@ -223,15 +204,13 @@ mod tests {
             id: id.to_owned(),
             input: format!("/clips/{id}.mp4"),
             bytes: 7,
-            blake3: Some("00".to_owned()),
-            etag: None,
+            blake3: "00".to_owned(),
             output: format!("/results/{id}"),
             estimate_s: Some(60.0),
             estimate_of: Some("training".to_owned()),
         };
         Manifest {
             results: "/results".to_owned(),
-            upload: None,
             run: Arguments {
                 settings: "a = 1\n[b]\nc = \"x\"\n".to_owned(),
                 arguments: vec!["--device".to_owned(), "cpu".to_owned()],
@@ -265,7 +244,7 @@ mod tests {
             (text.replace("\"id\":\"b\"", "\"id\":\"../b\""), "line 3"),
             (text.replace("\"id\":\"b\"", "\"id\":\"A\""), "given before"),
             (text.replace("\"bytes\":7", "\"bytes\":-7"), "line 2"),
-            (text.replace("\"blake3\":\"00\",", ""), "either `blake3` or `etag`"),
+            (text.replace("\"blake3\":\"00\",", ""), "missing field `blake3`"),
             (cut.to_owned(), "lists 1 jobs and should list 2"),
         ];
         for (text, words) in cases {
@@ -283,22 +262,7 @@ mod tests {
         let mut other = one.clone();
         other.run.arguments[1] = "gpu".to_owned();
         assert_ne!(key, one.jobs[0].key(&other.run));
-        other.jobs[0].blake3 = Some("01".to_owned());
+        other.jobs[0].blake3 = "01".to_owned();
         assert_ne!(key, other.jobs[0].key(&one.run));
-
-        let object = |uri: &str, etag: &str| Job {
-            input: uri.to_owned(),
-            blake3: None,
-            etag: Some(etag.to_owned()),
-            ..one.jobs[0].clone()
-        };
-        let key = object("s3://b/a.mp4", "1").key(&one.run);
-        assert_eq!(key, object("s3://b/a.mp4", "1").key(&one.run));
-        assert_ne!(key, object("s3://b/a.mp4", "2").key(&one.run));
-        assert_ne!(
-            key,
-            object("s3://b/c.mp4", "1").key(&one.run),
-            "an ETag is of one object"
-        );
     }
 }

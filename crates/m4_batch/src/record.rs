@@ -48,9 +48,6 @@ pub struct JobRecord {
     pub host: String,
     /// When it ended, seconds since 1970.
     pub when_s: u64,
-    /// True when the published result is also where the manifest's `upload` says.
-    #[serde(default)]
-    pub uploaded: bool,
 }
 
 impl JobRecord {
@@ -68,7 +65,6 @@ impl JobRecord {
             seconds: 0.0,
             host: host.to_owned(),
             when_s: now_s(),
-            uploaded: false,
         }
     }
 

@@ -1,8 +1,7 @@
 //! Clips by files, folders, patterns and lists.
 
-use crate::cloud::{self, Object};
 use crate::error::{FileError, PlanError};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -15,52 +14,23 @@ const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Lists of posed frames: a folder with one is a capture, and so a clip.
 const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
 
-/// True for the extension of a video, in small letters.
-pub(crate) fn is_video(extension: &str) -> bool {
-    VIDEOS.contains(&extension)
-}
-
-/// The clips that a user named.
-#[derive(Debug, Default)]
-pub(crate) struct Found {
-    /// Files and folders, each once, with their whole paths.
-    pub(crate) paths: Vec<PathBuf>,
-    /// Those in object stores, each once.
-    pub(crate) objects: Vec<Object>,
-}
-
-/// What a user named, before anybody looked whether it is there.
-enum Named {
-    Path(PathBuf),
-    Uri(String),
-}
-
-/// The clips that a user named.
+/// The clips that a user named: files and folders, each once, with their whole paths.
 ///
 /// # Errors
 ///
 /// [`PlanError`] for what does not exist, holds nothing, or cannot be read.
-pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Found, PlanError> {
-    let (mut paths, mut objects) = (BTreeSet::new(), BTreeMap::new());
+pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, PlanError> {
+    let mut paths = BTreeSet::new();
     for one in given {
-        for named in expand(one)? {
-            match named {
-                Named::Path(path) => add(&path, recursive, &mut paths)?,
-                Named::Uri(uri) => {
-                    let found = cloud::find(&uri, recursive)?;
-                    objects.extend(found.into_iter().map(|object| (object.uri.clone(), object)));
-                }
-            }
+        for path in expand(one)? {
+            add(&path, recursive, &mut paths)?;
         }
     }
-    Ok(Found {
-        paths: paths.into_iter().collect(),
-        objects: objects.into_values().collect(),
-    })
+    Ok(paths.into_iter().collect())
 }
 
-/// Lists and patterns to paths and URIs.
-fn expand(given: &str) -> Result<Vec<Named>, PlanError> {
+/// Lists and patterns to paths, before anybody looked whether they are there.
+fn expand(given: &str) -> Result<Vec<PathBuf>, PlanError> {
     if let Some(list) = given.strip_prefix('@') {
         let path = Path::new(list);
         let text = fs::read_to_string(path).map_err(FileError::read(path))?;
@@ -77,12 +47,14 @@ fn expand(given: &str) -> Result<Vec<Named>, PlanError> {
             false => Ok(all),
         };
     }
-    if cloud::is_uri(given) {
-        return Ok(vec![Named::Uri(given.to_owned())]);
+    if given.contains("://") {
+        return Err(PlanError::Address {
+            given: given.to_owned(),
+        });
     }
     let path = PathBuf::from(given);
     if path.exists() || !given.contains(['*', '?', '[']) {
-        return Ok(vec![Named::Path(path)]);
+        return Ok(vec![path]);
     }
     let pattern = |reason: String| PlanError::Pattern {
         pattern: given.to_owned(),
@@ -95,10 +67,7 @@ fn expand(given: &str) -> Result<Vec<Named>, PlanError> {
         require_literal_leading_dot: true,
     };
     let matches = glob::glob_with(given, as_shell).map_err(|e| pattern(e.to_string()))?;
-    let matches: Vec<Named> = matches
-        .map(|path| path.map(Named::Path))
-        .collect::<Result<_, _>>()
-        .map_err(|e| pattern(e.to_string()))?;
+    let matches: Vec<PathBuf> = matches.collect::<Result<_, _>>().map_err(|e| pattern(e.to_string()))?;
     match matches.is_empty() {
         true => Err(nothing(given, true)),
         false => Ok(matches),
@@ -149,7 +118,7 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, PlanError> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase());
         if path.is_dir() {
             folders.push(path);
-        } else if extension.as_deref().is_some_and(is_video) {
+        } else if extension.as_deref().is_some_and(|e| VIDEOS.contains(&e)) {
             videos.push(fs::canonicalize(&path).map_err(FileError::read(&path))?);
         } else {
             pictures |= extension.as_deref().is_some_and(|e| PICTURES.contains(&e));
@@ -194,7 +163,7 @@ mod tests {
             touch(&root.join(name));
         }
         let found = |given: &[String], recursive: bool| -> Vec<String> {
-            let all = inputs(given, recursive).unwrap().paths;
+            let all = inputs(given, recursive).unwrap();
             all.iter()
                 .map(|p| p.strip_prefix(&root).unwrap().display().to_string().replace('\\', "/"))
                 .collect()
@@ -227,9 +196,8 @@ mod tests {
     }
 
     #[test]
-    #[cfg(not(feature = "cloud"))]
-    fn without_object_stores_their_clips_are_refused() {
+    fn addresses_are_no_paths() {
         let said = inputs(&["s3://bucket/a.mp4".to_owned()], false).unwrap_err();
-        assert!(said.to_string().contains("--features cloud"), "{said}");
+        assert!(said.to_string().contains("mount the store"), "{said}");
     }
 }

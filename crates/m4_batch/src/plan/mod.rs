@@ -3,10 +3,7 @@
 mod find;
 
 use find::inputs;
-#[cfg(feature = "cloud")]
-pub(crate) use find::is_video;
 
-use crate::cloud;
 use crate::error::PlanError;
 use crate::layout::Layout;
 use crate::manifest::{Arguments, Job, Manifest};
@@ -17,14 +14,12 @@ use std::path::{Path, PathBuf};
 
 /// What to plan.
 pub struct Plan<'a> {
-    /// Files, folders, patterns, URIs in object stores, lists (`@FILE`).
+    /// Files, folders, patterns, lists (`@FILE`).
     pub given: &'a [String],
     /// Look into folders of folders.
     pub recursive: bool,
     /// Where results go.
     pub results: &'a Path,
-    /// Where results are copied to besides: a prefix in an object store.
-    pub upload: Option<&'a str>,
     /// What every run is started with.
     pub run: Arguments,
     /// Seconds that training is given, where it is given a time.
@@ -39,15 +34,11 @@ pub struct Plan<'a> {
 ///
 /// [`PlanError`].
 pub fn plan(plan: &Plan<'_>) -> Result<Manifest, PlanError> {
-    if let Some(uri) = plan.upload {
-        cloud::check_upload(uri)?;
-    }
-    let found = inputs(plan.given, plan.recursive)?;
-    let mut named = Vec::with_capacity(found.paths.len() + found.objects.len());
-    for path in &found.paths {
+    let paths = inputs(plan.given, plan.recursive)?;
+    let mut named = Vec::with_capacity(paths.len());
+    for path in &paths {
         named.push((name(path), text(path)?));
     }
-    named.extend(found.objects.iter().map(|o| (o.name.clone(), o.uri.clone())));
     let ids = names::ids(&named);
     let layout = Layout::new(plan.results, None);
     for id in &ids {
@@ -56,24 +47,18 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, PlanError> {
             return Err(PlanError::Foreign { path: result });
         }
     }
-    let mut what = Vec::with_capacity(named.len());
-    for path in &found.paths {
-        let blake3 = (plan.hash)(path).map_err(|reason| PlanError::Hash {
+    let mut jobs = Vec::with_capacity(named.len());
+    for (((_, input), id), path) in named.into_iter().zip(ids).zip(paths) {
+        let blake3 = (plan.hash)(&path).map_err(|reason| PlanError::Hash {
             path: path.clone(),
             reason,
         })?;
-        what.push((size(path)?, Some(blake3), None));
-    }
-    what.extend(found.objects.into_iter().map(|o| (o.bytes, None, Some(o.etag))));
-    let mut jobs = Vec::with_capacity(named.len());
-    for (((_, input), id), (bytes, blake3, etag)) in named.into_iter().zip(ids).zip(what) {
         jobs.push(Job {
             output: text(&layout.result(&id))?,
             id,
             input,
-            bytes,
+            bytes: size(&path)?,
             blake3,
-            etag,
             estimate_s: plan.training_s,
             estimate_of: plan.training_s.map(|_| "training alone".to_owned()),
         });
@@ -81,7 +66,6 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, PlanError> {
     jobs.sort_by(|a, b| names::natural_order(&a.id, &b.id));
     Ok(Manifest {
         results: text(plan.results)?,
-        upload: plan.upload.map(str::to_owned),
         run: plan.run.clone(),
         jobs,
     })

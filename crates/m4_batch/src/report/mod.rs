@@ -124,11 +124,7 @@ impl Report {
         let layout = Layout::new(Path::new(&manifest.results), None);
         let mut clips = Vec::with_capacity(manifest.jobs.len());
         for job in &manifest.jobs {
-            let mut clip = clip(&layout, job, &job.key(&manifest.run), lasts)?;
-            if clip.state == ClipState::Done && !uploaded(&layout, manifest, job)? {
-                clip.reason = Some("published, and not uploaded yet".to_owned());
-            }
-            clips.push(clip);
+            clips.push(clip(&layout, job, &job.key(&manifest.run), lasts)?);
         }
         Ok(Self::of(clips))
     }
@@ -248,15 +244,6 @@ fn clip(layout: &Layout, job: &Job, key: &str, lasts: Duration) -> Result<ClipRe
         clip.seconds = record.map(|r| r.seconds);
     }
     Ok(clip)
-}
-
-/// False where a copy of the result is still to be made.
-fn uploaded(layout: &Layout, manifest: &Manifest, job: &Job) -> Result<bool, FileError> {
-    if manifest.upload.is_none() {
-        return Ok(true);
-    }
-    let record = JobRecord::read(&layout.state(&job.id), &job.key(&manifest.run))?;
-    Ok(record.is_some_and(|r| r.uploaded))
 }
 
 /// PSNR of the last event of training, dB.

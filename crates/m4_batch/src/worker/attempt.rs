@@ -42,9 +42,7 @@ impl Worker<'_> {
             lease,
             listener: self.listener,
         };
-        if job.etag.is_none()
-            && let Some(refused) = self.check_input(job)
-        {
+        if let Some(refused) = self.check_input(job) {
             return Ok(refused);
         }
         if present(&self.layout.result(&job.id), "")? == Present::Foreign {
@@ -64,10 +62,6 @@ impl Worker<'_> {
             }
             Ok(true) => {}
         }
-        let input = match self.fetched(job, lease)? {
-            Ok(input) => input,
-            Err(refused) => return Ok(refused),
-        };
         atomic::write(&settings, self.manifest.run.settings.as_bytes()).map_err(failed)?;
         let log = self.layout.log(&job.id);
         let log = open_log(&log).map_err(FileError::write(&log))?;
@@ -82,7 +76,7 @@ impl Worker<'_> {
             .arg("--out")
             .arg(&work)
             .arg("--")
-            .arg(&input);
+            .arg(&job.input);
         let ended = child::run(command, log, &guard).map_err(FileError::read(&self.tools.program))?;
         Ok(if lease.is_lost() {
             Attempt::Lost
@@ -119,7 +113,7 @@ impl Worker<'_> {
         }
         match (self.tools.hash)(path) {
             Err(reason) => Some(Attempt::Refused(Meaning::GiveBack, CANNOT_READ, reason)),
-            Ok(found) if job.blake3.as_ref().is_some_and(|planned| *planned != found) => {
+            Ok(found) if job.blake3 != found => {
                 poison(65, format!("{} changed since it was planned; plan again", job.input))
             }
             Ok(_) => None,

@@ -30,7 +30,6 @@ impl Worker<'_> {
         let end = self.ended_before(job, &key, retry).map_err(WorkError::from);
         let end = end.and_then(|end| match end {
             Some(end) => Ok(Some(end)),
-            None if self.is_published(job, &key)? => self.upload_late(job, &key, &lease),
             None => self.attempts(job, &key, &lease, vanished.is_some()),
         });
         let released = lease.release();
@@ -43,8 +42,7 @@ impl Worker<'_> {
     fn ended_before(&self, job: &Job, key: &str, retry: bool) -> Result<Option<JobEnd>, FileError> {
         let record = JobRecord::read(&self.layout.state(&job.id), key)?;
         if present(&self.layout.result(&job.id), key)? == Present::Same {
-            let uploaded = self.manifest.upload.is_none() || record.is_some_and(|r| r.uploaded);
-            return Ok(uploaded.then_some(JobEnd::Done { seconds: None }));
+            return Ok(Some(JobEnd::Done { seconds: None }));
         }
         let poison = record.filter(|r| r.verdict == Verdict::Poison && !retry);
         Ok(poison.map(|r| JobEnd::Poison { reason: r.reason }))
@@ -115,7 +113,6 @@ impl Worker<'_> {
             record.reason.clone_from(&reason);
             record.seconds = start.elapsed().as_secs_f64();
             (record.host, record.when_s) = (self.tools.host.clone(), now_s());
-            record.uploaded = false;
             // Nobody else may write here: not even the record of a job that was taken over meanwhile.
             if lease.is_lost() {
                 return Ok(None);
@@ -124,14 +121,10 @@ impl Worker<'_> {
             match verdict {
                 Verdict::Done => {
                     let _ = fs::remove_file(self.layout.settings(&job.id));
-                    self.forget_input(job);
                     let seconds = Some(record.seconds);
-                    return self.uploaded(job, record, lease, seconds);
+                    return Ok(Some(JobEnd::Done { seconds }));
                 }
-                Verdict::Poison => {
-                    self.forget_input(job);
-                    return Ok(Some(JobEnd::Poison { reason }));
-                }
+                Verdict::Poison => return Ok(Some(JobEnd::Poison { reason })),
                 Verdict::Interrupted => {
                     let machine = matches!(code, Some(NO_DEVICE | CANNOT_WRITE));
                     return Ok(Some(JobEnd::Again { reason, machine }));

@@ -2,7 +2,6 @@
 
 mod attempt;
 mod job;
-mod remote;
 
 use crate::error::{FileError, WorkError};
 use crate::layout::Layout;

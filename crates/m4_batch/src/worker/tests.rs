@@ -9,9 +9,6 @@ use std::process::Command;
 use std::sync::Mutex;
 use std::time::{Duration, SystemTime};
 
-#[cfg(feature = "cloud")]
-mod remote;
-
 /// A batch in a folder that is removed with the test.
 struct Batch {
     dir: tempfile::TempDir,
@@ -60,8 +57,7 @@ impl Batch {
                 id: (*id).to_owned(),
                 input: input.to_str().unwrap().to_owned(),
                 bytes: id.len() as u64,
-                blake3: Some(hash(&input).unwrap()),
-                etag: None,
+                blake3: hash(&input).unwrap(),
                 output: results.join(id).to_str().unwrap().to_owned(),
                 estimate_s: None,
                 estimate_of: None,
@@ -69,7 +65,6 @@ impl Batch {
         });
         let manifest = Manifest {
             results: results.to_str().unwrap().to_owned(),
-            upload: None,
             run: Arguments {
                 settings: "a = 1\n".to_owned(),
                 arguments: Vec::new(),

@@ -28,8 +28,7 @@ pub enum BatchAction {
 /// `minute4d batch plan`
 #[derive(Debug, Args)]
 pub struct BatchPlan {
-    /// Videos, folders, patterns such as 'clips/*.mp4', objects or prefixes of object stores (s3://, gs://, az://, https://;
-    /// needs a program with them), or @LIST, a text file with one of these a line
+    /// Videos, folders, patterns such as 'clips/*.mp4', or @LIST, a text file with one of these a line
     #[arg(required_unless_present = "print_config", value_name = "VIDEOS")]
     pub given: Vec<String>,
     /// The manifest
@@ -38,9 +37,6 @@ pub struct BatchPlan {
     /// Folder for the results, one folder a clip in it
     #[arg(long, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// Copy each published result to this prefix of an object store too, such as s3://bucket/results
-    #[arg(long, value_name = "URI")]
-    pub upload: Option<String>,
     /// Look into folders of folders
     #[arg(long)]
     pub recursive: bool,

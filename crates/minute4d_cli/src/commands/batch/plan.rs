@@ -30,7 +30,6 @@ pub fn run(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
         given: &args.given,
         recursive: args.recursive,
         results: &results,
-        upload: args.upload.as_deref(),
         run: arguments(args, &settings, manifest)?,
         training_s: Some(settings.train.budget_s).filter(|s| *s > 0.0),
         hash: &super::hash,
