@@ -172,18 +172,3 @@ fn nothing_is_left_of_what_was_stopped_or_cannot_be() {
     assert!(said.to_string().contains("no frames"));
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
 }
-
-#[cfg(feature = "rerun")]
-#[test]
-fn a_recording_is_there_whole_or_not_at_all() {
-    let (_, capture) = made_up(4);
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("a.rrd");
-    assert!(m4_formats::captures::rerun::write(&path, &capture, None, &Stop).is_err());
-    let there = |dir: &Path| std::fs::read_dir(dir).unwrap().count();
-    assert_eq!(there(dir.path()), 0);
-    let written = m4_formats::captures::rerun::write(&path, &capture, Some(&capture), &Silent).unwrap();
-    assert_eq!(std::fs::metadata(&path).unwrap().len(), written.bytes);
-    assert_eq!(&std::fs::read(&path).unwrap()[..4], b"RRF2");
-    assert_eq!(there(dir.path()), 1);
-}

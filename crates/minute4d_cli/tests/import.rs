@@ -5,7 +5,6 @@ mod common;
 
 use common::{Scratch, refused, succeed, train};
 use minute4d::Silent;
-use minute4d::export::Format;
 use minute4d::io::capture::{self, CaptureOptions, Split};
 use serde_json::Value;
 use std::fs;
@@ -192,12 +191,5 @@ fn captures_go_out_and_come_back() {
             73,
             &["already there", "--force"],
         );
-    }
-    // the library may have it where the program was not asked for it
-    if Format::RECORDS {
-        let report = succeed(&["export", &own, "--format", "rerun", "--json"]).result();
-        assert!(dir.path("own/capture.rrd").is_file(), "{report}");
-    } else {
-        refused(&["export", &own, "--format", "rerun"], 2, &["--features rerun"]);
     }
 }

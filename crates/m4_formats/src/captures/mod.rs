@@ -6,15 +6,12 @@
 //!
 //! * [`colmap`]: `images/`, `masks/`, `sparse/0/`.
 //! * [`nerfstudio`]: `images/`, `masks/`, `depths/`, `points.ply`, `transforms.json`.
-#![cfg_attr(feature = "rerun", doc = "* [`rerun`]: one `.rrd` file, to look at.")]
 //!
 //! What moves is 0 in the masks of both folders and left out of the points: their readers rebuild what rests. Conventions
 //! (OpenGL axes, polarity of masks, units of depth) are turned in the files of the formats and said there.
 
 pub mod colmap;
 pub mod nerfstudio;
-#[cfg(feature = "rerun")]
-pub mod rerun;
 
 mod check;
 mod error;

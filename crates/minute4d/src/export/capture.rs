@@ -26,7 +26,7 @@ pub(super) fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Re
     let train = capture::read(&found, Split::Train, &options, observer)?;
     // MegaSaM and COLMAP have no place for views of other cameras
     let has_views = found.join(Split::Test.file_name()).is_file();
-    let takes_views = matches!(job.format, Format::Nerfstudio | Format::Rerun);
+    let takes_views = job.format == Format::Nerfstudio;
     let test = if has_views && takes_views {
         Some(capture::read(&found, Split::Test, &options, observer)?)
     } else {
@@ -66,10 +66,6 @@ fn write(
             captures::colmap::write(out, train, &captures::colmap::CaptureColmapOptions::default(), observer)
         }
         Format::Nerfstudio => captures::nerfstudio::write(out, train, test, observer),
-        #[cfg(feature = "rerun")]
-        Format::Rerun => captures::rerun::write(out, train, test, observer),
-        #[cfg(not(feature = "rerun"))]
-        Format::Rerun => return Err(ExportError::NoRerun.into()),
         other => {
             return Err(Error::Internal {
                 what: format!("{} was taken for a format of captures", other.name()),

@@ -39,7 +39,7 @@ pub enum ExportError {
         path: Option<PathBuf>,
     },
     /// A capture for a format that holds a scene.
-    #[error("{} is a capture, which {} does not hold; choose colmap, nerfstudio, rerun, megasam, megasam-cvd or megasam-reconstruction, or train it first (`minute4d train`)", path.display(), format.name())]
+    #[error("{} is a capture, which {} does not hold; choose colmap, nerfstudio, megasam, megasam-cvd or megasam-reconstruction, or train it first (`minute4d train`)", path.display(), format.name())]
     NeedsScene {
         /// The format.
         format: Format,
@@ -65,9 +65,6 @@ pub enum ExportError {
         /// Why not.
         source: Box<crate::import::ImportError>,
     },
-    /// A recording, in a build that cannot make any.
-    #[error("this build makes no recordings of Rerun; build the program with `--features rerun`")]
-    NoRerun,
     /// Writing a capture for another tool.
     #[error(transparent)]
     Capture(#[from] WriteCaptureAsError),
@@ -107,7 +104,6 @@ impl ExportError {
         match self {
             Self::NoInstant { .. } | Self::NoRate { .. } | Self::Unknown { .. } => Category::Usage,
             Self::NoCameras | Self::NeedsCapture { .. } | Self::NeedsScene { .. } => Category::BadInput,
-            Self::NoRerun => Category::Usage,
             Self::Capture(e) => e.kind().into(),
             Self::Megasam(e) => e.kind().into(),
             Self::ReadBack { .. } => Category::Internal,

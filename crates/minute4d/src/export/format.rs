@@ -38,8 +38,6 @@ pub enum Format {
     MegasamCvd,
     /// A folder as MegaSaM's `reconstructions/NAME`: a capture with its masks.
     MegasamReconstruction,
-    /// A recording of Rerun: a capture, to look at.
-    Rerun,
 }
 
 /// What a format does with time.
@@ -81,13 +79,9 @@ const FORMATS: &[Entry] = &[
         "reconstructions/scene",
         Time::Capture,
     ),
-    (Format::Rerun, "rerun", "capture.rrd", Time::Capture),
 ];
 
 impl Format {
-    /// Whether this build makes recordings of Rerun.
-    pub const RECORDS: bool = cfg!(feature = "rerun");
-
     /// Every format.
     pub fn all() -> impl Iterator<Item = Self> {
         FORMATS.iter().map(|entry| entry.0)
@@ -205,7 +199,6 @@ mod tests {
         assert_eq!(Format::of_path(Path::new("a/b.4DGS")), Some(Format::Fourdgs));
         assert_eq!(Format::of_path(Path::new("b.ply")), Some(Format::Ply));
         assert_eq!(Format::of_path(Path::new("ply")), None);
-        assert_eq!(Format::of_path(Path::new("a.rrd")), Some(Format::Rerun));
         assert_eq!(Format::of_path(Path::new("dog_droid.npz")), Some(Format::Megasam));
         assert_eq!(
             Format::of_path(Path::new("dog_sgd_cvd_hr.npz")),

@@ -67,7 +67,7 @@ pub(super) fn write(
             nerfstudio::write(out, scene, &options).map_err(ExportError::from)?
         }
         Format::Mp4 => video::write(out, scene, job.fps, observer)?,
-        Format::Megasam | Format::MegasamCvd | Format::MegasamReconstruction | Format::Rerun => {
+        Format::Megasam | Format::MegasamCvd | Format::MegasamReconstruction => {
             return Err(ExportError::NeedsCapture {
                 format: job.format,
                 path: None,

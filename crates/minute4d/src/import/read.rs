@@ -33,8 +33,7 @@ pub(crate) fn read_back(format: Format, path: &Path, moment: usize, t: f64) -> O
         | Format::Mp4
         | Format::Megasam
         | Format::MegasamCvd
-        | Format::MegasamReconstruction
-        | Format::Rerun => return None,
+        | Format::MegasamReconstruction => return None,
     })
 }
 

@@ -8,11 +8,11 @@ use std::path::PathBuf;
 /// `minute4d export`
 #[derive(Debug, Args)]
 pub struct Export {
-    /// The folder of a run, or a scene file; for colmap, nerfstudio, rerun and the megasam formats a capture, too
+    /// The folder of a run, or a scene file; for colmap, nerfstudio and the megasam formats a capture, too
     pub scene: PathBuf,
     /// The format [default: what --out ends in, or 4dgs]; 4dgs, splatv, usd: the whole clip; ply, spz, gltf: one
     /// instant; ply-sequence: one a frame; colmap, nerfstudio: cameras, of a capture with pictures, masks, points (and depth); mp4: a
-    /// video along the cameras of the source; rerun: a capture to look at; megasam (NAME_droid.npz), megasam-cvd
+    /// video along the cameras of the source; megasam (NAME_droid.npz), megasam-cvd
     /// (NAME_sgd_cvd_hr.npz), megasam-reconstruction (a folder): a capture as MegaSaM writes it
     #[arg(long, value_name = "FORMAT", value_parser = format)]
     pub format: Option<Format>,
