@@ -49,8 +49,6 @@ pub use gmflow::GmFlow;
 pub use load::LoadError;
 pub use lpips::{Lpips, LpipsError, LpipsNet, LpipsPicture, LpipsScore};
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
-#[cfg(feature = "ort")]
-pub use moge::MoGeOnnx;
 pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;
 pub use sam2::{Sam2, Sam2Error, Sam2Size};

@@ -42,14 +42,6 @@ pub enum LoadError {
         /// Tensors of another shape or type.
         wrong: Vec<String>,
     },
-    /// The library that computes ONNX files cannot be used.
-    #[error("ONNX Runtime cannot be loaded from {}: {reason}; `pip install onnxruntime` brings it, and the environment variable ORT_DYLIB_PATH says where its libonnxruntime.so is", library.display())]
-    Runtime {
-        /// The shared library.
-        library: PathBuf,
-        /// What the loader says.
-        reason: String,
-    },
 }
 
 fn differences(missing: &[String], unused: &[String], wrong: &[String]) -> String {

@@ -20,16 +20,12 @@ mod encoder;
 mod focal;
 mod layout;
 mod map;
-#[cfg(feature = "ort")]
-mod onnx;
 mod picture;
 mod stack;
 #[cfg(test)]
 mod tests;
 
 pub use map::{MoGeMap, MoGeOptions};
-#[cfg(feature = "ort")]
-pub use onnx::MoGeOnnx;
 
 use crate::dinov2::{self, BackboneSize};
 use crate::ops::linear;

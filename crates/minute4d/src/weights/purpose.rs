@@ -30,9 +30,6 @@ impl Entry {
             "moge-2-l" | "moge-2-l-normal" | "moge-2-b" | "moge-2-b-normal" | "moge-2-s-normal" => {
                 "the part moge of --frontend, where no other size is here; a front end without it works, in no unit of length"
             }
-            "moge-2-l-normal-onnx" | "moge-2-b-normal-onnx" | "moge-2-s-normal-onnx" => {
-                "a second door to moge of --frontend, for builds with ONNX Runtime; the other moge-2 files work without it"
-            }
             "sam2.1-tiny" | "sam2.1-small" | "sam2.1-base-plus" | "sam2.1-large" => {
                 "--segmenter sam2, where no other size is here; mobilesam works in its place, and none without any weights"
             }

@@ -127,7 +127,6 @@ const fn sdist(name: &'static str, version: &'static str, member: &'static str) 
 }
 
 const DEPTH: &str = "metric depth, field of view";
-const DEPTH_ONNX: &str = "metric depth, field of view, by ONNX Runtime";
 const MASKS: &str = "motion masks: refinement and tracking";
 const IMAGE_MASKS: &str = "motion masks: refinement frame by frame";
 const LPIPS: &str = "LPIPS, the perceptual distance of tables";
@@ -353,27 +352,6 @@ const ALL: [Entry; 27] = [
         "MIT",
         DEPTH,
         hub("Ruicheng/moge-2-vitb", "model.pt"),
-    ),
-    known(
-        "moge-2-l-normal-onnx",
-        "model.onnx",
-        "MIT",
-        DEPTH_ONNX,
-        hub("Ruicheng/moge-2-vitl-normal-onnx", "model.onnx"),
-    ),
-    known(
-        "moge-2-b-normal-onnx",
-        "model.onnx",
-        "MIT",
-        DEPTH_ONNX,
-        hub("Ruicheng/moge-2-vitb-normal-onnx", "model.onnx"),
-    ),
-    known(
-        "moge-2-s-normal-onnx",
-        "model.onnx",
-        "MIT",
-        DEPTH_ONNX,
-        hub("Ruicheng/moge-2-vits-normal-onnx", "model.onnx"),
     ),
 ];
 

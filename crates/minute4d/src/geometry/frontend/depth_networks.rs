@@ -17,8 +17,6 @@ const PHASE: &str = "depth from one picture";
 
 enum Metric {
     MoGe(Box<MoGe>),
-    #[cfg(feature = "ort")]
-    MoGeOnnx(Box<m4_nets::MoGeOnnx>),
     UniDepth(Box<UniDepth>),
 }
 
@@ -54,15 +52,6 @@ fn load<T>(
     load(path, device).map(Some).map_err(unusable(part))
 }
 
-/// MoGe-2 from whichever file of it there is.
-fn moge(path: &Path, device: &Compute) -> Result<Metric, LoadError> {
-    #[cfg(feature = "ort")]
-    if path.extension().is_some_and(|end| end == "onnx") {
-        return Ok(Metric::MoGeOnnx(Box::new(m4_nets::MoGeOnnx::load(path)?)));
-    }
-    MoGe::load(path, device).map(|net| Metric::MoGe(Box::new(net)))
-}
-
 /// What MoGe-2 says: z-depth in metres, 0 where unknown, and the field of view. All sky, or no points of a camera: nothing is known.
 fn of_moge(
     found: Result<MoGeMap, MoGeError>,
@@ -92,7 +81,8 @@ impl MonoClip {
         steps: &Steps<'_>,
         progress: &dyn Progress,
     ) -> Result<Option<Self>, Error> {
-        let moge = load(Part::Moge, plan, device, moge)?;
+        let moge = load(Part::Moge, plan, device, |path, on| MoGe::load(path, on))?;
+        let moge = moge.map(|net| Metric::MoGe(Box::new(net)));
         let unidepth = load(Part::Unidepth, plan, device, |path, on| UniDepth::load(path, on))?;
         let unidepth = unidepth.map(|net| Metric::UniDepth(Box::new(net)));
         let networks = Networks {
@@ -175,12 +165,6 @@ impl Metric {
         };
         match self {
             Self::MoGe(net) => of_moge(net.infer(picture, &moge), picture),
-            #[cfg(feature = "ort")]
-            Self::MoGeOnnx(net) => {
-                // It computes on the processor, whatever the device.
-                let tokens = Some(PROCESSOR_TOKENS);
-                of_moge(net.infer(picture, &MoGeOptions { tokens, ..moge }), picture)
-            }
             Self::UniDepth(net) => {
                 // MegaSaM hands it pictures of this size.
                 let small = at_most(picture, KEPT_SIDE)?;

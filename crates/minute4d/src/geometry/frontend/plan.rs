@@ -74,12 +74,6 @@ fn names(part: Part) -> &'static [&'static str] {
             "moge-2-b-normal",
             "moge-2-b",
             "moge-2-s-normal",
-            #[cfg(feature = "ort")]
-            "moge-2-l-normal-onnx",
-            #[cfg(feature = "ort")]
-            "moge-2-b-normal-onnx",
-            #[cfg(feature = "ort")]
-            "moge-2-s-normal-onnx",
         ],
         Part::Unidepth => &["unidepth-v2-l"],
         Part::DepthAnything => &["depth-anything-v1-l", "depth-anything-v1-b", "depth-anything-v1-s"],
