@@ -11,10 +11,10 @@ pub type Arrows = BTreeMap<String, BTreeSet<String>>;
 /// The crate that only tests may use; every crate may have it as a dev-dependency.
 pub const TESTKIT: &str = "m4_testkit";
 
-/// Crates whose tests and examples read real data and score it ...
-const MEASURING: [&str; 3] = ["m4_slam", "m4_init", "m4_train"];
+/// Crates whose tests read real data and start from it ...
+const MEASURING: [&str; 2] = ["m4_slam", "m4_train"];
 /// ... and the crates that they may use for that, beside their row of the table.
-const FOR_MEASURING: [&str; 3] = ["m4_io", "m4_init", "m4_eval"];
+const FOR_MEASURING: [&str; 2] = ["m4_io", "m4_init"];
 
 /// Crates whose tests compare what they made with what our own renderer draws of it ...
 const DRAWING: [&str; 2] = ["m4_formats", "m4_viewer"];

@@ -4,12 +4,10 @@
 #![expect(clippy::print_stdout, reason = "figures are read by people")]
 
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
-use minute4d::io::scene_file;
 use minute4d::kernels::SimdLevel;
 use minute4d::page::payload::{PayloadConfig, bytes_per_splat, decode, encode};
 use minute4d::render::Painter;
 use minute4d::scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
-use std::path::Path;
 
 const FRAMES: usize = 8;
 
@@ -96,18 +94,4 @@ fn the_page_cannot_be_told_from_the_scene() {
         println!("{layout:?}: {found:.2} dB");
         assert!(found >= 50.0, "{layout:?}: {found} dB");
     }
-}
-
-/// `M4_SCENE=FOLDER cargo test --release -p minute4d --test viewer_quality -- --ignored --nocapture`
-#[test]
-#[ignore = "needs a trained scene"]
-fn a_trained_scene() {
-    let folder = std::env::var("M4_SCENE").unwrap();
-    let scene = scene_file::read(&Path::new(&folder).join("scene.safetensors"))
-        .unwrap()
-        .scene;
-    let found = losses(&scene, scene.source.len().div_ceil(8));
-    println!("{found:.2?}");
-    println!("least {:.2} dB", least(&found));
-    assert!(least(&found) >= 50.0);
 }

@@ -194,39 +194,3 @@ fn any_number_of_threads_gives_the_same_bits() {
     assert_eq!(one, with(2));
     assert_eq!(one, with(5));
 }
-
-/// `cargo test --release -p m4_nets --lib window_is_faster -- --ignored --nocapture`: seconds of all threads.
-#[test]
-#[ignore = "a measurement"]
-fn window_is_faster_than_volume() {
-    let best = |work: &dyn Fn()| {
-        let seconds = (0..6).map(|_| {
-            let start = cpu_time::ProcessTime::now();
-            work();
-            start.elapsed().as_secs_f64()
-        });
-        seconds.fold(f64::MAX, f64::min)
-    };
-    let device = cpu();
-    for (c, radius) in [(128, 3), (256, 4)] {
-        let [h, w] = [41, 73];
-        let map = |key: &str| tensor(formula_input(key, 0.0, 1.0, h * w * c), [h, w, c], &device);
-        let (f, g) = (map("f"), map("g"));
-        let drift = formula_input("centres", 0.0, 3.0, h * w * 2);
-        let at = |i: usize| (if i.is_multiple_of(2) { i / 2 % w } else { i / 2 / w }) as f32;
-        let centres: Vec<f32> = drift.iter().zip(0..).map(|(d, i)| at(i) + d).collect();
-        let centres = tensor(centres, [h, w, 2], &device);
-        let source = FeatureMap::new(f.clone());
-        let target = Pyramid::new(g.clone(), 4);
-        let window = best(&|| drop(scores(&source, &target, centres.clone(), radius).into_data()));
-        let pyramid = best(&|| drop(Pyramid::new(g.clone(), 4)));
-        let target = Pyramid::of(FeatureMap::on_device(g), 4);
-        let f = f.div_scalar(4.0);
-        let volume = best(&|| drop(volume::scores(f.clone(), &target, centres.clone(), radius).into_data()));
-        let [window, pyramid, volume] = [window, pyramid, volume].map(|s| s * 1e3);
-        println!(
-            "{c} channels, radius {radius}: window {window:.1} ms (its pyramid {pyramid:.1} ms), volume {volume:.1} ms"
-        );
-        assert!(window < volume);
-    }
-}

@@ -50,16 +50,11 @@ const LEAST_CONSISTENT: usize = 16;
 /// Fewer frames have no background that is seen most of the time.
 const LEAST_BACKGROUND: usize = 8;
 
-/// Everything in between.
-#[cfg_attr(not(test), expect(dead_code, reason = "the measurements look at every stage"))]
+/// Everything but the enlargement.
 pub(super) struct Stages {
-    pub width: usize,
-    pub height: usize,
     pub shots: Vec<Shot>,
     pub flows: Vec<FlowPair>,
-    pub swept: Vec<Swept>,
     pub measured: Vec<Measured>,
-    pub filled: Vec<Vec<f32>>,
     pub moving: Vec<Vec<u8>>,
     pub disparity: Vec<Vec<f32>>,
 }
@@ -148,20 +143,6 @@ pub(super) fn each<T: Send>(
     };
     let all: Option<Vec<T>> = (0..count).into_par_iter().map(one).collect();
     all.ok_or(DenseError::Cancelled { phase })
-}
-
-/// Everything but the enlargement.
-#[cfg(test)]
-pub(super) fn run(
-    frames: &[&RgbImage],
-    sparse: &SparseReconstruction,
-    sources: &Sources<'_>,
-    given: &Given<'_>,
-    config: &DenseConfig,
-    progress: &dyn Progress,
-) -> Result<Stages, DenseError> {
-    let ground = Ground::of(frames, sparse, sources, given, config, progress)?;
-    estimate(&ground, frames, sparse, sources, given, config, progress)
 }
 
 fn estimate(
@@ -262,13 +243,9 @@ fn estimate(
         mono.overrule(i, &mut disparity[i]);
     }
     Ok(Stages {
-        width: w,
-        height: h,
         shots,
         flows,
-        swept,
         measured,
-        filled,
         moving,
         disparity,
     })

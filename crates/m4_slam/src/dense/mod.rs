@@ -51,9 +51,6 @@ mod sweep;
 mod tracks;
 mod working;
 
-#[cfg(test)]
-mod bench_tests;
-
 pub(crate) use components::Components;
 pub use config::{
     BodyConfig, DenseConfig, FillConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig,

@@ -1,6 +1,5 @@
 //! The whole way on a clip whose things are known: one walks, one comes late, one leaves, one only seems to move.
 
-mod bench;
 mod film;
 mod sessions;
 
