@@ -23,7 +23,7 @@ skipped=()
 
 if [ ! -x "$program" ]; then
     echo "== build" >&2
-    cargo build --release -p minute4d_cli >&2 || exit 69
+    cargo build --release -p minute4d_cli --features full >&2 || exit 69
 fi
 
 limit=480

@@ -29,9 +29,9 @@ wanted=${WEIGHTS-$usual}
 
 if [ -z "${MINUTE4D:-}" ] && [ ! -x "$program" ]; then
     echo "== build" >&2
-    cargo build --release -p minute4d_cli >&2 || exit 69
+    cargo build --release -p minute4d_cli --features full >&2 || exit 69
 fi
-[ -x "$program" ] || { echo "there is no program $program: build it (cargo build --release), or set MINUTE4D" >&2; exit 66; }
+[ -x "$program" ] || { echo "there is no program $program: build it (cargo build --release -p minute4d_cli --features full), or set MINUTE4D" >&2; exit 66; }
 command -v python3 >/dev/null || { echo "python3 is needed to read the program's reports" >&2; exit 69; }
 
 work=$(mktemp -d)

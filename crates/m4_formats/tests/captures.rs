@@ -6,7 +6,6 @@ use m4_formats::captures::{colmap, nerfstudio};
 use m4_io::image::{read_depth, read_mask, read_rgb};
 use m4_scene::{Capture, CaptureFrame, CompactMask, Progress, Silent, Tracks};
 use m4_testkit::BoxScene;
-use std::path::Path;
 
 const SIZE: [usize; 2] = [64, 48];
 

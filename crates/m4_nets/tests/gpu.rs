@@ -2,10 +2,7 @@
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-#[expect(dead_code, reason = "every test file uses its own part of this module")]
-mod common;
-
-use common::{fixtures, floats, picture};
+use crate::common::{fixtures, floats, picture};
 use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
 use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, try_init_setup};
 use m4_nets::droid::{EdgeUpdate, MemoryOptions, Storage};

@@ -1,9 +1,7 @@
 //! LPIPS against the networks stated anew in PyTorch: with weights by a formula always, with the published ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{fixtures, floats, picture, png, real_weights};
+use crate::common::{fixtures, floats, picture, png, real_weights};
 use m4_nets::{LoadError, Lpips, LpipsError, LpipsNet, LpipsPicture, LpipsScore, cpu};
 use m4_scene::{Mask, Plane};
 use m4_testkit::formula;

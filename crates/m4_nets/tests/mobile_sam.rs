@@ -1,9 +1,7 @@
 //! MobileSAM against its authors' module: with weights by a formula always, with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{fixtures, floats, picture, png, real_weights};
+use crate::common::{fixtures, floats, picture, png, real_weights};
 use m4_nets::{LoadError, MaskPrediction, MobileSam, PointPrompt, Prompt, SamError, cpu};
 use m4_scene::{Plane, RgbImage};
 use m4_testkit::write_formula_weights;

@@ -1,9 +1,7 @@
 //! RAFT against its authors' module, with weights by a formula, and with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{fixtures, floats, picture, png, real_weights};
+use crate::common::{fixtures, floats, picture, png, real_weights};
 use m4_nets::raft::{LowFlow, Raft, RaftFlow};
 use m4_nets::{Flow, FlowError, LoadError, cpu};
 use m4_scene::{Plane, RgbImage};

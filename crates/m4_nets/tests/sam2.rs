@@ -1,10 +1,7 @@
 //! SAM 2.1 as a caller sees it: its checkpoints, its clips, and what it refuses. The parts are compared with upstream's in the crate.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-#[expect(dead_code, reason = "every test file uses its own part of this module")]
-mod common;
-
-use common::{fixtures, floats};
+use crate::common::{fixtures, floats};
 use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoOptions, VideoPredictor};
 use m4_nets::{LoadError, PointPrompt, Prompt, Sam2, Sam2Error, Sam2Size, cpu};
 use m4_scene::{Plane, Progress, RgbImage, Silent};

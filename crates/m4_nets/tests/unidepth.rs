@@ -1,9 +1,7 @@
 //! `UniDepth` V2 against upstream's code, with weights by a formula: a small backbone of five blocks and heads of 128 channels.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{fixtures, floats, picture, real_weights};
+use crate::common::{fixtures, floats, picture, real_weights};
 use m4_nets::{BackboneSize, LoadError, UniDepth, UniDepthError, UniDepthMap, cpu};
 use m4_scene::{Plane, RgbImage};
 use m4_testkit::write_formula_weights;

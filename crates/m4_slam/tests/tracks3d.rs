@@ -1,14 +1,12 @@
 //! Points of boxes followed behind a pillar and out of the picture, against the truth.
 #![expect(clippy::print_stdout, reason = "figures that the documentation names")]
 
-mod track_support;
-
+use crate::track_support::score::Score;
+use crate::track_support::{TrueFlow, clip, score};
 use m4_scene::{Progress, Silent};
 use m4_slam::dense::{FillConfig, InverseSearch, TrackConfig};
 use m4_slam::tracks3d::{FlowTracker, Followed, PosedClip, PosedFrame, Query, QueryGrid, TrackError, Tracker3d};
 use m4_testkit::BoxScene;
-use track_support::score::Score;
-use track_support::{TrueFlow, clip, score};
 
 const SIZE: (usize, usize) = (192, 144);
 const FRAMES: usize = 32;

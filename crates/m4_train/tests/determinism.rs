@@ -1,9 +1,7 @@
 //! The same seed gives the same bits: for any number of threads, and across a saved state.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-mod common;
-
-use common::{disturbed, video};
+use crate::common::{disturbed, video};
 use m4_kernels::SimdLevel;
 use m4_scene::{Capture, Silent, Splats, StateTensor};
 use m4_train::{DensityConfig, FrameChoice, TrainConfig, TrainError, Trainer};

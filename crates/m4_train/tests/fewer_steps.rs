@@ -1,9 +1,7 @@
 //! What makes more of an iteration: several frames a step, colours by least squares, own counts of steps.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-mod common;
-
-use common::{FRAMES, disturbed, video};
+use crate::common::{FRAMES, disturbed, video};
 use m4_kernels::SimdLevel;
 use m4_math::CounterRng;
 use m4_scene::{Capture, Column, Silent, Splats, StateTensor, TrainState};

@@ -1,8 +1,6 @@
 //! A video of known motion is learned: picture quality, motion, counts (T8 and T9 of the specification).
 
-mod common;
-
-use common::{FRAMES, disturbed, video};
+use crate::common::{FRAMES, disturbed, video};
 use m4_init::{InitConfig, initialise};
 use m4_kernels::SimdLevel;
 use m4_scene::{Column, Progress, Silent, Splats};

@@ -1,8 +1,6 @@
 //! The page with a scene in it, and what comes out of it again.
 
-mod common;
-
-use common::{manifest_of, scene};
+use crate::common::{manifest_of, scene};
 use m4_scene::{Plane, RgbImage};
 use m4_viewer::page::{self, Effort, MARKER, PageError, Parts, TEMPLATE, compose};
 use m4_viewer::payload::{PayloadConfig, decode, encode};

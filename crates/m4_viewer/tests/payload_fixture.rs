@@ -105,7 +105,7 @@ fn fixture(name: &str, layout: SplatLayout) -> Value {
     })
 }
 
-/// Writes the fixtures: `cargo test -p m4_viewer --test payload_fixture -- --ignored`.
+/// Writes the fixtures: `cargo test -p m4_viewer --test it payload_fixture -- --ignored`.
 #[test]
 #[ignore = "writes the fixtures that the other test and the page read"]
 fn write_fixtures() {

@@ -2,9 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{manifest_of, scene};
+use crate::common::{manifest_of, scene};
 use m4_viewer::Manifest;
 use m4_viewer::page;
 use m4_viewer::payload::{PayloadConfig, decode, encode};

@@ -30,6 +30,9 @@ use m4_viewer::server::ServeError;
 use std::io;
 use std::path::PathBuf;
 
+/// The command that builds the program with everything: GPUs and networks. Messages about what a build lacks name it.
+pub const BUILD_FULL: &str = "cargo build --release -p minute4d_cli --features full";
+
 /// The sort of a failure: what a program turns into its exit code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
@@ -125,7 +128,9 @@ pub enum Error {
     #[error(transparent)]
     Gpu(#[from] m4_gpu::GpuError),
     /// A GPU was asked for in a build that cannot use any.
-    #[error("this build has no support for GPUs: build with the feature `gpu`, or choose --device cpu")]
+    #[error(
+        "this program was built without GPUs, which --device gpu needs: `{BUILD_FULL}` builds it with them; --device cpu works without"
+    )]
     NoGpuSupport,
     /// A folder was to be made where a file is.
     #[error("{} is a file, and a folder of that name is to be made; choose another name", path.display())]
@@ -281,8 +286,8 @@ pub enum Error {
     Serve(#[from] ServeError),
     /// A front end that needs a network, in a build that has none.
     #[error(
-        "this build has no networks, which the front end {frontend} needs: build with the feature `nets`, or use \
-         --frontend classical, which works without"
+        "this program was built without networks, which the front end {frontend} needs: `{BUILD_FULL}` builds it with them; \
+         --frontend classical works without"
     )]
     NoNetworks {
         /// The front end.
@@ -322,8 +327,8 @@ pub enum Error {
     Megasam(#[from] MegasamError),
     /// A segmenter that needs a network, in a build that has none.
     #[error(
-        "this build has no networks, which the segmenter {segmenter} needs: build with the feature `nets`, or use \
-         --segmenter none, which works without"
+        "this program was built without networks, which the segmenter {segmenter} needs: `{BUILD_FULL}` builds it with them; \
+         --segmenter none works without"
     )]
     NoSegmenter {
         /// The segmenter.
@@ -349,8 +354,8 @@ pub enum Error {
     },
     /// A tracker that needs a network, in a build that has none.
     #[error(
-        "this build has no networks, which the tracker {tracker} needs: build with the feature `nets`, or use --tracker flow, \
-         which works without"
+        "this program was built without networks, which the tracker {tracker} needs: `{BUILD_FULL}` builds it with them; \
+         --tracker flow works without"
     )]
     NoTracker {
         /// The tracker.

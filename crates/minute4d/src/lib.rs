@@ -55,7 +55,7 @@ mod progress;
 mod steps;
 mod workspace;
 
-pub use error::{Category, Error};
+pub use error::{BUILD_FULL, Category, Error};
 pub use folder::Existing;
 pub use hash::of_path as hash_of_path;
 pub use job::{Job, threads, with_threads};

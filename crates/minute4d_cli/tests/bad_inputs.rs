@@ -2,9 +2,7 @@
 //! the message, and `--json` must end with `ok: false`.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{
+use crate::common::{
     Scratch, edit_transforms, refused, refused_with, text, train, write_capture, write_pictures, write_video,
 };
 use serde_json::{Value, json};

@@ -1,9 +1,7 @@
 //! Many clips: planned, done by one or several workers, killed, taken over, looked at.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Ended, Scratch, call, program, refused, succeed, write_capture};
+use crate::common::{Ended, Scratch, call, program, refused, succeed, write_capture};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;

@@ -1,9 +1,7 @@
 //! Video is decoded by a process of its own, whose end is an error of the clip.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Scratch, program, refused, succeed};
+use crate::common::{Scratch, program, refused, succeed};
 use minute4d::io::video::Mp4Writer;
 use minute4d::scene::Plane;
 use std::process::Stdio;

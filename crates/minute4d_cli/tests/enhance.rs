@@ -1,9 +1,10 @@
 //! Enhancement and ablation from outside.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Ended, Scratch, capture, program, refused, succeed, write_capture};
+#[cfg(feature = "nets")]
+use crate::common::{Ended, capture, program};
+use crate::common::{Scratch, refused, succeed, write_capture};
+use minute4d::BUILD_FULL;
 use minute4d::Silent;
 use minute4d::io::capture::{self as captures, CaptureOptions, Split};
 use serde_json::Value;
@@ -76,8 +77,8 @@ fn what_cannot_be_done_is_said() {
             &["weights add tapip3d", "--tracker flow"],
         );
     } else {
-        check(&["--segmenter", "sam2"], 69, &["nets"]);
-        check(&["--tracker", "tapip3d"], 69, &["nets"]);
+        check(&["--segmenter", "sam2"], 69, &["without networks", BUILD_FULL]);
+        check(&["--tracker", "tapip3d"], 69, &["without networks", BUILD_FULL]);
     }
     refused(&["enhance", &dir.at("nowhere"), "-o", &to], 66, &["nowhere"]);
 }

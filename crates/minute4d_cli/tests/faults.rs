@@ -1,12 +1,10 @@
 //! What is left of a run that was killed, ran out of time or out of disk, and how it goes on.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
 #[cfg(unix)]
-use common::Ended;
-use common::clips::{picture, walk, write};
-use common::{Scratch, call, program, write_capture};
+use crate::common::Ended;
+use crate::common::clips::{picture, walk, write};
+use crate::common::{Scratch, call, program, write_capture};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;

@@ -2,10 +2,8 @@
 //! The table of docs/geometry.md says the same.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::clips::{self, FOCAL_PX, SIZE, camera, picture};
-use common::{Ended, Scratch, call, refused};
+use crate::common::clips::{self, FOCAL_PX, SIZE, camera, picture};
+use crate::common::{Ended, Scratch, call, refused};
 use minute4d::math::CounterRng;
 use minute4d::scene::{Plane, RgbImage};
 use serde_json::Value;
@@ -145,7 +143,7 @@ fn a_cut() {
 /// 1,500 small frames of a walk there and back: what memory grows by is what docs/geometry.md says. Minutes; run it
 /// with `--ignored`, in release.
 #[test]
-#[ignore = "takes minutes: cargo test --release -p minute4d_cli --test geometry_failures -- --ignored --nocapture"]
+#[ignore = "takes minutes: cargo test --release -p minute4d_cli --test it fifteen_hundred -- --ignored --nocapture"]
 fn fifteen_hundred_frames() {
     let pictures: Vec<RgbImage> = clips::walk(75).iter().map(picture).collect();
     let peak = |frames: usize| {

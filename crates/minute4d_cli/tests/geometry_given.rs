@@ -1,12 +1,10 @@
 //! What the user gives for the geometry of a clip replaces what would be computed; what does not fit is refused by name.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::clips::{self, FOCAL_PX, SIZE, picture, see, walk};
-use common::{Scratch, call, refused};
+use crate::common::clips::{self, FOCAL_PX, SIZE, picture, see, walk};
+use crate::common::{Scratch, call, refused};
 #[cfg(feature = "nets")]
-use common::{refused_with, text};
+use crate::common::{refused_with, text};
 use minute4d::Silent;
 use minute4d::io::capture::{self, Split};
 use minute4d::io::image::{read_depth, read_mask, write_depth, write_mask};

@@ -3,9 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 #![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
 
-mod common;
-
-use common::{Scratch, refused, succeed};
+use crate::common::{Scratch, refused, succeed};
 use std::fs;
 
 const SMALL: [&str; 8] = [

@@ -1,9 +1,7 @@
 //! Clips that other tools posed, from outside.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Scratch, refused, succeed, train};
+use crate::common::{Scratch, refused, succeed, train};
 use minute4d::Silent;
 use minute4d::io::capture::{self, CaptureOptions, Split};
 use serde_json::Value;

@@ -1,9 +1,7 @@
 //! Scenes to the files of other tools and back, from outside.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Scratch, refused, succeed};
+use crate::common::{Scratch, refused, succeed};
 use m4_testkit::{SceneSpec, moving_scene, random_camera, random_splats};
 use minute4d::io::scene_file;
 use minute4d::scene::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};

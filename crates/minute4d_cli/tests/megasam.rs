@@ -1,9 +1,7 @@
 //! Captures to files of MegaSaM and back, from outside.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Scratch, refused, succeed, train, write_capture};
+use crate::common::{Scratch, refused, succeed, train, write_capture};
 use minute4d::Silent;
 use minute4d::io::capture::{self, CaptureOptions, Split};
 use minute4d::scene::Capture;

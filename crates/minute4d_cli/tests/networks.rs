@@ -2,9 +2,7 @@
 #![cfg(feature = "nets")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Ended, Scratch, program};
+use crate::common::{Ended, Scratch, program};
 use m4_testkit::write_formula_weights;
 use minute4d::Silent;
 use minute4d::io::capture::{self, CaptureOptions, Split};

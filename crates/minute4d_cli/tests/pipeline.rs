@@ -1,9 +1,7 @@
 //! The happy path from outside: train, render, eval, inspect, stop, resume.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Ended, Scratch, capture, program, refused, succeed, text, train, write_capture, write_pictures};
+use crate::common::{Ended, Scratch, capture, program, refused, succeed, text, train, write_capture, write_pictures};
 use minute4d::Silent;
 use minute4d::io::capture::Split;
 use minute4d::math::nalgebra::Vector3;

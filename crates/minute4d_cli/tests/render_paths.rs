@@ -1,9 +1,7 @@
 //! Camera paths from outside: every path is rendered, at sizes that no camera of the video has.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{SIZE, Scratch, refused, succeed, text, train, write_capture};
+use crate::common::{SIZE, Scratch, refused, succeed, text, train, write_capture};
 use minute4d::io::image::read_rgb;
 use std::fs;
 use std::path::Path;
@@ -281,6 +279,6 @@ fn what_cannot_be_rendered_is_refused_before_anything_is_written() {
     ];
     refused(&tiny, 65, &["9 x 9", "PNG"]);
     let wide = text(&dir.path("wide")).to_owned();
-    let size = common::call(&["render", run(), "--size", "99999x9", "-o", &wide]);
+    let size = crate::common::call(&["render", run(), "--size", "99999x9", "-o", &wide]);
     assert_eq!(size.code, 2, "{}", size.stderr);
 }

@@ -1,9 +1,7 @@
 //! Protocols from outside: frames are split, scenes judged, and the tables of data sets made from folders in their exact layouts.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Scratch, capture, clips, refused, succeed, train, write_capture};
+use crate::common::{Scratch, capture, clips, refused, succeed, train, write_capture};
 use minute4d::Silent;
 use minute4d::io::capture::Split;
 use minute4d::io::image::{write_mask, write_rgb};
@@ -156,7 +154,7 @@ fn write_nvidia(root: &Path, n: usize) {
         let disparity: Vec<f64> = depth.data().iter().map(|&z| 1.0 / f64::from(z)).collect();
         let shape = [depth.height(), depth.width()];
         write_npy(&root.join(format!("disp/{i:03}.npy")), &shape, &disparity, false);
-        let truth = common::seen_from(&train.frames[0].camera, i, n);
+        let truth = crate::common::seen_from(&train.frames[0].camera, i, n);
         write_rgb(&root.join(format!("gt/v000_t{i:03}.png")), &truth).unwrap();
     }
     write_npy(&root.join("poses_bounds.npy"), &[n, 17], &poses, true);
@@ -218,7 +216,7 @@ fn eval_by_a_protocol_names_every_choice() {
             .contains(if cfg!(feature = "nets") {
                 "minute4d weights fetch lpips-alex"
             } else {
-                "feature `nets`"
+                minute4d::BUILD_FULL
             }),
         "{c}"
     );

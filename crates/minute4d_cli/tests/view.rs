@@ -1,9 +1,7 @@
 //! The page of a run and its server, from outside.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Scratch, program, refused, succeed, text, train, write_capture};
+use crate::common::{Scratch, program, refused, succeed, text, train, write_capture};
 use m4_testkit::{Chromium, find_chromium};
 use minute4d::io::scene_file;
 use minute4d::page::page;

@@ -2,9 +2,7 @@
 #![cfg(all(unix, feature = "nets"))]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-mod common;
-
-use common::{Ended, Scratch, program};
+use crate::common::{Ended, Scratch, program};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 

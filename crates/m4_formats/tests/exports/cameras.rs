@@ -1,6 +1,6 @@
 //! COLMAP and nerfstudio: numbers worked out by hand, round trips, and files that are broken.
 
-use crate::common::{self, Mutation, asymmetric_scene, mutations};
+use super::common::{self, Mutation, asymmetric_scene, mutations};
 use m4_formats::cameras::colmap::{self, ColmapEncoding, ColmapOptions};
 use m4_formats::cameras::nerfstudio::{self, NerfstudioOptions};
 use m4_math::nalgebra::{Matrix3, Vector3};

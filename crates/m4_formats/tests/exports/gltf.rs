@@ -1,6 +1,6 @@
 //! glTF: bytes worked out by hand, round trips, and files that are broken.
 
-use crate::common::{self, Mutation, asymmetric_scene, mutations};
+use super::common::{self, Mutation, asymmetric_scene, mutations};
 use m4_formats::gltf::{self, GltfOptions};
 use m4_scene::Column;
 use serde_json::Value;

@@ -1,6 +1,6 @@
 //! SPZ: bytes worked out by hand, round trips, and files that are broken.
 
-use crate::common::{self, Mutation, asymmetric_scene, mutations};
+use super::common::{self, Mutation, asymmetric_scene, mutations};
 use m4_formats::spz::{self, SpzAxes, SpzOptions};
 use m4_scene::Column;
 use std::io::Read;

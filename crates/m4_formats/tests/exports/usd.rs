@@ -1,6 +1,6 @@
 //! USD: text worked out by hand.
 
-use crate::common::{self, asymmetric_scene};
+use super::common::{self, asymmetric_scene};
 use m4_formats::instant;
 use m4_formats::usd::{self, UsdOptions, UsdPositions};
 use m4_scene::{Column, SplatLayout, Splats};

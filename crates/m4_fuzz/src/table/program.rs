@@ -97,15 +97,13 @@ fn manifest(results: &str) -> Manifest {
         id: id.to_owned(),
         input: format!("/clips/{id}.mp4"),
         bytes: 1000,
-        blake3: Some("00".repeat(32)),
-        etag: None,
+        blake3: "00".repeat(32),
         output: format!("{results}/{id}"),
         estimate_s: Some(20.0),
         estimate_of: Some("a clip like it".to_owned()),
     };
     Manifest {
         results: results.to_owned(),
-        upload: None,
         run: Arguments {
             settings: "[train]\niterations = 3\n".to_owned(),
             arguments: vec!["--device".to_owned(), "cpu".to_owned()],
@@ -161,7 +159,6 @@ fn records() -> Vec<Vec<u8>> {
         seconds: 12.5,
         host: "node".to_owned(),
         when_s: 1_700_000_000,
-        uploaded: false,
     };
     [Verdict::Poison, Verdict::Failed]
         .map(|verdict| json(&record(verdict)))

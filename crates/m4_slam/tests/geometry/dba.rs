@@ -1,6 +1,6 @@
 //! Dense bundle adjustment against numbers of the published geometry code (f64).
 
-use crate::golden::{Golden, difference, pose_difference};
+use super::golden::{Golden, difference, pose_difference};
 use m4_math::Se3;
 use m4_math::nalgebra::Vector6;
 use m4_slam::dba::{

@@ -1,6 +1,6 @@
 //! Distances and choices of edges against numbers of the published code.
 
-use crate::golden::Golden;
+use super::golden::Golden;
 use m4_slam::dba::Geometry;
 use m4_slam::graph::{
     FactorGraph, ProximitySettings, Retirement, frame_distance, frame_distance_reference, neighbourhood,

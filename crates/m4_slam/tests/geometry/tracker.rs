@@ -1,6 +1,6 @@
 //! Front end and back end with an oracle in place of the network.
 
-use crate::golden::{Golden, difference, pose_difference};
+use super::golden::{Golden, difference, pose_difference};
 use m4_math::Se3;
 use m4_scene::Silent;
 use m4_slam::dba::{Pinhole, Quirks, project};

@@ -163,8 +163,11 @@ mod with_nets {
 #[cfg(not(feature = "nets"))]
 impl Perceptual {
     pub fn load(wanted: &[LpipsRule], masked: bool, _: usize, _: DeviceChoice) -> Result<Self, Error> {
-        let why = "this build has no networks: build with the feature `nets`";
-        let choices = wanted.iter().map(|&net| choice(net, masked, Some(why.to_owned())));
+        let why = format!(
+            "this program was built without networks: `{}` builds it with them",
+            crate::BUILD_FULL
+        );
+        let choices = wanted.iter().map(|&net| choice(net, masked, Some(why.clone())));
         Ok(Self {
             choices: choices.collect(),
         })

@@ -23,6 +23,9 @@ mod video;
 mod view;
 #[cfg(feature = "nets")]
 mod weights;
+#[cfg(not(feature = "nets"))]
+#[path = "no_weights.rs"]
+mod weights;
 mod without;
 
 pub use ablate::Ablate;
@@ -45,8 +48,9 @@ pub use split::Split;
 pub use train::Train;
 pub use video::VideoArgs;
 pub use view::{PageArgs, View};
+pub use weights::Weights;
 #[cfg(feature = "nets")]
-pub use weights::{Weights, WeightsAction};
+pub use weights::WeightsAction;
 pub use without::WithoutArgs;
 
 use clap::{Args, Parser, Subcommand};
@@ -126,7 +130,6 @@ pub enum Command {
     /// Time the kernels on this machine
     Bench(Bench),
     /// Pretrained weights of networks: which are known, which are here, getting and checking them
-    #[cfg(feature = "nets")]
     Weights(Weights),
 }
 

@@ -173,7 +173,10 @@ fn gpus() -> Vec<GpuAdapter> {
 fn notes(machine: &Machine) -> Vec<String> {
     let mut notes = Vec::new();
     if !cfg!(feature = "gpu") {
-        notes.push("this build has no support for GPUs".to_owned());
+        notes.push(format!(
+            "this program was built without GPUs: `{}` builds it with them",
+            minute4d::BUILD_FULL
+        ));
     } else if machine.gpus.is_empty() {
         notes.push(
             "no GPU answers by Vulkan, Metal, DX12 or OpenGL: where there is one, its driver is missing".to_owned(),

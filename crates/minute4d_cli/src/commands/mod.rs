@@ -52,6 +52,14 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Bench(args) => bench::run(args, &cli.common, output),
         #[cfg(feature = "nets")]
         Command::Weights(args) => weights::run(args, output),
+        #[cfg(not(feature = "nets"))]
+        Command::Weights(_) => Err(Failure {
+            code: minute4d::Category::NoDevice.exit_code(),
+            reason: format!(
+                "this program was built without networks, whose weights these are: `{}` builds it with them",
+                minute4d::BUILD_FULL
+            ),
+        }),
     })
     .map_err(Failure::from)?;
     outcome.map_err(|failure| stopped(failure, output))

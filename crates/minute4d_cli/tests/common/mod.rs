@@ -1,9 +1,7 @@
 //! The program from outside: what it is given, how it ends, what it says.
-#![expect(dead_code, reason = "every test file uses its own part of this module")]
 
 pub mod clips;
 
-use assert_cmd::cargo::cargo_bin;
 use minute4d::Silent;
 use minute4d::io::capture::{self, Split};
 use minute4d::io::image::write_rgb;
@@ -21,7 +19,7 @@ pub const SIZE: (usize, usize) = (64, 48);
 
 /// The program, without progress that depends on the terminal.
 pub fn program() -> Command {
-    let mut command = Command::new(cargo_bin("minute4d"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_minute4d"));
     // No weights that this machine may have: what is found does not depend on them.
     let none = Path::new(env!("CARGO_TARGET_TMPDIR")).join("no-weights");
     command

@@ -2,11 +2,9 @@
 //! without a device, and one that fails leaves the last splats that were looked at.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-#[path = "../common/mod.rs"]
-mod common;
 mod mirror;
 
-use common::{disturbed, video};
+use crate::common::{disturbed, video};
 use m4_kernels::SimdLevel;
 use m4_scene::Silent;
 use m4_train::config::SplitPlacement;

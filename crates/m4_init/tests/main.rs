@@ -1,0 +1,5 @@
+//! The integration tests of this crate, in one program.
+
+mod initialise;
+mod tracked;
+mod tracks;

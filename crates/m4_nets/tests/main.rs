@@ -1,0 +1,14 @@
+//! The integration tests of this crate, in one program.
+
+mod common;
+mod depth_anything;
+mod droid;
+mod gmflow;
+mod gpu;
+mod lpips;
+mod mobile_sam;
+mod moge;
+mod raft;
+mod sam2;
+mod tapip3d;
+mod unidepth;

@@ -1,0 +1,7 @@
+//! The integration tests of this crate, in one program.
+
+mod common;
+mod determinism;
+mod device;
+mod fewer_steps;
+mod synthetic_video;

@@ -1,0 +1,7 @@
+//! The integration tests of this crate, in one program.
+
+mod common;
+mod contents;
+mod page;
+mod payload_fixture;
+mod server;

@@ -1,0 +1,49 @@
+//! What needs a feature that is not built in says so, and how to build it in.
+
+#[cfg(not(all(feature = "gpu", feature = "nets")))]
+use crate::common::refused;
+#[cfg(not(all(feature = "gpu", feature = "nets")))]
+use minute4d::BUILD_FULL;
+
+#[cfg(not(feature = "gpu"))]
+#[test]
+fn a_gpu_is_refused_with_the_command_that_builds_it_in() {
+    let words = ["without GPUs", BUILD_FULL, "--device cpu"];
+    for command in [
+        &["train", "nowhere", "-o", "out", "--device", "gpu"][..],
+        &["bench", "--quick", "--device", "gpu:0"],
+    ] {
+        refused(command, 69, &words);
+    }
+}
+
+#[cfg(not(feature = "nets"))]
+#[test]
+fn networks_are_refused_with_the_command_that_builds_them_in() {
+    let clip = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4");
+    let dir = crate::common::Scratch::new();
+    let out = dir.at("out");
+    let cases = [
+        (
+            vec!["geometry", clip, "-o", &out, "--frontend", "megasam"],
+            "--frontend classical",
+        ),
+        (
+            vec!["run", clip, "-o", &out, "--frontend", "gmflow"],
+            "--frontend classical",
+        ),
+        (
+            vec!["geometry", clip, "-o", &out, "--segmenter", "sam2"],
+            "--segmenter none",
+        ),
+        (
+            vec!["geometry", clip, "-o", &out, "--tracker", "tapip3d"],
+            "--tracker flow",
+        ),
+        (vec!["weights", "list"], "networks"),
+        (vec!["weights", "fetch", "gmflow", "--accept-license"], "networks"),
+    ];
+    for (command, instead) in cases {
+        refused(&command, 69, &["without networks", BUILD_FULL, instead]);
+    }
+}

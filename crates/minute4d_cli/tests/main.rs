@@ -1,0 +1,21 @@
+//! The integration tests of this crate, in one program.
+
+mod bad_inputs;
+mod batch;
+mod common;
+mod decoder;
+mod enhance;
+mod faults;
+mod features;
+mod geometry_failures;
+mod geometry_given;
+mod gpu_bench;
+mod import;
+mod interchange;
+mod megasam;
+mod networks;
+mod pipeline;
+mod render_paths;
+mod reproduce;
+mod view;
+mod weights;
