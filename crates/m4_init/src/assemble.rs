@@ -277,9 +277,9 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
     };
     writer.surface(&parts.standing);
     writer.shell(&parts.shell);
-    let spans = spans(capture, config, &parts.moving);
+    let times: Vec<f64> = parts.moving.iter().map(|(t, _)| *t).collect();
     if config.static_fade {
-        writer.time(0, spans.standing);
+        writer.time(0, static_life(capture, config));
     }
     for (i, (t, points)) in parts.moving.iter().enumerate() {
         let first = writer.row;
@@ -292,35 +292,43 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
         }
         writer.tint(&parts.tints[i].darker, DARK);
         writer.tint(&parts.tints[i].brighter, BRIGHT);
-        writer.time(first, (*t as f32, spans.moving));
+        writer.time(first, (*t as f32, log_time_sd(capture, config, &times, i)));
     }
     splats
 }
 
-/// Time parameters: `(mean, log sd)` of standing points that fade, `log sd` of moving ones.
-struct Spans {
-    standing: (f32, f32),
-    moving: f32,
+/// Middle and logarithm of the standard deviation in time, frames, of static points that fade.
+fn static_life(capture: &Capture, config: &InitConfig) -> (f32, f32) {
+    let last = (capture.time_frames.max(2) - 1) as f32;
+    // without a reference time axis they fade as the reference's do at D = 3
+    let time_range = match config.time_spread {
+        TimeSpread::KeyframeGaps { .. } => 3.0,
+        TimeSpread::Reference { time_range } => time_range,
+    };
+    let middle = if time_range >= 2.0 { last / 3.0 } else { last / 2.0 };
+    (middle, (last / time_range.sqrt()).ln())
 }
 
-fn spans(capture: &Capture, config: &InitConfig, moving: &[(f64, Centroids)]) -> Spans {
-    let last = (capture.time_frames.max(2) - 1) as f32;
-    let gap = match moving {
-        [(first, _), .., (end, _)] => (end - first) as f32 / (moving.len() - 1) as f32,
-        _ => 1.0,
-    };
+/// Logarithm of the standard deviation in time, frames, of the points of keyframe `i`; `times` are those of all
+/// keyframes, in order.
+fn log_time_sd(capture: &Capture, config: &InitConfig, times: &[f64], i: usize) -> f32 {
     match config.time_spread {
-        TimeSpread::KeyframeGaps { factor, min_frames } => Spans {
-            // Without a reference time axis, standing points that must fade do so as the reference does at D = 3.
-            standing: (last / 3.0, (last / 3.0f32.sqrt()).ln()),
-            moving: (factor * gap).max(min_frames).ln(),
-        },
-        TimeSpread::Reference { time_range } => Spans {
-            standing: (
-                if time_range >= 2.0 { last / 3.0 } else { last / 2.0 },
-                (last / time_range.sqrt()).ln(),
-            ),
-            moving: 0.5 * (last / (10.0 * time_range)).ln(),
-        },
+        TimeSpread::KeyframeGaps { factor } => (factor * gap(times, i) as f32).ln(),
+        TimeSpread::Reference { time_range } => {
+            let last = (capture.time_frames.max(2) - 1) as f32;
+            0.5 * (last / (10.0 * time_range)).ln()
+        }
+    }
+}
+
+/// Frames from keyframe `i` to the farther of its neighbours in time; 1 for a lone one. Keyframes of the same instant,
+/// from another camera, are no neighbours.
+fn gap(times: &[f64], i: usize) -> f64 {
+    let before = times[..i].iter().rev().map(|t| times[i] - t).find(|gap| *gap > 0.0);
+    let after = times[i..].iter().map(|t| t - times[i]).find(|gap| *gap > 0.0);
+    match (before, after) {
+        (Some(before), Some(after)) => before.max(after),
+        (Some(gap), None) | (None, Some(gap)) => gap,
+        (None, None) => 1.0,
     }
 }

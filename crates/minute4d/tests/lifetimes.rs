@@ -1,0 +1,117 @@
+//! A dynamic surface stays as solid between the frames of a video as at them.
+
+use m4_init::{InitConfig, initialise};
+use m4_kernels::{Renderer, SimdLevel, View};
+use m4_math::Se3;
+use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Silent, Splats};
+
+const SIZE: (usize, usize) = (96, 64);
+const WALL: f64 = 4.0;
+const SQUARE: f64 = 2.0;
+/// World units a frame, to the right.
+const SPEED: f64 = 0.03;
+
+fn camera() -> Camera {
+    Camera {
+        intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 100.0),
+        c2w: Se3::identity(),
+    }
+}
+
+/// Whether the square covers a pixel at time `t`, frames, but for a rim of `rim` world units.
+fn covers(x: usize, y: usize, t: f64, rim: f64) -> bool {
+    let p = camera().unproject(x as f64, y as f64, SQUARE);
+    (p.x - SPEED * t + 0.2).abs() < 0.3 - rim && p.y.abs() < 0.3 - rim
+}
+
+/// A square that slides in front of a wall, filmed at `times`, frames.
+fn capture(times: &[f64]) -> Capture {
+    let (w, h) = SIZE;
+    let texture = |x: f64, y: f64| {
+        [0.0, 1.3, 2.9].map(|p: f64| (127.5 + 120.0 * (9.0 * x + p).sin() * (7.0 * y - p).cos()) as u8)
+    };
+    let make = |(i, &t): (usize, &f64)| {
+        let on = |x: usize, y: usize| covers(x, y, t, 0.0);
+        let colour = |x: usize, y: usize| {
+            let p = camera().unproject(x as f64, y as f64, if on(x, y) { SQUARE } else { WALL });
+            let shift = if on(x, y) { SPEED * t } else { 5.0 };
+            texture(p.x - shift, p.y)
+        };
+        CaptureFrame {
+            name: format!("{i:03}"),
+            camera: camera(),
+            t,
+            rgb: Plane::from_fn(w, h, colour),
+            depth: Some(Plane::from_fn(w, h, |x, y| if on(x, y) { SQUARE } else { WALL } as f32).into()),
+            mask: Some(CompactMask::from_fn(w, h, on)),
+            motion: None,
+            instances: None,
+            camera_index: None,
+        }
+    };
+    Capture {
+        frames: times.iter().enumerate().map(make).collect(),
+        time_frames: 11,
+        duration_s: None,
+        metric: true,
+        tracks: None,
+    }
+}
+
+/// The dynamic splats alone.
+fn dynamic(splats: &Splats) -> Splats {
+    let (layout, n_static) = (splats.layout(), splats.n_static());
+    let columns = splats.columns().iter().enumerate();
+    let columns = columns.map(|(c, column)| {
+        let first = if c < layout.shared_columns() { n_static } else { 0 };
+        column[first..].to_vec()
+    });
+    Splats::from_columns(layout, 0, splats.n_dynamic(), columns.collect()).unwrap()
+}
+
+/// Mean opacity of the square at every tenth of a frame between 1 and 9.
+fn opacities(times: &[f64]) -> Vec<f64> {
+    let config = InitConfig {
+        max_static: 2000,
+        max_dynamic: 60_000,
+        change_threshold: 0.0,
+        shell_splats: 0,
+        ..InitConfig::fast()
+    };
+    let splats = dynamic(&initialise(&capture(times), &config, &Silent).unwrap());
+    let mut renderer = Renderer::new(SimdLevel::best());
+    let at = |t: f64| {
+        let frame = renderer.render(
+            &splats,
+            &View {
+                camera: camera(),
+                t,
+                background: [0.0; 3],
+                near: 0.1,
+                mip: true,
+                period: 10.0,
+                with_depth: false,
+            },
+        );
+        let inside = (0..SIZE.0 * SIZE.1).filter(|i| covers(i % SIZE.0, i / SIZE.0, t, 0.06));
+        let seen: Vec<f64> = inside.map(|i| 1.0 - f64::from(frame.transmittance[i])).collect();
+        seen.iter().sum::<f64>() / seen.len() as f64
+    };
+    (10..=90).map(|k| 0.1 * f64::from(k)).map(at).collect()
+}
+
+#[test]
+fn opacity_is_constant_between_frames() {
+    let every: Vec<f64> = (0..11).map(f64::from).collect();
+    // 4, 7 and 8 are held out
+    let gaps: Vec<f64> = every.iter().copied().filter(|t| ![4.0, 7.0, 8.0].contains(t)).collect();
+    for times in [every, gaps] {
+        let seen = opacities(&times);
+        let (low, high) = seen.iter().fold((1.0f64, 0.0f64), |(l, h), &v| (l.min(v), h.max(v)));
+        assert!(
+            low > 0.93 && high - low < 0.03,
+            "{} frames: {low:.4} to {high:.4}: {seen:.3?}",
+            times.len()
+        );
+    }
+}
