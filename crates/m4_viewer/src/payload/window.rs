@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 
 /// Splats are not drawn where their temporal marginal is at most this (section 1.3).
 pub(super) const MARGINAL_MIN: f64 = 0.05;
+/// Where the Gaussian window falls to that, standard deviations: `sqrt(-2 ln 0.05)`.
+const GAUSSIAN_REACH_SDS: f64 = 2.447_746_830_680_816;
 
 /// The shape of the temporal marginal, one for all dynamic splats of a scene; `q = (dt / sd)^2`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -27,14 +29,19 @@ impl TimeWindow {
     /// What is left of the opacity so many standard deviations from the middle of the life.
     pub(super) fn marginal(self, away_sds: f64) -> f64 {
         let q = away_sds * away_sds;
-        (-0.5 * if self == Self::Flat { q * q } else { q }).exp()
+        match self {
+            Self::Gaussian => (-0.5 * q).exp(),
+            Self::Flat => (-0.5 * q * q).exp(),
+        }
     }
 
     /// Standard deviations in time that a splat is drawn for, to either side: where the marginal is
     /// [`MARGINAL_MIN`].
     pub(super) fn reach_sds(self) -> f64 {
-        let q = (-2.0 * MARGINAL_MIN.ln()).sqrt();
-        if self == Self::Flat { q.sqrt() } else { q }
+        match self {
+            Self::Gaussian => GAUSSIAN_REACH_SDS,
+            Self::Flat => GAUSSIAN_REACH_SDS.sqrt(),
+        }
     }
 }
 
