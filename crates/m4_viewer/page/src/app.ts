@@ -12,8 +12,10 @@ import type { Stage } from "./render/stage";
 import type { View } from "./render/view";
 import type { Manifest } from "./scene";
 
-/** Longest step that is taken at once, seconds: a page that was hidden goes on where it was. */
-const STEP_MOST_S = 0.1;
+/** Longest step of time that is taken at once, seconds: a page that was hidden goes on where it was. */
+const STEP_MOST_S = 1;
+/** The same for a camera that moves: its way is made of short steps. */
+const CAMERA_STEP_MOST_S = 0.1;
 const PIXEL_RATIO_MOST = 2;
 /**
  * While something moves a fine screen is drawn more coarsely if drawing takes longer than this, milliseconds;
@@ -41,7 +43,7 @@ export class App {
   comparing = false;
   private fixed: Fixed | null = null;
   private requested = 0;
-  private last = 0;
+  private last = Number.NEGATIVE_INFINITY;
   private quality = 0;
   private touched = Number.NEGATIVE_INFINITY;
   private finish = 0;
@@ -238,11 +240,13 @@ export class App {
 
   private tick(now: number): void {
     this.requested = 0;
-    const seconds = Math.min((now - this.last) / 1000, STEP_MOST_S);
+    // the first tick after a rest begins a step and takes none
+    const passed = Number.isFinite(this.last) ? Math.max(now - this.last, 0) / 1000 : 0;
+    const seconds = Math.min(passed, STEP_MOST_S);
     this.last = now;
     const presented = this.stage.present();
     const playing = this.clock.advance(seconds);
-    const moving = this.rig.advance(seconds, this.clock.time) || playing;
+    const moving = this.rig.advance(Math.min(passed, CAMERA_STEP_MOST_S), this.clock.time) || playing;
     const handled = now - this.touched < HANDS_OFF_MS;
     if (presented && (moving || handled)) this.judge();
     this.stage.want(this.prepare(moving || handled ? (QUALITIES[this.quality] ?? 1) : 1));

@@ -25,6 +25,7 @@ interface Waiting {
 export class Splats {
   private readonly worker: Worker;
   private readonly waiting: Waiting[] = [];
+  private failure: PageError | null = null;
 
   constructor() {
     this.worker = new SplatWorker();
@@ -46,11 +47,13 @@ export class Splats {
   }
 
   private fail(error: PageError): void {
+    this.failure ??= error;
     for (const waiting of this.waiting.splice(0)) waiting.fail(error);
   }
 
   /** Asks for something; answers come in the order of the questions. */
   private ask<T>(message: ToWorker, transfer: Transferable[], read: (answer: FromWorker) => T | undefined): Promise<T> {
+    if (this.failure) return Promise.reject(this.failure);
     return new Promise<T>((resolve, reject) => {
       let timer = 0;
       const watch = (): void => {

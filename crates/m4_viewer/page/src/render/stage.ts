@@ -63,7 +63,8 @@ export class Stage {
   /** Counts what was called off; an order that was asked for before is not shown. */
   private calls = 0;
   private ready: Ready | null = null;
-  private drawn: { readonly view: View; readonly active: number } | null = null;
+  /** The image that is shown, and of which scene. */
+  private drawn: { readonly view: View; readonly active: number; readonly loaded: Loaded } | null = null;
   /** The device has not finished the image before. */
   private drawing = false;
   private lost = false;
@@ -150,7 +151,6 @@ export class Stage {
     this.loaded = null;
     this.ready = null;
     this.asking = false;
-    this.drawn = null;
   }
 
   /** Keeps what is shown: nothing that was asked for before comes after it. */
@@ -169,7 +169,7 @@ export class Stage {
   private pump(): void {
     const view = this.wanted;
     if (!this.loaded || this.lost || this.asking || this.ready || !view) return;
-    if (this.drawn && sameView(this.drawn.view, view)) return;
+    if (this.shows(view)) return;
     const { loaded, calls } = this;
     this.asking = true;
     this.prepare(loaded, view).then(
@@ -215,7 +215,7 @@ export class Stage {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     this.showThrough(view, loaded);
     beside();
-    this.drawn = { view, active: slice.count };
+    this.drawn = { view, active: slice.count, loaded };
     const before = { slice: slice.sliceMs, readback: slice.wayMs + uploaded - started, sort: slice.sortMs };
     void this.finish(before, uploaded);
   }
@@ -289,8 +289,11 @@ export class Stage {
 
   /** Whether what is wanted is what is shown, in its order. */
   get sorted(): boolean {
-    if (!this.loaded || !this.wanted) return true;
-    return this.drawn !== null && sameView(this.drawn.view, this.wanted);
+    return !this.loaded || !this.wanted || this.shows(this.wanted);
+  }
+
+  private shows(view: View): boolean {
+    return this.drawn !== null && this.drawn.loaded === this.loaded && sameView(this.drawn.view, view);
   }
 
   /** The image that is shown; none before the first one. */
