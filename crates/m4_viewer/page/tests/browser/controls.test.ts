@@ -61,6 +61,21 @@ test("the time line goes by frames with keys, and anywhere with the mouse", asyn
   expect(await page.getAttribute(control("scrub"), "aria-valuetext")).toMatch(/^0:0\d\.\d\d, frame 1[12] of 23$/);
 });
 
+test("what an instant costs is told, to people and to scripts", async () => {
+  const page = await desk("no-preference");
+  expect(await page.isVisible("#meter")).toBe(false);
+  await page.keyboard.press("i");
+  await expect
+    .poll(() => page.innerText("#meter"), { timeout: 20_000 })
+    .toMatch(/^\d+\.\d instants a second\n\d+ of 300 splats\nslice .* ms\nreadback .* ms\nsort .* ms\ndraw .*[1-9].* ms\n760 x 428 pixels$/);
+  const { instant, active } = await state(page);
+  expect(Object.keys(instant)).toEqual(["slice_ms", "readback_ms", "sort_ms", "draw_ms", "per_second"]);
+  expect(instant.draw_ms).toBeGreaterThan(0);
+  expect(active).toBeGreaterThan(100);
+  await page.keyboard.press("i");
+  expect(await page.isVisible("#meter")).toBe(false);
+});
+
 test("speed and repeat", async () => {
   const page = await desk();
   await page.click(control("speed-open"));
