@@ -131,6 +131,15 @@ impl Chromium {
         }
     }
 
+    /// Gives the page another size, pixels of the window and of the device alike.
+    pub fn resize(&mut self, width: usize, height: usize) {
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false}),
+        );
+        self.wait_for(&format!("innerWidth === {width} && innerHeight === {height}"));
+    }
+
     /// Waits until a JavaScript expression is true.
     pub fn wait_for(&mut self, condition: &str) {
         self.eval(&format!(

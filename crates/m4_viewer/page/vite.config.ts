@@ -1,23 +1,12 @@
-import { readFileSync, writeFileSync } from "node:fs";
+import { writeFileSync } from "node:fs";
 import { fileURLToPath } from "node:url";
 import { type Plugin, defineConfig } from "vite";
 
 const here = (path: string): string => fileURLToPath(new URL(path, import.meta.url));
 const MARKER = "<!--minute4d-data-->";
 
-/** The licences of everything that ends up in the page. */
-function licences(): string {
-  const packages = ["three", "@sparkjsdev/spark", "fflate"].map((name) => {
-    const folder = here(`node_modules/${name}/`);
-    const { version, license } = JSON.parse(readFileSync(`${folder}package.json`, "utf8")) as {
-      version: string;
-      license: string;
-    };
-    const text = readFileSync(`${folder}LICENSE`, "utf8").trim();
-    return `${name} ${version} (${license})\n\n${text}`;
-  });
-  return `minute4d viewer (MIT OR Apache-2.0), with\n\n${packages.join("\n\n----\n\n")}`.replaceAll("--", "- -");
-}
+/** Whose it is; nothing of others is in the page. */
+const LICENCE = "minute4d viewer (MIT OR Apache-2.0)";
 
 /** One file: script and style inside, nothing to fetch, written where the Rust side includes it. */
 function oneFile(output: string): Plugin {
@@ -41,7 +30,7 @@ function oneFile(output: string): Plugin {
         .replace(/\s*<script type="module"[^>]*><\/script>/, "")
         .replace(/\s*<link rel="stylesheet"[^>]*>/, () => `\n    <style>${String(style.source)}</style>`)
         // after the charset, which must be among the first 1024 bytes
-        .replace("</title>", () => `</title>\n    <!--\n${licences()}\n-->`)
+        .replace("</title>", () => `</title>\n    <!-- ${LICENCE} -->`)
         .replace("</body>", () => `<script type="module">${code}</script>\n  </body>`);
       const markers = html.split(MARKER).length - 1;
       if (markers !== 1) this.error(`the page has ${markers} places for a scene where it must have one`);

@@ -3,12 +3,14 @@
 //! The page as it is built ([`TEMPLATE`]) has one marker. In its place go
 //!
 //! ```html
+//! <img id="m4-poster" alt="" style="--aspect:1.333333" src="data:image/jpeg;base64,..">
 //! <script type="application/json" id="m4-manifest">{..}</script>
 //! <script type="text/plain" id="m4-splats">BASE64 of gzip of the payload</script>
 //! <script type="text/plain" id="m4-frames">BASE64 of the JPEGs</script>
 //! ```
 //!
-//! the last two only where there is something. `</` in the JSON is written `<\/`, so that nothing in it
+//! the poster, which is the first of the frames and is seen while the rest is still being read, the splats and the
+//! frames only where there are some. `</` in the JSON is written `<\/`, so that nothing in it
 //! ends the element.
 
 use crate::frames::Frames;
@@ -117,6 +119,9 @@ pub fn compose(template: &str, parts: &Parts<'_>, effort: Effort) -> Result<Vec<
     };
     let json = serde_json::to_string(parts.manifest)?.replace("</", "<\\/");
     let mut out = before.as_bytes().to_vec();
+    if let Some(poster) = parts.frames.and_then(poster) {
+        out.extend_from_slice(poster.as_bytes());
+    }
     element(&mut out, MANIFEST, &json);
     if let Some(payload) = parts.payload {
         let mut gzip = GzEncoder::new(Vec::with_capacity(payload.len()), effort.into());
@@ -128,6 +133,18 @@ pub fn compose(template: &str, parts: &Parts<'_>, effort: Effort) -> Result<Vec<
     }
     out.extend_from_slice(after.as_bytes());
     Ok(out)
+}
+
+/// The first frame as an element of its own; none where the frames have no first one.
+fn poster(frames: &Frames) -> Option<String> {
+    let index = &frames.index;
+    let (from, to) = (*index.offsets.first()?, *index.offsets.get(1)?);
+    let jpeg = frames.bytes.get(from..to).filter(|jpeg| !jpeg.is_empty())?;
+    let aspect = index.width as f64 / index.height.max(1) as f64;
+    Some(format!(
+        "<img id=\"m4-poster\" alt=\"\" style=\"--aspect:{aspect:.6}\" src=\"data:image/jpeg;base64,{}\">",
+        STANDARD.encode(jpeg)
+    ))
 }
 
 fn opening((kind, id): (&str, &str)) -> String {

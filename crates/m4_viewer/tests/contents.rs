@@ -1,6 +1,8 @@
 //! The page with a scene in it, and what comes out of it again.
 
 use crate::common::{manifest_of, scene};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use m4_scene::{Plane, RgbImage};
 use m4_viewer::page::{self, Effort, MARKER, PageError, Parts, TEMPLATE, compose};
 use m4_viewer::payload::{PayloadConfig, decode, encode};
@@ -30,6 +32,13 @@ fn a_scene_comes_back_out_of_the_page() {
     for effort in [Effort::Quick, Effort::Small] {
         let html = String::from_utf8(compose(TEMPLATE, &parts, effort).unwrap()).unwrap();
         assert!(!html.contains(MARKER) && !html.contains("</script><script>alert"));
+        // what is seen first comes before what takes long to read
+        let first = frames.as_ref().map(|f| &f.bytes[..f.index.offsets[1]]).unwrap();
+        let poster = format!(
+            "style=\"--aspect:1.500000\" src=\"data:image/jpeg;base64,{}\">",
+            STANDARD.encode(first)
+        );
+        assert!(html.find(&poster).unwrap() < html.find("<script").unwrap());
         let back = page::read(&html).unwrap();
         assert_eq!(back.manifest, manifest);
         assert_eq!(back.frames, frames);
@@ -49,6 +58,7 @@ fn a_page_that_waits_has_no_splats() {
         frames: None,
     };
     let html = String::from_utf8(compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
+    assert!(!html.contains("<img"));
     let back = page::read(&html).unwrap();
     assert_eq!((back.payload, back.frames, back.manifest), (None, None, manifest));
 }

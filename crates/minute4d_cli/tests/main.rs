@@ -15,6 +15,7 @@ mod interchange;
 mod megasam;
 mod networks;
 mod pipeline;
+mod playback;
 mod render_paths;
 mod reproduce;
 mod view;

@@ -5,7 +5,7 @@ import { poseOf } from "./maths";
 import { theme } from "./ui/theme";
 
 export interface PageState {
-  /** Frames. */
+  /** Of the image that is shown, frames. */
   time: number;
   playing: boolean;
   frozen: boolean;
@@ -19,15 +19,28 @@ export interface PageState {
   idle: boolean;
   /** As drawn last; intrinsics in pixels of the canvas. */
   camera: { c2w: number[]; fx: number; fy: number; cx: number; cy: number };
-  /** 0..1: how much of the picture is gone. */
+  /** 0..1: how much of the image is gone. */
   fade: number;
   /** Pixels of the canvas. */
   width: number;
   height: number;
   splats: number;
-  /** Those that take part in the picture. */
+  /** Those that take part in the image. */
   active: number;
+  /** Whether nothing newer is wanted than what is shown. */
   sorted: boolean;
+  /** What the last instants cost, medians; how many come in a second. */
+  instant: {
+    /** Choosing the splats that can be seen, in the worker. */
+    slice_ms: number;
+    /** The order's way from the worker into graphics memory; nothing is read back from there. */
+    readback_ms: number;
+    /** Sorting them by depth, in the worker. */
+    sort_ms: number;
+    /** Until the graphics driver has done all of it. */
+    draw_ms: number;
+    per_second: number;
+  };
 }
 
 export interface PageApi {
@@ -37,10 +50,10 @@ export interface PageApi {
   setTime(frames: number): void;
   /** A camera to the letter: 4x4 row-major camera to world, OpenCV axes; pixels of the canvas. */
   setCamera(c2w: readonly number[], fx: number, fy: number, cx: number, cy: number): void;
-  /** When the order of the splats is that of the picture, and the picture is drawn with it. */
+  /** When the image is that of the time and the camera that were set, in full size. */
   settle(): Promise<void>;
   state(): PageState;
-  /** The settled picture as a PNG, without controls. */
+  /** The settled image as a PNG, without controls. */
   capture(): Promise<string>;
 }
 
@@ -48,6 +61,12 @@ declare global {
   interface Window {
     minute4d: PageApi;
   }
+}
+
+function instantOf({ stage: { timing } }: App): PageState["instant"] {
+  const { slice, readback, sort, draw } = timing.cost;
+  const perSecond = timing.rate(performance.now());
+  return { slice_ms: slice, readback_ms: readback, sort_ms: sort, draw_ms: draw, per_second: perSecond };
 }
 
 /** The page's interface; `app` may come later, everything but `ready` needs it. */
@@ -83,7 +102,7 @@ export function pageApi(ready: Promise<App>): PageApi {
       const a = there();
       const { canvas } = a.stage;
       return {
-        time: a.clock.time,
+        time: a.time,
         playing: a.clock.playing,
         frozen: a.frozen,
         speed: a.clock.speed,
@@ -100,6 +119,7 @@ export function pageApi(ready: Promise<App>): PageApi {
         splats: a.manifest.splats.static + a.manifest.splats.dynamic,
         active: a.stage.active,
         sorted: a.stage.sorted,
+        instant: instantOf(a),
       };
     },
   };

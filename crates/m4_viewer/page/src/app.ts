@@ -1,24 +1,31 @@
-/** The viewer: time, camera and picture together, and what can be done with them. */
+/** The viewer: time, camera and image together, and what can be done with them. */
 
 import type { Lens } from "./camera/path";
 import { SourcePath } from "./camera/path";
 import { CameraRig, type Mode } from "./camera/rig";
 import { SafeRegion } from "./camera/safe";
-import { type Fitted, fitLens } from "./camera/view";
+import { fitLens } from "./camera/view";
 import { Clock, type Repeat } from "./clock";
 import type { Place } from "./link";
 import { type Pose, matrixOf } from "./maths";
-import type { Stage, View } from "./render/stage";
-import type { Manifest, SceneData } from "./scene";
+import type { Stage } from "./render/stage";
+import type { View } from "./render/view";
+import type { Manifest } from "./scene";
 
-/** Longest step that is taken at once, seconds: a page that was hidden goes on where it was. */
-const STEP_MOST_S = 0.1;
+/** Longest step of time that is taken at once, seconds: a page that was hidden goes on where it was. */
+const STEP_MOST_S = 1;
+/** The same for a camera that moves: its way is made of short steps. */
+const CAMERA_STEP_MOST_S = 0.1;
 const PIXEL_RATIO_MOST = 2;
-/** While something moves the picture is drawn smaller if it would come slower than this, milliseconds. */
-const SLOW_MS = 48;
-const FAST_MS = 24;
+/**
+ * While something moves a fine screen is drawn more coarsely if drawing takes longer than this, milliseconds;
+ * never more coarsely than a pixel of the window.
+ */
+const SLOW_MS = 150;
+const FAST_MS = 40;
 const QUALITIES = [1, 0.75, 0.5] as const;
-const FRAMES_TO_JUDGE = 12;
+/** Images that are looked at before the size changes. */
+const IMAGES_TO_JUDGE = 8;
 /** A drag counts as movement until nothing came for so long, milliseconds. */
 const HANDS_OFF_MS = 160;
 const REPEATS: readonly Repeat[] = ["loop", "swing", "once"];
@@ -34,14 +41,10 @@ export class App {
   rig: CameraRig;
   frozen = false;
   comparing = false;
-  /** What was drawn last. */
-  view: View | null = null;
-  placement: Fitted["placement"] = { x: 0, y: 0, width: 0, height: 0 };
   private fixed: Fixed | null = null;
   private requested = 0;
-  private last = 0;
+  private last = Number.NEGATIVE_INFINITY;
   private quality = 0;
-  private paces: number[] = [];
   private touched = Number.NEGATIVE_INFINITY;
   private finish = 0;
   private readonly listeners: (() => void)[] = [];
@@ -56,7 +59,7 @@ export class App {
     this.rig = rigOf(manifest, !calm);
   }
 
-  /** Calls back after every picture and every change. */
+  /** Calls back after every image and every change. */
   onChange(listener: () => void): void {
     this.listeners.push(listener);
   }
@@ -70,10 +73,10 @@ export class App {
     if (this.requested === 0) this.requested = requestAnimationFrame((now) => this.tick(now));
   };
 
-  /** Another scene under the same camera and time. */
-  replace(manifest: Manifest, data: SceneData): void {
+  /** Another scene under the same camera and time, from its payload. */
+  async replace(manifest: Manifest, bytes: Uint8Array<ArrayBuffer>): Promise<void> {
+    await this.stage.load(manifest, bytes, () => undefined);
     const [clock, rig] = [this.clock, this.rig];
-    this.stage.load(manifest, data);
     this.manifest = { ...manifest, frames: manifest.frames ?? this.manifest.frames, live: this.manifest.live };
     this.clock = clockOf(manifest);
     this.clock.time = clock.time;
@@ -88,8 +91,27 @@ export class App {
 
   // ---------------------------------------------------------------- time
 
+  /** The image that is shown; none before the first one. */
+  get view(): View | null {
+    return this.stage.shown;
+  }
+
+  /** The time of the image that is shown, frames. The clock is ahead of it while something is drawn. */
+  get time(): number {
+    return this.view?.t ?? this.clock.time;
+  }
+
+  /** Stops at what is seen. */
+  private pause(): void {
+    if (this.clock.playing) {
+      this.stage.hold();
+      this.clock.time = this.time;
+    }
+    this.clock.pause();
+  }
+
   togglePlay(): void {
-    if (this.clock.playing) this.clock.pause();
+    if (this.clock.playing) this.pause();
     else {
       this.frozen = false;
       if (this.rig.swinging) this.rig.free("orbit", this.clock.time);
@@ -104,6 +126,7 @@ export class App {
   }
 
   step(frames: number): void {
+    this.pause();
     this.clock.step(frames);
     this.moved();
   }
@@ -125,7 +148,7 @@ export class App {
     this.frozen = !this.frozen;
     this.fixed = null;
     if (this.frozen) {
-      this.clock.pause();
+      this.pause();
       this.rig.startSwing(this.clock.time);
     } else {
       this.rig.ride(this.clock.time);
@@ -151,7 +174,7 @@ export class App {
     }
     move(this.rig, this.clock.time);
     this.touched = performance.now();
-    // the last picture of a drag is drawn in full
+    // the last image of a drag is drawn in full
     window.clearTimeout(this.finish);
     this.finish = window.setTimeout(this.invalidate, HANDS_OFF_MS + 20);
     this.moved();
@@ -179,7 +202,7 @@ export class App {
   }
 
   get place(): Place {
-    const t = this.clock.time;
+    const t = this.clock.playing ? this.time : this.clock.time;
     return this.rig.mode === "ride" && !this.fixed ? { t } : { t, pose: this.pose };
   }
 
@@ -194,8 +217,8 @@ export class App {
     return this.fixed?.pose ?? this.rig.at(this.clock.time);
   }
 
-  /** Whether the picture is that of the source camera, so that its frame fits over it. */
-  get riding(): boolean {
+  /** Whether the camera is the source camera. */
+  private get riding(): boolean {
     return this.rig.mode === "ride" && !this.fixed && !this.rig.gliding;
   }
 
@@ -213,78 +236,71 @@ export class App {
     this.changed();
   }
 
-  // ---------------------------------------------------------------- picture
+  // ---------------------------------------------------------------- image
 
   private tick(now: number): void {
     this.requested = 0;
-    const pace = now - this.last;
+    // the first tick after a rest begins a step and takes none
+    const passed = Number.isFinite(this.last) ? Math.max(now - this.last, 0) / 1000 : 0;
+    const seconds = Math.min(passed, STEP_MOST_S);
     this.last = now;
-    const seconds = Math.min(pace / 1000, STEP_MOST_S);
+    const presented = this.stage.present();
     const playing = this.clock.advance(seconds);
-    const moving = this.rig.advance(seconds, this.clock.time) || playing;
+    const moving = this.rig.advance(Math.min(passed, CAMERA_STEP_MOST_S), this.clock.time) || playing;
     const handled = now - this.touched < HANDS_OFF_MS;
-    if (moving || handled) this.judge(pace);
-    else this.paces = [];
-    this.draw(moving || handled ? (QUALITIES[this.quality] ?? 1) : 1);
+    if (presented && (moving || handled)) this.judge();
+    this.stage.want(this.prepare(moving || handled ? (QUALITIES[this.quality] ?? 1) : 1));
     this.changed();
     if (moving || this.clock.playing) this.invalidate();
     else if (!handled) this.last = Number.NEGATIVE_INFINITY;
   }
 
-  /** Chooses how large the picture is drawn while it moves. */
-  private judge(pace: number): void {
-    if (!Number.isFinite(pace) || pace > 1000) return;
-    this.paces.push(pace);
-    if (this.paces.length < FRAMES_TO_JUDGE) return;
-    const middle = this.paces.toSorted((a, b) => a - b)[FRAMES_TO_JUDGE >> 1] ?? 0;
-    this.paces = [];
-    if (middle > SLOW_MS && this.quality < QUALITIES.length - 1) this.quality += 1;
-    else if (middle < FAST_MS && this.quality > 0) this.quality -= 1;
+  /** Chooses how large the image is drawn while it moves. */
+  private judge(): void {
+    const { timing } = this.stage;
+    if (timing.count < IMAGES_TO_JUDGE) return;
+    const { draw } = timing.cost;
+    const before = this.quality;
+    if (draw > SLOW_MS) this.quality = Math.min(before + 1, QUALITIES.length - 1);
+    else if (draw < FAST_MS) this.quality = Math.max(before - 1, 0);
+    if (this.quality !== before) timing.restart();
   }
 
-  private draw(quality: number): void {
-    this.view = this.prepare(quality);
-    this.stage.draw(this.view);
-  }
-
+  /** What is to be seen now, drawn at a share of full size. */
   private prepare(quality: number): View {
     const canvas = this.stage.canvas;
-    const ratio = Math.min(window.devicePixelRatio || 1, PIXEL_RATIO_MOST) * quality;
+    const full = Math.min(window.devicePixelRatio || 1, PIXEL_RATIO_MOST);
+    const ratio = Math.min(full, Math.max(1, full * quality));
     const width = Math.max(1, Math.round(canvas.clientWidth * ratio));
     const height = Math.max(1, Math.round(canvas.clientHeight * ratio));
-    this.stage.resize(width, height);
-    return this.viewFor(width, height, canvas.clientWidth);
-  }
-
-  private viewFor(width: number, height: number, cssWidth: number): View {
     const t = this.clock.time;
     const source = this.rig.path.lens(t);
     const fitted = fitLens(source, width, height);
-    const css = cssWidth / width;
-    this.placement = {
+    const css = canvas.clientWidth / width;
+    const placement = {
       x: fitted.placement.x * css,
       y: fitted.placement.y * css,
       width: fitted.placement.width * css,
       height: fitted.placement.height * css,
     };
-    const pose = this.pose;
-    if (this.fixed) return { t, pose, lens: { ...this.fixed.lens, width, height }, magnification: 1, fade: 0, frame: null };
+    const { pose, riding } = this;
+    const view = { t, pose, placement, riding };
+    if (this.fixed) return { ...view, lens: { ...this.fixed.lens, width, height }, magnification: 1, fade: 0, frame: null };
     const fade = this.rig.mode === "ride" ? 0 : this.rig.safe.fade(pose.position);
     const magnification = fitted.lens.fx / source.fx;
-    return { t, pose, lens: fitted.lens, magnification, fade, frame: fitted.placement };
+    return { ...view, lens: fitted.lens, magnification, fade, frame: fitted.placement };
   }
 
-  /** Draws everything there is to draw, in full size and in the right order. */
+  /** Draws what is to be seen now, in full size. */
   async settle(): Promise<void> {
-    this.view = this.prepare(1);
-    await this.stage.settle(this.view);
+    await this.stage.settle(this.prepare(1));
     this.changed();
   }
 
-  /** The camera as it is drawn: matrix and intrinsics in pixels of the canvas. */
+  /** The camera of the image that is shown: matrix and intrinsics in pixels of the canvas. */
   get camera(): { c2w: number[]; fx: number; fy: number; cx: number; cy: number } {
     const lens = this.view?.lens ?? this.rig.path.lens(this.clock.time);
-    return { c2w: matrixOf(this.pose), fx: lens.fx, fy: lens.fy, cx: lens.cx, cy: lens.cy };
+    return { c2w: matrixOf(this.view?.pose ?? this.pose), fx: lens.fx, fy: lens.fy, cx: lens.cx, cy: lens.cy };
   }
 }
 

@@ -55,8 +55,12 @@ export async function fromBase64(
 /** Whether bytes begin as gzip does. */
 export const isGzip = (bytes: Uint8Array): boolean => bytes[0] === 0x1f && bytes[1] === 0x8b;
 
-/** Inflates gzip. */
-export async function gunzip(bytes: Uint8Array<ArrayBuffer>, what: string): Promise<Uint8Array<ArrayBuffer>> {
+/** Inflates gzip; calls `progress` with the bytes that are there so far. */
+export async function gunzip(
+  bytes: Uint8Array<ArrayBuffer>,
+  what: string,
+  progress: (count: number) => void = () => undefined,
+): Promise<Uint8Array<ArrayBuffer>> {
   if (typeof DecompressionStream === "undefined") {
     throw new PageError(
       "This browser is too old for the page",
@@ -66,7 +70,15 @@ export async function gunzip(bytes: Uint8Array<ArrayBuffer>, what: string): Prom
   try {
     const parts: Uint8Array[] = [];
     const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip")).getReader();
-    for (let next = await reader.read(); !next.done; next = await reader.read()) parts.push(next.value);
+    let count = 0;
+    let told = 0;
+    for (let next = await reader.read(); !next.done; next = await reader.read()) {
+      parts.push(next.value);
+      count += next.value.length;
+      if (count - told < CHUNK) continue;
+      told = count;
+      progress(count);
+    }
     const out = new Uint8Array(parts.reduce((sum, p) => sum + p.length, 0));
     let at = 0;
     for (const part of parts) {

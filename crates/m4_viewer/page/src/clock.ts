@@ -6,7 +6,7 @@ import { clamp } from "./maths";
 export type Repeat = "loop" | "swing" | "once";
 
 export const SPEED_MIN = 0.1;
-export const SPEED_MAX = 2;
+export const SPEED_MAX = 4;
 
 export class Clock {
   private at: number;

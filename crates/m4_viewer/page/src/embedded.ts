@@ -1,10 +1,9 @@
 /** What the page carries with it: manifest, splats, frames of the clip. */
 
-import { fromBase64, gunzip } from "./bytes";
+import { fromBase64 } from "./bytes";
 import { PageError, messageOf } from "./errors";
 import { readManifest } from "./manifest";
-import { decodePayload } from "./payload";
-import type { Manifest, SceneData } from "./scene";
+import type { Manifest } from "./scene";
 
 /** How far loading is: 0..1, and what is done. */
 export type Progress = (share: number, doing: string) => void;
@@ -35,8 +34,8 @@ export function embeddedManifest(): Manifest {
   }
 }
 
-/** The splats in the page; `null` where there are none yet, which only a live page may lack. */
-export async function embeddedScene(manifest: Manifest, progress: Progress): Promise<SceneData | null> {
+/** The splats in the page, packed; `null` where there are none yet, which only a live page may lack. */
+export async function embeddedSplats(manifest: Manifest, progress: Progress): Promise<Uint8Array<ArrayBuffer> | null> {
   const base64 = text("m4-splats");
   if (base64 === null || base64.trim() === "") {
     if (manifest.live) return null;
@@ -45,12 +44,9 @@ export async function embeddedScene(manifest: Manifest, progress: Progress): Pro
       "The manifest is there, the splats are not. Fetch the file again, or write it again from the scene.",
     );
   }
-  const packed = await fromBase64(base64, "splats", (s) => progress(0.5 * s, "Reading"));
+  const packed = await fromBase64(base64, "splats", (s) => progress(s, "Reading"));
   document.getElementById("m4-splats")?.remove();
-  progress(0.5, "Unpacking");
-  const payload = await gunzip(packed, "splats");
-  progress(0.75, "Decoding");
-  return decodePayload(payload, manifest);
+  return packed;
 }
 
 /** The frames of the clip in the page, as they are; `null` where there are none. */

@@ -6,8 +6,7 @@ import "./style/bars.css";
 import "./style/wishes.css";
 import { pageApi } from "./api";
 import { App } from "./app";
-import { breath } from "./bytes";
-import { embeddedFrames, embeddedManifest, embeddedScene } from "./embedded";
+import { embeddedFrames, embeddedManifest, embeddedSplats } from "./embedded";
 import { PageError, toPageError } from "./errors";
 import { SourceFrames } from "./frames";
 import { isSlider, startFlying, startPointer } from "./input";
@@ -18,12 +17,13 @@ import { Stage } from "./render/stage";
 import type { Manifest } from "./scene";
 import { Actions } from "./ui/actions";
 import { Compare } from "./ui/compare";
-import { showMessage, showProgress, uncover } from "./ui/cover";
+import { dropPoster, showMessage, showProgress, uncover } from "./ui/cover";
 import { Dock } from "./ui/dock";
 import { control, find } from "./ui/dom";
 import { Help } from "./ui/help";
 import { Idle } from "./ui/idle";
 import { startLayout } from "./ui/layout";
+import { Meter } from "./ui/meter";
 import { hint, toast } from "./ui/notices";
 import { Popovers } from "./ui/popovers";
 import { startScrubThumb } from "./ui/scrub-thumb";
@@ -51,20 +51,18 @@ async function addFrames(app: App, manifest: Manifest): Promise<void> {
   startScrubThumb(app, frames);
 }
 
-/** The scene in the page onto the stage; false where there is none yet. Nothing keeps its columns afterwards. */
+/** The scene in the page onto the stage; false where there is none yet. */
 async function fill(app: App, place: Place | null): Promise<boolean> {
-  const data = await embeddedScene(app.manifest, showProgress);
-  if (!data) return false;
-  showProgress(0.85, "Preparing");
-  await breath();
-  app.stage.load(app.manifest, data);
-  showProgress(0.95, "Sorting");
+  const packed = await embeddedSplats(app.manifest, (share, doing) => showProgress(0.3 * share, doing));
+  if (!packed) return false;
+  await app.stage.load(app.manifest, packed, (share, doing) => showProgress(0.3 + 0.65 * share, doing));
+  showProgress(0.95, "Drawing");
   if (place) app.go(place);
   await app.settle();
   return true;
 }
 
-/** What is said over the picture. */
+/** What is said over the image. */
 function wordsFor(app: App): string | null {
   if (app.manifest.live && app.stage.active === 0) return "Waiting for the first splats";
   return (app.view?.fade ?? 0) > FADE_TOLD ? OUTSIDE : null;
@@ -79,26 +77,28 @@ async function start(): Promise<App> {
 
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   let invalidate = (): void => undefined;
-  const stage = new Stage(
-    find(HTMLCanvasElement, "#view"),
-    () => invalidate(),
-    () =>
+  const stage = new Stage(find(HTMLCanvasElement, "#view"), {
+    onReady: () => invalidate(),
+    onLost: () =>
       showMessage(
         new PageError(
-          "The graphics driver took the picture away",
+          "The graphics driver took the image away",
           "That happens when the device sleeps or runs out of memory. Reload to go on; close other pages if it happens again.",
         ),
       ),
-  );
+    onFailure: showMessage,
+  });
   const app = new App(manifest, stage, calm);
   invalidate = app.invalidate;
 
   const place = fromFragment(location.hash);
+  // the poster shows the beginning
+  if (place) dropPoster();
   const filled = await fill(app, place);
 
   const popovers = new Popovers();
   const help = new Help();
-  const actions = new Actions(app, root, help, popovers);
+  const actions = new Actions(app, root, help, popovers, new Meter(app));
   const dock = new Dock(app, actions);
   const idle = new Idle(root, () => app.moving && !actions.open);
   startPointer(stage.canvas, app, {

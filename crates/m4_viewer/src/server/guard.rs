@@ -12,7 +12,7 @@ const TOKEN_BYTES: usize = 16;
 
 /// The page is one file: nothing is fetched from elsewhere, nothing is sent anywhere but here, nobody
 /// frames it. The scripts in it start workers and a WebAssembly module that they carry with them.
-const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob: data:; \
+const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' blob: data:; \
                       style-src 'unsafe-inline'; img-src data: blob:; font-src data:; connect-src 'self' data: blob:; \
                       worker-src blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 

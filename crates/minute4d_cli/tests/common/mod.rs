@@ -220,6 +220,15 @@ pub fn write_capture(folder: &Path, with_test: bool) {
     }
 }
 
+/// Writes a capture of `n` frames of another size and rate.
+pub fn write_clip(folder: &Path, size: (usize, usize), n: usize, fps: f64) {
+    let clip = Capture {
+        duration_s: Some((n - 1) as f64 / fps),
+        ..capture_of(size, n, false)
+    };
+    capture::write(folder, &clip, Split::Train, &Silent).unwrap();
+}
+
 /// Edits the list of training frames of a capture.
 pub fn edit_transforms(folder: &Path, edit: impl FnOnce(&mut Value)) {
     let path = folder.join("transforms_train.json");

@@ -4,7 +4,7 @@ import type { App } from "../app";
 import { gunzip, isGzip } from "../bytes";
 import { messageOf } from "../errors";
 import { readManifest } from "../manifest";
-import { decodePayload, splitLiveScene } from "../payload";
+import { splitLiveScene } from "../payload";
 import type { LiveSource } from "../scene";
 import { toast } from "../ui/notices";
 import { readEvent } from "./events";
@@ -73,11 +73,11 @@ export class Follower {
         const answer = isGzip(raw) ? await gunzip(raw, "scene") : raw;
         const { manifest, payload } = splitLiveScene(answer);
         const next = readManifest(manifest);
-        this.app.replace(next, decodePayload(payload, next));
+        await this.app.replace(next, payload.slice());
         this.onScene();
       } while (this.again);
     } catch (error) {
-      // the picture that is there stays; the next event tries again
+      // the image that is there stays; the next event tries again
       toast(`The newest scene did not arrive: ${messageOf(error)}`);
     } finally {
       this.loading = false;

@@ -3,7 +3,7 @@
  * the 3DGS family, times cosines of time.
  */
 
-import { fetchTexel } from "./textures";
+import { fetchTexel } from "./columns";
 
 const C0 = 0.28209479177387814;
 const C1 = 0.4886025119029199;

@@ -1,103 +1,82 @@
-/** The picture: WebGL2, Spark for slicing and sorting, our shaders for drawing. */
+/**
+ * The image: a worker chooses and sorts the splats of an instant, WebGL2 draws them.
+ *
+ * An image is drawn only when its own order is there, with the time and the camera that the order was made
+ * for; until then the image before stays. What was asked for in between is skipped.
+ */
 
-import { SparkRenderer } from "@sparkjsdev/spark";
-import {
-  Camera,
-  Color,
-  ColorManagement,
-  GLSL3,
-  HalfFloatType,
-  LinearSRGBColorSpace,
-  Matrix4,
-  Mesh,
-  NearestFilter,
-  NoBlending,
-  PlaneGeometry,
-  RGBAFormat,
-  Scene,
-  ShaderMaterial,
-  UnsignedByteType,
-  Vector2,
-  Vector3,
-  Vector4,
-  WebGLRenderTarget,
-  WebGLRenderer,
-} from "three";
-import type { Lens } from "../camera/path";
-import type { Placement } from "../camera/view";
-import { PageError } from "../errors";
-import { type Pose, matrixOf } from "../maths";
-import { type Manifest, type SceneData, colourTerms, splatCount } from "../scene";
-import { type Instant, instantOf } from "./generator";
-import { LOW_PASS, PRESENT_FRAGMENT, PRESENT_VERTEX, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./shaders";
-import { type SplatTextures, disposeTextures, splatTextures } from "./textures";
-
-/** All that decides the picture. */
-export interface View {
-  readonly t: number;
-  readonly pose: Pose;
-  /** For the whole of the canvas, its pixels. */
-  readonly lens: Lens;
-  /** Focal length of the training over that of the lens; the filter grows with the picture. */
-  readonly magnification: number;
-  /** 0..1: how much of the picture is gone. */
-  readonly fade: number;
-  /** The frame of the source camera, pixels of the canvas; what lies further out is not shown. */
-  readonly frame: Placement | null;
-}
+import { breath } from "../bytes";
+import type { Progress } from "../embedded";
+import { PageError, toPageError } from "../errors";
+import { type Manifest, colourTerms } from "../scene";
+import { mostRows } from "./columns";
+import { OrderTexture, Program, Target, floatTexture, rectangles } from "./gl";
+import { BATCH, PRESENT_FRAGMENT, PRESENT_VERTEX, SPLAT_FRAGMENT, splatVertex } from "./shaders";
+import { type Returned, Splats } from "./splats";
+import { type InstantCost, Timing } from "./timing";
+import { type View, featherOf, lowPassOf, partOf, sameView, sliceViewOf, worldToCamera } from "./view";
 
 /** Beyond the frame of the source camera: the dark page, in either theme. */
 const OUTSIDE = [13 / 255, 14 / 255, 17 / 255] as const;
-/** How softly the picture ends there, as a share of the shorter side of the frame. */
-const FEATHER = 0.08;
-const SORT_TIMEOUT_MS = 60_000;
-const POLL_MS = 4;
+const POLL_MS = 2;
+const COLUMNS = ["place", "shape", "life", "colour"] as const;
+/** The samplers of the shader: the order, then the columns. */
+const SAMPLERS = ["order", "place", "shape", "life", "colours"] as const;
 
-// sRGB values go through as they are: the scene was trained on them
-ColorManagement.enabled = false;
-
+/** A scene on the graphics device, and its worker. */
 interface Loaded {
   readonly manifest: Manifest;
-  readonly empty: boolean;
-  readonly instant: Instant;
-  readonly textures: SplatTextures;
+  readonly splats: Splats;
+  readonly order: OrderTexture;
+  readonly textures: readonly WebGLTexture[];
+  readonly program: Program;
+}
+
+/** An instant whose order is there. */
+interface Ready {
+  readonly view: View;
+  readonly loaded: Loaded;
+  readonly slice: Returned;
+  /** Draws what belongs beside the image. */
+  readonly beside: () => void;
+}
+
+/** Whom the stage tells what. */
+export interface StageHooks {
+  /** An instant is there to be presented. */
+  onReady(): void;
+  /** The graphics device has gone. */
+  onLost(): void;
+  /** Nothing can be drawn any more. */
+  onFailure(error: PageError): void;
 }
 
 export class Stage {
-  private readonly renderer: WebGLRenderer;
-  private readonly spark: SparkRenderer;
-  private readonly scene = new Scene();
-  private readonly camera = new Camera();
-  private readonly target: WebGLRenderTarget;
-  private readonly present: Mesh<PlaneGeometry, ShaderMaterial>;
-  private readonly presentScene = new Scene();
-  private readonly uniforms = {
-    m4Shape: { value: null as unknown },
-    m4View: { value: new Matrix4() },
-    m4Lens: { value: new Vector4() },
-    m4Size: { value: new Vector2() },
-    m4Near: { value: 0 },
-    m4LowPass: { value: LOW_PASS },
-    m4Mip: { value: false },
-  };
-  /** What Spark slices and sorts, and what the shaders draw; they differ while a new scene is sorted first. */
+  private readonly gl: WebGL2RenderingContext;
+  private readonly target: Target;
+  private readonly presenting: Program;
+  private readonly splatArray: WebGLVertexArrayObject;
+  private readonly emptyArray: WebGLVertexArrayObject;
   private loaded: Loaded | null = null;
-  private bound: Loaded | null = null;
-  /** Spark's own word that something changed is no news while it is being told so. */
-  private slicing = false;
-  /** An update came while Spark could not take it. */
-  private stale = false;
-  private readonly background = new Color(0, 0, 0);
-  private shown: View | null = null;
+  private wanted: View | null = null;
+  private asking = false;
+  /** Counts what was called off; an order that was asked for before is not shown. */
+  private calls = 0;
+  private ready: Ready | null = null;
+  /** The image that is shown, and of which scene. */
+  private drawn: { readonly view: View; readonly active: number; readonly loaded: Loaded } | null = null;
+  /** The device has not finished the image before. */
+  private drawing = false;
   private lost = false;
+  readonly timing = new Timing();
+  /** Prepares what is shown beside an instant, such as the input frame; the result draws it. */
+  companion: ((view: View) => Promise<() => void>) | null = null;
 
   constructor(
     readonly canvas: HTMLCanvasElement,
-    /** A better order or a first picture is there to be drawn. */
-    onDirty: () => void,
-    onLost: () => void,
+    private readonly hooks: StageHooks,
   ) {
-    const context = canvas.getContext("webgl2", {
+    const gl = canvas.getContext("webgl2", {
       alpha: false,
       antialias: false,
       depth: false,
@@ -105,209 +84,244 @@ export class Stage {
       preserveDrawingBuffer: true,
       powerPreference: "high-performance",
     });
-    if (!context) {
+    if (!gl) {
       throw new PageError(
         "This browser cannot draw the scene",
         "It has no WebGL2, or it is switched off. A current Chrome, Edge, Firefox or Safari with hardware acceleration shows it.",
       );
     }
+    this.gl = gl;
     canvas.addEventListener("webglcontextlost", () => {
       this.lost = true;
-      onLost();
+      hooks.onLost();
     });
-    this.renderer = new WebGLRenderer({ canvas, context });
-    this.renderer.outputColorSpace = LinearSRGBColorSpace;
-    this.renderer.autoClear = false;
-    this.camera.matrixAutoUpdate = false;
-
-    const fine = context.getExtension("EXT_color_buffer_float") ?? context.getExtension("EXT_color_buffer_half_float");
-    this.target = new WebGLRenderTarget(1, 1, {
-      format: RGBAFormat,
-      type: fine ? HalfFloatType : UnsignedByteType,
-      minFilter: NearestFilter,
-      magFilter: NearestFilter,
-      depthBuffer: false,
-      stencilBuffer: false,
-    });
-    this.spark = new SparkRenderer({
-      renderer: this.renderer,
-      autoUpdate: false,
-      accumExtSplats: true,
-      enableLod: false,
-      sortRadial: false,
-      depthTest: false,
-      vertexShader: SPLAT_VERTEX,
-      fragmentShader: SPLAT_FRAGMENT,
-      extraUniforms: this.uniforms,
-      onDirty: () => {
-        if (!this.slicing) onDirty();
-      },
-    });
-    this.scene.add(this.spark);
-    this.present = new Mesh(
-      new PlaneGeometry(2, 2),
-      new ShaderMaterial({
-        glslVersion: GLSL3,
-        vertexShader: PRESENT_VERTEX,
-        fragmentShader: PRESENT_FRAGMENT,
-        uniforms: {
-          picture: { value: this.target.texture },
-          fadeTo: { value: new Vector3() },
-          fade: { value: 0 },
-          frame: { value: new Vector4() },
-          feather: { value: 0 },
-          outside: { value: new Vector3(...OUTSIDE) },
-        },
-        blending: NoBlending,
-        depthTest: false,
-        depthWrite: false,
-      }),
-    );
-    this.present.frustumCulled = false;
-    this.presentScene.add(this.present);
+    const fine = gl.getExtension("EXT_color_buffer_float") ?? gl.getExtension("EXT_color_buffer_half_float");
+    this.target = new Target(gl, fine !== null);
+    this.presenting = new Program(gl, PRESENT_VERTEX, PRESENT_FRAGMENT);
+    this.splatArray = gl.createVertexArray();
+    this.emptyArray = gl.createVertexArray();
+    gl.bindVertexArray(this.splatArray);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, rectangles(BATCH), gl.STATIC_DRAW);
+    gl.disable(gl.DEPTH_TEST);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   }
 
-  /** Shows another scene, as soon as it is sorted; what is shown now stays until then. */
-  load(manifest: Manifest, data: SceneData): void {
-    const most = this.renderer.capabilities.maxTextureSize;
-    const textures = splatTextures(data, colourTerms(manifest), most);
-    const instant = instantOf(manifest, data, textures);
-    if (this.loaded) {
-      this.scene.remove(this.loaded.instant.splats);
-      if (this.loaded !== this.bound) disposeTextures(this.loaded.textures);
+  /** Shows another scene from its payload, packed or not; what is shown now stays until its first image. */
+  async load(manifest: Manifest, bytes: Uint8Array<ArrayBuffer>, progress: Progress): Promise<void> {
+    const { gl } = this;
+    const rows = mostRows(manifest.splats.static + manifest.splats.dynamic, colourTerms(manifest));
+    const most = Number(gl.getParameter(gl.MAX_TEXTURE_SIZE));
+    if (rows > most && !this.lost) {
+      throw new PageError(
+        "This scene is too large for this device",
+        `Its splats need ${rows} rows of a texture and the graphics driver has ${most}. Export the scene with fewer splats.`,
+      );
     }
-    this.loaded = { manifest, empty: splatCount(data) === 0, instant, textures };
-    this.scene.add(instant.splats);
-    this.shown = null;
-    if (!this.bound || this.loaded.empty) this.bind(this.loaded);
-  }
-
-  private bind(next: Loaded): void {
-    if (this.bound && this.bound !== next) disposeTextures(this.bound.textures);
-    this.bound = next;
-    const { manifest, textures } = next;
-    this.background.setRGB(...manifest.background);
-    this.uniforms.m4Shape.value = textures.shape;
-    this.uniforms.m4Near.value = manifest.near;
-    this.uniforms.m4Mip.value = manifest.mip;
-    const fadeTo = this.present.material.uniforms["fadeTo"];
-    if (fadeTo) fadeTo.value = new Vector3(...manifest.background);
-    this.spark.visible = !next.empty;
-  }
-
-  /** Size of the canvas in its own pixels. */
-  resize(width: number, height: number): void {
-    if (this.canvas.width === width && this.canvas.height === height) return;
-    this.renderer.setSize(width, height, false);
-    this.target.setSize(width, height);
-  }
-
-  /** Draws with the order there is; a better one follows by itself and calls `onDirty`. */
-  draw(view: View): void {
-    this.slice(view);
-    this.paint(view);
-  }
-
-  /** Splats to their places at the view's time, and the sort on its way. */
-  private slice(view: View): void {
-    if (!this.loaded || this.lost) return;
-    const moved = this.stale || !this.shown || !sameSplats(this.shown, view);
-    this.shown = view;
-    const m = matrixOf(view.pose);
-    this.camera.matrix.set(
-      m[0] ?? 1, -(m[1] ?? 0), -(m[2] ?? 0), m[3] ?? 0,
-      m[4] ?? 0, -(m[5] ?? 1), -(m[6] ?? 0), m[7] ?? 0,
-      m[8] ?? 0, -(m[9] ?? 0), -(m[10] ?? 1), m[11] ?? 0,
-      0, 0, 0, 1,
-    );
-    this.camera.updateMatrixWorld(true);
-    if (!moved || this.loaded.empty) return;
-    // while a first order of a new scene is on its way Spark takes nothing else
-    this.stale = this.spark.sorting && !this.displayed;
-    this.loaded.instant.set(view.t, view.pose.position);
-    this.slicing = true;
-    // the sort goes on in a worker; what fails there shows as an error of the page
-    void this.spark.update({ scene: this.scene, camera: this.camera });
-    this.slicing = false;
-  }
-
-  private paint(view: View): void {
-    if (!this.loaded || this.lost) return;
-    const m = matrixOf(view.pose);
-    this.uniforms.m4View.value.set(
-      m[0] ?? 1, m[1] ?? 0, m[2] ?? 0, m[3] ?? 0,
-      m[4] ?? 0, m[5] ?? 1, m[6] ?? 0, m[7] ?? 0,
-      m[8] ?? 0, m[9] ?? 0, m[10] ?? 1, m[11] ?? 0,
-      0, 0, 0, 1,
-    ).invert();
-    const { lens } = view;
-    this.uniforms.m4Lens.value.set(lens.fx, lens.fy, lens.cx, lens.cy);
-    this.uniforms.m4Size.value.set(lens.width, lens.height);
-    this.uniforms.m4LowPass.value = LOW_PASS * Math.max(view.magnification, 1) ** 2;
-    if (this.bound !== this.loaded && this.displayed) this.bind(this.loaded);
-    this.renderer.setRenderTarget(this.target);
-    this.renderer.setClearColor(this.background, 1);
-    this.renderer.clear(true, false, false);
-    this.renderer.render(this.scene, this.camera);
-    this.renderer.setRenderTarget(null);
-    this.showThrough(view);
-    this.renderer.render(this.presentScene, this.camera);
-  }
-
-  private showThrough({ fade, frame, lens }: View): void {
-    const uniforms = this.present.material.uniforms;
-    const set = (name: string, value: number): void => {
-      const uniform = uniforms[name];
-      if (uniform) uniform.value = value;
-    };
-    set("fade", fade);
-    set("feather", frame ? FEATHER * Math.min(frame.width, frame.height) : 0);
-    const rectangle: unknown = uniforms["frame"]?.value;
-    if (frame && rectangle instanceof Vector4) {
-      const bottom = lens.height - frame.y - frame.height;
-      rectangle.set(frame.x, bottom, frame.x + frame.width, bottom + frame.height);
-    }
-  }
-
-  /** Whether what Spark shows is the scene that was loaded last. */
-  private get displayed(): boolean {
-    const splats = this.loaded?.instant.splats;
-    return this.spark.display.mapping.some((m) => m.node === splats);
-  }
-
-  /** Whether the picture is drawn in the order of the splats as they are now. */
-  get sorted(): boolean {
-    if (!this.loaded || this.loaded.empty) return true;
-    const s = this.spark;
-    return !s.sorting && !s.sortDirty && !this.stale && this.displayed && s.orderingTexture !== null;
-  }
-
-  /** How many splats take part in the picture. */
-  get active(): number {
-    return this.spark.activeSplats;
-  }
-
-  /** Draws until the order is that of the splats as they are. */
-  async settle(view: View): Promise<void> {
-    this.slice(view);
-    const started = performance.now();
-    while (!this.sorted) {
-      if (this.lost) return;
-      if (performance.now() - started > SORT_TIMEOUT_MS) {
-        throw new PageError("Sorting the splats takes too long", "The worker did not answer within a minute. Reload the page.");
+    const splats = new Splats();
+    const textures: WebGLTexture[] = [];
+    try {
+      const texels = await splats.load(manifest, bytes, (share, doing) => progress(0.9 * share, doing));
+      const program = new Program(gl, splatVertex(manifest), SPLAT_FRAGMENT);
+      for (const [i, name] of COLUMNS.entries()) {
+        progress(0.9 + 0.025 * i, "Preparing");
+        textures.push(await floatTexture(gl, texels[name], breath));
       }
-      await new Promise((resolve) => setTimeout(resolve, POLL_MS));
-      if (this.stale) this.slice(view);
+      if (gl.getError() === gl.OUT_OF_MEMORY) {
+        throw new PageError(
+          "The graphics device has too little memory for this scene",
+          "Close other pages and reload, or export the scene with fewer splats.",
+        );
+      }
+      const order = new OrderTexture(gl, manifest.splats.static + manifest.splats.dynamic);
+      this.unload();
+      this.loaded = { manifest, splats, order, textures, program };
+    } catch (error) {
+      splats.close();
+      for (const t of textures) gl.deleteTexture(t);
+      throw error;
     }
-    this.paint(view);
   }
-}
 
-/** Whether splats, their colours and their order are the same in two views. */
-function sameSplats(a: View, b: View): boolean {
-  return (
-    a.t === b.t &&
-    a.pose.position.every((v, i) => v === b.pose.position[i]) &&
-    a.pose.rotation.every((v, i) => v === b.pose.rotation[i])
-  );
+  private unload(): void {
+    if (!this.loaded) return;
+    this.loaded.splats.close();
+    this.loaded.program.dispose();
+    for (const t of [this.loaded.order.texture, ...this.loaded.textures]) this.gl.deleteTexture(t);
+    this.loaded = null;
+    this.ready = null;
+    this.asking = false;
+  }
+
+  /** Keeps what is shown: nothing that was asked for before comes after it. */
+  hold(): void {
+    this.calls += 1;
+    this.ready = null;
+  }
+
+  /** What is to be shown next. */
+  want(view: View): void {
+    this.wanted = view;
+    this.pump();
+  }
+
+  /** Asks for the order of what is wanted, one at a time. */
+  private pump(): void {
+    const view = this.wanted;
+    if (!this.loaded || this.lost || this.asking || this.ready || !view) return;
+    if (this.shows(view)) return;
+    const { loaded, calls } = this;
+    this.asking = true;
+    this.prepare(loaded, view).then(
+      (ready) => {
+        if (loaded !== this.loaded) return;
+        this.asking = false;
+        if (calls === this.calls) this.ready = ready;
+        this.hooks.onReady();
+      },
+      (error: unknown) => {
+        if (loaded === this.loaded) this.hooks.onFailure(toPageError(error));
+      },
+    );
+  }
+
+  private async prepare(loaded: Loaded, view: View): Promise<Ready> {
+    const [slice, beside] = await Promise.all([loaded.splats.slice(sliceViewOf(view)), this.companion?.(view)]);
+    return { view, loaded, slice, beside: beside ?? (() => undefined) };
+  }
+
+  /** Draws the instant that is ready, unless the device is still at the one before; true if it did. */
+  present(): boolean {
+    if (!this.ready || this.drawing || this.lost) return false;
+    this.paint(this.ready);
+    this.ready = null;
+    return true;
+  }
+
+  private paint({ view, loaded, slice, beside }: Ready): void {
+    const { gl, canvas } = this;
+    const { lens } = view;
+    const started = performance.now();
+    loaded.order.set(slice.ids);
+    const uploaded = performance.now();
+
+    if (canvas.width !== lens.width) canvas.width = lens.width;
+    if (canvas.height !== lens.height) canvas.height = lens.height;
+    this.target.bind(lens.width, lens.height);
+    gl.viewport(0, 0, lens.width, lens.height);
+    gl.clearColor(...loaded.manifest.background, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    this.drawSplats(view, loaded, slice.count);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    this.showThrough(view, loaded);
+    beside();
+    this.drawn = { view, active: slice.count, loaded };
+    const before = { slice: slice.sliceMs, readback: slice.wayMs + uploaded - started, sort: slice.sortMs };
+    void this.finish(before, uploaded);
+  }
+
+  private drawSplats(view: View, { manifest, order, textures, program }: Loaded, count: number): void {
+    if (count === 0) return;
+    const { gl } = this;
+    const { lens, pose } = view;
+    const [left, top, right, bottom] = partOf(view);
+    const m = worldToCamera(pose);
+    program.use();
+    [order.texture, ...textures].forEach((t, unit) => {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, t);
+      gl.uniform1i(program.at(SAMPLERS[unit] ?? ""), unit);
+    });
+    gl.uniform1i(program.at("dynamicFrom"), manifest.splats.static);
+    gl.uniform1f(program.at("time"), view.t);
+    gl.uniform3f(program.at("eye"), ...pose.position);
+    gl.uniformMatrix4fv(program.at("view"), true, [...m, 0, 0, 0, 1]);
+    gl.uniform4f(program.at("lens"), lens.fx, lens.fy, lens.cx, lens.cy);
+    gl.uniform2f(program.at("size"), lens.width, lens.height);
+    gl.uniform1f(program.at("near"), manifest.near);
+    gl.uniform1f(program.at("lowPass"), lowPassOf(view));
+    gl.uniform1i(program.at("mip"), manifest.mip ? 1 : 0);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, lens.height - bottom, Math.max(0, right - left), Math.max(0, bottom - top));
+    gl.enable(gl.BLEND);
+    gl.bindVertexArray(this.splatArray);
+    gl.drawElementsInstanced(gl.TRIANGLES, 6 * BATCH, gl.UNSIGNED_SHORT, 0, Math.ceil(count / BATCH));
+    gl.disable(gl.BLEND);
+    gl.disable(gl.SCISSOR_TEST);
+  }
+
+  /** The image to the screen. */
+  private showThrough(view: View, { manifest }: Loaded): void {
+    const { gl, presenting } = this;
+    const { frame, lens } = view;
+    presenting.use();
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, this.target.image);
+    gl.uniform1i(presenting.at("image"), 0);
+    gl.uniform3f(presenting.at("fadeTo"), ...manifest.background);
+    gl.uniform1f(presenting.at("fade"), view.fade);
+    gl.uniform1f(presenting.at("feather"), featherOf(view));
+    gl.uniform3f(presenting.at("outside"), ...OUTSIDE);
+    if (frame) {
+      const low = lens.height - frame.y - frame.height;
+      gl.uniform4f(presenting.at("frame"), frame.x, low, frame.x + frame.width, low + frame.height);
+    }
+    gl.bindVertexArray(this.emptyArray);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  /** Waits until the device has drawn the image, and notes what it cost. */
+  private async finish(before: Omit<InstantCost, "draw">, started: number): Promise<void> {
+    const { gl } = this;
+    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    this.drawing = true;
+    const waiting = (): boolean =>
+      fence !== null && !this.lost && gl.getSyncParameter(fence, gl.SYNC_STATUS) === gl.UNSIGNALED;
+    do await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+    while (waiting());
+    gl.deleteSync(fence);
+    this.drawing = false;
+    const now = performance.now();
+    this.timing.push({ ...before, draw: now - started }, now);
+    if (this.ready) this.hooks.onReady();
+  }
+
+  /** Whether what is wanted is what is shown, in its order. */
+  get sorted(): boolean {
+    return !this.loaded || !this.wanted || this.shows(this.wanted);
+  }
+
+  private shows(view: View): boolean {
+    return this.drawn !== null && this.drawn.loaded === this.loaded && sameView(this.drawn.view, view);
+  }
+
+  /** The image that is shown; none before the first one. */
+  get shown(): View | null {
+    return this.drawn?.view ?? null;
+  }
+
+  /** How many splats take part in the image. */
+  get active(): number {
+    return this.drawn?.active ?? 0;
+  }
+
+  /** Draws this view and nothing else, as soon as its order is there. */
+  async settle(view: View): Promise<void> {
+    this.wanted = view;
+    for (;;) {
+      const { loaded } = this;
+      if (!loaded || this.lost) return;
+      try {
+        const ready = await this.prepare(loaded, view);
+        if (loaded !== this.loaded || this.lost) continue;
+        this.ready = null;
+        this.paint(ready);
+        return;
+      } catch (error) {
+        // another scene took its place meanwhile: that one is shown then
+        if (loaded === this.loaded) throw error;
+      }
+    }
+  }
 }

@@ -1,9 +1,10 @@
-/** What the page does besides showing the scene: links, pictures, full screen, help. */
+/** What the page does besides showing the scene: links, images, full screen, help. */
 
 import type { App } from "../app";
 import { fromFragment, toFragment } from "../link";
 import { control, setAttribute, setIcon } from "./dom";
 import type { Help } from "./help";
+import type { Meter } from "./meter";
 import { toast } from "./notices";
 import type { Popovers } from "./popovers";
 import { toggleTheme } from "./theme";
@@ -14,6 +15,7 @@ export class Actions {
     private readonly root: HTMLElement,
     private readonly help: Help,
     private readonly popovers: Popovers,
+    private readonly meter: Meter,
   ) {
     window.addEventListener("hashchange", () => {
       const place = fromFragment(location.hash);
@@ -46,6 +48,10 @@ export class Actions {
     this.help.toggle();
   }
 
+  toggleMeter(): void {
+    this.meter.toggle();
+  }
+
   toggleTheme(): void {
     toast(toggleTheme() === "light" ? "Light theme" : "Dark theme");
   }
@@ -62,21 +68,21 @@ export class Actions {
     toast((await copy(url.href)) ? "Link copied" : "The link is in the address bar");
   }
 
-  /** The picture without the controls, as a PNG. */
+  /** The image without the controls, as a PNG. */
   async savePicture(): Promise<void> {
     await this.app.settle();
     const blob = await new Promise<Blob | null>((resolve) => this.app.stage.canvas.toBlob(resolve, "image/png"));
     if (!blob) {
-      toast("The picture could not be saved");
+      toast("The image could not be saved");
       return;
     }
     const name = this.app.manifest.title.replace(/[^\p{L}\p{N}]+/gu, "-").replace(/^-+|-+$/g, "") || "minute4d";
     const link = document.createElement("a");
     link.href = URL.createObjectURL(blob);
-    link.download = `${name}-${this.app.clock.time.toFixed(1)}.png`;
+    link.download = `${name}-${this.app.time.toFixed(1)}.png`;
     link.click();
     window.setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-    toast("Picture saved");
+    toast("Image saved");
   }
 
   async toggleFullscreen(): Promise<void> {

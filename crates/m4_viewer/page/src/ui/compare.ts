@@ -39,7 +39,23 @@ export class Compare {
       event.preventDefault();
       this.setSplit(this.split + step * KEY_STEP);
     });
+    // an input frame changes with the image of its time, not before and not after
+    app.stage.companion = async (view) => {
+      if (!app.comparing) return () => undefined;
+      const index = this.indexAt(view.t);
+      // a frame that cannot be decoded says so itself
+      const bitmap = await this.frames.frame(index).catch(() => null);
+      return () => {
+        this.wanted = index;
+        if (bitmap) this.draw(index, bitmap);
+        else this.damaged();
+      };
+    };
     app.onChange(() => this.refresh());
+  }
+
+  private indexAt(t: number): number {
+    return clamp(this.app.rig.path.nearestIndex(t), 0, this.frames.count - 1);
   }
 
   private setSplit(share: number): void {
@@ -51,8 +67,9 @@ export class Compare {
     const { app } = this;
     this.root.hidden = !app.comparing;
     if (!app.comparing) return;
-    this.show(clamp(app.rig.path.nearestIndex(app.clock.time), 0, this.frames.count - 1));
-    const inset = !app.riding;
+    this.show(this.indexAt(app.time));
+    const { view } = app;
+    const inset = !view?.riding;
     this.root.classList.toggle("inset", inset);
     const style = this.picture.style;
     this.sceneTag.hidden = inset;
@@ -63,7 +80,7 @@ export class Compare {
       style.height = `${(width * this.frames.index.height) / this.frames.index.width}px`;
       return;
     }
-    const { x, y, width, height } = app.placement;
+    const { x, y, width, height } = view.placement;
     const at = this.split * window.innerWidth;
     style.left = `${x}px`;
     style.top = `${y}px`;
@@ -80,21 +97,27 @@ export class Compare {
     this.sceneTag.style.left = `${at + 12}px`;
   }
 
+  private draw(index: number, bitmap: ImageBitmap): void {
+    if (this.drawn === index) return;
+    this.drawn = index;
+    if (this.picture.width !== bitmap.width) this.picture.width = bitmap.width;
+    if (this.picture.height !== bitmap.height) this.picture.height = bitmap.height;
+    this.picture.getContext("2d")?.drawImage(bitmap, 0, 0);
+  }
+
+  private damaged(): void {
+    this.tag.textContent = "This input frame is damaged";
+  }
+
   /** Draws a frame as soon as it is decoded, unless another is wanted by then. */
   private show(index: number): void {
     if (index === this.wanted) return;
     this.wanted = index;
     this.frames.frame(index).then(
       (bitmap) => {
-        if (this.wanted !== index || this.drawn === index) return;
-        this.drawn = index;
-        if (this.picture.width !== bitmap.width) this.picture.width = bitmap.width;
-        if (this.picture.height !== bitmap.height) this.picture.height = bitmap.height;
-        this.picture.getContext("2d")?.drawImage(bitmap, 0, 0);
+        if (this.wanted === index) this.draw(index, bitmap);
       },
-      () => {
-        this.tag.textContent = "This input frame is damaged";
-      },
+      () => this.damaged(),
     );
     // the one after is needed soon
     if (this.app.clock.playing && index + 1 < this.frames.count) {

@@ -1,4 +1,4 @@
-/** What lies over the picture: loading, and what went wrong. */
+/** What lies over the image: the poster while the scene is unpacked, how far that is, and what went wrong. */
 
 import type { PageError } from "../errors";
 import { find, icon, make, setText } from "./dom";
@@ -11,16 +11,25 @@ export function showProgress(share: number, doing: string): void {
   const percent = Math.round(100 * Math.min(1, Math.max(0, share)));
   if (line instanceof HTMLElement) setText(line, doing);
   bar?.setAttribute("aria-valuenow", String(percent));
+  bar?.setAttribute("data-known", "");
   if (fill instanceof HTMLElement) fill.style.transform = `scaleX(${percent / 100})`;
 }
 
+/** The scene takes the place of the poster. */
 export function uncover(): void {
   find(HTMLElement, "#app").classList.remove("loading");
   find(HTMLElement, "#cover").classList.add("done");
+  document.querySelector("#m4-poster")?.classList.add("done");
 }
 
-/** A message in place of the picture, with a way to try again. */
+/** Takes the poster away before the scene is there: it shows another instant. */
+export function dropPoster(): void {
+  document.querySelector("#m4-poster")?.remove();
+}
+
+/** A message in place of the image, with a way to try again. */
 export function showMessage(error: PageError): void {
+  dropPoster();
   const cover = find(HTMLElement, "#cover");
   const heading = make("h2", "", error.title);
   const advice = make("p", "advice", error.advice);
@@ -33,6 +42,8 @@ export function showMessage(error: PageError): void {
   card.append(icon("alert"), heading, advice, again);
   cover.replaceChildren(card);
   cover.setAttribute("role", "alert");
+  // in full screen nothing else is seen
+  find(HTMLElement, "#app").append(cover);
   cover.classList.remove("done");
   find(HTMLElement, "#app").classList.remove("idle");
 }

@@ -6,7 +6,7 @@ import { control, fillRange, find, setAttribute, setIcon, setText } from "./dom"
 import type { Actions } from "./actions";
 
 const REPEAT_WORDS = { loop: "Loop", swing: "To and fro", once: "Once" } as const;
-const SPEED_STEPS = [0.1, 0.25, 0.5, 0.75, 1, 1.5, 2] as const;
+const SPEED_STEPS = [0.1, 0.25, 0.5, 0.75, 1, 1.5, 2, 3, 4] as const;
 
 const speedText = (v: number): string => `${Number(v.toFixed(2))}×`;
 
@@ -57,7 +57,7 @@ export class Dock {
     let resume = false;
     this.scrub.addEventListener("pointerdown", () => {
       resume = this.app.clock.playing;
-      this.app.clock.pause();
+      if (resume) this.app.togglePlay();
     });
     this.scrub.addEventListener("input", () => this.app.seek(Number(this.scrub.value)));
     const release = (): void => {
@@ -118,6 +118,7 @@ export class Dock {
       KeyK: () => void actions.copyLink(),
       KeyP: () => void actions.savePicture(),
       KeyT: () => actions.toggleTheme(),
+      KeyI: () => actions.toggleMeter(),
       Enter: () => void actions.toggleFullscreen(),
       Comma: () => app.step(-1),
       Period: () => app.step(1),
@@ -130,7 +131,7 @@ export class Dock {
   }
 
   refresh(): void {
-    const { clock, rig } = this.app;
+    const { clock, rig, time } = this.app;
     setIcon(this.play, clock.playing ? "pause" : "play");
     setAttribute(this.play, "aria-label", clock.playing ? "Pause" : "Play");
     setAttribute(this.play, "data-tip", clock.playing ? "Pause  (Space)" : "Play  (Space)");
@@ -138,12 +139,13 @@ export class Dock {
     setAttribute(this.scrub, "min", String(clock.start));
     setAttribute(this.scrub, "max", String(clock.end));
     this.scrub.disabled = clock.length === 0;
-    this.scrub.value = String(clock.time);
+    // the thumb stays under the hand; the words are those of the image
+    this.scrub.value = String(clock.playing ? time : clock.time);
     fillRange(this.scrub);
-    const text = timecode(clock.seconds);
+    const text = timecode((time - clock.start) / clock.fps);
     setText(this.now, text);
     setText(this.whole, timecode(clock.length / clock.fps));
-    setAttribute(this.scrub, "aria-valuetext", `${text}, frame ${Math.round(clock.time)} of ${Math.round(clock.end)}`);
+    setAttribute(this.scrub, "aria-valuetext", `${text}, frame ${Math.round(time)} of ${Math.round(clock.end)}`);
 
     setAttribute(this.freeze, "aria-pressed", String(this.app.frozen));
     const label = this.freeze.querySelector("span");

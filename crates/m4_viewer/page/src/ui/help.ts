@@ -30,7 +30,8 @@ const CAMERA: readonly Line[] = [
 const PAGE: readonly Line[] = [
   ["Compare with the input", "V"],
   ["Copy a link", "K"],
-  ["Save a picture", "P"],
+  ["Save an image", "P"],
+  ["What an instant costs", "I"],
   ["Light or dark", "T"],
   ["Full screen", "Enter"],
   ["This help", "?"],
@@ -58,7 +59,7 @@ export class Help {
     const about = make(
       "p",
       "",
-      "A scene made of one clip is right near the places it was filmed from. Further out the picture fades, " +
+      "A scene made of one clip is right near the places it was filmed from. Further out the image fades, " +
         "and the camera stops where nothing is known any more.",
     );
     const keys = make(

@@ -20,6 +20,12 @@ afterEach(() => bench.clear());
 afterAll(() => bench.stop());
 
 const state = (page: Page): Promise<PageState> => page.evaluate(() => window.minute4d.state());
+/** The state when what was asked for is shown. */
+const settled = (page: Page): Promise<PageState> =>
+  page.evaluate(async () => {
+    await window.minute4d.settle();
+    return window.minute4d.state();
+  });
 const control = (name: string): string => `[data-control="${name}"]`;
 const position = (s: PageState): number[] => [3, 7, 11].map((i) => s.camera.c2w[i] ?? 0);
 const apart = (a: PageState, b: PageState): number => Math.hypot(...position(a).map((v, i) => v - (position(b)[i] ?? 0)));
@@ -45,14 +51,29 @@ test("the time line goes by frames with keys, and anywhere with the mouse", asyn
   const page = await desk();
   await page.focus(control("scrub"));
   for (const key of ["ArrowRight", "ArrowRight", "ArrowLeft", "PageUp"]) await page.keyboard.press(key);
-  expect((await state(page)).time).toBe(11);
+  expect((await settled(page)).time).toBe(11);
   await page.keyboard.press("End");
-  expect((await state(page)).time).toBe(FRAMES - 1);
+  expect((await settled(page)).time).toBe(FRAMES - 1);
   const box = await page.locator(control("scrub")).boundingBox();
   if (!box) throw new Error("the time line is not there");
   await page.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
-  expect((await state(page)).time).toBeCloseTo((FRAMES - 1) / 2, 0);
+  expect((await settled(page)).time).toBeCloseTo((FRAMES - 1) / 2, 0);
   expect(await page.getAttribute(control("scrub"), "aria-valuetext")).toMatch(/^0:0\d\.\d\d, frame 1[12] of 23$/);
+});
+
+test("what an instant costs is told, to people and to scripts", async () => {
+  const page = await desk("no-preference");
+  expect(await page.isVisible("#meter")).toBe(false);
+  await page.keyboard.press("i");
+  await expect
+    .poll(() => page.innerText("#meter"), { timeout: 20_000 })
+    .toMatch(/^\d+\.\d instants a second\n\d+ of 300 splats\nslice .* ms\nreadback .* ms\nsort .* ms\ndraw .*[1-9].* ms\n760 x 428 pixels$/);
+  const { instant, active } = await state(page);
+  expect(Object.keys(instant)).toEqual(["slice_ms", "readback_ms", "sort_ms", "draw_ms", "per_second"]);
+  expect(instant.draw_ms).toBeGreaterThan(0);
+  expect(active).toBeGreaterThan(100);
+  await page.keyboard.press("i");
+  expect(await page.isVisible("#meter")).toBe(false);
 });
 
 test("speed and repeat", async () => {
@@ -103,7 +124,7 @@ test("orbit by mouse, fly by keys, and back to the source", async () => {
   await page.mouse.down();
   await page.mouse.move(370, 200, { steps: 4 });
   await page.mouse.up();
-  const turned = await state(page);
+  const turned = await settled(page);
   expect(turned.mode).toBe("orbit");
   expect(position(turned)[0], "dragged to the left, the camera goes right").toBeGreaterThan(position(start)[0] ?? 0);
   await page.keyboard.down("KeyW");
@@ -111,7 +132,7 @@ test("orbit by mouse, fly by keys, and back to the source", async () => {
   await page.keyboard.up("KeyW");
   expect((await state(page)).mode).toBe("fly");
   await page.keyboard.press("KeyC");
-  const back = await state(page);
+  const back = await settled(page);
   expect(back.mode).toBe("ride");
   expect(apart(back, start)).toBeLessThan(1e-9);
 });
@@ -122,12 +143,12 @@ test("the picture fades outside of what was filmed, and the camera stops", async
   for (let i = 0; i < 12; i++) await page.mouse.wheel(0, 300);
   await expect.poll(async () => (await state(page)).fade).toBeGreaterThan(0.5);
   expect(await page.isVisible("#hint")).toBe(true);
-  const [x = 0, y = 0, z = 0] = position(await state(page));
+  const [x = 0, y = 0, z = 0] = position(await settled(page));
   // the source cameras are between x = -0.3 and 0.3
   const away = Math.hypot(Math.max(Math.abs(x) - 0.3, 0), y - 0.05, z + 0.1);
   expect(away).toBeLessThan(1.6 * scene.manifest.safe.radius + 1e-3);
   await page.click(control("reset"));
-  expect(await state(page)).toMatchObject({ mode: "ride", time: 0 });
+  expect(await settled(page)).toMatchObject({ mode: "ride", time: 0 });
   await expect.poll(async () => (await state(page)).fade).toBe(0);
   await expect.poll(() => page.isVisible("#hint")).toBe(false);
 });
@@ -143,8 +164,8 @@ test("a link leads back to the same picture", async () => {
   await page.waitForSelector("#toast:not([hidden])");
   const address = page.url();
   expect(address).toMatch(/#t=9\.5&c=/);
-  const here = await state(page);
-  const there = await state(await desk("no-preference", address));
+  const here = await settled(page);
+  const there = await settled(await desk("no-preference", address));
   expect(there).toMatchObject({ time: 9.5, playing: false });
   expect(apart(here, there)).toBeLessThan(1e-4);
 });
@@ -162,7 +183,7 @@ test("the input frame lies over its own place, and in the corner elsewhere", asy
   await page.evaluate(() => window.minute4d.setTime(23));
   await expect.poll(async () => (await middle())[2]).toBeGreaterThan(150);
   const box = await page.locator("#compare .picture").boundingBox();
-  const { camera } = await state(page);
+  const { camera } = await settled(page);
   const source = scene.manifest.cameras[2];
   if (!box || !source) throw new Error("the input frame is not there");
   // where the lens puts the left edge and the width of the frame
@@ -226,18 +247,18 @@ test("fingers: one turns, two come nearer, a tap hides the controls", async () =
   await page.tap("#view");
   expect((await state(page)).idle).toBe(false);
 
-  const before = await state(page);
+  const before = await settled(page);
   await touch("touchStart", [180, 300]);
   for (const x of [170, 160, 150]) await touch("touchMove", [x, 300]);
   await touch("touchEnd");
-  const turned = await state(page);
+  const turned = await settled(page);
   expect(turned.mode).toBe("orbit");
   expect(position(turned)[0]).toBeGreaterThan(position(before)[0] ?? 0);
 
   await touch("touchStart", [150, 300], [210, 300]);
   for (const d of [10, 20, 30]) await touch("touchMove", [150 - d, 300], [210 + d, 300]);
   await touch("touchEnd");
-  const near = await state(page);
+  const near = await settled(page);
   expect(near.mode).toBe("orbit");
   const far = (s: PageState): number => Math.hypot(...position(s).map((v, i) => v - (scene.manifest.centre[i] ?? 0)));
   expect(far(near)).toBeLessThan(far(before) - 0.2);

@@ -98,6 +98,7 @@ export function fixture(): Fixture {
     mip: true,
     near: 0.05,
     period_frames: FRAMES - 1,
+    time_window: "gaussian",
     cameras,
     centre: [0, 0, 4],
     safe: { radius: 0.5 },
@@ -108,6 +109,8 @@ export function fixture(): Fixture {
 }
 
 export interface Elements {
+  /** What is shown while the rest is read. */
+  poster: string | null;
   manifest: string | null;
   splats: string | null;
   frames: string | null;
@@ -115,7 +118,9 @@ export interface Elements {
 
 /** What goes into the page, as text. */
 export function elements({ manifest, bytes }: Fixture): Elements {
+  const [first] = JPEGS;
   return {
+    poster: first?.toString("base64") ?? null,
     manifest: JSON.stringify(manifest).replaceAll("</", "<\\/"),
     splats: gzipSync(bytes).toString("base64"),
     frames: Buffer.concat(JPEGS).toString("base64"),
@@ -128,6 +133,9 @@ export function pageWith(parts: Elements): string {
   const tag = (type: string, id: string, text: string | null): string =>
     text === null ? "" : `<script type="${type}" id="${id}">${text}</script>`;
   const data = [
+    parts.poster === null
+      ? ""
+      : `<img id="m4-poster" alt="" style="--aspect:1.777778" src="data:image/jpeg;base64,${parts.poster}">`,
     tag("application/json", "m4-manifest", parts.manifest),
     tag("text/plain", "m4-splats", parts.splats),
     tag("text/plain", "m4-frames", parts.frames),

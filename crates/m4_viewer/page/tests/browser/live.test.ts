@@ -9,7 +9,7 @@ import { elements, fixture, pageWith } from "./fixture";
 const TOKEN = "secret";
 /** What the program's own server allows the page. */
 const POLICY =
-  "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob: data:; style-src 'unsafe-inline'; " +
+  "default-src 'none'; script-src 'unsafe-inline' blob: data:; style-src 'unsafe-inline'; " +
   "img-src data: blob:; font-src data:; connect-src 'self' data: blob:; worker-src blob: data:; base-uri 'none'; " +
   "form-action 'none'; frame-ancestors 'none'";
 const scene = fixture();
@@ -75,7 +75,7 @@ test("a run from its first splats to its end", async () => {
   expect(await page.getAttribute('[data-plot="psnr"] .line', "d")).toMatch(/^M0\.00,40\.00L.*L232\.00,0\.00$/);
 
   send({ event: "scene", version: 1 });
-  await expect.poll(() => page.innerText(".title h1")).toBe("Newer");
+  await expect.poll(() => page.innerText(".title h1"), { timeout: 20_000 }).toBe("Newer");
   await page.evaluate(() => window.minute4d.settle());
   const first = await page.evaluate(() => window.minute4d.state());
   expect(first.active).toBeGreaterThan(100);

@@ -59,6 +59,44 @@ test("a scene without input frames has nothing to compare with", async () => {
   expect(await page.isVisible('[data-control="side"]')).toBe(false);
 });
 
+const poster = (page: Page): Promise<string | null> =>
+  page.evaluate(() => {
+    const image = document.querySelector<HTMLElement>("#m4-poster");
+    return image && `${getComputedStyle(image).visibility} ${image.className}`.trim();
+  });
+
+test("the poster lies where the frame will be, until the scene is there", async () => {
+  const viewport = { width: 400, height: 600 };
+  const { page } = await bench.open(bench.file("poster.html", pageWith(good)), { viewport });
+  await ready(page);
+  expect(await poster(page)).toBe("hidden done");
+  const box = await page.evaluate(() => {
+    const image = document.querySelector<HTMLElement>("#m4-poster");
+    const { x, y, width, height } = image?.getBoundingClientRect() ?? { x: 0, y: 0, width: 0, height: 0 };
+    return { x, y, width, height };
+  });
+  const { camera } = await page.evaluate(async () => {
+    await window.minute4d.settle();
+    return window.minute4d.state();
+  });
+  const [source] = scene.manifest.cameras;
+  if (!source) throw new Error("the scene has cameras");
+  const scale = camera.fx / source.fx;
+  expect(box.width).toBeCloseTo(scale * source.width, 0);
+  expect(box.height).toBeCloseTo(scale * source.height, 0);
+  expect(box.x).toBeCloseTo(camera.cx - scale * source.cx, 0);
+});
+
+test("a link to another instant, and a page that cannot go on, show no poster", async () => {
+  const file = bench.file("linked.html", pageWith(good));
+  const { page } = await bench.open(`${file}#t=5`);
+  await ready(page);
+  expect(await poster(page)).toBe(null);
+  const broken = await bench.open(bench.file("broken.html", pageWith({ ...good, splats: "%%%%" })));
+  expect(await message(broken.page)).toMatch(/damaged/);
+  expect(await poster(broken.page)).toBe(null);
+});
+
 test("a graphics context that is lost", async () => {
   const { page } = await bench.open(bench.file("lost.html", pageWith(good)));
   await ready(page);
