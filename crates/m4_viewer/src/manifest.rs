@@ -1,6 +1,6 @@
 //! What the page is told of a scene besides its splats.
 
-use crate::payload::{Payload, TimeWindow};
+use crate::payload::Payload;
 use m4_scene::{Camera, Scene};
 use serde::{Deserialize, Serialize};
 
@@ -30,9 +30,6 @@ pub struct Manifest {
     pub near: f32,
     /// Period of the first temporal harmonic of the colour, frames.
     pub period_frames: f64,
-    /// How the opacity of dynamic splats falls in time.
-    #[serde(default)]
-    pub time_window: TimeWindow,
     /// Those of the source, in order of time.
     pub cameras: Vec<SourceCamera>,
     /// The point at the median depth on the axis of the middle camera: what an orbit goes about.
@@ -177,7 +174,6 @@ impl Manifest {
             mip: scene.mip,
             near: scene.near,
             period_frames: (scene.time_frames.max(2) - 1) as f64,
-            time_window: TimeWindow::of(scene),
             cameras: scene.source.iter().map(|s| SourceCamera::new(&s.camera, s.t)).collect(),
             centre,
             safe: SafeOrbit::new(scene, depth, &about.safe),
@@ -209,7 +205,6 @@ impl Manifest {
             mip: true,
             near: 0.0,
             period_frames: 1.0,
-            time_window: TimeWindow::default(),
             cameras: Vec::new(),
             centre: [0.0; 3],
             safe: SafeOrbit { radius: 0.0 },

@@ -1,7 +1,7 @@
 /** Reads and checks the manifest: nothing further down meets a missing or senseless field. */
 
 import { PageError } from "./errors";
-import type { FrameIndex, LiveSource, Manifest, SourceCamera, TimeWindow } from "./scene";
+import type { FrameIndex, LiveSource, Manifest, SourceCamera } from "./scene";
 
 function damaged(what: string): PageError {
   return new PageError(
@@ -104,13 +104,6 @@ function live(value: unknown): LiveSource | null {
   return { events: f.text("events"), scene: f.text("scene"), token: f.text("token") };
 }
 
-/** Gaussian where the manifest does not say. */
-function timeWindow(value: unknown): TimeWindow {
-  if (value === null || value === undefined) return "gaussian";
-  if (value !== "gaussian" && value !== "flat") throw damaged("`gaussian` or `flat` at `time_window`");
-  return value;
-}
-
 /** A checked manifest of parsed JSON; throws a [PageError] that names the field. */
 export function readManifest(value: unknown): Manifest {
   const f = Fields.of(value, "");
@@ -146,7 +139,6 @@ export function readManifest(value: unknown): Manifest {
     mip: f.flag("mip"),
     near: f.number("near", (v) => v >= 0),
     period_frames: f.number("period_frames", positive),
-    time_window: timeWindow(f.get("time_window")),
     cameras,
     centre: [x, y, z],
     safe: { radius: f.object("safe").number("radius", (v) => v >= 0) },

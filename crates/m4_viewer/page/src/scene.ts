@@ -36,9 +36,6 @@ export interface LiveSource {
   token: string;
 }
 
-/** How opacity falls in time: `exp(-q / 2)`, or with a flat top `exp(-q^2 / 2)`, where `q = (dt / sd)^2`. */
-export type TimeWindow = "gaussian" | "flat";
-
 /** What is known of a scene besides its splats. */
 export interface Manifest {
   version: 1;
@@ -62,8 +59,6 @@ export interface Manifest {
   near: number;
   /** Period of the first temporal harmonic, frames. */
   period_frames: number;
-  /** That of all dynamic splats. */
-  time_window: TimeWindow;
   cameras: SourceCamera[];
   centre: [number, number, number];
   safe: { radius: number };

@@ -13,7 +13,6 @@ const good = {
   mip: true,
   near: 0.01,
   period_frames: 29,
-  time_window: "flat",
   cameras: [{ t: 0, c2w: Array.from({ length: 16 }, (_, i) => i), fx: 5, fy: 6, cx: 7, cy: 8, width: 9, height: 10 }],
   centre: [0, 0, 1],
   safe: { radius: 0.5 },
@@ -26,8 +25,8 @@ test("a manifest is read as it is", () => {
 });
 
 test("what may be missing", () => {
-  const { frames: _f, live: _l, duration_s: _d, time_window: _w, ...rest } = good;
-  expect(readManifest(rest)).toMatchObject({ frames: null, live: null, duration_s: null, time_window: "gaussian" });
+  const { frames: _f, live: _l, duration_s: _d, ...rest } = good;
+  expect(readManifest(rest)).toMatchObject({ frames: null, live: null, duration_s: null });
 });
 
 test.each([
@@ -35,7 +34,6 @@ test.each([
   [{ splats: { ...good.splats, sh_degree: 4 } }, "splats.sh_degree"],
   [{ background: [0, 1] }, "background"],
   [{ fps: 0 }, "fps"],
-  [{ time_window: "square" }, "time_window"],
   [{ fps: "30" }, "fps"],
   [{ cameras: [{ ...good.cameras[0], c2w: [1, 2] }] }, "cameras[0].c2w"],
   [{ cameras: [{ ...good.cameras[0], fx: 0 }] }, "cameras[0].fx"],

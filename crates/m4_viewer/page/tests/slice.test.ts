@@ -3,10 +3,8 @@
 import { describe, expect, test } from "vitest";
 import { NOTHING, type SliceView, Slicer } from "../src/render/slice";
 import { KeySort, keysOf } from "../src/render/sort";
-import { MARGINAL_MIN, marginal, reachSds } from "../src/render/window";
-import type { SceneData, TimeWindow } from "../src/scene";
-
-const WINDOWS: readonly TimeWindow[] = ["gaussian", "flat"];
+import { MARGINAL_MIN, REACH_SDS, marginal } from "../src/render/window";
+import type { SceneData } from "../src/scene";
 
 /** Always the same numbers in 0..1. */
 function numbers(seed: number): () => number {
@@ -50,14 +48,14 @@ interface Seen {
 }
 
 /** Every splat looked at: `must` be there, since its middle is in the image and it is not faint. */
-function seen(data: SceneData, window: TimeWindow, t: number): { must: Set<number>; depth: Map<number, number> } {
+function seen(data: SceneData, t: number): { must: Set<number>; depth: Map<number, number> } {
   const { w2c, fx, fy, cx, cy, width, height } = view(t);
   const must = new Set<number>();
   const depth = new Map<number, number>();
   for (let row = 0; row < data.nStatic + data.nDynamic; row++) {
     const d = row - data.nStatic;
     const dt = d < 0 ? 0 : t - (data.timeMean[d] ?? 0);
-    const left = d < 0 ? 1 : marginal(window, dt, data.timeSd[d] ?? 1);
+    const left = d < 0 ? 1 : marginal(dt, data.timeSd[d] ?? 1);
     const p = [0, 1, 2].map((k) => (data.mean[3 * row + k] ?? 0) + (d < 0 ? 0 : dt * (data.velocity[3 * d + k] ?? 0)));
     const [x = 0, y = 0, z = 0] = [0, 1, 2].map((r) => p.reduce((s, v, k) => s + v * (w2c[4 * r + k] ?? 0), w2c[4 * r + 3] ?? 0));
     depth.set(row, z);
@@ -69,12 +67,12 @@ function seen(data: SceneData, window: TimeWindow, t: number): { must: Set<numbe
   return { must, depth };
 }
 
-describe.each(WINDOWS)("with a %s window", (window) => {
+describe("an instant", () => {
   const data = scene(300, 4000);
-  const slicer = new Slicer(data, window, 0.05);
+  const slicer = new Slicer(data, 0.05);
 
   test.each([-20, 0, 3.7, 50, 99, 130])("at %d nothing is missing, and the farthest comes first", (t) => {
-    const { must, depth } = seen(data, window, t);
+    const { must, depth } = seen(data, t);
     const { ids, count } = slicer.slice(view(t));
     const shown = [...ids.subarray(0, count)];
     expect(new Set(shown).size).toBe(count);
@@ -92,7 +90,7 @@ describe.each(WINDOWS)("with a %s window", (window) => {
     const { considered } = slicer.slice(view(50));
     let active = 0;
     for (let d = 0; d < data.nDynamic; d++) {
-      if (marginal(window, 50 - (data.timeMean[d] ?? 0), data.timeSd[d] ?? 1) > MARGINAL_MIN) active += 1;
+      if (marginal(50 - (data.timeMean[d] ?? 0), data.timeSd[d] ?? 1) > MARGINAL_MIN) active += 1;
     }
     expect(active).toBeGreaterThan(300);
     expect(considered).toBeLessThan(2 * active);
@@ -100,19 +98,17 @@ describe.each(WINDOWS)("with a %s window", (window) => {
   });
 
   test("the window ends where its reach says", () => {
-    const reach = 3 * reachSds(window);
-    expect(marginal(window, reach, 3)).toBeCloseTo(MARGINAL_MIN, 12);
-    expect(reachSds(window)).toBeCloseTo(window === "flat" ? 1.5645 : 2.4477, 4);
-    expect(marginal(window, 0, 3)).toBe(1);
+    expect(marginal(3 * REACH_SDS, 3)).toBeCloseTo(MARGINAL_MIN, 12);
+    expect(marginal(0, 3)).toBe(1);
   });
 });
 
 test("no splats, and none that can be seen", () => {
-  expect(new Slicer(scene(0, 0), "gaussian", 0).slice(view(1))).toMatchObject({ count: 0 });
+  expect(new Slicer(scene(0, 0), 0).slice(view(1))).toMatchObject({ count: 0 });
   const data = scene(5, 5);
   data.opacity.fill(0);
   data.timeSd.set([0, Number.POSITIVE_INFINITY, Number.NaN, 1, 2]);
-  expect(new Slicer(data, "flat", 0).slice(view(1)).count).toBeLessThanOrEqual(10);
+  expect(new Slicer(data, 0).slice(view(1)).count).toBeLessThanOrEqual(10);
 });
 
 test("keys are sorted, equal ones stay in order", () => {

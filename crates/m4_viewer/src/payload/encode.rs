@@ -1,8 +1,7 @@
 //! Splats to bytes.
 
 use super::codec::{Linear, Planes, Sinh, rotation_code};
-use super::window::{MARGINAL_MIN, TimeWindow};
-use super::{MAGIC, MIDDLE_16, VERSION, bytes_per_splat};
+use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, bytes_per_splat};
 use m4_scene::{Column, Scene, SplatLayout, Splats};
 use serde::{Deserialize, Serialize};
 
@@ -153,9 +152,8 @@ impl Codes {
         let scales = splats.layout().range(Column::LogScale).len();
         let late = || rows[n_static..].iter().map(|r| r - splats.n_static());
         let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
-        let reach_sds = TimeWindow::of(scene).reach_sds();
         let mut lives: Vec<f64> = late()
-            .map(|r| (reach_sds * f64::from(sd[r]).exp()).min(scene.time_frames.max(1) as f64))
+            .map(|r| (LIFE_SDS * f64::from(sd[r]).exp()).min(scene.time_frames.max(1) as f64))
             .collect();
         let half = lives.len() / 2;
         let life = if lives.is_empty() {
@@ -217,18 +215,18 @@ fn visible_rows(scene: &Scene) -> Vec<usize> {
     }
     let logit = splats.column(Column::Opacity, 0);
     let last = scene.time_frames.saturating_sub(1) as f64;
-    let window = TimeWindow::of(scene);
-    let seen = |row: usize| finite[row] && sigmoid(logit[row]) * peak(splats, row, last, window) > ALPHA_MIN;
+    let seen = |row: usize| finite[row] && sigmoid(logit[row]) * peak(splats, row, last) > ALPHA_MIN;
     (0..n).filter(|&row| seen(row)).collect()
 }
 
 /// The largest temporal marginal of a splat from frame 0 to `last`; 0 where it is not drawn.
-fn peak(splats: &Splats, row: usize, last: f64, window: TimeWindow) -> f64 {
+fn peak(splats: &Splats, row: usize, last: f64) -> f64 {
     let Some(i) = row.checked_sub(splats.n_static()) else {
         return 1.0;
     };
     let mean = f64::from(splats.column(Column::TimeMean, 0)[i]);
     let sd = f64::from(splats.column(Column::LogTimeSd, 0)[i]).exp();
-    let marginal = window.marginal((mean.clamp(0.0, last) - mean) / sd);
+    let away = (mean.clamp(0.0, last) - mean) / sd;
+    let marginal = (-0.5 * away * away).exp();
     if marginal > MARGINAL_MIN { marginal } else { 0.0 }
 }

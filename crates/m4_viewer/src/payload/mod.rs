@@ -56,14 +56,12 @@
 mod codec;
 mod decode;
 mod encode;
-mod window;
 
 #[cfg(test)]
 mod tests;
 
 pub use decode::{PayloadError, decode};
 pub use encode::{Payload, PayloadConfig, encode};
-pub use window::TimeWindow;
 
 use m4_scene::SplatLayout;
 
@@ -73,6 +71,10 @@ pub const HEADER_BYTES: usize = 136;
 pub const VERSION: u32 = 1;
 /// The first bytes.
 const MAGIC: &[u8; 4] = b"M4SP";
+/// Splats are not drawn where their temporal marginal is at most this (section 1.3).
+const MARGINAL_MIN: f64 = 0.05;
+/// Standard deviations in time that a splat is drawn for, to either side: `sqrt(-2 ln 0.05)`.
+const LIFE_SDS: f64 = 2.447_746_830_680_816;
 /// `q` of the value 0 of components of three and of two bytes.
 const MIDDLE_24: f64 = (1u32 << 23) as f64;
 const MIDDLE_16: f64 = (1u32 << 15) as f64;

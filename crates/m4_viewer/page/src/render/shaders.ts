@@ -73,7 +73,7 @@ void main() {
   if (index >= dynamicFrom) {
     vec4 lived = ${fetchTexel("life", "(index - dynamicFrom)")};
     float dt = time - lived.x;
-    float marginal = ${marginalGlsl(manifest.time_window, "dt", "lived.y")};
+    float marginal = ${marginalGlsl("dt", "lived.y")};
     if (!(marginal > ${number(MARGINAL_MIN)})) return;
     opacity *= marginal;
     mean += dt * vec3(lived.zw, scaled.w);

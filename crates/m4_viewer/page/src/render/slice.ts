@@ -6,10 +6,10 @@
  * that range and from the static splats, not from the length of the clip.
  */
 
-import type { SceneData, TimeWindow } from "../scene";
+import type { SceneData } from "../scene";
 import { ROW } from "./columns";
 import { KeySort, keysOf } from "./sort";
-import { marginal, reachSds } from "./window";
+import { REACH_SDS, marginal } from "./window";
 
 /** What decides range and order. */
 export interface SliceView {
@@ -73,20 +73,18 @@ export class Slicer {
   private readonly timeSd: Float32Array;
   private readonly velocity: Float32Array;
   private readonly groups: Group[] = [];
-  private readonly reachSds: number;
   private readonly sorter = new KeySort();
   private readonly keys: Uint32Array;
   private readonly found: Uint32Array;
 
   constructor(
     data: SceneData,
-    private readonly window: TimeWindow,
     private readonly near: number,
     private readonly now: () => number = () => performance.now(),
   ) {
     const { nStatic, nDynamic } = data;
     const n = nStatic + nDynamic;
-    [this.nStatic, this.reachSds] = [nStatic, reachSds(window)];
+    this.nStatic = nStatic;
     this.ids = new Uint32Array(n);
     for (let i = 0; i < nStatic; i++) this.ids[i] = i;
     this.ids.set(this.byGroupAndTime(data), nStatic);
@@ -133,7 +131,7 @@ export class Slicer {
       for (; to < nDynamic && exponents[to] === exponents[from]; to++) {
         longest = Math.max(longest, timeSd[(rows[to] as number) - nStatic] as number);
       }
-      this.groups.push({ from, to, reach: longest * this.reachSds * (1 + SLACK) });
+      this.groups.push({ from, to, reach: longest * REACH_SDS * (1 + SLACK) });
       from = to;
     }
     return rows;
@@ -152,7 +150,7 @@ export class Slicer {
 
   slice(view: SliceView): Slice {
     const started = this.now();
-    const { mean, opacity, radius, timeMean, timeSd, velocity, ids, keys, found, nStatic, window } = this;
+    const { mean, opacity, radius, timeMean, timeSd, velocity, ids, keys, found, nStatic } = this;
     const { t, fx, fy, cx, cy, width, height, part, lowPass } = view;
     const m = (i: number): number => view.w2c[i] ?? 0;
     const [a0, a1, a2, a3] = [m(0), m(1), m(2), m(3)];
@@ -198,9 +196,9 @@ export class Slicer {
         considered += 1;
         const dt = t - (timeMean[d] as number);
         const sd = timeSd[d] as number;
-        if (!(Math.abs(dt) <= sd * this.reachSds * (1 + SLACK))) continue;
+        if (!(Math.abs(dt) <= sd * REACH_SDS * (1 + SLACK))) continue;
         const i = nStatic + d;
-        if ((opacity[i] as number) * marginal(window, dt, sd) < ALPHA_MIN * (1 - SLACK)) continue;
+        if ((opacity[i] as number) * marginal(dt, sd) < ALPHA_MIN * (1 - SLACK)) continue;
         consider(
           i,
           (mean[3 * i] as number) + dt * (velocity[3 * d] as number),

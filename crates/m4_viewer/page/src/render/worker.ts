@@ -23,7 +23,7 @@ async function load({ manifest, bytes }: Extract<ToWorker, { kind: "load" }>): P
   progress(0.5, "Decoding");
   const data = decodePayload(payload, manifest);
   progress(0.7, "Preparing");
-  slicer = new Slicer(data, manifest.time_window, manifest.near);
+  slicer = new Slicer(data, manifest.near);
   progress(0.85, "Preparing");
   const texels = texelsOf(data, colourTerms(manifest));
   say(

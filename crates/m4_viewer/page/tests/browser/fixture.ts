@@ -98,7 +98,6 @@ export function fixture(): Fixture {
     mip: true,
     near: 0.05,
     period_frames: FRAMES - 1,
-    time_window: "gaussian",
     cameras,
     centre: [0, 0, 4],
     safe: { radius: 0.5 },
