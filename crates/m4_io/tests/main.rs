@@ -13,6 +13,8 @@ mod megasam;
 #[cfg(test)]
 mod mp4_writer;
 #[cfg(test)]
+mod outside;
+#[cfg(test)]
 mod scene_file;
 #[cfg(test)]
 mod tracks;

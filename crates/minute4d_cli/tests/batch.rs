@@ -333,3 +333,14 @@ fn plans_that_cannot_be_made_and_inputs_that_changed() {
     dir.write("jobs.jsonl", "{}");
     assert_eq!(call(&["batch", "status", "--manifest", &manifest]).code, 65);
 }
+
+#[test]
+fn links_out_of_a_capture_are_allowed_by_who_plans() {
+    let dir = Scratch::new();
+    let manifest = {
+        write_clips(&dir, 1);
+        plan(&dir, &["--allow-outside", "--iterations", "1"])
+    };
+    let text = fs::read_to_string(&manifest[1]).unwrap();
+    assert!(text.lines().next().unwrap().contains("--allow-outside"), "{text}");
+}
