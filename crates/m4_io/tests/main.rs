@@ -9,6 +9,8 @@ mod common;
 #[cfg(test)]
 mod decoder;
 #[cfg(test)]
+mod isolation;
+#[cfg(test)]
 mod megasam;
 #[cfg(test)]
 mod mp4_writer;
