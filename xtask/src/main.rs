@@ -11,8 +11,10 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | deny | page | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
+const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
 
+  test    the tests of the default program, and at the end what could not run here and why; --full: what networks and GPUs add to
+          them; --require ffmpeg,chromium,vulkan,...: fail where a test was skipped for want of these (docs/building.md)
   check   fmt, clippy, docs, arrows, lock, deny and tests, as CI does
   arrows  dependencies between crates against the table of ARCHITECTURE.md
   lock    no git sources in Cargo.lock
@@ -24,11 +26,15 @@ const USAGE: &str = "usage: cargo xtask <check [--skip-tests] | arrows | lock | 
   results-raw       recover the geometry of each scene, train it and the scene as given, and score the held-out views
   results-ablation  train each scene with one thing changed at a time and score its held-out views (docs/results.md)";
 
+/// The features that are linted and documented beside the default ones.
+const FULL: [&str; 2] = ["--features", "minute4d_cli/full,m4_nets/gpu"];
+
 fn main() -> ExitCode {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     let root = xtask::root();
     let result = match args[..] {
+        ["test", ref words @ ..] => xtask::tests::Tests::of_arguments(words).and_then(|t| xtask::tests::run(&root, &t)),
         ["check"] => check(&root, true),
         ["check", "--skip-tests"] => check(&root, false),
         ["arrows"] => step("arrows", || xtask::arrows::check(&root)),
@@ -78,12 +84,26 @@ fn check(root: &Path, tests: bool) -> Result<()> {
     step("arrows", || xtask::arrows::check(root))?;
     step("lock", || xtask::lock::check(root))?;
     step("deny", || deny(root))?;
-    let lints = ["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"];
-    step("clippy", || cargo(root, &lints, &[]))?;
+    let lints = ["clippy", "--workspace", "--all-targets"];
+    let deny_warnings = ["--", "-D", "warnings"];
+    step("clippy", || cargo(root, &[&lints[..], &deny_warnings].concat(), &[]))?;
+    step("clippy of all features", || {
+        cargo(root, &[&lints[..], &FULL, &deny_warnings].concat(), &[])
+    })?;
     let docs = ["doc", "--workspace", "--no-deps", "--document-private-items"];
-    step("docs", || cargo(root, &docs, &[("RUSTDOCFLAGS", "-D warnings")]))?;
+    step("docs", || {
+        cargo(root, &[&docs[..], &FULL].concat(), &[("RUSTDOCFLAGS", "-D warnings")])
+    })?;
     if tests {
-        step("tests", || cargo(root, &["test", "--workspace"], &[]))?;
+        for full in [false, true] {
+            let tests = xtask::tests::Tests {
+                full,
+                ..Default::default()
+            };
+            step(if full { "tests of all features" } else { "tests" }, || {
+                xtask::tests::run(root, &tests)
+            })?;
+        }
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Every reader against what once did harm and against hostile heads, in processes whose memory is limited.
 //!
 //! A panic, an abort, something that is not sound, a message that quotes the file, much memory or much time fails with the name of
-//! the reader; the input is saved below `target`.
+//! the reader; the input is saved below `target`. The allocator counts for the whole process, so this is a program of its own.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_fuzz::{Meter, Outcome, Report, Stage, broken_readers, corpus, hostile, reader, readers, watch, work};

@@ -343,11 +343,12 @@ pub(crate) mod tests {
     use super::{Choice, Gpu};
 
     /// A GPU, or software that plays one; `None`, and said so, where there is neither.
+    #[track_caller]
     pub(crate) fn gpu(test: &str) -> Option<Gpu> {
         match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {
             Ok(gpu) => Some(gpu),
             Err(error) => {
-                eprintln!("{test}: NOT tested: {error}");
+                m4_testkit::skip(m4_testkit::Need::Vulkan, &format!("{test}: {error}"));
                 None
             }
         }

@@ -4,7 +4,7 @@ use m4_io::capture::{CaptureOptions, Split, read, write};
 use m4_math::Se3;
 use m4_math::nalgebra::Vector6;
 use m4_scene::{Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Progress, Silent};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Mutex;
 
 /// Remembers what it was warned of.
@@ -21,13 +21,9 @@ impl Progress for Warnings {
     }
 }
 
+#[track_caller]
 fn bench(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/bench")).join(name);
-    if !folder.is_dir() {
-        eprintln!("not tested: {} is not there", folder.display());
-        return None;
-    }
-    Some(folder)
+    m4_testkit::shared(&format!("bench/{name}"))
 }
 
 fn made(frames: usize) -> Capture {

@@ -6,6 +6,7 @@ use m4_io::megasam::{Layout, MegasamFault, MegasamOptions, ReadMegasamError, det
 use m4_math::nalgebra::{Vector3, Vector6};
 use m4_math::{Se3, exp_so3};
 use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, Progress, Silent};
+use m4_testkit::{Need, skip};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -422,13 +423,14 @@ fn captures_that_do_not_fit_are_refused_and_losses_named() {
 }
 
 /// Python with numpy; says so where there is none.
+#[track_caller]
 fn python() -> Option<String> {
     let name = std::env::var("PYTHON").unwrap_or_else(|_| "python3".into());
     let there = Command::new(&name).args(["-c", "import numpy"]).output();
     if there.is_ok_and(|o| o.status.success()) {
         return Some(name);
     }
-    eprintln!("not tested: {name} with numpy is not here (PYTHON names another)");
+    skip(Need::Numpy, &format!("{name} has no numpy"));
     None
 }
 

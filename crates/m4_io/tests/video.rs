@@ -38,14 +38,9 @@ fn the_example_is_read_whole_and_in_order() {
 
 #[test]
 fn frames_match_the_pictures_that_the_example_was_made_of() {
-    let folder = Path::new(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../../shared/bench/mill-1/train"
-    ));
-    if !folder.is_dir() {
-        eprintln!("not tested: {} is not there", folder.display());
+    let Some(folder) = m4_testkit::shared("bench/mill-1/train") else {
         return;
-    }
+    };
     let video = clip(&pinwheel(), &all());
     for (i, frame) in video.frames.iter().enumerate() {
         let want = m4_io::image::read_rgb(&folder.join(format!("{i:05}.jpg"))).unwrap();

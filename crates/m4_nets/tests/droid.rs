@@ -4,7 +4,7 @@
 use m4_nets::droid::{DroidMemory, MemoryOptions, Storage};
 use m4_nets::{DroidError, DroidNet, LoadError, cpu};
 use m4_scene::{Plane, RgbImage};
-use m4_testkit::write_formula_weights;
+use m4_testkit::{Need, skip, write_formula_weights};
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -133,7 +133,10 @@ fn takes_the_published_file() {
     let folder = std::env::var_os("MINUTE4D_WEIGHTS").map(std::path::PathBuf::from);
     let path = folder.map(|folder| folder.join("megasam/megasam_final.pth"));
     let Some(path) = path.filter(|path| path.is_file()) else {
-        eprintln!("not tested with real weights: MINUTE4D_WEIGHTS names no folder with megasam/megasam_final.pth");
+        skip(
+            Need::Weights,
+            "MINUTE4D_WEIGHTS names no folder with megasam/megasam_final.pth",
+        );
         return;
     };
     let net = DroidNet::load(&path, cpu()).unwrap();

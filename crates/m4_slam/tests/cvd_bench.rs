@@ -6,7 +6,7 @@ use m4_math::{CounterRng, Se3};
 use m4_scene::{Camera, Intrinsics, NoShelf, Plane, Silent};
 use m4_slam::cvd::pairs::{FlowView, PairStore, pair_list};
 use m4_slam::cvd::{CvdInput, CvdSettings, optimise, uncertainty_of_static};
-use m4_testkit::shared_dir;
+use m4_testkit::shared;
 use std::path::Path;
 
 const FRAMES: usize = 20;
@@ -111,16 +111,11 @@ fn abs_rel(scene: &Scene, disparity: &[Plane<f32>]) -> f64 {
 
 #[test]
 fn spoiled_depth_is_mended() {
-    let Some(shared) = shared_dir("spoiled_depth_is_mended") else {
-        return;
-    };
     let mut scenes = 0;
     for name in ["quad-1", "mill-1"] {
-        let dir = shared.join("bench").join(name);
-        if !dir.is_dir() {
-            eprintln!("spoiled_depth_is_mended: skipped {name}, it is not there");
+        let Some(dir) = shared(&format!("bench/{name}")) else {
             continue;
-        }
+        };
         let scene = load(&dir);
         let pairs = flows(&scene);
         let mut rng = CounterRng::new(8, 1, 7);

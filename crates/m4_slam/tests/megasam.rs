@@ -12,7 +12,7 @@ use m4_slam::megasam::{
     resize_area, resize_bilinear, resize_nearest,
 };
 use m4_slam::tracker::{Correspondence, CorrespondenceError, Revision};
-use m4_testkit::shared_dir;
+use m4_testkit::shared;
 use safetensors::{Dtype, SafeTensors};
 use std::path::Path;
 
@@ -309,10 +309,8 @@ fn turn_error_deg(found: &MegasamGeometry, scene: &Scene) -> f64 {
 
 #[test]
 fn true_flow_gives_true_cameras_and_depth() {
-    let Some(shared) = shared_dir("true_flow_gives_true_cameras_and_depth") else {
-        return;
-    };
-    let scene = load(&shared.join("bench/quad-1"));
+    let Some(path) = shared("bench/quad-1") else { return };
+    let scene = load(&path);
     let settings = MegasamSettings::default();
     let size = TrackingSize::new(scene.pictures[0].size(), settings.tracking_pixels).unwrap();
     let prior = DepthPrior::metric(&one_picture_depth(&scene), &size).unwrap();

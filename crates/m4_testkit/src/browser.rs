@@ -1,8 +1,8 @@
 //! A headless Chromium that draws WebGL2 in software, spoken to by its DevTools protocol.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
-#![expect(clippy::print_stderr, reason = "a test that does not run says so")]
 
+use crate::{Need, skip};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
@@ -38,8 +38,9 @@ const FLAGS: [&str; 14] = [
     "--remote-debugging-port=0",
 ];
 
-/// The program, if this machine has it; else says on stderr that the test did not run.
+/// The program, if this machine has it; else the test is listed as skipped.
 #[must_use]
+#[track_caller]
 pub fn find_chromium() -> Option<PathBuf> {
     if let Some(path) = std::env::var_os(VARIABLE) {
         return Some(path.into());
@@ -49,8 +50,9 @@ pub fn find_chromium() -> Option<PathBuf> {
         .flat_map(|folder| NAMES.map(|name| folder.join(name)))
         .find(|path| path.is_file());
     if found.is_none() {
-        eprintln!(
-            "SKIPPED: no Chromium on the PATH and {VARIABLE} is not set; install Debian's package `chromium` to run this"
+        skip(
+            Need::Chromium,
+            &format!("no Chromium is on the PATH, and {VARIABLE} is not set"),
         );
     }
     found

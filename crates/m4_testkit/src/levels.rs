@@ -1,12 +1,14 @@
 //! One test body, every instruction set.
 
-/// Runs `test` on every level of `available` and prints a line for each name of `wanted` that this
-/// machine lacks, so that a run shows what it did not cover.
+use crate::{Need, skip};
+
+/// Runs `test` on every level of `available` and lists each name of `wanted` that this machine lacks as skipped, so that a
+/// run shows what it did not cover.
 ///
 /// # Panics
 ///
 /// If `available` is empty: then nothing would be tested.
-#[expect(clippy::print_stderr, reason = "a level that was not tested has to be seen")]
+#[track_caller]
 pub fn on_every_level<L: Copy>(
     available: &[L],
     name: impl Fn(L) -> &'static str,
@@ -15,7 +17,7 @@ pub fn on_every_level<L: Copy>(
 ) {
     assert!(!available.is_empty(), "no SIMD level: nothing would be tested");
     for missing in wanted.iter().filter(|w| !available.iter().any(|&l| name(l) == **w)) {
-        eprintln!("not tested on {missing}: this machine does not have it");
+        skip(Need::Instructions, &format!("not tested on {missing}"));
     }
     for &level in available {
         test(level);

@@ -16,6 +16,7 @@ mod harm;
 mod interrupt;
 mod levels;
 mod shared;
+mod skip;
 mod synthetic;
 
 pub use boxes::{BoxScene, Hit};
@@ -28,7 +29,8 @@ pub use formula::{FormulaWeights, formula, formula_input, write_formula_weights}
 pub use harm::harm;
 pub use interrupt::{MemoryShelf, StopAtPoll};
 pub use levels::on_every_level;
-pub use shared::shared_dir;
+pub use shared::shared;
+pub use skip::{Need, SKIPPED_VARIABLE, skip};
 pub use synthetic::{
     MovingScene, SceneSpec, camera_looking_at, moving_scene, random_camera, random_scene, random_splats,
 };

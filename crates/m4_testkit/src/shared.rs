@@ -1,16 +1,20 @@
 //! Large inputs that lie beside the repository and may be absent.
 
+use crate::{Need, skip};
 use std::path::PathBuf;
 
-/// The folder of shared inputs beside the repository's root, or `None` (and a line that says so) where
-/// this machine does not have it. `test` names the test for that line.
+/// What `shared` holds under `name` (such as `bench/quad-1`), beside the repository's root; `None` where this machine does
+/// not have it, and the test is listed as skipped.
 #[must_use]
-#[expect(clippy::print_stderr, reason = "a skipped test has to say so")]
-pub fn shared_dir(test: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared"));
-    if path.is_dir() {
+#[track_caller]
+pub fn shared(name: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared")).join(name);
+    if path.exists() {
         return Some(path);
     }
-    eprintln!("{test}: skipped, there is no folder `shared` beside the repository");
+    skip(
+        Need::Shared,
+        &format!("there is no shared/{name} beside the repository"),
+    );
     None
 }

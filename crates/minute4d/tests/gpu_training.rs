@@ -2,14 +2,13 @@
 //! that is installed; without that either, every test says so and ends.
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-#![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
 
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::Target;
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_math::CounterRng;
 use m4_scene::{Capture, CaptureFrame, Column, Exposure, Intrinsics, Plane, Silent, SplatLayout, Splats};
-use m4_testkit::{MovingScene, moving_scene};
+use m4_testkit::{MovingScene, Need, moving_scene, skip};
 use m4_train::config::PruneRule;
 use m4_train::density::Scores;
 use m4_train::device::{
@@ -21,14 +20,15 @@ use minute4d::device::{DeviceChoice, OpenGpu};
 const FRAMES: usize = 6;
 
 /// The best GPU, or software that plays one.
-fn gpu(test: &str) -> Option<OpenGpu> {
+#[track_caller]
+fn gpu() -> Option<OpenGpu> {
     let opened = DeviceChoice::Gpu(None)
         .open()
         .or_else(|_| DeviceChoice::Gpu(Some(0)).open());
     match opened {
         Ok(gpu) => gpu,
         Err(error) => {
-            eprintln!("{test}: NOT tested: {error}");
+            skip(Need::Vulkan, &error.to_string());
             None
         }
     }
@@ -166,7 +166,7 @@ fn psnr(splats: &Splats, scene: &MovingScene, capture: &Capture) -> f64 {
 
 #[test]
 fn a_gpu_learns_what_the_processor_learns() {
-    let Some(gpu) = gpu("a_gpu_learns_what_the_processor_learns") else {
+    let Some(gpu) = gpu() else {
         return;
     };
     let (scene, capture) = video();
@@ -252,7 +252,7 @@ impl Device for WithoutRounds {
 
 #[test]
 fn a_gpu_densifies_and_prunes_as_the_processor_does() {
-    let Some(gpu) = gpu("a_gpu_densifies_and_prunes_as_the_processor_does") else {
+    let Some(gpu) = gpu() else {
         return;
     };
     let (scene, capture) = video();
@@ -282,7 +282,7 @@ fn a_gpu_densifies_and_prunes_as_the_processor_does() {
 
 #[test]
 fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
-    let Some(gpu) = gpu("the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on") else {
+    let Some(gpu) = gpu() else {
         return;
     };
     let (scene, capture) = video();
@@ -307,7 +307,7 @@ fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
 
 #[test]
 fn memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed() {
-    let Some(gpu) = gpu("memory_that_was_not_allowed_is_refused_with_numbers_and_frames_are_streamed") else {
+    let Some(gpu) = gpu() else {
         return;
     };
     let (scene, capture) = video();

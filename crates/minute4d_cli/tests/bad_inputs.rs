@@ -1,10 +1,10 @@
 //! What the program says to bad inputs: each case names its exit code and the words that must be in
 //! the message, and `--json` must end with `ok: false`.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{
     Scratch, edit_transforms, refused, refused_with, text, train, write_capture, write_pictures, write_video,
 };
+use m4_testkit::{Need, skip};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
@@ -95,7 +95,7 @@ fn sound_without_picture() {
     let source = ["-f", "lavfi", "-i", "sine=duration=0.3", "-c:a", "aac"];
     let made = Command::new("ffmpeg").args(source).arg(&path).output();
     if !made.is_ok_and(|o| o.status.success()) {
-        eprintln!("skipped: no ffmpeg here to make a file with sound alone");
+        skip(Need::Ffmpeg, "no ffmpeg is here to make a file with sound alone");
         return;
     }
     bad_video(&dir, text(&path), &[], 65, &["sound.mp4", "no video track"]);

@@ -4,6 +4,7 @@
 
 use crate::common::clips::{self, FOCAL_PX, SIZE, camera, picture};
 use crate::common::{Ended, Scratch, call, refused};
+use m4_testkit::{Need, skip};
 use minute4d::math::CounterRng;
 use minute4d::scene::{Plane, RgbImage};
 use serde_json::Value;
@@ -160,7 +161,10 @@ fn fifteen_hundred_frames() {
         bytes
     };
     let (Some(few), Some(many)) = (peak(300), peak(1500)) else {
-        eprintln!("skipped: this system does not tell how much memory a process held");
+        skip(
+            Need::PeakMemory,
+            "this system does not tell how much memory a process held",
+        );
         return;
     };
     // docs/geometry.md has what is kept a frame.

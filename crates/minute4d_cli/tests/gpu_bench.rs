@@ -1,22 +1,23 @@
 //! `minute4d bench --device gpu:N`, on software that plays a GPU where there is nothing better.
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
-#![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
 
 use crate::common::{Scratch, refused, succeed};
+use m4_testkit::{Need, skip};
 use std::fs;
 
 const SMALL: [&str; 8] = [
     "bench", "--device", "gpu:0", "--splats", "500", "--size", "64x48", "--steps",
 ];
 
+#[track_caller]
 fn is_there() -> bool {
     let gpus = succeed(&["doctor", "--json"]).result()["gpus"]
         .as_array()
         .unwrap()
         .len();
     if gpus == 0 {
-        eprintln!("bench on a GPU: NOT tested: there is none, nor software that plays one");
+        skip(Need::Vulkan, "there is no GPU, nor software that plays one");
     }
     gpus > 0
 }

@@ -1,5 +1,4 @@
 //! Clips that other tools posed, from outside.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{Scratch, refused, succeed, train};
 use minute4d::Silent;
@@ -95,14 +94,9 @@ fn wrong_requests_are_refused_with_advice() {
     assert!(!dir.path("out").exists(), "what cannot be used leaves nothing behind");
 }
 
-#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+#[track_caller]
 fn bench() -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/bench/quad-1");
-    if !path.is_dir() {
-        eprintln!("NOT tested: no benchmark scene at {}", path.display());
-        return None;
-    }
-    Some(path)
+    m4_testkit::shared("bench/quad-1")
 }
 
 /// A scene whose cameras are said to have axes that they have not.

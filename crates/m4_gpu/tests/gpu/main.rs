@@ -2,7 +2,6 @@
 //! that is installed (`apt-get install mesa-vulkan-drivers`); without that either, every test says so and ends.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-#![expect(clippy::print_stderr, reason = "a test that cannot run says so")]
 
 mod bench;
 mod colour;
@@ -18,11 +17,12 @@ mod twins;
 use m4_gpu::{Choice, Gpu};
 
 /// A GPU, or software that plays one; `None`, and said so, where there is neither.
+#[track_caller]
 fn gpu(test: &str) -> Option<Gpu> {
     match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {
         Ok(gpu) => Some(gpu),
         Err(error) => {
-            eprintln!("{test}: NOT tested: {error}");
+            m4_testkit::skip(m4_testkit::Need::Vulkan, &format!("{test}: {error}"));
             None
         }
     }

@@ -5,6 +5,8 @@
 //! mutate    ways of doing harm
 //! memory    what reading takes
 //! ```
+//!
+//! The allocator counts for the whole process, so this is a program of its own.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 #[path = "../common/mod.rs"]

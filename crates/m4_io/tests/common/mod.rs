@@ -1,6 +1,7 @@
 //! What the tests of this crate share.
 
 use m4_scene::{RgbImage, Video};
+use m4_testkit::{Need, skip};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -9,20 +10,22 @@ pub fn pinwheel() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4"))
 }
 
-/// True when ffmpeg can be started; says so when not.
+/// True when ffmpeg can be started; else the test is listed as skipped.
+#[track_caller]
 pub fn have_ffmpeg() -> bool {
     let there = Command::new("ffmpeg")
         .arg("-version")
         .output()
         .is_ok_and(|o| o.status.success());
     if !there {
-        eprintln!("not tested: ffmpeg is not on the PATH");
+        skip(Need::Ffmpeg, "ffmpeg is not on the PATH");
     }
     there
 }
 
-/// Runs ffmpeg with arguments separated by spaces, then `output`; false (and says so) where this
-/// build of ffmpeg cannot.
+/// Runs ffmpeg with arguments separated by spaces, then `output`; false where this build of ffmpeg cannot, and the test, or
+/// that part of it, is listed as skipped.
+#[track_caller]
 pub fn ffmpeg(arguments: &str, output: &Path) -> bool {
     let mut command = Command::new("ffmpeg");
     command.args(["-v", "error", "-nostdin", "-y", "-threads", "1"]);
@@ -30,11 +33,12 @@ pub fn ffmpeg(arguments: &str, output: &Path) -> bool {
     match command.output() {
         Ok(o) if o.status.success() => true,
         Ok(o) => {
-            eprintln!("not tested: ffmpeg {arguments}: {}", String::from_utf8_lossy(&o.stderr));
+            let said = String::from_utf8_lossy(&o.stderr);
+            skip(Need::Ffmpeg, &format!("ffmpeg {arguments}: {said}"));
             false
         }
         Err(e) => {
-            eprintln!("not tested: ffmpeg: {e}");
+            skip(Need::Ffmpeg, &format!("ffmpeg cannot be started: {e}"));
             false
         }
     }

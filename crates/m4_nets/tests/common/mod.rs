@@ -1,6 +1,8 @@
 //! Fixtures and real weights.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_scene::RgbImage;
+use m4_testkit::{Need, skip};
 use safetensors::{Dtype, SafeTensors};
 use std::path::{Path, PathBuf};
 
@@ -42,7 +44,7 @@ pub fn png(name: &str) -> RgbImage {
 }
 
 /// The real weights `name/file` in the folder `MINUTE4D_WEIGHTS` or the user's cache; `None`, and a word on it, without.
-#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+#[track_caller]
 pub fn real_weights(name: &str, file: &str) -> Option<PathBuf> {
     let cache = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from);
     let cache = cache.or_else(|| std::env::var_os("HOME").map(|home| Path::new(&home).join(".cache")));
@@ -52,6 +54,6 @@ pub fn real_weights(name: &str, file: &str) -> Option<PathBuf> {
     if path.is_file() {
         return Some(path);
     }
-    eprintln!("not tested with real weights: `minute4d weights fetch {name}` gets them");
+    skip(Need::Weights, &format!("the published {name}/{file} is not here"));
     None
 }

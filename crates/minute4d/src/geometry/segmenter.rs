@@ -254,7 +254,7 @@ mod tests {
     #[test]
     fn a_coarse_disc_becomes_the_disc() {
         let Some(weights) = Weights::present().unwrap() else {
-            eprintln!("not tested with real weights: `minute4d weights fetch mobile-sam` gets them");
+            m4_testkit::skip(m4_testkit::Need::Weights, "mobile-sam is not here");
             return;
         };
         let at = |p: usize| {

@@ -1,4 +1,5 @@
 //! The program from outside: what it is given, how it ends, what it says.
+#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 pub mod clips;
 

@@ -6,17 +6,13 @@ use super::{Cause, CheckOptions, Verdict, check, fixed};
 use crate::dense::InverseSearch;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_scene::{Capture, CompactDepth, CompactMask, Silent};
-use std::path::Path;
 
 /// The clips to judge, by name.
 fn scenes() -> Vec<(&'static str, Capture)> {
     let mut all = vec![("room", room::room())];
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/bench/quad-1");
-    if path.is_dir() {
+    if let Some(path) = m4_testkit::shared("bench/quad-1") {
         let read = capture::read(&path, Split::Train, &CaptureOptions::default(), &Silent);
         all.push(("quad-1", read.unwrap()));
-    } else {
-        eprintln!("NOT tested: no benchmark scene at {}", path.display());
     }
     all
 }

@@ -1,0 +1,128 @@
+//! Tests that cannot run on this machine: they say so where a person sees it.
+
+use std::fmt;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::panic::Location;
+
+/// The file to which every skipped test is added, a line each: need, remedy, test, where, why, separated by tabs.
+/// `cargo xtask test` sets it, and prints the lines when the tests are done.
+pub const SKIPPED_VARIABLE: &str = "MINUTE4D_SKIPPED";
+
+/// What a test may need that a machine may not have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Need {
+    /// `ffmpeg`, with the encoders that the test uses.
+    Ffmpeg,
+    /// A browser.
+    Chromium,
+    /// A GPU, or software that plays one.
+    Vulkan,
+    /// A GPU that computes with 16 bits.
+    HalfPrecision,
+    /// npm, and the packages that it fetches.
+    Npm,
+    /// Python with numpy.
+    Numpy,
+    /// The benchmark scenes and clips beside the repository.
+    Shared,
+    /// Published weights of a network.
+    Weights,
+    /// Instructions that the processor lacks.
+    Instructions,
+    /// A system that tells how much memory a process took.
+    PeakMemory,
+}
+
+impl Need {
+    /// The name that `cargo xtask test --require` takes.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ffmpeg => "ffmpeg",
+            Self::Chromium => "chromium",
+            Self::Vulkan => "vulkan",
+            Self::HalfPrecision => "half-precision",
+            Self::Npm => "npm",
+            Self::Numpy => "numpy",
+            Self::Shared => "shared",
+            Self::Weights => "weights",
+            Self::Instructions => "instructions",
+            Self::PeakMemory => "peak-memory",
+        }
+    }
+
+    /// How to get it.
+    #[must_use]
+    pub fn remedy(self) -> &'static str {
+        match self {
+            Self::Ffmpeg => "install ffmpeg (apt-get install ffmpeg)",
+            Self::Chromium => "install Chromium (apt-get install chromium), or name one in MINUTE4D_CHROMIUM",
+            Self::Vulkan => "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)",
+            Self::HalfPrecision => "run the tests on a GPU that computes with 16 bits",
+            Self::Npm => "install Node.js with npm, and let it reach its registry",
+            Self::Numpy => "install numpy (pip install numpy), or name a Python that has it in PYTHON",
+            Self::Shared => "put the folder `shared` with the benchmark scenes beside the repository",
+            Self::Weights => "get the weights (docs/models.md)",
+            Self::Instructions => "run the tests on a processor that has them",
+            Self::PeakMemory => "run the tests on Linux",
+        }
+    }
+}
+
+impl fmt::Display for Need {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(self.name())
+    }
+}
+
+/// Says that the running test, or a part of it, cannot run here: on stderr, which the harness hides, and in the file that
+/// [`SKIPPED_VARIABLE`] names. The test returns after it.
+///
+/// # Panics
+///
+/// If the file cannot be written: a test that is skipped in silence would be worse.
+#[track_caller]
+#[expect(clippy::print_stderr, reason = "a test that does not run says so")]
+pub fn skip(need: Need, why: &str) {
+    let thread = std::thread::current();
+    let test = thread.name().unwrap_or("a test");
+    let place = Location::caller();
+    let line = line(need, test, &format!("{}:{}", place.file(), place.line()), why);
+    eprint!("cannot run here: {line}");
+    if let Some(path) = std::env::var_os(SKIPPED_VARIABLE) {
+        let added = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)
+            // One call: other processes write lines of their own.
+            .and_then(|mut file| file.write_all(line.as_bytes()));
+        added.unwrap_or_else(|error| panic!("cannot add to {}: {error}", path.display()));
+    }
+}
+
+fn line(need: Need, test: &str, place: &str, why: &str) -> String {
+    let fields = [need.name(), need.remedy(), test, place, why];
+    let fields = fields.map(|field| field.split_whitespace().collect::<Vec<_>>().join(" "));
+    fields.join("\t") + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Need, line};
+
+    #[test]
+    fn a_skipped_test_is_one_line_of_five_fields() {
+        let line = line(Need::Ffmpeg, "video::plays", "tests/video.rs:7", "not\tfound\nanywhere");
+        let fields: Vec<&str> = line.trim_end_matches('\n').split('\t').collect();
+        let expected = [
+            "ffmpeg",
+            Need::Ffmpeg.remedy(),
+            "video::plays",
+            "tests/video.rs:7",
+            "not found anywhere",
+        ];
+        assert_eq!(fields, expected);
+    }
+}

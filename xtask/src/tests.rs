@@ -1,0 +1,299 @@
+//! `cargo xtask test`: the tests, and at their end what could not run.
+//!
+//! Tests that lack something on this machine return early and add a line to the file that `MINUTE4D_SKIPPED` names
+//! (`m4_testkit::skip`). The harness hides what they print; this program prints the lines when everything has run.
+
+#![expect(clippy::print_stderr, reason = "what was not tested is said")]
+
+use anyhow::{Context, Result, bail};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// What the tests of the default program leave out: GPUs and networks, and what only they need.
+const DEFAULT: [&str; 5] = ["--workspace", "--exclude", "m4_gpu", "--exclude", "m4_nets"];
+/// What `full` adds to the program, with the crates whose tests it changes.
+const FULL: [&str; 10] = [
+    "--package",
+    "m4_gpu",
+    "--package",
+    "m4_nets",
+    "--package",
+    "minute4d",
+    "--package",
+    "minute4d_cli",
+    "--features",
+    "minute4d_cli/full,m4_nets/gpu",
+];
+
+/// What to run, and what must not be missing.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Tests {
+    /// What `full` adds, in place of the tests of the default program.
+    pub full: bool,
+    /// Needs (`m4_testkit::Need`) for whose lack no test may be skipped.
+    pub required: BTreeSet<String>,
+    /// Further arguments of `cargo test`, such as the names of tests.
+    pub more: Vec<String>,
+}
+
+impl Tests {
+    /// Reads `[--full] [--require NEED,...] [-- ARGUMENT...]`.
+    ///
+    /// # Errors
+    ///
+    /// For anything else.
+    pub fn of_arguments(words: &[&str]) -> Result<Self> {
+        let mut tests = Self::default();
+        let mut words = words.iter();
+        while let Some(&word) = words.next() {
+            match word {
+                "--full" => tests.full = true,
+                "--require" => {
+                    let needs = words.next().context("--require wants names, such as ffmpeg,chromium")?;
+                    tests.required.extend(needs.split(',').map(str::to_owned));
+                }
+                "--" => tests.more.extend(words.by_ref().map(|&word| word.to_owned())),
+                other => bail!("{other}: expected --full, --require NEED,... or -- and arguments of cargo test"),
+            }
+        }
+        Ok(tests)
+    }
+}
+
+/// A test, or a part of one, that could not run.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Skipped {
+    /// What the machine lacks.
+    pub need: String,
+    /// How to get it.
+    pub remedy: String,
+    /// The test.
+    pub test: String,
+    /// File and line.
+    pub place: String,
+    /// What was seen.
+    pub why: String,
+}
+
+/// Runs the tests and prints what could not run.
+///
+/// # Errors
+///
+/// If a test fails, or one was skipped for the lack of something that is required.
+pub fn run(root: &Path, tests: &Tests) -> Result<()> {
+    let list = root.join("target/skipped-tests.tsv");
+    if let Err(error) = std::fs::remove_file(&list)
+        && error.kind() != std::io::ErrorKind::NotFound
+    {
+        return Err(error).with_context(|| format!("cannot remove {}", list.display()));
+    }
+    let result = if tests.full {
+        what_full_adds(root, &list, &tests.more)
+    } else {
+        let mut command = cargo(root, &["test", "--no-fail-fast"]);
+        command.args(DEFAULT).args(&tests.more).env("MINUTE4D_SKIPPED", &list);
+        ended(command, "cargo test")
+    };
+    let text = match std::fs::read_to_string(&list) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
+        text => text.with_context(|| format!("cannot read {}", list.display()))?,
+    };
+    let skipped = parse(&text)?;
+    eprint!("{}", summary(&skipped));
+    result?;
+    lacking(&skipped, &tests.required)
+}
+
+/// Reads the lines that tests left, each once.
+///
+/// # Errors
+///
+/// If a line has not five fields.
+pub fn parse(text: &str) -> Result<Vec<Skipped>> {
+    let lines: Result<BTreeSet<Skipped>> = text
+        .lines()
+        .map(|line| match line.split('\t').collect::<Vec<_>>()[..] {
+            [need, remedy, test, place, why] => Ok(Skipped {
+                need: need.to_owned(),
+                remedy: remedy.to_owned(),
+                test: test.to_owned(),
+                place: place.to_owned(),
+                why: why.to_owned(),
+            }),
+            _ => bail!("{line:?} is no line of a skipped test"),
+        })
+        .collect();
+    Ok(lines?.into_iter().collect())
+}
+
+/// What could not run, by what it lacked; the last words of a run of tests.
+#[must_use]
+pub fn summary(skipped: &[Skipped]) -> String {
+    if skipped.is_empty() {
+        return "\nEvery test could run on this machine.\n".to_owned();
+    }
+    let mut needs: BTreeMap<&str, Vec<&Skipped>> = BTreeMap::new();
+    for one in skipped {
+        needs.entry(&one.need).or_default().push(one);
+    }
+    let names: BTreeSet<&str> = skipped.iter().map(|s| s.test.as_str()).collect();
+    let mut out = format!(
+        "\nNOT TESTED on this machine, wholly or in part: {} tests\n",
+        names.len()
+    );
+    for (need, tests) in needs {
+        let remedy = tests.first().map_or("", |s| s.remedy.as_str());
+        // Writing to a string does not fail.
+        let _ = writeln!(out, "  for want of {need}: {remedy}");
+        for test in tests {
+            let _ = writeln!(out, "    {} ({}): {}", test.test, test.place, test.why);
+        }
+    }
+    out
+}
+
+/// Fails where a test was skipped for the lack of something that must be there.
+///
+/// # Errors
+///
+/// With the names of what is missing.
+pub fn lacking(skipped: &[Skipped], required: &BTreeSet<String>) -> Result<()> {
+    let missing: BTreeSet<&str> = skipped.iter().map(|s| s.need.as_str()).collect();
+    let missing: Vec<&str> = missing.into_iter().filter(|need| required.contains(*need)).collect();
+    if missing.is_empty() {
+        return Ok(());
+    }
+    bail!(
+        "tests were skipped for want of {}, which must be there",
+        missing.join(", ")
+    )
+}
+
+/// A program of tests.
+#[derive(Debug)]
+struct Program {
+    /// Package and target.
+    name: String,
+    /// The executable.
+    path: PathBuf,
+    /// The package's folder, where cargo would start it.
+    folder: PathBuf,
+}
+
+/// Runs the tests that are not among those of the default program: all of networks and GPUs, and of the program those that
+/// exist with its features only.
+fn what_full_adds(root: &Path, list: &Path, more: &[String]) -> Result<()> {
+    let before: BTreeSet<(String, String)> = programs(root, &DEFAULT, more)?
+        .iter()
+        .map(|program| {
+            Ok(names(program)?
+                .into_iter()
+                .map(|test| (program.name.clone(), test))
+                .collect())
+        })
+        .collect::<Result<Vec<Vec<_>>>>()?
+        .into_iter()
+        .flatten()
+        .collect();
+    let mut failed = Vec::new();
+    for program in programs(root, &FULL, more)? {
+        let new: Vec<String> = names(&program)?
+            .into_iter()
+            .filter(|test| !before.contains(&(program.name.clone(), test.clone())))
+            .collect();
+        if new.is_empty() {
+            continue;
+        }
+        eprintln!("     Running {} tests of {}", new.len(), program.name);
+        let mut command = Command::new(&program.path);
+        command.current_dir(&program.folder).arg("--exact").args(&new);
+        command
+            .env("CARGO_MANIFEST_DIR", &program.folder)
+            .env("MINUTE4D_SKIPPED", list);
+        if ended(command, &program.name).is_err() {
+            failed.push(program.name);
+        }
+    }
+    match failed.is_empty() {
+        true => Ok(()),
+        false => bail!("tests failed in {}", failed.join(", ")),
+    }
+}
+
+/// Builds the programs of tests of a selection of packages.
+fn programs(root: &Path, selection: &[&str], more: &[String]) -> Result<Vec<Program>> {
+    let mut command = cargo(root, &["test", "--lib", "--bins", "--tests", "--no-run"]);
+    command.arg("--message-format=json-render-diagnostics");
+    command.args(selection).args(more).stderr(Stdio::inherit());
+    let output = command.output().context("cannot start cargo")?;
+    if !output.status.success() {
+        bail!("the tests cannot be built: cargo ended with {}", output.status);
+    }
+    let mut programs = Vec::new();
+    for line in String::from_utf8_lossy(&output.stdout).lines() {
+        let Ok(message) = serde_json::from_str::<Value>(line) else {
+            continue;
+        };
+        let text = |value: &Value| value.as_str().map(str::to_owned);
+        let is_test = message["reason"] == "compiler-artifact" && message["profile"]["test"] == true;
+        let parts = (
+            text(&message["executable"]),
+            text(&message["manifest_path"]),
+            text(&message["target"]["name"]),
+            text(&message["target"]["kind"][0]),
+        );
+        if let (true, (Some(path), Some(manifest), Some(target), Some(kind))) = (is_test, parts) {
+            let folder = Path::new(&manifest).parent().unwrap_or(root).to_path_buf();
+            let package = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            programs.push(Program {
+                name: format!("{package} ({kind} {target})"),
+                path: path.into(),
+                folder,
+            });
+        }
+    }
+    Ok(programs)
+}
+
+/// The names of a program's tests that are not ignored.
+fn names(program: &Program) -> Result<Vec<String>> {
+    let said = |ignored: bool| -> Result<BTreeSet<String>> {
+        let mut command = Command::new(&program.path);
+        command.args(["--list", "--format", "terse"]);
+        if ignored {
+            command.arg("--ignored");
+        }
+        let output = command
+            .current_dir(&program.folder)
+            .output()
+            .with_context(|| format!("cannot start {}", program.path.display()))?;
+        if !output.status.success() {
+            bail!("{} cannot list its tests", program.name);
+        }
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        Ok(text
+            .lines()
+            .filter_map(|line| line.strip_suffix(": test"))
+            .map(str::to_owned)
+            .collect())
+    };
+    Ok(said(false)?.difference(&said(true)?).cloned().collect())
+}
+
+fn cargo(root: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.args(arguments).current_dir(root);
+    command
+}
+
+fn ended(mut command: Command, name: &str) -> Result<()> {
+    let status = command.status().with_context(|| format!("cannot start {name}"))?;
+    if status.success() {
+        Ok(())
+    } else {
+        bail!("{name} ended with {status}")
+    }
+}

@@ -1,0 +1,44 @@
+//! What is made of the lines that skipped tests leave.
+
+use std::collections::BTreeSet;
+use xtask::tests::{Tests, lacking, parse, summary};
+
+const LINES: &str = "ffmpeg\tinstall ffmpeg\tvideo::plays\tcrates/m4_io/tests/video.rs:7\tit is not on the PATH\n\
+                     vulkan\tinstall a driver\tgpu::draws\tcrates/m4_gpu/tests/gpu/main.rs:3\tno adapter\n\
+                     ffmpeg\tinstall ffmpeg\tvideo::plays\tcrates/m4_io/tests/video.rs:7\tit is not on the PATH\n";
+
+#[test]
+fn what_was_skipped_is_listed_once_with_its_remedy() {
+    let skipped = parse(LINES).unwrap();
+    assert_eq!(skipped.len(), 2);
+    let words = summary(&skipped);
+    for part in [
+        "2 tests",
+        "for want of ffmpeg: install ffmpeg",
+        "gpu::draws",
+        "video.rs:7",
+        "no adapter",
+    ] {
+        assert!(words.contains(part), "{part}: {words}");
+    }
+    assert!(summary(&[]).contains("Every test could run"));
+    assert!(parse("ffmpeg\tinstall it\n").is_err());
+}
+
+#[test]
+fn what_must_be_there_fails_the_run_where_it_is_not() {
+    let skipped = parse(LINES).unwrap();
+    let required = |names: &[&str]| names.iter().map(|&n| n.to_owned()).collect::<BTreeSet<_>>();
+    assert!(lacking(&skipped, &required(&[])).is_ok());
+    assert!(lacking(&skipped, &required(&["chromium"])).is_ok());
+    let error = lacking(&skipped, &required(&["chromium", "vulkan"])).unwrap_err();
+    assert!(error.to_string().contains("vulkan"), "{error}");
+}
+
+#[test]
+fn arguments_are_read() {
+    let tests = Tests::of_arguments(&["--full", "--require", "ffmpeg,vulkan", "--", "--test", "it"]).unwrap();
+    assert!(tests.full && tests.required.contains("vulkan") && tests.required.len() == 2);
+    assert_eq!(tests.more, ["--test", "it"]);
+    assert!(Tests::of_arguments(&["--fast"]).is_err() && Tests::of_arguments(&["--require"]).is_err());
+}
