@@ -10,6 +10,7 @@ pub mod lease;
 pub mod slurm;
 
 mod child;
+mod credentials;
 mod error;
 mod layout;
 mod manifest;

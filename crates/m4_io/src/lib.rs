@@ -12,6 +12,7 @@ pub mod capture;
 pub mod image;
 pub mod megasam;
 pub mod npy;
+pub mod reach;
 pub mod scene_file;
 pub mod tracks;
 pub mod trajectory;

@@ -380,7 +380,7 @@ fn depth_of_the_wrong_kind() {
 // --- captures -------------------------------------------------------------------------------------
 
 /// A capture of two frames, as JSON to spoil.
-fn good() -> (TempDir, Value) {
+pub fn good() -> (TempDir, Value) {
     let dir = tempfile::tempdir().unwrap();
     for i in 0..2 {
         write_rgb(&dir.path().join(format!("{i}.png")), &Plane::filled(20, 10, [i; 3])).unwrap();
@@ -530,7 +530,10 @@ fn test_views_without_a_training_split() {
 fn a_capture_that_does_not_fit_in_memory() {
     let (dir, json) = good();
     std::fs::write(dir.path().join("transforms_train.json"), json.to_string()).unwrap();
-    let small = CaptureOptions { max_memory_bytes: 1000 };
+    let small = CaptureOptions {
+        max_memory_bytes: 1000,
+        ..CaptureOptions::default()
+    };
     let error = capture::read(dir.path(), Split::Train, &small, &Silent).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Unsupported);
     says(&error.to_string(), &["2 frames of 20 x 10", "max_memory_bytes"]);

@@ -1,5 +1,7 @@
 //! Decoders in processes of their own: the same pictures, and errors of the clip where they fail.
 
+#[cfg(unix)]
+use crate::common::script;
 use crate::common::{ffmpeg, have_ffmpeg, pinwheel};
 use m4_io::ErrorKind;
 use m4_io::video::{
@@ -183,29 +185,6 @@ fn the_decoder_started_by_hand_says_what_it_is() {
     }
 }
 
-/// A script in a folder of its own.
-#[cfg(unix)]
-fn script(dir: &Path, name: &str, body: &str) -> PathBuf {
-    use std::os::unix::fs::PermissionsExt;
-    let path = dir.join(name);
-    // Written under another name by a shell of its own: a file that some thread has open for writing while another
-    // one forks cannot be started.
-    let write = format!(
-        "cat > '{0}.new' && chmod 755 '{0}.new' && mv '{0}.new' '{0}'",
-        path.display()
-    );
-    let mut shell = std::process::Command::new("sh")
-        .args(["-c", &write])
-        .stdin(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
-    let text = format!("#!/bin/sh\n{body}\n");
-    std::io::Write::write_all(&mut shell.stdin.take().unwrap(), text.as_bytes()).unwrap();
-    assert!(shell.wait().unwrap().success());
-    assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o755);
-    path
-}
-
 /// Reads the example with a script as its decoder.
 #[cfg(unix)]
 fn with_fake(body: &str, limits: DecoderLimits, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
@@ -350,7 +329,12 @@ fn stopping_ends_the_child_and_what_it_started() {
 
 /// A clip for ffmpeg, and a folder with programs under its names.
 #[cfg(unix)]
-fn with_fake_ffmpeg(probe: &str, decode: &str, limits: DecoderLimits) -> Result<Video, ReadVideoError> {
+fn with_fake_ffmpeg(
+    launcher: Option<&DecoderProgram>,
+    probe: &str,
+    decode: &str,
+    limits: DecoderLimits,
+) -> Result<Video, ReadVideoError> {
     let dir = tempfile::tempdir().unwrap();
     let clip = dir.path().join("clip.mkv");
     std::fs::write(&clip, [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]).unwrap();
@@ -359,7 +343,7 @@ fn with_fake_ffmpeg(probe: &str, decode: &str, limits: DecoderLimits) -> Result<
         ffmpeg: script(dir.path(), "ffmpeg", decode),
         ..options(limits)
     };
-    read(&clip, &options, &Silent)
+    read_with(launcher, &clip, &options, &Silent)
 }
 
 /// What ffprobe says of a clip of three pictures of 4 x 2 pixels.
@@ -376,9 +360,17 @@ fn sent(second: u32) -> String {
     )
 }
 
+/// ffmpeg started by this process, and by a program that limits itself first.
 #[cfg(unix)]
 #[test]
 fn an_ffmpeg_that_hangs_crashes_or_talks_without_end() {
+    for launcher in [None, Some(program())] {
+        ffmpegs_that_fail(|probe, decode, limits| with_fake_ffmpeg(launcher.as_ref(), probe, decode, limits));
+    }
+}
+
+#[cfg(unix)]
+fn ffmpegs_that_fail(with_fake_ffmpeg: impl Fn(&str, &str, DecoderLimits) -> Result<Video, ReadVideoError>) {
     let patience = limits(|l| l.idle_seconds = 1);
     let usual = DecoderLimits::default();
     let whole = [sent(0), sent(1), sent(2)].join("\n");
@@ -464,10 +456,13 @@ fn the_real_ffmpeg_obeys_limits() {
         ..VideoOptions::default()
     };
     let usual = with(DecoderLimits::default());
-    assert_eq!(read(&clip, &usual, &Silent).unwrap().frames.len(), 12);
     let few = with(limits(|l| l.memory_mb = 64));
-    let how = failure(read(&clip, &few, &Silent), &["clip.mkv", "64 MiB"]);
-    assert_eq!(how, DecoderEnd::Memory { limit_mb: 64 });
+    for launcher in [None, Some(program())] {
+        let read = |options| read_with(launcher.as_ref(), &clip, options, &Silent);
+        assert_eq!(read(&usual).unwrap().frames.len(), 12);
+        let how = failure(read(&few), &["clip.mkv", "64 MiB"]);
+        assert_eq!(how, DecoderEnd::Memory { limit_mb: 64 });
+    }
 }
 
 #[test]

@@ -9,9 +9,13 @@ mod common;
 #[cfg(test)]
 mod decoder;
 #[cfg(test)]
+mod isolation;
+#[cfg(test)]
 mod megasam;
 #[cfg(test)]
 mod mp4_writer;
+#[cfg(test)]
+mod outside;
 #[cfg(test)]
 mod scene_file;
 #[cfg(test)]

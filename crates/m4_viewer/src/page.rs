@@ -10,8 +10,8 @@
 //! ```
 //!
 //! the poster, which is the first of the frames and is seen while the rest is still being read, the splats and the
-//! frames only where there are some. `</` in the JSON is written `<\/`, so that nothing in it
-//! ends the element.
+//! frames only where there are some. Every `<` in the JSON is written `\u003c`: in a script `</script` ends the
+//! element, and behind `<!--` and `<script` it does not end where it should (HTML, 13.2.5.15 to 31). Base64 has none.
 
 use crate::frames::Frames;
 use crate::manifest::Manifest;
@@ -80,6 +80,14 @@ pub enum PageError {
         /// Which.
         id: &'static str,
     },
+    /// An element in which a browser would look for the end of a comment.
+    #[error(
+        "the element {id} of the page holds <!--, behind which browsers do not find its end; write the page again from its scene"
+    )]
+    Comment {
+        /// Which.
+        id: &'static str,
+    },
     /// Offsets that do not fit the frames.
     #[error("the offsets of the frames do not divide the {found} bytes of the frames; the page is damaged")]
     Offsets {
@@ -117,7 +125,8 @@ pub fn compose(template: &str, parts: &Parts<'_>, effort: Effort) -> Result<Vec<
     let Some((before, after)) = template.split_once(MARKER).filter(|_| found == 1) else {
         return Err(PageError::Marker { found });
     };
-    let json = serde_json::to_string(parts.manifest)?.replace("</", "<\\/");
+    // In JSON it is nowhere but in strings.
+    let json = serde_json::to_string(parts.manifest)?.replace('<', "\\u003c");
     let mut out = before.as_bytes().to_vec();
     if let Some(poster) = parts.frames.and_then(poster) {
         out.extend_from_slice(poster.as_bytes());
@@ -178,7 +187,7 @@ const MOST_BYTES: u64 = 4 << 30;
 /// [`PageError`] saying which element is missing or damaged.
 pub fn read(html: &str) -> Result<Contents, PageError> {
     let manifest = manifest_of(html)?;
-    let payload = match find(html, SPLATS) {
+    let payload = match find(html, SPLATS)? {
         Some(text) => {
             let mut payload = Vec::new();
             let gzip = bytes(SPLATS.1, text)?;
@@ -207,7 +216,7 @@ pub fn read_frames(html: &str) -> Result<Option<Frames>, PageError> {
 }
 
 fn manifest_of(html: &str) -> Result<Manifest, PageError> {
-    let text = find(html, MANIFEST).ok_or(PageError::Missing { id: MANIFEST.1 })?;
+    let text = find(html, MANIFEST)?.ok_or(PageError::Missing { id: MANIFEST.1 })?;
     Ok(serde_json::from_str(text)?)
 }
 
@@ -215,7 +224,7 @@ fn frames_of(html: &str, manifest: &Manifest) -> Result<Option<Frames>, PageErro
     let Some(index) = manifest.frames.clone() else {
         return Ok(None);
     };
-    let text = find(html, FRAMES).ok_or(PageError::Missing { id: FRAMES.1 })?;
+    let text = find(html, FRAMES)?.ok_or(PageError::Missing { id: FRAMES.1 })?;
     let bytes = bytes(FRAMES.1, text)?;
     let ordered = index.offsets.windows(2).all(|w| w[0] <= w[1]);
     if !ordered || index.offsets.last() != Some(&bytes.len()) {
@@ -224,9 +233,14 @@ fn frames_of(html: &str, manifest: &Manifest) -> Result<Option<Frames>, PageErro
     Ok(Some(Frames { index, bytes }))
 }
 
-fn find<'a>(html: &'a str, name: (&str, &str)) -> Option<&'a str> {
-    let (_, rest) = html.split_once(opening(name).as_str())?;
-    rest.split_once(END).map(|(text, _)| text)
+/// The text of an element, as a browser finds it.
+fn find<'a>(html: &'a str, name: (&str, &'static str)) -> Result<Option<&'a str>, PageError> {
+    let rest = html.split_once(opening(name).as_str()).map(|(_, rest)| rest);
+    let text = rest.and_then(|rest| rest.split_once(END)).map(|(text, _)| text);
+    if text.is_some_and(|text| text.contains("<!--")) {
+        return Err(PageError::Comment { id: name.1 });
+    }
+    Ok(text)
 }
 
 fn bytes(id: &'static str, text: &str) -> Result<Vec<u8>, PageError> {

@@ -49,6 +49,61 @@ fn a_scene_comes_back_out_of_the_page() {
     }
 }
 
+/// Titles that end an element of a page, or begin what a browser does not end there: a clip may have any name.
+const HOSTILE: [&str; 5] = [
+    "<!--<script>.mp4",
+    "--><!--<SCRIPT src=x></sCriPt >",
+    "</script><script>window.broken = 1</script>",
+    "<script type=\"text/plain\" id=\"m4-splats\">AAAA</script>",
+    "<!--minute4d-data--> \u{2028} ä & \\u003c \" '",
+];
+
+#[test]
+fn no_title_is_markup() {
+    let scene = scene(4, 3);
+    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let mut manifest = manifest_of(&scene, &payload);
+    for title in HOSTILE {
+        manifest.title = title.to_owned();
+        let parts = Parts {
+            manifest: &manifest,
+            payload: Some(&payload.bytes),
+            frames: None,
+        };
+        let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+        // the tags of two elements
+        assert_eq!(html.matches('<').count(), 4, "{title}: {html}");
+        let back = page::read(&html).unwrap();
+        assert_eq!((back.manifest, back.payload.is_some()), (manifest.clone(), true));
+    }
+}
+
+#[test]
+fn what_no_browser_reads_is_not_read_back() {
+    let scene = scene(4, 3);
+    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let mut manifest = manifest_of(&scene, &payload);
+    manifest.title = "a clip".to_owned();
+    let parts = Parts {
+        manifest: &manifest,
+        payload: Some(&payload.bytes),
+        frames: None,
+    };
+    let html = String::from_utf8(compose(MARKER, &parts, Effort::Quick).unwrap()).unwrap();
+    for title in ["<!--", "<!--<script>", "a <!-- b -->"] {
+        let read = page::read(&html.replace("a clip", title));
+        assert!(matches!(read, Err(PageError::Comment { .. })), "{title}");
+    }
+    // what earlier versions wrote, and every browser reads
+    assert_eq!(
+        page::read(&html.replace("a clip", "a <\\/b> clip"))
+            .unwrap()
+            .manifest
+            .title,
+        "a </b> clip"
+    );
+}
+
 #[test]
 fn a_page_that_waits_has_no_splats() {
     let manifest = m4_viewer::Manifest::waiting("later");

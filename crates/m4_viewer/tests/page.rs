@@ -218,3 +218,31 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
         "the server's page draws other pictures than the file"
     );
 }
+
+/// Names of clips that end an element of a page, or begin what a browser does not end there.
+const HOSTILE: [&str; 2] = ["<!--<script>", "</script><script>window.broken = 1</script><!--"];
+
+#[test]
+fn a_clip_may_have_any_name() {
+    let Some(program) = find_chromium() else { return };
+    let mut scene = scene();
+    scene.splats = scene.splats.gather(&(0..100).collect::<Vec<u32>>()).unwrap();
+    let (mut manifest, payload) = told(&scene);
+    let folder = tempfile::tempdir().unwrap();
+    for title in HOSTILE {
+        manifest.title = title.to_owned();
+        let parts = Parts {
+            manifest: &manifest,
+            payload: Some(&payload),
+            frames: None,
+        };
+        let path = folder.path().join("viewer.html");
+        std::fs::write(&path, page::compose(TEMPLATE, &parts, Effort::Small).unwrap()).unwrap();
+        let mut page = Chromium::open(program.clone(), &format!("file://{}", path.display()));
+        page.eval("minute4d.ready");
+        assert_eq!(page.eval("minute4d.state().splats"), json!(100), "{title}");
+        let shown = page.eval("[document.title, document.querySelector('.title h1').textContent]");
+        assert_eq!(shown, json!([format!("{title} · minute4d"), title]));
+        assert_eq!(page.eval("typeof window.broken"), json!("undefined"));
+    }
+}

@@ -4,7 +4,8 @@ use crate::folder::SCENE_FILE;
 use crate::record::{RUN_FILE, RunRecord, Status};
 use crate::settings::Settings;
 use crate::{Error, Observer, hash, is_capture};
-use m4_io::capture::Split;
+use m4_io::capture::{CaptureOptions, Split};
+use m4_io::reach::Reach;
 use m4_io::scene_file;
 use m4_io::video::VideoOptions;
 use m4_scene::{Capture, CompactMask, Scene};
@@ -107,12 +108,12 @@ pub struct RunFacts {
     pub scene: Option<SceneFacts>,
 }
 
-/// Finds out what `path` holds.
+/// Finds out what `path` holds; a capture may name files within `reach`.
 ///
 /// # Errors
 ///
 /// [`Error`] naming what is wrong with it.
-pub fn inspect(path: &Path, observer: &dyn Observer) -> Result<Inspection, Error> {
+pub fn inspect(path: &Path, reach: Reach, observer: &dyn Observer) -> Result<Inspection, Error> {
     if !path.exists() {
         return Err(Error::Missing {
             what: "file or folder",
@@ -125,7 +126,10 @@ pub fn inspect(path: &Path, observer: &dyn Observer) -> Result<Inspection, Error
         return run_facts(path, record);
     }
     if is_capture(path) {
-        let options = Settings::fast().capture;
+        let options = CaptureOptions {
+            reach,
+            ..Settings::fast().capture
+        };
         let capture = m4_io::capture::read(path, Split::Train, &options, observer)?;
         return Ok(Inspection::Capture(capture_facts(path, &capture)));
     }

@@ -333,3 +333,51 @@ fn plans_that_cannot_be_made_and_inputs_that_changed() {
     dir.write("jobs.jsonl", "{}");
     assert_eq!(call(&["batch", "status", "--manifest", &manifest]).code, 65);
 }
+
+/// The environment of the run that a worker started for a clip in `folder`, once there is one.
+#[cfg(target_os = "linux")]
+fn environment_of_run(folder: &str, worker: &mut Running) -> String {
+    loop {
+        let processes = fs::read_dir("/proc").unwrap().flatten().map(|entry| entry.path());
+        for process in processes {
+            let line = String::from_utf8_lossy(&fs::read(process.join("cmdline")).unwrap_or_default()).into_owned();
+            // Of a process that is about to become the run the line is still that of the worker.
+            if line.contains(folder) && line.contains("--stop-at-eof") {
+                return String::from_utf8_lossy(&fs::read(process.join("environ")).unwrap_or_default()).into_owned();
+            }
+        }
+        assert!(worker.0.try_wait().unwrap().is_none(), "the worker ended without a run");
+        sleep(Duration::from_millis(1));
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn runs_are_not_told_the_credentials_of_the_worker() {
+    let dir = Scratch::new();
+    write_clips(&dir, 1);
+    let manifest = plan(&dir, &["--iterations", "200", "--no-viewer"]);
+    let mut command = worker(&manifest, &[]);
+    let secrets = [
+        ("AWS_SECRET_ACCESS_KEY", "s3cr3t-1"),
+        ("HF_TOKEN", "s3cr3t-2"),
+        ("HTTPS_PROXY", "http://me:s3cr3t-3@proxy:3128"),
+    ];
+    command.envs(secrets).env("M4_HARMLESS", "harmless");
+    let mut running = start(command);
+    let environment = environment_of_run(&dir.at("results"), &mut running);
+    assert!(environment.contains("M4_HARMLESS=harmless"), "{environment}");
+    assert!(!environment.contains("s3cr3t"), "{environment}");
+    assert!(running.0.wait().unwrap().success());
+}
+
+#[test]
+fn links_out_of_a_capture_are_allowed_by_who_plans() {
+    let dir = Scratch::new();
+    let manifest = {
+        write_clips(&dir, 1);
+        plan(&dir, &["--allow-outside", "--iterations", "1"])
+    };
+    let text = fs::read_to_string(&manifest[1]).unwrap();
+    assert!(text.lines().next().unwrap().contains("--allow-outside"), "{text}");
+}

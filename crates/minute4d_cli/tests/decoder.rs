@@ -1,5 +1,7 @@
 //! Video is decoded by a process of its own, whose end is an error of the clip.
 
+#[cfg(target_os = "linux")]
+use crate::common::Ended;
 use crate::common::{Scratch, program, refused, succeed};
 use minute4d::io::video::Mp4Writer;
 use minute4d::scene::Plane;
@@ -47,4 +49,62 @@ fn the_hidden_command_decodes_for_nobody_else() {
     }
     let help = succeed(&["--help"]);
     assert!(!help.stdout.contains("__decode"), "{}", help.stdout);
+}
+
+/// A folder with an `ffprobe` and an `ffmpeg` that write down what they are told and what they may, and a clip for them.
+#[cfg(target_os = "linux")]
+fn note_takers(dir: &Scratch) {
+    let notes = |name: &str| {
+        let copy = |what: &str| format!("cat /proc/$$/{what} >'{}'\n", dir.at(&format!("{name}.{what}")));
+        ["environ", "status", "limits"].map(copy).concat()
+    };
+    let probe = r#"echo '{"packets":[{"pts_time":"0","flags":"K_"}],
+"streams":[{"codec_name":"ffv1","width":4,"height":2,"pix_fmt":"yuv420p"}]}'"#;
+    let decode = "echo '[Parsed_showinfo_0 @ 0x5] [info] n: 0 pts: 0 pts_time:0 fmt:yuv420p sar:1/1 s:4x2 i:P' >&2
+printf 'abcdefghijklabcdefghijkl'";
+    for (name, rest) in [("ffprobe", probe), ("ffmpeg", decode)] {
+        let text = dir.write(&format!("{name}.txt"), format!("#!/bin/sh\n{}{rest}\n", notes(name)));
+        // By another process: one that is forked here meanwhile would hold it open for writing.
+        let install = ["-D", "-m", "755", &text, &dir.at(&format!("bin/{name}"))];
+        assert!(
+            std::process::Command::new("install")
+                .args(install)
+                .status()
+                .unwrap()
+                .success()
+        );
+    }
+    std::fs::write(dir.path("clip.mkv"), [0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0]).unwrap();
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn an_ffmpeg_on_the_path_gets_no_secret_and_no_privilege() {
+    let dir = Scratch::new();
+    note_takers(&dir);
+    let path = format!("{}:{}", dir.at("bin"), std::env::var("PATH").unwrap());
+    let mut command = program();
+    command
+        .args(["inspect", &dir.at("clip.mkv")])
+        .env("PATH", path)
+        .env("AWS_SECRET_ACCESS_KEY", "s3cr3t-1")
+        .env("MY_PASSWORD", "s3cr3t-2")
+        .env("HOME", "/home/s3cr3t-3");
+    let ended = Ended::of(command.output().unwrap());
+    assert_eq!(ended.code, 0, "{}", ended.stderr);
+    for name in ["ffprobe", "ffmpeg"] {
+        let note = |what: &str| std::fs::read(dir.path(&format!("{name}.{what}"))).unwrap();
+        let environ = String::from_utf8(note("environ")).unwrap();
+        assert!(environ.contains("PATH=") && !environ.contains("s3cr3t"), "{environ:?}");
+        let status = String::from_utf8(note("status")).unwrap();
+        assert!(status.contains("NoNewPrivs:\t1"), "{status}");
+        let limits = String::from_utf8(note("limits")).unwrap();
+        let limit = |name: &str| {
+            let line = limits.lines().find(|line| line.starts_with(name)).unwrap();
+            line[name.len()..].split_whitespace().next().unwrap().to_owned()
+        };
+        assert_eq!(limit("Max open files"), "256");
+        assert_eq!(limit("Max file size"), "1048576");
+        assert!(limit("Max processes").parse::<u64>().is_ok(), "{limits}");
+    }
 }

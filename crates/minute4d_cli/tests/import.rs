@@ -185,3 +185,51 @@ fn captures_go_out_and_come_back() {
         );
     }
 }
+
+#[test]
+fn data_sets_that_name_private_files_need_leave() {
+    let dir = Scratch::new();
+    let (source, out) = (fixture("blender"), dir.at("out"));
+    let args = ["import", &source, "-o", &out, "--no-check"];
+    let words = ["transforms_train.json", "clip/images/", "--allow-outside"];
+    refused(&args, 65, &words);
+    assert!(!dir.path("out").exists());
+    succeed(&[&args[..], &["--allow-outside"]].concat());
+    // The same of a capture, by every command that reads one.
+    let list = dir.path("out/transforms_train.json");
+    let text = fs::read_to_string(&list).unwrap();
+    fs::rename(dir.path("out/train"), dir.path("private")).unwrap();
+    fs::write(&list, text.replace("\"train/", "\"../private/")).unwrap();
+    let data = ["--data", &out];
+    for command in [
+        &["inspect", &out][..],
+        &["split", &out, "-o", &dir.at("made"), "--protocol", "holdout"],
+        &["export", &out, "--format", "nerfstudio", "-o", &dir.at("made")],
+        &["train", &out, "-o", &dir.at("made"), "--iterations", "1"],
+        &["run", &out, "-o", &dir.at("made"), "--iterations", "1"],
+        &["enhance", &out, "-o", &dir.at("made"), "--tracker", "none"],
+        &["eval-geometry", &out, "--truth", &out],
+        &["ablate", &out, "-o", &dir.at("made"), data[0], data[1]],
+    ] {
+        refused(command, 65, &["transforms_train.json", "private/", "--allow-outside"]);
+    }
+    succeed(&["inspect", &out, "--allow-outside"]);
+    succeed(&[
+        "export",
+        &out,
+        "--format",
+        "nerfstudio",
+        "-o",
+        &dir.at("exported"),
+        "--allow-outside",
+    ]);
+    let set = [
+        "run",
+        &out,
+        "-o",
+        &dir.at("made"),
+        "--set",
+        "capture.reach=\"Anywhere\"",
+    ];
+    refused(&set, 78, &["capture.reach"]);
+}

@@ -2,6 +2,7 @@
 
 use super::{Listener, Worker};
 use crate::child::{self, Ended, Watch};
+use crate::credentials;
 use crate::error::{FileError, WorkError};
 use crate::layout::RUN_FILE;
 use crate::lease::Lease;
@@ -77,6 +78,7 @@ impl Worker<'_> {
             .arg(&work)
             .arg("--")
             .arg(&job.input);
+        credentials::remove(&mut command);
         let ended = child::run(command, log, &guard).map_err(FileError::read(&self.tools.program))?;
         Ok(if lease.is_lost() {
             Attempt::Lost

@@ -8,6 +8,7 @@ use crate::sound;
 use m4_import::SourceFormat::{self, Colmap, Da3, Dycheck, Kitti, Megasam, Monst3r, Nerfstudio, Nvidia, Polycam};
 use m4_import::SourceFormat::{Record3d, StrayScanner, Tum, Vggt, Vipe};
 use m4_import::{ImportOptions, formats::davis};
+use m4_io::reach::Reach;
 use m4_io::video::VideoOptions;
 use m4_scene::Silent;
 use std::path::Path;
@@ -93,8 +94,8 @@ fn cameras_of_tools() -> Vec<Reader> {
             "nerfstudio",
             "images/frame_2.jpg",
         ),
-        beside_clip(plain("import-instant4d", Nerfstudio, "instant4d", "transforms.json")),
-        beside_clip(plain("import-instant4d-depth", Nerfstudio, "instant4d", "depth_2.npy")),
+        beside_clip("import-instant4d", "transforms.json"),
+        beside_clip("import-instant4d-depth", "depth_2.npy"),
         plain("import-monst3r-trajectory", Monst3r, "monst3r", "pred_traj.txt"),
         plain("import-monst3r-intrinsics", Monst3r, "monst3r", "pred_intrinsics.txt"),
         plain("import-monst3r-depth", Monst3r, "monst3r", "frame_0001.npy"),
@@ -111,7 +112,12 @@ fn cameras_of_tools() -> Vec<Reader> {
 }
 
 /// The same with the pictures that its list names beside it.
-fn beside_clip(reader: Reader) -> Reader {
+fn beside_clip(name: &'static str, file: &str) -> Reader {
+    let options = ImportOptions {
+        reach: Reach::Anywhere,
+        ..ImportOptions::default()
+    };
+    let reader = among(name, "import/instant4d", file, move |p| clip(p, Nerfstudio, &options));
     let Around::Fixtures(mut all) = reader.around else {
         panic!("{} is among no fixtures", reader.name)
     };

@@ -1,6 +1,7 @@
 //! Why a source could not be read.
 
 use m4_io::image::ReadImageError;
+use m4_io::reach::OutsideError;
 use m4_io::{ErrorKind, shortened};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -68,6 +69,9 @@ pub enum SourceFault {
         /// What it may take.
         limit_bytes: u64,
     },
+    /// A file that the source names lies outside of its folder.
+    #[error(transparent)]
+    Outside(#[from] OutsideError),
     /// A picture, depth map or mask cannot be decoded.
     #[error(transparent)]
     Image(#[from] ReadImageError),
@@ -119,7 +123,7 @@ impl SourceFault {
                 needed_bytes,
                 limit_bytes,
             },
-            other @ (Self::Image(_) | Self::Cancelled) => other,
+            other @ (Self::Outside(_) | Self::Image(_) | Self::Cancelled) => other,
         }
     }
 
@@ -150,7 +154,7 @@ impl ReadSourceError {
     pub fn kind(&self) -> ErrorKind {
         match &self.fault {
             SourceFault::Io(source) => ErrorKind::of_read(source),
-            SourceFault::Missing { .. } | SourceFault::Bad { .. } => ErrorKind::BadData,
+            SourceFault::Missing { .. } | SourceFault::Bad { .. } | SourceFault::Outside(_) => ErrorKind::BadData,
             SourceFault::Unsupported { .. } | SourceFault::TooLarge { .. } => ErrorKind::Unsupported,
             SourceFault::Image(source) => source.kind(),
             SourceFault::Cancelled => ErrorKind::Cancelled,

@@ -1,6 +1,7 @@
 //! What files do not say.
 
 use m4_io::capture::Axes;
+use m4_io::reach::Reach;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -32,6 +33,10 @@ pub struct ImportOptions {
     pub factor: Option<u32>,
     /// Bytes that the decoded frames (8 a pixel) may take before reading is refused. Default 4 GiB, as of a capture.
     pub max_memory_bytes: u64,
+    /// Which pictures, maps and tracks are read: those in the folder of the source and in what the options above name, or
+    /// any. No setting of a file: who starts the program decides.
+    #[serde(skip)]
+    pub reach: Reach,
 }
 
 impl Default for ImportOptions {
@@ -49,6 +54,7 @@ impl Default for ImportOptions {
             tau_motion: 0.7,
             factor: None,
             max_memory_bytes: 4 << 30,
+            reach: Reach::Inside,
         }
     }
 }

@@ -8,6 +8,7 @@
 //! arrays     arrays of an archive as poses, lenses, depth and pictures
 //! zipped     members of a zip archive, or of the folder that it was unpacked to
 //! names      files of a folder in order, names below a folder
+//! inside     which files may be read: by their names and by links they may lead elsewhere
 //! pictures   a folder or a video as pictures of known size
 //! lens       pinholes, and whether they fit pictures of a size
 //! pose       matrices and quaternions to camera to world
@@ -25,11 +26,13 @@ pub(crate) mod pose;
 pub(crate) mod table;
 
 mod bytes;
+mod inside;
 mod json;
 mod names;
 mod zipped;
 
 pub(crate) use bytes::{bytes, text};
+pub(crate) use inside::{Inside, folder_of};
 pub(crate) use json::{json, parse_json};
 pub(crate) use names::{below, first_bytes, listed, stem};
 pub(crate) use zipped::Members;

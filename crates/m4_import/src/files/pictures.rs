@@ -1,5 +1,6 @@
 //! Pictures of known size: files of a folder, frames of a video.
 
+use super::Inside;
 use crate::core::{FrameSource, ImportOptions, ReadSourceError, SourceFault};
 use m4_io::image;
 use m4_io::video::{self, ReadVideoError, VideoOptions};
@@ -41,10 +42,17 @@ pub(crate) fn of_file(path: &Path) -> Result<Picture, SourceFault> {
 }
 
 /// The pictures of a folder in the natural order of their names, or the frames of a video.
-pub(crate) fn read(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Pictures, ReadSourceError> {
+pub(crate) fn read(
+    path: &Path,
+    inside: &Inside,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Pictures, ReadSourceError> {
+    inside.check(path).map_err(|fault| fault.at(path))?;
     if path.is_dir() {
         let files = video::pictures(path).map_err(|e| of_video(path, e))?;
-        let all = files.iter().map(|file| of_file(file).map_err(|fault| fault.at(file)));
+        let one = |file: &Path| inside.check(file).and_then(of_file);
+        let all = files.iter().map(|file| one(file).map_err(|fault| fault.at(file)));
         return Ok(Pictures {
             all: all.collect::<Result<_, _>>()?,
             times_s: None,

@@ -1,5 +1,6 @@
 //! Files within a zip archive or a folder that one was unpacked to.
 
+use super::Inside;
 use crate::core::SourceFault;
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -11,15 +12,16 @@ use zip::result::ZipError;
 /// An archive, or the folder that it was unpacked to. Reading takes one member at a time from an archive.
 #[derive(Debug)]
 pub(crate) enum Members {
-    Folder(PathBuf),
+    Folder { root: PathBuf, inside: Inside },
     Zip(Mutex<ZipArchive<BufReader<File>>>),
 }
 
 impl Members {
-    /// Opens it; the directory of an archive is read here.
-    pub(crate) fn open(path: &Path) -> Result<Self, SourceFault> {
+    /// Opens it; the directory of an archive is read here. Of a folder files are read that are `inside`.
+    pub(crate) fn open(path: &Path, inside: Inside) -> Result<Self, SourceFault> {
         if path.is_dir() {
-            return Ok(Self::Folder(path.to_path_buf()));
+            let root = path.to_path_buf();
+            return Ok(Self::Folder { root, inside });
         }
         let archive = ZipArchive::new(BufReader::new(File::open(path)?));
         let archive = archive.map_err(|e| {
@@ -32,7 +34,7 @@ impl Members {
     /// Names of the files in `folder` (one level), without it.
     pub(crate) fn names(&self, folder: &str) -> Result<Vec<String>, SourceFault> {
         match self {
-            Self::Folder(root) => {
+            Self::Folder { root, .. } => {
                 let inner = root.join(folder);
                 if !inner.is_dir() {
                     return Ok(Vec::new());
@@ -55,7 +57,7 @@ impl Members {
     /// Whether there is a file of that name.
     pub(crate) fn has(&self, name: &str) -> Result<bool, SourceFault> {
         match self {
-            Self::Folder(root) => Ok(root.join(name).is_file()),
+            Self::Folder { root, .. } => Ok(root.join(name).is_file()),
             Self::Zip(archive) => Ok(archive.lock().map_err(|_| poisoned())?.index_for_name(name).is_some()),
         }
     }
@@ -69,8 +71,8 @@ impl Members {
         };
         let mut out = Vec::new();
         match self {
-            Self::Folder(root) => {
-                let path = root.join(name);
+            Self::Folder { root, inside } => {
+                let path = inside.check(root.join(name))?;
                 if !path.is_file() {
                     return Ok(None);
                 }

@@ -19,7 +19,7 @@
 use super::dump::{self, Keys};
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::arrays::{self, Arrays};
-use crate::files::{clock, lens, listed, pose, stem, table};
+use crate::files::{Inside, clock, folder_of, lens, listed, pose, stem, table};
 use m4_io::npy::Npz;
 use m4_scene::Progress;
 use std::path::{Path, PathBuf};
@@ -72,6 +72,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         let remedy = "give results.npz or the folder of the export, or that of DA3-Streaming with camera_poses.txt";
         SourceFault::missing("results.npz", remedy).at(path)
     })?;
+    let file = Inside::of(folder_of(path), options).file(file)?;
     dump::list(&file, &KEYS, options, progress)
 }
 
@@ -81,7 +82,7 @@ fn streaming(folder: &Path, options: &ImportOptions, progress: &dyn Progress) ->
     let poses = table::read(&poses_file, |n| n == 16, "16 numbers of a matrix")?;
     let lens_file = folder.join("intrinsic.txt");
     let lenses = table::read(&lens_file, |n| n == 4, "fx fy cx cy")?;
-    let frames = frame_files(&folder.join("results_output"))?;
+    let frames = Inside::of(folder, options).files(frame_files(&folder.join("results_output"))?)?;
     if lenses.len() != poses.len() || frames.len() != poses.len() {
         let what = format!(
             "it has {} poses, but there are {} lines in intrinsic.txt and {} files in results_output",

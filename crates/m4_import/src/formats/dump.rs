@@ -3,7 +3,7 @@
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::arrays::Arrays;
 use crate::files::pictures::{self, Picture};
-use crate::files::{clock, lens};
+use crate::files::{Inside, clock, lens};
 use m4_scene::Progress;
 use std::path::Path;
 
@@ -48,7 +48,7 @@ pub(super) fn list(
     let mut times_s = None;
     let pictures = match (&options.pictures, arrays.find(keys.images)) {
         (Some(folder), _) => {
-            let all = pictures::read(folder, options, progress)?;
+            let all = pictures::read(folder, &Inside::named(folder, options), options, progress)?;
             times_s = all.times_s;
             all.all
         }

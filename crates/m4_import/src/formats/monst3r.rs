@@ -24,7 +24,7 @@
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::pictures::{self, Picture};
 use crate::files::table::{self, Row};
-use crate::files::{clock, lens, pose};
+use crate::files::{Inside, clock, lens, pose};
 use crate::side::depth;
 use m4_io::image;
 use m4_scene::{CompactMask, Progress};
@@ -66,7 +66,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let benchmark = benchmark_order(&poses[0], progress);
     let mut given = match &options.pictures {
         Some(folder) => {
-            let all = pictures::read(folder, options, progress)?.all;
+            let all = pictures::read(folder, &Inside::named(folder, options), options, progress)?.all;
             if all.len() != poses.len() {
                 let what = format!("it has {} pictures, but there are {} poses", all.len(), poses.len());
                 return Err(SourceFault::bad(what, "give those of the run").at(folder));
@@ -75,10 +75,11 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         }
         None => None,
     };
+    let inside = Inside::of(path, options);
     let mut train = Vec::with_capacity(poses.len());
     for (i, (pose, k)) in poses.iter().zip(&lenses).enumerate() {
         let picture = given.as_mut().and_then(Iterator::next);
-        let frame = frame(path, i, picture, &k.values);
+        let frame = frame((path, &inside), i, picture, &k.values);
         let mut frame = frame.map_err(|fault| fault.within(path, format!("frame {i}")))?;
         let v = &pose.values;
         let q = if benchmark {
@@ -105,8 +106,13 @@ fn benchmark_order(first: &Row, progress: &dyn Progress) -> bool {
 }
 
 /// A frame without its pose.
-fn frame(folder: &Path, i: usize, picture: Option<Picture>, k: &[f64]) -> Result<ListedFrame, SourceFault> {
-    let depth_file = folder.join(format!("frame_{i:04}.npy"));
+fn frame(
+    (folder, inside): (&Path, &Inside),
+    i: usize,
+    picture: Option<Picture>,
+    k: &[f64],
+) -> Result<ListedFrame, SourceFault> {
+    let depth_file = inside.check(folder.join(format!("frame_{i:04}.npy")))?;
     let picture = match picture {
         Some(picture) => picture,
         None => {
@@ -115,7 +121,7 @@ fn frame(folder: &Path, i: usize, picture: Option<Picture>, k: &[f64]) -> Result
                 let remedy = "or give the folder of the pictures (pictures)";
                 return Err(SourceFault::missing(format!("the picture {}", file.display()), remedy));
             }
-            pictures::of_file(&file)?
+            pictures::of_file(&inside.check(file)?)?
         }
     };
     // the network's own pictures are of the size of the depth maps; others are scaled to it
@@ -130,7 +136,7 @@ fn frame(folder: &Path, i: usize, picture: Option<Picture>, k: &[f64]) -> Result
         let what = format!("the depth map {}", depth_file.display());
         return Err(SourceFault::missing(what, "give the whole folder of one run"));
     }
-    let mask_file = folder.join(format!("dynamic_mask_{i}.png"));
+    let mask_file = inside.check(folder.join(format!("dynamic_mask_{i}.png")))?;
     let lens = Lens::pinhole(lens::scaled(&k, picture.size)?);
     Ok(ListedFrame {
         depth: Some(depth::source(depth_file, 1.0, 1.0)),

@@ -13,7 +13,7 @@
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::pictures::{Picture, of_file};
-use crate::files::{clock, json, lens, listed, pose, stem};
+use crate::files::{Inside, clock, json, lens, listed, pose, stem};
 use crate::side::depth;
 use m4_io::capture::Axes;
 use m4_math::Se3;
@@ -90,7 +90,9 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         ));
         (root.join("images"), root.join("cameras"))
     };
+    let inside = Inside::of(path, options);
     let pictures = listed(options.pictures.as_deref().unwrap_or(&images), &["jpg", "jpeg", "png"])?;
+    let pictures = inside.files(pictures)?;
     if pictures.is_empty() {
         return Err(SourceFault::missing("every picture", "export the raw data again").at(&images));
     }
@@ -104,7 +106,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let frames = pictures
         .iter()
         .zip(t)
-        .map(|(picture, t)| frame(&root, &cameras, picture, t, unit));
+        .map(|(picture, t)| frame((&root, &inside), &cameras, picture, t, unit));
     let train = frames.collect::<Result<_, _>>()?;
     Ok(Listing {
         metric: true,
@@ -120,7 +122,13 @@ fn microseconds(picture: &Path) -> Result<f64, ReadSourceError> {
     })
 }
 
-fn frame(root: &Path, cameras: &Path, picture: &Path, t: f64, unit: f64) -> Result<ListedFrame, ReadSourceError> {
+fn frame(
+    (root, inside): (&Path, &Inside),
+    cameras: &Path,
+    picture: &Path,
+    t: f64,
+    unit: f64,
+) -> Result<ListedFrame, ReadSourceError> {
     let name = stem(picture);
     let file = cameras.join(format!("{name}.json"));
     let camera: Camera = json(&file)?;
@@ -131,8 +139,8 @@ fn frame(root: &Path, cameras: &Path, picture: &Path, t: f64, unit: f64) -> Resu
     let Picture { size, rgb, .. } = of_file(picture).map_err(|fault| fault.at(picture))?;
     let k = lens::resized(&lens.intrinsics, size).map_err(|fault| fault.at(picture))?;
     let (sensed, confidence) = (
-        root.join(format!("depth/{name}.png")),
-        root.join(format!("confidence/{name}.png")),
+        inside.file(root.join(format!("depth/{name}.png")))?,
+        inside.file(root.join(format!("confidence/{name}.png")))?,
     );
     Ok(ListedFrame {
         depth: sensed

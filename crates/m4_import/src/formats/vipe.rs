@@ -18,7 +18,7 @@
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::arrays::Arrays;
-use crate::files::{Members, clock, lens, pictures, pose, text};
+use crate::files::{Inside, Members, clock, lens, pictures, pose, text};
 use crate::side::depth::decode_exr;
 use m4_io::image;
 use m4_scene::{CompactDepth, CompactIds, CompactMask, Progress};
@@ -75,6 +75,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             }
         }
     };
+    let inside = Inside::of(&run, options);
     let part = |folder: &str, file: &str| run.join(folder).join(file);
     let (pose_file, poses) = indexed(&part("pose", &format!("{name}.npz")), 16, options)?;
     let (lens_file, lenses) = indexed(&part("intrinsics", &format!("{name}.npz")), 4, options)?;
@@ -87,10 +88,10 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         let remedy = "give the clip or the folder of its pictures (pictures)";
         return Err(SourceFault::missing("the clip", remedy).at(&clip));
     }
-    let pictures = pictures::read(&clip, options, progress)?;
+    let pictures = pictures::read(&clip, &inside, options, progress)?;
     let zipped = |folder: &str| -> Result<Option<Arc<Zipped>>, ReadSourceError> {
-        let file = part(folder, &format!("{name}.zip"));
-        let open = file.is_file().then(|| Zipped::open(&file));
+        let file = inside.file(part(folder, &format!("{name}.zip")))?;
+        let open = file.is_file().then(|| Zipped::open(&file, &inside));
         Ok(open.transpose()?.map(Arc::new))
     };
     let (depths, masks) = (zipped("depth")?, zipped("mask")?);
@@ -218,10 +219,10 @@ struct Zipped {
 }
 
 impl Zipped {
-    fn open(path: &Path) -> Result<Self, ReadSourceError> {
+    fn open(path: &Path, inside: &Inside) -> Result<Self, ReadSourceError> {
         Ok(Self {
             path: path.to_path_buf(),
-            members: Members::open(path).map_err(|fault| fault.at(path))?,
+            members: Members::open(path, inside.clone()).map_err(|fault| fault.at(path))?,
         })
     }
 

@@ -2,7 +2,7 @@
 
 use super::{depth, mask, tracks};
 use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::listed;
+use crate::files::{Inside, listed};
 use m4_scene::{CompactDepth, CompactMask, Progress};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use std::sync::Arc;
 pub fn attach(listing: &mut Listing, options: &ImportOptions, progress: &dyn Progress) -> Result<(), ReadSourceError> {
     if let Some(path) = &options.depth {
         let unit = depth::unit(options, depth::DEFAULT_UNIT).map_err(|fault| fault.at(path))?;
-        attach_depth(&mut listing.train, path, unit, options.max_memory_bytes, progress)?;
+        attach_depth(&mut listing.train, path, unit, options, progress)?;
     }
     if let Some(path) = &options.masks {
         attach_masks(&mut listing.train, path, options, progress)?;
@@ -31,17 +31,19 @@ fn attach_depth(
     frames: &mut [ListedFrame],
     path: &Path,
     unit: f64,
-    limit_bytes: u64,
+    options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<(), ReadSourceError> {
     if path.is_dir() {
         let files = one_a_frame(path, depth::EXTENSIONS, "depth maps", frames.len())?;
+        let files = Inside::named(path, options).files(files)?;
         for (frame, file) in frames.iter_mut().zip(files) {
             frame.depth = Some(depth::source(file, unit, 1.0));
         }
         return Ok(());
     }
-    let stack = depth::read_stack(path, frames.len(), unit, limit_bytes, progress).map_err(|fault| fault.at(path))?;
+    let stack = depth::read_stack(path, frames.len(), unit, options.max_memory_bytes, progress);
+    let stack = stack.map_err(|fault| fault.at(path))?;
     let stack: Arc<Vec<CompactDepth>> = Arc::new(stack);
     for (i, frame) in frames.iter_mut().enumerate() {
         let stack = Arc::clone(&stack);
@@ -59,6 +61,7 @@ fn attach_masks(
     let invert = options.invert_masks;
     if path.is_dir() {
         let files = one_a_frame(path, mask::EXTENSIONS, "masks", frames.len())?;
+        let files = Inside::named(path, options).files(files)?;
         for (frame, file) in frames.iter_mut().zip(files) {
             let of_things = file.clone();
             frame.mask = Some(FrameSource::new(move || {

@@ -5,6 +5,7 @@ use m4_import::SourceFormat::{self, Colmap, Da3, Kitti, Megasam, Monst3r, Nerfst
 use m4_import::SourceFormat::{Dycheck, Nvidia, Polycam, Record3d, StrayScanner};
 use m4_import::formats::davis;
 use m4_import::{ImportOptions, read};
+use m4_io::reach::Reach;
 use m4_io::video::VideoOptions;
 use m4_scene::{Capture, Silent};
 use std::path::Path;
@@ -121,7 +122,16 @@ pub fn all() -> Vec<Case> {
         plain("import/nerfstudio", Nerfstudio, &["transforms.json"], 40),
         plain("import/nerfstudio", Nerfstudio, &["depth/2.png"], 40),
         plain("import/nerfstudio", Nerfstudio, &["masks/2.png"], 40),
-        plain("exr", Nerfstudio, &["depth_2.exr"], 20),
+        Case {
+            read: Box::new(|path| {
+                let options = ImportOptions {
+                    reach: Reach::Anywhere,
+                    ..ImportOptions::default()
+                };
+                of(path, Nerfstudio, &options)
+            }),
+            ..plain("exr", Nerfstudio, &["depth_2.exr"], 20)
+        },
         plain("import/vipe", Vipe, &["pose/dog.npz"], 40),
         plain("import/vipe", Vipe, &["intrinsics/dog.npz"], 40),
         plain("import/vipe", Vipe, &["intrinsics/dog_camera.txt"], 20),

@@ -5,6 +5,7 @@
 mod common;
 
 mod detect;
+mod outside;
 mod sets;
 mod support;
 mod tools;

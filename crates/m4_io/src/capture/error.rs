@@ -3,6 +3,7 @@
 use super::pose::PoseFault;
 use crate::ErrorKind;
 use crate::image::{ReadImageError, WriteImageError};
+use crate::reach::OutsideError;
 use crate::shortened;
 use crate::tracks::ReadTracksError;
 use std::io;
@@ -104,6 +105,16 @@ pub enum ReadCaptureError {
         /// The picture's own size.
         found: (usize, usize),
     },
+    /// A file that the list names lies outside of its folder.
+    #[error("{}, {place}: {source}", path.display(), place = shortened(place))]
+    Outside {
+        /// The file that names it.
+        path: PathBuf,
+        /// The frame and the key.
+        place: String,
+        /// Which file, and where it lies.
+        source: OutsideError,
+    },
     /// The tracks could not be read.
     #[error("{}: {source}", list.display())]
     Tracks {
@@ -156,6 +167,7 @@ impl ReadCaptureError {
             | Self::BadFrame { .. }
             | Self::BadPose { .. }
             | Self::ImageSize { .. }
+            | Self::Outside { .. }
             | Self::NoTrainingSplit { .. } => ErrorKind::BadData,
         }
     }

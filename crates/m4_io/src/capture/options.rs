@@ -1,5 +1,6 @@
 //! Which frames of a capture, and how much memory they may take.
 
+use crate::reach::Reach;
 use serde::{Deserialize, Serialize};
 
 /// The two lists of frames that a capture has.
@@ -40,19 +41,23 @@ impl Split {
     }
 }
 
-/// Limits of [`super::read()`].
+/// What [`super::read()`] may take and read.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CaptureOptions {
     /// Bytes that the decoded frames (8 a pixel: colour, depth and mask) may take before reading is
     /// refused, and each array of the tracks. Default 4 GiB: half of the memory of a small laptop.
     pub max_memory_bytes: u64,
+    /// Which files the list of frames may name. No setting of a file: who starts the program decides.
+    #[serde(skip)]
+    pub reach: Reach,
 }
 
 impl Default for CaptureOptions {
     fn default() -> Self {
         Self {
             max_memory_bytes: 4 << 30,
+            reach: Reach::Inside,
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::json::{self, Frame, Lens, Transforms};
 use super::{CaptureOptions, Pose, ReadCaptureError, Split};
 use crate::image::{self, ReadImageError};
+use crate::reach::Bounds;
 use crate::tracks::{self, ReadTracksError, TracksFault};
 use m4_math::Se3;
 use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Progress, Tracks};
@@ -31,7 +32,7 @@ pub fn read(
 ) -> Result<Capture, ReadCaptureError> {
     let path = list_of_frames(path, split);
     let file = json::load(&path)?;
-    let reader = Reader::new(path, file)?;
+    let reader = Reader::new(path, file, options)?;
     let time_frames = reader.time_frames(split)?;
     let entries = reader.entries(time_frames, split, progress)?;
     reader.check_memory(&entries, options)?;
@@ -98,10 +99,11 @@ struct Reader {
     folder: PathBuf,
     file: Transforms,
     depth_unit: f64,
+    bounds: Bounds,
 }
 
 impl Reader {
-    fn new(path: PathBuf, file: Transforms) -> Result<Self, ReadCaptureError> {
+    fn new(path: PathBuf, file: Transforms, options: &CaptureOptions) -> Result<Self, ReadCaptureError> {
         let bad = |key, value: String, expected| ReadCaptureError::BadKey {
             path: path.clone(),
             key,
@@ -126,8 +128,10 @@ impl Reader {
             let expected = "only pinhole cameras (OPENCV or PINHOLE without distortion) are read; undistort the images";
             return Err(bad("camera_model", format!("{model:?}"), expected));
         }
+        let folder = path.parent().map(Path::to_path_buf).unwrap_or_default();
         Ok(Self {
-            folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
+            bounds: Bounds::new(options.reach, &folder, []),
+            folder,
             path,
             file,
             depth_unit,
@@ -200,14 +204,17 @@ impl Reader {
                     value,
                 });
             }
+            let place = |key: &str| format!("frame {index} ({name:?}), {key}");
+            let inside = |file: PathBuf, key| self.inside(file, || place(key));
+            let beside = |file: Option<String>, key| file.map(|p| inside(self.folder.join(p), key)).transpose();
             entries.push(Entry {
                 index,
-                picture: self.picture(&name),
+                picture: inside(self.picture(&name), "file_path")?,
+                depth: beside(frame.depth_file_path, "depth_file_path")?,
+                mask: beside(frame.mask_path, "mask_path")?,
+                motion: beside(frame.motion_path, "motion_path")?,
+                instances: beside(frame.instance_path, "instance_path")?,
                 name,
-                depth: frame.depth_file_path.map(|p| self.folder.join(p)),
-                mask: frame.mask_path.map(|p| self.folder.join(p)),
-                motion: frame.motion_path.map(|p| self.folder.join(p)),
-                instances: frame.instance_path.map(|p| self.folder.join(p)),
                 lens,
                 c2w: self.file.axes.to_opencv(&pose),
                 time,
@@ -234,7 +241,7 @@ impl Reader {
             list: self.path.clone(),
             source,
         };
-        let path = self.folder.join(name);
+        let path = self.inside(self.folder.join(name), || "tracks_path".to_owned())?;
         let tracks = tracks::read(&path, entries.len(), options.max_memory_bytes).map_err(failed)?;
         let order: Vec<usize> = entries.iter().map(|e| e.index).collect();
         if order.is_sorted() {
@@ -245,6 +252,18 @@ impl Reader {
             failed(ReadTracksError { path, fault })
         });
         sorted.map(Some)
+    }
+
+    /// The file, if it may be read; `place` is who names it.
+    fn inside(&self, file: PathBuf, place: impl FnOnce() -> String) -> Result<PathBuf, ReadCaptureError> {
+        match self.bounds.check(&file) {
+            Ok(()) => Ok(file),
+            Err(source) => Err(ReadCaptureError::Outside {
+                path: self.path.clone(),
+                place: place(),
+                source,
+            }),
+        }
     }
 
     /// The picture's file; the synthetic NeRF scenes leave the extension away.

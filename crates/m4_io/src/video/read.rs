@@ -22,7 +22,7 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
     read_with(decoder_program(), path, options, progress)
 }
 
-/// As [`read()`], with H.264 decoded by the given program, or in this process.
+/// As [`read()`], with H.264 decoded, and on Linux ffmpeg started, by the given program, or by this process.
 ///
 /// # Errors
 ///
@@ -60,8 +60,8 @@ pub fn read_with(
         return mp4(path, &mut file, meta.len(), options, decoder, progress);
     }
     match container(&start) {
-        Ok(what) => ffmpeg::read(path, what, options, progress),
-        Err(reason) => match ffmpeg::read(path, "of an unknown kind", options, progress) {
+        Ok(what) => ffmpeg::read(path, what, options, decoder, progress),
+        Err(reason) => match ffmpeg::read(path, "of an unknown kind", options, decoder, progress) {
             // Without ffmpeg the file is most likely no video at all.
             Err(ReadVideoError::NeedsFfmpeg { .. }) => Err(ReadVideoError::NotVideo {
                 path: path.to_path_buf(),
@@ -115,7 +115,7 @@ fn mp4(
 ) -> Result<Video, ReadVideoError> {
     let movie = match Movie::read(file, len) {
         Ok(movie) => movie,
-        Err(Mp4Error::Fragmented) => return ffmpeg::read(path, "a fragmented MP4 file", options, progress),
+        Err(Mp4Error::Fragmented) => return ffmpeg::read(path, "a fragmented MP4 file", options, decoder, progress),
         Err(error) => {
             return Err(match error {
                 Mp4Error::Io(source) if source.kind() != ErrorKind::UnexpectedEof => ReadVideoError::Io {
@@ -159,5 +159,5 @@ fn mp4(
     } else {
         h264::Unsupported(mp4::codec_name(codec))
     };
-    ffmpeg::read(path, &what, options, progress)
+    ffmpeg::read(path, &what, options, decoder, progress)
 }

@@ -57,3 +57,26 @@ pub fn psnr(a: &RgbImage, b: &RgbImage) -> f64 {
 pub fn times(video: &Video) -> Vec<f64> {
     video.frames.iter().map(|f| f.time_s).collect()
 }
+
+/// A script in a folder of its own.
+#[cfg(unix)]
+pub fn script(dir: &Path, name: &str, body: &str) -> PathBuf {
+    use std::os::unix::fs::PermissionsExt;
+    let path = dir.join(name);
+    // Written under another name by a shell of its own: a file that some thread has open for writing while another
+    // one forks cannot be started.
+    let write = format!(
+        "cat > '{0}.new' && chmod 755 '{0}.new' && mv '{0}.new' '{0}'",
+        path.display()
+    );
+    let mut shell = Command::new("sh")
+        .args(["-c", &write])
+        .stdin(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let text = format!("#!/bin/sh\n{body}\n");
+    std::io::Write::write_all(&mut shell.stdin.take().unwrap(), text.as_bytes()).unwrap();
+    assert!(shell.wait().unwrap().success());
+    assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o755);
+    path
+}

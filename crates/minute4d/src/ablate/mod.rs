@@ -14,12 +14,13 @@ pub use report::{AblationReport, RowReport};
 pub use row::{Row, UnknownRow};
 
 use crate::bench::today;
-use crate::evaluate::{self, EvalReport};
+use crate::evaluate::{self, EvalOptions, EvalReport};
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
 use crate::{Error, Job, Settings, is_capture};
 use m4_io::atomic;
 use m4_io::capture::Split;
+use m4_io::reach::Reach;
 use m4_scene::{Capture, CompactMask};
 use m4_slam::megasam::resize_bilinear;
 use std::fs;
@@ -208,6 +209,9 @@ impl Bench<'_> {
         command.args(["--profile", &self.job.profile, "--resume", "--quiet"]);
         command.args(["--threads", &crate::threads().to_string()]);
         command.args(["--device", &self.job.device.choice.to_string()]);
+        if self.job.settings.capture.reach == Reach::Anywhere {
+            command.arg("--allow-outside");
+        }
         let ended = command.stdin(Stdio::null()).stdout(Stdio::null()).output();
         let ended = ended.map_err(|source| Error::Read {
             path: self.options.program.clone(),
@@ -231,7 +235,12 @@ impl Bench<'_> {
     }
 
     fn scores(&self, folder: &Path) -> Result<EvalReport, Error> {
-        let choice = self.job.device.choice;
-        evaluate::views(folder, self.data, self.options.grow_mask, choice, self.job.observer)
+        let options = EvalOptions {
+            grow_mask: self.options.grow_mask,
+            device: self.job.device.choice,
+            reach: self.job.settings.capture.reach,
+            ..EvalOptions::default()
+        };
+        evaluate::views_by(folder, self.data, &options, self.job.observer)
     }
 }

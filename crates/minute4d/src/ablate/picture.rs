@@ -30,8 +30,8 @@ pub fn write(folders: &[PathBuf; 2], data: &Path, path: &Path, job: &Job<'_>) ->
     let gpu = job.device.choice.open()?;
     let [without, with] = folders;
     let (without, with) = (
-        HeldOut::read(without, data, job.observer)?,
-        HeldOut::read(with, data, job.observer)?,
+        HeldOut::read(without, data, job.settings.capture.reach, job.observer)?,
+        HeldOut::read(with, data, job.settings.capture.reach, job.observer)?,
     );
     let (mut draw_without, mut draw_with) = (
         without.pictures(level, gpu.as_ref())?,

@@ -96,7 +96,7 @@ pub(super) fn score(
         .into());
     }
     let masks = if rules.covisible {
-        Masks::find(data, options.covisible.as_deref(), observer)?
+        Masks::find(data, options.covisible.as_deref(), options.reach, observer)?
     } else {
         Masks::None
     };

@@ -10,6 +10,7 @@ use super::ProtocolError;
 use crate::{Error, Observer, Settings};
 use m4_eval::image::covisible::{CovisibleCounts, DEPTH_TOLERANCE, DepthView, seen_by_depth};
 use m4_io::image::{read_mask, write_mask};
+use m4_io::reach::Reach;
 use m4_scene::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
 use serde::Serialize;
 use std::fs;
@@ -55,8 +56,8 @@ struct Seen {
 }
 
 impl Masks {
-    /// Of the capture in the folder `data`, or of the folder `given`.
-    pub fn find(data: &Path, given: Option<&Path>, observer: &dyn Observer) -> Result<Self, Error> {
+    /// Of the capture in the folder `data`, which may name files within `reach`, or of the folder `given`.
+    pub fn find(data: &Path, given: Option<&Path>, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
         if let Some(folder) = given {
             if folder.is_dir() {
                 return Ok(Self::Files(folder.to_path_buf()));
@@ -75,7 +76,9 @@ impl Masks {
         if own.is_dir() {
             return Ok(Self::Files(own));
         }
-        let capture = crate::train::read(root, &Settings::fast(), observer)?;
+        let mut settings = Settings::fast();
+        settings.capture.reach = reach;
+        let capture = crate::train::read(root, &settings, observer)?;
         let training = Training::of(capture).map_err(|why| ProtocolError::NoCovisibility {
             path: root.to_path_buf(),
             why,

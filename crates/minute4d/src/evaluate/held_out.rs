@@ -7,6 +7,7 @@ use crate::render::Pictures;
 use crate::settings::Settings;
 use crate::{Error, Observer};
 use m4_io::capture::{CaptureOptions, Split};
+use m4_io::reach::Reach;
 use m4_io::scene_file;
 use m4_kernels::SimdLevel;
 use m4_scene::{Camera, Capture, CaptureFrame, Exposure, RgbImage, Scene};
@@ -26,15 +27,19 @@ pub struct HeldOut {
 }
 
 impl HeldOut {
-    /// The scene of the run `out` and the held-out views of the capture `data`.
+    /// The scene of the run `out` and the held-out views of the capture `data`, which may name files within `reach`.
     ///
     /// # Errors
     ///
     /// [`Error::NoTestList`] without held-out views; else what could not be read.
-    pub fn read(out: &Path, data: &Path, observer: &dyn Observer) -> Result<Self, Error> {
+    pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
         let path = out.join(SCENE_FILE);
         let scene = scene_file::read(&path)?.scene;
-        let test = test_views(data, &Settings::fast().capture, observer)?;
+        let options = CaptureOptions {
+            reach,
+            ..Settings::fast().capture
+        };
+        let test = test_views(data, &options, observer)?;
         let alignment = align::between(&scene, data, observer)?;
         let stretch = (scene.time_frames.max(2) - 1) as f64 / (test.time_frames.max(2) - 1) as f64;
         Ok(Self {

@@ -34,18 +34,22 @@ use crate::settings::Settings;
 use crate::{Error, Observer};
 use m4_eval::geometry::{GeometryReport, evaluate, llff_truth};
 use m4_io::capture::{CaptureOptions, Split};
+use m4_io::reach::Reach;
 use m4_scene::Capture;
 use std::fs;
 use std::path::Path;
 
 /// Compares the cameras, depth and masks of a capture with what is known of the same video: another
-/// capture, or a JSON file of LLFF poses.
+/// capture, or a JSON file of LLFF poses. `reach` is which files both may name.
 ///
 /// # Errors
 ///
 /// What could not be read, or why the two do not belong together.
-pub fn geometry(capture: &Path, truth: &Path, observer: &dyn Observer) -> Result<GeometryReport, Error> {
-    let options = Settings::fast().capture;
+pub fn geometry(capture: &Path, truth: &Path, reach: Reach, observer: &dyn Observer) -> Result<GeometryReport, Error> {
+    let options = CaptureOptions {
+        reach,
+        ..Settings::fast().capture
+    };
     let estimate = m4_io::capture::read(capture, Split::Train, &options, observer)?;
     let truth = known(truth, &options, observer)?;
     Ok(evaluate(&estimate, &truth)?)

@@ -5,6 +5,7 @@ use crate::folder::{self, Existing, Lock};
 use crate::record::write_json;
 use crate::{Error, Observer, Settings, geometry, hash};
 use m4_io::capture::{Split, TRACKS_FILE};
+use m4_io::reach::Reach;
 use m4_scene::Capture;
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -130,6 +131,7 @@ pub fn split(
     protocol: Protocol,
     out: &Path,
     existing: Existing,
+    reach: Reach,
     observer: &dyn Observer,
 ) -> Result<SplitRecord, Error> {
     if !data.exists() {
@@ -148,7 +150,9 @@ pub fn split(
     {
         return Err(ProtocolError::SameFolder(out.to_path_buf()).into());
     }
-    let capture = crate::train::read(data, &Settings::fast(), observer)?;
+    let mut settings = Settings::fast();
+    settings.capture.reach = reach;
+    let capture = crate::train::read(data, &settings, observer)?;
     let source_blake3 = hash::of_capture(&capture);
     let frames = capture.frames.len();
     let names: Vec<String> = capture.frames.iter().map(|f| f.name.clone()).collect();

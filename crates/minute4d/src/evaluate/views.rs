@@ -11,6 +11,7 @@ use crate::record::write_json;
 use crate::render::Pictures;
 use crate::{Error, Observer, hash};
 use m4_eval::image::{ImageReport, MeanScore, Picture};
+use m4_io::reach::Reach;
 use m4_kernels::SimdLevel;
 use m4_scene::CompactMask;
 use serde::Serialize;
@@ -40,6 +41,8 @@ pub struct EvalOptions {
     pub covisible: Option<PathBuf>,
     /// Refine the poses of test pictures as the protocol's peers do.
     pub refine_poses: bool,
+    /// Which files the capture may name.
+    pub reach: Reach,
 }
 
 /// `eval.json`.
@@ -114,7 +117,7 @@ pub fn views_by(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn O
         Some(protocol) => by_protocol::check(data, protocol, options)?,
         None => None,
     };
-    let held = HeldOut::read(out, data, observer)?;
+    let held = HeldOut::read(out, data, options.reach, observer)?;
     let gpu = options.device.open()?;
     let mut pictures = held.pictures(level, gpu.as_ref())?;
     let (images, choices, drawing_s) = match options.protocol {

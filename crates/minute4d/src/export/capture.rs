@@ -4,7 +4,7 @@ use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
 use crate::folder::CAPTURE_FOLDER;
 use crate::{Error, Observer, Settings, is_capture};
 use m4_formats::captures::{self, WriteCaptureAsError};
-use m4_io::capture::{self, Split};
+use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::megasam::{self, WriteMegasamError};
 use m4_scene::Capture;
 use std::path::{Path, PathBuf};
@@ -22,7 +22,10 @@ pub(super) fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Re
     if !job.replace && occupied(&out) {
         return Err(Error::WouldReplace { path: out });
     }
-    let options = Settings::fast().capture;
+    let options = CaptureOptions {
+        reach: job.reach,
+        ..Settings::fast().capture
+    };
     let train = capture::read(&found, Split::Train, &options, observer)?;
     // MegaSaM and COLMAP have no place for views of other cameras
     let has_views = found.join(Split::Test.file_name()).is_file();

@@ -45,6 +45,8 @@ pub struct ExportJob {
     /// Leave the opacities as they were trained, for players with a Mip filter and for [`crate::import`]; else
     /// what the filter does to them is baked into them.
     pub keep_mip: bool,
+    /// Which files a capture may name.
+    pub reach: m4_io::reach::Reach,
     /// Settings of single formats.
     pub fourdgs: m4_formats::fourdgs::FourdgsConfig,
 }
@@ -61,6 +63,7 @@ impl ExportJob {
             replace: false,
             compare: true,
             keep_mip: false,
+            reach: m4_io::reach::Reach::Inside,
             fourdgs: m4_formats::fourdgs::FourdgsConfig::default(),
         }
     }

@@ -52,6 +52,7 @@ impl ImportJob {
             ("--tracks", o.tracks != d.tracks),
             ("--axes", o.axes != d.axes),
             ("--factor", o.factor != d.factor),
+            ("--allow-outside", o.reach != d.reach),
             ("--fix", self.fix),
             ("--no-check", !self.check),
         ];

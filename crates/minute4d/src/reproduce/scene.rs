@@ -121,7 +121,14 @@ pub(super) fn make(
         geometry_s = Some(own_geometry(&whole, &trained, &job)?);
     }
     if splits {
-        evaluate::split(&trained, protocol, &data, Existing::Resume, job.observer)?;
+        evaluate::split(
+            &trained,
+            protocol,
+            &data,
+            Existing::Resume,
+            job.settings.capture.reach,
+            job.observer,
+        )?;
     } else if !whole.join(Split::Test.file_name()).is_file() {
         return Err(ReproduceError::NoViews {
             path: scene.path.clone(),
@@ -210,6 +217,7 @@ fn whole_capture(
     let import = ImportOptions {
         factor: options.factor,
         max_memory_bytes: job.settings.capture.max_memory_bytes,
+        reach: job.settings.capture.reach,
         ..ImportOptions::default()
     };
     let read = m4_import::read(&scene.path, format, &import, job.observer).map_err(ReproduceError::from)?;

@@ -1,7 +1,7 @@
 //! `minute4d ablate`
 
 use super::device::device;
-use super::{LengthArgs, SettingsArgs, VideoArgs};
+use super::{LengthArgs, ReachArgs, SettingsArgs, VideoArgs};
 use clap::Args;
 use minute4d::ablate::Row;
 use minute4d::device::DeviceChoice;
@@ -36,4 +36,7 @@ pub struct Ablate {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }

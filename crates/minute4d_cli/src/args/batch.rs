@@ -1,6 +1,6 @@
 //! `minute4d batch`
 
-use super::{DeviceArgs, LengthArgs, SettingsArgs, VideoArgs, WithoutArgs, values};
+use super::{DeviceArgs, LengthArgs, ReachArgs, SettingsArgs, VideoArgs, WithoutArgs, values};
 use clap::{Args, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -64,6 +64,9 @@ pub struct BatchPlan {
     /// Do not write viewer.html
     #[arg(long)]
     pub no_viewer: bool,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }
 
 /// `minute4d batch run`

@@ -1,7 +1,7 @@
 //! `minute4d enhance`
 
 use super::device::device;
-use super::{OutArgs, Segmenter, SettingsArgs, Tracker};
+use super::{OutArgs, ReachArgs, Segmenter, SettingsArgs, Tracker};
 use clap::Args;
 use minute4d::device::DeviceChoice;
 use std::path::PathBuf;
@@ -30,4 +30,7 @@ pub struct Enhance {
     /// An existing folder.
     #[command(flatten)]
     pub existing: OutArgs,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }

@@ -1,5 +1,6 @@
 //! `minute4d eval` and `minute4d eval-geometry`
 
+use super::ReachArgs;
 use super::device::device;
 use clap::Args;
 use minute4d::device::DeviceChoice;
@@ -31,6 +32,9 @@ pub struct Eval {
     /// Where the views are drawn: `cpu`, `gpu`, `gpu:N` or `auto`, as for `render`
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }
 
 /// `minute4d eval-geometry`
@@ -41,4 +45,7 @@ pub struct EvalGeometry {
     /// What is true: a capture folder, a transforms file, or a JSON file of LLFF poses
     #[arg(long, value_name = "SCENE")]
     pub truth: PathBuf,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }

@@ -1,5 +1,6 @@
 //! `minute4d export`
 
+use super::ReachArgs;
 use super::values::rate;
 use clap::{Args, ValueEnum};
 use minute4d::export::Format;
@@ -38,6 +39,9 @@ pub struct Export {
     /// them is baked in, as the cameras of the source see it
     #[arg(long)]
     pub keep_mip: bool,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }
 
 /// How finely a `.4dgs` file is written.

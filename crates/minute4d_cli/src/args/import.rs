@@ -1,5 +1,6 @@
 //! `minute4d import`
 
+use super::ReachArgs;
 use super::values::{positive, rate, share};
 use clap::{Args, ValueEnum};
 use minute4d::import::{ImportFormat, ImportJob, ImportOptions};
@@ -66,6 +67,9 @@ pub struct Import {
     /// Replace what an earlier run left in the folder; other files in it stay
     #[arg(long)]
     pub force: bool,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }
 
 /// Axes of cameras.
@@ -102,6 +106,7 @@ impl Import {
                 }),
                 tau_motion: self.tau_motion.unwrap_or(defaults.tau_motion),
                 factor: self.factor,
+                reach: self.reach.reach(),
                 ..defaults
             },
             motion: self.motion_prob.clone(),

@@ -1,5 +1,6 @@
 //! `minute4d inspect`
 
+use super::ReachArgs;
 use clap::Args;
 use std::path::PathBuf;
 
@@ -8,4 +9,7 @@ use std::path::PathBuf;
 pub struct Inspect {
     /// A video, a capture folder, a scene file or the folder of a run
     pub path: PathBuf,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }

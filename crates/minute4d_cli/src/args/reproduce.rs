@@ -1,7 +1,7 @@
 //! `minute4d reproduce`
 
 use super::device::device;
-use super::{LengthArgs, SettingsArgs};
+use super::{LengthArgs, ReachArgs, SettingsArgs};
 use clap::{Args, ValueEnum};
 use minute4d::device::DeviceChoice;
 use minute4d::evaluate::Protocol;
@@ -56,4 +56,7 @@ pub struct Reproduce {
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }

@@ -1,6 +1,6 @@
 //! `minute4d run`
 
-use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs, VideoArgs, WithoutArgs, values};
+use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, ReachArgs, SettingsArgs, VideoArgs, WithoutArgs, values};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -41,4 +41,7 @@ pub struct Run {
     /// Make poster.jpg besides, for lists of many clips.
     #[arg(long, hide = true)]
     pub poster: bool,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }

@@ -1,5 +1,6 @@
 //! `minute4d split`
 
+use super::ReachArgs;
 use clap::Args;
 use minute4d::evaluate::Protocol;
 use std::path::PathBuf;
@@ -18,4 +19,7 @@ pub struct Split {
     /// Replace an earlier split in the folder; other files in it stay
     #[arg(long)]
     pub force: bool,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }

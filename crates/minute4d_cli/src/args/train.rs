@@ -1,6 +1,6 @@
 //! `minute4d train`
 
-use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, SettingsArgs, WithoutArgs, values};
+use super::{DeviceArgs, LengthArgs, OutArgs, PageArgs, ReachArgs, SettingsArgs, WithoutArgs, values};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -35,4 +35,7 @@ pub struct Train {
     /// An existing folder.
     #[command(flatten)]
     pub existing: OutArgs,
+    /// Which files it may name.
+    #[command(flatten)]
+    pub reach: ReachArgs,
 }

@@ -10,7 +10,8 @@ use minute4d::device::DeviceRequest;
 use std::path::PathBuf;
 
 pub fn run(args: &Ablate, output: &Output) -> Result<(), Failure> {
-    let settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
+    let mut settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
+    settings.capture.reach = args.reach.reach();
     if args.settings.print_config {
         return print_config(&settings, output);
     }

@@ -9,6 +9,7 @@ use serde_json::json;
 
 pub fn run(args: &Enhance, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, None, None)?;
+    settings.capture.reach = args.reach.reach();
     let geometry = &mut settings.geometry;
     geometry.segmenter = args.segmenter.map_or(geometry.segmenter, Into::into);
     geometry.tracker = args.tracker.map_or(geometry.tracker, Into::into);

@@ -13,6 +13,7 @@ pub fn run(args: &Eval, output: &Output) -> Result<(), Failure> {
         protocol: args.protocol,
         covisible: args.covisible.clone(),
         refine_poses: args.refine_poses,
+        reach: args.reach.reach(),
     };
     let report = minute4d::evaluate::views_by(&args.out, &args.data, &options, output)?;
     let mut text = report.images.table();

@@ -18,6 +18,7 @@ pub fn run(args: &Export, output: &Output) -> Result<(), Failure> {
         replace: args.force,
         compare: !args.no_compare,
         keep_mip: args.keep_mip,
+        reach: args.reach.reach(),
         fourdgs: FourdgsConfig {
             precision: match args.precision {
                 PrecisionArg::Fine => Precision::Fine,

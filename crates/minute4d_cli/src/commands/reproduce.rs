@@ -10,7 +10,8 @@ use minute4d::reproduce::{GeometrySource, ReproduceOptions, TABLE_FILE, reproduc
 use std::path::PathBuf;
 
 pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
-    let settings = settings(&args.settings, None, Some(&args.length))?;
+    let mut settings = settings(&args.settings, None, Some(&args.length))?;
+    settings.capture.reach = args.reach.reach();
     if args.settings.print_config {
         return print_config(&settings, output);
     }

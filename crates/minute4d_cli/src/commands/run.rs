@@ -13,6 +13,7 @@ use std::path::Path;
 
 pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, Some(&args.video), Some(&args.length))?;
+    settings.capture.reach = args.reach.reach();
     args.without.apply(&mut settings);
     settings.viewer.write &= !args.page.no_viewer;
     if let Some(seconds) = args.time_limit {

@@ -7,7 +7,8 @@ use minute4d::Existing;
 
 pub fn run(args: &Split, output: &Output) -> Result<(), Failure> {
     let existing = if args.force { Existing::Force } else { Existing::Refuse };
-    let record = minute4d::evaluate::split(&args.capture, args.protocol, &args.out, existing, output)?;
+    let reach = args.reach.reach();
+    let record = minute4d::evaluate::split(&args.capture, args.protocol, &args.out, existing, reach, output)?;
     output.note(&format!(
         "{} of {} frames are held out: {}",
         record.held_out.len(),

@@ -10,6 +10,7 @@ use minute4d::Observer;
 
 pub fn run(args: &Train, output: &Output) -> Result<(), Failure> {
     let mut settings = settings(&args.settings, None, Some(&args.length))?;
+    settings.capture.reach = args.reach.reach();
     args.without.apply(&mut settings);
     settings.viewer.write &= !args.page.no_viewer;
     if let Some(seconds) = args.time_limit {

@@ -18,7 +18,7 @@
 mod lens;
 
 use crate::core::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{below, clock, pictures};
+use crate::files::{Inside, below, clock, pictures};
 use m4_formats::cameras::colmap::{self, ColmapPose, ColmapTables, ReadColmapError};
 use m4_io::video::natural;
 use m4_scene::Progress;
@@ -48,17 +48,22 @@ fn model_folder(path: &Path) -> Option<PathBuf> {
 }
 
 /// The folder that names start from: as the options say, else `images` beside the model or one or two folders up, or one of these
-/// folders themselves (ViPE's script writes names with `images/`), whichever has the first picture.
-fn picture_folder(model: &Path, images: &[ColmapPose], options: &ImportOptions) -> Result<PathBuf, ReadSourceError> {
+/// folders themselves (ViPE's script writes names with `images/`), whichever has the first picture. With it the folder that the model
+/// and its pictures are in.
+fn picture_folder(
+    model: &Path,
+    images: &[ColmapPose],
+    options: &ImportOptions,
+) -> Result<(PathBuf, PathBuf), ReadSourceError> {
     if let Some(folder) = &options.pictures {
-        return Ok(folder.clone());
+        return Ok((folder.clone(), model.to_path_buf()));
     }
     let first = images.first().map_or("", |image| image.name.as_str());
     let up = || model.ancestors().take(3);
     let folders = up()
-        .map(|folder| folder.join("images"))
-        .chain(up().map(Path::to_path_buf));
-    let has = |folder: &PathBuf| below(folder, first).is_ok_and(|file| file.is_file());
+        .map(|folder| (folder.join("images"), folder.to_path_buf()))
+        .chain(up().map(|folder| (folder.to_path_buf(), folder.to_path_buf())));
+    let has = |(folder, _): &(PathBuf, PathBuf)| below(folder, first).is_ok_and(|file| file.is_file());
     folders.into_iter().find(has).ok_or_else(|| {
         let what = format!("the picture {first:?}, in a folder `images` beside the model or above it,");
         SourceFault::missing(what, "give the folder of the pictures (pictures)").at(model)
@@ -81,7 +86,8 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         lenses.entry(camera.id).or_insert(k);
     }
     images.sort_by(|a, b| natural(&a.name, &b.name));
-    let pictures_in = picture_folder(&folder, &images, options)?;
+    let (pictures_in, root) = picture_folder(&folder, &images, options)?;
+    let inside = Inside::of(&root, options);
     let places = places(&pictures_in, &images);
     let mut train = Vec::with_capacity(images.len());
     for (i, image) in images.iter().enumerate() {
@@ -94,7 +100,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             .c2w()
             .map_err(|what| at(SourceFault::bad(what, "export the model again")))?;
         let file = below(&pictures_in, &image.name).map_err(at)?;
-        let picture = pictures::of_file(&file).map_err(at)?;
+        let picture = pictures::of_file(&inside.check(file).map_err(at)?).map_err(at)?;
         lens.check_size(picture.size).map_err(at)?;
         let t = places.as_ref().map_or(i as f64, |places| places.of[i] as f64);
         train.push(ListedFrame::new(image.name.clone(), *lens, c2w, t, picture.rgb));

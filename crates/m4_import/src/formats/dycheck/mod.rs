@@ -25,7 +25,7 @@ mod unit;
 
 use crate::core::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::pictures::{Picture, of_file};
-use crate::files::{clock, json, lens};
+use crate::files::{Inside, clock, json, lens};
 use crate::side::depth;
 use ids::{Id, Split};
 use m4_scene::Progress;
@@ -65,13 +65,16 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let (first, last) = (train[0].time, train[train.len() - 1].time);
     // the video's own frames are one apart; ids may have gaps, such as those of held-out moments
     let step = (last - first) / (train.len().max(2) - 1) as f64;
+    let inside = Inside::of(path, options);
+    let unit = unit::of_depth((path, &inside), factor, &train, options, progress)?;
     let reader = Reader {
         root: path,
+        inside,
         factor,
         first,
         step: if step > 0.0 { step } else { 1.0 },
         steps: (train.len() - 1) as f64,
-        unit: unit::of_depth(path, factor, &train, options, progress)?,
+        unit,
     };
     let within: Vec<&Id> = test.iter().filter(|id| (first..=last).contains(&id.time)).collect();
     if within.len() < test.len() {
@@ -122,6 +125,7 @@ fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<
 
 struct Reader<'a> {
     root: &'a Path,
+    inside: Inside,
     factor: u32,
     /// Time of the first training frame and from one to the next, in the numbers of the files.
     first: f64,
@@ -136,10 +140,12 @@ impl Reader<'_> {
         let file = self.root.join(format!("camera/{}.json", id.name));
         let camera = camera::read(&file)?;
         let picture = self.root.join(format!("rgb/{}x/{}.png", self.factor, id.name));
+        let picture = self.inside.file(picture)?;
         let Picture { size, rgb, .. } = of_file(&picture).map_err(|fault| fault.at(&picture))?;
         let mut lens = camera.lens;
         lens.intrinsics = lens::resized(&lens.intrinsics, size).map_err(|fault| fault.at(&picture))?;
         let depth = self.root.join(format!("depth/{}x/{}.npy", self.factor, id.name));
+        let depth = self.inside.file(depth)?;
         let unit = self.unit.filter(|_| depth.is_file());
         let t = ((id.time - self.first) / self.step).clamp(0.0, self.steps);
         Ok(ListedFrame {

@@ -2,7 +2,7 @@
 
 use super::ids::Id;
 use crate::core::{ImportOptions, ReadSourceError, SourceFault};
-use crate::files::json;
+use crate::files::{Inside, json};
 use crate::side::depth::{self, read_depth};
 use m4_scene::Progress;
 use serde::Deserialize;
@@ -35,7 +35,7 @@ struct Scene {
 
 /// `None` where there are no maps.
 pub(super) fn of_depth(
-    root: &Path,
+    (root, inside): (&Path, &Inside),
     factor: u32,
     train: &[Id],
     options: &ImportOptions,
@@ -45,7 +45,7 @@ pub(super) fn of_depth(
     let step = train.len().div_ceil(MAPS).max(1);
     let mut seen = Vec::new();
     for id in train.iter().step_by(step) {
-        let file = folder.join(format!("{}.npy", id.name));
+        let file = inside.file(folder.join(format!("{}.npy", id.name)))?;
         if file.is_file() {
             let map = read_depth(&file, 1.0).map_err(|fault| fault.at(&file))?;
             seen.extend(map.every(STRIDE).filter(|&z| z > 0.0));

@@ -3,7 +3,7 @@
 use super::json::{Frame, Transforms};
 use super::{axes, lens};
 use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{clock, json, pictures, pose};
+use crate::files::{Inside, clock, json, pictures, pose};
 use crate::side::depth;
 use m4_io::capture::Axes;
 use m4_io::image;
@@ -89,6 +89,7 @@ struct Split {
     folder: PathBuf,
     file: Transforms,
     entries: Vec<Frame>,
+    inside: Inside,
     axes: Axes,
     depth_unit: f64,
     /// Masks are 0 where things move.
@@ -157,9 +158,11 @@ impl Split {
             let what = format!("{timed} of {} frames have a time", entries.len());
             return Err(bad("frames", what, "give all of them one, or none"));
         }
+        let folder = path.parent().map(Path::to_path_buf).unwrap_or_default();
         Ok(Self {
             path: path.to_path_buf(),
-            folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
+            inside: Inside::of(&folder, options),
+            folder,
             axes,
             moving_is_zero: file.axes.is_none() != options.invert_masks,
             undo,
@@ -232,14 +235,17 @@ impl Split {
             c2w = undo.compose(&c2w);
         }
         let picture = pictures::of_file(&self.picture(&entry.file_path, options)?)?;
-        let beside = |name: &Option<String>| name.as_ref().map(|name| self.folder.join(name));
+        let beside = |name: &Option<String>| {
+            let file = name.as_ref().map(|name| self.folder.join(name));
+            file.map(|file| self.inside.check(file)).transpose()
+        };
         let lens = lens::of(&entry.lens.or(&self.file.lens), picture.size)?;
         let t = time * (time_frames - 1) as f64;
         let (depth_unit, zero_moves) = (self.depth_unit, self.moving_is_zero);
         Ok(ListedFrame {
             // as nerfstudio does, numbers of floats are multiplied too
-            depth: beside(&entry.depth_file_path).map(|file| depth::source(file, depth_unit, depth_unit)),
-            mask: beside(&entry.mask_path).map(|file| {
+            depth: beside(&entry.depth_file_path)?.map(|file| depth::source(file, depth_unit, depth_unit)),
+            mask: beside(&entry.mask_path)?.map(|file| {
                 FrameSource::new(move || {
                     let grey = image::read_grey(&file)?;
                     let (w, h) = grey.size();
@@ -250,8 +256,8 @@ impl Split {
                     }))
                 })
             }),
-            motion: beside(&entry.motion_path).map(|file| FrameSource::new(move || Ok(image::read_grey(&file)?))),
-            instances: beside(&entry.instance_path).map(|file| FrameSource::new(move || Ok(image::read_ids(&file)?))),
+            motion: beside(&entry.motion_path)?.map(|file| FrameSource::new(move || Ok(image::read_grey(&file)?))),
+            instances: beside(&entry.instance_path)?.map(|file| FrameSource::new(move || Ok(image::read_ids(&file)?))),
             camera_index: held_out.then_some(entry.camera).flatten(),
             ..ListedFrame::new(entry.file_path.clone(), lens, c2w, t, picture.rgb)
         })
@@ -265,18 +271,20 @@ impl Split {
         let folder = options.pictures.as_deref().unwrap_or(&self.folder);
         let exact = folder.join(name);
         if exact.is_file() {
-            return Ok(exact);
+            return self.inside.check(exact);
         }
         let with = |e: &str| PathBuf::from(format!("{}.{e}", exact.display()));
         let named = ["png", "jpg", "jpeg", "PNG", "JPG"].map(with);
-        named.into_iter().find(|file| file.is_file()).ok_or_else(|| {
+        let found = named.into_iter().find(|file| file.is_file()).ok_or_else(|| {
             let remedy = "put it there, or give the folder that file_path starts from (pictures)";
             SourceFault::missing(format!("the picture {}", exact.display()), remedy)
-        })
+        });
+        self.inside.check(found?)
     }
 
     fn tracks(&self, name: &str, frames: usize, options: &ImportOptions) -> Result<m4_scene::Tracks, ReadSourceError> {
-        let path = self.folder.join(name);
+        let path = self.inside.check(self.folder.join(name));
+        let path = path.map_err(|fault| fault.within(&self.path, "tracks_path"))?;
         tracks::read(&path, frames, options.max_memory_bytes).map_err(|e| match e.fault {
             TracksFault::Io(source) => SourceFault::Io(source).at(&path),
             other => SourceFault::bad(other.to_string(), "write the tracks of this clip").at(&path),

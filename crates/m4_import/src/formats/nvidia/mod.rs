@@ -23,7 +23,7 @@ mod views;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::pictures::{Picture, of_file};
-use crate::files::{clock, lens, listed, stem};
+use crate::files::{Inside, clock, lens, listed, stem};
 use crate::side::mask::read_mask;
 use m4_scene::Progress;
 use poses::Pose;
@@ -41,13 +41,12 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let n = poses.len();
     let fps = clock::fps(options).map_err(|fault| fault.at(path))?;
     let folder = pictures(path, options)?;
-    let pictures = as_many(&folder, PICTURES, "pictures", n)?;
+    let inside = Inside::of(path, options);
+    let pictures = inside.files(as_many(&folder, PICTURES, "pictures", n)?)?;
     let optional = |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadSourceError> {
         let folder = path.join(name);
-        folder
-            .is_dir()
-            .then(|| as_many(&folder, extensions, what, n))
-            .transpose()
+        let listed = || inside.files(as_many(&folder, extensions, what, n)?);
+        folder.is_dir().then(listed).transpose()
     };
     let masks = optional("motion_masks", &["png"], "masks")?;
     let disparity = optional("disp", &["npy"], "maps of disparity")?;
@@ -75,7 +74,8 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let train = train.collect::<Result<_, ReadSourceError>>()?;
     let test = views::read(path, n)?.into_iter().map(|view| {
         let pose = &poses[view.camera];
-        frame(&view.file, pose, view.time as f64, Some(view.camera as u32))
+        let file = inside.file(view.file)?;
+        frame(&file, pose, view.time as f64, Some(view.camera as u32))
     });
     Ok(Listing {
         train,

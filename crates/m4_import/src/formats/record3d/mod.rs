@@ -19,7 +19,7 @@ mod metadata;
 mod sensor;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{Members, clock, first_bytes, lens};
+use crate::files::{Inside, Members, clock, first_bytes, lens};
 use m4_io::image;
 use m4_scene::{Progress, RgbImage};
 use metadata::Metadata;
@@ -40,7 +40,7 @@ pub(crate) fn detect(path: &Path) -> bool {
 }
 
 pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    let members = Arc::new(Members::open(path).map_err(|fault| fault.at(path))?);
+    let members = Arc::new(Members::open(path, Inside::of(path, options)).map_err(|fault| fault.at(path))?);
     let metadata = Metadata::read(&members, path)?;
     let pictures = pictures(&members).map_err(|fault| fault.at(path))?;
     let poses = metadata.poses.len();

@@ -16,7 +16,7 @@ mod odometry;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::pictures::of_video;
-use crate::files::{clock, lens, pose};
+use crate::files::{Inside, clock, lens, pose};
 use crate::side::depth;
 use m4_io::video::{VideoOptions, read};
 use m4_scene::{Intrinsics, Progress, RgbImage};
@@ -42,7 +42,8 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let file = path.join("odometry.csv");
     let mut rows = odometry::read(&file)?;
     let matrix = odometry::matrix(&path.join("camera_matrix.csv"))?;
-    let Decoded { mut pictures, stored } = video(path, options, progress)?;
+    let inside = Inside::of(path, options);
+    let Decoded { mut pictures, stored } = video((path, &inside), options, progress)?;
     let (poses, frames) = (rows.len(), pictures.len());
     if poses.abs_diff(frames) > MAX_LOST {
         let what = format!("{poses} poses for {frames} frames of video");
@@ -64,8 +65,8 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let (t, span_s) = clock::in_frames(&times_s);
     let unit = depth::unit(options, DEPTH_UNIT).map_err(|fault| fault.at(path))?;
     let listed = rows.iter().zip(pictures).zip(t).map(|((row, picture), t)| {
-        let listed =
-            intrinsics(row.lens.unwrap_or(matrix), stored).and_then(|lens| frame(path, row, &lens, picture, t, unit));
+        let listed = intrinsics(row.lens.unwrap_or(matrix), stored)
+            .and_then(|lens| frame((path, &inside), row, &lens, picture, t, unit));
         listed.map_err(|e| e.within(&file, format!("frame {}", row.frame)))
     });
     let train = listed.collect::<Result<_, _>>()?;
@@ -82,12 +83,17 @@ struct Decoded {
 }
 
 /// All frames of the video, shrunk by the factor.
-fn video(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Decoded, ReadSourceError> {
+fn video(
+    (path, inside): (&Path, &Inside),
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Decoded, ReadSourceError> {
     let named = options.pictures.clone().unwrap_or_else(|| path.join("rgb.mp4"));
     if !named.exists() {
         let remedy = "give the video, or a folder of its frames, in the option pictures";
         return Err(SourceFault::missing(named.display().to_string(), remedy).at(path));
     }
+    let named = inside.file(named)?;
     let whole = VideoOptions {
         size: None,
         // a frame that is left out would shift all poses after it
@@ -135,7 +141,7 @@ fn intrinsics([fx, fy, cx, cy]: [f64; 4], stored: (usize, usize)) -> Result<Intr
 }
 
 fn frame(
-    path: &Path,
+    (path, inside): (&Path, &Inside),
     row: &Row,
     lens: &Intrinsics,
     picture: RgbImage,
@@ -148,7 +154,8 @@ fn frame(
     let name = format!("{:06}", row.frame);
     let at = |extension: &str| path.join(format!("depth/{name}.{extension}"));
     let sensed = [at("png"), at("npy")].into_iter().find(|p| p.is_file());
-    let confidence = path.join(format!("confidence/{name}.png"));
+    let sensed = sensed.map(|sensed| inside.check(sensed)).transpose()?;
+    let confidence = inside.check(path.join(format!("confidence/{name}.png")))?;
     Ok(ListedFrame {
         depth: sensed.map(|sensed| FrameSource::new(move || depth::read_sensed(&sensed, &confidence, unit))),
         ..ListedFrame::new(name, Lens::pinhole(k), c2w, t, FrameSource::held(picture))

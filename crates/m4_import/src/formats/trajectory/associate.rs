@@ -1,7 +1,7 @@
 //! Timestamps of poses to those of files.
 
 use crate::core::{ReadSourceError, SourceFault};
-use crate::files::{below, text};
+use crate::files::{Inside, below, text};
 use std::path::{Path, PathBuf};
 
 /// Farthest that two moments of one frame are apart, seconds: that of the benchmark's `associate.py`.
@@ -12,8 +12,8 @@ const MAX_APART_S: f64 = 0.02;
 pub struct Stamped(Vec<(f64, PathBuf)>);
 
 impl Stamped {
-    /// Reads `rgb.txt` or `depth.txt`; names are below the folder of the list.
-    pub fn read(list: &Path) -> Result<Self, ReadSourceError> {
+    /// Reads `rgb.txt` or `depth.txt`; names are below the folder of the list, and lead to nothing else.
+    pub fn read(list: &Path, inside: &Inside) -> Result<Self, ReadSourceError> {
         let folder = list.parent().unwrap_or(Path::new(""));
         let mut all = Vec::new();
         for (i, line) in text(list)?.lines().enumerate() {
@@ -30,7 +30,8 @@ impl Stamped {
                     "give the list of the data set",
                 ))
             })?;
-            all.push((time, below(folder, name).map_err(at)?));
+            let file = below(folder, name).and_then(|file| inside.check(file));
+            all.push((time, file.map_err(at)?));
         }
         all.sort_by(|a, b| a.0.total_cmp(&b.0));
         Ok(Self(all))

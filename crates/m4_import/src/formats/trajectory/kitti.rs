@@ -2,7 +2,7 @@
 
 use super::lens;
 use crate::core::{ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
-use crate::files::{clock, pictures, pose, table};
+use crate::files::{Inside, clock, pictures, pose, table};
 use m4_math::Se3;
 use m4_math::nalgebra::Matrix3;
 use m4_scene::Progress;
@@ -50,7 +50,7 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
         .strip_prefix("image_")
         .and_then(|n| n.trim_start_matches('0').parse().ok());
     let camera: usize = camera.filter(|n| *n < 4).unwrap_or(0);
-    let pictures = pictures::read(&pictures_in, options, progress)?;
+    let pictures = pictures::read(&pictures_in, &Inside::of(&folder, options), options, progress)?;
     if pictures.all.len() != rows.len() {
         let what = format!(
             "it has {} poses, but there are {} pictures",

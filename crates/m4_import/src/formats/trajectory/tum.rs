@@ -5,7 +5,7 @@ use super::lens;
 use crate::core::{ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::pictures::{self, Picture};
 use crate::files::table::{self, Row};
-use crate::files::{clock, pose};
+use crate::files::{Inside, clock, pose};
 use crate::side::depth;
 use m4_scene::Progress;
 use std::path::{Path, PathBuf};
@@ -36,17 +36,21 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     let folder = file.parent().unwrap_or(Path::new("")).to_path_buf();
     let mut rows = table::read(&file, |n| n == 8, "timestamp tx ty tz qx qy qz qw")?;
     rows.sort_by(|a, b| a.values[0].total_cmp(&b.values[0]));
+    let inside = Inside::of(&folder, options);
     let clip = match (&options.pictures, folder.join("rgb.txt")) {
-        (None, stamps) if stamps.is_file() => Clip::of_stamps(&rows, &Stamped::read(&stamps)?, &stamps)?,
+        (None, stamps) if stamps.is_file() => Clip::of_stamps(&rows, &Stamped::read(&stamps, &inside)?, &stamps)?,
         (None, _) => {
             let remedy =
                 "give the folder or video of the pictures (pictures), or put rgb.txt of the data set beside it";
             return Err(SourceFault::missing("every picture", remedy).at(&file));
         }
-        (Some(pictures), _) => Clip::of_pictures(&rows, &file, pictures::read(pictures, options, progress)?)?,
+        (Some(pictures), _) => {
+            let read = pictures::read(pictures, &inside, options, progress)?;
+            Clip::of_pictures(&rows, &file, read)?
+        }
     };
     let stamps = folder.join("depth.txt");
-    let depths = stamps.is_file().then(|| Stamped::read(&stamps)).transpose()?;
+    let depths = stamps.is_file().then(|| Stamped::read(&stamps, &inside)).transpose()?;
     let unit = depth::unit(options, DEPTH_UNIT).map_err(|fault| fault.at(path))?;
     let mut train = Vec::with_capacity(clip.frames.len());
     let mut given: Option<((usize, usize), Lens)> = None;

@@ -1,7 +1,6 @@
 //! Lenses: pictures that OpenCV drew through one, undistorted.
 
-use super::truth::{SIZE, Truth, colour, read};
-use m4_import::ImportOptions;
+use super::truth::{SIZE, Truth, beside, colour, read};
 use m4_import::SourceFormat::{Colmap, Nerfstudio};
 
 #[test]
@@ -13,7 +12,7 @@ fn pictures_through_lenses_are_as_a_pinhole_sees_them() {
         ("import/nerfstudio_opencv", Nerfstudio),
         ("import/nerfstudio_fisheye", Nerfstudio),
     ] {
-        let got = read(name, format, &ImportOptions::default()).unwrap().train;
+        let got = read(name, format, &beside()).unwrap().train;
         assert_eq!(got.frames.len(), 2);
         for (i, frame) in got.frames.iter().enumerate() {
             truth.same_pose(i, frame);

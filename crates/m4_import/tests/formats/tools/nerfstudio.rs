@@ -1,6 +1,6 @@
 //! `transforms.json` of nerfstudio, Instant4D and D-NeRF, and our own captures.
 
-use super::truth::{SIZE, Truth, read};
+use super::truth::{SIZE, Truth, beside, read};
 use crate::support::{Heard, copied, fixture, refused};
 use m4_import::SourceFormat::Nerfstudio;
 use m4_import::{ImportOptions, read as import};
@@ -42,9 +42,7 @@ fn axes_by_keys_or_by_the_option() {
     let truth = Truth::read();
     let heard = Heard::default();
     let path = fixture("import/instant4d");
-    let got = import(&path, Nerfstudio, &ImportOptions::default(), &heard)
-        .unwrap()
-        .train;
+    let got = import(&path, Nerfstudio, &beside(), &heard).unwrap().train;
     truth.same_cameras(&got, (0, 0.0));
     assert!(heard.all().contains("OpenCV axes were assumed"));
     // depth in an npy file, in steps of a thousandth too
@@ -53,7 +51,7 @@ fn axes_by_keys_or_by_the_option() {
     assert!(got.frames[1].depth.is_none());
     let turned = ImportOptions {
         axes: Some(Axes::OpenGl),
-        ..ImportOptions::default()
+        ..beside()
     };
     let got = import(&path, Nerfstudio, &turned, &Silent).unwrap().train;
     let (a, b) = (got.frames[0].camera.c2w.rotation, truth.c2w[0].rotation);
@@ -63,7 +61,7 @@ fn axes_by_keys_or_by_the_option() {
 #[test]
 fn a_training_and_a_test_split() {
     let truth = Truth::read();
-    let got = read("import/blender", Nerfstudio, &ImportOptions::default()).unwrap();
+    let got = read("import/blender", Nerfstudio, &beside()).unwrap();
     let test = got.test.unwrap();
     assert_eq!(
         (got.train.frames.len(), got.train.time_frames, test.frames.len()),

@@ -3,6 +3,7 @@
 use crate::support::fixture;
 use m4_import::{ImportOptions, Imported, ReadSourceError, SourceFormat};
 use m4_io::npy::Array;
+use m4_io::reach::Reach;
 use m4_math::Se3;
 use m4_math::nalgebra::Matrix4;
 use m4_scene::{Capture, CaptureFrame, RgbImage, Silent};
@@ -31,6 +32,14 @@ pub struct Truth {
 pub fn with_pictures() -> ImportOptions {
     ImportOptions {
         pictures: Some(fixture("import/clip/images")),
+        ..ImportOptions::default()
+    }
+}
+
+/// Options for lists whose pictures are those of the clip beside them.
+pub fn beside() -> ImportOptions {
+    ImportOptions {
+        reach: Reach::Anywhere,
         ..ImportOptions::default()
     }
 }

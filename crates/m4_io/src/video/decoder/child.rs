@@ -2,7 +2,7 @@
 
 use super::end::DecoderEnd;
 use super::messages::{Messages, OnLine};
-use super::{Allowed, rlimits};
+use super::{Allowed, environment, rlimits};
 use crate::video::ReadVideoError;
 use m4_scene::Progress;
 use std::io::{self, Read, Write};
@@ -42,6 +42,15 @@ impl Halt {
     }
 }
 
+/// What sort of child is started.
+#[derive(Debug, Clone, Copy)]
+pub struct Start {
+    /// It is sent requests.
+    pub talks: bool,
+    /// It is the decoder itself, not our own program, which limits itself.
+    pub bare: bool,
+}
+
 /// A running child. Dropping it ends it, with all that it started.
 pub struct Child<'a> {
     process: Process,
@@ -64,11 +73,12 @@ pub struct Exit {
 }
 
 impl<'a> Child<'a> {
-    /// Starts `command` with pipes and limits; `on_line` sees every line of its standard error, of which
-    /// `message_bytes` are read at most. With `talks` its standard input is a pipe too.
+    /// Starts `command` with pipes, limits and an environment that holds no secret; `on_line` sees every line of its
+    /// standard error, of which `message_bytes` are read at most. With `talks` its standard input is a pipe too; `bare`
+    /// says that it does not limit itself.
     pub fn start(
         command: &mut Command,
-        talks: bool,
+        Start { talks, bare }: Start,
         allowed: Allowed,
         message_bytes: u64,
         on_line: OnLine,
@@ -78,11 +88,12 @@ impl<'a> Child<'a> {
             .stdin(if talks { Stdio::piped() } else { Stdio::null() })
             .stdout(Stdio::piped())
             .stderr(Stdio::piped());
+        environment::clear(command);
         // A group of its own: keys pressed in the terminal are for us, and wrappers go down with what they started.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(command, 0);
         let mut process = command.spawn()?;
-        let limited = rlimits::limit_child(&process, &allowed);
+        let limited = rlimits::limit_child(&process, &allowed, bare);
         let missing = || io::Error::other("a pipe is not connected");
         let (stdout, stderr) = (process.stdout.take(), process.stderr.take());
         let stdin = process.stdin.take();

@@ -1,13 +1,15 @@
 //! The program that decodes H.264 for this one.
 
+use super::Allowed;
 use std::ffi::OsString;
 use std::path::PathBuf;
+use std::process::Command;
 use std::sync::OnceLock;
 
 static REGISTERED: OnceLock<DecoderProgram> = OnceLock::new();
 
 /// A program that calls [`super::super::serve_decoder`], and what it must be told to do so. The limits are
-/// two more arguments, behind these.
+/// two more arguments, behind these; on Linux a command line may follow, which the program becomes under these limits.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DecoderProgram {
     /// Its file, or a name on the PATH.
@@ -24,11 +26,21 @@ impl DecoderProgram {
             arguments: vec![argument.into()],
         }
     }
+
+    /// The command that starts it under these limits.
+    pub(crate) fn command(&self, allowed: &Allowed) -> Command {
+        let mut command = Command::new(&self.program);
+        command
+            .args(&self.arguments)
+            .arg(allowed.memory_bytes.to_string())
+            .arg(allowed.cpu_s.to_string());
+        command
+    }
 }
 
-/// From now on [`super::super::read()`] has H.264 decoded by `program`, in a process of its own. A program calls
-/// this once, at its start, most often with [`std::env::current_exe`]; without it OpenH264 decodes inside of the
-/// calling process.
+/// From now on [`super::super::read()`] has H.264 decoded by `program`, in a process of its own, and on Linux ffmpeg
+/// started by it, so that it is limited before it reads a byte. A program calls this once, at its start, most often with
+/// [`std::env::current_exe`]; without it OpenH264 decodes inside of the calling process.
 ///
 /// # Errors
 ///

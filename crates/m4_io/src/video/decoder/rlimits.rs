@@ -1,64 +1,102 @@
-//! Limits that the operating system keeps (`setrlimit`), on Linux; elsewhere there are none.
+//! Limits that the operating system keeps (`setrlimit`, `prctl`), on Linux; elsewhere there are none.
 
 use super::Allowed;
 use std::io;
+
+/// Which process limits itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Confined {
+    /// Our own decoder, which opens no file and starts nothing.
+    Decoder,
+    /// One that becomes another program now.
+    Program,
+}
 
 /// Bytes that a decoder may write to a file: none of them has reason to write any, but wrappers of packages
 /// keep small notes.
 #[cfg(target_os = "linux")]
 const FILE_BYTES: u64 = 1 << 20;
+/// Files that another program may have open: many times what ffmpeg has, and one more than the number that a shell
+/// keeps its script open under.
+#[cfg(target_os = "linux")]
+const FILES: u64 = 256;
+/// Those of our own decoder: its pipes.
+#[cfg(target_os = "linux")]
+const PIPES: u64 = 3;
+/// Processes and threads that the user may have besides those that are there when a program starts. ffmpeg takes some
+/// fifty; the others are those of all other programs of the user, which the kernel counts too.
+#[cfg(target_os = "linux")]
+const MORE_TASKS: u64 = 1024;
 
 #[cfg(target_os = "linux")]
-fn limits(allowed: &Allowed) -> [(rustix::process::Resource, rustix::process::Rlimit); 4] {
-    use rustix::process::{Resource, Rlimit, getrlimit};
-    let limit = |resource, value: u64| {
-        // What this process itself may not have, its children cannot be given.
-        let value = getrlimit(resource).maximum.map_or(value, |most| most.min(value));
-        // Where both are one, the kernel kills; a signal before that could be ignored.
-        let limit = Rlimit {
-            current: Some(value),
-            maximum: Some(value),
-        };
-        (resource, limit)
-    };
+type Limit = (rustix::process::Resource, u64);
+
+/// Of every decoder. Whoever started it sets them too, so they are the same there.
+#[cfg(target_os = "linux")]
+fn limits(allowed: &Allowed) -> [Limit; 4] {
+    use rustix::process::Resource;
+    // Memory last: what follows may need some.
     [
-        limit(Resource::As, allowed.memory_bytes),
-        limit(Resource::Cpu, allowed.cpu_s),
-        limit(Resource::Fsize, FILE_BYTES),
-        limit(Resource::Core, 0),
+        (Resource::Core, 0),
+        (Resource::Fsize, FILE_BYTES),
+        (Resource::Cpu, allowed.cpu_s),
+        (Resource::As, allowed.memory_bytes),
     ]
 }
 
-/// Sets the limits of a child that was just started.
 #[cfg(target_os = "linux")]
-pub fn limit_child(child: &std::process::Child, allowed: &Allowed) -> io::Result<()> {
-    let pid = rustix::process::Pid::from_child(child);
-    for (resource, limit) in limits(allowed) {
-        match rustix::process::prlimit(Some(pid), resource, limit) {
+fn set((resource, value): Limit, set: impl Fn(rustix::process::Rlimit) -> rustix::io::Result<()>) -> io::Result<()> {
+    // What this process itself may not have, its children cannot be given.
+    let most = rustix::process::getrlimit(resource).maximum;
+    let value = Some(most.map_or(value, |most| most.min(value)));
+    // Where both are one, the kernel kills; a signal before that could be ignored.
+    let limit = rustix::process::Rlimit {
+        current: value,
+        maximum: value,
+    };
+    Ok(set(limit)?)
+}
+
+/// Sets the limits of a child that was just started. One that does not limit itself (`bare`) is given one of open files too.
+#[cfg(target_os = "linux")]
+pub fn limit_child(child: &std::process::Child, allowed: &Allowed, bare: bool) -> io::Result<()> {
+    use rustix::process::{Pid, Resource, prlimit};
+    let pid = Pid::from_child(child);
+    let files = bare.then_some((Resource::Nofile, FILES));
+    for limit in limits(allowed).into_iter().chain(files) {
+        set(limit, |value| match prlimit(Some(pid), limit.0, value) {
             // It has ended already, which will be seen.
-            Ok(_) | Err(rustix::io::Errno::SRCH) => {}
-            Err(e) => return Err(e.into()),
-        }
+            Ok(_) | Err(rustix::io::Errno::SRCH) => Ok(()),
+            Err(e) => Err(e),
+        })?;
     }
     Ok(())
 }
 
-/// Sets the limits of this process.
+/// Sets the limits of this process, and that neither it nor what it becomes can gain privileges (`no_new_privs`).
 ///
 /// # Errors
 ///
 /// What the system says.
 #[cfg(target_os = "linux")]
-pub fn limit_self(allowed: &Allowed) -> io::Result<()> {
-    for (resource, limit) in limits(allowed) {
-        rustix::process::setrlimit(resource, limit)?;
+pub fn limit_self(allowed: &Allowed, confined: Confined) -> io::Result<()> {
+    use rustix::process::{Resource, setrlimit};
+    rustix::thread::set_no_new_privs(true)?;
+    let (files, tasks) = match confined {
+        Confined::Decoder => (PIPES, Some(0)),
+        Confined::Program => (FILES, super::tasks::of_this_user().map(|n| n + MORE_TASKS)),
+    };
+    let tasks = tasks.map(|n| (Resource::Nproc, n));
+    let own = tasks.into_iter().chain([(Resource::Nofile, files)]);
+    for limit in own.chain(limits(allowed)) {
+        set(limit, |value| setrlimit(limit.0, value))?;
     }
     Ok(())
 }
 
 /// No limits: see the module.
 #[cfg(not(target_os = "linux"))]
-pub fn limit_child(_: &std::process::Child, _: &Allowed) -> io::Result<()> {
+pub fn limit_child(_: &std::process::Child, _: &Allowed, _: bool) -> io::Result<()> {
     Ok(())
 }
 
@@ -68,6 +106,6 @@ pub fn limit_child(_: &std::process::Child, _: &Allowed) -> io::Result<()> {
 ///
 /// None.
 #[cfg(not(target_os = "linux"))]
-pub fn limit_self(_: &Allowed) -> io::Result<()> {
+pub fn limit_self(_: &Allowed, _: Confined) -> io::Result<()> {
     Ok(())
 }

@@ -1,5 +1,7 @@
 //! Commands for ffmpeg and ffprobe.
 
+use crate::video::decoder::{self, Allowed, DecoderProgram, Start};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -17,10 +19,19 @@ const FORMATS: &str = "3g2,apng,asf,av1,avi,dv,flv,gif,h264,hevc,ivf,m4v,matrosk
 
 /// A command that reads one local file and nothing else: no network, no other file that the clip may name, and the
 /// file name cannot be taken for an option or a protocol.
-pub fn command(program: &Path, options: &[&str], input: &Path) -> Command {
+///
+/// # Errors
+///
+/// That there is no such program.
+pub fn command(
+    (launcher, program): (Option<&DecoderProgram>, &Path),
+    allowed: &Allowed,
+    options: &[&str],
+    input: &Path,
+) -> io::Result<Command> {
     let mut name = std::ffi::OsString::from("file:");
     name.push(input);
-    let mut command = Command::new(program);
+    let mut command = decoder::command(launcher, program, allowed)?;
     command
         .args([
             "-hide_banner",
@@ -31,11 +42,16 @@ pub fn command(program: &Path, options: &[&str], input: &Path) -> Command {
         ])
         .args(options)
         .arg("-i")
-        .arg(name)
-        // A log file is not for us to fill; arenas of the C library take address space for every thread.
-        .env_remove("FFREPORT")
-        .env("MALLOC_ARENA_MAX", "4");
-    command
+        .arg(name);
+    Ok(command)
+}
+
+/// How such a command is started.
+pub fn start(launcher: Option<&DecoderProgram>) -> Start {
+    Start {
+        talks: false,
+        bare: launcher.is_none(),
+    }
 }
 
 #[cfg(test)]

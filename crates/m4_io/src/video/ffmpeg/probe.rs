@@ -1,8 +1,8 @@
 //! What `ffprobe` says about a clip: codec, colours, and when each frame is shown.
 
-use super::child::{command, probe_beside};
+use super::child::{command, probe_beside, start};
 use crate::video::colour::Hdr;
-use crate::video::decoder::{Child, DecoderEnd, Halt, Work};
+use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, NOT_STARTED, Work};
 use crate::video::{ReadVideoError, VideoOptions};
 use m4_scene::Progress;
 use serde::Deserialize;
@@ -70,6 +70,7 @@ pub fn describe(
     path: &Path,
     what: &str,
     options: &VideoOptions,
+    launcher: Option<&DecoderProgram>,
     progress: &dyn Progress,
 ) -> Result<Option<Description>, ReadVideoError> {
     let program = probe_beside(&options.ffmpeg);
@@ -91,21 +92,17 @@ pub fn describe(
         bytes: std::fs::metadata(path).map_or(0, |m| m.len()),
     };
     let allowed = options.decoder.allowed(work);
-    let mut command = command(&program, &arguments, path);
-    let child = Child::start(
-        &mut command,
-        false,
-        allowed,
-        MESSAGE_BYTES,
-        Box::new(|_| true),
-        progress,
-    );
-    let mut child = child.map_err(|e| ReadVideoError::NeedsFfmpeg {
+    let needed = |reason: String| ReadVideoError::NeedsFfmpeg {
         path: path.to_path_buf(),
         what: what.to_owned(),
         ffmpeg: program.clone(),
-        reason: e.to_string(),
-    })?;
+        reason,
+    };
+    let child = command((launcher, &program), &allowed, &arguments, path).and_then(|mut command| {
+        let on_line = Box::new(|_: &str| true);
+        Child::start(&mut command, start(launcher), allowed, MESSAGE_BYTES, on_line, progress)
+    });
+    let mut child = child.map_err(|e| needed(e.to_string()))?;
     let failed = |reason: String| ReadVideoError::Ffmpeg {
         path: path.to_path_buf(),
         reason,
@@ -124,6 +121,9 @@ pub fn describe(
         }
         let said = child.said();
         let last = said.last().map_or("no reason given", String::as_str);
+        if let Some((_, reason)) = last.split_once(NOT_STARTED).filter(|_| launcher.is_some()) {
+            return Err(needed(reason.to_owned()));
+        }
         let name = format!("file:{}: ", path.display());
         return Err(ReadVideoError::NotVideo {
             path: path.to_path_buf(),

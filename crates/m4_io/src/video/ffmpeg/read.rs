@@ -1,10 +1,10 @@
 //! Decodes a clip through `ffmpeg`.
 
-use super::child::command;
+use super::child::{command, start};
 use super::log::{FrameInfo, Line, parse};
 use super::probe::{Description, describe};
 use crate::video::colour::ToneMap;
-use crate::video::decoder::{Child, DecoderEnd, Halt, Work, is_of_memory};
+use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, Work, is_of_memory};
 use crate::video::plan::{self, Collector};
 use crate::video::{ReadVideoError, VideoOptions};
 use m4_scene::{Plane, Progress, RgbImage, Video};
@@ -32,9 +32,15 @@ struct Complaints {
     of_memory: bool,
 }
 
-/// Reads `path`; `what` names the codec or container and why it is not decoded without ffmpeg.
-pub fn read(path: &Path, what: &str, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
-    let description = describe(path, what, options, progress)?;
+/// Reads `path`; `what` names the codec or container and why it is not decoded without ffmpeg, which `launcher` starts.
+pub fn read(
+    path: &Path,
+    what: &str,
+    options: &VideoOptions,
+    launcher: Option<&DecoderProgram>,
+    progress: &dyn Progress,
+) -> Result<Video, ReadVideoError> {
+    let description = describe(path, what, options, launcher, progress)?;
     let Some(description) = description.filter(|d| !d.codec.is_empty()) else {
         return Err(ReadVideoError::NoVideoTrack {
             path: path.to_path_buf(),
@@ -47,20 +53,20 @@ pub fn read(path: &Path, what: &str, options: &VideoOptions, progress: &dyn Prog
             reason: format!("its {} stream is empty", description.codec),
         });
     }
-    let first = Decoder::start(
-        path,
-        what,
-        &description,
-        options,
-        ["-fps_mode", "passthrough"],
-        progress,
-    )?
-    .run(progress);
-    match first {
+    let decode = |every_frame_once| {
+        Decoder::start(
+            (path, what),
+            &description,
+            options,
+            every_frame_once,
+            launcher,
+            progress,
+        )?
+        .run(progress)
+    };
+    match decode(["-fps_mode", "passthrough"]) {
         // Before ffmpeg 5.1 the option had another name.
-        Err(ReadVideoError::Ffmpeg { reason, .. }) if reason.contains("fps_mode") => {
-            Decoder::start(path, what, &description, options, ["-vsync", "passthrough"], progress)?.run(progress)
-        }
+        Err(ReadVideoError::Ffmpeg { reason, .. }) if reason.contains("fps_mode") => decode(["-vsync", "passthrough"]),
         other => other,
     }
 }
@@ -81,11 +87,11 @@ struct Decoder<'a> {
 
 impl<'a> Decoder<'a> {
     fn start(
-        path: &'a Path,
-        what: &str,
+        (path, what): (&'a Path, &str),
         description: &'a Description,
         options: &'a VideoOptions,
         every_frame_once: [&str; 2],
+        launcher: Option<&DecoderProgram>,
         progress: &'a dyn Progress,
     ) -> Result<Self, ReadVideoError> {
         let in_range = match &description.times_s {
@@ -109,13 +115,6 @@ impl<'a> Decoder<'a> {
             .chain(strict)
             .copied()
             .collect();
-        let mut command = command(&options.ffmpeg, &before, path);
-        command
-            .args(["-map", "0:V:0", "-an", "-sn", "-dn"])
-            .args(every_frame_once)
-            .arg("-vf")
-            .arg(filters(description))
-            .args(["-f", "rawvideo", "pipe:1"]);
         let work = Work {
             pixels: description.pixels,
             frames: description.packets as u64,
@@ -144,7 +143,15 @@ impl<'a> Decoder<'a> {
             line.contains("error while loading")
         });
         let allowed = options.decoder.allowed(work);
-        let child = Child::start(&mut command, false, allowed, message_bytes, on_line, progress);
+        let child = command((launcher, &options.ffmpeg), &allowed, &before, path).and_then(|mut command| {
+            command
+                .args(["-map", "0:V:0", "-an", "-sn", "-dn"])
+                .args(every_frame_once)
+                .arg("-vf")
+                .arg(filters(description))
+                .args(["-f", "rawvideo", "pipe:1"]);
+            Child::start(&mut command, start(launcher), allowed, message_bytes, on_line, progress)
+        });
         let child = child.map_err(|e| ReadVideoError::NeedsFfmpeg {
             path: path.to_path_buf(),
             what: what.to_owned(),

@@ -3,12 +3,11 @@
 use super::decode::{Frame, H264};
 use super::wire::{self, Setup, plane_bytes};
 use crate::video::colour::YuvMatrix;
-use crate::video::decoder::{Allowed, Child, DecoderEnd, DecoderProgram, Halt};
+use crate::video::decoder::{Allowed, Child, DecoderEnd, DecoderProgram, Halt, Start};
 use m4_scene::{Progress, RgbImage};
 use openh264::formats::YUVSource;
 use std::collections::VecDeque;
 use std::io;
-use std::process::Command;
 
 /// Frames that are on their way to a child while the answer to the first of them is waited for: it decodes while
 /// this process converts.
@@ -62,12 +61,19 @@ impl<'a> Engine<'a> {
         allowed: Allowed,
         progress: &'a dyn Progress,
     ) -> Result<Self, Refusal> {
-        let mut command = Command::new(&program.program);
-        command
-            .args(&program.arguments)
-            .arg(allowed.memory_bytes.to_string())
-            .arg(allowed.cpu_s.to_string());
-        let child = Child::start(&mut command, true, allowed, MESSAGE_BYTES, Box::new(|_| true), progress);
+        let start = Start {
+            talks: true,
+            bare: false,
+        };
+        let mut command = program.command(&allowed);
+        let child = Child::start(
+            &mut command,
+            start,
+            allowed,
+            MESSAGE_BYTES,
+            Box::new(|_| true),
+            progress,
+        );
         let mut child = child.map_err(Refusal::Start)?;
         child.send(setup.write());
         let mut hello = [0; wire::MAGIC.len() + 1];

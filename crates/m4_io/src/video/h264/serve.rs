@@ -2,18 +2,19 @@
 
 use super::decode::{Frame, H264, rows};
 use super::wire::{self, Setup};
-use crate::video::decoder::{Allowed, limit_self};
+use crate::video::decoder::{Allowed, Confined, become_program, limit_self};
 use std::ffi::OsString;
 use std::io::{self, BufReader, BufWriter, ErrorKind, Read, Write};
 
 /// Decodes H.264 for another process until `input` ends: what a program does that was registered with
 /// [`crate::video::set_decoder_program`] and finds the arguments of its registration in its command line.
-/// `limits` are the arguments behind those. On Linux the limits of memory, time, files and core dumps are set
-/// before the first byte is read, for the whole process.
+/// `limits` are the arguments behind those. On Linux the limits of memory, time, files, processes and core dumps are set
+/// before the first byte is read, for the whole process, and it can gain no privileges. Where a command line follows the
+/// limits, the process becomes that program in place of decoding.
 ///
 /// # Errors
 ///
-/// When the limits cannot be set, when the input is not that of [`crate::video::read()`], or when one of the two pipes
+/// When the program cannot be executed, when the limits cannot be set, when the input is not that of [`crate::video::read()`], or when one of the two pipes
 /// breaks. Damaged video is no error here: it is answered.
 pub fn serve(limits: &[OsString], input: impl Read, output: impl Write) -> io::Result<()> {
     let number = |i: usize| limits.get(i)?.to_str()?.parse().ok();
@@ -22,11 +23,15 @@ pub fn serve(limits: &[OsString], input: impl Read, output: impl Write) -> io::R
             "two limits were expected, bytes and seconds: this is a part of minute4d that is not to be started by hand";
         return Err(io::Error::new(ErrorKind::InvalidInput, what));
     };
-    limit_self(&Allowed {
+    let allowed = Allowed {
         memory_bytes,
         cpu_s,
         idle_s: 0,
-    })?;
+    };
+    if let Some(line) = limits.get(2..).filter(|line| !line.is_empty()) {
+        return Err(become_program(line, &allowed));
+    }
+    limit_self(&allowed, Confined::Decoder)?;
     // Requests are read in two parts.
     let mut input = BufReader::new(input);
     let mut output = BufWriter::with_capacity(1 << 16, output);

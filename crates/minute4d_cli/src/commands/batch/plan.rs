@@ -91,6 +91,10 @@ fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<A
     if let Some(mb) = args.device.max_vram {
         arguments.extend(["--max-vram".to_owned(), mb.to_string()]);
     }
+    // No part of the settings: whoever plans allows it, not a file.
+    if args.reach.allow_outside {
+        arguments.push("--allow-outside".to_owned());
+    }
     Ok(Arguments {
         settings: text,
         arguments,

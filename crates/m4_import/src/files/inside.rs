@@ -1,0 +1,49 @@
+//! Files that a source may have read: those in its folder, and in those that the options name.
+
+use crate::core::{ImportOptions, ReadSourceError, SourceFault};
+use m4_io::reach::Bounds;
+use std::path::{Path, PathBuf};
+
+/// The bounds of a source.
+#[derive(Debug, Clone)]
+pub(crate) struct Inside(Bounds);
+
+impl Inside {
+    /// Of the source in `folder` whose pictures may lie where the options say.
+    pub(crate) fn of(folder: &Path, options: &ImportOptions) -> Self {
+        Self(Bounds::new(options.reach, folder, options.pictures.as_deref()))
+    }
+
+    /// Of what the user named beside the source: files in the folder `named`, or that file.
+    pub(crate) fn named(named: &Path, options: &ImportOptions) -> Self {
+        Self(Bounds::new(options.reach, named, []))
+    }
+
+    /// The file, if it may be read or is not there.
+    pub(crate) fn check<P: AsRef<Path>>(&self, file: P) -> Result<P, SourceFault> {
+        self.0.check(file.as_ref())?;
+        Ok(file)
+    }
+
+    /// The same; the error names no other file.
+    pub(crate) fn file(&self, file: PathBuf) -> Result<PathBuf, ReadSourceError> {
+        match self.0.check(&file) {
+            Ok(()) => Ok(file),
+            Err(outside) => Err(SourceFault::Outside(outside).at(&file)),
+        }
+    }
+
+    /// The same of many.
+    pub(crate) fn files(&self, files: Vec<PathBuf>) -> Result<Vec<PathBuf>, ReadSourceError> {
+        files.into_iter().map(|file| self.file(file)).collect()
+    }
+}
+
+/// The folder of a source that is a folder or a file in it.
+pub(crate) fn folder_of(path: &Path) -> &Path {
+    if path.is_dir() {
+        path
+    } else {
+        path.parent().unwrap_or(Path::new(""))
+    }
+}
