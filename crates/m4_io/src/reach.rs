@@ -65,7 +65,7 @@ impl Bounds {
     /// # Errors
     ///
     /// [`OutsideError`] for a file that lies elsewhere, by its name or by links.
-    pub fn check(&self, file: &Path) -> Result<(), OutsideError> {
+    pub fn check(&self, file: &Path) -> Result<(), Box<OutsideError>> {
         if self.reach == Reach::Anywhere {
             return Ok(());
         }
@@ -75,11 +75,11 @@ impl Bounds {
         if self.real.iter().any(|folder| real.starts_with(folder)) {
             return Ok(());
         }
-        Err(OutsideError {
+        Err(Box::new(OutsideError {
             path: file.to_path_buf(),
             real,
             folder: self.folder.clone(),
-        })
+        }))
     }
 }
 

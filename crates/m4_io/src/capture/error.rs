@@ -113,7 +113,7 @@ pub enum ReadCaptureError {
         /// The frame and the key.
         place: String,
         /// Which file, and where it lies.
-        source: OutsideError,
+        source: Box<OutsideError>,
     },
     /// The tracks could not be read.
     #[error("{}: {source}", list.display())]

@@ -220,6 +220,7 @@ mod tests {
     use crate::evaluate::{Protocol, ProtocolError};
     use crate::{Error, Existing, Silent};
     use m4_io::capture::{self, CaptureOptions, Split};
+    use m4_io::reach::Reach;
     use m4_math::Se3;
     use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Tracks};
 
@@ -278,7 +279,15 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (full, out) = (dir.path().join("full"), dir.path().join("out"));
         capture::write(&full, &clip(24), Split::Train, &Silent).unwrap();
-        let record = split(&full, Protocol::Instant4d, &out, Existing::Refuse, &Silent).unwrap();
+        let record = split(
+            &full,
+            Protocol::Instant4d,
+            &out,
+            Existing::Refuse,
+            Reach::Inside,
+            &Silent,
+        )
+        .unwrap();
         assert_eq!(record.held_out, [5, 11, 17, 22]);
         assert_eq!(record.held_out_names[0], "train/00005.png");
         let read = |which| capture::read(&out, which, &CaptureOptions::default(), &Silent).unwrap();
@@ -291,10 +300,10 @@ mod tests {
             let i = f64::from(frame.rgb[(0, 0)][0]);
             assert!((frame.t / last - i / 23.0).abs() < 1e-12, "{} {i}", frame.t);
         }
-        let again = |existing| split(&full, Protocol::Instant4d, &out, existing, &Silent);
+        let again = |existing| split(&full, Protocol::Instant4d, &out, existing, Reach::Inside, &Silent);
         assert!(matches!(again(Existing::Refuse), Err(Error::Exists { .. })));
         assert_eq!(again(Existing::Resume).unwrap(), record);
-        let other = split(&full, Protocol::Holdout, &out, Existing::Force, &Silent).unwrap();
+        let other = split(&full, Protocol::Holdout, &out, Existing::Force, Reach::Inside, &Silent).unwrap();
         assert_eq!(other.held_out, [0, 8, 16]);
         assert_eq!(
             capture::read(&out, Split::Test, &CaptureOptions::default(), &Silent)
@@ -308,7 +317,7 @@ mod tests {
             3,
             "nothing of the first split is left"
         );
-        let foreign = split(&full, Protocol::Holdout, &full, Existing::Force, &Silent);
+        let foreign = split(&full, Protocol::Holdout, &full, Existing::Force, Reach::Inside, &Silent);
         assert!(
             matches!(foreign, Err(Error::Protocol(ProtocolError::SameFolder(_)))),
             "{foreign:?}"
