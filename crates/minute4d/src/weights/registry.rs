@@ -132,7 +132,7 @@ const IMAGE_MASKS: &str = "motion masks: refinement frame by frame";
 const LPIPS: &str = "LPIPS, the perceptual distance of tables";
 
 /// In the order of `minute4d weights list`.
-const ALL: [Entry; 27] = [
+const ALL: [Entry; 24] = [
     packed(
         "gmflow",
         "flownet.pkl",
