@@ -135,6 +135,7 @@ fn every_image_of_playback_is_the_one_of_its_instant() {
     let mut page = Chromium::open(chromium, &format!("file://{}", dir.at("out/viewer.html")));
     page.eval("minute4d.ready");
     page.resize(SIZE.0, SIZE.1);
+    page.wait_for(&format!("minute4d.state().width === {}", SIZE.0));
     let mut worst = (f64::INFINITY, f64::INFINITY);
     for (what, script) in SCRIPTS {
         page.eval(script);
