@@ -1,6 +1,5 @@
 //! What the page shows while it plays: every image belongs to one instant.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
-#![expect(clippy::print_stderr, reason = "figures are read by people")]
 
 use crate::common::{Scratch, train, write_clip};
 use m4_testkit::{Chromium, find_chromium};
