@@ -1,5 +1,7 @@
 //! A dynamic surface stays as solid between the frames of a video as at them.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
 use m4_init::{InitConfig, initialise};
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_math::Se3;
