@@ -9,8 +9,10 @@ use minute4d::BUILD_FULL;
 #[test]
 fn a_gpu_is_refused_with_the_command_that_builds_it_in() {
     let words = ["without GPUs", BUILD_FULL, "--device cpu"];
+    let clip = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4");
+    let out = crate::common::Scratch::new().at("out");
     for command in [
-        &["train", "nowhere", "-o", "out", "--device", "gpu"][..],
+        &["run", clip, "-o", &out, "--device", "gpu"][..],
         &["bench", "--quick", "--device", "gpu:0"],
     ] {
         refused(command, 69, &words);
@@ -22,22 +24,23 @@ fn a_gpu_is_refused_with_the_command_that_builds_it_in() {
 fn networks_are_refused_with_the_command_that_builds_them_in() {
     let clip = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4");
     let dir = crate::common::Scratch::new();
-    let out = dir.at("out");
+    // a folder each: what one command leaves is not the next one's
+    let outs: Vec<String> = (0..4).map(|k| dir.at(&format!("out{k}"))).collect();
     let cases = [
         (
-            vec!["geometry", clip, "-o", &out, "--frontend", "megasam"],
+            vec!["geometry", clip, "-o", &outs[0], "--frontend", "megasam"],
             "--frontend classical",
         ),
         (
-            vec!["run", clip, "-o", &out, "--frontend", "gmflow"],
+            vec!["run", clip, "-o", &outs[1], "--frontend", "gmflow"],
             "--frontend classical",
         ),
         (
-            vec!["geometry", clip, "-o", &out, "--segmenter", "sam2"],
+            vec!["geometry", clip, "-o", &outs[2], "--segmenter", "sam2"],
             "--segmenter none",
         ),
         (
-            vec!["geometry", clip, "-o", &out, "--tracker", "tapip3d"],
+            vec!["geometry", clip, "-o", &outs[3], "--tracker", "tapip3d"],
             "--tracker flow",
         ),
         (vec!["weights", "list"], "networks"),

@@ -207,7 +207,7 @@ fn data_sets_that_name_private_files_need_leave() {
         &["export", &out, "--format", "nerfstudio", "-o", &dir.at("made")],
         &["train", &out, "-o", &dir.at("made"), "--iterations", "1"],
         &["run", &out, "-o", &dir.at("made"), "--iterations", "1"],
-        &["enhance", &out, "-o", &dir.at("made"), "--tracker", "none"],
+        &["enhance", &out, "-o", &dir.at("made")],
         &["eval-geometry", &out, "--truth", &out],
         &["ablate", &out, "-o", &dir.at("made"), data[0], data[1]],
     ] {
