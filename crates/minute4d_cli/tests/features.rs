@@ -43,10 +43,21 @@ fn networks_are_refused_with_the_command_that_builds_them_in() {
             vec!["geometry", clip, "-o", &outs[3], "--tracker", "tapip3d"],
             "--tracker flow",
         ),
-        (vec!["weights", "list"], "networks"),
-        (vec!["weights", "fetch", "gmflow", "--accept-license"], "networks"),
     ];
     for (command, instead) in cases {
         refused(&command, 69, &["without networks", BUILD_FULL, instead]);
+    }
+    // a command of its own, which has no events
+    for command in [
+        &["weights", "list"][..],
+        &["weights", "fetch", "gmflow", "--accept-license"],
+    ] {
+        let ended = crate::common::call(command);
+        assert_eq!(ended.code, 69, "{command:?}: {}", ended.stderr);
+        assert!(
+            ended.stderr.contains("without networks") && ended.stderr.contains(BUILD_FULL),
+            "{}",
+            ended.stderr
+        );
     }
 }
