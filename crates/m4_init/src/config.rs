@@ -18,10 +18,11 @@ pub enum CellSize {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum TimeSpread {
-    /// Standard deviation in gaps to the farther of both neighbouring keyframes, so that a surface is as opaque where a
-    /// frame is missing as where none is (section 2.4, our choice).
+    /// Standard deviation in gaps to the farther of both neighbouring keyframes, so that splats reach the next one where
+    /// frames are missing, too (section 2.4, our choice).
     KeyframeGaps {
-        /// Standard deviations a gap. From 0.75 on the opacity of a surface changes by less than 3 % between keyframes.
+        /// Standard deviations per gap. From 0.75 on the opacity of a surface changes by less than 3 % between keyframes
+        /// that are evenly spaced.
         factor: f32,
     },
     /// Variance `D / (10 (B - 1))` in the reference's time units, that is a standard deviation of
