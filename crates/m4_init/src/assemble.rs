@@ -321,13 +321,13 @@ fn log_time_sd(capture: &Capture, config: &InitConfig, times: &[f64], i: usize) 
     }
 }
 
-/// Frames from keyframe `i` to the farther of its neighbours in time; 1 for a lone one. Keyframes of the same instant,
-/// from another camera, are no neighbours.
+/// Mean of the frames from keyframe `i` to its neighbours in time; 1 for a lone one. Keyframes of the same instant, from another
+/// camera, are no neighbours.
 fn gap(times: &[f64], i: usize) -> f64 {
     let before = times[..i].iter().rev().map(|t| times[i] - t).find(|gap| *gap > 0.0);
     let after = times[i..].iter().map(|t| t - times[i]).find(|gap| *gap > 0.0);
     match (before, after) {
-        (Some(before), Some(after)) => before.max(after),
+        (Some(before), Some(after)) => 0.5 * (before + after),
         (Some(gap), None) | (None, Some(gap)) => gap,
         (None, None) => 1.0,
     }

@@ -18,11 +18,11 @@ pub enum CellSize {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum TimeSpread {
-    /// Standard deviation in gaps to the farther of both neighbouring keyframes, so that splats reach the next one where
+    /// Standard deviation in gaps, the mean of those to both neighbouring keyframes, so that splats reach the next one where
     /// frames are missing, too (section 2.4, our choice).
     KeyframeGaps {
         /// Standard deviations per gap. From 0.75 on the opacity of a surface changes by less than 3 % between keyframes
-        /// that are evenly spaced.
+        /// that are evenly spaced; with 1 every splat is also seen, and its velocity trained, at the neighbouring keyframes.
         factor: f32,
     },
     /// Variance `D / (10 (B - 1))` in the reference's time units, that is a standard deviation of
@@ -232,7 +232,7 @@ impl InitConfig {
             disc_neighbours: 9,
             disc_thickness: 0.05,
             max_scale_cells: 3.0,
-            time_spread: TimeSpread::KeyframeGaps { factor: 0.75 },
+            time_spread: TimeSpread::KeyframeGaps { factor: 1.0 },
             velocity: VelocityInit::Register {
                 pixels: 4.0,
                 colour_scale: 0.1,

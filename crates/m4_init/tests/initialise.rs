@@ -95,10 +95,7 @@ fn standing_and_moving_points_are_kept_apart() {
         );
     }
     let sd = splats.column(Column::LogTimeSd, 0);
-    assert!(
-        sd.iter().all(|&v| (v.exp() - 0.75).abs() < 1e-4),
-        "three quarters of a gap of one frame"
-    );
+    assert!(sd.iter().all(|&v| (v.exp() - 1.0).abs() < 1e-4), "a gap of one frame");
     let times = splats.column(Column::TimeMean, 0);
     assert!(times.windows(2).all(|t| t[0] <= t[1]) && times[0] == 0.0 && times[times.len() - 1] == 7.0);
 }
@@ -245,7 +242,7 @@ fn one_frame_is_enough_and_depth_may_have_its_own_size() {
     assert!(splats.is_finite() && splats.n_static() > 500 && splats.n_dynamic() > 10);
 }
 
-/// Splats next to a missing frame live until the next one that is there, in whichever direction it lies.
+/// Splats next to missing frames live longer: as long as the mean gap to both neighbours.
 #[test]
 fn lifetimes_reach_over_missing_frames() {
     let mut capture = capture(8);
@@ -253,7 +250,7 @@ fn lifetimes_reach_over_missing_frames() {
     let splats = initialise(&capture, &fast(), &Silent).unwrap();
     let (mean, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
     for (t, sd) in mean.iter().zip(sd) {
-        let want = if [2.0, 5.0].contains(t) { 2.25 } else { 0.75 };
+        let want = if [2.0, 5.0].contains(t) { 2.0 } else { 1.0 };
         assert!((sd.exp() - want).abs() < 1e-4, "{} for {want} at {t}", sd.exp());
     }
     assert!([2.0, 5.0].iter().all(|t| mean.contains(t)));

@@ -61,7 +61,7 @@ fn capture(times: &[f64]) -> Capture {
 }
 
 /// The dynamic splats alone.
-fn dynamic(splats: &Splats) -> Splats {
+pub fn dynamic(splats: &Splats) -> Splats {
     let (layout, n_static) = (splats.layout(), splats.n_static());
     let columns = splats.columns().iter().enumerate();
     let columns = columns.map(|(c, column)| {

@@ -81,13 +81,13 @@ const ROWS: &[Row] = &[
     row("spheres", "spheres, not discs", &["init.disc_neighbours=0"]),
     row(
         "short-lives",
-        "lives of 0.35 frames",
-        &["init.time_spread.keyframe_gaps={factor=0.35, min_frames=0.35}"],
+        "lives of 0.5 frames",
+        &["init.time_spread.keyframe_gaps.factor=0.5"],
     ),
     row(
         "long-lives",
-        "lives of 1 frame",
-        &["init.time_spread.keyframe_gaps={factor=1.0, min_frames=1.0}"],
+        "lives of 1.5 frames",
+        &["init.time_spread.keyframe_gaps.factor=1.5"],
     ),
     row("no-velocity", "no first velocities", &["init.velocity=\"zero\""]),
     row("no-carry", "no points carried over", &["init.carry_keyframes=0"]),

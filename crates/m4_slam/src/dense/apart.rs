@@ -6,6 +6,7 @@ use super::densify::each;
 use super::error::DenseError;
 use super::flow::FlowPair;
 use super::kept;
+use super::layers;
 use super::mono::Mono;
 use super::motion::{self, Clues, Seen};
 use super::plate;
@@ -173,7 +174,7 @@ impl Clip<'_> {
                 let measured = self.mono.with_prior(i, &measured[i], of(moving, i));
                 self.fill(i, &measured, of(moving, i))
             } else {
-                self.mono.without_parallax(i, self.pixels())
+                self.mono.without_parallax(i, layers::sphere(&self.clues.cameras[i]))
             }
         })
     }

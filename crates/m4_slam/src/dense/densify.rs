@@ -11,6 +11,7 @@ use super::flow::FlowPair;
 use super::given::Given;
 use super::ground::Ground;
 use super::kept::{Placed, numbers};
+use super::layers;
 use super::mono::Mono;
 use super::motion::{self, Clues};
 use super::moving_depth;
@@ -217,16 +218,20 @@ fn estimate(
             }
         }
     }
-    let mut disparity = moving_depth::place(w, h, &moving, &filled, &flows, &config.moving_depth);
+    let input = bodies::Clip {
+        width: w,
+        height: h,
+        cameras: &clues.cameras,
+        moving: &moving,
+        background: &filled,
+        flows: &flows,
+    };
+    let mut disparity = if parallax || !mono.is_empty() {
+        moving_depth::place(w, h, &moving, &filled, &flows, &config.moving_depth)
+    } else {
+        layers::place(&input, &shots, &config.bodies)
+    };
     if parallax && one_lens {
-        let input = bodies::Clip {
-            width: w,
-            height: h,
-            cameras: &clues.cameras,
-            moving: &moving,
-            background: &filled,
-            flows: &flows,
-        };
         bodies::place(
             &input,
             |i| clip.smoother(i),

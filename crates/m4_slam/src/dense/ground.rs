@@ -47,8 +47,8 @@ impl Ground {
         let parallax = sparse.camera_motion == CameraMotion::Parallax;
         if !parallax {
             progress.warn(
-                "the camera hardly moves, so depth cannot be measured: everything is placed at distance 1; \
-                 views from beside the camera will look flat (film again while walking sideways)",
+                "the camera hardly moves, so depth cannot be measured: the static background is placed at distance 1 and dynamic \
+                 parts in layers in front of it; views from beside the camera will look flat (film again while walking sideways)",
             );
         }
         if let Some(found) = sources.mono.frames().filter(|&n| n != count) {

@@ -7,7 +7,7 @@
 //!                                                     ^                              |
 //!                                                     '------- once more ------------|
 //!                                                                                    v
-//!                                           depth of the moving parts -> full size
+//!                                           depth of the moving parts (without parallax: layers) -> full size
 //!                                                     '-> tracks along the flow ([`crate::tracks3d`])
 //! ```
 //!
@@ -37,6 +37,7 @@ mod flow;
 mod given;
 mod ground;
 mod kept;
+mod layers;
 mod mono;
 mod motion;
 mod moving_depth;

@@ -32,7 +32,7 @@ use super::flow::FlowPair;
 use super::smooth::Smoother;
 use m4_scene::{Camera, Progress};
 use rayon::prelude::*;
-pub(super) use tracklet::Tracklet;
+pub(super) use tracklet::{Tracklet, follow};
 
 /// What is known of the clip.
 pub(super) struct Clip<'a> {
@@ -62,7 +62,7 @@ pub(super) fn place<'s>(
     disparity: &mut [Vec<f32>],
     progress: &dyn Progress,
 ) -> Result<(), DenseError> {
-    let tracklets = tracklet::follow(clip, config);
+    let tracklets = follow(clip, config);
     let before: &[Vec<f32>] = disparity;
     let bodies = each(tracklets.len(), "shaping moving parts", progress, |i| {
         let t = &tracklets[i];

@@ -41,7 +41,7 @@ fn heirs(clip: &Clip<'_>, from: &Components, to: &Components, flow: &Flow, trip:
 }
 
 /// Follows every part until it leaves, splits, merges or changes its size at once.
-pub(super) fn follow(clip: &Clip<'_>, config: &BodyConfig) -> Vec<Tracklet> {
+pub(in super::super) fn follow(clip: &Clip<'_>, config: &BodyConfig) -> Vec<Tracklet> {
     let (w, h) = (clip.width, clip.height);
     let mut done = Vec::new();
     // The open tracklet of every part of the frame before.

@@ -142,14 +142,14 @@ fn metric_depth_is_taken_as_it_is() {
 
 #[test]
 fn where_nothing_can_be_measured_relief_is_kept_at_distance_one() {
-    let out = mono(&Synthetic(MonoKind::UpToScale)).without_parallax(1, W * H);
+    let out = mono(&Synthetic(MonoKind::UpToScale)).without_parallax(1, vec![1.0; W * H]);
     let (a, b) = (5 * W + 7, 25 * W + 7);
     assert!((out[b] / out[a] / (disparity(b) / disparity(a)) - 1.0).abs() < 1e-5);
     let mut sorted = out.clone();
     sorted.sort_by(f32::total_cmp);
     assert!((sorted[W * H / 2] - 1.0).abs() < 0.05 && out[5 * W + 3] == 1.0);
     let nothing = mono(&NoDepth);
-    assert_eq!(nothing.without_parallax(0, 4), [1.0; 4]);
+    assert_eq!(nothing.without_parallax(0, vec![1.5; 4]), [1.5; 4]);
     assert!(nothing.aligned(0, &[1.0; 4], &[1.0; 4], None).is_none());
 }
 

@@ -140,9 +140,14 @@ impl Mono {
         }
     }
 
-    /// The disparity of a frame of a clip in which nothing can be measured: 1, or as a middle distance of 1 has it.
-    pub fn without_parallax(&self, i: usize, pixels: usize) -> Vec<f32> {
-        let mut out = vec![1.0; pixels];
+    /// Whether it knows nothing of any frame.
+    pub fn is_empty(&self) -> bool {
+        self.frames.iter().all(Option::is_none)
+    }
+
+    /// The disparity of a frame of a clip in which nothing can be measured: `made_up`, or as a middle distance of 1 has it.
+    pub fn without_parallax(&self, i: usize, made_up: Vec<f32>) -> Vec<f32> {
+        let mut out = made_up;
         let Some(known) = self.frames[i].as_ref().filter(|k| k.kind != MonoKind::Metric) else {
             return out;
         };
