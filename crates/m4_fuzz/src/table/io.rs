@@ -339,11 +339,7 @@ fn videos() -> Vec<Reader> {
             }
             to.finish()
         });
-        vec![
-            ours,
-            fixture_bytes("import/stray/rgb.mp4"),
-            fixture_bytes("import/vipe/rgb/dog.mp4"),
-        ]
+        vec![ours, fixture_bytes("import/vipe/rgb/dog.mp4")]
     };
     let read = |p: &Path| Outcome::of(video::read(p, &own_video(), &Silent), sound::video);
     vec![

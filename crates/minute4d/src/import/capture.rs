@@ -167,7 +167,6 @@ fn of_megasam(
 ) -> Result<Imported, Error> {
     let beside = [
         ("--images", options.pictures.is_some()),
-        ("--focal", options.focal_px.is_some()),
         ("--depth", options.depth.is_some()),
         ("--masks", options.masks.is_some()),
         ("--tracks", options.tracks.is_some()),

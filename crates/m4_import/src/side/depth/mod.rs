@@ -11,7 +11,7 @@ mod sensor;
 
 pub use exr::decode_exr;
 pub use pfm::decode_pfm;
-pub(crate) use sensor::{kept_where, read_sensed};
+pub(crate) use sensor::kept_where;
 
 use super::stack::Stack;
 use crate::core::{FrameSource, ImportOptions, SourceFault};
