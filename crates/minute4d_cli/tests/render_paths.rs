@@ -208,12 +208,7 @@ fn what_cannot_be_rendered_is_refused_before_anything_is_written() {
     path("bullet", &["--hold-s", "1000"], 2, &["--hold-s", "0.1 to 600"]);
     path("swing", &["--amount", "nan"], 2, &["--amount"]);
     path("swing", &["--seconds", "-1"], 2, &["--seconds"]);
-    path(
-        "swing",
-        &["--seconds", "3600", "--fps", "240"],
-        2,
-        &["864000 pictures"],
-    );
+    path("swing", &["--seconds", "3600", "--fps", "240"], 2, &["864000 pictures"]);
     path("bullet", &["--seconds", "2"], 2, &["--hold-s"]);
     path("bullet", &["--at", "9s"], 2, &["9s", "outside"]);
     path("bullet", &["--at", "soon"], 2, &["\"soon\"", "no moment"]);

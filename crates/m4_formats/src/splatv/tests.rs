@@ -61,12 +61,20 @@ fn every_parameter_is_there_to_eleven_bits() {
     let splats = &scene.splats;
     let half = |v: f64, w: f64| (v - w).abs() <= v.abs() / 2048.0 + 1e-7;
     let drawn = texture(&bytes[8 + length..]);
-    assert!(drawn[splats.n()..].iter().all(|words| *words == [0; 16]), "the tail is zeros");
+    assert!(
+        drawn[splats.n()..].iter().all(|words| *words == [0; 16]),
+        "the tail is zeros"
+    );
     for (i, words) in drawn.iter().take(splats.n()).enumerate() {
         let row = Row::of(splats, i);
         let mean = [words[0], words[1], words[2]].map(f32::from_bits);
         let ([w, x], [y, z]) = (halves(words[3]), halves(words[4]));
-        assert!(Vector4::from(row.quat.map(f64::from)).dot(&Vector4::new(w, x, y, z)).abs() > 1.0 - 1e-3);
+        assert!(
+            Vector4::from(row.quat.map(f64::from))
+                .dot(&Vector4::new(w, x, y, z))
+                .abs()
+                > 1.0 - 1e-3
+        );
         let ([sx, sy], [sz, _]) = (halves(words[5]), halves(words[6]));
         for (k, scale) in [sx, sy, sz].into_iter().enumerate() {
             let want = f64::from(row.log_scale[k]).exp();

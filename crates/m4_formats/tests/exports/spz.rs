@@ -138,7 +138,10 @@ fn what_is_in_the_file_is_the_scene_to_within_half_a_step() {
     }
     for c in 0..48 {
         let tolerance = if c < 3 { 0.51 / 255.0 / 0.15 } else { 0.51 / 128.0 };
-        let pairs = got.column(Column::Colour, c).iter().zip(expected.column(Column::Colour, c));
+        let pairs = got
+            .column(Column::Colour, c)
+            .iter()
+            .zip(expected.column(Column::Colour, c));
         for (a, b) in pairs {
             assert!((a - b).abs() <= tolerance, "colour {c}: {a} and {b}");
         }

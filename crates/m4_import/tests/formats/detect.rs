@@ -41,7 +41,15 @@ fn every_source_is_told_by_its_files() {
 #[test]
 fn names_are_those_of_the_command_line() {
     let names: Vec<&str> = SourceFormat::all().map(SourceFormat::name).collect();
-    let want = ["dycheck", "nvidia", "record3d", "colmap", "nerfstudio", "vipe", "megasam"];
+    let want = [
+        "dycheck",
+        "nvidia",
+        "record3d",
+        "colmap",
+        "nerfstudio",
+        "vipe",
+        "megasam",
+    ];
     assert_eq!(names, want);
     for format in SourceFormat::all() {
         let written = serde_json::to_string(&format).unwrap();

@@ -5,7 +5,7 @@ use crate::{Error, Observer, Settings};
 use m4_formats::captures::{self, WriteCaptureAsError};
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_scene::Capture;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 /// Writes the capture at `input`.

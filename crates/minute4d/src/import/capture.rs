@@ -157,12 +157,7 @@ pub(crate) fn write(
 }
 
 /// Files of MegaSaM, whose map of motion may lie elsewhere.
-fn of_megasam(
-    file: &Path,
-    options: &ImportOptions,
-    job: &ImportJob,
-    keeper: &Keeper<'_>,
-) -> Result<Imported, Error> {
+fn of_megasam(file: &Path, options: &ImportOptions, job: &ImportJob, keeper: &Keeper<'_>) -> Result<Imported, Error> {
     let beside = [
         ("--images", options.pictures.is_some()),
         ("--depth", options.depth.is_some()),
