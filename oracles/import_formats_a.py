@@ -1,10 +1,10 @@
 """A made-up clip in the files of other tools: `python3 oracles/import_formats_a.py fixtures/import`.
 
 Five frames of 48 x 36 pixels with known cameras, depth and masks, which follow from the formulas below, as COLMAP (written by
-pycolmap), nerfstudio, ViPE (OpenEXR), Depth Anything 3, VGGT, MonST3R, and the TUM and KITTI benchmarks (written by evo) hold them.
+pycolmap), nerfstudio and ViPE (OpenEXR) hold them.
 Pictures through lenses are drawn with OpenCV's `undistortPoints`; `lenses.json` holds what pycolmap and OpenCV make of points.
 
-Needs numpy, scipy, pillow, opencv-python-headless, pycolmap, OpenEXR, evo, imageio-ffmpeg.
+Needs numpy, scipy, pillow, opencv-python-headless, pycolmap, OpenEXR, imageio-ffmpeg.
 """
 
 import io
@@ -19,8 +19,6 @@ import imageio_ffmpeg
 import numpy as np
 import OpenEXR
 import pycolmap
-from evo.core.trajectory import PosePath3D, PoseTrajectory3D
-from evo.tools import file_interface
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -91,18 +89,6 @@ def main(root):
     lenses(os.path.join(root, "clip/lenses.json"))
     nerfstudio(fresh, folder, text, png, images, depth, moving, c2w)
     vipe(fresh, folder, text, images, depth, moving, c2w)
-    da3(fresh, folder, text, images, depth, c2w, w2c)
-    fresh("vggt")
-    np.savez_compressed(
-        os.path.join(root, "vggt/predictions.npz"),
-        extrinsic=w2c[None, :, :3].astype(np.float32),
-        intrinsic=np.tile(K, (1, N, 1, 1)).astype(np.float32),
-        depth=depth[None, ..., None],
-        depth_conf=np.ones((1, N, H, W), np.float32),
-        images=(images.transpose(0, 3, 1, 2)[None] / 255.0).astype(np.float32),
-    )
-    monst3r(fresh, text, png, images, depth, moving, c2w)
-    trajectories(fresh, folder, text, png, images, depth, c2w)
 
 
 def distorted(i, model):
@@ -274,95 +260,6 @@ def vipe(fresh, folder, text, images, depth, moving, c2w):
             Image.fromarray(ids).save(out, "png")
             z.writestr(zipfile.ZipInfo(f"{i:05}.png"), out.getvalue(), zipfile.ZIP_DEFLATED)
     text(os.path.join(path, "mask/dog.txt"), "1: sky\n2: dog\n")
-
-
-def da3(fresh, folder, text, images, depth, c2w, w2c):
-    path = fresh("da3")
-    common = dict(
-        depth=np.round(depth, 8),
-        conf=np.ones((N, H, W), np.float32),
-        extrinsics=w2c[:, :3].astype(np.float32),
-        intrinsics=np.tile(K, (N, 1, 1)).astype(np.float32),
-    )
-    np.savez_compressed(os.path.join(folder("da3", "exports", "npz"), "results.npz"), image=images, **common)
-    # another size: cameras and depth at half of it
-    small = dict(common, depth=depth[:, ::2, ::2].copy(), conf=common["conf"][:, ::2, ::2])
-    small["intrinsics"] = common["intrinsics"] * np.float32([[0.5], [0.5], [1]])
-    np.savez_compressed(os.path.join(folder("da3", "half", "exports", "mini_npz"), "results.npz"), **small)
-
-    path = fresh("da3_streaming")
-    text(
-        os.path.join(path, "camera_poses.txt"), "".join(" ".join(str(v) for v in m.flatten()) + "\n" for m in c2w)
-    )
-    text(os.path.join(path, "intrinsic.txt"), f"{FX} {FY} {CX} {CY}\n" * N)
-    folder("da3_streaming", "results_output")
-    for i in range(N):
-        np.savez_compressed(
-            os.path.join(path, f"results_output/frame_{i}.npz"),
-            image=images[i],
-            depth=depth[i],
-            conf=np.ones((H, W), np.float32),
-            intrinsics=K.astype(np.float32),
-        )
-
-
-def monst3r(fresh, text, png, images, depth, moving, c2w):
-    path = fresh("monst3r")
-    # "time x y z qw qx qy qz"
-    lines = []
-    for i in range(N):
-        x, y, z, w = Rotation.from_matrix(c2w[i, :3, :3]).as_quat()
-        place = " ".join(map(str, c2w[i, :3, 3]))
-        lines.append(f"{float(i)} {place} {w} {x} {y} {z}\n")
-        np.save(os.path.join(path, f"frame_{i:04d}.npy"), depth[i])
-        png(os.path.join(path, f"frame_{i:04d}.png"), images[i])
-        png(os.path.join(path, f"dynamic_mask_{i}.png"), (moving[i] * 255).astype(np.uint8))
-    text(os.path.join(path, "pred_traj.txt"), "".join(lines))
-    np.savetxt(os.path.join(path, "pred_intrinsics.txt"), np.tile(K.reshape(1, 9), (N, 1)), fmt="%.6f")
-
-
-def trajectories(fresh, folder, text, png, images, depth, c2w):
-    path = fresh("tum")
-    folder("tum", "rgb"), folder("tum", "depth")
-    # seconds that are not evenly spaced; a pose between two pictures, which no picture is near to, and one that is near, but not nearest
-    seconds = 1305031102.0 + np.array([0.0, 0.1, 0.2, 0.3, 0.5])
-    between = np.eye(4)
-    poses = [*c2w, between, between]
-    when = np.array([*(seconds + 0.004), seconds[3] + 0.1, seconds[2] - 0.012])
-    order = np.argsort(when)
-    file_interface.write_tum_trajectory_file(
-        os.path.join(path, "groundtruth.txt"), PoseTrajectory3D(poses_se3=[poses[i] for i in order], timestamps=when[order])
-    )
-    rgb, maps = "# color images\n", "# depth maps\n"
-    for i in range(N):
-        png(os.path.join(path, f"rgb/{seconds[i]:.6f}.png"), images[i])
-        png(os.path.join(path, f"depth/{seconds[i]:.6f}.png"), (depth[i] * 5000).round().astype(np.uint16))
-        rgb += f"{seconds[i]:.6f} rgb/{seconds[i]:.6f}.png\n"
-        maps += f"{seconds[i] + 0.01:.6f} depth/{seconds[i]:.6f}.png\n"
-    # taken long after the last pose; the file is not even there
-    rgb += f"{seconds[-1] + 1:.6f} rgb/late.png\n"
-    text(os.path.join(path, "rgb.txt"), rgb)
-    text(os.path.join(path, "depth.txt"), maps)
-    text(os.path.join(path, "intrinsics.txt"), f"{FX} {FY} {CX} {CY}\n")
-
-    path = fresh("kitti")
-    folder("kitti", "image_2")
-    # poses are of camera 0; camera 2 stands beside it
-    offset = np.array([0.06, -0.001, 0.002])
-    zero = []
-    for i in range(N):
-        png(os.path.join(path, f"image_2/{i:06}.png"), images[i])
-        to_two = np.eye(4)
-        to_two[:3, 3] = offset
-        # x_2 = x_0 + offset
-        zero.append(c2w[i] @ to_two)
-    file_interface.write_kitti_poses_file(os.path.join(path, "poses.txt"), PosePath3D(poses_se3=zero))
-    pixel = K.copy()
-    pixel[:2, 2] -= 0.5  # OpenCV's: from the centre of the first pixel
-    p = lambda t: " ".join(f"{v:.12e}" for v in np.c_[pixel, pixel @ t].flatten())
-    calib = "".join(f"P{n}: {p(offset if n == 2 else n * np.array([-0.5, 0, 0]))}\n" for n in range(4))
-    text(os.path.join(path, "calib.txt"), calib)
-    text(os.path.join(path, "times.txt"), "".join(f"{0.1 * i:e}\n" for i in range(N)))
 
 
 main(sys.argv[1])

@@ -1,6 +1,6 @@
 """Clips of data sets, telephones and trackers: `python3 oracles/import_formats_b.py fixtures/import`.
 
-Needs numpy, Pillow, OpenEXR, pyliblzfse and imageio-ffmpeg. One made-up clip, a ball that moves before a slanted wall, is seen by five cameras
+Needs numpy, Pillow, OpenEXR and pyliblzfse. One made-up clip, a ball that moves before a slanted wall, is seen by five cameras
 (and held-out ones) and written in each layout with the tools that write it elsewhere; `clip/truth.npz` is what every one of them means:
 OpenCV axes, camera to world, z-depth, principal point from the corner. The pixel (x, y) shows the ray through (x + 0.5, y + 0.5).
 """
@@ -9,11 +9,9 @@ import io
 import json
 import os
 import shutil
-import subprocess
 import sys
 import zipfile
 
-import imageio_ffmpeg
 import liblzfse
 import numpy as np
 import OpenEXR
@@ -244,41 +242,6 @@ def record3d(root, c):
         z.writestr(zipfile.ZipInfo("rgbd/0.depth"), depth)
 
 
-def polycam(root, c):
-    k = intrinsics(W, H)
-    for i in range(N):
-        name = str(9_999_800_000 + 100_000 * i)
-        for kind, shift in [("corrected_", 0.0), ("", 0.5)]:
-            m = c.c2w[i] @ ARKIT
-            camera = {f"t_{r}{j}": m[r, j] for r in range(3) for j in range(4)}
-            camera["t_03"] += shift
-            camera |= {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "width": W, "height": H,
-                       "blur_score": 90.0, "timestamp": int(name), "neighbors": [], "manual_keyframe": False}
-            write_json(f"{root}/keyframes/{kind}cameras/{name}.json", camera)
-            image(f"{root}/keyframes/{kind}images/{name}.jpg", c.rgb[i], **JPEG)
-        image(f"{root}/keyframes/depth/{name}.png", np.round(c.small[i] * 1000).astype(np.uint16))
-        image(f"{root}/keyframes/confidence/{name}.png", np.array([0, 127, 255], np.uint8)[confidence(i)])
-
-
-def stray(root, c):
-    os.makedirs(root, exist_ok=True)
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{W}x{H}",
-               "-r", "10", "-i", "-", "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-c:v", "libx264", "-crf", "6", "-pix_fmt", "yuv420p",
-               "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv", "-threads", "1",
-               "-fflags", "+bitexact", "-flags:v", "+bitexact", f"{root}/rgb.mp4"]
-    subprocess.run(command, input=c.rgb.tobytes(), check=True)
-    k = intrinsics(W, H)
-    np.savetxt(f"{root}/camera_matrix.csv", k + np.diag([3.0, 3.0, 0]), delimiter=", ", fmt="%.6f")
-    with open(f"{root}/odometry.csv", "w") as f:
-        f.write("timestamp, frame, x, y, z, qx, qy, qz, qw, fx, fy, cx, cy, distortion_center_x, distortion_center_y\n")
-        for i in range(N):
-            # the app: q_ARKit times half a turn about x
-            numbers = [*c.c2w[i, :3, 3], *quaternion_xyzw(c.c2w[i, :3, :3]), k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
-            f.write(f"{100 + 0.1 * i:.6f}, {i:06d}, " + ", ".join(f"{v:.12f}" for v in numbers) + ", , \n")
-            image(f"{root}/depth/{i:06d}.png", np.round(c.small[i] * 1000).astype(np.uint16))
-            image(f"{root}/confidence/{i:06d}.png", confidence(i))
-
-
 def side(root, c):
     for name in ["exr", "pfm", "png", "npy"]:
         os.makedirs(f"{root}/depth_{name}", exist_ok=True)
@@ -335,7 +298,7 @@ def side(root, c):
 
 def main(root):
     c = Clip()
-    writers = [dycheck, nvidia, davis, record3d, polycam, stray, side]
+    writers = [dycheck, nvidia, davis, record3d, side]
     for write in writers:
         path = os.path.join(root, write.__name__)
         shutil.rmtree(path, ignore_errors=True)

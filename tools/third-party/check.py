@@ -9,7 +9,6 @@ import pathlib
 import shutil
 import subprocess
 import sys
-import time
 
 import cv2
 import numpy as np
@@ -225,58 +224,6 @@ def check_fourdgs(checks, export, scene):
         checks.within(tool, f"centre of what is seen at {share:.0%}", state["centers"].mean(0), mean[seen].mean(0), 2e-3 * np.ptp(mean[seen], axis=0).max())
 
 
-def check_usd(checks, export, scene):
-    path, result = export("usd", "scene.usda")
-    from pxr import Gf, Usd, UsdGeom, UsdValidation
-
-    tool = "usd-core 26.11"
-    start = time.time()
-    stage = Usd.Stage.Open(str(path))
-    opened = time.time() - start
-    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    issues = [e.GetErrorAsString() for e in UsdValidation.ValidationContext(validators).Validate(stage)]
-    checks.add(tool, f"opens in {opened:.0f} s and complies", not issues, "; ".join(issues)[:300] or f"{len(validators)} validators")
-    checks.equal(tool, "up axis", str(UsdGeom.GetStageUpAxis(stage)), "Y")
-    checks.within(tool, "time codes a second", stage.GetTimeCodesPerSecond(), 1 / scene.step_s(), 1e-6)
-    prim = stage.GetPrimAtPath("/scene/splats")
-    checks.equal(tool, "schema", str(prim.GetTypeName()), "ParticleField3DGaussianSplat")
-    known = set(prim.GetPrimDefinition().GetPropertyNames())
-    unknown = {p.GetName() for p in prim.GetAuthoredProperties()} - known
-    checks.add(tool, "every attribute is one of the schema", not unknown, ", ".join(unknown) or f"{len(known)} known")
-    get = lambda name, t=Usd.TimeCode.Default(): np.array(prim.GetAttribute(name).Get(t), dtype=float)
-    rows = scene.ever_seen()
-    checks.equal(tool, "splats", result["splats"], len(rows))
-    far = np.abs(scene.mean).max()
-    for share in (0.25, 0.5, 1.0):
-        t = round(share * (scene.frames - 1))
-        mean, opacity = scene.at(t)
-        checks.within(tool, f"positions at frame {t}", get("positions", t), mean[rows] * TURN, 1e-5 * (1 + far))
-        checks.within(tool, f"opacities at frame {t}", get("opacities", t), np.where(opacity >= 1 / 255, opacity, 0)[rows], 5.1e-4)
-    checks.within(tool, "scales", get("scales") / scene.scale[rows], np.ones((len(rows), 3)), 6e-4)
-    checks.within(tool, "colours", get("radiance:sphericalHarmonicsCoefficients"), scene.colour[rows].reshape(-1, 3), 6e-5)
-    # numpy has a quatf as x, y, z, w
-    quat = get("orientations")[:, [3, 0, 1, 2]]
-    unit = np.broadcast_to([1.0, 2.0, 3.0], (len(rows), 3))
-    checks.within(tool, "rotations", covariances(unit, quat), covariances(unit, scene.quat[rows], True), 5e-3)
-    # a camera of USD against the projection of the scene's own, at three frames
-    camera = UsdGeom.Camera(stage.GetPrimAtPath("/scene/source_camera"))
-    for frame in (0, scene.frames // 2, len(scene.t) - 1):
-        frustum = camera.GetCamera(scene.t[frame]).frustum
-        points = scene.mean[rows[:: max(1, len(rows) // 500)]]
-        pixels, depth = scene.pixels(frame, points)
-        width, height = scene.intrinsics[frame][:2]
-        inside = (depth > 0) & np.all((pixels > 0) & (pixels < [width, height]), 1)
-        matrix = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
-        seen = np.array([matrix.Transform(Gf.Vec3d(*p)) for p in points[inside] * TURN])
-        found = (seen[:, :2] * [1, -1] + 1) / 2 * [width, height]
-        checks.within(tool, f"camera at frame {frame}: {inside.sum()} points, pixels", found, pixels[inside], 1e-2)
-
-    import fourdgs
-
-    found = fourdgs.from_usd(str(path)).gaussians
-    checks.equal("fourdgs 0.6.0, USD", "splats", found.count, len(rows))
-
-
 def check_colmap(checks, export, scene):
     path, result = export("colmap", "colmap")
     import pycolmap
@@ -363,7 +310,6 @@ def main():
         lambda: check_sequence(checks, export, scene, args.tools),
         lambda: check_spz(checks, export, scene, args.tools, t),
         lambda: check_gltf(checks, export, scene, args.tools, t),
-        lambda: check_usd(checks, export, scene),
         lambda: check_colmap(checks, export, scene),
         lambda: check_nerfstudio(checks, export, scene),
         lambda: check_mp4(checks, export, scene),

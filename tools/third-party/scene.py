@@ -76,13 +76,6 @@ class Scene:
         rows = np.flatnonzero(seen)
         return rows, mean[rows], opacity[rows]
 
-    def ever_seen(self):
-        """Rows that some whole frame sees."""
-        seen = np.zeros(self.count, bool)
-        for t in range(self.frames):
-            seen |= self.at(t)[1] >= 1 / 255
-        return np.flatnonzero(seen)
-
     def pixels(self, frame, points):
         """Where points of the world are in a source frame, from the corner of the picture, and their depth."""
         _, _, fx, fy, cx, cy = self.intrinsics[frame]

@@ -14,7 +14,6 @@ pub mod gltf;
 pub mod ply;
 pub mod splatv;
 pub mod spz;
-pub mod usd;
 
 mod cameras_check;
 mod clock;

@@ -1,9 +1,8 @@
 //! Worlds turned by half a turn about x: from y down, z forward to y up, z back, or the other way.
 //!
-//! Our worlds have the axes of an OpenCV camera (right, down, forward: RDF); glTF, USD and SPZ expect
+//! Our worlds have the axes of an OpenCV camera (right, down, forward: RDF); glTF and SPZ expect
 //! y up (right, up, back: RUB). The turn `F = diag(1, -1, -1)` is its own inverse.
 
-use m4_math::Se3;
 use m4_scene::{Column, Splats};
 
 /// Sign that each real spherical harmonic of degree 0 to 3 takes when y and z change theirs: -1 where
@@ -36,23 +35,6 @@ pub(crate) fn turn_splats(splats: &mut Splats) {
     }
 }
 
-/// The camera-to-world pose with OpenGL axes in the turned world, of one with OpenCV axes in ours:
-/// `F c2w F`.
-pub(crate) fn turn_pose(c2w: &Se3<f64>) -> Se3<f64> {
-    let mut turned = *c2w;
-    for i in 0..3 {
-        for j in 0..3 {
-            if (i == 0) != (j == 0) {
-                turned.rotation[(i, j)] = -turned.rotation[(i, j)];
-            }
-        }
-        if i > 0 {
-            turned.translation[i] = -turned.translation[i];
-        }
-    }
-    turned
-}
-
 fn negate(column: &mut [f32]) {
     for v in column {
         *v = -*v;
@@ -61,8 +43,8 @@ fn negate(column: &mut [f32]) {
 
 #[cfg(test)]
 mod tests {
-    use super::{HARMONICS, turn_pose, turn_splats};
-    use m4_math::{Se3, nalgebra::Vector3, nalgebra::Vector4, nalgebra::Vector6, quat};
+    use super::{HARMONICS, turn_splats};
+    use m4_math::{nalgebra::Vector3, nalgebra::Vector4, quat};
     use m4_scene::{Column, SplatLayout, Splats};
 
     #[test]
@@ -119,16 +101,5 @@ mod tests {
         for l in 0..16 {
             assert!((here[l] * f64::from(HARMONICS[l]) - turned[l]).abs() < 1e-12, "{l}");
         }
-    }
-
-    #[test]
-    fn a_turned_camera_sees_the_turned_point_where_it_was() {
-        let c2w = Se3::<f64>::identity().retract(&Vector6::new(1.0, 2.0, 3.0, 0.4, -0.8, 0.3));
-        let point = Vector3::new(0.3, -0.7, 5.0);
-        let opencv = c2w.inverse().transform(&point);
-        let opengl = turn_pose(&c2w)
-            .inverse()
-            .transform(&Vector3::new(point.x, -point.y, -point.z));
-        assert!((Vector3::new(opencv.x, -opencv.y, -opencv.z) - opengl).norm() < 1e-12);
     }
 }

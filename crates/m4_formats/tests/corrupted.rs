@@ -3,7 +3,7 @@
 //! The allocator counts for the whole process, so everything happens in one test.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use m4_formats::{fourdgs, ply, splatv, usd};
+use m4_formats::{fourdgs, ply};
 use m4_math::CounterRng;
 use m4_scene::{Scene, SplatLayout};
 use m4_testkit::{SceneSpec, harm, random_scene};
@@ -40,21 +40,12 @@ type Parse = fn(&[u8]) -> Result<Scene, String>;
 fn formats(folder: &Path) -> Vec<(&'static str, Vec<Vec<u8>>, Parse)> {
     let path = folder.join("file");
     let bytes = || std::fs::read(&path).unwrap();
-    let (mut clips, mut instants, mut textures, mut stages) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-    let stage = folder.join("file.usda");
+    let (mut clips, mut instants) = (Vec::new(), Vec::new());
     for sh_degree in [0, 2] {
         let scene = scene(sh_degree);
         clips.push(fourdgs::encode(&scene, &fourdgs::FourdgsConfig::default()).unwrap().0);
         ply::write(&path, &scene, 5.0).unwrap();
         instants.push(bytes());
-        splatv::write(&path, &scene).unwrap();
-        textures.push(bytes());
-        let options = usd::UsdOptions {
-            step_frames: 3,
-            ..usd::UsdOptions::default()
-        };
-        usd::write(&stage, &scene, &options).unwrap();
-        stages.push(std::fs::read(&stage).unwrap());
     }
     instants.push(text_of(&instants[0]));
     vec![
@@ -65,14 +56,6 @@ fn formats(folder: &Path) -> Vec<(&'static str, Vec<Vec<u8>>, Parse)> {
         ("ply", instants, |b| {
             let read = ply::parse(Path::new("file"), b).map_err(|e| e.to_string())?;
             Ok(read.scene)
-        }),
-        ("splatv", textures, |b| {
-            let read = splatv::parse(Path::new("file"), b).map_err(|e| e.to_string())?;
-            Ok(read.scene)
-        }),
-        ("usd", stages, |b| {
-            let splats = usd::parse(Path::new("file"), b, 4.5).map_err(|e| e.to_string())?;
-            Ok(Scene { splats, ..scene(0) })
         }),
     ]
 }

@@ -1,8 +1,6 @@
 //! What bytes are wrapped in before they are a file, so that harm goes deeper than a checksum.
 
 use crate::fixture::fixture_bytes;
-use flate2::Compression;
-use flate2::write::GzEncoder;
 use std::io::{Cursor, Read as _, Write as _};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
@@ -13,8 +11,6 @@ pub enum Dress {
     Plain,
     /// Chunks of a PNG file get checksums that fit; other bytes stay as they are.
     Png,
-    /// They are packed as a gzip stream.
-    Gzip,
     /// They are one member of an archive, stored; the others are these.
     Member(String, Vec<(String, Vec<u8>)>),
 }
@@ -32,11 +28,6 @@ impl Dress {
         match self {
             Self::Plain => bytes.to_vec(),
             Self::Png => png(bytes),
-            Self::Gzip => {
-                let mut to = GzEncoder::new(Vec::new(), Compression::fast());
-                let packed = to.write_all(bytes).and_then(|()| to.finish());
-                packed.unwrap_or_else(|e| panic!("gzip into memory: {e}"))
-            }
             Self::Member(name, others) => {
                 let mut to = ZipWriter::new(Cursor::new(Vec::new()));
                 let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);

@@ -111,54 +111,6 @@ fn transforms_have_either_axes() {
     assert!((got.cameras[0].0.unproject(9.5, 4.5, 2.0) - Vector3::new(3.0, 0.0, 2.0)).norm() < 1e-12);
 }
 
-#[test]
-fn a_path_of_lichtfeld_studio() {
-    // The poses of its own check of orientations: at rest 5 in front of the origin, and from above. There,
-    // splats are stored with y and z turned round, so what is at (0, 0, 0) of both worlds is in the middle.
-    let s = 0.5f64.sqrt();
-    let text = format!(
-        r#"{{"version": 4, "clip_duration": 30, "keyframes": [
-        {{"time": 3, "position": [0, 5, 0], "rotation": [{s}, {}, 0, 0], "focal_length_mm": 24, "easing": 3}},
-        {{"time": 1, "position": [0, 0, 5], "rotation": [1, 0, 0, 0], "focal_length_mm": 12, "easing": 0}}]}}"#,
-        -s
-    );
-    let got = keyed(&text);
-    let times: Vec<f64> = got.keyframes.iter().map(|k| k.time_s).collect();
-    assert_eq!(times, [0.0, 2.0], "sorted, and from 0");
-    assert!(
-        got.remarks.len() == 1 && got.remarks[0].contains("easing"),
-        "{:?}",
-        got.remarks
-    );
-    let (rotation, centre) = matrix(&got.keyframes[0].pose);
-    assert_eq!((rotation, centre), (Matrix3::identity(), Vector3::new(0.0, 0.0, -5.0)));
-    assert!((got.keyframes[0].fov_y_deg.unwrap() - 90.0).abs() < 1e-12);
-    // Above is -y in the world of the splats; it looks along +y, the top of the picture towards +z.
-    let (rotation, centre) = matrix(&got.keyframes[1].pose);
-    assert_eq!(centre, Vector3::new(0.0, -5.0, 0.0));
-    assert!((rotation.column(2) - Vector3::y()).norm() < 1e-12, "{rotation}");
-    assert!((rotation.column(1) + Vector3::z()).norm() < 1e-12, "{rotation}");
-    assert!((rotation.column(0) - Vector3::x()).norm() < 1e-12, "{rotation}");
-    let key = |more: &str| format!(r#"{{"version": 4, "keyframes": [{{"time": 0, "rotation": [1,0,0,0] {more}}}]}}"#);
-    refused(&key(""), &["position"]);
-    refused(
-        &key(r#", "position": [0, 0], "focal_length_mm": 35"#),
-        &["camera 0", "position has 2"],
-    );
-    refused(
-        &key(r#", "position": [0, 0, 0], "focal_length_mm": 0"#),
-        &["focal_length_mm = 0"],
-    );
-    refused(
-        r#"{"version": 5, "keyframes": [{"time": 0, "position": [0,0,0], "rotation": [1,0,0,0], "focal_length_mm": 35}]}"#,
-        &["version is 5"],
-    );
-    refused(
-        r#"{"keyframes": [{"time": 0, "position": [0,0,0], "rotation": [0,0,0,0], "focal_length_mm": 35}]}"#,
-        &["camera 0", "no rotation"],
-    );
-}
-
 const IDENTITY: &str = r#""c2w": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]"#;
 
 fn own(keyframes: &str) -> String {

@@ -23,8 +23,6 @@ pub enum Need {
     HalfPrecision,
     /// npm, and the packages that it fetches.
     Npm,
-    /// Python with numpy.
-    Numpy,
     /// The benchmark scenes and clips beside the repository.
     Shared,
     /// Published weights of a network.
@@ -45,7 +43,6 @@ impl Need {
             Self::Vulkan => "vulkan",
             Self::HalfPrecision => "half-precision",
             Self::Npm => "npm",
-            Self::Numpy => "numpy",
             Self::Shared => "shared",
             Self::Weights => "weights",
             Self::Instructions => "instructions",
@@ -62,7 +59,6 @@ impl Need {
             Self::Vulkan => "install a Vulkan driver (apt-get install mesa-vulkan-drivers libvulkan1)",
             Self::HalfPrecision => "run the tests on a GPU that computes with 16 bits",
             Self::Npm => "install Node.js with npm, and let it reach its registry",
-            Self::Numpy => "install numpy (pip install numpy), or name a Python that has it in PYTHON",
             Self::Shared => "put the folder `shared` with the benchmark scenes beside the repository",
             Self::Weights => "get the weights (docs/models.md)",
             Self::Instructions => "run the tests on a processor that has them",

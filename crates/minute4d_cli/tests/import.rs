@@ -22,8 +22,6 @@ fn sources_are_told_apart_and_become_captures() {
         ("dycheck", "dycheck", 2),
         ("nvidia", "nvidia", 0),
         ("record3d/clip.r3d", "record3d", 0),
-        ("polycam", "polycam", 0),
-        ("stray", "stray-scanner", 0),
     ] {
         let (source, out) = (fixture(name), dir.at(format));
         let pictures = fixture("clip/images");
@@ -46,7 +44,7 @@ fn sources_are_told_apart_and_become_captures() {
     assert!(dir.path("dycheck").join(Split::Test.file_name()).is_file());
     succeed(&[
         "import",
-        &fixture("polycam"),
+        &fixture("record3d/clip.r3d"),
         "-o",
         &dir.at("dycheck"),
         "--force",
@@ -67,7 +65,7 @@ fn wrong_requests_are_refused_with_advice() {
     let out = dir.at("out");
     fs::create_dir_all(dir.path("empty")).unwrap();
     let empty = dir.at("empty");
-    let (colmap, polycam) = (fixture("colmap_text"), fixture("polycam"));
+    let (colmap, recording) = (fixture("colmap_text"), fixture("record3d/clip.r3d"));
     let davis = fixture("davis/JPEGImages/480p/ball");
     for (args, code, says) in [
         (vec!["import", &*empty, "-o", &out], 65, "none of the layouts"),
@@ -84,7 +82,7 @@ fn wrong_requests_are_refused_with_advice() {
             "cannot be used with",
         ),
         (
-            vec!["import", &polycam, "-o", &out, "--depth", "/nowhere"],
+            vec!["import", &recording, "-o", &out, "--depth", "/nowhere"],
             66,
             "/nowhere",
         ),

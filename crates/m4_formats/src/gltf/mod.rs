@@ -19,15 +19,12 @@
 //!
 //! Source: `extensions/2.0/Khronos/KHR_gaussian_splatting` of `KhronosGroup/glTF`.
 
-mod accessor;
 mod document;
 mod error;
-mod read;
 mod section;
 mod write;
 
-pub use error::{ReadGltfError, WriteGltfError};
-pub use read::read;
+pub use error::WriteGltfError;
 pub use write::{GltfOptions, write};
 
 /// How far the extension is on its way to a standard, said in the file too.

@@ -20,14 +20,12 @@
 
 mod error;
 mod header;
-mod read;
 mod write;
 
 #[cfg(test)]
 mod tests;
 
-pub use error::{ReadSplatvError, WriteSplatvError};
-pub use read::{parse, read};
+pub use error::WriteSplatvError;
 pub use write::write;
 
 /// First word of a file.
@@ -38,5 +36,3 @@ const SPLAT_BYTES: usize = 64;
 const TEXEL_BYTES: usize = 16;
 /// Texels in a row: 1024 splats.
 const TEX_WIDTH: usize = 4096;
-/// Lengths of life, in clips, from which on a splat counts as static: it fades by a thousandth at most.
-const STATIC_LIFE: f64 = 32.0;

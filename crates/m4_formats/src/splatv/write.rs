@@ -37,7 +37,7 @@ pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteSplatvError> {
         texwidth: TEX_WIDTH as u64,
         texheight: rows as u64,
         cameras: views(scene, last),
-        minute4d: Some(Facts::of(scene)),
+        minute4d: Facts::of(scene),
     };
     let json = serde_json::to_vec(&[part]).map_err(|e| WriteSplatvError::BadScene { reason: e.to_string() })?;
     let length = u32::try_from(json.len()).map_err(|_| WriteSplatvError::BadScene {
@@ -144,7 +144,7 @@ fn losses(scene: &Scene, worst_shift: f64) -> Vec<Loss> {
     }
     if scene.mip {
         losses.push(Loss::Dropped(
-            "the Mip filter for players (minute4d finds it in the header)".to_owned(),
+            "the Mip filter for players (the header says that the scene wants it)".to_owned(),
         ));
     }
     if scene.source.iter().any(|s| s.exposure != m4_scene::Exposure::IDENTITY) {

@@ -1,6 +1,6 @@
 //! Splats of one instant to the bytes inside the gzip stream.
 
-use super::layout::{COLOUR_SCALE, FLAG_ANTIALIASED, Header, ROTATION_STEPS, VERSION};
+use super::layout::{COLOUR_SCALE, FLAG_ANTIALIASED, Header, ROTATION_STEPS};
 use super::options::SpzOptions;
 use crate::row::{sigmoid, unit};
 use m4_scene::{Column, Splats};
@@ -29,7 +29,6 @@ pub struct Encoded {
 pub fn encode(splats: &Splats, mip: bool, options: &SpzOptions) -> Result<Encoded, String> {
     let n = splats.n();
     let header = Header {
-        version: VERSION,
         splats: u32::try_from(n).map_err(|_| format!("it has {n} splats; the format counts up to 2^32 - 1"))?,
         sh_degree: splats.layout().sh_degree as u8,
         fractional_bits: fractional_bits(splats, options.fractional_bits)?,

@@ -10,25 +10,21 @@
 //! scales      n x 3 x u8     (ln scale + 10) x 16
 //! rotations   n x u32        smallest three: index of the largest of (x, y, z, w) in the upper 2 bits,
 //!                            then 3 x 10 bits of sign and magnitude, steps of 1/sqrt(2)/511
-//!                            (version 2: n x 3 x u8, x y z of a quaternion with w >= 0)
 //! harmonics   n x k x 3 x u8 128 c + 128, k = (degree + 1)^2 - 1
 //! ```
 //!
 //! Flag 1 says that splats were trained with the opacity-compensated filter. By convention worlds are
 //! right, up, back (RUB); many files in the wild hold the axes of their PLY instead ([`SpzAxes`]).
-//! Version 4 (streams of zstd) is neither written nor read: fewer players know it.
+//! Version 4 (streams of zstd) is not written: fewer players know it.
 //!
 //! Source: the README of `nianticlabs/spz`.
 
-mod decode;
 mod encode;
 mod error;
 mod layout;
 mod options;
-mod read;
 mod write;
 
-pub use error::{ReadSpzError, WriteSpzError};
+pub use error::WriteSpzError;
 pub use options::{SpzAxes, SpzOptions};
-pub use read::read;
 pub use write::write;

@@ -1,6 +1,6 @@
-//! glTF: bytes worked out by hand, round trips, and files that are broken.
+//! glTF: bytes worked out by hand, and files taken apart.
 
-use super::common::{self, Mutation, asymmetric_scene, mutations};
+use super::common::{self, asymmetric_scene};
 use m4_formats::gltf::{self, GltfOptions};
 use m4_scene::Column;
 use serde_json::Value;
@@ -84,29 +84,36 @@ fn the_numbers_of_two_splats() {
 }
 
 #[test]
-fn what_is_read_is_what_was_written() {
+fn what_is_in_the_file_is_the_scene() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.glb");
     for degree in 0..=3 {
         let scene = common::random_scene(degree, 100, 150);
         let written = gltf::write(&path, &scene, &GltfOptions { t: 7.5 }).unwrap();
         let expected = m4_formats::instant(&scene.splats, 7.5, scene.time_frames as f64);
-        let got = gltf::read(&path).unwrap();
-        assert_eq!((got.n(), written.splats), (expected.n(), expected.n()));
-        assert_eq!(got.layout(), expected.layout());
-        common::assert_columns(&got, &expected, Column::Mean, 0.0);
-        common::assert_columns(&got, &expected, Column::Colour, 0.0);
-        common::assert_columns(&got, &expected, Column::LogScale, 1e-5);
-        common::assert_columns(&got, &expected, Column::Opacity, 1e-4);
-        common::assert_rotations(&got, &expected, 1e-5);
+        assert_eq!(written.splats, expected.n());
+        let bytes = std::fs::read(&path).unwrap();
+        let (json, bin) = parts(&bytes);
+        let of = |name: &str, width| attribute(&json, bin, &format!("KHR_gaussian_splatting:{name}"), width);
+        let (position, scale, opacity) = (attribute(&json, bin, "POSITION", 3), of("SCALE", 3), of("OPACITY", 1));
+        let colour = of("SH_DEGREE_0_COEF_0", 3);
+        assert_eq!(position.len(), expected.n());
+        let at = |column, k, i: usize| expected.column(column, k)[i];
+        for i in 0..expected.n() {
+            for (k, sign) in [1.0, -1.0, -1.0].into_iter().enumerate() {
+                assert_eq!(position[i][k], sign * at(Column::Mean, k, i));
+                assert_eq!(colour[i][k], at(Column::Colour, k, i));
+                let sd = at(Column::LogScale, k, i).exp();
+                assert!((scale[i][k] - sd).abs() <= 1e-5 * sd);
+            }
+            let seen = 1.0 / (1.0 + (-at(Column::Opacity, 0, i)).exp());
+            assert!((opacity[i][0] - seen).abs() < 1e-6);
+        }
+        let length = |q: &Vec<f32>| q.iter().map(|v| v * v).sum::<f32>().sqrt();
+        assert!(of("ROTATION", 4).iter().all(|q| (length(q) - 1.0).abs() < 1e-5));
         // what the documentation says: 60 bytes a splat and 12 a harmonic, beside the JSON
-        let (json, bin) = {
-            let bytes = std::fs::read(&path).unwrap();
-            let (json, bin) = parts(&bytes);
-            (json, bin.len())
-        };
         let harmonics = (degree + 1) * (degree + 1) - 1;
-        assert_eq!(bin, got.n() * (60 + 12 * harmonics), "{json}");
+        assert_eq!(bin.len(), expected.n() * (60 + 12 * harmonics), "{json}");
     }
 }
 
@@ -126,50 +133,4 @@ fn an_instant_that_sees_nothing_has_no_file() {
         .to_string();
     assert!(error.contains("splat 0 holds a value that is not a number"), "{error}");
     assert!(!path.exists());
-}
-
-#[test]
-fn broken_files_are_refused_without_much_memory() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scene.glb");
-    gltf::write(&path, &common::random_scene(1, 20, 20), &GltfOptions::default()).unwrap();
-    let file = std::fs::read(&path).unwrap();
-    let json_end = 20 + u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
-    let mut refused = 0;
-    let mut cases = mutations(&file, 200);
-    // within the JSON, with the header's length made right again: what the parser sees
-    for Mutation { bytes, what } in mutations(&file[20..json_end], 400) {
-        let mut bytes = [&file[..20], &bytes, &file[json_end..]].concat();
-        let total = bytes.len() as u32;
-        bytes[8..12].copy_from_slice(&total.to_le_bytes());
-        let len = (json_end - 20) as u32 + total - file.len() as u32;
-        bytes[12..16].copy_from_slice(&len.to_le_bytes());
-        cases.push(Mutation { bytes, what });
-    }
-    for Mutation { bytes, what } in cases {
-        std::fs::write(&path, &bytes).unwrap();
-        match gltf::read(&path) {
-            Ok(splats) => assert!(splats.is_finite() && splats.n() <= bytes.len(), "{what}"),
-            Err(e) => {
-                refused += 1;
-                assert!(e.to_string().contains("scene.glb"), "{what}: {e}");
-            }
-        }
-    }
-    assert!(refused > 200, "{refused}");
-}
-
-#[test]
-fn a_count_beyond_the_file_is_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scene.glb");
-    gltf::write(&path, &asymmetric_scene(0), &GltfOptions::default()).unwrap();
-    let file = std::fs::read(&path).unwrap();
-    // as long as before: 2 becomes 9
-    let at = file.windows(9).position(|w| w == b"\"count\":2").unwrap() + 8;
-    let mut broken = file.clone();
-    broken[at] = b'9';
-    std::fs::write(&path, &broken).unwrap();
-    let error = gltf::read(&path).unwrap_err().to_string();
-    assert!(error.contains("POSITION: 9 rows of 12 bytes"), "{error}");
 }

@@ -1,8 +1,8 @@
-//! SPZ: bytes worked out by hand, round trips, and files that are broken.
+//! SPZ: bytes worked out by hand, and files taken apart.
 
-use super::common::{self, Mutation, asymmetric_scene, mutations};
+use super::common::{self, asymmetric_scene};
 use m4_formats::spz::{self, SpzAxes, SpzOptions};
-use m4_scene::Column;
+use m4_scene::{Column, SplatLayout, Splats};
 use std::io::Read;
 
 fn unpacked(path: &std::path::Path) -> Vec<u8> {
@@ -63,52 +63,94 @@ fn the_bytes_of_two_splats() {
     assert_eq!(y, 2 * one);
 }
 
+/// The splats of a file of degree 3, by the layout that the format's README gives; opacities from 0 to 1.
+fn taken_apart(path: &std::path::Path) -> Splats {
+    let bytes = unpacked(path);
+    let n = u32::from_le_bytes(bytes[8..12].try_into().unwrap()) as usize;
+    let unit = (-f64::from(bytes[13])).exp2();
+    let layout = SplatLayout {
+        isotropic: false,
+        sh_degree: 3,
+        time_degree: 0,
+    };
+    let mut rest = &bytes[16..];
+    let [positions, alphas, colours, scales, rotations, harmonics] = [9, 1, 3, 3, 4, 45].map(|width| {
+        let (block, after) = rest.split_at(n * width);
+        rest = after;
+        block
+    });
+    assert!(rest.is_empty());
+    let mut splats = Splats::zeros(layout, n, 0);
+    for i in 0..n {
+        for k in 0..3 {
+            let p = &positions[9 * i + 3 * k..];
+            let steps = i32::from_le_bytes([0, p[0], p[1], p[2]]) >> 8;
+            splats.column_mut(Column::Mean, k)[i] = (f64::from(steps) * unit) as f32;
+            splats.column_mut(Column::LogScale, k)[i] = f32::from(scales[3 * i + k]) / 16.0 - 10.0;
+            splats.column_mut(Column::Colour, k)[i] = (f32::from(colours[3 * i + k]) / 255.0 - 0.5) / 0.15;
+        }
+        splats.column_mut(Column::Opacity, 0)[i] = f32::from(alphas[i]) / 255.0;
+        for c in 0..45 {
+            splats.column_mut(Column::Colour, 3 + c)[i] = (f32::from(harmonics[45 * i + c]) - 128.0) / 128.0;
+        }
+        let mut packed = u32::from_le_bytes(rotations[4 * i..4 * i + 4].try_into().unwrap());
+        let largest = (packed >> 30) as usize;
+        let mut q = [0f32; 4];
+        for k in (0..4).rev().filter(|&k| k != largest) {
+            let size = (packed & 0x1ff) as f32 * std::f32::consts::FRAC_1_SQRT_2 / 511.0;
+            q[k] = if packed >> 9 & 1 == 1 { -size } else { size };
+            packed >>= 10;
+        }
+        q[largest] = (1.0 - q.iter().map(|v| v * v).sum::<f32>()).max(0.0).sqrt();
+        // x y z w in the file
+        for (k, from) in [3, 0, 1, 2].into_iter().enumerate() {
+            splats.column_mut(Column::Quat, k)[i] = q[from];
+        }
+    }
+    splats
+}
+
 #[test]
-fn what_is_read_is_what_was_written_to_within_half_a_step() {
+fn what_is_in_the_file_is_the_scene_to_within_half_a_step() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.spz");
-    for axes in [SpzAxes::Rub, SpzAxes::Rdf] {
-        let scene = common::random_scene(3, 200, 300);
-        let options = SpzOptions {
-            t: 7.5,
-            axes,
-            sh1_bits: 8,
-            sh_rest_bits: 8,
-            ..SpzOptions::default()
-        };
-        let written = spz::write(&path, &scene, &options).unwrap();
-        let expected = m4_formats::instant(&scene.splats, 7.5, scene.time_frames as f64);
-        let got = spz::read(&path, axes).unwrap();
-        assert_eq!((got.n(), written.splats), (expected.n(), expected.n()));
-        let far = (0..3)
-            .flat_map(|k| expected.column(Column::Mean, k))
-            .fold(0f32, |a, v| a.max(v.abs()));
-        common::assert_columns(&got, &expected, Column::Mean, far / 8_388_607.0);
-        common::assert_columns(&got, &expected, Column::LogScale, 0.5 / 16.0 + 1e-6);
-        let sigmoid = |v: f32| 1.0 / (1.0 + (-v).exp());
-        for (a, b) in got
-            .column(Column::Opacity, 0)
-            .iter()
-            .zip(expected.column(Column::Opacity, 0))
-        {
-            assert!((sigmoid(*a) - sigmoid(*b)).abs() < 0.51 / 255.0);
-        }
-        for c in 0..48 {
-            let tolerance = if c < 3 { 0.51 / 255.0 / 0.15 } else { 0.51 / 128.0 };
-            for (a, b) in got
-                .column(Column::Colour, c)
-                .iter()
-                .zip(expected.column(Column::Colour, c))
-            {
-                assert!((a - b).abs() <= tolerance, "colour {c}: {a} and {b}");
-            }
-        }
-        common::assert_rotations(&got, &expected, 0.003);
-        // the same bytes for the same scene
-        let first = std::fs::read(&path).unwrap();
-        spz::write(&path, &scene, &options).unwrap();
-        assert_eq!(std::fs::read(&path).unwrap(), first);
+    let scene = common::random_scene(3, 200, 300);
+    let options = SpzOptions {
+        t: 7.5,
+        axes: SpzAxes::Rdf,
+        sh1_bits: 8,
+        sh_rest_bits: 8,
+        ..SpzOptions::default()
+    };
+    let written = spz::write(&path, &scene, &options).unwrap();
+    let expected = m4_formats::instant(&scene.splats, 7.5, scene.time_frames as f64);
+    let got = taken_apart(&path);
+    assert_eq!((got.n(), written.splats), (expected.n(), expected.n()));
+    let far = (0..3)
+        .flat_map(|k| expected.column(Column::Mean, k))
+        .fold(0f32, |a, v| a.max(v.abs()));
+    common::assert_columns(&got, &expected, Column::Mean, far / 8_388_607.0);
+    common::assert_columns(&got, &expected, Column::LogScale, 0.5 / 16.0 + 1e-6);
+    let sigmoid = |v: f32| 1.0 / (1.0 + (-v).exp());
+    let logits = expected.column(Column::Opacity, 0);
+    for (opacity, logit) in got.column(Column::Opacity, 0).iter().zip(logits) {
+        assert!((opacity - sigmoid(*logit)).abs() < 0.51 / 255.0);
     }
+    for c in 0..48 {
+        let tolerance = if c < 3 { 0.51 / 255.0 / 0.15 } else { 0.51 / 128.0 };
+        let pairs = got
+            .column(Column::Colour, c)
+            .iter()
+            .zip(expected.column(Column::Colour, c));
+        for (a, b) in pairs {
+            assert!((a - b).abs() <= tolerance, "colour {c}: {a} and {b}");
+        }
+    }
+    common::assert_rotations(&got, &expected, 0.003);
+    // the same bytes for the same scene
+    let first = std::fs::read(&path).unwrap();
+    spz::write(&path, &scene, &options).unwrap();
+    assert_eq!(std::fs::read(&path).unwrap(), first);
 }
 
 #[test]
@@ -163,45 +205,4 @@ fn settings_out_of_range_are_named() {
         0,
         "nothing is left behind"
     );
-}
-
-#[test]
-fn broken_files_are_refused_without_much_memory() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("scene.spz");
-    spz::write(&path, &common::random_scene(1, 50, 50), &SpzOptions::default()).unwrap();
-    let file = std::fs::read(&path).unwrap();
-    let packed = unpacked(&path);
-    let mut refused = 0;
-    for (i, Mutation { bytes, what }) in mutations(&file, 200).into_iter().enumerate() {
-        std::fs::write(&path, &bytes).unwrap();
-        if let Err(e) = spz::read(&path, SpzAxes::Rub) {
-            refused += 1;
-            assert!(e.to_string().contains("scene.spz"), "{i} {what}: {e}");
-        }
-    }
-    assert!(refused > 150, "the checksum of gzip sees a flip: {refused}");
-    // inside the stream, where no checksum helps
-    for Mutation { bytes, what } in mutations(&packed, 200) {
-        let mut gz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-        std::io::Write::write_all(&mut gz, &bytes).unwrap();
-        std::fs::write(&path, gz.finish().unwrap()).unwrap();
-        match spz::read(&path, SpzAxes::Rub) {
-            Ok(splats) => assert!(splats.is_finite() && splats.n() <= 20 * bytes.len(), "{what}"),
-            Err(e) => assert!(e.to_string().contains("scene.spz"), "{what}: {e}"),
-        }
-    }
-}
-
-#[test]
-fn a_count_that_the_file_cannot_hold_is_seen_before_anything_is_unpacked() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("bomb.spz");
-    let mut head = b"NGSP\x03\0\0\0\xff\xff\xff\xff\x03\x0c\0\0".to_vec();
-    head.extend([0; 64]);
-    let mut gz = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    std::io::Write::write_all(&mut gz, &head).unwrap();
-    std::fs::write(&path, gz.finish().unwrap()).unwrap();
-    let error = spz::read(&path, SpzAxes::Rub).unwrap_err().to_string();
-    assert!(error.contains("4294967295 splats"), "{error}");
 }

@@ -4,12 +4,9 @@ use super::{alone, made};
 use crate::dress::Dress;
 use crate::reader::{Around, Outcome, Reader};
 use crate::sound;
-use flate2::read::GzDecoder;
 use m4_formats::cameras::colmap::{self, ColmapEncoding, ColmapOptions};
 use m4_formats::cameras::nerfstudio::{self, NerfstudioOptions};
-use m4_formats::spz::{self, SpzAxes, SpzOptions};
-use m4_formats::{fourdgs, gltf, ply, splatv, usd};
-use std::io::Read as _;
+use m4_formats::{fourdgs, ply};
 use std::path::Path;
 
 pub fn rows() -> Vec<Reader> {
@@ -33,40 +30,6 @@ fn splats() -> Vec<Reader> {
         all.push(text_of(&all[0]));
         all
     };
-    let textures = || vec![splatv_of_few()];
-    let stages = || {
-        let options = usd::UsdOptions {
-            step_frames: 3,
-            ..usd::UsdOptions::default()
-        };
-        DEGREES
-            .map(|d| made::written("a.usda", |p| usd::write(p, &made::scene(d), &options)))
-            .to_vec()
-    };
-    let meshes = || {
-        DEGREES
-            .map(|d| {
-                made::written("a.glb", |p| {
-                    gltf::write(p, &made::scene(d), &gltf::GltfOptions::default())
-                })
-            })
-            .to_vec()
-    };
-    let packed = || {
-        DEGREES
-            .map(|d| made::written("a.spz", |p| spz::write(p, &made::scene(d), &SpzOptions::default())))
-            .to_vec()
-    };
-    let unpacked = move || {
-        let one = |packed: Vec<u8>| {
-            let mut bytes = Vec::new();
-            let read = GzDecoder::new(packed.as_slice()).read_to_end(&mut bytes);
-            read.unwrap_or_else(|e| panic!("what was packed: {e}"));
-            bytes
-        };
-        packed().into_iter().map(one).collect()
-    };
-    let read_spz = |p: &Path| Outcome::of(spz::read(p, SpzAxes::Rub), sound::splats);
     vec![
         alone("formats-4dgs", "a.4dgs", clips, |p| {
             Outcome::of(fourdgs::read(p), |found| sound::scene(&found.scene))
@@ -74,26 +37,7 @@ fn splats() -> Vec<Reader> {
         alone("formats-ply", "a.ply", instants, |p| {
             Outcome::of(ply::read(p), |found| sound::scene(&found.scene))
         }),
-        alone("formats-splatv", "a.splatv", textures, |p| {
-            Outcome::of(splatv::read(p), |found| sound::scene(&found.scene))
-        }),
-        alone("formats-usd", "a.usda", stages, |p| {
-            Outcome::of(usd::read(p, 1.5), sound::splats)
-        }),
-        alone("formats-gltf", "a.glb", meshes, |p| {
-            Outcome::of(gltf::read(p), sound::splats)
-        }),
-        alone("formats-spz", "a.spz", packed, read_spz),
-        Reader {
-            dress: Dress::Gzip,
-            ..alone("formats-spz-unpacked", "a.spz", unpacked, read_spz)
-        },
     ]
-}
-
-/// A `.splatv` file of which the texture is one row: 64 KiB, most of it nothing.
-fn splatv_of_few() -> Vec<u8> {
-    made::written("a.splatv", |p| splatv::write(p, &made::scene(0)))
 }
 
 /// A binary PLY file of 32-bit numbers as text.

@@ -5,8 +5,7 @@ use crate::dress::Dress;
 use crate::fixture::{copy, fixture};
 use crate::reader::{Around, Outcome, Reader};
 use crate::sound;
-use m4_import::SourceFormat::{self, Colmap, Da3, Dycheck, Kitti, Megasam, Monst3r, Nerfstudio, Nvidia, Polycam};
-use m4_import::SourceFormat::{Record3d, StrayScanner, Tum, Vggt, Vipe};
+use m4_import::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
 use m4_import::{ImportOptions, formats::davis};
 use m4_io::reach::Reach;
 use m4_io::video::VideoOptions;
@@ -96,18 +95,6 @@ fn cameras_of_tools() -> Vec<Reader> {
         ),
         beside_clip("import-instant4d", "transforms.json"),
         beside_clip("import-instant4d-depth", "depth_2.npy"),
-        plain("import-monst3r-trajectory", Monst3r, "monst3r", "pred_traj.txt"),
-        plain("import-monst3r-intrinsics", Monst3r, "monst3r", "pred_intrinsics.txt"),
-        plain("import-monst3r-depth", Monst3r, "monst3r", "frame_0001.npy"),
-        plain("import-tum-poses", Tum, "tum", "groundtruth.txt"),
-        plain("import-tum-pictures", Tum, "tum", "rgb.txt"),
-        plain("import-tum-depth", Tum, "tum", "depth.txt"),
-        plain("import-tum-intrinsics", Tum, "tum", "intrinsics.txt"),
-        plain("import-kitti-poses", Kitti, "kitti", "poses.txt"),
-        plain("import-kitti-calibration", Kitti, "kitti", "calib.txt"),
-        plain("import-kitti-times", Kitti, "kitti", "times.txt"),
-        plain("import-da3-streaming-poses", Da3, "da3_streaming", "camera_poses.txt"),
-        plain("import-da3-streaming-lens", Da3, "da3_streaming", "intrinsic.txt"),
     ]
 }
 
@@ -147,39 +134,6 @@ fn archives_of_tools() -> Vec<Reader> {
         member("import-vipe-mask-png", Vipe, "vipe", "mask/dog.zip", "00002.png"),
         plain("import-vipe-names", Vipe, "vipe", "mask/dog.txt"),
         plain("import-vipe-video", Vipe, "vipe", "rgb/dog.mp4"),
-        plain("import-da3", Da3, "da3", "exports/npz/results.npz"),
-        member("import-da3-image", Da3, "da3", "exports/npz/results.npz", "image.npy"),
-        member("import-da3-depth", Da3, "da3", "exports/npz/results.npz", "depth.npy"),
-        member(
-            "import-da3-extrinsics",
-            Da3,
-            "da3",
-            "exports/npz/results.npz",
-            "extrinsics.npy",
-        ),
-        member(
-            "import-da3-intrinsics",
-            Da3,
-            "da3",
-            "exports/npz/results.npz",
-            "intrinsics.npy",
-        ),
-        plain(
-            "import-da3-streaming-frame",
-            Da3,
-            "da3_streaming",
-            "results_output/frame_2.npz",
-        ),
-        plain("import-vggt", Vggt, "vggt/predictions.npz", ""),
-        member(
-            "import-vggt-extrinsic",
-            Vggt,
-            "vggt/predictions.npz",
-            "",
-            "extrinsic.npy",
-        ),
-        member("import-vggt-images", Vggt, "vggt/predictions.npz", "", "images.npy"),
-        member("import-vggt-depth", Vggt, "vggt/predictions.npz", "", "depth.npy"),
         megasam(),
     ]
 }
@@ -222,34 +176,6 @@ fn telephones() -> Vec<Reader> {
             "",
             "rgbd/0.depth",
         ),
-        plain(
-            "import-polycam-camera",
-            Polycam,
-            "polycam",
-            "keyframes/corrected_cameras/10000000000.json",
-        ),
-        plain(
-            "import-polycam-depth",
-            Polycam,
-            "polycam",
-            "keyframes/depth/10000000000.png",
-        ),
-        plain(
-            "import-polycam-confidence",
-            Polycam,
-            "polycam",
-            "keyframes/confidence/10000000000.png",
-        ),
-        plain(
-            "import-polycam-picture",
-            Polycam,
-            "polycam",
-            "keyframes/corrected_images/10000000000.jpg",
-        ),
-        plain("import-stray-odometry", StrayScanner, "stray", "odometry.csv"),
-        plain("import-stray-lens", StrayScanner, "stray", "camera_matrix.csv"),
-        plain("import-stray-video", StrayScanner, "stray", "rgb.mp4"),
-        plain("import-stray-depth", StrayScanner, "stray", "depth/000001.png"),
     ]
 }
 

@@ -11,10 +11,8 @@ use std::path::PathBuf;
 pub struct ImportOptions {
     /// Frames a second, above 0, where the files have no clock; `None` takes 30 and says so.
     pub fps: Option<f64>,
-    /// Folder or video of the pictures, for sources that bring poses alone; `None` looks where the format has them.
+    /// Folder or video of the pictures, where they lie elsewhere; `None` looks where the format has them.
     pub pictures: Option<PathBuf>,
-    /// Focal length of the pictures, pixels, for sources that bring no lens; the principal point is then their centre.
-    pub focal_px: Option<f64>,
     /// Folder of depth maps, one a frame in the order of names (PNG of 16 bits, EXR, PFM, npy), or an npz file.
     pub depth: Option<PathBuf>,
     /// Scene units a step of 16-bit depth maps; `None` takes what the format says, or 0.001.
@@ -44,7 +42,6 @@ impl Default for ImportOptions {
         Self {
             fps: None,
             pictures: None,
-            focal_px: None,
             depth: None,
             depth_unit: None,
             masks: None,

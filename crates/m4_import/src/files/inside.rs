@@ -38,12 +38,3 @@ impl Inside {
         files.into_iter().map(|file| self.file(file)).collect()
     }
 }
-
-/// The folder of a source that is a folder or a file in it.
-pub(crate) fn folder_of(path: &Path) -> &Path {
-    if path.is_dir() {
-        path
-    } else {
-        path.parent().unwrap_or(Path::new(""))
-    }
-}

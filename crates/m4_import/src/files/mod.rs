@@ -3,9 +3,8 @@
 //! ```text
 //! bytes      whole files, text
 //! json       JSON, of a file or of a member of an archive
-//! table      lines of numbers
 //! npy        an array in a .npy file; opening archives of arrays (.npz)
-//! arrays     arrays of an archive as poses, lenses, depth and pictures
+//! arrays     small arrays of an archive: poses, lenses
 //! zipped     members of a zip archive, or of the folder that it was unpacked to
 //! names      files of a folder in order, names below a folder
 //! inside     which files may be read: by their names and by links they may lead elsewhere
@@ -23,7 +22,6 @@ pub(crate) mod lens;
 pub(crate) mod npy;
 pub(crate) mod pictures;
 pub(crate) mod pose;
-pub(crate) mod table;
 
 mod bytes;
 mod inside;
@@ -32,7 +30,7 @@ mod names;
 mod zipped;
 
 pub(crate) use bytes::{bytes, text};
-pub(crate) use inside::{Inside, folder_of};
+pub(crate) use inside::Inside;
 pub(crate) use json::{json, parse_json};
 pub(crate) use names::{below, first_bytes, listed, stem};
 pub(crate) use zipped::Members;

@@ -16,7 +16,6 @@ const FREE_PIXELS: u64 = 1 << 20;
 /// A picture that is not decoded yet.
 #[derive(Debug)]
 pub(crate) struct Picture {
-    pub name: String,
     /// `(width, height)`.
     pub size: (usize, usize),
     pub rgb: FrameSource<RgbImage>,
@@ -35,7 +34,6 @@ pub(crate) fn of_file(path: &Path) -> Result<Picture, SourceFault> {
     let size = size_of(path)?;
     let file = path.to_path_buf();
     Ok(Picture {
-        name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         size,
         rgb: FrameSource::new(move || Ok(image::read_rgb(&file)?)),
     })
@@ -67,8 +65,7 @@ pub(crate) fn read(
     let clip = video::read(path, &as_stored, progress).map_err(|e| of_video(path, e))?;
     clip.warnings.iter().for_each(|warning| progress.warn(warning));
     let times_s = clip.frames.iter().map(|frame| frame.time_s).collect();
-    let all = clip.frames.into_iter().enumerate().map(|(i, frame)| Picture {
-        name: format!("{i:05}"),
+    let all = clip.frames.into_iter().map(|frame| Picture {
         size: frame.rgb.size(),
         rgb: FrameSource::held(frame.rgb),
     });

@@ -2,27 +2,19 @@
 //!
 //! ```text
 //! data sets          dycheck, nvidia; davis, which has no poses and is read by itself
-//! telephones         record3d, polycam, stray
-//! reconstructions    colmap, nerfstudio, vipe, da3, megasam, vggt, monst3r; dump: archives of a whole clip (da3, vggt)
-//! poses alone        trajectory: tum, kitti
+//! telephones         record3d
+//! reconstructions    colmap, nerfstudio, vipe, megasam
 //!
 //! path -> detect -> the format's list -> Listing -> side::attach -> core::load -> Imported
 //! ```
 
 mod colmap;
-mod da3;
 pub mod davis;
-mod dump;
 pub mod dycheck;
 mod megasam;
-mod monst3r;
 mod nerfstudio;
 mod nvidia;
-mod polycam;
 mod record3d;
-mod stray;
-mod trajectory;
-mod vggt;
 mod vipe;
 
 use crate::core::{ImportOptions, Imported, Listing, ReadSourceError, SourceFault, load};
@@ -42,29 +34,14 @@ pub enum SourceFormat {
     Nvidia,
     /// Record3D's `.r3d`.
     Record3d,
-    /// Polycam's raw data.
-    Polycam,
-    /// Stray Scanner.
-    StrayScanner,
     /// COLMAP's sparse model with its pictures.
     Colmap,
     /// `transforms.json` of nerfstudio, Blender, Instant4D, and our own captures.
     Nerfstudio,
     /// Artifacts of ViPE.
     Vipe,
-    /// Depth Anything 3 and DA3-Streaming.
-    Da3,
     /// Files of MegaSaM.
     Megasam,
-    /// Archives of VGGT and networks that name their arrays alike.
-    Vggt,
-    /// Folders of MonST3R.
-    #[serde(rename = "monst3r")]
-    Monst3r,
-    /// Trajectories of the TUM benchmark.
-    Tum,
-    /// Trajectories of KITTI.
-    Kitti,
 }
 
 /// What is known of one format.
@@ -97,18 +74,6 @@ const ROWS: &[Row] = &[
         list: record3d::list,
     },
     Row {
-        format: SourceFormat::Polycam,
-        name: "polycam",
-        detect: polycam::detect,
-        list: polycam::list,
-    },
-    Row {
-        format: SourceFormat::StrayScanner,
-        name: "stray-scanner",
-        detect: stray::detect,
-        list: stray::list,
-    },
-    Row {
         format: SourceFormat::Colmap,
         name: "colmap",
         detect: colmap::detect,
@@ -127,40 +92,10 @@ const ROWS: &[Row] = &[
         list: vipe::list,
     },
     Row {
-        format: SourceFormat::Da3,
-        name: "da3",
-        detect: da3::detect,
-        list: da3::list,
-    },
-    Row {
         format: SourceFormat::Megasam,
         name: "megasam",
         detect: megasam::detect,
         list: megasam::list,
-    },
-    Row {
-        format: SourceFormat::Vggt,
-        name: "vggt",
-        detect: vggt::detect,
-        list: vggt::list,
-    },
-    Row {
-        format: SourceFormat::Monst3r,
-        name: "monst3r",
-        detect: monst3r::detect,
-        list: monst3r::list,
-    },
-    Row {
-        format: SourceFormat::Tum,
-        name: "tum",
-        detect: trajectory::detect_tum,
-        list: trajectory::list_tum,
-    },
-    Row {
-        format: SourceFormat::Kitti,
-        name: "kitti",
-        detect: trajectory::detect_kitti,
-        list: trajectory::list_kitti,
     },
 ];
 

@@ -77,8 +77,8 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     };
     let inside = Inside::of(&run, options);
     let part = |folder: &str, file: &str| run.join(folder).join(file);
-    let (pose_file, poses) = indexed(&part("pose", &format!("{name}.npz")), 16, options)?;
-    let (lens_file, lenses) = indexed(&part("intrinsics", &format!("{name}.npz")), 4, options)?;
+    let (pose_file, poses) = indexed(&part("pose", &format!("{name}.npz")), 16)?;
+    let (lens_file, lenses) = indexed(&part("intrinsics", &format!("{name}.npz")), 4)?;
     pinholes(&part("intrinsics", &format!("{name}_camera.txt")))?;
     let clip = options
         .pictures
@@ -144,12 +144,8 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
 }
 
 /// The arrays `data` and `inds`: the `width` numbers of each frame that has some.
-fn indexed(
-    file: &Path,
-    width: usize,
-    options: &ImportOptions,
-) -> Result<(PathBuf, BTreeMap<usize, Vec<f64>>), ReadSourceError> {
-    let mut arrays = Arrays::open(file, options)?;
+fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f64>>), ReadSourceError> {
+    let mut arrays = Arrays::open(file)?;
     let data = arrays.need(&["data"], "it is needed")?;
     let inds = arrays.need(&["inds"], "it is needed")?;
     let (shape, data) = arrays.numbers(data, 2)?;

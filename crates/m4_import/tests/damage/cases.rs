@@ -1,8 +1,7 @@
 //! What is damaged, and how it is read.
 
 use crate::common::fixture;
-use m4_import::SourceFormat::{self, Colmap, Da3, Kitti, Megasam, Monst3r, Nerfstudio, Tum, Vggt, Vipe};
-use m4_import::SourceFormat::{Dycheck, Nvidia, Polycam, Record3d, StrayScanner};
+use m4_import::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
 use m4_import::formats::davis;
 use m4_import::{ImportOptions, read};
 use m4_io::reach::Reach;
@@ -99,10 +98,6 @@ pub fn all() -> Vec<Case> {
         plain("record3d unpacked", Record3d, &["metadata", "jpg"], 15),
         plain("record3d unpacked", Record3d, &[".depth", ".conf"], 15),
         plain("record3d large", Record3d, &[".depth"], 15),
-        plain("import/polycam", Polycam, &["corrected", "depth", "confidence"], 15),
-        plain("import/polycam", Polycam, &["corrected_cameras"], 15),
-        plain("import/stray", StrayScanner, &[], 15),
-        plain("import/stray", StrayScanner, &[".csv"], 15),
         side(&["depth_exr"], |o, file| o.depth = Some(file.into())),
         side(&["depth_pfm"], |o, file| o.depth = Some(file.into())),
         side(&["depth_png"], |o, file| o.depth = Some(file.into())),
@@ -139,17 +134,6 @@ pub fn all() -> Vec<Case> {
         plain("import/vipe", Vipe, &["mask/dog.zip"], 40),
         plain("import/vipe", Vipe, &["mask/dog.txt"], 20),
         plain("import/vipe", Vipe, &["rgb/dog.mp4"], 20),
-        plain("import/da3", Da3, &["exports/npz/results.npz"], 40),
-        plain("import/da3_streaming", Da3, &["camera_poses.txt"], 40),
-        plain("import/da3_streaming", Da3, &["results_output/frame_2.npz"], 40),
-        plain("import/vggt/predictions.npz", Vggt, &[], 40),
-        plain("import/monst3r", Monst3r, &["pred_traj.txt"], 40),
-        plain("import/monst3r", Monst3r, &["pred_intrinsics.txt"], 40),
-        plain("import/monst3r", Monst3r, &["frame_0001.npy"], 20),
-        plain("import/tum", Tum, &["groundtruth.txt"], 20),
-        plain("import/tum", Tum, &["rgb.txt"], 10),
-        plain("import/kitti", Kitti, &["poses.txt"], 40),
-        plain("import/kitti", Kitti, &["calib.txt"], 5),
         plain("megasam/outputs/dog_droid.npz", Megasam, &[], 40),
     ]
 }

@@ -85,7 +85,7 @@ fn folders_that_the_options_name_may_be_read() {
 #[cfg(unix)]
 #[test]
 fn links_out_of_a_source_are_not_followed() {
-    use SourceFormat::{Colmap, Da3, Dycheck, Kitti, Monst3r, Nvidia, Polycam, StrayScanner, Tum, Vipe};
+    use SourceFormat::{Colmap, Dycheck, Nvidia, Vipe};
     for (name, format, files) in [
         ("colmap_opencv", Colmap, &["images/00000.png", "images"][..]),
         (
@@ -104,38 +104,11 @@ fn links_out_of_a_source_are_not_followed() {
             ],
         ),
         (
-            "polycam",
-            Polycam,
-            &[
-                "keyframes/corrected_images/9999800000.jpg",
-                "keyframes/depth/9999900000.png",
-                "keyframes/confidence/9999900000.png",
-            ],
-        ),
-        (
-            "stray",
-            StrayScanner,
-            &["rgb.mp4", "depth/000003.png", "confidence/000002.png"],
-        ),
-        (
             "nerfstudio",
             Nerfstudio,
             &["images/frame_2.jpg", "depth/3.png", "masks/2.png"],
         ),
         ("vipe", Vipe, &["rgb/dog.mp4", "depth/dog.zip", "mask/dog.zip"]),
-        ("da3", Da3, &["exports/npz/results.npz"]),
-        ("da3_streaming", Da3, &["results_output/frame_1.npz"]),
-        (
-            "monst3r",
-            Monst3r,
-            &["frame_0003.png", "frame_0002.npy", "dynamic_mask_0.png"],
-        ),
-        (
-            "tum",
-            Tum,
-            &["rgb/1305031102.000000.png", "depth/1305031102.200000.png"],
-        ),
-        ("kitti", Kitti, &["image_2/000002.png", "image_2"]),
     ] {
         for file in files {
             let (dir, here) = copied(&format!("import/{name}"));

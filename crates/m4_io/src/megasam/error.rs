@@ -1,4 +1,4 @@
-//! Why files of MegaSaM could not be read or written.
+//! Why files of MegaSaM could not be read.
 
 use crate::ErrorKind;
 use crate::npy::ArrayFault;
@@ -121,54 +121,6 @@ impl ReadMegasamError {
             | MegasamFault::Shape { .. }
             | MegasamFault::Value { .. }
             | MegasamFault::Option { .. } => ErrorKind::BadData,
-        }
-    }
-}
-
-/// Why a capture could not be written as files of MegaSaM.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum WriteMegasamError {
-    /// The file system refused.
-    #[error("cannot write {}: {source}; check the folder's permissions and free space", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The capture cannot be said in this form.
-    #[error("the capture cannot be written to {} as files of MegaSaM: {what}", path.display())]
-    Capture {
-        /// The file.
-        path: PathBuf,
-        /// What is in the way, and what to do.
-        what: String,
-    },
-    /// What was written does not read back.
-    #[error("{} was written but does not read back: {what}; nothing was kept, check the disk", path.display())]
-    ReadBack {
-        /// The file.
-        path: PathBuf,
-        /// The difference.
-        what: String,
-    },
-    /// The caller asked to stop.
-    #[error("stopped while writing {}; nothing was kept", path.display())]
-    Cancelled {
-        /// The file.
-        path: PathBuf,
-    },
-}
-
-impl WriteMegasamError {
-    /// The sort of this failure.
-    #[must_use]
-    pub fn kind(&self) -> ErrorKind {
-        match self {
-            Self::Io { .. } | Self::ReadBack { .. } => ErrorKind::CannotWrite,
-            Self::Capture { .. } => ErrorKind::BadData,
-            Self::Cancelled { .. } => ErrorKind::Cancelled,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Lenses: the principal point is measured from the image's corner on both sides (see [the module](super)).
+//! Lenses: the principal point is measured from the image's corner (see [the module](super)).
 
 use super::MegasamFault;
 use m4_scene::Intrinsics;
@@ -47,14 +47,4 @@ pub(super) fn of_matrix(k: &[f64], size: (usize, usize)) -> Result<Intrinsics, M
         });
     }
     of_numbers(ARRAY, 0, [k[0], k[4], k[2], k[5]], size)
-}
-
-/// `[fx, fy, cx, cy]` of a pinhole.
-pub(super) fn numbers(k: &Intrinsics) -> [f64; 4] {
-    [k.fx, k.fy, k.cx, k.cy]
-}
-
-/// The matrix of a pinhole, `[3][3]`.
-pub(super) fn matrix(k: &Intrinsics) -> [f64; 9] {
-    [k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]
 }

@@ -1,4 +1,4 @@
-//! Files of MegaSaM, read as a [`Capture`](m4_scene::Capture) and written from one.
+//! Files of MegaSaM, read as a [`Capture`](m4_scene::Capture).
 //!
 //! ```text
 //! NAME_droid.npz         images u8 [n][h][w][3] RGB    depths f32 [n][h][w]    intrinsic f64 [3][3]    cam_c2w f32 [n][4][4]
@@ -7,7 +7,6 @@
 //!                        motion_prob.npy [n][h/8][w/8]
 //!
 //! read:   file or folder -> shapes compared -> lenses, poses -> pictures, depth, masks -> Capture
-//! write:  Capture -> arrays -> a file under another name -> read back, compared -> its own name
 //! ```
 //!
 //! Source: section 1.9 of the specification of the front end, and the scripts of MegaSaM (Li et al. 2025; Apache-2.0)
@@ -22,12 +21,11 @@
 //! * `motion_prob` is **high where things stand still** (it weighs the bundle adjustment). The probability of motion is
 //!   `1 - m`; a pixel moves where that is above `tau_motion`, after `m` was resized bilinearly to the picture. Where more
 //!   than 60 % of the pixels come out as moving the map is probably one of the other polarity, and a warning says so.
-//!   Written is the share of a block of 8 x 8 pixels that stands still.
 //! * Principal point: **the numbers are taken as they are**, as measured from the image's corner, where the centre of
 //!   the first pixel is at (0.5, 0.5). MegaSaM sets `cx = W/2` and then counts pixels from their corners in some places
 //!   (normals, and Instant4D's lifting of its files) and from their centres in others (tracking, flow loss), so no
-//!   choice agrees with all of it. This one is what `W/2` means for a camera, what the readers of these files assume, and
-//!   brings back what was written. Against the rays of the tracker it turns every camera by the same half pixel, about 0.05
+//!   choice agrees with all of it. This one is what `W/2` means for a camera, and what the readers of these files
+//!   assume. Against the rays of the tracker it turns every camera by the same half pixel, about 0.05
 //!   degrees at 500 pixels of focal length.
 //! * Time: the files have no clock. Frames are evenly spaced at [`MegasamOptions::fps`].
 //!
@@ -39,12 +37,9 @@ mod input;
 mod lens;
 mod motion;
 mod options;
-mod output;
 mod pose;
 mod read;
-mod write;
 
-pub use error::{MegasamFault, ReadMegasamError, WriteMegasamError};
+pub use error::{MegasamFault, ReadMegasamError};
 pub use options::{Layout, MegasamOptions, detect};
 pub use read::read;
-pub use write::{Written, write};

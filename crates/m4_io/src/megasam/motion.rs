@@ -1,11 +1,11 @@
-//! `motion_prob` to masks and back.
+//! `motion_prob` to masks.
 
 use super::{MegasamFault, MegasamOptions};
 use m4_scene::{CompactMask, Progress};
 use std::path::{Path, PathBuf};
 
 /// Name of the file.
-pub(super) const FILE: &str = "motion_prob.npy";
+const FILE: &str = "motion_prob.npy";
 /// Pixels to a side of what one number stands for.
 pub(super) const BLOCK: usize = 8;
 /// Largest share of moving pixels that is believed.
@@ -104,20 +104,9 @@ pub(super) fn check_polarity<'a>(
     }
 }
 
-/// The share of each whole block that stands still; `moving` tells how likely a pixel moves.
-pub(super) fn still_share(size: (usize, usize), moving: impl Fn(usize, usize) -> f32) -> Vec<f32> {
-    let (across, down) = (size.0 / BLOCK, size.1 / BLOCK);
-    let block = |i: usize| {
-        let (x0, y0) = (i % across * BLOCK, i / across * BLOCK);
-        let still = (0..BLOCK * BLOCK).map(|k| 1.0 - moving(x0 + k % BLOCK, y0 + k / BLOCK));
-        still.sum::<f32>() / (BLOCK * BLOCK) as f32
-    };
-    (0..across * down).map(block).collect()
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{candidates, mask, still_share};
+    use super::{candidates, mask};
     use std::path::Path;
 
     #[test]
@@ -136,12 +125,6 @@ mod tests {
                 .to_string()
                 .contains("frame 4")
         );
-    }
-
-    #[test]
-    fn blocks_say_how_much_of_them_stands_still() {
-        let got = still_share((17, 8), |x, _| if x >= 12 { 1.0 } else { 0.0 });
-        assert_eq!(got, [1.0, 0.5]);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::MegasamFault;
 use crate::capture::Pose;
 use m4_math::Se3;
-use m4_math::nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
+use m4_math::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// How far the length of a quaternion may be from 1: f32, and what a bundle adjustment leaves.
 const UNIT_WITHIN: f64 = 1e-2;
@@ -45,29 +45,12 @@ pub(super) fn of_w2c(frame: usize, p: &[f64]) -> Result<Se3<f64>, MegasamFault> 
     Ok(w2c.inverse())
 }
 
-/// `tx ty tz qx qy qz qw` of a pose camera to world; `qw` is not below 0.
-pub(super) fn to_w2c(c2w: &Se3<f64>) -> [f64; 7] {
-    let w2c = c2w.inverse();
-    let rotation: Matrix3<f64> = w2c.rotation;
-    let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
-    let sign = if q.w < 0.0 { -1.0 } else { 1.0 };
-    let t = w2c.translation;
-    [t.x, t.y, t.z, sign * q.i, sign * q.j, sign * q.k, sign * q.w]
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{of_w2c, to_w2c};
-    use m4_math::{Se3, nalgebra::Vector6};
+    use super::of_w2c;
 
     #[test]
-    fn quaternions_come_back() {
-        for k in 0..40 {
-            let a = 0.37 * f64::from(k);
-            let c2w = Se3::identity().retract(&Vector6::new(1.0, -a, 2.0, a.sin() * 3.0, a.cos() * 2.0, a));
-            let got = of_w2c(0, &to_w2c(&c2w)).unwrap();
-            assert!((got.matrix() - c2w.matrix()).amax() < 1e-12);
-        }
+    fn poses_are_inverted_and_what_is_none_is_named() {
         // a quarter turn about y, then 3 along z: qw is the last number
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let c2w = of_w2c(0, &[0.0, 0.0, 3.0, 0.0, half, 0.0, half]).unwrap();

@@ -13,9 +13,7 @@
 mod array;
 mod header;
 mod npz;
-mod pieces;
 
 pub use array::{Array, ArrayFault, Number};
 pub(crate) use header::Header;
 pub use npz::Npz;
-pub(crate) use pieces::{Pieces, same, write_npy, write_npz};

@@ -18,7 +18,7 @@ pub enum ReadTrajectoryError {
         source: io::Error,
     },
     /// The file is not JSON of a known layout.
-    #[error("{} is not a camera path: {reason}; give a nerfstudio transforms.json or camera_path.json, a path of LichtFeld Studio, or keyframes as docs/paths.md describes them", path.display(), reason = shortened(reason))]
+    #[error("{} is not a camera path: {reason}; give a nerfstudio transforms.json or camera_path.json, or keyframes as docs/paths.md describes them", path.display(), reason = shortened(reason))]
     Json {
         /// The file.
         path: PathBuf,

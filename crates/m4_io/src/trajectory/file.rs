@@ -1,6 +1,6 @@
 //! A camera path file of any layout.
 
-use super::{Keyed, ReadTrajectoryError, keyed, lichtfeld, listed, nerfstudio, own};
+use super::{Keyed, ReadTrajectoryError, keyed, listed, nerfstudio, own};
 use m4_scene::Camera;
 use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
@@ -48,7 +48,6 @@ struct Probe {
 #[derive(Deserialize)]
 struct ProbeKey {
     matrix: Option<IgnoredAny>,
-    rotation: Option<IgnoredAny>,
     time_s: Option<IgnoredAny>,
 }
 
@@ -128,14 +127,12 @@ fn of_bytes(bytes: &[u8], time_frames: usize) -> Result<Trajectory, Fault> {
     }
     match probe.keyframes.first() {
         Some(ProbeKey { matrix: Some(_), .. }) => checked(nerfstudio::keyed(&json(bytes)?, last_frame)?),
-        Some(ProbeKey { rotation: Some(_), .. }) => checked(lichtfeld::keyed(json(bytes)?)?),
         Some(ProbeKey { time_s: Some(_), .. }) => Err(Fault::File(format!(
             "its keyframes have time_s, but \"format\": {:?} is missing",
             own::FORMAT
         ))),
         Some(_) => Err(Fault::File(
-            "its first keyframe has neither a matrix (nerfstudio) nor a rotation (LichtFeld Studio) nor time_s"
-                .to_owned(),
+            "its first keyframe has neither a matrix (nerfstudio) nor time_s".to_owned(),
         )),
         None => Err(Fault::File("it has no frames, camera_path or keyframes".to_owned())),
     }

@@ -1,6 +1,6 @@
 //! Camera paths to render along.
 //!
-//! Five layouts of JSON are read, told apart by their keys. Two list a camera a picture:
+//! Four layouts of JSON are read, told apart by their keys. Two list a camera a picture:
 //!
 //! ```text
 //! transforms.json   frames[].transform_matrix, fl_x .. h, time (nerfstudio; as in crate::capture,
@@ -9,19 +9,17 @@
 //!                   render_time; render_width, render_height, fps, camera_type; OpenGL axes
 //! ```
 //!
-//! and three hold keyframes, between which the caller interpolates ([`Keyed`]):
+//! and two hold keyframes, between which the caller interpolates ([`Keyed`]):
 //!
 //! ```text
 //! minute4d-path     our own, described in docs/paths.md
 //! camera_path.json  keyframes[].matrix without camera_path: row-major numbers, or column-major text
 //!                   as the viewer wrote them up to version 0.3
-//! LichtFeld Studio  keyframes[].time, position, rotation (w, x, y, z), focal_length_mm, easing
 //! ```
 
 mod error;
 mod file;
 mod keyed;
-mod lichtfeld;
 mod listed;
 mod nerfstudio;
 mod own;

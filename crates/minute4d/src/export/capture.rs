@@ -1,18 +1,15 @@
 //! A capture as files of other tools.
 
 use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
-use crate::folder::CAPTURE_FOLDER;
-use crate::{Error, Observer, Settings, is_capture};
+use crate::{Error, Observer, Settings};
 use m4_formats::captures::{self, WriteCaptureAsError};
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_io::megasam::{self, WriteMegasamError};
 use m4_scene::Capture;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
-/// Writes the capture at `input`, or the one in the folder of a run.
+/// Writes the capture at `input`.
 pub(super) fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
-    let found = find(input, job)?;
     let name = job.format.name_of_capture();
     let out = match &job.out {
         Some(out) => out.clone(),
@@ -26,12 +23,12 @@ pub(super) fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Re
         reach: job.reach,
         ..Settings::fast().capture
     };
-    let train = capture::read(&found, Split::Train, &options, observer)?;
-    // MegaSaM and COLMAP have no place for views of other cameras
-    let has_views = found.join(Split::Test.file_name()).is_file();
+    let train = capture::read(input, Split::Train, &options, observer)?;
+    // COLMAP has no place for views of other cameras
+    let has_views = input.join(Split::Test.file_name()).is_file();
     let takes_views = job.format == Format::Nerfstudio;
     let test = if has_views && takes_views {
-        Some(capture::read(&found, Split::Test, &options, observer)?)
+        Some(capture::read(input, Split::Test, &options, observer)?)
     } else {
         None
     };
@@ -52,18 +49,6 @@ fn write(
     format: Format,
     observer: &dyn Observer,
 ) -> Result<(u64, Losses), Error> {
-    if let Some(layout) = format.layout() {
-        let written = megasam::write(out, train, layout, observer).map_err(|error| match error {
-            WriteMegasamError::Cancelled { .. } => STOPPED,
-            other => ExportError::from(other).into(),
-        })?;
-        let losses = Losses {
-            baked: Vec::new(),
-            dropped: written.dropped,
-            quantised: written.rounded,
-        };
-        return Ok((written.bytes, losses));
-    }
     let written = match format {
         Format::Colmap => {
             captures::colmap::write(out, train, &captures::colmap::CaptureColmapOptions::default(), observer)
@@ -86,22 +71,3 @@ const STOPPED: Error = Error::Stopped {
     stage: "export",
     saved: false,
 };
-
-/// The capture that is meant.
-fn find(input: &Path, job: &ExportJob) -> Result<PathBuf, Error> {
-    if !input.exists() {
-        return Err(Error::Missing {
-            what: "capture",
-            path: input.to_path_buf(),
-        });
-    }
-    let inside = input.join(CAPTURE_FOLDER);
-    match [input.to_path_buf(), inside].into_iter().find(|path| is_capture(path)) {
-        Some(path) => Ok(path),
-        None => Err(ExportError::NeedsCapture {
-            format: job.format,
-            path: Some(input.to_path_buf()),
-        }
-        .into()),
-    }
-}

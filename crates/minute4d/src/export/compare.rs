@@ -29,7 +29,7 @@ pub struct Comparison {
     pub seconds: f64,
 }
 
-/// A view, and which of the moments of the file it sees.
+/// A view, and which of the moments of the file it sees; 0 where the file holds all of them.
 struct Look {
     camera: Camera,
     t: f64,
@@ -62,7 +62,7 @@ pub(super) fn compare(
             });
         }
         if last.as_ref().is_none_or(|(moment, _)| *moment != look.moment) {
-            let Some(read) = read_back(format, path, look.moment, look.t) else {
+            let Some(read) = read_back(format, path, look.moment) else {
                 return Ok(None);
             };
             let read = read.map_err(|source| ExportError::ReadBack {
@@ -115,22 +115,20 @@ fn looks(scene: &Scene, format: Format, moments: &[f64]) -> Vec<Look> {
     let nearest =
         |t: f64| (0..moments.len()).min_by(|&a, &b| (moments[a] - t).abs().total_cmp(&(moments[b] - t).abs()));
     sources
-        .enumerate()
-        .filter_map(|(k, frame)| {
+        .filter_map(|frame| {
             let camera = frame.camera;
             match format.time() {
                 Time::Clip => Some(Look {
                     camera,
                     t: frame.t,
-                    // USD is read at one instant after the other
-                    moment: if format == Format::Usd { k } else { 0 },
+                    moment: 0,
                 }),
                 Time::Instant | Time::Sequence => {
                     let moment = nearest(frame.t)?;
                     let t = moments[moment];
                     Some(Look { camera, t, moment })
                 }
-                Time::Video | Time::Cameras | Time::Capture => None,
+                Time::Video | Time::Cameras => None,
             }
         })
         .collect()

@@ -10,8 +10,6 @@ use m4_formats::gltf::WriteGltfError;
 use m4_formats::ply::WritePlyError;
 use m4_formats::splatv::WriteSplatvError;
 use m4_formats::spz::WriteSpzError;
-use m4_formats::usd::WriteUsdError;
-use m4_io::megasam::WriteMegasamError;
 use std::path::PathBuf;
 
 /// Why an export failed.
@@ -25,21 +23,13 @@ pub enum ExportError {
         format: Format,
     },
     /// A rate for a format without frames.
-    #[error("--fps has no meaning for {}; leave it out, or choose ply-sequence, usd or mp4", format.name())]
+    #[error("--fps has no meaning for {}; leave it out, or choose ply-sequence or mp4", format.name())]
     NoRate {
         /// The format.
         format: Format,
     },
-    /// A format that holds a capture, and something else to write.
-    #[error("{} holds a capture (frames with poses, depth and masks), and {} is none and has none in it; give the folder with transforms_train.json", format.name(), path.as_deref().map_or("a scene".into(), |p| p.display().to_string()))]
-    NeedsCapture {
-        /// The format.
-        format: Format,
-        /// What was given; `None` for a scene in memory.
-        path: Option<PathBuf>,
-    },
     /// A capture for a format that holds a scene.
-    #[error("{} is a capture, which {} does not hold; choose colmap, nerfstudio, megasam, megasam-cvd or megasam-reconstruction, or train it first (`minute4d train`)", path.display(), format.name())]
+    #[error("{} is a capture, which {} does not hold; choose colmap or nerfstudio, or train it first (`minute4d train`)", path.display(), format.name())]
     NeedsScene {
         /// The format.
         format: Format,
@@ -68,9 +58,6 @@ pub enum ExportError {
     /// Writing a capture for another tool.
     #[error(transparent)]
     Capture(#[from] WriteCaptureAsError),
-    /// Writing files of MegaSaM.
-    #[error(transparent)]
-    Megasam(#[from] WriteMegasamError),
     /// Writing `.4dgs`.
     #[error(transparent)]
     Fourdgs(#[from] WriteFourdgsError),
@@ -86,9 +73,6 @@ pub enum ExportError {
     /// Writing glTF.
     #[error(transparent)]
     Gltf(#[from] WriteGltfError),
-    /// Writing USD.
-    #[error(transparent)]
-    Usd(#[from] WriteUsdError),
     /// Writing a COLMAP model.
     #[error(transparent)]
     Colmap(#[from] WriteColmapError),
@@ -103,16 +87,14 @@ impl ExportError {
     pub fn category(&self) -> Category {
         match self {
             Self::NoInstant { .. } | Self::NoRate { .. } | Self::Unknown { .. } => Category::Usage,
-            Self::NoCameras | Self::NeedsCapture { .. } | Self::NeedsScene { .. } => Category::BadInput,
+            Self::NoCameras | Self::NeedsScene { .. } => Category::BadInput,
             Self::Capture(e) => e.kind().into(),
-            Self::Megasam(e) => e.kind().into(),
             Self::ReadBack { .. } => Category::Internal,
             Self::Fourdgs(e) => e.kind().into(),
             Self::Ply(e) => e.kind().into(),
             Self::Splatv(e) => e.kind().into(),
             Self::Spz(e) => e.kind().into(),
             Self::Gltf(e) => e.kind().into(),
-            Self::Usd(e) => e.kind().into(),
             Self::Colmap(e) => e.kind().into(),
             Self::Nerfstudio(e) => e.kind().into(),
         }

@@ -1,7 +1,6 @@
 //! The formats there are.
 
 use super::ExportError;
-use m4_io::megasam::{self, Layout};
 use serde::Serialize;
 use std::path::Path;
 use std::str::FromStr;
@@ -24,20 +23,12 @@ pub enum Format {
     Spz,
     /// Binary glTF with `KHR_gaussian_splatting`, one instant.
     Gltf,
-    /// USD with time samples.
-    Usd,
     /// A COLMAP model: cameras, and splats as points; of a capture, its pictures and masks with points of what rests.
     Colmap,
     /// `transforms.json` of nerfstudio: cameras; of a capture, a folder with pictures, masks, depth and points.
     Nerfstudio,
     /// A video along the cameras of the source.
     Mp4,
-    /// `NAME_droid.npz` of MegaSaM: a capture.
-    Megasam,
-    /// `NAME_sgd_cvd_hr.npz` of MegaSaM: a capture with depth as halves.
-    MegasamCvd,
-    /// A folder as MegaSaM's `reconstructions/NAME`: a capture with its masks.
-    MegasamReconstruction,
 }
 
 /// What a format does with time.
@@ -53,8 +44,6 @@ pub enum Time {
     Video,
     /// It holds no splats.
     Cameras,
-    /// It holds a capture, not a scene.
-    Capture,
 }
 
 /// A row of the table: format, name, usual name of the file, time.
@@ -67,18 +56,9 @@ const FORMATS: &[Entry] = &[
     (Format::Splatv, "splatv", "scene.splatv", Time::Clip),
     (Format::Spz, "spz", "scene.spz", Time::Instant),
     (Format::Gltf, "gltf", "scene.glb", Time::Instant),
-    (Format::Usd, "usd", "scene.usda", Time::Clip),
     (Format::Colmap, "colmap", "colmap", Time::Cameras),
     (Format::Nerfstudio, "nerfstudio", "transforms.json", Time::Cameras),
     (Format::Mp4, "mp4", "scene.mp4", Time::Video),
-    (Format::Megasam, "megasam", "scene_droid.npz", Time::Capture),
-    (Format::MegasamCvd, "megasam-cvd", "scene_sgd_cvd_hr.npz", Time::Capture),
-    (
-        Format::MegasamReconstruction,
-        "megasam-reconstruction",
-        "reconstructions/scene",
-        Time::Capture,
-    ),
 ];
 
 impl Format {
@@ -112,37 +92,16 @@ impl Format {
         }
     }
 
-    /// Whether it can hold a capture, beside a scene or alone.
+    /// Whether it can hold a capture, too.
     #[must_use]
     pub fn takes_capture(self) -> bool {
-        matches!(self, Self::Colmap | Self::Nerfstudio) || self.time() == Time::Capture
+        matches!(self, Self::Colmap | Self::Nerfstudio)
     }
 
     /// What it does with time.
     #[must_use]
     pub fn time(self) -> Time {
         self.entry().3
-    }
-
-    /// The format of a layout of MegaSaM.
-    #[must_use]
-    pub fn of_layout(layout: Layout) -> Self {
-        match layout {
-            Layout::Droid => Self::Megasam,
-            Layout::Cvd => Self::MegasamCvd,
-            Layout::Reconstruction => Self::MegasamReconstruction,
-        }
-    }
-
-    /// The layout of a format of MegaSaM.
-    #[must_use]
-    pub fn layout(self) -> Option<Layout> {
-        match self {
-            Self::Megasam => Some(Layout::Droid),
-            Self::MegasamCvd => Some(Layout::Cvd),
-            Self::MegasamReconstruction => Some(Layout::Reconstruction),
-            _ => None,
-        }
     }
 
     /// The names of all formats.
@@ -155,9 +114,6 @@ impl Format {
     /// The format that the ending of a file name stands for.
     #[must_use]
     pub fn of_path(path: &Path) -> Option<Self> {
-        if let Some(layout) = megasam::detect(path) {
-            return Some(Self::of_layout(layout));
-        }
         let ending = path.extension()?.to_str()?.to_ascii_lowercase();
         let same = |entry: &&Entry| Path::new(entry.2).extension().is_some_and(|e| e == ending.as_str());
         FORMATS.iter().find(same).map(|entry| entry.0)
@@ -177,7 +133,7 @@ impl FromStr for Format {
 
 #[cfg(test)]
 mod tests {
-    use super::{FORMATS, Format, Time};
+    use super::{FORMATS, Format};
     use std::path::Path;
 
     #[test]
@@ -186,8 +142,6 @@ mod tests {
             assert_eq!(format.entry().0, format);
             assert_eq!(format.name().parse::<Format>().unwrap(), format);
             assert_eq!(FORMATS.iter().filter(|e| e.1 == format.name()).count(), 1);
-            assert!(format.layout().is_none() || format.time() == Time::Capture);
-            assert!(format.layout().is_none_or(|layout| Format::of_layout(layout) == format));
             let json = serde_json::to_value(format).unwrap();
             assert_eq!(json, format.name());
         }
@@ -199,10 +153,6 @@ mod tests {
         assert_eq!(Format::of_path(Path::new("a/b.4DGS")), Some(Format::Fourdgs));
         assert_eq!(Format::of_path(Path::new("b.ply")), Some(Format::Ply));
         assert_eq!(Format::of_path(Path::new("ply")), None);
-        assert_eq!(Format::of_path(Path::new("dog_droid.npz")), Some(Format::Megasam));
-        assert_eq!(
-            Format::of_path(Path::new("dog_sgd_cvd_hr.npz")),
-            Some(Format::MegasamCvd)
-        );
+        assert_eq!(Format::of_path(Path::new("dog_droid.npz")), None);
     }
 }

@@ -2,8 +2,7 @@
 //! our own render.
 //!
 //! Adding a format: a variant of [`Format`] with its row in `format.rs`, an arm in `write.rs`, and, where
-//! there is a reader, one in `crate::import`. Formats that hold a capture in place of a scene are those of
-//! `capture.rs`.
+//! there is a reader, one in `crate::import`. Those that hold a capture, too, have an arm in `capture.rs`.
 
 mod bake;
 mod capture;
@@ -69,8 +68,7 @@ impl ExportJob {
     }
 }
 
-/// Exports a scene (a file, or the folder of a run) or, for a format that holds one, a capture; of the folder of a run the scene where the
-/// format holds scenes, else the capture.
+/// Exports a scene (a file, or the folder of a run) or, for a format that holds one, a capture; of the folder of a run the scene.
 ///
 /// # Errors
 ///
@@ -79,7 +77,7 @@ impl ExportJob {
 pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
     job.check()?;
     let lone_capture = is_capture(input) && !input.join(SCENE_FILE).is_file();
-    if job.format.time() == Time::Capture || (lone_capture && job.format.takes_capture()) {
+    if lone_capture && job.format.takes_capture() {
         return capture::make(input, job, observer);
     }
     if lone_capture {
@@ -115,7 +113,7 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
     job.check()?;
     let moments = job.moments(scene)?;
     let start = Instant::now();
-    let has_splats = !matches!(job.format.time(), Time::Video | Time::Cameras | Time::Capture);
+    let has_splats = !matches!(job.format.time(), Time::Video | Time::Cameras);
     let baked = if has_splats && !job.keep_mip {
         bake::bake(scene)
     } else {
@@ -142,7 +140,7 @@ impl ExportJob {
         if self.time.is_some() && time != Time::Instant {
             return Err(ExportError::NoInstant { format: self.format });
         }
-        let is_sampled = matches!(time, Time::Sequence | Time::Video) || self.format == Format::Usd;
+        let is_sampled = matches!(time, Time::Sequence | Time::Video);
         if self.fps.is_some() && !is_sampled {
             return Err(ExportError::NoRate { format: self.format });
         }
@@ -167,7 +165,7 @@ impl ExportJob {
                 let count = (last / step + 1e-9).floor() as usize + 1;
                 Ok((0..count).map(|i| (i as f64 * step).min(last)).collect())
             }
-            Time::Clip | Time::Video | Time::Cameras | Time::Capture => Ok(Vec::new()),
+            Time::Clip | Time::Video | Time::Cameras => Ok(Vec::new()),
         }
     }
 }

@@ -28,7 +28,7 @@ pub struct ExportReport {
     pub encode_s: f64,
     /// What the file holds differently.
     pub losses: Losses,
-    /// How close it is; `None` where that was not asked for, and for files without splats.
+    /// How close it is; `None` where that was not asked for, and for formats that are not read.
     pub comparison: Option<Comparison>,
 }
 
@@ -73,7 +73,7 @@ impl ExportReport {
             Time::Instant => written.splats,
             _ => scene.splats.n(),
         };
-        let has_splats = !matches!(format.time(), Time::Video | Time::Cameras | Time::Capture);
+        let has_splats = !matches!(format.time(), Time::Video | Time::Cameras);
         let has_time = matches!(format.time(), Time::Clip | Time::Sequence | Time::Video);
         Self {
             format,

@@ -3,7 +3,7 @@
 use super::{ExportError, ExportJob, Format, video};
 use crate::{Error, Observer};
 use m4_formats::cameras::{colmap, nerfstudio};
-use m4_formats::{Written, fourdgs, gltf, ply, splatv, spz, usd};
+use m4_formats::{Written, fourdgs, gltf, ply, splatv, spz};
 use m4_scene::Scene;
 use std::path::Path;
 
@@ -44,15 +44,6 @@ pub(super) fn write(
             spz::write(out, scene, &options).map_err(ExportError::from)?
         }
         Format::Gltf => gltf::write(out, scene, &gltf::GltfOptions { t }).map_err(ExportError::from)?,
-        Format::Usd => {
-            // samples lie on whole frames
-            let step = job.fps.map_or(1.0, |fps| crate::render::source_fps(scene) / fps);
-            let options = usd::UsdOptions {
-                step_frames: (step.round() as usize).max(1),
-                ..usd::UsdOptions::default()
-            };
-            usd::write(out, scene, &options).map_err(ExportError::from)?
-        }
         Format::Colmap => {
             let options = colmap::ColmapOptions {
                 // the points are those of the middle of the clip
@@ -67,13 +58,6 @@ pub(super) fn write(
             nerfstudio::write(out, scene, &options).map_err(ExportError::from)?
         }
         Format::Mp4 => video::write(out, scene, job.fps, observer)?,
-        Format::Megasam | Format::MegasamCvd | Format::MegasamReconstruction => {
-            return Err(ExportError::NeedsCapture {
-                format: job.format,
-                path: None,
-            }
-            .into());
-        }
     };
     Ok(written)
 }

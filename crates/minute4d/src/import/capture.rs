@@ -1,9 +1,8 @@
 //! A posed clip as a capture.
 
 use super::checked::{Checked, checked};
-use super::{ImportError, ImportFormat, ImportJob, ImportOptions, STAGE};
+use super::{ImportError, ImportJob, ImportOptions, STAGE};
 use crate::evaluate::{COVISIBLE_FOLDER, adopt_covisible};
-use crate::export::Format;
 use crate::progress::Keeper;
 use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::{Error, Observer, Settings, StageEvent, folder, geometry, hash};
@@ -20,7 +19,7 @@ use std::time::Instant;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CaptureReport {
     /// The format that was read.
-    pub format: ImportFormat,
+    pub format: SourceFormat,
     /// The capture that was made.
     pub path: PathBuf,
     /// Its frames.
@@ -49,14 +48,14 @@ struct Part<'a> {
     import: &'a ImportOptions,
     motion: &'a Option<PathBuf>,
     fix: bool,
-    format: ImportFormat,
+    format: SourceFormat,
 }
 
 /// Reads `file` and writes a capture into the folder `out`.
 pub(super) fn make(
     file: &Path,
     out: &Path,
-    format: ImportFormat,
+    format: SourceFormat,
     job: &ImportJob,
     observer: &dyn Observer,
 ) -> Result<CaptureReport, Error> {
@@ -69,8 +68,8 @@ pub(super) fn make(
     // Read before the folder is made, so that a wrong file leaves nothing behind.
     observer.stage(STAGE, StageEvent::Started { because: None });
     let mut imported = match format {
-        ImportFormat::Source(source) => m4_import::read(file, source, &options, &keeper).map_err(source_stopped)?,
-        ImportFormat::Known(layout) => of_megasam(file, layout, &options, job, &keeper)?,
+        SourceFormat::Megasam => of_megasam(file, &options, job, &keeper)?,
+        source => m4_import::read(file, source, &options, &keeper).map_err(source_stopped)?,
     };
     let check = if job.check || job.fix {
         let (found, fixed) = checked(imported, job.fix, &keeper)?;
@@ -135,13 +134,13 @@ pub(super) fn make(
 pub(crate) fn write(
     out: &Path,
     imported: &Imported,
-    (source, format): (&Path, ImportFormat),
+    (source, format): (&Path, SourceFormat),
     factor: Option<u32>,
     observer: &dyn Observer,
 ) -> Result<(), Error> {
     if let Some(test) = &imported.test {
         capture::write(out, test, Split::Test, observer)?;
-        if format == ImportFormat::Source(SourceFormat::Dycheck) {
+        if format == SourceFormat::Dycheck {
             let masks = adopt_covisible(out, test, |name| dycheck::covisible(source, name, factor))?;
             // Nerfies and HyperNeRF publish none
             if (1..test.frames.len()).contains(&masks) {
@@ -158,16 +157,9 @@ pub(crate) fn write(
 }
 
 /// Files of MegaSaM, whose map of motion may lie elsewhere.
-fn of_megasam(
-    file: &Path,
-    layout: Format,
-    options: &ImportOptions,
-    job: &ImportJob,
-    keeper: &Keeper<'_>,
-) -> Result<Imported, Error> {
+fn of_megasam(file: &Path, options: &ImportOptions, job: &ImportJob, keeper: &Keeper<'_>) -> Result<Imported, Error> {
     let beside = [
         ("--images", options.pictures.is_some()),
-        ("--focal", options.focal_px.is_some()),
         ("--depth", options.depth.is_some()),
         ("--masks", options.masks.is_some()),
         ("--tracks", options.tracks.is_some()),
@@ -175,7 +167,7 @@ fn of_megasam(
         ("--factor", options.factor.is_some()),
     ];
     if let Some((option, _)) = beside.into_iter().find(|(_, is_given)| *is_given) {
-        let format = layout.name();
+        let format = SourceFormat::Megasam.name();
         return Err(ImportError::NotOfFormat { option, format }.into());
     }
     let options = MegasamOptions {
@@ -208,7 +200,7 @@ fn source_stopped(error: ReadSourceError) -> Error {
 }
 
 fn report(
-    format: ImportFormat,
+    format: SourceFormat,
     out: &Path,
     capture: &Capture,
     (held_out, check): (usize, Option<Checked>),

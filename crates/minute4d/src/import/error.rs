@@ -2,11 +2,7 @@
 
 use crate::Category;
 use m4_formats::fourdgs::ReadFourdgsError;
-use m4_formats::gltf::ReadGltfError;
 use m4_formats::ply::ReadPlyError;
-use m4_formats::splatv::ReadSplatvError;
-use m4_formats::spz::ReadSpzError;
-use m4_formats::usd::ReadUsdError;
 use m4_import::ReadSourceError;
 use m4_io::megasam::{MegasamFault, ReadMegasamError};
 use m4_slam::consistency::ConsistencyError;
@@ -99,18 +95,6 @@ pub enum ImportError {
     /// Reading PLY.
     #[error(transparent)]
     Ply(#[from] ReadPlyError),
-    /// Reading `.splatv`.
-    #[error(transparent)]
-    Splatv(#[from] ReadSplatvError),
-    /// Reading SPZ.
-    #[error(transparent)]
-    Spz(#[from] ReadSpzError),
-    /// Reading glTF.
-    #[error(transparent)]
-    Gltf(#[from] ReadGltfError),
-    /// Reading back USD.
-    #[error(transparent)]
-    Usd(#[from] ReadUsdError),
 }
 
 impl ImportError {
@@ -136,10 +120,6 @@ impl ImportError {
             | Self::Check(_) => Category::BadInput,
             Self::Fourdgs(e) => e.kind().into(),
             Self::Ply(e) => e.kind().into(),
-            Self::Splatv(e) => e.kind().into(),
-            Self::Spz(e) => e.kind().into(),
-            Self::Gltf(e) => e.kind().into(),
-            Self::Usd(e) => e.kind().into(),
         }
     }
 }

@@ -5,18 +5,17 @@ use crate::export::Format;
 use m4_formats::ply::frame_name;
 use m4_import::SourceFormat;
 use m4_io::megasam;
-use serde::{Serialize, Serializer};
 use std::path::Path;
 use std::str::FromStr;
 
 /// Scenes that can be imported.
-const SCENES: [Format; 5] = [Format::Fourdgs, Format::Ply, Format::Splatv, Format::Spz, Format::Gltf];
+const SCENES: [Format; 2] = [Format::Fourdgs, Format::Ply];
 
 /// A format of a file or folder to import.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ImportFormat {
-    /// Splats, or one of the layouts of MegaSaM, which are written, too.
-    Known(Format),
+    /// Splats.
+    Scene(Format),
     /// A clip that another tool posed.
     Source(SourceFormat),
 }
@@ -26,7 +25,7 @@ impl ImportFormat {
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
-            Self::Known(format) => format.name(),
+            Self::Scene(format) => format.name(),
             Self::Source(format) => format.name(),
         }
     }
@@ -34,10 +33,8 @@ impl ImportFormat {
     /// Everything that can be imported, the names in one line.
     #[must_use]
     pub fn names() -> String {
-        let layouts = Format::all().filter(|f| f.layout().is_some());
-        let known = SCENES.into_iter().chain(layouts).map(Format::name);
-        let sources = SourceFormat::all().filter(|&f| f != SourceFormat::Megasam);
-        let all: Vec<&str> = known.chain(sources.map(SourceFormat::name)).collect();
+        let scenes = SCENES.into_iter().map(Format::name);
+        let all: Vec<&str> = scenes.chain(SourceFormat::all().map(SourceFormat::name)).collect();
         all.join(", ")
     }
 
@@ -50,14 +47,12 @@ impl ImportFormat {
         if let Some(asked) = asked {
             return Ok(asked);
         }
-        match m4_import::detect(path) {
-            // its layouts have names of their own
-            Some(SourceFormat::Megasam) => {}
-            Some(source) => return Ok(Self::Source(source)),
-            None => {}
+        if let Some(source) = m4_import::detect(path) {
+            return Ok(Self::Source(source));
         }
-        if let Some(layout) = megasam::detect(path).filter(|_| path.is_dir()) {
-            return Ok(Self::Known(Format::of_layout(layout)));
+        // by its name alone: its reader says what is wrong with it
+        if megasam::detect(path).is_some() {
+            return Ok(Self::Source(SourceFormat::Megasam));
         }
         if path.is_dir() {
             if m4_import::formats::davis::detect(path) {
@@ -82,8 +77,8 @@ impl ImportFormat {
             path: path.to_path_buf(),
             known: Self::names(),
         })?;
-        if SCENES.contains(&format) || format.layout().is_some() {
-            Ok(Self::Known(format))
+        if SCENES.contains(&format) {
+            Ok(Self::Scene(format))
         } else {
             Err(ImportError::WriteOnly {
                 name: format.name(),
@@ -97,10 +92,8 @@ impl FromStr for ImportFormat {
     type Err = ImportError;
 
     fn from_str(text: &str) -> Result<Self, ImportError> {
-        let scene = SCENES.into_iter().find(|f| f.name() == text);
-        let layout = || Format::all().find(|f| f.layout().is_some() && f.name() == text);
-        if let Some(format) = scene.or_else(layout) {
-            return Ok(Self::Known(format));
+        if let Some(format) = SCENES.into_iter().find(|f| f.name() == text) {
+            return Ok(Self::Scene(format));
         }
         if let Some(source) = SourceFormat::all().find(|f| f.name() == text) {
             return Ok(Self::Source(source));
@@ -116,12 +109,6 @@ impl FromStr for ImportFormat {
                 known: Self::names(),
             },
         })
-    }
-}
-
-impl Serialize for ImportFormat {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.name())
     }
 }
 
@@ -141,15 +128,13 @@ mod tests {
         let count = all.len();
         all.sort_unstable();
         all.dedup();
-        assert!(all.len() == count && count > 15, "{names}");
+        assert!(all.len() == count && count > 8, "{names}");
         let colmap: ImportFormat = "colmap".parse().unwrap();
         assert_eq!(colmap, ImportFormat::Source(SourceFormat::Colmap));
-        assert_eq!(
-            "megasam".parse::<ImportFormat>().unwrap(),
-            ImportFormat::Known(Format::Megasam)
-        );
+        let ply: ImportFormat = "ply".parse().unwrap();
+        assert_eq!(ply, ImportFormat::Scene(Format::Ply));
         assert!(
-            "usd"
+            "spz"
                 .parse::<ImportFormat>()
                 .unwrap_err()
                 .to_string()

@@ -44,7 +44,6 @@ impl ImportJob {
             ("--tau-motion", o.tau_motion != d.tau_motion),
             ("--motion-prob", self.motion.is_some()),
             ("--images", o.pictures != d.pictures),
-            ("--focal", o.focal_px != d.focal_px),
             ("--depth", o.depth != d.depth),
             ("--depth-unit", o.depth_unit != d.depth_unit),
             ("--masks", o.masks != d.masks),

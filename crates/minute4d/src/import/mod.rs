@@ -86,8 +86,10 @@ pub fn make(file: &Path, out: &Path, job: &ImportJob, observer: &dyn Observer) -
     }
     let format = ImportFormat::of(file, job.format)?;
     let splats = match format {
-        ImportFormat::Known(format) if format.layout().is_none() => format,
-        _ => return capture::make(file, out, format, job, observer).map(|report| Report::Capture(Box::new(report))),
+        ImportFormat::Scene(format) => format,
+        ImportFormat::Source(source) => {
+            return capture::make(file, out, source, job, observer).map(|report| Report::Capture(Box::new(report)));
+        }
     };
     if let Some(option) = job.of_captures() {
         let format = format.name();

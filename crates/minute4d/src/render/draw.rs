@@ -35,17 +35,6 @@ impl<'a> Painter<'a> {
 
     /// Median z-depth of what a camera sees at a moment, world units; `None` where it sees nothing.
     pub fn median_depth(&mut self, camera: &Camera, t: f64) -> Option<f64> {
-        self.depth_quantiles(camera, t, [0.5]).map(|[median]| median)
-    }
-
-    /// Quantiles (0..1) of the z-depth of what a camera sees at a moment, world units; `None` where it sees
-    /// nothing.
-    pub fn depth_quantiles<const N: usize>(
-        &mut self,
-        camera: &Camera,
-        t: f64,
-        quantiles: [f64; N],
-    ) -> Option<[f64; N]> {
         let frame = self.frame(camera, t, true);
         let depth = frame.depth.iter().zip(&frame.transmittance);
         let mut seen: Vec<f32> = depth
@@ -56,11 +45,8 @@ impl<'a> Painter<'a> {
         if seen.is_empty() {
             return None;
         }
-        let count = seen.len();
-        Some(quantiles.map(|q| {
-            let index = ((count as f64 * q) as usize).min(count - 1);
-            f64::from(*seen.select_nth_unstable_by(index, f32::total_cmp).1)
-        }))
+        let middle = seen.len() / 2;
+        Some(f64::from(*seen.select_nth_unstable_by(middle, f32::total_cmp).1))
     }
 }
 

@@ -15,48 +15,29 @@ pub struct PathOptions {
     pub amount: Option<f64>,
     /// Greatest turn to either side, degrees.
     pub degrees: Option<f64>,
-    /// Half width of the spiral, as a share of the distance to what is seen.
-    pub radius: Option<f64>,
-    /// Rounds of the spiral.
-    pub turns: Option<u32>,
     /// Standard deviation of the smoothing, seconds.
     pub smooth_s: Option<f64>,
     /// From 0, the source, to 1, all of the smoothing.
     pub strength: Option<f64>,
     /// Seconds for which time stands still.
     pub hold_s: Option<f64>,
-    /// Keep what is in the middle as large as it is.
-    pub dolly_zoom: bool,
 }
 
 /// Defaults of the camera paths. Lengths are shares of the median depth of what moves (of everything, where
-/// nothing does) in the picture of the camera where the path starts, so that they do not depend on the unit of the scene; where two numbers are given, the
-/// reach of the source camera in that direction is used within these limits. They are narrow, because what
-/// moves was seen from one side alone at each moment, wherever the camera was before and after: beyond 6
-/// degrees the pinwheel of the examples begins to come apart (ours, judged by eye).
+/// nothing does) in the picture of the camera where the path starts, so that they do not depend on the unit of the scene. Limits of
+/// turns are narrow, because what moves was seen from one side alone at each moment, wherever the camera was before and after:
+/// beyond 6 degrees the pinwheel of the examples begins to come apart (ours, judged by eye).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PathConfig {
     /// The swing; two of its periods are rendered.
     pub swing: SwingConfig,
-    /// Length of a swing, a spiral, a dolly or an arc, seconds.
+    /// Length of a swing, seconds.
     pub seconds: f64,
-    /// Smallest and greatest turn of an arc or a bullet to either side, degrees.
+    /// Smallest and greatest turn of a bullet to either side, degrees: the reach of the source camera is used within these limits.
     pub side_deg: [f64; 2],
     /// Turn of a bullet up and down, as a share of the turn to the side.
     pub up_share: f64,
-    /// Smallest and greatest half width of a spiral.
-    pub spiral_across: [f64; 2],
-    /// Smallest and greatest half height of a spiral.
-    pub spiral_up: [f64; 2],
-    /// Smallest and greatest way of a spiral ahead.
-    pub spiral_ahead: [f64; 2],
-    /// Rounds of a spiral.
-    pub turns: u32,
-    /// Smallest and greatest way of a dolly.
-    pub dolly: [f64; 2],
-    /// Share of the way to the nearest things that no path enters.
-    pub clear: f64,
     /// Seconds for which a bullet stands still in time.
     pub hold_s: f64,
     /// Seconds in which time slows down before, and speeds up after.
@@ -76,12 +57,6 @@ impl Default for PathConfig {
             seconds: 4.0,
             side_deg: [4.0, 6.0],
             up_share: 0.3,
-            spiral_across: [0.04, 0.06],
-            spiral_up: [0.02, 0.035],
-            spiral_ahead: [0.02, 0.05],
-            turns: 2,
-            dolly: [0.12, 0.3],
-            clear: 0.5,
             hold_s: 4.0,
             ease_s: 0.4,
             smooth_s: 0.5,
@@ -99,9 +74,7 @@ impl CameraPath {
             Self::Train => &["--at"],
             Self::Source => &["--seconds", "--at"],
             Self::Stabilised => &["--seconds", "--at", "--smooth-s", "--strength"],
-            Self::Swing | Self::Arc => &["--seconds", "--at", "--amount", "--degrees"],
-            Self::Spiral => &["--seconds", "--at", "--amount", "--radius", "--turns"],
-            Self::Dolly => &["--seconds", "--at", "--amount", "--dolly-zoom"],
+            Self::Swing => &["--seconds", "--at", "--amount", "--degrees"],
             Self::Bullet => &["--seconds", "--at", "--amount", "--degrees", "--hold-s"],
             Self::File(_) => &["--seconds"],
         }
@@ -120,12 +93,9 @@ impl PathOptions {
             ("--at", self.at.is_some()),
             ("--amount", self.amount.is_some()),
             ("--degrees", self.degrees.is_some()),
-            ("--radius", self.radius.is_some()),
-            ("--turns", self.turns.is_some()),
             ("--smooth-s", self.smooth_s.is_some()),
             ("--strength", self.strength.is_some()),
             ("--hold-s", self.hold_s.is_some()),
-            ("--dolly-zoom", self.dolly_zoom),
         ];
         let known = path.takes();
         if let Some((option, _)) = given.into_iter().find(|(name, given)| *given && !known.contains(name)) {
@@ -139,14 +109,6 @@ impl PathOptions {
             ("--seconds", self.seconds, 0.01, 3600.0, "0.01 to 3600 seconds"),
             ("--amount", self.amount, -10.0, 10.0, "a factor from -10 to 10"),
             ("--degrees", self.degrees, -60.0, 60.0, "at most 60 degrees"),
-            (
-                "--radius",
-                self.radius,
-                0.001,
-                1.0,
-                "a share of the distance, 0.001 to 1,",
-            ),
-            ("--turns", self.turns.map(f64::from), 1.0, 100.0, "1 to 100"),
             ("--smooth-s", self.smooth_s, 0.02, 10.0, "0.02 to 10 seconds"),
             ("--strength", self.strength, 0.0, 1.0, "0 to 1"),
             ("--hold-s", self.hold_s, 0.1, 600.0, "0.1 to 600 seconds"),
@@ -171,14 +133,14 @@ mod tests {
 
     #[test]
     fn nothing_that_is_given_is_left_out_in_silence() {
-        let turns = PathOptions {
-            turns: Some(3),
+        let held = PathOptions {
+            hold_s: Some(3.0),
             ..PathOptions::default()
         };
-        assert_eq!(turns.check(&CameraPath::Spiral), Ok(()));
-        let error = turns.check(&CameraPath::Arc).unwrap_err();
+        assert_eq!(held.check(&CameraPath::Bullet), Ok(()));
+        let error = held.check(&CameraPath::Swing).unwrap_err();
         assert!(
-            error.to_string().contains("--turns") && error.to_string().contains("--degrees"),
+            error.to_string().contains("--hold-s") && error.to_string().contains("--degrees"),
             "{error}"
         );
         let strong = PathOptions {
@@ -193,6 +155,6 @@ mod tests {
             amount: Some(f64::NAN),
             ..PathOptions::default()
         };
-        assert!(matches!(nan.check(&CameraPath::Dolly), Err(PathError::Range { .. })));
+        assert!(matches!(nan.check(&CameraPath::Swing), Err(PathError::Range { .. })));
     }
 }

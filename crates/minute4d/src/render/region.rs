@@ -7,9 +7,6 @@ use m4_scene::{Column, Scene};
 
 /// Share of the source cameras that counts as the reach of the source.
 const REACH_SHARE: f64 = 0.8;
-/// What share of the picture is nearer than the nearest things that a path must not enter.
-const NEAR_SHARE: f64 = 0.03;
-
 /// Opacity, faded by time, from which a moving splat counts.
 const SEEN_OPACITY: f64 = 0.2;
 /// Fewest splats that make something that moves.
@@ -22,25 +19,21 @@ pub struct Region {
     pub stop: Stop,
     /// Median z-depth of what moves in the picture, or of the whole picture where nothing does; world units.
     pub distance: f64,
-    /// Z-depth of the nearest things that it sees, world units.
-    pub near: f64,
-    /// How far the source cameras are to the side, up or down, and ahead or behind, world units.
-    pub reach: [f64; 3],
+    /// How far the source cameras are to the side, world units.
+    pub reach: f64,
 }
 
 impl Region {
     /// The surroundings of a camera of the scene. Where it sees nothing, the distance is one unit.
     #[must_use]
     pub fn of(scene: &Scene, painter: &mut Painter<'_>, stop: Stop) -> Self {
-        let depths = painter.depth_quantiles(&stop.camera, stop.t, [NEAR_SHARE, 0.5]);
-        let [near, all] = depths.unwrap_or([1.0, 1.0]);
+        let all = painter.median_depth(&stop.camera, stop.t).unwrap_or(1.0);
         // What moves is what one looks at, and what bears a turn of the camera least: the turn is about it.
         let distance = moving_depth(scene, &stop).unwrap_or(all);
         let centres: Vec<Vector3<f64>> = scene.source.iter().map(|s| s.camera.centre()).collect();
         Self {
             stop,
             distance,
-            near,
             reach: reach(&stop, &centres),
         }
     }
@@ -49,12 +42,6 @@ impl Region {
     #[must_use]
     pub fn pivot(&self) -> Vector3<f64> {
         self.stop.camera.c2w.transform(&Vector3::new(0.0, 0.0, self.distance))
-    }
-
-    /// The reach in a direction (0 across, 1 up, 2 ahead) as a share of the distance, within limits.
-    #[must_use]
-    pub fn share(&self, axis: usize, [least, most]: [f64; 2]) -> f64 {
-        (self.reach[axis] / self.distance).clamp(least, most.max(least))
     }
 }
 
@@ -91,20 +78,17 @@ fn moving_depth(scene: &Scene, stop: &Stop) -> Option<f64> {
     Some(*depths.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> [f64; 3] {
-    let axes = &stop.camera.c2w.rotation;
-    std::array::from_fn(|axis| {
-        let direction = axes.column(axis);
-        let mut ways: Vec<f64> = centres
-            .iter()
-            .map(|c| direction.dot(&(c - stop.camera.centre())).abs())
-            .collect();
-        ways.sort_by(f64::total_cmp);
-        let last = ways.len().saturating_sub(1);
-        ways.get((REACH_SHARE * last as f64).round() as usize)
-            .copied()
-            .unwrap_or(0.0)
-    })
+fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> f64 {
+    let side = stop.camera.c2w.rotation.column(0);
+    let mut ways: Vec<f64> = centres
+        .iter()
+        .map(|c| side.dot(&(c - stop.camera.centre())).abs())
+        .collect();
+    ways.sort_by(f64::total_cmp);
+    let last = ways.len().saturating_sub(1);
+    ways.get((REACH_SHARE * last as f64).round() as usize)
+        .copied()
+        .unwrap_or(0.0)
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use super::suite::{FoundScene, Suite};
 use super::{GeometrySource, ReproduceError, ReproduceOptions};
 use crate::evaluate::{self, EvalOptions, EvalReport, FrameRule, PoseTreatment, Protocol};
 use crate::folder::{self, EVAL_FILE, Existing};
-use crate::import::{self, ImportFormat};
+use crate::import;
 use crate::record::{RunRecord, write_json};
 use crate::{Error, Job, geometry, hash};
 use m4_import::{ImportOptions, SourceFormat};
@@ -221,7 +221,7 @@ fn whole_capture(
         ..ImportOptions::default()
     };
     let read = m4_import::read(&scene.path, format, &import, job.observer).map_err(ReproduceError::from)?;
-    let source = (scene.path.as_path(), ImportFormat::Source(format));
+    let source = (scene.path.as_path(), format);
     import::write_capture(whole, &read, source, options.factor, job.observer)?;
     write_json(&file, &Imported { key })?;
     Ok(None)

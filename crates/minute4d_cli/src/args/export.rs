@@ -9,12 +9,11 @@ use std::path::PathBuf;
 /// `minute4d export`
 #[derive(Debug, Args)]
 pub struct Export {
-    /// The folder of a run, or a scene file; for colmap, nerfstudio and the megasam formats a capture, too
+    /// The folder of a run, or a scene file; for colmap and nerfstudio a capture, too
     pub scene: PathBuf,
-    /// The format [default: what --out ends in, or 4dgs]; 4dgs, splatv, usd: the whole clip; ply, spz, gltf: one
+    /// The format [default: what --out ends in, or 4dgs]; 4dgs, splatv: the whole clip; ply, spz, gltf: one
     /// instant; ply-sequence: one a frame; colmap, nerfstudio: cameras, of a capture with pictures, masks, points (and depth); mp4: a
-    /// video along the cameras of the source; megasam (NAME_droid.npz), megasam-cvd
-    /// (NAME_sgd_cvd_hr.npz), megasam-reconstruction (a folder): a capture as MegaSaM writes it
+    /// video along the cameras of the source
     #[arg(long, value_name = "FORMAT", value_parser = format)]
     pub format: Option<Format>,
     /// The file, or the folder of a sequence [default: scene.4dgs and the like, beside the scene]
@@ -23,7 +22,7 @@ pub struct Export {
     /// The instant of a format that has one: a frame, or seconds with an `s` behind, as in 1.5s [default: the middle]
     #[arg(long, value_name = "T")]
     pub time: Option<String>,
-    /// Files, samples (usd) or pictures a second of a format that has many [default: the frames of the source]
+    /// Files or pictures a second of a format that has many [default: the frames of the source]
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
     /// How finely a .4dgs file is written
@@ -32,7 +31,7 @@ pub struct Export {
     /// Replace a file that is already there
     #[arg(long)]
     pub force: bool,
-    /// Do not read the file back, render it and compare it with the scene
+    /// Do not read the file back, render it and compare it with the scene, as is done with 4dgs, ply and ply-sequence
     #[arg(long)]
     pub no_compare: bool,
     /// Write the opacities as they were trained, for players with a Mip filter and for `import`; else what the filter does to

@@ -10,9 +10,8 @@ use std::path::PathBuf;
 /// `minute4d import`
 #[derive(Debug, Args)]
 pub struct Import {
-    /// A clip with poses of another tool (COLMAP, nerfstudio, ViPE, Depth Anything 3, VGGT, MonST3R, MegaSaM, DyCheck, NVIDIA, Record3D, Polycam,
-    /// Stray Scanner, trajectories of TUM and KITTI): it becomes a capture. A .4dgs, .splatv, .spz or .glb file, or a PLY file of splats
-    /// as 3DGS writes it: they become a scene
+    /// A clip with poses of another tool (COLMAP, nerfstudio, ViPE, MegaSaM, DyCheck, NVIDIA, Record3D): it becomes a capture. A .4dgs file, or
+    /// a PLY file of splats as 3DGS writes it: they become a scene
     #[arg(value_name = "SOURCE")]
     pub file: PathBuf,
     /// Folder for the capture, or for the scene, as of a run
@@ -24,12 +23,9 @@ pub struct Import {
     /// Frames a second, where the files have no clock [default: 30]
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
-    /// Pictures, a folder or a video, of sources that bring poses alone [default: where the format has them]
+    /// Pictures, a folder or a video, where they lie elsewhere [default: where the format has them]
     #[arg(long, visible_alias = "pictures", value_name = "PATH")]
     pub images: Option<PathBuf>,
-    /// Focal length of sources that bring no lens, pixels
-    #[arg(long, value_name = "PX", value_parser = positive)]
-    pub focal: Option<f64>,
     /// Depth maps in place of those of the source: a folder with one a frame (16-bit PNG, EXR, PFM, npy) or an npz
     #[arg(long, value_name = "PATH")]
     pub depth: Option<PathBuf>,
@@ -94,7 +90,6 @@ impl Import {
             options: ImportOptions {
                 fps: self.fps,
                 pictures: self.images.clone(),
-                focal_px: self.focal,
                 depth: self.depth.clone(),
                 depth_unit: self.depth_unit,
                 masks: self.masks.clone(),

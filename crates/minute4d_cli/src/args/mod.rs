@@ -107,9 +107,9 @@ pub enum Command {
     Train(Train),
     /// Pictures or a video of a trained scene
     Render(Render),
-    /// A scene as a file that other tools play, or a capture as files of MegaSaM
+    /// A scene as a file that other tools play, or a capture as files of COLMAP or nerfstudio
     Export(Export),
-    /// A splat file of another tool as a scene, or output of MegaSaM as a capture
+    /// A splat file of another tool as a scene, or a clip that another tool posed as a capture
     Import(Import),
     /// A scene in the browser, from a server on this machine; newer scenes appear by themselves
     View(View),

@@ -12,8 +12,7 @@ pub struct Render {
     /// The folder of a run, or a scene file
     pub scene: PathBuf,
     /// Cameras: `train` (every frame of the video), `source` (the same camera at any frame rate), `stabilised`,
-    /// `swing`, `arc`, `spiral`, `dolly`, `bullet`, `test:TRANSFORMS` (a file of held-out views), or a file of
-    /// cameras or keyframes (docs/paths.md)
+    /// `swing`, `bullet`, `test:TRANSFORMS` (a file of held-out views), or a file of cameras or keyframes (docs/paths.md)
     #[arg(long, value_name = "PATH", default_value = "train")]
     pub path: String,
     /// Time: `source` (each camera's own), `play` (the speed of the source, over and over), `freeze@T`, or `A..B`;
@@ -45,7 +44,7 @@ pub struct Render {
     /// Times the motion that is good for the scene, -10 to 10
     #[arg(long, value_name = "F", allow_negative_numbers = true, help_heading = "Camera paths")]
     pub amount: Option<f64>,
-    /// `swing`, `arc`, `bullet`: greatest turn to either side
+    /// `swing`, `bullet`: greatest turn to either side
     #[arg(
         long,
         value_name = "DEG",
@@ -53,12 +52,6 @@ pub struct Render {
         help_heading = "Camera paths"
     )]
     pub degrees: Option<f64>,
-    /// `spiral`: half its width, as a share of the distance to what is seen
-    #[arg(long, value_name = "R", help_heading = "Camera paths")]
-    pub radius: Option<f64>,
-    /// `spiral`: rounds [default: 2]
-    #[arg(long, value_name = "N", help_heading = "Camera paths")]
-    pub turns: Option<u32>,
     /// `stabilised`: seconds that are averaged over, standard deviation [default: 0.5]
     #[arg(long, value_name = "S", help_heading = "Camera paths")]
     pub smooth_s: Option<f64>,
@@ -68,9 +61,6 @@ pub struct Render {
     /// `bullet`: seconds for which time stands still [default: 4]
     #[arg(long, value_name = "S", help_heading = "Camera paths")]
     pub hold_s: Option<f64>,
-    /// `dolly`: keep what is in the middle as large as it is
-    #[arg(long, help_heading = "Camera paths")]
-    pub dolly_zoom: bool,
     /// Where pictures are drawn: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a GPU
     /// where there is one that is more than software)
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]

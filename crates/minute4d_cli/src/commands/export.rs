@@ -1,4 +1,4 @@
-//! `minute4d export`: a scene as a file that other tools play, or a capture as files of COLMAP, nerfstudio or MegaSaM.
+//! `minute4d export`: a scene as a file that other tools play, or a capture as files of COLMAP or nerfstudio.
 
 use crate::args::{Export, PrecisionArg};
 use crate::failure::Failure;

@@ -11,7 +11,7 @@ mod sensor;
 
 pub use exr::decode_exr;
 pub use pfm::decode_pfm;
-pub(crate) use sensor::{kept_where, read_sensed};
+pub(crate) use sensor::kept_where;
 
 use super::stack::Stack;
 use crate::core::{FrameSource, ImportOptions, SourceFault};
@@ -112,7 +112,7 @@ pub(crate) fn read_stack(
 }
 
 /// The map of numbers times `unit`, rows from the top; what is no number above 0 is unknown.
-pub(crate) fn map(width: usize, height: usize, values: Vec<f64>, unit: f64) -> Result<CompactDepth, SourceFault> {
+fn map(width: usize, height: usize, values: Vec<f64>, unit: f64) -> Result<CompactDepth, SourceFault> {
     let values = values.into_iter().map(|v| known((v * unit) as f32)).collect();
     let map: DepthMap =
         Plane::from_vec(width, height, values).map_err(|e| SourceFault::bad(e.to_string(), "export it again"))?;

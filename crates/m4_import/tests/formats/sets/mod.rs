@@ -3,8 +3,6 @@
 mod davis;
 mod dycheck;
 mod nvidia;
-mod polycam;
 mod record3d;
 mod side;
-mod stray;
 mod truth;

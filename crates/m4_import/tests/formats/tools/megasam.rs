@@ -36,8 +36,8 @@ fn all_three_layouts_are_as_their_reader_has_them() {
             );
         }
     }
-    let message = read("import/vggt/predictions.npz", Megasam, &ImportOptions::default())
+    let message = read("import/side/depth.npz", Megasam, &ImportOptions::default())
         .unwrap_err()
         .to_string();
-    assert!(message.contains("predictions.npz"), "{message}");
+    assert!(message.contains("depth.npz"), "{message}");
 }

@@ -24,16 +24,7 @@ const MAX_FRAMES: usize = 100_000;
 /// [`super::DEFAULT_FPS`].
 const SMOOTH_FPS: f64 = 20.0;
 /// The words for camera paths.
-pub const WORDS: [&str; 8] = [
-    "train",
-    "source",
-    "stabilised",
-    "swing",
-    "arc",
-    "spiral",
-    "dolly",
-    "bullet",
-];
+pub const WORDS: [&str; 5] = ["train", "source", "stabilised", "swing", "bullet"];
 
 /// A row of cameras.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,12 +37,6 @@ pub enum CameraPath {
     Stabilised,
     /// `swing`: a figure of eight about what one camera sees.
     Swing,
-    /// `arc`: from one side to the other about what one camera sees.
-    Arc,
-    /// `spiral`: round an ellipse, looking at what one camera sees.
-    Spiral,
-    /// `dolly`: in along the view of one camera, and back.
-    Dolly,
     /// `bullet`: the source, which stands still in time once while the camera goes round.
     Bullet,
     /// `test:TRANSFORMS` or another file: the cameras or keyframes there, in the scene's world.
@@ -65,9 +50,6 @@ impl fmt::Display for CameraPath {
             Self::Source => "source",
             Self::Stabilised => "stabilised",
             Self::Swing => "swing",
-            Self::Arc => "arc",
-            Self::Spiral => "spiral",
-            Self::Dolly => "dolly",
             Self::Bullet => "bullet",
             Self::File(path) => return write!(f, "{}", path.display()),
         })
@@ -105,9 +87,6 @@ impl CameraPath {
             "source" => Self::Source,
             "stabilised" | "stabilized" => Self::Stabilised,
             "swing" => Self::Swing,
-            "arc" => Self::Arc,
-            "spiral" => Self::Spiral,
-            "dolly" => Self::Dolly,
             "bullet" => Self::Bullet,
             _ => Self::File(name.strip_prefix("test:").unwrap_or(name).into()),
         }
@@ -213,10 +192,7 @@ impl Maker<'_> {
             CameraPath::Source => self.along(|t| self.source.at(t)),
             CameraPath::Stabilised => self.stabilised(painter),
             CameraPath::Bullet => self.bullet(painter),
-            CameraPath::Swing => self.about(painter, true, shapes::swing),
-            CameraPath::Spiral => self.about(painter, true, shapes::spiral),
-            CameraPath::Dolly => self.about(painter, true, shapes::dolly),
-            CameraPath::Arc => self.about(painter, false, shapes::arc),
+            CameraPath::Swing => self.swing(painter),
         }
     }
 
@@ -250,19 +226,13 @@ impl Maker<'_> {
         })
     }
 
-    /// A shape about what one camera sees, in the moment of that camera.
-    fn about(
-        &self,
-        painter: &mut Painter<'_>,
-        closed: bool,
-        shape: impl Fn(&Region, f64, &PathOptions, &PathConfig) -> Camera,
-    ) -> Result<Vec<Stop>, PathError> {
+    /// About what one camera sees, in the moment of that camera.
+    fn swing(&self, painter: &mut Painter<'_>) -> Result<Vec<Stop>, PathError> {
         let region = self.region(painter);
         let seconds = self.options.seconds.unwrap_or(self.config.seconds);
         let n = closed_frames(seconds, self.fps)?;
-        let whole = if closed { n } else { n.max(2) - 1 } as f64;
         let stops = (0..n).map(|i| Stop {
-            camera: shape(&region, i as f64 / whole, self.options, self.config),
+            camera: shapes::swing(&region, i as f64 / n as f64, self.options, self.config),
             t: region.stop.t,
             exposure: Exposure::IDENTITY,
         });

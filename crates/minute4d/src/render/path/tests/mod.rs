@@ -2,7 +2,6 @@
 
 mod bullet;
 mod keyed;
-mod shapes;
 
 use super::stabilised::{Smoothing, stabilised};
 use super::{CameraPath, PathConfig, PathError, PathOptions, Plan, SourcePath};
@@ -79,12 +78,9 @@ const NONE: PathOptions = PathOptions {
     at: None,
     amount: None,
     degrees: None,
-    radius: None,
-    turns: None,
     smooth_s: None,
     strength: None,
     hold_s: None,
-    dolly_zoom: false,
 };
 
 #[test]
@@ -152,7 +148,7 @@ fn times_without_cameras_and_cameras_without_times() {
     scene.duration_s = None;
     assert_eq!(stops(&scene, CameraPath::Source, NONE, 10.0).len(), 1);
     scene.source.clear();
-    let error = plan_of(&scene, &RenderJob::new(CameraPath::Spiral)).unwrap_err();
+    let error = plan_of(&scene, &RenderJob::new(CameraPath::Swing)).unwrap_err();
     assert!(matches!(error, Error::Path(PathError::NoSource { .. })), "{error}");
 }
 
@@ -242,7 +238,7 @@ fn endless_paths_are_refused() {
             ..NONE
         },
         fps: Some(240.0),
-        ..RenderJob::new(CameraPath::Spiral)
+        ..RenderJob::new(CameraPath::Swing)
     };
     let error = plan_of(&scene, &job).unwrap_err();
     assert!(error.to_string().contains("864000 pictures"), "{error}");
@@ -254,9 +250,9 @@ fn words_are_paths_and_the_rest_are_files() {
         assert_eq!(CameraPath::named(word).to_string(), word);
         assert!(!matches!(CameraPath::named(word), CameraPath::File(_)));
     }
-    let error = plan_of(&scene(0.0), &RenderJob::new(CameraPath::named("spirall"))).unwrap_err();
+    let error = plan_of(&scene(0.0), &RenderJob::new(CameraPath::named("swingg"))).unwrap_err();
     assert!(
-        error.to_string().contains("spirall") && error.to_string().contains("bullet"),
+        error.to_string().contains("swingg") && error.to_string().contains("bullet"),
         "{error}"
     );
 }
