@@ -3,8 +3,8 @@
 use super::golden::{Golden, difference, pose_difference};
 use m4_math::Se3;
 use m4_math::nalgebra::Vector6;
-use m4_slam::dba::{
-    DbaOptions, Factor, Free, Geometry, Problem, Quirks, adjust, adjust_reference, edge_system, observability,
+use crate::dba::{
+    DbaOptions, Factor, Free, Geometry, Problem, adjust, adjust_reference, edge_system, observability,
     observability_reference, project,
 };
 
@@ -12,11 +12,7 @@ use m4_slam::dba::{
 fn published(options: DbaOptions) -> DbaOptions {
     DbaOptions {
         min_depth: 0.2,
-        quirks: Quirks {
-            equal_focal_rates: true,
-            blockwise_damping: true,
-            ..Quirks::default()
-        },
+        python_twin: true,
         ..options
     }
 }

@@ -1,9 +1,9 @@
 //! Distances and choices of edges against numbers of the published code.
 
 use super::golden::Golden;
-use m4_slam::dba::Geometry;
-use m4_slam::graph::{
-    FactorGraph, ProximitySettings, Retirement, frame_distance, frame_distance_reference, neighbourhood,
+use crate::dba::Geometry;
+use crate::graph::{
+    FactorGraph, ProximitySettings, frame_distance, frame_distance_reference, neighbourhood,
     select_proximity,
 };
 
@@ -95,7 +95,7 @@ fn add(graph: &mut FactorGraph, golden: &Golden, matrix: &str, settings: &Proxim
     graph.add(&pairs, &geometry, &frames, make_room);
 }
 
-fn ends(edges: &[m4_slam::graph::GraphEdge]) -> Vec<(usize, usize)> {
+fn ends(edges: &[crate::graph::GraphEdge]) -> Vec<(usize, usize)> {
     edges.iter().map(|e| e.ends()).collect()
 }
 
@@ -104,7 +104,7 @@ fn the_front_end_adds_and_retires_as_the_published_code() {
     let golden = Golden::load("geometry/edges.safetensors");
     let geometry = geometry(&golden);
     let frames: Vec<usize> = (0..geometry.frames()).collect();
-    let mut graph = FactorGraph::new(48, Retirement::PermutedRank);
+    let mut graph = FactorGraph::new(48).with_permuted_ranks(true);
     let list = |name: &str| -> Vec<(usize, usize)> {
         let (a, b) = (name.replace("ij", "ii"), name.replace("ij", "jj"));
         golden.indices(&a).into_iter().zip(golden.indices(&b)).collect()
@@ -139,7 +139,7 @@ fn the_initial_choice_is_that_of_the_published_code() {
     let golden = Golden::load("geometry/edges.safetensors");
     let geometry = geometry(&golden);
     let frames: Vec<usize> = (0..geometry.frames()).collect();
-    let mut graph = FactorGraph::new(48, Retirement::PermutedRank);
+    let mut graph = FactorGraph::new(48).with_permuted_ranks(true);
     graph.add_neighbourhood(0, 8, 3, &geometry, &frames);
     let settings = ProximitySettings {
         first_source: 0,
@@ -159,7 +159,7 @@ fn removing_a_keyframe_renumbers_the_rest() {
     let golden = Golden::load("geometry/edges.safetensors");
     let geometry = geometry(&golden);
     let frames: Vec<usize> = (0..geometry.frames()).map(|k| 2 * k).collect();
-    let mut graph = FactorGraph::new(48, Retirement::Oldest);
+    let mut graph = FactorGraph::new(48);
     graph.add(&[(0, 1), (1, 2), (2, 3), (3, 2)], &geometry, &frames, false);
     graph.bad = vec![(4, 2), (5, 3)];
     graph.remove_frame(2);

@@ -1,7 +1,7 @@
 //! Golden numbers of `fixtures/`, as f64 whatever they are stored as.
 
 use m4_math::Se3;
-use m4_slam::dba::{Grid, Pinhole};
+use crate::dba::{Grid, Pinhole};
 use safetensors::{Dtype, SafeTensors};
 use std::{fs, path::PathBuf};
 
