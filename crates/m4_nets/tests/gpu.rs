@@ -10,8 +10,8 @@ use m4_nets::raft::LowFlow;
 use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoOptions, VideoPredictor};
 use m4_nets::tapip3d::ClipError;
 use m4_nets::{
-    Compute, DepthAnything, Device, DroidMemory, DroidNet, MoGe, MoGeOptions, MobileSam, PointPrompt,
-    PointQuery, PosedClip, Prompt, Raft, Sam2, Tapip3d, Tapip3dOptions, UniDepth, cpu,
+    Compute, DepthAnything, Device, DroidMemory, DroidNet, MoGe, MoGeOptions, MobileSam, PointPrompt, PointQuery,
+    PosedClip, Prompt, Raft, Sam2, Tapip3d, Tapip3dOptions, UniDepth, cpu,
 };
 use m4_scene::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
 use m4_testkit::{FormulaWeights, Need, skip, write_formula_weights};

@@ -1,10 +1,10 @@
 //! How many iterations fit into a given time on this machine.
 
+use crate::TrainError;
 use crate::config::{ColourFitConfig, DensityConfig, RefineConfig, TrainConfig};
 use crate::device::{DeviceError, DeviceMaker};
 use crate::scale::SceneScale;
 use crate::trainer::Trainer;
-use crate::TrainError;
 use m4_kernels::SimdLevel;
 use m4_scene::{Capture, Column, Splats};
 use rayon::prelude::*;

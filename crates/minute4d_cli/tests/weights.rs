@@ -67,7 +67,11 @@ fn what_cannot_be_got_says_why() {
         &["mine.pkl", "40728226 bytes"],
     );
     reason(&weights(&dir, &["add", "tapip3d", &file]), 2, &["--accept-license"]);
-    reason(&weights(&dir, &["verify", "mobile-sam"]), 66, &["weights fetch mobile-sam"]);
+    reason(
+        &weights(&dir, &["verify", "mobile-sam"]),
+        66,
+        &["weights fetch mobile-sam"],
+    );
 }
 
 #[test]

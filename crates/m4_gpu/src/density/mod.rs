@@ -148,14 +148,7 @@ impl Trainer {
         let rank = rank::Rank::new(client, self.splats.n);
         let grows = rank.best(client, round.grow, &scores);
         let range = rank.prune_range(client, round.prune, &scores);
-        Ok(fate::Fates::new(
-            client,
-            &self.splats,
-            round,
-            &grows,
-            &scores,
-            &range,
-        ))
+        Ok(fate::Fates::new(client, &self.splats, round, &grows, &scores, &range))
     }
 
     /// Scores `[2][n]` that say who grows and who goes; they hold anything where nobody asks.

@@ -1,12 +1,12 @@
 //! Dense bundle adjustment against numbers of the published geometry code (f64).
 
 use super::golden::{Golden, difference, pose_difference};
-use m4_math::Se3;
-use m4_math::nalgebra::Vector6;
 use crate::dba::{
     DbaOptions, Factor, Free, Geometry, Problem, adjust, adjust_reference, edge_system, observability,
     observability_reference, project,
 };
+use m4_math::Se3;
+use m4_math::nalgebra::Vector6;
 
 /// What the Python twin of the solver does differently from ours by default.
 fn published(options: DbaOptions) -> DbaOptions {

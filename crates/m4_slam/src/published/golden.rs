@@ -1,7 +1,7 @@
 //! Golden numbers of `fixtures/`, as f64 whatever they are stored as.
 
-use m4_math::Se3;
 use crate::dba::{Grid, Pinhole};
+use m4_math::Se3;
 use safetensors::{Dtype, SafeTensors};
 use std::{fs, path::PathBuf};
 

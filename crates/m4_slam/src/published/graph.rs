@@ -3,8 +3,7 @@
 use super::golden::Golden;
 use crate::dba::Geometry;
 use crate::graph::{
-    FactorGraph, ProximitySettings, frame_distance, frame_distance_reference, neighbourhood,
-    select_proximity,
+    FactorGraph, ProximitySettings, frame_distance, frame_distance_reference, neighbourhood, select_proximity,
 };
 
 fn geometry(golden: &Golden) -> Geometry<f32> {

@@ -1,8 +1,6 @@
 //! Front end and back end with an oracle in place of the network.
 
 use super::golden::{Golden, difference, pose_difference};
-use m4_math::Se3;
-use m4_scene::Silent;
 use crate::dba::{Pinhole, project};
 use crate::graph::{EdgeChanges, GraphEdge};
 use crate::tracker::mono::MonoAlignment;
@@ -10,6 +8,8 @@ use crate::tracker::{
     Backend, Correspondence, CorrespondenceError, FrameInput, Frontend, Keyframes, PUBLISHED_TIME_GUARD, Revision,
     Submitted, TrackerSettings, interpolate_pose,
 };
+use m4_math::Se3;
+use m4_scene::Silent;
 
 /// The true reprojection, at most 8 pixels from the present one.
 struct Oracle {

@@ -22,8 +22,7 @@ pub struct LossConfig {
 
 impl Default for LossConfig {
     fn default() -> Self {
-        Self {
-            lambda_ssim: 0.4 }
+        Self { lambda_ssim: 0.4 }
     }
 }
 
