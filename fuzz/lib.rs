@@ -2,7 +2,7 @@
 
 pub use libfuzzer_sys;
 
-use m4_fuzz::{Stage, of_family};
+use m4_fuzz::{Reader, Stage, of_family};
 use std::cell::{Cell, OnceCell};
 use std::panic;
 
@@ -18,7 +18,7 @@ fn stages(family: &str) -> Vec<Stage<'static>> {
         eprintln!("reader: {}", READER.get());
         before(info);
     }));
-    let readers = Box::leak(of_family(family).into_boxed_slice());
+    let readers: &'static [Reader] = Box::leak(of_family(family).into_boxed_slice());
     let stages = readers.iter().map(|reader| reader.stage().expect("a temporary folder"));
     stages.collect()
 }
