@@ -1,33 +1,47 @@
-//! What all targets share: the reader of the target's name, its folder, and what counts as a crash besides a panic.
+//! What all targets share: the readers of a family, their folders, and what counts as a crash besides a panic.
 
 pub use libfuzzer_sys;
 
-use m4_fuzz::{Reader, Stage, reader};
-use std::cell::OnceCell;
+use m4_fuzz::{Reader, Stage, of_family};
+use std::cell::{Cell, OnceCell};
+use std::panic;
 
 thread_local! {
-    static STAGE: OnceCell<Stage<'static>> = const { OnceCell::new() };
+    static STAGES: OnceCell<Vec<Stage<'static>>> = const { OnceCell::new() };
+    static READER: Cell<&'static str> = const { Cell::new("") };
 }
 
-fn stage(name: &str) -> Stage<'static> {
-    let reader: &'static Reader = Box::leak(Box::new(reader(name).expect("a reader of the table")));
-    reader.stage().expect("a temporary folder")
+fn stages(family: &str) -> Vec<Stage<'static>> {
+    // a finding is of one reader of the family: say which
+    let before = panic::take_hook();
+    panic::set_hook(Box::new(move |info| {
+        eprintln!("reader: {}", READER.get());
+        before(info);
+    }));
+    let readers: &'static [Reader] = Box::leak(of_family(family).into_boxed_slice());
+    let stages = readers.iter().map(|reader| reader.stage().expect("a temporary folder"));
+    stages.collect()
 }
 
-/// Reads the bytes; panics where what came of them is not sound or a message quotes the file.
-pub fn read(name: &str, bytes: &[u8]) {
-    STAGE.with(|held| {
-        let outcome = held.get_or_init(|| stage(name)).read(bytes).expect("a temporary file");
+/// The first byte says which reader of the family reads the others; panics where what came of them is not sound or a message
+/// quotes the file.
+pub fn read(family: &str, input: &[u8]) {
+    let Some((&which, bytes)) = input.split_first() else { return };
+    STAGES.with(|held| {
+        let stages = held.get_or_init(|| stages(family));
+        let stage = &stages[usize::from(which) % stages.len()];
+        READER.set(stage.reader().name);
+        let outcome = stage.read(bytes).expect("a temporary file");
         if let Some(fault) = Stage::fault(&outcome) {
-            panic!("{name}: {fault}");
+            panic!("{fault}");
         }
     });
 }
 
-/// The target of a reader.
+/// The target of a family of readers.
 #[macro_export]
 macro_rules! target {
-    ($name:literal) => {
-        $crate::libfuzzer_sys::fuzz_target!(|bytes: &[u8]| $crate::read($name, bytes));
+    ($family:literal) => {
+        $crate::libfuzzer_sys::fuzz_target!(|input: &[u8]| $crate::read($family, input));
     };
 }

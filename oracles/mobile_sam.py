@@ -161,7 +161,7 @@ def main():
     sam = sam_model_registry["vit_t"](WEIGHTS)
     # spreads the biases of attention, which until then are those from before the weights were read
     sam.eval()
-    picture = np.array(Image.open(OUT / "gmflow" / "tennis_0.png").convert("RGB"))
+    picture = np.array(Image.open(OUT / "tennis" / "tennis_0.png").convert("RGB"))
     height, width = picture.shape[:2]
     exact = predictions(sam, picture, prompts_for(width, height), torch.float64)
     got = predictions(sam, picture, prompts_for(width, height), torch.float32)

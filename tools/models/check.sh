@@ -3,7 +3,7 @@
 #
 #   tools/models/check.sh                      # examples/pinwheel.mp4 with the paper's chain
 #   tools/models/check.sh CLIP [TRUTH]         # another clip; TRUTH is a capture or a transforms file to compare with
-#   FRONTEND=moge+gmflow WEIGHTS="gmflow moge-2-l-normal" tools/models/check.sh
+#   FRONTEND=moge+raft WEIGHTS="raft-things moge-2-l-normal" tools/models/check.sh
 #
 # MINUTE4D is the program (default: target/release/minute4d, built if it is not there). FRONTEND is what geometry runs with
 # (default: the paper's chain), OPTIONS are more options of `minute4d geometry`, such as "--device gpu --end 1". WEIGHTS are the names that
@@ -21,8 +21,8 @@ case $frontend in
     megasam) usual="megasam" ;;
     megasam+raft+depth-anything+unidepth) usual="megasam raft-things depth-anything-v1-l unidepth-v2-l" ;;
     megasam+raft+moge) usual="megasam raft-things moge-2-l" ;;
-    moge+gmflow) usual="moge-2-l gmflow" ;;
-    gmflow) usual="gmflow" ;;
+    moge+raft) usual="moge-2-l raft-things" ;;
+    raft) usual="raft-things" ;;
     *) usual="" ;;
 esac
 wanted=${WEIGHTS-$usual}

@@ -144,7 +144,7 @@ pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Pat
 
 /// Recovers the geometry of each input from its pictures alone and compares it with the truth, pairs
 /// `input=truth`: one Markdown row each, returned together. Options of `minute4d geometry`, each with its value, may come
-/// before the pairs (`--frontend gmflow`).
+/// before the pairs (`--frontend raft`).
 ///
 /// # Errors
 ///

@@ -6,21 +6,19 @@
 //! dress     what bytes are wrapped in so that harm goes deeper than a checksum: chunks of PNG, gzip, members of archives
 //! sound     what is wrong with what was read, if something is
 //! hostile   files made to do harm: extremes in each field of the head, cuts, nothing
-//! harm      blind changes of a sound file
 //! corpus    files that once did harm
 //! worker    the process that reads: a limit of memory, one input after another
 //! watch     the process that watches it
 //! ```
 //!
-//! Three programs go through the same table: `fuzz/` (libFuzzer, with the coverage of the code as its guide), `examples/harm.rs`
-//! (blind, on stable Rust) and `tests/replay.rs` (what was found, and hostile heads, within a limit of memory). Functions here
-//! panic where the fixtures are not there: that is a broken checkout.
+//! Two programs go through the same table: `fuzz/` (libFuzzer, with the coverage of the code as its guide: a target a family) and
+//! `tests/replay.rs` (what was found, and hostile heads, within a limit of memory). Functions here panic where the fixtures are
+//! not there: that is a broken checkout.
 #![forbid(unsafe_code)]
 
 mod corpus;
 mod dress;
 mod fixture;
-mod harm;
 mod hostile;
 mod limit;
 mod reader;
@@ -30,9 +28,8 @@ mod watch;
 mod worker;
 
 pub use corpus::corpus;
-pub use harm::harmed;
 pub use hostile::hostile;
 pub use reader::{MAX_REASON, Outcome, Reader, Stage};
-pub use table::{broken_readers, reader, readers};
+pub use table::{broken_readers, families, of_family, reader, readers};
 pub use watch::{Finding, Report, watch};
 pub use worker::{Meter, work};

@@ -46,7 +46,7 @@ type Seeds = Box<dyn Fn(&Path) -> Vec<Vec<u8>> + Send + Sync>;
 
 /// One reader of files.
 pub struct Reader {
-    /// As the target of the fuzzer and the folder of the corpus are called.
+    /// As the folder of the corpus is called; what it begins with is the family, which has a target of the fuzzer.
     pub name: &'static str,
     /// Where the bytes are put, below the stage.
     pub(crate) file: String,
@@ -59,6 +59,12 @@ pub struct Reader {
 }
 
 impl Reader {
+    /// What its name begins with.
+    #[must_use]
+    pub fn family(&self) -> &'static str {
+        self.name.split('-').next().unwrap_or(self.name)
+    }
+
     /// A folder in which this reader reads, ready for bytes. A temporary one, gone when the stage is.
     ///
     /// # Errors

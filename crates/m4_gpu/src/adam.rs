@@ -58,18 +58,16 @@ pub(crate) fn adam(
     }
 }
 
-/// One more step for every splat that is stepped; where `shared` is not 0 it is the count of all of them.
+/// One more step for every splat that is stepped.
 #[cube(launch)]
-pub(crate) fn count_steps(touched: &[u32], counts: &mut [u32], n: u32, shared: u32, #[comptime] sparse: bool) {
+pub(crate) fn count_steps(touched: &[u32], counts: &mut [u32], n: u32, #[comptime] sparse: bool) {
     let i = ABSOLUTE_POS;
     if i < n as usize {
         let mut on = touched[i] != 0u32;
         if comptime!(!sparse) {
             on = true;
         }
-        if shared > 0u32 {
-            counts[i] = shared;
-        } else if on {
+        if on {
             counts[i] += 1u32;
         }
     }

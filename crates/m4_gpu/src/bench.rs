@@ -3,7 +3,7 @@
 use crate::splats::DeviceSplats;
 use crate::stopwatch::Laps;
 use crate::work::{Size, Work};
-use crate::{DepthTerm, Found, Gpu, GpuError, Look, Renderer, StepSettings, Trainer, device::failed, probe::probe};
+use crate::{Found, Gpu, GpuError, Renderer, StepSettings, Trainer, device::failed, probe::probe};
 use cubecl::MemoryScope;
 use cubecl::profile::TimingMethod;
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
@@ -14,8 +14,6 @@ use m4_kernels::{Frame, View};
 const LAMBDA_SSIM: f32 = 0.2;
 /// Learning rate of every column, as on the processor: small, so that the scene stays what it is while it is timed.
 const RATE: f32 = 1e-4;
-/// What every pixel's depth is compared with, metres: of any value as well.
-const DEPTH: f32 = 3.0;
 const DOING: &str = "timing steps";
 
 /// Memory of the device that is this process's, bytes.
@@ -45,12 +43,7 @@ impl Bench {
     /// [`GpuError`] if it does not fit or the device fails.
     pub fn new(gpu: Gpu, scene: BenchScene) -> Result<Self, GpuError> {
         let adam = AdamState::new(&scene.splats);
-        let mut trainer = Trainer::new(gpu.clone(), &scene.splats, &adam, [&scene.target], usize::MAX)?;
-        let view = &scene.views[0];
-        if view.with_depth {
-            let k = &view.camera.intrinsics;
-            trainer.set_depths([Some(vec![DEPTH; k.width * k.height])], usize::MAX)?;
-        }
+        let trainer = Trainer::new(gpu.clone(), &scene.splats, &adam, [&scene.target], usize::MAX)?;
         let mut bench = Self {
             rates: vec![RATE; scene.splats.columns().len()],
             trainer,
@@ -81,19 +74,8 @@ impl Bench {
             lambda_ssim: LAMBDA_SSIM,
             rates: &self.rates,
             adam: AdamConfig::default(),
-            shared_steps: None,
         };
-        let view = &self.scene.views[view];
-        let look = Look {
-            // weights of any value: the time does not depend on them
-            depth: view.with_depth.then_some(DepthTerm {
-                weight: 1e-6,
-                huber: 0.1,
-                alpha_weight: 1e-6,
-            }),
-            ..Look::new(0, view)
-        };
-        self.trainer.step_looks(&[look], &settings)
+        self.trainer.step(0, &self.scene.views[view], &settings)
     }
 
     /// Waits, and says what the steps since the last call found.

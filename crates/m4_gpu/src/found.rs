@@ -14,18 +14,15 @@ const STEPS: usize = 1;
 const TOUCHED: usize = 2;
 const LOOKS: usize = 4;
 /// Not 0 where the loss of a frame was not finite.
-pub(crate) const BAD_LOSS: usize = 5;
+const BAD_LOSS: usize = 5;
 /// Not 0 where a parameter is not finite.
 const BAD_SPLAT: usize = 6;
 /// Floats: sums over the frames, and the last frame's mean squared error.
 const SSIM: usize = 7;
 const L1: usize = 8;
-pub(crate) const DEPTH: usize = 9;
-const SQUARES: usize = 10;
-/// Losses, one a frame.
-pub(crate) const FRAMES: usize = 11;
-/// In place of the loss of a frame that was not seen: not a number that arithmetic makes.
-const UNSEEN: u32 = u32::MAX;
+const SQUARES: usize = 9;
+/// Losses, one a look that is told apart.
+pub(crate) const LOSSES: usize = 10;
 
 /// What steps found since the last time it was asked for.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -38,14 +35,10 @@ pub struct Found {
     pub l1: f64,
     /// Mean structural similarity.
     pub ssim: f64,
-    /// Mean of the depth term, weight included; 0 without depth.
-    pub depth: f64,
     /// PSNR of the frame looked at last, dB, its colours cut to 0..1; 100 for equal pictures, NaN before the first.
     pub psnr: f64,
     /// Splats that a step's frames showed, mean.
     pub touched: f64,
-    /// Frames seen, and the photometric loss that each had last; by number.
-    pub losses: Vec<(usize, f32)>,
     /// Frames whose camera's gradient was asked for, and that gradient, in the order of the looks.
     pub cameras: Vec<(usize, CameraGradient)>,
     /// Frames whose exposure's gradient was asked for, and that gradient, in the order of the looks: rows of the matrix,
@@ -73,22 +66,21 @@ impl Tally {
         self.parts = Buffer::empty(&gpu.client, n.div_ceil(256));
     }
 
-    /// Nothing found yet, of a video of `frames` frames and `n` splats.
-    pub fn new(gpu: &Gpu, frames: usize, n: usize) -> Self {
+    /// Nothing found yet, with room for the losses of `looks` looks, of `n` splats.
+    pub fn new(gpu: &Gpu, looks: usize, n: usize) -> Self {
         Self {
-            buffer: Self::fresh(gpu, frames),
+            buffer: Self::fresh(gpu, looks),
             parts: Buffer::empty(&gpu.client, n.div_ceil(256)),
         }
     }
 
-    fn fresh(gpu: &Gpu, frames: usize) -> Buffer {
-        let mut words = vec![0; FRAMES];
-        words.resize(FRAMES + frames, UNSEEN);
-        Buffer::words(&gpu.client, &words)
+    fn fresh(gpu: &Gpu, looks: usize) -> Buffer {
+        Buffer::words(&gpu.client, &vec![0; LOSSES + looks])
     }
 
-    /// Adds the sums of a frame's tiles, three a tile and channel of which `values` make a mean.
-    pub fn look(&self, gpu: &Gpu, sums: &Buffer, tiles: usize, values: usize, frame: usize, lambda: f32) {
+    /// Adds the sums of a frame's tiles, three a tile and channel of which `values` make a mean, and keeps the loss as that
+    /// of look `look`.
+    pub fn look(&self, gpu: &Gpu, sums: &Buffer, tiles: usize, values: usize, look: usize, lambda: f32) {
         add_up::launch(
             &gpu.client,
             cubes(1, 1),
@@ -98,7 +90,7 @@ impl Tally {
             3 * tiles as u32,
             values as f32,
             lambda,
-            frame as u32,
+            look as u32,
         );
     }
 
@@ -125,25 +117,22 @@ impl Tally {
     /// Waits, says what was found, and starts anew.
     pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<Found, GpuError> {
         let words = self.buffer.read_words(&gpu.client, doing)?;
-        self.buffer = Self::fresh(gpu, words.len() - FRAMES);
+        self.buffer = Self::fresh(gpu, words.len() - LOSSES);
         let float = |at: usize| f64::from(f32::from_bits(words[at]));
         let (steps, looks) = (words[STEPS] as usize, words[LOOKS] as usize);
         let touched = u64::from(words[TOUCHED]) | u64::from(words[TOUCHED + 1]) << 32;
         let mean = |at: usize| float(at) / looks.max(1) as f64;
-        let seen = words[FRAMES..].iter().enumerate().filter(|&(_, &w)| w != UNSEEN);
         Ok(Found {
             steps,
             looks,
             l1: mean(L1),
             ssim: mean(SSIM),
-            depth: mean(DEPTH),
             psnr: if looks == 0 {
                 f64::NAN
             } else {
                 (-10.0 * float(SQUARES).log10()).min(100.0)
             },
             touched: touched as f64 / steps.max(1) as f64,
-            losses: seen.map(|(frame, &w)| (frame, f32::from_bits(w))).collect(),
             cameras: Vec::new(),
             exposures: Vec::new(),
             loss_is_finite: words[BAD_LOSS] == 0,
@@ -169,14 +158,14 @@ pub(crate) fn check_parameter(value: f32, tally: &mut [u32]) {
 }
 
 #[cube]
-pub(crate) fn add_float(tally: &mut [u32], #[comptime] at: usize, value: f32) {
+fn add_float(tally: &mut [u32], #[comptime] at: usize, value: f32) {
     let sum = f32::reinterpret(tally[at]) + value;
     tally[at] = u32::reinterpret(sum);
 }
 
 /// Adds the means of a frame's SSIM and differences, and keeps its loss.
 #[cube(launch)]
-fn add_up(sums: &[f32], tally: &mut [u32], cubes: u32, count: f32, lambda: f32, frame: u32) {
+fn add_up(sums: &[f32], tally: &mut [u32], cubes: u32, count: f32, lambda: f32, look: u32) {
     let mut shared = Shared::<[f32]>::new_slice(256usize);
     let mut ssim = 0.0f32;
     let mut difference = 0.0f32;
@@ -200,7 +189,7 @@ fn add_up(sums: &[f32], tally: &mut [u32], cubes: u32, count: f32, lambda: f32, 
         add_float(tally, SSIM, ssim);
         add_float(tally, L1, difference);
         tally[SQUARES] = u32::reinterpret(square);
-        tally[FRAMES + frame as usize] = u32::reinterpret(loss);
+        tally[LOSSES + look as usize] = u32::reinterpret(loss);
     }
 }
 

@@ -3,7 +3,6 @@
 use crate::buffer::Buffer;
 use crate::{Gpu, GpuError};
 use m4_kernels::photo::cpu::{Target, TargetPlanes};
-use m4_scene::ShapeError;
 use std::borrow::Borrow;
 
 /// What a step of a 16-bit sample is worth where colours come as floats.
@@ -19,21 +18,11 @@ pub(crate) struct DeviceFrame {
     pub wide: bool,
 }
 
-/// A frame's depth as the kernels read it.
-#[derive(Debug, Clone)]
-pub(crate) struct DeviceDepth {
-    /// Bits of floats; at most 0 or not finite where depth is not known.
-    pub z: Buffer,
-    /// Pixels where it is.
-    pub known: usize,
-}
-
 #[derive(Debug)]
 struct Stored {
     place: Place,
     worth: f32,
     wide: bool,
-    depth: Option<(Place, usize)>,
 }
 
 #[derive(Debug)]
@@ -64,8 +53,8 @@ impl Place {
     }
 }
 
-/// Frames of one size, and their depths.
-#[derive(Debug, Default)]
+/// Frames of one size.
+#[derive(Debug)]
 pub(crate) struct Frames {
     pub width: usize,
     pub height: usize,
@@ -101,12 +90,7 @@ impl Frames {
             let (words, worth, wide) = packed(frame);
             gpu.fits("a frame", 4 * words.len())?;
             let place = Place::new(gpu, words, &mut left);
-            out.list.push(Stored {
-                place,
-                worth,
-                wide,
-                depth: None,
-            });
+            out.list.push(Stored { place, worth, wide });
         }
         if out.list.is_empty() {
             return Err(GpuError::NoFrames);
@@ -120,11 +104,6 @@ impl Frames {
         self.list.iter().filter(there).count()
     }
 
-    /// How many there are.
-    pub fn len(&self) -> usize {
-        self.list.len()
-    }
-
     /// Frame `index`, uploaded if it is not there.
     pub fn get(&self, gpu: &Gpu, index: usize) -> Result<DeviceFrame, GpuError> {
         let frame = self.stored(index)?;
@@ -133,41 +112,6 @@ impl Frames {
             worth: frame.worth,
             wide: frame.wide,
         })
-    }
-
-    /// Depth of frame `index`, uploaded if it is not there; `None` for a frame without.
-    pub fn depth(&self, gpu: &Gpu, index: usize) -> Result<Option<DeviceDepth>, GpuError> {
-        let depth = self.stored(index)?.depth.as_ref();
-        Ok(depth.map(|(place, known)| DeviceDepth {
-            z: place.get(gpu),
-            known: *known,
-        }))
-    }
-
-    /// Takes depths, one a frame, `[height][width]`; those that fit into `budget_bytes` go to the device for good.
-    pub fn set_depths<D: AsRef<[f32]>>(
-        &mut self,
-        gpu: &Gpu,
-        depths: impl IntoIterator<Item = Option<D>>,
-        budget_bytes: usize,
-    ) -> Result<(), GpuError> {
-        self.list.iter_mut().for_each(|frame| frame.depth = None);
-        let (mut left, mut found) = (budget_bytes, 0);
-        for depth in depths {
-            let count = self.list.len();
-            let Some(frame) = self.list.get_mut(found) else {
-                return Err(GpuError::NoFrame { index: found, count });
-            };
-            if let Some(z) = &depth {
-                let z = z.as_ref();
-                ShapeError::check("depth of a frame", self.width * self.height, z.len())?;
-                let known = z.iter().filter(|z| **z > 0.0 && z.is_finite()).count();
-                let bits = z.iter().map(|z| z.to_bits()).collect();
-                frame.depth = Some((Place::new(gpu, bits, &mut left), known));
-            }
-            found += 1;
-        }
-        Ok(())
     }
 
     fn stored(&self, index: usize) -> Result<&Stored, GpuError> {
@@ -180,7 +124,6 @@ impl Frames {
 fn packed(frame: &Target) -> (Vec<u32>, f32, bool) {
     match frame.planes() {
         TargetPlanes::Bytes(planes) => (planes.into_iter().flat_map(four_a_word).collect(), 1.0 / 255.0, false),
-        TargetPlanes::Words(planes, worth) => (planes.into_iter().flat_map(two_a_word).collect(), worth, true),
         TargetPlanes::Floats(planes) => {
             let words = planes.into_iter().flat_map(|plane| {
                 let samples: Vec<u16> = plane

@@ -75,6 +75,6 @@ pub use gather::Regrowth;
 pub use plan::{Part, Plan};
 pub use renderer::Renderer;
 pub use score::{ScoreRange, ScoreSettings, ScoreSums};
-pub use step::{DepthTerm, Look, StepSettings};
+pub use step::{Look, StepSettings};
 pub use stopwatch::Laps;
 pub use trainer::Trainer;

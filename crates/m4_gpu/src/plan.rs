@@ -6,7 +6,7 @@ use crate::scan::Scan;
 use crate::sort::Sort;
 use crate::splats::parts;
 use crate::work::{CHECKPOINT, Size};
-use crate::{Gpu, GpuError, eye::EYE, found::FRAMES};
+use crate::{Gpu, GpuError, eye::EYE, found::LOSSES};
 use m4_scene::SplatLayout;
 
 /// Entries of tiles that memory is first made for: so many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
@@ -79,7 +79,7 @@ impl Plan {
         ];
         parts.extend(work(&size));
         let cubes = n.div_ceil(256);
-        parts.push(part("loss", &[9 * pixels, 9 * size.tiles(), cubes, FRAMES + frames]));
+        parts.push(part("loss", &[9 * pixels, 9 * size.tiles(), cubes, LOSSES + 1]));
         parts.push(density_control(&columns, n, pixels));
         // planes of bytes, each in words of its own
         let frame = part("frames", &[3 * pixels.div_ceil(4)]);

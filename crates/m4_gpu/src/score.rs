@@ -7,7 +7,7 @@
 use crate::buffer::{Buffer, cubes, units};
 use crate::error_mask::Mask;
 use crate::eye::TIME;
-use crate::found::{FRAMES, Tally};
+use crate::found::{LOSSES, Tally};
 use crate::slice::life;
 use crate::trainer::TRAINING;
 use crate::{GpuError, Trainer, bin};
@@ -216,7 +216,7 @@ fn score_splats(
             }
             let life = life(geometry, time, i, n, n_static, eye[TIME]);
             let score = sum * life.marginal;
-            let loss = f32::reinterpret(tally[FRAMES + look as usize]);
+            let loss = f32::reinterpret(tally[LOSSES + look as usize]);
             scores[i as usize] += score * share;
             scores[(n + i) as usize] += score * loss;
         }

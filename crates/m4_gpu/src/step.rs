@@ -15,8 +15,6 @@ pub struct StepSettings<'a> {
     pub rates: &'a [f32],
     /// The optimiser.
     pub adam: AdamConfig,
-    /// The count of steps of all splats, this one included; `None` where each splat has its own.
-    pub shared_steps: Option<u32>,
 }
 
 /// A frame of a step.
@@ -26,8 +24,6 @@ pub struct Look<'a> {
     pub frame: usize,
     /// How it is drawn.
     pub view: &'a View,
-    /// What depth counts; `None` for nothing, as where the frame has no depth.
-    pub depth: Option<DepthTerm>,
     /// Also take the gradient of the camera, for [`Found::cameras`](crate::Found::cameras).
     pub camera: bool,
     /// Also take the gradient of the frame's [exposure](Trainer::set_exposures), for
@@ -42,30 +38,15 @@ impl<'a> Look<'a> {
         Self {
             frame,
             view,
-            depth: None,
             camera: false,
             exposure: false,
         }
     }
 }
 
-/// The loss of depth: the mean over the pixels with depth of `weight` times the Huber function of the relative residual
-/// `(D - z A) / z`, and of `alpha_weight` times the transmittance. `D` is the composited depth, `A` alpha, `z` the frame's
-/// depth.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DepthTerm {
-    /// Of the residuals.
-    pub weight: f32,
-    /// From here on residuals count linearly, with slope 1.
-    pub huber: f32,
-    /// Of the transmittance.
-    pub alpha_weight: f32,
-}
-
 impl Trainer {
     /// Draws `view`, compares it with frame `frame`, and moves every splat that was seen. Returns before the device is
-    /// done; nothing is read back but, in the first step after splats or frames were replaced, how many tile entries there
-    /// are.
+    /// done; nothing is read back but, in the first step after splats were replaced, how many tile entries there are.
     ///
     /// # Errors
     ///
@@ -103,23 +84,14 @@ impl Trainer {
     /// Draws, compares, and leaves the gradients of the splats.
     fn look(&mut self, look: &Look<'_>, lambda: f32) -> Result<(), GpuError> {
         let target = self.frames.get(&self.gpu, look.frame)?;
-        let depth = match look.depth {
-            Some(term) => self.frames.depth(&self.gpu, look.frame)?.map(|depth| (term, depth)),
-            None => None,
-        };
-        let with_depth = depth.is_some();
         self.draw(&View {
-            with_depth,
+            with_depth: false,
             ..*look.view
         })?;
         let (shown, exposure) = self.corrected(look.frame);
         let (gpu, gradient) = (&self.gpu, &self.work.gradient);
-        self.loss.compare(gpu, &shown, &target, look.frame, lambda, &self.tally);
+        self.loss.compare(gpu, &shown, &target, 0, lambda, &self.tally);
         self.loss.gradient(gpu, &shown, &target, lambda, gradient);
-        if let Some((term, depth)) = depth {
-            self.loss
-                .depth(gpu, &self.work.image, &depth, term, gradient, &self.tally);
-        }
         if let Some(exposure) = exposure {
             self.pull_back(look.frame, &exposure, look.exposure);
         }
@@ -130,8 +102,8 @@ impl Trainer {
             &self.splats,
             &self.gradients,
             look.view.mip,
-            with_depth,
-            with_depth,
+            false,
+            false,
             camera.as_ref(),
         );
         if look.camera {
@@ -152,7 +124,6 @@ impl Trainer {
             self.work.touched.arg(),
             self.steps.arg(),
             n as u32,
-            settings.shared_steps.unwrap_or(0),
             sparse,
         );
         let groups = [

@@ -37,14 +37,14 @@ pub struct Trainer {
     pub(crate) exposures: Vec<Exposure>,
     /// The picture drawn last, corrected.
     pub(crate) exposed: Buffer,
-    /// Whether there was room for the entries of a frame of these splats at this size.
+    /// Whether there was room for the entries of a frame of these splats.
     pub(crate) fits: bool,
     limit_bytes: Option<u64>,
 }
 
 impl Trainer {
     /// Copies everything to the device; of the `frames`, which have one size, those that fit into `budget_bytes`. The
-    /// others stay here, three bytes a pixel (six for those that were made smaller), and are uploaded when they are used.
+    /// others stay here, three bytes a pixel, and are uploaded when they are used.
     ///
     /// # Errors
     ///
@@ -66,7 +66,7 @@ impl Trainer {
             training: true,
         };
         let splats = DeviceSplats::upload(&gpu, splats)?;
-        let tally = Tally::new(&gpu, frames.len(), size.n);
+        let tally = Tally::new(&gpu, 1, size.n);
         let mut work = Work::new(&gpu, size)?;
         work.peak = tally.buffer.clone();
         Ok(Self {
@@ -102,49 +102,7 @@ impl Trainer {
         self.splats.n
     }
 
-    /// Goes on with other frames, which may have another size (coarse to fine); as in [`new`](Self::new). Depths are
-    /// forgotten, and what steps found where the number of frames is another one.
-    ///
-    /// # Errors
-    ///
-    /// As [`new`](Self::new); there are no frames at all then.
-    pub fn set_frames<T: Borrow<Target>>(
-        &mut self,
-        frames: impl IntoIterator<Item = T>,
-        budget_bytes: usize,
-    ) -> Result<(), GpuError> {
-        // both at once may be too much for the device
-        let before = std::mem::take(&mut self.frames).len();
-        self.frames = Frames::new(&self.gpu, frames, budget_bytes)?;
-        let size = Size {
-            width: self.frames.width,
-            height: self.frames.height,
-            ..self.work.size
-        };
-        self.make(size)?;
-        if self.frames.len() != before {
-            self.tally = Tally::new(&self.gpu, self.frames.len(), size.n);
-            self.work.peak = self.tally.buffer.clone();
-        }
-        Ok(())
-    }
-
-    /// Takes depths, one a frame: z-depth at the size of the frames, `[height][width]`, 0 or not finite where it is not
-    /// known; `None` for frames without, and for those that the list does not reach. Those that fit into `budget_bytes`,
-    /// four bytes a pixel, stay on the device.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if a depth has another size, there are more than frames, or the device fails.
-    pub fn set_depths<D: AsRef<[f32]>>(
-        &mut self,
-        depths: impl IntoIterator<Item = Option<D>>,
-        budget_bytes: usize,
-    ) -> Result<(), GpuError> {
-        self.frames.set_depths(&self.gpu, depths, budget_bytes)
-    }
-
-    /// Draws `view`; the first time with these splats at this size with as much room as it takes.
+    /// Draws `view`; the first time with these splats with as much room as it takes.
     pub(crate) fn draw(&mut self, view: &View) -> Result<(), GpuError> {
         let (k, size) = (&view.camera.intrinsics, self.work.size);
         ShapeError::check("columns of a view", self.frames.width, k.width)?;
@@ -192,20 +150,17 @@ impl Trainer {
         })
     }
 
-    /// Memory for frames of `size`, where it is another one.
+    /// Memory for `size`, where it is another one.
     pub(crate) fn make(&mut self, size: Size) -> Result<(), GpuError> {
         self.fits = false;
         if size == self.work.size {
             return Ok(());
         }
         self.check_limit(size)?;
-        let (old, peak) = (self.work.size, self.work.peak.clone());
+        let (n, peak) = (self.work.size.n, self.work.peak.clone());
         self.work.remake(&self.gpu, size)?;
         self.work.peak = peak;
-        if (old.width, old.height) != (size.width, size.height) {
-            self.loss = Loss::new(&self.gpu, size);
-        }
-        if old.n != size.n {
+        if n != size.n {
             self.tally.resize(&self.gpu, size.n);
         }
         Ok(())

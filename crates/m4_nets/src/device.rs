@@ -32,8 +32,8 @@ pub struct Compute {
 }
 
 impl Compute {
-    /// In 16 bits where the device has them, as the published programs do; the processor stays at 32. GMFlow, LPIPS and
-    /// MobileSAM stay at 32 bits everywhere.
+    /// In 16 bits where the device has them, as the published programs do; the processor stays at 32. LPIPS and MobileSAM
+    /// stay at 32 bits everywhere.
     #[must_use]
     pub fn half(device: Device) -> Self {
         let half = device != cpu() && device.supports_dtype(FloatDType::F16);

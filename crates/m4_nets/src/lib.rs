@@ -15,7 +15,6 @@
 
 pub mod depth_anything;
 pub mod droid;
-pub mod gmflow;
 pub mod lpips;
 pub mod mobile_sam;
 pub mod moge;
@@ -45,7 +44,6 @@ pub use device::{Compute, cpu};
 pub use dinov2::BackboneSize;
 pub use droid::{DroidError, DroidMemory, DroidNet};
 pub use flow::{Flow, FlowError};
-pub use gmflow::GmFlow;
 pub use load::LoadError;
 pub use lpips::{Lpips, LpipsError, LpipsNet, LpipsPicture, LpipsScore};
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};

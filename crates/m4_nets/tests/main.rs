@@ -3,7 +3,6 @@
 mod common;
 mod depth_anything;
 mod droid;
-mod gmflow;
 mod gpu;
 mod lpips;
 mod mobile_sam;

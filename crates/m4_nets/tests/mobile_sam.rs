@@ -151,7 +151,7 @@ fn agrees_with_the_module_on_real_weights() {
         masks: 1e-3,
         iou: 1e-4,
     };
-    compare(&net, &png("gmflow/tennis_0.png"), &file, &limits);
+    compare(&net, &png("tennis/tennis_0.png"), &file, &limits);
 }
 
 #[test]

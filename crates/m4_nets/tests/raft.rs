@@ -103,10 +103,10 @@ fn real_weights_see_what_another_network_sees() {
     };
     let net = Raft::load(&path, cpu()).unwrap();
     assert_eq!(net.parameters(), 5_257_536);
-    let (a, b) = (png("gmflow/tennis_0.png"), png("gmflow/tennis_1.png"));
+    let (a, b) = (png("tennis/tennis_0.png"), png("tennis/tennis_1.png"));
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
     let [flow, _] = net.flow_both(&a, &b, 12, None).unwrap();
-    let file = fs::read(fixtures().join("gmflow/tennis.safetensors")).unwrap();
+    let file = fs::read(fixtures().join("tennis/flow.safetensors")).unwrap();
     let want = floats(&file, "flow_every_4");
     let RaftFlow { flow, .. } = flow;
     let at: Vec<usize> = (0..flow.height)

@@ -142,7 +142,7 @@ fn real_weights_are_those_that_are_expected() {
     };
     let net = UniDepth::load(&path, cpu()).unwrap();
     assert_eq!(net.size(), BackboneSize::Large);
-    let image = crate::common::png("gmflow/tennis_0.png");
+    let image = crate::common::png("tennis/tennis_0.png");
     let UniDepthMap { depth_m, camera } = net.depth_by_patches(&image, 300).unwrap();
     let mut depths = depth_m.data().to_vec();
     depths.sort_by(f32::total_cmp);

@@ -22,6 +22,8 @@ pub mod dense;
 pub mod graph;
 pub mod instances;
 pub mod megasam;
+#[cfg(test)]
+mod published;
 pub mod reconstruction;
 pub mod sparse;
 pub mod tracker;

@@ -2,7 +2,6 @@
 
 mod cvd_bench;
 mod dense;
-mod geometry;
 mod megasam;
 mod sparse;
 mod track_support;

@@ -27,23 +27,10 @@ pub struct DeviceLook<'a> {
     pub frame: usize,
     /// How it is drawn.
     pub view: &'a View,
-    /// The loss of depth; `None` for none.
-    pub depth: Option<DeviceDepth>,
     /// Also take the gradient of the camera, for [`DeviceFound::cameras`].
     pub camera: bool,
     /// Also take the gradient of the frame's exposure, for [`DeviceFound::exposures`].
     pub exposure: bool,
-}
-
-/// The loss of depth of a frame, as [`crate::LossConfig`] has it at this point of the run.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DeviceDepth {
-    /// Of the residuals.
-    pub weight: f32,
-    /// From here on relative residuals count linearly.
-    pub huber: f32,
-    /// Of the transmittance where there is depth.
-    pub alpha_weight: f32,
 }
 
 /// What a step depends on besides splats and frames.
@@ -55,8 +42,6 @@ pub struct DeviceStep<'a> {
     pub rates: &'a [f32],
     /// The optimiser.
     pub adam: AdamConfig,
-    /// The count of steps of all splats, this one included; `None` where each splat has its own.
-    pub shared_steps: Option<u32>,
 }
 
 /// What steps found since they were asked the last time.
@@ -70,14 +55,10 @@ pub struct DeviceFound {
     pub l1: f64,
     /// Mean structural similarity.
     pub ssim: f64,
-    /// Mean of the term of depth, weight included.
-    pub depth: f64,
     /// PSNR of the frame drawn last, dB, colours clamped to 0..1, at most 100.
     pub psnr: f64,
     /// Splats that a step moved, mean.
     pub touched: f64,
-    /// Frames seen, each with the loss that it had last.
-    pub losses: Vec<(usize, f32)>,
     /// Gradients of the cameras that were asked for, in the order of the looks, each with the number of its frame.
     pub cameras: Vec<(usize, CameraGradient)>,
     /// Gradients of the exposures that were asked for, likewise: rows of the matrix, each followed by its offset.
@@ -114,8 +95,6 @@ pub struct ColourGradient {
 pub struct DeviceRound<'a> {
     /// Frames that say who is wrong; none where nothing is due that asks for scores.
     pub looks: &'a [(usize, View)],
-    /// Other frames for the scores that prune; `None` for the same.
-    pub prune_looks: Option<&'a [(usize, View)]>,
     /// How errors count.
     pub scores: ScoreSettings,
     /// The plan follows from these: [`Rules::plan`] says how. Halves are never drawn at random.
@@ -164,18 +143,17 @@ pub struct Regrowth<'a> {
 /// A place where splats live and steps are taken: a GPU.
 ///
 /// Every method may fail with what the device says; after that nothing on it is relied on. `n` rows are those of the
-/// splats uploaded last; views have the size of the frames set last.
+/// splats uploaded last; views have the size of the frames.
 pub trait Device: std::fmt::Debug {
     /// What it is called.
     fn name(&self) -> String;
 
-    /// Takes all frames, of one size, and their depths (z, 0 or not finite where unknown; one a frame, or none at all);
-    /// forgets those before.
+    /// Takes all frames, of one size: once, before the first splats.
     ///
     /// # Errors
     ///
     /// [`DeviceError`].
-    fn set_frames(&mut self, frames: Vec<Target>, depths: Vec<Option<Vec<f32>>>) -> Result<(), DeviceError>;
+    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), DeviceError>;
 
     /// Takes the correction of every frame's colours: from here on `matrix rgb + offset` is what is compared with the
     /// frame. Without a call nothing is corrected.

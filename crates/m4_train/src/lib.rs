@@ -1,7 +1,7 @@
 //! The optimisation loop: schedule, loss, sparse Adam, loss-guided density control, checkpoints.
 //!
 //! [`Trainer`] takes a capture and its first splats and makes them look like the frames: pick a frame
-//! ([`FrameChoice`]), draw it, compare (L1 + SSIM and depth), step every splat that was seen. Every
+//! in an order drawn anew for each epoch, draw it, compare (L1 + SSIM), step every splat that was seen. Every
 //! hundred steps [`density`] looks at what is still wrong and adds or removes splats there (paper
 //! section 3.3).
 //!
@@ -19,7 +19,6 @@ pub mod device;
 
 mod batch;
 mod colour_fit;
-mod depth_loss;
 mod error;
 mod frames;
 mod metrics;
@@ -33,8 +32,7 @@ mod state;
 mod trainer;
 
 pub use config::{
-    AdamSettings, ColourFitConfig, DensityConfig, FrameChoice, LossConfig, PositionUnit, RateConfig, RefineConfig,
-    ResolutionConfig, TrainConfig,
+    AdamSettings, ColourFitConfig, DensityConfig, LossConfig, PositionUnit, RateConfig, RefineConfig, TrainConfig,
 };
 pub use device::{Device, DeviceError, DeviceMaker};
 pub use error::TrainError;

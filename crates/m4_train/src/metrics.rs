@@ -14,18 +14,14 @@ pub struct MetricsEvent {
     pub l1: f64,
     /// Mean structural similarity of the training frames.
     pub ssim: f64,
-    /// PSNR of the frame looked at last, dB (colours clamped to 0..1), at the resolution of this iteration.
+    /// PSNR of the frame looked at last, dB (colours clamped to 0..1).
     pub psnr: f64,
-    /// The depth term, weight included.
-    pub depth: f64,
     /// Splats without time parameters.
     pub splats_static: usize,
     /// Splats with time parameters.
     pub splats_dynamic: usize,
     /// Splats that a step moved, mean.
     pub touched: f64,
-    /// By how much frames are made smaller: 1, 2 or 4.
-    pub downscale: usize,
     /// Seconds of training in this process.
     pub seconds: f64,
     /// Seconds of processor time of all threads of this process during those: what training costs however busy the machine
@@ -43,7 +39,6 @@ pub(crate) struct Totals {
     pub loss: f64,
     pub l1: f64,
     pub ssim: f64,
-    pub depth: f64,
     pub touched: usize,
 }
 

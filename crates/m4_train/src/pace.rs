@@ -1,16 +1,16 @@
 //! How many iterations fit into a given time on this machine.
 
-use crate::config::{ColourFitConfig, DensityConfig, RefineConfig, ResolutionConfig, TrainConfig};
+use crate::TrainError;
+use crate::config::{ColourFitConfig, DensityConfig, RefineConfig, TrainConfig};
 use crate::device::{DeviceError, DeviceMaker};
 use crate::scale::SceneScale;
 use crate::trainer::Trainer;
-use crate::{TrainError, schedule};
 use m4_kernels::SimdLevel;
 use m4_scene::{Capture, Column, Splats};
 use rayon::prelude::*;
 use std::time::Instant;
 
-/// Trial steps at each size of the frames; the first of them prepare memory and are not counted.
+/// Trial steps; the first of them prepare memory and are not counted.
 const STEPS: usize = 24;
 const WARM_UP: usize = 8;
 /// Share of the time that is planned with; the rest is for density control, checks and checkpoints, and for what
@@ -21,9 +21,8 @@ const MOST_GROWTH: f64 = 4.0;
 /// Fewer iterations than this are no training.
 const LEAST: usize = 50;
 
-/// The number of iterations that take `seconds` on rayon's current pool, or on a `device`: trial steps on a copy of `splats` with what density control may add, at every
-/// size of the frames that the schedule of `config` has, weighted by how long it stays there. A multiple of 10, at least
-/// 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
+/// The number of iterations that take `seconds` on rayon's current pool, or on a `device`: trial steps on a copy of `splats` with what density control may add.
+/// A multiple of 10, at least 50. Unlike everything else in this crate it depends on the machine: with the number that it returns,
 /// training is a function of its inputs again.
 ///
 /// # Errors
@@ -37,19 +36,11 @@ pub fn affordable_iterations(
     device: Option<DeviceMaker<'_>>,
     seconds: f64,
 ) -> Result<usize, TrainError> {
-    let camera = capture.frames.first().ok_or(TrainError::NoFrames)?.camera;
-    let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
-    let resolution = &config.resolution;
-    let quarter = resolution.quarter_until;
-    let half = resolution.half_until.max(quarter);
-    let grown = grown(splats, &apparent_sizes(capture, splats), config)?;
-    let mut step_s = 0.0;
-    for (share, x) in [(quarter, 0.0), (half - quarter, quarter), (1.0 - half, half)] {
-        if share > 0.0 {
-            let factor = schedule::downscale(resolution, x, w, h);
-            step_s += f64::from(share) * trial(capture, &grown, config, level, device, factor)?;
-        }
+    if capture.frames.is_empty() {
+        return Err(TrainError::NoFrames);
     }
+    let grown = grown(splats, &apparent_sizes(capture, splats), config)?;
+    let step_s = trial(capture, &grown, config, level, device)?;
     let fits = config.colour_fit.frames_drawn(capture.frames.len()) / config.batch as f64;
     let count = (PLANNED * seconds / step_s.max(1e-6) - fits).max(0.0) as usize;
     Ok((count / 10 * 10).max(LEAST))
@@ -94,28 +85,17 @@ fn apparent_sizes(capture: &Capture, splats: &Splats) -> Vec<f32> {
     (0..splats.n_static()).into_par_iter().map(one).collect()
 }
 
-/// Median seconds of a step with frames made smaller by `factor`.
+/// Median seconds of a step.
 fn trial(
     capture: &Capture,
     splats: &Splats,
     config: &TrainConfig,
     level: SimdLevel,
     device: Option<DeviceMaker<'_>>,
-    factor: usize,
 ) -> Result<f64, TrainError> {
-    let (quarter_until, half_until) = match factor {
-        4 => (1.0, 1.0),
-        2 => (0.0, 1.0),
-        _ => (0.0, 0.0),
-    };
     let config = TrainConfig {
         // never the last: that one does more
         iterations: STEPS + 1,
-        resolution: ResolutionConfig {
-            quarter_until,
-            half_until,
-            ..config.resolution.clone()
-        },
         density: DensityConfig {
             enabled: false,
             ..config.density.clone()

@@ -10,7 +10,6 @@
 //! | `train/background` | f32 `[3]` | colour behind everything |
 //! | `adam/m/CC`, `adam/v/CC` | f32 `[column]` | moments of column CC |
 //! | `adam/step` | u32 `[n]` | steps of each splat |
-//! | `pick/loss` | f32 `[frames]` | smoothed loss, negative before the first visit |
 //! | `refine/c2w` | f64 `[frames, 12]` | rotation row by row, then translation |
 //! | `refine/exposure` | f32 `[frames, 12]` | matrix row by row, then offset |
 //! | `refine/pose`, `refine/colour` | f64 `[frames, 12 / 24]` | first, then second moments |

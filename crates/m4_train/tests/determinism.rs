@@ -4,27 +4,24 @@
 use crate::common::{disturbed, video};
 use m4_kernels::SimdLevel;
 use m4_scene::{Capture, Silent, Splats, StateTensor};
-use m4_train::{DensityConfig, FrameChoice, TrainConfig, TrainError, Trainer};
+use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer};
 
 /// Every number of `splats` as bits.
 fn bits(splats: &Splats) -> Vec<u32> {
     splats.columns().iter().flatten().map(|v| v.to_bits()).collect()
 }
 
-/// Everything on: density control, refinement, error-driven frames, coarse-to-fine.
+/// Density control and refinement on.
 fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.seed = 11;
-    config.frame_choice = FrameChoice::ErrorDriven { uniform: 0.5 };
     config.density = DensityConfig {
         from: 20,
         every: 20,
         prune_every: 40,
         ..DensityConfig::fast()
     };
-    config.resolution.half_until = 0.2;
-    config.resolution.min_side_px = 16;
     config.refine.poses = true;
     config.refine.focal = true;
     config.refine.exposure = true;

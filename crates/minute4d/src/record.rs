@@ -254,7 +254,7 @@ pub struct Found {
     /// Points of what moves that were followed, in `tracks.npz`.
     #[serde(default)]
     pub moving_tracks: usize,
-    /// Who found cameras, measured flow and knew depth: `classical`, `gmflow`, `megasam+raft+moge`.
+    /// Who found cameras, measured flow and knew depth: `classical`, `raft`, `megasam+raft+moge`.
     #[serde(default)]
     pub frontend: String,
     /// The networks of it, with the licences of their weights.

@@ -32,7 +32,7 @@ fn networks_are_refused_with_the_command_that_builds_them_in() {
             "--frontend classical",
         ),
         (
-            vec!["run", clip, "-o", &outs[1], "--frontend", "gmflow"],
+            vec!["run", clip, "-o", &outs[1], "--frontend", "raft"],
             "--frontend classical",
         ),
         (
@@ -50,7 +50,7 @@ fn networks_are_refused_with_the_command_that_builds_them_in() {
     // a command of its own, which has no events
     for command in [
         &["weights", "list"][..],
-        &["weights", "fetch", "gmflow", "--accept-license"],
+        &["weights", "fetch", "mobile-sam", "--accept-license"],
     ] {
         let ended = crate::common::call(command);
         assert_eq!(ended.code, 69, "{command:?}: {}", ended.stderr);

@@ -261,14 +261,14 @@ fn a_front_end_without_weights_says_how_to_get_them_and_what_works_without() {
     fs::create_dir(dir.path("weights")).unwrap();
     let store = dir.path("weights");
     let (clip, out) = (dir.at("clip"), dir.at("out"));
-    let args = ["geometry", &clip, "-o", &out, "--frontend", "gmflow"];
+    let args = ["geometry", &clip, "-o", &out, "--frontend", "raft"];
     let env = [("MINUTE4D_WEIGHTS", text(&store)), ("HF_HOME", text(&store))];
-    let words = ["gmflow", "minute4d weights fetch gmflow", "--frontend classical"];
+    let words = ["raft", "minute4d weights add raft-things FILE", "--frontend classical"];
     refused_with(&args, &env, 66, &words);
     // What lies there and is no checkpoint is refused too.
-    fs::create_dir(store.join("gmflow")).unwrap();
-    fs::write(store.join("gmflow/flownet.pkl"), "no weights").unwrap();
-    refused_with(&args, &env, 65, &["flownet.pkl", "GMFlow", "--frontend classical"]);
+    fs::create_dir(store.join("raft-things")).unwrap();
+    fs::write(store.join("raft-things/raft-things.pth"), "no weights").unwrap();
+    refused_with(&args, &env, 65, &["raft-things.pth", "RAFT", "--frontend classical"]);
 }
 
 #[cfg(feature = "nets")]

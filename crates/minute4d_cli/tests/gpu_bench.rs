@@ -29,7 +29,7 @@ fn a_gpu_is_timed_by_the_same_columns() {
     }
     let dir = Scratch::new();
     let runs = dir.at("runs");
-    let more = ["1", "--scene", "static", "--depth", "--json", "--save", &runs];
+    let more = ["1", "--scene", "static", "--json", "--save", &runs];
     let report = succeed(&[&SMALL[..], &more[..]].concat()).result();
     assert!(!report["machine"]["gpu"]["name"].as_str().unwrap().is_empty());
     let case = &report["cases"][0];

@@ -140,7 +140,8 @@ fn what_cannot_be_mixed_or_is_not_here_is_refused() {
             66,
             &["moge", "minute4d weights add", "--frontend classical"][..],
         ),
-        ("gmflow+raft", 2, &["gmflow", "raft", "flow"]),
+        ("classical+raft", 2, &["classical", "raft", "flow"]),
+        ("gmflow", 2, &["gmflow", "raft"]),
         ("megasan", 2, &["megasan", "moge"]),
     ] {
         let ended = run(&clip, &out, &store, &["--frontend", front_end]);

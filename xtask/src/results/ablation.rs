@@ -29,17 +29,6 @@ const fn row(name: &'static str, what: &'static str, sets: &'static [&'static st
 
 const ROWS: &[Row] = &[
     row("default", "default", &[]),
-    row("half", "half size to 20 %", &["train.resolution.half_until=0.2"]),
-    row(
-        "quarter-half",
-        "quarter size to 15 %, half to 40 %",
-        &["train.resolution.quarter_until=0.15", "train.resolution.half_until=0.4"],
-    ),
-    row(
-        "error-driven",
-        "half of the frames by their error",
-        &["train.frame_choice={error_driven={uniform=0.5}}"],
-    ),
     Row {
         name: "batch-2",
         what: "two frames a step, half the steps",
@@ -53,21 +42,11 @@ const ROWS: &[Row] = &[
         batch: 4,
     },
     row(
-        "colour-fit-first",
-        "colours by least squares first and last",
-        &["train.colour_fit.at=[0.0, 1.0]"],
-    ),
-    row(
         "no-colour-fit",
         "no colours by least squares last",
         &["train.colour_fit.rounds=0"],
     ),
     row("colour-fit-3", "3 rounds of it last", &["train.colour_fit.rounds=3"]),
-    row(
-        "shared-steps",
-        "one count of steps for all splats",
-        &["train.adam.per_splat_steps=false"],
-    ),
     row(
         "dense-adam",
         "Adam moves unseen splats too",
@@ -92,11 +71,6 @@ const ROWS: &[Row] = &[
     row("no-velocity", "no first velocities", &["init.velocity=\"zero\""]),
     row("no-carry", "no points carried over", &["init.carry_keyframes=0"]),
     row("no-density", "no density control", &["train.density.enabled=false"]),
-    row(
-        "depth-loss",
-        "a loss of depth, 0.1 to 0.02",
-        &["train.loss.depth_weight=0.1", "train.loss.depth_weight_end=0.02"],
-    ),
 ];
 
 /// What the command was asked for.

@@ -37,6 +37,21 @@ pub fn readers() -> Vec<Reader> {
     .collect()
 }
 
+/// The families of readers: what their names begin with, in the order of the alphabet.
+#[must_use]
+pub fn families() -> Vec<&'static str> {
+    let mut all: Vec<_> = readers().iter().map(Reader::family).collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+/// The readers of a family, in the order of the table.
+#[must_use]
+pub fn of_family(family: &str) -> Vec<Reader> {
+    readers().into_iter().filter(|r| r.family() == family).collect()
+}
+
 /// Readers that do harm, each in its own way: what looks for harm has to find it in them.
 #[must_use]
 pub fn broken_readers() -> Vec<Reader> {

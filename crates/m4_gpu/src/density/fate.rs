@@ -28,16 +28,11 @@ impl Fates {
         range: &Buffer,
     ) -> Self {
         let n = splats.n;
-        let (literal, threshold, opacity, always) = match round.prune {
+        let (literal, threshold, opacity) = match round.prune {
             // the range has no length then
-            None => (false, 1.0, 0.0, 1.0),
-            Some(PruneRule::Literal { threshold }) => (true, threshold, 0.0, 1.0),
-            Some(PruneRule::WithOpacity {
-                threshold,
-                opacity,
-                always,
-                ..
-            }) => (false, threshold, opacity, always),
+            None => (false, 1.0, 0.0),
+            Some(PruneRule::Literal { threshold }) => (true, threshold, 0.0),
+            Some(PruneRule::WithOpacity { threshold, opacity, .. }) => (false, threshold, opacity),
         };
         let (size, focal_px, centres): (f32, f32, &[[f32; 3]]) = match round.split_size {
             SplitSize::Everywhere(size) => (size, 1.0, &[]),
@@ -66,12 +61,10 @@ impl Fates {
             splats.n_static as u32,
             centres.len() as u32,
             round.min_opacity,
-            round.max_scale.unwrap_or(f32::MAX),
             size,
             focal_px,
             threshold,
             opacity,
-            always,
             splats.layout.isotropic,
             literal,
             everywhere,
@@ -166,12 +159,10 @@ fn decide(
     n_static: u32,
     centre_count: u32,
     min_opacity: f32,
-    max_scale: f32,
     size: f32,
     focal_px: f32,
     threshold: f32,
     low_opacity: f32,
-    always: f32,
     #[comptime] isotropic: bool,
     #[comptime] literal: bool,
     #[comptime] everywhere: bool,
@@ -190,7 +181,7 @@ fn decide(
         // beyond that it is 0 in any case, and no exponential is infinite
         let logit = geometry[(column * n + i) as usize].max(-80.0f32);
         let opacity = 1.0f32 / (1.0f32 + (-logit).exp());
-        let hopeless = opacity < min_opacity || scale > max_scale;
+        let hopeless = opacity < min_opacity;
         let mut by_score = false;
         let (low, high) = (range[0usize], range[1usize]);
         if high > low {
@@ -198,7 +189,7 @@ fn decide(
             if comptime!(literal) {
                 by_score = score > threshold;
             } else {
-                by_score = (score > threshold && opacity < low_opacity) || score > always;
+                by_score = score > threshold && opacity < low_opacity;
             }
         }
         let mut stays = 1u32;

@@ -28,8 +28,6 @@ pub struct DensityRound<'a> {
     /// Frames by number and how they are seen: their scores say who is wrong. Not looked at where nobody is cloned, split or
     /// pruned by score.
     pub looks: &'a [(usize, View)],
-    /// Other frames for the scores that prune; `None` for the same.
-    pub prune_looks: Option<&'a [(usize, View)]>,
     /// Which errors of a frame count.
     pub scores: ScoreSettings,
     /// Who is cloned or split; `None` for nobody.
@@ -38,8 +36,6 @@ pub struct DensityRound<'a> {
     pub prune: Option<PruneRule>,
     /// Splats of a lower opacity (0..1, without time) go, unless they are split.
     pub min_opacity: f32,
-    /// Splats go whose largest standard deviation is above this, in scene units, unless they are split; `None` for none.
-    pub max_scale: Option<f32>,
     /// The largest standard deviation above which a splat that grows is split rather than cloned.
     pub split_size: SplitSize<'a>,
     /// Clones and halves share the opacity of their parent, so that they pass the light that it passed; else they keep it.
@@ -63,15 +59,13 @@ pub enum PruneRule {
         /// 0..=1.
         threshold: f32,
     },
-    /// Everybody who does not grow and is above the threshold with a low opacity, or above `always`; from the smallest
-    /// score above 0 to a quantile of those above 0.
+    /// Everybody who does not grow and is above the threshold with a low opacity; from the smallest score above 0 to a
+    /// quantile of those above 0.
     WithOpacity {
         /// 0..=1.
         threshold: f32,
         /// The opacity that is not low, 0..=1.
         opacity: f32,
-        /// 0..=1; 1 for never.
-        always: f32,
         /// 0..=1.
         quantile: f32,
     },
@@ -150,32 +144,18 @@ impl Trainer {
     }
 
     fn fates(&mut self, client: &Client, round: &DensityRound<'_>) -> Result<fate::Fates, GpuError> {
-        let (scores, prune_scores) = self.scores_of_round(round)?;
+        let scores = self.scores_of_round(round)?;
         let rank = rank::Rank::new(client, self.splats.n);
         let grows = rank.best(client, round.grow, &scores);
-        let range = rank.prune_range(client, round.prune, &prune_scores);
-        Ok(fate::Fates::new(
-            client,
-            &self.splats,
-            round,
-            &grows,
-            &prune_scores,
-            &range,
-        ))
+        let range = rank.prune_range(client, round.prune, &scores);
+        Ok(fate::Fates::new(client, &self.splats, round, &grows, &scores, &range))
     }
 
-    /// Scores `[2][n]` that say who grows, and those that say who goes; they hold anything where nobody asks.
-    fn scores_of_round(&mut self, round: &DensityRound<'_>) -> Result<(Buffer, Buffer), GpuError> {
+    /// Scores `[2][n]` that say who grows and who goes; they hold anything where nobody asks.
+    fn scores_of_round(&mut self, round: &DensityRound<'_>) -> Result<Buffer, GpuError> {
         if round.grow.is_none() && round.prune.is_none() {
-            let none = Buffer::empty(&self.gpu.client, 2 * self.splats.n);
-            return Ok((none.clone(), none));
+            return Ok(Buffer::empty(&self.gpu.client, 2 * self.splats.n));
         }
-        let scores = self.scores(round.looks, &round.scores)?;
-        let own = round.prune_looks.filter(|_| round.prune.is_some());
-        let prune = match own {
-            Some(looks) => self.scores(looks, &round.scores)?,
-            None => scores.clone(),
-        };
-        Ok((scores, prune))
+        self.scores(round.looks, &round.scores)
     }
 }

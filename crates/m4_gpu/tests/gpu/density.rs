@@ -33,7 +33,6 @@ fn step(trainer: &mut Trainer, view: &View) {
         lambda_ssim: LAMBDA,
         rates: &rates,
         adam: AdamConfig::default(),
-        shared_steps: None,
     };
     trainer.step(0, view, &settings).unwrap();
 }
@@ -79,12 +78,7 @@ fn pruned_by_score(rule: PruneRule, opacity: &[f32], scores: &[f32]) -> Vec<bool
     let share = |s: f32| ((s - low) / (high - low)).clamp(0.0, 1.0);
     let gone = |(&s, &o): (&f32, &f32)| match rule {
         PruneRule::Literal { threshold } => share(s) > threshold,
-        PruneRule::WithOpacity {
-            threshold,
-            opacity,
-            always,
-            ..
-        } => share(s) > threshold && o < opacity || share(s) > always,
+        PruneRule::WithOpacity { threshold, opacity, .. } => share(s) > threshold && o < opacity,
     };
     scores.iter().zip(opacity).map(gone).collect()
 }
@@ -123,7 +117,7 @@ fn planned(splats: &Splats, round: &DensityRound<'_>, scores: &ScoreSums) -> (Ve
                     pixels * centres.iter().map(square).fold(f32::MAX, f32::min).sqrt() / focal_px
                 }
             };
-            let hopeless = opacity[i] < round.min_opacity || round.max_scale.is_some_and(|max| largest > max);
+            let hopeless = opacity[i] < round.min_opacity;
             let row = i as u32;
             if grows[i] && largest > limit {
                 born.extend([(row, Row::Half(1.0)), (row, Row::Half(-1.0))]);
@@ -174,10 +168,7 @@ fn become_newborn(splats: &mut Splats, row: usize, what: Row, share_opacity: boo
 /// Does a round, compares it with that of the processor, and says what it did.
 fn check(what: &str, trainer: &mut Trainer, round: &DensityRound<'_>) -> Grown {
     let (splats, adam) = trainer.download().unwrap();
-    let mut scores = trainer.score(round.looks, &round.scores).unwrap();
-    if let Some(looks) = round.prune_looks {
-        scores.prune = trainer.score(looks, &round.scores).unwrap().prune;
-    }
+    let scores = trainer.score(round.looks, &round.scores).unwrap();
     let (rows, grown) = planned(&splats, round, &scores);
     assert_eq!(trainer.densify(round).unwrap(), grown, "{what}");
 
@@ -234,7 +225,6 @@ fn splats_grow_and_go_as_on_the_processor() {
         );
         let careful = DensityRound {
             looks: &looks,
-            prune_looks: None,
             scores: SCORES,
             grow: Some(GrowRule {
                 threshold: 0.01,
@@ -243,11 +233,9 @@ fn splats_grow_and_go_as_on_the_processor() {
             prune: Some(PruneRule::WithOpacity {
                 threshold: 0.1,
                 opacity: 0.4,
-                always: 0.95,
                 quantile: 0.9,
             }),
             min_opacity: 0.05,
-            max_scale: None,
             split_size: SplitSize::Pixels {
                 pixels: 2.0,
                 focal_px: 60.0,
@@ -258,13 +246,11 @@ fn splats_grow_and_go_as_on_the_processor() {
         let grown = check("careful", &mut trainer, &careful);
         assert!(grown.cloned + grown.split == 60 && grown.pruned > 10, "{grown:?}");
         let literal = DensityRound {
-            prune_looks: Some(&looks[1..]),
             grow: Some(GrowRule {
                 threshold: 0.5,
                 budget: usize::MAX,
             }),
             prune: Some(PruneRule::Literal { threshold: 0.3 }),
-            max_scale: Some(3.0 * usual),
             split_size: SplitSize::Everywhere(usual),
             share_opacity: false,
             ..careful
@@ -308,12 +294,10 @@ fn a_set_of_splats_is_never_emptied_and_no_rule_changes_nothing() {
     let before = trainer.download().unwrap();
     let nothing = DensityRound {
         looks: &looks,
-        prune_looks: None,
         scores: SCORES,
         grow: None,
         prune: None,
         min_opacity: 0.0,
-        max_scale: None,
         split_size: SplitSize::Everywhere(0.0),
         share_opacity: true,
     };

@@ -22,7 +22,6 @@ fn settings(rates: &[f32]) -> StepSettings<'_> {
         lambda_ssim: LAMBDA,
         rates,
         adam: AdamConfig::default(),
-        shared_steps: None,
     }
 }
 

@@ -37,7 +37,6 @@ fn settings(rates: &[f32]) -> StepSettings<'_> {
         lambda_ssim: LAMBDA,
         rates,
         adam: AdamConfig::default(),
-        shared_steps: None,
     }
 }
 
@@ -95,7 +94,7 @@ fn steps_give_the_same_bits_every_time() {
         }
         let (splats, adam) = trainer.download().unwrap();
         let bits = |of: &Splats| columns(of).iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-        (bits(&splats), bits(&adam.v), trainer.found().unwrap().losses)
+        (bits(&splats), bits(&adam.v), trainer.found().unwrap().l1.to_bits())
     };
     // frames on the device, one of them streamed, both
     let want = once(usize::MAX);

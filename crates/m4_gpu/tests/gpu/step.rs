@@ -59,8 +59,6 @@ struct Host {
     /// Of the last frame.
     psnr: f64,
     touched: f64,
-    /// The last of each frame.
-    losses: Vec<f64>,
 }
 
 fn on_the_processor(frames: &[Target], config: &AdamConfig, rates: &[f32], steps: usize) -> Host {
@@ -70,7 +68,6 @@ fn on_the_processor(frames: &[Target], config: &AdamConfig, rates: &[f32], steps
     let (mut scratch, mut out, mut gradients) =
         (PhotoScratch::default(), FrameGradient::default(), Gradients::default());
     let (mut l1, mut ssim, mut psnr, mut touched) = (0.0, 0.0, 0.0, 0.0);
-    let mut losses = vec![f64::NAN; frames.len()];
     for i in 0..steps {
         let target = &frames[i % frames.len()];
         let drawn = renderer.render(&splats, &view);
@@ -83,7 +80,6 @@ fn on_the_processor(frames: &[Target], config: &AdamConfig, rates: &[f32], steps
             &mut out.rgb,
         );
         (l1, ssim) = (l1 + found.l1 / steps as f64, ssim + found.ssim / steps as f64);
-        losses[i % frames.len()] = found.total;
         psnr = shown(&drawn.rgb, target);
         renderer.backward(&splats, &out, Wanted::default(), &mut gradients);
         touched += gradients.touched.iter().filter(|&&t| t == 1).count() as f64 / steps as f64;
@@ -96,7 +92,6 @@ fn on_the_processor(frames: &[Target], config: &AdamConfig, rates: &[f32], steps
         ssim,
         psnr,
         touched,
-        losses,
     }
 }
 
@@ -131,7 +126,6 @@ fn steps_are_those_of_the_processor() {
             lambda_ssim: LAMBDA,
             rates: &rates,
             adam: config,
-            shared_steps: None,
         };
         for i in 0..steps {
             trainer.step(i % frames.len(), &view, &settings).unwrap();
@@ -153,15 +147,8 @@ fn steps_are_those_of_the_processor() {
         );
         assert!((found.touched - want.touched).abs() <= 1.0, "{} touched", found.touched);
         assert!(found.loss_is_finite && found.splats_are_finite);
-        assert_eq!(found.losses.len(), frames.len());
-        for (frame, loss) in found.losses {
-            assert!(
-                (f64::from(loss) - want.losses[frame]).abs() < 1e-4,
-                "frame {frame}: {loss}"
-            );
-        }
         let again = trainer.found().unwrap();
-        assert!(again.steps == 0 && again.losses.is_empty() && again.psnr.is_nan());
+        assert!(again.steps == 0 && again.psnr.is_nan());
         let (got, adam) = trainer.download().unwrap();
         let different = adam.step.iter().zip(&want.adam.step).filter(|(a, b)| a != b).count();
         assert!(different <= 2, "{different} counts of steps");
@@ -192,12 +179,11 @@ fn splats_may_be_replaced() {
         lambda_ssim: LAMBDA,
         rates: &rates,
         adam: AdamConfig::default(),
-        shared_steps: Some(7),
     };
     trainer.step(0, &view, &settings).unwrap();
     let (got, adam) = trainer.download().unwrap();
     assert_eq!(got, fewer, "rates of 0");
-    assert!(adam.step.iter().all(|&s| s == 7));
+    assert!(adam.step.iter().any(|&s| s == 1) && adam.step.iter().all(|&s| s <= 1));
     let want = Renderer::new(SimdLevel::best()).render(&fewer, &view).clone();
     let frame = trainer.frame().unwrap();
     let off = frame.rgb[0]
@@ -219,7 +205,6 @@ fn what_is_not_finite_is_said() {
         lambda_ssim: LAMBDA,
         rates: &rates,
         adam: AdamConfig::default(),
-        shared_steps: None,
     };
     trainer.step(0, &view, &settings).unwrap();
     let found = trainer.found().unwrap();
@@ -233,50 +218,13 @@ fn what_is_not_finite_is_said() {
 }
 
 #[test]
-fn frames_may_change_their_size_and_are_told_apart_when_they_cannot() {
+fn frames_of_several_sizes_and_none_are_refused() {
     let Some(gpu) = gpu("other frames") else { return };
-    let (splats, view) = start();
-    let mut trainer = Trainer::new(gpu, &splats, &AdamState::new(&splats), [picture(0)], usize::MAX).unwrap();
-    let rates = vec![0.0; LAYOUT.columns()];
-    let settings = StepSettings {
-        lambda_ssim: LAMBDA,
-        rates: &rates,
-        adam: AdamConfig::default(),
-        shared_steps: None,
-    };
-    let mut small = view;
-    let k = &mut small.camera.intrinsics;
-    (k.width, k.height) = (SIZE.0 / 2, SIZE.1 / 2);
-    (k.fx, k.fy, k.cx, k.cy) = (k.fx / 2.0, k.fy / 2.0, k.cx / 2.0, k.cy / 2.0);
-    // as a picture made smaller comes: sums of four bytes
-    let mut half = Target::default();
-    half.replace_sums(SIZE.0 / 2, SIZE.1 / 2, 4, |planes| {
-        for (k, plane) in planes.into_iter().enumerate() {
-            plane
-                .iter_mut()
-                .enumerate()
-                .for_each(|(i, v)| *v = ((7 * i + 100 * k) % 1021) as u16);
-        }
-    });
-    let frames = [half.clone(), half.clone()];
-    // the second is streamed
-    trainer.set_frames(&frames, half.bytes() + 12).unwrap();
-    trainer.step(0, &small, &settings).unwrap();
-    trainer.step(1, &small, &settings).unwrap();
-    let found = trainer.found().unwrap();
-    assert_eq!(found.losses.len(), 2);
-    let mut renderer = Renderer::new(SimdLevel::best());
-    let drawn = renderer.render(&splats, &small);
-    let (mut scratch, mut out) = (PhotoScratch::default(), FrameGradient::default());
-    let want = loss(SimdLevel::best(), &half, &drawn.rgb, LAMBDA, &mut scratch, &mut out.rgb);
-    for (frame, loss) in found.losses {
-        assert!(
-            (f64::from(loss) - want.total).abs() < 1e-5,
-            "frame {frame}: {loss} for {}",
-            want.total
-        );
-    }
-    let mixed = trainer.set_frames([half, picture(0)], 0).unwrap_err();
+    let (splats, _) = start();
+    let adam = AdamState::new(&splats);
+    let (w, h) = (SIZE.0 / 2, SIZE.1 / 2);
+    let half = Target::from_bytes(w, h, [0, 1, 2].map(|_| vec![0; w * h])).unwrap();
+    let mixed = Trainer::new(gpu.clone(), &splats, &adam, [half, picture(0)], 0).unwrap_err();
     assert!(mixed.to_string().contains("frame 1 has 75 x 50"), "{mixed}");
-    assert!(trainer.set_frames(Vec::<Target>::new(), 0).is_err());
+    assert!(Trainer::new(gpu, &splats, &adam, Vec::<Target>::new(), 0).is_err());
 }

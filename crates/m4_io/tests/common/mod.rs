@@ -23,6 +23,24 @@ pub fn have_ffmpeg() -> bool {
     there
 }
 
+/// True when ffmpeg can be started and has the encoder `name`; else the test, or that part of it, is listed as skipped. What is
+/// made with an encoder that is there has to succeed.
+#[track_caller]
+pub fn have_encoder(name: &str) -> bool {
+    if !have_ffmpeg() {
+        return false;
+    }
+    let listed = Command::new("ffmpeg").args(["-v", "error", "-encoders"]).output();
+    let there = listed.is_ok_and(|o| {
+        let text = String::from_utf8_lossy(&o.stdout);
+        text.lines().any(|line| line.split_whitespace().nth(1) == Some(name))
+    });
+    if !there {
+        skip(Need::Ffmpeg, &format!("this build of ffmpeg has no encoder {name}"));
+    }
+    there
+}
+
 /// Runs ffmpeg with arguments separated by spaces, then `output`; false where this build of ffmpeg cannot, and the test, or
 /// that part of it, is listed as skipped.
 #[track_caller]

@@ -127,7 +127,7 @@ pub(super) fn camera(width: usize, height: usize) -> Camera {
 }
 
 /// What is drawn: one instant of a static scene, several of a clip.
-pub(super) fn views(width: usize, height: usize, kind: SceneKind, with_depth: bool) -> Vec<View> {
+pub(super) fn views(width: usize, height: usize, kind: SceneKind) -> Vec<View> {
     let count = match kind {
         SceneKind::Static => 1,
         SceneKind::FourD => INSTANTS,
@@ -139,7 +139,7 @@ pub(super) fn views(width: usize, height: usize, kind: SceneKind, with_depth: bo
         near: 0.05,
         mip: false,
         period: FRAMES as f32,
-        with_depth,
+        with_depth: false,
     };
     (0..count).map(view).collect()
 }

@@ -28,12 +28,10 @@ pub struct SceneConfig {
     pub sh_degree: usize,
     /// Static or moving.
     pub kind: SceneKind,
-    /// Also composite the depth and pass its gradient back, as training with a depth loss does.
-    pub depth: bool,
 }
 
 impl Default for SceneConfig {
-    /// 100,000 static splats of one colour each on 480x360 pixels, no depth.
+    /// 100,000 static splats of one colour each on 480x360 pixels.
     fn default() -> Self {
         Self {
             splats: 100_000,
@@ -41,7 +39,6 @@ impl Default for SceneConfig {
             height: 360,
             sh_degree: 0,
             kind: SceneKind::Static,
-            depth: false,
         }
     }
 }
@@ -70,7 +67,7 @@ impl BenchScene {
         let splats = scene::splats(config.splats, (width, height), kind, config.sh_degree.min(3));
         Ok(Self {
             splats: splats.gather(&morton_order(&splats))?,
-            views: scene::views(width, height, kind, config.depth),
+            views: scene::views(width, height, kind),
             target: Target::from_bytes(width, height, scene::picture(width, height))?,
         })
     }
@@ -108,12 +105,6 @@ impl Bench {
     /// As [`BenchScene::new`].
     pub fn new(level: SimdLevel, config: &SceneConfig) -> Result<Self, ShapeError> {
         let scene = BenchScene::new(config)?;
-        let mut gradient = FrameGradient::default();
-        if config.depth {
-            // of any value: the time does not depend on it
-            gradient.depth = vec![1e-9; config.width * config.height];
-            gradient.alpha = gradient.depth.clone();
-        }
         Ok(Self {
             state: AdamState::new(&scene.splats),
             rates: vec![RATE; scene.splats.columns().len()],
@@ -122,7 +113,7 @@ impl Bench {
             gradients: Gradients::default(),
             scene,
             level,
-            gradient,
+            gradient: FrameGradient::default(),
         })
     }
 
@@ -223,7 +214,6 @@ impl Bench {
             used: stats.used,
             useful: useful_evaluations(splats, view),
             shared_columns: splats.layout().shared_columns(),
-            depth: view.with_depth,
         }
     }
 }
@@ -238,14 +228,13 @@ mod tests {
 
     #[test]
     fn steps_are_timed_and_lower_the_loss() {
-        for (kind, depth) in [(SceneKind::Static, false), (SceneKind::FourD, true)] {
+        for kind in [SceneKind::Static, SceneKind::FourD] {
             let config = SceneConfig {
                 splats: 4000,
                 width: 96,
                 height: 72,
                 sh_degree: 1,
                 kind,
-                depth,
             };
             let mut bench = Bench::new(SimdLevel::best(), &config).unwrap();
             let counts = bench.count(0);

@@ -54,8 +54,6 @@ pub struct Counts {
     pub useful: u64,
     /// Columns that every splat has.
     pub shared_columns: usize,
-    /// Depth is composited too.
-    pub depth: bool,
 }
 
 impl Counts {
@@ -158,7 +156,7 @@ impl Kernel {
                 items: c.pairs as f64,
             },
             Self::Blend => Work {
-                bytes: visible * SPLAT + used * NUMBER + planes(if c.depth { 5 } else { 4 }),
+                bytes: visible * SPLAT + used * NUMBER + planes(4),
                 operations: 0.0,
                 evaluations: useful,
                 items: used,
@@ -172,7 +170,7 @@ impl Kernel {
                 items: pixels,
             },
             Self::BlendBackward => Work {
-                bytes: visible * (SPLAT + SUMS) + used * NUMBER + planes(if c.depth { 10 } else { 7 }),
+                bytes: visible * (SPLAT + SUMS) + used * NUMBER + planes(7),
                 operations: 0.0,
                 evaluations: useful,
                 items: used,

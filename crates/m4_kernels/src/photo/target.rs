@@ -16,11 +16,10 @@ pub struct Target {
     samples: Samples,
 }
 
-/// What the planes hold: values 0..1, or integers and what one of them is worth.
+/// What the planes hold: values 0..1, or bytes.
 #[derive(Debug, Clone, PartialEq)]
 enum Samples {
     Floats([Vec<f32>; 3]),
-    Words([Vec<u16>; 3], f32),
     Bytes([Vec<u8>; 3]),
 }
 
@@ -29,8 +28,6 @@ enum Samples {
 pub enum TargetPlanes<'a> {
     /// Colours 0..1.
     Floats([&'a [f32]; 3]),
-    /// Sums of bytes, and what one of them is worth: a colour of 1 is `1 / worth`.
-    Words([&'a [u16]; 3], f32),
     /// Colours 0..=255.
     Bytes([&'a [u8]; 3]),
 }
@@ -80,19 +77,6 @@ impl Target {
         self.samples = Samples::Bytes(planes);
     }
 
-    /// Becomes a photograph that was made smaller, in the memory that is there: `fill` writes the planes,
-    /// sums of bytes of which `count` fall together, over whatever they hold.
-    pub fn replace_sums(&mut self, width: usize, height: usize, count: usize, fill: impl FnOnce([&mut [u16]; 3])) {
-        (self.width, self.height) = (width, height);
-        let mut planes = match std::mem::take(&mut self.samples) {
-            Samples::Words(planes, _) => planes,
-            _ => Default::default(),
-        };
-        planes.iter_mut().for_each(|plane| plane.resize(width * height, 0));
-        fill(planes.each_mut().map(Vec::as_mut_slice));
-        self.samples = Samples::Words(planes, BYTE / count as f32);
-    }
-
     /// Columns.
     #[must_use]
     pub fn width(&self) -> usize {
@@ -110,7 +94,6 @@ impl Target {
     pub fn bytes(&self) -> usize {
         let each = match self.samples {
             Samples::Floats(_) => 4,
-            Samples::Words(..) => 2,
             Samples::Bytes(_) => 1,
         };
         3 * self.width * self.height * each
@@ -121,7 +104,6 @@ impl Target {
     pub fn planes(&self) -> TargetPlanes<'_> {
         match &self.samples {
             Samples::Floats(rgb) => TargetPlanes::Floats(rgb.each_ref().map(Vec::as_slice)),
-            Samples::Words(rgb, worth) => TargetPlanes::Words(rgb.each_ref().map(Vec::as_slice), *worth),
             Samples::Bytes(rgb) => TargetPlanes::Bytes(rgb.each_ref().map(Vec::as_slice)),
         }
     }
@@ -131,7 +113,6 @@ impl Target {
     pub fn rgb(&self) -> [Vec<f32>; 3] {
         match &self.samples {
             Samples::Floats(rgb) => rgb.clone(),
-            Samples::Words(rgb, unit) => rgb.each_ref().map(|p| p.iter().map(|&v| f32::from(v) * unit).collect()),
             Samples::Bytes(rgb) => rgb.each_ref().map(|p| p.iter().map(|&v| f32::from(v) * BYTE).collect()),
         }
     }
@@ -142,8 +123,7 @@ impl Target {
         let range = from..from + out.len();
         match &self.samples {
             Samples::Floats(rgb) => out.copy_from_slice(&rgb[channel][range]),
-            Samples::Words(rgb, unit) => widen(s, &rgb[channel][range], *unit, out),
-            Samples::Bytes(rgb) => widen(s, &rgb[channel][range], BYTE, out),
+            Samples::Bytes(rgb) => widen(s, &rgb[channel][range], out),
         }
     }
 }
@@ -151,10 +131,10 @@ impl Target {
 /// What a step of a byte is worth.
 const BYTE: f32 = 1.0 / 255.0;
 
-/// Integers times `unit`.
+/// Bytes as colours.
 #[inline(always)]
-fn widen<S: Simd, T: Copy + Into<f32>>(s: S, values: &[T], unit: f32, out: &mut [f32]) {
-    let scale = all(s, unit);
+fn widen<S: Simd>(s: S, values: &[u8], out: &mut [f32]) {
+    let scale = all(s, BYTE);
     let (whole, rest) = values.as_chunks::<LANES>();
     for (part, out) in whole.iter().zip(out.chunks_exact_mut(LANES)) {
         let wide: [f32; LANES] = each!(LANES, k => part[k].into());
@@ -162,6 +142,6 @@ fn widen<S: Simd, T: Copy + Into<f32>>(s: S, values: &[T], unit: f32, out: &mut 
     }
     let done = whole.len() * LANES;
     for (&v, out) in rest.iter().zip(&mut out[done..]) {
-        *out = v.into() * unit;
+        *out = f32::from(v) * BYTE;
     }
 }

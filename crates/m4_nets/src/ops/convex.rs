@@ -5,7 +5,7 @@ use burn_core::tensor::activation::softmax;
 use burn_core::tensor::ops::PadMode;
 
 /// The 3 by 3 values around each pixel of `x` `[h, w, d]`, row by row: `[h, w, 9, d]`; 0 outside.
-pub fn neighbours(x: Tensor<3>) -> Tensor<4> {
+fn neighbours(x: Tensor<3>) -> Tensor<4> {
     let [h, w, _] = x.dims();
     let x = x.pad([(1, 1), (1, 1), (0, 0)], PadMode::Constant(0.0));
     let shifted = (0..9)

@@ -1,6 +1,6 @@
 //! The activation of transformers, `x Phi(x)`, with vector instructions where tensors lie on the processor.
 //!
-//! Burn's own takes `erf` from a library, a number at a time: 38% of the time of GMFlow. Here `erf(x)` is `x P(x^2) / Q(x^2)`
+//! Burn's own takes `erf` from a library, a number at a time: 38% of the time of a network that was measured. Here `erf(x)` is `x P(x^2) / Q(x^2)`
 //! on [-4, 4], beyond which it is 1 in 32 bits (the coefficients that Eigen and XLA use).
 
 use super::gates::Sigmoid;

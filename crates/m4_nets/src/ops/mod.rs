@@ -13,7 +13,7 @@ mod softmax;
 mod statistics;
 
 pub use attention::attend_heads;
-pub use convex::{convex_upsample, neighbours};
+pub use convex::convex_upsample;
 pub use convolution::{convolve, convolve_edges};
 pub use gates::{sigmoid, tanh};
 pub use gelu::{gelu, gelu_by_tanh};
@@ -26,7 +26,6 @@ pub use statistics::Statistics;
 use burn_core::module::Param;
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::module::layer_norm;
-use burn_core::tensor::ops::PadMode;
 use burn_core::tensor::{DType, Device, Tensor, TensorData};
 use burn_nn::conv::{Conv2d, Conv2dConfig};
 use burn_nn::{Initializer, LayerNorm, LayerNormConfig, Linear, LinearConfig, PaddingConfig2d};
@@ -98,28 +97,4 @@ pub fn attend(q: Tensor<2>, k: Tensor<2>, v: Tensor<2>) -> Tensor<2> {
         .map(|q| softmax(q.matmul(k.clone()), 1).matmul(v.clone()))
         .collect();
     Tensor::cat(rows, 0)
-}
-
-/// Scores of each pixel of `q` against the pixels of `k` around it, both `[h, w, c]`: `[h, w, 2 radius + 1, 2 radius + 1]`
-/// (rows, then columns of the window), `q . k / sqrt(c)`; 0 where the window leaves the picture.
-///
-/// A row of `q` against a row of `k` is one matrix product, of whose `w + 2 radius` columns the band that belongs to the
-/// window is read as a parallelogram: for windows of some pixels that is faster than a gather, and the same on every device.
-pub fn window_scores(q: Tensor<3>, k: Tensor<3>, radius: usize) -> Tensor<4> {
-    let [h, w, c] = q.dims();
-    let side = 2 * radius + 1;
-    let wide = w + 2 * radius;
-    let q = q.mul_scalar(1.0 / (c as f32).sqrt());
-    let k = k
-        .pad([(radius, radius), (radius, radius), (0, 0)], PadMode::Constant(0.0))
-        .swap_dims(1, 2);
-    let rows = (0..side)
-        .map(|dy| {
-            let all = q.clone().matmul(k.clone().narrow(0, dy, h)).reshape([h, w * wide]);
-            // element (x, x + dx) of a row is at x (wide + 1) + dx
-            let longer = all.pad([(0, 0), (0, w)], PadMode::Constant(0.0));
-            longer.reshape([h, w, wide + 1]).narrow(2, 0, side)
-        })
-        .collect();
-    Tensor::stack(rows, 2)
 }

@@ -7,7 +7,6 @@ use super::solve::System;
 use super::source::{Context, Source};
 use fearless_simd::Level;
 use m4_math::Se3;
-use m4_math::nalgebra::Vector6;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -56,8 +55,7 @@ pub(super) fn adjust_on(
     problem.check(geometry, &window)?;
     let sources = by_source(problem.edges, geometry.frames());
     let mut report = DbaReport::default();
-    let mut kept = None;
-    for iteration in 0..options.iterations {
+    for _ in 0..options.iterations {
         report.iterations += 1;
         let context = Context {
             geometry,
@@ -79,13 +77,9 @@ pub(super) fn adjust_on(
             continue;
         };
         let disparity: Vec<(usize, Vec<f32>)> = if options.free.depth() {
-            let mut twists = step.twists.clone();
-            if options.quirks.first_pose_ignored && !window.is_empty() {
-                twists[window.start] = Vector6::zeros();
-            }
             let steps = sources.par_iter();
             steps
-                .map(|s| (s.frame, s.substitute(&context, &twists, step.focal)))
+                .map(|s| (s.frame, s.substitute(&context, &step.twists, step.focal)))
                 .collect()
         } else {
             Vec::new()
@@ -99,12 +93,6 @@ pub(super) fn adjust_on(
         if options.free.focal() {
             geometry.lens = geometry.lens.with_focal_step(step.focal);
         }
-        if iteration == 0 && options.quirks.stale_disparity {
-            kept = Some(geometry.disparity.clone());
-        }
-    }
-    if let Some(disparity) = kept {
-        geometry.disparity = disparity;
     }
     Ok(report)
 }

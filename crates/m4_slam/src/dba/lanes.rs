@@ -64,7 +64,7 @@ impl EdgeConstants {
     pub(super) fn new(geometry: &Geometry<f32>, source: usize, target: usize, options: &DbaOptions) -> Self {
         let g = geometry.relative(source, target).cast::<f32>();
         let lens = &geometry.lens;
-        let rate = options.quirks.fy_rate(lens);
+        let rate = options.fy_rate(lens);
         let (inverse, power) = options.robust.constants();
         Self {
             r: std::array::from_fn(|i| std::array::from_fn(|k| g.rotation[(i, k)])),

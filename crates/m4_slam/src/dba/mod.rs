@@ -40,7 +40,7 @@ mod tests;
 
 pub use adjust::adjust;
 pub use observability::{DEPTH_GATE, FOCAL_GATE, Observability, observability, observability_reference};
-pub use options::{DbaOptions, DbaReport, Free, MAX_DISPARITY, MIN_DISPARITY, Quirks, WEIGHT_SCALE, stepped_disparity};
+pub use options::{DbaOptions, DbaReport, Free, MAX_DISPARITY, MIN_DISPARITY, WEIGHT_SCALE, stepped_disparity};
 pub use prior::{CURVATURE_FLOOR, SENSOR_KNOWN, depth_prior};
 pub use problem::{DbaError, Factor, Geometry, Grid, Pinhole, Problem};
 pub use projection::{MIN_DEPTH, PROJECTION_GUARD, Projected, project};

@@ -85,7 +85,7 @@ pub fn observability_reference(
     options: &DbaOptions,
 ) -> Observability {
     let (width, len) = (geometry.grid.width, geometry.grid.len());
-    let rate = options.quirks.fy_rate(&geometry.lens);
+    let rate = options.fy_rate(&geometry.lens);
     let mut depth = vec![None; geometry.frames()];
     let mut focal = 0.0;
     for edge in edges {

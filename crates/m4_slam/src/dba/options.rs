@@ -29,49 +29,6 @@ impl Free {
     }
 }
 
-/// Departures of the published program from what it means to do. None is on by default; they are there to
-/// compare with it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Quirks {
-    /// The caller gets the disparities of the first iteration with the poses of the last: a clamp makes
-    /// a new tensor after each, and only the first is the caller's.
-    pub stale_disparity: bool,
-    /// The step of the first pose of the window is left out when disparities are substituted back.
-    pub first_pose_ignored: bool,
-    /// The derivative by the focal length moves `fx` and `fy` by equal amounts, while the step keeps their
-    /// ratio. Without effect on square pixels.
-    pub equal_focal_rates: bool,
-    /// Of the Python twin of the solver alone: where poses alone move, the damping is added to the diagonal of
-    /// every 6x6 block, also of those between two poses.
-    pub blockwise_damping: bool,
-    /// When edges have to make room, the permutation that sorts their ages is taken for their ranks.
-    pub permuted_ranks: bool,
-    /// The times of keyframes stay behind when a keyframe is removed, so the filler interpolates
-    /// between wrong times.
-    pub stale_times: bool,
-}
-
-impl Quirks {
-    /// Those of the published program (`megasam_compat` in the specification).
-    #[must_use]
-    pub fn megasam_compat() -> Self {
-        Self {
-            stale_disparity: true,
-            first_pose_ignored: true,
-            equal_focal_rates: true,
-            blockwise_damping: false,
-            permuted_ranks: true,
-            stale_times: true,
-        }
-    }
-
-    /// The change of `fy` with `fx` in the derivative.
-    #[must_use]
-    pub fn fy_rate(self, lens: &Pinhole<f64>) -> f64 {
-        if self.equal_focal_rates { 1.0 } else { lens.fy / lens.fx }
-    }
-}
-
 /// How a problem is adjusted. [`Default`] is the front end of section 1.5 of the specification.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct DbaOptions {
@@ -89,8 +46,12 @@ pub struct DbaOptions {
     pub robust: Robust,
     /// Least scaled depth of a point that counts: 0.25.
     pub min_depth: f64,
-    /// Deliberate faults: none.
-    pub quirks: Quirks,
+    /// As the Python twin of the published solver, which the fixtures come from: the derivative by the focal length moves
+    /// `fx` and `fy` by equal amounts, and where poses alone move the damping is added to the diagonal of every 6x6
+    /// block, also of those between two poses.
+    #[cfg(test)]
+    #[serde(skip)]
+    pub(crate) python_twin: bool,
 }
 
 impl Default for DbaOptions {
@@ -103,7 +64,8 @@ impl Default for DbaOptions {
             prior_alpha: Some(0.05),
             robust: Robust::None,
             min_depth: super::projection::MIN_DEPTH,
-            quirks: Quirks::default(),
+            #[cfg(test)]
+            python_twin: false,
         }
     }
 }
@@ -124,6 +86,15 @@ impl DbaOptions {
             prior_alpha,
             ..Self::default()
         }
+    }
+
+    /// The change of `fy` with `fx` in the derivative by the focal length: their ratio, as the step keeps it.
+    pub(super) fn fy_rate(&self, lens: &Pinhole<f64>) -> f64 {
+        #[cfg(test)]
+        if self.python_twin {
+            return 1.0;
+        }
+        lens.fy / lens.fx
     }
 }
 

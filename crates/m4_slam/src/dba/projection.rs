@@ -31,8 +31,8 @@ pub struct Projected<T: Real> {
     pub by_focal: Vector2<T>,
 }
 
-/// Projects pixel `(u, v)` of disparity `d` by `g = G_ij`. `fy_rate` is the change of `fy` with that of `fx`
-/// ([`super::Quirks::fy_rate`]).
+/// Projects pixel `(u, v)` of disparity `d` by `g = G_ij`. `fy_rate` is the change of `fy` with that of `fx`:
+/// their ratio where both follow one parameter.
 pub fn project<T: Real>(g: &Se3<T>, lens: &Pinhole<T>, fy_rate: T, u: T, v: T, d: T) -> Projected<T> {
     let (one, zero) = (T::one(), T::zero());
     let ray = Vector3::new((u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, one);

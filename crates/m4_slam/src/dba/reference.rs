@@ -39,7 +39,7 @@ pub struct EdgeSystem {
 pub fn edge_system(geometry: &Geometry<f64>, factor: &Factor<f64>, options: &DbaOptions) -> EdgeSystem {
     let g = geometry.relative(factor.source, factor.target);
     let (width, len) = (geometry.grid.width, geometry.grid.len());
-    let rate = options.quirks.fy_rate(&geometry.lens);
+    let rate = options.fy_rate(&geometry.lens);
     let mut s = EdgeSystem {
         h: [[Matrix6::zeros(); 2]; 2],
         v: [Vector6::zeros(); 2],
@@ -105,8 +105,8 @@ pub fn adjust_reference(
     options: &DbaOptions,
 ) -> Result<usize, DbaError> {
     problem.check(geometry, &window)?;
-    let (mut failed, mut kept) = (0, None);
-    for iteration in 0..options.iterations {
+    let mut failed = 0;
+    for _ in 0..options.iterations {
         let Some(step) = solve(geometry, problem, &window, options) else {
             failed += 1;
             continue;
@@ -123,12 +123,6 @@ pub fn adjust_reference(
                 *d = stepped_disparity(*d, dz);
             }
         }
-        if iteration == 0 && options.quirks.stale_disparity {
-            kept = Some(geometry.disparity.clone());
-        }
-    }
-    if let Some(disparity) = kept {
-        geometry.disparity = disparity;
     }
     Ok(failed)
 }
@@ -194,10 +188,13 @@ fn solve(
             v[n] += s.focal_v;
         }
     }
-    let blockwise = options.quirks.blockwise_damping && !options.free.depth();
     for i in 0..size {
-        for j in 0..size {
-            if i == j || (blockwise && i % 6 == j % 6) {
+        h[(i, i)] += options.ep + options.lm * h[(i, i)];
+    }
+    #[cfg(test)]
+    if options.python_twin && !options.free.depth() {
+        for (i, j) in (0..size).flat_map(|i| (0..size).map(move |j| (i, j))) {
+            if i != j && i % 6 == j % 6 {
                 h[(i, j)] += options.ep + options.lm * h[(i, j)];
             }
         }
@@ -230,11 +227,7 @@ fn solve(
     let reduced = h - &scaled * e.transpose();
     let rhs = v - &scaled * &b;
     let dx = Cholesky::new(reduced)?.solve(&rhs);
-    let mut back = dx.clone();
-    if options.quirks.first_pose_ignored && !window.is_empty() {
-        back.rows_mut(0, 6).fill(0.0);
-    }
-    let mut dz = b - e.transpose() * back;
+    let mut dz = b - e.transpose() * &dx;
     for (z, c) in dz.iter_mut().zip(&c) {
         *z /= c;
     }

@@ -98,7 +98,8 @@ impl System {
         for i in 0..n {
             self.matrix[(i, i)] += options.ep + options.lm * self.diagonal[i];
         }
-        if options.quirks.blockwise_damping && !options.free.depth() {
+        #[cfg(test)]
+        if options.python_twin && !options.free.depth() {
             for i in 0..n {
                 for j in (i % 6..i).step_by(6) {
                     self.matrix[(i, j)] += options.ep + options.lm * self.matrix[(i, j)];

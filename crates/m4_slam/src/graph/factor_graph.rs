@@ -50,15 +50,6 @@ impl GraphEdge {
     }
 }
 
-/// Which edges go when there are too many.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Retirement {
-    /// The oldest.
-    Oldest,
-    /// As published: the permutation that sorts the ages is taken for the ranks.
-    PermutedRank,
-}
-
 /// Edges that became active, and edges that will not be revised any more.
 #[derive(Debug, Clone, Default)]
 pub struct EdgeChanges {
@@ -77,25 +68,34 @@ pub struct FactorGraph {
     pub inactive: Vec<GraphEdge>,
     /// Pairs that were tried and found wanting.
     pub bad: Vec<(usize, usize)>,
-    /// Most active edges.
+    /// Most active edges; when there are more, the oldest go.
     pub max_factors: usize,
-    /// Which edges go when there are more.
-    pub retirement: Retirement,
+    #[cfg(test)]
+    permuted_ranks: bool,
     changes: EdgeChanges,
 }
 
 impl FactorGraph {
     /// Without edges.
     #[must_use]
-    pub fn new(max_factors: usize, retirement: Retirement) -> Self {
+    pub fn new(max_factors: usize) -> Self {
         Self {
             active: Vec::new(),
             inactive: Vec::new(),
             bad: Vec::new(),
             max_factors,
-            retirement,
+            #[cfg(test)]
+            permuted_ranks: false,
             changes: EdgeChanges::default(),
         }
+    }
+
+    /// As published, if `on`: where edges make room, the permutation that sorts the ages is taken for the ranks.
+    #[cfg(test)]
+    #[must_use]
+    pub(crate) fn with_permuted_ranks(mut self, on: bool) -> Self {
+        self.permuted_ranks = on;
+        self
     }
 
     /// What changed since the last call.
@@ -221,14 +221,15 @@ impl FactorGraph {
         self.inactive.clear();
     }
 
-    /// Retires edges until `kept` are left, or as many as the published rule leaves.
+    /// Retires the oldest edges until `kept` are left.
     fn make_room(&mut self, kept: usize) {
         let mut order: Vec<usize> = (0..self.active.len()).collect();
         order.sort_by_key(|&k| self.active[k].age);
         let mut rank = vec![0; order.len()];
-        match self.retirement {
-            Retirement::PermutedRank => rank = order,
-            Retirement::Oldest => order.iter().enumerate().for_each(|(r, &k)| rank[k] = r),
+        order.iter().enumerate().for_each(|(r, &k)| rank[k] = r);
+        #[cfg(test)]
+        if self.permuted_ranks {
+            rank = order;
         }
         let mut ranks = rank.into_iter();
         self.retire(|_| ranks.next().is_some_and(|r| r >= kept));

@@ -14,5 +14,5 @@ mod selection;
 
 pub use distance::{FAR, frame_distance, frame_distance_reference, symmetric_distances};
 pub(crate) use factor_graph::projected_planes;
-pub use factor_graph::{EdgeChanges, EdgeId, EdgeKey, FactorGraph, GraphEdge, Retirement};
+pub use factor_graph::{EdgeChanges, EdgeId, EdgeKey, FactorGraph, GraphEdge};
 pub use selection::{ProximitySettings, neighbourhood, select_proximity};

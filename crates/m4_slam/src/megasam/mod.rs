@@ -17,7 +17,7 @@
 //! **Conventions.** The library's outside: camera to world, principal point from the corner of the picture, z-depth.
 //! A cell of the tracker's grid is the pixel at 8 times its column and row: there the features of a network that shrinks three
 //! times by two are. The published program takes blocks of 8 x 8 pixels for depth and for the map of what stands still
-//! instead, half a block off; [`MegasamSettings::compat`] does so, too.
+//! instead, half a block off.
 //!
 //! **Unit.** The tracker works on disparities whose 98th percentile is 2; what comes out is back in the unit of the depth.
 

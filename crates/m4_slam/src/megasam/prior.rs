@@ -142,11 +142,11 @@ impl DepthPrior {
     }
 
     /// The same on the tracker's grid, `[height * width]`: one over the mean known depth of the 8 x 8 pixels around a
-    /// cell's pixel, or of those that begin there (`compat`: the published program's, where unknown depth counts as 0).
+    /// cell's pixel.
     #[must_use]
-    pub fn sensor(&self, frame: usize, compat: bool) -> Vec<f32> {
+    pub fn sensor(&self, frame: usize) -> Vec<f32> {
         let plane = &self.disparity[frame];
-        let half = if compat { 0 } else { CELL_PX / 2 };
+        let half = CELL_PX / 2;
         let (columns, rows) = (plane.width() / CELL_PX, plane.height() / CELL_PX);
         let cell = |n: usize| {
             let (x, y) = (n % columns * CELL_PX, n / columns * CELL_PX);
@@ -155,8 +155,8 @@ impl DepthPrior {
                 for &d in &plane.row(row)[x.saturating_sub(half)..x + CELL_PX - half] {
                     if d > 0.0 {
                         depth += 1.0 / d;
+                        count += 1;
                     }
-                    count += u32::from(d > 0.0 || compat);
                 }
             }
             if depth > 0.0 { count as f32 / depth } else { 0.0 }
@@ -210,7 +210,7 @@ mod tests {
         let mut all: Vec<f32> = plane.data().to_vec();
         all.sort_by(f32::total_cmp);
         assert!((all[all.len() * 97 / 100] - 2.0).abs() < 0.8);
-        let grid = prior.sensor(1, false);
+        let grid = prior.sensor(1);
         assert_eq!(grid.len(), 8 * 6);
         // Cell 3 is pixel 24, the left of the two pixels of column 12: around it are columns 10 to 13.
         let want = (11.0 + 12.0 + 13.0 + 14.0) / 4.0 * prior.norm;
@@ -219,9 +219,6 @@ mod tests {
             "{} {want}",
             1.0 / grid[3]
         );
-        // The block that begins there has columns 12 to 15.
-        let want = (13.0 + 14.0 + 15.0 + 16.0) / 4.0 * prior.norm;
-        assert!((1.0 / f64::from(prior.sensor(1, true)[3]) / want - 1.0).abs() < 1e-5);
     }
 
     #[test]

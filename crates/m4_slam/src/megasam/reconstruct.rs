@@ -88,7 +88,7 @@ pub fn reconstruct(
     let frames = input.pictures.len();
     let grid = size.grid();
     let sensor = |frame: usize| match input.prior {
-        Some(prior) => prior.sensor(frame, settings.compat),
+        Some(prior) => prior.sensor(frame),
         None => vec![0.0; grid.len()],
     };
     let inputs: Vec<FrameInput> = (0..frames)
@@ -100,10 +100,10 @@ pub fn reconstruct(
         .collect();
     let clip = Clip {
         grid,
-        lens: size.grid_lens(&input.lens, settings.compat),
+        lens: size.grid_lens(&input.lens),
         frames: &inputs,
     };
-    let mut tracker = settings.tracker_in_force();
+    let mut tracker = settings.tracker;
     tracker.optimise_focal &= input.focal_is_free;
     let tracked = kept(shelf, "tracked", || track(&clip, correspondence, &tracker, progress))?;
     let lens = size.full_lens(&input.lens, &tracked.geometry.lens);
@@ -113,13 +113,7 @@ pub fn reconstruct(
     let pairs = measure(frames, &picture, size.cropped, flow, budget_bytes, progress)?;
     let (width, height) = (size.cropped.0 / 2, size.cropped.1 / 2);
     let on_grid = |values: &Vec<f32>| Plane::from_fn(grid.width, grid.height, |x, y| values[y * grid.width + x]);
-    let on_half = |plane: &Plane<f32>| -> Plane<f32> {
-        if settings.compat {
-            resize_bilinear(plane, width, height)
-        } else {
-            from_grid(plane, width, height, size.cropped)
-        }
-    };
+    let on_half = |plane: &Plane<f32>| -> Plane<f32> { from_grid(plane, width, height, size.cropped) };
     let disparity: Vec<Plane<f32>> = (0..frames)
         .map(|frame| match input.prior {
             Some(prior) => prior.halved(frame),

@@ -26,21 +26,6 @@ pub struct MegasamSettings {
     /// Field of view where neither the user nor the depth knows one, degrees across. 60: ours, the main camera of common
     /// phones.
     pub default_fov_deg: f64,
-    /// True places depth and motion on the grid as the published program does, and turns the tracker's
-    /// [`crate::dba::Quirks`] on: for comparisons with it.
-    pub compat: bool,
-}
-
-impl MegasamSettings {
-    /// The tracker's settings, with its quirks where the published program is to be matched.
-    #[must_use]
-    pub fn tracker_in_force(&self) -> TrackerSettings {
-        let mut tracker = self.tracker;
-        if self.compat {
-            tracker.quirks = crate::dba::Quirks::megasam_compat();
-        }
-        tracker
-    }
 }
 
 impl Default for MegasamSettings {
@@ -54,7 +39,6 @@ impl Default for MegasamSettings {
             memory_budget_mb: 2000,
             tau_motion: 0.7,
             default_fov_deg: 60.0,
-            compat: false,
         }
     }
 }

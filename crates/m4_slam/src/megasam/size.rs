@@ -53,18 +53,9 @@ impl TrackingSize {
 
     /// A lens of the full pictures as one of the grid.
     #[must_use]
-    pub fn grid_lens(&self, full: &Intrinsics, compat: bool) -> Pinhole<f64> {
+    pub fn grid_lens(&self, full: &Intrinsics) -> Pinhole<f64> {
         let k = full.resized(self.scaled.0, self.scaled.1);
-        let cell = CELL_PX as f64;
-        if compat {
-            return Pinhole {
-                fx: k.fx / cell,
-                fy: k.fy / cell,
-                cx: k.cx / cell,
-                cy: k.cy / cell,
-            };
-        }
-        Pinhole::of_picture(k.fx, k.fy, k.cx, k.cy, cell)
+        Pinhole::of_picture(k.fx, k.fy, k.cx, k.cy, CELL_PX as f64)
     }
 
     /// The lens of the full pictures whose focal length on the grid is that of `grid`; the principal point is that of `full`.
@@ -108,12 +99,10 @@ mod tests {
     fn a_lens_goes_there_and_back() {
         let size = TrackingSize::new((854, 480), 384.0 * 512.0).unwrap();
         let lens = Intrinsics::centred(854, 480, 700.0);
-        for compat in [false, true] {
-            let back = size.full_lens(&lens, &size.grid_lens(&lens, compat));
-            assert!((back.fx - 700.0).abs() < 1e-9 && (back.fy - 700.0).abs() < 1e-9);
-            assert_eq!((back.cx, back.cy), (427.0, 240.0));
-        }
+        let back = size.full_lens(&lens, &size.grid_lens(&lens));
+        assert!((back.fx - 700.0).abs() < 1e-9 && (back.fy - 700.0).abs() < 1e-9);
+        assert_eq!((back.cx, back.cy), (427.0, 240.0));
         // The picture's middle, 295.5 from the corner, is column 295 of whole numbers.
-        assert!((size.grid_lens(&lens, false).cx - 295.0 / 8.0).abs() < 1e-12);
+        assert!((size.grid_lens(&lens).cx - 295.0 / 8.0).abs() < 1e-12);
     }
 }

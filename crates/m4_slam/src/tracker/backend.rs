@@ -6,7 +6,7 @@ use super::keyframes::Keyframes;
 use super::settings::TrackerSettings;
 use super::update::Update;
 use crate::dba::{DbaOptions, DbaReport, Factor, Observability, Problem, observability};
-use crate::graph::{FactorGraph, ProximitySettings, Retirement};
+use crate::graph::{FactorGraph, ProximitySettings};
 use m4_scene::Progress;
 
 /// A graph over all keyframes and what is adjusted with it.
@@ -23,7 +23,7 @@ impl Backend {
     pub fn new(keyframes: &Keyframes, settings: TrackerSettings) -> Self {
         let count = keyframes.len();
         let max_factors = settings.backend_factors * count;
-        let mut graph = FactorGraph::new(max_factors, Retirement::Oldest);
+        let mut graph = FactorGraph::new(max_factors);
         let proximity = ProximitySettings {
             first_source: 0,
             first_target: 0,
@@ -58,7 +58,8 @@ impl Backend {
             options: DbaOptions {
                 robust: s.robust,
                 min_depth: s.min_depth,
-                quirks: s.quirks,
+                #[cfg(test)]
+                python_twin: s.python_twin,
                 ..DbaOptions::backend(free_focal, alpha)
             },
             window: 1.min(keyframes.len())..keyframes.len(),
@@ -90,7 +91,8 @@ impl Backend {
         };
         let options = DbaOptions {
             min_depth: self.settings.min_depth,
-            quirks: self.settings.quirks,
+            #[cfg(test)]
+            python_twin: self.settings.python_twin,
             ..DbaOptions::default()
         };
         Ok(observability(&keyframes.geometry, &problem, &options)?)

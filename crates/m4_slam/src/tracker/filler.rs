@@ -7,7 +7,7 @@ use super::keyframes::{FrameInput, Keyframes};
 use super::settings::TrackerSettings;
 use super::update::Update;
 use crate::dba::{DbaOptions, Free};
-use crate::graph::{FactorGraph, Retirement};
+use crate::graph::FactorGraph;
 use m4_math::Se3;
 use m4_scene::Progress;
 
@@ -38,7 +38,7 @@ pub fn fill(
         if progress.cancelled() {
             return Err(TrackerError::Cancelled);
         }
-        let mut graph = FactorGraph::new(usize::MAX, Retirement::Oldest);
+        let mut graph = FactorGraph::new(usize::MAX);
         let mut pairs = [Vec::new(), Vec::new()];
         for &k in batch {
             let (time, target) = (frames[k].time_s, state.len());
@@ -57,7 +57,8 @@ pub fn fill(
                 free: Free::Poses,
                 robust: settings.frontend_robust,
                 min_depth: settings.min_depth,
-                quirks: settings.quirks,
+                #[cfg(test)]
+                python_twin: settings.python_twin,
                 ..DbaOptions::default()
             },
             window: count..state.len(),

@@ -6,7 +6,7 @@ use super::keyframes::{FrameInput, Keyframes};
 use super::settings::TrackerSettings;
 use super::update::Update;
 use crate::dba::{DbaOptions, Free, Grid, Pinhole};
-use crate::graph::{FactorGraph, ProximitySettings, Retirement, frame_distance};
+use crate::graph::{FactorGraph, ProximitySettings, frame_distance};
 use m4_math::Se3;
 
 /// What became of a submitted frame.
@@ -44,15 +44,13 @@ impl Frontend {
     /// Without frames. `lens` is a first guess.
     #[must_use]
     pub fn new(grid: Grid, lens: Pinhole<f64>, settings: TrackerSettings) -> Self {
-        let retirement = if settings.quirks.permuted_ranks {
-            Retirement::PermutedRank
-        } else {
-            Retirement::Oldest
-        };
+        let graph = FactorGraph::new(settings.max_factors);
+        #[cfg(test)]
+        let graph = graph.with_permuted_ranks(settings.python_twin);
         Self {
             settings,
             keyframes: Keyframes::new(grid, lens),
-            graph: FactorGraph::new(settings.max_factors, retirement),
+            graph,
             initialised: false,
             last_accepted: None,
         }
@@ -185,7 +183,7 @@ impl Frontend {
         let dropped = (distance_px < s.keyframe_px).then(|| self.keyframes.frame[b]);
         if dropped.is_some() {
             self.graph.remove_frame(b);
-            self.keyframes.remove(b, s.quirks);
+            self.keyframes.remove(b);
         } else {
             for _ in 0..s.second_updates {
                 self.update_window(source)?;
@@ -209,7 +207,8 @@ impl Frontend {
                 prior_alpha: Some(s.prior_alpha),
                 robust: s.frontend_robust,
                 min_depth: s.min_depth,
-                quirks: s.quirks,
+                #[cfg(test)]
+                python_twin: s.python_twin,
                 ..DbaOptions::default()
             },
             window: first.max(1).min(self.keyframes.len())..self.keyframes.len(),

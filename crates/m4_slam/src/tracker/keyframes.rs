@@ -1,6 +1,6 @@
 //! The frames whose geometry is adjusted.
 
-use crate::dba::{Geometry, Grid, Pinhole, Quirks};
+use crate::dba::{Geometry, Grid, Pinhole};
 use m4_math::Se3;
 
 /// Disparity of a pixel of unknown depth in a frame where some are known: far away.
@@ -82,17 +82,13 @@ impl Keyframes {
     }
 
     /// Removes keyframe `k`; later ones move down.
-    pub fn remove(&mut self, k: usize, quirks: Quirks) {
+    pub fn remove(&mut self, k: usize) {
         self.geometry.disparity.remove(k);
         self.geometry.sensor.remove(k);
         self.geometry.poses.remove(k);
         self.frame.remove(k);
         self.damping.remove(k);
-        if quirks.stale_times {
-            self.time_s.pop();
-        } else {
-            self.time_s.remove(k);
-        }
+        self.time_s.remove(k);
     }
 
     /// Keeps the first `count`.

@@ -1,6 +1,6 @@
 //! Settings of the tracker; the defaults are those of section 1.5 of the specification.
 
-use crate::dba::{MIN_DEPTH, Quirks, Robust};
+use crate::dba::{MIN_DEPTH, Robust};
 use serde::{Deserialize, Serialize};
 
 /// How a clip is tracked. Lengths are pixels of the grid.
@@ -73,8 +73,11 @@ pub struct TrackerSettings {
     pub frontend_robust: Robust,
     /// Extra weight of residuals in the back end, whose scale also tells static pixels from moving ones: none.
     pub robust: Robust,
-    /// Deliberate faults: none.
-    pub quirks: Quirks,
+    /// As the program that the fixtures come from: the Python twin of the published solver
+    /// ([`crate::dba::DbaOptions::python_twin`]), and edges that retire by the permutation of their ages.
+    #[cfg(test)]
+    #[serde(skip)]
+    pub(crate) python_twin: bool,
     /// False keeps the focal length whatever can be seen: true.
     pub optimise_focal: bool,
 }
@@ -131,7 +134,8 @@ impl Default for TrackerSettings {
             min_depth: MIN_DEPTH,
             frontend_robust: Robust::None,
             robust: Robust::None,
-            quirks: Quirks::default(),
+            #[cfg(test)]
+            python_twin: false,
             optimise_focal: true,
         }
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Colours by least squares (section 8, item 7): a picture is linear in the colours of its splats, so that they can be
+/// Colours by least squares after the last step (section 8, item 7): a picture is linear in the colours of its splats, so that they can be
 /// solved for while everything else stays as it is.
 ///
 /// A round draws frames and moves every colour by the mean of what is missing in the pixels of its splat, weighted as the
@@ -11,13 +11,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ColourFitConfig {
-    /// Rounds of a fit; 0 for no fits. 1: more of them fit what is half hidden too closely (`docs/decisions/0005`).
+    /// Rounds; 0 for no fit. 1: more of them fit what is half hidden too closely (`docs/decisions/0005`).
     pub rounds: usize,
     /// At most this many frames a round, evenly spread; 0 for all. A splat that none of them sees keeps its colour.
     pub frames: usize,
-    /// When, as shares of all iterations: 0 before the first, 1 after the last (measured after 300 to 1000 steps: 0 to 0.4 dB on
-    /// held-out views, 0 to 1.2 dB inside moving parts; before the first it does harm).
-    pub at: Vec<f32>,
     /// What is missing is multiplied by this: above 1 it converges faster, from 2 on not at all.
     pub relax: f32,
     /// Added to the sum of a splat's weights, pixels over all frames: splats that are hardly seen hardly change.
@@ -29,7 +26,6 @@ impl Default for ColourFitConfig {
         Self {
             rounds: 1,
             frames: 0,
-            at: vec![1.0],
             relax: 1.0,
             damping_px: 0.1,
         }
@@ -37,7 +33,7 @@ impl Default for ColourFitConfig {
 }
 
 impl ColourFitConfig {
-    /// None.
+    /// No fit.
     #[must_use]
     pub fn off() -> Self {
         Self {
@@ -46,14 +42,14 @@ impl ColourFitConfig {
         }
     }
 
-    /// Frames that all fits of a run draw together, in units of what a frame of a step costs; `all` are in the capture.
+    /// Frames that the fit draws, in units of what a frame of a step costs; `all` are in the capture.
     #[must_use]
     pub(crate) fn frames_drawn(&self, all: usize) -> f64 {
         if self.rounds == 0 {
             return 0.0;
         }
         let frames = if self.frames == 0 { all } else { self.frames.min(all) };
-        (self.at.len() * frames) as f64 * (self.rounds as f64 + 0.5)
+        frames as f64 * (self.rounds as f64 + 0.5)
     }
 }
 
@@ -65,12 +61,11 @@ mod tests {
     fn a_fit_costs_its_rounds_and_half_a_round() {
         let mut config = ColourFitConfig {
             rounds: 2,
-            at: vec![0.0, 1.0],
             ..ColourFitConfig::off()
         };
-        assert_eq!(config.frames_drawn(10), 50.0);
+        assert_eq!(config.frames_drawn(10), 25.0);
         config.frames = 4;
-        assert_eq!(config.frames_drawn(10), 20.0);
+        assert_eq!(config.frames_drawn(10), 10.0);
         config.rounds = 0;
         assert_eq!(config.frames_drawn(10), 0.0);
     }

@@ -23,16 +23,12 @@ pub enum PruneRule {
     /// Every splat above the threshold; scores min-max normalised over all splats (paper eq. 10, to
     /// the letter).
     Literal,
-    /// Those above the threshold whose opacity is also low, and those of the very highest score; scores
-    /// normalised over the splats that have one, clipped at a quantile (section 4.4).
+    /// Those above the threshold whose opacity is also low; scores normalised over the splats that have one,
+    /// clipped at a quantile (section 4.4).
     WithOpacity {
         /// A splat above the threshold goes only when its opacity is below this. Section 4.4: 0.1; 0.005 here, which
         /// leaves moving shadows alone.
         opacity: f32,
-        /// Above this normalised score a splat goes whatever its opacity; 1 for never. FastGS: 0.9. 1 here: scores are
-        /// sums over pixels, so that every round would take the largest of what lies far behind everything, and after
-        /// 10,000 iterations nothing is left of it (`docs/decisions/0005`).
-        always: f32,
         /// Scores above this quantile count as it.
         quantile: f32,
     },
@@ -96,8 +92,6 @@ pub struct DensityConfig {
     pub prune_threshold: f32,
     /// Which splats the prune score removes.
     pub prune_rule: PruneRule,
-    /// Draw other frames for the prune score (paper: "randomly sampled" for each).
-    pub prune_own_frames: bool,
     /// First iteration of density control. 500 (3DGS, Instant4D).
     pub from: usize,
     /// Share of all iterations after which it ends. Section 4.4: 0.6; reference: 1.
@@ -123,11 +117,6 @@ pub struct DensityConfig {
     pub newborn_opacity: NewbornOpacity,
     /// Splats below this opacity are removed at every round. 0.005 (3DGS); 0.003 here, for moving shadows.
     pub min_opacity: f32,
-    /// Splats larger than this share of the extent are removed from `size_from` on. 0.1 (3DGS); 0 for
-    /// never.
-    pub max_size: f32,
-    /// First iteration of the size rule. 3000 (3DGS).
-    pub size_from: usize,
     /// Splats below this opacity are removed at the end. Section 4.4: 0.02; 0 for none. 0.005 here: a moving shadow is
     /// made of splats of opacity 0.01 to 0.1 (measured: 0.4 dB on whole held-out views).
     pub final_opacity: f32,
@@ -152,10 +141,8 @@ impl DensityConfig {
             prune_threshold: 0.009,
             prune_rule: PruneRule::WithOpacity {
                 opacity: 0.005,
-                always: 1.0,
                 quantile: 0.999,
             },
-            prune_own_frames: false,
             from: 500,
             until: 0.6,
             every: 100,
@@ -167,8 +154,6 @@ impl DensityConfig {
             split_factor: 1.6,
             newborn_opacity: NewbornOpacity::Share,
             min_opacity: 0.003,
-            max_size: 0.0,
-            size_from: 3000,
             final_opacity: 0.005,
         }
     }
@@ -181,7 +166,6 @@ impl DensityConfig {
         Self {
             error_range: ErrorRange::MinMax,
             prune_rule: PruneRule::Literal,
-            prune_own_frames: true,
             until: 1.0,
             prune_every: 100,
             budget: 1.0,
@@ -190,7 +174,6 @@ impl DensityConfig {
             split_placement: SplitPlacement::Sample,
             newborn_opacity: NewbornOpacity::Keep,
             min_opacity: 0.005,
-            max_size: 0.1,
             final_opacity: 0.0,
             ..Self::fast()
         }

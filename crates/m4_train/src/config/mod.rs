@@ -11,20 +11,6 @@ pub use rates::{AdamSettings, PositionUnit, RateConfig, RefineConfig};
 use crate::TrainError;
 use serde::{Deserialize, Serialize};
 
-/// Which frame an iteration looks at.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub enum FrameChoice {
-    /// Every frame once an epoch, in an order drawn anew for each.
-    Shuffled,
-    /// After the first epoch: with probability `uniform` the next of the shuffled order, else a frame
-    /// drawn in proportion to its recent loss (section 8, item 6).
-    ErrorDriven {
-        /// Share of uniform draws, 0..1.
-        uniform: f32,
-    },
-}
-
 /// What is minimised.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -32,50 +18,11 @@ pub struct LossConfig {
     /// Weight of `1 - SSIM` beside L1. 0.2 (3DGS, Instant4D; the paper gives no value); 0.4 here (measured: +0.003
     /// SSIM on held-out views at no loss of PSNR).
     pub lambda_ssim: f32,
-    /// Weight of the relative depth residual at the start (section 8, item 11: 0.05). 0 here: it takes a seventh of
-    /// the time, costs half a decibel on held-out views, and without parallax leaves splats in the air
-    /// (`docs/decisions/0005`); first splats lie at their depth and stay there.
-    pub depth_weight: f32,
-    /// Its weight at the end; between them it falls log-linearly.
-    pub depth_weight_end: f32,
-    /// Relative residual below which the depth loss is quadratic (Huber).
-    pub depth_huber: f32,
-    /// Weight of the light that passes where the depth says there is a surface.
-    pub alpha_weight: f32,
 }
 
 impl Default for LossConfig {
     fn default() -> Self {
-        Self {
-            lambda_ssim: 0.4,
-            depth_weight: 0.0,
-            depth_weight_end: 0.0,
-            depth_huber: 0.01,
-            alpha_weight: 0.0,
-        }
-    }
-}
-
-/// Coarse-to-fine (section 8, item 5): shares of all iterations. Off by default: the first splats are as fine as the
-/// pixels, and what a smaller picture teaches them has to be unlearned (`docs/decisions/0005`).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ResolutionConfig {
-    /// A quarter of the size until this share of the iterations. 0 for never (reference: full size throughout).
-    pub quarter_until: f32,
-    /// Half the size until this share; 0 for never.
-    pub half_until: f32,
-    /// Below this many pixels on the short side no frame is made smaller.
-    pub min_side_px: usize,
-}
-
-impl Default for ResolutionConfig {
-    fn default() -> Self {
-        Self {
-            quarter_until: 0.0,
-            half_until: 0.0,
-            min_side_px: 64,
-        }
+        Self { lambda_ssim: 0.4 }
     }
 }
 
@@ -96,8 +43,6 @@ pub struct TrainConfig {
     pub budget_s: f64,
     /// Key of every random draw.
     pub seed: u64,
-    /// Which frame next.
-    pub frame_choice: FrameChoice,
     /// Colours by least squares.
     pub colour_fit: ColourFitConfig,
     /// What is minimised.
@@ -108,8 +53,6 @@ pub struct TrainConfig {
     pub adam: AdamSettings,
     /// Adding and removing splats.
     pub density: DensityConfig,
-    /// Coarse-to-fine.
-    pub resolution: ResolutionConfig,
     /// Poses, focal length and exposure.
     pub refine: RefineConfig,
     /// Opacity-compensated 2D filter (section 1.6); false in the reference.
@@ -144,7 +87,7 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// Our choices (section 9, D1): static splats without time, velocities, depth, budgeted density control, colours by
+    /// Our choices (section 9, D1): static splats without time, velocities, budgeted density control, colours by
     /// least squares at the end.
     #[must_use]
     pub fn fast() -> Self {
@@ -154,13 +97,11 @@ impl TrainConfig {
             batch_rate_power: 0.5,
             budget_s: 0.0,
             seed: 0,
-            frame_choice: FrameChoice::Shuffled,
             colour_fit: ColourFitConfig::default(),
             loss: LossConfig::default(),
             lr: RateConfig::default(),
             adam: AdamSettings::default(),
             density: DensityConfig::fast(),
-            resolution: ResolutionConfig::default(),
             refine: RefineConfig::default(),
             mip: true,
             near_share: 0.05,
@@ -179,24 +120,15 @@ impl TrainConfig {
     pub fn faithful() -> Self {
         Self {
             iterations: 5000,
-            loss: LossConfig {
-                lambda_ssim: 0.2,
-                ..LossConfig::default()
-            },
+            loss: LossConfig { lambda_ssim: 0.2 },
             lr: RateConfig::faithful(),
             adam: AdamSettings {
                 sparse: false,
                 beta2_dynamic: 0.999,
-                per_splat_steps: false,
                 ..AdamSettings::default()
             },
             density: DensityConfig::faithful(),
             colour_fit: ColourFitConfig::off(),
-            resolution: ResolutionConfig {
-                quarter_until: 0.0,
-                half_until: 0.0,
-                ..ResolutionConfig::default()
-            },
             mip: false,
             background: Some([0.0; 3]),
             ..Self::fast()
@@ -211,38 +143,21 @@ impl TrainConfig {
     pub fn check(&self) -> Result<(), TrainError> {
         let shares = [
             ("loss.lambda_ssim", self.loss.lambda_ssim),
-            ("resolution.quarter_until", self.resolution.quarter_until),
-            ("resolution.half_until", self.resolution.half_until),
             ("near_share", self.near_share),
             ("density.until", self.density.until),
             ("density.error_threshold", self.density.error_threshold),
             ("density.budget", self.density.budget),
             ("density.final_opacity", self.density.final_opacity),
-            (
-                "frame_choice.uniform",
-                match self.frame_choice {
-                    FrameChoice::Shuffled => 1.0,
-                    FrameChoice::ErrorDriven { uniform } => uniform,
-                },
-            ),
         ];
         for (field, value) in shares {
             if !(0.0..=1.0).contains(&value) {
                 return Err(bad(field, value, "between 0 and 1"));
             }
         }
-        for &at in &self.colour_fit.at {
-            if !(0.0..=1.0).contains(&at) {
-                return Err(bad("colour_fit.at", at, "between 0 and 1"));
-            }
-        }
         if !(self.budget_s.is_finite() && self.budget_s >= 0.0) {
             return Err(bad("budget_s", self.budget_s, "a number of at least 0"));
         }
         let not_negative = [
-            ("loss.depth_weight", self.loss.depth_weight),
-            ("loss.depth_weight_end", self.loss.depth_weight_end),
-            ("loss.alpha_weight", self.loss.alpha_weight),
             ("batch_rate_power", self.batch_rate_power),
             ("colour_fit.damping_px", self.colour_fit.damping_px),
             ("colour_fit.relax", self.colour_fit.relax),
@@ -268,7 +183,6 @@ impl TrainConfig {
             }
         }
         let positive = [
-            ("loss.depth_huber", self.loss.depth_huber),
             ("density.split_factor", self.density.split_factor),
             ("density.max_growth", self.density.max_growth),
         ];

@@ -94,7 +94,7 @@ impl RateConfig {
     }
 }
 
-/// Constants of Adam (section 3).
+/// Constants of Adam (section 3). The bias of the moments is corrected by each splat's own number of steps, 0 for newborn ones.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AdamSettings {
@@ -108,9 +108,6 @@ pub struct AdamSettings {
     pub eps: f64,
     /// Step only the splats that the frame saw (section 3); false: the dense Adam of the reference.
     pub sparse: bool,
-    /// Correct the bias of the moments by each splat's own number of steps, 0 for newborn ones (section 3). false: by
-    /// that of the run, as the reference does, where the first step of a newborn is three times its rate.
-    pub per_splat_steps: bool,
 }
 
 impl Default for AdamSettings {
@@ -121,7 +118,6 @@ impl Default for AdamSettings {
             beta2_dynamic: 0.99,
             eps: 1e-15,
             sparse: true,
-            per_splat_steps: true,
         }
     }
 }

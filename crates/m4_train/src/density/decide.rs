@@ -13,8 +13,6 @@ pub struct SplatView<'a> {
     pub opacity: &'a [f32],
     /// True where the splat is large enough to be split rather than cloned.
     pub large: &'a [bool],
-    /// True where a size rule wants the splat gone.
-    pub oversized: &'a [bool],
 }
 
 /// Which rounds are due.
@@ -22,7 +20,7 @@ pub struct SplatView<'a> {
 pub struct Decision {
     /// Clone and split.
     pub densify: bool,
-    /// Prune by score; opacity and size rules apply in every round.
+    /// Prune by score; the rule of opacity applies in every round.
     pub prune_by_score: bool,
     /// Most splats that the next set may have.
     pub max_splats: usize,
@@ -39,8 +37,7 @@ impl Decision {
 /// Who is cloned, split and pruned.
 ///
 /// A splat is densified when its score is above the threshold and among the best `budget`; ties go to
-/// the lower row. Pruned are splats of low opacity or excessive size and, when due, those that the
-/// score rule names; in the literal rule a splat may be cloned and pruned in one round, then its clone
+/// the lower row. Pruned are splats of low opacity and, when due, those that the score rule names; in the literal rule a splat may be cloned and pruned in one round, then its clone
 /// takes its place.
 #[must_use]
 pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scores: &Scores) -> Plan {
@@ -61,7 +58,7 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
     for rows in [0..splats.n_static, splats.n_static..n] {
         let mut newborns: Vec<(u32, Origin)> = Vec::new();
         for row in rows {
-            let hopeless = splats.opacity[row] < config.min_opacity || splats.oversized[row];
+            let hopeless = splats.opacity[row] < config.min_opacity;
             let mut add = |origin| {
                 plan.rows.push(row as u32);
                 plan.origins.push(origin);
@@ -128,9 +125,7 @@ fn pruned_by_score(config: &DensityConfig, opacity: &[f32], scores: &[f32]) -> V
             let s = ((s - low) / (high - low)).clamp(0.0, 1.0);
             match config.prune_rule {
                 PruneRule::Literal => s > config.prune_threshold,
-                PruneRule::WithOpacity { opacity, always, .. } => {
-                    (s > config.prune_threshold && o < opacity) || s > always
-                }
+                PruneRule::WithOpacity { opacity, .. } => s > config.prune_threshold && o < opacity,
             }
         })
         .collect()
@@ -165,7 +160,6 @@ mod tests {
             n_static: 2,
             opacity: &[0.5; 4],
             large: &[false, true, false, true],
-            oversized: &[false; 4],
         };
         let due = Decision {
             prune_by_score: false,
@@ -191,7 +185,6 @@ mod tests {
             n_static: n,
             opacity: &vec![0.5; n],
             large: &vec![false; n],
-            oversized: &vec![false; n],
         };
         let count = |max_splats| {
             let plan = decide(
@@ -219,7 +212,6 @@ mod tests {
             budget: 1.0,
             prune_rule: PruneRule::WithOpacity {
                 opacity: 0.1,
-                always: 0.9,
                 quantile: 0.999,
             },
             ..DensityConfig::fast()
@@ -236,29 +228,12 @@ mod tests {
             n_static: 40,
             opacity: &opacity,
             large: &[false; 100],
-            oversized: &[false; 100],
-        };
-        let plan = decide(&config, DUE, view, &scores(&densify, &prune));
-        let gone: Vec<u32> = (0..100).filter(|r| !plan.rows.contains(r)).collect();
-        assert_eq!(gone, [60, 89, 90, 91, 92, 93, 94, 95, 96, 97, 99]);
-        assert_eq!(plan.rows.iter().filter(|&&r| r == 98).count(), 2);
-        assert_eq!(plan.rows.len() + plan.pruned - plan.cloned, 100);
-
-        // as it is by default: no score is high enough for what is opaque
-        let PruneRule::WithOpacity { always, quantile, .. } = DensityConfig::fast().prune_rule else {
-            panic!("the rule of the fast profile")
-        };
-        let config = DensityConfig {
-            prune_rule: PruneRule::WithOpacity {
-                opacity: 0.1,
-                always,
-                quantile,
-            },
-            ..config
         };
         let plan = decide(&config, DUE, view, &scores(&densify, &prune));
         let gone: Vec<u32> = (0..100).filter(|r| !plan.rows.contains(r)).collect();
         assert_eq!(gone, [60, 99]);
+        assert_eq!(plan.rows.iter().filter(|&&r| r == 98).count(), 2);
+        assert_eq!(plan.rows.len() + plan.pruned - plan.cloned, 100);
     }
 
     #[test]
@@ -268,15 +243,14 @@ mod tests {
             n_static: 0,
             opacity: &[0.5; 4],
             large: &[false; 4],
-            oversized: &[false, false, false, true],
         };
         let plan = decide(
             &config,
             DUE,
             view,
-            &scores(&[0.0, 0.0, 0.5, 0.0], &[0.0, 0.5, 100.0, 0.0]),
+            &scores(&[0.0, 0.0, 0.5, 0.0], &[0.0, 0.5, 100.0, 50.0]),
         );
-        // row 1: 0.5 / 100 stays; row 2: pruned, its clone takes its place; row 3: too large
+        // row 1: 0.5 / 100 stays; row 2: pruned, its clone takes its place; row 3: pruned
         assert_eq!(plan.rows, [0, 1, 2]);
         assert_eq!(plan.origins, [Origin::Kept, Origin::Kept, Origin::Clone]);
         assert_eq!(plan.pruned, 2);
@@ -288,7 +262,6 @@ mod tests {
             n_static: 1,
             opacity: &[0.5; 3],
             large: &[true; 3],
-            oversized: &[false; 3],
         };
         let plan = decide(&DensityConfig::fast(), DUE, view, &scores(&[0.0; 3], &[0.0; 3]));
         assert!(plan.changes_nothing());

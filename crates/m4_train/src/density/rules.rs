@@ -14,8 +14,6 @@ pub struct Rules<'a> {
     pub due: Decision,
     /// Splats of a lower opacity go; in place of that of [`config`](Self::config).
     pub min_opacity: f32,
-    /// Splats go whose largest standard deviation is above this, scene units; `None` where no rule of size holds.
-    pub max_scale: Option<f32>,
     /// The lengths that sizes are measured in.
     pub scale: &'a SceneScale,
 }
@@ -42,10 +40,6 @@ impl Rules<'_> {
             SplitSize::Pixels { pixels } => pixels * self.scale.nearest_camera(mean(i)) / self.scale.focal_px,
         };
         let large: Vec<bool> = (0..n).map(|i| largest[i] > limit(i)).collect();
-        let oversized: Vec<bool> = largest
-            .iter()
-            .map(|&s| self.max_scale.is_some_and(|max| s > max))
-            .collect();
         let opacity: Vec<f32> = splats
             .column(Column::Opacity, 0)
             .iter()
@@ -55,7 +49,6 @@ impl Rules<'_> {
             n_static: splats.n_static(),
             opacity: &opacity,
             large: &large,
-            oversized: &oversized,
         };
         decide(&config, self.due, view, scores)
     }

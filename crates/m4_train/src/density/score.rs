@@ -13,8 +13,6 @@ pub(crate) struct ScoreInput<'a, 'c> {
     pub level: SimdLevel,
     pub config: &'a DensityConfig,
     pub lambda_ssim: f32,
-    /// Frames are made smaller by this.
-    pub factor: usize,
     pub store: &'a mut FrameStore<'c>,
     /// Exposures; `None` when they are not corrected.
     pub fit: Option<&'a Refinement>,
@@ -34,7 +32,7 @@ pub(crate) fn score(input: &mut ScoreInput<'_, '_>, splats: &Splats, frames: &[(
     let (mut gradient, mut exposed): ([Vec<f32>; 3], [Vec<f32>; 3]) = Default::default();
     let share = 1.0 / frames.len().max(1) as f32;
     for (frame, view) in frames {
-        let target = input.store.target(*frame, input.factor);
+        let target = input.store.target(*frame);
         let drawn = input.renderer.render(splats, view);
         let rgb = match input.fit {
             Some(fit) => {

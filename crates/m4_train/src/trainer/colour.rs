@@ -1,4 +1,4 @@
-//! When colours are fitted, and to what.
+//! The fit of colours after the last step.
 
 use super::Trainer;
 use crate::colour_fit::{ColourSums, Sum};
@@ -7,16 +7,14 @@ use m4_kernels::Wanted;
 use m4_scene::Column;
 
 impl Trainer<'_> {
-    /// Whether a fit belongs before step `iteration`, or after the last.
-    pub(super) fn colours_are_due(&self, iteration: usize) -> bool {
-        let (c, n) = (&self.config.colour_fit, self.config.iterations);
-        let step = |at: f32| (f64::from(at) * n as f64).round() as usize;
-        c.rounds > 0 && c.at.iter().any(|&at| step(at) == iteration)
+    /// Whether a fit belongs after the step just taken: the last.
+    pub(super) fn colours_are_due(&self) -> bool {
+        self.config.colour_fit.rounds > 0 && self.iteration == self.config.iterations
     }
 
     /// Solves for the colours, and returns the mean squared error of the frames before each round.
     pub(super) fn fit_colours(&mut self) -> Vec<f64> {
-        let (config, factor) = (self.config.colour_fit.clone(), self.factor());
+        let config = self.config.colour_fit.clone();
         let frames = self.frames_to_fit();
         let mut sums = ColourSums::new(self.splats.n());
         let mut errors = Vec::with_capacity(config.rounds);
@@ -24,7 +22,7 @@ impl Trainer<'_> {
             let (mut squares, mut values) = (0.0f64, 0usize);
             sums.next_round();
             for &frame in &frames {
-                squares += self.residual(frame, factor);
+                squares += self.residual(frame);
                 values += self.frame_gradient.rgb.iter().map(Vec::len).sum::<usize>();
                 self.add_colours(&mut sums, Sum::Residual);
                 if round == 0 {
@@ -46,9 +44,9 @@ impl Trainer<'_> {
     }
 
     /// Draws a frame, leaves what it has too much as the gradient, and returns its sum of squares.
-    fn residual(&mut self, frame: usize, factor: usize) -> f64 {
-        let view = self.view(frame, factor, false);
-        let target = self.store.target(frame, factor).rgb();
+    fn residual(&mut self, frame: usize) -> f64 {
+        let view = self.view(frame);
+        let target = self.store.target(frame).rgb();
         let drawn = self.renderer.render(&self.splats, &view);
         let exposure = self.config.refine.exposure.then(|| &self.fit.frames[frame].exposure);
         let rgb = match exposure {
@@ -59,8 +57,6 @@ impl Trainer<'_> {
             None => &drawn.rgb,
         };
         let out = &mut self.frame_gradient;
-        out.alpha.clear();
-        out.depth.clear();
         let mut squares = 0.0f64;
         for ((out, rgb), target) in out.rgb.iter_mut().zip(rgb).zip(&target) {
             out.clear();

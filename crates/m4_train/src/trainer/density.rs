@@ -36,12 +36,10 @@ impl Trainer<'_> {
 
     fn round(&mut self, due: Decision, min_opacity: f32) -> Result<(), TrainError> {
         let (config, scale) = (self.config.density.clone(), self.scale.clone());
-        let sized = config.max_size > 0.0 && self.iteration >= config.size_from;
         let rules = Rules {
             config: &config,
             due,
             min_opacity,
-            max_scale: sized.then_some(config.max_size * scale.extent),
             scale: &scale,
         };
         if self.remote.is_some() && self.densify_remotely(&rules)? {
@@ -49,7 +47,7 @@ impl Trainer<'_> {
         }
         self.bring_splats()?;
         let scores = if due.densify || due.prune_by_score {
-            self.scores(due.prune_by_score)?
+            self.scores()?
         } else {
             let none = vec![0.0; self.splats.n()];
             Scores {
@@ -80,18 +78,9 @@ impl Trainer<'_> {
         self.reorder()
     }
 
-    /// Both scores, over one or two draws of frames.
-    fn scores(&mut self, prune: bool) -> Result<Scores, TrainError> {
-        let mut scores = self.scores_of(purpose::DENSIFY_FRAMES)?;
-        if prune && self.config.density.prune_own_frames {
-            scores.prune = self.scores_of(purpose::PRUNE_FRAMES)?.prune;
-        }
-        Ok(scores)
-    }
-
-    fn scores_of(&mut self, purpose: u64) -> Result<Scores, TrainError> {
-        let frames = self.frames_to_score(purpose);
-        let factor = self.factor();
+    /// Both scores, over one draw of frames.
+    fn scores(&mut self) -> Result<Scores, TrainError> {
+        let frames = self.frames_to_score();
         if self.remote.is_some() {
             return self.score_remotely(&frames);
         }
@@ -99,7 +88,6 @@ impl Trainer<'_> {
             level: self.level,
             config: &self.config.density,
             lambda_ssim: self.config.loss.lambda_ssim,
-            factor,
             store: &mut self.store,
             fit: self.config.refine.exposure.then_some(&self.fit),
             renderer: &mut self.renderer,
@@ -108,11 +96,10 @@ impl Trainer<'_> {
         Ok(score(&mut input, &self.splats, &frames))
     }
 
-    /// Frames drawn for one kind of scores, and how they are seen.
-    pub(super) fn frames_to_score(&self, purpose: u64) -> Vec<(usize, View)> {
-        let mut rng = CounterRng::new(self.config.seed, purpose, self.iteration as u64);
+    /// Frames drawn for the scores, and how they are seen.
+    pub(super) fn frames_to_score(&self) -> Vec<(usize, View)> {
+        let mut rng = CounterRng::new(self.config.seed, purpose::DENSIFY_FRAMES, self.iteration as u64);
         let picked = rng.sample(self.times.len(), self.config.density.frames);
-        let factor = self.factor();
-        picked.into_iter().map(|f| (f, self.view(f, factor, false))).collect()
+        picked.into_iter().map(|f| (f, self.view(f))).collect()
     }
 }

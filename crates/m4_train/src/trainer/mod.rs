@@ -7,14 +7,14 @@ mod save;
 mod step;
 
 use crate::config::TrainConfig;
-use crate::frames::{FrameStore, smaller};
+use crate::frames::FrameStore;
 use crate::metrics::Totals;
 use crate::pick::Picker;
 use crate::rates::RateBasis;
 use crate::refine::Refinement;
 use crate::scale::SceneScale;
 use crate::state::{Reader, read_adam, read_refinement};
-use crate::{MetricsEvent, TrainError, schedule};
+use crate::{MetricsEvent, TrainError};
 use cpu_time::ProcessTime;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::PhotoScratch;
@@ -155,8 +155,6 @@ impl<'a> Trainer<'a> {
         };
         let mut out = Self::assemble(capture, splats, adam, basis, background, first_splats, config, level);
         out.iteration = iteration;
-        let losses = reader.f32("pick/loss", out.times.len())?;
-        out.picker.loss.copy_from_slice(losses);
         read_refinement(&reader, &mut out.fit)?;
         Ok(out)
     }
@@ -178,7 +176,7 @@ impl<'a> Trainer<'a> {
             duration_s: capture.duration_s,
             scale: SceneScale::of(capture),
             fit: Refinement::new(capture.frames.iter().map(|f| f.camera)),
-            picker: Picker::new(config.seed, config.frame_choice, capture.frames.len()),
+            picker: Picker::new(config.seed, capture.frames.len()),
             iteration: 0,
             good: None,
             renderer: Renderer::new(level),
@@ -298,25 +296,16 @@ impl<'a> Trainer<'a> {
     }
 
     /// How frame `frame` is drawn at this point of the run.
-    fn view(&self, frame: usize, factor: usize, with_depth: bool) -> View {
-        let mut camera = self.fit.camera(frame);
-        camera.intrinsics = smaller(&camera.intrinsics, factor);
+    fn view(&self, frame: usize) -> View {
         View {
-            camera,
+            camera: self.fit.camera(frame),
             t: self.times[frame],
             background: self.background,
             near: self.near(),
             mip: self.config.mip,
             period: (self.time_frames.max(2) - 1) as f32,
-            with_depth,
+            with_depth: false,
         }
-    }
-
-    /// By how much frames are made smaller at this point of the run.
-    fn factor(&self) -> usize {
-        let k = &self.fit.frames[0].camera.intrinsics;
-        let x = schedule::progress(self.iteration, self.config.iterations);
-        schedule::downscale(&self.config.resolution, x, k.width, k.height)
     }
 
     fn event(&mut self, psnr: f64) -> MetricsEvent {
@@ -329,11 +318,9 @@ impl<'a> Trainer<'a> {
             l1: t.l1 / n,
             ssim: t.ssim / n,
             psnr,
-            depth: t.depth / n,
             splats_static,
             splats_dynamic,
             touched: t.touched as f64 / t.steps.max(1) as f64,
-            downscale: self.factor(),
             seconds: self.seconds,
             processor_seconds: self.processor_seconds,
         }

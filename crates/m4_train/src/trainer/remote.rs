@@ -9,20 +9,19 @@ mod density;
 use super::Trainer;
 use super::step::StepReport;
 use crate::colour_fit::ColourSums;
-use crate::device::{Device, DeviceDepth, DeviceError, DeviceFound, DeviceLook, DeviceStep, Regrowth};
-use crate::frames::smaller;
+use crate::device::{Device, DeviceError, DeviceFound, DeviceLook, DeviceStep, Regrowth};
 use crate::rates::rates;
 use crate::{TrainError, schedule};
 use m4_kernels::View;
-use m4_scene::{Camera, Exposure};
+use m4_scene::Exposure;
 use std::time::{Duration, Instant};
 
 /// A device and how far it is from what the trainer holds.
 #[derive(Debug)]
 pub(super) struct Remote {
     device: Box<dyn Device>,
-    /// The frames there are made smaller by this; 0 before there are any.
-    factor: usize,
+    /// It has the frames.
+    has_frames: bool,
     /// It has the splats and the state of the trainer, or newer ones.
     has_splats: bool,
     splats_are_old: bool,
@@ -39,7 +38,7 @@ impl Remote {
     fn new(device: Box<dyn Device>) -> Self {
         Self {
             device,
-            factor: 0,
+            has_frames: false,
             has_splats: false,
             splats_are_old: false,
             adam_is_old: false,
@@ -82,21 +81,13 @@ impl Trainer<'_> {
     pub(crate) fn remote_step(&mut self) -> Result<(), TrainError> {
         let (i, n) = (self.iteration, self.config.iterations);
         self.prepare_remote()?;
-        if self.colours_are_due(i) {
-            self.fit_colours_remotely()?;
-        }
-        let (batch, factor) = (self.config.batch, self.factor());
+        let batch = self.config.batch;
         let frames: Vec<usize> = (0..batch).map(|k| self.picker.pick(i * batch + k)).collect();
-        let views: Vec<View> = frames.iter().map(|&f| self.view(f, factor, false)).collect();
+        let views: Vec<View> = frames.iter().map(|&f| self.view(f)).collect();
         let x = schedule::progress(i, n);
         let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
         let faster = (batch as f32).powf(self.config.batch_rate_power);
         lr.iter_mut().for_each(|rate| *rate *= faster);
-        let depth = DeviceDepth {
-            weight: schedule::depth_weight(&self.config.loss, x),
-            huber: self.config.loss.depth_huber,
-            alpha_weight: self.config.loss.alpha_weight,
-        };
         let refine = &self.config.refine;
         let refining = i >= refine.from;
         let (camera, exposure) = (refining && (refine.poses || refine.focal), refining && refine.exposure);
@@ -106,18 +97,14 @@ impl Trainer<'_> {
             .map(|(&frame, view)| DeviceLook {
                 frame,
                 view,
-                depth: (self.store.has_depth(frame) && (depth.weight > 0.0 || depth.alpha_weight > 0.0))
-                    .then_some(depth),
                 camera,
                 exposure,
             })
             .collect();
-        let adam = &self.config.adam;
         let settings = DeviceStep {
             lambda_ssim: self.config.loss.lambda_ssim,
             rates: &lr,
-            adam: adam.kernel(),
-            shared_steps: (!adam.per_splat_steps).then(|| u32::try_from(i + 1).unwrap_or(u32::MAX)),
+            adam: self.config.adam.kernel(),
         };
         self.remotely(|device| device.step(&looks, &settings))?;
         if let Some(remote) = &mut self.remote {
@@ -137,7 +124,7 @@ impl Trainer<'_> {
         if reorder > 0 && self.iteration.is_multiple_of(reorder) {
             self.reorder_remotely()?;
         }
-        if self.iteration == n && self.colours_are_due(n) {
+        if self.colours_are_due() {
             self.fit_colours_remotely()?;
             self.guard()?;
         }
@@ -174,7 +161,7 @@ impl Trainer<'_> {
             return Ok(self.remote.as_ref().map_or(StepReport::NONE, |r| r.last));
         }
         let lambda = f64::from(self.config.loss.lambda_ssim);
-        let loss = (1.0 - lambda) * found.l1 + lambda * (1.0 - found.ssim) + found.depth;
+        let loss = (1.0 - lambda) * found.l1 + lambda * (1.0 - found.ssim);
         if !loss.is_finite() {
             return Err(self.back_to_good("the loss"));
         }
@@ -187,23 +174,15 @@ impl Trainer<'_> {
         t.loss += loss * looks;
         t.l1 += found.l1 * looks;
         t.ssim += found.ssim * looks;
-        t.depth += found.depth * looks;
         t.touched += (found.touched * steps).round() as usize;
         for (frame, gradient) in found.exposures {
             self.fit.step_exposure_along(&self.config.refine, frame, gradient);
         }
         for (frame, gradient) in &found.cameras {
             let drawn = self.fit.camera(*frame);
-            let drawn = Camera {
-                intrinsics: smaller(&drawn.intrinsics, self.factor()),
-                ..drawn
-            };
             let median_depth = f64::from(self.scale.median_depth);
             self.fit
                 .step(&self.config.refine, *frame, &drawn, gradient, median_depth);
-        }
-        for (frame, loss) in found.losses {
-            self.picker.seen(frame, loss);
         }
         let report = StepReport { loss, psnr: found.psnr };
         if let Some(remote) = &mut self.remote {
@@ -212,28 +191,16 @@ impl Trainer<'_> {
         Ok(report)
     }
 
-    /// Frames at the size of this iteration and the splats are there: before anything is drawn.
+    /// Frames and splats are there: before anything is drawn.
     fn prepare_remote(&mut self) -> Result<(), TrainError> {
-        let factor = self.factor();
         if self.good.is_none() {
             self.good = Some((self.iteration, self.splats.clone()));
         }
-        if self
-            .remote
-            .as_ref()
-            .is_some_and(|r| r.factor != 0 && r.factor != factor)
-        {
-            // what was found at the size before
-            self.look_at_remote()?;
-        }
-        let loss = &self.config.loss;
-        let with_depth = loss.depth_weight > 0.0 || loss.depth_weight_end > 0.0 || loss.alpha_weight > 0.0;
         let Some(remote) = &mut self.remote else { return Ok(()) };
         let mut done = Ok(());
-        if remote.factor != factor {
-            let (frames, depths) = self.store.hand_over(factor, with_depth);
-            done = remote.device.set_frames(frames, depths);
-            remote.factor = factor;
+        if !remote.has_frames {
+            done = remote.device.set_frames(self.store.hand_over());
+            remote.has_frames = true;
         }
         if done.is_ok() && !remote.has_splats {
             done = remote.device.upload(&self.splats, &self.adam);
@@ -272,11 +239,11 @@ impl Trainer<'_> {
 
     /// As `fit_colours`, with the sums made on the device.
     fn fit_colours_remotely(&mut self) -> Result<(), TrainError> {
-        let (config, factor) = (self.config.colour_fit.clone(), self.factor());
+        let config = self.config.colour_fit.clone();
         let looks: Vec<(usize, View)> = self
             .frames_to_fit()
             .into_iter()
-            .map(|frame| (frame, self.view(frame, factor, false)))
+            .map(|frame| (frame, self.view(frame)))
             .collect();
         self.prepare_remote()?;
         self.bring_splats()?;

@@ -62,7 +62,6 @@ impl Trainer<'_> {
         put("train/first_splats", StateTensor::u32(vec![self.first_splats as u32]));
         put("train/time_sd", StateTensor::f32(vec![self.basis.time_sd]));
         put("train/background", StateTensor::f32(self.background.to_vec()));
-        put("pick/loss", StateTensor::f32(&self.picker.loss));
         write_adam(&mut state, &self.adam);
         write_refinement(&mut state, &self.fit);
         state

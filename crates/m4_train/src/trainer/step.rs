@@ -2,9 +2,7 @@
 
 use super::Trainer;
 use crate::batch::add_touched;
-use crate::config::AdamSettings;
 use crate::density::rearrange;
-use crate::depth_loss::depth_loss;
 use crate::metrics::psnr;
 use crate::rates::rates;
 use crate::refine::expose;
@@ -33,7 +31,6 @@ impl StepReport {
 #[derive(Debug, Clone, Copy)]
 struct Look {
     loss: f64,
-    photo: f64,
     psnr: f64,
 }
 
@@ -44,9 +41,6 @@ impl Trainer<'_> {
             self.good = Some((self.iteration, self.splats.clone()));
         }
         let (i, n, batch) = (self.iteration, self.config.iterations, self.config.batch);
-        if self.colours_are_due(i) {
-            self.fit_colours();
-        }
         let (mut total, mut last) = (0.0, f64::NAN);
         for k in 0..batch {
             let frame = self.picker.pick(i * batch + k);
@@ -58,7 +52,6 @@ impl Trainer<'_> {
             if k > 0 {
                 add_touched(&mut self.batch_sum, &self.gradients, self.splats.n_static());
             }
-            self.picker.seen(frame, look.photo as f32);
             total += look.loss / batch as f64;
             last = look.psnr;
         }
@@ -67,7 +60,6 @@ impl Trainer<'_> {
         let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
         let faster = (batch as f32).powf(self.config.batch_rate_power);
         lr.iter_mut().for_each(|rate| *rate *= faster);
-        share_steps(&self.config.adam, &mut self.adam, i);
         adam_step(
             self.level,
             &mut self.splats,
@@ -86,7 +78,7 @@ impl Trainer<'_> {
         if reorder > 0 && self.iteration.is_multiple_of(reorder) {
             self.reorder()?;
         }
-        if self.iteration == n && self.colours_are_due(n) {
+        if self.colours_are_due() {
             self.fit_colours();
             self.guard()?;
         }
@@ -99,15 +91,11 @@ impl Trainer<'_> {
     /// Draws a frame, compares, and leaves the gradients of the splats; cameras are corrected at once.
     fn look(&mut self, frame: usize) -> Result<Look, TrainError> {
         let (i, n) = (self.iteration, self.config.iterations);
-        let factor = self.factor();
-        let weight = schedule::depth_weight(&self.config.loss, schedule::progress(i, n));
-        let alpha_weight = self.config.loss.alpha_weight;
         let refining = i >= self.config.refine.from;
         let exposing = self.config.refine.exposure && refining;
 
-        let with_depth = self.store.has_depth(frame) && (weight > 0.0 || alpha_weight > 0.0);
-        let view = self.view(frame, factor, with_depth);
-        let target = self.store.target(frame, factor);
+        let view = self.view(frame);
+        let target = self.store.target(frame);
         let drawn = self.renderer.render(&self.splats, &view);
         let rgb = if self.config.refine.exposure {
             expose(&self.fit.frames[frame].exposure, &drawn.rgb, &mut self.exposed);
@@ -128,22 +116,7 @@ impl Trainer<'_> {
             self.fit
                 .step_exposure(&self.config.refine, frame, &drawn.rgb, &mut out.rgb);
         }
-        let depth = if with_depth {
-            depth_loss(
-                &drawn.depth,
-                &drawn.transmittance,
-                self.store.depth(frame, factor),
-                (weight, self.config.loss.depth_huber, alpha_weight),
-                &mut out.depth,
-                &mut out.alpha,
-            )
-        } else {
-            out.depth.clear();
-            out.alpha.clear();
-            0.0
-        };
-        let total = photo.total + depth;
-        if !total.is_finite() {
+        if !photo.total.is_finite() {
             return Err(self.back_to_good("the loss"));
         }
 
@@ -163,20 +136,18 @@ impl Trainer<'_> {
         }
         let t = &mut self.totals;
         t.frames += 1;
-        t.loss += total;
+        t.loss += photo.total;
         t.l1 += photo.l1;
         t.ssim += photo.ssim;
-        t.depth += depth;
         Ok(Look {
-            loss: total,
-            photo: photo.total,
+            loss: photo.total,
             psnr,
         })
     }
 
-    /// Prepares every picture at the present size, so that steps cost what they cost after the first epoch.
+    /// Prepares every picture, so that steps cost what they cost after the first epoch.
     pub(crate) fn prepare_frames(&mut self) {
-        self.store.prepare_all(self.factor());
+        self.store.prepare_all();
     }
 
     /// Lays splats and optimiser state out along a Morton curve.
@@ -219,12 +190,5 @@ impl Trainer<'_> {
             iteration,
             good_iteration: self.iteration,
         }
-    }
-}
-
-/// Counts of steps as the optimiser is to see them at iteration `iteration`: those of each splat, or that of the run.
-pub(super) fn share_steps(config: &AdamSettings, adam: &mut AdamState, iteration: usize) {
-    if !config.per_splat_steps {
-        adam.step.fill(u32::try_from(iteration).unwrap_or(u32::MAX - 1));
     }
 }

@@ -143,8 +143,7 @@ impl Device for Mirror {
         "a mirror".to_owned()
     }
 
-    fn set_frames(&mut self, frames: Vec<Target>, depths: Vec<Option<Vec<f32>>>) -> Result<(), DeviceError> {
-        assert!(depths.is_empty(), "no loss of depth, no depth");
+    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), DeviceError> {
         self.frames = frames;
         Ok(())
     }
@@ -230,10 +229,6 @@ impl Device for Mirror {
             self.found.looks += 1;
             self.found.l1 += photo.l1;
             self.found.ssim += photo.ssim;
-            self.found.losses.push((look.frame, photo.total as f32));
-        }
-        if let Some(count) = settings.shared_steps {
-            self.adam.step.fill(count - 1);
         }
         adam_step(
             level,
@@ -294,10 +289,7 @@ impl Device for Mirror {
     fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<Grown>, DeviceError> {
         let Some(rounds) = &self.rounds else { return Ok(None) };
         rounds.fetch_add(1, Ordering::Relaxed);
-        let mut scores = self.score(round.looks, &round.scores)?;
-        if let Some(looks) = round.prune_looks {
-            scores.prune = self.score(looks, &round.scores)?.prune;
-        }
+        let scores = self.score(round.looks, &round.scores)?;
         let plan = round.rules.plan(&self.splats, &scores);
         let mut grown = Grown::default();
         if !plan.rows.is_empty() && !plan.changes_nothing() {

@@ -13,7 +13,7 @@ use mirror::Mirror;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Density control, fits of colours, a new order and two sizes of the frames within so many steps.
+/// Density control, a fit of colours and a new order within so many steps.
 fn config() -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = 100;
@@ -24,10 +24,6 @@ fn config() -> TrainConfig {
         prune_every: 40,
         ..DensityConfig::fast()
     };
-    config.colour_fit.at = vec![0.0, 0.5, 1.0];
-    // a round of density control falls on the change
-    config.resolution.half_until = 0.4;
-    config.resolution.min_side_px = 16;
     config.reorder_every = 30;
     config.guard_every = 25;
     config.keep_every_s = 0.0;
@@ -37,9 +33,6 @@ fn config() -> TrainConfig {
 #[test]
 fn a_device_of_the_same_kernels_gives_the_same_bits() {
     let (scene, capture) = video();
-    let mut late = config();
-    // the last fit of colours is at full size after all steps were at half
-    late.resolution.half_until = 1.0;
     let mut cameras = config();
     let refine = &mut cameras.refine;
     (refine.poses, refine.focal, refine.exposure, refine.from) = (true, true, true, 20);
@@ -58,12 +51,10 @@ fn a_device_of_the_same_kernels_gives_the_same_bits() {
         from: 20,
         every: 20,
         prune_every: 20,
-        size_from: 30,
         ..DensityConfig::faithful()
     };
     for (config, own) in [
         (config(), 4),
-        (late, 4),
         (cameras, 4),
         (TrainConfig { batch: 3, ..config() }, 4),
         (faithful, 0),

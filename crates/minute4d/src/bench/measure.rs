@@ -85,7 +85,6 @@ pub(super) fn case(
         width: scene.width,
         height: scene.height,
         sh_degree: scene.sh_degree,
-        depth: scene.depth,
         threads: if gpu.is_some() { 1 } else { rayon::current_num_threads() },
         alive: mean(|c| (c.alive[0] + c.alive[1]) as f64),
         visible: mean(|c| c.visible as f64),

@@ -37,8 +37,6 @@ pub struct BenchConfig {
     pub steps: usize,
     /// Degree of the spatial harmonics of the colour, 0..=3.
     pub sh_degree: usize,
-    /// Composite the depth too, and pass its gradient back.
-    pub depth: bool,
     /// Draw alone, without the rest of a training step.
     pub render_only: bool,
     /// Where to run; on a GPU threads do not matter.
@@ -60,7 +58,6 @@ impl Default for BenchConfig {
             threads: if all > 1 { vec![1, all] } else { vec![1] },
             steps: 15,
             sh_degree: 0,
-            depth: false,
             render_only: false,
             device: DeviceChoice::Cpu,
             max_vram_mb: None,
@@ -87,7 +84,6 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
                 height,
                 sh_degree: config.sh_degree,
                 kind,
-                depth: config.depth,
             }));
         }
     }

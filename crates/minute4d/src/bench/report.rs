@@ -172,8 +172,6 @@ pub struct Case {
     pub height: usize,
     /// Degree of the spatial harmonics.
     pub sh_degree: usize,
-    /// Depth was composited too.
-    pub depth: bool,
     /// Threads used; 1 on a GPU.
     pub threads: usize,
     /// Splats that live at the instant, mean over the instants, as the next five.

@@ -1,6 +1,6 @@
 //! Training steps on a GPU, as the trainer asks for them.
 
-use m4_gpu::{DensityRound, DepthTerm, Gpu, GpuError, GrowRule, Look, Plan, ScoreRange, StepSettings, Trainer};
+use m4_gpu::{DensityRound, Gpu, GpuError, GrowRule, Look, Plan, ScoreRange, StepSettings, Trainer};
 use m4_kernels::View;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::Target;
@@ -21,17 +21,10 @@ pub(super) struct GpuTraining {
     /// Steps look at several frames.
     batches: bool,
     /// Frames that wait for the first splats.
-    waiting: Frames,
+    waiting: Vec<Target>,
     trainer: Option<Trainer>,
     /// Of the splats that it has.
     shape: Option<Shape>,
-}
-
-/// Pictures, and as many depths or none.
-#[derive(Debug, Default)]
-struct Frames {
-    pictures: Vec<Target>,
-    depths: Vec<Option<Vec<f32>>>,
 }
 
 /// What memory depends on.
@@ -58,7 +51,7 @@ impl GpuTraining {
             gpu,
             limit_bytes: max_vram_mb.map(|mb| mb as u64 * 1_000_000),
             batches: batch > 1,
-            waiting: Frames::default(),
+            waiting: Vec::new(),
             trainer: None,
             shape: None,
         }
@@ -70,9 +63,8 @@ impl GpuTraining {
             .ok_or_else(|| DeviceError("the GPU was asked to work before it had splats".to_owned()))
     }
 
-    /// Bytes for frames on the device, those that fit beside everything else, and what they leave for depths. The others
-    /// are sent when they are used.
-    fn budget(&self, shape: Shape, frames: &[Target]) -> Result<(usize, usize), GpuError> {
+    /// Bytes for frames on the device, those that fit beside everything else. The others are sent when they are used.
+    fn budget(&self, shape: Shape, frames: &[Target]) -> Result<usize, GpuError> {
         let size = frames.first().map_or((0, 0), |f| (f.width(), f.height()));
         let plan = |frames, entries| {
             let Shape {
@@ -87,16 +79,12 @@ impl GpuTraining {
         let least = plan(1, entries);
         least.check_buffers(&self.gpu)?;
         let Some(limit) = self.limit_bytes else {
-            return Ok((usize::MAX, usize::MAX));
+            return Ok(usize::MAX);
         };
         least.check(limit)?;
         // frames leave room for as many entries as pictures usually have
         let all = plan(frames.len(), entries + ENTRIES * shape.n_static);
-        let budget = all.frames_budget(limit);
-        let left = budget.saturating_sub(all.frame_bytes() * frames.len() as u64);
-        Ok([budget, left]
-            .map(|bytes| usize::try_from(bytes).unwrap_or(usize::MAX))
-            .into())
+        Ok(usize::try_from(all.frames_budget(limit)).unwrap_or(usize::MAX))
     }
 }
 
@@ -123,16 +111,9 @@ impl Device for GpuTraining {
         self.gpu.adapter().name.clone()
     }
 
-    fn set_frames(&mut self, pictures: Vec<Target>, depths: Vec<Option<Vec<f32>>>) -> Result<(), DeviceError> {
-        let frames = Frames { pictures, depths };
-        let Some(shape) = self.shape else {
-            self.waiting = frames;
-            return Ok(());
-        };
-        let (budget, left) = self.budget(shape, &frames.pictures).map_err(failed)?;
-        let trainer = self.trainer()?;
-        trainer.set_frames(&frames.pictures, budget).map_err(failed)?;
-        trainer.set_depths(frames.depths, left).map_err(failed)
+    fn set_frames(&mut self, frames: Vec<Target>) -> Result<(), DeviceError> {
+        self.waiting = frames;
+        Ok(())
     }
 
     fn set_exposures(&mut self, exposures: &[Exposure]) -> Result<(), DeviceError> {
@@ -147,10 +128,9 @@ impl Device for GpuTraining {
             return trainer.replace(splats, adam).map_err(failed);
         }
         let frames = std::mem::take(&mut self.waiting);
-        let (budget, left) = self.budget(shape, &frames.pictures).map_err(failed)?;
-        let mut trainer = Trainer::new(self.gpu.clone(), splats, adam, &frames.pictures, budget).map_err(failed)?;
+        let budget = self.budget(shape, &frames).map_err(failed)?;
+        let mut trainer = Trainer::new(self.gpu.clone(), splats, adam, &frames, budget).map_err(failed)?;
         trainer.set_limit(self.limit_bytes);
-        trainer.set_depths(frames.depths, left).map_err(failed)?;
         self.trainer = Some(trainer);
         Ok(())
     }
@@ -186,11 +166,6 @@ impl Device for GpuTraining {
         let looks: Vec<Look<'_>> = looks
             .iter()
             .map(|look| Look {
-                depth: look.depth.map(|term| DepthTerm {
-                    weight: term.weight,
-                    huber: term.huber,
-                    alpha_weight: term.alpha_weight,
-                }),
                 camera: look.camera,
                 exposure: look.exposure,
                 ..Look::new(look.frame, look.view)
@@ -200,7 +175,6 @@ impl Device for GpuTraining {
             lambda_ssim: settings.lambda_ssim,
             rates: settings.rates,
             adam: settings.adam,
-            shared_steps: settings.shared_steps,
         };
         self.trainer()?.step_looks(&looks, &settings).map_err(failed)
     }
@@ -210,14 +184,12 @@ impl Device for GpuTraining {
         Ok(DeviceFound {
             steps: found.steps,
             looks: found.looks,
-            depth: found.depth,
             cameras: found.cameras,
             exposures: found.exposures,
             l1: if found.loss_is_finite { found.l1 } else { f64::NAN },
             ssim: found.ssim,
             psnr: found.psnr,
             touched: found.touched,
-            losses: found.losses,
             splats_are_finite: found.splats_are_finite,
         })
     }
@@ -238,14 +210,12 @@ impl Device for GpuTraining {
             config,
             due,
             min_opacity,
-            max_scale,
             scale,
         } = round.rules;
         let trainer = self.trainer()?;
         let threshold = config.prune_threshold;
         let round = DensityRound {
             looks: round.looks,
-            prune_looks: round.prune_looks,
             scores: score_settings(&round.scores),
             grow: due.densify.then(|| GrowRule {
                 threshold: config.densify_threshold,
@@ -253,19 +223,13 @@ impl Device for GpuTraining {
             }),
             prune: due.prune_by_score.then_some(match config.prune_rule {
                 PruneRule::Literal => m4_gpu::PruneRule::Literal { threshold },
-                PruneRule::WithOpacity {
-                    opacity,
-                    always,
-                    quantile,
-                } => m4_gpu::PruneRule::WithOpacity {
+                PruneRule::WithOpacity { opacity, quantile } => m4_gpu::PruneRule::WithOpacity {
                     threshold,
                     opacity,
-                    always,
                     quantile,
                 },
             }),
             min_opacity,
-            max_scale,
             split_size: match config.split_size {
                 SplitSize::Extent { share } => m4_gpu::SplitSize::Everywhere(share * scale.extent),
                 SplitSize::Pixels { pixels } => m4_gpu::SplitSize::Pixels {

@@ -35,15 +35,22 @@ mod tests {
     use super::{Preset, Settings};
 
     #[test]
-    fn more_patience_is_more_time() {
-        let budget = |preset: Preset| {
-            let mut settings = Settings::fast();
+    fn a_preset_sets_its_time_and_draft_a_third_of_the_splats_and_nothing_else() {
+        let fast = Settings::fast();
+        for (preset, budget_s, share) in [
+            (Preset::Draft, 10.0, 3),
+            (Preset::Default, 60.0, 1),
+            (Preset::Quality, 300.0, 1),
+        ] {
+            let (mut settings, mut want) = (fast.clone(), fast.clone());
             preset.apply(&mut settings);
+            want.train.budget_s = budget_s;
+            want.init.max_static = fast.init.max_static / share;
+            want.init.max_dynamic = fast.init.max_dynamic / share;
+            assert_eq!(settings, want, "{preset:?}");
             settings.train.check().unwrap();
             settings.init.check().unwrap();
-            settings.train.budget_s
-        };
-        assert!(budget(Preset::Draft) < budget(Preset::Default) && budget(Preset::Default) < budget(Preset::Quality));
-        assert_eq!(budget(Preset::default()), 60.0);
+        }
+        assert_eq!(Preset::default(), Preset::Default);
     }
 }

@@ -61,11 +61,9 @@ mod tests {
             l1: 0.1,
             ssim: 0.9,
             psnr: 30.0,
-            depth: 0.0,
             splats_static: 5,
             splats_dynamic: 2,
             touched: 4.0,
-            downscale: 1,
             seconds: 1.0,
             processor_seconds: 2.0,
         }

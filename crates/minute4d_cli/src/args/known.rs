@@ -8,7 +8,7 @@ use std::path::PathBuf;
 #[derive(Debug, Args)]
 pub struct KnownArgs {
     /// Who finds cameras, measures flow and knows depth: `auto`, or parts joined by `+`: `megasam` (cameras, by a network), `classical`,
-    /// `raft` or `gmflow` (flow), `moge`, `unidepth`, `depth-anything` (depth from one picture); all but `classical` need weights
+    /// `raft` (flow), `moge`, `unidepth`, `depth-anything` (depth from one picture); all but `classical` need weights
     /// (`minute4d weights list`) [default: auto]
     #[arg(long, value_name = "WORD+WORD", value_parser = frontend)]
     pub frontend: Option<Frontend>,

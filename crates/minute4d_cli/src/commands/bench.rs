@@ -83,7 +83,6 @@ fn config(args: &Bench, common: &Common) -> Result<BenchConfig, Failure> {
         config.steps = steps as usize;
     }
     config.sh_degree = usize::from(args.sh_degree);
-    config.depth = args.depth;
     config.render_only = args.render;
     config.device = args.device;
     config.max_vram_mb = limit(args.device, args.max_vram)?;

@@ -131,7 +131,8 @@ pub(super) fn reconstruct(
             scale_px: f64::from(config.noise_px) / block as f64,
         },
         min_depth: 0.1,
-        ..DbaOptions::default()
+        #[cfg(test)]
+        python_twin: false,
     };
     adjust(&mut geometry, &problem, 1..frames, &options).ok()?;
     let options = DbaOptions {

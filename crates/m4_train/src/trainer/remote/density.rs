@@ -4,7 +4,6 @@ use crate::TrainError;
 use crate::config::SplitPlacement;
 use crate::density::{Origin, Plan, Rules, Scores, apply_to_splats};
 use crate::device::{DeviceRound, Regrowth, ScoreSettings};
-use crate::pick::purpose;
 use crate::trainer::Trainer;
 use m4_kernels::View;
 
@@ -31,16 +30,13 @@ impl Trainer<'_> {
             // random numbers are drawn here
             return Ok(false);
         }
-        let (mut looks, mut prune_looks) = (Vec::new(), None);
+        let mut looks = Vec::new();
         if due.densify || due.prune_by_score {
             self.prepare_remote()?;
-            looks = self.frames_to_score(purpose::DENSIFY_FRAMES);
-            let own = due.prune_by_score && config.prune_own_frames;
-            prune_looks = own.then(|| self.frames_to_score(purpose::PRUNE_FRAMES));
+            looks = self.frames_to_score();
         }
         let round = DeviceRound {
             looks: &looks,
-            prune_looks: prune_looks.as_deref(),
             scores: self.score_settings(),
             rules: *rules,
         };

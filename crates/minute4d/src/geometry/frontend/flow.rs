@@ -1,13 +1,12 @@
 //! Networks as sources of flow.
 
-use m4_nets::{GmFlow, Raft, raft::LowFlow};
+use m4_nets::{Raft, raft::LowFlow};
 use m4_scene::{Plane, RgbImage};
 use m4_slam::cvd::pairs::{FlowField, FramePair};
 use m4_slam::dense::{Flow, FlowError, FlowPicture, FlowSource};
 use m4_slam::megasam::{PairFlow, PairFlowError};
 use std::collections::HashMap;
 
-const GMFLOW: &str = "gmflow";
 const RAFT: &str = "raft";
 
 type Pair = (m4_nets::Flow, m4_nets::Flow);
@@ -34,16 +33,7 @@ fn field(flow: m4_nets::Flow) -> FlowField {
     }
 }
 
-/// GMFlow; features are made once a pair, for both directions.
-pub struct GmFlowSource(pub GmFlow);
-
-impl GmFlowSource {
-    fn measure(&self, a: &RgbImage, b: &RgbImage) -> Result<Pair, m4_nets::FlowError> {
-        self.0.flow_both(&self.0.encode(a)?, &self.0.encode(b)?)
-    }
-}
-
-/// RAFT; the same.
+/// RAFT; features are made once a pair, for both directions.
 pub struct RaftSource {
     pub net: Raft,
     pub iterations: usize,
@@ -67,16 +57,6 @@ fn both(
         reason: Box::new(error),
     })?;
     Ok((ours(there), ours(back)))
-}
-
-impl FlowSource for GmFlowSource {
-    fn name(&self) -> &'static str {
-        GMFLOW
-    }
-
-    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
-        both(GMFLOW, [a, b], |a, b| self.measure(a, b))
-    }
 }
 
 impl FlowSource for RaftSource {

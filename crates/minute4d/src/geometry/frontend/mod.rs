@@ -36,8 +36,6 @@ pub enum Part {
     Classical,
     /// Flow by RAFT.
     Raft,
-    /// Flow by GMFlow.
-    Gmflow,
     /// Metric depth and field of view by MoGe-2.
     Moge,
     /// Metric depth and field of view by UniDepth V2 (not for commercial use).
@@ -48,11 +46,10 @@ pub enum Part {
 
 impl Part {
     /// Every part.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 6] = [
         Self::Megasam,
         Self::Classical,
         Self::Raft,
-        Self::Gmflow,
         Self::Moge,
         Self::Unidepth,
         Self::DepthAnything,
@@ -65,7 +62,6 @@ impl Part {
             Self::Megasam => "megasam",
             Self::Classical => "classical",
             Self::Raft => "raft",
-            Self::Gmflow => "gmflow",
             Self::Moge => "moge",
             Self::Unidepth => "unidepth",
             Self::DepthAnything => "depth-anything",
@@ -76,7 +72,7 @@ impl Part {
     fn task(self) -> &'static str {
         match self {
             Self::Megasam => "cameras",
-            Self::Classical | Self::Raft | Self::Gmflow => "flow",
+            Self::Classical | Self::Raft => "flow",
             Self::Moge | Self::Unidepth => "metric depth",
             Self::DepthAnything => "relative depth",
         }
@@ -85,7 +81,7 @@ impl Part {
 
 /// Parts of a front end, each with a task of its own; none for the choice of the program.
 ///
-/// Written `auto`, or the names of parts joined by `+`: `classical`, `gmflow`, `moge+gmflow`, `megasam`,
+/// Written `auto`, or the names of parts joined by `+`: `classical`, `raft`, `moge+raft`, `megasam`,
 /// `megasam+raft+depth-anything+unidepth`. What is not named is done without weights, except that `megasam` alone takes the best
 /// of flow and depth whose weights are here, and says which.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -201,24 +197,24 @@ mod tests {
         let named = |text: &str| text.parse::<Frontend>();
         assert!(named("auto").unwrap().is_auto());
         assert_eq!(
-            named("gmflow+moge").unwrap(),
-            Frontend::of(vec![Part::Moge, Part::Gmflow]).unwrap()
+            named("raft+moge").unwrap(),
+            Frontend::of(vec![Part::Moge, Part::Raft]).unwrap()
         );
         for text in [
             "auto",
             "classical",
-            "gmflow+moge",
+            "raft+moge",
             "megasam",
             "megasam+raft+unidepth+depth-anything",
         ] {
             assert_eq!(named(text).unwrap().to_string(), text);
         }
-        for wrong in ["", "megasan", "auto+moge", "moge+", "MOGE"] {
+        for wrong in ["", "megasan", "gmflow", "auto+moge", "moge+", "MOGE"] {
             let Err(UnknownFrontend::Word { .. }) = named(wrong) else {
                 panic!("{wrong}");
             };
         }
-        for twice in ["gmflow+raft", "classical+gmflow", "moge+unidepth", "moge+moge"] {
+        for twice in ["classical+raft", "moge+unidepth", "moge+moge"] {
             assert!(matches!(named(twice), Err(UnknownFrontend::Twice { .. })), "{twice}");
         }
     }

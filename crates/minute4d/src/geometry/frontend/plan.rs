@@ -67,7 +67,6 @@ fn names(part: Part) -> &'static [&'static str] {
         Part::Megasam => &["megasam"],
         Part::Classical => &[],
         Part::Raft => &["raft-things"],
-        Part::Gmflow => &["gmflow"],
         Part::Moge => &[
             "moge-2-l-normal",
             "moge-2-l",
@@ -82,7 +81,7 @@ fn names(part: Part) -> &'static [&'static str] {
 
 /// What the tracking network takes for flow where nobody says, the best first.
 #[cfg(feature = "nets")]
-const FLOWS: [Part; 3] = [Part::Raft, Part::Gmflow, Part::Classical];
+const FLOWS: [Part; 2] = [Part::Raft, Part::Classical];
 /// What it takes for depth.
 #[cfg(feature = "nets")]
 const DEPTHS: [&[Part]; 5] = [
@@ -259,23 +258,23 @@ mod tests {
     #[test]
     fn what_is_not_named_is_done_without_weights() {
         assert_eq!(parts("moge", &[Part::Raft, Part::Moge]).0, "classical+moge");
-        assert_eq!(parts("gmflow", &[]), ("gmflow".to_owned(), vec![]));
+        assert_eq!(parts("raft", &[]), ("raft".to_owned(), vec![]));
     }
 
     #[test]
     fn the_tracking_network_takes_the_best_that_is_here_and_says_so() {
-        use Part::{DepthAnything, Gmflow, Moge, Raft, Unidepth};
-        let (all, notes) = parts("megasam", &[Raft, Gmflow, Moge, Unidepth, DepthAnything]);
+        use Part::{DepthAnything, Moge, Raft, Unidepth};
+        let (all, notes) = parts("megasam", &[Raft, Moge, Unidepth, DepthAnything]);
         assert_eq!(all, "megasam+raft+moge");
         assert!(notes[0].contains("raft, moge"), "{notes:?}");
         assert_eq!(
-            parts("megasam", &[Gmflow, Unidepth, DepthAnything]).0,
-            "megasam+gmflow+unidepth+depth-anything"
+            parts("megasam", &[Unidepth, DepthAnything]).0,
+            "megasam+classical+unidepth+depth-anything"
         );
         let (few, notes) = parts("megasam", &[]);
         assert_eq!(few, "megasam+classical");
         assert!(notes[0].contains("no depth"), "{notes:?}");
-        let (named, notes) = parts("megasam+gmflow+moge", &[Raft]);
-        assert_eq!((named.as_str(), notes.len()), ("megasam+gmflow+moge", 0));
+        let (named, notes) = parts("megasam+classical+moge", &[Raft]);
+        assert_eq!((named.as_str(), notes.len()), ("megasam+classical+moge", 0));
     }
 }

@@ -55,10 +55,10 @@ impl Plan {
 
 #[cfg(feature = "nets")]
 mod networks {
-    use super::super::flow::{GmFlowSource, RaftPairs, RaftSource};
+    use super::super::flow::{RaftPairs, RaftSource};
     use super::super::{Part, Plan};
     use super::{Error, NetworkDevice};
-    use m4_nets::{GmFlow, LoadError, Raft};
+    use m4_nets::{LoadError, Raft};
     use m4_slam::dense::FlowSource;
     use m4_slam::megasam::PairFlow;
 
@@ -81,10 +81,6 @@ mod networks {
             iterations: usize,
             device: &NetworkDevice,
         ) -> Result<Option<Box<dyn FlowSource>>, Error> {
-            if let Some(path) = self.file(Part::Gmflow) {
-                let net = GmFlow::load(path, &device.device).map_err(unusable(Part::Gmflow))?;
-                return Ok(Some(Box::new(GmFlowSource(net))));
-            }
             let raft = self.raft(device)?;
             Ok(raft.map(|net| Box::new(RaftSource { net, iterations }) as Box<dyn FlowSource>))
         }

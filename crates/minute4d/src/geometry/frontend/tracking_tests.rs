@@ -6,7 +6,7 @@ use m4_nets::droid::{MemoryOptions, Storage};
 use m4_nets::{DroidNet, cpu};
 use m4_scene::{NoShelf, Plane, RgbImage, Silent};
 use m4_slam::dba::{DbaOptions, Factor, Geometry, Grid, Pinhole, Problem, adjust, project};
-use m4_slam::graph::{EdgeChanges, FactorGraph, Retirement};
+use m4_slam::graph::{EdgeChanges, FactorGraph};
 use m4_slam::megasam::{MegasamInput, MegasamSettings, SourceFlow, TrackingSize, reconstruct};
 use m4_slam::tracker::{
     Correspondence, CorrespondenceError, EdgeRevision, FrameInput, Frontend, Revision, SourceRevision, Submitted,
@@ -281,7 +281,7 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
     };
     let pairs: Vec<(usize, usize)> = whole("ii").into_iter().zip(whole("jj")).collect();
     let frames: Vec<usize> = (0..geometry.poses.len()).collect();
-    let mut graph = FactorGraph::new(usize::MAX, Retirement::Oldest);
+    let mut graph = FactorGraph::new(usize::MAX);
     graph.add(&pairs, &geometry, &frames, false);
     // Edges of one source have to be together.
     graph.active.sort_by_key(|e| e.factor.source);

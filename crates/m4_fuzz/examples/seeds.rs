@@ -1,0 +1,33 @@
+//! Writes sound files and the findings of the corpus to `fuzz/corpus`, as the targets of the fuzzer take them:
+//! `cargo run -p m4_fuzz --example seeds`.
+#![expect(clippy::print_stdout, reason = "a program that prints its results")]
+
+use m4_fuzz::{corpus, families, of_family};
+use std::error::Error;
+use std::fs;
+use std::path::Path;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let to = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus");
+    for family in families() {
+        let folder = to.join(family);
+        fs::create_dir_all(&folder)?;
+        let readers = of_family(family);
+        for (i, reader) in readers.iter().enumerate() {
+            // the first byte says which reader it is
+            let write = |name: &str, bytes: &[u8]| {
+                let input = [&[u8::try_from(i)?], bytes].concat();
+                fs::write(folder.join(format!("{}-{name}", reader.name)), input)?;
+                Ok::<_, Box<dyn Error>>(())
+            };
+            for (k, seed) in reader.stage()?.seeds().iter().enumerate() {
+                write(&format!("sound-{k}"), seed)?;
+            }
+            for (name, bytes) in corpus(reader.name)? {
+                write(&format!("found-{name}"), &bytes)?;
+            }
+        }
+        println!("{family}: {} readers", readers.len());
+    }
+    Ok(())
+}

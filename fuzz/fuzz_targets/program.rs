@@ -1,0 +1,2 @@
+#![no_main]
+m4_fuzz_targets::target!("program");
