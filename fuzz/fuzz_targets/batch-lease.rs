@@ -1,2 +1,0 @@
-#![no_main]
-m4_fuzz_targets::target!("batch-lease");
