@@ -135,6 +135,7 @@ pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Resul
     if let Err(reason) = check(&incoming, true)? {
         // The next attempt begins anew.
         remove(&incoming)?;
+        let _ = fs::remove_dir(layout.incoming(id));
         return Ok(Published::Bad(reason));
     }
     mark(&incoming, id, key, host)?;
