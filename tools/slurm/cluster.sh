@@ -6,16 +6,14 @@
 #   tools/slurm/cluster.sh stop    [DIR]          # all of it ends, by process id; DIR stays, to be looked at
 #   tools/slurm/cluster.sh env     [DIR]          # eval "$(tools/slurm/cluster.sh env)": sbatch, squeue, ... talk to it
 #   tools/slurm/cluster.sh kill-node  gn1 [DIR]   # as if the plug were pulled: every process there gets SIGKILL at once
-#   tools/slurm/cluster.sh start-node gn1 [DIR]   # and it comes back, with an empty scratch disk
-#   tools/slurm/cluster.sh fill-disk  gn1 [DIR]   # the machine's scratch disk, DIR/scratch, is full (FREE=500K leaves so much) ...
-#   tools/slurm/cluster.sh free-disk  gn1 [DIR]   # ... and is not any more
+#   tools/slurm/cluster.sh start-node gn1 [DIR]   # and it comes back
+#   tools/slurm/cluster.sh hide       gn1 [DIR]   # the folder that HIDE names is not mounted there, and so is empty ...
+#   tools/slurm/cluster.sh show       gn1 [DIR]   # ... and is mounted again
 #
 # A machine is a set of Linux namespaces (mounts, processes, host name) around one slurmd: `hostname` says gn1 there, its
-# process ids are its own, DIR/scratch is a disk that only it sees, and it dies whole. Everything else, file systems
-# above all, is shared, as it is on a real cluster. DIR is CLUSTER_DIR or /tmp/minute4d-slurm, and is owned by the cluster.
+# process ids and mounts are its own, and it dies whole. Everything else, file systems above all, is shared, as it is on a real cluster. DIR is CLUSTER_DIR or /tmp/minute4d-slurm, and is owned by the cluster.
 #
-# CLUSTER_CPUS (2) is the number of processors that a node says it has, whether or not they exist; CLUSTER_SCRATCH
-# (512m) the size of a scratch disk; CLUSTER_PORT (17000) the first of three ports. Each node has one "gpu".
+# CLUSTER_CPUS (2) is the number of processors that a node says it has, whether or not they exist; CLUSTER_PORT (17000) the first of three ports. Each node has one "gpu".
 set -uo pipefail
 
 usage() { sed -n '2,/^set/{/^set/d;s/^# \{0,1\}//;p}' "${BASH_SOURCE[0]}" >&2; exit 2; }
@@ -27,7 +25,7 @@ shift
 node=
 case $command in
     start | stop | status | env) ;;
-    kill-node | start-node | fill-disk | free-disk)
+    kill-node | start-node | hide | show)
         node=${1:-}
         case $node in gn1 | gn2) shift ;; *) die "$command: which node, gn1 or gn2?" ;; esac
         ;;
@@ -59,15 +57,15 @@ check() {
         command -v "$tool" > /dev/null || missing+=("$tool")
     done
     [ ${#missing[@]} = 0 ] || die "not found: ${missing[*]}. Install them: apt-get install slurm-wlm munge util-linux"
-    [ "$(id -u)" = 0 ] || die "must be root: the machines are namespaces with disks of their own"
+    [ "$(id -u)" = 0 ] || die "must be root: the machines are namespaces with mounts of their own"
     unshare --mount --pid --uts --fork true 2>/dev/null || die "this kernel or container allows no namespaces (unshare --mount --pid --uts): run it in a virtual machine"
     case $dir in /*) ;; *) die "$dir: DIR must be an absolute path" ;; esac
     [ ${#dir} -le 80 ] || die "$dir: too long for a socket's path (80 characters at most)"
 }
 
 configure() {
-    mkdir -p "$dir"/{munge,state,log,scratch} || die "$dir cannot be made"
-    chmod 755 "$dir" "$dir"/{munge,state,log,scratch}
+    mkdir -p "$dir"/{munge,state,log} || die "$dir cannot be made"
+    chmod 755 "$dir" "$dir"/{munge,state,log}
     [ -s "$dir/munge/key" ] || (umask 077 && head -c 1024 /dev/urandom > "$dir/munge/key") || die "$dir/munge/key cannot be written"
     cat > "$dir/slurm.conf" <<END
 ClusterName=minute4d
@@ -108,10 +106,10 @@ NodeName=gn2 Name=gpu File=/dev/zero
 END
 }
 
-# The first process of a node: its disk, its name, slurmd, and a parent for what slurmd leaves behind.
+# The first process of a node: its name, slurmd, and a parent for what slurmd leaves behind.
 read -r -d '' machine <<'END'
-dir=$1 name=$2 size=$3
-hostname "$name" && mount -t tmpfs -o "size=$size,mode=1777" scratch "$dir/scratch" || exit 1
+dir=$1 name=$2
+hostname "$name" || exit 1
 slurmd -D -N "$name" -f "$dir/slurm.conf" &
 wait $!
 END
@@ -121,7 +119,7 @@ start_node() {
     mkdir -p "$dir/spool.$1"
     # Without the words that would tell the machine that it is inside a job or a shell of somebody's.
     env -i PATH="$PATH" HOME="${HOME:-/root}" SLURM_CONF="$SLURM_CONF" unshare --mount --pid --uts --fork --mount-proc --kill-child \
-        bash -c "$machine" machine "$dir" "$1" "${CLUSTER_SCRATCH:-512m}" < /dev/null >> "$dir/log/$1" 2>&1 &
+        bash -c "$machine" machine "$dir" "$1" < /dev/null >> "$dir/log/$1" 2>&1 &
     echo $! > "$dir/$1.pid"
     disown
 }
@@ -198,14 +196,13 @@ start-node)
     start_node "$node"
     ready 40 || die "$node is not back after 40 s: $(tail -n 3 "$dir/log/slurmd.$node")"
     ;;
-fill-disk)
+hide | show)
     first=$(first_process "$node") || die "$node does not run"
-    # Until the disk is full: dd must fail, or something else is wrong.
-    nsenter --target $first --mount dd if=/dev/zero of="$dir/scratch/ballast" bs=4k status=none 2>/dev/null && die "$node: its disk does not fill up"
-    [ -z "${FREE:-}" ] || nsenter --target $first --mount truncate --size="-$FREE" "$dir/scratch/ballast" || die "$node: FREE=$FREE is no size"
-    ;;
-free-disk)
-    first=$(first_process "$node") || die "$node does not run"
-    nsenter --target $first --mount rm -f "$dir/scratch/ballast" || die "$node: its disk cannot be freed"
+    [ -d "${HIDE:-}" ] || die "$command: HIDE must name a folder"
+    if [ $command = hide ]; then
+        nsenter --target $first --mount mount -t tmpfs none "$HIDE" || die "$node: $HIDE cannot be hidden"
+    else
+        nsenter --target $first --mount umount --lazy "$HIDE" || die "$node: $HIDE cannot be shown"
+    fi
     ;;
 esac

@@ -1,15 +1,15 @@
 #!/usr/bin/env bash
 # A batch on a Slurm cluster to which everything happens that happens to batches; then the books are checked.
 #
-#   tools/slurm/drill.sh PROGRAM [CLIPS=40]      # PROGRAM: minute4d; CLIPS: at least 20
+#   tools/slurm/drill.sh PROGRAM [CLIPS=40]      # PROGRAM: minute4d; CLIPS: at least 10
 #
-# On the cluster of two machines of cluster.sh: the scratch disk of gn2 is full, then nearly full, then mended; clip 7 is
-# corrupt; gn1 loses its power in the middle of its work and comes back; one task is preempted, one is told that its
-# time is nearly over, one is cancelled by its owner. What is left when the queue is empty is submitted once more. Then:
-# every good clip is done, and was published once; the bad one is recorded as such and was tried once; no part of a result was
-# ever to be seen; `batch status` counts all of it; and one more worker finds nothing to do. Exit code 0 only if all of
-# that holds. Needs root, slurm-wlm, munge, ffmpeg, jq and python3. Everything is in DRILL_DIR (a new folder in /tmp, kept).
-# SETTINGS are the settings of the runs, LIMIT (3600) the seconds that it may take in all.
+# On the cluster of two machines of cluster.sh: gn2 has not mounted the clips at first; clip 7 is corrupt; gn1 loses its power in the
+# middle of its work and comes back; one task is preempted, one is told that its time is nearly over, one is cancelled by its owner.
+# What is left when the queue is empty is submitted once more. Then: every good clip is done, and was published once; the
+# bad one is recorded as such and was run once; no part of a result was ever to be seen; `batch status` counts all of it; and running
+# every job once more changes nothing. Exit code 0 only if all of that holds. Needs root, slurm-wlm, munge, ffmpeg, jq and
+# python3. Everything is in DRILL_DIR (a new folder in /tmp, kept). SETTINGS are the settings of the runs, LIMIT (3600)
+# the seconds that it may take in all.
 set -uo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 
@@ -17,7 +17,7 @@ die() { echo "drill: $*" >&2; exit 1; }
 [ $# -ge 1 ] || { sed -n '2,/^set/{/^set/d;s/^# \{0,1\}//;p}' "${BASH_SOURCE[0]}" >&2; exit 2; }
 program=$(realpath -- "$1") && [ -x "$program" ] || die "$1: no program"
 clips=${2:-40}
-[ "$clips" -ge 20 ] || die "$clips clips are too few for all that happens: 20 at least"
+[ "$clips" -ge 10 ] || die "$clips clips are too few for all that happens: 10 at least"
 for tool in ffmpeg jq python3 scontrol; do
     command -v $tool > /dev/null || die "$tool not found. Install: apt-get install slurm-wlm munge ffmpeg jq python3"
 done
@@ -27,9 +27,6 @@ cluster=$dir/cluster results=$dir/results manifest=$dir/jobs.jsonl logs=$dir/job
 [ ! -e "$manifest" ] || die "$dir holds a drill already"
 read -r -a settings <<< "${SETTINGS:---fov 56 --iterations 250 --set checkpoint.every_s=2}"
 limit=${LIMIT:-3600}
-# The last jobs work on gn2's own disk, the others beside the results, on any machine.
-on_disk=3
-first_on_disk=$((clips - on_disk))
 bad=clip-007
 
 watcher=
@@ -43,7 +40,7 @@ trap 'exit 143' TERM
 
 say() { printf '%02d:%02d  %s\n' $((SECONDS / 60)) $((SECONDS % 60)) "$*" | tee -a "$dir/drill.log"; }
 batch() { "$program" --quiet batch "$@"; }
-submit() { batch submit --engine slurm --manifest "$manifest" --cpus 1 --sbatch-arg=--nice=0 "$@" || die "submitting failed: $*"; }
+submit() { batch submit --manifest "$manifest" -- --cpus-per-task=1 || die "submitting failed"; }
 status() { batch status --manifest "$manifest" --json | jq 'select(.event == "result").result'; }
 states() { status | jq -r '[.counts | to_entries[] | select(.value > 0) | "\(.value) \(.key)"] | join(", ")'; }
 published() { find "$results" -mindepth 2 -maxdepth 2 -path "$results/[!.]*/run.json" | wc -l; }
@@ -65,7 +62,7 @@ until_true() {
     done
 }
 
-# at_work [squeue's options]: `task` is the task of the great array that began last, has saved something, and was left in
+# at_work [squeue's options]: `task` is the task of the array that began last, has saved something, and was left in
 # peace so far: it is in its middle.
 harmed=
 at_work() {
@@ -86,7 +83,7 @@ harm() {
         if ! "$@" "$task" 2> /dev/null; then sleep 1; continue; fi
         until_true 90 "$(clip "$task") ends" ended_since_mark
         harmed+=" $task"
-        [ "$(jq -r .verdict "$results/.state/$(clip "$task").json")" = interrupted ] && return 0
+        [ "$(jq -r .outcome "$results/.state/$(clip "$task").json")" = retryable ] && return 0
     done
     die "no task is to be met in its middle: more iterations, by SETTINGS, would help"
 }
@@ -100,17 +97,13 @@ mkdir -p "$results"
 watcher=$!
 say "$clips clips are planned; $bad is corrupt"
 
-"$here/cluster.sh" fill-disk gn2 "$cluster" || die "gn2's disk cannot be filled"
-disk=$(submit --scratch "$cluster/scratch" --sbatch-arg=--nodelist=gn2 --sbatch-arg="--array=$first_on_disk-$((clips - 1))")
-main=$(submit --sbatch-arg="--array=0-$((first_on_disk - 1))")
-say "array $disk of $on_disk tasks that use gn2's scratch disk, which is full; array $main of $first_on_disk tasks"
-
-until_true 300 "a task is put back for want of space" put_back "$disk" 1
-FREE=600K "$here/cluster.sh" fill-disk gn2 "$cluster"
-say "a task of array $disk found no space and is put back; 600 KB are freed, which is too little"
-until_true 300 "tasks are put back for want of space" put_back "$disk" 4
-"$here/cluster.sh" free-disk gn2 "$cluster"
-say "tasks were put back $(grep -hs 'minute4d: to be tried again' "$logs/$disk"_*.log | wc -l) times for want of space; the disk is mended"
+export HIDE=$dir/clips
+"$here/cluster.sh" hide gn2 "$cluster" || die "gn2 cannot lose the clips"
+main=$(submit)
+say "array $main; gn2 has not mounted the clips"
+until_true 300 "tasks are put back for want of their clips" put_back "$main" 3
+"$here/cluster.sh" show gn2 "$cluster"
+say "tasks were put back $(grep -hs 'minute4d: to be tried again' "$logs/$main"_*.log | wc -l) times for want of their clips; gn2 has mounted them"
 
 until_true 1200 "some clips are done" at_least $((clips / 5))
 until_true 120 "gn1 is at work" at_work -w gn1
@@ -140,10 +133,14 @@ say "submitted once more: array $again"
 until_true "$limit" "the queue is empty" queue_empty
 say "the queue is empty: $(states)"
 
-before=$(find "$results" -type f -not -path "$results/.*" -exec sha256sum {} + | sort)
-batch run --manifest "$manifest" > "$dir/last.txt"
-last=$?
-say "one more worker: $(head -n 1 "$dir/last.txt")"
+sums() { find "$results" -type f -not -path "$results/.*" -exec sha256sum {} + | sort; }
+before=$(sums)
+last=
+for index in $(seq 0 $((clips - 1))); do
+    batch run --manifest "$manifest" --index "$index" > /dev/null 2>&1
+    last+=" $?"
+done
+say "every job once more: exit codes$last"
 sleep 1
 kill "$watcher"
 wait "$watcher"
@@ -166,27 +163,20 @@ once_in_logs() {
     done
 }
 taken_up() { grep -lE '"status":"(reused|resumed)"' "$results"/.log/*.txt | xargs -n 1 basename -s .txt; }
-vanished() { jq -se '[.[] | select(.vanished > 0)] | length > 0' "$results"/.state/*.json; }
-no_remains() { [ -z "$(find "$results"/.work "$results"/.incoming "$results"/.outgoing "$cluster/scratch" -mindepth 1 -name "clip-*" -not -name "$bad*" 2> /dev/null)" ]; }
-leases_given_back() {
-    local folder
-    for folder in "$results"/.lease/*; do
-        jq -e .released "$(find "$folder" -name '[0-9]*.json' | sort | tail -n 1)" || return 1
-    done
-}
+no_remains() { [ -z "$(find "$results"/.work "$results"/.incoming "$results"/.outgoing -mindepth 1 2> /dev/null)" ]; }
+codes=
+for index in $(seq 0 $((clips - 1))); do codes+=" $([ "$index" = 7 ] && echo 65 || echo 0)"; done
 
-holds "all $good good clips are done, $bad is given up, and the sum is $clips" \
-    jq -e ".jobs == $clips and ([.counts[]] | add) == $clips and .counts.done == $good and .counts.poison == 1" "$dir/status.json"
-holds "$bad is the one, with exit code 65" jq -e "[.clips[] | select(.state == \"poison\") | [.id, .code]] == [[\"$bad\", 65]]" "$dir/status.json"
-holds "$bad was tried once" [ "$(find "$results/.lease/$bad" -name '[0-9]*.json' | wc -l)" = 1 ]
+holds "all $good good clips are done, $bad failed permanently, and the sum is $clips" \
+    jq -e ".jobs == $clips and ([.counts[]] | add) == $clips and .counts.done == $good and .counts.failed == 1" "$dir/status.json"
+holds "$bad is the one, with exit code 65" jq -e "[.clips[] | select(.state == \"failed\") | [.id, .code]] == [[\"$bad\", 65]]" "$dir/status.json"
+holds "$bad was run once" [ "$(grep -c '^minute4d: ' "$results/.log/$bad.txt")" = 1 ]
 holds "every good clip was seen to appear once" told -e "[.[] | select(.event == \"published\") | .id] | length == $good and (unique | length) == $good"
-holds "every good clip was finished once by the workers' own words" once_in_logs
+holds "every good clip was finished once by the jobs' own words" once_in_logs
 holds "no part of a result was ever seen" told -e '[.[] | select(.event == "broken")] == []'
-holds "what gn1 had at work was found deserted and taken over" vanished
 holds "what had been saved was gone on with, by $(taken_up | list)" [ "$(taken_up | wc -l)" -gt 0 ]
-holds "$(clip "$cancelled") stayed cancelled until it was submitted again" jq -e ".clips[] | select(.id == \"$(clip "$cancelled")\") | .state == \"interrupted\"" "$dir/first.json"
-holds "the last worker had nothing to do and changed nothing" [ "$last" = 0 -a "$before" = "$(find "$results" -type f -not -path "$results/.*" -exec sha256sum {} + | sort)" ]
-holds "no lease is held" leases_given_back
+holds "$(clip "$cancelled") stayed cancelled until it was submitted again" jq -e ".clips[] | select(.id == \"$(clip "$cancelled")\") | .state == \"retryable\"" "$dir/first.json"
+holds "running every job once more changes nothing" [ "$last" = "$codes" -a "$before" = "$(sums)" ]
 holds "nothing half-done is left" no_remains
 [ $failures = 0 ] || die "$failures of the promises do not hold. See $dir"
 say "all of it holds"

@@ -1,7 +1,7 @@
 //! The run of one clip, as a child that ends when its parent does.
 //!
-//! The parent holds the other end of the child's standard input. The child stops in good order when that ends, whether the
-//! parent let go of it or died; so a worker that was killed leaves nobody behind who writes on.
+//! The parent holds the other end of the child's standard input. The child saves and stops when that ends, whether the parent let
+//! go of it or died: a process that was killed leaves nobody behind who writes on.
 
 use serde_json::Value;
 use std::fs::File;
@@ -16,12 +16,10 @@ const LOOK: Duration = Duration::from_millis(50);
 /// How long a child may take to save before it is killed. It promises ten seconds.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Who watches over a child.
+/// Who is told how a run goes, and may stop it.
 pub trait Watch: Sync {
-    /// True when the child is to save and stop.
+    /// True when the run is to save and stop.
     fn stop(&self) -> bool;
-    /// True when the child must not write any more.
-    fn lost(&self) -> bool;
     /// How far it is: a phase, steps done and in all, and a word about them.
     fn progress(&self, phase: &str, done: usize, total: usize, note: &str);
 }
@@ -45,24 +43,24 @@ pub(crate) struct Ended {
 pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Result<Ended> {
     let stages = log.try_clone()?;
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(log);
-    apart(&mut command);
+    // Ctrl-C at a terminal goes to the whole group; the child is told by its parent alone, and once.
+    #[cfg(unix)]
+    std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let mut child = command.spawn()?;
     let (mut hold, events) = (child.stdin.take(), child.stdout.take());
     let last_words = Mutex::new(None);
     thread::scope(|scope| {
         let reader = scope.spawn(|| read_events(events, watch, &last_words, stages));
-        let mut asked = None;
+        let mut asked: Option<Instant> = None;
         let status = loop {
             if let Some(status) = child.try_wait()? {
                 break status;
             }
-            if watch.lost() {
-                child.kill()?;
-            } else if asked.is_none() && watch.stop() {
+            if asked.is_none() && watch.stop() {
                 asked = Some(Instant::now());
                 hold = None;
             }
-            if asked.is_some_and(|since: Instant| since.elapsed() > PATIENCE) {
+            if asked.is_some_and(|since| since.elapsed() > PATIENCE) {
                 child.kill()?;
             }
             thread::sleep(LOOK);
@@ -86,16 +84,6 @@ fn end(child: &mut Child) {
     let _ = child.kill();
     let _ = child.wait();
 }
-
-/// Ctrl-C at a terminal goes to the whole group; the child is told by its parent alone, and once.
-#[cfg(unix)]
-fn apart(command: &mut Command) {
-    use std::os::unix::process::CommandExt;
-    command.process_group(0);
-}
-
-#[cfg(not(unix))]
-fn apart(_: &mut Command) {}
 
 #[cfg(unix)]
 fn words(status: ExitStatus) -> String {
@@ -142,68 +130,46 @@ fn read_events(events: Option<ChildStdout>, watch: &dyn Watch, last_words: &Mute
 #[cfg(test)]
 #[cfg(unix)]
 mod tests {
-    use super::{Watch, run};
+    use super::{Ended, Watch, run};
     use std::fs::File;
     use std::process::Command;
     use std::sync::atomic::{AtomicBool, Ordering};
 
+    /// Asks to stop at the first progress.
     #[derive(Default)]
-    struct Told {
-        stop: AtomicBool,
-        lost: AtomicBool,
-    }
+    struct Impatient(AtomicBool);
 
-    impl Watch for Told {
+    impl Watch for Impatient {
         fn stop(&self) -> bool {
-            self.stop.load(Ordering::SeqCst)
-        }
-        fn lost(&self) -> bool {
-            self.lost.load(Ordering::SeqCst)
+            self.0.load(Ordering::SeqCst)
         }
         fn progress(&self, phase: &str, done: usize, _: usize, _: &str) {
             assert_eq!((phase, done), ("train", 3));
-            self.stop.store(true, Ordering::SeqCst);
+            self.0.store(true, Ordering::SeqCst);
         }
     }
 
-    fn shell(script: &str, watch: &Told) -> super::Ended {
+    fn shell(script: &str) -> Ended {
         let dir = tempfile::tempdir().unwrap();
         let mut command = Command::new("sh");
         command.args(["-c", script]);
-        run(command, File::create(dir.path().join("log")).unwrap(), watch).unwrap()
+        let log = File::create(dir.path().join("log")).unwrap();
+        run(command, log, &Impatient::default()).unwrap()
     }
 
     #[test]
-    fn code_and_last_words_are_kept() {
-        let ended = shell(
-            r#"echo '{"event":"end","code":65,"reason":"no frames"}'; exit 65"#,
-            &Told::default(),
-        );
-        assert_eq!(
-            (ended.code, ended.reason.as_str(), ended.asked),
-            (Some(65), "no frames", false)
-        );
-    }
-
-    #[test]
-    fn a_signal_is_named() {
-        let ended = shell("kill -9 $$", &Told::default());
-        assert_eq!(ended.code, None);
-        assert!(ended.reason.contains("signal 9"), "{}", ended.reason);
+    fn codes_last_words_and_signals_are_told() {
+        let ended = shell(r#"echo '{"event":"end","code":65,"reason":"no frames"}'; exit 65"#);
+        assert_eq!((ended.code, ended.reason.as_str()), (Some(65), "no frames"));
+        assert!(!ended.asked);
+        let ended = shell("kill -9 $$");
+        assert!(ended.code.is_none() && ended.reason.contains("signal 9"), "{ended:?}");
     }
 
     #[test]
     fn a_child_that_is_asked_to_stop_sees_the_end_of_its_input() {
-        let script =
-            r#"echo '{"event":"progress","phase":"train","done":3,"total":9,"note":""}'; cat >/dev/null; exit 143"#;
-        let ended = shell(script, &Told::default());
+        let event = r#"{"event":"progress","phase":"train","done":3,"total":9,"note":""}"#;
+        let ended = shell(&format!("echo '{event}'; cat >/dev/null; exit 143"));
         assert_eq!((ended.code, ended.asked), (Some(143), true));
-    }
-
-    #[test]
-    fn a_child_without_its_lease_is_killed() {
-        let watch = Told::default();
-        watch.lost.store(true, Ordering::SeqCst);
-        assert_eq!(shell("sleep 60", &watch).code, None);
     }
 }

@@ -1,4 +1,4 @@
-//! What a run of a batch is not told: it reads clips of strangers, and needs no account of the one who started the worker.
+//! What the run of a job is not told: it reads clips of strangers, and needs no account of the one who started the job.
 
 use std::ffi::OsStr;
 use std::process::Command;

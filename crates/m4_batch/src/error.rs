@@ -1,14 +1,14 @@
-//! Why planning, reading a manifest and working may fail.
+//! Why planning, submitting or running a job may fail.
 
 use m4_io::ErrorKind;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A file of a batch could not be read or written.
+/// Why a command of a batch could not do its work. What goes wrong with a clip is no such error: it is recorded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum FileError {
-    /// Not read.
+pub enum BatchError {
+    /// A file was not read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
         /// What was to be read.
@@ -16,7 +16,7 @@ pub enum FileError {
         /// What the system said.
         source: io::Error,
     },
-    /// Not written.
+    /// A file was not written.
     #[error("cannot write {}: {source}; check the permissions and the free space", path.display())]
     Write {
         /// What was to be written.
@@ -24,9 +24,87 @@ pub enum FileError {
         /// What the system said.
         source: io::Error,
     },
+    /// A file that is no manifest, or a damaged one.
+    #[error("{}: {reason}; make the manifest again with `minute4d batch plan`", path.display())]
+    Manifest {
+        /// The manifest.
+        path: PathBuf,
+        /// What is wrong with it, and in which line.
+        reason: String,
+    },
+    /// There is a manifest already.
+    #[error("{} is already there; --force replaces it", path.display())]
+    Exists {
+        /// The manifest.
+        path: PathBuf,
+    },
+    /// There is no such clip.
+    #[error("there is no video, folder or list at {}", path.display())]
+    Missing {
+        /// What was given.
+        path: PathBuf,
+    },
+    /// Something was given that cannot be planned.
+    #[error("{given} {reason}")]
+    Input {
+        /// What was given.
+        given: String,
+        /// What is wrong with it, and what to do.
+        reason: &'static str,
+    },
+    /// Something of another kind is where a result is to be.
+    #[error("{} is there and was not made by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
+    Foreign {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// An index beyond the last job.
+    #[error("there is no job {index}: the manifest lists {jobs}, counted from 0")]
+    NoSuchJob {
+        /// Asked for.
+        index: usize,
+        /// How many there are.
+        jobs: usize,
+    },
+    /// A variable of the scheduler that is no index.
+    #[error("{name}={value:?} is not the index of a job; give --index")]
+    Index {
+        /// The variable.
+        name: &'static str,
+        /// Its value.
+        value: String,
+    },
+    /// A value that no script can hold.
+    #[error("{text:?} cannot be used: {reason}")]
+    Text {
+        /// The value.
+        text: String,
+        /// Why not.
+        reason: &'static str,
+    },
+    /// A program of Slurm did not start.
+    #[error(
+        "cannot start {program}: {source}; submit on a machine that has Slurm, or use --dry-run for the script alone"
+    )]
+    Start {
+        /// The program.
+        program: &'static str,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A program of Slurm refused.
+    #[error("{program} refused: {said}; the script is {}", script.display())]
+    Refused {
+        /// The program.
+        program: &'static str,
+        /// What it said.
+        said: String,
+        /// The script.
+        script: PathBuf,
+    },
 }
 
-impl FileError {
+impl BatchError {
     /// For `map_err` after a read.
     pub(crate) fn read(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_path_buf();
@@ -44,161 +122,12 @@ impl FileError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Read { source, .. } => ErrorKind::of_read(source),
-            Self::Write { .. } => ErrorKind::CannotWrite,
-        }
-    }
-}
-
-/// Why a manifest could not be read or written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ManifestError {
-    /// The file system refused.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// There is one already.
-    #[error("{} is already there; --force replaces it", path.display())]
-    Exists {
-        /// The manifest.
-        path: PathBuf,
-    },
-    /// A line that is not what it should be.
-    #[error("{}, line {line}: {reason}; make the manifest again with `minute4d batch plan`", path.display())]
-    Line {
-        /// The manifest.
-        path: PathBuf,
-        /// Which line, from 1.
-        line: usize,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// The whole does not fit together.
-    #[error("{}: {reason}; make the manifest again with `minute4d batch plan`", path.display())]
-    Whole {
-        /// The manifest.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-}
-
-impl ManifestError {
-    /// What sort of failure this is.
-    #[must_use]
-    pub fn kind(&self) -> ErrorKind {
-        match self {
-            Self::File(error) => error.kind(),
-            Self::Exists { .. } => ErrorKind::CannotWrite,
-            Self::Line { .. } | Self::Whole { .. } => ErrorKind::BadData,
-        }
-    }
-}
-
-/// Why no plan could be made.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum PlanError {
-    /// The file system refused.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// Nothing is there.
-    #[error("there is no video, folder or list at {}", path.display())]
-    Missing {
-        /// What was given.
-        path: PathBuf,
-    },
-    /// A pattern that is none.
-    #[error("{pattern:?} is not a pattern that can be used: {reason}")]
-    Pattern {
-        /// What was given.
-        pattern: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// Nothing was found.
-    #[error("{given} holds no video{}", if *recursive { "" } else { "; --recursive looks into folders in it" })]
-    Nothing {
-        /// What was given.
-        given: String,
-        /// Whether folders were looked into.
-        recursive: bool,
-    },
-    /// JSON holds text alone.
-    #[error("the name {} is not UTF-8, which a manifest cannot hold; rename it", path.display())]
-    Name {
-        /// The input.
-        path: PathBuf,
-    },
-    /// The input could not be hashed.
-    #[error("cannot read {}: {reason}", path.display())]
-    Hash {
-        /// The input.
-        path: PathBuf,
-        /// Why.
-        reason: String,
-    },
-    /// An address of an object store or a web server.
-    #[error("{given} is an address, not a path; mount the store as a folder, or download the clip first")]
-    Address {
-        /// What was given.
-        given: String,
-    },
-    /// Something of another kind is where a result is to be.
-    #[error("{} is there and was not made by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
-    Foreign {
-        /// The folder.
-        path: PathBuf,
-    },
-}
-
-impl PlanError {
-    /// What sort of failure this is.
-    #[must_use]
-    pub fn kind(&self) -> ErrorKind {
-        match self {
-            Self::File(error) => error.kind(),
-            Self::Missing { .. } => ErrorKind::NotFound,
-            Self::Foreign { .. } => ErrorKind::CannotWrite,
-            Self::Hash { .. } => ErrorKind::Io,
-            Self::Pattern { .. } | Self::Nothing { .. } | Self::Name { .. } | Self::Address { .. } => {
-                ErrorKind::BadData
+            Self::Write { .. } | Self::Exists { .. } | Self::Foreign { .. } => ErrorKind::CannotWrite,
+            Self::Manifest { .. } | Self::Input { .. } | Self::Text { .. } => ErrorKind::BadData,
+            Self::Missing { .. } | Self::NoSuchJob { .. } | Self::Index { .. } | Self::Start { .. } => {
+                ErrorKind::NotFound
             }
-        }
-    }
-}
-
-/// Why a worker could not go on at all. What goes wrong with a clip is recorded, and no error of the worker.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum WorkError {
-    /// The file system refused.
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// An index beyond the last clip.
-    #[error("there is no job {index}: the manifest lists {jobs}, counted from 0")]
-    NoSuchJob {
-        /// Asked for.
-        index: usize,
-        /// How many there are.
-        jobs: usize,
-    },
-    /// A variable of the engine that is no number.
-    #[error("{name}={value:?} is not the number of a job; give --index")]
-    Index {
-        /// The variable.
-        name: &'static str,
-        /// Its value.
-        value: String,
-    },
-}
-
-impl WorkError {
-    /// What sort of failure this is.
-    #[must_use]
-    pub fn kind(&self) -> ErrorKind {
-        match self {
-            Self::File(error) => error.kind(),
-            Self::NoSuchJob { .. } | Self::Index { .. } => ErrorKind::NotFound,
+            Self::Refused { .. } => ErrorKind::Io,
         }
     }
 }

@@ -13,22 +13,18 @@ pub(crate) const RUN_FILE: &str = "run.json";
 #[derive(Debug, Clone)]
 pub struct Layout {
     root: PathBuf,
-    scratch: Option<PathBuf>,
 }
 
 impl Layout {
-    /// Results under `root`; work is done in `scratch`, or in a hidden folder beside the results.
+    /// Results under `root`.
     #[must_use]
-    pub fn new(root: &Path, scratch: Option<&Path>) -> Self {
-        Self {
-            root: root.to_path_buf(),
-            scratch: scratch.map(Path::to_path_buf),
-        }
+    pub fn new(root: &Path) -> Self {
+        let root = root.to_path_buf();
+        Self { root }
     }
 
     /// The folder of results.
-    #[must_use]
-    pub fn root(&self) -> &Path {
+    pub(crate) fn root(&self) -> &Path {
         &self.root
     }
 
@@ -38,36 +34,31 @@ impl Layout {
         self.root.join(id)
     }
 
-    /// True when work is not done beside the results.
-    pub(crate) fn has_scratch(&self) -> bool {
-        self.scratch.is_some()
-    }
-
     /// Where a clip's scene is made.
     #[must_use]
     pub fn work(&self, id: &str) -> PathBuf {
-        self.scratch
-            .as_ref()
-            .map_or_else(|| self.root.join(".work"), PathBuf::clone)
-            .join(id)
+        self.root.join(".work").join(id)
     }
 
     /// The settings of the run in [`Self::work`].
     pub(crate) fn settings(&self, id: &str) -> PathBuf {
-        let folder = self.work(id);
-        folder.with_file_name(format!("{id}.toml"))
+        self.root.join(".work").join(format!("{id}.toml"))
     }
 
-    /// The leases of a clip.
-    #[must_use]
-    pub fn leases(&self, id: &str) -> PathBuf {
-        self.root.join(".lease").join(id)
+    /// Locked by the process that runs the job.
+    pub(crate) fn lock(&self, id: &str) -> PathBuf {
+        self.root.join(".lock").join(id)
+    }
+
+    /// The folder of what came of the clips: it is made when a batch is planned, so that it is known whether the results are mounted.
+    pub(crate) fn states(&self) -> PathBuf {
+        self.root.join(".state")
     }
 
     /// What came of a clip.
     #[must_use]
     pub fn state(&self, id: &str) -> PathBuf {
-        self.root.join(".state").join(format!("{id}.json"))
+        self.states().join(format!("{id}.json"))
     }
 
     /// What the runs of a clip said.
@@ -76,13 +67,13 @@ impl Layout {
         self.root.join(".log").join(format!("{id}.txt"))
     }
 
-    /// Where a result is copied to before it is published.
-    pub(crate) fn incoming(&self, id: &str, nonce: &str) -> PathBuf {
-        self.root.join(".incoming").join(format!("{id}-{nonce}"))
+    /// The folder in which a result is checked before it is published.
+    pub(crate) fn incoming(&self, id: &str) -> PathBuf {
+        self.root.join(".incoming").join(id)
     }
 
-    /// Where an older result waits to be removed.
-    pub(crate) fn outgoing(&self, id: &str, nonce: &str) -> PathBuf {
-        self.root.join(".outgoing").join(format!("{id}-{nonce}"))
+    /// The folder in which an older result waits to be removed.
+    pub(crate) fn outgoing(&self, id: &str) -> PathBuf {
+        self.root.join(".outgoing").join(id)
     }
 }

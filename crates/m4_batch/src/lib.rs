@@ -1,17 +1,16 @@
-//! Many clips on many machines: what to do, who does it, what came of it.
+//! Many clips: what to do, one job of it, what came of it.
 //!
-//! A [`Manifest`] lists the clips and holds the settings. Any number of workers ([`work`]) share it: each takes
-//! a [lease] on a clip, has a child process make the scene in a working folder, and publishes the
-//! whole result by one rename. All that is known afterwards ([`Report`]) is read from the results themselves, so it needs no
-//! engine and no server. [`slurm`] hands the same worker to a cluster.
+//! A [`Manifest`] lists the clips and holds the settings. A scheduler starts one process a job ([`run_job`]): it has a child process
+//! make the scene in a working folder, and publishes the whole result by one rename. Which machine does what, and what is started
+//! again, is the scheduler's business; [`slurm`] submits to one. All that is known afterwards ([`Report`]) is read from the results.
 #![forbid(unsafe_code)]
 
-pub mod lease;
 pub mod slurm;
 
 mod child;
 mod credentials;
 mod error;
+mod job;
 mod layout;
 mod manifest;
 mod names;
@@ -19,17 +18,12 @@ mod plan;
 mod publish;
 mod record;
 mod report;
-mod share;
-mod verdict;
-mod worker;
 
 pub use child::Watch;
-pub use error::{FileError, ManifestError, PlanError, WorkError};
+pub use error::BatchError;
+pub use job::{INDEX_VARIABLES, JobEnd, Tools, index_of_environment, run_job};
 pub use layout::{Layout, POSTER_FILE, RESULT_FILE};
 pub use manifest::{Arguments, FORMAT, Job, Manifest, VERSION};
-pub use names::natural_order;
 pub use plan::{Plan, plan};
-pub use record::{JobRecord, Verdict};
-pub use report::{ClipReport, ClipState, Report, sheet};
-pub use share::{INDEX_VARIABLES, Share, index_of_environment};
-pub use worker::{JobEnd, Listener, Summary, Tools, WorkOptions, work};
+pub use record::{JobRecord, Outcome};
+pub use report::{ClipReport, ClipState, Report, page};

@@ -1,6 +1,6 @@
 //! The manifest: one JSON object a line, the first about all jobs, each other one about one of them.
 
-use crate::error::{FileError, ManifestError};
+use crate::error::BatchError;
 use crate::names;
 use m4_io::atomic;
 use serde::{Deserialize, Serialize};
@@ -71,12 +71,6 @@ pub struct Job {
     pub blake3: String,
     /// Where its result will be.
     pub output: String,
-    /// Seconds that it will take, where something is known of that.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub estimate_s: Option<f64>,
-    /// What the estimate is of.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub estimate_of: Option<String>,
 }
 
 impl Job {
@@ -94,7 +88,7 @@ pub struct Manifest {
     pub results: String,
     /// What every run is started with.
     pub run: Arguments,
-    /// The clips, in natural order of their ids.
+    /// The clips, in the order of their ids; the index of a job is its place here.
     pub jobs: Vec<Job>,
 }
 
@@ -103,11 +97,11 @@ impl Manifest {
     ///
     /// # Errors
     ///
-    /// [`ManifestError::Exists`] where there is one and not `force`; [`ManifestError::File`] where it cannot be written;
-    /// [`ManifestError::Whole`] where it does not read back as it was.
-    pub fn write(&self, path: &Path, force: bool) -> Result<(), ManifestError> {
+    /// [`BatchError::Exists`] where there is one and not `force`; [`BatchError::Write`] where it cannot be written;
+    /// [`BatchError::Manifest`] where it does not read back as it was.
+    pub fn write(&self, path: &Path, force: bool) -> Result<(), BatchError> {
         if !force && fs::symlink_metadata(path).is_ok() {
-            return Err(ManifestError::Exists {
+            return Err(BatchError::Exists {
                 path: path.to_path_buf(),
             });
         }
@@ -120,20 +114,14 @@ impl Manifest {
             settings_blake3: self.run.blake3(),
             run: self.run.clone(),
         };
-        let whole = |reason: String| ManifestError::Whole {
-            path: path.to_path_buf(),
-            reason,
-        };
-        let mut text = serde_json::to_string(&header).map_err(|e| whole(e.to_string()))? + "\n";
-        for job in &self.jobs {
-            text += &serde_json::to_string(job).map_err(|e| whole(e.to_string()))?;
-            text.push('\n');
-        }
-        atomic::write(path, text.as_bytes()).map_err(FileError::write(path))?;
+        let mut lines = vec![serde_json::to_string(&header)];
+        lines.extend(self.jobs.iter().map(serde_json::to_string));
+        let lines: Result<Vec<String>, _> = lines.into_iter().collect();
+        let text = lines.map_err(|e| bad(path, e.to_string()))?.join("\n") + "\n";
+        atomic::write(path, text.as_bytes()).map_err(BatchError::write(path))?;
         if Self::read(path)? != *self {
-            return Err(whole(
-                "it does not read back as it was written; check the disk".to_owned(),
-            ));
+            let reason = "it does not read back as it was written; check the disk";
+            return Err(bad(path, reason.to_owned()));
         }
         Ok(())
     }
@@ -142,49 +130,42 @@ impl Manifest {
     ///
     /// # Errors
     ///
-    /// [`ManifestError`], which names the line.
-    pub fn read(path: &Path) -> Result<Self, ManifestError> {
-        let text = fs::read(path).map_err(FileError::read(path))?;
-        Self::parse(path, &text)
+    /// [`BatchError::Read`], or [`BatchError::Manifest`], which names the line.
+    pub fn read(path: &Path) -> Result<Self, BatchError> {
+        let text = fs::read(path).map_err(BatchError::read(path))?;
+        Self::parse(&text).map_err(|reason| bad(path, reason))
     }
 
-    fn parse(path: &Path, bytes: &[u8]) -> Result<Self, ManifestError> {
-        let bad = |line: usize, reason: String| ManifestError::Line {
-            path: path.to_path_buf(),
-            line,
-            reason,
-        };
-        let text = std::str::from_utf8(bytes).map_err(|e| bad(1, format!("it is not text ({e})")))?;
+    fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let text = std::str::from_utf8(bytes).map_err(|e| format!("it is not text ({e})"))?;
         let mut lines = text.lines().enumerate();
         let first = lines.next().map_or("", |(_, line)| line);
         let header: Header =
-            serde_json::from_str(first).map_err(|e| bad(1, format!("it is not the first line of a manifest ({e})")))?;
+            serde_json::from_str(first).map_err(|e| format!("line 1 is not the first line of a manifest ({e})"))?;
         if header.format != FORMAT || header.version != VERSION {
             let found = format!("{} {}", header.format, header.version);
-            return Err(bad(1, format!("it is {found:?}, and {FORMAT} {VERSION} is read here")));
+            return Err(format!("line 1 is of {found:?}, and {FORMAT} {VERSION} is read here"));
         }
         if header.run.blake3() != header.settings_blake3 {
-            return Err(bad(1, "settings or arguments were changed by hand".to_owned()));
+            return Err("line 1: settings or arguments were changed by hand".to_owned());
         }
         let (mut jobs, mut seen) = (Vec::new(), HashSet::new());
         for (i, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
-            let job: Job = serde_json::from_str(line).map_err(|e| bad(i + 1, format!("it is no job ({e})")))?;
+            let line_number = i + 1;
+            let job: Job = serde_json::from_str(line).map_err(|e| format!("line {line_number} is no job ({e})"))?;
             if !names::is_safe(&job.id) {
-                return Err(bad(
-                    i + 1,
-                    format!("the id {:?} cannot be the name of a folder", job.id),
+                return Err(format!(
+                    "line {line_number}: the id {:?} cannot be the name of a folder",
+                    job.id
                 ));
             }
             if !seen.insert(job.id.to_lowercase()) {
-                return Err(bad(i + 1, format!("the id {:?} was given before", job.id)));
+                return Err(format!("line {line_number}: the id {:?} was given before", job.id));
             }
             jobs.push(job);
         }
         if jobs.len() != header.jobs {
-            return Err(ManifestError::Whole {
-                path: path.to_path_buf(),
-                reason: format!("it lists {} jobs and should list {}", jobs.len(), header.jobs),
-            });
+            return Err(format!("it lists {} jobs and should list {}", jobs.len(), header.jobs));
         }
         Ok(Self {
             results: header.results,
@@ -194,9 +175,16 @@ impl Manifest {
     }
 }
 
+fn bad(path: &Path, reason: String) -> BatchError {
+    BatchError::Manifest {
+        path: path.to_path_buf(),
+        reason,
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Arguments, Job, Manifest, ManifestError};
+    use super::{Arguments, BatchError, Job, Manifest};
     use std::fs;
 
     fn manifest() -> Manifest {
@@ -206,8 +194,6 @@ mod tests {
             bytes: 7,
             blake3: "00".to_owned(),
             output: format!("/results/{id}"),
-            estimate_s: Some(60.0),
-            estimate_of: Some("training".to_owned()),
         };
         Manifest {
             results: "/results".to_owned(),
@@ -226,7 +212,7 @@ mod tests {
         manifest().write(&path, false).unwrap();
         assert_eq!(Manifest::read(&path).unwrap(), manifest());
         let again = manifest().write(&path, false);
-        assert!(matches!(again, Err(ManifestError::Exists { .. })), "{again:?}");
+        assert!(matches!(again, Err(BatchError::Exists { .. })), "{again:?}");
         manifest().write(&path, true).unwrap();
     }
 

@@ -1,6 +1,5 @@
 //! Names of jobs: from file names, unique, safe as the name of a folder on any system.
 
-use std::cmp::Ordering;
 use std::collections::HashMap;
 
 /// Most characters of a name before what makes it unique.
@@ -64,48 +63,9 @@ pub(crate) fn is_safe(id: &str) -> bool {
         && id.chars().all(|c| c.is_ascii_alphanumeric() || "._-".contains(c))
 }
 
-/// `clip2` before `clip10`: digits are compared as numbers, everything else as characters.
-#[must_use]
-pub fn natural_order(a: &str, b: &str) -> Ordering {
-    let (mut left, mut right) = (a, b);
-    loop {
-        let (l, r) = (piece(left), piece(right));
-        let order = match (number(l), number(r)) {
-            // 007 and 7 are the same number, so the text decides between them in the end
-            (Some(x), Some(y)) => x.len().cmp(&y.len()).then_with(|| x.cmp(y)),
-            _ => l.cmp(r),
-        };
-        if order != Ordering::Equal || l.is_empty() {
-            return order.then_with(|| a.cmp(b));
-        }
-        (left, right) = (&left[l.len()..], &right[r.len()..]);
-    }
-}
-
-/// The digits, or the characters that are none, at the start.
-fn piece(text: &str) -> &str {
-    let digits = text.starts_with(|c: char| c.is_ascii_digit());
-    let end = text.find(|c: char| c.is_ascii_digit() != digits).unwrap_or(text.len());
-    &text[..end]
-}
-
-/// The digits of a number without leading zeros.
-fn number(piece: &str) -> Option<&str> {
-    piece
-        .starts_with(|c: char| c.is_ascii_digit())
-        .then(|| piece.trim_start_matches('0'))
-}
-
 #[cfg(test)]
 mod tests {
-    use super::{ids, is_safe, natural_order};
-
-    #[test]
-    fn numbers_count_as_numbers() {
-        let mut names = ["clip10", "clip2", "b", "clip2a", "a9", "clip02", "", "a10"];
-        names.sort_by(|a, b| natural_order(a, b));
-        assert_eq!(names, ["", "a9", "a10", "b", "clip02", "clip2", "clip2a", "clip10"]);
-    }
+    use super::{ids, is_safe};
 
     #[test]
     fn ids_are_safe_unique_and_do_not_depend_on_the_order() {

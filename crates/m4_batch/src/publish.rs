@@ -1,15 +1,19 @@
 //! From a working folder to a published result: checked, whole, by one rename.
+//!
+//! The finished run is brought under a name of its own (`.incoming/ID/NONCE`) before it is checked, so that nobody who still writes into
+//! the working folder can change what was checked. It appears under its final name by one rename. Of two processes that
+//! publish the same job one wins, and the other finds it done.
 
-use crate::error::FileError;
+use crate::error::BatchError;
 use crate::layout::{Layout, RESULT_FILE, RUN_FILE};
-use crate::lease::{Lease, random};
 use crate::manifest::VERSION;
-use crate::record::{read_json, write_json};
+use crate::record::{now_s, read_json, write_json};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, ErrorKind};
 use std::path::Path;
+use std::time::SystemTime;
 
 /// `format` of [`RESULT_FILE`].
 const FORMAT: &str = "minute4d-batch-result";
@@ -46,9 +50,7 @@ struct RunFile {
 pub(crate) enum Published {
     /// It is there.
     Yes,
-    /// The job is another's by now; nothing was touched.
-    Lost,
-    /// The working folder does not hold what its record says.
+    /// What was made is not what its record says; it was removed.
     Bad(String),
     /// Something that is no result of a batch is where it should go.
     Foreign,
@@ -68,7 +70,7 @@ pub(crate) enum Present {
 }
 
 /// Looks at what is published. File sizes are compared, not hashes: those were when it was published.
-pub(crate) fn present(folder: &Path, key: &str) -> Result<Present, FileError> {
+pub(crate) fn present(folder: &Path, key: &str) -> Result<Present, BatchError> {
     if fs::symlink_metadata(folder).is_err_and(|e| e.kind() == ErrorKind::NotFound) {
         return Ok(Present::None);
     }
@@ -84,30 +86,25 @@ pub(crate) fn present(folder: &Path, key: &str) -> Result<Present, FileError> {
 }
 
 /// Whether a folder holds a finished run whose files are as recorded; what is wrong, where something is.
-pub(crate) fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, FileError> {
+fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, BatchError> {
     let Some(run) = read_json::<Run>(&folder.join(RUN_FILE))?.filter(|r| r.format == RUN_FORMAT) else {
         return Ok(Err(format!("it has no {RUN_FILE} that can be used")));
     };
-    if run.status != "finished" {
-        return Ok(Err(format!(
-            "its {RUN_FILE} says {:?}, not that it is finished",
-            run.status
-        )));
-    }
-    if run.files.is_empty() {
-        return Ok(Err(format!("its {RUN_FILE} lists no files")));
+    if run.status != "finished" || run.files.is_empty() {
+        let count = run.files.len();
+        return Ok(Err(format!("its {RUN_FILE} says {:?}, with {count} files", run.status)));
     }
     for (name, file) in &run.files {
         let path = folder.join(name);
         let found = match fs::metadata(&path) {
             Ok(found) => found.len(),
             Err(e) if e.kind() == ErrorKind::NotFound => return Ok(Err(format!("{name} is missing"))),
-            Err(source) => return Err(FileError::Read { path, source }),
+            Err(source) => return Err(BatchError::Read { path, source }),
         };
         if found != file.bytes {
             return Ok(Err(format!("{name} has {found} bytes and should have {}", file.bytes)));
         }
-        if hashes && hash(&path)? != file.blake3 {
+        if hashes && hash(&path).map_err(BatchError::read(&path))? != file.blake3 {
             return Ok(Err(format!("{name} is not as it was written")));
         }
     }
@@ -115,89 +112,119 @@ pub(crate) fn check(folder: &Path, hashes: bool) -> Result<Result<(), String>, F
 }
 
 /// BLAKE3 of a file, hexadecimal.
-pub(crate) fn hash(path: &Path) -> Result<String, FileError> {
-    let failed = |source| FileError::Read {
-        path: path.to_path_buf(),
-        source,
-    };
+fn hash(path: &Path) -> io::Result<String> {
     let mut hasher = blake3::Hasher::new();
-    hasher
-        .update_reader(File::open(path).map_err(failed)?)
-        .map_err(failed)?;
+    hasher.update_reader(File::open(path)?)?;
     Ok(hasher.finalize().to_hex().to_string())
 }
 
 /// Publishes the finished run in the working folder as the result of a job, in place of an older one.
-pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str, lease: &Lease) -> Result<Published, FileError> {
+pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Result<Published, BatchError> {
     let (work, target) = (layout.work(id), layout.result(id));
-    if present(&target, key)? == Present::Foreign {
-        return Ok(Published::Foreign);
+    match present(&target, key)? {
+        Present::Foreign => return Ok(Published::Foreign),
+        Present::Same => {
+            remove(&work)?;
+            return Ok(Published::Yes);
+        }
+        Present::None | Present::Other => {}
     }
-    if let Err(reason) = check(&work, true)? {
+    let nonce = nonce(host);
+    let incoming = layout.incoming(id).join(&nonce);
+    bring(&work, &incoming).map_err(BatchError::write(&incoming))?;
+    if let Err(reason) = check(&incoming, true)? {
+        // The next attempt begins anew.
+        remove(&incoming)?;
+        let _ = fs::remove_dir(layout.incoming(id));
         return Ok(Published::Bad(reason));
     }
-    remove_temporary(&work).map_err(FileError::write(&work))?;
-    if !lease.confirm()? {
-        return Ok(Published::Lost);
-    }
+    mark(&incoming, id, key, host)?;
+    swap(layout, id, key, &nonce)?;
+    // What stays of these costs room alone.
+    let _ = remove(&incoming);
+    let _ = remove(&layout.outgoing(id).join(&nonce));
+    let _ = fs::remove_dir(layout.incoming(id));
+    let _ = fs::remove_dir(layout.outgoing(id));
+    Ok(Published::Yes)
+}
+
+/// Says whose result a folder is.
+fn mark(folder: &Path, id: &str, key: &str, host: &str) -> Result<(), BatchError> {
     let mark = ResultMark {
         format: FORMAT.to_owned(),
         version: VERSION,
         id: id.to_owned(),
         key: key.to_owned(),
         host: host.to_owned(),
-        when_s: crate::record::now_s(),
+        when_s: now_s(),
     };
-    write_json(&work.join(RESULT_FILE), &mark)?;
-    let nonce = random().map_err(FileError::write(&target))?;
-    if !layout.has_scratch() {
-        swap(layout, id, &nonce, &work)?;
-        return Ok(Published::Yes);
-    }
-    let incoming = layout.incoming(id, &nonce);
-    let copied = copy(&work, &incoming).map_err(FileError::write(&incoming));
-    let brought = copied
-        .and_then(|()| check(&incoming, true))
-        .and_then(|checked| match checked {
-            Err(reason) => Ok(Published::Bad(format!("the copy is not what was copied: {reason}"))),
-            Ok(()) if !lease.confirm()? => Ok(Published::Lost),
-            Ok(()) => swap(layout, id, &nonce, &incoming).map(|()| Published::Yes),
-        });
-    if !matches!(brought, Ok(Published::Yes)) {
-        // Hidden, and of nobody's interest any more.
-        let _ = fs::remove_dir_all(&incoming);
-    } else {
-        // What is left in the scratch folder costs room alone.
-        let _ = fs::remove_dir_all(&work);
-    }
-    brought
+    write_json(&folder.join(RESULT_FILE), &mark)
 }
 
-/// Puts `from` where the result belongs, and an older result out of the way before.
-fn swap(layout: &Layout, id: &str, nonce: &str, from: &Path) -> Result<(), FileError> {
-    let (target, old) = (layout.result(id), layout.outgoing(id, nonce));
-    let failed = |source| FileError::Write {
-        path: target.clone(),
-        source,
-    };
+/// Puts what is incoming where the result belongs, and an older result out of the way before.
+fn swap(layout: &Layout, id: &str, key: &str, nonce: &str) -> Result<(), BatchError> {
+    let (target, old) = (layout.result(id), layout.outgoing(id).join(nonce));
     let replaces = target.exists();
     if replaces {
-        if let Some(parent) = old.parent() {
-            fs::create_dir_all(parent).map_err(failed)?;
-        }
-        fs::rename(&target, &old).map_err(failed)?;
+        fs::create_dir_all(layout.outgoing(id))
+            .and_then(|()| fs::rename(&target, &old))
+            .map_err(BatchError::write(&target))?;
     }
-    if let Err(error) = fs::rename(from, &target) {
+    if let Err(error) = fs::rename(layout.incoming(id).join(nonce), &target) {
+        if present(&target, key)? == Present::Same {
+            // Another process was faster, and has the same result.
+            return Ok(());
+        }
         if replaces {
             // The older result is better than none.
             let _ = fs::rename(&old, &target);
         }
-        return Err(failed(error));
+        return Err(BatchError::write(&target)(error));
     }
     sync_folder(layout.root());
-    // Nobody looks there; a part that stays costs room alone.
-    let _ = fs::remove_dir_all(old);
     Ok(())
+}
+
+/// Clears up after a process that was killed while it published: a whole result is the working folder again.
+pub(crate) fn recover(layout: &Layout, id: &str) -> Result<(), BatchError> {
+    remove(&layout.outgoing(id))?;
+    let (folder, work) = (layout.incoming(id), layout.work(id));
+    let entries = match fs::read_dir(&folder) {
+        Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
+        entries => entries.map_err(BatchError::read(&folder))?,
+    };
+    for entry in entries {
+        let left = entry.map_err(BatchError::read(&folder))?.path();
+        if !work.exists() && check(&left, true)?.is_ok() {
+            bring(&left, &work).map_err(BatchError::write(&work))?;
+        } else {
+            remove(&left)?;
+        }
+    }
+    Ok(())
+}
+
+/// Moves a folder, without what a killed run was writing.
+fn bring(from: &Path, to: &Path) -> io::Result<()> {
+    if let Some(parent) = to.parent() {
+        fs::create_dir_all(parent)?;
+    }
+    fs::rename(from, to)?;
+    remove_temporary(to)
+}
+
+/// A name that nobody else has.
+fn nonce(host: &str) -> String {
+    let text = format!("{host} {} {:?}", std::process::id(), SystemTime::now());
+    blake3::hash(text.as_bytes()).to_hex().chars().take(16).collect()
+}
+
+/// Removes a folder that may not be there.
+pub(crate) fn remove(folder: &Path) -> Result<(), BatchError> {
+    match fs::remove_dir_all(folder) {
+        Err(e) if e.kind() != ErrorKind::NotFound => Err(BatchError::write(folder)(e)),
+        _ => Ok(()),
+    }
 }
 
 /// Not every system lets a folder be opened, and the files are safe by now.
@@ -207,36 +234,16 @@ fn sync_folder(folder: &Path) {
     }
 }
 
-/// Files that a killed run was writing.
 fn remove_temporary(folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
-        let kind = entry.file_type()?;
         let name = entry.file_name();
-        if kind.is_dir() {
+        if entry.file_type()?.is_dir() {
             remove_temporary(&entry.path())?;
         } else if name.to_str().is_some_and(|n| n.starts_with('.') && n.contains(".tmp-")) {
             fs::remove_file(entry.path())?;
         }
     }
-    Ok(())
-}
-
-/// Copies a folder; every file is on the disk when this returns.
-pub(crate) fn copy(from: &Path, to: &Path) -> io::Result<()> {
-    fs::create_dir_all(to)?;
-    for entry in fs::read_dir(from)? {
-        let entry = entry?;
-        let target = to.join(entry.file_name());
-        if entry.file_type()?.is_dir() {
-            copy(&entry.path(), &target)?;
-        } else {
-            let mut file = File::create(&target)?;
-            io::copy(&mut File::open(entry.path())?, &mut file)?;
-            file.sync_all()?;
-        }
-    }
-    sync_folder(to);
     Ok(())
 }
 

@@ -10,8 +10,10 @@ pub enum ErrorKind {
     NotFound,
     /// An input is there but is damaged, incomplete or contradicts itself (65).
     BadData,
-    /// An input is fine but needs something that this program or this machine does not have (65).
+    /// An input is fine but needs something that this program does not have (65).
     Unsupported,
+    /// Nothing is known against the input: a program that is needed is missing, or was killed, hung, or got too little memory (69).
+    Unavailable,
     /// An output cannot be made: permissions, a full disk, a path that is in the way (73).
     CannotWrite,
     /// The machine failed while reading (74).

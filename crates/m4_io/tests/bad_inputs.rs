@@ -66,8 +66,8 @@ fn a_clip_without_bytes() {
 fn a_clip_that_is_text_or_zeros_or_a_picture() {
     let (_dir, path) = file(b"this is no video, whatever its name says\n");
     says(
-        &video_error(&path, &options(), ErrorKind::BadData),
-        &["is not a video", "MP4"],
+        &video_error(&path, &options(), ErrorKind::Unavailable),
+        &["of no kind that is known", "install ffmpeg"],
     );
     let (_dir, path) = file(&[0; 5000]);
     says(&video_error(&path, &options(), ErrorKind::BadData), &["zeros"]);
@@ -83,7 +83,7 @@ fn a_clip_that_is_text_or_zeros_or_a_picture() {
 #[test]
 fn a_clip_that_needs_ffmpeg_where_there_is_none() {
     let (_dir, path) = file(&[0x1a, 0x45, 0xdf, 0xa3, 0, 0, 0, 0, 0, 0]);
-    let text = video_error(&path, &options(), ErrorKind::Unsupported);
+    let text = video_error(&path, &options(), ErrorKind::Unavailable);
     says(&text, &["Matroska", "install ffmpeg", "libx264"]);
 }
 

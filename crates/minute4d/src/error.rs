@@ -45,7 +45,7 @@ pub enum Category {
     BadInput,
     /// An input does not exist.
     NoInput,
-    /// This machine cannot compute what was asked for.
+    /// This machine cannot compute what was asked for: a device, a program or weights are missing or fail, or memory is too little.
     NoDevice,
     /// An output cannot be made.
     CannotWrite,
@@ -84,6 +84,7 @@ impl From<ErrorKind> for Category {
         match kind {
             ErrorKind::NotFound => Self::NoInput,
             ErrorKind::BadData | ErrorKind::Unsupported => Self::BadInput,
+            ErrorKind::Unavailable => Self::NoDevice,
             ErrorKind::CannotWrite => Self::CannotWrite,
             ErrorKind::Io => Self::Io,
             ErrorKind::Cancelled => Self::Stopped,
@@ -453,7 +454,7 @@ impl Error {
             | Self::SegmenterWeights { source: e, .. }
             | Self::TrackerWeights { source: e, .. } => e.category(),
             #[cfg(feature = "nets")]
-            Self::FrontEndLoad { .. } | Self::SegmenterLoad { .. } | Self::TrackerLoad { .. } => Category::BadInput,
+            Self::FrontEndLoad { .. } | Self::SegmenterLoad { .. } | Self::TrackerLoad { .. } => Category::NoDevice,
             Self::NoNetworks { .. } | Self::NoSegmenter { .. } | Self::NoTracker { .. } => Category::NoDevice,
             Self::NothingToEnhance => Category::Usage,
             Self::Given(GivenError::Missing { .. }) => Category::NoInput,
@@ -489,7 +490,7 @@ impl Error {
             Self::Megasam(e) if e.is_stop() => Category::Stopped,
             Self::Sparse(_) | Self::Dense(_) | Self::Megasam(_) | Self::Init(_) | Self::Train(_) => Category::BadInput,
             #[cfg(feature = "nets")]
-            Self::MonoDepth { .. } => Category::BadInput,
+            Self::MonoDepth { .. } => Category::NoDevice,
         }
     }
 

@@ -47,8 +47,8 @@ fn videos_that_are_none() {
     bad_video(&dir, &dir.at("empty"), &[], 65, &["empty", "no picture"]);
     let zero = dir.write("zero.mp4", b"");
     bad_video(&dir, &zero, &[], 65, &["zero.mp4", "empty (0 bytes)"]);
-    let words = dir.write("words.mp4", "this is not a video at all\n".repeat(50));
-    bad_video(&dir, &words, &[], 65, &["words.mp4", "not a video"]);
+    let zeros = dir.write("zeros.mp4", [0; 5000]);
+    bad_video(&dir, &zeros, &[], 65, &["zeros.mp4", "not a video"]);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Video is decoded by a process of its own, whose end is an error of the clip.
+//! Video is decoded by a process of its own, whose end ends nothing else.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 #[cfg(target_os = "linux")]
@@ -21,7 +21,7 @@ fn limits_are_settings() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_decoder_that_takes_too_much_is_an_error_of_the_clip() {
+fn a_decoder_that_takes_too_much_is_ended_and_said() {
     let dir = Scratch::new();
     let clip = dir.path("large.mp4");
     let mut writer = Mp4Writer::create(&clip, 3840, 2160, 24.0).unwrap();
@@ -34,7 +34,7 @@ fn a_decoder_that_takes_too_much_is_an_error_of_the_clip() {
     let set = ["--set", "video.decoder.memory_mb=64"];
     let args = ["geometry", &dir.at("large.mp4"), "-o", &dir.at("out"), set[0], set[1]];
     // What a refusal of memory looks like depends on how much of it the program itself takes.
-    refused(&args, 65, &["large.mp4", "decoder failed", "video.decoder.memory_mb"]);
+    refused(&args, 69, &["large.mp4", "decoder failed", "video.decoder.memory_mb"]);
     let set = ["--set", "video.decoder.idle_seconds=0"];
     let args = ["geometry", &dir.at("large.mp4"), "-o", &dir.at("out"), set[0], set[1]];
     refused(&args, 78, &["decoder.idle_seconds"]);

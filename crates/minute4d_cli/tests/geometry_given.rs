@@ -268,7 +268,7 @@ fn a_front_end_without_weights_says_how_to_get_them_and_what_works_without() {
     // What lies there and is no checkpoint is refused too.
     fs::create_dir(store.join("raft-things")).unwrap();
     fs::write(store.join("raft-things/raft-things.pth"), "no weights").unwrap();
-    refused_with(&args, &env, 65, &["raft-things.pth", "RAFT", "--frontend classical"]);
+    refused_with(&args, &env, 69, &["raft-things.pth", "RAFT", "--frontend classical"]);
 }
 
 #[cfg(feature = "nets")]
@@ -288,8 +288,8 @@ fn a_segmenter_without_weights_says_how_to_get_them_and_auto_does_without() {
     fs::create_dir(store.join("mobile-sam")).unwrap();
     fs::write(store.join("mobile-sam/mobile_sam.pt"), "no weights").unwrap();
     let words = ["mobile_sam.pt", "MobileSAM", "--segmenter none"];
-    refused_with(&args, &env, 65, &words);
-    refused_with(&args[..5], &env, 65, &words);
+    refused_with(&args, &env, 69, &words);
+    refused_with(&args[..5], &env, 69, &words);
 }
 
 #[test]

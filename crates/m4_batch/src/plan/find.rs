@@ -1,6 +1,6 @@
-//! Clips by files, folders, patterns and lists.
+//! Clips by files, folders and lists.
 
-use crate::error::{FileError, PlanError};
+use crate::error::BatchError;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,8 +18,8 @@ const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
 ///
 /// # Errors
 ///
-/// [`PlanError`] for what does not exist, holds nothing, or cannot be read.
-pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, PlanError> {
+/// [`BatchError`] for what does not exist, holds nothing, or cannot be read.
+pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, BatchError> {
     let mut paths = BTreeSet::new();
     for one in given {
         for path in expand(one)? {
@@ -29,65 +29,48 @@ pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, 
     Ok(paths.into_iter().collect())
 }
 
-/// Lists and patterns to paths, before anybody looked whether they are there.
-fn expand(given: &str) -> Result<Vec<PathBuf>, PlanError> {
-    if let Some(list) = given.strip_prefix('@') {
-        let path = Path::new(list);
-        let text = fs::read_to_string(path).map_err(FileError::read(path))?;
-        let lines = text
-            .lines()
-            .map(str::trim)
-            .filter(|l| !l.is_empty() && !l.starts_with('#'));
-        let mut all = Vec::new();
-        for line in lines.filter(|l| !l.starts_with('@')) {
-            all.extend(expand(line)?);
-        }
-        return match all.is_empty() {
-            true => Err(nothing(given, true)),
-            false => Ok(all),
+/// A list to its paths, before anybody looked whether they are there.
+fn expand(given: &str) -> Result<Vec<PathBuf>, BatchError> {
+    let Some(list) = given.strip_prefix('@') else {
+        return match given.contains("://") {
+            true => Err(BatchError::Input {
+                given: given.to_owned(),
+                reason: "is an address, not a path; mount the store as a folder, or download the clip first",
+            }),
+            false => Ok(vec![PathBuf::from(given)]),
         };
-    }
-    if given.contains("://") {
-        return Err(PlanError::Address {
-            given: given.to_owned(),
-        });
-    }
-    let path = PathBuf::from(given);
-    if path.exists() || !given.contains(['*', '?', '[']) {
-        return Ok(vec![path]);
-    }
-    let pattern = |reason: String| PlanError::Pattern {
-        pattern: given.to_owned(),
-        reason,
     };
-    // As a shell has it: a star means neither hidden files nor folders.
-    let as_shell = glob::MatchOptions {
-        case_sensitive: true,
-        require_literal_separator: true,
-        require_literal_leading_dot: true,
-    };
-    let matches = glob::glob_with(given, as_shell).map_err(|e| pattern(e.to_string()))?;
-    let matches: Vec<PathBuf> = matches.collect::<Result<_, _>>().map_err(|e| pattern(e.to_string()))?;
-    match matches.is_empty() {
+    let path = Path::new(list);
+    let text = fs::read_to_string(path).map_err(BatchError::read(path))?;
+    let lines = text.lines().map(str::trim);
+    let lines = lines.filter(|l| !l.is_empty() && !l.starts_with(['#', '@']));
+    let mut all = Vec::new();
+    for line in lines {
+        all.extend(expand(line)?);
+    }
+    match all.is_empty() {
         true => Err(nothing(given, true)),
-        false => Ok(matches),
+        false => Ok(all),
     }
 }
 
-fn nothing(given: impl Into<String>, recursive: bool) -> PlanError {
-    PlanError::Nothing {
-        given: given.into(),
-        recursive,
+fn nothing(given: &str, recursive: bool) -> BatchError {
+    BatchError::Input {
+        given: given.to_owned(),
+        reason: match recursive {
+            true => "holds no video",
+            false => "holds no video; --recursive looks into folders in it",
+        },
     }
 }
 
-fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<(), PlanError> {
+fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<(), BatchError> {
     // `canonicalize` follows links, so that a clip that is named twice is one clip.
     let path = fs::canonicalize(path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => PlanError::Missing {
+        std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => BatchError::Missing {
             path: path.to_path_buf(),
         },
-        _ => FileError::read(path)(e).into(),
+        _ => BatchError::read(path)(e),
     })?;
     if !path.is_dir() {
         found.insert(path);
@@ -95,17 +78,17 @@ fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<()
     }
     let clips = clips_of(&path, recursive)?;
     if clips.is_empty() {
-        return Err(nothing(path.display().to_string(), recursive));
+        return Err(nothing(&path.display().to_string(), recursive));
     }
     found.extend(clips);
     Ok(())
 }
 
 /// The clips in a folder, or the folder itself where it is one.
-fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, PlanError> {
+fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, BatchError> {
     let (mut videos, mut folders, mut pictures) = (Vec::new(), Vec::new(), false);
-    for entry in fs::read_dir(folder).map_err(FileError::read(folder))? {
-        let path = entry.map_err(FileError::read(folder))?.path();
+    for entry in fs::read_dir(folder).map_err(BatchError::read(folder))? {
+        let path = entry.map_err(BatchError::read(folder))?.path();
         let name = path
             .file_name()
             .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
@@ -119,7 +102,7 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, PlanError> {
         if path.is_dir() {
             folders.push(path);
         } else if extension.as_deref().is_some_and(|e| VIDEOS.contains(&e)) {
-            videos.push(fs::canonicalize(&path).map_err(FileError::read(&path))?);
+            videos.push(fs::canonicalize(&path).map_err(BatchError::read(&path))?);
         } else {
             pictures |= extension.as_deref().is_some_and(|e| PICTURES.contains(&e));
         }
@@ -147,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn files_folders_patterns_and_lists_are_found_once() {
+    fn files_folders_and_lists_are_found_once() {
         let dir = tempfile::tempdir().unwrap();
         let root = fs::canonicalize(dir.path()).unwrap();
         let at = |name: &str| root.join(name).to_str().unwrap().to_owned();
@@ -172,10 +155,7 @@ mod tests {
         let all = ["v/a.MOV", "v/b.mp4", "v/cap", "v/in/d.mkv", "v/pics"];
         assert_eq!(found(&[at("v")], true), all);
         assert_eq!(found(&[at("v/pics")], false), ["v/pics"], "pictures are a clip");
-        assert_eq!(
-            found(&[at("v/*.mp4"), at("v/b.mp4"), at("v/in/../b.mp4")], false),
-            ["v/b.mp4"]
-        );
+        assert_eq!(found(&[at("v/b.mp4"), at("v/in/../b.mp4")], false), ["v/b.mp4"]);
         assert_eq!(
             found(&[at("v/notes.txt")], false),
             ["v/notes.txt"],
@@ -183,14 +163,13 @@ mod tests {
         );
         fs::write(
             root.join("list"),
-            format!("# clips\n{}\n\n{}\n", at("v/b.mp4"), at("v/i*")),
+            format!("# clips\n{}\n\n{}\n", at("v/b.mp4"), at("v/in")),
         )
         .unwrap();
         assert_eq!(found(&[format!("@{}", at("list"))], false), ["v/b.mp4", "v/in/d.mkv"]);
 
         let said = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();
         assert!(said(&at("none.mp4")).contains("there is no"));
-        assert!(said(&at("v/*.avi")).contains("no video"));
         fs::create_dir(root.join("empty")).unwrap();
         assert!(said(&at("empty")).contains("--recursive"));
     }

@@ -4,17 +4,18 @@ mod find;
 
 use find::inputs;
 
-use crate::error::PlanError;
+use crate::error::BatchError;
 use crate::layout::Layout;
 use crate::manifest::{Arguments, Job, Manifest};
 use crate::names;
 use crate::publish::{Present, present};
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// What to plan.
 pub struct Plan<'a> {
-    /// Files, folders, patterns, lists (`@FILE`).
+    /// Files, folders, lists (`@FILE`).
     pub given: &'a [String],
     /// Look into folders of folders.
     pub recursive: bool,
@@ -22,48 +23,43 @@ pub struct Plan<'a> {
     pub results: &'a Path,
     /// What every run is started with.
     pub run: Arguments,
-    /// Seconds that training is given, where it is given a time.
-    pub training_s: Option<f64>,
     /// BLAKE3 of a file or a folder, as runs compute it.
     pub hash: &'a dyn Fn(&Path) -> Result<String, String>,
 }
 
-/// Lists the clips with their sizes and hashes, in natural order of their ids.
+/// Lists the clips with their sizes and hashes, in the order of their ids, and makes the folder of results.
 ///
 /// # Errors
 ///
-/// [`PlanError`].
-pub fn plan(plan: &Plan<'_>) -> Result<Manifest, PlanError> {
+/// [`BatchError`].
+pub fn plan(plan: &Plan<'_>) -> Result<Manifest, BatchError> {
     let paths = inputs(plan.given, plan.recursive)?;
     let mut named = Vec::with_capacity(paths.len());
     for path in &paths {
         named.push((name(path), text(path)?));
     }
     let ids = names::ids(&named);
-    let layout = Layout::new(plan.results, None);
+    let layout = Layout::new(plan.results);
     for id in &ids {
         let result = layout.result(id);
         if present(&result, "")? == Present::Foreign {
-            return Err(PlanError::Foreign { path: result });
+            return Err(BatchError::Foreign { path: result });
         }
     }
     let mut jobs = Vec::with_capacity(named.len());
     for (((_, input), id), path) in named.into_iter().zip(ids).zip(paths) {
-        let blake3 = (plan.hash)(&path).map_err(|reason| PlanError::Hash {
-            path: path.clone(),
-            reason,
-        })?;
+        let blake3 = (plan.hash)(&path).map_err(|reason| BatchError::read(&path)(io::Error::other(reason)))?;
         jobs.push(Job {
             output: text(&layout.result(&id))?,
             id,
             input,
             bytes: size(&path)?,
             blake3,
-            estimate_s: plan.training_s,
-            estimate_of: plan.training_s.map(|_| "training alone".to_owned()),
         });
     }
-    jobs.sort_by(|a, b| names::natural_order(&a.id, &b.id));
+    jobs.sort_by(|a, b| a.id.cmp(&b.id));
+    let states = layout.states();
+    fs::create_dir_all(&states).map_err(BatchError::write(&states))?;
     Ok(Manifest {
         results: text(plan.results)?,
         run: plan.run.clone(),
@@ -71,9 +67,10 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, PlanError> {
     })
 }
 
-fn text(path: &Path) -> Result<String, PlanError> {
-    path.to_str().map(str::to_owned).ok_or_else(|| PlanError::Name {
-        path: path.to_path_buf(),
+fn text(path: &Path) -> Result<String, BatchError> {
+    path.to_str().map(str::to_owned).ok_or_else(|| BatchError::Input {
+        given: path.display().to_string(),
+        reason: "is not UTF-8, which a manifest cannot hold; rename it",
     })
 }
 
@@ -88,11 +85,8 @@ fn name(path: &Path) -> String {
 }
 
 /// Bytes of a file, or of everything in a folder that is not hidden.
-pub(crate) fn size(path: &Path) -> Result<u64, PlanError> {
-    let failed = |source| crate::error::FileError::Read {
-        path: path.to_path_buf(),
-        source,
-    };
+fn size(path: &Path) -> Result<u64, BatchError> {
+    let failed = |source| BatchError::read(path)(source);
     let found = fs::metadata(path).map_err(failed)?;
     if !found.is_dir() {
         return Ok(found.len());

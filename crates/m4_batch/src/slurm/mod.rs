@@ -3,5 +3,5 @@
 mod script;
 mod submit;
 
-pub use script::{Options, Script};
-pub use submit::{SubmitError, largest_array, submit};
+pub use script::Script;
+pub use submit::{largest_array, submit};

@@ -1,33 +1,12 @@
 //! The script that Slurm starts once for each task of the array.
 
-use super::SubmitError;
-use std::path::{Path, PathBuf};
+use crate::error::BatchError;
+use std::path::Path;
 
 /// Seconds before the end of a task's time at which it is told to save.
 const WARNING_S: u32 = 120;
 /// How often a task is put back into the queue by itself.
 const RESTARTS: u32 = 20;
-
-/// What the user asks of Slurm.
-#[derive(Debug, Clone, Default)]
-pub struct Options {
-    /// GPUs a task.
-    pub gpus: Option<u32>,
-    /// Most tasks at work at once.
-    pub max_parallel: Option<u32>,
-    /// Time of a task, as Slurm writes it.
-    pub time: Option<String>,
-    /// The partition.
-    pub partition: Option<String>,
-    /// Cores a task.
-    pub cpus: Option<u32>,
-    /// Memory of a task, as Slurm writes it.
-    pub memory: Option<String>,
-    /// Where scenes are made.
-    pub scratch: Option<PathBuf>,
-    /// Anything else, as `sbatch` takes it.
-    pub more: Vec<String>,
-}
 
 /// What the script needs to know.
 #[derive(Debug)]
@@ -42,98 +21,79 @@ pub struct Script<'a> {
     pub jobs: usize,
     /// Most tasks that an array may have.
     pub largest: usize,
-    /// The user's wishes.
-    pub options: &'a Options,
-    /// Further arguments of the worker.
-    pub worker: &'a [String],
+    /// Most tasks of an array at work at once.
+    pub max_parallel: Option<u32>,
+    /// The user's own options, as `sbatch` takes them.
+    pub options: &'a [String],
 }
 
 impl Script<'_> {
-    /// Tasks of the array; each does every so many of the jobs.
+    /// The arrays that all jobs take, one task a job: the first job of each, and its indices as Slurm writes them.
     #[must_use]
-    pub fn tasks(&self) -> usize {
-        self.jobs.min(self.largest).max(1)
+    pub fn arrays(&self) -> Vec<(usize, String)> {
+        let largest = self.largest.max(1);
+        let parallel = self.max_parallel.map_or_else(String::new, |n| format!("%{n}"));
+        let array = |first: usize| {
+            let last = largest.min(self.jobs - first) - 1;
+            (first, format!("0-{last}{parallel}"))
+        };
+        (0..self.jobs).step_by(largest).map(array).collect()
     }
 
-    /// The text of it.
+    /// The text of it. Its argument is the first job of its array, 0 where there is none.
     ///
     /// # Errors
     ///
-    /// [`SubmitError::Text`] for a value that cannot be written into a script.
-    pub fn text(&self) -> Result<String, SubmitError> {
-        let (tasks, o) = (self.tasks(), self.options);
-        let parallel = o.max_parallel.map_or_else(String::new, |n| format!("%{}", n.max(1)));
+    /// [`BatchError::Text`] for a value that cannot be written into a script.
+    pub fn text(&self) -> Result<String, BatchError> {
         let mut text = "#!/bin/bash\n# Written by `minute4d batch submit`.\n".to_owned();
         let mut directives = vec![
             "--job-name=minute4d".to_owned(),
-            format!("--array=0-{}{parallel}", tasks - 1),
             "--requeue".to_owned(),
             // to this shell alone, which passes it on and waits
             format!("--signal=B:TERM@{WARNING_S}"),
             "--open-mode=append".to_owned(),
             format!("--output={}/%A_%a.log", utf8(self.logs)?),
         ];
-        let named = [
-            ("--gres=gpu:", o.gpus.map(|n| n.to_string())),
-            ("--time=", o.time.clone()),
-            ("--partition=", o.partition.clone()),
-            ("--cpus-per-task=", o.cpus.map(|n| n.to_string())),
-            ("--mem=", o.memory.clone()),
-        ];
-        directives.extend(
-            named
-                .into_iter()
-                .filter_map(|(name, value)| Some(format!("{name}{}", value?))),
-        );
-        directives.extend(o.more.iter().cloned());
+        directives.extend(self.arrays().first().map(|(_, tasks)| format!("--array={tasks}")));
+        directives.extend_from_slice(self.options);
         for directive in &directives {
             text += &format!("#SBATCH {}\n", directive_text(directive)?);
         }
-        let mut worker = vec![
-            utf8(self.program)?.to_owned(),
-            "batch".to_owned(),
-            "run".to_owned(),
-            "--manifest".to_owned(),
-            utf8(self.manifest)?.to_owned(),
-            "--stride".to_owned(),
-            tasks.to_string(),
-        ];
-        if let Some(scratch) = &o.scratch {
-            worker.extend(["--scratch".to_owned(), utf8(scratch)?.to_owned()]);
-        }
-        worker.extend(self.worker.iter().cloned());
-        let worker: Vec<String> = worker.iter().map(|word| shell(word)).collect::<Result<_, _>>()?;
+        let job = [utf8(self.program)?, "batch", "run", "--manifest", utf8(self.manifest)?];
+        let job: Vec<String> = job.into_iter().map(shell).collect::<Result<_, _>>()?;
         text += &BODY
-            .replace("@WORKER@", &worker.join(" "))
+            .replace("@JOB@", &job.join(" "))
             .replace("@RESTARTS@", &RESTARTS.to_string());
         Ok(text)
     }
 }
 
-/// `wait` returns early when the signal comes, so it is asked again until it tells the worker's own code. The task is
-/// named by array and index: the last of an array has the number of the whole. A task that was cancelled is not put back.
+/// `wait` returns early when the signal comes, so it is asked again until it tells the job's own code. The task is
+/// named by array and index: the last of an array has the number of the whole. 75 is what should be tried again, 137 what was
+/// killed, as where memory ran out. A task that was cancelled is not put back.
 const BODY: &str = r#"
 set -u
-worker= told= again=
+job= told= again=
 stop() {
     told=1 again=1
-    [ -z "$worker" ] || kill -TERM "$worker" 2>/dev/null
+    [ -z "$job" ] || kill -TERM "$job" 2>/dev/null
 }
 trap stop TERM
 
-@WORKER@ &
-worker=$!
-[ -z "$told" ] || kill -TERM "$worker"
+@JOB@ --index $((SLURM_ARRAY_TASK_ID + ${1:-0})) &
+job=$!
+[ -z "$told" ] || kill -TERM "$job"
 while :; do
     again=
-    wait "$worker"
+    wait "$job"
     answer=$?
     [ "$answer" -eq 127 ] && [ -n "${code-}" ] && break
     code=$answer
     [ -n "$again" ] || break
 done
 
-if [ "$code" -eq 75 ]; then
+if [ "$code" -eq 75 ] || [ "$code" -eq 137 ]; then
     task="${SLURM_ARRAY_JOB_ID}_${SLURM_ARRAY_TASK_ID}"
     if [ "${SLURM_RESTART_COUNT:-0}" -ge @RESTARTS@ ]; then
         echo "minute4d: @RESTARTS@ restarts are enough; submit again to go on" >&2
@@ -148,17 +108,17 @@ fi
 exit "$code"
 "#;
 
-fn utf8(path: &Path) -> Result<&str, SubmitError> {
-    path.to_str().ok_or_else(|| SubmitError::Text {
+fn utf8(path: &Path) -> Result<&str, BatchError> {
+    path.to_str().ok_or_else(|| BatchError::Text {
         text: path.display().to_string(),
         reason: "it is not UTF-8",
     })
 }
 
 /// A word of a directive, in quotes where it needs them.
-fn directive_text(text: &str) -> Result<String, SubmitError> {
+fn directive_text(text: &str) -> Result<String, BatchError> {
     if text.contains(['\n', '\r', '"', '\\']) {
-        return Err(SubmitError::Text {
+        return Err(BatchError::Text {
             text: text.to_owned(),
             reason: "a line of #SBATCH cannot hold quotes, backslashes or a line end",
         });
@@ -171,9 +131,9 @@ fn directive_text(text: &str) -> Result<String, SubmitError> {
 }
 
 /// A word that the shell takes as it is.
-fn shell(word: &str) -> Result<String, SubmitError> {
+fn shell(word: &str) -> Result<String, BatchError> {
     if word.contains('\0') {
-        return Err(SubmitError::Text {
+        return Err(BatchError::Text {
             text: word.to_owned(),
             reason: "no argument can hold a zero byte",
         });
@@ -188,34 +148,29 @@ fn shell(word: &str) -> Result<String, SubmitError> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Options, Script};
+    use super::Script;
     use std::fs;
     use std::path::Path;
     use std::process::Command;
 
-    fn script<'a>(options: &'a Options, program: &'a Path, jobs: usize, worker: &'a [String]) -> Script<'a> {
+    fn script<'a>(options: &'a [String], program: &'a Path, jobs: usize) -> Script<'a> {
         Script {
             program,
             manifest: Path::new("/data/my jobs/it's.jsonl"),
             logs: Path::new("/data/my jobs/logs"),
             jobs,
             largest: 1001,
+            max_parallel: Some(64),
             options,
-            worker,
         }
     }
 
     #[test]
-    fn directives_are_as_asked_and_the_array_fits() {
-        let options = Options {
-            gpus: Some(1),
-            max_parallel: Some(64),
-            time: Some("02:00:00".to_owned()),
-            more: vec!["--account=me".to_owned()],
-            ..Options::default()
-        };
+    fn directives_are_as_asked_and_each_job_is_in_one_array() {
+        let options = ["--gres=gpu:1", "--time=02:00:00"].map(str::to_owned);
         let program = Path::new("/opt/minute4d");
-        let text = script(&options, program, 5000, &[]).text().unwrap();
+        let large = script(&options, program, 2003);
+        let text = large.text().unwrap();
         for line in [
             "#SBATCH --array=0-1000%64",
             "#SBATCH --requeue",
@@ -223,32 +178,34 @@ mod tests {
             "#SBATCH --open-mode=append",
             "#SBATCH --gres=gpu:1",
             "#SBATCH --time=02:00:00",
-            "#SBATCH --account=me",
             "#SBATCH \"--output=/data/my jobs/logs/%A_%a.log\"",
         ] {
             assert!(text.lines().any(|l| l == line), "{line}\n{text}");
         }
         assert!(
-            text.contains(r"--manifest '/data/my jobs/it'\''s.jsonl' --stride 1001"),
+            text.contains(r"--manifest '/data/my jobs/it'\''s.jsonl' --index "),
             "{text}"
         );
-        let small = script(&options, program, 3, &[]).text().unwrap();
-        assert!(small.contains("--array=0-2%64") && small.contains("--stride 3"));
-        let bad = Options {
-            partition: Some("a\n#SBATCH --uid=0".to_owned()),
-            ..Options::default()
-        };
-        assert!(script(&bad, program, 3, &[]).text().is_err());
+        let arrays = |jobs: usize| script(&options, program, jobs).arrays();
+        let array = |first: usize, tasks: &str| (first, format!("{tasks}%64"));
+        assert_eq!(
+            large.arrays(),
+            [array(0, "0-1000"), array(1001, "0-1000"), array(2002, "0-0")]
+        );
+        assert_eq!(arrays(3), [array(0, "0-2")]);
+        assert!(arrays(0).is_empty());
+        let bad = ["--partition=a\n#SBATCH --uid=0".to_owned()];
+        assert!(script(&bad, program, 3).text().is_err());
     }
 
-    /// The script with a stand-in for the worker and for `scontrol`; gives its exit code and what they wrote.
+    /// The script with a stand-in for the job and for `scontrol`; gives its exit code and what they wrote.
     #[cfg(unix)]
-    fn drive(worker: &str, restarts: &str, term: bool) -> (Option<i32>, String) {
-        drive_in("RUNNING", worker, restarts, term)
+    fn drive(job: &str, restarts: &str, term: bool) -> (Option<i32>, String) {
+        drive_in("RUNNING", job, restarts, term)
     }
 
     #[cfg(unix)]
-    fn drive_in(state: &str, worker: &str, restarts: &str, term: bool) -> (Option<i32>, String) {
+    fn drive_in(state: &str, job: &str, restarts: &str, term: bool) -> (Option<i32>, String) {
         let dir = tempfile::tempdir().unwrap();
         // Made by another process: one that is forked here meanwhile would hold it open for writing.
         let write = |name: &str, text: &str| {
@@ -262,15 +219,15 @@ mod tests {
             path
         };
         let heard = dir.path().join("heard");
-        let program = write("worker", &worker.replace("HEARD", heard.to_str().unwrap()));
+        let program = write("minute4d", &job.replace("HEARD", heard.to_str().unwrap()));
         write("scontrol", &format!("echo \"$@\" >> {}", heard.display()));
         write("squeue", &format!("echo {state}"));
-        let options = Options::default();
-        let text = script(&options, &program, 3, &[]).text().unwrap();
-        let file = write("job", &text);
+        let text = script(&[], &program, 3).text().unwrap();
+        let file = write("script", &text);
         let path = format!("{}:{}", dir.path().display(), std::env::var("PATH").unwrap());
         let mut child = Command::new("bash")
             .arg(&file)
+            .arg("1001")
             .env("PATH", path)
             .envs([
                 ("SLURM_ARRAY_JOB_ID", "42"),
@@ -299,11 +256,17 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn the_script_ends_as_its_worker_does() {
+    fn the_script_ends_as_its_job_does() {
         assert_eq!(drive("exit 0", "0", false), (Some(0), String::new()));
         assert_eq!(drive("exit 65", "0", false), (Some(65), String::new()));
-        let (code, heard) = drive("exit 75", "3", false);
-        assert_eq!((code, heard.trim()), (Some(0), "requeue 42_7"));
+        for retryable in [
+            "exit 75",
+            "kill -KILL $$",
+            "case \"$*\" in *' --index 1008') exit 75;; esac",
+        ] {
+            let (code, heard) = drive(retryable, "3", false);
+            assert_eq!((code, heard.trim()), (Some(0), "requeue 42_7"), "{retryable}");
+        }
         assert_eq!(
             drive("exit 75", "20", false),
             (Some(75), String::new()),
@@ -315,10 +278,10 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_signal_is_passed_on_and_the_worker_waited_for() {
-        let worker =
+    fn a_signal_is_passed_on_and_the_job_waited_for() {
+        let job =
             "trap 'sleep 0.5; echo saved >> HEARD; exit 75' TERM; echo ready >> HEARD; while :; do sleep 0.05; done";
-        let (code, heard) = drive(worker, "0", true);
+        let (code, heard) = drive(job, "0", true);
         assert_eq!(code, Some(0));
         assert_eq!(heard.lines().collect::<Vec<_>>(), ["ready", "saved", "requeue 42_7"]);
     }

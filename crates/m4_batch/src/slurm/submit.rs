@@ -1,58 +1,12 @@
 //! Handing the script to Slurm.
 
-use m4_io::ErrorKind;
-use std::io;
-use std::path::{Path, PathBuf};
+use crate::error::BatchError;
+use std::ffi::OsStr;
+use std::path::Path;
 use std::process::Command;
 
 /// What Slurm allows where it does not say.
 const DEFAULT_ARRAY: usize = 1001;
-
-/// Why a batch was not submitted.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum SubmitError {
-    /// A value that no script can hold.
-    #[error("{text:?} cannot be used: {reason}")]
-    Text {
-        /// The value.
-        text: String,
-        /// Why not.
-        reason: &'static str,
-    },
-    /// A program of Slurm did not start.
-    #[error(
-        "cannot start {program}: {source}; submit on a machine that has Slurm, or use --dry-run for the script alone"
-    )]
-    Start {
-        /// The program.
-        program: &'static str,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// A program of Slurm refused.
-    #[error("{program} refused: {said}; the script is {}", script.display())]
-    Refused {
-        /// The program.
-        program: &'static str,
-        /// What it said.
-        said: String,
-        /// The script.
-        script: PathBuf,
-    },
-}
-
-impl SubmitError {
-    /// What sort of failure this is.
-    #[must_use]
-    pub fn kind(&self) -> ErrorKind {
-        match self {
-            Self::Text { .. } => ErrorKind::BadData,
-            Self::Start { .. } => ErrorKind::NotFound,
-            Self::Refused { .. } => ErrorKind::Io,
-        }
-    }
-}
 
 /// Most tasks that an array may have here: what Slurm is set to, or what it is set to where nobody changed it.
 #[must_use]
@@ -76,38 +30,44 @@ fn max_array_size(config: &str) -> Option<usize> {
         .filter(|&n| n > 0)
 }
 
-/// Submits the script, asks Slurm for the job again, and gives its number.
+/// Submits the script as the array `tasks` of the jobs from `first` on, asks Slurm for it again, and gives its number.
 ///
 /// # Errors
 ///
-/// [`SubmitError`] where Slurm is not here, refuses, or does not know the job afterwards.
-pub fn submit(script: &Path) -> Result<String, SubmitError> {
-    let answer = call("sbatch", &["--parsable".as_ref(), script.as_os_str()], script)?;
+/// [`BatchError`] where Slurm is not here, refuses, or does not know the array afterwards.
+pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, BatchError> {
+    let (array, index) = (format!("--array={tasks}"), first.to_string());
+    let mut arguments: Vec<&OsStr> = vec!["--parsable".as_ref()];
+    // The script itself has the first array.
+    if first > 0 {
+        arguments.push(array.as_ref());
+    }
+    arguments.extend([script.as_os_str(), index.as_ref()]);
+    let answer = call("sbatch", &arguments, script)?;
     // The cluster's name follows where there are several.
     let id = answer.trim().split(';').next().unwrap_or_default().to_owned();
+    let refused = |program, said| BatchError::Refused {
+        program,
+        said,
+        script: script.to_path_buf(),
+    };
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_digit()) {
-        return Err(SubmitError::Refused {
-            program: "sbatch",
-            said: format!("it answered {answer:?}, which is no number of a job"),
-            script: script.to_path_buf(),
-        });
+        let said = format!("it answered {answer:?}, which is no number of a job");
+        return Err(refused("sbatch", said));
     }
     let known = call("scontrol", &["show".as_ref(), "job".as_ref(), id.as_ref()], script)?;
     if !known.contains(&format!("={id}")) {
-        return Err(SubmitError::Refused {
-            program: "scontrol",
-            said: format!("it does not know job {id} although sbatch took it"),
-            script: script.to_path_buf(),
-        });
+        let said = format!("it does not know job {id} although sbatch took it");
+        return Err(refused("scontrol", said));
     }
     Ok(id)
 }
 
-fn call(program: &'static str, args: &[&std::ffi::OsStr], script: &Path) -> Result<String, SubmitError> {
+fn call(program: &'static str, args: &[&OsStr], script: &Path) -> Result<String, BatchError> {
     let output = Command::new(program).args(args).output();
-    let output = output.map_err(|source| SubmitError::Start { program, source })?;
+    let output = output.map_err(|source| BatchError::Start { program, source })?;
     if !output.status.success() {
-        return Err(SubmitError::Refused {
+        return Err(BatchError::Refused {
             program,
             said: String::from_utf8_lossy(&output.stderr).trim().to_owned(),
             script: script.to_path_buf(),

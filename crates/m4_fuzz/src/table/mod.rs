@@ -5,7 +5,7 @@
 //! formats   splats and cameras of other tools
 //! import    clips of other tools: one row for each file that is parsed
 //! side      depth, masks and tracks that are given with a clip
-//! program   settings, records, manifests of batches and what workers leave
+//! program   settings, records, manifests of batches and records of their jobs
 //! broken    readers that do harm, for the tests of those who look for it
 //! ```
 

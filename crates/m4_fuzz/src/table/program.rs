@@ -1,14 +1,12 @@
-//! Readers of the program and its batches: settings, records of runs, manifests, what workers leave for one another.
+//! Readers of the program and its batches: settings, records of runs, manifests, records of jobs.
 
 use super::{alone, made};
 use crate::reader::{Around, Outcome, Reader};
-use minute4d::batch::lease::Holder;
-use minute4d::batch::{Arguments, ClipReport, Job, JobRecord, Manifest, Report, VERSION, Verdict};
+use minute4d::batch::{Arguments, ClipReport, Job, JobRecord, Manifest, Outcome as JobOutcome, Report, VERSION};
 use minute4d::record::{self, Device, GEOMETRY_FORMAT, GeometryRecord, Input, RunRecord, Status};
 use minute4d::settings::{Layers, Settings};
 use serde::Serialize;
 use std::path::Path;
-use std::time::Duration;
 
 pub fn rows() -> Vec<Reader> {
     vec![
@@ -30,7 +28,6 @@ pub fn rows() -> Vec<Reader> {
             })
         }),
         below("batch-record", ".state/clip.json", records, report),
-        below("batch-lease", ".lease/clip/000001.json", leases, report),
         below("batch-result-mark", "clip/batch.json", marks, report),
     ]
 }
@@ -99,8 +96,6 @@ fn manifest(results: &str) -> Manifest {
         bytes: 1000,
         blake3: "00".repeat(32),
         output: format!("{results}/{id}"),
-        estimate_s: Some(20.0),
-        estimate_of: Some("a clip like it".to_owned()),
     };
     Manifest {
         results: results.to_owned(),
@@ -118,7 +113,7 @@ fn manifests() -> Vec<Vec<u8>> {
 
 /// What is seen of a batch whose results are in `folder`.
 fn report(folder: &Path) -> Outcome {
-    let read = Report::read(&manifest(&folder.to_string_lossy()), Duration::from_secs(60));
+    let read = Report::read(&manifest(&folder.to_string_lossy()));
     // What cannot be understood counts as not there, or as somebody else's.
     let understood = |clip: &ClipReport| {
         let of_batch = |reason: &String| reason.starts_with("its result is of");
@@ -147,33 +142,20 @@ fn usable<T, E: std::fmt::Display>(read: Result<Option<T>, E>) -> Outcome {
 
 fn records() -> Vec<Vec<u8>> {
     let manifest = manifest("/results");
-    let record = |verdict| JobRecord {
+    let record = |outcome| JobRecord {
         version: VERSION,
         id: "clip".to_owned(),
         key: manifest.jobs[0].key(&manifest.run),
-        verdict,
+        outcome,
         reason: "exit code 65".to_owned(),
         code: Some(65),
-        attempts: 2,
-        vanished: 1,
         seconds: 12.5,
         host: "node".to_owned(),
         when_s: 1_700_000_000,
     };
-    [Verdict::Poison, Verdict::Failed]
-        .map(|verdict| json(&record(verdict)))
+    [JobOutcome::Failed, JobOutcome::Retryable]
+        .map(|outcome| json(&record(outcome)))
         .to_vec()
-}
-
-fn leases() -> Vec<Vec<u8>> {
-    let holder = Holder {
-        nonce: "0123456789abcdef".to_owned(),
-        host: "node".to_owned(),
-        pid: 17,
-        since_s: 1_700_000_000,
-        released: false,
-    };
-    vec![json(&holder)]
 }
 
 fn marks() -> Vec<Vec<u8>> {

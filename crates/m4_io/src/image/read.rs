@@ -91,6 +91,15 @@ fn decode(path: &Path) -> Result<DynamicImage, ReadImageError> {
 }
 
 fn damaged(path: &Path, error: &image::ImageError) -> ReadImageError {
+    // A disk that fails says nothing about the image.
+    if let image::ImageError::IoError(source) = error
+        && let Some(code) = source.raw_os_error()
+    {
+        return ReadImageError::Io {
+            path: path.to_path_buf(),
+            source: std::io::Error::from_raw_os_error(code),
+        };
+    }
     ReadImageError::Damaged {
         path: path.to_path_buf(),
         reason: error.to_string(),

@@ -109,7 +109,8 @@ pub enum ReadVideoError {
         /// Its last messages.
         reason: String,
     },
-    /// The process that decodes the clip crashed, hung, or took more than it may.
+    /// The process that decodes the clip crashed, was killed, hung, or took more than it may. That may be the machine's fault as
+    /// well as the clip's.
     #[error("{decoder} failed on the video {}: {how}; {}", path.display(), how.advice())]
     DecoderFailed {
         /// The file.
@@ -199,7 +200,8 @@ impl ReadVideoError {
         match self {
             Self::Io { source, .. } => ErrorKind::of_read(source),
             Self::Picture(e) => e.kind(),
-            Self::NeedsFfmpeg { .. } | Self::SizeChanges { .. } | Self::TooLarge { .. } => ErrorKind::Unsupported,
+            Self::NeedsFfmpeg { .. } | Self::DecoderFailed { .. } => ErrorKind::Unavailable,
+            Self::SizeChanges { .. } | Self::TooLarge { .. } => ErrorKind::Unsupported,
             Self::DecoderNotStarted { .. } => ErrorKind::Io,
             Self::Cancelled { .. } => ErrorKind::Cancelled,
             Self::Empty { .. }
@@ -211,7 +213,6 @@ impl ReadVideoError {
             | Self::NothingInRange { .. }
             | Self::DamagedFrames { .. }
             | Self::Ffmpeg { .. }
-            | Self::DecoderFailed { .. }
             | Self::BadOption { .. }
             | Self::NoPictures { .. }
             | Self::PictureSize { .. } => ErrorKind::BadData,

@@ -11,6 +11,9 @@ use std::path::Path;
 /// Bytes of a file's start that tell what it is.
 const START_BYTES: u64 = 512;
 
+/// Said of a file that ffmpeg may still know.
+const UNKNOWN: &str = "its first bytes are those of no known container; give an MP4, MOV, MKV, WebM or AVI file";
+
 /// Reads a clip: a video file or a folder of pictures. Frames come upright (display matrix applied),
 /// in sRGB, in order of time, all of one size; what the user should know is in [`Video::warnings`].
 /// H.264 is decoded by the program of [`super::set_decoder_program`], and in this process where there is none.
@@ -61,9 +64,9 @@ pub fn read_with(
     }
     match container(&start) {
         Ok(what) => ffmpeg::read(path, what, options, decoder, progress),
-        Err(reason) => match ffmpeg::read(path, "of an unknown kind", options, decoder, progress) {
-            // Without ffmpeg the file is most likely no video at all.
-            Err(ReadVideoError::NeedsFfmpeg { .. }) => Err(ReadVideoError::NotVideo {
+        Err(reason) => match ffmpeg::read(path, "of no kind that is known", options, decoder, progress) {
+            // Without ffmpeg what is known of its first bytes must do.
+            Err(ReadVideoError::NeedsFfmpeg { .. }) if reason != UNKNOWN => Err(ReadVideoError::NotVideo {
                 path: path.to_path_buf(),
                 reason: reason.to_owned(),
             }),
@@ -102,7 +105,7 @@ fn container(start: &[u8]) -> Result<&'static str, &'static str> {
     if start.iter().all(|&b| b == 0) {
         return Err("it starts with zeros, as after a copy that was interrupted; copy it again");
     }
-    Err("its first bytes are those of no known container; give an MP4, MOV, MKV, WebM or AVI file")
+    Err(UNKNOWN)
 }
 
 fn mp4(

@@ -1,7 +1,7 @@
 //! `minute4d batch`
 
 use super::{DeviceArgs, LengthArgs, ReachArgs, SettingsArgs, VideoArgs, WithoutArgs, values};
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand};
 use std::path::PathBuf;
 
 /// `minute4d batch`
@@ -17,18 +17,18 @@ pub struct Batch {
 pub enum BatchAction {
     /// List clips and settings in a manifest
     Plan(Box<BatchPlan>),
-    /// Do the jobs of a manifest, together with any number of other workers
+    /// Run one job of a manifest
     Run(BatchRun),
-    /// Hand a manifest to a cluster
+    /// Submit the jobs of a manifest to Slurm, as an array
     Submit(BatchSubmit),
-    /// Say how far the jobs of a manifest are, from their results alone
+    /// Show the progress of a manifest's jobs
     Status(BatchStatus),
 }
 
 /// `minute4d batch plan`
 #[derive(Debug, Args)]
 pub struct BatchPlan {
-    /// Videos, folders, patterns such as 'clips/*.mp4', or @LIST, a text file with one of these a line
+    /// Videos, folders, or @LIST, a text file with one of these a line
     #[arg(required_unless_present = "print_config", value_name = "VIDEOS")]
     pub given: Vec<String>,
     /// The manifest
@@ -75,28 +75,12 @@ pub struct BatchRun {
     /// The manifest
     #[arg(long, value_name = "FILE")]
     pub manifest: PathBuf,
-    /// Do this job alone, counted from 0 [default: SLURM_ARRAY_TASK_ID, JOB_COMPLETION_INDEX, AWS_BATCH_JOB_ARRAY_INDEX or
-    /// HQ_TASK_ID, whichever is set first; without any, all jobs]
-    #[arg(long, value_name = "I")]
+    /// Index of the job, counted from 0 [default: SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX, whichever is set first]
+    #[arg(long, value_name = "N")]
     pub index: Option<usize>,
-    /// With an index: do every N-th job from it on
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub stride: Option<u32>,
-    /// Make scenes in this folder and copy them when they are whole [default: beside the results]
-    #[arg(long, value_name = "DIR")]
-    pub scratch: Option<PathBuf>,
-    /// A worker that has not been heard of for so long counts as dead, and its job is another's
-    #[arg(long, value_name = "S", default_value = "120", value_parser = clap::value_parser!(u32).range(4..=86_400))]
-    pub lease_seconds: u32,
-    /// Give a clip up after so many crashes
-    #[arg(long, value_name = "N", default_value = "3", value_parser = clap::value_parser!(u32).range(1..=100))]
-    pub attempts: u32,
-    /// Try again what was given up
+    /// Run it again although it failed permanently
     #[arg(long)]
     pub retry_failed: bool,
-    /// Do not wait for jobs that other workers have
-    #[arg(long)]
-    pub no_wait: bool,
 }
 
 /// `minute4d batch submit`
@@ -105,46 +89,15 @@ pub struct BatchSubmit {
     /// The manifest
     #[arg(long, value_name = "FILE")]
     pub manifest: PathBuf,
-    /// What the cluster runs
-    #[arg(long, value_enum, default_value = "slurm")]
-    pub engine: Engine,
-    /// GPUs a task
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub gpus: Option<u32>,
-    /// Most tasks at work at once
+    /// Maximum number of tasks of an array to run at the same time
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub max_parallel: Option<u32>,
-    /// Time of a task, such as 02:00:00; it is told to save two minutes before its end and put into the queue again
-    #[arg(long, value_name = "T")]
-    pub time: Option<String>,
-    /// The partition
-    #[arg(long, value_name = "P")]
-    pub partition: Option<String>,
-    /// Cores a task
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub cpus: Option<u32>,
-    /// Memory of a task, such as 16G
-    #[arg(long, value_name = "M")]
-    pub mem: Option<String>,
-    /// Anything else for sbatch, such as --sbatch-arg=--account=me; may be given more than once
-    #[arg(long, value_name = "ARG", allow_hyphen_values = true)]
-    pub sbatch_arg: Vec<String>,
-    /// Make scenes in this folder of the node and copy them when they are whole
-    #[arg(long, value_name = "DIR")]
-    pub scratch: Option<PathBuf>,
-    /// Seconds after which a worker that is not heard of counts as dead
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u32).range(4..=86_400))]
-    pub lease_seconds: Option<u32>,
     /// Write the script and do not submit it
     #[arg(long)]
     pub dry_run: bool,
-}
-
-/// What a cluster runs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Engine {
-    /// Slurm, as an array of jobs
-    Slurm,
+    /// Options of sbatch, such as --gres=gpu:1 --cpus-per-task=8 --time=02:00:00
+    #[arg(last = true, value_name = "SBATCH OPTIONS")]
+    pub options: Vec<String>,
 }
 
 /// `minute4d batch status`
@@ -159,7 +112,4 @@ pub struct BatchStatus {
     /// Write a page with a picture and the figures of every clip; one file that loads nothing
     #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
-    /// A worker that has not been heard of for so long counts as dead
-    #[arg(long, value_name = "S", default_value = "120", value_parser = clap::value_parser!(u32).range(4..=86_400))]
-    pub lease_seconds: u32,
 }

@@ -65,8 +65,8 @@ use clap::{Args, Parser, Subcommand};
     name = "minute4d",
     version,
     max_term_width = 100,
-    after_help = "Exit codes: 0 done; 1 a bug; 2 wrong arguments; 65 bad input; 66 no input; 69 no usable device; 73 cannot write; \
-                  74 reading failed; 75 try again later; 78 bad settings; 130 and 143 stopped by a signal (run again with --resume)."
+    after_help = "Exit codes: 0 done; 1 a bug; 2 wrong arguments; 65 bad input; 66 no input; 69 no usable device, decoder or \
+                  weights; 73 cannot write; 74 reading failed; 75 try again later; 78 bad settings; 130 and 143 stopped by a signal (run again with --resume)."
 )]
 pub struct Cli {
     /// What to do.
@@ -192,11 +192,10 @@ mod tests {
             "batch plan a -o b",
             "batch plan -o b --out c",
             "batch run",
-            "batch run --manifest a --attempts 0",
-            "batch run --manifest a --lease-seconds 1",
-            "batch run --manifest a --stride 0 --index 1",
+            "batch run --manifest a --index 1 --stride 2",
             "batch run --manifest a --index -1",
-            "batch submit --manifest a --engine cron",
+            "batch submit --manifest a --max-parallel 0",
+            "batch submit --manifest a --gres=gpu:1",
         ];
         for line in bad {
             let args = std::iter::once("minute4d").chain(line.split(' '));
@@ -219,8 +218,8 @@ mod tests {
             "reproduce dycheck --data a -o b --protocols instant4d,rodygs --scenes apple,spin --preset draft",
             "bench --splats 10,20 --size 480x360,96x72 --scene static,4d --quick --save",
             "batch plan a b --recursive -o jobs.jsonl --out c --preset draft --set train.seed=1 --device cpu --no-track",
-            "batch run --manifest a --index 3 --stride 10 --scratch b --attempts 1 --retry-failed --no-wait",
-            "batch submit --engine slurm --manifest a --gpus 1 --max-parallel 64 --sbatch-arg=--account=me --dry-run",
+            "batch run --manifest a --index 3 --retry-failed",
+            "batch submit --manifest a --max-parallel 64 --dry-run -- --gres=gpu:1 --account=me",
             "batch status --manifest a --failed --html b --json",
         ];
         for line in good {

@@ -75,7 +75,7 @@ impl DecoderEnd {
                  trusted, raise video.decoder.memory_mb"
             }
             Self::Signal { .. } | Self::Messages { .. } | Self::Answer { .. } => {
-                "the clip is damaged, or made to break decoders: copy or export it again"
+                "if it fails on another machine, too, the clip is damaged, or made to break decoders: copy or export it again"
             }
         }
     }
@@ -117,6 +117,14 @@ pub fn is_of_memory(line: &str) -> bool {
     ]
     .iter()
     .any(|words| line.contains(words))
+}
+
+/// True for the words with which ffmpeg and ffprobe say that the bytes of a clip are bad: not that they could not be read.
+pub fn is_of_data(line: &str) -> bool {
+    // A list of other files is refused as an invalid argument, after words about the whitelist.
+    ["invalid data found", "end of file", "on whitelist"]
+        .iter()
+        .any(|words| line.to_ascii_lowercase().contains(words))
 }
 
 #[cfg(unix)]

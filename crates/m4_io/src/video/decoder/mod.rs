@@ -24,7 +24,7 @@ mod rlimits;
 mod tasks;
 
 pub use child::{Child, Halt, Start};
-pub use end::{DecoderEnd, is_of_memory};
+pub use end::{DecoderEnd, is_of_data, is_of_memory};
 pub use launch::{NOT_STARTED, become_program, command};
 pub use limits::{Allowed, DecoderLimits, Work};
 pub use program::{DecoderProgram, decoder_program, set_decoder_program};

@@ -2,7 +2,7 @@
 
 use super::child::{command, probe_beside, start};
 use crate::video::colour::Hdr;
-use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, NOT_STARTED, Work};
+use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, NOT_STARTED, Work, is_of_data};
 use crate::video::{ReadVideoError, VideoOptions};
 use m4_scene::Progress;
 use serde::Deserialize;
@@ -123,6 +123,10 @@ pub fn describe(
         let last = said.last().map_or("no reason given", String::as_str);
         if let Some((_, reason)) = last.split_once(NOT_STARTED).filter(|_| launcher.is_some()) {
             return Err(needed(reason.to_owned()));
+        }
+        if !said.iter().any(|line| is_of_data(line)) {
+            let what = format!("it says {:?}", last.trim());
+            return Err(Halt::Failed(DecoderEnd::Answer { what }).into_error(path, "ffprobe"));
         }
         let name = format!("file:{}: ", path.display());
         return Err(ReadVideoError::NotVideo {

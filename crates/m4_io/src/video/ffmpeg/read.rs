@@ -4,7 +4,7 @@ use super::child::{command, start};
 use super::log::{FrameInfo, Line, parse};
 use super::probe::{Description, describe};
 use crate::video::colour::ToneMap;
-use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, Work, is_of_memory};
+use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, Work, is_of_data, is_of_memory};
 use crate::video::plan::{self, Collector};
 use crate::video::{ReadVideoError, VideoOptions};
 use m4_scene::{Plane, Progress, RgbImage, Video};
@@ -30,6 +30,8 @@ struct Complaints {
     first: Vec<String>,
     /// One of them says that memory ran out.
     of_memory: bool,
+    /// One of them says that the bytes of the clip are bad.
+    of_data: bool,
 }
 
 /// Reads `path`; `what` names the codec or container and why it is not decoded without ffmpeg, which `launcher` starts.
@@ -66,7 +68,10 @@ pub fn read(
     };
     match decode(["-fps_mode", "passthrough"]) {
         // Before ffmpeg 5.1 the option had another name.
-        Err(ReadVideoError::Ffmpeg { reason, .. }) if reason.contains("fps_mode") => decode(["-vsync", "passthrough"]),
+        Err(ReadVideoError::DecoderFailed {
+            how: DecoderEnd::Answer { what },
+            ..
+        }) if what.contains("fps_mode") => decode(["-vsync", "passthrough"]),
         other => other,
     }
 }
@@ -132,6 +137,7 @@ impl<'a> Decoder<'a> {
                     let mut complaints = for_thread.lock().unwrap_or_else(PoisonError::into_inner);
                     complaints.count += 1;
                     complaints.of_memory |= is_of_memory(&message);
+                    complaints.of_data |= is_of_data(&message);
                     if complaints.first.len() < KEPT_COMPLAINTS {
                         complaints.first.push(message);
                     }
@@ -281,6 +287,10 @@ impl<'a> Decoder<'a> {
         let Some(mut collector) = collector else {
             let reason = complaints.first.join("; ");
             let reason = if reason.is_empty() { said } else { reason };
+            if !complaints.of_data {
+                // It shows no frame, and says nothing against the clip: it may not have been able to read it.
+                return Err(Halt::Failed(DecoderEnd::Answer { what: reason }).into_error(&path, "ffmpeg"));
+            }
             return Err(ReadVideoError::Ffmpeg { path, reason });
         };
         if let Some(hdr) = description.hdr {

@@ -31,21 +31,22 @@ pub fn run(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
         recursive: args.recursive,
         results: &results,
         run: arguments(args, &settings, manifest)?,
-        training_s: Some(settings.train.budget_s).filter(|s| *s > 0.0),
         hash: &super::hash,
     })?;
     planned.write(manifest, args.force)?;
-    let training: f64 = planned.jobs.iter().filter_map(|j| j.estimate_s).sum();
+    let training = settings.train.budget_s.max(0.0) * planned.jobs.len() as f64;
     let bytes: u64 = planned.jobs.iter().map(|j| j.bytes).sum();
     let spent = match training > 0.0 {
         true => format!("; training alone takes {}", duration(training)),
         false => String::new(),
     };
     output.note(&format!(
-        "{} clips, {:.1} MB{spent}; `minute4d batch run --manifest {}` does them",
+        "{} clips, {:.1} MB{spent}; `minute4d batch submit --manifest {}` submits them to Slurm, and any scheduler may start \
+         `minute4d batch run` with --index 0 to {}",
         planned.jobs.len(),
         bytes as f64 / 1e6,
-        manifest.display()
+        manifest.display(),
+        planned.jobs.len() - 1
     ));
     let ids: Vec<&str> = planned.jobs.iter().map(|j| j.id.as_str()).collect();
     output.result(
@@ -101,7 +102,7 @@ fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<A
     })
 }
 
-/// Files that settings name must be found from whatever folder a worker is started in.
+/// Files that settings name must be found from whatever folder a job is started in.
 fn whole_paths(settings: &mut Settings) -> Result<(), Failure> {
     let geometry = &mut settings.geometry;
     for path in [&mut geometry.poses, &mut geometry.masks, &mut geometry.depth]

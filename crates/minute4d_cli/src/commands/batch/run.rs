@@ -1,43 +1,25 @@
-//! `minute4d batch run`: a worker.
+//! `minute4d batch run`: one job.
 
 use crate::args::{BatchRun, Common};
 use crate::failure::Failure;
 use crate::output::{Output, duration};
-use minute4d::Progress;
-use minute4d::batch::{
-    JobEnd, Listener, Manifest, Share, Summary, Tools, WorkError, WorkOptions, index_of_environment, work,
-};
+use minute4d::batch::{BatchError, JobEnd, Manifest, Outcome, Tools, Watch, index_of_environment, run_job};
+use minute4d::{Category, Progress};
 use serde_json::json;
-use std::time::Duration;
 use sysinfo::System;
-
-/// Something is left to be tried again.
-const AGAIN: u8 = 75;
-/// The one job of this worker will never work.
-const POISON: u8 = 65;
 
 pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Failure> {
     output.stop().of_an_engine();
-    let manifest = Manifest::read(&args.manifest)?;
+    let manifest = Manifest::read(&args.manifest).map_err(elsewhere)?;
     let index = match args.index {
         Some(index) => Some(index),
         None => index_of_environment(|name| std::env::var(name).ok())?,
     };
-    let options = WorkOptions {
-        share: Share::new(index, args.stride.map(|n| n as usize)),
-        scratch: args
-            .scratch
-            .as_deref()
-            .map(std::path::absolute)
-            .transpose()
-            .map_err(|source| minute4d::Error::Read {
-                path: args.scratch.clone().unwrap_or_default(),
-                source,
-            })?,
-        lease: Duration::from_secs(args.lease_seconds.into()),
-        attempts: args.attempts,
-        retry_failed: args.retry_failed,
-        wait: !args.no_wait,
+    let Some(index) = index else {
+        let last = manifest.jobs.len().saturating_sub(1);
+        return Err(Failure::usage(&format!(
+            "which job? --index takes 0 to {last}; a scheduler starts one process for each (docs/batch.md)"
+        )));
     };
     let program = std::env::current_exe().map_err(|e| minute4d::Error::Internal {
         what: format!("this program does not know where it is: {e}"),
@@ -50,82 +32,63 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
         hash: &super::hash,
         host: System::host_name().unwrap_or_else(|_| "unknown".to_owned()),
     };
-    let summary = work(&manifest, &options, &tools, &Voice(output)).map_err(elsewhere)?;
-    let text = words(&summary);
+    let end = run_job(&manifest, index, args.retry_failed, &tools, &Voice(output)).map_err(elsewhere)?;
+    let id = &manifest.jobs[index].id;
+    let text = words(id, &end);
     output.result(
         &text,
-        json!({
-            "jobs": summary.jobs, "done": summary.done, "done_before": summary.done_before, "poison": summary.poison,
-            "again": summary.again,
-            "reasons": summary.reasons.iter().map(|(id, why)| json!({"id": id, "reason": why})).collect::<Vec<_>>(),
-        }),
+        json!({"index": index, "id": id, "outcome": end.outcome, "seconds": end.seconds, "reason": end.reason}),
     );
-    ended(&summary, index.is_some(), output)
-}
-
-/// What a machine cannot write or read may be better on another, or later.
-fn elsewhere(error: WorkError) -> Failure {
-    let code = matches!(error, WorkError::File(_)).then_some(AGAIN);
-    let failure = Failure::from(error);
-    Failure {
-        code: code.unwrap_or(failure.code),
-        ..failure
-    }
-}
-
-/// The exit code of a worker: what should be tried again comes before what never will work.
-fn ended(summary: &Summary, indexed: bool, output: &Output) -> Result<(), Failure> {
-    let first = |what: &str| {
-        let (id, why) = summary.reasons.first().cloned().unwrap_or_default();
-        format!("{what}; {id}: {why}")
+    let code = match end.outcome {
+        Outcome::Done => return Ok(()),
+        Outcome::Failed => Category::BadInput.exit_code(),
+        // Ctrl-C keeps its own code: whoever pressed it wants no scheduler to begin anew.
+        Outcome::Retryable => {
+            let pressed = output
+                .stop()
+                .code()
+                .filter(|&code| code == Category::Stopped.exit_code());
+            pressed.unwrap_or(Category::TryAgain.exit_code())
+        }
     };
-    if summary.again > 0 {
-        // Ctrl-C keeps its own code: whoever pressed it wants no engine to begin anew.
-        let code = output.stop().code().filter(|&code| code == 130).unwrap_or(AGAIN);
-        let reason = first(&format!(
-            "{} of {} jobs should be tried again",
-            summary.again, summary.jobs
-        ));
-        return Err(Failure { code, reason });
-    }
-    if summary.poison > 0 && indexed && summary.jobs == 1 {
-        return Err(Failure {
-            code: POISON,
-            reason: first("this job was given up"),
-        });
-    }
-    Ok(())
+    Err(Failure { code, reason: text })
 }
 
-fn words(summary: &Summary) -> String {
-    let mut text = format!(
-        "{} jobs: {} done, {} done before, {} given up, {} to be tried again\n",
-        summary.jobs, summary.done, summary.done_before, summary.poison, summary.again
-    );
-    for (id, why) in &summary.reasons {
-        text += &format!("{id}: {why}\n");
+/// What cannot be read or written here may be so on another machine, or later; what is wrong with a manifest is no fault of a clip.
+fn elsewhere(error: BatchError) -> Failure {
+    let category = match &error {
+        BatchError::Read { .. } | BatchError::Write { .. } => Category::TryAgain,
+        BatchError::Manifest { .. } => Category::BadSettings,
+        _ => return error.into(),
+    };
+    Failure {
+        code: category.exit_code(),
+        ..error.into()
     }
-    text
 }
 
-/// The worker talks through the program's voice.
+fn words(id: &str, end: &JobEnd) -> String {
+    match (end.outcome, end.seconds) {
+        (Outcome::Done, Some(seconds)) => format!("{id}: done in {}", duration(seconds)),
+        (Outcome::Done, None) => format!("{id}: done before"),
+        (Outcome::Failed, Some(_)) => format!("{id} failed permanently: {}", end.reason),
+        (Outcome::Failed, None) => format!(
+            "{id} failed permanently before, and is not run again without --retry-failed: {}",
+            end.reason
+        ),
+        (Outcome::Retryable, _) => format!("{id} is to be tried again: {}", end.reason),
+    }
+}
+
+/// The run talks through the program's voice.
 struct Voice<'a>(&'a Output);
 
-impl Listener for Voice<'_> {
+impl Watch for Voice<'_> {
     fn stop(&self) -> bool {
         self.0.cancelled()
     }
 
-    fn progress(&self, id: &str, phase: &str, done: usize, total: usize, note: &str) {
-        self.0.update(&format!("{id}: {phase}"), done, total, note);
-    }
-
-    fn ended(&self, id: &str, end: &JobEnd) {
-        match end {
-            JobEnd::Done { seconds: Some(s) } => self.0.note(&format!("{id}: done in {}", duration(*s))),
-            JobEnd::Done { seconds: None } => self.0.note(&format!("{id}: done before")),
-            JobEnd::Poison { reason } => self.0.warn(&format!("{id} is given up: {reason}")),
-            JobEnd::Again { reason, .. } => self.0.warn(&format!("{id} is to be tried again: {reason}")),
-        }
+    fn progress(&self, phase: &str, done: usize, total: usize, note: &str) {
+        self.0.update(phase, done, total, note);
     }
 }

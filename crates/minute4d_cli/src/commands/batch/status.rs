@@ -3,19 +3,18 @@
 use crate::args::BatchStatus;
 use crate::failure::Failure;
 use crate::output::Output;
-use minute4d::batch::{Manifest, Report, sheet};
+use minute4d::batch::{Manifest, Report, page};
 use minute4d::io::atomic;
-use std::time::Duration;
 
 pub fn run(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
     let manifest = Manifest::read(&args.manifest)?;
-    let mut report = Report::read(&manifest, Duration::from_secs(args.lease_seconds.into()))?;
+    let mut report = Report::read(&manifest)?;
     if let Some(path) = &args.html {
         let title = args
             .manifest
             .file_stem()
             .map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        atomic::write(path, sheet(&report, &title).as_bytes()).map_err(|source| minute4d::Error::Write {
+        atomic::write(path, page(&report, &title).as_bytes()).map_err(|source| minute4d::Error::Write {
             path: path.clone(),
             source,
         })?;

@@ -1,11 +1,11 @@
-//! `minute4d batch submit`: a manifest to a cluster.
+//! `minute4d batch submit`: a manifest to Slurm.
 
 use crate::args::BatchSubmit;
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::Error;
 use minute4d::batch::Manifest;
-use minute4d::batch::slurm::{Options, Script, largest_array, submit};
+use minute4d::batch::slurm::{Script, largest_array, submit};
 use minute4d::io::atomic;
 use serde_json::json;
 use std::path::{Path, PathBuf};
@@ -13,33 +13,20 @@ use std::path::{Path, PathBuf};
 pub fn run(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     let path = whole(&args.manifest)?;
     let manifest = Manifest::read(&path)?;
-    let options = Options {
-        gpus: args.gpus,
-        max_parallel: args.max_parallel,
-        time: args.time.clone(),
-        partition: args.partition.clone(),
-        cpus: args.cpus,
-        memory: args.mem.clone(),
-        scratch: args.scratch.as_deref().map(whole).transpose()?,
-        more: args.sbatch_arg.clone(),
-    };
     let program = std::env::current_exe().map_err(|e| Error::Internal {
         what: format!("this program does not know where it is: {e}"),
     })?;
     let logs = path.with_extension("logs");
-    let worker = args
-        .lease_seconds
-        .map_or_else(Vec::new, |s| vec!["--lease-seconds".to_owned(), s.to_string()]);
     let script = Script {
         program: &program,
         manifest: &path,
         logs: &logs,
         jobs: manifest.jobs.len(),
         largest: largest_array(),
-        options: &options,
-        worker: &worker,
+        max_parallel: args.max_parallel,
+        options: &args.options,
     };
-    let (file, text, tasks) = (path.with_extension("sbatch"), script.text()?, script.tasks());
+    let (file, text, arrays) = (path.with_extension("sbatch"), script.text()?, script.arrays());
     let failed = |path: &Path| {
         let path = path.to_path_buf();
         move |source| Error::Write { path, source }
@@ -48,22 +35,30 @@ pub fn run(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     std::fs::create_dir_all(&logs).map_err(failed(&logs))?;
     atomic::write(&file, text.as_bytes()).map_err(failed(&file))?;
     output.note(&format!(
-        "{} jobs in {tasks} tasks; they write to {}",
+        "{} jobs in {} array(s); they write to {}",
         manifest.jobs.len(),
+        arrays.len(),
         logs.display()
     ));
-    if args.dry_run {
-        let value = json!({"script": file, "tasks": tasks, "logs": logs, "submitted": false});
-        output.result(&file.display().to_string(), value);
-        return Ok(());
+    let mut ids = Vec::new();
+    if !args.dry_run {
+        for (first, tasks) in &arrays {
+            ids.push(submit(&file, *first, tasks)?);
+        }
+        output.note(&format!(
+            "`minute4d batch status --manifest {}` shows their progress",
+            path.display()
+        ));
     }
-    let id = submit(&file)?;
-    output.note(&format!(
-        "`minute4d batch status --manifest {}` says how far they are",
-        path.display()
-    ));
-    let value = json!({"script": file, "tasks": tasks, "logs": logs, "submitted": true, "job": id});
-    output.result(&id, value);
+    let text = match args.dry_run {
+        true => file.display().to_string(),
+        false => ids.join("\n"),
+    };
+    let indices: Vec<&String> = arrays.iter().map(|(_, tasks)| tasks).collect();
+    output.result(
+        &text,
+        json!({"script": file, "arrays": indices, "logs": logs, "submitted": !args.dry_run, "ids": ids}),
+    );
     Ok(())
 }
 
