@@ -1,8 +1,5 @@
 //! How solid the dynamic layer of a trained run is, and how well the run re-renders its own frames.
 
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
-#![expect(clippy::print_stdout, reason = "figures are read by people")]
-
 use crate::lifetimes::dynamic;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::scene_file;
