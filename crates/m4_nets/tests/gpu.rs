@@ -253,6 +253,7 @@ fn mobile_sam_says_the_same_as_on_the_processor() {
         return;
     };
     let (_folder, path) = checkpoint(include_str!("../../../fixtures/mobile_sam/keys.txt"));
+    let image = pattern(96, 64, 0.0);
     let prompt = Prompt {
         points: vec![PointPrompt {
             at_px: [40.0, 30.0],
@@ -263,7 +264,7 @@ fn mobile_sam_says_the_same_as_on_the_processor() {
     };
     let logits = |on: &Device| {
         let net = MobileSam::load(&path, on).unwrap();
-        let embedding = net.encode(&a).unwrap();
+        let embedding = net.encode(&image).unwrap();
         let masks = net.masks(&embedding, &prompt).unwrap();
         masks[0].logits_at((96, 64)).data().to_vec()
     };

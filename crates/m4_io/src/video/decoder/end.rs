@@ -109,6 +109,7 @@ pub fn is_of_memory(line: &str) -> bool {
     let line = line.to_ascii_lowercase();
     [
         "cannot allocate memory",
+        "cannot map zero-fill pages",
         "memory allocation of",
         "bad_alloc",
         "memory exhausted",
