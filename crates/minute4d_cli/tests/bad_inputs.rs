@@ -83,7 +83,7 @@ fn a_codec_that_needs_ffmpeg_where_there_is_none() {
     refused_with(
         &["geometry", &hevc, "-o", &out],
         &[("PATH", "")],
-        65,
+        69,
         &["hevc.mp4", "ffmpeg", "install"],
     );
 }
