@@ -40,5 +40,6 @@ pub use error::{ReadVideoError, WriteVideoError};
 pub use folder::{natural, pictures};
 pub use h264::serve as serve_decoder;
 pub use options::VideoOptions;
+pub use plan::evenly;
 pub use read::{read, read_with};
 pub use write::Mp4Writer;

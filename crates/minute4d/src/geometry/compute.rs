@@ -1,5 +1,6 @@
 //! From frames to a capture.
 
+use super::between;
 use super::confidence::{Confidence, Grade};
 #[cfg(feature = "nets")]
 use super::frontend::Cameras;
@@ -43,7 +44,8 @@ pub(super) fn compute(
     steps: &Steps<'_>,
     observer: &dyn Observer,
 ) -> Result<Found, Error> {
-    let video = m4_io::video::read(input, &settings.video, observer)?;
+    let between = between::Between::of(settings, plan);
+    let video = m4_io::video::read(input, &between.to_read(&settings.video), observer)?;
     for warning in &video.warnings {
         observer.warn(warning);
     }
@@ -63,7 +65,9 @@ pub(super) fn compute(
         let (capture, found) = super::megasam::compute(clip, settings, plan, device, steps, observer)?;
         return finish(capture, found, folder, settings, enhance, device, steps, observer);
     }
-    let (capture, found) = by_corners(clip, settings, config, plan, segmenter, device, steps, observer)?;
+    let (capture, mut found) = by_corners(clip, settings, config, plan, segmenter, device, steps, observer)?;
+    let capture = between.keep(capture, observer)?;
+    found.frames = capture.frames.len();
     finish(capture, found, folder, settings, enhance, device, steps, observer)
 }
 

@@ -12,6 +12,7 @@
 //! This file keeps the record and the folder; `compute` does the work, `frontend` chooses who measures flow, `segmenter` who outlines what moves,
 //! `given` reads what the user knows, `confidence` says how far the result can be trusted.
 
+mod between;
 mod compute;
 mod confidence;
 mod frontend;
