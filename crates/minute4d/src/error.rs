@@ -134,7 +134,7 @@ pub enum Error {
     )]
     NoGpuSupport,
     /// A folder was to be made where a file is.
-    #[error("{} is a file, and a folder of that name is to be made; choose another name", path.display())]
+    #[error("cannot create the folder {}: a file with that name exists; choose another name", path.display())]
     InTheWay {
         /// The file.
         path: PathBuf,

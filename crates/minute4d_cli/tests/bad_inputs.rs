@@ -219,7 +219,7 @@ fn outputs_that_cannot_be() {
         refused(&args, 73, words);
     };
     let file = dir.write("file", "mine");
-    to(&file, &[], &["file", "is a file"]);
+    to(&file, &[], &["file", "a file with that name exists"]);
     to(&dir.at("file/out"), &[], &["file", "cannot write"]);
     fs::create_dir(dir.path("foreign")).unwrap();
     dir.write("foreign/thesis.txt", "mine");

@@ -69,7 +69,7 @@ fn a_tripod() {
     let still = picture(&camera(0.0, 0.0, FOCAL_PX));
     let (found, warnings) = found((0..12).map(|i| noisy(&still, i)).collect(), &[]);
     assert_eq!(found["camera_motion"], "static", "{found}");
-    contains(&warnings, &["standing still", "geometry is poor", "--depth"]);
+    contains(&warnings, &["appears to be static", "geometry is poor", "--depth"]);
 }
 
 #[test]
@@ -77,7 +77,7 @@ fn the_same_frame_again_and_again() {
     let still = picture(&camera(0.0, 0.0, FOCAL_PX));
     let (found, warnings) = found(vec![still; 8], &[]);
     assert_eq!(found["camera_motion"], "static", "{found}");
-    contains(&warnings, &["standing still"]);
+    contains(&warnings, &["appears to be static"]);
     assert_eq!(found["moving_share"], 0.0);
 }
 

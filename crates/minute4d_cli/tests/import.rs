@@ -75,7 +75,7 @@ fn wrong_requests_are_refused_with_advice() {
             2,
             "no format is called obj",
         ),
-        (vec!["import", &davis, "-o", &out], 65, "no poses"),
+        (vec!["import", &davis, "-o", &out], 65, "no camera poses"),
         (
             vec!["import", &colmap, "-o", &out, "--fix", "--no-check"],
             2,

@@ -51,7 +51,7 @@ impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Masks => {
-                f.write_str("the masks look turned round (what they say moves fits the cameras, what rests does not)")
+                f.write_str("the masks look inverted (pixels marked dynamic fit the cameras, pixels marked static do not)")
             }
             Self::Inverted => f.write_str("the poses look inverted (world to camera taken for camera to world)"),
             Self::Axes => {

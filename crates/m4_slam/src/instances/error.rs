@@ -33,7 +33,7 @@ pub enum InstanceError {
     },
     /// A map of motion is the other way round.
     #[error(
-        "the maps of motion look turned round ({evidence}): high values are to mean that something moves. If they mean that it rests, set \
+        "the motion maps look inverted ({evidence}): high values must mean dynamic. If they mean static, set \
          `reading = \"still\"`; if they are right as they are, `reading = \"moving\"`"
     )]
     Polarity {

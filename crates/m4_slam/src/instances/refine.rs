@@ -120,7 +120,7 @@ fn polarity(
         match evidence.verdict() {
             Polarity::Moving => {}
             Polarity::Doubtful => progress.warn(&format!(
-                "the maps of motion may be turned round ({evidence}): if high values mean that something rests, set `reading = \"still\"`"
+                "the motion maps may be inverted ({evidence}): if high values mean static, set `reading = \"still\"`"
             )),
             Polarity::Still => return Err(InstanceError::Polarity { evidence }),
         }

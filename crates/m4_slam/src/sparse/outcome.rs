@@ -15,7 +15,7 @@ impl Clip<'_> {
         let typical = map.median_error(&self.tracks).unwrap_or(0.0);
         if typical > 1.0 {
             self.warn(format!(
-                "points are explained to {typical:.2} px only (working size; below 1 px is usual): poses are doubtful"
+                "high reprojection error: median {typical:.2} px (at working size; below 1 px is normal); camera poses may be wrong"
             ));
         }
         let fov = self.fov_deg(map.focal);
@@ -42,7 +42,7 @@ impl Clip<'_> {
         }
         let points = map.points.iter().flatten().count();
         if points < 100 {
-            self.warn(format!("only {points} points were triangulated: poses are doubtful"));
+            self.warn(format!("only {points} points were triangulated; camera poses may be wrong"));
         }
         sigma
     }

@@ -287,7 +287,7 @@ impl Clip<'_> {
     fn still(&mut self, why: &str) -> Map {
         let map = standing(&self.tracks, self.frames, self.default_focal());
         self.warn(format!(
-            "camera taken as standing still: {why}; depth cannot be measured and new views will be plausible at best{}",
+            "the camera appears to be static: {why}; depth cannot be measured, so novel views are a guess{}",
             self.focal_note()
         ));
         map
@@ -313,7 +313,7 @@ impl Clip<'_> {
         if found.lost > 0 {
             let (lost, frames) = (found.lost, self.frames);
             self.warn(format!(
-                "{lost} of {frames} frames took the rotation of the frame before"
+                "rotation could not be estimated for {lost} of {frames} frames; the previous frame's rotation was used"
             ));
         }
         let focal = match self.untold_focal() {

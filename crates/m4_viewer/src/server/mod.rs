@@ -43,7 +43,7 @@ use tokio::sync::oneshot;
 pub enum ServeError {
     /// Something else listens there.
     #[error(
-        "port {port} of 127.0.0.1 is in use; choose another one with --port, or leave --port away and a free one is taken"
+        "port {port} of 127.0.0.1 is in use; choose another one with --port, or omit --port to use a free one"
     )]
     InUse {
         /// The port that was asked for.

@@ -86,7 +86,7 @@ pub enum ProtocolError {
         found: (usize, usize),
     },
     /// Refinement was asked of a protocol that has none.
-    #[error("the protocol {0} does not refine the poses of test pictures; leave --refine-poses away")]
+    #[error("the protocol {0} does not refine the poses of test images; omit --refine-poses")]
     NoRefinement(Protocol),
     /// A network of LPIPS failed.
     #[error("LPIPS of the view {view} failed: {why}")]

@@ -53,7 +53,7 @@ pub enum ImportError {
         first: PathBuf,
     },
     /// A clip without poses.
-    #[error("{} is of DAVIS, whose clips have no poses; `minute4d run PICTURES --masks ANNOTATIONS -o OUT`, with the folders of one clip, finds them", path.display())]
+    #[error("{} is a DAVIS clip, which has no camera poses; estimate them with `minute4d run IMAGES --masks ANNOTATIONS -o OUT`, with the folders of one clip", path.display())]
     NoPoses {
         /// The folder.
         path: PathBuf,

@@ -18,7 +18,7 @@ pub enum WeightsError {
         near: Option<&'static str>,
     },
     /// They are needed and not there.
-    #[error("the weights {name} are not there: {how}. Lost without them: {without}")]
+    #[error("the weights {name} are not installed: {how}. Without them: {without}")]
     Absent {
         /// Which.
         name: &'static str,

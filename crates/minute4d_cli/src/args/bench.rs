@@ -14,7 +14,7 @@ pub struct Bench {
     /// Sizes of the image, pixels [default: 480x360,960x720]
     #[arg(long, value_name = "WxH", value_delimiter = ',', value_parser = image_size)]
     pub size: Option<Vec<(u16, u16)>>,
-    /// Scenes that stand still, scenes that move [default: both]
+    /// Static scenes, dynamic scenes [default: both]
     #[arg(long, value_enum, value_delimiter = ',')]
     pub scene: Option<Vec<BenchScene>>,
     /// Times that each view is stepped; the fastest counts [default: 15]

@@ -15,10 +15,10 @@ pub struct Enhance {
     /// Folder for the enhanced capture
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// Who tells things apart and outlines them [default: auto]
+    /// Segmentation method [default: auto]
     #[arg(long, value_enum)]
     pub segmenter: Option<Segmenter>,
-    /// Who follows points of what moves [default: auto]
+    /// Tracking method [default: auto]
     #[arg(long, value_enum)]
     pub tracker: Option<Tracker>,
     /// Where networks run: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`

@@ -7,15 +7,15 @@ use std::path::PathBuf;
 /// Who measures flow and outlines what moves, and what the user knows of a clip.
 #[derive(Debug, Args)]
 pub struct KnownArgs {
-    /// Who finds cameras, measures flow and knows depth: `auto`, or parts joined by `+`: `megasam` (cameras, by a network), `classical`,
-    /// `raft` (flow), `moge`, `unidepth`, `depth-anything` (depth from one picture); all but `classical` need weights
-    /// (`minute4d weights list`) [default: auto]
+    /// Front end, the methods for camera poses, optical flow and monocular depth: `auto`, or parts joined by `+`: `megasam` (poses, by a
+    /// network), `classical`, `raft` (flow), `moge`, `unidepth`, `depth-anything` (depth); all but `classical` need weights (`minute4d
+    /// weights list`) [default: auto]
     #[arg(long, value_name = "WORD+WORD", value_parser = frontend)]
     pub frontend: Option<Frontend>,
-    /// Who outlines what moves [default: auto]
+    /// Segmentation method [default: auto]
     #[arg(long, value_enum)]
     pub segmenter: Option<Segmenter>,
-    /// Who follows points of what moves [default: auto]
+    /// Tracking method [default: auto]
     #[arg(long, value_enum)]
     pub tracker: Option<Tracker>,
     /// The lens: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers in pixels of the frames

@@ -28,10 +28,10 @@ pub struct Render {
     /// Size of the pictures, pixels [default: that of the cameras]
     #[arg(long, value_name = "WxH", value_parser = picture_size)]
     pub size: Option<(usize, usize)>,
-    /// Where that is another shape: cut the view off, or show more of it
+    /// If the aspect ratio differs from that of the cameras: crop the view, or extend it
     #[arg(long, value_enum, default_value = "crop", requires = "size")]
     pub fit: FitArg,
-    /// Longer (above 1) or shorter lens
+    /// Zoom factor; above 1 narrows the field of view
     #[arg(long, value_name = "F", default_value_t = 1.0, value_parser = zoom)]
     pub zoom: f64,
     /// Length, seconds; `source`, `stabilised` and keyframes are played slower or faster
@@ -41,7 +41,7 @@ pub struct Render {
     /// where time stands still; for `train`, `source` and `stabilised`, the one picture that is wanted
     #[arg(long, value_name = "T", help_heading = "Camera paths")]
     pub at: Option<String>,
-    /// Times the motion that is good for the scene, -10 to 10
+    /// Scale the recommended camera motion by this factor, -10 to 10
     #[arg(long, value_name = "F", allow_negative_numbers = true, help_heading = "Camera paths")]
     pub amount: Option<f64>,
     /// `swing`, `bullet`: greatest turn to either side

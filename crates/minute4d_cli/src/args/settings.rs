@@ -38,7 +38,7 @@ pub struct LengthArgs {
     /// How long it may take on this machine, with the fast profile [default: default]
     #[arg(long, value_enum)]
     pub preset: Option<Preset>,
-    /// So many iterations, however long they take
+    /// Number of training iterations (overrides the time budget)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub iterations: Option<u32>,
 }

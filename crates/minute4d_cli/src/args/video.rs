@@ -22,7 +22,7 @@ pub struct VideoArgs {
     /// Horizontal field of view of the camera, degrees, where it is known
     #[arg(long, value_name = "DEG", value_parser = degrees)]
     pub fov: Option<f64>,
-    /// The camera stands still: depth is made up, the picture is not
+    /// Treat the camera as static; depth is then a placeholder
     #[arg(long)]
     pub static_camera: bool,
     /// What replaces a part of the computation.

@@ -7,13 +7,13 @@ use minute4d::settings::Enhancement;
 /// Parts of the method that can be switched off (`minute4d ablate` makes a table of them).
 #[derive(Debug, Args)]
 pub struct WithoutArgs {
-    /// No network outlines what moves
+    /// Disable segmentation networks
     #[arg(long)]
     pub no_seg: bool,
-    /// No points are followed or carried from one frame to another
+    /// Disable point tracking and the propagation of points between frames
     #[arg(long)]
     pub no_track: bool,
-    /// Splats are neither born nor removed while training
+    /// Disable density control: no splats are added or pruned during training
     #[arg(long)]
     pub no_density: bool,
 }

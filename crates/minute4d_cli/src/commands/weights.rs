@@ -29,7 +29,7 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
             let record = weights::add(known(name)?, &store, file, *accept_license).map_err(minute4d::Error::from)?;
             if !record.published {
                 output.warn(&format!(
-                    "nothing is known to compare {name} with; its SHA-256 is {}",
+                    "no published checksum for {name}; the SHA-256 of the file is {}",
                     record.sha256
                 ));
             }
