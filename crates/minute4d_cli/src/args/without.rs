@@ -1,10 +1,10 @@
-//! Parts of the method that can be switched off.
+//! Switches for parts of the method.
 
 use clap::Args;
 use minute4d::Settings;
 use minute4d::settings::Enhancement;
 
-/// Parts of the method that can be switched off (`minute4d ablate` makes a table of them).
+/// Switches for parts of the method (`minute4d ablate` measures each).
 #[derive(Debug, Args)]
 pub struct WithoutArgs {
     /// Disable segmentation networks
@@ -19,7 +19,7 @@ pub struct WithoutArgs {
 }
 
 impl WithoutArgs {
-    /// Switches them off.
+    /// Applies the switches to the settings.
     pub fn apply(&self, settings: &mut Settings) {
         let parts = [
             (self.no_seg, Enhancement::Segmentation),
