@@ -9,7 +9,7 @@ pub const POSTER_FILE: &str = "poster.jpg";
 /// The record of a run.
 pub(crate) const RUN_FILE: &str = "run.json";
 
-/// The folder of results: one folder a clip, and hidden ones for the work itself.
+/// The folder of results: one folder per clip, and hidden ones for the work itself.
 #[derive(Debug, Clone)]
 pub struct Layout {
     root: PathBuf,

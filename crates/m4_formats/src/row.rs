@@ -25,7 +25,7 @@ pub(crate) struct Life {
     pub time_mean: f32,
     /// Natural logarithm of frames.
     pub log_time_sd: f32,
-    /// World units a frame.
+    /// World units per frame.
     pub velocity: [f32; 3],
 }
 

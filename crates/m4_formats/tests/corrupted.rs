@@ -14,7 +14,7 @@ use std::path::Path;
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Damaged files a format.
+/// Damaged files per format.
 const FILES: u64 = 400;
 /// Memory that reading may take, bytes: this, and so many times the file.
 const FREE: usize = 64 << 20;

@@ -56,7 +56,7 @@ pub struct Found {
 #[derive(Debug)]
 pub(crate) struct Tally {
     pub buffer: Buffer,
-    /// Splats touched, one number a cube.
+    /// Splats touched, one number per cube.
     parts: Buffer,
 }
 

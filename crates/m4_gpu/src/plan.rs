@@ -50,7 +50,7 @@ fn part(what: &'static str, buffers: &[usize]) -> Part {
 
 impl Plan {
     /// Training of `n_static` and `n_dynamic` splats on `frames` pictures of `size` (columns, rows) that stay on the
-    /// device, eight bits a channel, with room for `entries` entries of tile lists ([`first_entries`](Self::first_entries) at first; a
+    /// device, eight bits per channel, with room for `entries` entries of tile lists ([`first_entries`](Self::first_entries) at first; a
     /// trainer makes more where a frame has more).
     #[must_use]
     pub fn training(
@@ -236,7 +236,7 @@ fn density_control(columns: &[usize], n: usize, pixels: usize) -> Part {
     }
 }
 
-/// The three buffers of numbers a splat.
+/// The three buffers of numbers per splat.
 fn columns(n_static: usize, n_dynamic: usize, layout: SplatLayout) -> [usize; 3] {
     let [geometry, colour, time] = parts(layout).map(|columns| columns.len());
     let n = n_static + n_dynamic;

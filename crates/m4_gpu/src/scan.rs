@@ -6,7 +6,7 @@ use cubecl::prelude::*;
 /// Numbers a cube: 256 units with four each.
 pub(crate) const BLOCK: usize = 1024;
 
-/// Exclusive sum of one value a unit over a cube of 256.
+/// Exclusive sum of one value per unit over a cube of 256.
 #[cube]
 pub(crate) fn scan_cube(value: u32, shared: &mut Shared<[u32]>) -> u32 {
     let unit = UNIT_POS as usize;

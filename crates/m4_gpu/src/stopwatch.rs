@@ -6,7 +6,7 @@ use cubecl::profile::ProfileDuration;
 use m4_kernels::bench::Kernel;
 use std::time::Duration;
 
-/// Wall clock a kernel, in the order of [`Kernel::ALL`]; 0 for those that did not run.
+/// Wall clock per kernel, in the order of [`Kernel::ALL`]; 0 for those that did not run.
 pub type Laps = [Duration; Kernel::ALL.len()];
 
 /// Does nothing until it is started: only benches pay for it.

@@ -44,7 +44,7 @@ pub struct Trainer {
 
 impl Trainer {
     /// Copies everything to the device; of the `frames`, which have one size, those that fit into `budget_bytes`. The
-    /// others stay here, three bytes a pixel, and are uploaded when they are used.
+    /// others stay here, three bytes per pixel, and are uploaded when they are used.
     ///
     /// # Errors
     ///

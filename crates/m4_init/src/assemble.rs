@@ -150,9 +150,9 @@ struct Tints {
 struct Parts {
     standing: Centroids,
     shell: Shell,
-    /// Time and points, one a keyframe.
+    /// Time and points, one per keyframe.
     moving: Vec<(f64, Centroids)>,
-    /// World units a frame, one a point of each keyframe.
+    /// World units per frame, one a point of each keyframe.
     velocities: Vec<Vec<[f32; 3]>>,
     /// Points that a keyframe cannot see.
     hidden: Vec<Moving>,
@@ -219,7 +219,7 @@ fn motions(
     }
 }
 
-/// Velocities of the points of every keyframe, world units a frame: half the displacement from the
+/// Velocities of the points of every keyframe, world units per frame: half the displacement from the
 /// keyframe before to the one after; one side at the ends; 0 for a lone keyframe.
 fn velocities(moving: &[(f64, Centroids)], fields: &[Fields]) -> Vec<Vec<[f32; 3]>> {
     (0..moving.len())

@@ -26,7 +26,7 @@ pub(crate) struct Carry {
     pub reach: f32,
 }
 
-/// Points of one keyframe with their velocities, world units a frame.
+/// Points of one keyframe with their velocities, world units per frame.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Moving {
     pub points: Centroids,

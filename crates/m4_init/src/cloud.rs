@@ -22,7 +22,7 @@ impl Cloud {
     }
 }
 
-/// Points of one frame that are made when they are looked at: a bit a pixel in place of 15 bytes a point, which for
+/// Points of one frame that are made when they are looked at: a bit per pixel in place of 15 bytes per point, which for
 /// all frames together would be a good part of the memory of a run.
 #[derive(Debug, Clone)]
 pub(crate) struct Pixels {
@@ -59,7 +59,7 @@ impl Pixels {
 pub(crate) struct Clouds {
     /// What stands still, in the frames that it is taken from.
     pub standing: Vec<Pixels>,
-    /// What moves, one a keyframe, in order of time; keyframes without moving pixels included.
+    /// What moves, one per keyframe, in order of time; keyframes without moving pixels included.
     pub moving: Vec<Pixels>,
     /// Median z-depth of the sampled pixels, world units.
     pub median_depth: f64,

@@ -7,7 +7,7 @@ use m4_scene::{Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, P
 
 const WALL: f64 = 4.0;
 const SQUARE: f64 = 2.0;
-/// World units a frame, to the right.
+/// World units per frame, to the right.
 const SPEED: f64 = 0.04;
 
 /// A colour that tells places apart.

@@ -7,7 +7,7 @@ use m4_scene::{Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, P
 const WALL: f32 = 4.0;
 const SQUARE: f32 = 2.0;
 const PILLAR: f32 = 1.5;
-/// World units a frame, to the right.
+/// World units per frame, to the right.
 const SPEED: f32 = 0.05;
 const FRAMES: usize = 12;
 const SIDE: usize = 24;

@@ -8,7 +8,7 @@ use m4_scene::{
 
 const WALL: f32 = 4.0;
 const BAND: f32 = 2.0;
-/// World units a frame, along the band.
+/// World units per frame, along the band.
 const SPEED: f32 = 0.03;
 const FRAMES: usize = 6;
 

@@ -355,7 +355,7 @@ fn pictures_that_are_none() {
         std::fs::write(&path, &whole[..cut]).unwrap();
         says(&read_rgb(&path).unwrap_err().to_string(), &["a.png", "damaged"]);
     }
-    // A header that promises 4 billion pixels a side.
+    // A header that promises 4 billion pixels per side.
     let mut huge = whole.clone();
     huge[16..24].fill(0x7f);
     std::fs::write(&path, &huge).unwrap();

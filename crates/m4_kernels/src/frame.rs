@@ -21,7 +21,7 @@ pub struct View {
     pub with_depth: bool,
 }
 
-/// A rendered image, one plane a channel, `[height][width]` each, row by row.
+/// A rendered image, one plane per channel, `[height][width]` each, row by row.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Frame {
     /// Columns.

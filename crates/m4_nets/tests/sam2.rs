@@ -87,7 +87,7 @@ fn other_sides_are_multiples_of_32() {
     }
 }
 
-/// The frames of a fixture, each pixel four times a side.
+/// The frames of a fixture, each pixel four times per side.
 fn frames(file: &[u8]) -> Vec<RgbImage> {
     let tensors = SafeTensors::deserialize(file).unwrap();
     let bytes = tensors.tensor("frames_u8_64").unwrap().data().to_vec();

@@ -73,11 +73,11 @@ impl Tracks {
         })
     }
 
-    /// The same with a colour a track, sRGB.
+    /// The same with a colour per track, sRGB.
     ///
     /// # Errors
     ///
-    /// [`ShapeError`] when there is not one a track.
+    /// [`ShapeError`] when there is not one per track.
     pub fn with_colours(self, rgb: Vec<[u8; 3]>) -> Result<Self, ShapeError> {
         ShapeError::check("colours of tracks", self.count, rgb.len())?;
         Ok(Self { rgb: Some(rgb), ..self })
@@ -130,7 +130,7 @@ impl Tracks {
         &self.visible
     }
 
-    /// One sRGB colour a track, where the tracker gave colours.
+    /// One sRGB colour per track, where the tracker gave colours.
     #[must_use]
     pub fn colours(&self) -> Option<&[[u8; 3]]> {
         self.rgb.as_deref()

@@ -159,7 +159,7 @@ pub struct MovingScene {
     pub splats: Splats,
     /// One a frame; frame `i` is at `t = i`.
     pub cameras: Vec<Camera>,
-    /// Of the ball, world units a frame.
+    /// Of the ball, world units per frame.
     pub velocity: [f32; 3],
     /// Of the ball at `t = 0`.
     pub start: [f32; 3],

@@ -45,7 +45,7 @@ impl ColourSums {
         self.residual.iter_mut().for_each(|plane| plane.fill(0.0));
     }
 
-    /// Adds the gradients of a frame with respect to the constant coefficients, one column a channel; rows that are not
+    /// Adds the gradients of a frame with respect to the constant coefficients, one column per channel; rows that are not
     /// `touched` hold anything.
     pub fn add(&mut self, which: Sum, columns: &[Vec<f32>], touched: &[u8]) {
         let sums = match which {

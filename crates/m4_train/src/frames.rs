@@ -90,7 +90,7 @@ fn by_rows<T: Send>(width: usize, planes: [&mut [T]; 3], fill: impl Fn(usize, [&
     rows.for_each(|(y, ((red, green), blue))| fill(y, [red, green, blue]));
 }
 
-/// A row of a picture, one plane a channel.
+/// A row of a picture, one plane per channel.
 fn split(pixels: &[[u8; 3]], [red, green, blue]: [&mut [u8]; 3]) {
     for (((r, g), b), pixel) in red.iter_mut().zip(green).zip(blue).zip(pixels) {
         [*r, *g, *b] = *pixel;

@@ -1,4 +1,4 @@
-//! What makes more of an iteration: several frames a step, colours by least squares, own counts of steps.
+//! What makes more of an iteration: several frames per step, colours by least squares, own counts of steps.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use crate::common::{FRAMES, disturbed, video};

@@ -36,7 +36,7 @@ pub struct Manifest {
     pub centre: [f64; 3],
     /// How far from the source cameras the scene can be looked at.
     pub safe: SafeOrbit,
-    /// The frames of the source in the page, one a camera.
+    /// The frames of the source in the page, one per camera.
     pub frames: Option<FrameIndex>,
     /// Where the page hears of newer scenes; none in a file.
     pub live: Option<Live>,
@@ -53,7 +53,7 @@ pub struct SplatFacts {
     pub sh_degree: usize,
     /// Highest temporal harmonic of the colour.
     pub time_degree: usize,
-    /// One scale a splat and no rotation.
+    /// One scale per splat and no rotation.
     pub isotropic: bool,
     /// Bytes of the payload before gzip.
     pub bytes: usize,

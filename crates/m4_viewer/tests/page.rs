@@ -54,7 +54,7 @@ fn scene() -> Scene {
     }
 }
 
-/// What our own renderer draws, 8 bits a channel.
+/// What our own renderer draws, 8 bits per channel.
 fn drawn(scene: &Scene, camera: &Camera, t: f64) -> RgbImage {
     let view = View {
         camera: *camera,

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 /// The trained scene.
 pub const SCENE_FILE: &str = "scene.safetensors";
-/// One JSON object a line: how training went.
+/// One JSON object per line: how training went.
 pub const METRICS_FILE: &str = "metrics.jsonl";
 /// Source, re-render and frozen time side by side.
 pub const PREVIEW_FILE: &str = "preview.mp4";

@@ -37,7 +37,7 @@ pub struct VideoFacts {
     pub size: [usize; 2],
     /// Seconds from the first to the last frame.
     pub duration_s: f64,
-    /// Mean frames a second.
+    /// Mean frames per second.
     pub fps: Option<f64>,
     /// Longest over median time between frames: 1 for an even clock.
     pub longest_gap: Option<f64>,
@@ -79,7 +79,7 @@ pub struct SceneFacts {
     pub splats_static: usize,
     /// Splats with them.
     pub splats_dynamic: usize,
-    /// One scale a splat.
+    /// One scale per splat.
     pub isotropic: bool,
     /// Degree of the spatial harmonics.
     pub sh_degree: usize,

@@ -75,7 +75,7 @@ fn every_format_shows_the_scene_that_it_was_made_of() {
         assert_eq!(report["path"], dir.at(&format!("out/{file}")));
         assert!(number(&report["bytes"]) > 1000.0 && report["comparison"].is_null());
     }
-    // 17 numbers a splat, besides the header
+    // 17 numbers per splat, besides the header
     let still = succeed(&["export", &out, "--format", "ply", "--force", "--no-compare", "--json"]).result();
     assert!((68.0..69.5).contains(&number(&still["bytes_per_splat"])), "{still}");
     assert_eq!(fs::read_dir(dir.path("out/ply")).unwrap().count(), FRAMES);

@@ -123,7 +123,7 @@ impl Report {
         }
     }
 
-    /// The table, for people: a line a clip, then the sums; `failed` for troubles alone.
+    /// The table, for people: a line per clip, then the sums; `failed` for troubles alone.
     #[must_use]
     pub fn table(&self, failed: bool) -> String {
         let width = self.clips.iter().map(|c| c.id.len()).max().unwrap_or(0).clamp(4, 40);

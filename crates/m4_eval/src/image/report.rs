@@ -85,7 +85,7 @@ pub struct MeanScore {
 pub struct ImageReport {
     /// How the scores were made.
     pub protocol: ImageProtocol,
-    /// One row a view, in the order added.
+    /// One row per view, in the order added.
     pub frames: Vec<FrameScore>,
 }
 
@@ -214,7 +214,7 @@ impl ImageReport {
         })
     }
 
-    /// The report as a table for people: one line a view, then the mean, then the protocol.
+    /// The report as a table for people: one line per view, then the mean, then the protocol.
     #[must_use]
     pub fn table(&self) -> String {
         let cell = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));

@@ -5,7 +5,7 @@
 //! masks/00000.png        0 where something moves: nerfstudio trains where a mask is not 0
 //! depths/00000.png       z-depth in 16 bits, steps of depth_unit_scale_factor (0.001 where that fits, nerfstudio's own default)
 //! points.ply             points of what rests: x y z, red green blue
-//! transforms.json        lens and pose a frame (camera to world, OpenGL axes: right, up, back), time 0..1,
+//! transforms.json        lens and pose per frame (camera to world, OpenGL axes: right, up, back), time 0..1,
 //!                        train_filenames, test_filenames where there are held-out views
 //! ```
 //!

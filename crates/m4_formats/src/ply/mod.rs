@@ -1,6 +1,6 @@
 //! PLY files in the layout of 3DGS: one instant, or a folder with one file a frame.
 //!
-//! A file is a header of text and a table of 32-bit numbers, little-endian, a row a splat:
+//! A file is a header of text and a table of 32-bit numbers, little-endian, a row per splat:
 //!
 //! ```text
 //! x y z            mean, world units             nx ny nz         0

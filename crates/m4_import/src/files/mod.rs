@@ -11,7 +11,7 @@
 //! pictures   a folder or a video as pictures of known size
 //! lens       pinholes, and whether they fit pictures of a size
 //! pose       matrices and quaternions to camera to world
-//! clock      frames a second, times in frames
+//! clock      frames per second, times in frames
 //! ```
 //!
 //! Faults of a file beside the source are named by [`SourceFault::of_file`](crate::SourceFault::of_file).

@@ -1,7 +1,7 @@
 //! DAVIS: clips without poses, whose things were outlined by hand.
 //!
 //! ```text
-//! JPEGImages/480p/NAME/00000.jpg      the video, 24 frames a second
+//! JPEGImages/480p/NAME/00000.jpg      the video, 24 frames per second
 //! Annotations/480p/NAME/00000.png     a palette picture: the number of the thing that each pixel shows, 0 for none
 //! ```
 //!

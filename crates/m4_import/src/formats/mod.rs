@@ -1,4 +1,4 @@
-//! One file or folder a format, and which one a path is of.
+//! One file or folder per format, and which one a path is of.
 //!
 //! ```text
 //! data sets          dycheck, nvidia; davis, which has no poses and is read by itself

@@ -4,7 +4,7 @@
 //! PATH                       the folder of the run, or its pose/NAME.npz where it has several clips
 //! rgb/NAME.mp4               the clip (or options.pictures)
 //! pose/NAME.npz              data [n][4][4] camera to world, inds [n]: which frames of the clip they are of
-//! intrinsics/NAME.npz        data [n][4] fx fy cx cy, pixels, inds [n]; NAME_camera.txt: "0: PINHOLE", a line a frame
+//! intrinsics/NAME.npz        data [n][4] fx fy cx cy, pixels, inds [n]; NAME_camera.txt: "0: PINHOLE", a line per frame
 //! depth/NAME.zip             00000.exr, ...: halves, channel Z, metres; not a number where unknown (optional)
 //! mask/NAME.zip, NAME.txt    00000.png, ...: which instance a pixel shows, 0 = none; "1: person", what each is (optional)
 //! flow, vipe                 are not read
@@ -208,7 +208,7 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
         .collect())
 }
 
-/// An archive of maps, one a frame.
+/// An archive of maps, one per frame.
 struct Zipped {
     path: PathBuf,
     members: Members,

@@ -17,7 +17,7 @@ const FREE_BYTES: u64 = 4 << 20;
 
 /// A PNG picture of numbers.
 pub(crate) struct Numbers {
-    /// A number a pixel: index, grey value, or 1 where a colour is not black.
+    /// A number per pixel: index, grey value, or 1 where a colour is not black.
     pub plane: Plane<u16>,
     /// Whether the numbers are indices of a palette: each stands for a thing.
     pub palette: bool,

@@ -209,7 +209,7 @@ fn rgb(path: &Path, image: DynamicImage) -> Result<RgbImage, ReadImageError> {
     plane(path, width, height, data)
 }
 
-/// Reads a depth map: a greyscale PNG of 16 bits, times `unit` (scene units a step); 0 stays 0 = unknown.
+/// Reads a depth map: a greyscale PNG of 16 bits, times `unit` (scene units per step); 0 stays 0 = unknown.
 ///
 /// # Errors
 ///

@@ -15,7 +15,7 @@ const BYTES_A_PIXEL: u64 = 8;
 
 /// Reads a `.npz` file or a folder of reconstructions; see [the module](super) for what is converted.
 ///
-/// What was assumed (frames a second, a motion map that is missing or looks turned round) is reported to `progress`.
+/// What was assumed (frames per second, a motion map that is missing or looks turned round) is reported to `progress`.
 ///
 /// # Errors
 ///
@@ -151,7 +151,7 @@ fn cameras(input: &mut Input, clip: Clip, limit: u64) -> Result<Cameras, Megasam
     Ok((vec![k; clip.frames], poses.collect::<Result<_, _>>()?))
 }
 
-/// A lens a frame, and translations with quaternions world to camera.
+/// A lens per frame, and translations with quaternions world to camera.
 fn trajectory(input: &mut Input, clip: Clip, limit: u64) -> Result<Cameras, MegasamFault> {
     let k = input.array("intrinsics", limit)?;
     input::shape(

@@ -7,7 +7,7 @@ use m4_scene::{Scene, SourceFrame};
 const MAX_SIDE_PX: usize = 1 << 16;
 /// Farthest that the product of a rotation and its transpose may be from the identity.
 const ROTATION_WITHIN: f64 = 1e-2;
-/// Most frames of a clip: nine hours at 30 frames a second. What goes through them frame by frame has to end.
+/// Most frames of a clip: nine hours at 30 frames per second. What goes through them frame by frame has to end.
 const MAX_FRAMES: usize = 1_000_000;
 
 /// What of a scene is no number, or cannot be, and what it holds; `None` where all is in order.

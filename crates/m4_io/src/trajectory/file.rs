@@ -10,7 +10,7 @@ use std::path::Path;
 
 /// Longest file that is read, bytes: half a kilobyte a camera.
 const MAX_BYTES: u64 = 64 << 20;
-/// Most cameras or keyframes of a path: an hour at 28 frames a second.
+/// Most cameras or keyframes of a path: an hour at 28 frames per second.
 const MAX_CAMERAS: usize = 100_000;
 
 /// What a file says about a camera path.

@@ -58,7 +58,7 @@ const DYNAMIC: f64 = 0.8;
 const TIME_SD: f64 = 0.5;
 /// A splat is alive this many standard deviations to either side ([`crate::slice::MARGINAL_MIN`]).
 const REACH: f64 = 2.448;
-/// How fast the balls drift, metres a frame (standard deviation an axis).
+/// How fast the balls drift, metres per frame (standard deviation an axis).
 const SPEED: f64 = 0.004;
 
 /// Where a ray first hits: distance, normal, a number for the surface.
@@ -99,7 +99,7 @@ pub(super) fn is_ball(surface: usize) -> Option<usize> {
     surface.checked_sub(BALL)
 }
 
-/// Velocity of a ball, metres a frame.
+/// Velocity of a ball, metres per frame.
 fn velocity(ball: usize) -> Vector3<f64> {
     let mut rng = CounterRng::new(11, 0, ball as u64);
     Vector3::from_fn(|_, _| SPEED * rng.normal())

@@ -20,11 +20,11 @@ use crate::simd::{LANES, lanes};
 pub(crate) const BAND_TILES: usize = 4;
 /// Pixel rows a band.
 pub(crate) const BAND_ROWS: usize = BAND_TILES * TILE;
-/// Tile columns a block.
+/// Tile columns per block.
 pub(crate) const BLOCK_COLUMNS: usize = 2;
 /// Tiles a block, row by row.
 pub(crate) const BLOCK_TILES: usize = BLOCK_COLUMNS * BAND_TILES;
-/// Pixel columns a block.
+/// Pixel columns per block.
 pub(crate) const BLOCK_WIDTH: usize = BLOCK_COLUMNS * TILE;
 
 /// One projected splat as the blending reads it: a cache line.

@@ -24,7 +24,7 @@ pub(crate) struct Part {
     pub(super) row: u32,
     pub(super) lanes: u16,
     /// For each splat and each tile row of the band [`WINDOW`] bits, one for each of the first tiles of its
-    /// range of blocks; two rows a number.
+    /// range of blocks; two rows per number.
     pub(super) tiles: [[u32; LANES]; BAND_TILES / 2],
     /// For each splat the range of blocks that it reaches: first in the low half, end in the high half.
     pub(super) range: [u32; LANES],

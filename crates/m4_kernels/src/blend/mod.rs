@@ -14,7 +14,7 @@
 //! the colours alone. An alpha that was cut at [`ALPHA_MAX`] passes no gradient to opacity and shape.
 //!
 //! The gradient comes in two forms that agree to rounding: back to front, and the *replay* form,
-//! front to back with one scalar a pixel (`sigma = <g, C>` less what was seen so far), which needs the
+//! front to back with one scalar per pixel (`sigma = <g, C>` less what was seen so far), which needs the
 //! final image alone.
 
 pub(crate) mod cpu;

@@ -18,7 +18,7 @@ use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use fearless_simd_macros::simd;
 use std::ops::Range;
 
-/// Rows and columns a block.
+/// Rows and columns per block.
 const BLOCK: usize = LANES;
 /// Taps to either side.
 const REACH: usize = WINDOW / 2;

@@ -4,9 +4,9 @@ use crate::simd::{LANES, all, each};
 use fearless_simd::{Simd, f32x16, prelude::*};
 use m4_scene::ShapeError;
 
-/// A picture to compare with: one plane a channel, `[height][width]` each, 0..1.
+/// A picture to compare with: one plane per channel, `[height][width]` each, 0..1.
 ///
-/// A video is kept whole, so what a frame takes counts: a photograph is three bytes a pixel. What SSIM
+/// A video is kept whole, so what a frame takes counts: a photograph is three bytes per pixel. What SSIM
 /// needs of the target alone is blurred anew at each comparison: one of seven blurs, and cheaper than
 /// fetching it from memory for every frame of a video.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -23,7 +23,7 @@ enum Samples {
     Bytes([Vec<u8>; 3]),
 }
 
-/// The planes of a [`Target`] as they are kept, one a channel.
+/// The planes of a [`Target`] as they are kept, one per channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TargetPlanes<'a> {
     /// Colours 0..1.
@@ -108,7 +108,7 @@ impl Target {
         }
     }
 
-    /// The picture, one plane a channel, 0..1.
+    /// The picture, one plane per channel, 0..1.
     #[must_use]
     pub fn rgb(&self) -> [Vec<f32>; 3] {
         match &self.samples {

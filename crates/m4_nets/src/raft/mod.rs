@@ -40,7 +40,7 @@ const WIDTH: usize = 256;
 const LEVELS: usize = 4;
 /// How far lookups reach, in pixels of each level.
 const RADIUS: usize = 4;
-/// Sides are padded to this at least: the coarsest level then has two pixels a side, the fewest that the published network can
+/// Sides are padded to this at least: the coarsest level then has two pixels per side, the fewest that the published network can
 /// look up in.
 const LEAST: usize = (2 * FACTOR) << (LEVELS - 1);
 

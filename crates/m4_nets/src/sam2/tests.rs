@@ -278,7 +278,7 @@ fn the_memory_encoder_meets_its_fixture() {
     assert_map(places, &fixture, "pos", LIMIT);
 }
 
-/// A frame of a clip: 64 by 64 pixels, each four times a side.
+/// A frame of a clip: 64 by 64 pixels, each four times per side.
 fn frame(fixture: &Fixture, i: usize) -> RgbImage {
     let bytes = fixture.bytes("frames_u8_64");
     RgbImage::from_fn(256, 256, |x, y| {

@@ -59,7 +59,7 @@ pub struct Tapip3dOptions {
     /// Whether depth at edges of objects is replaced by that beside them; as published.
     pub clean_edges: bool,
     /// Bytes for what is worked with. More lets more points be followed together and features of more frames be kept for the way
-    /// back; what is asked for and its answer come on top (some 70 kB a point in 32 bits).
+    /// back; what is asked for and its answer come on top (some 70 kB per point in 32 bits).
     pub memory_bytes: usize,
 }
 

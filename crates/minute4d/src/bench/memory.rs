@@ -165,7 +165,7 @@ fn case(program: &Path, config: &MemoryConfig, frames: usize) -> Result<MemoryCa
 }
 
 impl MemoryReport {
-    /// One row a clip.
+    /// One row per clip.
     #[must_use]
     pub fn to_markdown(&self) -> String {
         let head = [

@@ -122,15 +122,15 @@ impl Bound {
 pub struct KernelRow {
     /// Its name.
     pub kernel: String,
-    /// Wall clock a step, fastest of all steps.
+    /// Wall clock per step, fastest of all steps.
     pub ms: f64,
     /// What [`Self::ns_per_item`] is counted in: splat (alive or touched), pair (looked at), pixel.
     pub item: String,
     /// Nanoseconds of wall clock an item.
     pub ns_per_item: f64,
-    /// Useful evaluations a second, billions; of the blending kernels.
+    /// Useful evaluations per second, billions; of the blending kernels.
     pub evaluations_g_per_s: Option<f64>,
-    /// Compulsory traffic, bytes a step.
+    /// Compulsory traffic, bytes per step.
     pub bytes: f64,
     /// That traffic over that time, GB/s.
     pub gb_per_s: f64,

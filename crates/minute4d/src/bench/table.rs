@@ -25,7 +25,7 @@ impl BenchReport {
         text
     }
 
-    /// One row a case: milliseconds a kernel and a step.
+    /// One row a case: milliseconds per kernel and a step.
     fn overview(&self) -> String {
         let mut rows = vec![vec!["scene", "splats", "size", "threads"]];
         let names: Vec<&str> = match self.cases.iter().max_by_key(|c| c.kernels.len()) {

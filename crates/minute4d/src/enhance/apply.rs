@@ -57,7 +57,7 @@ struct Masks {
 /// Name of the step that is stored last.
 const MASKS: &str = "masks";
 
-/// Masks from the finished steps, or as `work` makes them; they are steps then, one a frame.
+/// Masks from the finished steps, or as `work` makes them; they are steps then, one per frame.
 fn kept_masks(
     steps: &Steps<'_>,
     frames: usize,

@@ -147,7 +147,7 @@ mod tests {
 
     const SIZE: (usize, usize) = (96, 72);
 
-    /// A patterned square that moves by two pixels a frame in front of a pattern that rests.
+    /// A patterned square that moves by two pixels per frame in front of a pattern that rests.
     fn on_square(x: usize, y: usize, i: usize) -> bool {
         (10 + 2 * i..34 + 2 * i).contains(&x) && (20..44).contains(&y)
     }

@@ -62,7 +62,7 @@ pub struct EvalReport {
     pub splats: usize,
     /// Means over all views.
     pub mean: Option<MeanScore>,
-    /// Protocol, and one row a view.
+    /// Protocol, and one row per view.
     pub images: ImageReport,
     /// Means of the scores by other metrics.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]

@@ -16,7 +16,7 @@ const STILL_FRAMES: usize = 60;
 /// Up where the file does not say, as in scenes of COLMAP and 3DGS: y points down.
 const UP: [f64; 3] = [0.0, -1.0, 0.0];
 
-/// Puts a row of cameras, one a frame, in front of the middle of the splats, swinging to both sides. A scene of
+/// Puts a row of cameras, one per frame, in front of the middle of the splats, swinging to both sides. A scene of
 /// a single frame gets 60, so that there is something to play.
 pub fn default_cameras(scene: &mut Scene, up: Option<[f64; 3]>) {
     let (middle, radius) = extent(&scene.splats);

@@ -124,7 +124,7 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Keeper<'
     Ok(())
 }
 
-/// The size of a panel: at most `longest` pixels a side, both sides even.
+/// The size of a panel: at most `longest` pixels per side, both sides even.
 fn panel_size(camera: &Camera, longest: usize) -> (usize, usize) {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
     let scale = (longest.max(16) as f64 / w.max(h).max(1) as f64).min(1.0);

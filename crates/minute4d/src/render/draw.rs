@@ -64,7 +64,7 @@ pub fn view(scene: &Scene, camera: &Camera, t: f64) -> View {
     }
 }
 
-/// Exposed, clamped and rounded to 8 bits a channel.
+/// Exposed, clamped and rounded to 8 bits per channel.
 #[must_use]
 pub fn to_rgb(frame: &Frame, exposure: &Exposure) -> RgbImage {
     let (m, o) = (&exposure.matrix, &exposure.offset);

@@ -44,7 +44,7 @@ impl<'a> Pictures<'a> {
         }
     }
 
-    /// What a camera sees at a moment (frames), eight bits a channel, with an exposure.
+    /// What a camera sees at a moment (frames), eight bits per channel, with an exposure.
     ///
     /// # Errors
     ///

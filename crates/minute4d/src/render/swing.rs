@@ -15,7 +15,7 @@ pub struct SwingConfig {
     pub side_deg: f64,
     /// Greatest turn up or down, degrees.
     pub up_deg: f64,
-    /// Frames of one swing there and back. 60: two seconds at 30 frames a second.
+    /// Frames of one swing there and back. 60: two seconds at 30 frames per second.
     pub period_frames: usize,
 }
 

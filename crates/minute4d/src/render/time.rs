@@ -161,7 +161,7 @@ impl Span {
 }
 
 impl TimePath {
-    /// The moment of each camera in frames, given each camera's own and their number a second.
+    /// The moment of each camera in frames, given each camera's own and their number per second.
     ///
     /// # Errors
     ///

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! folder of a data set --Suite--> scenes --import, or geometry of a video--> capture --split--> capture of the protocol
-//!   --train--> scene --evaluate by the protocol--> eval.json --> a table a protocol, beside published numbers of the same task
+//!   --train--> scene --evaluate by the protocol--> eval.json --> a table per protocol, beside published numbers of the same task
 //!   --without each part--> the ablations
 //! ```
 //!

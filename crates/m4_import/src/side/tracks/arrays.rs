@@ -63,7 +63,7 @@ impl Read {
         Ok(Numbers { second, third, values })
     }
 
-    /// One pose a frame.
+    /// One pose per frame.
     pub(super) fn cameras(&mut self, key: &str) -> Result<Option<Vec<Se3<f64>>>, SourceFault> {
         if !self.npz.has(key) {
             return Ok(None);
@@ -97,7 +97,7 @@ impl Read {
         }
     }
 
-    /// A colour a track.
+    /// A colour per track.
     pub(super) fn colours(&mut self, tracks: usize) -> Result<Option<Vec<[u8; 3]>>, SourceFault> {
         let array = self
             .npz

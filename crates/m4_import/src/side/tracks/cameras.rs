@@ -10,7 +10,7 @@ const SAME_SCALE_WITHIN: f64 = 1e-3;
 /// A camera moves when its places spread by this share of how far the points are.
 const MOVES_FROM: f64 = 1e-3;
 
-/// Places `[frames][tracks][3]` through `w2c`, one a frame, to the world of `frames`.
+/// Places `[frames][tracks][3]` through `w2c`, one per frame, to the world of `frames`.
 ///
 /// Each place is seen from its frame's camera there, scaled, and put before our camera. The scale is how far our cameras spread over how
 /// far those spread; 1 where either stands still.

@@ -68,7 +68,7 @@ impl Hdr {
     }
 }
 
-/// Turns pictures with 16 bits a channel into sRGB; made once a clip.
+/// Turns pictures with 16 bits per channel into sRGB; made once a clip.
 pub struct ToneMap {
     hdr: Hdr,
     /// Light of each of the 65536 signals.
@@ -129,7 +129,7 @@ impl ToneMap {
         Plane::from_vec(width, height, bytes.chunks_exact(6).map(pixel).collect()).ok()
     }
 
-    /// A picture that a decoder gave with 8 bits a channel.
+    /// A picture that a decoder gave with 8 bits per channel.
     pub fn picture_8(&self, picture: &RgbImage) -> RgbImage {
         picture.map(|p| self.pixel(p.map(|v| u16::from(v) * 257)))
     }

@@ -14,9 +14,9 @@ const PIXEL_BYTES: u64 = 4;
 const MOST_BYTES: u64 = 8 << 30;
 /// Seconds that any decoder has.
 const BASE_S: u64 = 120;
-/// Slower than any processor of this decade decodes and converts, pixels a second.
+/// Slower than any processor of this decade decodes and converts, pixels per second.
 const PIXELS_A_SECOND: u64 = 2_000_000;
-/// Slower than any of them takes a file apart, bytes a second.
+/// Slower than any of them takes a file apart, bytes per second.
 const BYTES_A_SECOND: u64 = 5_000_000;
 
 /// What a process that decodes a video may take before it is ended with
@@ -26,11 +26,11 @@ const BYTES_A_SECOND: u64 = 5_000_000;
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct DecoderLimits {
-    /// Address space, MiB. Default 0: by the size of the pictures, 2 GiB and 160 bytes a pixel, at most 8 GiB
+    /// Address space, MiB. Default 0: by the size of the pictures, 2 GiB and 160 bytes per pixel, at most 8 GiB
     /// (2.3 GiB for 1080p, 3.2 GiB for 4K).
     pub memory_mb: u64,
     /// Seconds of one core. Default 0: by the length of the clip, 120 s and 1 s for every 2 million pixels (10 s
-    /// of 1080p at 30 frames a second: 431 s) and 5 MB of the file.
+    /// of 1080p at 30 frames per second: 431 s) and 5 MB of the file.
     pub cpu_seconds: u64,
     /// Seconds within which something must come from the decoder while it is waited for. Default 120.
     pub idle_seconds: u64,

@@ -3,7 +3,7 @@
 use super::Mp4Error;
 use std::io::{Read, Seek, SeekFrom};
 
-/// Longest index that is read into memory, bytes: an hour of 240 frames a second takes 40 MB.
+/// Longest index that is read into memory, bytes: an hour of 240 frames per second takes 40 MB.
 const MAX_INDEX_BYTES: u64 = 512 << 20;
 
 /// Four letters.

@@ -3,7 +3,7 @@
 use super::Mp4Error;
 use super::boxes::{Body, child, required};
 
-/// Most samples that are read: four days at 30 frames a second, and 240 MB here.
+/// Most samples that are read: four days at 30 frames per second, and 240 MB here.
 const MAX_SAMPLES: usize = 10_000_000;
 
 /// One coded frame.

@@ -67,7 +67,7 @@ pub(super) struct Given {
     pub lens: Option<Intrinsics>,
     /// A camera a frame.
     pub cameras: Option<Vec<Camera>>,
-    /// A mask a frame, 255 where something moves.
+    /// A mask per frame, 255 where something moves.
     pub masks: Option<Vec<Mask>>,
     /// Depth a frame, metres, 0 where unknown.
     pub depth: Option<Vec<DepthMap>>,

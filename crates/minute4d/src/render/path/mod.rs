@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 /// Most pictures of a path.
 const MAX_FRAMES: usize = 100_000;
-/// Sources with fewer frames a second than this do not look smooth, so paths that can have more get
+/// Sources with fewer frames per second than this do not look smooth, so paths that can have more get
 /// [`super::DEFAULT_FPS`].
 const SMOOTH_FPS: f64 = 20.0;
 /// The words for camera paths.
