@@ -142,7 +142,7 @@ pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Pat
     Ok(table)
 }
 
-/// Recovers the geometry of each input from its pictures alone and compares it with the truth, pairs
+/// Recovers the geometry of each input from its images alone and compares it with the truth, pairs
 /// `input=truth`: one Markdown row each, returned together. Options of `minute4d geometry`, each with its value, may come
 /// before the pairs (`--frontend raft`).
 ///

@@ -293,7 +293,7 @@ fn wait_for(file: &File, watch: &dyn Watch) -> io::Result<bool> {
 }
 
 /// Waits until no run has the working folder, and clears away one that no run can go on with: killed before it wrote
-/// what it is. False where it is not to be had.
+/// what it is. False where it is not available.
 fn free(work: &Path, watch: &dyn Watch) -> io::Result<bool> {
     let folder = match File::open(work) {
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(true),

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 /// What a published result says of the job that it belongs to.
 pub const RESULT_FILE: &str = "batch.json";
-/// A small picture of a result: a frame and its re-render.
+/// A small image of a result: a frame and its re-render.
 pub const POSTER_FILE: &str = "poster.jpg";
 /// The record of a run.
 pub(crate) const RUN_FILE: &str = "run.json";

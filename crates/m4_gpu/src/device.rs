@@ -342,7 +342,7 @@ fn block_on<F: Future>(future: F) -> F::Output {
 pub(crate) mod tests {
     use super::{Choice, Gpu};
 
-    /// A GPU, or software that plays one; `None`, and said so, where there is neither.
+    /// A GPU, or a software Vulkan driver (lavapipe); `None`, and said so, where there is neither.
     #[track_caller]
     pub(crate) fn gpu(test: &str) -> Option<Gpu> {
         match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {

@@ -35,7 +35,7 @@ pub struct Found {
     pub l1: f64,
     /// Mean structural similarity.
     pub ssim: f64,
-    /// PSNR of the frame looked at last, dB, its colours cut to 0..1; 100 for equal pictures, NaN before the first.
+    /// PSNR of the frame looked at last, dB, its colours cut to 0..1; 100 for equal images, NaN before the first.
     pub psnr: f64,
     /// Splats that a step's frames showed, mean.
     pub touched: f64,

@@ -12,7 +12,7 @@
 //! there are is known on the device alone: buffers are sized by capacity, and a peak that is read now and then says
 //! when they must grow.
 //!
-//! [`Renderer`] draws one view and its gradient and reads them back: for pictures, and for the tests that compare with
+//! [`Renderer`] draws one view and its gradient and reads them back: for images, and for the tests that compare with
 //! the CPU.
 
 #![expect(

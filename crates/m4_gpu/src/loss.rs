@@ -1,4 +1,4 @@
-//! A picture against a frame: sums for what is reported, and the gradient.
+//! An image against a frame: sums for what is reported, and the gradient.
 
 use crate::Gpu;
 use crate::buffer::{Buffer, units};

@@ -48,7 +48,7 @@ pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
 }
 
 /// Derivatives of SSIM with respect to the three blurs, and three sums per cube: of SSIM, of absolute differences, and of
-/// squared differences of the picture cut to 0..1.
+/// squared differences of the image cut to 0..1.
 #[cube(launch)]
 pub(crate) fn similarity(
     image: &[f32],

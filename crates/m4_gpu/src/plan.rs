@@ -49,7 +49,7 @@ fn part(what: &'static str, buffers: &[usize]) -> Part {
 }
 
 impl Plan {
-    /// Training of `n_static` and `n_dynamic` splats on `frames` pictures of `size` (columns, rows) that stay on the
+    /// Training of `n_static` and `n_dynamic` splats on `frames` images of `size` (columns, rows) that stay on the
     /// device, eight bits per channel, with room for `entries` entries of tile lists ([`first_entries`](Self::first_entries) at first; a
     /// trainer makes more where a frame has more).
     #[must_use]
@@ -97,7 +97,7 @@ impl Plan {
         }
     }
 
-    /// Drawing of so many splats into pictures of `size`, as [`training`](Self::training).
+    /// Drawing of so many splats into images of `size`, as [`training`](Self::training).
     #[must_use]
     pub fn drawing(
         n_static: usize,

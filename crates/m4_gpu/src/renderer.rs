@@ -1,4 +1,4 @@
-//! One view at a time, read back: pictures, and what the tests compare with the CPU.
+//! One view at a time, read back: images, and what the tests compare with the CPU.
 
 use crate::buffer::Buffer;
 use crate::splats::{DeviceSplats, parts};
@@ -29,7 +29,7 @@ impl Renderer {
         })
     }
 
-    /// The picture of `view`.
+    /// The image of `view`.
     ///
     /// # Errors
     ///
@@ -50,7 +50,7 @@ impl Renderer {
         })
     }
 
-    /// The gradient of a loss with respect to the splats, given that with respect to the picture of `view`; that of
+    /// The gradient of a loss with respect to the splats, given that with respect to the image of `view`; that of
     /// the camera and of the background are left 0.
     ///
     /// # Errors
@@ -59,7 +59,7 @@ impl Renderer {
     ///
     /// # Panics
     ///
-    /// If the planes of the gradient are not as long as the picture (those of alpha and depth may be empty).
+    /// If the planes of the gradient are not as long as the image (those of alpha and depth may be empty).
     pub fn backward(&mut self, view: &View, gradient: &FrameGradient, out: &mut Gradients) -> Result<(), GpuError> {
         self.draw(view, true)?;
         let pixels = view.camera.intrinsics.width * view.camera.intrinsics.height;

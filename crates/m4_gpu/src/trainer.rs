@@ -35,7 +35,7 @@ pub struct Trainer {
     pub(crate) exposure_log: Log<{ exposure::NUMBERS }>,
     /// By frame; those beyond are not corrected.
     pub(crate) exposures: Vec<Exposure>,
-    /// The picture drawn last, corrected.
+    /// The image drawn last, corrected.
     pub(crate) exposed: Buffer,
     /// Whether there was room for the entries of a frame of these splats.
     pub(crate) fits: bool,
@@ -184,7 +184,7 @@ impl Trainer {
         Ok(found)
     }
 
-    /// The picture drawn last.
+    /// The image drawn last.
     ///
     /// # Errors
     ///

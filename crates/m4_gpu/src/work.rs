@@ -305,7 +305,7 @@ impl Work {
         let client = &gpu.client;
         let (size, n) = (self.size, self.size.n);
         let (width, height) = (size.width as u32, size.height as u32);
-        // all since the picture was drawn
+        // all since the image was drawn
         self.stopwatch.lap(gpu, Kernel::Photo);
         pixels::pixels::launch(
             client,

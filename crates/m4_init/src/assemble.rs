@@ -162,7 +162,7 @@ struct Parts {
     tints: Vec<Tints>,
 }
 
-/// A place behind the depth map by this share of the depth is not looked for in a picture.
+/// A place behind the depth map by this share of the depth is not looked for in an image.
 const HIDDEN_BEHIND: f32 = 0.05;
 
 /// Motions between keyframes, found on a coarser grid; none where they are not asked for.

@@ -57,9 +57,9 @@ impl Pixels {
 /// Everything that the depth maps say.
 #[derive(Debug)]
 pub(crate) struct Clouds {
-    /// What stands still, in the frames that it is taken from.
+    /// The static part, in the frames that it is taken from.
     pub standing: Vec<Pixels>,
-    /// What moves, one per keyframe, in order of time; keyframes without moving pixels included.
+    /// The dynamic part, one per keyframe, in order of time; keyframes without moving pixels included.
     pub moving: Vec<Pixels>,
     /// Median z-depth of the sampled pixels, world units.
     pub median_depth: f64,
@@ -209,7 +209,7 @@ fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool, want_
 }
 
 /// Calls `visit(x, y, world point, colour)` for every `step`-th pixel of every `step`-th row of the depth
-/// map that stands still and is not near a moving one.
+/// map that is static and is not near a moving one.
 pub(crate) fn standing_pixels(
     frame: &CaptureFrame,
     config: &InitConfig,

@@ -94,7 +94,7 @@ struct Witness {
     camera: Camera,
     width: usize,
     height: usize,
-    /// z-depth, and the least of 3x3 pixels; 0 where nothing stands still or nothing is known.
+    /// z-depth, and the least of 3x3 pixels; 0 where nothing is static or nothing is known.
     depth: Vec<f32>,
     least: Vec<f32>,
 }

@@ -1,6 +1,6 @@
 //! From posed frames with depth and motion masks to the first splats.
 //!
-//! [`initialise`] back-projects the depth of every frame, keeps what stands still and what moves
+//! [`initialise`] back-projects the depth of every frame, keeps static and dynamic points
 //! apart, replaces the points of each voxel by their centroid and gives every centroid the size,
 //! opacity and time span that the optimiser starts from (section 2 of the specification of the
 //! optimiser; paper section 3.1).

@@ -1,4 +1,4 @@
-//! Initialisation of a made-up capture: a wall, and a square that slides in front of it.
+//! Initialisation of a synthetic capture: a wall, and a square that slides in front of it.
 
 use m4_init::{InitConfig, InitError, TimeSpread, VelocityInit, initialise};
 use m4_math::Se3;
@@ -141,7 +141,7 @@ fn the_faithful_profile_has_one_scale_and_fades_everything() {
 #[test]
 fn a_shadow_on_the_wall_is_laid_over_it() {
     let mut capture = capture(8);
-    // from frame 4 on, the right quarter of the picture is in the shade
+    // from frame 4 on, the right quarter of the image is in the shade
     for frame in &mut capture.frames[4..] {
         let lit = frame.rgb.clone();
         frame.rgb = Plane::from_fn(96, 64, |x, y| lit[(x, y)].map(|c| if x >= 72 { c / 2 } else { c }));

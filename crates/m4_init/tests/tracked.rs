@@ -112,7 +112,7 @@ fn off() -> TrackedInit {
     }
 }
 
-/// Places, colours and times of what moves.
+/// Places, colours and times of the dynamic part.
 fn moving(splats: &Splats) -> Vec<([f32; 3], [f32; 3], f32)> {
     let first = splats.n_static();
     let column = |c, k: usize, i: usize| splats.column(c, k)[first + i];

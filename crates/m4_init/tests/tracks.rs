@@ -1,4 +1,4 @@
-//! Initialisation of a capture that brings tracks: a plain band across the picture, whose motion no picture shows.
+//! Initialisation of a capture that brings tracks: a plain band across the image, whose motion no image shows.
 
 use m4_init::{InitConfig, InitError, TrackedInit, VelocityInit, initialise};
 use m4_math::Se3;
@@ -89,7 +89,7 @@ fn with_tracks(on: bool) -> InitConfig {
     config
 }
 
-/// Mean velocity along x of what moves.
+/// Mean velocity along x of the dynamic part.
 fn speed(splats: &Splats) -> f32 {
     let v = splats.column(Column::Velocity, 0);
     v.iter().sum::<f32>() / v.len() as f32

@@ -316,7 +316,7 @@ fn flipped_and_missing_bytes_never_panic() {
     assert!(read > 100 && refused > 100, "{read} read, {refused} refused");
 }
 
-// --- folders of pictures and single pictures ------------------------------------------------------
+// --- folders of images and single images ------------------------------------------------------
 
 #[test]
 fn a_folder_without_pictures_or_with_odd_ones() {

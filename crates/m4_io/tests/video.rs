@@ -155,7 +155,7 @@ fn with_matrix(matrix: [i32; 4], path: &Path) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// A picture mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the
+/// An image mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the
 /// reader's own code.
 fn mapped(picture: &RgbImage, [a, b, c, d]: [i32; 4]) -> RgbImage {
     let (w, h) = (picture.width() as i32, picture.height() as i32);

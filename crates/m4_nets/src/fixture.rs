@@ -74,7 +74,7 @@ impl Fixture {
         values.collect()
     }
 
-    /// A picture of `[3, h, w]` bytes.
+    /// An image of `[3, h, w]` bytes.
     pub fn picture(&self, name: &str) -> RgbImage {
         let (_, _, shape) = self.tensor(name);
         let [3, h, w] = shape[..] else {

@@ -38,7 +38,7 @@ fn network(side: usize) -> Arc<Sam2> {
     Arc::new(Sam2::load(&path, cpu()).unwrap().with_side(side).unwrap())
 }
 
-/// The same for pictures of 64 by 64 pixels.
+/// The same for images of 64 by 64 pixels.
 fn smallest() -> Arc<Sam2> {
     static NET: LazyLock<Arc<Sam2>> = LazyLock::new(|| network(64));
     Arc::clone(&NET)

@@ -11,11 +11,11 @@ pub struct CaptureFrame {
     pub camera: Camera,
     /// When it was taken, in frames of the training video: `time * (frames - 1)` of a file's `time` in `[0, 1]`.
     pub t: f64,
-    /// The picture.
+    /// The image.
     pub rgb: RgbImage,
     /// z-depth in the unit of the poses, 0 where unknown; the size may differ from that of `rgb`.
     pub depth: Option<CompactDepth>,
-    /// What moves; the size may differ from that of `rgb`.
+    /// The dynamic part; the size may differ from that of `rgb`.
     pub mask: Option<CompactMask>,
     /// How likely each pixel is to move, 255 = certainly, where somebody estimated that; the size may differ from that of `rgb`.
     pub motion: Option<Plane<u8>>,

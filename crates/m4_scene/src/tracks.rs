@@ -5,7 +5,7 @@ use crate::ShapeError;
 /// Points followed through the frames of a [`Capture`](crate::Capture): frame `i` of the tracks is frame `i` of the capture.
 ///
 /// Places are world units, in the world of the cameras; one that is not known is NaN. A place can be known where the
-/// point was not seen (behind something, or out of the picture), never the other way round in what
+/// point was not seen (behind something, or out of the image), never the other way round in what
 /// [`Tracks::new`] accepts.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(try_from = "Written")]

@@ -61,7 +61,7 @@ pub struct GradientCase {
     pub period: f64,
     /// Colour behind everything.
     pub background: [f64; 3],
-    /// The picture to compare with, `[height][width]`.
+    /// The image to compare with, `[height][width]`.
     pub gt: Vec<Vec<[f64; 3]>>,
     /// The depth to compare with, `[height][width]`.
     pub gt_depth: Vec<Vec<f64>>,

@@ -17,7 +17,7 @@ pub enum Need {
     Ffmpeg,
     /// A browser.
     Chromium,
-    /// A GPU, or software that plays one.
+    /// A GPU, or a software Vulkan driver (lavapipe).
     Vulkan,
     /// A GPU that computes with 16 bits.
     HalfPrecision,

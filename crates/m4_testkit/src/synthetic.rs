@@ -129,7 +129,7 @@ pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
 }
 
 /// A clip of random splats with a camera a frame that walks past, for what writes and reads scenes: none of its
-/// facts is a default. Pictures of 64 x 48 pixels, `spec.time_frames` of them in 1.25 seconds, Mip filter.
+/// facts is a default. Images of 64 x 48 pixels, `spec.time_frames` of them in 1.25 seconds, Mip filter.
 #[must_use]
 pub fn random_scene(spec: &SceneSpec) -> Scene {
     let frame = |i: usize| SourceFrame {

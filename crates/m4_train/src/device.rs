@@ -51,7 +51,7 @@ pub struct DeviceFound {
     pub steps: usize,
     /// Frames looked at: as many a step as a batch has.
     pub looks: usize,
-    /// Mean of the absolute differences over channels, pixels and frames; not finite if a picture was not.
+    /// Mean of the absolute differences over channels, pixels and frames; not finite if an image was not.
     pub l1: f64,
     /// Mean structural similarity.
     pub ssim: f64,
@@ -82,11 +82,11 @@ pub struct ScoreSettings {
 /// coefficient of each colour, `[channel][n]`, 0 where a splat was not seen.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ColourGradient {
-    /// Of blending weight times picture minus target.
+    /// Of blending weight times image minus target.
     pub residual: [Vec<f32>; 3],
     /// Of blending weights; empty unless they were asked for.
     pub weight: [Vec<f32>; 3],
-    /// Sum of squared differences between pictures and targets, over channels and pixels.
+    /// Sum of squared differences between images and targets, over channels and pixels.
     pub squares: f64,
 }
 

@@ -43,7 +43,7 @@ pub struct Frames {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FramesError {
-    /// A picture without pixels.
+    /// An image without pixels.
     #[error("frame {index} is {width} x {height} pixels; it must have some")]
     Empty {
         /// Which.
@@ -71,7 +71,7 @@ const LEAST_SIDE_PX: usize = 96;
 /// Frames that are tried before all are written.
 const SAMPLES: usize = 8;
 
-/// The pictures as JPEGs of one size within the limits, as far as those can be held; `None` for none.
+/// The images as JPEGs of one size within the limits, as far as those can be held; `None` for none.
 ///
 /// # Errors
 ///

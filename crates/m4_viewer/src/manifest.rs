@@ -87,9 +87,9 @@ pub struct SourceCamera {
     pub cx: f64,
     /// Principal point from the top edge, pixels.
     pub cy: f64,
-    /// Columns of its pictures.
+    /// Columns of its images.
     pub width: usize,
-    /// Rows of its pictures.
+    /// Rows of its images.
     pub height: usize,
 }
 
@@ -233,7 +233,7 @@ pub struct SafeConfig {
     /// swings about any scene.
     pub least_share: f64,
     /// At most this share of the median depth. 0.5: beyond it nearer things leave their place in the
-    /// picture altogether.
+    /// image altogether.
     pub most_share: f64,
 }
 

@@ -108,7 +108,7 @@ fn written(scene: &Scene, folder: &Path) -> String {
     format!("file://{}", path.display())
 }
 
-/// The settled picture of the page as the browser encodes it.
+/// The settled image of the page as the browser encodes it.
 fn capture(page: &mut Chromium) -> Vec<u8> {
     let url = page.eval("minute4d.capture()");
     let (_, data) = url.as_str().unwrap().split_once("base64,").unwrap();

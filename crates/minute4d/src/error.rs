@@ -243,10 +243,10 @@ pub enum Error {
     /// Writing a clip.
     #[error(transparent)]
     WriteVideo(#[from] WriteVideoError),
-    /// Reading a picture.
+    /// Reading an image.
     #[error(transparent)]
     ReadImage(#[from] ReadImageError),
-    /// Writing a picture.
+    /// Writing an image.
     #[error(transparent)]
     WriteImage(#[from] WriteImageError),
     /// Reading a capture.
@@ -401,7 +401,7 @@ pub enum Error {
     /// The table of a data set.
     #[error(transparent)]
     Reproduce(#[from] ReproduceError),
-    /// Scoring pictures.
+    /// Scoring images.
     #[error(transparent)]
     Score(#[from] ImageError),
     /// Scoring geometry.

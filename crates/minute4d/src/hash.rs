@@ -46,7 +46,7 @@ pub fn of_parts(parts: &[&str]) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// BLAKE3 of everything that training reads of a capture: cameras, times, pictures, depth, masks and tracks.
+/// BLAKE3 of everything that training reads of a capture: cameras, times, images, depth, masks and tracks.
 #[must_use]
 pub fn of_capture(capture: &Capture) -> String {
     let mut hasher = blake3::Hasher::new();

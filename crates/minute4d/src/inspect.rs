@@ -18,7 +18,7 @@ use std::path::Path;
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Inspection {
-    /// A video, or a folder of pictures.
+    /// A video, or a folder of images.
     Video(VideoFacts),
     /// Posed frames.
     Capture(CaptureFacts),

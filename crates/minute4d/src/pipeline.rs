@@ -10,7 +10,7 @@ use crate::workspace::Workspace;
 use crate::{Error, Existing, Job, geometry, hash, train};
 use std::path::Path;
 
-/// Makes a scene of a video, a folder of pictures, or a capture; what an earlier run finished is used
+/// Makes a scene of a video, a folder of images, or a capture; what an earlier run finished is used
 /// again with [`Existing::Resume`].
 ///
 /// # Errors

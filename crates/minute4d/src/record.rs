@@ -243,7 +243,7 @@ pub struct Found {
     pub fov_deg: f64,
     /// `parallax`, `rotation_only` or `static`.
     pub camera_motion: String,
-    /// Median reprojection error of what stands still, pixels.
+    /// Median reprojection error of static regions, pixels.
     pub residual_px: f64,
     /// Tracks followed.
     pub tracks: usize,
@@ -251,7 +251,7 @@ pub struct Found {
     pub points: usize,
     /// Share of all pixels that count as moving.
     pub moving_share: f64,
-    /// Points of what moves that were followed, in `tracks.npz`.
+    /// Points of dynamic regions that were followed, in `tracks.npz`.
     #[serde(default)]
     pub moving_tracks: usize,
     /// Who found cameras, measured flow and knew depth: `classical`, `raft`, `megasam+raft+moge`.
@@ -266,7 +266,7 @@ pub struct Found {
     /// Units of MegaSaM's own files (disparities whose 98th percentile is 2) a metre, where depth is metric.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub megasam_units_a_metre: Option<f64>,
-    /// Who outlined what moves: `none`, `mobilesam`.
+    /// The segmentation method: `none`, `mobilesam`.
     #[serde(default)]
     pub segmenter: String,
     /// What the user gave: `intrinsics`, `poses`, `masks`, `depth`.

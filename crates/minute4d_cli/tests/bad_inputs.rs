@@ -56,7 +56,7 @@ fn videos_that_are_damaged() {
     let dir = Scratch::new();
     write_video(&dir.path("good.mp4"), 8);
     let bytes = fs::read(dir.path("good.mp4")).unwrap();
-    // Within the index: nothing can be found. Within the pictures: some are missing.
+    // Within the index: nothing can be found. Within the images: some are missing.
     let index = dir.write("index.mp4", &bytes[..200]);
     bad_video(&dir, &index, &[], 65, &["index.mp4", "incomplete"]);
     let half = dir.write("half.mp4", &bytes[..bytes.len() / 2]);

@@ -127,7 +127,7 @@ fn a_table_of_what_parts_are_worth() {
     refused(&["ablate", &bare, "-o", &dir.at("none")], 65, &["transforms_test.json"]);
 }
 
-/// Networks with weights by a formula: what they find is worthless, that they are asked and answer is not.
+/// Networks with synthetic weights: what they find is worthless, that they are asked and answer is not.
 #[cfg(feature = "nets")]
 #[test]
 fn networks_enhance_a_capture() {

@@ -175,7 +175,7 @@ fn a_full_disk_is_said_and_recorded_and_the_run_goes_on_when_there_is_room() {
     write_walk(&dir.path("walk"));
     let (input, calm, full) = (dir.at("walk"), dir.at("calm"), dir.at("full"));
     assert_eq!(call(&run(&input, &calm, &[])).code, 0);
-    // what is large is refused: steps, pictures or the scene; records are small
+    // what is large is refused: steps, images or the scene; records are small
     for kilobytes in [24, 60, 200] {
         let ended = with_files_of(kilobytes, &run(&input, &full, &["--resume"]));
         let end = ended.end();

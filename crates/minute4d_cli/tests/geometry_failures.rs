@@ -9,7 +9,7 @@ use minute4d::math::CounterRng;
 use minute4d::scene::{Plane, RgbImage};
 use serde_json::Value;
 
-/// `geometry` of these pictures.
+/// `geometry` of these images.
 fn geometry(dir: &Scratch, pictures: Vec<RgbImage>, more: &[&str]) -> Ended {
     clips::write(&dir.path("clip"), pictures);
     let (clip, out) = (dir.at("clip"), dir.at("out"));

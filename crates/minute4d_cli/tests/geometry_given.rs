@@ -149,7 +149,7 @@ fn poses_without_a_lens_or_of_another_clip_are_refused() {
 #[test]
 fn a_lens_is_kept_with_its_principal_point() {
     let (dir, _) = known();
-    // Pictures cut off at the left: the principal point is no longer in the middle.
+    // Images cut off at the left: the principal point is no longer in the middle.
     let cut = 24;
     fs::remove_dir_all(dir.path("clip")).unwrap();
     let crop = |c: &Camera| {

@@ -1,4 +1,4 @@
-//! A front end of networks from outside, weights by a formula: what is found is worthless, how it is found is not.
+//! A front end of networks from outside, synthetic weights: what is found is worthless, how it is found is not.
 #![cfg(feature = "nets")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 

@@ -25,7 +25,7 @@ fn files(folder: &Path) -> usize {
     fs::read_dir(folder).unwrap().count()
 }
 
-/// Mean absolute difference of two pictures of one size, levels.
+/// Mean absolute difference of two images of one size, levels.
 fn difference(a: &Path, b: &Path) -> f64 {
     let (a, b) = (read_rgb(a).unwrap(), read_rgb(b).unwrap());
     assert_eq!(a.size(), b.size());

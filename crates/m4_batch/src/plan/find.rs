@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 const VIDEOS: [&str; 15] = [
     "mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "wmv", "flv", "ogv",
 ];
-/// Extensions of pictures: a folder of these is a clip.
+/// Extensions of images: a folder of these is a clip.
 const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Lists of posed frames: a folder with one is a capture, and so a clip.
 const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];

@@ -68,7 +68,7 @@ pub struct ClipReport {
     pub seconds: Option<f64>,
     /// Splats of its scene.
     pub splats: Option<u64>,
-    /// PSNR of the training pictures at the end, dB.
+    /// PSNR of the training images at the end, dB.
     pub psnr_db: Option<f64>,
     /// Most memory that its run held, bytes.
     pub peak_memory_bytes: Option<u64>,

@@ -1,4 +1,4 @@
-//! One page of pictures: the template `page.html` with everything in it.
+//! One page of images: the template `page.html` with everything in it.
 
 use super::{ClipReport, ClipState, Report};
 use crate::layout::POSTER_FILE;

@@ -48,7 +48,7 @@ pub enum GeometryError {
         /// Poses of the truth.
         truth: usize,
     },
-    /// A path stands still, or the two run against one another.
+    /// A path is static, or the two run against one another.
     #[error(
         "one of the paths has no extent, so there is nothing to align; compare without alignment, or rotations alone"
     )]

@@ -41,7 +41,7 @@ struct File {
 /// world, column 3 its centre, column 4 height, width and focal length in pixels. Other keys are
 /// ignored.
 ///
-/// The frames have no picture (0x0), no depth and no mask; they are named `00000`, `00001`, ...
+/// The frames have no image (0x0), no depth and no mask; they are named `00000`, `00001`, ...
 ///
 /// # Errors
 ///

@@ -5,7 +5,7 @@ use m4_scene::Mask;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// A number that two pictures score. In JSON `{"psnr": "joint"}`, `{"ssim": "skimage_uniform"}`; as text `psnr_joint`.
+/// A number that two images score. In JSON `{"psnr": "joint"}`, `{"ssim": "skimage_uniform"}`; as text `psnr_joint`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Metric {

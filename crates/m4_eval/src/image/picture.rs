@@ -2,7 +2,7 @@
 
 use m4_scene::{RgbImage, ShapeError};
 
-/// Why two pictures could not be compared.
+/// Why two images could not be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImageError {
@@ -65,7 +65,7 @@ pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (us
     }
 }
 
-/// A colour picture in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where a protocol does not clamp.
+/// A colour image in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where a protocol does not clamp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
     width: usize,

@@ -1,4 +1,4 @@
-//! Names of pictures in lists of cameras.
+//! Names of images in lists of cameras.
 
 use m4_scene::Scene;
 
@@ -24,7 +24,7 @@ pub enum BadName {
     },
 }
 
-/// The names given, or `00000.png`, `00001.png`, ... as the pictures of a capture are called.
+/// The names given, or `00000.png`, `00001.png`, ... as the images of a capture are called.
 pub(super) fn names(scene: &Scene, given: Option<&[String]>) -> Result<Vec<String>, BadName> {
     let expected = scene.source.len();
     let Some(given) = given else {

@@ -23,7 +23,7 @@ use std::path::Path;
 pub struct CaptureColmapOptions {
     /// Text or binary. Default: binary.
     pub encoding: ColmapEncoding,
-    /// Most points. Default 100,000, the order of what COLMAP itself makes of a few hundred pictures.
+    /// Most points. Default 100,000, the order of what COLMAP itself makes of a few hundred images.
     pub max_points: usize,
 }
 

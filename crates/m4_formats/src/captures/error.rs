@@ -12,10 +12,10 @@ pub enum WriteCaptureAsError {
     /// A file did not get to the disk as it was made.
     #[error(transparent)]
     File(#[from] WriteFileError),
-    /// A picture could not be written.
+    /// An image could not be written.
     #[error(transparent)]
     Picture(#[from] WriteImageError),
-    /// A picture that was written could not be read again.
+    /// An image that was written could not be read again.
     #[error("a picture was written and does not read back: {0}; check the disk")]
     ReadBack(#[from] ReadImageError),
     /// The capture holds what the format cannot, or nothing.

@@ -33,7 +33,7 @@ fn plain(name: &'static str, format: SourceFormat, source: &str, file: &str) -> 
     Reader { dress, ..reader }
 }
 
-/// A file of a fixture whose pictures lie elsewhere.
+/// A file of a fixture whose images lie elsewhere.
 fn pictured(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
     let options = ImportOptions {
         pictures: Some(fixture("import/clip/images")),
@@ -98,7 +98,7 @@ fn cameras_of_tools() -> Vec<Reader> {
     ]
 }
 
-/// The same with the pictures that its list names beside it.
+/// The same with the images that its list names beside it.
 fn beside_clip(name: &'static str, file: &str) -> Reader {
     let options = ImportOptions {
         reach: Reach::Anywhere,

@@ -103,7 +103,7 @@ pub struct Grown {
 }
 
 impl Trainer {
-    /// Clones, splits and prunes splats by the rules of `round`. Survivors keep the optimiser's state, newborns start from
+    /// Clones, splits and prunes splats by the rules of `round`. Survivors keep the optimiser's state, new splats start from
     /// nothing. Rows are in their old order, static before dynamic, those born after those that stay; halves lie 0.6
     /// standard deviations to both sides along the longest axis, 0.8 as long there. Where nothing would be left, nothing
     /// changes.

@@ -1,4 +1,4 @@
-//! Pictures and gradients.
+//! Images and gradients.
 
 use crate::gpu;
 use m4_gpu::Renderer as GpuRenderer;

@@ -72,7 +72,7 @@ pub enum SourceFault {
     /// A file that the source names lies outside of its folder.
     #[error(transparent)]
     Outside(#[from] Box<OutsideError>),
-    /// A picture, depth map or mask cannot be decoded.
+    /// An image, depth map or mask cannot be decoded.
     #[error(transparent)]
     Image(#[from] ReadImageError),
     /// The caller asked to stop.

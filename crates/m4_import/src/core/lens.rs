@@ -80,7 +80,7 @@ impl Distortion {
 /// A lens as a file describes it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lens {
-    /// The pinhole part, of the pictures as they are stored.
+    /// The pinhole part, of the images as they are stored.
     pub intrinsics: Intrinsics,
     /// The rest.
     pub distortion: Distortion,
@@ -116,7 +116,7 @@ impl Lens {
         Ok(())
     }
 
-    /// Refuses a picture of another size.
+    /// Refuses an image of another size.
     pub(crate) fn check_size(&self, (width, height): (usize, usize)) -> Result<(), SourceFault> {
         let k = &self.intrinsics;
         if (k.width, k.height) == (width, height) {

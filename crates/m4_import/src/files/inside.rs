@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Inside(Bounds);
 
 impl Inside {
-    /// Of the source in `folder` whose pictures may lie where the options say.
+    /// Of the source in `folder` whose images may lie where the options say.
     pub(crate) fn of(folder: &Path, options: &ImportOptions) -> Self {
         Self(Bounds::new(options.reach, folder, options.pictures.as_deref()))
     }

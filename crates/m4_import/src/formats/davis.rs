@@ -22,26 +22,26 @@ const FPS: f64 = 24.0;
 /// A clip and what was outlined in it.
 #[derive(Debug, Clone)]
 pub struct DavisClip {
-    /// The pictures.
+    /// The images.
     pub video: Video,
     /// Which thing each pixel shows, for each frame of `video`, of the size of the files; `None` for frames that nobody outlined (test
     /// sets have the first alone, or none).
     pub instances: Vec<Option<CompactIds>>,
 }
 
-/// Whether a folder is that of the pictures of a clip (`.../JPEGImages/480p/NAME`).
+/// Whether a folder is that of the images of a clip (`.../JPEGImages/480p/NAME`).
 #[must_use]
 pub fn detect(path: &Path) -> bool {
     let named = |p: Option<&Path>| p.and_then(Path::file_name).is_some_and(|n| n == "JPEGImages");
     path.is_dir() && named(path.parent().and_then(Path::parent))
 }
 
-/// Reads the clip whose pictures lie in `path`, `ROOT/JPEGImages/RESOLUTION/NAME`; the maps lie in `ROOT/Annotations/RESOLUTION/NAME`.
+/// Reads the clip whose images lie in `path`, `ROOT/JPEGImages/RESOLUTION/NAME`; the maps lie in `ROOT/Annotations/RESOLUTION/NAME`.
 /// `options` choose frames and size as for any video; its `folder_fps` is passed over.
 ///
 /// # Errors
 ///
-/// [`ReadSourceError`]: another layout, pictures that cannot be read, or a map that has no palette or another size than its picture.
+/// [`ReadSourceError`]: another layout, images that cannot be read, or a map that has no palette or another size than its image.
 pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<DavisClip, ReadSourceError> {
     let annotations = annotations(path)?;
     let options = VideoOptions {

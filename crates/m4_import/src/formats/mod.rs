@@ -34,7 +34,7 @@ pub enum SourceFormat {
     Nvidia,
     /// Record3D's `.r3d`.
     Record3d,
-    /// COLMAP's sparse model with its pictures.
+    /// COLMAP's sparse model with its images.
     Colmap,
     /// `transforms.json` of nerfstudio, Blender, Instant4D, and our own captures.
     Nerfstudio,

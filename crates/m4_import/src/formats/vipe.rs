@@ -11,7 +11,7 @@
 //! ```
 //!
 //! **What is converted.** Poses are OpenCV's and depth is z-depth: nothing is turned. Principal points are taken as they are, from the
-//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see [`m4_io::megasam`]). What moves is what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
+//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see [`m4_io::megasam`]). The dynamic part is what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
 //! phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and keep their place in time.
 //!
 //! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
@@ -185,7 +185,7 @@ fn pinholes(path: &Path) -> Result<(), ReadSourceError> {
     Ok(())
 }
 
-/// Numbers of instances that stand still: the sky.
+/// Numbers of instances that are static: the sky.
 fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
     if !path.is_file() {
         return Ok(HashSet::new());

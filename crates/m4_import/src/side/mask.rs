@@ -1,4 +1,4 @@
-//! Masks of what moves, one per file, or a stack in an npz archive.
+//! Masks of dynamic regions, one per file, or a stack in an npz archive.
 
 use super::palette::read_numbers;
 use super::stack::Stack;

@@ -1,4 +1,4 @@
-//! The numbers of PNG pictures as they are stored: of a palette its indices, which other readers turn into colours.
+//! The numbers of PNG images as they are stored: of a palette its indices, which other readers turn into colours.
 
 use crate::core::SourceFault;
 use crate::files::pictures::check_pixels;
@@ -8,14 +8,14 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-/// Largest side and what a picture may take, bytes.
+/// Largest side and what an image may take, bytes.
 const MAX_SIDE: u32 = 32_768;
 const MAX_BYTES: usize = 512 << 20;
 /// What deflate makes of a byte at most, and what a file of any length may unpack to.
 const MAX_RATIO: u64 = 1032;
 const FREE_BYTES: u64 = 4 << 20;
 
-/// A PNG picture of numbers.
+/// A PNG image of numbers.
 pub(crate) struct Numbers {
     /// A number per pixel: index, grey value, or 1 where a colour is not black.
     pub plane: Plane<u16>,

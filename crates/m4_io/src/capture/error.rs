@@ -81,28 +81,28 @@ pub enum ReadCaptureError {
         /// Its value.
         value: f64,
     },
-    /// A picture, depth map or mask could not be read.
+    /// An image, depth map or mask could not be read.
     #[error("{}, frame {frame}: {source}", path.display())]
     Image {
-        /// The file that names the picture.
+        /// The file that names the image.
         path: PathBuf,
         /// Index in the list.
         frame: usize,
-        /// What is wrong with the picture.
+        /// What is wrong with the image.
         source: ReadImageError,
     },
-    /// A picture has another size than the file says.
+    /// An image has another size than the file says.
     #[error("{}, frame {frame}: the image {} is {} x {} pixels but w and h say {} x {}; scale the images or the intrinsics (w, h, fl_x, fl_y, cx, cy) so that they agree", path.display(), shortened(image.display()), found.0, found.1, expected.0, expected.1)]
     ImageSize {
-        /// The file that names the picture.
+        /// The file that names the image.
         path: PathBuf,
         /// Index in the list.
         frame: usize,
-        /// The picture.
+        /// The image.
         image: PathBuf,
         /// `w` and `h`.
         expected: (usize, usize),
-        /// The picture's own size.
+        /// The image's own size.
         found: (usize, usize),
     },
     /// A file that the list names lies outside of its folder.
@@ -194,7 +194,7 @@ pub enum WriteCaptureError {
         /// What the system said.
         source: io::Error,
     },
-    /// A picture could not be written.
+    /// An image could not be written.
     #[error(transparent)]
     Image(#[from] WriteImageError),
     /// A frame holds a number that no file can.

@@ -1,4 +1,4 @@
-//! Folders of posed frames: `transforms_train.json` beside pictures, depth maps and masks.
+//! Folders of posed frames: `transforms_train.json` beside images, depth maps and masks.
 //!
 //! The layout is nerfstudio's with a few keys more:
 //!

@@ -15,7 +15,7 @@ const MIN_STEPS: f64 = 200.0;
 /// Steps of a 16-bit depth map.
 const MAX_STEPS: f64 = 65535.0;
 
-/// Writes one split of a capture to `folder` in the layout of [the module](super): pictures, masks
+/// Writes one split of a capture to `folder` in the layout of [the module](super): images, masks
 /// and depth as PNG, so that colours and masks come back bit by bit and poses too.
 ///
 /// The list of frames is removed first and written last: a folder that was left half-way is not

@@ -1,11 +1,11 @@
-//! Why a picture could not be read or written.
+//! Why an image could not be read or written.
 
 use crate::ErrorKind;
 use crate::shortened;
 use std::io;
 use std::path::PathBuf;
 
-/// Why a picture could not be read.
+/// Why an image could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReadImageError {
@@ -23,7 +23,7 @@ pub enum ReadImageError {
         /// The file.
         path: PathBuf,
     },
-    /// The bytes are not a picture.
+    /// The bytes are not an image.
     #[error("the image {} is damaged ({reason}); export it again", shortened(path.display()), reason = shortened(reason))]
     Damaged {
         /// The file.
@@ -31,7 +31,7 @@ pub enum ReadImageError {
         /// What the decoder said.
         reason: String,
     },
-    /// The picture claims to be larger than the limit.
+    /// The image claims to be larger than the limit.
     #[error("the image {} is {width} x {height} pixels, more than the {limit} pixels a side that are read; resize it", shortened(path.display()))]
     TooLarge {
         /// The file.
@@ -75,7 +75,7 @@ impl ReadImageError {
     }
 }
 
-/// Why a picture could not be written.
+/// Why an image could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteImageError {
@@ -93,7 +93,7 @@ pub enum WriteImageError {
         /// The file.
         path: PathBuf,
     },
-    /// The picture cannot be stored in that format.
+    /// The image cannot be stored in that format.
     #[error("cannot encode the image {}: {reason}", path.display())]
     Encode {
         /// The file.

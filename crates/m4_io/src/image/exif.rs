@@ -7,7 +7,7 @@ const EXIF_PART: u16 = 0x8769;
 /// Tag `FocalLengthIn35mmFilm`, millimetres.
 const FOCAL_35_MM: u16 = 0xa405;
 
-/// Focal length in pixels of a picture of `width` x `height` pixels, from its EXIF block (a TIFF
+/// Focal length in pixels of an image of `width` x `height` pixels, from its EXIF block (a TIFF
 /// header and directories); `None` where the block does not say or is damaged.
 pub fn focal_px(exif: &[u8], width: usize, height: usize) -> Option<f64> {
     let tiff = Tiff::new(exif)?;

@@ -48,7 +48,7 @@ fn save(
     })
 }
 
-/// Writes a colour picture as PNG or JPEG (quality 95), by the extension.
+/// Writes a colour image as PNG or JPEG (quality 95), by the extension.
 ///
 /// # Errors
 ///

@@ -3,7 +3,7 @@
 use super::MegasamFault;
 use m4_scene::Intrinsics;
 
-/// The pinhole of `[fx, fy, cx, cy]`, pixels of a picture of `size`.
+/// The pinhole of `[fx, fy, cx, cy]`, pixels of an image of `size`.
 pub(super) fn of_numbers(
     array: &'static str,
     frame: usize,

@@ -99,7 +99,7 @@ fn check(options: &MegasamOptions) -> Result<(), MegasamFault> {
     Ok(())
 }
 
-/// Looks at the shape of the pictures, and at what all frames will take.
+/// Looks at the shape of the images, and at what all frames will take.
 fn clip(input: &mut Input, planar: bool, limit_bytes: u64) -> Result<Clip, MegasamFault> {
     let images = input.array("images", limit_bytes)?;
     input::numbers("images", &images, true)?;
@@ -249,7 +249,7 @@ fn depths(
     Ok(maps)
 }
 
-/// What moves, and how likely each cell does.
+/// The dynamic part, and how likely each cell does.
 type Moving = (CompactMask, Plane<u8>);
 
 /// Masks, and how likely each cell moves; `None` where there is no map of motion.
@@ -291,7 +291,7 @@ fn masks(
     Ok(Some(masks))
 }
 
-/// Width and height of the map of motion: an eighth of the picture, or all of it.
+/// Width and height of the map of motion: an eighth of the image, or all of it.
 fn map_size(array: &Array<'_>, clip: Clip) -> Result<(usize, usize), MegasamFault> {
     let (w, h) = clip.size;
     let small = (w / motion::BLOCK, h / motion::BLOCK);

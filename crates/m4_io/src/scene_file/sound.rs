@@ -3,7 +3,7 @@
 use m4_math::nalgebra::Matrix3;
 use m4_scene::{Scene, SourceFrame};
 
-/// Longest side of a picture of the source, pixels.
+/// Longest side of an image of the source, pixels.
 const MAX_SIDE_PX: usize = 1 << 16;
 /// Farthest that the product of a rotation and its transpose may be from the identity.
 const ROTATION_WITHIN: f64 = 1e-2;

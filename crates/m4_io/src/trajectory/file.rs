@@ -16,13 +16,13 @@ const MAX_CAMERAS: usize = 100_000;
 /// What a file says about a camera path.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Trajectory {
-    /// A camera a picture.
+    /// A camera an image.
     Listed(Listed),
     /// Places to go through.
     Keyed(Keyed),
 }
 
-/// A camera path as a camera a picture.
+/// A camera path as a camera an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Listed {
     /// Cameras, each with its moment in frames.

@@ -10,7 +10,7 @@ use crate::capture::{Axes, Pose};
 use m4_math::Se3;
 use serde::Deserialize;
 
-/// Largest side of a picture to render, pixels.
+/// Largest side of an image to render, pixels.
 pub const MAX_SIDE_PX: f64 = 16_384.0;
 /// Seconds between keyframes where the file does not say: the viewer's own.
 const TRANSITION_S: f64 = 2.0;

@@ -49,7 +49,7 @@ pub enum ReadVideoError {
         /// Where and what.
         what: String,
     },
-    /// There is sound but no picture.
+    /// There is sound but no image.
     #[error("{} has no video track ({found}); a clip filmed with a moving camera is needed", path.display(), found = shortened(found))]
     NoVideoTrack {
         /// The file.
@@ -166,23 +166,23 @@ pub enum ReadVideoError {
         /// What was expected.
         expected: &'static str,
     },
-    /// A folder without pictures.
+    /// A folder without images.
     #[error("the folder {} has no picture whose name ends in .jpg, .jpeg or .png; give a video file or a folder of frames", path.display())]
     NoPictures {
         /// The folder.
         path: PathBuf,
     },
-    /// Pictures of one folder differ in size.
+    /// Images of one folder differ in size.
     #[error("the picture {} is {} x {} pixels but those before it are {} x {}; frames of one camera must have one size", path.display(), found.0, found.1, expected.0, expected.1)]
     PictureSize {
-        /// The first picture that differs.
+        /// The first image that differs.
         path: PathBuf,
         /// Width and height of the others.
         expected: (usize, usize),
         /// Its width and height.
         found: (usize, usize),
     },
-    /// A picture of a folder could not be read.
+    /// An image of a folder could not be read.
     #[error(transparent)]
     Picture(#[from] ReadImageError),
     /// The caller asked to stop.

@@ -14,7 +14,7 @@ const START_BYTES: u64 = 512;
 /// Said of a file that ffmpeg may still know.
 const UNKNOWN: &str = "its first bytes are those of no known container; give an MP4, MOV, MKV, WebM or AVI file";
 
-/// Reads a clip: a video file or a folder of pictures. Frames come upright (display matrix applied),
+/// Reads a clip: a video file or a folder of images. Frames come upright (display matrix applied),
 /// in sRGB, in order of time, all of one size; what the user should know is in [`Video::warnings`].
 /// H.264 is decoded by the program of [`super::set_decoder_program`], and in this process where there is none.
 ///

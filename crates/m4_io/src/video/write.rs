@@ -1,4 +1,4 @@
-//! Pictures to an MP4 file that plays everywhere.
+//! Images to an MP4 file that plays everywhere.
 
 use super::colour::{Planes420, Range, YuvMatrix};
 use super::mp4::Movie;
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 /// Sides that the encoder takes, pixels: from one macroblock to level 5.2.
 const SIDES_PX: (usize, usize) = (16, 3840);
-/// Shorter side of the largest picture, pixels.
+/// Shorter side of the largest image, pixels.
 const SHORT_SIDE_PX: usize = 2160;
 /// Quantisation: coding begins to be seen at 26, and under 18 it costs bits that nobody sees.
 const QP: (u8, u8) = (20, 22);

@@ -158,7 +158,7 @@ pub(super) fn picture(width: usize, height: usize) -> [Vec<u8>; 3] {
     planes
 }
 
-/// A direction through the picture, and the camera it starts from.
+/// A direction through the image, and the camera it starts from.
 fn draw_ray(rng: &mut CounterRng, k: &Intrinsics) -> (Vector3<f64>, Vector3<f64>) {
     let origin = Vector3::from(CAMERAS[rng.below(3)]);
     let ray = Vector3::new(
@@ -169,7 +169,7 @@ fn draw_ray(rng: &mut CounterRng, k: &Intrinsics) -> (Vector3<f64>, Vector3<f64>
     (origin, ray.normalize())
 }
 
-/// Share of the picture that balls cover, sampled.
+/// Share of the image that balls cover, sampled.
 fn share_of_balls(k: &Intrinsics) -> f64 {
     const SAMPLES: usize = 4096;
     let mut rng = CounterRng::new(13, 0, 0);
@@ -193,7 +193,7 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
         SceneKind::FourD => n - (n as f64 * DYNAMIC) as usize,
     };
     let pixels = (width * height) as f64;
-    // so that what is there at an instant covers the picture as densely as a static scene does
+    // so that what is there at an instant covers the image as densely as a static scene does
     let alive = (n - n_static) as f64 * 2.0 * REACH * TIME_SD / FRAMES as f64;
     let spacing_static = (pixels / n_static.max(1) as f64).sqrt();
     let spacing_dynamic = (pixels * share_of_balls(&k) / alive.max(1.0)).sqrt();

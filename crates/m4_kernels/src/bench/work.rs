@@ -112,7 +112,7 @@ impl Kernel {
         }
     }
 
-    /// True for the kernels that a picture alone needs.
+    /// True for the kernels that an image alone needs.
     #[must_use]
     pub fn renders(self) -> bool {
         matches!(self, Self::Project | Self::Bin | Self::Blend)
@@ -161,9 +161,9 @@ impl Kernel {
                 evaluations: useful,
                 items: used,
             },
-            // a channel: two blurs of three pictures, 11 taps along each axis, 25 for SSIM, 10 for the rest
+            // a channel: two blurs of three images, 11 taps along each axis, 25 for SSIM, 10 for the rest
             Self::Photo => Work {
-                // the picture, its gradient, three bytes of the target
+                // the image, its gradient, three bytes of the target
                 bytes: planes(6) + 3.0 * pixels,
                 operations: 3.0 * pixels * (2.0 * 3.0 * 22.0 + 35.0),
                 evaluations: 0.0,

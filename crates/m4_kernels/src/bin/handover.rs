@@ -8,7 +8,7 @@ use fearless_simd::{Simd, mask32x16, prelude::*, u32x16};
 /// Numbers of a projected splat.
 pub(crate) const FIELDS: usize = 10;
 /// A projected splat, the numbers of a [`Record`](super::cpu::Record) side by side. It lies where its row
-/// is, sixteen a group; rows of groups that are not in the picture hold what they held.
+/// is, sixteen a group; rows of groups that are not in the image hold what they held.
 pub(crate) type Row = [f32; FIELDS];
 /// Tiles of a row, from the first of the blocks reached on, that have a bit in [`Part::tiles`].
 pub(super) const WINDOW: u32 = 16;

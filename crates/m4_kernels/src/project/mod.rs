@@ -21,7 +21,7 @@ use m4_scene::Intrinsics;
 pub(crate) mod cpu;
 pub mod reference;
 
-/// The smallest near plane, world units: a splat at depth 0 or behind has no picture, whatever the view
+/// The smallest near plane, world units: a splat at depth 0 or behind has no image, whatever the view
 /// says.
 pub const NEAR_MIN: f64 = 1e-6;
 

@@ -5,7 +5,7 @@
 //! from the bands, in the order of the bands, and turns them into gradients of the columns.
 //!
 //! Sixteen rows are a group. Splats of a group go to their bands one band after the other, not one splat
-//! after the other: neighbours in memory are neighbours in the picture, so a group reaches few bands,
+//! after the other: neighbours in memory are neighbours in the image, so a group reaches few bands,
 //! and the length of the loops is guessed right far more often.
 
 mod backward;

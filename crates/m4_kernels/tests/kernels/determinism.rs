@@ -68,7 +68,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 
 #[test]
 fn the_order_of_the_rows_only_rounds() {
-    // two orders of the same splats are the same picture: nothing depends on the place in memory
+    // two orders of the same splats are the same image: nothing depends on the place in memory
     let camera = random_camera(23, 60, 40);
     let spec = SceneSpec {
         n_static: 300,

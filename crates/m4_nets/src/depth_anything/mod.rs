@@ -1,4 +1,4 @@
-//! Depth-Anything V1: relative depth of one picture.
+//! Depth-Anything V1: relative depth of one image.
 //!
 //! - Paper: Yang et al., "Depth Anything: Unleashing the Power of Large-Scale Unlabeled Data", CVPR 2024; the head is that of Ranftl et
 //!   al., "Vision Transformers for Dense Prediction", ICCV 2021 (DPT).
@@ -38,7 +38,7 @@ const NAME: &str = "Depth-Anything V1";
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DisparityError {
-    /// The picture has no pixels.
+    /// The image has no pixels.
     #[error("disparity needs a picture with pixels")]
     Empty,
     /// The device failed, for one for lack of memory.
@@ -70,7 +70,7 @@ impl Net {
         }
     }
 
-    /// Of pictures `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means 0.
+    /// Of images `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means 0.
     fn logits(&self, pictures: Tensor<4>) -> Tensor<4> {
         let [_, _, height, width] = pictures.dims();
         let grid = [height / dinov2::PATCH, width / dinov2::PATCH];
@@ -114,12 +114,12 @@ impl DepthAnything {
         self.net.num_params()
     }
 
-    /// The disparity of `image`, `[height][width]` as the picture: relative (a factor and an offset are unknown), 0 or more, larger where it is
+    /// The disparity of `image`, `[height][width]` as the image: relative (a factor and an offset are unknown), 0 or more, larger where it is
     /// nearer.
     ///
     /// # Errors
     ///
-    /// [`DisparityError`] if the picture has no pixels or the device fails.
+    /// [`DisparityError`] if the image has no pixels or the device fails.
     pub fn disparity(&self, image: &RgbImage) -> Result<Plane<f32>, DisparityError> {
         let sides = Sides::of(image.width(), image.height())?;
         let logits = self.net.logits(sides.tensor(image, &self.device));

@@ -99,7 +99,7 @@ impl DinoV2 {
         self.blocks.len()
     }
 
-    /// What the blocks `taps` (counted from 0, ascending) give away of pictures `[b, 3, 14 h, 14 w]` that are normalised (ImageNet's mean and
+    /// What the blocks `taps` (counted from 0, ascending) give away of images `[b, 3, 14 h, 14 w]` that are normalised (ImageNet's mean and
     /// standard deviation). Blocks after the last of them are not run.
     pub fn taps<const N: usize>(&self, pictures: Tensor<4>, taps: [usize; N]) -> [Tap; N] {
         let mut run = self.run(pictures);

@@ -6,7 +6,7 @@ use std::error::Error;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DroidError {
-    /// A picture is too small, or its sides are no multiples of 8.
+    /// An image is too small, or its sides are no multiples of 8.
     #[error(
         "the tracking network takes pictures whose sides are multiples of 8 and at least 128 px, this has {width} x {height}; \
          resize and crop it"
@@ -70,7 +70,7 @@ pub enum DroidError {
         /// Pixels of the grid.
         expected: usize,
     },
-    /// A picture could not be had again.
+    /// An image could not be had again.
     #[error("the picture of frame {frame} cannot be had: {reason}")]
     Picture {
         /// The frame.

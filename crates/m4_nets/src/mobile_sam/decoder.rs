@@ -30,7 +30,7 @@ impl MaskDecoder {
         }
     }
 
-    /// Of a picture's embedding with what is known of the mask, `[256, h, w]`, the places of its pixels, `[h w, 256]`, and the
+    /// Of an image's embedding with what is known of the mask, `[256, h, w]`, the places of its pixels, `[h w, 256]`, and the
     /// tokens of the prompt, `[n, 256]`: four masks `[4, 4 h, 4 w]` and their qualities `[4]`.
     pub fn forward(&self, map: Tensor<3>, grid: &Tensor<2>, prompt: Option<Tensor<2>>) -> (Tensor<3>, Tensor<1>) {
         let [c, h, w] = map.dims();

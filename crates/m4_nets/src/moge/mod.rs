@@ -1,4 +1,4 @@
-//! MoGe-2: depth in metres, field of view, mask and normals of one picture.
+//! MoGe-2: depth in metres, field of view, mask and normals of one image.
 //!
 //! - Papers: Wang et al., "MoGe: Unlocking Accurate Monocular Geometry Estimation for Open-Domain Images with Optimal Training
 //!   Supervision", CVPR 2025; "MoGe-2: Accurate Monocular Geometry with Metric Scale and Sharp Details", 2025.
@@ -51,7 +51,7 @@ const NAME: &str = "MoGe-2";
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MoGeError {
-    /// The picture has no pixels.
+    /// The image has no pixels.
     #[error("depth needs a picture with pixels")]
     Empty,
     /// That many patches cannot be.
@@ -147,7 +147,7 @@ impl Net {
         }
     }
 
-    /// What the neck makes of a picture `[1, 3, 14 h, 14 w]`, from small to large, and the class token.
+    /// What the neck makes of an image `[1, 3, 14 h, 14 w]`, from small to large, and the class token.
     fn features(&self, picture: Tensor<4>, taps: &[usize], grid: Grid) -> (Vec<Tensor<4>>, Tensor<2>) {
         let (map, class) = self.encoder.forward(picture, taps, [grid.down, grid.across]);
         let (device, dtype) = (map.device(), map.dtype());
@@ -235,7 +235,7 @@ impl MoGe {
     ///
     /// # Errors
     ///
-    /// [`MoGeError`] if the picture has no pixels, an option is out of range, the network finds no depth, or the device fails.
+    /// [`MoGeError`] if the image has no pixels, an option is out of range, the network finds no depth, or the device fails.
     pub fn infer(&self, image: &RgbImage, options: &MoGeOptions) -> Result<MoGeMap, MoGeError> {
         self.said(image, options)?.geometry(options.known_focal_px)
     }

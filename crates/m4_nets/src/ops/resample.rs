@@ -1,4 +1,4 @@
-//! Rows of numbers in another length, as PyTorch and OpenCV resize pictures. The centre of number `i` is at `i + 1/2`.
+//! Rows of numbers in another length, as PyTorch and OpenCV resize images. The centre of number `i` is at `i + 1/2`.
 
 use rayon::prelude::*;
 

@@ -1,5 +1,5 @@
-//! Pictures in another size as Pillow's filters make them, which SAM was trained with: a function that is as wide as a new pixel
-//! where pictures become smaller, along rows and then along columns, rounded to bytes after each. In whole numbers, as Pillow's, so
+//! Images in another size as Pillow's filters make them, which SAM was trained with: a function that is as wide as a new pixel
+//! where images become smaller, along rows and then along columns, rounded to bytes after each. In whole numbers, as Pillow's, so
 //! that the bytes are the same.
 
 use m4_scene::{Plane, RgbImage};

@@ -6,10 +6,10 @@ use std::error::Error;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Sam2Error {
-    /// The network cannot take pictures of this side.
+    /// The network cannot take images of this side.
     #[error("the side of the picture that SAM 2 takes is a multiple of 32 from 64 to 2048, not {0}")]
     Side(usize),
-    /// A picture has no pixels.
+    /// An image has no pixels.
     #[error("{what} has no pixels: it is {width} x {height}")]
     NoPixels {
         /// What it is.
@@ -39,14 +39,14 @@ pub enum Sam2Error {
     /// The prompt is empty.
     #[error("a prompt needs a point, a box or a mask")]
     NothingAsked,
-    /// A point or a corner of the prompt is not in the picture.
+    /// A point or a corner of the prompt is not in the image.
     #[error("the prompt has a place at column {}, row {} of a picture of {width} x {height} pixels", at_px[0], at_px[1])]
     Outside {
         /// Column and row, in pixels.
         at_px: [f32; 2],
-        /// Columns of the picture.
+        /// Columns of the image.
         width: usize,
-        /// Rows of the picture.
+        /// Rows of the image.
         height: usize,
     },
     /// The box of the prompt ends before it begins.
@@ -67,7 +67,7 @@ pub enum Sam2Error {
         /// Columns and rows that it should have.
         expected: usize,
     },
-    /// A frame's picture could not be had.
+    /// A frame's image could not be had.
     #[error("the picture of frame {frame} cannot be had: {reason}")]
     Picture {
         /// The frame.

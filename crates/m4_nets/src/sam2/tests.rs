@@ -22,7 +22,7 @@ fn loaded(weights: &FormulaWeights, side: usize) -> Sam2 {
     Sam2::load(&path, cpu()).unwrap().with_side(side).unwrap()
 }
 
-/// The tiny size for pictures of 256 by 256 pixels.
+/// The tiny size for images of 256 by 256 pixels.
 fn tiny() -> &'static Sam2 {
     static NET: LazyLock<Sam2> = LazyLock::new(|| loaded(&FormulaWeights::of_keys(TINY), 256));
     &NET

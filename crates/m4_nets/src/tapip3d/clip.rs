@@ -11,14 +11,14 @@ pub trait PosedClip {
     /// How many frames there are.
     fn frames(&self) -> usize;
 
-    /// The picture of `frame`, in any size.
+    /// The image of `frame`, in any size.
     ///
     /// # Errors
     ///
     /// What hinders it.
     fn picture(&self, frame: usize) -> Result<RgbImage, ClipError>;
 
-    /// z-depth of `frame` in the unit of the poses, in any size that shows what the picture shows. 0, less, or not finite where
+    /// z-depth of `frame` in the unit of the poses, in any size that shows what the image shows. 0, less, or not finite where
     /// it is not known.
     ///
     /// # Errors
@@ -26,7 +26,7 @@ pub trait PosedClip {
     /// What hinders it.
     fn depth(&self, frame: usize) -> Result<DepthMap, ClipError>;
 
-    /// The camera of `frame`: its pose, and its intrinsics for the picture's or any other size.
+    /// The camera of `frame`: its pose, and its intrinsics for the image's or any other size.
     ///
     /// # Errors
     ///

@@ -98,7 +98,7 @@ pub fn picture(image: &RgbImage, size: (usize, usize), config: &Config, device: 
     tensor(planes, [1, 3, size.1, size.0], device).cast(dtype)
 }
 
-/// Features of a picture `[1, 3, h, w]`: a map per level, `[pixels, channels]`.
+/// Features of an image `[1, 3, h, w]`: a map per level, `[pixels, channels]`.
 pub fn maps(net: &Net, picture: Tensor<4>, levels: usize) -> Vec<Tensor<2>> {
     let mut map = net.encoder.forward(picture);
     let flat = |x: &Tensor<4>| {

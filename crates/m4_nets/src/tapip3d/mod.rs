@@ -144,7 +144,7 @@ impl Tapip3d {
         self.net.num_params()
     }
 
-    /// Columns and rows of the pictures that the network was trained with.
+    /// Columns and rows of the images that the network was trained with.
     #[must_use]
     pub fn training_size(&self) -> (usize, usize) {
         self.config.size

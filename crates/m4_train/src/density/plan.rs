@@ -37,7 +37,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// True where the row is newborn, `[rows]`.
+    /// True where the row is new splat, `[rows]`.
     #[must_use]
     pub fn newborn(&self) -> Vec<bool> {
         self.origins.iter().map(|o| o.is_newborn()).collect()

@@ -7,7 +7,7 @@ use m4_viewer::{About, Manifest, SafeConfig};
 
 const FRAMES: usize = 6;
 
-/// Splats in front of a camera that stands still.
+/// Splats in front of a static camera.
 pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
     let camera = camera_looking_at(Intrinsics::centred(160, 120, 140.0), [0.3, 0.1, -0.5], [0.3, 0.1, 4.0]);
     let spec = SceneSpec {

@@ -41,11 +41,11 @@ pub struct AblateOptions {
     pub rows: Vec<Row>,
     /// The capture with the held-out views; the input itself where it is a capture.
     pub data: Option<PathBuf>,
-    /// Masks of what moves are grown by this before they are scored, pixels.
+    /// Masks of dynamic regions are grown by this before they are scored, pixels.
     pub grow_mask: usize,
 }
 
-/// Makes every row of the table in a folder of its own in `out`, scores the held-out views, and writes the table and a picture of what
+/// Makes every row of the table in a folder of its own in `out`, scores the held-out views, and writes the table and an image of what
 /// tracking brings. Rows that are finished are not made again; [`Job::existing`] is of no meaning.
 ///
 /// # Errors

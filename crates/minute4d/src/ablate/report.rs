@@ -14,7 +14,7 @@ pub struct RowReport {
     pub skipped: Option<String>,
     /// Mean PSNR of the held-out views, dB.
     pub psnr_db: Option<f64>,
-    /// The same inside the masks of what moves, where there are any.
+    /// The same inside the masks of dynamic regions, where there are any.
     pub moving_psnr_db: Option<f64>,
     /// Mean SSIM of the held-out views.
     pub ssim: Option<f64>,
@@ -69,7 +69,7 @@ pub struct AblationReport {
     pub threads: usize,
     /// The rows.
     pub rows: Vec<RowReport>,
-    /// A picture of what tracking brings, where both rows are there.
+    /// An image of what tracking brings, where both rows are there.
     pub picture: Option<PathBuf>,
 }
 

@@ -1,4 +1,4 @@
-//! How much memory training takes: the program trains on a made-up clip, and its record says.
+//! How much memory training takes: the program trains on a synthetic clip, and its record says.
 
 use super::Machine;
 use super::save::today;
@@ -56,7 +56,7 @@ pub struct MemoryCase {
     /// Most memory that the process held (resident set), bytes: reading, initialisation, training,
     /// checkpoints, writing the scene and the preview. None where the system does not tell.
     pub peak_bytes: Option<u64>,
-    /// Pictures, depth and masks in memory, bytes: part of the above.
+    /// Images, depth and masks in memory, bytes: part of the above.
     pub capture_bytes: u64,
     /// Size of the finished scene file, bytes.
     pub scene_bytes: u64,

@@ -76,7 +76,7 @@ pub struct GpuPainter {
 }
 
 impl GpuPainter {
-    /// The picture of `view`.
+    /// The image of `view`.
     ///
     /// # Errors
     ///

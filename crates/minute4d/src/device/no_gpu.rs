@@ -52,7 +52,7 @@ impl OpenGpu {
 pub enum GpuPainter {}
 
 impl GpuPainter {
-    /// The picture of `view`.
+    /// The image of `view`.
     ///
     /// # Errors
     ///

@@ -15,7 +15,7 @@ use m4_slam::tracks3d::{CaptureClip, FlowTracker, QueryGrid, Tracker3d};
 ///
 /// # Errors
 ///
-/// [`Error`] where a network cannot be loaded or fails, the capture says nothing of what moves, or the observer says to stop.
+/// [`Error`] where a network cannot be loaded or fails, the capture says nothing of the dynamic part, or the observer says to stop.
 pub(crate) fn apply(
     mut capture: Capture,
     plan: &Plan,

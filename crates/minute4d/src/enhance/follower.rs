@@ -5,7 +5,7 @@ use crate::geometry::{self, Segmenter};
 use m4_slam::dense::{self, FlowSource, InverseSearch};
 use m4_slam::instances::{FlowFollower, FollowSettings};
 
-/// Classical flow, and a segmenter of single pictures or none.
+/// Classical flow, and a segmenter of single images or none.
 pub struct Follower {
     flow: InverseSearch,
     pictures: Option<Box<dyn dense::Segmenter>>,

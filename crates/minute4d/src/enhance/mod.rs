@@ -1,4 +1,4 @@
-//! Better masks for a capture: what moves is told apart into things, outlined, and followed through the clip.
+//! Better masks for a capture: the dynamic part is told apart into things, outlined, and followed through the clip.
 //!
 //! ```text
 //! capture (maps of motion, or masks) --m4_slam::instances, with whoever follows things--> capture (masks, instances), report
@@ -65,13 +65,13 @@ impl Clip for Frames<'_> {
     }
 }
 
-/// The capture with refined masks and maps of instances at the size of its pictures, and what was found. Everything else stays as it is, the maps of
-/// motion, too. What moves roughly is read from the maps of motion where every frame has one, else from the masks. `flow` checks whether maps
+/// The capture with refined masks and maps of instances at the size of its images, and what was found. Everything else stays as it is, the maps of
+/// motion, too. The dynamic part roughly is read from the maps of motion where every frame has one, else from the masks. `flow` checks whether maps
 /// of motion are the right way round, besides their looks.
 ///
 /// # Errors
 ///
-/// [`Error::Enhance`]: a frame says nothing about what moves, the maps are the wrong way round, the settings make no sense, `segmenter`
+/// [`Error::Enhance`]: a frame says nothing about the dynamic part, the maps are the wrong way round, the settings make no sense, `segmenter`
 /// fails or `progress` says to stop.
 pub fn masks(
     mut capture: Capture,

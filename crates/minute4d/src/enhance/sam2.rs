@@ -180,7 +180,7 @@ impl VideoSession for Session<'_> {
     }
 }
 
-/// A mask of the network at the size of the pictures.
+/// A mask of the network at the size of the images.
 fn converted(object: ObjectId, mask: &sam2::ObjectMask, size: (usize, usize)) -> ObjectMask {
     if !mask.is_there() {
         return ObjectMask::unseen(object, size, Sight::Hidden);

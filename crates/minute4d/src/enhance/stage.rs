@@ -24,7 +24,7 @@ pub const STAGE: &str = "enhance";
 pub struct EnhanceReport {
     /// The capture that was made.
     pub path: PathBuf,
-    /// Who outlined what moves: `none`, `flow`, `mobilesam` or `sam2`.
+    /// The segmentation method: `none`, `flow`, `mobilesam` or `sam2`.
     pub segmenter: String,
     /// Who followed points: `none`, `flow` or `tapip3d`.
     pub tracker: String,
@@ -54,7 +54,7 @@ struct Part<'a> {
 ///
 /// # Errors
 ///
-/// [`Error`]: the capture cannot be read or says nothing of what moves, weights are missing, the folder cannot be used, or the user stops.
+/// [`Error`]: the capture cannot be read or says nothing of the dynamic part, weights are missing, the folder cannot be used, or the user stops.
 pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Error> {
     if !input.exists() {
         return Err(Error::Missing {

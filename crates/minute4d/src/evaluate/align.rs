@@ -128,7 +128,7 @@ fn same_world(pairs: &[(Camera, Camera)]) -> bool {
         .iter()
         .map(|(d, _)| (d.centre() - first.0.centre()).norm())
         .fold(0.0, f64::max);
-    // A camera that stands still has no extent; a unit of the world serves as well.
+    // A static camera has no extent; a unit of the world serves as well.
     let limit = SAME_WORLD * if extent > 0.0 { extent } else { 1.0 };
     pairs.iter().all(|(d, s)| {
         (d.centre() - s.centre()).norm() <= limit && (d.c2w.rotation - s.c2w.rotation).norm() <= SAME_WORLD.sqrt()

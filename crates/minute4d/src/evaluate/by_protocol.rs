@@ -16,7 +16,7 @@ use m4_scene::{Camera, CompactMask};
 use std::path::Path;
 use std::time::Instant;
 
-/// Cameras closer than this (share of the path's length, entries of the rotation) took one picture.
+/// Cameras closer than this (share of the path's length, entries of the rotation) took one image.
 const SAME_POSE: f64 = 1e-4;
 /// Moments closer than this are one, frames.
 const SAME_MOMENT: f64 = 1e-3;

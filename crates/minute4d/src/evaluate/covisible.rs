@@ -1,10 +1,10 @@
-//! Masks of co-visibility: which pixels of a test picture the training video saw.
+//! Masks of co-visibility: which pixels of a test image the training video saw.
 //!
 //! The masks that a data set publishes come first (`covisible/` in the capture, or a folder that is named); they are files named as the
-//! picture of their view. Where there are none, masks are made from the poses and depth of the training frames. A test picture has no
+//! image of their view. Where there are none, masks are made from the poses and depth of the training frames. A test image has no
 //! depth of its own, so that what the training frames saw is drawn into it first, each pixel a square as large as it lands, the nearest on
-//! top; then each training frame is asked whether it saw that point (`m4_eval::image::covisible::seen_by_depth`). What moves counts at
-//! the test picture's moment alone: pixels of masks of motion are drawn from the training frame that is nearest in time.
+//! top; then each training frame is asked whether it saw that point (`m4_eval::image::covisible::seen_by_depth`). The dynamic part counts at
+//! the test image's moment alone: pixels of masks of motion are drawn from the training frame that is nearest in time.
 
 use super::ProtocolError;
 use crate::{Error, Observer, Settings};
@@ -27,7 +27,7 @@ const MOST_SIDE: f64 = 4.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaskSource {
-    /// The protocol scores whole pictures.
+    /// The protocol scores whole images.
     None,
     /// Files that a data set publishes, or that were given.
     Files,
@@ -237,7 +237,7 @@ fn draw(out: &mut DepthMap, u: f64, v: f64, z: f32, side: f64) {
     }
 }
 
-/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the capture is that of its picture. Files that
+/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the capture is that of its image. Files that
 /// do not exist are passed over; says how many were copied.
 pub(crate) fn adopt(capture: &Path, views: &Capture, from: impl Fn(&str) -> PathBuf) -> Result<usize, Error> {
     let folder = capture.join(COVISIBLE_FOLDER);

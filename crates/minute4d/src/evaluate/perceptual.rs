@@ -28,7 +28,7 @@ const DEFINITION: &str =
     "LPIPS 0.1; sRGB values from 0 to 1 enter as 2 x - 1, less the shift of the scaling layer, over its scale";
 
 impl LpipsRule {
-    /// Names of its score over the whole picture, and inside a mask.
+    /// Names of its score over the whole image, and inside a mask.
     fn scores(self) -> [&'static str; 2] {
         match self {
             Self::Alex => ["lpips_alex", "lpips_alex_masked"],
@@ -76,7 +76,7 @@ mod with_nets {
     }
 
     impl Perceptual {
-        /// Loads what is here of `wanted`, for pictures whose shorter side is `least_px`.
+        /// Loads what is here of `wanted`, for images whose shorter side is `least_px`.
         pub fn load(wanted: &[LpipsRule], masked: bool, least_px: usize, device: DeviceChoice) -> Result<Self, Error> {
             let mut out = Self {
                 nets: Vec::new(),

@@ -1,10 +1,10 @@
-//! The pose of a test picture, looked for in the finished scene.
+//! The pose of a test image, looked for in the finished scene.
 //!
 //! ```text
 //! pose --draw--> picture --squared error--> gradient --backward of the kernels--> twist --Adam--> pose
 //! ```
 //!
-//! RoDyGS, MoSca and others score held-out pictures after such a search, since poses that were estimated or aligned are a little off and
+//! RoDyGS, MoSca and others score held-out images after such a search, since poses that were estimated or aligned are a little off and
 //! half a pixel costs a decibel. It makes every score better and compares only with scores that had it. The pose moves by left twists
 //! of world to camera (specification, section 1.6): rotations in radians, translations as shares of the median depth in view, so that the
 //! result does not depend on the unit of the world. Splats, lens and moment stay.
@@ -30,7 +30,7 @@ pub struct Moved {
     pub turned_deg: f64,
     /// Distance of the camera's centres before and after, shares of the median depth in view.
     pub shifted: f64,
-    /// Mean squared error of the picture before and after.
+    /// Mean squared error of the image before and after.
     pub mse: [f64; 2],
 }
 

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Grade {
-    /// Expect depth of what rests within a few per cent.
+    /// Expect depth of static regions within a few per cent.
     Good,
     /// Usable; one of the numbers is weak.
     Fair,
@@ -60,7 +60,7 @@ pub struct Confidence {
     pub focal: Focal,
     /// Standard deviation of an estimated focal length, per cent.
     pub focal_sigma_percent: Option<f64>,
-    /// Median reprojection error of what rests, pixels.
+    /// Median reprojection error of static regions, pixels.
     pub residual_px: f64,
     /// Share of the pixels whose depth was measured (or given) and not filled in.
     pub measured_share: f64,

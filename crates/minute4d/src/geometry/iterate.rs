@@ -1,4 +1,4 @@
-//! Cameras once more, now that it is known what moves.
+//! Cameras once more, now that it is known the dynamic part.
 //!
 //! The first cameras come from tracks that judged each other. Masks know more: tracks within them are left out, cameras are
 //! found anew, and where that changes what they see, depth and masks are made anew, too. Otherwise all stays as it was.

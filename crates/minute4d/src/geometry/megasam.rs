@@ -142,7 +142,7 @@ fn assemble(video: Video, geometry: &MegasamGeometry, given: &Given, tau: f64) -
     }
 }
 
-/// What moves, at the size of the picture.
+/// The dynamic part, at the size of the image.
 fn mask(motion: &Plane<f32>, (width, height): (usize, usize), tau: f64) -> CompactMask {
     let full = resize_bilinear(motion, width, height);
     CompactMask::from_fn(width, height, |x, y| f64::from(full.row(y)[x]) > tau)

@@ -9,7 +9,7 @@
 //!
 //! Finished steps are kept in the folder until all is done, so that what was interrupted goes on.
 //!
-//! This file keeps the record and the folder; `compute` does the work, `frontend` chooses who measures flow, `segmenter` who outlines what moves,
+//! This file keeps the record and the folder; `compute` does the work, `frontend` chooses the flow method, `segmenter` the segmentation method,
 //! `given` reads what the user knows, `confidence` says how far the result can be trusted.
 
 mod compute;
@@ -66,7 +66,7 @@ struct Part<'a> {
     megasam: Option<&'a m4_slam::megasam::MegasamSettings>,
     /// Where networks run: another device gives other last bits.
     device: &'a str,
-    /// The same of what outlines what moves.
+    /// The same of what outlines the dynamic part.
     segmenter: &'a str,
     segmenter_weights: Option<&'a str>,
     /// What is done to its result, and by which networks.
@@ -76,7 +76,7 @@ struct Part<'a> {
     given: Sources,
 }
 
-/// Makes a capture of a video or a folder of pictures, or finds that it was made before.
+/// Makes a capture of a video or a folder of images, or finds that it was made before.
 ///
 /// # Errors
 ///

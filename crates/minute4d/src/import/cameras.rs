@@ -5,7 +5,7 @@ use m4_math::Se3;
 use m4_math::nalgebra::{Matrix3, Vector3};
 use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, Splats};
 
-/// Size of the pictures, pixels.
+/// Size of the images, pixels.
 const SIZE_PX: (usize, usize) = (640, 480);
 /// Horizontal field of view, degrees.
 const FOV_DEG: f64 = 50.0;
@@ -120,7 +120,7 @@ mod tests {
                 let camera = frame.camera;
                 let ([u, v], z) = camera.project(&Vector3::new(5.0, 1.0, 0.0));
                 assert!((u - 319.5).abs() < 1e-6 && (v - 239.5).abs() < 1e-6 && z > 1.0);
-                // up in the world is up in the picture
+                // up in the world is up in the image
                 let up = Vector3::from(up.unwrap_or([0.0, -1.0, 0.0]));
                 let ([_, above], _) = camera.project(&(Vector3::new(5.0, 1.0, 0.0) + up * 0.5));
                 assert!(above < v);

@@ -36,7 +36,7 @@ pub struct CaptureReport {
     pub moving_share: Option<f64>,
     /// Held-out views.
     pub held_out: usize,
-    /// How well cameras and depth fit the pictures; `None` where that was not asked for.
+    /// How well cameras and depth fit the images; `None` where that was not asked for.
     pub check: Option<Checked>,
     /// Wall-clock seconds.
     pub seconds: f64,

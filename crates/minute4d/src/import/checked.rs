@@ -1,4 +1,4 @@
-//! A capture compared with the flow of its pictures, and put right where that is asked for.
+//! A capture compared with the flow of its images, and put right where that is asked for.
 
 use super::{ImportError, STAGE};
 use crate::Error;

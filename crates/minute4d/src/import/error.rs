@@ -83,7 +83,7 @@ pub enum ImportError {
     /// Reading a clip that another tool posed.
     #[error(transparent)]
     Source(#[from] ReadSourceError),
-    /// Comparing a capture with the flow of its pictures.
+    /// Comparing a capture with the flow of its images.
     #[error("the capture cannot be checked: {0}; --no-check imports it all the same")]
     Check(#[from] ConsistencyError),
     /// Reading files of MegaSaM.

@@ -71,7 +71,7 @@ pub enum Report {
 }
 
 /// Imports a file or folder into the folder `out`: splats as a scene, posed clips as a capture. A scene without
-/// cameras gets some that look at its middle; the cameras and depth of a capture are compared with the flow of its pictures.
+/// cameras gets some that look at its middle; the cameras and depth of a capture are compared with the flow of its images.
 ///
 /// # Errors
 ///

@@ -1,4 +1,4 @@
-//! Words in a picture, in a 5x7 font that holds the letters the labels need.
+//! Words in an image, in a 5x7 font that holds the letters the labels need.
 
 use m4_scene::RgbImage;
 

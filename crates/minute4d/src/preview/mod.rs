@@ -28,7 +28,7 @@ pub const STAGE: &str = "preview";
 pub struct PreviewConfig {
     /// Longest side of each of the three panels, pixels. 480: three fit on a full-HD screen.
     pub panel_px: usize,
-    /// Name the panels in the picture.
+    /// Name the panels in the image.
     pub labels: bool,
     /// Shortest clip, seconds; shorter ones are played again until they are this long. 4: one swing.
     pub min_seconds: f64,

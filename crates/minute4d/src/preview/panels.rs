@@ -1,4 +1,4 @@
-//! Three pictures side by side.
+//! Three images side by side.
 
 use super::label;
 use m4_scene::{Plane, RgbImage};

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// Name of the file in the folder of a run.
 pub const POSTER_FILE: &str = "poster.jpg";
-/// Longest side of each of the two pictures, pixels: a page of a thousand posters stays under 50 MB.
+/// Longest side of each of the two images, pixels: a page of a thousand posters stays under 50 MB.
 const SIDE_PX: usize = 240;
 
 /// Makes the poster of a finished run of `input` and notes it in the run's record. The frame is the one that

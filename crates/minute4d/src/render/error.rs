@@ -26,21 +26,21 @@ pub enum PathError {
         /// What is possible.
         expected: &'static str,
     },
-    /// More pictures than anyone wants.
+    /// More images than anyone wants.
     #[error(
         "the path takes {seconds} s, which is {frames} pictures at {fps} a second; at most {limit} are rendered, so ask for fewer with --seconds or --fps"
     )]
     TooManyFrames {
         /// Length, seconds.
         seconds: f64,
-        /// Pictures a second.
+        /// Images a second.
         fps: f64,
-        /// Pictures.
+        /// Images.
         frames: f64,
-        /// Most pictures.
+        /// Most images.
         limit: usize,
     },
-    /// A bullet path that is over before time stands still.
+    /// A bullet path that is over before time is frozen.
     #[error(
         "--seconds {seconds} leaves nothing beside the {hold_s} s for which time stands still; ask for more, or for less with --hold-s"
     )]
@@ -64,12 +64,12 @@ pub enum PathError {
         /// What was given.
         name: String,
     },
-    /// Many pictures into one file.
+    /// Many images into one file.
     #[error("{} is one picture, but the path has {frames}; name a folder or an .mp4 file, or ask for one moment with --path source --at T", path.display())]
     OnePicture {
         /// The file.
         path: PathBuf,
-        /// Pictures of the path.
+        /// Images of the path.
         frames: usize,
     },
     /// A name that promises another sort of video.
@@ -80,7 +80,7 @@ pub enum PathError {
         /// Its extension.
         extension: String,
     },
-    /// A picture too small or too large.
+    /// An image too small or too large.
     #[error("pictures of {width} x {height} pixels are not rendered; each side must have 1 to {limit}")]
     Size {
         /// Columns.

@@ -1,4 +1,4 @@
-//! Pictures of a trained scene: along which cameras, at which moments, into which files.
+//! Images of a trained scene: along which cameras, at which moments, into which files.
 
 mod draw;
 mod error;
@@ -49,7 +49,7 @@ pub struct RenderJob {
     pub time: TimePath,
     /// Frames a second; `None` for that of the file of cameras or of the source.
     pub fps: Option<f64>,
-    /// Columns and rows of the pictures; `None` for those of the cameras.
+    /// Columns and rows of the images; `None` for those of the cameras.
     pub size: Option<(usize, usize)>,
     /// What happens where that is another shape.
     pub fit: Fit,
@@ -57,7 +57,7 @@ pub struct RenderJob {
     pub zoom: f64,
     /// Replace what is there.
     pub replace: bool,
-    /// Where pictures are drawn.
+    /// Where images are drawn.
     pub device: DeviceChoice,
 }
 
@@ -79,7 +79,7 @@ impl RenderJob {
         }
     }
 
-    /// Every camera and moment of the pictures.
+    /// Every camera and moment of the images.
     ///
     /// # Errors
     ///
@@ -104,11 +104,11 @@ impl RenderJob {
 /// What was rendered.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rendered {
-    /// Pictures written.
+    /// Images written.
     pub frames: usize,
-    /// Pictures a second of the path.
+    /// Images a second of the path.
     pub fps: f64,
-    /// Columns and rows of the first picture.
+    /// Columns and rows of the first image.
     pub size: (usize, usize),
     /// Wall-clock seconds.
     pub seconds: f64,
@@ -116,14 +116,14 @@ pub struct Rendered {
     pub device: String,
 }
 
-/// Renders a scene (a file, or the folder of a run) to a folder of PNG pictures, to an MP4 where `out`
-/// ends in `.mp4`, or to one picture where it ends in `.png` or `.jpg`. An MP4 is read back and its frames
+/// Renders a scene (a file, or the folder of a run) to a folder of PNG images, to an MP4 where `out`
+/// ends in `.mp4`, or to one image where it ends in `.png` or `.jpg`. An MP4 is read back and its frames
 /// are counted before it gets its name.
 ///
 /// # Errors
 ///
 /// [`Error`]: the scene or the cameras cannot be read, a moment lies outside the scene, options cannot
-/// work, or the pictures cannot be written.
+/// work, or the images cannot be written.
 pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) -> Result<Rendered, Error> {
     let start = Instant::now();
     Sink::check(out, job.replace)?;

@@ -1,4 +1,4 @@
-//! Pictures of a scene, drawn on whichever device was chosen.
+//! Images of a scene, drawn on whichever device was chosen.
 
 use super::draw::{Painter, to_rgb, view};
 use crate::Error;

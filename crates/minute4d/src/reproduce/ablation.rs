@@ -6,7 +6,7 @@ use crate::{Error, Job};
 use serde::Serialize;
 use std::path::Path;
 
-/// Pixels by which masks of what moves are grown before they are scored.
+/// Pixels by which masks of dynamic regions are grown before they are scored.
 const GROW_MASK: usize = 2;
 
 /// What each part of the method is worth on a scene.
@@ -14,7 +14,7 @@ const GROW_MASK: usize = 2;
 pub struct SceneAblation {
     /// The scene.
     pub scene: String,
-    /// The rows; PSNR and SSIM are of whole pictures (clamped, 8 bits), whatever the protocol's headline is.
+    /// The rows; PSNR and SSIM are of whole images (clamped, 8 bits), whatever the protocol's headline is.
     pub report: AblationReport,
 }
 

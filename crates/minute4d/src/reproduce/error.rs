@@ -42,7 +42,7 @@ pub enum ReproduceError {
         /// What to do.
         remedy: &'static str,
     },
-    /// Training pictures that are not one step of time apart each.
+    /// Training images that are not one step of time apart each.
     #[error("the training pictures of {} are not evenly spaced in time, and geometry from pictures alone takes them to be; leave out --geometry own", path.display())]
     UnevenTimes {
         /// The capture.
@@ -57,10 +57,10 @@ pub enum ReproduceError {
     /// A scene cannot be imported.
     #[error(transparent)]
     Import(#[from] ReadSourceError),
-    /// A picture of a table cannot be written.
+    /// An image of a table cannot be written.
     #[error("cannot write {}: {what}", path.display())]
     Plot {
-        /// The picture.
+        /// The image.
         path: PathBuf,
         /// What was said.
         what: String,

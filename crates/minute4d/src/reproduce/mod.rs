@@ -46,7 +46,7 @@ pub enum GeometrySource {
     /// Those that the data set brings; of a data set without any, as [`Self::Own`].
     #[default]
     Given,
-    /// Those of [`crate::geometry`], from the training pictures alone.
+    /// Those of [`crate::geometry`], from the training images alone.
     Own,
 }
 
@@ -57,9 +57,9 @@ pub struct ReproduceOptions {
     pub protocols: Vec<Protocol>,
     /// Which scenes; those of the published tables where empty.
     pub scenes: Vec<String>,
-    /// By how much the pictures of a data set are shrunk; `None` for what published numbers use.
+    /// By how much the images of a data set are shrunk; `None` for what published numbers use.
     pub factor: Option<u32>,
-    /// Refine the poses of test pictures where peers do.
+    /// Refine the poses of test images where peers do.
     pub refine_poses: bool,
     /// Whose poses and depth.
     pub geometry: GeometrySource,
@@ -67,7 +67,7 @@ pub struct ReproduceOptions {
     pub ablations: Option<PathBuf>,
 }
 
-/// Makes the tables of a data set in the folder `out`: `reproduce.md`, `reproduce.json`, and a picture a table. Scenes that are finished are
+/// Makes the tables of a data set in the folder `out`: `reproduce.md`, `reproduce.json`, and an image a table. Scenes that are finished are
 /// not made again; [`Job::existing`] is of no meaning.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! A table as a picture: bars of decibels, ours first.
+//! A table as an image: bars of decibels, ours first.
 
 use super::{ReproduceError, TableReport};
 use plotters::prelude::*;

@@ -21,7 +21,7 @@ pub struct Published {
     pub lpips: Option<f64>,
     /// How long it trains.
     pub training: Option<&'static str>,
-    /// Pictures a second.
+    /// Images a second.
     pub frames_per_s: Option<f64>,
     /// Scenes of the mean, where that was seen stated.
     pub scenes: Option<usize>,

@@ -76,13 +76,13 @@ pub struct SceneRow {
     pub views: usize,
     /// The score that stands for the protocol, mean over views; absent where no view has it.
     pub headline: Option<f64>,
-    /// PSNR of whole pictures, joint over channels, clamped, dB.
+    /// PSNR of whole images, joint over channels, clamped, dB.
     pub psnr_db: f64,
-    /// SSIM of whole pictures.
+    /// SSIM of whole images.
     pub ssim: f64,
     /// Means of the other scores.
     pub others: BTreeMap<String, f64>,
-    /// Whose poses the scene was trained with (`own`: found from the pictures), and how test pictures got theirs.
+    /// Whose poses the scene was trained with (`own`: found from the images), and how test images got theirs.
     pub poses: String,
     /// Where scores count, in words.
     pub mask: String,
@@ -96,7 +96,7 @@ pub struct SceneRow {
     pub iterations: Option<usize>,
     /// Splats of the scene.
     pub splats: usize,
-    /// Pictures a second while judging, each copied to the host.
+    /// Images a second while judging, each copied to the host.
     pub frames_per_s: Option<f64>,
     /// What trained and drew.
     pub device: String,
@@ -151,7 +151,7 @@ impl TableReport {
         }
     }
 
-    /// Name of its picture.
+    /// Name of its image.
     #[must_use]
     pub fn picture(&self) -> String {
         format!("reproduce-{}.svg", self.protocol)

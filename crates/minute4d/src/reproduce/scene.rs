@@ -155,7 +155,7 @@ pub(super) fn make(
     Ok(made(row))
 }
 
-/// Geometry from the training pictures alone, as they lie in the capture that was imported; its seconds.
+/// Geometry from the training images alone, as they lie in the capture that was imported; its seconds.
 fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error> {
     let mut settings = job.settings.clone();
     let options = &settings.capture;

@@ -1,4 +1,4 @@
-//! Generated clips of a textured room, as folders of pictures.
+//! Generated clips of a textured room, as folders of images.
 
 use minute4d::io::image::write_rgb;
 use minute4d::math::nalgebra::{Vector3, Vector6};
@@ -6,12 +6,12 @@ use minute4d::math::{Se3, exp_so3};
 use minute4d::scene::{Camera, Intrinsics, Plane, RgbImage};
 use std::path::Path;
 
-/// Size of the pictures.
+/// Size of the images.
 pub const SIZE: (usize, usize) = (160, 120);
 /// Focal length, pixels.
 pub const FOCAL_PX: f64 = 150.0;
 
-/// Brightness of a wall: waves of many lengths, none of which repeats over the picture.
+/// Brightness of a wall: waves of many lengths, none of which repeats over the image.
 fn texture(x: f64, y: f64, wall: f64) -> f64 {
     let wave = |k: i32| {
         let turn = 2.4 * f64::from(k) + wall;
@@ -79,7 +79,7 @@ pub fn picture(camera: &Camera) -> RgbImage {
     })
 }
 
-/// Writes pictures as `00000.png`...
+/// Writes images as `00000.png`...
 pub fn write(folder: &Path, pictures: impl IntoIterator<Item = RgbImage>) {
     std::fs::create_dir_all(folder).unwrap();
     for (i, picture) in pictures.into_iter().enumerate() {

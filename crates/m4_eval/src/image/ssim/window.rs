@@ -71,7 +71,7 @@ impl Window {
         self.unbias
     }
 
-    /// Columns and rows that have a window, of pictures that are as large as one at least.
+    /// Columns and rows that have a window, of images that are as large as one at least.
     pub fn out_size(&self, width: usize, height: usize) -> (usize, usize) {
         let lost = if self.zero_padded { 0 } else { self.side() - 1 };
         (width - lost, height - lost)

@@ -39,14 +39,14 @@ impl ColmapEncoding {
 pub struct ColmapOptions {
     /// Text or binary. Default: binary.
     pub encoding: ColmapEncoding,
-    /// Names of the pictures, one a camera of the scene. Default: `00000.png`, `00001.png`, ...
+    /// Names of the images, one a camera of the scene. Default: `00000.png`, `00001.png`, ...
     pub names: Option<Vec<String>>,
     /// The instant whose splats become points, frames. Default 0.
     pub t: f64,
     /// Fainter splats are no points. Default 0.5: what is more solid than not.
     pub least_opacity: f64,
     /// Where there are more, every second, third, ... is taken. Default 100,000, the order of what COLMAP
-    /// itself makes of a few hundred pictures.
+    /// itself makes of a few hundred images.
     pub max_points: usize,
 }
 

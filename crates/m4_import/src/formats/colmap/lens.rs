@@ -4,7 +4,7 @@ use crate::core::{Distortion, Lens, SourceFault};
 use m4_formats::cameras::colmap::ColmapCamera;
 use m4_scene::Intrinsics;
 
-/// Longest side of a picture, pixels.
+/// Longest side of an image, pixels.
 const MAX_SIDE: u64 = 1 << 16;
 
 /// The lens of a camera.

@@ -32,7 +32,7 @@ fn one() -> f64 {
 }
 
 pub(super) struct Camera {
-    /// Of the pictures of factor 1.
+    /// Of the images of factor 1.
     pub lens: Lens,
     pub c2w: Se3<f64>,
 }

@@ -15,7 +15,7 @@
 //!
 //! The training video is what camera 0 took of the train split, in order of time; the test views are all of the val split within
 //! its time. Axes are OpenCV's there too; `orientation` is turned round. World units stay those of `position`: neither `center`
-//! nor `scale` is applied. Intrinsics are of factor 1 and shrink with the pictures. Depth may be in millimetres while places are in metres
+//! nor `scale` is applied. Intrinsics are of factor 1 and shrink with the images. Depth may be in millimetres while places are in metres
 //! (the authors' page says so, their code takes both as equal): the unit is the one that puts the median of depth between `near` and
 //! `far`.
 
@@ -32,7 +32,7 @@ use m4_scene::Progress;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// By what pictures are shrunk: 2 in the tables of the papers.
+/// By what images are shrunk: 2 in the tables of the papers.
 const DEFAULT_FACTOR: u32 = 2;
 
 /// Whether a folder is of it.

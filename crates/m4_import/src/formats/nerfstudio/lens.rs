@@ -6,7 +6,7 @@ use m4_scene::Intrinsics;
 
 const REMEDY: &str = "correct the lens in the file";
 
-/// The lens of a picture of that size.
+/// The lens of an image of that size.
 pub fn of(keys: &LensKeys, (width, height): (usize, usize)) -> Result<Lens, SourceFault> {
     let (w, h) = (width as f64, height as f64);
     for (key, said, found) in [("w", keys.w, w), ("h", keys.h, h)] {

@@ -263,7 +263,7 @@ impl Split {
         })
     }
 
-    /// The file of a picture: Blender's scenes leave its extension out.
+    /// The file of an image: Blender's scenes leave its extension out.
     fn picture(&self, name: &str, options: &ImportOptions) -> Result<PathBuf, SourceFault> {
         if name.is_empty() {
             return Err(SourceFault::missing("file_path", "write the file again"));

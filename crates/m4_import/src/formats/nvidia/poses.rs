@@ -15,7 +15,7 @@ const REMEDY: &str = "make poses_bounds.npy again";
 
 pub(super) struct Pose {
     pub c2w: Se3<f64>,
-    /// Of pictures of the full size.
+    /// Of images of the full size.
     pub intrinsics: Intrinsics,
     /// Depth in view, scene units.
     pub near: f64,

@@ -85,7 +85,7 @@ impl Metadata {
         (self.dw.unwrap_or(w), self.dh.unwrap_or(h))
     }
 
-    /// Of pictures of `w x h`.
+    /// Of images of `w x h`.
     pub(super) fn intrinsics(&self, n: usize) -> Result<Intrinsics, SourceFault> {
         let own = self.coefficients.as_ref().and_then(|c| c.get(n));
         let numbers = own.copied().unwrap_or([self.k[0], self.k[4], self.k[6], self.k[7]]);

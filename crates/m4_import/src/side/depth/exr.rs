@@ -12,7 +12,7 @@ use std::io::Cursor;
 const CHANNELS: &[&str] = &["Z", "depth", "Y", "R"];
 /// Channels that a message names.
 const MAX_NAMED: usize = 12;
-/// What a byte of a packed picture becomes at most, and what is always read. The methods other than zip can go beyond the first
+/// What a byte of a packed image becomes at most, and what is always read. The methods other than zip can go beyond the first
 /// for maps of one value; those are no depth.
 const MAX_RATIO: u64 = 1032;
 const FREE_BYTES: u64 = 8 << 20;

@@ -81,7 +81,7 @@ impl Read {
         poses.map(Some)
     }
 
-    /// Width and height of the pictures that were followed, by the shape of `video`.
+    /// Width and height of the images that were followed, by the shape of `video`.
     pub(super) fn video_size(&mut self) -> Result<Option<(usize, usize)>, SourceFault> {
         let array = self.npz.array("video", u64::MAX).map_err(|e| array_fault("video", e))?;
         let Some(array) = array else { return Ok(None) };

@@ -13,7 +13,7 @@ const MOVES_FROM: f64 = 1e-3;
 /// Places `[frames][tracks][3]` through `w2c`, one per frame, to the world of `frames`.
 ///
 /// Each place is seen from its frame's camera there, scaled, and put before our camera. The scale is how far our cameras spread over how
-/// far those spread; 1 where either stands still.
+/// far those spread; 1 where either is static.
 pub(super) fn to_our_world(
     xyz: &mut [f64],
     tracks: usize,

@@ -4,9 +4,9 @@ use crate::video::ReadVideoError;
 use serde::{Deserialize, Serialize};
 
 const MIB: u64 = 1 << 20;
-/// Address space of a decoder besides its pictures: ffmpeg 5.1 with 6 threads maps 0.5 GiB.
+/// Address space of a decoder besides its images: ffmpeg 5.1 with 6 threads maps 0.5 GiB.
 const BASE_BYTES: u64 = 2 << 30;
-/// Pictures that a decoder may hold: 16 for reference, as many in flight in its threads, and some on their way out.
+/// Images that a decoder may hold: 16 for reference, as many in flight in its threads, and some on their way out.
 const PICTURES: u64 = 40;
 /// Bytes of a pixel: two samples, and half of two more, of 16 bits.
 const PIXEL_BYTES: u64 = 4;
@@ -26,7 +26,7 @@ const BYTES_A_SECOND: u64 = 5_000_000;
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct DecoderLimits {
-    /// Address space, MiB. Default 0: by the size of the pictures, 2 GiB and 160 bytes per pixel, at most 8 GiB
+    /// Address space, MiB. Default 0: by the size of the images, 2 GiB and 160 bytes per pixel, at most 8 GiB
     /// (2.3 GiB for 1080p, 3.2 GiB for 4K).
     pub memory_mb: u64,
     /// Seconds of one core. Default 0: by the length of the clip, 120 s and 1 s for every 2 million pixels (10 s
@@ -49,9 +49,9 @@ impl Default for DecoderLimits {
 /// What is to be decoded, as far as it is known before.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Work {
-    /// Of a picture; 0 where it is not known.
+    /// Of an image; 0 where it is not known.
     pub pixels: u64,
-    /// Pictures.
+    /// Images.
     pub frames: u64,
     /// Of the file.
     pub bytes: u64,

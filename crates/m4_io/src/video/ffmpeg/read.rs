@@ -12,11 +12,11 @@ use std::path::Path;
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Largest picture that is taken from the pipe, pixels: 16384 x 16384.
+/// Largest image that is taken from the pipe, pixels: 16384 x 16384.
 const MAX_PIXELS: usize = 1 << 28;
 /// Complaints that are kept for a message.
 const KEPT_COMPLAINTS: usize = 8;
-/// Bytes of messages that are read at most, and so many more for every picture: a line on each takes some 300, and a
+/// Bytes of messages that are read at most, and so many more for every image: a line on each takes some 300, and a
 /// damaged one may be complained of many times.
 const MESSAGE_BYTES: u64 = 64 << 20;
 const MESSAGE_BYTES_A_PICTURE: u64 = 8 << 10;
@@ -231,7 +231,7 @@ impl<'a> Decoder<'a> {
         Ok(Collector::new(size))
     }
 
-    /// Reads one picture; false when the child ended before it was whole.
+    /// Reads one image; false when the child ended before it was whole.
     fn picture_bytes(&mut self, info: &FrameInfo, bytes: &mut Vec<u8>) -> Result<bool, ReadVideoError> {
         let pixels = info.width.saturating_mul(info.height);
         if pixels == 0 || pixels > MAX_PIXELS {
@@ -333,7 +333,7 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// What happens to a picture before it enters the pipe.
+/// What happens to an image before it enters the pipe.
 fn filters(description: &Description) -> String {
     let mut filters = String::new();
     if description.interlaced {

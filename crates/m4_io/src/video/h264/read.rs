@@ -328,7 +328,7 @@ fn coded_bytes(file: &mut File, sample: &Sample, bytes: &mut Vec<u8>) -> io::Res
     }
 }
 
-/// Size of the pictures of a track and how many of them decode in this process, or why none does: for files of our own.
+/// Size of the images of a track and how many of them decode in this process, or why none does: for files of our own.
 pub fn count(file: &mut File, track: &Track) -> Result<((usize, usize), usize), String> {
     let entry = track.entries.first().ok_or("its track has no decoder configuration")?;
     let config = configure(entry).map_err(|Unsupported(what)| format!("it is {what}"))?;

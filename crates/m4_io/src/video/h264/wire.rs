@@ -14,7 +14,7 @@ use std::io::{self, Read};
 
 /// The first bytes in both directions.
 pub const MAGIC: [u8; 8] = *b"m4h264\x00\x01";
-/// Flag: the picture is wanted, not only decoded.
+/// Flag: the image is wanted, not only decoded.
 pub const WANTED: u8 = 1;
 /// Flag: parameter sets go before the frame.
 pub const FRESH: u8 = 2;
@@ -81,7 +81,7 @@ pub fn read_request(input: &mut impl Read, frame: &mut Vec<u8>) -> io::Result<Op
     Ok(Some(flags[0]))
 }
 
-/// Lengths of luma and of one chroma plane of a picture, bytes.
+/// Lengths of luma and of one chroma plane of an image, bytes.
 pub fn plane_bytes((width, height): (usize, usize)) -> (usize, usize) {
     (width * height, width.div_ceil(2) * height.div_ceil(2))
 }

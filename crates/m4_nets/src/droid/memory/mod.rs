@@ -30,7 +30,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use store::Store;
 
-/// Gives the picture of a frame, by its number in the clip, in the size that the network works with.
+/// Gives the image of a frame, by its number in the clip, in the size that the network works with.
 pub type Pictures<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
 
 /// How a memory keeps what it keeps.
@@ -69,7 +69,7 @@ pub struct DroidMemory<'a> {
     store: Store<Key>,
     pictures: Pictures<'a>,
     edges: HashMap<u64, Edge>,
-    /// Columns and rows of the pictures, once one was seen.
+    /// Columns and rows of the images, once one was seen.
     size: Option<(usize, usize)>,
 }
 
@@ -97,7 +97,7 @@ impl<'a> DroidMemory<'a> {
         }
     }
 
-    /// Columns and rows of the grid, an eighth of the pictures', once a picture was seen.
+    /// Columns and rows of the grid, an eighth of the images', once an image was seen.
     #[must_use]
     pub fn grid(&self) -> Option<(usize, usize)> {
         self.size.map(|(w, h)| (w / 8, h / 8))
@@ -115,12 +115,12 @@ impl<'a> DroidMemory<'a> {
         self.store.spilled()
     }
 
-    /// Computes the features of `frame` from its picture, unless they are known. A frame that is not added is, when it is
+    /// Computes the features of `frame` from its image, unless they are known. A frame that is not added is, when it is
     /// needed.
     ///
     /// # Errors
     ///
-    /// [`DroidError`] if the picture is too small, has sides that are no multiples of 8 or another size than those before, or
+    /// [`DroidError`] if the image is too small, has sides that are no multiples of 8 or another size than those before, or
     /// if file or device fail.
     pub fn add_frame(&mut self, frame: usize, image: &RgbImage) -> Result<(), DroidError> {
         if self.store.contains(Key::Features(frame)) {
@@ -154,7 +154,7 @@ impl<'a> DroidMemory<'a> {
     ///
     /// # Errors
     ///
-    /// [`DroidError`] if a picture cannot be had or does not fit, or if file or device fail.
+    /// [`DroidError`] if an image cannot be had or does not fit, or if file or device fail.
     pub fn motion_px(&mut self, from: usize, to: usize) -> Result<f64, DroidError> {
         let [hidden, context] = self.first_state(from)?;
         let source = FeatureMap::new(self.features(from)?);

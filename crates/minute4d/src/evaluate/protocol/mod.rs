@@ -5,8 +5,8 @@
 //! ```
 //!
 //! The rules are plain data ([`Rules`], `rules.rs`), from the programs that made the published numbers. Two tasks are told apart
-//! ([`Task`]): pictures of the *training* camera at moments that were held out, which is the table of the Minute4D and Instant4D
-//! papers, and pictures of *other* cameras, which is DyCheck's own test. The same scenes score 7 dB apart in the two.
+//! ([`Task`]): images of the *training* camera at moments that were held out, which is the table of the Minute4D and Instant4D
+//! papers, and images of *other* cameras, which is DyCheck's own test. The same scenes score 7 dB apart in the two.
 
 mod frames;
 mod rules;
@@ -53,7 +53,7 @@ pub enum Protocol {
     Rodygs,
     /// DyCheck's own: views of other cameras, scored where the training video saw the place.
     Dycheck,
-    /// NVIDIA Dynamic Scenes as RoDynRF takes them: 12 training pictures, views of camera 0 at their moments.
+    /// NVIDIA Dynamic Scenes as RoDynRF takes them: 12 training images, views of camera 0 at their moments.
     Nvidia,
     /// Every fourth frame of a clip of DAVIS is held out.
     Davis,

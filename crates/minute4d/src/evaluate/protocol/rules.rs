@@ -7,7 +7,7 @@ use super::{FrameRule, Protocol, Task};
 use m4_eval::image::{Metric, PsnrKind, SsimKind};
 use serde::{Deserialize, Serialize};
 
-/// Where the search for the pose of a test picture starts.
+/// Where the search for the pose of a test image starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StartPose {
@@ -17,7 +17,7 @@ pub enum StartPose {
     NearestTraining,
 }
 
-/// How the pose of a test picture is looked for when the scene is finished: Adam on the squared error of the picture.
+/// How the pose of a test image is looked for when the scene is finished: Adam on the squared error of the image.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RefineRule {
     /// Steps of Adam.
@@ -51,20 +51,20 @@ pub struct Rules {
     pub task: Task,
     /// Which frames are held out.
     pub frames: FrameRule,
-    /// Columns and rows of the pictures that published numbers are of; `None` where it takes those of the capture.
+    /// Columns and rows of the images that published numbers are of; `None` where it takes those of the capture.
     pub size_px: Option<[usize; 2]>,
     /// Scores count where the training video saw the place.
     pub covisible: bool,
-    /// Metrics of the whole picture beside joint PSNR and SSIM over a Gaussian window.
+    /// Metrics of the whole image beside joint PSNR and SSIM over a Gaussian window.
     pub whole: &'static [Metric],
     /// Metrics inside the mask of co-visibility.
     pub inside: &'static [Metric],
     /// Networks of LPIPS; inside a mask AlexNet alone, as DyCheck's mLPIPS.
     pub lpips: &'static [LpipsRule],
     /// Name of the score that stands for the protocol in tables, of [`m4_eval::image::FrameScore::others`]; `None` for the joint PSNR of
-    /// the whole picture.
+    /// the whole image.
     pub headline: Option<&'static str>,
-    /// How peers refine the poses of test pictures, where they do.
+    /// How peers refine the poses of test images, where they do.
     pub refine: Option<RefineRule>,
     /// What whoever compares must know.
     pub note: &'static str,
@@ -73,7 +73,7 @@ pub struct Rules {
 const PER_CHANNEL: Metric = Metric::Psnr(PsnrKind::PerChannel);
 const ZERO_PADDED: Metric = Metric::Ssim(SsimKind::GaussianZeroPadded);
 const BOTH: &[LpipsRule] = &[LpipsRule::Alex, LpipsRule::Vgg];
-/// DyCheck's pictures at a factor of 2.
+/// DyCheck's images at a factor of 2.
 const DYCHECK_2X: Option<[usize; 2]> = Some([360, 480]);
 
 static TABLE: [Rules; 6] = [

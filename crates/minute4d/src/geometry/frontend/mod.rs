@@ -1,4 +1,4 @@
-//! Who finds cameras, who measures flow, and who knows depth from one picture: searches without weights, networks, and any
+//! Who finds cameras, the flow method, and who knows depth from one image: searches without weights, networks, and any
 //! mixture of both.
 //!
 //! ```text
@@ -30,7 +30,7 @@ use std::str::FromStr;
 /// A part of a front end, as `--frontend` names it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// Cameras, and what stands still, by MegaSaM's tracking network; depth made consistent along flow.
+    /// Cameras, and the static part, by MegaSaM's tracking network; depth made consistent along flow.
     Megasam,
     /// Flow by inverse search with variational refinement; needs nothing.
     Classical,

@@ -29,8 +29,8 @@ impl Plan {
 }
 
 impl Plan {
-    /// Depth of every picture from itself alone; `None` where the front end has no network for that. A focal length that is
-    /// known (pixels of the pictures) is given to networks that take one. Each frame is a step.
+    /// Depth of every image from itself alone; `None` where the front end has no network for that. A focal length that is
+    /// known (pixels of the images) is given to networks that take one. Each frame is a step.
     ///
     /// # Errors
     ///

@@ -48,7 +48,7 @@ pub enum GivenError {
         /// How many frames the clip has.
         frames: usize,
     },
-    /// A picture of another shape than the frames.
+    /// An image of another shape than the frames.
     #[error("{} is {} x {} pixels and the frames are {} x {}: the shapes differ", path.display(), found.0, found.1, frame.0, frame.1)]
     Size {
         /// The file.

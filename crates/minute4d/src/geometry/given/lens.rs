@@ -37,7 +37,7 @@ pub fn numbers(text: &str) -> Option<Vec<f64>> {
 ///
 /// # Errors
 ///
-/// [`GivenError`] if it is incomplete, distorted, or of pictures of another shape.
+/// [`GivenError`] if it is incomplete, distorted, or of images of another shape.
 pub fn read(given: &str, size: (usize, usize)) -> Result<Intrinsics, GivenError> {
     let bad = |reason: String| GivenError::Lens {
         given: given.to_owned(),

@@ -159,7 +159,7 @@ fn each<T: Send>(
     all.into_iter().collect()
 }
 
-/// True where both are the same picture at some size.
+/// True where both are the same image at some size.
 fn same_shape(a: (usize, usize), b: (usize, usize)) -> bool {
     let ratio = |(w, h): (usize, usize)| w as f64 / h.max(1) as f64;
     a.0 > 0 && a.1 > 0 && (ratio(a) / ratio(b) - 1.0).abs() < 0.01

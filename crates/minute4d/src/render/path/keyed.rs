@@ -19,7 +19,7 @@ pub struct KeyedPath {
     /// It ends where it begins.
     pub closed: bool,
     way: Way,
-    /// Natural logarithm of the focal length in picture heights.
+    /// Natural logarithm of the focal length in image heights.
     zoom: Spline<1>,
     /// Times of the path and moments of the scene (frames), straight between.
     clock: Vec<(f64, f64)>,
@@ -140,7 +140,7 @@ fn nodes(keys: &[Keyframe], period: Option<f64>) -> (Vec<usize>, Vec<f64>) {
         .unzip()
 }
 
-/// Downwards in the pictures of the source, on the whole.
+/// Downwards in the images of the source, on the whole.
 fn mean_down(source: &SourcePath) -> Vector3<f64> {
     let (first, last) = source.span();
     let down = |share: f64| {

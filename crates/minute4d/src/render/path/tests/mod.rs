@@ -93,7 +93,7 @@ fn the_source_goes_through_its_cameras_at_their_times() {
         assert!((stop.camera.intrinsics.fx - frame.camera.intrinsics.fx).abs() < 1e-9);
         assert_eq!(stop.exposure, frame.exposure);
     }
-    // Three times as many pictures: every third is a frame of the source.
+    // Three times as many images: every third is a frame of the source.
     let dense = stops(&scene, CameraPath::Source, NONE, 30.0);
     assert_eq!(dense.len(), 91);
     for (i, frame) in scene.source.iter().enumerate() {
