@@ -1,7 +1,7 @@
 //! The viewer's page: built from its sources, and compared with the one that is kept.
 //!
 //! The sources are TypeScript in `crates/m4_viewer/page`; the built page is kept beside them, so that
-//! nobody needs Node.js to build the program.
+//! building the program does not need Node.js.
 
 #![expect(clippy::print_stderr, reason = "what was not run is said")]
 

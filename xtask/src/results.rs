@@ -88,7 +88,7 @@ fn last_metrics(run: &Path) -> Result<Value> {
     serde_json::from_str(last).with_context(|| format!("{}: the last line is not JSON", path.display()))
 }
 
-/// Trains each scene in both profiles for so many seconds of optimisation and scores the held-out views: one Markdown
+/// Trains each scene in both profiles for this many seconds of optimisation and scores the held-out views: one Markdown
 /// row each, returned together, and `time-to-quality.svg` in `work`.
 ///
 /// # Errors

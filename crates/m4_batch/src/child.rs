@@ -1,7 +1,7 @@
 //! The run of one clip, as a child that ends when its parent does.
 //!
 //! The parent holds the other end of the child's standard input. The child saves and stops when that ends, whether the parent let
-//! go of it or died: a process that was killed leaves nobody behind who writes on.
+//! go of it or died: a killed process leaves no child behind that keeps writing.
 
 use serde_json::Value;
 use std::fs::File;
@@ -16,7 +16,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// How long a child may take to save before it is killed. It promises ten seconds.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Who is told how a run goes, and may stop it.
+/// Receives the progress of the run, and may stop it.
 pub trait Watch: Sync {
     /// True when the run is to save and stop.
     fn stop(&self) -> bool;
@@ -43,7 +43,7 @@ pub(crate) struct Ended {
 pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Result<Ended> {
     let stages = log.try_clone()?;
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(log);
-    // Ctrl-C at a terminal goes to the whole group; the child is told by its parent alone, and once.
+    // Ctrl-C at a terminal goes to the whole group; only the parent forwards it to the child, once.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let mut child = command.spawn()?;

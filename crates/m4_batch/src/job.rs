@@ -2,7 +2,7 @@
 //!
 //! A machine's fault is never charged to the clip. Only one end of a run is a permanent failure: its exit code says that the
 //! input is bad, nothing of an earlier attempt was used, and the input still has the bytes that were planned. Everything else
-//! may go better on another machine or later, and whoever started the job may start it again.
+//! may succeed on another machine or later, so the job may be started again.
 
 use crate::child::{self, Ended, Watch};
 use crate::credentials;
@@ -134,7 +134,7 @@ pub fn run_job(
     }
 }
 
-/// An end that stops nobody from trying again.
+/// An end after which the job may be tried again.
 fn again(reason: &str) -> JobEnd {
     JobEnd {
         outcome: Outcome::Retryable,
@@ -245,7 +245,7 @@ impl Attempt<'_> {
         child::run(command, log, self.watch).map_err(BatchError::read(&self.tools.program))
     }
 
-    /// What is said of a folder that is not ours where a result should go.
+    /// The message for a folder that is not ours where a result should go.
     fn in_the_way(&self) -> String {
         let path = self.layout.result(&self.job.id);
         BatchError::Foreign { path }.to_string()
@@ -279,7 +279,7 @@ fn make_parent(path: &Path) -> io::Result<()> {
     path.parent().map_or(Ok(()), fs::create_dir_all)
 }
 
-/// Locks a file as soon as nobody else has it; false where that takes too long. File systems without locks go without: there two
+/// Locks a file as soon as no other process holds it; false where that takes too long. File systems without locks go without: there two
 /// processes with one job hinder each other, and still publish whole results alone.
 fn wait_for(file: &File, watch: &dyn Watch) -> io::Result<bool> {
     let start = Instant::now();

@@ -1,6 +1,6 @@
 //! From a working folder to a published result: checked, whole, by one rename.
 //!
-//! The finished run is brought under a name of its own (`.incoming/ID/NONCE`) before it is checked, so that nobody who still writes into
+//! The finished run is brought under a name of its own (`.incoming/ID/NONCE`) before it is checked, so that no process that still writes into
 //! the working folder can change what was checked. It appears under its final name by one rename. Of two processes that
 //! publish the same job one wins, and the other finds it done.
 
@@ -213,7 +213,7 @@ fn bring(from: &Path, to: &Path) -> io::Result<()> {
     remove_temporary(to)
 }
 
-/// A name that nobody else has.
+/// A unique name.
 fn nonce(host: &str) -> String {
     let text = format!("{host} {} {:?}", std::process::id(), SystemTime::now());
     blake3::hash(text.as_bytes()).to_hex().chars().take(16).collect()

@@ -17,7 +17,7 @@ pub enum Outcome {
     Done,
     /// A permanent failure, for which the clip's own bytes are the evidence: it is not run again unless forced.
     Failed,
-    /// The machine could not do it, or it was stopped: nothing but a note, which stops nobody from running it again.
+    /// The machine could not do it, or it was stopped: a note only, which does not prevent another run.
     Retryable,
 }
 

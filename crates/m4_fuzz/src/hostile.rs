@@ -32,7 +32,7 @@ const NUMBERS_REPLACED: usize = 24;
 
 /// One way of doing harm.
 enum Harm {
-    /// Only so many bytes are left.
+    /// Only this many bytes remain.
     Cut(usize),
     /// A field is set.
     Field {

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 /// Address space of the process, bytes.
 const ADDRESS_SPACE: u64 = 2 << 30;
-/// Memory that reading may take, bytes: this, and so many times the file.
+/// Memory that reading may take, bytes: this, and this many times the file.
 const FREE: usize = 64 << 20;
 const TIMES: usize = 64;
 /// Time that one file may take: a thousand times what is usual, on a machine that does much else.

@@ -179,7 +179,7 @@ fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
     out
 }
 
-/// Why kernels cannot run with so many units and bytes per cube, if they cannot.
+/// Why kernels cannot run with this many units and bytes per cube, if they cannot.
 pub(crate) fn unfit(max_units: u32, max_shared_bytes: u32) -> Option<String> {
     if max_units < UNITS {
         Some(format!("{max_units} units a cube, {UNITS} are needed"))

@@ -32,7 +32,7 @@ struct Quantile {
 }
 
 impl Mask {
-    /// For frames of so many pixels, of which there are some.
+    /// For frames of this many pixels, of which there are some.
     pub fn new(gpu: &Gpu, pixels: usize, range: ScoreRange) -> Self {
         let client = &gpu.client;
         let sorted = match range {

@@ -21,7 +21,7 @@ const BAD_SPLAT: usize = 6;
 const SSIM: usize = 7;
 const L1: usize = 8;
 const SQUARES: usize = 9;
-/// Losses, one a look that is told apart.
+/// Losses, one per view that is recorded separately.
 pub(crate) const LOSSES: usize = 10;
 
 /// What steps found since the last time it was asked for.
@@ -152,7 +152,7 @@ pub(crate) fn is_finite(value: f32) -> bool {
 #[cube]
 pub(crate) fn check_parameter(value: f32, tally: &mut [u32]) {
     if !is_finite(value) {
-        // whoever writes writes the same
+        // all writers write the same value
         tally[BAD_SPLAT] = 1u32;
     }
 }

@@ -9,7 +9,7 @@ use crate::work::{CHECKPOINT, Size};
 use crate::{Gpu, GpuError, eye::EYE, found::LOSSES};
 use m4_scene::SplatLayout;
 
-/// Entries of tiles that memory is first made for: so many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
+/// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
 /// most splats are not there at an instant; the first frame says how many entries it takes, and is drawn again.
 const FIRST_ENTRIES: usize = 1;
 const LEAST_ENTRIES: usize = 1 << 16;
@@ -97,7 +97,7 @@ impl Plan {
         }
     }
 
-    /// Drawing of so many splats into images of `size`, as [`training`](Self::training).
+    /// Drawing of this many splats into images of `size`, as [`training`](Self::training).
     #[must_use]
     pub fn drawing(
         n_static: usize,

@@ -91,7 +91,7 @@ fn add_totals(output: &mut [u32], totals: &[u32], n: u32) {
     }
 }
 
-/// So many numbers are one cube's work: a few rounds there are sooner done than two more launches.
+/// This many numbers are one cube's work: a few rounds there are sooner done than two more launches.
 const IN_ONE: usize = 8 * BLOCK;
 
 /// Exclusive sums of as many numbers every time.

@@ -121,7 +121,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Refuses to take more than so many bytes from here on, by what is planned: `None` for no limit. Frames that turn out to
+    /// Refuses to take more than this many bytes from here on, by what is planned: `None` for no limit. Frames that turn out to
     /// need more room for their tile entries fail then.
     pub fn set_limit(&mut self, limit_bytes: Option<u64>) {
         self.limit_bytes = limit_bytes;

@@ -130,7 +130,7 @@ fn oldest_kept(ages: impl Iterator<Item = usize>, by: Carry) -> usize {
     by.keyframes
 }
 
-/// Points that nobody sees, moved with their bodies.
+/// Occluded points, moved with their rigid objects.
 fn go_on(carried: &[Point], field: &Field, gap: f32, reach: f32) -> Vec<Point> {
     let n = field.nodes.len();
     let all = field.nodes.iter().copied().chain(carried.iter().map(|p| p.xyz));

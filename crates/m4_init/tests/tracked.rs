@@ -192,7 +192,7 @@ fn what_cannot_be_is_dropped() {
     // where no camera looks
     assert_eq!(added(&|_, _, p| [p[0], p[1] + 5.0, p[2]], everywhere), 0);
     assert_eq!(added(&|_, _, p| [p[0], p[1], -p[2]], everywhere), 0);
-    // far behind the wall: nobody trusts that
+    // far behind the wall: implausible, so it must be rejected
     let far = |_: usize, _: usize, p: [f32; 3]| p.map(|v| 4.0 * v);
     let hidden_far = Tracks::new(
         FRAMES,

@@ -1,4 +1,4 @@
-//! Which files the files of a data set may name: a data set of somebody else must not put private files into what is made
+//! Which files the files of a data set may name: a data set from an untrusted source must not put private files into what is made
 //! of it.
 
 use crate::shortened;
@@ -127,7 +127,7 @@ mod tests {
             let said = inside.check(&at(bad)).unwrap_err().to_string();
             assert!(said.contains(bad) && said.contains("--allow-outside"), "{said}");
         }
-        // what a link hides is told
+        // what a link points to is reported
         let said = inside.check(&at("set/folder/private.png")).unwrap_err().to_string();
         assert!(said.contains("set-2/private.png"), "{said}");
         for bad in outside {

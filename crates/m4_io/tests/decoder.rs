@@ -319,7 +319,7 @@ fn stopping_ends_the_child_and_what_it_started() {
     for pid in std::fs::read_to_string(&note).unwrap().split_whitespace() {
         let gone = || {
             let status = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-            // The grandchild is waited for by somebody else: Z until then.
+            // Another process reaps the grandchild: it is in state Z until then.
             status.is_empty() || status.contains(") Z ") || status.contains(") X ")
         };
         let deadline = Instant::now() + Duration::from_secs(20);

@@ -32,7 +32,7 @@ const FIRST_MOVING: usize = 2;
 const HALF: [[f64; 3]; 4] = [[12.0, 9.0, 0.1], [0.11, 3.0, 0.1], [0.42, 0.35, 0.3], [0.26, 0.22, 0.2]];
 
 impl BoxScene {
-    /// A clip of so many images of `width` x `height` pixels.
+    /// A clip of this many images of `width` x `height` pixels.
     #[must_use]
     pub fn new(width: usize, height: usize, frames: usize) -> Self {
         let camera = |t: usize| {

@@ -26,7 +26,7 @@ const FLAGS: [&str; 14] = [
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    // whoever likes things to keep still: nothing plays by itself
+    // reduced motion: nothing plays automatically
     "--force-prefers-reduced-motion",
     "--hide-scrollbars",
     "--no-first-run",

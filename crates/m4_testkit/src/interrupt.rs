@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A shelf in memory.
+/// A cache in memory.
 #[derive(Debug, Default)]
 pub struct MemoryShelf(Mutex<HashMap<String, Vec<u8>>>);
 

@@ -41,7 +41,7 @@ impl<'a> FrameStore<'a> {
         }
     }
 
-    /// Every image, for somebody else to keep; what is kept here is forgotten.
+    /// Takes every image out; nothing is kept here.
     pub fn hand_over(&mut self) -> Vec<Target> {
         self.frames.iter_mut().for_each(|f| f.cached = None);
         self.used = 0;

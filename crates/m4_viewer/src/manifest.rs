@@ -1,4 +1,4 @@
-//! What the page is told of a scene besides its splats.
+//! The metadata of a scene that the page gets in addition to its splats.
 
 use crate::payload::Payload;
 use m4_scene::{Camera, Scene};

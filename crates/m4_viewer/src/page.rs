@@ -107,7 +107,7 @@ pub enum PageError {
 /// What a page is made of.
 #[derive(Debug, Clone, Copy)]
 pub struct Parts<'a> {
-    /// What it is told.
+    /// Its metadata.
     pub manifest: &'a Manifest,
     /// The payload before gzip; `None` for a page that waits for the first scene of a server.
     pub payload: Option<&'a [u8]>,
@@ -169,7 +169,7 @@ fn element(out: &mut Vec<u8>, name: (&str, &str), text: &str) {
 /// What a page holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contents {
-    /// What it is told.
+    /// Its metadata.
     pub manifest: Manifest,
     /// The payload without gzip, for [`crate::payload::decode`]; `None` where there is none.
     pub payload: Option<Vec<u8>>,

@@ -79,7 +79,7 @@ fn psnr_db(a: &RgbImage, b: &RgbImage) -> f64 {
     10.0 * (255.0f64.powi(2) * (3 * a.width() * a.height()) as f64 / sum).log10()
 }
 
-/// What the page is told of a scene, and its splats.
+/// The metadata of a scene for the page, and its splats.
 fn told(scene: &Scene) -> (Manifest, Vec<u8>) {
     let payload = encode(scene, DISTANCE, &PayloadConfig::default());
     let about = About {

@@ -42,7 +42,7 @@ impl Clock {
         Some(Instant::now() + Duration::from_secs_f64(left_s - reserve_s))
     }
 
-    /// The same failure, or that the time was up where nobody else said stop.
+    /// Returns the same failure, or "time is up" if only the clock asked to stop.
     pub fn blame(&self, error: Error, stage: &'static str, asked_to_stop: bool) -> Error {
         match self.limit {
             Some(limit) if error.is_stop() && !asked_to_stop && self.is_over() => Error::TimeLimit {

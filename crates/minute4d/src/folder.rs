@@ -45,7 +45,7 @@ pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<Ru
     let filled = make(folder)?;
     let lock = Lock::take(folder)?;
     let earlier = if filled { take_over(folder, existing)? } else { None };
-    // Nobody else writes these while the folder is locked.
+    // No other process writes these while the folder is locked.
     for path in half_written(folder, &OWN_FILES)?
         .into_iter()
         .chain(half_written_checkpoints(folder)?)
@@ -205,7 +205,7 @@ pub(crate) fn remove_folder(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// The file of the checkpoint after so many iterations.
+/// The file of the checkpoint after this many iterations.
 pub(crate) fn checkpoint_file(folder: &Path, iteration: usize) -> PathBuf {
     folder
         .join(CHECKPOINT_FOLDER)

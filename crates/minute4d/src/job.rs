@@ -1,4 +1,4 @@
-//! What every stage is told.
+//! The job that every stage gets.
 
 use crate::device::DeviceRequest;
 use crate::folder::Existing;
@@ -15,7 +15,7 @@ pub struct Job<'a> {
     pub device: DeviceRequest,
     /// What to do with a folder that holds something.
     pub existing: Existing,
-    /// Who is told how it goes, and who may say stop.
+    /// Receives progress, and may ask to stop.
     pub observer: &'a dyn Observer,
 }
 
@@ -28,7 +28,7 @@ impl Job<'_> {
     }
 }
 
-/// Calls `f` on a pool of so many threads; on all cores for `None`.
+/// Calls `f` on a pool of this many threads; on all cores for `None`.
 ///
 /// # Errors
 ///

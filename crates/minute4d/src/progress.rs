@@ -35,7 +35,7 @@ pub trait Observer: Progress {
     /// Something happened to the stage named.
     fn stage(&self, name: &str, event: StageEvent<'_>);
 
-    /// How training goes on, of so many iterations.
+    /// Reports the progress of training over this many iterations.
     fn metrics(&self, metrics: &MetricsEvent, iterations: usize) {
         let _ = (metrics, iterations);
     }

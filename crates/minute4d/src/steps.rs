@@ -3,7 +3,7 @@
 //! A step is a file in a hidden folder beside the result, one `.steps/NAME` each: magic, a hash, what was warned of, and
 //! the value. The hash covers the stage's key, the name and the bytes, so a torn file, one of another input and one of
 //! other settings are all the same: not there. Values come back bit by bit, so the result of a run that was killed is
-//! that of one that was not. Steps cost disk and save time alone: one that cannot be written is said once, and work
+//! that of one that was not. Steps cost disk and save time alone: a failure to write one is reported once, and work
 //! goes on.
 
 use crate::Observer;
@@ -87,7 +87,7 @@ impl<'a> Steps<'a> {
         m4_scene::store(self, name, value);
     }
 
-    /// Who is told.
+    /// Receives warnings.
     pub fn observer(&self) -> &'a dyn Observer {
         self.observer
     }

@@ -23,7 +23,7 @@ pub(crate) struct Workspace<'a> {
     pub earlier: Option<RunRecord>,
     /// How much time there is.
     pub clock: Clock,
-    /// From when on a stage that can be left out is told to stop.
+    /// The time from which an optional stage is asked to stop.
     until: Option<Instant>,
     room: Room,
     _lock: Lock,
@@ -36,7 +36,7 @@ struct Room(PathBuf);
 const ROOM: usize = 1 << 18;
 
 impl Room {
-    /// Takes it, if there is any: where there is none, that is said when something is to be written.
+    /// Takes it, if there is any; otherwise the error appears when something is written.
     fn keep(folder: &Path) -> Self {
         let path = folder.join(".room");
         if fs::write(&path, vec![0xa5; ROOM]).is_err() {
@@ -60,7 +60,7 @@ impl Drop for Room {
 pub(crate) enum Task {
     /// Nothing: an earlier result is whole and of the same input and settings.
     Reuse,
-    /// All of it, or what an interruption left; so many seconds were spent on it before.
+    /// All of it, or what an interruption left; this many seconds were spent on it before.
     Work {
         because: Option<&'static str>,
         seconds_before: f64,
@@ -122,7 +122,7 @@ impl<'a> Workspace<'a> {
         Ok(self.record)
     }
 
-    /// A stage that the result can be without: where the time is up it is left out, and that is said.
+    /// A stage that the result can be without: when the time is up it is skipped with a note.
     pub fn if_there_is_time(
         &mut self,
         what: &str,

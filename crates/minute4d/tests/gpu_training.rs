@@ -118,7 +118,7 @@ fn start(scene: &MovingScene) -> Splats {
     out
 }
 
-/// Density control, a fit of colours and a new order within so many steps.
+/// Density control, a fit of colours and a new order within this many steps.
 fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;

@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
 
-/// So many captures `clip1`..., in the folder `clips`.
+/// This many captures `clip1`..., in the folder `clips`.
 fn write_clips(dir: &Scratch, n: usize) {
     for i in 1..=n {
         write_capture(&dir.path(&format!("clips/clip{i}")), false);
@@ -74,7 +74,7 @@ fn checkpoints(work: &Path) -> Vec<std::ffi::OsString> {
     entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect()
 }
 
-/// Starts a job and waits until its run has saved so often that so many checkpoints are new: it is at work by then.
+/// Starts a job and waits until its run has written this many new checkpoints, so that it is running by then.
 fn start_until_saved(command: Command, work: &Path, n: usize) -> Running {
     let before = checkpoints(work);
     let mut running = start(command);

@@ -52,7 +52,7 @@ fn the_hidden_command_decodes_for_nobody_else() {
     assert!(!help.stdout.contains("__decode"), "{}", help.stdout);
 }
 
-/// A folder with an `ffprobe` and an `ffmpeg` that write down what they are told and what they may, and a clip for them.
+/// A folder with an `ffprobe` and an `ffmpeg` that record their environment and limits, and a clip for them.
 #[cfg(target_os = "linux")]
 fn note_takers(dir: &Scratch) {
     let notes = |name: &str| {

@@ -97,7 +97,7 @@ fn bench() -> Option<PathBuf> {
     m4_testkit::shared("bench/quad-1")
 }
 
-/// A scene whose cameras are said to have axes that they have not.
+/// A scene whose cameras are labelled with the wrong axis convention.
 #[test]
 fn axes_that_are_wrong_are_found_and_put_right() {
     let Some(scene) = bench() else { return };

@@ -88,7 +88,7 @@ fn megasam_makes_a_capture_and_names_its_networks() {
     let first = dir.path("first");
     let ended = run(&clip, &first, &store, &["--frontend", "megasam"]);
     assert_eq!(ended.code, 0, "{}", ended.stderr);
-    // What was chosen, and that there is no network of depth, is said.
+    // The choice, and the lack of a depth network, is reported.
     assert!(
         ended.stderr.contains("raft") && ended.stderr.contains("no depth from one picture"),
         "{}",

@@ -189,7 +189,7 @@ fn files_of_cameras_and_keyframes() {
     let ended = succeed(&["render", run(), "--path", &studio, "-o", &dir.at("studio")]);
     assert!(ended.stderr.contains("crop"), "{}", ended.stderr);
     succeed(&["render", run(), "--path", "train", "-o", &dir.at("train")]);
-    // The same lens at the same place in the same moment, written by somebody else.
+    // The same lens at the same place at the same time, written by another tool.
     let off = difference(&dir.path("studio/00000.png"), &dir.path("train/00000.png"));
     assert!(off < 6.0, "{off} levels apart");
 }

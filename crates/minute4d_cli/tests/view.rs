@@ -124,7 +124,7 @@ fn a_run_writes_a_page_that_holds_its_scene() {
     let held = page::read(&html).unwrap();
     let scene = scene_file::read(&dir.path("out/scene.safetensors")).unwrap().scene;
     let splats = decode(&held.payload.unwrap()).unwrap();
-    // those that nobody can see are left out
+    // invisible ones are left out
     assert!(splats.n() <= scene.splats.n() && splats.n() > scene.splats.n() / 2);
     assert_eq!(held.manifest.cameras.len(), 6);
     assert_eq!(held.frames.unwrap().index.offsets.len(), 7);

@@ -29,7 +29,7 @@ pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, 
     Ok(paths.into_iter().collect())
 }
 
-/// A list to its paths, before anybody looked whether they are there.
+/// Parses a list into its paths, without checking that they exist.
 fn expand(given: &str) -> Result<Vec<PathBuf>, BatchError> {
     let Some(list) = given.strip_prefix('@') else {
         return match given.contains("://") {

@@ -44,7 +44,7 @@ impl ClipState {
         }
     }
 
-    /// True for what somebody should look at.
+    /// Returns true for jobs that need attention.
     #[must_use]
     pub fn is_trouble(self) -> bool {
         matches!(self, Self::Retryable | Self::Failed)

@@ -8,7 +8,7 @@ use std::process::Command;
 /// What Slurm allows where it does not say.
 const DEFAULT_ARRAY: usize = 1001;
 
-/// Most tasks that an array may have here: what Slurm is set to, or what it is set to where nobody changed it.
+/// Returns the maximum number of tasks of an array: Slurm's setting, or its default.
 #[must_use]
 pub fn largest_array() -> usize {
     let told = Command::new("scontrol").args(["show", "config"]).output();

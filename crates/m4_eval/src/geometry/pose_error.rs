@@ -22,7 +22,7 @@ pub enum PathAlignment {
     Sim3,
 }
 
-/// What is said of many errors.
+/// Statistics of a set of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ErrorStatistics {
     /// Root of the mean square.

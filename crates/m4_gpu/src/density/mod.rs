@@ -25,14 +25,14 @@ use m4_kernels::View;
 /// The rules of a round.
 #[derive(Debug, Clone, Copy)]
 pub struct DensityRound<'a> {
-    /// Frames by number and how they are seen: their scores say who is wrong. Not looked at where nobody is cloned, split or
+    /// Frames by number and how they are seen: their scores choose the splats to change. Unused if no splat is cloned, split or
     /// pruned by score.
     pub looks: &'a [(usize, View)],
     /// Which errors of a frame count.
     pub scores: ScoreSettings,
-    /// Who is cloned or split; `None` for nobody.
+    /// Which splats are cloned or split; `None` for none.
     pub grow: Option<GrowRule>,
-    /// Who is pruned by score; `None` for nobody.
+    /// Which splats are pruned by score; `None` for none.
     pub prune: Option<PruneRule>,
     /// Splats of a lower opacity (0..1, without time) go, unless they are split.
     pub min_opacity: f32,
@@ -47,7 +47,7 @@ pub struct DensityRound<'a> {
 pub struct GrowRule {
     /// The score that must be exceeded.
     pub threshold: f32,
-    /// At most so many.
+    /// At most this many.
     pub budget: usize,
 }
 
@@ -76,7 +76,7 @@ pub enum PruneRule {
 pub enum SplitSize<'a> {
     /// The same everywhere, scene units.
     Everywhere(f32),
-    /// As large as so many pixels in the nearest camera.
+    /// As large as this many pixels in the nearest camera.
     Pixels {
         /// Pixels.
         pixels: f32,
@@ -151,7 +151,7 @@ impl Trainer {
         Ok(fate::Fates::new(client, &self.splats, round, &grows, &scores, &range))
     }
 
-    /// Scores `[2][n]` that say who grows and who goes; they hold anything where nobody asks.
+    /// Scores `[2][n]` that choose the splats to densify and to prune; unspecified where neither happens.
     fn scores_of_round(&mut self, round: &DensityRound<'_>) -> Result<Buffer, GpuError> {
         if round.grow.is_none() && round.prune.is_none() {
             return Ok(Buffer::empty(&self.gpu.client, 2 * self.splats.n));

@@ -17,7 +17,7 @@ pub(crate) fn fps(options: &ImportOptions) -> Result<Option<f64>, SourceFault> {
     }
 }
 
-/// Seconds from the first of `frames` frames to the last, at the frames a second of the options, else 30, which is said.
+/// Seconds from the first of `frames` frames to the last, at the frames per second of the options, else 30 with a warning.
 pub(crate) fn duration_s(frames: usize, options: &ImportOptions, progress: &dyn Progress) -> Option<f64> {
     let fps = options.fps.unwrap_or_else(|| {
         progress.warn(&format!(

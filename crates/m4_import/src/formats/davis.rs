@@ -24,7 +24,7 @@ const FPS: f64 = 24.0;
 pub struct DavisClip {
     /// The images.
     pub video: Video,
-    /// Which thing each pixel shows, for each frame of `video`, of the size of the files; `None` for frames that nobody outlined (test
+    /// Which thing each pixel shows, for each frame of `video`, of the size of the files; `None` for frames without annotation (test
     /// sets have the first alone, or none).
     pub instances: Vec<Option<CompactIds>>,
 }

@@ -27,7 +27,7 @@ use zip::ZipArchive;
 
 /// Damaged copies a parser.
 const COPIES: u64 = 120;
-/// Memory that reading may take beyond what the sound source takes, bytes: this, and so many times the damaged file.
+/// Memory that reading may take beyond what the sound source takes, bytes: this, and this many times the damaged file.
 const FREE: usize = 4 << 20;
 const TIMES: usize = 64;
 

@@ -1,6 +1,6 @@
 //! Camera paths to render along.
 //!
-//! Four layouts of JSON are read, told apart by their keys. Two list a camera an image:
+//! Four layouts of JSON are read, distinguished by their keys. Two list a camera an image:
 //!
 //! ```text
 //! transforms.json   frames[].transform_matrix, fl_x .. h, time (nerfstudio; as in crate::capture,

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 const SIDES_PX: (usize, usize) = (16, 3840);
 /// Shorter side of the largest image, pixels.
 const SHORT_SIDE_PX: usize = 2160;
-/// Quantisation: coding begins to be seen at 26, and under 18 it costs bits that nobody sees.
+/// Quantisation: coding begins to be seen at 26, and below 18 it costs bits without a visible gain.
 const QP: (u8, u8) = (20, 22);
 /// Bits a second that the encoder asks for. It steers nothing in the mode that is used here.
 const NOMINAL_BITS_PER_S: u32 = 2_000_000;

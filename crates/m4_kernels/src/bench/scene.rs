@@ -207,7 +207,7 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
             SceneKind::Static => cast(&origin, &ray, |_| Vector3::zeros()),
             SceneKind::FourD => cast_walls(&origin, &ray),
         };
-        // a ray that meets no ball in so many attempts stays on the wall
+        // a ray that meets no ball in this many attempts stays on the wall
         for _ in 0..if dynamic { 100 } else { 0 } {
             hit = cast(&origin, &ray, |ball| drift(ball, time));
             if is_ball(hit.2).is_some() {

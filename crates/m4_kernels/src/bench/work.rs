@@ -133,7 +133,7 @@ impl Kernel {
     #[must_use]
     pub fn work(self, c: &Counts) -> Work {
         let (shared, time) = (c.shared_columns as f64, TIME_COLUMNS as f64);
-        // numbers in the columns of so many static and dynamic splats
+        // numbers in the columns of this many static and dynamic splats
         let columns =
             |[n_static, n_dynamic]: [usize; 2]| (n_static + n_dynamic) as f64 * shared + n_dynamic as f64 * time;
         let (alive, touched) = ((c.alive[0] + c.alive[1]) as f64, (c.touched[0] + c.touched[1]) as f64);

@@ -93,7 +93,7 @@ pub(crate) fn span(first: u32, end: u32) -> u32 {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Entry(u64);
 
-/// Bits of a row and of a number: the parameters alone of so many splats take 15 GB.
+/// Bits of a row and of a number: the parameters alone of this many splats take 15 GB.
 const INDEX_BITS: u32 = 28;
 const _: () = assert!(
     2 * INDEX_BITS as usize + BLOCK_TILES == 64,

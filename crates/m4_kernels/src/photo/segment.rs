@@ -66,7 +66,7 @@ impl Line {
 /// Some columns of a block of rows of `N` quantities, turned.
 type Turned<const N: usize, const COLUMNS: usize> = [[Line; COLUMNS]; N];
 
-/// Memory of a segment, kept from frame to frame. Nobody writes past the ends of the rows: it stays 0.
+/// Memory of a segment, kept from frame to frame. The space past the ends of the rows is never written and stays 0.
 #[derive(Debug, Clone)]
 pub(super) struct Buffers {
     width: usize,
@@ -360,7 +360,7 @@ fn similarity<S: Simd>(
 ) -> f32x16<S> {
     let k = |v: f64| all(s, v as f32);
     let (two, one, zero, c1, c2) = (k(2.0), k(1.0), k(0.0), k(SSIM_C1), k(SSIM_C2));
-    // two loops, because the processor looks only so many operations ahead: much of the second is waiting
+    // two loops, because the processor looks only a limited number of operations ahead: much of the second is waiting
     for (moments, blurred) in buffers.moments.iter().zip(&mut buffers.blurred) {
         for half in [0, HALF] {
             let columns = f.blur(&f.columns(s, moments, block * BLOCK + half));

@@ -66,7 +66,7 @@ pub(crate) struct Slice<S: Simd> {
     pub(crate) mean: [f32x16<S>; 3],
     /// Standard deviations; isotropic: all the same.
     pub(crate) scale: [f32x16<S>; 3],
-    /// Columns are the axes; isotropic: zeros that nobody reads.
+    /// Columns are the axes; isotropic: zeros, which are never read.
     pub(crate) axes: [[f32x16<S>; 3]; 3],
     /// The quaternion as it is and two over its square; isotropic: zeros.
     quat: [f32x16<S>; 4],

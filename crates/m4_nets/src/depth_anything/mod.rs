@@ -9,7 +9,7 @@
 //! maps --DPT: 4 levels, fused from coarse to fine--> disparity of the patches' pixels --bilinear--> disparity of the picture
 //! ```
 //!
-//! The result is inverse depth up to a factor and an offset that nobody knows: larger is nearer, 0 is the furthest that the network
+//! The result is inverse depth up to an unknown factor and offset: larger is nearer, 0 is the furthest that the network
 //! can say. Which of the three sizes a checkpoint holds is read off its tensors.
 //!
 //! Depth-Anything V2 has the same tensors in the same shapes, but taps other blocks: a checkpoint of it cannot be told from one of

@@ -24,7 +24,7 @@ pub struct Net {
 
 /// The layers up to one that is compared.
 struct Stage {
-    /// Whether the image is made smaller first: the largest of each square of so many pixels per side, every second one.
+    /// Whether the image is made smaller first: the largest of each square of this many pixels per side, every second one.
     pool: Option<usize>,
     /// Which convolutions, each with the negative cut off.
     convs: std::ops::Range<usize>,

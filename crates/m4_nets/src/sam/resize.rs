@@ -13,7 +13,7 @@ const DIGITS: u32 = 22;
 pub enum Filter {
     /// Linear to both sides: `BILINEAR`.
     Triangle,
-    /// The cubic of Keys with a = -0.5: `BICUBIC`, which is what `resize` takes where nothing else is said.
+    /// The cubic of Keys with a = -0.5: `BICUBIC`, the default of `resize`.
     Cubic,
 }
 

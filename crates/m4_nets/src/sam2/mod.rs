@@ -211,7 +211,7 @@ impl Sam2 {
     pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let on: Compute = on.into();
         let device = on.device.clone();
-        // what has no size of ours is told against the smallest
+        // a size that none of ours has is reported against the smallest
         let size = Sam2Size::of(&load::shapes(NAME, path, &RENAMES)?).unwrap_or(Sam2Size::Tiny);
         let mut net = Net::new(&size.config(), &device);
         load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;

@@ -60,7 +60,7 @@ pub struct Clip {
 /// How objects are followed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Holes of at most so many pixels of the logits are filled; 0 fills none. Upstream fills 8 where it runs on CUDA, and none elsewhere.
+    /// Holes of at most this many pixels of the logits are filled; 0 fills none. Upstream fills 8 where it runs on CUDA, and none elsewhere.
     pub fill_holes_px: usize,
     /// Whether a frame that an object is corrected in, after it was followed to it, counts as one that it was shown in first: later frames
     /// then never forget it. Upstream's is false.

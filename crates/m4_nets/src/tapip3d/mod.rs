@@ -14,7 +14,7 @@
 //! ```
 //!
 //! Queries are followed in groups that share a window's work; points of a group see each other through the virtual ones, so that what
-//! is said of a point depends a little on the group, and thereby on the setting for memory. It depends on nothing else: the same
+//! is predicted for a point depends a little on the group, and thereby on the setting for memory. It depends on nothing else: the same
 //! input gives the same bits on the processor for any number of threads. Each group has a grid of points of the first frame beside it.
 //!
 //! Where points are stays in 32 bits whatever the network computes in, and the search for neighbours runs on the processor for every

@@ -23,7 +23,7 @@
 //! | 128 | f64 | `velocity_step` |
 //!
 //! Then the parameters in this order, `n` = static + dynamic splats, static ones first. A parameter has
-//! components, each an unsigned integer `q` of so many bytes. For each component in turn, and for each
+//! components, each an unsigned integer `q` of this many bytes. For each component in turn, and for each
 //! of its bytes in turn (the least significant first), there is one plane with a byte a splat: the
 //! upper bytes, which hardly differ, lie together and all but vanish under gzip.
 //!

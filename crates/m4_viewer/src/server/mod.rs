@@ -14,7 +14,7 @@
 //! {"event":"end","ok":true}
 //! ```
 //!
-//! Who comes late gets every `metrics` so far; of several scenes that nobody fetched only the newest counts.
+//! A page that connects late gets every `metrics` so far; of several scenes that were not fetched only the newest is kept.
 
 mod events;
 mod guard;
@@ -134,7 +134,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         if let Some(stop) = self.stop.take() {
-            // Where nobody listens any more the server has ended already.
+            // If the receiver is gone, the server has ended already.
             let _ = stop.send(());
         }
         if let Some(thread) = self.thread.take() {

@@ -1,4 +1,4 @@
-//! A small scene and what the page is told of it.
+//! A small scene and its metadata for the page.
 
 use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
@@ -37,7 +37,7 @@ pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
     }
 }
 
-/// What a page is told of a scene with a median depth of 4.
+/// The page's metadata of a scene with a median depth of 4.
 pub fn manifest_of(scene: &Scene, payload: &Payload) -> Manifest {
     let about = About {
         title: "a test",

@@ -190,7 +190,7 @@ impl Bench<'_> {
 
     fn run(&self, input: &Path, folder: &Path, row: Row, settings: &Settings) -> Result<(), Error> {
         let mut settings = settings.clone();
-        // nobody looks at them
+        // they are not needed
         settings.viewer.write = false;
         let config = self.out.join(format!("{}.toml", row.name()));
         let text = settings.to_toml()?;

@@ -123,7 +123,7 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
     ))
 }
 
-/// The cases of every scene, of which each has so many, with progress.
+/// Runs the cases of every scene with progress; each scene has this many cases.
 fn each(
     scenes: &[SceneConfig],
     cases_each: usize,

@@ -11,7 +11,7 @@ use m4_slam::dense::{FlowSource, InverseSearch, TrackConfig};
 use m4_slam::instances::InstanceReport;
 use m4_slam::tracks3d::{CaptureClip, FlowTracker, QueryGrid, Tracker3d};
 
-/// Refines masks, then follows points in them, each a step; gives what was found of things where anybody followed them.
+/// Refines masks, then follows points in them, each a step; returns the statistics of objects if a method tracked them.
 ///
 /// # Errors
 ///
@@ -69,7 +69,7 @@ fn kept_masks(
         Some((mask.map(CompactMask::from), ids.as_ref().map(CompactIds::from)))
     };
     let mut made = None;
-    // As text, the form in which it is written in the end: its kinds are told apart by names.
+    // As text, the form in which it is written in the end: its kinds are distinguished by names.
     let report: String = steps.keep(MASKS, |observer| {
         let (refined, report) = work(observer)?;
         let mut frames = Vec::with_capacity(refined.frames.len());
@@ -102,7 +102,7 @@ fn kept_masks(
     }
 }
 
-/// Masks by whoever follows things; as they are where nobody does.
+/// Refines masks with the method that tracks objects; unchanged without one.
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
 fn things(
     capture: &Capture,

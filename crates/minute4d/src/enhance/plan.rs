@@ -19,7 +19,7 @@ const TAPIP3D: &str = "tapip3d";
 /// Who follows things.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Things {
-    /// Nobody: masks stay as they are.
+    /// None: masks stay unchanged.
     Nobody,
     /// Flow, with this segmenter of single images.
     #[cfg_attr(
@@ -35,7 +35,7 @@ pub(crate) enum Things {
 /// Who follows points.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Points {
-    /// Nobody: tracks stay as they are.
+    /// None: tracks stay unchanged.
     Nobody,
     /// Chains of flow.
     Flow,

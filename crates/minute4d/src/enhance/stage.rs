@@ -30,7 +30,7 @@ pub struct EnhanceReport {
     pub tracker: String,
     /// Networks that took part.
     pub networks: Vec<UsedNetwork>,
-    /// Things that were told apart.
+    /// Number of objects.
     pub instances: usize,
     /// Share of all pixels that move, before and after; `None` where the capture had no masks.
     pub moving_share: [Option<f64>; 2],

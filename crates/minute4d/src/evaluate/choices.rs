@@ -34,7 +34,7 @@ pub struct Choices {
     pub poses: PoseChoice,
     /// The score that stands for the protocol in tables.
     pub headline: Headline,
-    /// What whoever compares must know.
+    /// What to know before comparing results.
     pub note: &'static str,
 }
 
@@ -91,7 +91,7 @@ pub struct PoseChoice {
     pub words: String,
     /// Whether what estimated the poses saw the held-out images; absent where the capture does not say.
     pub geometry_saw_held_out: Option<bool>,
-    /// What the protocol's peers do at test time, where they do; whether it was done here is said by `treatment`.
+    /// What the protocol's peers do at test time, where they do; `treatment` says whether it was done here.
     pub refinement_of_protocol: Option<RefineRule>,
     /// How far refined poses went, view by view.
     #[serde(skip_serializing_if = "Vec::is_empty")]

@@ -298,7 +298,7 @@ mod tests {
         }
     }
 
-    /// A wall at depth 4: a test camera a unit and a half to the right sees 6 columns that nobody saw.
+    /// A wall at depth 4: a test camera a unit and a half to the right sees 6 columns that no training camera saw.
     #[test]
     fn what_the_training_frames_did_not_see_does_not_count() {
         let training = Training::of(capture(8, true)).unwrap();

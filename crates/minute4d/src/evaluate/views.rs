@@ -31,7 +31,7 @@ pub struct OtherMean {
 /// How views are scored.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EvalOptions {
-    /// Masks of moving parts are grown by so many pixels first.
+    /// Masks of moving parts are grown by this many pixels first.
     pub grow_mask: usize,
     /// Where views are drawn and LPIPS is computed.
     pub device: DeviceChoice,

@@ -268,7 +268,7 @@ fn once_more(
     if iterate::worth(first, &masks) {
         observer.update(PHASE, 0, 1, "");
         let known = Known { masks: Some(&masks) };
-        // What the second look says of the clip was said by the first, or is said when it is taken.
+        // The warnings of the second pass repeat those of the first, or are given when its result is used.
         let second = steps.keep("second-cameras", |observer| {
             let work = Work {
                 progress: &Quiet(observer),
@@ -381,7 +381,7 @@ enum Depth<'a> {
     Given(&'a [DepthMap]),
     /// Networks.
     Network(MonoClip),
-    /// Nobody.
+    /// None.
     Unknown,
 }
 

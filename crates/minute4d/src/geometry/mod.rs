@@ -90,7 +90,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     }
     let (_lock, earlier) = open(capture, job.existing)?;
     let mut settings = job.settings.clone();
-    // chains of flow are made with the depth, unless somebody else follows points afterwards
+    // flow tracks are computed with the depth, unless another method tracks points afterwards
     settings.dense.tracks.enabled &= !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
     let settings = &settings;
     let plan = frontend::plan(&settings.geometry.frontend, job.device.choice)?;
@@ -106,7 +106,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         None => enhance::Plan::of(settings.geometry.segmenter, settings.geometry.tracker, before)?,
     };
     let device = if plan.used.is_empty() && !enhance.has_network() {
-        // A GPU that nobody needs is not started, and does not tell one result from another.
+        // A GPU that is not needed is not started, and does not count as a difference between results.
         NetworkDevice::processor()
     } else {
         job.device.choice.for_networks()?

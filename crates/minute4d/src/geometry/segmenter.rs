@@ -1,4 +1,4 @@
-//! The segmentation method: nobody, or a network.
+//! The segmentation method: none, or a network.
 
 use crate::Error;
 use m4_slam::dense;

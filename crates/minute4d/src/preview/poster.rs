@@ -30,7 +30,7 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
         what: RUN_FILE,
         path: run.to_path_buf(),
     })?;
-    // What the capture has to say was said while the scene was made.
+    // Warnings about the capture were given while the scene was made.
     let made = run.join(CAPTURE_FOLDER);
     let capture = train::read(if made.is_dir() { &made } else { input }, settings, &Silent)?;
     let scene = scene_file::read(&run.join(SCENE_FILE))?.scene;

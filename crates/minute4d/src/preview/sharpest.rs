@@ -2,7 +2,7 @@
 
 use m4_scene::{Capture, CaptureFrame};
 
-/// Pixels looked at: every so many columns and rows.
+/// Stride of the sampled pixels, columns and rows.
 const STEP: usize = 2;
 
 /// What a frame shows of the moving parts.

@@ -62,7 +62,7 @@ pub enum ReproduceError {
     Plot {
         /// The image.
         path: PathBuf,
-        /// What was said.
+        /// The message.
         what: String,
     },
 }

@@ -78,7 +78,7 @@ pub(super) fn make(
     let file = folder.join(ROW_FILE);
     let run = folder.join("run");
     let mut settings = job.settings.clone();
-    // nobody looks at them
+    // they are not needed
     settings.viewer.write = false;
     if suite == Suite::Davis {
         settings.video.folder_fps = DAVIS_FPS;

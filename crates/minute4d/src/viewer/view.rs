@@ -25,7 +25,7 @@ pub struct Viewing {
     /// What was there at the last look: it is read once it stays the same for two looks.
     found: Option<Stamp>,
     metrics: Option<Stamp>,
-    /// Last iteration that the pages were told of.
+    /// Last iteration announced to the pages.
     told: usize,
     with_frames: bool,
 }
@@ -66,7 +66,7 @@ impl Viewing {
         self.server.url()
     }
 
-    /// Shows what is new until the caller asks to stop. A file that cannot be read is said and the scene
+    /// Shows what is new until the caller asks to stop. A file that cannot be read is reported and the scene
     /// before stays.
     pub fn follow(&mut self, observer: &dyn Observer) {
         let mut next = Instant::now() + LOOK;

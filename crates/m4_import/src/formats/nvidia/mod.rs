@@ -15,7 +15,7 @@
 //! quantiles are those of the bounds, which is how COLMAP's points made these (`imgs2poses.py` of Fyusion/LLFF); this is said through
 //! `progress`. Sources: `load_llff.py` of zhengqili/Neural-Scene-Flow-Fields, `dataLoader/nvidia.py` of facebookresearch/robust-dynrf.
 //!
-//! `v000_t000` is the view of the first training image: whoever compares numbers must know whether they count it.
+//! `v000_t000` is the view of the first training image: results compare only if both or neither count it.
 
 mod disparity;
 mod poses;

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 
 /// Extensions of maps that are read of a folder.
 pub(crate) const EXTENSIONS: &[&str] = &["png", "exr", "pfm", "npy"];
-/// Scene units a step of 16-bit depth maps where nobody says: millimetres where the unit is a metre.
+/// Default scene units per step of 16-bit depth maps: millimetres if the unit is a metre.
 pub(crate) const DEFAULT_UNIT: f64 = 1e-3;
 /// Largest unit of depth.
 const MAX_UNIT: f64 = 1e6;

@@ -13,7 +13,7 @@ use std::path::Path;
 /// From which number on a visibility that is no boolean counts as seen. TAPIP3D writes booleans that it compared with 0.9 itself.
 const SEEN: f64 = 0.5;
 
-/// Reads the tracks of the clip `frames`, one frame of the file for each. Which tracker wrote it is told by the names in it:
+/// Reads the tracks of the clip `frames`, one frame of the file for each. The tracker that wrote it is recognised by the names in it:
 ///
 /// ```text
 /// coords [n][k][3] + visibs             places in the world whose cameras `extrinsics` [n][4][4] are (world to camera); without
@@ -26,7 +26,7 @@ const SEEN: f64 = 0.5;
 /// ```
 ///
 /// All may have a first dimension of 1. Places of a world with another scale than that of `frames` are scaled by how far
-/// the cameras moved, which is said through `progress`.
+/// the cameras moved, which is reported through `progress`.
 ///
 /// # Errors
 ///

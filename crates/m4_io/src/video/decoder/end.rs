@@ -23,7 +23,7 @@ pub enum DecoderEnd {
         /// Seconds that were waited.
         seconds: u64,
     },
-    /// A signal ended it: a crash, or somebody's wish.
+    /// A signal ended it: a crash, or a `kill`.
     Signal {
         /// Its number.
         signal: i32,

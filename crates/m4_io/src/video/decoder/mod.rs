@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! program      our own program, started once more: the decoder of H.264, and what limits itself for other programs
-//! environment  what they are told of ours
+//! environment  the variables that they get
 //! launch       our own program becomes another
 //! rlimits      limits of the kernel; tasks: how many processes a user has
 //! child        watching; messages: standard error; end: how it ended

@@ -31,7 +31,7 @@ const MORE_TASKS: u64 = 1024;
 #[cfg(target_os = "linux")]
 type Limit = (rustix::process::Resource, u64);
 
-/// Of every decoder. Whoever started it sets them too, so they are the same there.
+/// Of every decoder. The parent process sets them, too, so they are the same there.
 #[cfg(target_os = "linux")]
 fn limits(allowed: &Allowed) -> [Limit; 4] {
     use rustix::process::Resource;

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 const MAX_PIXELS: usize = 1 << 28;
 /// Complaints that are kept for a message.
 const KEPT_COMPLAINTS: usize = 8;
-/// Bytes of messages that are read at most, and so many more for every image: a line on each takes some 300, and a
+/// Bytes of messages that are read at most, and this many more for every image: a line on each takes some 300, and a
 /// damaged one may be complained of many times.
 const MESSAGE_BYTES: u64 = 64 << 20;
 const MESSAGE_BYTES_A_PICTURE: u64 = 8 << 10;
@@ -269,7 +269,7 @@ impl<'a> Decoder<'a> {
             && (!exit.status.success() || complaints.of_memory)
         {
             let how = self.child.why(exit);
-            // That it ended early by its own decision is told below, and what it decoded is kept.
+            // An early end by its own decision is reported below, and what it decoded is kept.
             if !matches!(how, DecoderEnd::Answer { .. }) {
                 return Err(self.halted(Halt::Failed(how)));
             }

@@ -225,7 +225,7 @@ struct Run<'a> {
 
 impl Run<'_> {
     /// Decodes in the order of the file up to the last frame that is kept. The decoder itself sees to parameter sets
-    /// after a frame that it finds damaged; a frame that never reaches it is told to it with the next.
+    /// after a frame that it finds damaged; a frame that never reaches it is reported to it with the next.
     fn frames(
         &mut self,
         file: &mut File,

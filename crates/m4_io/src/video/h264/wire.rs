@@ -20,7 +20,7 @@ pub const WANTED: u8 = 1;
 pub const FRESH: u8 = 2;
 /// Answer: the frame is damaged.
 pub const DAMAGED: u8 = 0;
-/// Answer: the frame was decoded, and nobody wants it.
+/// Answer: the frame was decoded, and is not needed.
 pub const DECODED: u8 = 1;
 /// Answer: the frame was decoded and follows.
 pub const PICTURE: u8 = 2;

@@ -14,7 +14,7 @@ use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
 
 const LANES: usize = 16;
-/// Products that one sum takes before it goes back to memory: so many rows of weights stay in the first cache.
+/// Products that one sum takes before it goes back to memory: this many rows of weights stay in the first cache.
 const DEPTH: usize = 288;
 /// Pixels of a group: a multiple of all tiles.
 const GROUP: usize = 192;
@@ -122,7 +122,7 @@ fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filt
     let taps: Vec<usize> = (0..kh).flat_map(|y| (0..kw).map(move |x| y * wide + x)).collect();
     let groups = (h * wide).div_ceil(GROUP);
     let outputs = filter.out.next_multiple_of(shape.outputs());
-    // so many images at a time that all threads have work
+    // as many images at a time as keep all threads busy
     let together = (4 * rayon::current_num_threads()).div_ceil(groups).clamp(1, n);
     // the last tile reads beyond the last plane
     let room = filter.channels * plane + GROUP + kw;

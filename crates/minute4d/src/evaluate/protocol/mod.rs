@@ -4,7 +4,7 @@
 //! name --Rules--> frames held out, resolution, masks, metrics, LPIPS, how test poses are treated
 //! ```
 //!
-//! The rules are plain data ([`Rules`], `rules.rs`), from the programs that made the published numbers. Two tasks are told apart
+//! The rules are plain data ([`Rules`], `rules.rs`), from the programs that made the published numbers. Two tasks are distinguished
 //! ([`Task`]): images of the *training* camera at moments that were held out, which is the table of the Minute4D and Instant4D
 //! papers, and images of *other* cameras, which is DyCheck's own test. The same scenes score 7 dB apart in the two.
 

@@ -1,7 +1,7 @@
 //! The protocols as plain data.
 //!
 //! Sources: the programs that made the published numbers (RoDyGS, Instant4D, `KAIR-BAIR/dycheck`, `facebookresearch/robust-dynrf`, MoSca).
-//! What such a program leaves open, or what was not seen in one, is said in [`Rules::note`].
+//! What such a program leaves open, or what was not seen in one, is stated in [`Rules::note`].
 
 use super::{FrameRule, Protocol, Task};
 use m4_eval::image::{Metric, PsnrKind, SsimKind};
@@ -66,7 +66,7 @@ pub struct Rules {
     pub headline: Option<&'static str>,
     /// How peers refine the poses of test images, where they do.
     pub refine: Option<RefineRule>,
-    /// What whoever compares must know.
+    /// What to know before comparing results.
     pub note: &'static str,
 }
 

@@ -79,7 +79,7 @@ fn names(part: Part) -> &'static [&'static str] {
     }
 }
 
-/// What the tracking network takes for flow where nobody says, the best first.
+/// The default flow methods for the tracking network, best first.
 #[cfg(feature = "nets")]
 const FLOWS: [Part; 2] = [Part::Raft, Part::Classical];
 /// What it takes for depth.

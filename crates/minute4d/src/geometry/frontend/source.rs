@@ -85,7 +85,7 @@ mod networks {
             Ok(raft.map(|net| Box::new(RaftSource { net, iterations }) as Box<dyn FlowSource>))
         }
 
-        /// RAFT along a clip; `None` if flow is somebody else's.
+        /// RAFT along a clip; `None` if another method measures flow.
         ///
         /// # Errors
         ///

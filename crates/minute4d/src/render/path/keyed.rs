@@ -71,7 +71,7 @@ impl KeyedPath {
         })
     }
 
-    /// The camera so many seconds after the first keyframe.
+    /// The camera this many seconds after the first keyframe.
     pub fn at(&self, path_s: f64) -> Stop {
         let time = self.start_s + path_s;
         let (width, height) = self.size;
