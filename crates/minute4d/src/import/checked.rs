@@ -1,4 +1,4 @@
-//! A capture compared with the flow of its images, and put right where that is asked for.
+//! Compares a capture with the optical flow of its images, and corrects it on request.
 
 use super::{ImportError, STAGE};
 use crate::Error;
@@ -53,7 +53,7 @@ pub(super) fn checked(mut imported: Imported, fix: bool, keeper: &Keeper<'_>) ->
         imported.test = imported.test.map(|test| consistency::fixed(test, &found.causes));
         let after = check(&imported)?;
         for cause in &found.causes {
-            keeper.warn(&format!("{cause}; this was put right"));
+            keeper.warn(&format!("{cause}; this was corrected"));
         }
         let repaired = Some(Repaired {
             causes: found.causes.clone(),
@@ -107,8 +107,8 @@ impl fmt::Display for Checked {
         }
         if let Some(before) = self.repaired.as_ref().map(|r| &r.before) {
             match before.error_px {
-                Some(px) => write!(f, "; {px:.2} px before it was put right")?,
-                None => f.write_str("; behind a camera before it was put right")?,
+                Some(px) => write!(f, "; {px:.2} px before the correction")?,
+                None => f.write_str("; behind a camera before the correction")?,
             }
         }
         Ok(())
