@@ -3,7 +3,7 @@
 //! The sources are TypeScript in `crates/m4_viewer/page`; the built page is kept beside them, so that
 //! building the program does not need Node.js.
 
-#![expect(clippy::print_stderr, reason = "what was not run is said")]
+#![expect(clippy::print_stderr, reason = "reports what was not run")]
 
 use anyhow::{Context, Result, bail};
 use std::path::{Path, PathBuf};

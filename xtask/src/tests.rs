@@ -123,7 +123,7 @@ pub fn parse(text: &str) -> Result<Vec<Skipped>> {
                 place: place.to_owned(),
                 why: why.to_owned(),
             }),
-            _ => bail!("{line:?} is no line of a skipped test"),
+            _ => bail!("{line:?} is not a line of a skipped test"),
         })
         .collect();
     Ok(lines?.into_iter().collect())

@@ -89,16 +89,16 @@ fn end(child: &mut Child) {
 fn words(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match status.signal() {
-        Some(9) => "killed by signal 9; where nobody sent it, the machine was out of memory".to_owned(),
-        Some(6) => "aborted (signal 6), as a program that gets no more memory is; .log has its last words".to_owned(),
+        Some(9) => "killed by signal 9; unless it was sent by hand, the machine was out of memory".to_owned(),
+        Some(6) => "aborted (signal 6), as a program that runs out of memory; .log has its last messages".to_owned(),
         Some(signal) => format!("ended by signal {signal}"),
-        None => format!("ended without a word ({status})"),
+        None => format!("ended without a message ({status})"),
     }
 }
 
 #[cfg(not(unix))]
 fn words(status: ExitStatus) -> String {
-    format!("ended without a word ({status})")
+    format!("ended without a message ({status})")
 }
 
 /// Passes progress on, notes stages, and keeps the reason of the last event.

@@ -25,7 +25,7 @@ pub enum BatchError {
         source: io::Error,
     },
     /// A file that is no manifest, or a damaged one.
-    #[error("{}: {reason}; make the manifest again with `minute4d batch plan`", path.display())]
+    #[error("{}: {reason}; create the manifest again with `minute4d batch plan`", path.display())]
     Manifest {
         /// The manifest.
         path: PathBuf,
@@ -33,7 +33,7 @@ pub enum BatchError {
         reason: String,
     },
     /// There is a manifest already.
-    #[error("{} is already there; --force replaces it", path.display())]
+    #[error("{} already exists; --force replaces it", path.display())]
     Exists {
         /// The manifest.
         path: PathBuf,
@@ -53,7 +53,7 @@ pub enum BatchError {
         reason: &'static str,
     },
     /// Something of another kind is where a result is to be.
-    #[error("{} is there and was not made by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
+    #[error("{} exists and was not created by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
     Foreign {
         /// The folder.
         path: PathBuf,
@@ -84,7 +84,7 @@ pub enum BatchError {
     },
     /// A program of Slurm did not start.
     #[error(
-        "cannot start {program}: {source}; submit on a machine that has Slurm, or use --dry-run for the script alone"
+        "cannot start {program}: {source}; submit on a machine that has Slurm, or use --dry-run to write only the script"
     )]
     Start {
         /// The program.

@@ -179,10 +179,7 @@ impl Attempt<'_> {
         }
         recover(&self.layout, id)?;
         if !free(&work, self.watch).map_err(BatchError::write(&work))? {
-            let said = format!(
-                "another run is at work in {}, or this one was asked to stop",
-                work.display()
-            );
+            let said = format!("another run is using {}, or this one was asked to stop", work.display());
             return Ok((again(&said), None));
         }
         let mut fresh = !work.exists();

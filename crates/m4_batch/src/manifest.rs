@@ -152,7 +152,7 @@ impl Manifest {
         let (mut jobs, mut seen) = (Vec::new(), HashSet::new());
         for (i, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
             let line_number = i + 1;
-            let job: Job = serde_json::from_str(line).map_err(|e| format!("line {line_number} is no job ({e})"))?;
+            let job: Job = serde_json::from_str(line).map_err(|e| format!("line {line_number} is not a job ({e})"))?;
             if !names::is_safe(&job.id) {
                 return Err(format!(
                     "line {line_number}: the id {:?} cannot be the name of a folder",

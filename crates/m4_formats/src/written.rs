@@ -17,7 +17,7 @@ pub enum Loss {
 impl Loss {
     /// The Mip filter, for a format that has no place for it; `None` for a scene without one.
     pub(crate) fn of_mip(scene: &Scene) -> Option<Self> {
-        let what = "the Mip filter: splats smaller than a pixel are drawn too thick";
+        let what = "the Mip filter: splats smaller than a pixel are rendered too thick";
         scene.mip.then(|| Self::Dropped(what.to_owned()))
     }
 }

@@ -8,7 +8,7 @@ use thiserror::Error;
 pub enum GpuError {
     /// No adapter answers to that.
     #[error(
-        "there is no GPU {wanted}; this machine has {found}. Choose one that is listed by `minute4d doctor`, or --device cpu"
+        "there is no GPU {wanted}; this machine has {found}. Choose one listed by `minute4d doctor`, or --device cpu"
     )]
     NoAdapter {
         /// What was asked for.
@@ -26,7 +26,7 @@ pub enum GpuError {
     },
     /// A buffer is larger than the adapter allows.
     #[error(
-        "{what} needs {needed} MB in one buffer; the GPU {name} allows {limit} MB. Choose fewer splats, smaller pictures, or --device cpu"
+        "{what} needs {needed} MB in one buffer; the GPU {name} allows {limit} MB. Choose fewer splats, smaller images, or --device cpu"
     )]
     TooLarge {
         /// What the buffer holds.
@@ -39,7 +39,7 @@ pub enum GpuError {
         name: String,
     },
     /// Splats, rows or flags do not fit together.
-    #[error("what was given to the GPU does not fit together: {0}")]
+    #[error("the inputs of the GPU are inconsistent: {0}")]
     Shape(#[from] m4_scene::ShapeError),
     /// Training was given no frames.
     #[error("there are no frames to train on. Give at least one")]
@@ -64,8 +64,8 @@ pub enum GpuError {
     },
     /// It takes more memory than it may.
     #[error(
-        "{doing} needs {needed} MB on the GPU and may take {limit} MB: {parts}. Raise --max-vram, or choose fewer \
-         splats, smaller pictures, or --device cpu"
+        "{doing} needs {needed} MB on the GPU, above the limit of {limit} MB: {parts}. Raise --max-vram, or choose fewer \
+         splats, smaller images, or --device cpu"
     )]
     OverLimit {
         /// What was going to start.

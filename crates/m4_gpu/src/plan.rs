@@ -265,7 +265,7 @@ fn work(size: &Size) -> Vec<Part> {
             "what gradients start from",
             &[buckets, CHECKPOINT * TILE * TILE * buckets],
         ));
-        parts.push(part("gradient of the picture", &[5 * pixels, 5 * pixels]));
+        parts.push(part("gradient of the image", &[5 * pixels, 5 * pixels]));
     }
     parts
 }

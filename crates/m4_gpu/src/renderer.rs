@@ -39,7 +39,7 @@ impl Renderer {
         let k = &view.camera.intrinsics;
         let pixels = k.width * k.height;
         let work = self.work.as_ref().ok_or_else(nothing_drawn)?;
-        let image = work.image.read_floats(&self.gpu.client, "drawing a picture")?;
+        let image = work.image.read_floats(&self.gpu.client, "drawing an image")?;
         let plane = |k: usize| image[k * pixels..(k + 1) * pixels].to_vec();
         Ok(Frame {
             width: k.width,
@@ -69,7 +69,7 @@ impl Renderer {
         for plane in [r, g, b, &gradient.alpha, &gradient.depth] {
             assert!(
                 plane.is_empty() || plane.len() == pixels,
-                "backward: the gradient has the picture's size"
+                "backward: the gradient has the image's size"
             );
             planes.extend_from_slice(plane);
             if plane.is_empty() {
@@ -120,7 +120,7 @@ impl Renderer {
                 _ => Work::new(&self.gpu, size)?,
             };
             work.draw(&self.gpu, &self.splats, view);
-            let peak = work.peak(&self.gpu, "drawing a picture")?;
+            let peak = work.peak(&self.gpu, "drawing an image")?;
             self.work = Some(work);
             if peak <= size.entries {
                 return Ok(());
@@ -132,7 +132,7 @@ impl Renderer {
 
 fn nothing_drawn() -> GpuError {
     GpuError::Failed {
-        doing: "drawing a picture",
+        doing: "drawing an image",
         why: "nothing was drawn".to_owned(),
     }
 }

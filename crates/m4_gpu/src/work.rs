@@ -106,14 +106,14 @@ impl Work {
             ("the tile entries of a frame", entries),
             ("the gradients of the tile entries", sums),
             ("what the gradient starts from in each tile", checkpoints),
-            ("the picture", 5 * pixels),
+            ("the image", 5 * pixels),
         ] {
             gpu.fits(what, 4 * len)?;
         }
         // a cube a tile along one dimension
         if tiles > 65_535 {
             return Err(GpuError::TooLarge {
-                what: "the picture",
+                what: "the image",
                 needed: 20 * pixels / 1_000_000,
                 limit: 20 * 65_535 * TILE * TILE / 1_000_000,
                 name: gpu.adapter().name.clone(),

@@ -105,7 +105,7 @@ fn points_move_as_the_tracks_near_them_do() {
     let alone = initialise(&capture(None), &with_tracks(true), &Silent).unwrap();
     assert!(
         speed(&alone) < 0.2 * SPEED,
-        "nothing in the pictures shows the motion: {}",
+        "nothing in the images shows the motion: {}",
         speed(&alone)
     );
     let told = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();

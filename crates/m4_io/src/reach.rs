@@ -17,8 +17,8 @@ pub enum Reach {
 /// A file of a data set that lies elsewhere.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "{}{} is outside of {}, and may be a private file that would be shown to whoever sees the result; put a copy into \
-     the folder, or, if you trust who made the data set, give --allow-outside",
+    "{}{} is outside of {}, and may be a private file that the result would reveal; put a copy into \
+     the folder, or, if you trust the data set, pass --allow-outside",
     shortened(path.display()),
     if path == real { String::new() } else { format!(", which is {},", shortened(real.display())) },
     shortened(folder.display())

@@ -76,7 +76,7 @@ fn a_clip_that_is_text_or_zeros_or_a_picture() {
     write_rgb(&path, &Plane::filled(8, 8, [1; 3])).unwrap();
     says(
         &video_error(&path, &options(), ErrorKind::BadData),
-        &["single picture", "folder"],
+        &["single image", "folder"],
     );
 }
 
@@ -326,7 +326,7 @@ fn a_folder_without_pictures_or_with_odd_ones() {
     std::fs::write(folder.join("readme.txt"), "nothing").unwrap();
     says(
         &video_error(&folder, &options(), ErrorKind::BadData),
-        &["no picture", ".jpg"],
+        &["no image", ".jpg"],
     );
     for (i, (w, h)) in [(20, 10), (20, 10), (10, 20)].into_iter().enumerate() {
         write_rgb(&folder.join(format!("{i}.png")), &Plane::filled(w, h, [9; 3])).unwrap();

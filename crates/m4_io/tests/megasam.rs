@@ -184,7 +184,7 @@ fn the_motion_map_is_found_and_looked_at() {
     let heard = Heard::default();
     let alone = read(&path, &MegasamOptions::default(), &heard).unwrap();
     assert!(alone.frames.iter().all(|f| f.mask.is_none()));
-    assert!(heard.text().contains("no map of motion was found"));
+    assert!(heard.text().contains("no motion map was found"));
 
     let beside = dir.path().join("motion_prob.npy");
     motion(&beside, 3, 1.0);

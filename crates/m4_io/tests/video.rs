@@ -410,7 +410,7 @@ fn a_folder_of_pictures_is_a_clip() {
         let picture = Plane::filled(32, 24, [i * 20, 0, 0]);
         m4_io::image::write_rgb(&dir.path().join(format!("f{i}.png")), &picture).unwrap();
     }
-    std::fs::write(dir.path().join("notes.txt"), "not a picture").unwrap();
+    std::fs::write(dir.path().join("notes.txt"), "not an image").unwrap();
     let options = VideoOptions {
         folder_fps: 10.0,
         ..all()

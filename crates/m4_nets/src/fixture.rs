@@ -78,7 +78,7 @@ impl Fixture {
     pub fn picture(&self, name: &str) -> RgbImage {
         let (_, _, shape) = self.tensor(name);
         let [3, h, w] = shape[..] else {
-            panic!("{name} is no picture");
+            panic!("{name} is not an image");
         };
         let bytes = self.bytes(name);
         RgbImage::from_fn(w, h, |x, y| [0, 1, 2].map(|c| bytes[(c * h + y) * w + x]))

@@ -18,7 +18,7 @@ pub struct Flow {
 #[non_exhaustive]
 pub enum FlowError {
     /// The images differ in size.
-    #[error("flow needs two pictures of one size, these have {} x {} and {} x {} pixels", a.0, a.1, b.0, b.1)]
+    #[error("flow needs two images of one size, these have {} x {} and {} x {} pixels", a.0, a.1, b.0, b.1)]
     Sizes {
         /// Width and height of the first.
         a: (usize, usize),
@@ -26,15 +26,15 @@ pub enum FlowError {
         b: (usize, usize),
     },
     /// An image has no pixels.
-    #[error("flow needs pictures with pixels")]
+    #[error("flow needs images with pixels")]
     Empty,
     /// A network that improves its flow step by step was given no step.
     #[error("flow needs at least one iteration; 22 are usual")]
     NoIterations,
     /// The flow to start from is not of these images.
     #[error(
-        "the flow to start from has {} x {} pixels ({numbers} numbers), these pictures need {} x {}: start from that of \
-         another pair of pictures of the same size",
+        "the flow to start from has {} x {} pixels ({numbers} numbers), these images need {} x {}: start from that of \
+         another pair of images of the same size",
         found.0, found.1, needed.0, needed.1
     )]
     Start {

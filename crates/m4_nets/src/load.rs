@@ -29,7 +29,7 @@ pub enum LoadError {
         reason: String,
     },
     /// The file is a checkpoint of something else.
-    #[error("{} is no checkpoint of {network}: {}", path.display(), differences(missing, unused, wrong))]
+    #[error("{} is not a checkpoint of {network}: {}", path.display(), differences(missing, unused, wrong))]
     OtherNetwork {
         /// The file.
         path: PathBuf,

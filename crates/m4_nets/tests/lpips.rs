@@ -281,13 +281,7 @@ fn refuses_what_it_cannot_compare() {
             .unwrap();
         assert!(score.distance.is_finite() && score.map.size() == (least, least));
         let sizes = lpips.compare(&flat(64, 64, 0.5), &flat(64, 65, 0.4));
-        assert!(matches!(
-            sizes,
-            Err(LpipsError::Size {
-                what: "the picture",
-                ..
-            })
-        ));
+        assert!(matches!(sizes, Err(LpipsError::Size { what: "the image", .. })));
         let mask = lpips.compare_inside(&flat(64, 64, 0.5), &flat(64, 64, 0.4), &Plane::filled(63, 64, 1));
         assert!(matches!(mask, Err(LpipsError::Size { what: "the mask", .. })));
         let none = lpips.compare_inside(&flat(64, 64, 0.5), &flat(64, 64, 0.4), &Plane::filled(64, 64, 0));

@@ -61,7 +61,7 @@ pub enum PageError {
         found: usize,
     },
     /// The manifest cannot be written or read as JSON.
-    #[error("the manifest of the page is not as it should be: {source}")]
+    #[error("the manifest of the page is invalid: {source}")]
     Manifest {
         /// What is wrong.
         #[from]

@@ -174,7 +174,7 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
     let first = look(&mut page);
     assert!(
         first == look(&mut page),
-        "the settled picture of a time is the same, bit for bit"
+        "the settled image of a time is the same, bit for bit"
     );
     let pictures: Vec<RgbImage> = first.iter().map(|png| decoded(png)).collect();
     for i in 0..3 {
@@ -215,7 +215,7 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
     page.wait_for("minute4d.state().splats !== 100");
     assert!(
         first == look(&mut page),
-        "the server's page draws other pictures than the file"
+        "the server's page draws other images than the file"
     );
 }
 

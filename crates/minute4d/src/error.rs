@@ -115,8 +115,8 @@ pub enum Error {
     },
     /// The time that the user gave was up before there was a scene.
     #[error(
-        "the time limit of {seconds:.0} s was reached in the stage {stage}; what it finished is kept: the same command with \
-         --resume goes on, and --time-limit changes the limit"
+        "the time limit of {seconds:.0} s was reached in the stage {stage}; finished work is kept: the same command with \
+         --resume continues, and --time-limit changes the limit"
     )]
     TimeLimit {
         /// The stage.
@@ -130,7 +130,7 @@ pub enum Error {
     Gpu(#[from] m4_gpu::GpuError),
     /// A GPU was asked for in a build that cannot use any.
     #[error(
-        "this program was built without GPUs, which --device gpu needs: `{BUILD_FULL}` builds it with them; --device cpu works without"
+        "this program was built without GPU support, which --device gpu needs: `{BUILD_FULL}` builds it with them; --device cpu works without"
     )]
     NoGpuSupport,
     /// A folder was to be made where a file is.
@@ -140,7 +140,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A folder with things in it that are not ours.
-    #[error("the folder {} is not empty and not made by minute4d (it has no {missing} that can be used); choose another folder, or --force to write into it all the same", path.display())]
+    #[error("the folder {} is not empty and not made by minute4d (it has no usable {missing}); choose another folder, or --force to write into it anyway", path.display())]
     Foreign {
         /// The folder.
         path: PathBuf,
@@ -148,7 +148,7 @@ pub enum Error {
         missing: &'static str,
     },
     /// A folder with earlier work.
-    #[error("the folder {} holds {what}; --resume goes on with it, --force replaces it", path.display())]
+    #[error("the folder {} contains {what}; --resume continues it, --force replaces it", path.display())]
     Exists {
         /// The folder.
         path: PathBuf,
@@ -156,13 +156,13 @@ pub enum Error {
         what: &'static str,
     },
     /// A folder that another process works in.
-    #[error("another minute4d is at work in {}; wait for it, or choose another folder", path.display())]
+    #[error("another minute4d is using {}; wait for it, or choose another folder", path.display())]
     Busy {
         /// The folder.
         path: PathBuf,
     },
     /// A file that would be replaced.
-    #[error("{} is already there; --force replaces it", path.display())]
+    #[error("{} already exists; --force replaces it", path.display())]
     WouldReplace {
         /// The file or folder.
         path: PathBuf,
@@ -176,7 +176,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A folder or file that is nothing this program knows.
-    #[error("{} is neither a video, a folder of pictures, a capture, a scene nor a run", path.display())]
+    #[error("{} is neither a video, a folder of images, a capture, a scene nor a run", path.display())]
     Unknown {
         /// What was given.
         path: PathBuf,
@@ -188,7 +188,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// A row of an ablation could not be made.
-    #[error("the row {row} failed: {said}; what it made is in {}", folder.display())]
+    #[error("the row {row} failed: {said}; its files are in {}", folder.display())]
     Row {
         /// Its name.
         row: &'static str,
@@ -198,7 +198,7 @@ pub enum Error {
         said: String,
     },
     /// The finished scene did not read back as it was written.
-    #[error("{} was written but does not read back as it was: {what}; check the disk", path.display())]
+    #[error("{} was written but does not read back correctly: {what}; check the disk", path.display())]
     Verify {
         /// The file.
         path: PathBuf,
@@ -206,7 +206,7 @@ pub enum Error {
         what: String,
     },
     /// The caller asked to stop.
-    #[error("stopped during {stage}{}", if *saved { "; run the same command with --resume to go on" } else { "" })]
+    #[error("stopped during {stage}{}", if *saved { "; run the same command with --resume to continue" } else { "" })]
     Stopped {
         /// The stage that was at work.
         stage: &'static str,
@@ -314,7 +314,7 @@ pub enum Error {
     },
     /// A network of depth that failed.
     #[cfg(feature = "nets")]
-    #[error("{source_name} found no depth of frame {frame}: {reason}")]
+    #[error("{source_name} estimated no depth of frame {frame}: {reason}")]
     MonoDepth {
         /// Its name.
         source_name: String,
@@ -381,9 +381,7 @@ pub enum Error {
         source: Box<m4_nets::LoadError>,
     },
     /// Nothing was asked for, or nothing is here that could do it.
-    #[error(
-        "there is nothing to do: --segmenter none and --tracker none leave a capture as it is; leave one of them out"
-    )]
+    #[error("there is nothing to do: --segmenter none and --tracker none leave a capture unchanged; omit one of them")]
     NothingToEnhance,
     /// Refining masks or following points.
     #[error(transparent)]

@@ -258,7 +258,7 @@ impl fmt::Display for VideoFacts {
             self.frames, self.duration_s
         )?;
         if let Some(fps) = self.fps {
-            write!(f, ", {fps:.2} frames a second")?;
+            write!(f, ", {fps:.2} frames per second")?;
         }
         if let Some(gap) = self.longest_gap.filter(|&g| g > 1.5) {
             write!(
@@ -331,7 +331,7 @@ impl fmt::Display for RunFacts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let record = &self.record;
         let status = match record.status {
-            Status::Running => "unfinished (at work, or killed)",
+            Status::Running => "unfinished (running, or killed)",
             Status::Stopped => "stopped, can be resumed",
             Status::Failed => "failed",
             Status::Finished => "finished",

@@ -20,7 +20,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     if is_capture(input) {
         if job.settings.geometry != GeometryOptions::default() {
             job.observer.warn(
-                "the input is a capture, whose geometry is taken as it is: --frontend, --segmenter, --intrinsics, --poses, --masks and \
+                "the input is a capture, whose geometry is used unchanged: --frontend, --segmenter, --intrinsics, --poses, --masks and \
                  --depth have no effect",
             );
         }
@@ -28,7 +28,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     }
     if !input.exists() {
         return Err(Error::Missing {
-            what: "video, folder of pictures or capture",
+            what: "video, folder of images or capture",
             path: input.to_path_buf(),
         });
     }

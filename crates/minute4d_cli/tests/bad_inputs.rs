@@ -44,7 +44,7 @@ fn videos_that_are_none() {
         &["missing.mp4", "there is no video"],
     );
     fs::create_dir(dir.path("empty")).unwrap();
-    bad_video(&dir, &dir.at("empty"), &[], 65, &["empty", "no picture"]);
+    bad_video(&dir, &dir.at("empty"), &[], 65, &["empty", "no image"]);
     let zero = dir.write("zero.mp4", b"");
     bad_video(&dir, &zero, &[], 65, &["zero.mp4", "empty (0 bytes)"]);
     let zeros = dir.write("zeros.mp4", [0; 5000]);
@@ -109,7 +109,7 @@ fn folders_of_pictures_that_cannot_be_a_clip() {
     bad_video(&dir, &dir.at("one"), &[], 65, &["at least 2"]);
 
     write_pictures(&dir.path("broken"), 3);
-    dir.write("broken/00001.png", "no picture");
+    dir.write("broken/00001.png", "no image");
     bad_video(&dir, &dir.at("broken"), &[], 65, &["00001.png"]);
 
     write_pictures(&dir.path("sizes"), 2);
@@ -126,7 +126,7 @@ fn folders_of_pictures_that_cannot_be_a_clip() {
         &dir.at("flat"),
         &[],
         65,
-        &["points could be followed", "--static-camera"],
+        &["points could be tracked", "--static-camera"],
     );
 }
 
@@ -373,7 +373,7 @@ fn views_that_cannot_be_rendered() {
     refused(
         &["render", run, "-o", &there],
         73,
-        &["there.mp4", "already there", "--force"],
+        &["there.mp4", "already exists", "--force"],
     );
     assert_eq!(fs::read_to_string(&there).unwrap(), "mine");
 }

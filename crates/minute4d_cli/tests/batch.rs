@@ -351,12 +351,16 @@ fn plans_that_cannot_be_made_and_inputs_that_changed() {
     refuse("s3://bucket/a.mp4", 65, &["s3://", "mount the store"]);
     fs::create_dir_all(dir.path("results/clip1")).unwrap();
     dir.write("results/clip1/thesis.tex", "mine");
-    refuse(&dir.at("clips/clip1"), 73, &["was not made by `minute4d batch`"]);
+    refuse(&dir.at("clips/clip1"), 73, &["was not created by `minute4d batch`"]);
     fs::remove_dir_all(dir.path("results")).unwrap();
 
     let named = plan(&dir, &["--iterations", "5"]);
     let again = plan_of(&dir.at("clips/clip1"));
-    refused(&again.each_ref().map(String::as_str), 73, &["already there", "--force"]);
+    refused(
+        &again.each_ref().map(String::as_str),
+        73,
+        &["already exists", "--force"],
+    );
     fs::write(dir.path("clips/clip1/name.txt"), "another").unwrap();
     let changed = ended(job(&named, &["--index", "0"]));
     assert_eq!(changed.code, 75);

@@ -59,7 +59,7 @@ fn a_camera_that_only_turns() {
     assert_eq!(found["camera_motion"], "rotation_only", "{found}");
     contains(
         &warnings,
-        &["the camera turns", "rotations only", "geometry is poor", "sideways"],
+        &["the camera rotates", "rotations only", "geometry is poor", "sideways"],
     );
     assert_eq!(found["confidence"]["grade"], "poor");
 }
@@ -169,6 +169,6 @@ fn fifteen_hundred_frames() {
     };
     // docs/geometry.md has what is kept a frame.
     let a_pixel = (many - few) / (1200.0 * (SIZE.0 * SIZE.1) as f64);
-    eprintln!("{a_pixel:.0} bytes a pixel and frame");
+    eprintln!("{a_pixel:.0} bytes per pixel and frame");
     assert!(a_pixel < 120.0, "{a_pixel}");
 }

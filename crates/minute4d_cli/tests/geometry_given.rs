@@ -141,7 +141,7 @@ fn poses_without_a_lens_or_of_another_clip_are_refused() {
     let backwards: Vec<&str> = lines.iter().rev().copied().collect();
     for wrong in [&shuffled[..], &backwards] {
         let wrong = dir.write("wrong.txt", numbered(wrong));
-        let words = ["contradict the pictures", "order of the frames", "leave the poses out"];
+        let words = ["contradict the images", "order of the frames", "leave the poses out"];
         refuse(&["--poses", &wrong, "--fov", "56"], 65, &words);
     }
 }
@@ -204,7 +204,7 @@ fn masks_are_taken_as_they_are() {
     let mask: Mask = Plane::filled(SIZE.1, SIZE.0, 0);
     write_mask(&dir.path("masks/00004.png"), &mask).unwrap();
     refused(&args, 65, &["00004.png", "120 x 160"]);
-    dir.write("masks/00004.png", "no picture");
+    dir.write("masks/00004.png", "no image");
     refused(&args, 65, &["00004.png"]);
     refused(
         &[

@@ -68,7 +68,7 @@ fn wrong_requests_are_refused_with_advice() {
     let (colmap, recording) = (fixture("colmap_text"), fixture("record3d/clip.r3d"));
     let davis = fixture("davis/JPEGImages/480p/ball");
     for (args, code, says) in [
-        (vec!["import", &*empty, "-o", &out], 65, "none of the layouts"),
+        (vec!["import", &*empty, "-o", &out], 65, "none of the known layouts"),
         (vec!["import", &empty, "-o", &out, "--format", "vipe"], 65, "pose"),
         (
             vec!["import", &empty, "-o", &out, "--format", "obj"],
@@ -179,7 +179,7 @@ fn captures_go_out_and_come_back() {
         refused(
             &["export", &own, "--format", format, "-o", &out],
             73,
-            &["already there", "--force"],
+            &["already exists", "--force"],
         );
     }
 }

@@ -38,7 +38,7 @@ fn write_scene(dir: &Scratch, mip: bool) {
 }
 
 fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+    value.as_f64().unwrap_or_else(|| panic!("{value} is not a number"))
 }
 
 #[test]
@@ -233,7 +233,7 @@ fn a_still_ply_of_another_program_gets_cameras() {
     let picture = dir.at("png");
     succeed(&["render", &dir.at("in"), "-o", &picture]);
     let middle = fs::metadata(dir.path("png/00000.png")).unwrap().len();
-    assert!(middle > 20_000, "the splats are in the picture: {middle} bytes");
+    assert!(middle > 20_000, "the splats are in the image: {middle} bytes");
 }
 
 #[test]

@@ -91,7 +91,7 @@ fn wrong_requests_are_refused_with_advice() {
             "is a capture, which 4dgs does not hold",
         ),
         (vec!["export", &given, "--format", "megasam"], 2, "choose one of 4dgs"),
-        (vec!["import", &npz, "-o", &out], 65, "no npz archive"),
+        (vec!["import", &npz, "-o", &out], 65, "not an npz archive"),
         (vec!["import", &empty, "-o", &out], 65, "is a folder"),
         (
             vec!["import", &empty, "-o", &out, "--format", "megasam"],

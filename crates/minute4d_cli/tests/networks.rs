@@ -90,7 +90,7 @@ fn megasam_makes_a_capture_and_names_its_networks() {
     assert_eq!(ended.code, 0, "{}", ended.stderr);
     // The choice, and the lack of a depth network, is reported.
     assert!(
-        ended.stderr.contains("raft") && ended.stderr.contains("no depth from one picture"),
+        ended.stderr.contains("raft") && ended.stderr.contains("no depth from one image"),
         "{}",
         ended.stderr
     );

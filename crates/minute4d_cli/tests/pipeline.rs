@@ -228,7 +228,7 @@ fn a_killed_run_goes_on_from_its_last_checkpoint() {
     }
     let second = train(&data, &parts, "1200", &["--resume"]);
     assert_eq!(second.code, 75, "one folder, one process: {}", second.stderr);
-    assert!(second.stderr.contains("another minute4d is at work"));
+    assert!(second.stderr.contains("another minute4d is using"));
     signal(&running, "-KILL");
     running.0.wait().unwrap();
     let left = fs::read_dir(&saved).unwrap().filter(|e| {

@@ -208,10 +208,10 @@ fn what_cannot_be_rendered_is_refused_before_anything_is_written() {
     path("bullet", &["--hold-s", "1000"], 2, &["--hold-s", "0.1 to 600"]);
     path("swing", &["--amount", "nan"], 2, &["--amount"]);
     path("swing", &["--seconds", "-1"], 2, &["--seconds"]);
-    path("swing", &["--seconds", "3600", "--fps", "240"], 2, &["864000 pictures"]);
+    path("swing", &["--seconds", "3600", "--fps", "240"], 2, &["864000 images"]);
     path("bullet", &["--seconds", "2"], 2, &["--hold-s"]);
     path("bullet", &["--at", "9s"], 2, &["9s", "outside"]);
-    path("bullet", &["--at", "soon"], 2, &["\"soon\"", "no moment"]);
+    path("bullet", &["--at", "soon"], 2, &["\"soon\"", "not a time"]);
     path("spiral", &[], 2, &["spiral", "bullet"]);
     let broken = dir.write(
         "broken.json",
@@ -227,7 +227,7 @@ fn what_cannot_be_rendered_is_refused_before_anything_is_written() {
     refused(
         &["render", run(), "--path", "swing", "-o", &dir.at("a.png")],
         2,
-        &["a.png", "one picture"],
+        &["a.png", "one image"],
     );
     assert!(!dir.path("a.mov").exists() && !dir.path("a.png").exists());
     let there = dir.write("there.png", "mine");

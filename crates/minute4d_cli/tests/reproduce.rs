@@ -343,7 +343,7 @@ fn dycheck_is_reproduced_from_its_layout() {
             number(&row["headline"]) > 12.0 && row["headline"] != row["psnr_db"],
             "{row}"
         );
-        assert_eq!(row["mask"], "published masks of co-visibility,");
+        assert_eq!(row["mask"], "published co-visibility masks,");
     }
     let eval = read_json(&dir.path("out/dycheck/apple/run/eval.json"));
     assert!(

@@ -31,13 +31,13 @@ const ROWS: &[Row] = &[
     row("default", "default", &[]),
     Row {
         name: "batch-2",
-        what: "two frames a step, half the steps",
+        what: "two frames per step, half the steps",
         sets: &["train.batch=2"],
         batch: 2,
     },
     Row {
         name: "batch-4",
-        what: "four frames a step, a quarter of the steps",
+        what: "four frames per step, a quarter of the steps",
         sets: &["train.batch=4"],
         batch: 4,
     },

@@ -154,7 +154,7 @@ mod tests {
         assert_eq!(found(&[at("v")], false), ["v/a.MOV", "v/b.mp4"]);
         let all = ["v/a.MOV", "v/b.mp4", "v/cap", "v/in/d.mkv", "v/pics"];
         assert_eq!(found(&[at("v")], true), all);
-        assert_eq!(found(&[at("v/pics")], false), ["v/pics"], "pictures are a clip");
+        assert_eq!(found(&[at("v/pics")], false), ["v/pics"], "images are a clip");
         assert_eq!(found(&[at("v/b.mp4"), at("v/in/../b.mp4")], false), ["v/b.mp4"]);
         assert_eq!(
             found(&[at("v/notes.txt")], false),

@@ -52,7 +52,7 @@ pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, BatchE
         script: script.to_path_buf(),
     };
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_digit()) {
-        let said = format!("it answered {answer:?}, which is no number of a job");
+        let said = format!("it answered {answer:?}, which is not a job id");
         return Err(refused("sbatch", said));
     }
     let known = call("scontrol", &["show".as_ref(), "job".as_ref(), id.as_ref()], script)?;

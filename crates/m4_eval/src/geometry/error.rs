@@ -12,9 +12,9 @@ pub enum GeometryError {
     },
     /// Frames could be paired neither by name, nor by order, nor by time.
     #[error(
-        "the estimate has {estimate} frames and the truth {truth}; names such as {estimate_name:?} and \
-         {truth_name:?} do not pair them, nor do their times (frame {unpaired_name:?} is {distance_frames:.2} \
-         frames from the nearest true one): compare captures of the same frames of the same video"
+        "the estimate has {estimate} frames and the ground truth {truth}; names such as {estimate_name:?} and \
+         {truth_name:?} do not match, nor do their times (frame {unpaired_name:?} is {distance_frames:.2} \
+         frames from the nearest one of the ground truth): compare captures of the same frames of the same video"
     )]
     Unmatched {
         /// Frames of the estimate.
@@ -41,7 +41,7 @@ pub enum GeometryError {
         what: &'static str,
     },
     /// Two paths have other numbers of poses.
-    #[error("the estimate has {estimate} poses and the truth {truth}; give the poses of the same frames")]
+    #[error("the estimate has {estimate} poses and the ground truth {truth}; give the poses of the same frames")]
     Lengths {
         /// Poses of the estimate.
         estimate: usize,

@@ -17,7 +17,7 @@ pub enum LlffError {
         source: serde_json::Error,
     },
     /// The list is empty.
-    #[error("\"poses\" is empty; there is no truth in this file")]
+    #[error("\"poses\" is empty; this file has no ground truth")]
     Empty,
     /// A pose that no camera has.
     #[error("pose {index}: {what} (found {value}); columns must be right, up, back, position, [height, width, focal]")]
@@ -85,9 +85,9 @@ fn camera(index: usize, pose: &[[f64; 5]; 3]) -> Result<Camera, LlffError> {
         if value < 1.0 || value > f64::from(u16::MAX) || value.fract() != 0.0 {
             return bad(
                 if what == "the height" {
-                    "the height is no number of pixels"
+                    "the height is not a valid number of pixels"
                 } else {
-                    "the width is no number of pixels"
+                    "the width is not a valid number of pixels"
                 },
                 value,
             );

@@ -134,13 +134,13 @@ fn with_notes(mut report: GeometryReport, estimate: &Side<'_>, truth: &Side<'_>)
     let unknown = report.depth.is_some() && truth.frames.iter().all(|f| f.mask.is_none());
     note(
         unknown,
-        "depth: the truth has no masks, so every pixel counts as static",
+        "depth: the ground truth has no masks, so every pixel counts as static",
     );
     // a part of a clip is numbered anew: its 00001 need not be the whole clip's
     let (part, whole) = (estimate.frames.len(), truth.frames.len());
     if report.matching == Matching::Name && part != whole {
         report.notes.push(format!(
-            "frames: {part} of the estimate were paired with {whole} of the truth by file name; if the estimate was \
+            "frames: {part} of the estimate were paired with {whole} of the ground truth by file name; if the estimate was \
              made from a part of the clip (--start, --end, --max-frames), its names are numbered anew and the figures \
              mean nothing"
         ));

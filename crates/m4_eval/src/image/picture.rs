@@ -7,7 +7,7 @@ use m4_scene::{RgbImage, ShapeError};
 #[non_exhaustive]
 pub enum ImageError {
     /// The number of values does not match the stated size.
-    #[error("a picture of {width}x{height} needs planes of {expected} values; channel {channel} has {found}")]
+    #[error("an image of {width}x{height} needs planes of {expected} values; channel {channel} has {found}")]
     Length {
         /// Columns.
         width: usize,
@@ -34,7 +34,7 @@ pub enum ImageError {
         found: (usize, usize),
     },
     /// No SSIM window fits in.
-    #[error("SSIM needs at least {window}x{window} pixels; the picture is {width}x{height}")]
+    #[error("SSIM needs at least {window}x{window} pixels; the image is {width}x{height}")]
     TooSmall {
         /// Columns.
         width: usize,

@@ -58,7 +58,7 @@ pub fn psnr_db_of(
     reference: &Picture,
     mask: Option<&Mask>,
 ) -> Result<Option<f64>, ImageError> {
-    same_size("the picture", reference.size(), image.size())?;
+    same_size("the image", reference.size(), image.size())?;
     if let Some(mask) = mask {
         same_size("the mask", reference.size(), mask.size())?;
     }

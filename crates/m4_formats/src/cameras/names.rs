@@ -7,7 +7,7 @@ use m4_scene::Scene;
 #[non_exhaustive]
 pub enum BadName {
     /// Another number than that of the cameras.
-    #[error("there are {found} names of pictures and {expected} cameras")]
+    #[error("there are {found} names of images and {expected} cameras")]
     Count {
         /// Cameras of the scene.
         expected: usize,
@@ -15,7 +15,7 @@ pub enum BadName {
         found: usize,
     },
     /// A name that the lists cannot hold.
-    #[error("picture {index} is called {name:?}; names are not empty and have no spaces and no control characters")]
+    #[error("image {index} is called {name:?}; names are not empty and have no spaces and no control characters")]
     Name {
         /// Index of the camera.
         index: usize,

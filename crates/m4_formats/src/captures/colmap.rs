@@ -79,7 +79,7 @@ pub fn write(
 }
 
 fn losses(capture: &Capture, points: usize) -> Vec<Loss> {
-    let mut losses = vec![Loss::Dropped("when the pictures were taken".to_owned())];
+    let mut losses = vec![Loss::Dropped("when the images were taken".to_owned())];
     if capture.frames.iter().any(|f| f.depth.is_some()) {
         losses.push(Loss::Dropped(format!("depth, but for {}", plural(points, "point"))));
     }

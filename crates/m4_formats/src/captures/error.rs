@@ -16,7 +16,7 @@ pub enum WriteCaptureAsError {
     #[error(transparent)]
     Picture(#[from] WriteImageError),
     /// An image that was written could not be read again.
-    #[error("a picture was written and does not read back: {0}; check the disk")]
+    #[error("an image was written but does not read back: {0}; check the disk")]
     ReadBack(#[from] ReadImageError),
     /// The capture holds what the format cannot, or nothing.
     #[error("cannot write {}: {what}", path.display())]

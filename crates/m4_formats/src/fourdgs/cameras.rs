@@ -63,7 +63,7 @@ pub(super) fn provenance(scene: &Scene, clip: &Clip) -> (Provenance, Vec<Loss>) 
     }
     let lens = first.camera.intrinsics;
     if scene.source.iter().any(|s| s.camera.intrinsics != lens) {
-        losses.push(Loss::Dropped("every lens but that of the first frame".to_owned()));
+        losses.push(Loss::Dropped("intrinsics of all frames but the first".to_owned()));
     }
     let size = |v: usize| u32::try_from(v).unwrap_or(u32::MAX);
     out.sensors.push(SensorCalibration {
@@ -175,7 +175,7 @@ pub(super) fn source(provenance: &Provenance, clip: &Clip, losses: &mut Vec<Loss
         return source;
     }
     losses.push(Loss::Dropped(format!(
-        "the camera {:?}: its lens or its poses make no picture",
+        "the camera {:?}: its lens or its poses make no image",
         sensor.name
     )));
     Vec::new()

@@ -35,7 +35,7 @@ pub enum ReadFourdgsError {
         reason: String,
     },
     /// The file claims more than it can hold.
-    #[error("{} claims splats that need {needed} bytes of memory, and a file of {len} bytes may ask for {allowed}; it is damaged or made to exhaust the machine", path.display())]
+    #[error("{} declares splats that need {needed} bytes of memory, and a file of {len} bytes may use {allowed}; it is damaged or malicious", path.display())]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -86,7 +86,7 @@ pub enum WriteFourdgsError {
         reason: String,
     },
     /// The bytes that were made do not decode to the scene within the declared bounds.
-    #[error("the .4dgs file that was made does not decode to the scene: {reason}; this is a bug, please report it")]
+    #[error("the written .4dgs file does not decode to the scene: {reason}; this is a bug, please report it")]
     Verify {
         /// What differs, and by how much.
         reason: String,

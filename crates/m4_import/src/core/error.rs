@@ -169,9 +169,11 @@ mod tests {
 
     #[test]
     fn what_is_quoted_at_length_keeps_its_start_and_what_to_do() {
-        let fault = SourceFault::bad(format!("{:?} is no number", "9ü".repeat(100_000)), "correct it");
+        let fault = SourceFault::bad(format!("{:?} is not a number", "9ü".repeat(100_000)), "correct it");
         let said = fault.within(Path::new("a.txt"), "line 7").to_string();
-        assert!(said.starts_with("cannot import a.txt, line 7: \"9ü9ü") && said.ends_with("is no number; correct it"));
+        assert!(
+            said.starts_with("cannot import a.txt, line 7: \"9ü9ü") && said.ends_with("is not a number; correct it")
+        );
         assert!(said.chars().count() < 600, "{said}");
     }
 }

@@ -105,13 +105,13 @@ impl Lens {
         let k = &self.intrinsics;
         let side = |n: usize| (1..=1 << 16).contains(&n);
         if !(side(k.width) && side(k.height)) {
-            return Err(format!("pictures of {} x {} pixels", k.width, k.height));
+            return Err(format!("images of {} x {} pixels", k.width, k.height));
         }
         if !(k.fx.is_finite() && k.fx > 0.0 && k.fy.is_finite() && k.fy > 0.0) {
             return Err(format!("focal lengths {} and {}, above 0 was expected", k.fx, k.fy));
         }
         if !(k.cx.is_finite() && k.cy.is_finite() && self.distortion.is_finite()) {
-            return Err(format!("a lens with a value that is not a number: {self:?}"));
+            return Err(format!("intrinsics with a NaN or infinite value: {self:?}"));
         }
         Ok(())
     }
@@ -123,12 +123,12 @@ impl Lens {
             return Ok(());
         }
         let what = format!(
-            "its picture is {width} x {height} but its camera is of {} x {} pixels",
+            "its image is {width} x {height} but its camera is of {} x {} pixels",
             k.width, k.height
         );
         Err(SourceFault::bad(
             what,
-            "give the pictures that the cameras were computed on",
+            "use the images that the cameras were computed from",
         ))
     }
 }

@@ -23,7 +23,7 @@ impl<T> FrameSource<T> {
         let held = Mutex::new(Some(value));
         Self::new(move || {
             let taken = held.lock().ok().and_then(|mut held| held.take());
-            taken.ok_or_else(|| SourceFault::bad("a picture or map was asked for twice", "list the source again"))
+            taken.ok_or_else(|| SourceFault::bad("an image or map was asked for twice", "list the source again"))
         })
     }
 

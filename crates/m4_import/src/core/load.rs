@@ -114,7 +114,7 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, SourceFa
             "correct the pose in the source",
         ));
     }
-    let get = |e: String| SourceFault::unsupported(e, "undistort the pictures with the tool that made them");
+    let get = |e: String| SourceFault::unsupported(e, "undistort the images with the tool that made them");
     let undistort = Undistort::new(&frame.lens).map_err(get)?;
     let rgb = frame.rgb.get()?;
     frame.lens.check_size(rgb.size())?;

@@ -41,7 +41,7 @@ impl Undistort {
         let (mut low, mut high) = (0.25, MAX_STRETCH);
         if !whole(high) {
             return Err(format!(
-                "the distortion {:?} bends rays back within the picture",
+                "the distortion {:?} bends rays back within the image",
                 lens.distortion
             ));
         }

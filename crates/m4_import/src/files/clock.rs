@@ -10,7 +10,7 @@ pub(crate) const DEFAULT_FPS: f64 = 30.0;
 pub(crate) fn fps(options: &ImportOptions) -> Result<Option<f64>, SourceFault> {
     match options.fps {
         Some(fps) if !(fps.is_finite() && fps > 0.0) => {
-            let what = format!("the option fps is {fps}; frames a second, above 0, were expected");
+            let what = format!("the option fps is {fps}; frames per second, above 0, were expected");
             Err(SourceFault::bad(what, "give another"))
         }
         fps => Ok(fps),
@@ -21,7 +21,7 @@ pub(crate) fn fps(options: &ImportOptions) -> Result<Option<f64>, SourceFault> {
 pub(crate) fn duration_s(frames: usize, options: &ImportOptions, progress: &dyn Progress) -> Option<f64> {
     let fps = options.fps.unwrap_or_else(|| {
         progress.warn(&format!(
-            "the source does not say how many frames a second it has; {DEFAULT_FPS} were assumed (fps)"
+            "the source does not state its frame rate; {DEFAULT_FPS} frames per second are assumed (fps)"
         ));
         DEFAULT_FPS
     });

@@ -20,14 +20,14 @@ pub(crate) fn resized(k: &Intrinsics, (width, height): (usize, usize)) -> Result
     let slack = 1.0 / width.min(height).max(1) as f64 + 1e-9;
     if (aspect(k, (width, height)) - 1.0).abs() > slack {
         let what = format!(
-            "a picture of {width} x {height} pixels where the camera is of {} x {}",
+            "an image of {width} x {height} pixels where the camera is of {} x {}",
             k.width, k.height
         );
         let turned = (width > height) != (k.width > k.height);
         let remedy = if turned {
-            "the pictures were turned; give them as the sensor saw them"
+            "the images were rotated; use them in the sensor's orientation"
         } else {
-            "give pictures that are not cropped"
+            "give images that are not cropped"
         };
         return Err(SourceFault::bad(what, remedy));
     }

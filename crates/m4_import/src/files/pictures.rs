@@ -83,7 +83,7 @@ pub(crate) fn of_video(path: &Path, error: ReadVideoError) -> ReadSourceError {
         ReadVideoError::Cancelled { .. } => SourceFault::Cancelled,
         other => {
             let unsupported = other.kind() == m4_io::ErrorKind::Unsupported;
-            let (what, remedy) = (other.to_string(), "or give a folder of its pictures");
+            let (what, remedy) = (other.to_string(), "or give a folder of its images");
             if unsupported {
                 SourceFault::unsupported(what, remedy)
             } else {

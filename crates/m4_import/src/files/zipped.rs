@@ -25,7 +25,7 @@ impl Members {
         }
         let archive = ZipArchive::new(BufReader::new(File::open(path)?));
         let archive = archive.map_err(|e| {
-            let what = format!("it is no zip archive, or a damaged one ({e})");
+            let what = format!("it is not a zip archive, or a damaged one ({e})");
             SourceFault::bad(what, "copy it again")
         })?;
         Ok(Self::Zip(Mutex::new(archive)))

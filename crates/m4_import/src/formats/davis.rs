@@ -54,7 +54,7 @@ pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -
     for frame in &video.frames {
         let index = (frame.time_s * FPS).round() as usize;
         let Some(picture) = files.get(index) else {
-            let what = format!("frame {index} is not among the {} pictures", files.len());
+            let what = format!("frame {index} is not among the {} images", files.len());
             return Err(SourceFault::bad(what, "do not change files while they are read").at(path));
         };
         let file = annotations.join(format!("{}.png", stem(picture)));
@@ -75,8 +75,8 @@ fn annotations(path: &Path) -> Result<PathBuf, ReadSourceError> {
             Ok(root.join("Annotations").join(resolution).join(name))
         }
         _ => {
-            let what = "it is no folder ROOT/JPEGImages/RESOLUTION/NAME";
-            Err(SourceFault::bad(what, "give the folder of the clip's pictures").at(path))
+            let what = "it is not a folder ROOT/JPEGImages/RESOLUTION/NAME";
+            Err(SourceFault::bad(what, "give the folder of the clip's images").at(path))
         }
     }
 }
@@ -84,14 +84,14 @@ fn annotations(path: &Path) -> Result<PathBuf, ReadSourceError> {
 fn map(file: &Path, picture: &Path) -> Result<CompactIds, ReadSourceError> {
     let read = read_mask(file, false).map_err(|fault| fault.at(file))?;
     let Some(ids) = read.instances else {
-        let what = "it has no palette, so it does not tell things apart";
+        let what = "it has no palette, so it does not distinguish objects";
         return Err(SourceFault::bad(what, "give the annotations as they were published").at(file));
     };
     let size = size_of(picture).map_err(|fault| fault.at(picture))?;
     if ids.size() != size {
         let ((w, h), (pw, ph)) = (ids.size(), size);
-        let what = format!("it is {w} x {h} pixels but its picture is {pw} x {ph}");
-        return Err(SourceFault::bad(what, "give pictures and annotations of one resolution").at(file));
+        let what = format!("it is {w} x {h} pixels but its image is {pw} x {ph}");
+        return Err(SourceFault::bad(what, "give images and annotations of one resolution").at(file));
     }
     Ok(ids)
 }

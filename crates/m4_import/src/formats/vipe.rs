@@ -85,7 +85,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         .clone()
         .unwrap_or_else(|| part("rgb", &format!("{name}.mp4")));
     if !clip.exists() {
-        let remedy = "give the clip or the folder of its pictures (pictures)";
+        let remedy = "give the clip or the folder of its images (images)";
         return Err(SourceFault::missing("the clip", remedy).at(&clip));
     }
     let pictures = pictures::read(&clip, &inside, options, progress)?;
@@ -155,7 +155,7 @@ fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f6
             "data has shape {shape:?} and there are {} inds; {width} numbers for each were expected",
             inds.len()
         );
-        let remedy = "lenses other than pinholes have more; run ViPE with a pinhole camera";
+        let remedy = "other camera models have more; run ViPE with a pinhole camera";
         return Err(SourceFault::bad(what, remedy).at(file));
     }
     let mut all = BTreeMap::new();
@@ -196,7 +196,7 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
             .split_once(':')
             .and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
         let (id, phrase) = parsed.ok_or_else(|| {
-            let what = format!("{line:?} is no number with a phrase, such as `1: person`");
+            let what = format!("{line:?} is not a number with a phrase, such as `1: person`");
             SourceFault::bad(what, "give the file that ViPE wrote").within(path, format!("line {}", i + 1))
         })?;
         phrases.insert(id, phrase.trim().to_ascii_lowercase());

@@ -34,7 +34,7 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
     let mut reader = decoder.read_info().map_err(damaged)?;
     let (width, height) = reader.info().size();
     if width > MAX_SIDE || height > MAX_SIDE {
-        let what = format!("a picture of {width} x {height} pixels");
+        let what = format!("an image of {width} x {height} pixels");
         return Err(SourceFault::unsupported(what, "resize it"));
     }
     let (w, h) = (width as usize, height as usize);
@@ -42,7 +42,7 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
     let bytes = reader.output_buffer_size().filter(|&n| n <= MAX_BYTES);
     let Some(bytes) = bytes else {
         return Err(SourceFault::unsupported(
-            format!("a picture of {w} x {h} pixels"),
+            format!("an image of {w} x {h} pixels"),
             "resize it",
         ));
     };
@@ -56,7 +56,7 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
     let whole = line.checked_mul(h).is_some_and(|n| n <= data.len());
     if (frame.width, frame.height) != (width, height) || !whole {
         let what = format!(
-            "a frame of {} x {} pixels in a picture of {w} x {h}",
+            "a frame of {} x {} pixels in an image of {w} x {h}",
             frame.width, frame.height
         );
         return Err(SourceFault::bad(what, "export it again"));

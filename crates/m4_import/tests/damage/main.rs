@@ -80,7 +80,7 @@ fn fault_of(capture: &Capture) -> Option<&'static str> {
         let rigid = c2w.iter().all(|v| v.is_finite()) && (c2w.determinant() - 1.0).abs() < 1e-2;
         let depth = frame.depth.as_ref();
         [
-            (frame.rgb.size() == (k.width, k.height), "the size of a picture"),
+            (frame.rgb.size() == (k.width, k.height), "the size of an image"),
             (
                 k.fx > 0.0 && k.fy > 0.0 && k.cx.is_finite() && k.cy.is_finite(),
                 "a lens",

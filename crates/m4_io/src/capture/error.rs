@@ -72,7 +72,7 @@ pub enum ReadCaptureError {
         fault: String,
     },
     /// The lens is not a pinhole.
-    #[error("{} has lens distortion ({key} = {value}), which is not modelled: undistort the images first (`colmap image_undistorter`, or `ns-process-data`) and set it to 0", path.display())]
+    #[error("{} has lens distortion ({key} = {value}), which is not supported: undistort the images first (`colmap image_undistorter`, or `ns-process-data`) and set it to 0", path.display())]
     Distorted {
         /// The file.
         path: PathBuf,
@@ -138,7 +138,7 @@ pub enum ReadCaptureError {
         limit_bytes: u64,
     },
     /// The times of a test split mean nothing without the length of the training video.
-    #[error("{} has times from 0 to 1 but nothing says how many training frames these span: put transforms_train.json beside it or add \"time_frames\"", path.display())]
+    #[error("{} has times from 0 to 1 but nothing says how many training frames these span: put transforms_train.json next to it or add \"time_frames\"", path.display())]
     NoTrainingSplit {
         /// The file.
         path: PathBuf,
@@ -210,7 +210,7 @@ pub enum WriteCaptureError {
         what: String,
     },
     /// The tracks are not of these frames.
-    #[error("the capture for {} has {frames} frames but tracks over {tracks}; follow its own frames, or leave the tracks out", path.display())]
+    #[error("the capture for {} has {frames} frames but tracks over {tracks}; compute tracks of these frames, or remove them", path.display())]
     Tracks {
         /// The JSON file.
         path: PathBuf,

@@ -84,7 +84,7 @@ impl Lens {
             // A crop may put the principal point outside of the image, but not far.
             if !(c.is_finite() && c >= -side && c <= 2.0 * side) {
                 return Err(format!(
-                    "{key} = {c}; the principal point of a picture {side} pixels long was expected"
+                    "{key} = {c}; the principal point of an image {side} pixels long was expected"
                 ));
             }
         }

@@ -130,7 +130,7 @@ fn entry(
     if frame.rgb.size() != (k.width, k.height) {
         let (w, h) = frame.rgb.size();
         return Err(bad(format!(
-            "its picture is {w} x {h} but its camera {} x {}",
+            "its image is {w} x {h} but its camera {} x {}",
             k.width, k.height
         )));
     }

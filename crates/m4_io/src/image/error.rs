@@ -32,7 +32,7 @@ pub enum ReadImageError {
         reason: String,
     },
     /// The image claims to be larger than the limit.
-    #[error("the image {} is {width} x {height} pixels, more than the {limit} pixels a side that are read; resize it", shortened(path.display()))]
+    #[error("the image {} is {width} x {height} pixels, above the limit of {limit} pixels per side; resize it", shortened(path.display()))]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -44,7 +44,7 @@ pub enum ReadImageError {
         limit: u32,
     },
     /// A depth map that is not a 16-bit greyscale PNG.
-    #[error("the depth map {} is {found}; it must be a greyscale PNG with 16 bits a pixel", shortened(path.display()), found = shortened(found))]
+    #[error("the depth map {} is {found}; it must be a greyscale PNG with 16 bits per pixel", shortened(path.display()), found = shortened(found))]
     NotDepth {
         /// The file.
         path: PathBuf,
@@ -52,7 +52,7 @@ pub enum ReadImageError {
         found: String,
     },
     /// A map of things that is not a greyscale PNG.
-    #[error("the map of instances {} is {found}; it must be a greyscale PNG with 8 or 16 bits a pixel, 0 where there is none", shortened(path.display()), found = shortened(found))]
+    #[error("the instance map {} is {found}; it must be a greyscale PNG with 8 or 16 bits per pixel, 0 where there is none", shortened(path.display()), found = shortened(found))]
     NotIds {
         /// The file.
         path: PathBuf,

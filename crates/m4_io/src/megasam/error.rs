@@ -25,7 +25,7 @@ pub enum MegasamFault {
     #[error("{0}; give a NAME_droid.npz, a NAME_sgd_cvd_hr.npz or a folder of reconstructions")]
     Io(io::Error),
     /// It is no zip archive, or a damaged one.
-    #[error("it is no npz archive, or a damaged one ({0}); copy it again, or run MegaSaM again")]
+    #[error("it is not an npz archive, or a damaged one ({0}); copy it again, or run MegaSaM again")]
     Archive(String),
     /// An array is not there.
     #[error("it has no array `{array}` ({has})")]
@@ -74,7 +74,7 @@ pub enum MegasamFault {
         expected: &'static str,
     },
     /// It would not fit into memory.
-    #[error("{what} takes {} MiB of memory, above the limit of {} MiB; cut the clip, or raise the limit (max_memory_bytes)",
+    #[error("{what} takes {} MiB of memory, above the limit of {} MiB; shorten the clip, or raise the limit (max_memory_bytes)",
         needed_bytes >> 20,
         limit_bytes >> 20, what = shortened(what))]
     TooLarge {

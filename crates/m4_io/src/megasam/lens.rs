@@ -20,7 +20,7 @@ pub(super) fn of_numbers(
     }
     for (name, c, side) in [("cx", cx, width as f64), ("cy", cy, height as f64)] {
         if !(c >= -side && c <= 2.0 * side) {
-            let what = format!("{name} = {c}; the principal point of a picture {side} pixels long was expected");
+            let what = format!("{name} = {c}; the principal point of an image {side} pixels long was expected");
             return Err(bad(what));
         }
     }

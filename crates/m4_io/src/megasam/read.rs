@@ -52,7 +52,7 @@ fn inner(path: &Path, options: &MegasamOptions, progress: &dyn Progress) -> Resu
 
     let fps = options.fps.unwrap_or_else(|| {
         progress.warn(&format!(
-            "the files of MegaSaM do not say how many frames a second they have; {DEFAULT_FPS} were assumed (fps)"
+            "the files of MegaSaM do not state the frame rate; {DEFAULT_FPS} frames per second are assumed (fps)"
         ));
         DEFAULT_FPS
     });
@@ -90,7 +90,7 @@ fn check(options: &MegasamOptions) -> Result<(), MegasamFault> {
         })
     };
     if let Some(fps) = options.fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
-        return bad("fps", fps, "frames a second, above 0, were expected");
+        return bad("fps", fps, "frames per second, above 0, were expected");
     }
     let tau = options.tau_motion;
     if !(0.0..=1.0).contains(&tau) {
@@ -186,7 +186,7 @@ fn pictures(
     let mut array = input.array("images", limit)?;
     let mut pictures = Vec::new();
     for i in 0..clip.frames {
-        step("read pictures", i, clip.frames, progress)?;
+        step("read images", i, clip.frames, progress)?;
         let bytes = array.next_u8(3 * w * h).map_err(MegasamFault::of("images"))?;
         let pixels = if planar {
             // blue, green, red, a plane each
@@ -265,7 +265,7 @@ fn masks(
             .map(|p| p.display().to_string())
             .collect();
         progress.warn(&format!(
-            "no map of motion was found ({}), so everything counts as standing still; give the file motion_prob.npy \
+            "no motion map was found ({}), so every pixel counts as static; give the file motion_prob.npy \
              that MegaSaM wrote into reconstructions/NAME",
             at.join(", ")
         ));
@@ -307,7 +307,7 @@ fn map_size(array: &Array<'_>, clip: Clip) -> Result<(usize, usize), MegasamFaul
         array: "motion_prob",
         found: array.shape.clone(),
         expected: format!(
-            "({} frames, {}, {}), an eighth of the pictures, or their size; is it of another clip?",
+            "({} frames, {}, {}), an eighth of the images, or their size; is it of another clip?",
             clip.frames, small.1, small.0
         ),
     })

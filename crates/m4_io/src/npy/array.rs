@@ -212,7 +212,7 @@ impl<'a> Array<'a> {
         let mut one = [0];
         match self.reader.read(&mut one) {
             Ok(0) => Ok(()),
-            Ok(_) => Err(ArrayFault::Bad("goes on after all of its numbers".into())),
+            Ok(_) => Err(ArrayFault::Bad("continues after all of its numbers".into())),
             Err(e) => Err(unpacked(e)),
         }
     }

@@ -35,11 +35,11 @@ fn of_source(frame: &SourceFrame) -> Option<String> {
     let k = &frame.camera.intrinsics;
     let sides = [k.width, k.height];
     if !sides.iter().all(|side| (1..=MAX_SIDE_PX).contains(side)) {
-        return Some(format!("pictures of {} x {} pixels", k.width, k.height));
+        return Some(format!("images of {} x {} pixels", k.width, k.height));
     }
     let lens = [k.fx, k.fy, k.cx, k.cy];
     if !(lens.iter().all(|v| v.is_finite()) && k.fx > 0.0 && k.fy > 0.0) {
-        return Some(format!("the lens {lens:?} (fx, fy, cx, cy)"));
+        return Some(format!("the intrinsics {lens:?} (fx, fy, cx, cy)"));
     }
     let c2w = &frame.camera.c2w;
     if !c2w.translation.iter().all(|v| v.is_finite()) {
@@ -48,7 +48,7 @@ fn of_source(frame: &SourceFrame) -> Option<String> {
     let turned = c2w.rotation.transpose() * c2w.rotation - Matrix3::identity();
     // a comparison that what is no number fails
     if !turned.iter().all(|v| v.abs() < ROTATION_WITHIN) || c2w.rotation.determinant() < 0.0 {
-        return Some("a pose that is no rotation".into());
+        return Some("a pose that is not a rotation".into());
     }
     if !frame.t.is_finite() {
         return Some(format!("the time {}", frame.t));

@@ -24,7 +24,7 @@ pub enum TracksFault {
     #[error("{0}; give the file of the capture, or remove `tracks_path` from the list of frames")]
     Io(io::Error),
     /// It is no zip archive, or a damaged one.
-    #[error("it is no npz archive, or a damaged one ({0}); save it with numpy.savez")]
+    #[error("it is not an npz archive, or a damaged one ({0}); save it with numpy.savez")]
     Archive(String),
     /// An array is not there.
     #[error("it has no array `{0}`; `coords` and `visibs` are needed")]
@@ -48,7 +48,7 @@ pub enum TracksFault {
         expected: String,
     },
     /// A coordinate is infinite.
-    #[error("track {track} is at an infinite place in frame {frame}; unknown places are NaN")]
+    #[error("track {track} has an infinite position in frame {frame}; unknown positions must be NaN")]
     Infinite {
         /// Index of the frame in the file.
         frame: usize,

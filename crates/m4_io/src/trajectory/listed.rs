@@ -87,7 +87,7 @@ impl PathFile {
     fn intrinsics(&self, stop: &Stop) -> Result<Intrinsics, String> {
         let mut lens = stop.lens.or(&self.lens);
         let pixels = |keys: &str, value: Option<f64>| {
-            let value = value.ok_or_else(|| format!("{keys}, the size of the picture in pixels, is missing"))?;
+            let value = value.ok_or_else(|| format!("{keys}, the size of the image in pixels, is missing"))?;
             side(keys, value)
         };
         let width = pixels("w (or render_width)", lens.w.or(self.header.render_width))?;

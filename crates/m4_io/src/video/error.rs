@@ -78,7 +78,7 @@ pub enum ReadVideoError {
         end_s: f64,
     },
     /// Damaged frames, where none were to be tolerated.
-    #[error("{damaged} of {total} frames of {} are damaged (the first at {first_s:.2} s); without `strict` they are left out", path.display())]
+    #[error("{damaged} of {total} frames of {} are damaged (the first at {first_s:.2} s); without --strict-video they are dropped", path.display())]
     DamagedFrames {
         /// The file.
         path: PathBuf,
@@ -131,7 +131,7 @@ pub enum ReadVideoError {
         source: io::Error,
     },
     /// The size of the frames changes within the clip.
-    #[error("the video {} changes its size from {} x {} to {} x {} at {time_s:.2} s; cut it there", path.display(), from.0, from.1, to.0, to.1)]
+    #[error("the video {} changes its size from {} x {} to {} x {} at {time_s:.2} s; split it there", path.display(), from.0, from.1, to.0, to.1)]
     SizeChanges {
         /// The file.
         path: PathBuf,
@@ -167,13 +167,13 @@ pub enum ReadVideoError {
         expected: &'static str,
     },
     /// A folder without images.
-    #[error("the folder {} has no picture whose name ends in .jpg, .jpeg or .png; give a video file or a folder of frames", path.display())]
+    #[error("the folder {} has no image whose name ends in .jpg, .jpeg or .png; give a video file or a folder of frames", path.display())]
     NoPictures {
         /// The folder.
         path: PathBuf,
     },
     /// Images of one folder differ in size.
-    #[error("the picture {} is {} x {} pixels but those before it are {} x {}; frames of one camera must have one size", path.display(), found.0, found.1, expected.0, expected.1)]
+    #[error("the image {} is {} x {} pixels but those before it are {} x {}; frames of one camera must have one size", path.display(), found.0, found.1, expected.0, expected.1)]
     PictureSize {
         /// The first image that differs.
         path: PathBuf,

@@ -44,7 +44,7 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
             if let Some(small) = image::resize_rgb(&photo.rgb, width, height) {
                 photo.rgb = small;
             }
-            progress.update("read pictures", done.fetch_add(1, Atomic::Relaxed) + 1, kept.len(), "");
+            progress.update("read images", done.fetch_add(1, Atomic::Relaxed) + 1, kept.len(), "");
             Ok(photo)
         })
         .collect();

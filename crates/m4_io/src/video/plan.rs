@@ -35,7 +35,7 @@ pub fn check_options(options: &VideoOptions) -> Result<(), ReadVideoError> {
         ));
     }
     if !(options.folder_fps.is_finite() && options.folder_fps > 0.0) {
-        let expected = "frames a second, above 0, were expected";
+        let expected = "frames per second, above 0, were expected";
         return Err(bad("folder_fps", options.folder_fps.to_string(), expected));
     }
     options.decoder.check()

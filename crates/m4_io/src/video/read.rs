@@ -49,7 +49,7 @@ pub fn read_with(
     if !meta.is_file() {
         return Err(ReadVideoError::NotVideo {
             path: path.to_path_buf(),
-            reason: "it is a device or a pipe; give a file or a folder of pictures".into(),
+            reason: "it is a device or a pipe; give a file or a folder of images".into(),
         });
     }
     if meta.len() == 0 {
@@ -100,7 +100,7 @@ fn container(start: &[u8]) -> Result<&'static str, &'static str> {
     }
     let pictures: [&[u8]; 2] = [b"\x89PNG", &[0xff, 0xd8, 0xff]];
     if pictures.iter().any(|magic| start.starts_with(magic)) {
-        return Err("it is a single picture; give a video or the folder that holds all frames");
+        return Err("it is a single image; give a video or the folder that holds all frames");
     }
     if start.iter().all(|&b| b == 0) {
         return Err("it starts with zeros, as after a copy that was interrupted; copy it again");

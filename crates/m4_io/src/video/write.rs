@@ -72,7 +72,9 @@ impl Mp4Writer {
             )));
         }
         if !(fps.is_finite() && (0.1..=1000.0).contains(&fps)) {
-            return Err(unsupported(format!("{fps} frames a second; 0.1 to 1000 were expected")));
+            return Err(unsupported(format!(
+                "{fps} frames per second; 0.1 to 1000 were expected"
+            )));
         }
         let encode = |reason: String| WriteVideoError::Encode {
             path: path.to_path_buf(),

@@ -116,7 +116,7 @@ fn splats_of_other_frames_change_nothing_and_are_left_alone() {
     every_level(|level| {
         let frame = Renderer::new(level).render(&splats, &view).clone();
         let mut renderer = Renderer::new(level);
-        assert!(frame == *renderer.render(&few, &view), "{level}: the pictures differ");
+        assert!(frame == *renderer.render(&few, &view), "{level}: the images differ");
 
         let (mut renderer, mut gradients) = (Renderer::new(level), Gradients::default());
         renderer.render(&splats, &view);

@@ -39,7 +39,7 @@ const NAME: &str = "Depth-Anything V1";
 #[non_exhaustive]
 pub enum DisparityError {
     /// The image has no pixels.
-    #[error("disparity needs a picture with pixels")]
+    #[error("disparity needs an image with pixels")]
     Empty,
     /// The device failed, for one for lack of memory.
     #[error("the device that computes disparity failed: {0}")]

@@ -79,7 +79,7 @@ impl LpipsNet {
 #[non_exhaustive]
 pub enum LpipsError {
     /// An image is too small for the network.
-    #[error("{} needs pictures of {least} pixels a side at least, not {width} x {height}; compare larger ones", net.title())]
+    #[error("{} needs images of {least} pixels per side at least, not {width} x {height}; compare larger ones", net.title())]
     TooSmall {
         /// The network.
         net: LpipsNet,
@@ -101,7 +101,7 @@ pub enum LpipsError {
         found: (usize, usize),
     },
     /// A plane of an image has not as many values as the image pixels.
-    #[error("a picture of {width} x {height} has planes of {} values; channel {channel} has {found}", width * height)]
+    #[error("an image of {width} x {height} has planes of {} values; channel {channel} has {found}", width * height)]
     Length {
         /// Columns.
         width: usize,
@@ -169,7 +169,7 @@ impl Lpips {
     ///
     /// [`LpipsError`] if the sizes differ or are too small, or the device fails.
     pub fn compare(&self, image: &LpipsPicture, reference: &LpipsPicture) -> Result<LpipsScore, LpipsError> {
-        picture::same_size("the picture", reference.size(), image.size())?;
+        picture::same_size("the image", reference.size(), image.size())?;
         let (width, height) = reference.size();
         let least = self.net.min_side_px();
         if width.min(height) < least {
@@ -198,7 +198,7 @@ impl Lpips {
         reference: &LpipsPicture,
         mask: &Mask,
     ) -> Result<Option<f64>, LpipsError> {
-        picture::same_size("the picture", reference.size(), image.size())?;
+        picture::same_size("the image", reference.size(), image.size())?;
         picture::same_size("the mask", reference.size(), mask.size())?;
         self.compare(&image.inside(mask), &reference.inside(mask))?
             .mean_inside(mask)

@@ -37,7 +37,7 @@ use tiny_vit::TinyVit;
 #[non_exhaustive]
 pub enum SamError {
     /// An image has no pixels, or is too narrow for its length.
-    #[error("masks need a picture with pixels on both sides when the longer has 1024, not {width} x {height}")]
+    #[error("masks need an image with pixels on both sides when the longer has 1024, not {width} x {height}")]
     Shape {
         /// Columns.
         width: usize,
@@ -48,7 +48,7 @@ pub enum SamError {
     #[error("a prompt needs a point, a box or a mask")]
     NothingAsked,
     /// A point or a corner of the prompt is not in the image.
-    #[error("the prompt has a place at column {}, row {} of a picture of {width} x {height} pixels", at_px[0], at_px[1])]
+    #[error("the prompt has a point at column {}, row {} of an image of {width} x {height} pixels", at_px[0], at_px[1])]
     Outside {
         /// Column and row, in pixels.
         at_px: [f32; 2],
@@ -58,10 +58,10 @@ pub enum SamError {
         height: usize,
     },
     /// The box of the prompt ends before it begins.
-    #[error("the box of a prompt is its first column and row, then its last, not {0:?}")]
+    #[error("the box of a prompt must be first column and row, then last column and row, not {0:?}")]
     Reversed([f32; 4]),
     /// The prompt's mask has numbers that are infinite or none.
-    #[error("the mask of a prompt has numbers that are not finite")]
+    #[error("the mask of a prompt has NaN or infinite values")]
     NotFinite,
     /// The prompt's mask has another size.
     #[error("the mask of a prompt has 256 x 256 pixels, as the logits of a prediction, not {width} x {height}")]

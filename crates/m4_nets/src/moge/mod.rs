@@ -52,16 +52,16 @@ const NAME: &str = "MoGe-2";
 #[non_exhaustive]
 pub enum MoGeError {
     /// The image has no pixels.
-    #[error("depth needs a picture with pixels")]
+    #[error("depth needs an image with pixels")]
     Empty,
     /// That many patches cannot be.
-    #[error("a picture can be cut into 1 to {most} patches, not {0}", most = picture::MOST_TOKENS)]
+    #[error("an image can be cut into 1 to {most} patches, not {0}", most = picture::MOST_TOKENS)]
     Tokens(usize),
     /// The focal length that was given is none.
     #[error("a focal length is a positive number of pixels, not {0}")]
     FocalLength(f64),
     /// The network sees nothing but sky, or what it cannot tell.
-    #[error("the network finds no depth in this picture: its mask is empty")]
+    #[error("the network finds no depth in this image: its mask is empty")]
     NothingValid,
     /// The points are those of no camera.
     #[error("no focal length explains the points that the network sees; giving the focal length may help")]

@@ -114,7 +114,7 @@ mod tests {
         let tensors = SafeTensors::deserialize(file).unwrap();
         let tensor = tensors.tensor(name).unwrap();
         let [h, w, 3] = tensor.shape() else {
-            panic!("{name} is no picture");
+            panic!("{name} is not an image");
         };
         RgbImage::from_vec(*w, *h, tensor.data().as_chunks::<3>().0.to_vec()).unwrap()
     }

@@ -295,7 +295,7 @@ impl Sam2 {
         let [s0, s1, map, coarse] = self.level(stages);
         let n = self.tables.grid * self.tables.grid;
         Ok(Features {
-            frame: Frame::of("a picture", image.size())?,
+            frame: Frame::of("an image", image.size())?,
             map: (map + repeated(coarse)).reshape([1, n, WIDTH]),
             fine: [s1, s0],
         })

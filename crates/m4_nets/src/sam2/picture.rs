@@ -49,7 +49,7 @@ impl Frame {
 ///
 /// [`Sam2Error::NoPixels`] if it has none.
 pub fn squared(image: &RgbImage, side: usize, device: &Device) -> Result<Tensor<4>, Sam2Error> {
-    Frame::of("a picture", image.size())?;
+    Frame::of("an image", image.size())?;
     let values = if image.size() == (side, side) {
         planes(image, IMAGENET_MEAN, IMAGENET_STD)
     } else {

@@ -163,7 +163,7 @@ fn the_decoder_meets_its_fixture() {
     assert_near(pixels, &fixture, "transformer_image_strided", LIMIT);
 
     let features = Features {
-        frame: Frame::of("a picture", (256, 256)).unwrap(),
+        frame: Frame::of("an image", (256, 256)).unwrap(),
         map: map.clone(),
         fine,
     };

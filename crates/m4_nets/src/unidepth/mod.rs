@@ -55,11 +55,11 @@ const WIDTH_MULTIPLE: usize = 32;
 #[non_exhaustive]
 pub enum UniDepthError {
     /// The image has no pixels.
-    #[error("depth needs a picture with pixels")]
+    #[error("depth needs an image with pixels")]
     Empty,
     /// The image is so narrow that nothing like it was trained with.
     #[error(
-        "a picture of {width} x {height} pixels is too narrow for depth: cut it so that one side is at most 16 times the other"
+        "an image of {width} x {height} pixels is too narrow for depth: cut it so that one side is at most 16 times the other"
     )]
     Narrow {
         /// Its columns.

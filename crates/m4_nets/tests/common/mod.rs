@@ -31,7 +31,7 @@ pub fn picture(file: &[u8], name: &str) -> RgbImage {
             let pixel = |i| [0, 1, 2].map(|c| bytes[c * h * w + i]);
             (w, h, (0..h * w).map(pixel).collect())
         }
-        _ => panic!("{name} is no picture"),
+        _ => panic!("{name} is not an image"),
     };
     RgbImage::from_vec(w, h, pixels).unwrap()
 }

@@ -37,12 +37,14 @@ impl Clip<'_> {
         let (rest, moving) = (count(Motion::Static), count(Motion::Dynamic));
         if moving > rest {
             self.warn(format!(
-                "more tracks move ({moving}) than rest ({rest}): the poses may follow something that moves"
+                "more tracks are dynamic ({moving}) than static ({rest}): the poses may follow a moving object"
             ));
         }
         let points = map.points.iter().flatten().count();
         if points < 100 {
-            self.warn(format!("only {points} points were triangulated; camera poses may be wrong"));
+            self.warn(format!(
+                "only {points} points were triangulated; camera poses may be wrong"
+            ));
         }
         sigma
     }

@@ -42,9 +42,7 @@ use tokio::sync::oneshot;
 #[non_exhaustive]
 pub enum ServeError {
     /// Something else listens there.
-    #[error(
-        "port {port} of 127.0.0.1 is in use; choose another one with --port, or omit --port to use a free one"
-    )]
+    #[error("port {port} of 127.0.0.1 is in use; choose another one with --port, or omit --port to use a free one")]
     InUse {
         /// The port that was asked for.
         port: u16,
@@ -58,7 +56,9 @@ pub enum ServeError {
         source: io::Error,
     },
     /// No random numbers for the token.
-    #[error("the system gives no random numbers, without which anyone on this machine could read the scene: {reason}")]
+    #[error(
+        "the system provides no random numbers, without which any user of this machine could read the scene: {reason}"
+    )]
     Random {
         /// What the system said.
         reason: String,

@@ -54,7 +54,7 @@ pub struct AblateOptions {
 pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) -> Result<AblationReport, Error> {
     if !input.exists() {
         return Err(Error::Missing {
-            what: "video, folder of pictures or capture",
+            what: "video, folder of images or capture",
             path: input.to_path_buf(),
         });
     }
@@ -128,7 +128,7 @@ impl Bench<'_> {
             Row::NoSeg if !from_frames => match self.coarse()? {
                 Some(capture) => capture,
                 None => {
-                    let why = "the capture brings masks and no map of how likely each pixel moves";
+                    let why = "the capture has masks but no motion map";
                     return Ok(RowReport::skipped(row, why.to_owned()));
                 }
             },

@@ -174,7 +174,7 @@ impl MemoryReport {
             "splats",
             "steps",
             "peak MB",
-            "of it pictures MB",
+            "of it images MB",
             "scene file MB",
             "train s",
         ];

@@ -73,7 +73,7 @@ impl Case {
             self.splats, self.width, self.height, self.scene,
         );
         text += &format!(
-            "{:.0} alive, {:.0} in the picture, {:.0} touched, {:.0} pairs; {:.1} blends a pixel, {:.0} % of the lanes \
+            "{:.0} alive, {:.0} in the image, {:.0} touched, {:.0} pairs; {:.1} blends a pixel, {:.0} % of the lanes \
              useful; memory {:.1} GB/s, multiply-adds {:.1} G/s\n\n",
             self.alive,
             self.visible,

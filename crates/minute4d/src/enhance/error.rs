@@ -10,7 +10,7 @@ use m4_slam::tracks3d::TrackError;
 pub enum EnhanceError {
     /// A frame without any word on the dynamic part.
     #[error(
-        "frame {frame} ({name:?}) has neither a map of motion nor a mask, so there is nothing to refine; make the capture with masks \
+        "frame {frame} ({name:?}) has neither a motion map nor a mask, so there is nothing to refine; create the capture with masks \
          (`minute4d geometry`), or import it with them"
     )]
     NoCoarse {

@@ -62,7 +62,7 @@ impl Tracker3d for Tapip3dTracker {
         let found = self.net.track(&Frames(clip), &asked, &self.options, progress);
         let found = found.map_err(|error| match error {
             Tapip3dError::Stopped => TrackError::Cancelled {
-                phase: "following points",
+                phase: "tracking points",
             },
             other => TrackError::Source {
                 tracker: NAME.to_owned(),

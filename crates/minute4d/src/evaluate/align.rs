@@ -74,7 +74,7 @@ impl Alignment {
 pub(super) fn between(scene: &Scene, data: &Path, observer: &dyn Observer) -> Result<Option<Alignment>, Error> {
     let Some(list) = training_list(data) else {
         observer.warn(
-            "the capture lists no training cameras, so it is taken for granted that its held-out cameras are in the world \
+            "the capture lists no training cameras, so it is assumed that its held-out cameras are in the world \
              of the scene",
         );
         return Ok(None);

@@ -145,7 +145,7 @@ pub(super) fn poses(
         (None, Some(_)) => (PoseTreatment::Given, "those of the capture that was split".to_owned(), Some(false)),
         (None, None) => (
             PoseTreatment::Given,
-            "as the capture gives them; whether what estimated them saw the held-out pictures is not written there".to_owned(),
+            "as the capture gives them; whether their estimation used the held-out images is not recorded".to_owned(),
             None,
         ),
     }

@@ -63,7 +63,7 @@ impl Masks {
                 return Ok(Self::Files(folder.to_path_buf()));
             }
             return Err(Error::Missing {
-                what: "folder of masks of co-visibility",
+                what: "folder of co-visibility masks",
                 path: folder.to_path_buf(),
             });
         }
@@ -84,8 +84,8 @@ impl Masks {
             why,
         })?;
         observer.warn(
-            "there are no published masks of co-visibility: they are made from poses and depth of the training frames, and the scores inside \
-             them do not compare with published ones",
+            "there are no published co-visibility masks: they are computed from poses and depth of the training frames, and scores inside \
+             them are not comparable with published ones",
         );
         Ok(Self::Computed(Box::new(training)))
     }
@@ -101,7 +101,7 @@ impl Masks {
     /// What a report says of them.
     pub fn words(&self) -> String {
         match self {
-            Self::None => "none: whole pictures".to_owned(),
+            Self::None => "none: whole images".to_owned(),
             Self::Files(folder) => format!("the files of {}", folder.display()),
             Self::Computed(training) => format!(
                 "made from poses and depth of {} of {} training frames: seen by more than {} of them, depth within {} %",

@@ -10,8 +10,8 @@ use std::path::PathBuf;
 pub enum ProtocolError {
     /// The held-out frames of the capture are not those of the protocol.
     #[error(
-        "{} was not split by the protocol {asked} ({found}); `minute4d split CAPTURE --protocol {asked} -o NEW` makes a capture that is, to \
-         be trained and judged",
+        "{} was not split by the protocol {asked} ({found}); `minute4d split CAPTURE --protocol {asked} -o NEW` writes such a capture for \
+         training and evaluation",
         path.display()
     )]
     NotSplit {
@@ -24,7 +24,7 @@ pub enum ProtocolError {
     },
     /// A capture whose views come with it was to be split.
     #[error(
-        "the protocol {0} takes the held-out views that a data set brings, so there is nothing to split; import it with them"
+        "the protocol {0} uses the held-out views of the data set, so there is nothing to split; import them with the data set"
     )]
     NothingToSplit(Protocol),
     /// A capture was to be split into its own folder.
@@ -32,7 +32,7 @@ pub enum ProtocolError {
     SameFolder(PathBuf),
     /// Nothing would be left.
     #[error(
-        "the protocol {protocol} leaves {train} of {frames} frames to train and {test} to judge; give a longer clip"
+        "the protocol {protocol} leaves {train} of {frames} frames for training and {test} for evaluation; use a longer clip"
     )]
     TooShort {
         /// The protocol.
@@ -45,7 +45,7 @@ pub enum ProtocolError {
         test: usize,
     },
     /// A frame belongs to no number of the full video.
-    #[error("tracks of {} do not go with its frames: {what}; make them again with `minute4d enhance`", path.display())]
+    #[error("tracks of {} do not match its frames: {what}; compute them again with `minute4d enhance`", path.display())]
     Tracks {
         /// The capture.
         path: PathBuf,
@@ -54,8 +54,8 @@ pub enum ProtocolError {
     },
     /// A mask of co-visibility is not there.
     #[error(
-        "there is no mask of co-visibility {} for the view {view}; masks are PNG files named as the picture of their view, white where the \
-         training video saw the place",
+        "there is no co-visibility mask {} for the view {view}; masks are PNG files named as the image of their view, white where the \
+         training video saw the point",
         path.display()
     )]
     NoMask {
@@ -66,7 +66,7 @@ pub enum ProtocolError {
     },
     /// Masks of co-visibility cannot be made.
     #[error(
-        "masks of co-visibility cannot be made for {}: {why}; give the official ones with --covisible DIR",
+        "co-visibility masks cannot be computed for {}: {why}; give the official ones with --covisible DIR",
         path.display()
     )]
     NoCovisibility {

@@ -91,7 +91,7 @@ mod with_nets {
                 let net = rule.net();
                 let absent = if least_px < net.min_side_px() {
                     Some(format!(
-                        "{} needs pictures of {} pixels a side at least, these have {least_px}",
+                        "{} needs images of {} pixels per side at least, these have {least_px}",
                         net.title(),
                         net.min_side_px()
                     ))
@@ -148,7 +148,7 @@ mod with_nets {
                         let score = net.compare_inside(&image, &reference, mask).map_err(failed)?;
                         if let Some(score) = score {
                             let title = format!(
-                                "{title}, both pictures black outside a mask, the map averaged over it (DyCheck)"
+                                "{title}, both images black outside a mask, the map averaged over it (DyCheck)"
                             );
                             report.add_other(rule.scores()[1], &title, score);
                         }

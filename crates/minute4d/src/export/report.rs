@@ -112,10 +112,10 @@ impl fmt::Display for ExportReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {:.2} MB", self.format.name(), self.bytes as f64 / 1e6)?;
         if let Some(bytes) = self.bytes_per_splat {
-            write!(f, ", {bytes:.1} bytes a splat")?;
+            write!(f, ", {bytes:.1} bytes per splat")?;
         }
         if let Some(bytes) = self.bytes_per_s {
-            write!(f, ", {:.2} MB a second of the clip", bytes / 1e6)?;
+            write!(f, ", {:.2} MB per second of the clip", bytes / 1e6)?;
         }
         write!(f, ", written in {:.1} s", self.encode_s)?;
         let losses = &self.losses;

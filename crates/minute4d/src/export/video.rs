@@ -40,6 +40,6 @@ pub(super) fn write(out: &Path, scene: &Scene, fps: Option<f64>, observer: &dyn 
         path: out.to_path_buf(),
         bytes,
         splats: 0,
-        losses: vec![Loss::Baked(format!("everything, into {} pictures", scene.source.len()))],
+        losses: vec![Loss::Baked(format!("everything, into {} images", scene.source.len()))],
     })
 }

@@ -262,7 +262,7 @@ fn once_more(
     steps: &Steps<'_>,
     observer: &dyn Observer,
 ) -> Result<Option<Recovered>, Error> {
-    const PHASE: &str = "cameras without what moves";
+    const PHASE: &str = "cameras from static points";
     let masks = iterate::take_masks(frames);
     let mut found = None;
     if iterate::worth(first, &masks) {

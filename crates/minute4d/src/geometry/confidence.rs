@@ -147,11 +147,11 @@ impl Confidence {
             findings.push(match around.camera_motion {
                 CameraMotion::Static => (
                     Grade::Poor,
-                    "the camera stands still, so depth is made up: film while walking sideways, or give --depth",
+                    "the camera is static, so depth is a placeholder: film while walking sideways, or give --depth",
                 ),
                 CameraMotion::RotationOnly => (
                     Grade::Poor,
-                    "the camera only turns, so depth is made up: film while walking sideways, or give --depth",
+                    "the camera only rotates, so depth is a placeholder: film while walking sideways, or give --depth",
                 ),
                 CameraMotion::Parallax => (
                     low(self.parallax_deg, 2.0, 0.7),
@@ -163,9 +163,9 @@ impl Confidence {
             findings.push((
                 low(self.inlier_share, 0.4, 0.15),
                 if crowded {
-                    "what moves fills the frame: give --masks, or film with more of the surroundings"
+                    "dynamic objects fill the frame: give --masks, or film with more of the surroundings"
                 } else {
-                    "few points can be followed: film slower, in more light, with textured things in view"
+                    "few points can be tracked: film slower, in more light, with textured objects in view"
                 },
             ));
         }
@@ -186,13 +186,13 @@ impl Confidence {
         if !around.masks_given {
             findings.push((
                 low(self.static_share, 0.6, 0.35),
-                "what moves fills the frame: give --masks, or film with more of the surroundings",
+                "dynamic objects fill the frame: give --masks, or film with more of the surroundings",
             ));
         }
         if moves && !around.depth_given {
             findings.push((
                 low(self.measured_share, 0.35, 0.1),
-                "little of the depth was measured, the rest is filled in: film textured things while walking sideways, or \
+                "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or \
                  give --depth",
             ));
         }
@@ -213,7 +213,7 @@ impl Confidence {
             (Focal::Assumed, _) => "focal length assumed".to_owned(),
         };
         format!(
-            "confidence {}: parallax {:.0} px ({:.1} degrees), {:.0} % of tracks fit, {:.0} % of pixels rest, {focal}, \
+            "confidence {}: parallax {:.0} px ({:.1} degrees), {:.0} % of tracks fit, {:.0} % of pixels are static, {focal}, \
              poses to {:.2} px, {:.0} % of depth measured",
             self.grade.name(),
             self.parallax_px,
@@ -302,7 +302,7 @@ mod tests {
             camera_motion: CameraMotion::Static,
             ..MOVING
         };
-        weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "stands still");
+        weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "is static");
         let told = Circumstances {
             depth_given: true,
             ..tripod

@@ -42,7 +42,7 @@ impl Change {
     /// In a few words.
     pub fn words(&self) -> String {
         format!(
-            "they see points {:.2} px elsewhere, {:.1} % of tracks judged otherwise",
+            "projections differ by {:.2} px, {:.1} % of tracks are classified differently",
             self.shift_px,
             100.0 * self.verdicts
         )

@@ -100,8 +100,7 @@ pub(super) fn compute(
 
 fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Observer) {
     if !geometry.observability.has_parallax() {
-        observer
-            .warn("the camera hardly moves aside: depth is that of one picture, and views from aside will be wrong");
+        observer.warn("the camera hardly moves sideways: depth is monocular, and views from the side will be wrong");
     }
     if !geometry.focal_adjusted && !focal_is_known {
         observer.warn("the clip does not tell its focal length; a usual one was taken: --fov or --intrinsics sets it");

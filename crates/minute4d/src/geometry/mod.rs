@@ -84,7 +84,7 @@ struct Part<'a> {
 pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecord, Error> {
     if !input.exists() {
         return Err(Error::Missing {
-            what: "video or folder of pictures",
+            what: "video or folder of images",
             path: input.to_path_buf(),
         });
     }

@@ -145,7 +145,7 @@ pub(crate) fn write(
             // Nerfies and HyperNeRF publish none
             if (1..test.frames.len()).contains(&masks) {
                 observer.warn(&format!(
-                    "{} of {} views of {} have no published mask of co-visibility",
+                    "{} of {} views of {} have no published co-visibility mask",
                     test.frames.len() - masks,
                     test.frames.len(),
                     source.display()

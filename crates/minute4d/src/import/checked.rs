@@ -72,7 +72,7 @@ pub(super) fn checked(mut imported: Imported, fix: bool, keeper: &Keeper<'_>) ->
     }
     if found.verdict == Verdict::Bad && found.causes.is_empty() {
         keeper.warn(
-            "cameras and depth do not fit the pictures, and none of the usual misreadings (axes, direction, unit, focal length, half a pixel) explains \
+            "cameras and depth do not fit the images, and none of the usual convention errors (axes, direction, unit, focal length, half a pixel) explains \
              it: are they of the same clip and frames?",
         );
     }
@@ -89,7 +89,7 @@ impl fmt::Display for Checked {
         if c.verdict == Verdict::Unknown {
             return write!(
                 f,
-                "consistency unknown: {} pixels that rest were followed, by {:.2} px on average; that is too little to tell",
+                "consistency unknown: {} static pixels were tracked, by {:.2} px on average, which is too little to decide",
                 c.samples, c.flow_px
             );
         }

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum ImportError {
     /// A file whose name says nothing.
-    #[error("the name of {} does not say what it is; add --format, one of {known}", path.display())]
+    #[error("the format of {} is not recognised by its name; add --format, one of {known}", path.display())]
     Unknown {
         /// The file.
         path: PathBuf,
@@ -37,7 +37,7 @@ pub enum ImportError {
         known: String,
     },
     /// A folder of nothing that is known.
-    #[error("{} is a folder of none of the layouts that are known; if it is one, name it by --format, one of {known}", path.display())]
+    #[error("{} is a folder with none of the known layouts; if it has one, select it with --format, one of {known}", path.display())]
     Folder {
         /// The folder.
         path: PathBuf,
@@ -45,7 +45,7 @@ pub enum ImportError {
         known: String,
     },
     /// A sequence of splats.
-    #[error("{} is a folder: a sequence cannot be imported as a clip, since nothing says which splat of one file is which of the next; give one of its files, such as {}", path.display(), first.display())]
+    #[error("{} is a folder: a sequence cannot be imported as a clip, since the correspondence of splats between files is unknown; give one of its files, such as {}", path.display(), first.display())]
     Sequence {
         /// The folder.
         path: PathBuf,
@@ -59,7 +59,7 @@ pub enum ImportError {
         path: PathBuf,
     },
     /// A file without splats.
-    #[error("{} holds no splats, so there is nothing to see", path.display())]
+    #[error("{} contains no splats", path.display())]
     NoSplats {
         /// The file.
         path: PathBuf,
@@ -73,7 +73,7 @@ pub enum ImportError {
         format: &'static str,
     },
     /// An option that the format has no use for.
-    #[error("{option} has no meaning for {format}, which brings its own; leave it out")]
+    #[error("{option} has no meaning for {format}, which has its own; leave it out")]
     NotOfFormat {
         /// The option.
         option: &'static str,
@@ -84,7 +84,7 @@ pub enum ImportError {
     #[error(transparent)]
     Source(#[from] ReadSourceError),
     /// Comparing a capture with the flow of its images.
-    #[error("the capture cannot be checked: {0}; --no-check imports it all the same")]
+    #[error("the capture cannot be checked: {0}; --no-check imports it anyway")]
     Check(#[from] ConsistencyError),
     /// Reading files of MegaSaM.
     #[error(transparent)]

@@ -141,7 +141,7 @@ fn scene(
                 keeper.warn(&loss.to_string());
             }
             if cameras == 0 {
-                keeper.warn("the file has no cameras; some that look at its middle were made up");
+                keeper.warn("the file has no cameras; a default path around its centre is used");
             }
             Ok(scene_file::write(
                 &run.path(SCENE_FILE),

@@ -31,14 +31,14 @@ pub enum TimePath {
 pub enum TimeError {
     /// Not one of the forms.
     #[error(
-        "{given:?} is no time; write source, play, freeze@T or A..B, where T, A and B count frames (12.5), or seconds with an s behind (1.5s)"
+        "{given:?} is not a time; write source, play, freeze@T or A..B, where T, A and B are frame numbers (12.5), or seconds with the suffix s (1.5s)"
     )]
     Form {
         /// What was written.
         given: String,
     },
     /// Not a moment.
-    #[error("{given:?} is no moment; count frames (12.5), or seconds with an s behind (1.5s)")]
+    #[error("{given:?} is not a time; write a frame number (12.5), or seconds with the suffix s (1.5s)")]
     Moment {
         /// What was written.
         given: String,
@@ -57,7 +57,7 @@ pub enum TimeError {
         duration_s: Option<f64>,
     },
     /// Seconds in a scene that has none.
-    #[error("{moment} cannot be found: the scene does not say how many seconds it lasts; count frames, 0 to {last}")]
+    #[error("{moment} is unknown: the scene does not state its duration in seconds; write a frame number, 0 to {last}")]
     NoDuration {
         /// The moment asked for.
         moment: Moment,

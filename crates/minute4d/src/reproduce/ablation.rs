@@ -39,7 +39,7 @@ pub(super) fn markdown(scenes: &[SceneAblation]) -> String {
         return String::new();
     }
     let mut out = String::from(
-        "\n### Without each part\n\nThe same steps for all rows; PSNR and SSIM of whole pictures in 8 bits. The paper loses 1.17 dB without segmentation and \
+        "\n### Without each part\n\nThe same steps for all rows; PSNR and SSIM of whole images in 8 bits. The paper loses 1.17 dB without segmentation and \
          tracking on its clips (table 3).\n",
     );
     for scene in scenes {

@@ -23,7 +23,7 @@ pub enum ReproduceError {
         source_words: &'static str,
     },
     /// The data set has no test of that protocol.
-    #[error("{suite} is not judged by the protocol {protocol}; its protocols are {known}")]
+    #[error("{suite} is not scored by the protocol {protocol}; its protocols are {known}")]
     NotItsProtocol {
         /// The data set.
         suite: Suite,
@@ -33,7 +33,7 @@ pub enum ReproduceError {
         known: String,
     },
     /// A scene lacks its held-out views.
-    #[error("{} has no held-out views, which the protocol {protocol} judges; {remedy}", path.display())]
+    #[error("{} has no held-out views, which the protocol {protocol} scores; {remedy}", path.display())]
     NoViews {
         /// The scene.
         path: PathBuf,
@@ -43,13 +43,13 @@ pub enum ReproduceError {
         remedy: &'static str,
     },
     /// Training images that are not one step of time apart each.
-    #[error("the training pictures of {} are not evenly spaced in time, and geometry from pictures alone takes them to be; leave out --geometry own", path.display())]
+    #[error("the training images of {} are not evenly spaced in time, as geometry from images alone assumes; omit --geometry own", path.display())]
     UnevenTimes {
         /// The capture.
         path: PathBuf,
     },
     /// Poses of our own that lie nowhere near those of the data set.
-    #[error("the cameras found from the pictures of {} do not align with those of the data set, so its views cannot be placed; train with --geometry given", path.display())]
+    #[error("the cameras found from the images of {} do not align with those of the data set, so its views cannot be placed; train with --geometry given", path.display())]
     NotAligned {
         /// The scene.
         path: PathBuf,

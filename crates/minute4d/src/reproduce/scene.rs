@@ -29,7 +29,7 @@ const ROW_FILE: &str = "row.json";
 const KEY_FILE: &str = "import.json";
 /// Frames a second of the clips of DAVIS.
 const DAVIS_FPS: f64 = 24.0;
-const REMEDY: &str = "get the pictures that results are compared with too";
+const REMEDY: &str = "also download the images that results are compared with";
 
 /// `row.json`.
 #[derive(Serialize, Deserialize)]
@@ -252,9 +252,9 @@ fn row(
             (Some(_), treatment) => format!("own, {}", pose_word(treatment)),
         },
         mask: match choices.mask.source {
-            evaluate::MaskSource::None => "whole pictures,".to_owned(),
-            evaluate::MaskSource::Files => "published masks of co-visibility,".to_owned(),
-            evaluate::MaskSource::Computed => "masks of co-visibility made here,".to_owned(),
+            evaluate::MaskSource::None => "whole images,".to_owned(),
+            evaluate::MaskSource::Files => "published co-visibility masks,".to_owned(),
+            evaluate::MaskSource::Computed => "co-visibility masks made here,".to_owned(),
         },
         size_px: choices.resolution.scored_px,
         train_s: record.stages.get(crate::train::STAGE).map(|stage| stage.seconds),

@@ -69,7 +69,7 @@ const NVIDIA: Facts = Facts {
     below: &["", "nvidia", "Nvidia", "NVIDIA"],
     protocols: &[Protocol::Nvidia],
     more_protocols: &[],
-    source: "The scenes with poses and masks, and the pictures that results are compared with (gt/v000_tTTT.png), are bundles that the \
+    source: "The scenes with poses and masks, and the images that results are compared with (gt/v000_tTTT.png), are bundles that the \
              README of facebookresearch/robust-dynrf links; unpack them side by side",
 };
 const DAVIS: Facts = Facts {
@@ -177,7 +177,7 @@ impl Suite {
     fn locate(self, data: &Path, name: &str) -> Result<PathBuf, String> {
         // a name becomes part of a path
         if name.is_empty() || name.contains(['/', '\\']) || name.contains("..") {
-            return Err("is no name of a scene".to_owned());
+            return Err("is not the name of a scene".to_owned());
         }
         let mut there = None;
         for below in self.facts().below {
@@ -249,6 +249,6 @@ mod tests {
         assert!(found.is_empty() && missing.len() == 7);
         assert!(missing[0].why.contains("not in the layout") && missing[1].why == "is not there");
         let (_, missing) = Suite::Dycheck.find(dir.path(), &["../x".to_owned()]);
-        assert_eq!(missing[0].why, "is no name of a scene");
+        assert_eq!(missing[0].why, "is not the name of a scene");
     }
 }

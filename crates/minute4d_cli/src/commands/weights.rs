@@ -108,7 +108,10 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
     if !missing.is_empty() {
         text += "\nnot installed: the command that installs it, and what is unavailable without it\n";
         for row in missing {
-            text += &format!("{:<24} {}\n{:<24} without it: {}\n", row.name, row.command, "", row.without);
+            text += &format!(
+                "{:<24} {}\n{:<24} without it: {}\n",
+                row.name, row.command, "", row.without
+            );
         }
         text += "\n";
     }

@@ -91,7 +91,8 @@ pub fn watch_signals(output: &Arc<Output>) {
             let code = if signal == SIGINT { 130 } else { TERM };
             match output.stop().request(code) {
                 Answer::Save if !output.stop().idle.load(Ordering::SeqCst) => {
-                    output.note("stopping after this step and saving; press Ctrl-C again to stop at once without saving");
+                    output
+                        .note("stopping after this step and saving; press Ctrl-C again to stop at once without saving");
                 }
                 Answer::Save | Answer::Known => {}
                 Answer::End => {

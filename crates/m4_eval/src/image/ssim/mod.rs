@@ -124,7 +124,7 @@ pub fn ssim_map_of(
     reference: &Picture,
     mask: Option<&Mask>,
 ) -> Result<SsimMap, ImageError> {
-    same_size("the picture", reference.size(), image.size())?;
+    same_size("the image", reference.size(), image.size())?;
     if let Some(mask) = mask {
         same_size("the mask", reference.size(), mask.size())?;
     }

@@ -30,7 +30,7 @@ pub enum ReadColmapError {
         reason: String,
     },
     /// A lens with distortion, or one that is unknown.
-    #[error("{} has a camera that is not read: {what}; PINHOLE and SIMPLE_PINHOLE are (`colmap image_undistorter` makes such)", path.display(), what = shortened(what))]
+    #[error("{} has an unsupported camera: {what}; PINHOLE and SIMPLE_PINHOLE are supported (`colmap image_undistorter` writes these)", path.display(), what = shortened(what))]
     Unsupported {
         /// The file.
         path: PathBuf,
@@ -38,7 +38,7 @@ pub enum ReadColmapError {
         what: String,
     },
     /// The files contradict each other.
-    #[error("the sparse model {} contradicts itself: {reason}", path.display(), reason = shortened(reason))]
+    #[error("the sparse model {} is inconsistent: {reason}", path.display(), reason = shortened(reason))]
     Inconsistent {
         /// The folder.
         path: PathBuf,

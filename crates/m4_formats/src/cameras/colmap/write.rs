@@ -96,7 +96,7 @@ pub fn write(folder: &Path, scene: &Scene, options: &ColmapOptions) -> Result<Wr
         bytes,
         splats: tables.points.len(),
         losses: vec![
-            Loss::Dropped("all of the splats but places and colours of some, times of the pictures".into()),
+            Loss::Dropped("splat parameters except positions and colours of some splats; times of the images".into()),
             Loss::Baked(format!("points, at frame {}", options.t)),
         ],
     })

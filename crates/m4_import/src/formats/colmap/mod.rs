@@ -65,8 +65,8 @@ fn picture_folder(
         .chain(up().map(|folder| (folder.to_path_buf(), folder.to_path_buf())));
     let has = |(folder, _): &(PathBuf, PathBuf)| below(folder, first).is_ok_and(|file| file.is_file());
     folders.into_iter().find(has).ok_or_else(|| {
-        let what = format!("the picture {first:?}, in a folder `images` beside the model or above it,");
-        SourceFault::missing(what, "give the folder of the pictures (pictures)").at(model)
+        let what = format!("the image {first:?}, in a folder `images` beside the model or above it,");
+        SourceFault::missing(what, "give the folder of the images (images)").at(model)
     })
 }
 

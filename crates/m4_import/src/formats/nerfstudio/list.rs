@@ -57,7 +57,7 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     if let Some(file) = test_file {
         let split = Split::read(&file, options, progress)?;
         if !split.timed {
-            progress.warn("the held-out views have no time; they were spread evenly over the clip, which is right for a scene that stands still alone");
+            progress.warn("the held-out views have no time; they were spread evenly over the clip, which is correct only for a static scene");
         }
         test.extend(split.frames(time_frames, true, options)?);
     }
@@ -276,8 +276,8 @@ impl Split {
         let with = |e: &str| PathBuf::from(format!("{}.{e}", exact.display()));
         let named = ["png", "jpg", "jpeg", "PNG", "JPG"].map(with);
         let found = named.into_iter().find(|file| file.is_file()).ok_or_else(|| {
-            let remedy = "put it there, or give the folder that file_path starts from (pictures)";
-            SourceFault::missing(format!("the picture {}", exact.display()), remedy)
+            let remedy = "put it there, or give the folder that file_path starts from (images)";
+            SourceFault::missing(format!("the image {}", exact.display()), remedy)
         });
         self.inside.check(found?)
     }

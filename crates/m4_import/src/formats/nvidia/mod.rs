@@ -97,7 +97,7 @@ fn pictures(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadSourceE
     };
     named.iter().find(|p| p.is_dir()).cloned().ok_or_else(|| {
         let what = named[0].display().to_string();
-        SourceFault::missing(what, "choose a factor whose pictures are there (the option factor)").at(path)
+        SourceFault::missing(what, "choose a factor whose images exist (the option factor)").at(path)
     })
 }
 

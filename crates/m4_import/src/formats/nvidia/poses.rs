@@ -46,7 +46,7 @@ fn camera(row: &[f64; WIDTH]) -> Result<Pose, SourceFault> {
     let [height, width, focal] = [0, 1, 2].map(|i| m(i, 4));
     let side = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let (Some(w), Some(h)) = (side(width), side(height)) else {
-        return bad(format!("pictures of {width} x {height} pixels"));
+        return bad(format!("images of {width} x {height} pixels"));
     };
     if !(focal.is_finite() && focal > 0.0) {
         return bad(format!("the focal length {focal}; pixels, above 0, were expected"));

@@ -48,12 +48,12 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         return Err(SourceFault::missing("every rgbd/N.jpg", "export the recording again as .r3d").at(path));
     };
     if last >= poses {
-        let what = format!("the picture rgbd/{last}.jpg has no pose: metadata has {poses}");
+        let what = format!("the image rgbd/{last}.jpg has no pose: metadata has {poses}");
         return Err(SourceFault::bad(what, "export the recording again as .r3d").at(path));
     }
     if pictures.len() < poses {
         progress.warn(&format!(
-            "{} of {poses} poses of {} have no picture and are left out",
+            "{} of {poses} poses of {} have no image and are ignored",
             poses - pictures.len(),
             path.display()
         ));

@@ -46,10 +46,10 @@ pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, SourceFault> {
     let (seen, whole) = (header.layer_size, header.shared_attributes.display_window.size);
     if seen != whole {
         let what = format!(
-            "it holds {} x {} pixels of a picture of {} x {}",
+            "it holds {} x {} pixels of an image of {} x {}",
             seen.0, seen.1, whole.0, whole.1
         );
-        return Err(SourceFault::unsupported(what, "export the whole picture"));
+        return Err(SourceFault::unsupported(what, "export the whole image"));
     }
     let image = read()
         .no_deep_data()

@@ -92,7 +92,7 @@ fn read_in(path: &Path, unit: f64, float_unit: f64) -> Result<CompactDepth, Sour
         return Err(SourceFault::bad("the file is empty", "export it again"));
     }
     Err(SourceFault::unsupported(
-        "it is no depth map that is read here",
+        "its format is not supported for depth maps",
         "give PNG of 16 bits, EXR, PFM, npy or npz",
     ))
 }

@@ -80,7 +80,7 @@ impl DecoderLimits {
         };
         // Of which none can overflow below.
         if self.memory_mb != 0 && !(64..=1 << 24).contains(&self.memory_mb) {
-            let expected = "64 to 16777216 MiB were expected, or 0 for a limit by the size of the pictures";
+            let expected = "64 to 16777216 MiB were expected, or 0 for a limit by the size of the images";
             return bad("decoder.memory_mb", self.memory_mb, expected);
         }
         if self.cpu_seconds > 1 << 30 {

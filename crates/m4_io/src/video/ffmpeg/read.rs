@@ -251,7 +251,7 @@ impl<'a> Decoder<'a> {
                 Plane::from_vec(info.width, info.height, pixels).ok()
             }
         };
-        picture.ok_or_else(|| self.failed("a picture has the wrong length".into()))
+        picture.ok_or_else(|| self.failed("an image has the wrong length".into()))
     }
 
     fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, ReadVideoError> {

@@ -105,7 +105,7 @@ static TABLE: [Rules; 6] = [
         lpips: BOTH,
         headline: None,
         refine: None,
-        note: "published numbers are the mean over channels of the PSNR of each, of pictures that were not clamped (psnr_per_channel_unclamped), \
+        note: "published numbers are the mean over channels of the PSNR of each, of images that were not clamped (psnr_per_channel_unclamped), \
                with poses of a MegaSaM that saw the held-out frames; that linspace cuts fractions off is assumed",
     },
     Rules {
@@ -163,7 +163,7 @@ static TABLE: [Rules; 6] = [
             lr: 3e-4,
             start: StartPose::Given,
         }),
-        note: "the view at time 0 is the first training picture; scores are given with it, as the result bundle has it, and without",
+        note: "the view at time 0 is the first training image; scores are given with it, as the result bundle has it, and without",
     },
     Rules {
         protocol: Protocol::Davis,
@@ -178,7 +178,7 @@ static TABLE: [Rules; 6] = [
         lpips: BOTH,
         headline: None,
         refine: None,
-        note: "a stand-in of this program: DAVIS has no other view, and the papers show pictures of it alone",
+        note: "a substitute of this program: DAVIS has no other view, and the papers show images of it alone",
     },
 ];
 

@@ -13,7 +13,7 @@ use std::path::Path;
 const KEPT_SIDE: usize = 640;
 /// Patches that MoGe-2 cuts an image into on the processor: the fewest that it was trained with. On a GPU it is the most.
 const PROCESSOR_TOKENS: usize = 1200;
-const PHASE: &str = "depth from one picture";
+const PHASE: &str = "depth from one image";
 
 enum Metric {
     MoGe(Box<MoGe>),
@@ -39,7 +39,7 @@ fn kept(plane: Plane<f32>) -> Plane<f32> {
 fn at_most(picture: &RgbImage, long: usize) -> Result<RgbImage, Box<dyn std::error::Error + Send + Sync>> {
     let (w, h) = picture.size();
     let side = |n: usize| (n * long.min(w.max(h)) / w.max(h).max(1)).max(1);
-    m4_io::image::resize_rgb(picture, side(w), side(h)).ok_or_else(|| "the picture is empty".into())
+    m4_io::image::resize_rgb(picture, side(w), side(h)).ok_or_else(|| "the image is empty".into())
 }
 
 fn load<T>(

@@ -211,7 +211,7 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
         let without = if depth {
             ""
         } else {
-            ", and no depth from one picture (`minute4d weights add moge-2-l FILE` brings one)"
+            ", and no depth from one image (`minute4d weights add moge-2-l FILE` installs one)"
         };
         notes.push(format!(
             "megasam takes {}{without}: that is what is here",

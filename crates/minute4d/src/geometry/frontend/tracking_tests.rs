@@ -350,7 +350,7 @@ fn assert_close(got: &[f32], want: &[f32], limit: f32, what: &str) {
 fn pictures(all: &SafeTensors<'_>) -> Vec<RgbImage> {
     let tensor = all.tensor("images_bgr_u8").unwrap();
     let [n, 3, h, w] = *tensor.shape() else {
-        panic!("no pictures");
+        panic!("no images");
     };
     let at = |k: usize, c: usize, x: usize, y: usize| tensor.data()[((k * 3 + c) * h + y) * w + x];
     (0..n)

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum GivenError {
     /// Poses for a front end that finds them itself.
-    #[error("the front end megasam finds the poses itself: leave --poses out, or take another --frontend")]
+    #[error("the front end megasam estimates the poses itself: omit --poses, or choose another --frontend")]
     CamerasTwice,
     /// There is no such file or folder.
     #[error("there is nothing at {}, which was given with {option}", path.display())]
@@ -28,7 +28,7 @@ pub enum GivenError {
     },
     /// A lens that is none.
     #[error(
-        "the lens {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with fl_x, fl_y, cx, cy, w and h"
+        "the intrinsics {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with fl_x, fl_y, cx, cy, w and h"
     )]
     Lens {
         /// What was given.
@@ -37,7 +37,7 @@ pub enum GivenError {
         reason: String,
     },
     /// Another number of files or poses than of frames.
-    #[error("{} has {found} {what} for {frames} frames; give one a frame, in the order or with the names of the frames", path.display())]
+    #[error("{} has {found} {what} for {frames} frames; give one per frame, in the order or with the names of the frames", path.display())]
     Count {
         /// What was counted.
         what: &'static str,
@@ -49,7 +49,7 @@ pub enum GivenError {
         frames: usize,
     },
     /// An image of another shape than the frames.
-    #[error("{} is {} x {} pixels and the frames are {} x {}: the shapes differ", path.display(), found.0, found.1, frame.0, frame.1)]
+    #[error("{} is {} x {} pixels and the frames are {} x {}: the aspect ratios differ", path.display(), found.0, found.1, frame.0, frame.1)]
     Size {
         /// The file.
         path: PathBuf,
@@ -69,7 +69,7 @@ pub enum GivenError {
         what: String,
     },
     /// A trajectory says nothing about the lens.
-    #[error("{} has poses without a lens; give --intrinsics, or --fov with the horizontal field of view", path.display())]
+    #[error("{} has poses without intrinsics; give --intrinsics, or --fov with the horizontal field of view", path.display())]
     NoLens {
         /// The file.
         path: PathBuf,

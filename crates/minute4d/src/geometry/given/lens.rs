@@ -96,7 +96,7 @@ fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {
     let (width, height) = (side(file.w, size.0)?, side(file.h, size.1)?);
     if !same_shape((width, height), size) {
         return Err(format!(
-            "it is of pictures of {width} x {height} pixels, a shape other than that of the frames, {} x {}",
+            "it is of images of {width} x {height} pixels, another aspect ratio than that of the frames, {} x {}",
             size.0, size.1
         ));
     }

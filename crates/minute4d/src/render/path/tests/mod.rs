@@ -241,7 +241,7 @@ fn endless_paths_are_refused() {
         ..RenderJob::new(CameraPath::Swing)
     };
     let error = plan_of(&scene, &job).unwrap_err();
-    assert!(error.to_string().contains("864000 pictures"), "{error}");
+    assert!(error.to_string().contains("864000 images"), "{error}");
 }
 
 #[test]
