@@ -1,4 +1,4 @@
-//! The time limit of a run, and what is left of it.
+//! The time limit of a run, and the time left.
 
 use crate::{Error, Settings};
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! The one error of the library, and what sort of failure each is.
+//! The error type of the library, and the category of each failure.
 
 use crate::enhance::EnhanceError;
 use crate::evaluate::ProtocolError;

@@ -1,4 +1,4 @@
-//! The folder of a run: what may be replaced, and where its files are.
+//! The folder of a run: the names of its files, and which of them may be replaced.
 
 use crate::record::{GEOMETRY_FILE, RUN_FILE, RunRecord, Status};
 use crate::{Error, geometry};

@@ -1,4 +1,4 @@
-//! Hashes of inputs and settings: the keys by which finished stages are found again.
+//! Hashes of inputs and settings: the cache keys of finished stages.
 
 use crate::Error;
 use m4_scene::{Capture, CompactDepth, CompactMask, Plane};

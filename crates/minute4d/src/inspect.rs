@@ -1,4 +1,4 @@
-//! What a file or folder holds.
+//! Describes the contents of a file or folder.
 
 use crate::folder::SCENE_FILE;
 use crate::record::{RUN_FILE, RunRecord, Status};

@@ -1,4 +1,4 @@
-//! Everything in one go: geometry, train, preview, viewer.
+//! The whole pipeline: geometry, training, preview, viewer.
 
 use crate::clock::Clock;
 use crate::device::DeviceRequest;

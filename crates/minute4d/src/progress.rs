@@ -1,4 +1,4 @@
-//! What a caller learns while a pipeline runs: stages beside the steps within them.
+//! The events of a pipeline: stages, in addition to the steps within them.
 
 use m4_scene::{Progress, Scene};
 use m4_train::MetricsEvent;

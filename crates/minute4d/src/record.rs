@@ -1,7 +1,7 @@
-//! What was done: `run.json` of a run, `geometry.json` of a capture.
+//! The records: `run.json` of a run, `geometry.json` of a capture.
 //!
-//! A record is written when work begins and again when it ends, so that a folder always says what is
-//! in it: [`Status::Running`] without a running process means that the process was killed.
+//! A record is written when work begins and again when it ends, so that it always describes the
+//! folder: [`Status::Running`] without a running process means that the process was killed.
 
 use crate::geometry::{Confidence, UsedNetwork};
 use crate::{Error, Settings};

@@ -1,10 +1,10 @@
-//! Finished steps of a stage, on disk until the stage is done: what was killed goes on after the last of them.
+//! Finished steps of a stage, kept on disk until the stage is done, so that an interrupted stage continues after the last one.
 //!
-//! A step is a file in a hidden folder beside the result, one `.steps/NAME` each: magic, a hash, what was warned of, and
-//! the value. The hash covers the stage's key, the name and the bytes, so a torn file, one of another input and one of
-//! other settings are all the same: not there. Values come back bit by bit, so the result of a run that was killed is
-//! that of one that was not. Steps cost disk and save time alone: a failure to write one is reported once, and work
-//! goes on.
+//! A step is a file `.steps/NAME` next to the result: magic, a hash, the warnings, and
+//! the value. The hash covers the stage's key, the name and the bytes, so a damaged file, one of another input and one of
+//! other settings all count as missing. Values are restored bit by bit, so the result of an interrupted run equals
+//! that of an uninterrupted one. Steps only save time: a failure to write one is reported once, and the work
+//! continues.
 
 use crate::Observer;
 use crate::folder;

@@ -1,4 +1,4 @@
-//! A run at work: its folder, its record, and who listens.
+//! A run in progress: its folder, its record, and its observer.
 
 use crate::clock::Clock;
 use crate::device::OpenGpu;

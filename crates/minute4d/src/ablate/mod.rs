@@ -1,10 +1,10 @@
-//! What each part of the method is worth on a clip: the scene made with everything, and again without one part each (paper, table 3).
+//! Ablations on a clip: trains the scene with the full method, and again without one part each (paper, table 3).
 //!
 //! ```text
-//! settings --switch a part off--> `minute4d run`, a process a row --> scene --held-out views--> PSNR, SSIM;  its record --> seconds, memory
+//! settings --switch a part off--> `minute4d run`, one process per row --> scene --held-out views--> PSNR, SSIM;  its record --> seconds, memory
 //! ```
 //!
-//! Rows that need the same geometry share it: only a row without segmentation has another. All rows take as many steps as the full one.
+//! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
 
 mod picture;
 mod report;

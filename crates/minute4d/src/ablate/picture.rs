@@ -1,4 +1,4 @@
-//! What tracking brings: the place of a held-out view that it changes most.
+//! The effect of tracking as an image: the region of a held-out view that it changes most.
 
 use crate::evaluate::HeldOut;
 use crate::{Error, Job};

@@ -1,4 +1,4 @@
-//! What an ablation found.
+//! The results of an ablation.
 
 use super::row::Row;
 use crate::bench::aligned;

@@ -1,4 +1,4 @@
-//! Cases on a GPU.
+//! Benchmark cases on a GPU.
 
 use super::measure::{Millis, Step, Timed, case, mean_over, ms};
 use super::{BenchConfig, Case, GpuCase, GpuMachine};

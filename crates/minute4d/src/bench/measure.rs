@@ -1,4 +1,4 @@
-//! One case on the clock.
+//! Times one benchmark case.
 
 use super::{BenchConfig, Bound, Case, GpuCase, KernelRow, StepRow};
 use cpu_time::ProcessTime;

@@ -1,4 +1,4 @@
-//! How much memory training takes: the program trains on a synthetic clip, and its record says.
+//! Peak memory of training: the program trains on a synthetic clip, and the peak is read from its record.
 
 use super::Machine;
 use super::save::today;

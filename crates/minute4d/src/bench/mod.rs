@@ -1,4 +1,4 @@
-//! How long the kernels take on this machine, and how far that is from what it can do.
+//! Benchmarks of the kernels on this machine, compared with its limits.
 //!
 //! [`run`] times training steps and rendering on synthetic scenes ([`m4_kernels::bench`]); the
 //! [`BenchReport`] is what the program prints, saves and compares. `docs/bench.md` explains every column.

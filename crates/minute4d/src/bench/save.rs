@@ -1,4 +1,4 @@
-//! Reports as files: `DATE-MACHINE.json`, and the same as a table.
+//! Writes reports as files: `DATE-MACHINE.json`, and the same as a table.
 
 use super::{BenchReport, Machine, MemoryReport};
 use crate::Error;

@@ -1,4 +1,4 @@
-//! The report for people: Markdown whose columns line up in a terminal too.
+//! Formats the report as Markdown whose columns also line up in a terminal.
 
 use super::{BenchReport, Case, GpuCase, KernelRow};
 

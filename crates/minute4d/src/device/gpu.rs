@@ -1,4 +1,4 @@
-//! A GPU that was started.
+//! An open GPU.
 
 use super::NetworkDevice;
 use super::training::GpuTraining;

@@ -1,4 +1,4 @@
-//! Training steps on a GPU, as the trainer asks for them.
+//! Training steps on a GPU, behind the trainer's interface.
 
 use m4_gpu::{DensityRound, Gpu, GpuError, GrowRule, Look, Plan, ScoreRange, StepSettings, Trainer};
 use m4_kernels::View;

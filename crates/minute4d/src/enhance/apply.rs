@@ -1,4 +1,4 @@
-//! A capture, enhanced as planned.
+//! Enhances a capture by a plan.
 
 use super::plan::{Plan, Points, Things};
 use super::{EnhanceConfig, EnhanceError, Follower, masks};

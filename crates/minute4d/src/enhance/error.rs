@@ -1,4 +1,4 @@
-//! Why masks could not be refined or points not be followed.
+//! Errors of mask refinement and point tracking.
 
 use crate::error::Category;
 use m4_slam::instances::InstanceError;

@@ -1,4 +1,4 @@
-//! Who follows things where no network with a memory does.
+//! The object tracker without a video network: propagates masks along flow.
 
 use crate::Error;
 use crate::geometry::{self, Segmenter};

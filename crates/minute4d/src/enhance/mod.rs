@@ -1,7 +1,7 @@
 //! Better masks for a capture: dynamic objects are separated, segmented and tracked through the clip.
 //!
 //! ```text
-//! capture (maps of motion, or masks) --m4_slam::instances, with an object tracker--> capture (masks, instances), report
+//! capture (motion maps, or masks) --m4_slam::instances, with an object tracker--> capture (masks, instances), report
 //! ```
 //!
 //! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_slam::tracks3d`]); the geometry stage does the same to what its

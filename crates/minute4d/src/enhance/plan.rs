@@ -1,4 +1,4 @@
-//! Who enhances a capture, by the weights that are here.
+//! Chooses the segmentation and tracking methods by the installed weights.
 
 use super::Tracker;
 use crate::Error;

@@ -1,4 +1,4 @@
-//! SAM 2 as what follows things through a clip.
+//! SAM 2 as an object tracker.
 
 use m4_nets::sam2::{self, Clip as NetClip, Direction, Sam2Error, VideoOptions, VideoPredictor};
 use m4_nets::{PointPrompt, Prompt, Sam2, Sam2Size};

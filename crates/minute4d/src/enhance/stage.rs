@@ -1,4 +1,4 @@
-//! `minute4d enhance`: a capture to a better one.
+//! `minute4d enhance`: improves the masks of a capture and tracks points.
 
 use super::apply::apply;
 use super::plan::{Before, Plan};

@@ -1,4 +1,4 @@
-//! TAPIP3D as what follows points.
+//! TAPIP3D as a point tracker.
 
 use m4_nets::tapip3d::{self, ClipError};
 use m4_nets::{PointQuery, Tapip3d, Tapip3dError, Tapip3dOptions};

@@ -1,4 +1,4 @@
-//! Where held-out cameras are in the world of a scene whose geometry came from the video alone.
+//! Aligns held-out cameras with the world of a scene whose geometry was estimated from the video alone.
 
 use crate::{Error, Observer};
 use m4_io::trajectory;

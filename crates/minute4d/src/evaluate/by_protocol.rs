@@ -1,4 +1,4 @@
-//! A scene against held-out views as a protocol has it.
+//! Scores a scene on held-out views by the rules of a protocol.
 
 use super::choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice, poses};
 use super::covisible::{MaskSource, Masks};

@@ -1,4 +1,4 @@
-//! Everything that was chosen for a score, as `eval.json` keeps it.
+//! The choices behind a score, as recorded in `eval.json`.
 
 use super::covisible::MaskSource;
 use super::perceptual::LpipsChoice;

@@ -1,10 +1,10 @@
-//! Masks of co-visibility: which pixels of a test image the training video saw.
+//! Co-visibility masks: the pixels of a test image that the training video saw.
 //!
-//! The masks that a data set publishes come first (`covisible/` in the capture, or a folder that is named); they are files named as the
-//! image of their view. Where there are none, masks are made from the poses and depth of the training frames. A test image has no
-//! depth of its own, so that what the training frames saw is drawn into it first, each pixel a square as large as it lands, the nearest on
-//! top; then each training frame is asked whether it saw that point (`m4_eval::image::covisible::seen_by_depth`). The dynamic part counts at
-//! the test image's moment alone: pixels of masks of motion are drawn from the training frame that is nearest in time.
+//! Published masks of the data set take precedence (`covisible/` in the capture, or a given folder); the files are named like the
+//! images of their views. Without them, masks are computed from the poses and depth of the training frames. A test image has no
+//! depth, so the depth of the training frames is first projected into it, each pixel as a square of its projected size, the nearest on
+//! top; then each training frame is tested for seeing that point (`m4_eval::image::covisible::seen_by_depth`). Dynamic pixels are valid
+//! only at the time of the test image: they are projected from the training frame that is nearest in time.
 
 use super::ProtocolError;
 use crate::{Error, Observer, Settings};

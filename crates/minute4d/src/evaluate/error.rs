@@ -1,4 +1,4 @@
-//! Why a protocol cannot be followed.
+//! Errors of evaluation by a protocol.
 
 use super::Protocol;
 use crate::Category;

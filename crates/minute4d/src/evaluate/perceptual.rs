@@ -1,4 +1,4 @@
-//! LPIPS of a protocol: by the networks whose weights are here, and in plain words why by no others.
+//! LPIPS as a protocol defines it, with the networks whose weights are installed, and the reason for missing ones.
 
 #[cfg(feature = "nets")]
 use super::ProtocolError;

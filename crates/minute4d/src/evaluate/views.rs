@@ -1,4 +1,4 @@
-//! A scene against the held-out views of a capture.
+//! Scores a scene on the held-out views of a capture.
 
 use super::align::Alignment;
 use super::by_protocol;

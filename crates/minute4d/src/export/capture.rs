@@ -1,4 +1,4 @@
-//! A capture as files of other tools.
+//! Exports a capture for other tools.
 
 use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
 use crate::{Error, Observer, Settings};

@@ -1,4 +1,4 @@
-//! What was written against what it was written from, both through our renderer.
+//! Compares an exported file with its scene by rendering both.
 
 use super::{ExportError, Format, Time};
 use crate::import::read_back;

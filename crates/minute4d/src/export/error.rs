@@ -1,4 +1,4 @@
-//! Why an export failed, beside the files that could not be written.
+//! Errors of an export, except for files that cannot be written.
 
 use super::Format;
 use crate::Category;

@@ -1,4 +1,4 @@
-//! The formats there are.
+//! The export formats.
 
 use super::ExportError;
 use serde::Serialize;

@@ -1,4 +1,4 @@
-//! What was exported.
+//! The report of an export.
 
 use super::{Comparison, Format, Time};
 use m4_formats::{Loss, Written};

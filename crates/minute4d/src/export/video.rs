@@ -1,4 +1,4 @@
-//! A video along the cameras of the source.
+//! Exports a video along the source cameras.
 
 use super::ExportError;
 use crate::render::{Painter, source_fps};

@@ -1,4 +1,4 @@
-//! From frames to a capture.
+//! Computes a capture from frames.
 
 use super::confidence::{Confidence, Grade};
 #[cfg(feature = "nets")]

@@ -1,4 +1,4 @@
-//! How far the result can be trusted, in numbers, a grade and one piece of advice.
+//! The confidence of the geometry: numbers, a grade and one piece of advice.
 
 use m4_slam::dense::DenseFrame;
 use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction};

@@ -1,7 +1,7 @@
-//! Cameras once more, now that it is known the dynamic part.
+//! Estimates the cameras a second time, without the tracks in dynamic regions.
 //!
-//! The first cameras come from tracks that judged each other. Masks know more: tracks within them are left out, cameras are
-//! found anew, and where that changes what they see, depth and masks are made anew, too. Otherwise all stays as it was.
+//! The first cameras come from tracks of the whole image. With the masks, tracks in dynamic regions are excluded and the cameras are
+//! estimated again; if their projections change, depth and masks are computed again, too. Otherwise the first result is kept.
 
 use m4_math::Sim3;
 use m4_math::nalgebra::Vector3;

@@ -1,4 +1,4 @@
-//! Flow that is measured once: between the same two images it is taken from the finished steps.
+//! Caches optical flow between two images in the finished steps.
 
 use m4_scene::Shelf;
 use m4_slam::dense::{Flow, FlowError, FlowPicture, FlowSource};

@@ -1,4 +1,4 @@
-//! From frames to a capture by MegaSaM's networks.
+//! Computes a capture with MegaSaM's networks.
 
 use super::compute::{Clip, instants, moments};
 use super::frontend::{MonoClip, NetworkCorrespondence, Plan};

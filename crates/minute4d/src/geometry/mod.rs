@@ -1,16 +1,16 @@
-//! First stage: a video to a capture (poses, focal length, depth, motion masks).
+//! The first stage: turns a video into a capture (poses, focal length, depth, motion masks).
 //!
 //! ```text
-//! video, and what the user knows (given) -> frames
+//! video, and what the user provides (given) -> frames
 //!   --sparse--> cameras, tracks, points --dense, with flow of a front end--> depth, masks --> capture
 //!              ^                                                            |    '-> confidence
 //!              '---- once more without what is masked (iterate) ------------'
 //! ```
 //!
-//! Finished steps are kept in the folder until all is done, so that what was interrupted goes on.
+//! Finished steps are kept in the folder until the stage is done, so that an interrupted stage can be resumed.
 //!
-//! This file keeps the record and the folder; `compute` does the work, `frontend` chooses the flow method, `segmenter` the segmentation method,
-//! `given` reads what the user knows, `confidence` says how far the result can be trusted.
+//! This file handles the record and the folder; `compute` does the work, `frontend` chooses the methods for cameras, flow and depth, `segmenter`
+//! the segmentation method, `given` reads geometry that the user provides, and `confidence` grades the result.
 
 mod compute;
 mod confidence;

@@ -1,4 +1,4 @@
-//! Cameras for a scene that comes without.
+//! Default cameras for an imported scene without any.
 
 use crate::render::{SwingConfig, swing};
 use m4_math::Se3;

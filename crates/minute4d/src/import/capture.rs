@@ -1,4 +1,4 @@
-//! A posed clip as a capture.
+//! Imports a clip with poses as a capture.
 
 use super::checked::{Checked, checked};
 use super::{ImportError, ImportJob, ImportOptions, STAGE};

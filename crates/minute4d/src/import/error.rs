@@ -1,4 +1,4 @@
-//! Why an import failed.
+//! Errors of an import.
 
 use crate::Category;
 use m4_formats::fourdgs::ReadFourdgsError;

@@ -1,4 +1,4 @@
-//! What can be imported: splats as a scene, posed clips as a capture.
+//! The import formats: splats as a scene, clips with poses as a capture.
 
 use super::ImportError;
 use crate::export::Format;

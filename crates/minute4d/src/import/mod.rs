@@ -1,9 +1,9 @@
-//! Files of other tools: splats as the folder of a run, which can be rendered, viewed and exported; clips with poses as a capture, which can be
-//! trained.
+//! Imports files of other tools: splats as the folder of a run, which can be rendered, viewed and exported; clips with poses as a capture,
+//! which can be trained.
 //!
 //! ```text
-//! format   which it is                     read      splats -> Scene
-//! capture  a posed clip -> Capture -> check -> fixed, if that is asked for -> written
+//! format   detection                       read      splats -> Scene
+//! capture  a posed clip -> Capture -> check -> corrected on request -> written
 //! ```
 
 mod cameras;

@@ -1,4 +1,4 @@
-//! Three images side by side.
+//! Places three images side by side.
 
 use super::label;
 use m4_scene::{Plane, RgbImage};

@@ -1,4 +1,4 @@
-//! `poster.jpg`: a frame and its re-render, small, for lists of many clips.
+//! `poster.jpg`: a small image of a frame and its re-render, for overviews of many clips.
 
 use super::{panel_size, sharpest};
 use crate::folder::{CAPTURE_FOLDER, SCENE_FILE};

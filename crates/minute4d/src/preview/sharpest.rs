@@ -1,4 +1,4 @@
-//! The moment to freeze: where the moving parts are sharpest.
+//! Chooses the time to freeze: the frame in which dynamic regions are sharpest.
 
 use m4_scene::{Capture, CaptureFrame};
 

@@ -1,4 +1,4 @@
-//! One image of a scene.
+//! Renders one image of a scene.
 
 use m4_kernels::{Frame, Renderer, SimdLevel, View};
 use m4_scene::{Camera, Exposure, Plane, RgbImage, Scene};

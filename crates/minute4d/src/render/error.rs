@@ -1,4 +1,4 @@
-//! Why a camera path cannot be rendered.
+//! Errors of rendering along a camera path.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! Images of a trained scene: along which cameras, at which moments, into which files.
+//! Renders images of a trained scene along a camera path into files.
 
 mod draw;
 mod error;

@@ -1,4 +1,4 @@
-//! Images of a scene, drawn on whichever device was chosen.
+//! Renders images of a scene on the chosen device.
 
 use super::draw::{Painter, to_rgb, view};
 use crate::Error;

@@ -1,4 +1,4 @@
-//! Where a camera may go: what it sees from where it stands, and where the source camera was.
+//! The region in which a camera may move: the view of its start, and the positions of the source camera.
 
 use super::Painter;
 use super::Stop;

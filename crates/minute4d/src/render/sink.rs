@@ -1,4 +1,4 @@
-//! Where images go.
+//! Writes rendered images to their destination.
 
 use super::{PathError, Stop};
 use crate::Error;

@@ -1,4 +1,4 @@
-//! Images of another size.
+//! Cameras for images of another size.
 
 use super::PathError;
 use m4_scene::Intrinsics;

@@ -1,4 +1,4 @@
-//! A camera that swings about the middle of what it sees.
+//! A camera that swings around the centre of its view.
 
 use m4_math::nalgebra::{Matrix3, Vector3};
 use m4_math::{Se3, exp_so3};

@@ -1,4 +1,4 @@
-//! When the views of a camera path are taken.
+//! Parses the scene time of a camera path.
 
 use std::fmt;
 use std::str::FromStr;

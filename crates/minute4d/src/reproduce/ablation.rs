@@ -1,4 +1,4 @@
-//! A scene again without each part of the method.
+//! Trains a scene again without each part of the method.
 
 use super::scene::Made;
 use crate::ablate::{self, AblateOptions, AblationReport, Row};

@@ -1,4 +1,4 @@
-//! Why a table cannot be made.
+//! Errors of a reproduction.
 
 use super::{MissingScene, Suite};
 use crate::Category;

@@ -1,4 +1,4 @@
-//! The tables of papers again, on this machine: every scene of a data set that is here, imported, split, trained and judged.
+//! Reproduces published tables: imports, splits, trains and scores every available scene of a data set.
 //!
 //! ```text
 //! folder of a data set --Suite--> scenes --import, or geometry of a video--> capture --split--> capture of the protocol
@@ -6,9 +6,9 @@
 //!   --without each part--> the ablations
 //! ```
 //!
-//! What is finished is not made again: a scene is skipped when its record has the key of its data, its settings and its device. Tables of
-//! two tasks are apart ([`crate::evaluate::Task`]), and so are ours and the published numbers in a table: those were measured on
-//! other machines, most with poses of their own.
+//! Finished scenes are not run again: a scene is skipped if its record has the key of its data, its settings and its device. The two
+//! tasks have separate tables ([`crate::evaluate::Task`]), and our results are separate from published ones, which were measured on
+//! other machines, most with other poses.
 
 mod ablation;
 mod error;

@@ -1,4 +1,4 @@
-//! A table as an image: bars of decibels, ours first.
+//! A table as an image: bars of decibels, our result first.
 
 use super::{ReproduceError, TableReport};
 use plotters::prelude::*;

@@ -1,4 +1,4 @@
-//! Published numbers, each with its task: one of another task never stands in the same table.
+//! Published results, each with its task; results of different tasks never share a table.
 //!
 //! Kinds of sources: the Minute4D paper (`paper`), the paper of the method or another's table of it (`peers`). Times are those of the
 //! GPU that their authors used.

@@ -1,4 +1,4 @@
-//! What was made.
+//! The report of a reproduction.
 
 use super::published::{Published, caveat, published};
 use super::{SceneAblation, Suite, table};

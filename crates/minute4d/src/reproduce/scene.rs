@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! OUT/captures/SCENE              the data set's own poses and depth, or geometry of its video; shared by protocols
-//! OUT/captures-own/SCENE          geometry of its training pictures, where that was asked for of a data set with poses
-//! OUT/PROTOCOL/SCENE/capture      the split, where the protocol holds out frames of the video
+//! OUT/captures-own/SCENE          geometry estimated from its training images, with --geometry own
+//! OUT/PROTOCOL/SCENE/capture      the split, if the protocol holds out frames of the video
 //! OUT/PROTOCOL/SCENE/run          a run as of `minute4d train`, with eval.json
 //! OUT/PROTOCOL/SCENE/row.json     the row of the table and its key: written last
 //! OUT/PROTOCOL/SCENE/ablation     as of `minute4d ablate`

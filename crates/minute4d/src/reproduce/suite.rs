@@ -1,4 +1,4 @@
-//! Data sets: their scenes, where these lie in a folder, and where people get them.
+//! Data sets: their scenes, the layout of their folders, and where to download them.
 
 use super::{MissingScene, ReproduceError};
 use crate::evaluate::Protocol;

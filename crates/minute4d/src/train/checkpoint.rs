@@ -1,4 +1,4 @@
-//! Scenes saved while training goes on, and how training goes on from them.
+//! Writes checkpoints during training, and resumes from them.
 
 use crate::folder;
 use crate::{Error, Observer};

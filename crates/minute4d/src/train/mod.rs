@@ -1,4 +1,4 @@
-//! Second stage: a capture to a scene.
+//! The second stage: trains a scene from a capture.
 
 mod checkpoint;
 mod metrics;

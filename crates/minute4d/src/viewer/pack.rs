@@ -1,4 +1,4 @@
-//! A scene to what the page is given.
+//! Packs a scene into the data of the page.
 
 use super::ViewerConfig;
 use crate::Error;

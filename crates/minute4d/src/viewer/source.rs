@@ -1,4 +1,4 @@
-//! What there is to look at in a folder, and whether it is newer than what was seen.
+//! Finds the scene in a folder, and tells whether it is newer than the one shown.
 
 use super::ViewerConfig;
 use super::file::title;

@@ -1,4 +1,4 @@
-//! `minute4d view`: a scene in the browser, and every newer one that lands in its place.
+//! `minute4d view`: shows a scene in the browser, and every newer one that replaces it.
 
 use super::source::{Source, Stamp};
 use crate::{Error, Observer};

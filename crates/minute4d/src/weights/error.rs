@@ -1,4 +1,4 @@
-//! Why weights are not there.
+//! Errors of weights.
 
 use crate::Category;
 use m4_io::ErrorKind;

@@ -1,4 +1,4 @@
-//! The user's own `pip`, as a process.
+//! Runs the user's `pip`.
 
 use super::{Entry, Package, WeightsError};
 use m4_scene::Progress;

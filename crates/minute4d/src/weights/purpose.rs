@@ -1,4 +1,4 @@
-//! What a file of weights is for: what gets it, and what goes without it.
+//! The purpose of each file of weights: how to install it, and what works without it.
 
 use super::{Entry, Origin};
 

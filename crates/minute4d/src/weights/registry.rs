@@ -1,4 +1,4 @@
-//! Every file of weights that the program knows.
+//! The registry of all known files of weights.
 
 use super::WeightsError;
 

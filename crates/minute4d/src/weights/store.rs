@@ -1,4 +1,4 @@
-//! The folder that weights lie in.
+//! The folder of installed weights.
 
 use super::check::{self, Side, Sum};
 use super::{Entry, Origin, WeightsError};

@@ -1,4 +1,4 @@
-//! Which frames of a training video are held out.
+//! The rules that choose held-out frames of a training video.
 
 use serde::{Deserialize, Serialize};
 

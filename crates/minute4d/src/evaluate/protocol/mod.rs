@@ -1,4 +1,4 @@
-//! Protocols: everything that two scores must have in common before they may stand in one column.
+//! Evaluation protocols: everything that must agree before two scores can be compared.
 //!
 //! ```text
 //! name --Rules--> frames held out, resolution, masks, metrics, LPIPS, how test poses are treated

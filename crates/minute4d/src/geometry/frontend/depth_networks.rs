@@ -1,4 +1,4 @@
-//! Networks of depth from one image.
+//! Networks for monocular depth.
 
 use super::source::unusable;
 use super::{MonoClip, Part, Plan};

@@ -1,5 +1,4 @@
-//! Who finds cameras, the flow method, and who knows depth from one image: searches without weights, networks, and any
-//! mixture of both.
+//! The front end: the methods for cameras, optical flow and monocular depth, with or without networks, in any combination.
 //!
 //! ```text
 //! --frontend WORD+WORD --parse--> Frontend --plan: which weights are here--> Plan

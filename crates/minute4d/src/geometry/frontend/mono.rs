@@ -1,4 +1,4 @@
-//! Depth of every frame from one image each.
+//! Monocular depth of every frame.
 
 use m4_scene::{Plane, RgbImage};
 use m4_slam::dense::{MonoDepth, MonoError, MonoKind, MonoMap};

@@ -1,4 +1,4 @@
-//! Which networks a front end comes to, by the weights that are here.
+//! Resolves a front end to the networks whose weights are installed.
 
 use super::{Frontend, Part};
 use crate::Error;

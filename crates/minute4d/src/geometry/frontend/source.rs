@@ -1,4 +1,4 @@
-//! Flow, loaded.
+//! Loads the source of optical flow.
 
 use super::{MonoClip, Plan};
 use crate::Error;

@@ -1,4 +1,4 @@
-//! Why something that the user gave cannot be used.
+//! Errors of geometry that the user provides.
 
 use std::io;
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! Which file belongs to which frame.
+//! Matches files to frames.
 
 use super::GivenError;
 use crate::Error;

@@ -1,4 +1,4 @@
-//! A lens on the command line or in a JSON file.
+//! Parses intrinsics from the command line or a JSON file.
 
 use super::{GivenError, same_shape};
 use m4_scene::Intrinsics;

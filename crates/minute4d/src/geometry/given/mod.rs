@@ -1,4 +1,4 @@
-//! What the user knows: lens, poses, masks, depth; read, checked against the clip, and hashed.
+//! Geometry that the user provides: intrinsics, poses, masks, depth; read, checked against the clip, and hashed.
 
 mod error;
 mod files;

@@ -1,4 +1,4 @@
-//! Bullet time: play, stand still while the camera goes round, go on.
+//! Bullet time: plays, freezes time while the camera moves around, and plays on.
 
 use super::shapes::side_rad;
 use super::{PathConfig, PathError, PathOptions, SourcePath, Stop};

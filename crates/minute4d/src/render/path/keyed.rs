@@ -1,4 +1,4 @@
-//! Cameras between the keyframes of a file.
+//! Interpolates cameras between the keyframes of a file.
 
 use super::shapes::looking;
 use super::{SourcePath, Stop};

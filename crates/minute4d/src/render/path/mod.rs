@@ -1,4 +1,4 @@
-//! Which cameras look, and when.
+//! Camera paths: the cameras and their times.
 
 mod bullet;
 mod keyed;

@@ -1,4 +1,4 @@
-//! The camera that took the video, between its frames too.
+//! The source camera, interpolated between its frames.
 
 use super::{PathError, Stop};
 use crate::render::DEFAULT_FPS;

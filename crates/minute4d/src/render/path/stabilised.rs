@@ -1,9 +1,9 @@
-//! The source camera without its tremble.
+//! The source camera path, smoothed.
 //!
-//! At every moment a straight motion is fitted to the poses around it, weighted by a Gaussian of time;
-//! its middle is the smoothed pose. Inside the clip that is Gaussian smoothing, and at the ends, where
-//! one side is missing, it neither lags nor pulls inwards. How far it may leave the source is limited by
-//! `d / (1 + (d / limit)^8)^(1/8)`, which has no corner and leaves what is well within the limit alone.
+//! At every time a linear motion is fitted to the poses around it, weighted by a Gaussian of time;
+//! its value there is the smoothed pose. Inside the clip that is Gaussian smoothing; at the ends, where
+//! one side is missing, it neither lags nor contracts. The distance from the source is limited by
+//! `d / (1 + (d / limit)^8)^(1/8)`, which is smooth and hardly changes distances well below the limit.
 
 use super::SourcePath;
 use crate::render::spline::{PoseSpline, quaternion};
