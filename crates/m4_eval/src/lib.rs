@@ -1,4 +1,4 @@
-//! Metrics and the tables of a run.
+//! Metrics and their tables.
 //!
 //! [`image`] scores rendered images against photographs (PSNR, SSIM, whole and inside a mask);
 //! [`geometry`] scores estimated cameras, depth and motion masks against known ones. Both give

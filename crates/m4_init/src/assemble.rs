@@ -1,4 +1,4 @@
-//! Clouds to splats.
+//! Turns point clouds into splats.
 
 use crate::carry::{Carry, Moving, hidden, is_seen};
 use crate::change::changes;

@@ -1,4 +1,4 @@
-//! Moving points that a keyframe cannot see, carried over from keyframes that can.
+//! Propagates dynamic points to keyframes in which they are occluded, from keyframes that see them.
 //!
 //! What leaves the image, or goes behind something, is still there: a view from beside the video may
 //! see it (section 2.6: "keep occluded samples"). Points move on with what can be seen of the body that they

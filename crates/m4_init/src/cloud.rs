@@ -1,4 +1,4 @@
-//! Depth maps to coloured points in the world.
+//! Unprojects depth maps to coloured points in the world.
 
 use crate::error::stopped;
 use crate::{InitConfig, InitError, free_space};

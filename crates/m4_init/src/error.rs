@@ -1,4 +1,4 @@
-//! Why no splats could be made.
+//! Errors of the initialisation.
 
 /// What was wrong with a capture or the settings.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

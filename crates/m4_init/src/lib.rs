@@ -1,4 +1,4 @@
-//! From posed frames with depth and motion masks to the first splats.
+//! Initialisation: turns posed frames with depth and motion masks into the initial splats.
 //!
 //! [`initialise`] back-projects the depth of every frame, keeps static and dynamic points
 //! apart, replaces the points of each voxel by their centroid and gives every centroid the size,

@@ -1,4 +1,4 @@
-//! Voxels: many points to one centroid per cell, in a fixed order.
+//! Merges points into one centroid per voxel, in a fixed order.
 
 use crate::CellSize;
 use crate::cloud::Cloud;

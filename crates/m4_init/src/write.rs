@@ -1,4 +1,4 @@
-//! Points to rows of splats.
+//! Writes points into rows of splats.
 
 use crate::InitConfig;
 use crate::shell::Shell;

@@ -1,4 +1,4 @@
-//! Files that are written whole or not at all.
+//! Writes files atomically.
 //!
 //! The bytes go to `.NAME.tmp-PID` in the same folder, reach the disk (`fsync`) and only then take
 //! the place of `NAME`: a reader of `NAME` sees the old file or the new one, never half of it.

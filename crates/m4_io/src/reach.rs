@@ -1,5 +1,4 @@
-//! Which files the files of a data set may name: a data set from an untrusted source must not put private files into what is made
-//! of it.
+//! The files that a data set may refer to: a data set from an untrusted source must not bring private files into the result.
 
 use crate::shortened;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! What messages quote of files.
+//! Shortens the parts of files that messages quote.
 
 use std::fmt::{self, Display, Write as _};
 

@@ -1,4 +1,4 @@
-//! What goes into one frame and what comes out, shared by every twin.
+//! The inputs and outputs of one frame, shared by all versions of the kernels.
 
 use m4_scene::{Camera, Splats};
 

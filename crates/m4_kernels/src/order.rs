@@ -1,4 +1,4 @@
-//! The order in which splats should lie in memory.
+//! The memory order of splats.
 
 use m4_scene::{Column, Splats};
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! Colours by least squares: rounds of "what is missing in my pixels, on the mean".
+//! Fits colours by least squares: rounds that distribute the residual of each splat's pixels.
 //!
 //! With everything else fixed an image is `A c + b`: `A` holds the blending weights, at least 0 and of a sum of at most
 //! 1 a pixel. A round is `c += relax * (A^T (target - picture)) / (A^T 1 + damping)`, splat by splat and channel by

@@ -1,4 +1,4 @@
-//! Steps somewhere else than on the processor.
+//! The interface of devices that take training steps instead of the CPU.
 //!
 //! A [`Device`] holds splats, the optimiser's state and the frames, and takes whole steps; the trainer
 //! ([`crate::Trainer::use_device`]) picks frames and keeps the schedules. Steps return before they are done: what they

@@ -1,4 +1,4 @@
-//! Why training could not start or go on.
+//! Errors of training.
 
 use m4_scene::ShapeError;
 

@@ -1,4 +1,4 @@
-//! The training frames as the loss wants them.
+//! The training frames in the form that the loss needs.
 
 use m4_kernels::photo::cpu::Target;
 use m4_scene::{Capture, CaptureFrame};

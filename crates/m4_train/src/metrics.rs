@@ -1,4 +1,4 @@
-//! What a run reports while it goes on.
+//! The metrics of a running training.
 
 use serde::{Deserialize, Serialize};
 

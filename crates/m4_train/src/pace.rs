@@ -1,4 +1,4 @@
-//! How many iterations fit into a given time on this machine.
+//! Estimates how many iterations fit into a time budget on this machine.
 
 use crate::TrainError;
 use crate::config::{ColourFitConfig, DensityConfig, RefineConfig, TrainConfig};

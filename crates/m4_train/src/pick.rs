@@ -1,4 +1,4 @@
-//! Which frame an iteration looks at: a function of seed and iteration.
+//! Chooses the frame of an iteration, as a function of seed and iteration.
 
 use m4_math::CounterRng;
 

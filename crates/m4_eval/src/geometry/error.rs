@@ -1,4 +1,4 @@
-//! What makes two captures incomparable.
+//! The reasons why two captures cannot be compared.
 
 /// Why an estimate could not be compared with the truth.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

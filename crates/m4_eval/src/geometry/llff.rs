@@ -1,4 +1,4 @@
-//! Camera truth in the LLFF layout: `poses` of 3x5 matrices.
+//! Ground-truth cameras in the LLFF layout: `poses` of 3x5 matrices.
 
 use m4_math::Se3;
 use m4_math::nalgebra::{Matrix3, Vector3};

@@ -1,4 +1,4 @@
-//! Which frame of the truth a frame of the estimate shows.
+//! Matches the frames of an estimate to those of the ground truth.
 
 use super::GeometryError;
 use m4_scene::CaptureFrame;

@@ -1,4 +1,4 @@
-//! Errors of camera paths as the program `evo` has them (Grupp, "evo: Python package for the evaluation of odometry and SLAM").
+//! Errors of camera paths as defined by the program `evo` (Grupp, "evo: Python package for the evaluation of odometry and SLAM").
 //!
 //! The absolute error compares poses of one frame after an alignment of the whole path (Umeyama 1991, over camera centres); the
 //! relative error compares the motions from one frame to another (Sturm et al., IROS 2012): `(T_i^-1 T_j)^-1 (E_i^-1 E_j)` for truth `T`

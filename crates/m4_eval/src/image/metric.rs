@@ -1,4 +1,4 @@
-//! A metric by its name.
+//! Metrics by name.
 
 use super::{ImageError, Picture, PsnrKind, SsimKind, psnr_db_of, ssim};
 use m4_scene::Mask;

@@ -1,4 +1,4 @@
-//! How close an image is to the photograph: PSNR and SSIM, whole and inside a mask, in the flavours that papers report.
+//! Image metrics: PSNR and SSIM of a rendering against a photograph, whole and inside a mask, in the variants that papers report.
 //!
 //! ```text
 //! picture, photograph, mask --Metric--> a number;  many --ImageReport--> rows, means, the protocol's name

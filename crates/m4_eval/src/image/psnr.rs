@@ -1,4 +1,4 @@
-//! Peak signal-to-noise ratio, as the tables of papers have it.
+//! Peak signal-to-noise ratio, in the variants of published tables.
 
 use super::{ImageError, Picture, same_size};
 use m4_scene::Mask;

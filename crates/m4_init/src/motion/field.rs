@@ -1,4 +1,4 @@
-//! Motions between keyframes that can be asked for at any place.
+//! Motion fields between keyframes, which can be evaluated anywhere.
 
 use super::follow::Ways;
 use super::look::Look;

@@ -1,4 +1,4 @@
-//! A frame as the follower of patches sees it.
+//! The representation of a frame for patch tracking.
 
 use m4_scene::{Camera, CaptureFrame, DepthMap, Plane};
 

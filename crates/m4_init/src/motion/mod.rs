@@ -1,4 +1,4 @@
-//! First motions: how the moving points of a keyframe get to the next (section 2.6).
+//! Initial motion: moves the dynamic points of a keyframe to the next one (section 2.6).
 //!
 //! ```text
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)

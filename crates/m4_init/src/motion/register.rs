@@ -1,4 +1,4 @@
-//! Two keyframes' moving points brought together.
+//! Registers the dynamic points of two keyframes.
 
 use super::follow::Follow;
 use super::look::Look;

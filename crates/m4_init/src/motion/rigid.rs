@@ -1,4 +1,4 @@
-//! Rigid motions of clouds of points.
+//! Rigid motions of point clouds.
 
 use m4_math::nalgebra::{Matrix3, UnitQuaternion, Vector3};
 

@@ -1,4 +1,4 @@
-//! Decodes H.264 for `m4_io::video` in a process of its own: see `m4_io::video::set_decoder_program`.
+//! Decodes H.264 for `m4_io::video` in a separate process: see `m4_io::video::set_decoder_program`.
 #![forbid(unsafe_code)]
 
 use std::io::Write;

@@ -1,4 +1,4 @@
-//! Why a capture could not be read or written.
+//! Errors of reading and writing captures.
 
 use super::pose::PoseFault;
 use crate::ErrorKind;

@@ -1,4 +1,4 @@
-//! The keys of `transforms*.json`, as they are in the file.
+//! The keys of `transforms*.json`.
 
 use super::{Axes, ReadCaptureError};
 use m4_scene::Intrinsics;

@@ -1,4 +1,4 @@
-//! Folders of posed frames: `transforms_train.json` beside images, depth maps and masks.
+//! Captures as folders of posed frames: `transforms_train.json` with images, depth maps and masks.
 //!
 //! The layout is nerfstudio's with a few keys more:
 //!

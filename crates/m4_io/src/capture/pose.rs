@@ -1,4 +1,4 @@
-//! Is a 4x4 matrix from a file a rigid motion?
+//! Checks that a 4x4 matrix from a file is a rigid motion.
 
 use m4_math::{Se3, nalgebra::Matrix3, nalgebra::Vector3};
 

@@ -1,4 +1,4 @@
-//! A folder of posed frames to a [`Capture`].
+//! Reads a folder of posed frames as a [`Capture`].
 
 use super::json::{self, Frame, Lens, Transforms};
 use super::{CaptureOptions, Pose, ReadCaptureError, Split};

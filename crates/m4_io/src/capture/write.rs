@@ -1,4 +1,4 @@
-//! A [`Capture`] to a folder of posed frames.
+//! Writes a [`Capture`] as a folder of posed frames.
 
 use super::json::{Frame, Lens, Transforms};
 use super::{Axes, Split, WriteCaptureError};

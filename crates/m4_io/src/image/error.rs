@@ -1,4 +1,4 @@
-//! Why an image could not be read or written.
+//! Errors of reading and writing images.
 
 use crate::ErrorKind;
 use crate::shortened;

@@ -1,4 +1,4 @@
-//! The one thing that a camera's EXIF block tells the geometry: how long the lens is.
+//! The focal length in a camera's EXIF block, the only value that geometry uses.
 
 /// Diagonal of a frame of 35 mm film, millimetres: what "35 mm equivalent" focal lengths refer to (CIPA DCG-001).
 const FILM_DIAGONAL_MM: f64 = 43.266_615;

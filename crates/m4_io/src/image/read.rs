@@ -1,4 +1,4 @@
-//! PNG and JPEG files to planes.
+//! Reads PNG and JPEG files into planes.
 
 use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};

@@ -1,4 +1,4 @@
-//! Images of another size.
+//! Resizes images.
 
 use fast_image_resize::images::{TypedImage, TypedImageRef};
 use fast_image_resize::pixels::U8x3;

@@ -1,4 +1,4 @@
-//! Planes to PNG and JPEG files.
+//! Writes planes as PNG and JPEG files.
 
 use super::WriteImageError;
 use crate::atomic;

@@ -1,4 +1,4 @@
-//! Why files of MegaSaM could not be read.
+//! Errors of reading MegaSaM's files.
 
 use crate::ErrorKind;
 use crate::npy::ArrayFault;

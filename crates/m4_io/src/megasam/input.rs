@@ -1,4 +1,4 @@
-//! Arrays by name, out of an archive or a folder.
+//! Named arrays from an archive or a folder.
 
 use super::MegasamFault;
 use crate::npy::{Array, Npz, Number};

@@ -1,4 +1,4 @@
-//! Lenses: the principal point is measured from the image's corner (see [the module](super)).
+//! Intrinsics in MegaSaM's files: the principal point is measured from the image's corner (see [the module](super)).
 
 use super::MegasamFault;
 use m4_scene::Intrinsics;

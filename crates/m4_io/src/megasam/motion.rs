@@ -1,4 +1,4 @@
-//! `motion_prob` to masks.
+//! Converts `motion_prob` to masks.
 
 use super::{MegasamFault, MegasamOptions};
 use m4_scene::{CompactMask, Progress};

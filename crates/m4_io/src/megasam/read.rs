@@ -1,4 +1,4 @@
-//! A file or folder of MegaSaM to a [`Capture`].
+//! Reads a file or folder of MegaSaM as a [`Capture`].
 
 use super::depth::{self, Stored};
 use super::input::{self, Input};

@@ -1,4 +1,4 @@
-//! The numbers of an array, read from front to back.
+//! Reads the numbers of an array from front to back.
 
 use super::Header;
 use half::f16;

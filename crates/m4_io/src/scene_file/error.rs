@@ -1,4 +1,4 @@
-//! Why a scene file could not be read or written.
+//! Errors of reading and writing scene files.
 
 use crate::ErrorKind;
 use crate::shortened;

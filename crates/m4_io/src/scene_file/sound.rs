@@ -1,4 +1,4 @@
-//! Numbers that no scene holds.
+//! Checks that the numbers of a scene are valid.
 
 use m4_math::nalgebra::Matrix3;
 use m4_scene::{Scene, SourceFrame};

@@ -1,4 +1,4 @@
-//! Why tracks could not be read.
+//! Errors of reading tracks.
 
 use crate::ErrorKind;
 use crate::shortened;

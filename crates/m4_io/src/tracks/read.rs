@@ -1,4 +1,4 @@
-//! `tracks.npz` to [`Tracks`].
+//! Reads `tracks.npz` as [`Tracks`].
 
 use super::{ReadTracksError, TracksFault};
 use crate::npy::Header;

@@ -1,4 +1,4 @@
-//! Why a camera path could not be read.
+//! Errors of reading camera paths.
 
 use crate::ErrorKind;
 use crate::shortened;

@@ -1,4 +1,4 @@
-//! Files that list a camera an image: `transforms.json`, and `camera_path` of the nerfstudio viewer.
+//! Files that list one camera per image: `transforms.json`, and `camera_path` of the nerfstudio viewer.
 
 use super::Listed;
 use super::file::Fault;

@@ -1,4 +1,4 @@
-//! Camera paths to render along.
+//! Reads camera paths for rendering.
 //!
 //! Four layouts of JSON are read, distinguished by their keys. Two list a camera an image:
 //!

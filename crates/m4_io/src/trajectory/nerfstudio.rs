@@ -1,4 +1,4 @@
-//! What the viewer of nerfstudio writes: its `keyframes`, and what both its lists share.
+//! Files of the nerfstudio viewer: its `keyframes`, and the parts common to both of its lists.
 //!
 //! Layout: `nerfstudio/viewer/render_panel.py` (`_write_json`). `matrix` is row-major numbers with OpenGL
 //! axes; up to version 0.3 it was column-major text (`JSON.stringify` of a three.js matrix).

@@ -1,4 +1,4 @@
-//! Why a clip could not be read or written.
+//! Errors of reading and writing clips.
 
 use super::decoder::DecoderEnd;
 use crate::ErrorKind;

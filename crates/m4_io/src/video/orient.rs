@@ -1,4 +1,4 @@
-//! Images upright: the eight ways in which a display matrix can turn and mirror.
+//! Rotates images upright: the eight ways in which a display matrix can rotate and mirror.
 
 use m4_scene::{Plane, RgbImage};
 

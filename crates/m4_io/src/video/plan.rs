@@ -1,4 +1,4 @@
-//! Which frames are kept, at which size, and whether they fit.
+//! Chooses the frames to keep and their size, and checks that they fit into memory.
 
 use super::{ReadVideoError, VideoOptions};
 use m4_scene::{RgbImage, Video, VideoFrame};

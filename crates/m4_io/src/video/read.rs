@@ -1,4 +1,4 @@
-//! Which decoder reads a clip.
+//! Chooses the decoder of a clip.
 
 use super::decoder::{DecoderProgram, decoder_program};
 use super::mp4::{Movie, Mp4Error};

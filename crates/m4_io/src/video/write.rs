@@ -1,4 +1,4 @@
-//! Images to an MP4 file that plays everywhere.
+//! Writes images as an MP4 file that plays in common players.
 
 use super::colour::{Planes420, Range, YuvMatrix};
 use super::mp4::Movie;

@@ -1,4 +1,4 @@
-//! The SIMD twin of the optimiser step.
+//! The SIMD version of the optimiser step.
 
 use super::AdamParams;
 use crate::{

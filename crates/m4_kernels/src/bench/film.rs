@@ -1,4 +1,4 @@
-//! A filmed version of the synthetic room: frames with poses, depth and masks, as training reads them.
+//! A rendered sequence of the synthetic room: frames with poses, depth and masks, in the form that training reads.
 
 use super::scene::{FRAMES, camera, cast, colour, drift, is_ball};
 use m4_math::{Se3, nalgebra::Vector3};

@@ -1,4 +1,4 @@
-//! What the machine can do at most.
+//! Measures the limits of the machine.
 
 use crate::{
     SimdLevel,

@@ -1,5 +1,5 @@
-//! The synthetic scenes that kernels are timed on: a room with six balls, sampled through three nearby
-//! cameras, so that a third of the splats is partly hidden, as in a video.
+//! The synthetic benchmark scenes: a room with six balls, sampled through three nearby cameras, so that a third of the splats is partly
+//! occluded, as in a video.
 
 use crate::View;
 use m4_math::{

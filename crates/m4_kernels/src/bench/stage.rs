@@ -1,4 +1,4 @@
-//! Training steps on a synthetic scene, kernel by kernel on a clock.
+//! Times training steps on a synthetic scene, kernel by kernel.
 
 use super::{Counts, Kernel, SceneKind, scene, useful_evaluations};
 use crate::{

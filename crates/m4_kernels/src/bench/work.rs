@@ -1,4 +1,4 @@
-//! What a kernel has to do at least: bytes, operations, evaluations.
+//! The minimum work of a kernel: bytes, operations, evaluations.
 //!
 //! **Bytes** are compulsory traffic: every input of the kernel read once and every output written once,
 //! in the layout that they have (`f32` columns, 40 bytes a projected splat, a line of 64 bytes for its

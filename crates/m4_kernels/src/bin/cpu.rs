@@ -1,4 +1,4 @@
-//! The SIMD twin: bands of tile rows, each with lists of the splats that touch it.
+//! The SIMD version: bands of tile rows, each with lists of the splats that touch it.
 //!
 //! The image is cut into bands of [`BAND_TILES`] tile rows. The splats that reach a band have numbers in
 //! it, in the order of their rows in memory. So a band's blending works on some hundred kilobytes that stay

@@ -1,5 +1,5 @@
-//! What the projection hands to the bands: every splat once ([`Row`]), and for each band who reaches it and
-//! where.
+//! The data that the projection passes to the bands: every splat once ([`Row`]), and for each band the splats that reach it, and their
+//! tiles.
 
 use super::cpu::{BAND_TILES, BLOCK_COLUMNS};
 use crate::simd::{LANES, bits as bits_of, each, lanes as lanes_of};

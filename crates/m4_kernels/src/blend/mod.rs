@@ -1,4 +1,4 @@
-//! Splats to pixels, front to back, and back again (section 1.7 of the optimiser's specification).
+//! Alpha blending of splats, front to back, and its gradient (section 1.7 of the optimiser's specification).
 //!
 //! For each pixel, splats near to far, `d = centre - pixel`, transmittance `T` from 1:
 //!

@@ -1,4 +1,4 @@
-//! The part of an image that a band covers, and how tiles are cut from it.
+//! The part of an image that a band covers, and its division into tiles.
 
 use crate::bin::{
     TILE,

@@ -1,4 +1,4 @@
-//! The SIMD twin: each channel is cut into fixed segments of rows, which are tasks.
+//! The SIMD version: each channel is divided into fixed segments of rows, which are tasks.
 
 use super::segment::{self, Buffers, Segment};
 pub use super::target::{Target, TargetPlanes};

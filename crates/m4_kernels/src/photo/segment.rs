@@ -1,4 +1,4 @@
-//! Some rows of one channel, from images to loss and gradient in one sweep.
+//! Computes loss and gradient for some rows of one channel in one sweep.
 //!
 //! Sixteen rows at a time run through four stages, one block of sixteen columns after another: blur down
 //! the columns of `x`, `y`, `x^2 + y^2` and `x y`; blur along the rows, which gives the moments, then SSIM

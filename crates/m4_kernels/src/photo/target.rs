@@ -1,4 +1,4 @@
-//! An image to compare with, kept small.
+//! A target image, stored compactly.
 
 use crate::simd::{LANES, all, each};
 use fearless_simd::{Simd, f32x16, prelude::*};

@@ -1,4 +1,4 @@
-//! The SIMD twin: sixteen ellipses at a time.
+//! The SIMD version: sixteen ellipses at a time.
 
 use super::{LOW_PASS, NEAR_MIN, jacobian_limits};
 use crate::{

@@ -1,4 +1,4 @@
-//! The SIMD twin: sixteen splats at a time, straight from the columns.
+//! The SIMD version: sixteen splats at a time, straight from the columns.
 
 use super::MARGINAL_MIN;
 use crate::simd::{all, each, exp, load, store, touch};

@@ -1,4 +1,4 @@
-//! From the sums of the bands to gradients of the columns.
+//! Turns the sums of the bands into gradients of the columns.
 
 use super::{CameraSums, Chunk, ChunkGradient, Group, forward::sight};
 use crate::{

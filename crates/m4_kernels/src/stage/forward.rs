@@ -1,4 +1,4 @@
-//! From columns to the records of the bands.
+//! Turns columns into the records of the bands.
 
 use super::{Chunk, Group, Part};
 use crate::{

@@ -1,4 +1,4 @@
-//! Slice, project and shade in one pass over the columns, and the same way back.
+//! Slice, project and shade in one pass over the columns, forward and backward.
 //!
 //! Rows are cut into fixed chunks, static and dynamic rows apart; a chunk is a task. Forward, it hands
 //! every splat on once, as a [`Row`], and tells each band which of them reach it. Backward, it collects the moments of its splats

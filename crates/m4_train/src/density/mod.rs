@@ -1,5 +1,4 @@
-//! Loss-guided density control (paper section 3.3): where the image is wrong, add splats; splats
-//! that keep being wrong, remove.
+//! Loss-guided density control (paper section 3.3): adds splats where the image is wrong, and prunes splats that stay wrong.
 //!
 //! | file | what it does |
 //! |---|---|

@@ -1,4 +1,4 @@
-//! What clones and children look like.
+//! The parameters of clones and children.
 
 use super::{Origin, Plan};
 use crate::config::{DensityConfig, NewbornOpacity, SplitPlacement};

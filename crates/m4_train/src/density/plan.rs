@@ -1,4 +1,4 @@
-//! Rows of the next set of splats.
+//! The rows of the next set of splats.
 
 /// Where a row of the next set comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! What depth and poses say.
+//! Co-visibility from depth and poses.
 
 use crate::image::{ImageError, same_size};
 use m4_scene::{Camera, DepthMap, Mask, Plane};

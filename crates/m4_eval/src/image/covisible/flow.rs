@@ -1,4 +1,4 @@
-//! What flow there and back says.
+//! Co-visibility from forward-backward optical flow.
 
 use crate::image::{ImageError, same_size};
 use m4_scene::{Mask, Plane};

@@ -1,4 +1,4 @@
-//! Which pixels of a test image the training frames saw: scores elsewhere judge invention, not reconstruction.
+//! Co-visibility: the pixels of a test image that the training frames saw. Scores elsewhere would measure invention, not reconstruction.
 //!
 //! ```text
 //! test picture, each training frame --flow, or depth and poses--> which pixels it saw --CovisibleCounts--> mask

@@ -1,4 +1,4 @@
-//! Structural similarity (Wang et al. 2004, equation 13), in the flavours that papers report.
+//! Structural similarity (Wang et al. 2004, equation 13), in the variants that papers report.
 //!
 //! ```text
 //! two pictures --window--> means, variances, covariance around each pixel, a channel

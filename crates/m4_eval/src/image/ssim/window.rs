@@ -1,4 +1,4 @@
-//! The window over which means and variances are made.
+//! The window over which means and variances are computed.
 
 /// Side of the Gaussian window, pixels.
 pub const SSIM_WINDOW_PX: usize = 11;

@@ -1,4 +1,4 @@
-//! sRGB to the planes that an encoder wants.
+//! Converts sRGB to the planes of an encoder.
 
 use super::YuvMatrix;
 use m4_scene::RgbImage;

@@ -1,4 +1,4 @@
-//! Luma and chroma to red, green and blue.
+//! Converts luma and chroma to red, green and blue.
 
 use m4_scene::{Plane, RgbImage};
 use rayon::prelude::*;

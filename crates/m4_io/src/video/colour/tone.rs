@@ -1,4 +1,4 @@
-//! High dynamic range (BT.2100 PQ and HLG) to sRGB.
+//! Converts high dynamic range (BT.2100 PQ and HLG) to sRGB.
 
 use m4_scene::{Plane, RgbImage};
 

@@ -1,4 +1,4 @@
-//! How a decoder ended that did not finish.
+//! The ways in which a decoder can fail.
 
 use super::Allowed;
 use std::fmt;

@@ -1,4 +1,4 @@
-//! What a decoder may take.
+//! The resource limits of a decoder.
 
 use crate::video::ReadVideoError;
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! Decoders as child processes: what they may take, how they are watched, and how they end.
+//! Decoders as child processes: their limits, their supervision, and their end.
 //!
 //! Decoders are large programs in C that are given bytes of strangers. They run in processes of their
 //! own, so that a crash, an endless loop or a claim of all memory is an error of the clip.

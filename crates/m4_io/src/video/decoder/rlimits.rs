@@ -1,4 +1,4 @@
-//! Limits that the operating system keeps (`setrlimit`, `prctl`), on Linux; elsewhere there are none.
+//! Limits of the operating system (`setrlimit`, `prctl`), on Linux only.
 
 use super::Allowed;
 use std::io;

@@ -1,4 +1,4 @@
-//! Commands for ffmpeg and ffprobe.
+//! The command lines of ffmpeg and ffprobe.
 
 use crate::video::decoder::{self, Allowed, DecoderProgram, Start};
 use std::io;

@@ -1,4 +1,4 @@
-//! What `ffprobe` says about a clip: codec, colours, and when each frame is shown.
+//! Parses the output of `ffprobe`: codec, colours, and the time of each frame.
 
 use super::child::{command, probe_beside, start};
 use crate::video::colour::Hdr;

@@ -1,4 +1,4 @@
-//! One coded frame in, one image out: OpenH264.
+//! Decodes one coded frame into one image with OpenH264.
 
 use super::wire::Setup;
 use openh264::OpenH264API;

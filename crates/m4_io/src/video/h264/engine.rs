@@ -1,4 +1,4 @@
-//! Coded frames in, images out, decoded in this process or in another: the same images, bit by bit.
+//! Decodes frames in this process or in another, with the same result bit by bit.
 
 use super::decode::{Frame, H264};
 use super::wire::{self, Setup, plane_bytes};

@@ -1,4 +1,4 @@
-//! A track of H.264 to a clip.
+//! Reads an H.264 track as a clip.
 
 use super::Unsupported;
 use super::config::Config;

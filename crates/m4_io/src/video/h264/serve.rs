@@ -1,4 +1,4 @@
-//! The other end of the pipes: the process that decodes.
+//! The decoder process at the other end of the pipes.
 
 use super::decode::{Frame, H264, rows};
 use super::wire::{self, Setup};

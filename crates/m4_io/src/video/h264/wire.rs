@@ -1,4 +1,4 @@
-//! What the program and its decoder say to each other through two pipes. Numbers are little-endian.
+//! The protocol between the program and its decoder over two pipes. Numbers are little-endian.
 //!
 //! ```text
 //! to the decoder:    MAGIC  width u32  height u32  headers (u32, bytes)

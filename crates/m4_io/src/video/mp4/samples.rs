@@ -1,4 +1,4 @@
-//! The sample tables: where the bytes of each frame are, and its time.
+//! The sample tables: the position of each frame's bytes, and its time.
 
 use super::Mp4Error;
 use super::boxes::{Body, child, required};

@@ -1,4 +1,4 @@
-//! Splats to pixels.
+//! The forward pass, from splats to pixels.
 
 use super::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step};
 use crate::{

@@ -1,4 +1,4 @@
-//! How much of a map of weights each splat is blended on.
+//! Sums a map of weights over the pixels that each splat is blended on.
 
 use super::{CHUNK, Pixels, T_FLOOR, Used, alpha, copy, step};
 use crate::{
