@@ -1,4 +1,4 @@
-//! The run of one clip, as a child that ends when its parent does.
+//! Runs one clip in a child process that ends with its parent.
 //!
 //! The parent holds the other end of the child's standard input. The child saves and stops when that ends, whether the parent let
 //! go of it or died: a killed process leaves no child behind that keeps writing.

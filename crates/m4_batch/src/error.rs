@@ -1,4 +1,4 @@
-//! Why planning, submitting or running a job may fail.
+//! Errors of planning, submitting and running jobs.
 
 use m4_io::ErrorKind;
 use std::io;

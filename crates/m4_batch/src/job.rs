@@ -1,4 +1,4 @@
-//! One job: run, and published or recorded.
+//! Runs one job, and publishes or records its result.
 //!
 //! A machine's fault is never charged to the clip. Only one end of a run is a permanent failure: its exit code says that the
 //! input is bad, nothing of an earlier attempt was used, and the input still has the bytes that were planned. Everything else

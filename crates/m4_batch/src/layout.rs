@@ -1,4 +1,4 @@
-//! Where things are in the folder of results.
+//! The layout of the folder of results.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! The manifest: one JSON object per line, the first about all jobs, each other one about one of them.
+//! The manifest: one JSON object per line, the first for all jobs, each other one for one job.
 
 use crate::error::BatchError;
 use crate::names;

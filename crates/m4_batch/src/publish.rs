@@ -1,4 +1,4 @@
-//! From a working folder to a published result: checked, whole, by one rename.
+//! Publishes the result of a working folder: checked, complete, by one rename.
 //!
 //! The finished run is brought under a name of its own (`.incoming/ID/NONCE`) before it is checked, so that no process that still writes into
 //! the working folder can change what was checked. It appears under its final name by one rename. Of two processes that

@@ -1,4 +1,4 @@
-//! What came of a job: `.state/ID.json`.
+//! The outcome of a job: `.state/ID.json`.
 
 use crate::error::BatchError;
 use crate::manifest::VERSION;

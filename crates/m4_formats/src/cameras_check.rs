@@ -1,4 +1,4 @@
-//! Cameras of files: whether an image can be made with them.
+//! Checks that cameras of files can produce an image.
 
 use m4_scene::SourceFrame;
 

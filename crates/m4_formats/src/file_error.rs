@@ -1,4 +1,4 @@
-//! Why a file did not get to the disk as it was made: the same for every format.
+//! Errors of writing a file, common to all formats.
 
 use m4_io::ErrorKind;
 use std::io;

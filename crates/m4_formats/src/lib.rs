@@ -1,4 +1,4 @@
-//! Splat and camera files that other tools play, and captures that they rebuild: one folder per format.
+//! Splat and camera files for other viewers, and captures for other trainers: one folder per format.
 //!
 //! A writer takes a [`m4_scene::Scene`], writes the file whole or not at all, and returns what it
 //! wrote and what the format could not hold ([`Written`]). A format with one instant, or one per frame,

@@ -1,4 +1,4 @@
-//! One splat at a time.
+//! Reads splats one at a time.
 
 use m4_scene::{Column, SplatLayout, Splats};
 

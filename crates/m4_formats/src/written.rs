@@ -1,4 +1,4 @@
-//! What a writer says of its file, and a reader of the scene it found.
+//! The reports of writers and readers.
 
 use m4_scene::Scene;
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! Files made to do harm: extreme numbers in each field of the head, cuts at many lengths, nothing at all.
+//! Malformed files: extreme numbers in each field of the header, truncation at many lengths, empty files.
 
 use std::ops::Range;
 

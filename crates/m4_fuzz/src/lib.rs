@@ -1,4 +1,4 @@
-//! Every reader of files, as the fuzzer and the replay of its findings call it.
+//! All readers of files, as called by the fuzzer and by the replay of its findings.
 //!
 //! ```text
 //! table     all readers of m4_io, m4_formats, m4_import and of the program itself: a name, a file among others, sound contents, the call

@@ -1,4 +1,4 @@
-//! One reader, the folder that it reads in, and what came of it.
+//! One reader, its folder, and the outcome of a read.
 
 use crate::dress::Dress;
 use crate::fixture;

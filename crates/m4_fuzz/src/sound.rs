@@ -1,4 +1,4 @@
-//! What is wrong with what was read, if something is.
+//! Checks that the data returned by a reader are valid.
 
 use m4_io::trajectory::{KeyPose, Trajectory};
 use m4_scene::{Camera, Capture, CaptureFrame, CompactDepth, DepthMap, Scene, Splats, Tracks, Video};

@@ -1,4 +1,4 @@
-//! Watches processes that read: they may panic, be aborted or not come back.
+//! Supervises reader processes, which may panic, abort or hang.
 
 use crate::worker::{MAX_TIME, current, saved};
 use std::io::{self, BufRead as _, BufReader};

@@ -1,4 +1,4 @@
-//! The process that reads: a limit of memory, one input after another, and a line for each on standard output.
+//! The reader process: a memory limit, one input after another, and a line for each on standard output.
 //!
 //! ```text
 //! at I NAME                input I is read; its bytes lie in FOLDER/READER-current, should the process not come back

@@ -1,4 +1,4 @@
-//! Training steps on a synthetic scene, timed: the twin of [`m4_kernels::bench::Bench`].
+//! Times training steps on a synthetic scene: the GPU version of [`m4_kernels::bench::Bench`].
 
 use crate::splats::DeviceSplats;
 use crate::stopwatch::Laps;

@@ -1,4 +1,4 @@
-//! Sums for the least-squares fit of colours: what is missing in a splat's pixels, and how much of them it is.
+//! Sums for the least-squares fit of colours: the residual of a splat's pixels, and the weight of the splat in them.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::frames::DeviceFrame;

@@ -1,4 +1,4 @@
-//! Which GPUs there are, and one of them ready for work.
+//! Lists GPUs and opens one.
 
 use crate::GpuError;
 use cubecl::{

@@ -1,4 +1,4 @@
-//! What can go wrong on a GPU.
+//! Errors of the GPU backend.
 
 use thiserror::Error;
 

@@ -1,4 +1,4 @@
-//! Which pixels of a frame are wrong enough to count (paper equations 6 to 8).
+//! The pixels of a frame whose error is large enough to count (paper equations 6 to 8).
 
 use crate::Gpu;
 use crate::buffer::{Buffer, cubes, units};

@@ -1,4 +1,4 @@
-//! Colour corrections of frames: applied to what is drawn before it is compared, and their gradient.
+//! Colour corrections of frames: applied to the rendering before the comparison, and their gradient.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::log::write_parts;

@@ -1,4 +1,4 @@
-//! A camera at an instant, as the kernels read it.
+//! A camera at an instant, in the form that the kernels read.
 
 use m4_kernels::{
     View,

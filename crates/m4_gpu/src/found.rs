@@ -1,4 +1,4 @@
-//! What steps found, added up on the device and read at once.
+//! Statistics of steps, accumulated on the device and read at once.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::photo::cube_sum;

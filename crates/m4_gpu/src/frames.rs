@@ -1,4 +1,4 @@
-//! The frames of a video, on the device as far as they may be.
+//! The frames of a video, kept on the device as far as memory allows.
 
 use crate::buffer::Buffer;
 use crate::{Gpu, GpuError};

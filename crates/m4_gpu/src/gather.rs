@@ -1,4 +1,4 @@
-//! Splats that become others, without those that stay leaving the device.
+//! Gathers rows of splats into a new order on the device.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::splats::{DeviceSplats, parts};

@@ -1,5 +1,5 @@
-//! The kernels of a training step on a GPU: twins of those in [`m4_kernels`], written in CubeCL, one source for
-//! Vulkan, Metal, DX12 and CUDA.
+//! The kernels of a training step on a GPU: GPU versions of those in [`m4_kernels`], written in CubeCL, one source for Vulkan, Metal, DX12
+//! and CUDA.
 //!
 //! ```text
 //! project -> sort by depth -> bin -> sort by tile -> blend -> photo

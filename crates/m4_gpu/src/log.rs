@@ -1,5 +1,4 @@
-//! Gradients of what belongs to a frame (its camera, its exposure): a row of numbers a look, kept on the device until
-//! the host asks for them.
+//! Gradients of a frame's camera and exposure: one row of numbers per view, kept on the device until the host reads them.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::photo::cube_sum;

@@ -1,4 +1,4 @@
-//! An image against a frame: sums for what is reported, and the gradient.
+//! Compares an image with a frame: sums for statistics, and the gradient.
 
 use crate::Gpu;
 use crate::buffer::{Buffer, units};

@@ -1,4 +1,4 @@
-//! The order in which splats lie in memory, made on the device: the twin of [`m4_kernels::morton_order`].
+//! The memory order of splats, computed on the device: the GPU version of [`m4_kernels::morton_order`].
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::gather::gather_state;

@@ -1,4 +1,4 @@
-//! L1 + SSIM and its gradient: a cube a tile of 16x16 pixels and channel.
+//! L1 + SSIM and its gradient: one cube per tile of 16x16 pixels and channel.
 use cubecl::prelude::*;
 
 /// Tap `k` of the window (11 taps, 1.5 pixels).

@@ -1,4 +1,4 @@
-//! What a training or a drawing takes on the device, said before it starts.
+//! Plans the device memory of training or rendering before it starts.
 
 use crate::project::RECORD;
 use crate::reach::{REACH, TILE};

@@ -1,4 +1,4 @@
-//! One view at a time, read back: images, and what the tests compare with the CPU.
+//! Renders one view and reads it back: for images, and for tests that compare with the CPU.
 
 use crate::buffer::Buffer;
 use crate::splats::{DeviceSplats, parts};

@@ -1,4 +1,4 @@
-//! Which splats are where the image is wrong: the scores of density control (paper equations 6 to 10).
+//! The scores of density control: splats in regions where the image is wrong (paper equations 6 to 10).
 //!
 //! For each look: errors of the pixels, those above a threshold of the frame's own range, sums of them over the pixels
 //! that each splat is blended on (a slot per tile and splat, as in the backward pass), times how much of the splat is there

@@ -1,4 +1,4 @@
-//! How long the kernels of a step take, one by one.
+//! Times the kernels of a step, one by one.
 
 use crate::{Gpu, GpuError, device::failed};
 use cubecl::client::ProfileWindow;

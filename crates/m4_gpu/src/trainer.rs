@@ -1,4 +1,4 @@
-//! A training run on the device: what it holds, how it comes there and back.
+//! A training run on the device: its state, upload and download.
 
 use crate::batch::Batch;
 use crate::buffer::Buffer;

@@ -1,4 +1,4 @@
-//! Memory of one frame on its way through the kernels, and the launches.
+//! The memory and the kernel launches of one frame.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::eye::eye;

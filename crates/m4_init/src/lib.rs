@@ -9,7 +9,7 @@
 //! cloud (depth -> points) -> free_space (what other frames see through goes) -> voxel (points -> centroids) -> spacing (neighbours -> discs) -> assemble
 //!                                                        -> motion (keyframe to keyframe)
 //! carry (what a keyframe cannot see, from those that can)    tracked (what tracks know of it)
-//! change (moving shadows on what stands still)    shell (something behind everything)
+//! change (moving shadows on static parts)    shell (something behind everything)
 //! ```
 //!
 //! The result depends on the capture and the settings alone: points are merged by sorting 64-bit

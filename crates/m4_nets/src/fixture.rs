@@ -1,4 +1,4 @@
-//! What the tests of networks share: the golden fixtures, and checkpoints by the formula.
+//! Shared test code of the networks: the golden fixtures, and checkpoints with synthetic weights.
 
 use crate::load::{self, Shapes};
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tensor};

@@ -1,4 +1,4 @@
-//! Optical flow, whichever network found it.
+//! Optical flow of any network.
 
 /// Where each pixel of one image is in another.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,4 +1,4 @@
-//! Checkpoints, read strictly.
+//! Loads checkpoints, strictly.
 
 use burn_store::{
     ApplyResult, KeyRemapper, ModuleSnapshot, ModuleStore, PyTorchToBurnAdapter, PytorchStore, SafetensorsStore,

@@ -1,4 +1,4 @@
-//! Boxes that turn and travel behind a pillar and out of the image, with the truth about every point of them.
+//! A synthetic scene with ground truth: boxes that rotate and move behind a pillar and out of the image.
 
 use m4_math::{
     Se3,

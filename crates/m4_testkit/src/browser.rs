@@ -1,4 +1,4 @@
-//! A headless Chromium that draws WebGL2 in software, spoken to by its DevTools protocol.
+//! Controls a headless Chromium with software WebGL2 through the DevTools protocol.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 

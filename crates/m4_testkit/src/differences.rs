@@ -1,4 +1,4 @@
-//! Central differences that know about steps.
+//! Central differences of functions with discontinuities.
 
 /// What one evaluation gives.
 #[derive(Debug, Clone, Copy, PartialEq)]

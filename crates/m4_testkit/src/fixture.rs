@@ -1,4 +1,4 @@
-//! `fixtures/`: numbers made by the programs in `oracles/`, never by us.
+//! Loads `fixtures/`: numbers computed by the programs in `oracles/`, never by this program.
 
 use serde::Deserialize;
 use std::{fs, path::PathBuf};

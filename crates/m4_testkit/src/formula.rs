@@ -1,4 +1,4 @@
-//! Weights and inputs that a formula gives, so that a fixture holds outputs alone.
+//! Synthetic weights and inputs from a formula, so that a fixture stores only outputs.
 //!
 //! The rule is section 1 of the README of the golden fixtures: FNV-1a of the tensor's name, SplitMix64 of key and index, and a
 //! scale that follows from the name's last part and the shape.

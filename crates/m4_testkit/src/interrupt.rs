@@ -1,4 +1,4 @@
-//! Work that is interrupted and goes on.
+//! Interrupts and resumes work.
 
 use m4_scene::{Progress, Shelf};
 use std::collections::HashMap;

@@ -1,4 +1,4 @@
-//! Tests that cannot run on this machine: they say so where a person sees it.
+//! Reports tests that cannot run on this machine, in a list that is visible to the user.
 
 use std::fmt;
 use std::fs::OpenOptions;

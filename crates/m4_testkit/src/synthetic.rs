@@ -1,4 +1,4 @@
-//! Small scenes with known answers.
+//! Small synthetic scenes with known results.
 
 use m4_math::{
     CounterRng, Se3,

@@ -1,4 +1,4 @@
-//! The frames of the source beside the re-render: small JPEGs, one after the other.
+//! The source frames shown next to the re-render: small JPEGs, one after the other.
 
 use crate::manifest::FrameIndex;
 use image::codecs::jpeg::JpegEncoder;

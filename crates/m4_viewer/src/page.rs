@@ -1,4 +1,4 @@
-//! The page with a scene in it, and what is in such a page.
+//! Writes and reads a page with a scene in it.
 //!
 //! The page as it is built ([`TEMPLATE`]) has one marker. In its place go
 //!

@@ -1,4 +1,4 @@
-//! Clips by files, folders and lists.
+//! Finds clips from files, folders and lists.
 
 use crate::error::BatchError;
 use std::collections::BTreeSet;

@@ -1,4 +1,4 @@
-//! From what a user names to a manifest.
+//! Plans a manifest from the files that a user names.
 
 mod find;
 

@@ -1,4 +1,4 @@
-//! What came of a batch, read from the results alone.
+//! The report of a batch, read from the results alone.
 
 mod page;
 

@@ -1,4 +1,4 @@
-//! One page of images: the template `page.html` with everything in it.
+//! The HTML report: the template `page.html` with images and metrics.
 
 use super::{ClipReport, ClipState, Report};
 use crate::layout::POSTER_FILE;

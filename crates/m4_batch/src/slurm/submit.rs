@@ -1,4 +1,4 @@
-//! Handing the script to Slurm.
+//! Submits the script to Slurm.
 
 use crate::error::BatchError;
 use std::ffi::OsStr;

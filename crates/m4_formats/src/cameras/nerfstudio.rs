@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! fl_x fl_y cx cy w h      pixels; of all frames, or inside each frame where they differ
-//! frames[].file_path        name of the picture, relative to the file
+//! frames[].file_path        name of the image, relative to the file
 //!         .transform_matrix 4 x 4, camera to world, OpenGL axes (right, up, back)
 //!         .time             0..1, first to last frame
 //! ```

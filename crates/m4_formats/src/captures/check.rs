@@ -1,4 +1,4 @@
-//! Whether a capture can be written at all.
+//! Checks whether a capture can be written.
 
 use super::WriteCaptureAsError;
 use crate::cameras_check::usable;

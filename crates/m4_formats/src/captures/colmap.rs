@@ -1,9 +1,9 @@
-//! A capture as COLMAP's folders, for COLMAP and all that trains on its models.
+//! Writes a capture as COLMAP's folders, for COLMAP and tools that train on its models.
 //!
 //! ```text
 //! images/00000.png       the training frames
-//! masks/00000.png.png    0 where something moves, as COLMAP names and reads masks
-//! sparse/0/*.bin         PINHOLE cameras, poses (world to camera, OpenCV axes), points of what rests
+//! masks/00000.png.png    0 in dynamic regions, as COLMAP names and reads masks
+//! sparse/0/*.bin         PINHOLE cameras, poses (world to camera, OpenCV axes), points of static regions
 //! ```
 
 use super::WriteCaptureAsError;

@@ -1,4 +1,4 @@
-//! Why a capture could not be written for another tool.
+//! Errors of writing a capture for another tool.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;

@@ -1,7 +1,7 @@
-//! Captures for other tools: images, masks, depth and points beside the cameras that [`crate::cameras`] writes.
+//! Captures for other tools: images, masks, depth and points, in addition to the cameras that [`crate::cameras`] writes.
 //!
 //! ```text
-//! capture  ->  points of what rests, pictures, masks, depth  ->  a folder beside its place  ->  read back  ->  its name
+//! capture  ->  points of static regions, images, masks, depth  ->  a folder beside its place  ->  read back  ->  its name
 //! ```
 //!
 //! * [`colmap`]: `images/`, `masks/`, `sparse/0/`.

@@ -1,4 +1,4 @@
-//! Images, masks and depth of frames as PNG, read back.
+//! Writes images, masks and depth of frames as PNG, and reads them back.
 
 use super::WriteCaptureAsError;
 use crate::WriteFileError;

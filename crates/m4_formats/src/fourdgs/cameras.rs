@@ -1,4 +1,4 @@
-//! The cameras of the video as a sensor on a rig, and a first view for players.
+//! The cameras of the video as a sensor on a rig, and an initial view for viewers.
 
 use super::convert::Clip;
 use crate::Loss;

@@ -1,4 +1,4 @@
-//! Why a `.4dgs` file could not be read or written.
+//! Errors of reading and writing `.4dgs` files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;

@@ -1,4 +1,4 @@
-//! Whether a file decodes to what was put in, within the bounds that it declares.
+//! Verifies that a file decodes to its input, within the bounds that it declares.
 //!
 //! The encoder's own check allows 1e-9 beside each bound, and the decoder rounds to f32, so it refuses
 //! ordinary scenes. This one allows a unit in the last place. Chunks and the Morton order inside them

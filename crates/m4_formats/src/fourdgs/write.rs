@@ -1,4 +1,4 @@
-//! A scene to a `.4dgs` file.
+//! Writes a scene as a `.4dgs` file.
 
 use super::convert::{Clip, to_set};
 use super::{WriteFourdgsError, cameras, notes, verify};

@@ -1,4 +1,4 @@
-//! Why a glTF file could not be written.
+//! Errors of writing glTF files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;

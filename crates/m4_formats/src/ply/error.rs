@@ -1,4 +1,4 @@
-//! Why a PLY file could not be read or written.
+//! Errors of reading and writing PLY files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;

@@ -1,4 +1,4 @@
-//! The text at the start of a PLY file.
+//! The text header of a PLY file.
 
 /// Longest header that is read, bytes.
 const MAX_HEADER: usize = 64 << 10;

@@ -1,4 +1,4 @@
-//! PLY files in the layout of 3DGS: one instant, or a folder with one file a frame.
+//! PLY files in the layout of 3DGS: one instant, or a folder with one file per frame.
 //!
 //! A file is a header of text and a table of 32-bit numbers, little-endian, a row per splat:
 //!

@@ -1,4 +1,4 @@
-//! A PLY file of splats to a scene.
+//! Reads a PLY file of splats as a scene.
 
 use super::ReadPlyError;
 use super::header::{BadHeader, Kind, parse as parse_header};

@@ -1,4 +1,4 @@
-//! A folder with one PLY file a frame.
+//! Writes a folder with one PLY file per frame.
 
 use super::WritePlyError;
 use super::write::{check, encode, seen, unheld};

@@ -1,4 +1,4 @@
-//! One instant of a scene to a PLY file.
+//! Writes one instant of a scene as a PLY file.
 
 use super::WritePlyError;
 use crate::row::Row;

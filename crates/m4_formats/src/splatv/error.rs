@@ -1,4 +1,4 @@
-//! Why a `.splatv` file could not be written.
+//! Errors of writing `.splatv` files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;

@@ -1,4 +1,4 @@
-//! `.splatv`: the file of the splaTV player, 64 bytes per splat.
+//! `.splatv`: the file of the splaTV viewer, 64 bytes per splat.
 //!
 //! There is no specification; this is what the players `splaTV` and `gsplat.js` read. Numbers are
 //! little-endian. The file is `0x674b` and the length of the JSON as `u32`, the JSON, and one texture

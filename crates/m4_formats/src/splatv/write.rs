@@ -1,4 +1,4 @@
-//! A scene to a `.splatv` file.
+//! Writes a scene as a `.splatv` file.
 
 use super::header::{Facts, Part, views};
 use super::{MAGIC, SPLAT_BYTES, TEX_WIDTH, TEXEL_BYTES, WriteSplatvError};

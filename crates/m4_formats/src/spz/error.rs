@@ -1,4 +1,4 @@
-//! Why an SPZ file could not be written.
+//! Errors of writing SPZ files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;

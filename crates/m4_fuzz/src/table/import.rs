@@ -1,4 +1,4 @@
-//! Readers of `m4_import`: one row for each file that a format parses, in a clip that is sound but for it.
+//! Readers of `m4_import`: one row for each file that a format parses, in an otherwise valid clip.
 
 use super::{among, within};
 use crate::dress::Dress;

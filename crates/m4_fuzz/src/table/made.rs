@@ -1,4 +1,4 @@
-//! Sound files of our own writers.
+//! Valid files written by our own writers.
 
 use m4_io::capture::{self, Split};
 use m4_math::Se3;

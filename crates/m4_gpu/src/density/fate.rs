@@ -1,4 +1,4 @@
-//! What becomes of each splat: the rows that it leaves and bears, and how many there are of each.
+//! The outcome of density control for each splat: the rows that it keeps and adds, and their totals.
 
 use super::{DensityRound, Grown, PruneRule, SplitSize};
 use crate::GpuError;

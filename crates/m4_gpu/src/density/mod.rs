@@ -1,5 +1,4 @@
-//! A round of density control that never leaves the device: scores, who is cloned, split and pruned, and what becomes of
-//! them.
+//! A round of density control on the device: scores, the choice of splats to clone, split and prune, and the new rows.
 //!
 //! | file | what it does |
 //! |---|---|

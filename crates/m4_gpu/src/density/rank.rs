@@ -1,4 +1,4 @@
-//! Scores in order: the best that may grow, and the range that prune scores are measured in.
+//! Ranks scores: the best that may be densified, and the range in which prune scores are measured.
 
 use super::{GrowRule, PruneRule};
 use crate::bin;

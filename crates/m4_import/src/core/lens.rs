@@ -1,4 +1,4 @@
-//! Lenses with distortion.
+//! Camera models with distortion.
 
 use super::SourceFault;
 use m4_scene::Intrinsics;

@@ -1,4 +1,4 @@
-//! What a format lists before anything large is read.
+//! The listing of a source: what a format knows before anything large is read.
 
 use super::{Lens, SourceFault};
 use m4_math::Se3;

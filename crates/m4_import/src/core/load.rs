@@ -1,4 +1,4 @@
-//! A [`Listing`] to a capture: everything decoded, in parallel, within a limit of memory.
+//! Loads a [`Listing`] as a capture: everything decoded, in parallel, within a memory limit.
 
 use super::undistort::Undistort;
 use super::{ImportOptions, Imported, ListedFrame, Listing, ReadSourceError, SourceFault};

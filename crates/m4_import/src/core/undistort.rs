@@ -1,4 +1,4 @@
-//! Distortion out of images, depth maps and masks.
+//! Removes lens distortion from images, depth maps and masks.
 
 use super::{Distortion, Lens};
 use m4_scene::{Intrinsics, Plane, RgbImage};

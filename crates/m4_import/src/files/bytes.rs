@@ -1,4 +1,4 @@
-//! Whole files.
+//! Reads whole files.
 
 use crate::core::{ReadSourceError, SourceFault};
 use std::fs::File;

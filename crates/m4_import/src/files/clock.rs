@@ -1,4 +1,4 @@
-//! When frames were taken.
+//! The times of frames.
 
 use crate::core::{ImportOptions, SourceFault};
 use m4_scene::Progress;

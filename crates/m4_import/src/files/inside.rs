@@ -1,4 +1,4 @@
-//! Files that a source may have read: those in its folder, and in those that the options name.
+//! Checks that a source reads only files in its folder, and in those that the options name.
 
 use crate::core::{ImportOptions, ReadSourceError, SourceFault};
 use m4_io::reach::Bounds;

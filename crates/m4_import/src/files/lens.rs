@@ -1,4 +1,4 @@
-//! Pinholes of numbers, and whether they fit images of a size.
+//! Parses pinhole intrinsics, and checks that they fit the image size.
 
 use crate::core::SourceFault;
 use m4_scene::Intrinsics;

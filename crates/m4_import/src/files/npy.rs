@@ -1,4 +1,4 @@
-//! Arrays in `.npy` files, and archives of them.
+//! Reads arrays in `.npy` files, and archives of them.
 
 use crate::core::SourceFault;
 use m4_io::npy::{Array, ArrayFault, Npz, Number};

@@ -1,4 +1,4 @@
-//! Files within a zip archive or a folder that one was unpacked to.
+//! Reads files within a zip archive, or in the folder that it was unpacked to.
 
 use super::Inside;
 use crate::core::SourceFault;

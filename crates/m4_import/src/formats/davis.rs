@@ -1,8 +1,8 @@
-//! DAVIS: clips without poses, whose things were outlined by hand.
+//! DAVIS: clips without poses, with manually annotated objects.
 //!
 //! ```text
 //! JPEGImages/480p/NAME/00000.jpg      the video, 24 frames per second
-//! Annotations/480p/NAME/00000.png     a palette picture: the number of the thing that each pixel shows, 0 for none
+//! Annotations/480p/NAME/00000.png     a palette image: the number of the thing that each pixel shows, 0 for none
 //! ```
 //!
 //! A [`Listing`](crate::Listing) is of posed frames, which these are not: [`read_clip`] gives what the estimation of geometry starts

@@ -1,8 +1,8 @@
-//! One file or folder per format, and which one a path is of.
+//! One file or folder per format, and the detection of formats.
 //!
 //! ```text
 //! data sets          dycheck, nvidia; davis, which has no poses and is read by itself
-//! telephones         record3d
+//! phones         record3d
 //! reconstructions    colmap, nerfstudio, vipe, megasam
 //!
 //! path -> detect -> the format's list -> Listing -> side::attach -> core::load -> Imported

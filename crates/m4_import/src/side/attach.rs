@@ -1,4 +1,4 @@
-//! Side files to the frames of any listing.
+//! Attaches side files (depth, masks, tracks) to the frames of any listing.
 
 use super::{depth, mask, tracks};
 use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};

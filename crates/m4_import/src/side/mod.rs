@@ -1,4 +1,4 @@
-//! Files of depth, masks and tracks: those of formats, and those that another tool made for a clip of any format.
+//! Files of depth, masks and tracks: those of formats, and those from another tool for a clip of any format.
 //!
 //! ```text
 //! options.depth, masks, tracks -> attach -> the frames of a listing

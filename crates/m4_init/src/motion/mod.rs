@@ -3,7 +3,7 @@
 //! ```text
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)
 //! follow (what tracks of the capture say, where there are any)
-//! look (their pictures -> where patches went)
+//! look (their images -> where patches went)
 //! bodies (what hangs together moves together, seen or not)
 //! ```
 

@@ -6,7 +6,7 @@
 //! reconstructions/NAME/  images.npy u8 [n][3][h][w] BGR    disps.npy [n][h][w]    poses.npy [n][7]    intrinsics.npy [n][4]
 //!                        motion_prob.npy [n][h/8][w/8]
 //!
-//! read:   file or folder -> shapes compared -> lenses, poses -> pictures, depth, masks -> Capture
+//! read:   file or folder -> shapes compared -> lenses, poses -> images, depth, masks -> Capture
 //! ```
 //!
 //! Source: section 1.9 of the specification of the front end, and the scripts of MegaSaM (Li et al. 2025; Apache-2.0)

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! transforms.json   frames[].transform_matrix, fl_x .. h, time (nerfstudio; as in crate::capture,
-//!                   without pictures)
+//!                   without images)
 //! camera_path.json  camera_path[].camera_to_world (16 numbers, row-major), fov (vertical, degrees),
 //!                   render_time; render_width, render_height, fps, camera_type; OpenGL axes
 //! ```

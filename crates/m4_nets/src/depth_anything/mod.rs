@@ -5,8 +5,8 @@
 //! - Upstream: LiheYoung/Depth-Anything, Apache-2.0, weights too.
 //!
 //! ```text
-//! picture --bicubic, sides <= 768--> DINOv2 --last four blocks--> 4 maps of patches
-//! maps --DPT: 4 levels, fused from coarse to fine--> disparity of the patches' pixels --bilinear--> disparity of the picture
+//! image --bicubic, sides <= 768--> DINOv2 --last four blocks--> 4 maps of patches
+//! maps --DPT: 4 levels, fused from coarse to fine--> disparity of the patches' pixels --bilinear--> disparity of the image
 //! ```
 //!
 //! The result is inverse depth up to an unknown factor and offset: larger is nearer, 0 is the furthest that the network

@@ -1,4 +1,4 @@
-//! What can go wrong.
+//! Errors of the tracking network.
 
 use std::error::Error;
 

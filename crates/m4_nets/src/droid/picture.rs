@@ -1,4 +1,4 @@
-//! Images as the encoders take them.
+//! Prepares images for the encoders.
 
 use super::DroidError;
 use crate::ops::tensor;

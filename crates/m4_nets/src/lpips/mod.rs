@@ -5,9 +5,9 @@
 //!   entries `lpips-alex` and `lpips-vgg` of `minute4d weights list`.
 //!
 //! ```text
-//! two pictures --scaling--> AlexNet or VGG-16 --> features of 5 layers, each place's divided by their length
+//! two images --scaling--> AlexNet or VGG-16 --> features of 5 layers, each place's divided by their length
 //!   --> squared differences, weighted by channel and summed --> 5 small maps
-//!   maps --mean of each, sum--> distance;  maps --bilinear to the picture's size, sum--> map
+//!   maps --mean of each, sum--> distance;  maps --bilinear to the image's size, sum--> map
 //! ```
 //!
 //! Colours are sRGB values in `[0, 1]` and go through the network as `2 x - 1` less the shift of upstream's scaling layer, over

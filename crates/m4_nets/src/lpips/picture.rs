@@ -1,4 +1,4 @@
-//! Images as the networks take them.
+//! Prepares images for the networks.
 
 use super::LpipsError;
 use crate::ops::{planes, tensor};

@@ -1,4 +1,4 @@
-//! What a comparison gives.
+//! The result of a comparison.
 
 use super::LpipsError;
 use super::picture::same_size;

@@ -1,4 +1,4 @@
-//! The mask decoder: four masks of an embedding and a prompt, and how good each is thought to be.
+//! The mask decoder: four masks of an embedding and a prompt, with predicted quality.
 
 use crate::sam::{MAP_WIDTH, Mlp, Token, TwoWay, Upscaling};
 use burn_core as burn;

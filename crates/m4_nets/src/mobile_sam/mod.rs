@@ -1,11 +1,11 @@
-//! MobileSAM: the mask of whatever a point, a box or an earlier mask shows.
+//! MobileSAM: segmentation from a point, a box or an earlier mask.
 //!
 //! - Papers: Kirillov et al., "Segment Anything", ICCV 2023 (prompt encoder, mask decoder); Zhang et al., "Faster Segment Anything: Towards
 //!   Lightweight SAM for Mobile Applications", 2023 (the image encoder, a TinyViT).
 //! - Upstream: ChaoningZhang/MobileSAM, Apache-2.0. Weights (Apache-2.0): the entry `mobile-sam` of `minute4d weights list`.
 //!
 //! ```text
-//! picture --resize, pad--> 1024 x 1024 --TinyVit--> embedding [256, 64, 64]
+//! image --resize, pad--> 1024 x 1024 --TinyVit--> embedding [256, 64, 64]
 //! prompt --PromptEncoder--> tokens, map;  embedding + map, tokens --MaskDecoder--> 4 masks [256, 256], their qualities
 //! ```
 //!

@@ -1,4 +1,4 @@
-//! What is asked for, and its encoding: points and boxes as tokens, an earlier mask as a map.
+//! Prompts and their encoding: points and boxes as tokens, an earlier mask as a map.
 
 use super::SamError;
 use super::picture::{EMBEDDING_SIDE, INPUT_SIDE, MASK_SIDE, Scale};

@@ -1,4 +1,4 @@
-//! From what the network says to depth in metres.
+//! Converts the network's output to depth in metres.
 
 use super::config::Remap;
 use super::{MoGeError, focal};

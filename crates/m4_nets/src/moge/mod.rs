@@ -5,7 +5,7 @@
 //! - Upstream: microsoft/MoGe, MIT (its copy of DINOv2 Apache-2.0), weights too.
 //!
 //! ```text
-//! picture --antialiased bilinear--> 14 x 14 patches --DINOv2, four blocks summed--> map, class token
+//! image --antialiased bilinear--> 14 x 14 patches --DINOv2, four blocks summed--> map, class token
 //! map --neck: 5 levels of doubling size, each told where its pixels are--> 5 maps --heads--> points, mask, normals at 16 x the patches
 //! class token --three layers--> metric scale;  points + mask --one unknown--> focal length, depth offset --> depth in metres
 //! ```

@@ -5,7 +5,7 @@
 //! - Upstream: princeton-vl/RAFT, BSD-3. Weights: the entry `raft-things` of `minute4d weights list`, 5,257,536 learned numbers.
 //!
 //! ```text
-//! picture --fnet--> features at 1/8, which are compared;  --cnet--> hidden state and context
+//! image --fnet--> features at 1/8, which are compared;  --cnet--> hidden state and context
 //! a pair, again and again:  correlations around where the flow points --motion encoder--> motion
 //!                           hidden state, context, motion --recurrent unit--> hidden state --flow head--> change of the flow
 //! hidden state --mask head--> weights of upsampling;  flow at 1/8 --convex upsampling--> flow

@@ -5,7 +5,7 @@
 //!   2.1, whose tensors lie under `model` in the published files.
 //!
 //! ```text
-//! picture --squeeze--> 1024 x 1024 --Hiera, neck--> features at 1/16, finer ones at 1/8 and 1/4
+//! image --squeeze--> 1024 x 1024 --Hiera, neck--> features at 1/16, finer ones at 1/8 and 1/4
 //! features + no memory, prompt --MaskDecoder--> masks [256, 256], their qualities, whether the object is there
 //! features, memories of other frames --MemoryAttention--> features, no prompt --MaskDecoder--> the object's mask
 //! features, mask --MemoryEncoder--> a memory [64 * 64, 64];  the mask's token --> a pointer [256]

@@ -6,7 +6,7 @@
 //!   before they are used for more than research.
 //!
 //! ```text
-//! picture --encoder--> features at 1/4, 1/8, 1/16, 1/32       depth, camera --> where these pixels are in the world
+//! image --encoder--> features at 1/4, 1/8, 1/16, 1/32       depth, camera --> where these pixels are in the world
 //! query: frame, point --32 nearest points of each map--> what it looks like
 //! window of 16 frames, 6 times: 32 nearest points around where each point is now, compared with its query's;
 //!     visibility, comparison, steps --attention over time, and among points through 64 virtual ones--> how points move

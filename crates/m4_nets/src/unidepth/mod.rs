@@ -6,10 +6,10 @@
 //!   computed here was learned from upstream's code; none of that code is here.
 //!
 //! ```text
-//! picture --2400 patches of its shape--> DINOv2 --last four blocks--> 4 levels of tokens, class tokens
+//! image --2400 patches of its shape--> DINOv2 --last four blocks--> 4 levels of tokens, class tokens
 //! class tokens, tokens --camera head--> fx fy cx cy --> rays of the pixels
 //! class tokens, tokens, rays --global head--> scale, offset
-//! tokens, rays --depth head: 1/14, 1/7, 2/7, 4/7 of the size--> logarithm of depth, normalised over the picture
+//! tokens, rays --depth head: 1/14, 1/7, 2/7, 4/7 of the size--> logarithm of depth, normalised over the image
 //! depth = softplus((exp(logarithm) + offset) scale)
 //! ```
 //!

@@ -1,4 +1,4 @@
-//! The loop.
+//! The training loop.
 
 mod colour;
 mod density;

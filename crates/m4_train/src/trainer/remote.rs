@@ -1,4 +1,4 @@
-//! Steps on a device: what stays here, and when the two agree.
+//! Training on a device: the state on the host, and its synchronisation with the device.
 //!
 //! Splats and optimiser state are on the device while it steps and grows and prunes; those here are as old as the last time
 //! the host needed them: the guard now and then, a checkpoint, density control where the device leaves it to the

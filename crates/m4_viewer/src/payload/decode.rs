@@ -1,4 +1,4 @@
-//! Bytes to splats.
+//! Decodes bytes to splats.
 
 use super::codec::{Linear, Sinh, rotation_value};
 use super::{HEADER_BYTES, MAGIC, VERSION, bytes_per_splat};

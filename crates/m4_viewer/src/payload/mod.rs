@@ -1,4 +1,4 @@
-//! The splats of a scene as bytes for the page: columns, quantised where it cannot be seen.
+//! The payload of the page: the splats of a scene as quantised columns, without visible loss.
 //!
 //! Everything is little endian. A header of [`HEADER_BYTES`] bytes:
 //!

@@ -1,4 +1,4 @@
-//! Who may ask, and what every answer forbids.
+//! Access control: which requests are allowed, and the security headers of every response.
 
 use super::{ServeError, Shared};
 use axum::extract::{Request, State};

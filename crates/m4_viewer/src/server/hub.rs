@@ -1,4 +1,4 @@
-//! What the server shows: set by the program, read by every request.
+//! The state shown by the server: set by the program, read by every request.
 
 use crate::frames::Frames;
 use crate::manifest::{Live, Manifest};

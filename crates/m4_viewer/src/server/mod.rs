@@ -1,4 +1,4 @@
-//! The page from a server on this machine, which tells it of newer scenes.
+//! Serves the page from this machine, and notifies it of newer scenes.
 //!
 //! It listens on 127.0.0.1 alone and answers three addresses: `/` (the page with the newest scene and
 //! the frames in it), `/scene` (the newest scene, see [`crate::live`]) and `/events` (server-sent

@@ -1,7 +1,7 @@
 //! Co-visibility: the pixels of a test image that the training frames saw. Scores elsewhere would measure invention, not reconstruction.
 //!
 //! ```text
-//! test picture, each training frame --flow, or depth and poses--> which pixels it saw --CovisibleCounts--> mask
+//! test image, each training frame --flow, or depth and poses--> which pixels it saw --CovisibleCounts--> mask
 //! ```
 //!
 //! DyCheck (Gao et al., NeurIPS 2022, section 3.2) counts, for each pixel of the test image, the training frames in which it is

@@ -1,7 +1,7 @@
 //! Structural similarity (Wang et al. 2004, equation 13), in the variants that papers report.
 //!
 //! ```text
-//! two pictures --window--> means, variances, covariance around each pixel, a channel
+//! two images --window--> means, variances, covariance around each pixel, a channel
 //!   --> (2 ma mb + C1)(2 cov + C2) / ((ma^2 + mb^2 + C1)(va + vb + C2)) --mean of the channels--> map --mean--> SSIM
 //! ```
 //!

@@ -1,4 +1,4 @@
-//! Why a sparse model could not be read or written.
+//! Errors of reading and writing sparse models.
 
 use crate::WriteFileError;
 use crate::cameras::BadName;

@@ -1,4 +1,4 @@
-//! What the three files hold, between bytes and scene.
+//! The contents of the three files, between bytes and scene.
 
 use m4_math::Se3;
 use m4_math::nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};

@@ -1,4 +1,4 @@
-//! The cameras of a scene, and points of it, as a sparse model.
+//! Writes the cameras and points of a scene as a sparse model.
 
 use super::error::WriteColmapError;
 use super::model::{ColmapPoint, Tables};

@@ -1,4 +1,4 @@
-//! Which frames there are, and which of them train.
+//! The frames of a scene, and its training split.
 
 use crate::core::{ReadSourceError, SourceFault};
 use crate::files::json;

@@ -1,4 +1,4 @@
-//! Whether depth is in the unit of the poses or in thousandths of it.
+//! Detects whether depth is in the unit of the poses or in thousandths of it.
 
 use super::ids::Id;
 use crate::core::{ImportOptions, ReadSourceError, SourceFault};

@@ -1,4 +1,4 @@
-//! The lens of a frame.
+//! The intrinsics of a frame.
 
 use super::json::LensKeys;
 use crate::core::{Distortion, Lens, SourceFault};

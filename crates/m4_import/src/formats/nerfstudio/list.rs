@@ -1,4 +1,4 @@
-//! Entries of the file to frames.
+//! Converts the entries of the file to frames.
 
 use super::json::{Frame, Transforms};
 use super::{axes, lens};

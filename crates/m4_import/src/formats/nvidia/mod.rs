@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! poses_bounds.npy       [n][17]: 3 x 5 by rows (rotation, centre, height width focal), then the nearest and farthest depth in view
-//! images_2/ or images/   n pictures, in natural order of names; camera i took picture i at time i
+//! images_2/ or images/   n images, in natural order of names; camera i took image i at time i
 //! motion_masks/          optional, n masks, not 0 moves
 //! disp/                  optional, n maps of relative disparity (npy), of a network
 //! gt/ or test/           held-out views vCCC_tTTT.png: camera CCC at time TTT (RoDynRF's results; CCC is 000 there)

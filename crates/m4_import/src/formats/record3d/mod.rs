@@ -3,7 +3,7 @@
 //! ```text
 //! metadata        JSON: w h (of K), dw dh (of depth), fps, K (9 numbers, columns first), perFrameIntrinsicCoeffs [n][fx fy cx cy],
 //!                 poses [n][qx qy qz qw px py pz] camera to world, frameTimestamps [n] in seconds
-//! rgbd/N.jpg      the picture, as large as w x h or another multiple
+//! rgbd/N.jpg      the image, as large as w x h or another multiple
 //! rgbd/N.depth    z-depth, metres, 32-bit floats [dh][dw], LZFSE; 0 or NaN where unknown
 //! rgbd/N.conf     0, 1 or 2, bytes [dh][dw], LZFSE; depth where it is 0 is dropped
 //! ```

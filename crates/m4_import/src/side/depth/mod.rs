@@ -1,4 +1,4 @@
-//! One depth map per file, or a stack in an npz archive.
+//! Depth maps: one per file, or a stack in an npz archive.
 //!
 //! ```text
 //! exr, pfm   files of these formats; PNG is m4_io's, npy of crate::files

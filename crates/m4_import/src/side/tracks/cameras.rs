@@ -1,4 +1,4 @@
-//! Places of a world that has its own cameras to the world of a clip.
+//! Transforms positions from a world with its own cameras to the world of a clip.
 
 use crate::core::ListedFrame;
 use m4_math::Se3;

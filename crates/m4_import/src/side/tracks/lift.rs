@@ -1,4 +1,4 @@
-//! Tracks in pixels to places in the world.
+//! Lifts tracks in pixels to 3D positions.
 
 use super::arrays::Numbers;
 use crate::core::{Distortion, Lens, ListedFrame, SourceFault, step};

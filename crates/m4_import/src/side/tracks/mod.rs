@@ -1,4 +1,4 @@
-//! Ways of points from an npz archive of a tracker to places in the world.
+//! Point trajectories from an npz archive of a tracker, as positions in the world.
 
 mod arrays;
 mod cameras;
@@ -22,7 +22,7 @@ const SEEN: f64 = 0.5;
 /// tracks | pred_tracks [n][k][2]        pixels; depth is looked up in that of `frames`
 /// visibs | visibility | pred_visibility [n][k] or [n][k][1]
 /// colors [k][3]                         optional, 8 bits
-/// video  [n][h][w][3] or [n][3][h][w]   optional: pixels are of this size; without it of the size of the pictures
+/// video  [n][h][w][3] or [n][3][h][w]   optional: pixels are of this size; without it of the size of the images
 /// ```
 ///
 /// All may have a first dimension of 1. Places of a world with another scale than that of `frames` are scaled by how far

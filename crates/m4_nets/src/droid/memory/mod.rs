@@ -1,4 +1,4 @@
-//! What the tracking network keeps of a clip, and what it answers.
+//! The state of the tracking network for a clip, and its queries.
 //!
 //! ```text
 //! add_frame --fnet--> features                    enter, leave: edges, whose hidden states start as their source's

@@ -1,7 +1,7 @@
 //! Convolutions with stride 1, padded by half their kernels, without a matrix of neighbourhoods.
 //!
 //! ```text
-//! planes --pad--> [c][h + kh - 1][w + kw - 1], one picture after the other
+//! planes --pad--> [c][h + kh - 1][w + kw - 1], one image after the other
 //! weights --pack--> [block of input channels][block of outputs][channel, tap][output of the block]
 //! for groups of pixels (in parallel), input blocks, tiles of some vectors of pixels, output blocks:
 //!     sums of (outputs of the block) x (vectors of the tile) in registers
