@@ -13,24 +13,24 @@ const SOURCES: &str = "crates/m4_viewer/page";
 /// What the tests of the page share with those of the crate; it lies beside the page's folder in the copy too.
 const SHARED: &str = "crates/m4_viewer/tests/payload";
 const KEPT: &str = "crates/m4_viewer/page.html";
-/// What is made, not written.
+/// Generated folders, which are not copied.
 const MADE: [&str; 2] = ["node_modules", "dist"];
 
-/// What a comparison came to.
+/// The result of a comparison.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
     /// The page that is kept is what its sources build to.
     Same,
-    /// It is not.
+    /// It is not installed.
     Differs {
         /// Bytes of the page that is kept.
         kept: usize,
         /// Bytes of the page that was built.
         built: usize,
     },
-    /// Nothing was compared.
+    /// The comparison was skipped.
     Skipped {
-        /// Why.
+        /// The reason.
         reason: String,
     },
 }

@@ -66,15 +66,15 @@ impl Tests {
 /// A test, or a part of one, that could not run.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Skipped {
-    /// What the machine lacks.
+    /// The missing requirement.
     pub need: String,
-    /// How to get it.
+    /// How to install it.
     pub remedy: String,
     /// The test.
     pub test: String,
     /// File and line.
     pub place: String,
-    /// What was seen.
+    /// The observation.
     pub why: String,
 }
 

@@ -24,7 +24,7 @@ pub trait Watch: Sync {
     fn progress(&self, phase: &str, done: usize, total: usize, note: &str);
 }
 
-/// How a child ended.
+/// The end of a child process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Ended {
     /// Its exit code; `None` where a signal ended it.

@@ -11,17 +11,17 @@ pub enum BatchError {
     /// A file was not read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// What was to be read.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file was not written.
     #[error("cannot write {}: {source}; check the permissions and the free space", path.display())]
     Write {
-        /// What was to be written.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file that is no manifest, or a damaged one.
@@ -41,13 +41,13 @@ pub enum BatchError {
     /// There is no such clip.
     #[error("there is no video, folder or list at {}", path.display())]
     Missing {
-        /// What was given.
+        /// The given value.
         path: PathBuf,
     },
     /// Something was given that cannot be planned.
     #[error("{given} {reason}")]
     Input {
-        /// What was given.
+        /// The given value.
         given: String,
         /// What is wrong with it, and what to do.
         reason: &'static str,
@@ -63,7 +63,7 @@ pub enum BatchError {
     NoSuchJob {
         /// Asked for.
         index: usize,
-        /// How many there are.
+        /// The number of them.
         jobs: usize,
     },
     /// A variable of the scheduler that is no index.
@@ -71,7 +71,7 @@ pub enum BatchError {
     Index {
         /// The variable.
         name: &'static str,
-        /// Its value.
+        /// The value.
         value: String,
     },
     /// A value that no script can hold.
@@ -79,7 +79,7 @@ pub enum BatchError {
     Text {
         /// The value.
         text: String,
-        /// Why not.
+        /// The reason.
         reason: &'static str,
     },
     /// A program of Slurm did not start.
@@ -89,7 +89,7 @@ pub enum BatchError {
     Start {
         /// The program.
         program: &'static str,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A program of Slurm refused.
@@ -97,7 +97,7 @@ pub enum BatchError {
     Refused {
         /// The program.
         program: &'static str,
-        /// What it said.
+        /// Its message.
         said: String,
         /// The script.
         script: PathBuf,

@@ -27,7 +27,7 @@ const BAD_INPUT: i32 = 65;
 /// How long to wait for another process with the same job, or for what a killed one left running.
 const LET_GO: Duration = Duration::from_secs(120);
 
-/// What a job is run with.
+/// The environment of a job.
 pub struct Tools<'a> {
     /// The program whose `run` makes a scene.
     pub program: PathBuf,
@@ -39,10 +39,10 @@ pub struct Tools<'a> {
     pub host: String,
 }
 
-/// What came of a job.
+/// The outcome of a job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobEnd {
-    /// How it ended.
+    /// The outcome.
     pub outcome: Outcome,
     /// Why; empty where it is done.
     pub reason: String,

@@ -51,7 +51,7 @@ struct Header {
     minute4d: String,
     /// Where results go: a folder with its whole path.
     results: String,
-    /// How many lines follow.
+    /// The number of following lines.
     jobs: usize,
     settings_blake3: String,
     #[serde(flatten)]
@@ -69,7 +69,7 @@ pub struct Job {
     pub bytes: u64,
     /// BLAKE3 of its bytes, hexadecimal; of a file or folder.
     pub blake3: String,
-    /// Where its result will be.
+    /// The folder of the result.
     pub output: String,
 }
 
@@ -81,7 +81,7 @@ impl Job {
     }
 }
 
-/// What is to be done.
+/// The jobs of a batch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Manifest {
     /// Where results go: a folder with its whole path.

@@ -45,10 +45,10 @@ struct RunFile {
     blake3: String,
 }
 
-/// What came of publishing.
+/// The outcome of publishing.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Published {
-    /// It is there.
+    /// The result is published.
     Yes,
     /// What was made is not what its record says; it was removed.
     Bad(String),
@@ -65,7 +65,7 @@ pub(crate) enum Present {
     Same,
     /// A result of other input or settings, or one that lacks files.
     Other,
-    /// No result of a batch.
+    /// A folder that is not a result of a batch.
     Foreign,
 }
 

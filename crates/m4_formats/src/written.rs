@@ -8,7 +8,7 @@ use std::path::PathBuf;
 pub enum Loss {
     /// Evaluated at fixed instants: what it was, and at which.
     Baked(String),
-    /// Not in the file at all.
+    /// Missing from the file.
     Dropped(String),
     /// Stored with fewer digits: what, and the step or the largest error.
     Quantised(String),

@@ -30,7 +30,7 @@ const NUMBERS: [&str; 9] = [
 /// Numbers of a text that are replaced.
 const NUMBERS_REPLACED: usize = 24;
 
-/// One way of doing harm.
+/// A kind of malformation.
 enum Harm {
     /// Only this many bytes remain.
     Cut(usize),

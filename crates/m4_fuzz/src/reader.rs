@@ -59,7 +59,7 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// What its name begins with.
+    /// Returns the family of the reader.
     #[must_use]
     pub fn family(&self) -> &'static str {
         self.name.split('-').next().unwrap_or(self.name)

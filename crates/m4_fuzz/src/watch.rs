@@ -15,11 +15,11 @@ const MAX_FINDINGS: usize = 12;
 pub struct Finding {
     /// The reader.
     pub reader: String,
-    /// What was done to the file.
+    /// The mutation of the file.
     pub input: String,
-    /// What it did.
+    /// The fault that it caused.
     pub why: String,
-    /// Where the input was saved.
+    /// The file of the input.
     pub saved: PathBuf,
 }
 
@@ -34,9 +34,9 @@ pub struct Report {
     pub executions: usize,
     /// The most memory that one took, bytes.
     pub peak_bytes: usize,
-    /// Which one.
+    /// The input.
     pub peak_input: String,
-    /// What did harm.
+    /// The findings.
     pub findings: Vec<Finding>,
 }
 

@@ -29,7 +29,7 @@ pub struct Meter {
     pub reset: fn(),
     /// The peak since then, bytes.
     pub peak: fn() -> usize,
-    /// What is taken now, bytes.
+    /// The allocated memory, bytes.
     pub now: fn() -> usize,
 }
 

@@ -12,7 +12,7 @@ use cubecl::{
 };
 use serde::Serialize;
 
-/// What an adapter is.
+/// The kind of an adapter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AdapterKind {
@@ -33,9 +33,9 @@ pub enum AdapterKind {
 pub struct Adapter {
     /// What `--device gpu:INDEX` calls it.
     pub index: usize,
-    /// As its driver says.
+    /// The name that the driver reports.
     pub name: String,
-    /// What it is.
+    /// The kind.
     pub kind: AdapterKind,
     /// Vulkan, Metal, DX12 or CUDA.
     pub api: String,
@@ -66,7 +66,7 @@ pub(crate) enum Place {
 /// What the runtime calls an adapter; others who use the same runtime share what was started.
 #[derive(Debug, Clone)]
 pub enum Runtime {
-    /// By Vulkan, Metal or DX12.
+    /// Through Vulkan, Metal or DX12.
     Wgpu(WgpuDevice),
     /// By CUDA: the driver's number.
     #[cfg(feature = "cuda")]
@@ -74,7 +74,7 @@ pub enum Runtime {
 }
 
 impl Adapter {
-    /// What the runtime calls it.
+    /// Returns the runtime's name.
     #[must_use]
     pub fn runtime(&self) -> Runtime {
         let (slot, nth) = match self.place {
@@ -207,7 +207,7 @@ pub fn best(adapters: &[Adapter]) -> Option<&Adapter> {
     adapters.iter().filter(of_use).min_by_key(rank)
 }
 
-/// Which GPU.
+/// The choice of a GPU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Choice {
     /// The best that is not software.
@@ -294,7 +294,7 @@ impl Gpu {
         })
     }
 
-    /// What it is.
+    /// The kind.
     #[must_use]
     pub fn adapter(&self) -> &Adapter {
         &self.adapter

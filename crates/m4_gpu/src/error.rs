@@ -11,9 +11,9 @@ pub enum GpuError {
         "there is no GPU {wanted}; this machine has {found}. Choose one listed by `minute4d doctor`, or --device cpu"
     )]
     NoAdapter {
-        /// What was asked for.
+        /// The requested value.
         wanted: String,
-        /// What there is.
+        /// The available ones.
         found: String,
     },
     /// The adapter is there and does not start.
@@ -21,7 +21,7 @@ pub enum GpuError {
     NotStarted {
         /// Its name.
         name: String,
-        /// What its driver said.
+        /// The message of the driver.
         why: String,
     },
     /// A buffer is larger than the adapter allows.
@@ -29,7 +29,7 @@ pub enum GpuError {
         "{what} needs {needed} MB in one buffer; the GPU {name} allows {limit} MB. Choose fewer splats, smaller images, or --device cpu"
     )]
     TooLarge {
-        /// What the buffer holds.
+        /// The contents of the buffer.
         what: &'static str,
         /// Megabytes.
         needed: usize,
@@ -47,19 +47,19 @@ pub enum GpuError {
     /// A frame that was asked for is not there.
     #[error("there is no frame {index}: {count} were given, counted from 0")]
     NoFrame {
-        /// Which one.
+        /// The index.
         index: usize,
-        /// How many there are.
+        /// The number of them.
         count: usize,
     },
     /// The frames of a run differ in size, or have no pixels.
     #[error("frame {index} has {} x {} pixels, the first {} x {}. Frames have pixels, and one size", size.0, size.1, first.0, first.1)]
     FrameSize {
-        /// Which frame.
+        /// Index of the frame.
         index: usize,
         /// Its width and height, pixels.
         size: (usize, usize),
-        /// Those of the first.
+        /// The size of the first.
         first: (usize, usize),
     },
     /// It takes more memory than it may.
@@ -68,7 +68,7 @@ pub enum GpuError {
          splats, smaller images, or --device cpu"
     )]
     OverLimit {
-        /// What was going to start.
+        /// The operation.
         doing: &'static str,
         /// Megabytes.
         needed: u64,
@@ -80,9 +80,9 @@ pub enum GpuError {
     /// The device was lost, is out of memory, or a kernel failed.
     #[error("the GPU failed while {doing}: {why}. The scene before that is kept; try fewer splats, or --device cpu")]
     Failed {
-        /// What was going on.
+        /// The operation.
         doing: &'static str,
-        /// What the runtime said.
+        /// The message of the runtime.
         why: String,
     },
 }

@@ -17,7 +17,7 @@ const LEAST_ENTRIES: usize = 1 << 16;
 /// One part of a [`Plan`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Part {
-    /// What it holds.
+    /// Its contents.
     pub what: &'static str,
     /// All of its buffers, bytes.
     pub bytes: u64,

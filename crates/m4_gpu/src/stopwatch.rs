@@ -28,7 +28,7 @@ impl std::fmt::Debug for Running {
 const DOING: &str = "timing kernels";
 
 impl Stopwatch {
-    /// From here on laps count.
+    /// Starts the measurement.
     pub fn start(&mut self, gpu: &Gpu) {
         self.0 = Some(Running::new(gpu));
     }

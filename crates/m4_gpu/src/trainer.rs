@@ -13,7 +13,7 @@ use m4_kernels::{CameraGradient, Frame, View, adam::cpu::AdamState, photo::cpu::
 use m4_scene::{Exposure, ShapeError, Splats};
 use std::borrow::Borrow;
 
-/// What goes on, for errors.
+/// The operation named in errors.
 pub(crate) const TRAINING: &str = "training";
 
 /// Splats, their moments and the frames of a video on the device, and the step that moves them.

@@ -17,7 +17,7 @@ const BUCKET: usize = 32;
 /// Numbers of a checkpoint: transmittance, colours, depth.
 pub(crate) const CHECKPOINT: usize = 5;
 
-/// What memory is made for.
+/// The sizes that memory is allocated for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Size {
     /// Splats.

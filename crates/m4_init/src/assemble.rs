@@ -158,7 +158,7 @@ struct Parts {
     hidden: Vec<Moving>,
     /// Points of tracks that each keyframe lacks.
     tracked: Vec<Moving>,
-    /// One a keyframe.
+    /// One per keyframe.
     tints: Vec<Tints>,
 }
 

@@ -22,7 +22,7 @@ const LIFT: f64 = 0.01;
 pub(crate) struct Changes {
     /// Where less light arrives than on average.
     pub darker: Cloud,
-    /// Where more does.
+    /// Patches that are brighter.
     pub brighter: Cloud,
 }
 

@@ -46,9 +46,9 @@ pub enum InitError {
     BadSetting {
         /// Name of the field of `InitConfig`.
         field: &'static str,
-        /// What it holds.
+        /// Its contents.
         value: String,
-        /// What is allowed.
+        /// The allowed values.
         expected: &'static str,
     },
     /// The user asked to stop.

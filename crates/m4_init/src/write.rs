@@ -82,7 +82,7 @@ impl Writer<'_> {
         }
     }
 
-    /// What is behind everything.
+    /// Appends the background sphere.
     pub fn shell(&mut self, shell: &Shell) {
         for (&p, &rgb) in shell.xyz.iter().zip(&shell.rgb) {
             self.put(p, rgb, shell.sd, SHELL_OPACITY);

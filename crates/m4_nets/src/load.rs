@@ -15,7 +15,7 @@ pub enum LoadError {
     /// There is no such file.
     #[error("there is no file {}; `minute4d weights list` says where weights come from", path.display())]
     Missing {
-        /// Where it was looked for.
+        /// The path that was searched.
         path: PathBuf,
     },
     /// The file is no checkpoint that can be read.

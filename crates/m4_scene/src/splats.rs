@@ -189,7 +189,7 @@ impl Splats {
         self.layout
     }
 
-    /// How many there are.
+    /// The number of them.
     #[must_use]
     pub fn n(&self) -> usize {
         self.n_static + self.n_dynamic

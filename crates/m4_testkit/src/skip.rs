@@ -50,7 +50,7 @@ impl Need {
         }
     }
 
-    /// How to get it.
+    /// How to install it.
     #[must_use]
     pub fn remedy(self) -> &'static str {
         match self {

@@ -25,7 +25,7 @@ pub type DeviceMaker<'a> = &'a dyn Fn() -> Result<Box<dyn Device>, DeviceError>;
 pub struct DeviceLook<'a> {
     /// Its number.
     pub frame: usize,
-    /// How it is drawn.
+    /// The view that it is rendered with.
     pub view: &'a View,
     /// Also take the gradient of the camera, for [`DeviceFound::cameras`].
     pub camera: bool,

@@ -20,9 +20,9 @@ pub enum TrainError {
     BadSetting {
         /// Path of the field within `TrainConfig`.
         field: &'static str,
-        /// What it holds.
+        /// Its contents.
         value: String,
-        /// What is allowed.
+        /// The allowed values.
         expected: &'static str,
     },
     /// The loss or a parameter stopped being a number.
@@ -41,7 +41,7 @@ pub enum TrainError {
     /// The device failed.
     #[error("{why} (at iteration {iteration}; the splats of iteration {good_iteration} are kept)")]
     Device {
-        /// What it said.
+        /// Its message.
         why: String,
         /// Where.
         iteration: usize,

@@ -46,7 +46,7 @@ pub enum FramesError {
     /// An image without pixels.
     #[error("frame {index} is {width} x {height} pixels; it must have some")]
     Empty {
-        /// Which.
+        /// The name of the weights.
         index: usize,
         /// Columns.
         width: usize,
@@ -56,9 +56,9 @@ pub enum FramesError {
     /// The encoder.
     #[error("frame {index} cannot be written as a JPEG: {reason}")]
     Encode {
-        /// Which.
+        /// The name of the weights.
         index: usize,
-        /// What it said.
+        /// Its message.
         reason: String,
     },
 }

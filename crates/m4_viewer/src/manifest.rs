@@ -45,9 +45,9 @@ pub struct Manifest {
 /// How many splats of which kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplatFacts {
-    /// Without time parameters.
+    /// Splats without time parameters.
     pub r#static: usize,
-    /// With them.
+    /// Splats with time parameters.
     pub dynamic: usize,
     /// Degree of the spatial harmonics of the colour.
     pub sh_degree: usize,

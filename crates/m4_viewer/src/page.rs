@@ -63,21 +63,21 @@ pub enum PageError {
     /// The manifest cannot be written or read as JSON.
     #[error("the manifest of the page is invalid: {source}")]
     Manifest {
-        /// What is wrong.
+        /// The fault.
         #[from]
         source: serde_json::Error,
     },
     /// Compression, in memory.
     #[error("the splats cannot be packed or unpacked: {source}")]
     Gzip {
-        /// What is wrong.
+        /// The fault.
         #[from]
         source: std::io::Error,
     },
     /// An element that is missing.
     #[error("the page has no element {id}; it was not written by minute4d, or only in part")]
     Missing {
-        /// Which.
+        /// The name of the weights.
         id: &'static str,
     },
     /// An element in which a browser would look for the end of a comment.
@@ -85,7 +85,7 @@ pub enum PageError {
         "the element {id} of the page holds <!--, behind which browsers do not find its end; write the page again from its scene"
     )]
     Comment {
-        /// Which.
+        /// The name of the weights.
         id: &'static str,
     },
     /// Offsets that do not fit the frames.
@@ -97,9 +97,9 @@ pub enum PageError {
     /// An element that is not base64.
     #[error("the element {id} of the page is damaged: {source}")]
     Base64 {
-        /// Which.
+        /// The name of the weights.
         id: &'static str,
-        /// What is wrong.
+        /// The fault.
         source: base64::DecodeError,
     },
 }

@@ -100,17 +100,17 @@ pub enum Error {
     /// A file or folder could not be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// What was to be read.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file or folder could not be written.
     #[error("cannot write {}: {source}; check the permissions and the free space, or choose another folder", path.display())]
     Write {
-        /// What was to be written.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The time that the user gave was up before there was a scene.
@@ -178,7 +178,7 @@ pub enum Error {
     /// A folder or file that is nothing this program knows.
     #[error("{} is neither a video, a folder of images, a capture, a scene nor a run", path.display())]
     Unknown {
-        /// What was given.
+        /// The given value.
         path: PathBuf,
     },
     /// A capture without held-out views.
@@ -194,7 +194,7 @@ pub enum Error {
         row: &'static str,
         /// Where it was to be made.
         folder: PathBuf,
-        /// Its last words.
+        /// Its last messages.
         said: String,
     },
     /// The finished scene did not read back as it was written.
@@ -216,7 +216,7 @@ pub enum Error {
     /// A bug.
     #[error("internal error: {what}; this is a bug in minute4d, please report it")]
     Internal {
-        /// What was seen.
+        /// The observation.
         what: String,
     },
     /// Settings.
@@ -309,7 +309,7 @@ pub enum Error {
     FrontEndLoad {
         /// The front end.
         frontend: &'static str,
-        /// What is wrong with them.
+        /// The fault.
         source: Box<m4_nets::LoadError>,
     },
     /// A network of depth that failed.
@@ -350,7 +350,7 @@ pub enum Error {
     SegmenterLoad {
         /// The segmenter.
         segmenter: &'static str,
-        /// What is wrong with them.
+        /// The fault.
         source: Box<m4_nets::LoadError>,
     },
     /// A tracker that needs a network, in a build that has none.
@@ -377,7 +377,7 @@ pub enum Error {
     TrackerLoad {
         /// The tracker.
         tracker: &'static str,
-        /// What is wrong with them.
+        /// The fault.
         source: Box<m4_nets::LoadError>,
     },
     /// Nothing was asked for, or nothing is here that could do it.
@@ -410,7 +410,7 @@ pub enum Error {
     Llff {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         source: LlffError,
     },
 }

@@ -13,7 +13,7 @@ use serde::Serialize;
 use std::fmt;
 use std::path::Path;
 
-/// What was found.
+/// The findings.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]

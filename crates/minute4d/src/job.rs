@@ -11,7 +11,7 @@ pub struct Job<'a> {
     pub settings: Settings,
     /// Name of the built-in settings that they started from, for the record.
     pub profile: String,
-    /// Where to train.
+    /// The device for training.
     pub device: DeviceRequest,
     /// What to do with a folder that holds something.
     pub existing: Existing,

@@ -5,25 +5,25 @@ use m4_train::MetricsEvent;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-/// What happens to a stage.
+/// An event of a stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum StageEvent<'a> {
     /// It starts; `because` says why an earlier result could not be used, where there was one.
     Started {
-        /// Why, for people.
+        /// The reason, as text.
         because: Option<&'a str>,
     },
     /// It goes on where an earlier run was stopped.
     Resumed {
         /// Steps that were done before.
         done: usize,
-        /// All steps.
+        /// The total number of steps.
         total: usize,
     },
     /// An earlier result was used as it is.
     Reused,
-    /// It is done.
+    /// The stage has finished.
     Finished {
         /// Wall-clock seconds.
         seconds: f64,

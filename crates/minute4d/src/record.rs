@@ -24,11 +24,11 @@ pub const GEOMETRY_FORMAT: &str = "minute4d-geometry";
 /// Version of both; a record with another one is not used.
 pub const VERSION: u32 = 1;
 
-/// How far the work is.
+/// The status of a run or stage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// At work, or killed.
+    /// Running, or killed.
     Running,
     /// Stopped on request; can be resumed.
     Stopped,
@@ -38,7 +38,7 @@ pub enum Status {
     Finished,
 }
 
-/// Where the data came from.
+/// The input of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Input {
     /// As given on the command line.
@@ -62,12 +62,12 @@ pub struct StageRecord {
     pub warnings: Vec<String>,
 }
 
-/// What it was computed on.
+/// The device of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Device {
     /// `"cpu"` or `"gpu"`: where training steps are taken.
     pub kind: String,
-    /// What the GPU is called.
+    /// The name of the GPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gpu: Option<String>,
     /// Vector instructions used, as `minute4d doctor` names them.
@@ -95,9 +95,9 @@ impl Device {
 /// How many splats a scene has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplatCount {
-    /// Without time parameters.
+    /// Splats without time parameters.
     pub r#static: usize,
-    /// With them.
+    /// Splats with time parameters.
     pub dynamic: usize,
 }
 
@@ -119,11 +119,11 @@ pub struct RunRecord {
     pub version: u32,
     /// Release of the program that wrote it.
     pub minute4d: String,
-    /// How far it got.
+    /// The status.
     pub status: Status,
     /// The error of a failed run.
     pub error: Option<String>,
-    /// What was read.
+    /// The input.
     pub input: Input,
     /// Built-in settings that it started from.
     pub profile: String,
@@ -131,7 +131,7 @@ pub struct RunRecord {
     pub seed: u64,
     /// Every setting in effect.
     pub settings: Value,
-    /// What it ran on.
+    /// The device.
     pub device: Device,
     /// `bitwise`: the same input, settings, seed, SIMD level and GPU give the same bits on any number of
     /// threads.
@@ -148,7 +148,7 @@ pub struct RunRecord {
     pub splats: Option<SplatCount>,
     /// Files of the result by name.
     pub files: BTreeMap<String, FileRecord>,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
@@ -212,21 +212,21 @@ pub struct GeometryRecord {
     pub version: u32,
     /// Release of the program that wrote it.
     pub minute4d: String,
-    /// How far it got.
+    /// The status.
     pub status: Status,
-    /// What was read.
+    /// The input.
     pub input: Input,
     /// Hash of input, settings and version.
     pub key: String,
     /// Every setting of the stage.
     pub settings: Value,
-    /// What was found.
+    /// The findings.
     pub found: Option<Found>,
     /// Wall-clock seconds.
     pub seconds: f64,
     /// Most memory that the process held, bytes; only where the system tells.
     pub peak_memory_bytes: Option<u64>,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
@@ -275,7 +275,7 @@ pub struct Found {
     /// How often depth and masks were made: twice where masks changed the cameras.
     #[serde(default = "once")]
     pub rounds: usize,
-    /// How far it can be trusted.
+    /// The confidence.
     #[serde(default)]
     pub confidence: Option<Confidence>,
 }

@@ -21,7 +21,7 @@ pub(crate) struct Workspace<'a> {
     pub record: RunRecord,
     /// What an earlier run left, when this one goes on with it.
     pub earlier: Option<RunRecord>,
-    /// How much time there is.
+    /// The time limit.
     pub clock: Clock,
     /// The time from which an optional stage is asked to stop.
     until: Option<Instant>,
@@ -56,7 +56,7 @@ impl Drop for Room {
     }
 }
 
-/// What a stage has to do.
+/// The task of a stage.
 pub(crate) enum Task {
     /// Nothing: an earlier result is whole and of the same input and settings.
     Reuse,

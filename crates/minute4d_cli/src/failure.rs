@@ -2,7 +2,7 @@
 
 use std::error::Error;
 
-/// Why a command failed.
+/// The failure of a command.
 #[derive(Debug)]
 pub struct Failure {
     /// The exit code.

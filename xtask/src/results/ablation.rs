@@ -9,9 +9,9 @@ const ITERATIONS: usize = 1200;
 
 /// A training that differs from the default in one thing.
 struct Row {
-    /// What `--rows` calls it.
+    /// The name for `--rows`.
     name: &'static str,
-    /// What the table calls it.
+    /// The name in the table.
     what: &'static str,
     sets: &'static [&'static str],
     /// Frames a step: rows with several take as many steps fewer, and density control goes by frames.
@@ -152,7 +152,7 @@ impl Row {
     }
 }
 
-/// What one row measured.
+/// The measurements of one row.
 #[derive(Debug, Clone, Copy)]
 struct Figures {
     psnr: f64,

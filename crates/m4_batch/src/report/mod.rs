@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-/// How far a clip is.
+/// The state of a clip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClipState {
@@ -58,7 +58,7 @@ pub struct ClipReport {
     pub id: String,
     /// The clip.
     pub input: String,
-    /// How far it is.
+    /// The state.
     pub state: ClipState,
     /// Why it is not further, where something is known.
     pub reason: Option<String>,
@@ -81,7 +81,7 @@ pub struct ClipReport {
 /// A whole batch.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
-    /// How many clips there are.
+    /// The number of clips.
     pub jobs: usize,
     /// How many are in each state; they add up to `jobs`.
     pub counts: BTreeMap<&'static str, usize>,

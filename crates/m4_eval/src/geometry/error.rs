@@ -4,7 +4,7 @@
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GeometryError {
-    /// One side has no frames.
+    /// One of the captures has no frames.
     #[error("the {which} has no frames; nothing can be compared")]
     Empty {
         /// `"estimate"` or `"truth"`.
@@ -37,7 +37,7 @@ pub enum GeometryError {
         which: &'static str,
         /// The frame.
         name: String,
-        /// What is not finite.
+        /// The value that is NaN or infinite.
         what: &'static str,
     },
     /// Two paths have other numbers of poses.

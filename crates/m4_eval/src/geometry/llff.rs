@@ -22,9 +22,9 @@ pub enum LlffError {
     /// A pose that no camera has.
     #[error("pose {index}: {what} (found {value}); columns must be right, up, back, position, [height, width, focal]")]
     Bad {
-        /// Which pose, from 0.
+        /// Index of the pose, from 0.
         index: usize,
-        /// What is wrong.
+        /// The fault.
         what: &'static str,
         /// The value at fault.
         value: f64,

@@ -5,7 +5,7 @@ use m4_scene::CaptureFrame;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How frames were paired.
+/// How frames were matched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Matching {

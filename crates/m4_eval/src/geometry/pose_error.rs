@@ -40,7 +40,7 @@ pub struct ErrorStatistics {
 }
 
 impl ErrorStatistics {
-    /// Of at least one error.
+    /// Computes the statistics of at least one error.
     fn of(mut errors: Vec<f64>) -> Self {
         let n = errors.len() as f64;
         let square = errors.iter().map(|e| e * e).sum::<f64>() / n;
@@ -61,7 +61,7 @@ impl ErrorStatistics {
 /// Errors of the poses of a path.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AbsoluteError {
-    /// What was done before.
+    /// The alignment.
     pub alignment: PathAlignment,
     /// Units of the truth in one unit of the estimate; 1 where the alignment does not scale.
     pub scale: f64,

@@ -49,7 +49,7 @@ pub struct MaskScore {
 pub struct GeometryReport {
     /// Pairs of frames compared.
     pub frames: usize,
-    /// How they were paired.
+    /// How they were matched.
     pub matching: Matching,
     /// True if lengths are in metres (those of the truth).
     pub metric: bool,

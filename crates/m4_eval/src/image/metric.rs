@@ -16,7 +16,7 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 8] = [
         Self::Psnr(PsnrKind::Joint),
         Self::Psnr(PsnrKind::PerChannel),
@@ -40,7 +40,7 @@ impl Metric {
         }
     }
 
-    /// What a report says of it.
+    /// Returns the title in a report.
     #[must_use]
     pub fn title(self) -> String {
         match self {

@@ -13,11 +13,11 @@ pub enum ImageError {
         width: usize,
         /// Rows.
         height: usize,
-        /// Which channel, 0..3.
+        /// Index of the channel, 0..3.
         channel: usize,
         /// `width * height`.
         expected: usize,
-        /// What was given.
+        /// The given value.
         found: usize,
     },
     /// Two things that must have one size do not.
@@ -50,7 +50,7 @@ pub enum ImageError {
         x: usize,
         /// Row.
         y: usize,
-        /// Which channel, 0..3.
+        /// Index of the channel, 0..3.
         channel: usize,
         /// The value.
         value: f32,

@@ -26,7 +26,7 @@ pub enum PsnrKind {
 }
 
 impl PsnrKind {
-    /// What a report says of it.
+    /// Returns the title in a report.
     #[must_use]
     pub fn title(self) -> &'static str {
         match self {

@@ -47,7 +47,7 @@ pub enum WriteNerfstudioError {
     BadScene {
         /// The file.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         what: String,
     },
     /// The names do not fit.
@@ -55,7 +55,7 @@ pub enum WriteNerfstudioError {
     Names {
         /// The file.
         path: PathBuf,
-        /// What is wrong with them.
+        /// The fault.
         source: BadName,
     },
 }

@@ -23,7 +23,7 @@ pub enum WriteCaptureAsError {
     BadCapture {
         /// The file or folder.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         what: String,
     },
     /// The recorder of another tool failed.
@@ -31,7 +31,7 @@ pub enum WriteCaptureAsError {
     Recorder {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// Its message.
         what: String,
     },
     /// The caller asked to stop; nothing was left.

@@ -15,7 +15,7 @@ pub enum ReadFourdgsError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is of another kind, or of a version, model or codec that is not known here.
@@ -23,7 +23,7 @@ pub enum ReadFourdgsError {
     Unsupported {
         /// The file.
         path: PathBuf,
-        /// What the file says.
+        /// The statement in the file.
         reason: String,
     },
     /// The file ends too early or contradicts itself.
@@ -31,7 +31,7 @@ pub enum ReadFourdgsError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What the parser said.
+        /// The message of the parser.
         reason: String,
     },
     /// The file claims more than it can hold.
@@ -53,9 +53,9 @@ pub enum ReadFourdgsError {
         path: PathBuf,
         /// Which splat, in the order of the file.
         splat: usize,
-        /// Which of its parameters.
+        /// The parameter.
         field: &'static str,
-        /// As found.
+        /// The value in the file.
         value: f32,
     },
 }
@@ -82,7 +82,7 @@ pub enum WriteFourdgsError {
     /// The scene has values that no file can hold.
     #[error("the scene cannot be written as .4dgs: {reason}")]
     BadScene {
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// The bytes that were made do not decode to the scene within the declared bounds.

@@ -16,7 +16,7 @@ pub enum WriteGltfError {
     BadScene {
         /// The file.
         path: PathBuf,
-        /// What, and what to do.
+        /// The fault, and how to fix it.
         what: String,
     },
 }

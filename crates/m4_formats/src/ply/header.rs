@@ -74,7 +74,7 @@ impl Element {
     }
 }
 
-/// What the text says.
+/// The contents of the header.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Header {
     pub encoding: Encoding,

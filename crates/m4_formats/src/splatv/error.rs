@@ -13,7 +13,7 @@ pub enum WriteSplatvError {
     /// The scene has values that no file can hold.
     #[error("the scene cannot be written as .splatv: {reason}")]
     BadScene {
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
 }

@@ -16,7 +16,7 @@ pub enum WriteSpzError {
     BadScene {
         /// The file.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         what: String,
     },
     /// A setting is out of range.
@@ -26,7 +26,7 @@ pub enum WriteSpzError {
         path: PathBuf,
         /// The field of [`super::SpzOptions`].
         setting: &'static str,
-        /// Its value.
+        /// The value.
         value: String,
         /// What was expected.
         expected: &'static str,

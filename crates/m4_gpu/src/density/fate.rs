@@ -11,7 +11,7 @@ use cubecl::prelude::*;
 pub(super) struct Fates {
     /// How many rows each splat leaves (0 or 1) and bears (0 to 2), `[2 n]` in that order.
     pub sizes: Buffer,
-    /// Where they are.
+    /// Their positions.
     pub places: Buffer,
     /// Cloned, split, pruned, splats, static splats.
     counts: Buffer,

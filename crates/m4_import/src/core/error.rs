@@ -20,7 +20,7 @@ pub struct ReadSourceError {
     pub path: PathBuf,
     /// The field, line or frame.
     pub place: Option<String>,
-    /// What is wrong.
+    /// The fault.
     pub fault: SourceFault,
 }
 
@@ -36,7 +36,7 @@ pub enum SourceFault {
     Missing {
         /// What.
         what: String,
-        /// What to do.
+        /// How to fix it.
         remedy: String,
     },
     /// A value cannot be, or does not fit the others.
@@ -44,7 +44,7 @@ pub enum SourceFault {
     Bad {
         /// What it holds and what was expected.
         what: String,
-        /// What to do.
+        /// How to fix it.
         remedy: String,
     },
     /// It is in order but is not read here.
@@ -52,7 +52,7 @@ pub enum SourceFault {
     Unsupported {
         /// What.
         what: String,
-        /// What to do.
+        /// How to fix it.
         remedy: String,
     },
     /// It would not fit into memory.
@@ -62,11 +62,11 @@ pub enum SourceFault {
         limit_bytes >> 20
     )]
     TooLarge {
-        /// What would take it.
+        /// The data that need it.
         what: String,
-        /// How much.
+        /// The required memory.
         needed_bytes: u64,
-        /// What it may take.
+        /// The limit.
         limit_bytes: u64,
     },
     /// A file that the source names lies outside of its folder.
@@ -127,7 +127,7 @@ impl SourceFault {
         }
     }
 
-    /// With the file.
+    /// Adds the file to the fault.
     #[must_use]
     pub fn at(self, path: &Path) -> ReadSourceError {
         ReadSourceError {

@@ -10,7 +10,7 @@ use std::sync::Mutex;
 pub struct FrameSource<T>(Box<dyn Fn() -> Result<T, SourceFault> + Send + Sync>);
 
 impl<T> FrameSource<T> {
-    /// From a function.
+    /// Creates a loader from a function.
     pub fn new(get: impl Fn() -> Result<T, SourceFault> + Send + Sync + 'static) -> Self {
         Self(Box::new(get))
     }

@@ -33,7 +33,7 @@ impl Inside {
         }
     }
 
-    /// The same of many.
+    /// Checks many files.
     pub(crate) fn files(&self, files: Vec<PathBuf>) -> Result<Vec<PathBuf>, ReadSourceError> {
         files.into_iter().map(|file| self.file(file)).collect()
     }

@@ -100,12 +100,12 @@ const ROWS: &[Row] = &[
 ];
 
 impl SourceFormat {
-    /// All of them.
+    /// All variants.
     pub fn all() -> impl Iterator<Item = Self> {
         ROWS.iter().map(|row| row.format)
     }
 
-    /// As on the command line.
+    /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         ROWS.iter().find(|row| row.format == self).map_or("", |row| row.name)

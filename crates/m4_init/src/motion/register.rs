@@ -10,7 +10,7 @@ use m4_scene::CaptureFrame;
 use rayon::prelude::*;
 use std::num::NonZero;
 
-/// How points are registered.
+/// The parameters of the registration.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Registration {
     /// A difference of colour of this size counts as much as a displacement of one `reach`.

@@ -77,7 +77,7 @@ impl Rigid {
         }
     }
 
-    /// Where the point goes.
+    /// Returns the transformed point.
     pub fn apply(&self, p: [f32; 3]) -> [f32; 3] {
         (self.to + self.rotation * (Vector3::from(p) - self.from)).into()
     }

@@ -18,7 +18,7 @@ pub enum ReadCaptureError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is not JSON, or a key holds the wrong type.
@@ -42,7 +42,7 @@ pub enum ReadCaptureError {
         path: PathBuf,
         /// The key.
         key: &'static str,
-        /// What it holds.
+        /// Its contents.
         value: String,
         /// What was expected and what to do.
         expected: &'static str,
@@ -78,7 +78,7 @@ pub enum ReadCaptureError {
         path: PathBuf,
         /// The coefficient.
         key: &'static str,
-        /// Its value.
+        /// The value.
         value: f64,
     },
     /// An image, depth map or mask could not be read.
@@ -120,7 +120,7 @@ pub enum ReadCaptureError {
     Tracks {
         /// The file that names them.
         list: PathBuf,
-        /// What is wrong with them.
+        /// The fault.
         source: ReadTracksError,
     },
     /// The frames would not fit.
@@ -132,9 +132,9 @@ pub enum ReadCaptureError {
         frames: usize,
         /// Width and height of the first.
         size: (usize, usize),
-        /// What they would take.
+        /// The required memory.
         needed_bytes: u64,
-        /// What they may take.
+        /// The limit.
         limit_bytes: u64,
     },
     /// The times of a test split mean nothing without the length of the training video.
@@ -191,7 +191,7 @@ pub enum WriteCaptureError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// An image could not be written.
@@ -206,7 +206,7 @@ pub enum WriteCaptureError {
         frame: usize,
         /// Its name.
         name: String,
-        /// What is wrong with it.
+        /// The fault.
         what: String,
     },
     /// The tracks are not of these frames.

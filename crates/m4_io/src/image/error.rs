@@ -14,7 +14,7 @@ pub enum ReadImageError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is not a PNG or JPEG file.
@@ -84,7 +84,7 @@ pub enum WriteImageError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The extension names a format that is not written.

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub struct ReadMegasamError {
     /// The file.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// The fault.
     pub fault: MegasamFault,
 }
 
@@ -68,7 +68,7 @@ pub enum MegasamFault {
     Option {
         /// The option.
         option: &'static str,
-        /// Its value.
+        /// The value.
         value: f64,
         /// What was expected.
         expected: &'static str,
@@ -78,11 +78,11 @@ pub enum MegasamFault {
         needed_bytes >> 20,
         limit_bytes >> 20, what = shortened(what))]
     TooLarge {
-        /// What would take it.
+        /// The data that need it.
         what: String,
-        /// How much.
+        /// The required memory.
         needed_bytes: u64,
-        /// What it may take.
+        /// The limit.
         limit_bytes: u64,
     },
     /// The caller asked to stop.

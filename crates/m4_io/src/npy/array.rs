@@ -16,7 +16,7 @@ pub enum ArrayFault {
     TooLarge {
         /// What it takes, bytes.
         needed_bytes: u64,
-        /// What it may take.
+        /// The limit.
         limit_bytes: u64,
     },
 }

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 pub struct ReadTracksError {
     /// The file.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// The fault.
     pub fault: TracksFault,
 }
 
@@ -64,7 +64,7 @@ pub enum TracksFault {
         array: &'static str,
         /// What it would take.
         needed_bytes: u64,
-        /// What it may take.
+        /// The limit.
         limit_bytes: u64,
     },
 }

@@ -14,7 +14,7 @@ pub enum ReadTrajectoryError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is not JSON of a known layout.

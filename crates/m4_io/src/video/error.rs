@@ -16,7 +16,7 @@ pub enum ReadVideoError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file has no bytes.
@@ -30,7 +30,7 @@ pub enum ReadVideoError {
     NotVideo {
         /// The file.
         path: PathBuf,
-        /// How that is known.
+        /// The reason.
         reason: String,
     },
     /// The file ends too early.
@@ -62,7 +62,7 @@ pub enum ReadVideoError {
     NoFrames {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         reason: String,
     },
     /// The part that was asked for is not in the clip.
@@ -98,7 +98,7 @@ pub enum ReadVideoError {
         what: String,
         /// The program that was tried.
         ffmpeg: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         reason: String,
     },
     /// ffmpeg gave up.
@@ -127,7 +127,7 @@ pub enum ReadVideoError {
         path: PathBuf,
         /// The program.
         program: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The size of the frames changes within the clip.
@@ -151,9 +151,9 @@ pub enum ReadVideoError {
         frames: usize,
         /// Width and height they would have.
         size: (usize, usize),
-        /// What they would take.
+        /// The required memory.
         needed_bytes: u64,
-        /// What they may take.
+        /// The limit.
         limit_bytes: u64,
     },
     /// An option has a value that cannot be.
@@ -161,7 +161,7 @@ pub enum ReadVideoError {
     BadOption {
         /// The option.
         option: &'static str,
-        /// Its value.
+        /// The value.
         value: String,
         /// What was expected.
         expected: &'static str,
@@ -229,7 +229,7 @@ pub enum WriteVideoError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A size or rate that cannot be encoded.
@@ -263,7 +263,7 @@ pub enum WriteVideoError {
     Encode {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// Its message.
         reason: String,
     },
     /// The file that was written does not read back; it was removed.
@@ -271,7 +271,7 @@ pub enum WriteVideoError {
     Verify {
         /// The file.
         path: PathBuf,
-        /// What was found.
+        /// The findings.
         reason: String,
     },
 }

@@ -107,9 +107,9 @@ pub enum LpipsError {
         width: usize,
         /// Rows.
         height: usize,
-        /// Which channel, 0..3.
+        /// Index of the channel, 0..3.
         channel: usize,
-        /// What was given.
+        /// The given value.
         found: usize,
     },
     /// A colour is infinite or no number.
@@ -119,7 +119,7 @@ pub enum LpipsError {
         x: usize,
         /// Row.
         y: usize,
-        /// Which channel, 0..3.
+        /// Index of the channel, 0..3.
         channel: usize,
         /// The value.
         value: f32,

@@ -12,7 +12,7 @@ pub enum Sam2Error {
     /// An image has no pixels.
     #[error("{what} has no pixels: it is {width} x {height}")]
     NoPixels {
-        /// What it is.
+        /// The kind.
         what: &'static str,
         /// Columns.
         width: usize,

@@ -22,7 +22,7 @@ pub enum Tapip3dError {
     BadFrame {
         /// The frame.
         frame: usize,
-        /// What is wrong with it.
+        /// The fault.
         reason: &'static str,
     },
     /// The network cannot work at this size.
@@ -43,7 +43,7 @@ pub enum Tapip3dError {
     Query {
         /// Its number.
         index: usize,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// There is no depth where it is needed.

@@ -18,7 +18,7 @@ pub struct Metrics {
     pub loss: f64,
     /// Of the last frame, dB.
     pub psnr: f64,
-    /// How many there are.
+    /// The number of them.
     pub splats: usize,
 }
 
@@ -29,7 +29,7 @@ pub(super) struct Pulse {
     pub version: u64,
     /// Lines of the log.
     pub logged: usize,
-    /// How it ended.
+    /// The outcome.
     pub end: Option<bool>,
 }
 

@@ -52,7 +52,7 @@ pub enum ServeError {
     Listen {
         /// The port that was asked for; 0 for any.
         port: u16,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// No random numbers for the token.
@@ -60,13 +60,13 @@ pub enum ServeError {
         "the system provides no random numbers, without which any user of this machine could read the scene: {reason}"
     )]
     Random {
-        /// What the system said.
+        /// The error of the operating system.
         reason: String,
     },
     /// No thread or no event loop.
     #[error("cannot start the server: {source}")]
     Start {
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
 }

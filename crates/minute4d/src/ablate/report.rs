@@ -8,7 +8,7 @@ use std::path::PathBuf;
 /// One row.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RowReport {
-    /// Which.
+    /// The name of the weights.
     pub row: Row,
     /// Why it was not made, where it was not: then everything else is absent.
     pub skipped: Option<String>,

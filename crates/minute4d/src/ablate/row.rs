@@ -32,7 +32,7 @@ impl Row {
         }
     }
 
-    /// As tables call it.
+    /// Returns the name in tables.
     #[must_use]
     pub fn title(self) -> &'static str {
         match self {

@@ -32,7 +32,7 @@ pub struct Machine {
 /// A GPU that kernels ran on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GpuMachine {
-    /// As its driver says.
+    /// The name that the driver reports.
     pub name: String,
     /// Discrete, integrated, virtual, software, other.
     pub kind: String,
@@ -106,7 +106,7 @@ pub enum Bound {
 }
 
 impl Bound {
-    /// As tables call it.
+    /// Returns the name in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

@@ -49,7 +49,7 @@ pub enum ProtocolError {
     Tracks {
         /// The capture.
         path: PathBuf,
-        /// What is wrong.
+        /// The fault.
         what: String,
     },
     /// A mask of co-visibility is not there.
@@ -59,7 +59,7 @@ pub enum ProtocolError {
         path.display()
     )]
     NoMask {
-        /// Where it was looked for.
+        /// The path that was searched.
         path: PathBuf,
         /// The view.
         view: String,
@@ -93,13 +93,13 @@ pub enum ProtocolError {
     Lpips {
         /// The view.
         view: String,
-        /// What it said.
+        /// Its message.
         why: String,
     },
     /// The weights of LPIPS are here and no weights.
     #[error("the weights of LPIPS cannot be used: {why}; `minute4d weights verify` says more")]
     LpipsWeights {
-        /// What is wrong with them.
+        /// The fault.
         why: String,
     },
 }

@@ -39,7 +39,7 @@ pub enum ExportError {
     /// A format that is not known.
     #[error("{given:?} is not a format; choose one of {}", Format::names())]
     Unknown {
-        /// What was written.
+        /// The given text.
         given: String,
     },
     /// A video of a scene without cameras.
@@ -50,7 +50,7 @@ pub enum ExportError {
     ReadBack {
         /// The format.
         format: Format,
-        /// Why not.
+        /// The reason.
         source: Box<crate::import::ImportError>,
     },
     /// Writing a capture for another tool.

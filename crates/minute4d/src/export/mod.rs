@@ -25,10 +25,10 @@ use m4_scene::Scene;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What to export.
+/// An export job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExportJob {
-    /// As what.
+    /// The format.
     pub format: Format,
     /// Where to; `None` for the usual name beside the scene.
     pub out: Option<PathBuf>,

@@ -37,14 +37,14 @@ pub struct ExportReport {
 pub struct Losses {
     /// Evaluated at fixed instants.
     pub baked: Vec<String>,
-    /// Not there.
+    /// Dropped properties.
     pub dropped: Vec<String>,
     /// Stored with fewer digits.
     pub quantised: Vec<String>,
 }
 
 impl Losses {
-    /// Sorted.
+    /// Sorts losses by kind.
     #[must_use]
     pub fn of(losses: Vec<Loss>) -> Self {
         let mut all = Self::default();

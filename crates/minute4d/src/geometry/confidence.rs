@@ -18,7 +18,7 @@ pub enum Grade {
 }
 
 impl Grade {
-    /// In a word.
+    /// Returns the grade as a word.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -44,7 +44,7 @@ pub enum Focal {
 /// How far geometry can be trusted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Confidence {
-    /// All in all.
+    /// The overall grade.
     pub grade: Grade,
     /// What to do about it, where it is not good.
     pub advice: Option<String>,
@@ -203,7 +203,7 @@ impl Confidence {
         (worst, advice.map(|(_, advice)| (*advice).to_owned()))
     }
 
-    /// In a line.
+    /// Returns a one-line summary.
     #[must_use]
     pub fn words(&self) -> String {
         let focal = match (self.focal, self.focal_sigma_percent) {

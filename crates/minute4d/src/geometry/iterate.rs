@@ -39,7 +39,7 @@ impl Change {
         differs && self.kept >= AS_MANY
     }
 
-    /// In a few words.
+    /// Returns a short description.
     pub fn words(&self) -> String {
         format!(
             "projections differ by {:.2} px, {:.1} % of tracks are classified differently",

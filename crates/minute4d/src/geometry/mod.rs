@@ -56,7 +56,7 @@ struct Part<'a> {
     video: &'a m4_io::video::VideoOptions,
     sparse: &'a m4_slam::sparse::SparseConfig,
     dense: &'a m4_slam::dense::DenseConfig,
-    /// What was asked for.
+    /// The requested value.
     geometry: &'a GeometryOptions,
     /// What that came to: the front end's name, and the hashes of its weights.
     frontend: &'a str,

@@ -15,7 +15,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What was imported.
+/// The report of an import.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CaptureReport {
     /// The format that was read.

@@ -10,7 +10,7 @@ use m4_slam::dense::InverseSearch;
 use serde::Serialize;
 use std::fmt;
 
-/// What the comparison found.
+/// The result of the comparison.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Checked {
     /// Of the capture that was written.
@@ -20,10 +20,10 @@ pub struct Checked {
     pub repaired: Option<Repaired>,
 }
 
-/// What was put right.
+/// The corrections.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Repaired {
-    /// What was misread.
+    /// The convention errors found.
     pub causes: Vec<Cause>,
     /// The comparison of the capture as its files say.
     pub before: Consistency,

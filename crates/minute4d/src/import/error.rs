@@ -31,7 +31,7 @@ pub enum ImportError {
     /// A name that no format has.
     #[error("no format is called {given}; these can be imported: {known}")]
     NoSuchFormat {
-        /// What was given.
+        /// The given value.
         given: String,
         /// The formats that can be imported.
         known: String,

@@ -21,7 +21,7 @@ pub enum ImportFormat {
 }
 
 impl ImportFormat {
-    /// As on the command line.
+    /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

@@ -39,7 +39,7 @@ use std::path::{Path, PathBuf};
 /// Name of the stage.
 pub const STAGE: &str = "import";
 
-/// What was imported.
+/// The report of an import.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ImportReport {
     /// The format that was read.
@@ -60,7 +60,7 @@ pub struct ImportReport {
     pub seconds: f64,
 }
 
-/// What became of a file.
+/// The report of an import.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Report {

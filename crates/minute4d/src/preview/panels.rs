@@ -5,7 +5,7 @@ use m4_scene::{Plane, RgbImage};
 
 /// Pixels between two panels.
 const GAP: usize = 4;
-/// What the panels show.
+/// The titles of the panels.
 pub(super) const NAMES: [&str; 3] = ["SOURCE", "RE-RENDER", "FROZEN TIME"];
 
 /// The layout of a preview.

@@ -21,9 +21,9 @@ pub enum PathError {
     Range {
         /// The option.
         option: &'static str,
-        /// Its value.
+        /// The value.
         value: f64,
-        /// What is possible.
+        /// The allowed values.
         expected: &'static str,
     },
     /// More images than anyone wants.
@@ -61,7 +61,7 @@ pub enum PathError {
     /// Neither a path nor a file.
     #[error("there is no camera path {name:?}; write {}, or the name of a file", super::path::WORDS.join(", "))]
     Unknown {
-        /// What was given.
+        /// The given value.
         name: String,
     },
     /// Many images into one file.

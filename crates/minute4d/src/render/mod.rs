@@ -36,14 +36,14 @@ use std::time::Instant;
 /// Frames a second where the scene does not say.
 pub const DEFAULT_FPS: f64 = 30.0;
 
-/// What to render.
+/// A rendering job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RenderJob {
     /// Cameras.
     pub path: CameraPath,
-    /// What is asked of the path.
+    /// The options of the path.
     pub options: PathOptions,
-    /// Its defaults.
+    /// The defaults of the path.
     pub config: PathConfig,
     /// Moments.
     pub time: TimePath,
@@ -57,7 +57,7 @@ pub struct RenderJob {
     pub zoom: f64,
     /// Replace what is there.
     pub replace: bool,
-    /// Where images are drawn.
+    /// The device that renders.
     pub device: DeviceChoice,
 }
 
@@ -101,7 +101,7 @@ impl RenderJob {
     }
 }
 
-/// What was rendered.
+/// The report of a rendering.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rendered {
     /// Images written.

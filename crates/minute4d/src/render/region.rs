@@ -15,7 +15,7 @@ const LEAST_MOVING: usize = 50;
 /// The surroundings of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Region {
-    /// Where a path starts.
+    /// The start of a path.
     pub stop: Stop,
     /// Median z-depth of dynamic regions in the image, or of the whole image where nothing does; world units.
     pub distance: f64,
@@ -38,7 +38,7 @@ impl Region {
         }
     }
 
-    /// What the camera looks at.
+    /// Returns the point that the camera looks at.
     #[must_use]
     pub fn pivot(&self) -> Vector3<f64> {
         self.stop.camera.c2w.transform(&Vector3::new(0.0, 0.0, self.distance))

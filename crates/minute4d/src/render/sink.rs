@@ -13,7 +13,7 @@ const OTHER_VIDEOS: [&str; 8] = ["mov", "avi", "mkv", "webm", "m4v", "gif", "web
 /// Files for one image.
 const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// Where images go.
+/// The destination of images.
 pub(super) enum Sink {
     /// `00000.png` and so on.
     Folder { path: PathBuf, next: usize },

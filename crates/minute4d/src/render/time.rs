@@ -25,22 +25,22 @@ pub enum TimePath {
     Play,
 }
 
-/// Why a time cannot be used.
+/// Errors of parsing times.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TimeError {
-    /// Not one of the forms.
+    /// The text has none of the known forms.
     #[error(
         "{given:?} is not a time; write source, play, freeze@T or A..B, where T, A and B are frame numbers (12.5), or seconds with the suffix s (1.5s)"
     )]
     Form {
-        /// What was written.
+        /// The given text.
         given: String,
     },
-    /// Not a moment.
+    /// The text is not a time.
     #[error("{given:?} is not a time; write a frame number (12.5), or seconds with the suffix s (1.5s)")]
     Moment {
-        /// What was written.
+        /// The given text.
         given: String,
     },
     /// Before the first or after the last frame.
@@ -120,7 +120,7 @@ fn parse_moment(text: &str) -> Option<Moment> {
     })
 }
 
-/// How long a scene lasts.
+/// The duration of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Span {
     /// Time runs from 0 to one less than this, frames.

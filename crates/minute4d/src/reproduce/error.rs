@@ -15,11 +15,11 @@ pub enum ReproduceError {
     NoScenes {
         /// The data set.
         suite: Suite,
-        /// Where it was looked for.
+        /// The path that was searched.
         path: PathBuf,
-        /// What is lacking of each.
+        /// The missing files of each scene.
         missing: String,
-        /// Where people get it.
+        /// The source for downloading the data set.
         source_words: &'static str,
     },
     /// The data set has no test of that protocol.
@@ -29,7 +29,7 @@ pub enum ReproduceError {
         suite: Suite,
         /// The protocol.
         protocol: Protocol,
-        /// Those that it has.
+        /// The supported protocols.
         known: String,
     },
     /// A scene lacks its held-out views.
@@ -39,7 +39,7 @@ pub enum ReproduceError {
         path: PathBuf,
         /// The protocol.
         protocol: Protocol,
-        /// What to do.
+        /// How to fix it.
         remedy: &'static str,
     },
     /// Training images that are not one step of time apart each.

@@ -50,7 +50,7 @@ pub enum GeometrySource {
     Own,
 }
 
-/// What to make again.
+/// The options of a reproduction.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ReproduceOptions {
     /// Which protocols; those of the data set where empty.
@@ -61,7 +61,7 @@ pub struct ReproduceOptions {
     pub factor: Option<u32>,
     /// Refine the poses of test images where peers do.
     pub refine_poses: bool,
-    /// Whose poses and depth.
+    /// The source of poses and depth.
     pub geometry: GeometrySource,
     /// The program itself, to make every scene again without each part of the method ([`mod@crate::ablate`]); `None` to leave that out.
     pub ablations: Option<PathBuf>,

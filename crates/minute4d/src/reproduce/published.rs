@@ -19,7 +19,7 @@ pub struct Published {
     pub ssim: Option<f64>,
     /// Mean LPIPS with AlexNet.
     pub lpips: Option<f64>,
-    /// How long it trains.
+    /// The training time.
     pub training: Option<&'static str>,
     /// Images a second.
     pub frames_per_s: Option<f64>,

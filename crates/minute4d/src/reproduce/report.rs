@@ -20,13 +20,13 @@ pub struct ReproduceReport {
     pub date: String,
     /// The data set.
     pub suite: Suite,
-    /// Where it lies.
+    /// The folder.
     pub data: PathBuf,
     /// Profile of the settings.
     pub profile: String,
     /// Threads.
     pub threads: usize,
-    /// One a protocol.
+    /// One per protocol.
     pub tables: Vec<TableReport>,
     /// Scenes that are not there, and what they lack.
     pub missing: Vec<MissingScene>,
@@ -37,7 +37,7 @@ pub struct ReproduceReport {
 pub struct MissingScene {
     /// Its name.
     pub scene: String,
-    /// What it lacks.
+    /// The missing files.
     pub why: String,
 }
 
@@ -48,7 +48,7 @@ pub struct TableReport {
     pub suite: Suite,
     /// The protocol.
     pub protocol: Protocol,
-    /// What it asks.
+    /// The task.
     pub task: Task,
     /// Name of the score that stands for it.
     pub headline: String,
@@ -98,11 +98,11 @@ pub struct SceneRow {
     pub splats: usize,
     /// Images a second while judging, each copied to the host.
     pub frames_per_s: Option<f64>,
-    /// What trained and drew.
+    /// The device.
     pub device: String,
 }
 
-/// In words of tables.
+/// Returns the name of a pose treatment in tables.
 pub(super) fn pose_word(treatment: PoseTreatment) -> &'static str {
     match treatment {
         PoseTreatment::Given => "given",
@@ -157,7 +157,7 @@ impl TableReport {
         format!("reproduce-{}.svg", self.protocol)
     }
 
-    /// What our mean is called.
+    /// Returns the name of our mean.
     pub(super) fn ours(&self) -> String {
         let poses: std::collections::BTreeSet<&str> = self.rows.iter().map(|r| r.poses.as_str()).collect();
         let poses: Vec<&str> = poses.into_iter().collect();

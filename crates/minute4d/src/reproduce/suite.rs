@@ -96,7 +96,7 @@ pub(super) struct FoundScene {
 }
 
 impl Suite {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 3] = [Self::Dycheck, Self::Nvidia, Self::Davis];
 
     fn facts(self) -> &'static Facts {
@@ -107,19 +107,19 @@ impl Suite {
         }
     }
 
-    /// As on the command line.
+    /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.facts().name
     }
 
-    /// As tables call it.
+    /// Returns the name in tables.
     #[must_use]
     pub fn title(self) -> &'static str {
         self.facts().title
     }
 
-    /// Where people get it.
+    /// Returns the source for downloading the data set.
     #[must_use]
     pub fn source(self) -> &'static str {
         self.facts().source
@@ -210,7 +210,7 @@ impl fmt::Display for Suite {
     }
 }
 
-/// No data set of that name.
+/// The name of the data set is unknown.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("there is no data set {0:?}; the data sets are dycheck, nvidia and davis")]
 pub struct UnknownSuite(pub String);

@@ -97,7 +97,7 @@ impl Source {
         }
     }
 
-    /// What the page is called.
+    /// Returns the title of the page.
     pub fn title(&self) -> String {
         match self.record() {
             Some(record) => title(&self.path, &record.input.path),
@@ -105,7 +105,7 @@ impl Source {
         }
     }
 
-    /// How training went so far.
+    /// Returns the metrics so far.
     pub fn metrics(&self) -> Vec<Metrics> {
         let text = fs::read_to_string(self.path.join(METRICS_FILE)).unwrap_or_default();
         let events: Vec<MetricsEvent> = text.lines().filter_map(|l| serde_json::from_str(l).ok()).collect();

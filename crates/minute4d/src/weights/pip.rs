@@ -12,7 +12,7 @@ use std::time::Duration;
 /// How often a stop is looked for while `pip` works.
 const POLL: Duration = Duration::from_millis(50);
 
-/// How `pip` is called.
+/// The command line of `pip`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pip {
     program: OsString,

@@ -30,7 +30,7 @@ pub struct Ablate {
     /// How long to train; every row takes as many steps as the full one.
     #[command(flatten)]
     pub length: LengthArgs,
-    /// Which part of the video.
+    /// The part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
     /// Settings.

@@ -43,16 +43,16 @@ pub struct BatchPlan {
     /// Replace an existing manifest
     #[arg(long)]
     pub force: bool,
-    /// How long to train.
+    /// The length of training.
     #[command(flatten)]
     pub length: LengthArgs,
     /// Time limit of each run, as `--time-limit` of `run`
     #[arg(long, value_name = "TIME", value_parser = values::duration)]
     pub time_limit: Option<f64>,
-    /// Which part of each video.
+    /// The part of each video.
     #[command(flatten)]
     pub video: VideoArgs,
-    /// Where to train.
+    /// The device for training.
     #[command(flatten)]
     pub device: DeviceArgs,
     /// Parts of the method to switch off.

@@ -4,7 +4,7 @@ use crate::failure::Failure;
 use clap::Args;
 use minute4d::device::{DeviceChoice, DeviceRequest, UnknownDevice};
 
-/// Where to train.
+/// The device for training.
 #[derive(Debug, Args)]
 pub struct DeviceArgs {
     /// Device for training and networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a hardware

@@ -15,7 +15,7 @@ pub struct Geometry {
     /// Folder for the capture
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// Which part of the video.
+    /// The part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
     /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`

@@ -50,7 +50,7 @@ pub struct Reproduce {
     /// Device for training, rendering and networks: `cpu`, `gpu`, `gpu:N` or `auto`
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,
-    /// How long to train.
+    /// The length of training.
     #[command(flatten)]
     pub length: LengthArgs,
     /// Settings.

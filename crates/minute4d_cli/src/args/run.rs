@@ -13,17 +13,17 @@ pub struct Run {
     /// Folder for all results: scene.safetensors, viewer.html, preview.mp4, run.json, metrics.jsonl, capture/
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// How long to train.
+    /// The length of training.
     #[command(flatten)]
     pub length: LengthArgs,
     /// Time limit, such as 90s, 10m or 1.5h: training is shortened to the time left and the preview may be skipped; geometry that
     /// takes longer is saved (exit code 75, continue with --resume)
     #[arg(long, value_name = "TIME", value_parser = values::duration)]
     pub time_limit: Option<f64>,
-    /// Which part of the video.
+    /// The part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
-    /// Where to train.
+    /// The device for training.
     #[command(flatten)]
     pub device: DeviceArgs,
     /// Parts of the method to switch off.

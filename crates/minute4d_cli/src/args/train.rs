@@ -13,13 +13,13 @@ pub struct Train {
     /// Folder for the scene and its records
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// How long to train.
+    /// The length of training.
     #[command(flatten)]
     pub length: LengthArgs,
     /// Time limit, such as 90s, 10m or 1.5h: training is shortened to the time left and the preview may be skipped
     #[arg(long, value_name = "TIME", value_parser = values::duration)]
     pub time_limit: Option<f64>,
-    /// Where to train.
+    /// The device for training.
     #[command(flatten)]
     pub device: DeviceArgs,
     /// Parts of the method to switch off.

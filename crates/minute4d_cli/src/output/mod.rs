@@ -16,7 +16,7 @@ use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 use terminal::Bars;
 
-/// Where progress goes.
+/// The destination of progress.
 enum Mode {
     /// One JSON object per line on stdout.
     Json(Events),

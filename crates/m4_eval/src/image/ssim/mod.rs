@@ -46,7 +46,7 @@ pub enum SsimKind {
 }
 
 impl SsimKind {
-    /// What a report says of it.
+    /// Returns the title in a report.
     #[must_use]
     pub fn title(self) -> &'static str {
         match self {

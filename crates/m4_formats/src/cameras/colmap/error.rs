@@ -16,7 +16,7 @@ pub enum ReadColmapError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file ends too early or holds what it cannot.
@@ -26,7 +26,7 @@ pub enum ReadColmapError {
         path: PathBuf,
         /// Line or byte.
         place: String,
-        /// What was found.
+        /// The findings.
         reason: String,
     },
     /// A lens with distortion, or one that is unknown.
@@ -42,7 +42,7 @@ pub enum ReadColmapError {
     Inconsistent {
         /// The folder.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         reason: String,
     },
 }
@@ -71,7 +71,7 @@ pub enum WriteColmapError {
     BadScene {
         /// The folder.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         what: String,
     },
     /// The names do not fit.
@@ -79,7 +79,7 @@ pub enum WriteColmapError {
     Names {
         /// The folder.
         path: PathBuf,
-        /// What is wrong with them.
+        /// The fault.
         source: BadName,
     },
 }

@@ -60,7 +60,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 6] = [
         Self::Holdout,
         Self::Instant4d,
@@ -70,7 +70,7 @@ impl Protocol {
         Self::Davis,
     ];
 
-    /// As on the command line.
+    /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.rules().name

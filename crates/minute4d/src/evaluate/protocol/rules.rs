@@ -41,13 +41,13 @@ pub enum LpipsRule {
 /// What a protocol fixes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rules {
-    /// Which.
+    /// The name of the weights.
     pub protocol: Protocol,
-    /// As on the command line.
+    /// The name on the command line.
     pub name: &'static str,
     /// One line for people.
     pub title: &'static str,
-    /// What it asks.
+    /// The task.
     pub task: Task,
     /// Which frames are held out.
     pub frames: FrameRule,

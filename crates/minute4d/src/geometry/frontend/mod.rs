@@ -106,7 +106,7 @@ pub enum UnknownFrontend {
         first: &'static str,
         /// The second.
         second: &'static str,
-        /// What both do.
+        /// The common task.
         task: &'static str,
     },
 }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[cfg(feature = "nets")]
 use std::path::PathBuf;
 
-/// Who finds the cameras.
+/// The method for cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Cameras {
     /// Tracked corners and bundle adjustment.
@@ -36,7 +36,7 @@ pub struct UsedNetwork {
 pub struct Plan {
     /// What was chosen, never `auto`.
     pub frontend: Frontend,
-    /// Who finds the cameras.
+    /// The method for cameras.
     pub cameras: Cameras,
     /// The networks, in the order of the parts.
     pub used: Vec<UsedNetwork>,
@@ -82,7 +82,7 @@ fn names(part: Part) -> &'static [&'static str] {
 /// The default flow methods for the tracking network, best first.
 #[cfg(feature = "nets")]
 const FLOWS: [Part; 2] = [Part::Raft, Part::Classical];
-/// What it takes for depth.
+/// The depth methods, best first.
 #[cfg(feature = "nets")]
 const DEPTHS: [&[Part]; 5] = [
     &[Part::Moge],

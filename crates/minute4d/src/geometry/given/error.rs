@@ -15,7 +15,7 @@ pub enum GivenError {
     Missing {
         /// The option.
         option: &'static str,
-        /// Where it was looked for.
+        /// The path that was searched.
         path: PathBuf,
     },
     /// A file that cannot be read.
@@ -23,7 +23,7 @@ pub enum GivenError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A lens that is none.
@@ -31,19 +31,19 @@ pub enum GivenError {
         "the intrinsics {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with fl_x, fl_y, cx, cy, w and h"
     )]
     Lens {
-        /// What was given.
+        /// The given value.
         given: String,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// Another number of files or poses than of frames.
     #[error("{} has {found} {what} for {frames} frames; give one per frame, in the order or with the names of the frames", path.display())]
     Count {
-        /// What was counted.
+        /// The kind of file.
         what: &'static str,
         /// The file or folder.
         path: PathBuf,
-        /// How many there are.
+        /// The number of them.
         found: usize,
         /// How many frames the clip has.
         frames: usize,
@@ -65,7 +65,7 @@ pub enum GivenError {
         path: PathBuf,
         /// Its line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// The fault.
         what: String,
     },
     /// A trajectory says nothing about the lens.

@@ -16,7 +16,7 @@ pub struct KeyedPath {
     start_s: f64,
     /// From the first keyframe to the last, or back to the first where the path is closed.
     pub seconds: f64,
-    /// It ends where it begins.
+    /// Whether the path is closed.
     pub closed: bool,
     way: Way,
     /// Natural logarithm of the focal length in image heights.

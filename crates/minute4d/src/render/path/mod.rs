@@ -61,7 +61,7 @@ impl fmt::Display for CameraPath {
 pub struct Stop {
     /// Lens and pose.
     pub camera: Camera,
-    /// Its own moment, frames.
+    /// The time of the camera, frames.
     pub t: f64,
     /// Colour correction of what it sees.
     pub exposure: Exposure,
@@ -70,7 +70,7 @@ pub struct Stop {
 /// Every camera of a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// One an image.
+    /// One per image.
     pub stops: Vec<Stop>,
     /// Images a second.
     pub fps: f64,
@@ -130,7 +130,7 @@ impl CameraPath {
     }
 }
 
-/// How long a scene lasts.
+/// The duration of a scene.
 pub fn span(scene: &Scene) -> Span {
     Span {
         time_frames: scene.time_frames,
@@ -170,7 +170,7 @@ fn limited(frames: f64, seconds: f64, fps: f64) -> Result<usize, PathError> {
     }
 }
 
-/// What a path is made of.
+/// The inputs of a path.
 struct Maker<'a> {
     scene: &'a Scene,
     source: &'a SourcePath,

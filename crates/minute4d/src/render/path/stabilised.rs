@@ -17,7 +17,7 @@ const MAX_SAMPLES: f64 = 18_000.0;
 /// Half width of the window, standard deviations.
 const WINDOW_SIGMAS: f64 = 3.0;
 
-/// How much is smoothed.
+/// The parameters of the smoothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Smoothing {
     /// Standard deviation, seconds.
@@ -91,7 +91,7 @@ impl Line {
         }
     }
 
-    /// Where the line is at 0.
+    /// Returns the value of the line at 0.
     fn middle(&self) -> (Vector3<f64>, Vector3<f64>) {
         let d = self.weight * self.xx - self.x * self.x;
         let at = |k: usize| {
