@@ -1,4 +1,4 @@
-//! The tables of `docs/results.md`, measured anew.
+//! The tables of `docs/results.md`, measured again.
 //!
 //! Everything goes through the program as a user would run it; rows are read from the files it leaves
 //! (`run.json`, `eval.json`) or prints (`eval-geometry`).

@@ -31,7 +31,7 @@ const FULL: [&str; 10] = [
 /// What to run, and what must not be missing.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Tests {
-    /// What `full` adds, in place of the tests of the default program.
+    /// What `full` adds, instead of the tests of the default program.
     pub full: bool,
     /// Needs (`m4_testkit::Need`) for whose lack no test may be skipped.
     pub required: BTreeSet<String>,

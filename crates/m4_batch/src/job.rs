@@ -65,7 +65,7 @@ pub fn index_of_environment(get: impl Fn(&str) -> Option<String>) -> Result<Opti
     Ok(None)
 }
 
-/// Runs a job, unless it is done or failed permanently; `retry_failed` runs it in that case, too. It goes on where an interrupted run
+/// Runs a job, unless it is done or failed permanently; `retry_failed` runs it in that case, too. It continues where an interrupted run
 /// of it stopped.
 ///
 /// # Errors
@@ -289,7 +289,7 @@ fn wait_for(file: &File, watch: &dyn Watch) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Waits until no run has the working folder, and clears away one that no run can go on with: killed before it wrote
+/// Waits until no run has the working folder, and clears away one that no run can resume: killed before it wrote
 /// what it is. False where it is not available.
 fn free(work: &Path, watch: &dyn Watch) -> io::Result<bool> {
     let folder = match File::open(work) {

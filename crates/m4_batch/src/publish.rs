@@ -118,7 +118,7 @@ fn hash(path: &Path) -> io::Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Publishes the finished run in the working folder as the result of a job, in place of an older one.
+/// Publishes the finished run in the working folder as the result of a job, instead of an older one.
 pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Result<Published, BatchError> {
     let (work, target) = (layout.work(id), layout.result(id));
     match present(&target, key)? {
@@ -133,7 +133,7 @@ pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Resul
     let incoming = layout.incoming(id).join(&nonce);
     bring(&work, &incoming).map_err(BatchError::write(&incoming))?;
     if let Err(reason) = check(&incoming, true)? {
-        // The next attempt begins anew.
+        // The next attempt starts again.
         remove(&incoming)?;
         let _ = fs::remove_dir(layout.incoming(id));
         return Ok(Published::Bad(reason));

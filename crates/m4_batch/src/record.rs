@@ -28,7 +28,7 @@ pub struct JobRecord {
     pub version: u32,
     /// The job.
     pub id: String,
-    /// Hash of input and settings that all this is of; another one begins anew.
+    /// Hash of input and settings that all this is of; another one starts again.
     pub key: String,
     /// The outcome.
     pub outcome: Outcome,

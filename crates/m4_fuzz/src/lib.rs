@@ -12,7 +12,7 @@
 //! ```
 //!
 //! Two programs go through the same table: `fuzz/` (libFuzzer, with the coverage of the code as its guide: a target a family) and
-//! `tests/replay.rs` (what was found, and hostile heads, within a limit of memory). Functions here panic where the fixtures are
+//! `tests/replay.rs` (what was found, and malformed heads, within a limit of memory). Functions here panic where the fixtures are
 //! not there: that is a broken checkout.
 #![forbid(unsafe_code)]
 

@@ -123,7 +123,7 @@ impl Stage<'_> {
         self.reader
     }
 
-    /// Puts the bytes where they belong, and reads. A message has `STAGE` in place of the folder.
+    /// Puts the bytes where they belong, and reads. A message has `STAGE` instead of the folder.
     ///
     /// # Errors
     ///

@@ -41,7 +41,7 @@ pub struct Report {
 }
 
 /// Runs `command(from)`, a process that calls [`crate::work`] for `reader`, until all inputs are through; after an input that it does
-/// not come back from it is started anew behind that one.
+/// not come back from it is started again behind that one.
 ///
 /// # Errors
 ///

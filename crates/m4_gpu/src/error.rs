@@ -44,7 +44,7 @@ pub enum GpuError {
     /// Training was given no frames.
     #[error("there are no frames to train on. Give at least one")]
     NoFrames,
-    /// A frame that was asked for is not there.
+    /// A frame that was asked for is missing.
     #[error("there is no frame {index}: {count} were given, counted from 0")]
     NoFrame {
         /// The index.

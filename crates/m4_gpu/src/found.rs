@@ -114,7 +114,7 @@ impl Tally {
         );
     }
 
-    /// Waits, says what was found, and starts anew.
+    /// Waits, says what was found, and starts again.
     pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<Found, GpuError> {
         let words = self.buffer.read_words(&gpu.client, doing)?;
         self.buffer = Self::fresh(gpu, words.len() - LOSSES);

@@ -104,7 +104,7 @@ impl Frames {
         self.list.iter().filter(there).count()
     }
 
-    /// Frame `index`, uploaded if it is not there.
+    /// Frame `index`, uploaded if it is missing.
     pub fn get(&self, gpu: &Gpu, index: usize) -> Result<DeviceFrame, GpuError> {
         let frame = self.stored(index)?;
         Ok(DeviceFrame {

@@ -10,7 +10,7 @@ use crate::{Gpu, GpuError, eye::EYE, found::LOSSES};
 use m4_scene::SplatLayout;
 
 /// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
-/// most splats are not there at an instant; the first frame says how many entries it takes, and is drawn again.
+/// most splats are missing at an instant; the first frame says how many entries it takes, and is drawn again.
 const FIRST_ENTRIES: usize = 1;
 const LEAST_ENTRIES: usize = 1 << 16;
 

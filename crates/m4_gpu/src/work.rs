@@ -87,7 +87,7 @@ pub(crate) struct Work {
     pub stopwatch: Stopwatch,
     /// Red, green, blue, transmittance, depth: planes.
     pub image: Buffer,
-    /// The loss's gradient with respect to those (alpha in place of transmittance).
+    /// The loss's gradient with respect to those (alpha instead of transmittance).
     pub gradient: Buffer,
     /// 1 for splats that reached a pixel.
     pub touched: Buffer,

@@ -152,7 +152,7 @@ struct Parts {
     shell: Shell,
     /// Time and points, one per keyframe.
     moving: Vec<(f64, Centroids)>,
-    /// World units per frame, one a point of each keyframe.
+    /// World units per frame, one per point of each keyframe.
     velocities: Vec<Vec<[f32; 3]>>,
     /// Points that a keyframe cannot see.
     hidden: Vec<Moving>,

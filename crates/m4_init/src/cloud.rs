@@ -22,7 +22,7 @@ impl Cloud {
     }
 }
 
-/// Points of one frame that are made when they are looked at: a bit per pixel in place of 15 bytes per point, which for
+/// Points of one frame that are made when they are looked at: a bit per pixel instead of 15 bytes per point, which for
 /// all frames together would be a good part of the memory of a run.
 #[derive(Debug, Clone)]
 pub(crate) struct Pixels {

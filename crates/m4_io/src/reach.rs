@@ -54,7 +54,7 @@ impl Bounds {
         Self {
             reach,
             folder: folder.to_path_buf(),
-            // In one that is not there no file is.
+            // In one that is missing no file is.
             real: all.filter_map(|folder| folder.canonicalize().ok()).collect(),
         }
     }

@@ -1,4 +1,4 @@
-//! LPIPS against the networks stated anew in PyTorch: with synthetic weights always, with the published ones where they are.
+//! LPIPS against the networks stated again in PyTorch: with synthetic weights always, with the published ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{fixtures, floats, picture, png, real_weights};

@@ -234,7 +234,7 @@ fn what_is_far_off_is_forgotten() {
             let known = predictor.mask(frame, 7).unwrap().is_some();
             assert_eq!(known, frame <= kept || 59 - frame <= kept, "frame {frame}, {kept}");
         }
-        // what is forgotten can be corrected all the same
+        // what is forgotten can be corrected anyway
         predictor.show(30, 7, &here()).unwrap();
         predictor
             .follow(25..=30, Direction::Backward, &Silent, |_, _| ())
@@ -276,7 +276,7 @@ fn a_mask_is_taken_as_it_is() {
     let differ = back.data().iter().zip(disc.data()).filter(|(a, b)| a != b).count();
     let area = disc.data().iter().filter(|&&on| on).count();
     assert!(area > 1000 && differ * 4 < area, "{differ} of {area}");
-    // nothing is an object that is not there
+    // nothing is an object that is missing
     let none = predictor.show_mask(0, 2, &Plane::filled(5, 5, false)).unwrap();
     assert!(!none.is_there() && none.mask_at((90, 50)).data().iter().all(|&on| !on));
     let mut last = BTreeMap::new();

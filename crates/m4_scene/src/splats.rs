@@ -17,7 +17,7 @@ use std::ops::Range;
 /// Which columns a set of splats has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SplatLayout {
-    /// One scale and no rotation per splat, in place of three scales and a quaternion.
+    /// One scale and no rotation per splat, instead of three scales and a quaternion.
     pub isotropic: bool,
     /// Degree of the spatial harmonics of the colour, 0..=3.
     pub sh_degree: usize,
@@ -251,7 +251,7 @@ impl Splats {
     }
 
     /// Becomes [`gather`](Self::gather) of itself, one column after the other: with memory for one more
-    /// column in place of all.
+    /// column instead of all.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! Ways of points of moving parts through a clip: what a tracker hands to the initialisation.
+//! Trajectories of points on dynamic objects through a clip: what a tracker hands to the initialisation.
 
 use crate::ShapeError;
 
@@ -87,7 +87,7 @@ impl Tracks {
     ///
     /// # Errors
     ///
-    /// [`ShapeError`] when there is not one a place.
+    /// [`ShapeError`] when there is not one per place.
     pub fn with_confidence(self, confidence: &[f32]) -> Result<Self, ShapeError> {
         // a NaN becomes 0 in the cast
         self.with_confidence_steps(confidence.iter().map(|c| (255.0 * c).round() as u8).collect())
@@ -97,7 +97,7 @@ impl Tracks {
     ///
     /// # Errors
     ///
-    /// [`ShapeError`] when there is not one a place.
+    /// [`ShapeError`] when there is not one per place.
     pub fn with_confidence_steps(self, steps: Vec<u8>) -> Result<Self, ShapeError> {
         ShapeError::check("confidence of tracks", self.xyz.len(), steps.len())?;
         Ok(Self {
@@ -178,7 +178,7 @@ impl Tracks {
     ///
     /// # Errors
     ///
-    /// [`ShapeError`] when `order` names a frame that is not there.
+    /// [`ShapeError`] when `order` names a frame that is missing.
     pub fn in_order(&self, order: &[usize]) -> Result<Self, ShapeError> {
         if let Some(&frame) = order.iter().find(|&&i| i >= self.frames) {
             return Err(ShapeError {

@@ -21,7 +21,7 @@ pub struct Hit {
 /// other, nearer to the side, leaves the image. The camera walks slowly.
 #[derive(Debug, Clone)]
 pub struct BoxScene {
-    /// One a frame.
+    /// One per frame.
     pub cameras: Vec<Camera>,
     hits: Vec<Vec<Hit>>,
 }

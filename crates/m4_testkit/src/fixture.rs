@@ -73,7 +73,7 @@ pub struct GradientCase {
     pub splats: Vec<FixtureSplat>,
     /// 0.8 L1 + 0.2 (1 - SSIM) + depth term.
     pub loss: f64,
-    /// One a splat.
+    /// One per splat.
     pub grad_splats: Vec<FixtureSplat>,
     /// Left twist, translation part.
     pub grad_translation: [f64; 3],

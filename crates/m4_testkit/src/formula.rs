@@ -69,7 +69,7 @@ impl FormulaWeights {
         values.unwrap_or_else(|| panic!("there is no tensor {name}"))
     }
 
-    /// Puts `values` in place of those of `name`.
+    /// Puts `values` instead of those of `name`.
     ///
     /// # Panics
     ///

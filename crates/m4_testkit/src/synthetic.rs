@@ -157,7 +157,7 @@ pub fn random_scene(spec: &SceneSpec) -> Scene {
 pub struct MovingScene {
     /// The wall (static rows) and the ball (dynamic rows).
     pub splats: Splats,
-    /// One a frame; frame `i` is at `t = i`.
+    /// One per frame; frame `i` is at `t = i`.
     pub cameras: Vec<Camera>,
     /// Of the ball, world units per frame.
     pub velocity: [f32; 3],

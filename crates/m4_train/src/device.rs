@@ -12,7 +12,7 @@ use m4_kernels::photo::cpu::Target;
 use m4_kernels::{CameraGradient, View};
 use m4_scene::{Exposure, Splats};
 
-/// Why a device could not go on, in its own words.
+/// Why a device cannot continue, in its own words.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct DeviceError(pub String);

@@ -124,7 +124,7 @@ pub enum Error {
         /// The limit.
         seconds: f64,
     },
-    /// A GPU was asked for and is not there, does not start, or failed.
+    /// A GPU was asked for and is missing, does not start, or failed.
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Gpu(#[from] m4_gpu::GpuError),
@@ -210,7 +210,7 @@ pub enum Error {
     Stopped {
         /// The stage that was at work.
         stage: &'static str,
-        /// True when there is something to go on with.
+        /// True when there is something to resume from.
         saved: bool,
     },
     /// A bug.
@@ -294,7 +294,7 @@ pub enum Error {
         /// The front end.
         frontend: &'static str,
     },
-    /// A front end whose weights are not there.
+    /// A front end whose weights are missing.
     #[cfg(feature = "nets")]
     #[error("the front end {frontend} cannot be used: {source}; --frontend classical works without")]
     FrontEndWeights {
@@ -335,7 +335,7 @@ pub enum Error {
         /// The segmenter.
         segmenter: &'static str,
     },
-    /// A segmenter whose weights are not there.
+    /// A segmenter whose weights are missing.
     #[cfg(feature = "nets")]
     #[error("the segmenter {segmenter} cannot be used: {source}; --segmenter none works without")]
     SegmenterWeights {
@@ -362,7 +362,7 @@ pub enum Error {
         /// The tracker.
         tracker: &'static str,
     },
-    /// A tracker whose weights are not there.
+    /// A tracker whose weights are missing.
     #[cfg(feature = "nets")]
     #[error("the tracker {tracker} cannot be used: {source}; --tracker flow works without")]
     TrackerWeights {

@@ -74,7 +74,7 @@ fn half_written_checkpoints(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     Ok(found.into_iter().map(|(_, path)| path).collect())
 }
 
-/// Hidden files of a folder; none of one that is not there.
+/// Hidden files of a folder; none of one that is missing.
 fn hidden(folder: &Path) -> Result<Vec<(String, PathBuf)>, Error> {
     let failed = |source| Error::Read {
         path: folder.to_path_buf(),

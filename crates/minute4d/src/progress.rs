@@ -14,7 +14,7 @@ pub enum StageEvent<'a> {
         /// The reason, as text.
         because: Option<&'a str>,
     },
-    /// It goes on where an earlier run was stopped.
+    /// It continues where an earlier run was stopped.
     Resumed {
         /// Steps that were done before.
         done: usize,

@@ -1,4 +1,4 @@
-//! What is left of a run that was killed, ran out of time or out of disk, and how it goes on.
+//! What is left of a run that was killed, ran out of time or out of disk, and how it continues.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 #[cfg(unix)]

@@ -515,7 +515,7 @@ fn scenes_are_made_without_each_part_and_with_geometry_of_their_own() {
         assert!(table.contains(words), "{words} is not in {table}");
     }
     // poses of the images alone: the views of other cameras are placed by aligning
-    // ... and what was made with the data set's is made anew
+    // ... and what was made with the data set's is computed again
     let report = with(&["--protocols", "instant4d,dycheck", "--geometry", "own", "--ablations"]);
     let [held_out, novel] = [0, 1].map(|k| &report["tables"][k]);
     assert_eq!(held_out["rows"][0]["poses"], "own", "{held_out}");

@@ -167,7 +167,7 @@ fn view_shows_the_scene_and_the_one_that_takes_its_place() {
     stdout.read_line(&mut url).unwrap();
     let place = Place::of(&url);
 
-    // who may not, and what is not there
+    // who may not, and what is missing
     assert_eq!(place.ask_as("/", &format!("127.0.0.1:{}", place.port)).0, 403);
     let wrong = format!("/?token={}", "f".repeat(32));
     assert_eq!(place.ask_as(&wrong, &format!("127.0.0.1:{}", place.port)).0, 403);
@@ -232,7 +232,7 @@ fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
     let (data, out, other) = (dir.at("capture"), dir.at("out"), dir.at("other"));
     assert_eq!(train(&data, &out, "30", &["--no-viewer"]).code, 0);
     assert_eq!(train(&data, &other, "60", &["--no-viewer"]).code, 0);
-    // a folder in which training goes on: no scene yet, a checkpoint
+    // a folder in which training continues: no scene yet, a checkpoint
     fs::create_dir(dir.path("out/checkpoints")).unwrap();
     fs::rename(
         dir.path("out/scene.safetensors"),

@@ -1,4 +1,4 @@
-//! Jobs with a shell script in place of the program.
+//! Jobs with a shell script instead of the program.
 
 use super::{JobEnd, Tools, index_of_environment, run_job};
 use crate::child::Watch;

@@ -136,7 +136,7 @@ fn with_notes(mut report: GeometryReport, estimate: &Side<'_>, truth: &Side<'_>)
         unknown,
         "depth: the ground truth has no masks, so every pixel counts as static",
     );
-    // a part of a clip is numbered anew: its 00001 need not be the whole clip's
+    // a part of a clip is numbered again: its 00001 need not be the whole clip's
     let (part, whole) = (estimate.frames.len(), truth.frames.len());
     if report.matching == Matching::Name && part != whole {
         report.notes.push(format!(
@@ -241,7 +241,7 @@ pub(super) mod tests {
     fn depth_is_compared_after_the_factor_of_static_pixels() {
         let mut estimate = capture(3);
         for frame in &mut estimate.frames {
-            // A quarter of the size; static depth halved, moving depth 1 in place of 4, one column unknown.
+            // A quarter of the size; static depth halved, moving depth 1 instead of 4, one column unknown.
             frame.depth = Some(Plane::from_fn(8, 6, |x, _| if x == 7 { 0.0 } else { 1.0 }).into());
         }
         let depth = evaluate(&estimate, &capture(3)).unwrap().depth.unwrap();

@@ -111,7 +111,7 @@ impl ImageReport {
         }
     }
 
-    /// Scores one image; `mask` (not yet grown) is where its moving parts are.
+    /// Scores one image; `mask` (not yet grown) is where its dynamic regions are.
     ///
     /// # Errors
     ///

@@ -31,7 +31,7 @@ const POSE_WITHIN: f64 = 1e-6;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NerfstudioOptions {
-    /// Names of the images, relative to the file, one a camera of the scene. Default: `00000.png`, ...
+    /// Names of the images, relative to the file, one per camera of the scene. Default: `00000.png`, ...
     pub names: Option<Vec<String>>,
 }
 

@@ -131,7 +131,7 @@ fn median_depth(scene: &Scene, camera: &Camera) -> f64 {
     *depths.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The cameras of a file: those of its first pinhole sensor, one a pose of its rig.
+/// The cameras of a file: those of its first pinhole sensor, one per pose of its rig.
 pub(super) fn source(provenance: &Provenance, clip: &Clip, losses: &mut Vec<Loss>) -> Vec<SourceFrame> {
     let Some(sensor) = provenance.sensors.iter().find(|s| s.is_camera()) else {
         return Vec::new();

@@ -11,7 +11,7 @@
 //! ```
 //!
 //! Read are also: other orders of the properties, missing normals, harmonics of degree 0 to 3, one scale in
-//! place of three, `red green blue` in place of coefficients, any number type, big-endian and text.
+//! place of three, `red green blue` instead of coefficients, any number type, big-endian and text.
 
 mod error;
 mod header;

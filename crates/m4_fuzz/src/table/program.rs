@@ -132,7 +132,7 @@ fn report(folder: &Path) -> Outcome {
     })
 }
 
-/// A record that is damaged is none: the stage begins anew.
+/// A record that is damaged is none: the stage starts again.
 fn usable<T, E: std::fmt::Display>(read: Result<Option<T>, E>) -> Outcome {
     match read {
         Ok(None) => Outcome::Refused("no record that can be used".to_owned()),

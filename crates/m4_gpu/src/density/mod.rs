@@ -6,7 +6,7 @@
 //! | `fate` | the rows that each splat leaves and bears, and how many there are |
 //! | `newborn` | the next rows, and what clones and halves look like |
 //!
-//! Rows are laid out by one exclusive sum: static splats that stay, then those born, then the same of dynamic splats. All
+//! Rows are laid out by one exclusive sum: static splats that stay, then the new ones, then the same of dynamic splats. All
 //! that is read back is how many there are.
 
 mod fate;
@@ -103,7 +103,7 @@ pub struct Grown {
 
 impl Trainer {
     /// Clones, splits and prunes splats by the rules of `round`. Survivors keep the optimiser's state, new splats start from
-    /// nothing. Rows are in their old order, static before dynamic, those born after those that stay; halves lie 0.6
+    /// nothing. Rows are in their old order, static before dynamic, the new ones after those that stay; halves lie 0.6
     /// standard deviations to both sides along the longest axis, 0.8 as long there. Where nothing would be left, nothing
     /// changes.
     ///

@@ -74,7 +74,7 @@ fn survivors_keep_their_state_and_newborns_start_from_nothing() {
     };
     trainer.regrow(&regrowth).unwrap();
     assert_eq!(trainer.download().unwrap(), (next.clone(), want.clone()));
-    // and steps go on from there
+    // and steps continue from there
     trainer.found().unwrap();
     let rates = vec![1e-3; LAYOUT.columns()];
     trainer.step(0, &view, &settings(&rates)).unwrap();

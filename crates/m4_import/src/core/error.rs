@@ -31,7 +31,7 @@ pub enum SourceFault {
     /// The system could not read it.
     #[error("{0}")]
     Io(#[from] io::Error),
-    /// Something that the format needs is not there.
+    /// Something that the format needs is missing.
     #[error("{what} is missing; {remedy}")]
     Missing {
         /// What.

@@ -100,7 +100,7 @@ pub struct Listing {
     pub duration_s: Option<f64>,
     /// Depth and poses are metres.
     pub metric: bool,
-    /// Ways of points of moving parts, frames in the order of `train`.
+    /// Trajectories of points on dynamic objects, frames in the order of `train`.
     pub tracks: Option<Tracks>,
 }
 

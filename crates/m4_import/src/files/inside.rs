@@ -19,7 +19,7 @@ impl Inside {
         Self(Bounds::new(options.reach, named, []))
     }
 
-    /// The file, if it may be read or is not there.
+    /// The file, if it may be read or is missing.
     pub(crate) fn check<P: AsRef<Path>>(&self, file: P) -> Result<P, SourceFault> {
         self.0.check(file.as_ref())?;
         Ok(file)

@@ -62,7 +62,7 @@ impl Members {
         }
     }
 
-    /// All bytes of one, `limit_bytes` at most; `None` if it is not there.
+    /// All bytes of one, `limit_bytes` at most; `None` if it is missing.
     pub(crate) fn read(&self, name: &str, limit_bytes: u64) -> Result<Option<Vec<u8>>, SourceFault> {
         let too_large = |needed_bytes| SourceFault::TooLarge {
             what: name.to_owned(),

@@ -169,7 +169,7 @@ fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f6
     Ok((file.to_path_buf(), all))
 }
 
-/// Refuses lenses that are no pinholes; a file that is not there says nothing, as in ViPE.
+/// Refuses lenses that are no pinholes; a file that is missing says nothing, as in ViPE.
 fn pinholes(path: &Path) -> Result<(), ReadSourceError> {
     if !path.is_file() {
         return Ok(());

@@ -65,7 +65,7 @@ fn prepared(source: &str, dir: &Path) -> PathBuf {
     here
 }
 
-/// Writes a file anew: one that is emptied and written again is sent to the disk at once by some file systems.
+/// Writes a file again: one that is emptied and written again is sent to the disk at once by some file systems.
 fn replace(file: &Path, bytes: &[u8]) {
     std::fs::remove_file(file).unwrap();
     std::fs::write(file, bytes).unwrap();

@@ -27,7 +27,7 @@ pub struct Lens {
     pub w: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub h: Option<f64>,
-    /// Horizontal field of view, radians: the synthetic NeRF scenes have it in place of `fl_x`.
+    /// Horizontal field of view, radians: the synthetic NeRF scenes have it instead of `fl_x`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera_angle_x: Option<f64>,
     #[serde(skip_serializing)]

@@ -27,7 +27,7 @@ pub enum MegasamFault {
     /// It is no zip archive, or a damaged one.
     #[error("it is not an npz archive, or a damaged one ({0}); copy it again, or run MegaSaM again")]
     Archive(String),
-    /// An array is not there.
+    /// An array is missing.
     #[error("it has no array `{array}` ({has})")]
     Missing {
         /// Name of the array.

@@ -26,7 +26,7 @@ pub enum TracksFault {
     /// It is no zip archive, or a damaged one.
     #[error("it is not an npz archive, or a damaged one ({0}); save it with numpy.savez")]
     Archive(String),
-    /// An array is not there.
+    /// An array is missing.
     #[error("it has no array `{0}`; `coords` and `visibs` are needed")]
     Missing(&'static str),
     /// A member is no array that is read here.

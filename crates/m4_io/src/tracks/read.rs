@@ -73,7 +73,7 @@ struct Array {
     bytes: Vec<u8>,
 }
 
-/// One member of the archive; `None` if it is not there. `unfit` says what was expected if a shape is another.
+/// One member of the archive; `None` if it is missing. `unfit` says what was expected if a shape is another.
 fn array(
     archive: &mut ZipArchive<BufReader<File>>,
     name: &'static str,

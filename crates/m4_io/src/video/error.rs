@@ -120,7 +120,7 @@ pub enum ReadVideoError {
         /// How it failed.
         how: DecoderEnd,
     },
-    /// The registered decoder is not there, or the system refuses it.
+    /// The registered decoder is missing, or the system refuses it.
     #[error("cannot decode the video {}: the decoder program {} cannot be started ({source}); install the program again", path.display(), program.display())]
     DecoderNotStarted {
         /// The file.

@@ -117,7 +117,7 @@ pub struct Image<T: Real> {
 /// The gradient of a loss with respect to the input of [`blend()`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct BlendGradient<T: Real> {
-    /// One a splat, in the order given.
+    /// One per splat, in the order given.
     pub splats: Vec<Ellipse<T>>,
     /// With respect to the background colour.
     pub background: [T; 3],

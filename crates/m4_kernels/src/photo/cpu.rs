@@ -13,7 +13,7 @@ const ERROR_ROWS: usize = 16;
 /// Buffers kept from frame to frame.
 #[derive(Debug, Clone, Default)]
 pub struct PhotoScratch {
-    /// One a segment.
+    /// One per segment.
     buffers: Vec<Buffers>,
 }
 

@@ -7,7 +7,7 @@ use m4_scene::ShapeError;
 /// An image to compare with: one plane per channel, `[height][width]` each, 0..1.
 ///
 /// A video is kept whole, so what a frame takes counts: a photograph is three bytes per pixel. What SSIM
-/// needs of the target alone is blurred anew at each comparison: one of seven blurs, and cheaper than
+/// needs of the target alone is blurred again at each comparison: one of seven blurs, and cheaper than
 /// fetching it from memory for every frame of a video.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Target {

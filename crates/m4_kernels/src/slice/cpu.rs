@@ -64,7 +64,7 @@ impl Columns<'_> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Slice<S: Simd> {
     pub(crate) mean: [f32x16<S>; 3],
-    /// Standard deviations; isotropic: all the same.
+    /// Standard deviations; isotropic: anyway.
     pub(crate) scale: [f32x16<S>; 3],
     /// Columns are the axes; isotropic: zeros, which are never read.
     pub(crate) axes: [[f32x16<S>; 3]; 3],

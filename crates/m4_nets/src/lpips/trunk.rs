@@ -18,7 +18,7 @@ const EPSILON: f32 = 1e-10;
 #[derive(Module, Debug)]
 pub struct Net {
     convs: Vec<Conv2d>,
-    /// What a difference counts in each channel, one a compared layer: `[1, channels, 1, 1]`.
+    /// What a difference counts in each channel, one per compared layer: `[1, channels, 1, 1]`.
     lins: [Conv2d; 5],
 }
 

@@ -70,7 +70,7 @@ const STRIDE: usize = 16;
 const MASK_STRIDE: usize = 4;
 /// Memories that temporal positions are there for: six frames before, and those that were prompted.
 const MEMORIES: usize = 7;
-/// The logits of an object that is not there.
+/// The logits of an object that is missing.
 const ABSENT: f32 = -1024.0;
 
 /// Names of the checkpoint that are not those of fields.

@@ -7,7 +7,7 @@ use serde::Serialize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
-/// How training goes on.
+/// How training continues.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Metrics {
     /// Steps taken.
@@ -86,7 +86,7 @@ impl Hub {
         self.pulse.send_modify(|pulse| pulse.version = version);
     }
 
-    /// Tells how training goes on.
+    /// Tells how training continues.
     pub fn metrics(&self, metrics: &Metrics) {
         #[derive(Serialize)]
         struct Event<'a> {

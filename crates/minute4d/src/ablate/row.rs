@@ -13,7 +13,7 @@ pub enum Row {
     NoSeg,
     /// No points are followed or carried from one frame to another.
     NoTrack,
-    /// Splats are neither born nor removed.
+    /// Splats are neither added nor pruned.
     NoDensity,
 }
 

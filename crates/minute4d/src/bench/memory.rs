@@ -75,7 +75,7 @@ pub struct MemoryReport {
     pub date: String,
     /// Where.
     pub machine: Machine,
-    /// One a clip.
+    /// One per clip.
     pub cases: Vec<MemoryCase>,
 }
 

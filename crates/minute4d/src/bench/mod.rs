@@ -70,8 +70,8 @@ impl Default for BenchConfig {
 ///
 /// # Errors
 ///
-/// [`Error::Simd`] if the instruction set asked for is not there, [`Error::Stopped`] on request,
-/// [`Error::Internal`] if the system gives no threads; [`Error::Gpu`] if the GPU asked for is not there, does not have or may
+/// [`Error::Simd`] if the instruction set asked for is missing, [`Error::Stopped`] on request,
+/// [`Error::Internal`] if the system gives no threads; [`Error::Gpu`] if the GPU asked for is missing, does not have or may
 /// not take the memory, or fails; [`Error::NoGpuSupport`] in a build that cannot use any.
 pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport, Error> {
     let level = SimdLevel::detect()?;

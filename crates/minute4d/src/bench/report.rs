@@ -216,7 +216,7 @@ pub struct BenchReport {
     pub machine: Machine,
     /// Times that each view was stepped.
     pub steps: usize,
-    /// One a combination.
+    /// One per combination.
     pub cases: Vec<Case>,
 }
 

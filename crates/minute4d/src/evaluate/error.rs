@@ -52,7 +52,7 @@ pub enum ProtocolError {
         /// The fault.
         what: String,
     },
-    /// A mask of co-visibility is not there.
+    /// A mask of co-visibility is missing.
     #[error(
         "there is no co-visibility mask {} for the view {view}; masks are PNG files named as the image of their view, white where the \
          training video saw the point",

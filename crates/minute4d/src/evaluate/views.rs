@@ -31,7 +31,7 @@ pub struct OtherMean {
 /// How views are scored.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EvalOptions {
-    /// Masks of moving parts are grown by this many pixels first.
+    /// Masks of dynamic regions are grown by this many pixels first.
     pub grow_mask: usize,
     /// Where views are drawn and LPIPS is computed.
     pub device: DeviceChoice,
@@ -81,7 +81,7 @@ pub struct EvalReport {
 /// Renders, on `device`, the held-out views of the capture `data` and compares them with its images; writes
 /// `eval.json` into the run `out`.
 ///
-/// Masks of moving parts are grown by `grow_mask` pixels first. A scene that was trained on another
+/// Masks of dynamic regions are grown by `grow_mask` pixels first. A scene that was trained on another
 /// capture of the same video has a world of its own; the held-out cameras are then placed by the
 /// similarity that takes the training cameras of `data` to those of the scene, and a warning says how
 /// well that fits.

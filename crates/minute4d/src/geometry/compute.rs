@@ -253,7 +253,7 @@ fn to_metres_by_networks(sparse: &mut SparseReconstruction, maps: &[DepthMap], o
     }
 }
 
-/// Cameras found without what the masks cover, if they differ enough for depth and masks to be made anew.
+/// Cameras found without what the masks cover, if they differ enough for depth and masks to be computed again.
 fn once_more(
     followed: &Followed,
     first: &SparseReconstruction,

@@ -33,7 +33,7 @@ pub(super) struct Change {
 }
 
 impl Change {
-    /// Whether depth and masks are to be made anew with the second.
+    /// Whether depth and masks are to be computed again with the second.
     pub fn matters(&self) -> bool {
         let differs = self.shift_px > SHIFT_PX || self.verdicts > VERDICTS;
         differs && self.kept >= AS_MANY

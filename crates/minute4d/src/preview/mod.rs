@@ -67,7 +67,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
             run.job.observer.stage(STAGE, StageEvent::Reused);
             return Ok(());
         }
-        // A preview is made anew, so seconds of an earlier attempt do not count.
+        // A preview is computed again, so seconds of an earlier attempt do not count.
         Task::Work { because, .. } => (because, 0.0),
     };
     run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| {

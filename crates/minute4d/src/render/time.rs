@@ -12,7 +12,7 @@ pub enum Moment {
     Seconds(f64),
 }
 
-/// How time goes on along a camera path.
+/// How time continues along a camera path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TimePath {
     /// `source`: every camera at its own moment.

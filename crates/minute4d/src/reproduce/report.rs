@@ -28,11 +28,11 @@ pub struct ReproduceReport {
     pub threads: usize,
     /// One per protocol.
     pub tables: Vec<TableReport>,
-    /// Scenes that are not there, and what they lack.
+    /// Scenes that are missing, and what they lack.
     pub missing: Vec<MissingScene>,
 }
 
-/// A scene that is not there.
+/// A scene that is missing.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct MissingScene {
     /// Its name.

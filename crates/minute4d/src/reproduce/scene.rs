@@ -182,7 +182,7 @@ fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error
     Ok(geometry::make(&imported.join(pictures), out, &job)?.seconds)
 }
 
-/// The capture of a scene with all its frames, made if it is not there; seconds of its geometry where that was estimated.
+/// The capture of a scene with all its frames, made if it is missing; seconds of its geometry where that was estimated.
 fn whole_capture(
     suite: Suite,
     scene: &FoundScene,

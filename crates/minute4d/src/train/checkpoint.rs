@@ -31,7 +31,7 @@ impl Checkpoints {
         }
     }
 
-    /// A trainer that goes on from the newest checkpoint that can be read and belongs to this stage.
+    /// A trainer that resumes from the newest checkpoint that can be read and belongs to this stage.
     /// Warns about checkpoints that cannot be used.
     pub fn latest<'a>(
         &self,

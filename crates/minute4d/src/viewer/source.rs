@@ -85,7 +85,7 @@ impl Source {
         }
     }
 
-    /// How the run went, once it ended; `None` while it goes on. A scene alone is a result.
+    /// How the run went, once it ended; `None` while it continues. A scene alone is a result.
     pub fn end(&self) -> Option<bool> {
         if !self.path.is_dir() {
             return Some(true);

@@ -108,7 +108,7 @@ impl Viewing {
         Ok(())
     }
 
-    /// Tells the pages how training goes on, where a run says so.
+    /// Tells the pages how training continues, where a run says so.
     fn tell(&mut self) {
         let stamp = self.source.metrics_stamp();
         if stamp != self.metrics {

@@ -24,7 +24,7 @@ pub enum WeightsError {
         name: &'static str,
         /// How to fix it.
         how: String,
-        /// What is lost without them, and what works all the same.
+        /// What is lost without them, and what works anyway.
         without: &'static str,
     },
     /// Nothing that the program may use has them.

@@ -15,7 +15,7 @@ impl Entry {
         }
     }
 
-    /// What is lost without it, and what works all the same.
+    /// What is lost without it, and what works anyway.
     #[must_use]
     pub fn without(&self) -> &'static str {
         match self.name {

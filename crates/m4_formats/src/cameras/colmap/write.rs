@@ -39,7 +39,7 @@ impl ColmapEncoding {
 pub struct ColmapOptions {
     /// Text or binary. Default: binary.
     pub encoding: ColmapEncoding,
-    /// Names of the images, one a camera of the scene. Default: `00000.png`, `00001.png`, ...
+    /// Names of the images, one per camera of the scene. Default: `00000.png`, `00001.png`, ...
     pub names: Option<Vec<String>>,
     /// The instant whose splats become points, frames. Default 0.
     pub t: f64,

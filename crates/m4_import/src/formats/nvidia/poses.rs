@@ -22,7 +22,7 @@ pub(super) struct Pose {
     pub far: f64,
 }
 
-/// One a camera, at least one.
+/// One per camera, at least one.
 pub(super) fn read(path: &Path) -> Result<Vec<Pose>, ReadSourceError> {
     let array = NpyFile::read(path, MAX_BYTES).map_err(|fault| fault.at(path))?;
     match array.shape[..] {

@@ -144,7 +144,7 @@ fn time(stbl: &[u8], samples: &mut [Sample]) -> Result<(), Mp4Error> {
     let runs = ctts.count(8)?;
     let mut next = 0usize;
     for _ in 0..runs {
-        // Version 0 is unsigned on paper; writers put negative numbers there all the same.
+        // Version 0 is unsigned on paper; writers put negative numbers there anyway.
         let (count, offset) = (ctts.u32()? as usize, ctts.i32()?);
         for sample in samples.iter_mut().skip(next).take(count) {
             sample.ticks = sample.ticks.saturating_add(i64::from(offset));

@@ -138,13 +138,13 @@ impl<'a> DroidMemory<'a> {
         }
     }
 
-    /// Starts an edge: where the pixels of `source` are in `target`. One that is there already starts anew.
+    /// Starts an edge: where the pixels of `source` are in `target`. One that is there already starts again.
     pub fn enter(&mut self, edge_id: u64, source: usize, target: usize) {
         self.store.remove(Key::Hidden(edge_id));
         self.edges.insert(edge_id, Edge { source, target });
     }
 
-    /// Forgets an edge; nothing happens if it is not there.
+    /// Forgets an edge; nothing happens if it is missing.
     pub fn leave(&mut self, edge_id: u64) {
         self.store.remove(Key::Hidden(edge_id));
         self.edges.remove(&edge_id);

@@ -305,7 +305,7 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// An empty array, or a type, in place of a name and its arguments.
+    /// An empty array, or a type, instead of a name and its arguments.
     fn call(&mut self) -> Result<(), Refused> {
         let (args, name) = (self.pop()?, self.pop()?);
         let (Value::Tuple(args), Value::Name(name)) = (args, name) else {

@@ -37,7 +37,7 @@ impl Sources {
     ///
     /// # Errors
     ///
-    /// [`Error`] naming the option and the file that is not there or cannot be read.
+    /// [`Error`] naming the option and the file that is missing or cannot be read.
     pub(super) fn of(options: &GeometryOptions) -> Result<Self, Error> {
         let of = |option: &'static str, path: Option<&Path>| -> Result<Option<String>, Error> {
             let Some(path) = path else { return Ok(None) };

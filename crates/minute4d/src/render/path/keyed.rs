@@ -125,7 +125,7 @@ impl Way {
     }
 }
 
-/// Keyframes in the order of the nodes, and the times of the nodes; a closed path goes on beyond its ends.
+/// Keyframes in the order of the nodes, and the times of the nodes; a closed path continues beyond its ends.
 fn nodes(keys: &[Keyframe], period: Option<f64>) -> (Vec<usize>, Vec<f64>) {
     let n = keys.len();
     let Some(period) = period else {

@@ -184,7 +184,7 @@ fn the_stabilised_source_trembles_a_hundred_times_less_and_stays_near() {
     };
     let same = stops(&scene, CameraPath::Stabilised, off, 30.0);
     for (a, b) in source.iter().zip(&same) {
-        // Between its samples the smoothed path is interpolated anew.
+        // Between its samples the smoothed path is interpolated again.
         assert!(difference(a, b) < 2e-3, "{}", difference(a, b));
     }
 }
