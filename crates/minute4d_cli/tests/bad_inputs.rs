@@ -2,7 +2,7 @@
 //! the message, and `--json` must end with `ok: false`.
 
 use crate::common::{
-    Scratch, edit_transforms, refused, refused_with, text, train, write_capture, write_pictures, write_video,
+    Scratch, edit_transforms, refused, refused_with, text, train, write_capture, write_images, write_video,
 };
 use m4_testkit::{Need, skip};
 use serde_json::{Value, json};
@@ -89,7 +89,7 @@ fn a_codec_that_needs_ffmpeg_where_there_is_none() {
 }
 
 #[test]
-fn sound_without_picture() {
+fn sound_without_video() {
     let dir = Scratch::new();
     let path = dir.path("sound.mp4");
     let source = ["-f", "lavfi", "-i", "sine=duration=0.3", "-c:a", "aac"];
@@ -102,17 +102,17 @@ fn sound_without_picture() {
 }
 
 #[test]
-fn folders_of_pictures_that_cannot_be_a_clip() {
+fn folders_of_images_that_are_not_a_clip() {
     let dir = Scratch::new();
-    write_pictures(&dir.path("one"), 2);
+    write_images(&dir.path("one"), 2);
     fs::remove_file(dir.path("one/00001.png")).unwrap();
     bad_video(&dir, &dir.at("one"), &[], 65, &["at least 2"]);
 
-    write_pictures(&dir.path("broken"), 3);
+    write_images(&dir.path("broken"), 3);
     dir.write("broken/00001.png", "no image");
     bad_video(&dir, &dir.at("broken"), &[], 65, &["00001.png"]);
 
-    write_pictures(&dir.path("sizes"), 2);
+    write_images(&dir.path("sizes"), 2);
     let small = minute4d::scene::Plane::filled(32, 32, [9; 3]);
     minute4d::io::image::write_rgb(&dir.path("sizes/00001.png"), &small).unwrap();
     bad_video(&dir, &dir.at("sizes"), &[], 65, &["00001.png", "32 x 32", "one size"]);

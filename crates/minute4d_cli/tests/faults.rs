@@ -3,7 +3,7 @@
 
 #[cfg(unix)]
 use crate::common::Ended;
-use crate::common::clips::{picture, walk, write};
+use crate::common::clips::{frame_image, walk, write};
 use crate::common::{Scratch, call, program, write_capture};
 use serde_json::Value;
 use std::fs;
@@ -33,7 +33,7 @@ fn run<'a>(input: &'a str, out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
 }
 
 fn write_walk(folder: &Path) {
-    write(folder, walk(FRAMES).iter().map(picture));
+    write(folder, walk(FRAMES).iter().map(frame_image));
 }
 
 fn same_result(a: &Path, b: &Path) {

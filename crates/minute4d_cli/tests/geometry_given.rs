@@ -1,7 +1,7 @@
 //! What the user gives for the geometry of a clip replaces what would be computed; what does not fit is refused by name.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::clips::{self, FOCAL_PX, SIZE, picture, see, walk};
+use crate::common::clips::{self, FOCAL_PX, SIZE, frame_image, see, walk};
 use crate::common::{Scratch, call, refused};
 #[cfg(feature = "nets")]
 use crate::common::{refused_with, text};
@@ -24,7 +24,7 @@ fn depth(camera: &Camera) -> DepthMap {
 fn known() -> (Scratch, Vec<Camera>) {
     let dir = Scratch::new();
     let cameras = walk(FRAMES);
-    clips::write(&dir.path("clip"), cameras.iter().map(picture));
+    clips::write(&dir.path("clip"), cameras.iter().map(frame_image));
     for folder in ["depth", "masks"] {
         fs::create_dir(dir.path(folder)).unwrap();
     }
@@ -41,7 +41,7 @@ fn known() -> (Scratch, Vec<Camera>) {
         name: format!("{i:05}"),
         camera: *camera,
         t: i as f64,
-        rgb: picture(camera),
+        rgb: frame_image(camera),
         depth: None,
         mask: None,
         motion: None,
@@ -153,7 +153,7 @@ fn a_lens_is_kept_with_its_principal_point() {
     let cut = 24;
     fs::remove_dir_all(dir.path("clip")).unwrap();
     let crop = |c: &Camera| {
-        let whole = picture(c);
+        let whole = frame_image(c);
         Plane::from_fn(SIZE.0 - cut, SIZE.1, |x, y| whole[(x + cut, y)])
     };
     clips::write(&dir.path("clip"), walk(FRAMES).iter().map(crop));
@@ -249,7 +249,7 @@ fn depth_decides_the_unit() {
         write_depth(&dir.path(&format!("depth/{i:05}.png")), &empty, 0.001).unwrap();
     }
     refused(&args, 65, &["depth", "0 (unknown) everywhere"]);
-    let colour = picture(&cameras[0]);
+    let colour = frame_image(&cameras[0]);
     minute4d::io::image::write_rgb(&dir.path("depth/00002.png"), &colour).unwrap();
     refused(&args, 65, &["00002.png", "16 bits"]);
 }

@@ -24,9 +24,9 @@ fn sources_are_told_apart_and_become_captures() {
         ("record3d/clip.r3d", "record3d", 0),
     ] {
         let (source, out) = (fixture(name), dir.at(format));
-        let pictures = fixture("clip/images");
+        let folder = fixture("clip/images");
         let more: &[&str] = if format == "colmap" {
-            &["--images", &pictures]
+            &["--images", &folder]
         } else {
             &[]
         };

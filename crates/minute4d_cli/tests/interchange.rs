@@ -230,8 +230,8 @@ fn a_still_ply_of_another_program_gets_cameras() {
         (&facts["scene"]["cameras"], &facts["scene"]["sh_degree"]),
         (&60.into(), &2.into())
     );
-    let picture = dir.at("png");
-    succeed(&["render", &dir.at("in"), "-o", &picture]);
+    let image = dir.at("png");
+    succeed(&["render", &dir.at("in"), "-o", &image]);
     let middle = fs::metadata(dir.path("png/00000.png")).unwrap().len();
     assert!(middle > 20_000, "the splats are in the image: {middle} bytes");
 }

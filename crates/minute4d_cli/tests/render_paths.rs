@@ -116,7 +116,7 @@ fn every_path_is_rendered_at_an_odd_size() {
 }
 
 #[test]
-fn one_picture_is_that_of_the_video() {
+fn one_image_is_that_of_the_video() {
     let dir = Scratch::new();
     let one = dir.at("one.png");
     succeed(&["render", run(), "--path", "source", "--at", "0.3s", "-o", &one]);

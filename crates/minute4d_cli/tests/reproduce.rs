@@ -460,7 +460,7 @@ fn room(cameras: &[Camera]) -> Capture {
             name: format!("{i:05}"),
             camera: *camera,
             t: i as f64,
-            rgb: clips::picture(camera),
+            rgb: clips::frame_image(camera),
             depth: Some(depth.into()),
             mask: None,
             motion: None,

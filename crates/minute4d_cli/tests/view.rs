@@ -245,19 +245,19 @@ fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
     stdout.read_line(&mut url).unwrap();
     let mut page = Chromium::open(chromium, url.trim());
     page.eval("minute4d.ready");
-    let picture = |page: &mut Chromium, t: f64| {
+    let image = |page: &mut Chromium, t: f64| {
         page.eval(&format!("minute4d.setTime({t})"));
-        let picture = page.eval("minute4d.capture()").as_str().unwrap().to_owned();
-        assert!(picture.starts_with("data:image/png;base64,") && picture.len() > 2000);
-        picture
+        let image = page.eval("minute4d.capture()").as_str().unwrap().to_owned();
+        assert!(image.starts_with("data:image/png;base64,") && image.len() > 2000);
+        image
     };
-    let first = [0.0, 2.0, 5.0].map(|t| picture(&mut page, t));
+    let first = [0.0, 2.0, 5.0].map(|t| image(&mut page, t));
     assert!(
         first[0] != first[1] && first[1] != first[2] && first[2] != first[0],
         "three instants look alike"
     );
     assert!(
-        first[1] == picture(&mut page, 2.0),
+        first[1] == image(&mut page, 2.0),
         "an instant is drawn as before, bit for bit"
     );
 
@@ -270,7 +270,7 @@ fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
     )
     .unwrap();
     let deadline = Instant::now() + Duration::from_secs(60);
-    while picture(&mut page, 2.0) == first[1] {
+    while image(&mut page, 2.0) == first[1] {
         assert!(Instant::now() < deadline, "the page still shows the checkpoint before");
         std::thread::sleep(Duration::from_millis(200));
     }

@@ -73,16 +73,16 @@ pub fn walk(n: usize) -> Vec<Camera> {
 }
 
 /// What a camera sees.
-pub fn picture(camera: &Camera) -> RgbImage {
+pub fn frame_image(camera: &Camera) -> RgbImage {
     Plane::from_fn(camera.intrinsics.width, camera.intrinsics.height, |x, y| {
         see(camera, x as f64, y as f64).0
     })
 }
 
 /// Writes images as `00000.png`...
-pub fn write(folder: &Path, pictures: impl IntoIterator<Item = RgbImage>) {
+pub fn write(folder: &Path, images: impl IntoIterator<Item = RgbImage>) {
     std::fs::create_dir_all(folder).unwrap();
-    for (i, picture) in pictures.into_iter().enumerate() {
-        write_rgb(&folder.join(format!("{i:05}.png")), &picture).unwrap();
+    for (i, frame_image) in images.into_iter().enumerate() {
+        write_rgb(&folder.join(format!("{i:05}.png")), &frame_image).unwrap();
     }
 }

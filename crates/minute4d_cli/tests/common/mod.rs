@@ -247,7 +247,7 @@ pub fn write_video(path: &Path, n: usize) {
 }
 
 /// The images of the same scene as a folder of PNG files, large enough for geometry.
-pub fn write_pictures(folder: &Path, n: usize) {
+pub fn write_images(folder: &Path, n: usize) {
     std::fs::create_dir_all(folder).unwrap();
     for frame in capture_of((128, 96), n, false).frames {
         write_rgb(&folder.join(format!("{}.png", frame.name)), &frame.rgb).unwrap();
