@@ -13,7 +13,7 @@ use serde::Serialize;
 use std::fmt;
 use std::path::Path;
 
-/// The findings.
+/// The description of a file or folder.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
@@ -41,7 +41,7 @@ pub struct VideoFacts {
     pub fps: Option<f64>,
     /// Longest over median time between frames: 1 for an even clock.
     pub longest_gap: Option<f64>,
-    /// Focal length of the frames as they are in the file, pixels, where the file states it.
+    /// Focal length of the frames in the file, pixels, if the file states it.
     pub focal_px: Option<f64>,
     /// Damaged frames, tone mapping and the like.
     pub warnings: Vec<String>,
@@ -66,7 +66,7 @@ pub struct CaptureFacts {
     pub with_depth: usize,
     /// Frames with a mask.
     pub with_mask: usize,
-    /// Share of masked pixels that move.
+    /// Share of pixels that the masks mark as dynamic.
     pub moving_share: Option<f64>,
     /// Held-out views listed, if the list can be read.
     pub test_views: Option<usize>,
@@ -77,9 +77,9 @@ pub struct CaptureFacts {
 pub struct SceneFacts {
     /// Splats without time parameters.
     pub splats_static: usize,
-    /// Splats with them.
+    /// Splats with time parameters.
     pub splats_dynamic: usize,
-    /// One scale per splat.
+    /// True if splats have one scale instead of three.
     pub isotropic: bool,
     /// Degree of the spatial harmonics.
     pub sh_degree: usize,
@@ -91,7 +91,7 @@ pub struct SceneFacts {
     pub duration_s: Option<f64>,
     /// Cameras of the source video.
     pub cameras: usize,
-    /// True when it can be trained further.
+    /// True if training can be resumed from it.
     pub with_optimiser: bool,
     /// True when every number is finite.
     pub finite: bool,
@@ -102,13 +102,13 @@ pub struct SceneFacts {
 pub struct RunFacts {
     /// Its record.
     pub record: RunRecord,
-    /// Files that are missing or not as they were written.
+    /// Files that are missing or have changed.
     pub damaged: Vec<String>,
     /// Its scene, if it has one that can be read.
     pub scene: Option<SceneFacts>,
 }
 
-/// Finds out what `path` holds; a capture may name files within `reach`.
+/// Describes the contents of `path`; a capture may refer to files within `reach`.
 ///
 /// # Errors
 ///

@@ -10,12 +10,12 @@ use crate::workspace::Workspace;
 use crate::{Error, Existing, Job, geometry, hash, train};
 use std::path::Path;
 
-/// Makes a scene of a video, a folder of images, or a capture; what an earlier run finished is used
-/// again with [`Existing::Resume`].
+/// Turns a video, a folder of images, or a capture into a scene; finished stages of an earlier run are reused
+/// with [`Existing::Resume`].
 ///
 /// # Errors
 ///
-/// [`Error`] of the stage that failed; what was finished before stays in `out`.
+/// [`Error`] of the stage that failed; finished work stays in `out`.
 pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
     if is_capture(input) {
         if job.settings.geometry != GeometryOptions::default() {
@@ -45,7 +45,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
             settings: job.settings.clone(),
             profile: job.profile.clone(),
             // The folder of the run was taken over; so is the capture in it.
-            // geometry is the processor's
+            // geometry runs on the CPU
             device: DeviceRequest::default(),
             existing: Existing::Resume,
             observer: &keeper,
