@@ -172,7 +172,7 @@ fn damaged_files_are_refused_with_a_reason() {
                 ),
                 visibs(),
             ]),
-            "infinite place in frame 0",
+            "infinite position in frame 0",
         ),
     ];
     for (bytes, says) in cases {

@@ -172,7 +172,7 @@ fn good_clips_are_done_and_a_corrupt_one_fails_permanently() {
     assert!(said() > log, "it was run again because that was asked for");
     let which = ended(job(&manifest, &[]));
     assert!(
-        which.code == 2 && which.stderr.contains("--index takes 0 to 2"),
+        which.code == 2 && which.stderr.contains("--index from 0 to 2"),
         "{}",
         which.stderr
     );

@@ -139,7 +139,7 @@ fn a_run_writes_a_page_that_holds_its_scene() {
     assert_eq!(again.code, 0, "{}", again.stderr);
     assert!(file.exists(), "asked for later, it is made of the scene that is there");
     assert!(
-        again.stderr.contains("train: done before") && again.stderr.contains("viewer.html"),
+        again.stderr.contains("train: already done") && again.stderr.contains("viewer.html"),
         "{}",
         again.stderr
     );
