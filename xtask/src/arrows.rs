@@ -163,7 +163,7 @@ pub fn violations(actual: &Actual, allowed: &Arrows) -> Vec<String> {
     }
     for name in allowed.keys().filter(|name| !actual.normal.contains_key(*name)) {
         found.push(format!(
-            "ARCHITECTURE.md has a row for {name}, which is no crate of this workspace"
+            "ARCHITECTURE.md has a row for {name}, which is not a crate of this workspace"
         ));
     }
     found

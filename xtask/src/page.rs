@@ -1,9 +1,9 @@
 //! The viewer's page: built from its sources, and compared with the one that is kept.
 //!
 //! The sources are TypeScript in `crates/m4_viewer/page`; the built page is kept beside them, so that
-//! nobody needs Node.js to build the program.
+//! building the program does not need Node.js.
 
-#![expect(clippy::print_stderr, reason = "what was not run is said")]
+#![expect(clippy::print_stderr, reason = "reports what was not run")]
 
 use anyhow::{Context, Result, bail};
 use std::path::{Path, PathBuf};
@@ -13,24 +13,24 @@ const SOURCES: &str = "crates/m4_viewer/page";
 /// What the tests of the page share with those of the crate; it lies beside the page's folder in the copy too.
 const SHARED: &str = "crates/m4_viewer/tests/payload";
 const KEPT: &str = "crates/m4_viewer/page.html";
-/// What is made, not written.
+/// Generated folders, which are not copied.
 const MADE: [&str; 2] = ["node_modules", "dist"];
 
-/// What a comparison came to.
+/// The result of a comparison.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Outcome {
     /// The page that is kept is what its sources build to.
     Same,
-    /// It is not.
+    /// It is not installed.
     Differs {
         /// Bytes of the page that is kept.
         kept: usize,
         /// Bytes of the page that was built.
         built: usize,
     },
-    /// Nothing was compared.
+    /// The comparison was skipped.
     Skipped {
-        /// Why.
+        /// The reason.
         reason: String,
     },
 }

@@ -1,4 +1,4 @@
-//! PSNR over seconds, as a picture.
+//! PSNR over seconds, as an image.
 
 use anyhow::{Result, anyhow};
 use plotters::prelude::*;

@@ -1,4 +1,4 @@
-//! The tables of `docs/results.md`, measured anew.
+//! The tables of `docs/results.md`, measured again.
 //!
 //! Everything goes through the program as a user would run it; rows are read from the files it leaves
 //! (`run.json`, `eval.json`) or prints (`eval-geometry`).
@@ -88,7 +88,7 @@ fn last_metrics(run: &Path) -> Result<Value> {
     serde_json::from_str(last).with_context(|| format!("{}: the last line is not JSON", path.display()))
 }
 
-/// Trains each scene in both profiles for so many seconds of optimisation and scores the held-out views: one Markdown
+/// Trains each scene in both profiles for this many seconds of optimisation and scores the held-out views: one Markdown
 /// row each, returned together, and `time-to-quality.svg` in `work`.
 ///
 /// # Errors
@@ -142,7 +142,7 @@ pub fn time_to_quality(root: &Path, seconds: &[f64], scenes: &[&str], work: &Pat
     Ok(table)
 }
 
-/// Recovers the geometry of each input from its pictures alone and compares it with the truth, pairs
+/// Recovers the geometry of each input from its images alone and compares it with the truth, pairs
 /// `input=truth`: one Markdown row each, returned together. Options of `minute4d geometry`, each with its value, may come
 /// before the pairs (`--frontend raft`).
 ///

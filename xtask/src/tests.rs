@@ -31,7 +31,7 @@ const FULL: [&str; 10] = [
 /// What to run, and what must not be missing.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Tests {
-    /// What `full` adds, in place of the tests of the default program.
+    /// What `full` adds, instead of the tests of the default program.
     pub full: bool,
     /// Needs (`m4_testkit::Need`) for whose lack no test may be skipped.
     pub required: BTreeSet<String>,
@@ -66,15 +66,15 @@ impl Tests {
 /// A test, or a part of one, that could not run.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Skipped {
-    /// What the machine lacks.
+    /// The missing requirement.
     pub need: String,
-    /// How to get it.
+    /// How to install it.
     pub remedy: String,
     /// The test.
     pub test: String,
     /// File and line.
     pub place: String,
-    /// What was seen.
+    /// The observation.
     pub why: String,
 }
 
@@ -123,7 +123,7 @@ pub fn parse(text: &str) -> Result<Vec<Skipped>> {
                 place: place.to_owned(),
                 why: why.to_owned(),
             }),
-            _ => bail!("{line:?} is no line of a skipped test"),
+            _ => bail!("{line:?} is not a line of a skipped test"),
         })
         .collect();
     Ok(lines?.into_iter().collect())

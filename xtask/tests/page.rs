@@ -5,7 +5,7 @@ use xtask::page::{Outcome, compare};
 
 #[test]
 fn the_page_is_what_its_sources_build_to() {
-    // Without one nothing is clicked: listed, and the rest goes on.
+    // Without one nothing is clicked: listed, and the rest continues.
     let _ = find_chromium();
     let root = xtask::root();
     let work = root.join("target/page");

@@ -1,7 +1,7 @@
-//! The run of one clip, as a child that ends when its parent does.
+//! Runs one clip in a child process that ends with its parent.
 //!
 //! The parent holds the other end of the child's standard input. The child saves and stops when that ends, whether the parent let
-//! go of it or died: a process that was killed leaves nobody behind who writes on.
+//! go of it or died: a killed process leaves no child behind that keeps writing.
 
 use serde_json::Value;
 use std::fs::File;
@@ -16,7 +16,7 @@ const LOOK: Duration = Duration::from_millis(50);
 /// How long a child may take to save before it is killed. It promises ten seconds.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Who is told how a run goes, and may stop it.
+/// Receives the progress of the run, and may stop it.
 pub trait Watch: Sync {
     /// True when the run is to save and stop.
     fn stop(&self) -> bool;
@@ -24,7 +24,7 @@ pub trait Watch: Sync {
     fn progress(&self, phase: &str, done: usize, total: usize, note: &str);
 }
 
-/// How a child ended.
+/// The end of a child process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Ended {
     /// Its exit code; `None` where a signal ended it.
@@ -43,7 +43,7 @@ pub(crate) struct Ended {
 pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Result<Ended> {
     let stages = log.try_clone()?;
     command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(log);
-    // Ctrl-C at a terminal goes to the whole group; the child is told by its parent alone, and once.
+    // Ctrl-C at a terminal goes to the whole group; only the parent forwards it to the child, once.
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let mut child = command.spawn()?;
@@ -89,16 +89,16 @@ fn end(child: &mut Child) {
 fn words(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match status.signal() {
-        Some(9) => "killed by signal 9; where nobody sent it, the machine was out of memory".to_owned(),
-        Some(6) => "aborted (signal 6), as a program that gets no more memory is; .log has its last words".to_owned(),
+        Some(9) => "killed by signal 9; unless it was sent by hand, the machine was out of memory".to_owned(),
+        Some(6) => "aborted (signal 6), as a program that runs out of memory; .log has its last messages".to_owned(),
         Some(signal) => format!("ended by signal {signal}"),
-        None => format!("ended without a word ({status})"),
+        None => format!("ended without a message ({status})"),
     }
 }
 
 #[cfg(not(unix))]
 fn words(status: ExitStatus) -> String {
-    format!("ended without a word ({status})")
+    format!("ended without a message ({status})")
 }
 
 /// Passes progress on, notes stages, and keeps the reason of the last event.

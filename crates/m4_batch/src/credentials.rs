@@ -1,4 +1,4 @@
-//! What the run of a job is not told: it reads clips of strangers, and needs no account of the one who started the job.
+//! The environment variables withheld from the run of a job, which reads untrusted clips and needs no credentials.
 
 use std::ffi::OsStr;
 use std::process::Command;

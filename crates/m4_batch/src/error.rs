@@ -1,4 +1,4 @@
-//! Why planning, submitting or running a job may fail.
+//! Errors of planning, submitting and running jobs.
 
 use m4_io::ErrorKind;
 use std::io;
@@ -11,21 +11,21 @@ pub enum BatchError {
     /// A file was not read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// What was to be read.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file was not written.
     #[error("cannot write {}: {source}; check the permissions and the free space", path.display())]
     Write {
-        /// What was to be written.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file that is no manifest, or a damaged one.
-    #[error("{}: {reason}; make the manifest again with `minute4d batch plan`", path.display())]
+    #[error("{}: {reason}; create the manifest again with `minute4d batch plan`", path.display())]
     Manifest {
         /// The manifest.
         path: PathBuf,
@@ -33,7 +33,7 @@ pub enum BatchError {
         reason: String,
     },
     /// There is a manifest already.
-    #[error("{} is already there; --force replaces it", path.display())]
+    #[error("{} already exists; --force replaces it", path.display())]
     Exists {
         /// The manifest.
         path: PathBuf,
@@ -41,19 +41,19 @@ pub enum BatchError {
     /// There is no such clip.
     #[error("there is no video, folder or list at {}", path.display())]
     Missing {
-        /// What was given.
+        /// The given value.
         path: PathBuf,
     },
     /// Something was given that cannot be planned.
     #[error("{given} {reason}")]
     Input {
-        /// What was given.
+        /// The given value.
         given: String,
         /// What is wrong with it, and what to do.
         reason: &'static str,
     },
     /// Something of another kind is where a result is to be.
-    #[error("{} is there and was not made by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
+    #[error("{} exists and was not created by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
     Foreign {
         /// The folder.
         path: PathBuf,
@@ -63,7 +63,7 @@ pub enum BatchError {
     NoSuchJob {
         /// Asked for.
         index: usize,
-        /// How many there are.
+        /// The number of them.
         jobs: usize,
     },
     /// A variable of the scheduler that is no index.
@@ -71,7 +71,7 @@ pub enum BatchError {
     Index {
         /// The variable.
         name: &'static str,
-        /// Its value.
+        /// The value.
         value: String,
     },
     /// A value that no script can hold.
@@ -79,17 +79,17 @@ pub enum BatchError {
     Text {
         /// The value.
         text: String,
-        /// Why not.
+        /// The reason.
         reason: &'static str,
     },
     /// A program of Slurm did not start.
     #[error(
-        "cannot start {program}: {source}; submit on a machine that has Slurm, or use --dry-run for the script alone"
+        "cannot start {program}: {source}; submit on a machine that has Slurm, or use --dry-run to write only the script"
     )]
     Start {
         /// The program.
         program: &'static str,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A program of Slurm refused.
@@ -97,7 +97,7 @@ pub enum BatchError {
     Refused {
         /// The program.
         program: &'static str,
-        /// What it said.
+        /// Its message.
         said: String,
         /// The script.
         script: PathBuf,

@@ -1,8 +1,8 @@
-//! One job: run, and published or recorded.
+//! Runs one job, and publishes or records its result.
 //!
 //! A machine's fault is never charged to the clip. Only one end of a run is a permanent failure: its exit code says that the
 //! input is bad, nothing of an earlier attempt was used, and the input still has the bytes that were planned. Everything else
-//! may go better on another machine or later, and whoever started the job may start it again.
+//! may succeed on another machine or later, so the job may be started again.
 
 use crate::child::{self, Ended, Watch};
 use crate::credentials;
@@ -27,7 +27,7 @@ const BAD_INPUT: i32 = 65;
 /// How long to wait for another process with the same job, or for what a killed one left running.
 const LET_GO: Duration = Duration::from_secs(120);
 
-/// What a job is run with.
+/// The environment of a job.
 pub struct Tools<'a> {
     /// The program whose `run` makes a scene.
     pub program: PathBuf,
@@ -39,10 +39,10 @@ pub struct Tools<'a> {
     pub host: String,
 }
 
-/// What came of a job.
+/// The outcome of a job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobEnd {
-    /// How it ended.
+    /// The outcome.
     pub outcome: Outcome,
     /// Why; empty where it is done.
     pub reason: String,
@@ -65,7 +65,7 @@ pub fn index_of_environment(get: impl Fn(&str) -> Option<String>) -> Result<Opti
     Ok(None)
 }
 
-/// Runs a job, unless it is done or failed permanently; `retry_failed` runs it in that case, too. It goes on where an interrupted run
+/// Runs a job, unless it is done or failed permanently; `retry_failed` runs it in that case, too. It continues where an interrupted run
 /// of it stopped.
 ///
 /// # Errors
@@ -134,7 +134,7 @@ pub fn run_job(
     }
 }
 
-/// An end that stops nobody from trying again.
+/// An end after which the job may be tried again.
 fn again(reason: &str) -> JobEnd {
     JobEnd {
         outcome: Outcome::Retryable,
@@ -179,10 +179,7 @@ impl Attempt<'_> {
         }
         recover(&self.layout, id)?;
         if !free(&work, self.watch).map_err(BatchError::write(&work))? {
-            let said = format!(
-                "another run is at work in {}, or this one was asked to stop",
-                work.display()
-            );
+            let said = format!("another run is using {}, or this one was asked to stop", work.display());
             return Ok((again(&said), None));
         }
         let mut fresh = !work.exists();
@@ -245,7 +242,7 @@ impl Attempt<'_> {
         child::run(command, log, self.watch).map_err(BatchError::read(&self.tools.program))
     }
 
-    /// What is said of a folder that is not ours where a result should go.
+    /// The message for a folder that is not ours where a result should go.
     fn in_the_way(&self) -> String {
         let path = self.layout.result(&self.job.id);
         BatchError::Foreign { path }.to_string()
@@ -279,7 +276,7 @@ fn make_parent(path: &Path) -> io::Result<()> {
     path.parent().map_or(Ok(()), fs::create_dir_all)
 }
 
-/// Locks a file as soon as nobody else has it; false where that takes too long. File systems without locks go without: there two
+/// Locks a file as soon as no other process holds it; false where that takes too long. File systems without locks go without: there two
 /// processes with one job hinder each other, and still publish whole results alone.
 fn wait_for(file: &File, watch: &dyn Watch) -> io::Result<bool> {
     let start = Instant::now();
@@ -292,8 +289,8 @@ fn wait_for(file: &File, watch: &dyn Watch) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Waits until no run has the working folder, and clears away one that no run can go on with: killed before it wrote
-/// what it is. False where it is not to be had.
+/// Waits until no run has the working folder, and clears away one that no run can resume: killed before it wrote
+/// what it is. False where it is not available.
 fn free(work: &Path, watch: &dyn Watch) -> io::Result<bool> {
     let folder = match File::open(work) {
         Err(e) if e.kind() == ErrorKind::NotFound => return Ok(true),

@@ -1,15 +1,15 @@
-//! Where things are in the folder of results.
+//! The layout of the folder of results.
 
 use std::path::{Path, PathBuf};
 
 /// What a published result says of the job that it belongs to.
 pub const RESULT_FILE: &str = "batch.json";
-/// A small picture of a result: a frame and its re-render.
+/// A small image of a result: a frame and its re-render.
 pub const POSTER_FILE: &str = "poster.jpg";
 /// The record of a run.
 pub(crate) const RUN_FILE: &str = "run.json";
 
-/// The folder of results: one folder a clip, and hidden ones for the work itself.
+/// The folder of results: one folder per clip, and hidden ones for the work itself.
 #[derive(Debug, Clone)]
 pub struct Layout {
     root: PathBuf,

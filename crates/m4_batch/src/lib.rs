@@ -1,4 +1,4 @@
-//! Many clips: what to do, one job of it, what came of it.
+//! Batches of clips: planning, running one job, and reporting the results.
 //!
 //! A [`Manifest`] lists the clips and holds the settings. A scheduler starts one process a job ([`run_job`]): it has a child process
 //! make the scene in a working folder, and publishes the whole result by one rename. Which machine does what, and what is started

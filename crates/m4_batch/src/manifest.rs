@@ -1,4 +1,4 @@
-//! The manifest: one JSON object a line, the first about all jobs, each other one about one of them.
+//! The manifest: one JSON object per line, the first for all jobs, each other one for one job.
 
 use crate::error::BatchError;
 use crate::names;
@@ -51,7 +51,7 @@ struct Header {
     minute4d: String,
     /// Where results go: a folder with its whole path.
     results: String,
-    /// How many lines follow.
+    /// The number of following lines.
     jobs: usize,
     settings_blake3: String,
     #[serde(flatten)]
@@ -69,7 +69,7 @@ pub struct Job {
     pub bytes: u64,
     /// BLAKE3 of its bytes, hexadecimal; of a file or folder.
     pub blake3: String,
-    /// Where its result will be.
+    /// The folder of the result.
     pub output: String,
 }
 
@@ -81,7 +81,7 @@ impl Job {
     }
 }
 
-/// What is to be done.
+/// The jobs of a batch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Manifest {
     /// Where results go: a folder with its whole path.
@@ -152,7 +152,7 @@ impl Manifest {
         let (mut jobs, mut seen) = (Vec::new(), HashSet::new());
         for (i, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
             let line_number = i + 1;
-            let job: Job = serde_json::from_str(line).map_err(|e| format!("line {line_number} is no job ({e})"))?;
+            let job: Job = serde_json::from_str(line).map_err(|e| format!("line {line_number} is not a job ({e})"))?;
             if !names::is_safe(&job.id) {
                 return Err(format!(
                     "line {line_number}: the id {:?} cannot be the name of a folder",

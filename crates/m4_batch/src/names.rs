@@ -1,4 +1,4 @@
-//! Names of jobs: from file names, unique, safe as the name of a folder on any system.
+//! Job names: derived from file names, unique, and safe as folder names on any system.
 
 use std::collections::HashMap;
 

@@ -1,6 +1,6 @@
-//! From a working folder to a published result: checked, whole, by one rename.
+//! Publishes the result of a working folder: checked, complete, by one rename.
 //!
-//! The finished run is brought under a name of its own (`.incoming/ID/NONCE`) before it is checked, so that nobody who still writes into
+//! The finished run is brought under a name of its own (`.incoming/ID/NONCE`) before it is checked, so that no process that still writes into
 //! the working folder can change what was checked. It appears under its final name by one rename. Of two processes that
 //! publish the same job one wins, and the other finds it done.
 
@@ -45,10 +45,10 @@ struct RunFile {
     blake3: String,
 }
 
-/// What came of publishing.
+/// The outcome of publishing.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Published {
-    /// It is there.
+    /// The result is published.
     Yes,
     /// What was made is not what its record says; it was removed.
     Bad(String),
@@ -65,7 +65,7 @@ pub(crate) enum Present {
     Same,
     /// A result of other input or settings, or one that lacks files.
     Other,
-    /// No result of a batch.
+    /// A folder that is not a result of a batch.
     Foreign,
 }
 
@@ -118,7 +118,7 @@ fn hash(path: &Path) -> io::Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Publishes the finished run in the working folder as the result of a job, in place of an older one.
+/// Publishes the finished run in the working folder as the result of a job, instead of an older one.
 pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Result<Published, BatchError> {
     let (work, target) = (layout.work(id), layout.result(id));
     match present(&target, key)? {
@@ -133,7 +133,7 @@ pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Resul
     let incoming = layout.incoming(id).join(&nonce);
     bring(&work, &incoming).map_err(BatchError::write(&incoming))?;
     if let Err(reason) = check(&incoming, true)? {
-        // The next attempt begins anew.
+        // The next attempt starts again.
         remove(&incoming)?;
         let _ = fs::remove_dir(layout.incoming(id));
         return Ok(Published::Bad(reason));
@@ -213,7 +213,7 @@ fn bring(from: &Path, to: &Path) -> io::Result<()> {
     remove_temporary(to)
 }
 
-/// A name that nobody else has.
+/// A unique name.
 fn nonce(host: &str) -> String {
     let text = format!("{host} {} {:?}", std::process::id(), SystemTime::now());
     blake3::hash(text.as_bytes()).to_hex().chars().take(16).collect()

@@ -1,4 +1,4 @@
-//! What came of a job: `.state/ID.json`.
+//! The outcome of a job: `.state/ID.json`.
 
 use crate::error::BatchError;
 use crate::manifest::VERSION;
@@ -9,7 +9,7 @@ use std::io::ErrorKind;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// How a job ended.
+/// The outcome of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
@@ -17,22 +17,22 @@ pub enum Outcome {
     Done,
     /// A permanent failure, for which the clip's own bytes are the evidence: it is not run again unless forced.
     Failed,
-    /// The machine could not do it, or it was stopped: nothing but a note, which stops nobody from running it again.
+    /// The machine could not do it, or it was stopped: a note only, which does not prevent another run.
     Retryable,
 }
 
-/// What is kept of a job.
+/// The record of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct JobRecord {
     /// [`VERSION`].
     pub version: u32,
     /// The job.
     pub id: String,
-    /// Hash of input and settings that all this is of; another one begins anew.
+    /// Hash of input and settings that all this is of; another one starts again.
     pub key: String,
-    /// How it ended.
+    /// The outcome.
     pub outcome: Outcome,
-    /// Why.
+    /// The reason.
     pub reason: String,
     /// Exit code of the run, where it had one.
     pub code: Option<i32>,

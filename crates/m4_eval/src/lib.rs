@@ -1,6 +1,6 @@
-//! Metrics and the tables of a run.
+//! Metrics and their tables.
 //!
-//! [`image`] scores rendered pictures against photographs (PSNR, SSIM, whole and inside a mask);
+//! [`image`] scores rendered images against photographs (PSNR, SSIM, whole and inside a mask);
 //! [`geometry`] scores estimated cameras, depth and motion masks against known ones. Both give
 //! reports that serialise to JSON and say by which protocol they were made: a score without its
 //! protocol cannot be compared.

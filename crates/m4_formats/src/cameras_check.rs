@@ -1,12 +1,12 @@
-//! Cameras of files: whether a picture can be made with them.
+//! Checks that cameras of files can produce an image.
 
 use m4_scene::SourceFrame;
 
-/// Longest side of a picture, pixels, and farthest place, world units, that are believed.
+/// Longest side of an image, pixels, and farthest place, world units, that are believed.
 const MAX_SIDE_PX: usize = 16_384;
 const MAX_PLACE: f64 = 1e12;
 
-/// True for a camera that a picture can be made with, at a moment that is a number.
+/// True for a camera that an image can be made with, at a moment that is a number.
 pub(crate) fn usable(frame: &SourceFrame) -> bool {
     let k = &frame.camera.intrinsics;
     let side = |px: usize| (1..=MAX_SIDE_PX).contains(&px);

@@ -1,4 +1,4 @@
-//! Between frames and seconds.
+//! Converts between frames and seconds.
 
 use m4_scene::Scene;
 

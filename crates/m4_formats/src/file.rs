@@ -1,4 +1,4 @@
-//! Whole files: those of others as bytes, and our own, read back before they are published.
+//! Reads files as bytes, and writes files that are read back before they are published.
 
 use crate::verified::VerifiedFile;
 use std::fs::File;

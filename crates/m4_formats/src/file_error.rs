@@ -1,4 +1,4 @@
-//! Why a file did not get to the disk as it was made: the same for every format.
+//! Errors of writing a file, common to all formats.
 
 use m4_io::ErrorKind;
 use std::io;
@@ -13,7 +13,7 @@ pub enum WriteFileError {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// What was written reads back otherwise; it was removed.
@@ -21,7 +21,7 @@ pub enum WriteFileError {
     Verify {
         /// The file or folder.
         path: PathBuf,
-        /// What was found.
+        /// The findings.
         reason: String,
     },
 }

@@ -1,4 +1,4 @@
-//! Colours that do not change with time.
+//! Converts colours that change with time to constant ones.
 
 use m4_scene::{Column, SplatLayout, Splats};
 use std::borrow::Cow;

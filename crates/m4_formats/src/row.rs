@@ -1,4 +1,4 @@
-//! One splat at a time.
+//! Reads splats one at a time.
 
 use m4_scene::{Column, SplatLayout, Splats};
 
@@ -25,7 +25,7 @@ pub(crate) struct Life {
     pub time_mean: f32,
     /// Natural logarithm of frames.
     pub log_time_sd: f32,
-    /// World units a frame.
+    /// World units per frame.
     pub velocity: [f32; 3],
 }
 

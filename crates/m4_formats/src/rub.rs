@@ -1,4 +1,4 @@
-//! Worlds turned by half a turn about x: from y down, z forward to y up, z back, or the other way.
+//! Rotates worlds by half a turn about x: from y down, z forward to y up, z back, or the other way.
 //!
 //! Our worlds have the axes of an OpenCV camera (right, down, forward: RDF); glTF and SPZ expect
 //! y up (right, up, back: RUB). The turn `F = diag(1, -1, -1)` is its own inverse.

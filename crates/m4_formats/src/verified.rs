@@ -1,4 +1,4 @@
-//! Files that take their name only after they were read back.
+//! Files that get their final name only after they were read back.
 
 use m4_io::atomic::AtomicFile;
 use std::fs::File;

@@ -1,4 +1,4 @@
-//! Words of messages.
+//! Formats lists and numbers in messages.
 
 /// `1 splat`, `2 splats`.
 pub(crate) fn plural(n: usize, noun: &str) -> String {

@@ -1,4 +1,4 @@
-//! What a writer says of its file, and a reader of the scene it found.
+//! The reports of writers and readers.
 
 use m4_scene::Scene;
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ use std::path::PathBuf;
 pub enum Loss {
     /// Evaluated at fixed instants: what it was, and at which.
     Baked(String),
-    /// Not in the file at all.
+    /// Missing from the file.
     Dropped(String),
     /// Stored with fewer digits: what, and the step or the largest error.
     Quantised(String),
@@ -17,7 +17,7 @@ pub enum Loss {
 impl Loss {
     /// The Mip filter, for a format that has no place for it; `None` for a scene without one.
     pub(crate) fn of_mip(scene: &Scene) -> Option<Self> {
-        let what = "the Mip filter: splats smaller than a pixel are drawn too thick";
+        let what = "the Mip filter: splats smaller than a pixel are rendered too thick";
         scene.mip.then(|| Self::Dropped(what.to_owned()))
     }
 }

@@ -14,9 +14,9 @@ use std::path::Path;
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Damaged files a format.
+/// Damaged files per format.
 const FILES: u64 = 400;
-/// Memory that reading may take, bytes: this, and so many times the file.
+/// Memory that reading may take, bytes: this, and this many times the file.
 const FREE: usize = 64 << 20;
 const TIMES: usize = 64;
 

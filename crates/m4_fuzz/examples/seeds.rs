@@ -1,5 +1,5 @@
-//! Writes sound files and the findings of the corpus to `fuzz/corpus`, as the targets of the fuzzer take them:
-//! `cargo run -p m4_fuzz --example seeds`.
+//! Writes valid files and the findings of the corpus to `fuzz/corpus`, in the form that the fuzz targets read: `cargo run -p m4_fuzz
+//! --example seeds`.
 #![expect(clippy::print_stdout, reason = "a program that prints its results")]
 
 use m4_fuzz::{corpus, families, of_family};

@@ -1,4 +1,4 @@
-//! Files that once did harm: `corpus/READER/NAME`.
+//! Files of earlier findings: `corpus/READER/NAME`.
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};

@@ -1,4 +1,4 @@
-//! What bytes are wrapped in before they are a file, so that harm goes deeper than a checksum.
+//! Wraps mutated bytes in valid checksums and compression, so that mutations get past them.
 
 use crate::fixture::fixture_bytes;
 use std::io::{Cursor, Read as _, Write as _};

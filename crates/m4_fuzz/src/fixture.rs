@@ -1,4 +1,4 @@
-//! Files of the repository.
+//! Fixture files of the repository.
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};

@@ -1,4 +1,4 @@
-//! Files made to do harm: extreme numbers in each field of the head, cuts at many lengths, nothing at all.
+//! Malformed files: extreme numbers in each field of the header, truncation at many lengths, empty files.
 
 use std::ops::Range;
 
@@ -30,9 +30,9 @@ const NUMBERS: [&str; 9] = [
 /// Numbers of a text that are replaced.
 const NUMBERS_REPLACED: usize = 24;
 
-/// One way of doing harm.
+/// A kind of malformation.
 enum Harm {
-    /// Only so many bytes are left.
+    /// Only this many bytes remain.
     Cut(usize),
     /// A field is set.
     Field {

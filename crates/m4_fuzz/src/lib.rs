@@ -1,4 +1,4 @@
-//! Every reader of files, as the fuzzer and the replay of its findings call it.
+//! All readers of files, as called by the fuzzer and by the replay of its findings.
 //!
 //! ```text
 //! table     all readers of m4_io, m4_formats, m4_import and of the program itself: a name, a file among others, sound contents, the call
@@ -12,7 +12,7 @@
 //! ```
 //!
 //! Two programs go through the same table: `fuzz/` (libFuzzer, with the coverage of the code as its guide: a target a family) and
-//! `tests/replay.rs` (what was found, and hostile heads, within a limit of memory). Functions here panic where the fixtures are
+//! `tests/replay.rs` (what was found, and malformed heads, within a limit of memory). Functions here panic where the fixtures are
 //! not there: that is a broken checkout.
 #![forbid(unsafe_code)]
 

@@ -1,4 +1,4 @@
-//! Limits of a process that reads hostile files.
+//! Limits of a process that reads malformed files.
 
 use std::io;
 

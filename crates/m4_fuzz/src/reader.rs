@@ -1,4 +1,4 @@
-//! One reader, the folder that it reads in, and what came of it.
+//! One reader, its folder, and the outcome of a read.
 
 use crate::dress::Dress;
 use crate::fixture;
@@ -59,7 +59,7 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// What its name begins with.
+    /// Returns the family of the reader.
     #[must_use]
     pub fn family(&self) -> &'static str {
         self.name.split('-').next().unwrap_or(self.name)
@@ -123,7 +123,7 @@ impl Stage<'_> {
         self.reader
     }
 
-    /// Puts the bytes where they belong, and reads. A message has `STAGE` in place of the folder.
+    /// Puts the bytes where they belong, and reads. A message has `STAGE` instead of the folder.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! What is wrong with what was read, if something is.
+//! Checks that the data returned by a reader are valid.
 
 use m4_io::trajectory::{KeyPose, Trajectory};
 use m4_scene::{Camera, Capture, CaptureFrame, CompactDepth, DepthMap, Scene, Splats, Tracks, Video};
@@ -58,7 +58,7 @@ pub fn map(map: &DepthMap) -> Option<String> {
 fn frame(frame: &CaptureFrame, last: f64) -> Option<String> {
     let k = &frame.camera.intrinsics;
     if frame.rgb.size() != (k.width, k.height) {
-        return Some("the size of a picture".into());
+        return Some("the size of an image".into());
     }
     if !(0.0..=last).contains(&frame.t) {
         return Some(format!("a time: {}", frame.t));
@@ -88,7 +88,7 @@ pub fn video(video: &Video) -> Option<String> {
     }
     let size = video.frames.first().map(|f| f.rgb.size());
     let same = video.frames.iter().all(|f| Some(f.rgb.size()) == size);
-    (!same).then(|| "pictures of several sizes".into())
+    (!same).then(|| "images of several sizes".into())
 }
 
 pub fn trajectory(path: &Trajectory) -> Option<String> {

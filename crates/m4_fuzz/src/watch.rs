@@ -1,4 +1,4 @@
-//! Watches processes that read: they may panic, be aborted or not come back.
+//! Supervises reader processes, which may panic, abort or hang.
 
 use crate::worker::{MAX_TIME, current, saved};
 use std::io::{self, BufRead as _, BufReader};
@@ -15,11 +15,11 @@ const MAX_FINDINGS: usize = 12;
 pub struct Finding {
     /// The reader.
     pub reader: String,
-    /// What was done to the file.
+    /// The mutation of the file.
     pub input: String,
-    /// What it did.
+    /// The fault that it caused.
     pub why: String,
-    /// Where the input was saved.
+    /// The file of the input.
     pub saved: PathBuf,
 }
 
@@ -34,14 +34,14 @@ pub struct Report {
     pub executions: usize,
     /// The most memory that one took, bytes.
     pub peak_bytes: usize,
-    /// Which one.
+    /// The input.
     pub peak_input: String,
-    /// What did harm.
+    /// The findings.
     pub findings: Vec<Finding>,
 }
 
 /// Runs `command(from)`, a process that calls [`crate::work`] for `reader`, until all inputs are through; after an input that it does
-/// not come back from it is started anew behind that one.
+/// not come back from it is started again behind that one.
 ///
 /// # Errors
 ///

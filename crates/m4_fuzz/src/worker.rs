@@ -1,4 +1,4 @@
-//! The process that reads: a limit of memory, one input after another, and a line for each on standard output.
+//! The reader process: a memory limit, one input after another, and a line for each on standard output.
 //!
 //! ```text
 //! at I NAME                input I is read; its bytes lie in FOLDER/READER-current, should the process not come back
@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 /// Address space of the process, bytes.
 const ADDRESS_SPACE: u64 = 2 << 30;
-/// Memory that reading may take, bytes: this, and so many times the file.
+/// Memory that reading may take, bytes: this, and this many times the file.
 const FREE: usize = 64 << 20;
 const TIMES: usize = 64;
 /// Time that one file may take: a thousand times what is usual, on a machine that does much else.
@@ -29,7 +29,7 @@ pub struct Meter {
     pub reset: fn(),
     /// The peak since then, bytes.
     pub peak: fn() -> usize,
-    /// What is taken now, bytes.
+    /// The allocated memory, bytes.
     pub now: fn() -> usize,
 }
 

@@ -1,4 +1,4 @@
-//! Every reader against what once did harm and against hostile heads, in processes whose memory is limited.
+//! Every reader against what once did harm and against malformed heads, in processes whose memory is limited.
 //!
 //! A panic, an abort, something that is not sound, a message that quotes the file, much memory or much time fails with the name of
 //! the reader; the input is saved below `target`. The allocator counts for the whole process, so this is a program of its own.
@@ -21,7 +21,7 @@ const FOLDER: &str = "MINUTE4D_FUZZ_FOLDER";
 /// Hostile relatives of each sound file.
 const HOSTILE: usize = 300;
 
-/// What once did harm, sound files, and hostile ones made of them.
+/// What once did harm, valid files, and malformed ones made of them.
 fn inputs(stage: &Stage<'_>) -> Box<dyn Iterator<Item = (String, Vec<u8>)>> {
     let found = corpus(stage.reader().name).unwrap();
     let found = found.into_iter().map(|(name, bytes)| (format!("corpus/{name}"), bytes));
@@ -99,7 +99,7 @@ fn no_reader_is_harmed() {
         findings.len(),
         findings.join("\n")
     );
-    // hostile files that are all taken, or all refused with the sound ones, test nothing
+    // malformed files that are all taken, or all refused with the sound ones, test nothing
     let idle: Vec<String> = reports
         .iter()
         .filter(|(_, r)| r.executions < 60 || r.refused * 10 < r.executions || r.read == 0)
@@ -128,7 +128,7 @@ fn harm_of_every_kind_is_found() {
         assert_eq!(found.len(), 1, "{}: {:?}", reader.name, report.findings);
         assert!(found[0].why.contains(words), "{}", found[0].why);
         assert_eq!(fs::read(&found[0].saved).unwrap(), b"!");
-        // what comes behind it is read all the same
+        // what comes behind it is read anyway
         assert!(report.read > 50, "{}: {report:?}", reader.name);
     }
 }

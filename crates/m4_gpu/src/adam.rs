@@ -1,4 +1,4 @@
-//! Sparse Adam: a unit a splat, every column of it.
+//! Sparse Adam: one unit per splat, for all its columns.
 use crate::found::check_parameter;
 use cubecl::prelude::*;
 

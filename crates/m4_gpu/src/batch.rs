@@ -1,4 +1,4 @@
-//! Gradients of several frames, added up.
+//! Sums the gradients of several frames.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::splats::{DeviceSplats, parts};

@@ -1,4 +1,4 @@
-//! Training steps on a synthetic scene, timed: the twin of [`m4_kernels::bench::Bench`].
+//! Times training steps on a synthetic scene: the GPU version of [`m4_kernels::bench::Bench`].
 
 use crate::splats::DeviceSplats;
 use crate::stopwatch::Laps;
@@ -123,7 +123,7 @@ impl Bench {
         self.trainer.work.size.entries
     }
 
-    /// The picture drawn last.
+    /// The image drawn last.
     ///
     /// # Errors
     ///
@@ -173,7 +173,7 @@ impl Bench {
     }
 }
 
-/// Pictures alone.
+/// Images alone.
 #[derive(Debug)]
 pub struct Drawing {
     gpu: Gpu,
@@ -190,7 +190,7 @@ impl Drawing {
         self.views.len()
     }
 
-    /// Draws view `view`; returns before the device is done. The picture stays there.
+    /// Draws view `view`; returns before the device is done. The image stays there.
     pub fn draw(&mut self, view: usize) {
         self.work.draw(&self.gpu, &self.splats, &self.views[view]);
     }
@@ -207,7 +207,7 @@ impl Drawing {
         self.work.stopwatch.stop(&self.gpu)
     }
 
-    /// Draws view `view` and copies the picture to the host.
+    /// Draws view `view` and copies the image to the host.
     ///
     /// # Errors
     ///

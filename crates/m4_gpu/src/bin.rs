@@ -1,4 +1,4 @@
-//! Ellipses to depth-ordered tile lists.
+//! Binning: turns ellipses into depth-ordered tile lists.
 use crate::eye::SIZE;
 use crate::reach::{Reach, tile_rows, tile_span};
 use cubecl::prelude::*;

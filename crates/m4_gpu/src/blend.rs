@@ -1,4 +1,4 @@
-//! Tile lists to an image: a cube a tile, a unit a pixel.
+//! Blends tile lists into an image: one cube per tile, one unit per pixel.
 use crate::eye::BACKGROUND;
 use cubecl::prelude::*;
 

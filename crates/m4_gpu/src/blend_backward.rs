@@ -1,4 +1,4 @@
-//! Gradients of the ellipses: a cube a bucket of 32 entries, a unit an entry. Pixels pass from unit to unit.
+//! Gradients of the ellipses: one cube per bucket of 32 entries, one unit per entry. Pixels are passed from unit to unit.
 use cubecl::prelude::*;
 
 /// Buckets of each tile.

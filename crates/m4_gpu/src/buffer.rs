@@ -46,7 +46,7 @@ impl Buffer {
         self.len
     }
 
-    /// As a kernel takes it.
+    /// Returns the argument for a kernel.
     #[expect(unsafe_code, reason = "the runtime takes the length on trust")]
     pub fn arg(&self) -> BufferArg {
         // SAFETY: `handle` was made with room for `len` numbers of four bytes, and neither changes.

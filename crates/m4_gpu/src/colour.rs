@@ -1,4 +1,4 @@
-//! Sums for the least-squares fit of colours: what is missing in a splat's pixels, and how much of them it is.
+//! Sums for the least-squares fit of colours: the residual of a splat's pixels, and the weight of the splat in them.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::frames::DeviceFrame;
@@ -12,11 +12,11 @@ use m4_kernels::View;
 /// `[channel][n]`, 0 where a splat was not seen.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ColourSums {
-    /// Of blending weight times picture minus frame.
+    /// Of blending weight times image minus frame.
     pub residual: [Vec<f32>; 3],
     /// Of blending weights; empty unless they were asked for.
     pub weight: [Vec<f32>; 3],
-    /// Sum of squared differences between pictures and frames over channels and pixels.
+    /// Sum of squared differences between images and frames over channels and pixels.
     pub squares: f64,
 }
 
@@ -65,7 +65,7 @@ impl Trainer {
         })
     }
 
-    /// Picture minus frame becomes the gradient.
+    /// Image minus frame becomes the gradient.
     fn leave_residual(&self, shown: &Buffer, frame: &DeviceFrame, parts: &Buffer, squares: &Buffer, look: usize) {
         let (client, pixels) = (&self.gpu.client, self.work.size.pixels());
         residual::launch(
@@ -109,7 +109,7 @@ impl Trainer {
     }
 }
 
-/// Picture minus frame, and the sum of its squares a cube.
+/// Image minus frame, and the sum of its squares a cube.
 #[cube(launch)]
 fn residual(
     image: &[f32],

@@ -1,4 +1,4 @@
-//! NVIDIA's GPUs by CUDA. Driver and compiler are loaded at run time: a build without them runs where they are.
+//! NVIDIA GPUs through CUDA. Driver and compiler are loaded at run time, so the build does not need them.
 
 use crate::device::{Adapter, AdapterKind, Place, unfit};
 use cubecl::device::CudaDevice;

@@ -1,4 +1,4 @@
-//! Which GPUs there are, and one of them ready for work.
+//! Lists GPUs and opens one.
 
 use crate::GpuError;
 use cubecl::{
@@ -12,7 +12,7 @@ use cubecl::{
 };
 use serde::Serialize;
 
-/// What an adapter is.
+/// The kind of an adapter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AdapterKind {
@@ -33,9 +33,9 @@ pub enum AdapterKind {
 pub struct Adapter {
     /// What `--device gpu:INDEX` calls it.
     pub index: usize,
-    /// As its driver says.
+    /// The name that the driver reports.
     pub name: String,
-    /// What it is.
+    /// The kind.
     pub kind: AdapterKind,
     /// Vulkan, Metal, DX12 or CUDA.
     pub api: String,
@@ -66,7 +66,7 @@ pub(crate) enum Place {
 /// What the runtime calls an adapter; others who use the same runtime share what was started.
 #[derive(Debug, Clone)]
 pub enum Runtime {
-    /// By Vulkan, Metal or DX12.
+    /// Through Vulkan, Metal or DX12.
     Wgpu(WgpuDevice),
     /// By CUDA: the driver's number.
     #[cfg(feature = "cuda")]
@@ -74,7 +74,7 @@ pub enum Runtime {
 }
 
 impl Adapter {
-    /// What the runtime calls it.
+    /// Returns the runtime's name.
     #[must_use]
     pub fn runtime(&self) -> Runtime {
         let (slot, nth) = match self.place {
@@ -179,7 +179,7 @@ fn adapters_of(backend: wgpu::Backends) -> Vec<Adapter> {
     out
 }
 
-/// Why kernels cannot run with so many units and bytes a cube, if they cannot.
+/// Why kernels cannot run with this many units and bytes per cube, if they cannot.
 pub(crate) fn unfit(max_units: u32, max_shared_bytes: u32) -> Option<String> {
     if max_units < UNITS {
         Some(format!("{max_units} units a cube, {UNITS} are needed"))
@@ -207,7 +207,7 @@ pub fn best(adapters: &[Adapter]) -> Option<&Adapter> {
     adapters.iter().filter(of_use).min_by_key(rank)
 }
 
-/// Which GPU.
+/// The choice of a GPU.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Choice {
     /// The best that is not software.
@@ -294,7 +294,7 @@ impl Gpu {
         })
     }
 
-    /// What it is.
+    /// The kind.
     #[must_use]
     pub fn adapter(&self) -> &Adapter {
         &self.adapter
@@ -342,7 +342,7 @@ fn block_on<F: Future>(future: F) -> F::Output {
 pub(crate) mod tests {
     use super::{Choice, Gpu};
 
-    /// A GPU, or software that plays one; `None`, and said so, where there is neither.
+    /// A GPU, or a software Vulkan driver (lavapipe); `None`, and said so, where there is neither.
     #[track_caller]
     pub(crate) fn gpu(test: &str) -> Option<Gpu> {
         match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {

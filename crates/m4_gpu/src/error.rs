@@ -1,4 +1,4 @@
-//! What can go wrong on a GPU.
+//! Errors of the GPU backend.
 
 use thiserror::Error;
 
@@ -8,12 +8,12 @@ use thiserror::Error;
 pub enum GpuError {
     /// No adapter answers to that.
     #[error(
-        "there is no GPU {wanted}; this machine has {found}. Choose one that is listed by `minute4d doctor`, or --device cpu"
+        "there is no GPU {wanted}; this machine has {found}. Choose one listed by `minute4d doctor`, or --device cpu"
     )]
     NoAdapter {
-        /// What was asked for.
+        /// The requested value.
         wanted: String,
-        /// What there is.
+        /// The available ones.
         found: String,
     },
     /// The adapter is there and does not start.
@@ -21,15 +21,15 @@ pub enum GpuError {
     NotStarted {
         /// Its name.
         name: String,
-        /// What its driver said.
+        /// The message of the driver.
         why: String,
     },
     /// A buffer is larger than the adapter allows.
     #[error(
-        "{what} needs {needed} MB in one buffer; the GPU {name} allows {limit} MB. Choose fewer splats, smaller pictures, or --device cpu"
+        "{what} needs {needed} MB in one buffer; the GPU {name} allows {limit} MB. Choose fewer splats, smaller images, or --device cpu"
     )]
     TooLarge {
-        /// What the buffer holds.
+        /// The contents of the buffer.
         what: &'static str,
         /// Megabytes.
         needed: usize,
@@ -39,36 +39,36 @@ pub enum GpuError {
         name: String,
     },
     /// Splats, rows or flags do not fit together.
-    #[error("what was given to the GPU does not fit together: {0}")]
+    #[error("the inputs of the GPU are inconsistent: {0}")]
     Shape(#[from] m4_scene::ShapeError),
     /// Training was given no frames.
     #[error("there are no frames to train on. Give at least one")]
     NoFrames,
-    /// A frame that was asked for is not there.
+    /// A frame that was asked for is missing.
     #[error("there is no frame {index}: {count} were given, counted from 0")]
     NoFrame {
-        /// Which one.
+        /// The index.
         index: usize,
-        /// How many there are.
+        /// The number of them.
         count: usize,
     },
     /// The frames of a run differ in size, or have no pixels.
     #[error("frame {index} has {} x {} pixels, the first {} x {}. Frames have pixels, and one size", size.0, size.1, first.0, first.1)]
     FrameSize {
-        /// Which frame.
+        /// Index of the frame.
         index: usize,
         /// Its width and height, pixels.
         size: (usize, usize),
-        /// Those of the first.
+        /// The size of the first.
         first: (usize, usize),
     },
     /// It takes more memory than it may.
     #[error(
-        "{doing} needs {needed} MB on the GPU and may take {limit} MB: {parts}. Raise --max-vram, or choose fewer \
-         splats, smaller pictures, or --device cpu"
+        "{doing} needs {needed} MB on the GPU, above the limit of {limit} MB: {parts}. Raise --max-vram, or choose fewer \
+         splats, smaller images, or --device cpu"
     )]
     OverLimit {
-        /// What was going to start.
+        /// The operation.
         doing: &'static str,
         /// Megabytes.
         needed: u64,
@@ -80,9 +80,9 @@ pub enum GpuError {
     /// The device was lost, is out of memory, or a kernel failed.
     #[error("the GPU failed while {doing}: {why}. The scene before that is kept; try fewer splats, or --device cpu")]
     Failed {
-        /// What was going on.
+        /// The operation.
         doing: &'static str,
-        /// What the runtime said.
+        /// The message of the runtime.
         why: String,
     },
 }

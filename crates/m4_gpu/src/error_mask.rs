@@ -1,4 +1,4 @@
-//! Which pixels of a frame are wrong enough to count (paper equations 6 to 8).
+//! The pixels of a frame whose error is large enough to count (paper equations 6 to 8).
 
 use crate::Gpu;
 use crate::buffer::{Buffer, cubes, units};
@@ -32,7 +32,7 @@ struct Quantile {
 }
 
 impl Mask {
-    /// For frames of so many pixels, of which there are some.
+    /// For frames of this many pixels, of which there are some.
     pub fn new(gpu: &Gpu, pixels: usize, range: ScoreRange) -> Self {
         let client = &gpu.client;
         let sorted = match range {

@@ -1,4 +1,4 @@
-//! Colour corrections of frames: applied to what is drawn before it is compared, and their gradient.
+//! Colour corrections of frames: applied to the rendering before the comparison, and their gradient.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::log::write_parts;
@@ -16,7 +16,7 @@ impl Trainer {
         self.exposures = exposures.to_vec();
     }
 
-    /// The picture drawn last as frame `frame` shows it, and the correction if there is one.
+    /// The image drawn last as frame `frame` shows it, and the correction if there is one.
     pub(crate) fn corrected(&mut self, frame: usize) -> (Buffer, Option<Buffer>) {
         let (client, pixels) = (&self.gpu.client, self.work.size.pixels());
         let Some(exposure) = self.exposures.get(frame) else {

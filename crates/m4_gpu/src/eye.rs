@@ -1,4 +1,4 @@
-//! A camera at an instant, as the kernels read it.
+//! A camera at an instant, in the form that the kernels read.
 
 use m4_kernels::{
     View,
@@ -38,7 +38,7 @@ pub(crate) fn eye(view: &View) -> [f32; EYE] {
     put(MIDDLE, &[k.cx - 0.5, k.cy - 0.5]);
     put(LIMITS, &jacobian_limits(k));
     put(TIME, &[view.t]);
-    // a period of 0 is none: the harmonics stand still
+    // a period of 0 means none: the harmonics are static
     let period = f64::from(view.period);
     put(INVERSE_PERIOD, &[if period > 0.0 { 1.0 / period } else { 0.0 }]);
     put(NEAR, &[f64::from(view.near).max(NEAR_MIN)]);

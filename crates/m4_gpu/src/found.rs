@@ -1,4 +1,4 @@
-//! What steps found, added up on the device and read at once.
+//! Statistics of steps, accumulated on the device and read at once.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::photo::cube_sum;
@@ -21,7 +21,7 @@ const BAD_SPLAT: usize = 6;
 const SSIM: usize = 7;
 const L1: usize = 8;
 const SQUARES: usize = 9;
-/// Losses, one a look that is told apart.
+/// Losses, one per view that is recorded separately.
 pub(crate) const LOSSES: usize = 10;
 
 /// What steps found since the last time it was asked for.
@@ -35,7 +35,7 @@ pub struct Found {
     pub l1: f64,
     /// Mean structural similarity.
     pub ssim: f64,
-    /// PSNR of the frame looked at last, dB, its colours cut to 0..1; 100 for equal pictures, NaN before the first.
+    /// PSNR of the frame looked at last, dB, its colours cut to 0..1; 100 for equal images, NaN before the first.
     pub psnr: f64,
     /// Splats that a step's frames showed, mean.
     pub touched: f64,
@@ -56,7 +56,7 @@ pub struct Found {
 #[derive(Debug)]
 pub(crate) struct Tally {
     pub buffer: Buffer,
-    /// Splats touched, one number a cube.
+    /// Splats touched, one number per cube.
     parts: Buffer,
 }
 
@@ -114,7 +114,7 @@ impl Tally {
         );
     }
 
-    /// Waits, says what was found, and starts anew.
+    /// Waits, says what was found, and starts again.
     pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<Found, GpuError> {
         let words = self.buffer.read_words(&gpu.client, doing)?;
         self.buffer = Self::fresh(gpu, words.len() - LOSSES);
@@ -152,7 +152,7 @@ pub(crate) fn is_finite(value: f32) -> bool {
 #[cube]
 pub(crate) fn check_parameter(value: f32, tally: &mut [u32]) {
     if !is_finite(value) {
-        // whoever writes writes the same
+        // all writers write the same value
         tally[BAD_SPLAT] = 1u32;
     }
 }

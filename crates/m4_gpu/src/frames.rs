@@ -1,4 +1,4 @@
-//! The frames of a video, on the device as far as they may be.
+//! The frames of a video, kept on the device as far as memory allows.
 
 use crate::buffer::Buffer;
 use crate::{Gpu, GpuError};
@@ -104,7 +104,7 @@ impl Frames {
         self.list.iter().filter(there).count()
     }
 
-    /// Frame `index`, uploaded if it is not there.
+    /// Frame `index`, uploaded if it is missing.
     pub fn get(&self, gpu: &Gpu, index: usize) -> Result<DeviceFrame, GpuError> {
         let frame = self.stored(index)?;
         Ok(DeviceFrame {

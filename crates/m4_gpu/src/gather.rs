@@ -1,4 +1,4 @@
-//! Splats that become others, without those that stay leaving the device.
+//! Gathers rows of splats into a new order on the device.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::splats::{DeviceSplats, parts};
@@ -18,7 +18,7 @@ pub struct Regrowth<'a> {
     pub rows: &'a [u32],
     /// Of the next splats, how many are static.
     pub n_static: usize,
-    /// Where the optimiser's state starts from nothing, one flag a row.
+    /// Where the optimiser's state starts from nothing, one flag per row.
     pub newborn: &'a [bool],
     /// Rows that are other than the row they come from, static ones first.
     pub changed: &'a [u32],

@@ -1,5 +1,5 @@
-//! The kernels of a training step on a GPU: twins of those in [`m4_kernels`], written in CubeCL, one source for
-//! Vulkan, Metal, DX12 and CUDA.
+//! The kernels of a training step on a GPU: GPU versions of those in [`m4_kernels`], written in CubeCL, one source for Vulkan, Metal, DX12
+//! and CUDA.
 //!
 //! ```text
 //! project -> sort by depth -> bin -> sort by tile -> blend -> photo
@@ -12,7 +12,7 @@
 //! there are is known on the device alone: buffers are sized by capacity, and a peak that is read now and then says
 //! when they must grow.
 //!
-//! [`Renderer`] draws one view and its gradient and reads them back: for pictures, and for the tests that compare with
+//! [`Renderer`] draws one view and its gradient and reads them back: for images, and for the tests that compare with
 //! the CPU.
 
 #![expect(

@@ -1,5 +1,4 @@
-//! Gradients of what belongs to a frame (its camera, its exposure): a row of numbers a look, kept on the device until
-//! somebody asks.
+//! Gradients of a frame's camera and exposure: one row of numbers per view, kept on the device until the host reads them.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::photo::cube_sum;
@@ -67,7 +66,7 @@ impl<const N: usize> Log<N> {
     }
 }
 
-/// Writes the sums of a cube of 256 units; each unit brings its own share. Nobody may have left before.
+/// Writes the sums of a cube of 256 units; each unit adds its own share. No unit may have returned before.
 #[cube]
 pub(crate) fn write_parts(share: &Array<f32>, parts: &mut [f32], #[comptime] numbers: usize) {
     let mut shared = Shared::<[f32]>::new_slice(256usize);

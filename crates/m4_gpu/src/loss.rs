@@ -1,4 +1,4 @@
-//! A picture against a frame: sums for what is reported, and the gradient.
+//! Compares an image with a frame: sums for statistics, and the gradient.
 
 use crate::Gpu;
 use crate::buffer::{Buffer, units};
@@ -12,9 +12,9 @@ use cubecl::prelude::*;
 #[derive(Debug)]
 pub(crate) struct Loss {
     size: Size,
-    /// SSIM's derivatives, three planes a channel.
+    /// SSIM's derivatives, three planes per channel.
     slopes: Buffer,
-    /// Three sums a tile and channel.
+    /// Three sums per tile and channel.
     sums: Buffer,
 }
 

@@ -1,4 +1,4 @@
-//! The order in which splats lie in memory, made on the device: the twin of [`m4_kernels::morton_order`].
+//! The memory order of splats, computed on the device: the GPU version of [`m4_kernels::morton_order`].
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::gather::gather_state;
@@ -14,7 +14,7 @@ const PLACE_BITS: u32 = 32;
 const SLOT_BITS: u32 = 8;
 
 impl Trainer {
-    /// Lays splats and the optimiser's state out anew: static splats along a Morton curve, then dynamic ones by coarse
+    /// Lays splats and the optimiser's state out again: static splats along a Morton curve, then dynamic ones by coarse
     /// time, along a Morton curve within each slot of time. Nothing leaves the device.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! L1 + SSIM and its gradient: a cube a tile of 16x16 pixels and channel.
+//! L1 + SSIM and its gradient: one cube per tile of 16x16 pixels and channel.
 use cubecl::prelude::*;
 
 /// Tap `k` of the window (11 taps, 1.5 pixels).
@@ -47,8 +47,8 @@ pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
     shared[0]
 }
 
-/// Derivatives of SSIM with respect to the three blurs, and three sums a cube: of SSIM, of absolute differences, and of
-/// squared differences of the picture cut to 0..1.
+/// Derivatives of SSIM with respect to the three blurs, and three sums per cube: of SSIM, of absolute differences, and of
+/// squared differences of the image cut to 0..1.
 #[cube(launch)]
 pub(crate) fn similarity(
     image: &[f32],

@@ -1,4 +1,4 @@
-//! What the backward pass needs of each pixel: gradients of the channels and the light behind everything.
+//! The inputs of the backward pass for each pixel: gradients of the channels, and the light behind all splats.
 use cubecl::prelude::*;
 
 /// Fills `out`: red, green, blue, all that is blended along the gradient, depth; planes.

@@ -1,4 +1,4 @@
-//! What a training or a drawing takes on the device, said before it starts.
+//! Plans the device memory of training or rendering before it starts.
 
 use crate::project::RECORD;
 use crate::reach::{REACH, TILE};
@@ -9,15 +9,15 @@ use crate::work::{CHECKPOINT, Size};
 use crate::{Gpu, GpuError, eye::EYE, found::LOSSES};
 use m4_scene::SplatLayout;
 
-/// Entries of tiles that memory is first made for: so many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
-/// most splats are not there at an instant; the first frame says how many entries it takes, and is drawn again.
+/// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
+/// most splats are missing at an instant; the first frame says how many entries it takes, and is drawn again.
 const FIRST_ENTRIES: usize = 1;
 const LEAST_ENTRIES: usize = 1 << 16;
 
 /// One part of a [`Plan`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Part {
-    /// What it holds.
+    /// Its contents.
     pub what: &'static str,
     /// All of its buffers, bytes.
     pub bytes: u64,
@@ -49,8 +49,8 @@ fn part(what: &'static str, buffers: &[usize]) -> Part {
 }
 
 impl Plan {
-    /// Training of `n_static` and `n_dynamic` splats on `frames` pictures of `size` (columns, rows) that stay on the
-    /// device, eight bits a channel, with room for `entries` entries of tile lists ([`first_entries`](Self::first_entries) at first; a
+    /// Training of `n_static` and `n_dynamic` splats on `frames` images of `size` (columns, rows) that stay on the
+    /// device, eight bits per channel, with room for `entries` entries of tile lists ([`first_entries`](Self::first_entries) at first; a
     /// trainer makes more where a frame has more).
     #[must_use]
     pub fn training(
@@ -97,7 +97,7 @@ impl Plan {
         }
     }
 
-    /// Drawing of so many splats into pictures of `size`, as [`training`](Self::training).
+    /// Drawing of this many splats into images of `size`, as [`training`](Self::training).
     #[must_use]
     pub fn drawing(
         n_static: usize,
@@ -236,7 +236,7 @@ fn density_control(columns: &[usize], n: usize, pixels: usize) -> Part {
     }
 }
 
-/// The three buffers of numbers a splat.
+/// The three buffers of numbers per splat.
 fn columns(n_static: usize, n_dynamic: usize, layout: SplatLayout) -> [usize; 3] {
     let [geometry, colour, time] = parts(layout).map(|columns| columns.len());
     let n = n_static + n_dynamic;
@@ -265,7 +265,7 @@ fn work(size: &Size) -> Vec<Part> {
             "what gradients start from",
             &[buckets, CHECKPOINT * TILE * TILE * buckets],
         ));
-        parts.push(part("gradient of the picture", &[5 * pixels, 5 * pixels]));
+        parts.push(part("gradient of the image", &[5 * pixels, 5 * pixels]));
     }
     parts
 }

@@ -1,4 +1,4 @@
-//! What the device can do at most: measured, as [`m4_kernels::bench::Probe`] measures the processor.
+//! Measures the limits of the device, as [`m4_kernels::bench::Probe`] does for the CPU.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::{Gpu, GpuError};

@@ -1,5 +1,5 @@
-//! Which tiles an ellipse reaches, exactly (section 5.2): per row of tiles, the ones between the leftmost and the
-//! rightmost point of the ellipse within that row.
+//! The tiles that an ellipse reaches, exactly (section 5.2): per row of tiles, those between the leftmost and the rightmost point of the
+//! ellipse within that row.
 
 use cubecl::prelude::*;
 

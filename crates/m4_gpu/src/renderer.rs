@@ -1,4 +1,4 @@
-//! One view at a time, read back: pictures, and what the tests compare with the CPU.
+//! Renders one view and reads it back: for images, and for tests that compare with the CPU.
 
 use crate::buffer::Buffer;
 use crate::splats::{DeviceSplats, parts};
@@ -29,7 +29,7 @@ impl Renderer {
         })
     }
 
-    /// The picture of `view`.
+    /// The image of `view`.
     ///
     /// # Errors
     ///
@@ -39,7 +39,7 @@ impl Renderer {
         let k = &view.camera.intrinsics;
         let pixels = k.width * k.height;
         let work = self.work.as_ref().ok_or_else(nothing_drawn)?;
-        let image = work.image.read_floats(&self.gpu.client, "drawing a picture")?;
+        let image = work.image.read_floats(&self.gpu.client, "drawing an image")?;
         let plane = |k: usize| image[k * pixels..(k + 1) * pixels].to_vec();
         Ok(Frame {
             width: k.width,
@@ -50,7 +50,7 @@ impl Renderer {
         })
     }
 
-    /// The gradient of a loss with respect to the splats, given that with respect to the picture of `view`; that of
+    /// The gradient of a loss with respect to the splats, given that with respect to the image of `view`; that of
     /// the camera and of the background are left 0.
     ///
     /// # Errors
@@ -59,7 +59,7 @@ impl Renderer {
     ///
     /// # Panics
     ///
-    /// If the planes of the gradient are not as long as the picture (those of alpha and depth may be empty).
+    /// If the planes of the gradient are not as long as the image (those of alpha and depth may be empty).
     pub fn backward(&mut self, view: &View, gradient: &FrameGradient, out: &mut Gradients) -> Result<(), GpuError> {
         self.draw(view, true)?;
         let pixels = view.camera.intrinsics.width * view.camera.intrinsics.height;
@@ -69,7 +69,7 @@ impl Renderer {
         for plane in [r, g, b, &gradient.alpha, &gradient.depth] {
             assert!(
                 plane.is_empty() || plane.len() == pixels,
-                "backward: the gradient has the picture's size"
+                "backward: the gradient has the image's size"
             );
             planes.extend_from_slice(plane);
             if plane.is_empty() {
@@ -120,7 +120,7 @@ impl Renderer {
                 _ => Work::new(&self.gpu, size)?,
             };
             work.draw(&self.gpu, &self.splats, view);
-            let peak = work.peak(&self.gpu, "drawing a picture")?;
+            let peak = work.peak(&self.gpu, "drawing an image")?;
             self.work = Some(work);
             if peak <= size.entries {
                 return Ok(());
@@ -132,7 +132,7 @@ impl Renderer {
 
 fn nothing_drawn() -> GpuError {
     GpuError::Failed {
-        doing: "drawing a picture",
+        doing: "drawing an image",
         why: "nothing was drawn".to_owned(),
     }
 }

@@ -6,7 +6,7 @@ use cubecl::prelude::*;
 /// Numbers a cube: 256 units with four each.
 pub(crate) const BLOCK: usize = 1024;
 
-/// Exclusive sum of one value a unit over a cube of 256.
+/// Exclusive sum of one value per unit over a cube of 256.
 #[cube]
 pub(crate) fn scan_cube(value: u32, shared: &mut Shared<[u32]>) -> u32 {
     let unit = UNIT_POS as usize;
@@ -91,7 +91,7 @@ fn add_totals(output: &mut [u32], totals: &[u32], n: u32) {
     }
 }
 
-/// So many numbers are one cube's work: a few rounds there are sooner done than two more launches.
+/// This many numbers are one cube's work: a few rounds there are sooner done than two more launches.
 const IN_ONE: usize = 8 * BLOCK;
 
 /// Exclusive sums of as many numbers every time.

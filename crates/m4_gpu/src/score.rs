@@ -1,7 +1,7 @@
-//! Which splats are where the picture is wrong: the scores of density control (paper equations 6 to 10).
+//! The scores of density control: splats in regions where the image is wrong (paper equations 6 to 10).
 //!
 //! For each look: errors of the pixels, those above a threshold of the frame's own range, sums of them over the pixels
-//! that each splat is blended on (a slot a tile and splat, as in the backward pass), times how much of the splat is there
+//! that each splat is blended on (a slot per tile and splat, as in the backward pass), times how much of the splat is there
 //! at that instant. Looks add up on the device; one read ends it.
 
 use crate::buffer::{Buffer, cubes, units};
@@ -37,7 +37,7 @@ pub enum ScoreRange {
     },
 }
 
-/// Two numbers a splat, `[n]` each.
+/// Two numbers per splat, `[n]` each.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ScoreSums {
     /// Mean over the looks of the errors where the splat is.

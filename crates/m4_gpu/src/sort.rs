@@ -96,7 +96,7 @@ pub(crate) struct Sort {
     digits: Buffer,
     places: Buffer,
     scan: Scan,
-    /// Where a pass writes to.
+    /// The output of a pass.
     other: Pairs,
 }
 

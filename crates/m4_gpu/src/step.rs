@@ -22,7 +22,7 @@ pub struct StepSettings<'a> {
 pub struct Look<'a> {
     /// Its number.
     pub frame: usize,
-    /// How it is drawn.
+    /// The view that it is rendered with.
     pub view: &'a View,
     /// Also take the gradient of the camera, for [`Found::cameras`](crate::Found::cameras).
     pub camera: bool,

@@ -1,4 +1,4 @@
-//! How long the kernels of a step take, one by one.
+//! Times the kernels of a step, one by one.
 
 use crate::{Gpu, GpuError, device::failed};
 use cubecl::client::ProfileWindow;
@@ -6,7 +6,7 @@ use cubecl::profile::ProfileDuration;
 use m4_kernels::bench::Kernel;
 use std::time::Duration;
 
-/// Wall clock a kernel, in the order of [`Kernel::ALL`]; 0 for those that did not run.
+/// Wall clock per kernel, in the order of [`Kernel::ALL`]; 0 for those that did not run.
 pub type Laps = [Duration; Kernel::ALL.len()];
 
 /// Does nothing until it is started: only benches pay for it.
@@ -28,7 +28,7 @@ impl std::fmt::Debug for Running {
 const DOING: &str = "timing kernels";
 
 impl Stopwatch {
-    /// From here on laps count.
+    /// Starts the measurement.
     pub fn start(&mut self, gpu: &Gpu) {
         self.0 = Some(Running::new(gpu));
     }

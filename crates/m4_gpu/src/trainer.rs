@@ -1,4 +1,4 @@
-//! A training run on the device: what it holds, how it comes there and back.
+//! A training run on the device: its state, upload and download.
 
 use crate::batch::Batch;
 use crate::buffer::Buffer;
@@ -13,7 +13,7 @@ use m4_kernels::{CameraGradient, Frame, View, adam::cpu::AdamState, photo::cpu::
 use m4_scene::{Exposure, ShapeError, Splats};
 use std::borrow::Borrow;
 
-/// What goes on, for errors.
+/// The operation named in errors.
 pub(crate) const TRAINING: &str = "training";
 
 /// Splats, their moments and the frames of a video on the device, and the step that moves them.
@@ -35,7 +35,7 @@ pub struct Trainer {
     pub(crate) exposure_log: Log<{ exposure::NUMBERS }>,
     /// By frame; those beyond are not corrected.
     pub(crate) exposures: Vec<Exposure>,
-    /// The picture drawn last, corrected.
+    /// The image drawn last, corrected.
     pub(crate) exposed: Buffer,
     /// Whether there was room for the entries of a frame of these splats.
     pub(crate) fits: bool,
@@ -44,7 +44,7 @@ pub struct Trainer {
 
 impl Trainer {
     /// Copies everything to the device; of the `frames`, which have one size, those that fit into `budget_bytes`. The
-    /// others stay here, three bytes a pixel, and are uploaded when they are used.
+    /// others stay here, three bytes per pixel, and are uploaded when they are used.
     ///
     /// # Errors
     ///
@@ -121,7 +121,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Refuses to take more than so many bytes from here on, by what is planned: `None` for no limit. Frames that turn out to
+    /// Refuses to take more than this many bytes from here on, by what is planned: `None` for no limit. Frames that turn out to
     /// need more room for their tile entries fail then.
     pub fn set_limit(&mut self, limit_bytes: Option<u64>) {
         self.limit_bytes = limit_bytes;
@@ -184,7 +184,7 @@ impl Trainer {
         Ok(found)
     }
 
-    /// The picture drawn last.
+    /// The image drawn last.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! Three numbers.
+//! Vectors of three numbers.
 use cubecl::prelude::*;
 
 /// A vector or a row of a matrix.

@@ -1,4 +1,4 @@
-//! Memory of one frame on its way through the kernels, and the launches.
+//! The memory and the kernel launches of one frame.
 
 use crate::buffer::{Buffer, cubes, units};
 use crate::eye::eye;
@@ -17,7 +17,7 @@ const BUCKET: usize = 32;
 /// Numbers of a checkpoint: transmittance, colours, depth.
 pub(crate) const CHECKPOINT: usize = 5;
 
-/// What memory is made for.
+/// The sizes that memory is allocated for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Size {
     /// Splats.
@@ -87,7 +87,7 @@ pub(crate) struct Work {
     pub stopwatch: Stopwatch,
     /// Red, green, blue, transmittance, depth: planes.
     pub image: Buffer,
-    /// The loss's gradient with respect to those (alpha in place of transmittance).
+    /// The loss's gradient with respect to those (alpha instead of transmittance).
     pub gradient: Buffer,
     /// 1 for splats that reached a pixel.
     pub touched: Buffer,
@@ -106,14 +106,14 @@ impl Work {
             ("the tile entries of a frame", entries),
             ("the gradients of the tile entries", sums),
             ("what the gradient starts from in each tile", checkpoints),
-            ("the picture", 5 * pixels),
+            ("the image", 5 * pixels),
         ] {
             gpu.fits(what, 4 * len)?;
         }
         // a cube a tile along one dimension
         if tiles > 65_535 {
             return Err(GpuError::TooLarge {
-                what: "the picture",
+                what: "the image",
                 needed: 20 * pixels / 1_000_000,
                 limit: 20 * 65_535 * TILE * TILE / 1_000_000,
                 name: gpu.adapter().name.clone(),
@@ -305,7 +305,7 @@ impl Work {
         let client = &gpu.client;
         let (size, n) = (self.size, self.size.n);
         let (width, height) = (size.width as u32, size.height as u32);
-        // all since the picture was drawn
+        // all since the image was drawn
         self.stopwatch.lap(gpu, Kernel::Photo);
         pixels::pixels::launch(
             client,

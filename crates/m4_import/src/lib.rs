@@ -1,8 +1,8 @@
-//! Clips that other tools posed, as captures that can be trained.
+//! Imports clips with poses from other tools as captures for training.
 //!
 //! ```text
-//! formats     which format a path is of; a file or folder -> Listing: lens, pose, time and the places of pictures, depth and masks
-//! files       what formats read: bytes within a limit, JSON, tables, arrays, zip members, pictures, lenses, poses, time
+//! formats     which format a path is of; a file or folder -> Listing: lens, pose, time and the places of images, depth and masks
+//! files       what formats read: bytes within a limit, JSON, tables, arrays, zip members, images, lenses, poses, time
 //! side        depth maps, masks and tracks: of formats, and those that the options name, to the frames of any listing
 //! core/load   Listing -> Capture: everything decoded in parallel within a limit of memory, distortion removed
 //! ```

@@ -1,4 +1,4 @@
-//! Clouds to splats.
+//! Turns point clouds into splats.
 
 use crate::carry::{Carry, Moving, hidden, is_seen};
 use crate::change::changes;
@@ -150,19 +150,19 @@ struct Tints {
 struct Parts {
     standing: Centroids,
     shell: Shell,
-    /// Time and points, one a keyframe.
+    /// Time and points, one per keyframe.
     moving: Vec<(f64, Centroids)>,
-    /// World units a frame, one a point of each keyframe.
+    /// World units per frame, one per point of each keyframe.
     velocities: Vec<Vec<[f32; 3]>>,
     /// Points that a keyframe cannot see.
     hidden: Vec<Moving>,
     /// Points of tracks that each keyframe lacks.
     tracked: Vec<Moving>,
-    /// One a keyframe.
+    /// One per keyframe.
     tints: Vec<Tints>,
 }
 
-/// A place behind the depth map by this share of the depth is not looked for in a picture.
+/// A place behind the depth map by this share of the depth is not looked for in an image.
 const HIDDEN_BEHIND: f32 = 0.05;
 
 /// Motions between keyframes, found on a coarser grid; none where they are not asked for.
@@ -219,7 +219,7 @@ fn motions(
     }
 }
 
-/// Velocities of the points of every keyframe, world units a frame: half the displacement from the
+/// Velocities of the points of every keyframe, world units per frame: half the displacement from the
 /// keyframe before to the one after; one side at the ends; 0 for a lone keyframe.
 fn velocities(moving: &[(f64, Centroids)], fields: &[Fields]) -> Vec<Vec<[f32; 3]>> {
     (0..moving.len())

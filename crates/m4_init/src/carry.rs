@@ -1,6 +1,6 @@
-//! Moving points that a keyframe cannot see, carried over from keyframes that can.
+//! Propagates dynamic points to keyframes in which they are occluded, from keyframes that see them.
 //!
-//! What leaves the picture, or goes behind something, is still there: a view from beside the video may
+//! What leaves the image, or goes behind something, is still there: a view from beside the video may
 //! see it (section 2.6: "keep occluded samples"). Points move on with what can be seen of the body that they
 //! belong to, or, where nothing of it can be seen, as they moved last. In every keyframe they pass through, those that the camera would see are dropped, since the keyframe's own
 //! points are better; so are those that would float in front of something.
@@ -26,7 +26,7 @@ pub(crate) struct Carry {
     pub reach: f32,
 }
 
-/// Points of one keyframe with their velocities, world units a frame.
+/// Points of one keyframe with their velocities, world units per frame.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Moving {
     pub points: Centroids,
@@ -130,7 +130,7 @@ fn oldest_kept(ages: impl Iterator<Item = usize>, by: Carry) -> usize {
     by.keyframes
 }
 
-/// Points that nobody sees, moved with their bodies.
+/// Occluded points, moved with their rigid objects.
 fn go_on(carried: &[Point], field: &Field, gap: f32, reach: f32) -> Vec<Point> {
     let n = field.nodes.len();
     let all = field.nodes.iter().copied().chain(carried.iter().map(|p| p.xyz));
@@ -172,8 +172,8 @@ fn collect(points: Vec<Point>) -> Moving {
     out
 }
 
-/// True where the camera of `frame` looks at or through the point: inside the picture and not behind
-/// the depth map. A frame without depth sees everything inside its picture.
+/// True where the camera of `frame` looks at or through the point: inside the image and not behind
+/// the depth map. A frame without depth sees everything inside its image.
 pub(crate) fn is_seen(frame: &CaptureFrame, p: [f32; 3], margin: f32) -> bool {
     let ([u, v], z) = frame.camera.project(&p.map(f64::from).into());
     let (w, h) = frame.rgb.size();
@@ -200,7 +200,7 @@ mod tests {
     use m4_math::Se3;
     use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Silent};
 
-    /// A point at depth 3 moves to the right by 0.5 a frame: it leaves the picture after frame 3, and a
+    /// A point at depth 3 moves to the right by 0.5 a frame: it leaves the image after frame 3, and a
     /// pillar at depth 1 hides it in frame 2.
     #[test]
     fn points_are_carried_where_they_cannot_be_seen() {

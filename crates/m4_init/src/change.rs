@@ -1,4 +1,4 @@
-//! What changes its brightness without moving: shadows, reflections, lamps.
+//! Changes of brightness without motion: shadows, reflections, lamps.
 //!
 //! A mask knows things that move; their shadows fall on things that do not. A pixel of standing
 //! surface is compared with the mean colour of its voxel over all frames; where a whole patch of the
@@ -22,7 +22,7 @@ const LIFT: f64 = 0.01;
 pub(crate) struct Changes {
     /// Where less light arrives than on average.
     pub darker: Cloud,
-    /// Where more does.
+    /// Patches that are brighter.
     pub brighter: Cloud,
 }
 

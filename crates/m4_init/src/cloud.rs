@@ -1,4 +1,4 @@
-//! Depth maps to coloured points in the world.
+//! Unprojects depth maps to coloured points in the world.
 
 use crate::error::stopped;
 use crate::{InitConfig, InitError, free_space};
@@ -22,7 +22,7 @@ impl Cloud {
     }
 }
 
-/// Points of one frame that are made when they are looked at: a bit a pixel in place of 15 bytes a point, which for
+/// Points of one frame that are made when they are looked at: a bit per pixel instead of 15 bytes per point, which for
 /// all frames together would be a good part of the memory of a run.
 #[derive(Debug, Clone)]
 pub(crate) struct Pixels {
@@ -57,9 +57,9 @@ impl Pixels {
 /// Everything that the depth maps say.
 #[derive(Debug)]
 pub(crate) struct Clouds {
-    /// What stands still, in the frames that it is taken from.
+    /// The static part, in the frames that it is taken from.
     pub standing: Vec<Pixels>,
-    /// What moves, one a keyframe, in order of time; keyframes without moving pixels included.
+    /// The dynamic part, one per keyframe, in order of time; keyframes without moving pixels included.
     pub moving: Vec<Pixels>,
     /// Median z-depth of the sampled pixels, world units.
     pub median_depth: f64,
@@ -209,7 +209,7 @@ fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool, want_
 }
 
 /// Calls `visit(x, y, world point, colour)` for every `step`-th pixel of every `step`-th row of the depth
-/// map that stands still and is not near a moving one.
+/// map that is static and is not near a moving one.
 pub(crate) fn standing_pixels(
     frame: &CaptureFrame,
     config: &InitConfig,

@@ -1,4 +1,4 @@
-//! Why no splats could be made.
+//! Errors of the initialisation.
 
 /// What was wrong with a capture or the settings.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -28,13 +28,13 @@ pub enum InitError {
         first_frame: String,
     },
     /// A pose is not a number.
-    #[error("the camera of frame {frame:?} has a focal length or a pose that is not finite or not above 0")]
+    #[error("the camera of frame {frame:?} has a focal length that is not above 0, or a pose that is NaN or infinite")]
     BadCamera {
         /// The frame at fault.
         frame: String,
     },
     /// The tracks are not of these frames.
-    #[error("the capture has {frames} frames but its tracks {tracks}; follow its own frames, or leave the tracks out")]
+    #[error("the capture has {frames} frames but its tracks {tracks}; compute tracks of these frames, or remove them")]
     Tracks {
         /// Frames of the capture.
         frames: usize,
@@ -46,9 +46,9 @@ pub enum InitError {
     BadSetting {
         /// Name of the field of `InitConfig`.
         field: &'static str,
-        /// What it holds.
+        /// Its contents.
         value: String,
-        /// What is allowed.
+        /// The allowed values.
         expected: &'static str,
     },
     /// The user asked to stop.

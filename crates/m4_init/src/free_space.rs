@@ -1,4 +1,4 @@
-//! Standing points that other frames see through.
+//! Removes static points that other frames see through.
 //!
 //! Depth that was estimated smears over edges, and each frame smears in a way of its own. A point that hangs in front of what
 //! several other frames see behind it is no surface (section 2.6 has the check for tracked points).
@@ -94,7 +94,7 @@ struct Witness {
     camera: Camera,
     width: usize,
     height: usize,
-    /// z-depth, and the least of 3x3 pixels; 0 where nothing stands still or nothing is known.
+    /// z-depth, and the least of 3x3 pixels; 0 where nothing is static or nothing is known.
     depth: Vec<f32>,
     least: Vec<f32>,
 }

@@ -1,6 +1,6 @@
-//! From posed frames with depth and motion masks to the first splats.
+//! Initialisation: turns posed frames with depth and motion masks into the initial splats.
 //!
-//! [`initialise`] back-projects the depth of every frame, keeps what stands still and what moves
+//! [`initialise`] back-projects the depth of every frame, keeps static and dynamic points
 //! apart, replaces the points of each voxel by their centroid and gives every centroid the size,
 //! opacity and time span that the optimiser starts from (section 2 of the specification of the
 //! optimiser; paper section 3.1).
@@ -9,7 +9,7 @@
 //! cloud (depth -> points) -> free_space (what other frames see through goes) -> voxel (points -> centroids) -> spacing (neighbours -> discs) -> assemble
 //!                                                        -> motion (keyframe to keyframe)
 //! carry (what a keyframe cannot see, from those that can)    tracked (what tracks know of it)
-//! change (moving shadows on what stands still)    shell (something behind everything)
+//! change (moving shadows on static parts)    shell (something behind everything)
 //! ```
 //!
 //! The result depends on the capture and the settings alone: points are merged by sorting 64-bit

@@ -1,5 +1,4 @@
-//! Something behind everything: a shell of large splats far away, so that a view beside the video
-//! looks into a likely colour and not into black.
+//! The background sphere: a shell of large, distant splats, so that a view from the side shows a plausible colour instead of black.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_math::nalgebra::Vector3;

@@ -1,4 +1,4 @@
-//! How far apart neighbouring points are, and how they lie.
+//! The spacing and local orientation of neighbouring points.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_math::nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};

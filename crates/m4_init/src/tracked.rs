@@ -1,4 +1,4 @@
-//! Points of tracks added to those of the frames: the completed cloud (paper Eq. 5; section 2.6).
+//! Adds tracked points to those of the frames: the completed cloud (paper Eq. 5; section 2.6).
 //!
 //! A track knows where its point is in frames that cannot see it. There is one point a track and keyframe, of the time of that
 //! keyframe; it is left out where it is not to be trusted, floats in front of what the frame sees, no camera of the clip looks there, or the
@@ -84,7 +84,7 @@ fn collect(samples: Vec<Sample>, grid: &Grid) -> Moving {
 
 /// What a track is like over the whole clip.
 struct Way {
-    /// The median length of its steps, world units a frame.
+    /// The median length of its steps, world units per frame.
     step: f32,
     /// 0..1; `None` where it was never seen and the tracker says nothing.
     rgb: Option<[f32; 3]>,
@@ -112,7 +112,7 @@ impl Way {
     }
 }
 
-/// World units a frame between two places.
+/// World units per frame between two places.
 fn speed((a, p): (usize, [f32; 3]), (b, q): (usize, [f32; 3])) -> f32 {
     let length = (0..3).map(|k| (q[k] - p[k]).powi(2)).sum::<f32>().sqrt();
     length / b.abs_diff(a).max(1) as f32
@@ -140,7 +140,7 @@ fn robust_mean(colours: &[[u8; 3]]) -> Option<[f32; 3]> {
     }))
 }
 
-/// The points that keyframe `i` gets, one a cell, in order of cells.
+/// The points that keyframe `i` gets, one per cell, in order of cells.
 fn samples(
     known: &Known<'_>,
     tracks: &Tracks,
@@ -265,7 +265,7 @@ impl<'a> Velocities<'a> {
         }
     }
 
-    /// World units a frame: from half a gap between keyframes before to half a gap after, as far as the track is known there.
+    /// World units per frame: from half a gap between keyframes before to half a gap after, as far as the track is known there.
     fn of(&self, track: usize) -> Option<[f32; 3]> {
         if self.zero {
             return None;
@@ -280,7 +280,7 @@ impl<'a> Velocities<'a> {
     }
 }
 
-/// Velocities of the points of every keyframe, world units a frame: the mean of the nearest `neighbours` tracks within `reach`, by the
+/// Velocities of the points of every keyframe, world units per frame: the mean of the nearest `neighbours` tracks within `reach`, by the
 /// inverse of their distance; 0 where there is none.
 pub(crate) fn velocities(known: &Known<'_>, neighbours: usize, reach: f32, config: &InitConfig) -> Vec<Vec<[f32; 3]>> {
     let still = |i: usize| vec![[0.0; 3]; known.moving[i].1.xyz.len()];

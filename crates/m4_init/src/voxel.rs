@@ -1,4 +1,4 @@
-//! Voxels: many points to one centroid a cell, in a fixed order.
+//! Merges points into one centroid per voxel, in a fixed order.
 
 use crate::CellSize;
 use crate::cloud::Cloud;
@@ -11,7 +11,7 @@ const CELLS: f32 = (1u32 << BITS) as f32;
 /// Clouds that are made at a time.
 const BATCH: usize = 4;
 
-/// One centroid a voxel, sorted by voxel.
+/// One centroid per voxel, sorted by voxel.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Centroids {
     /// Mean position, world units.

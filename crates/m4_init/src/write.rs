@@ -1,4 +1,4 @@
-//! Points to rows of splats.
+//! Writes points into rows of splats.
 
 use crate::InitConfig;
 use crate::shell::Shell;
@@ -82,7 +82,7 @@ impl Writer<'_> {
         }
     }
 
-    /// What is behind everything.
+    /// Appends the background sphere.
     pub fn shell(&mut self, shell: &Shell) {
         for (&p, &rgb) in shell.xyz.iter().zip(&shell.rgb) {
             self.put(p, rgb, shell.sd, SHELL_OPACITY);

@@ -1,4 +1,4 @@
-//! Initialisation of a made-up capture: a wall, and a square that slides in front of it.
+//! Initialisation of a synthetic capture: a wall, and a square that slides in front of it.
 
 use m4_init::{InitConfig, InitError, TimeSpread, VelocityInit, initialise};
 use m4_math::Se3;
@@ -7,7 +7,7 @@ use m4_scene::{Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, P
 
 const WALL: f64 = 4.0;
 const SQUARE: f64 = 2.0;
-/// World units a frame, to the right.
+/// World units per frame, to the right.
 const SPEED: f64 = 0.04;
 
 /// A colour that tells places apart.
@@ -141,7 +141,7 @@ fn the_faithful_profile_has_one_scale_and_fades_everything() {
 #[test]
 fn a_shadow_on_the_wall_is_laid_over_it() {
     let mut capture = capture(8);
-    // from frame 4 on, the right quarter of the picture is in the shade
+    // from frame 4 on, the right quarter of the image is in the shade
     for frame in &mut capture.frames[4..] {
         let lit = frame.rgb.clone();
         frame.rgb = Plane::from_fn(96, 64, |x, y| lit[(x, y)].map(|c| if x >= 72 { c / 2 } else { c }));

@@ -7,7 +7,7 @@ use m4_scene::{Camera, Capture, CaptureFrame, Column, CompactMask, Intrinsics, P
 const WALL: f32 = 4.0;
 const SQUARE: f32 = 2.0;
 const PILLAR: f32 = 1.5;
-/// World units a frame, to the right.
+/// World units per frame, to the right.
 const SPEED: f32 = 0.05;
 const FRAMES: usize = 12;
 const SIDE: usize = 24;
@@ -112,7 +112,7 @@ fn off() -> TrackedInit {
     }
 }
 
-/// Places, colours and times of what moves.
+/// Places, colours and times of the dynamic part.
 fn moving(splats: &Splats) -> Vec<([f32; 3], [f32; 3], f32)> {
     let first = splats.n_static();
     let column = |c, k: usize, i: usize| splats.column(c, k)[first + i];
@@ -192,7 +192,7 @@ fn what_cannot_be_is_dropped() {
     // where no camera looks
     assert_eq!(added(&|_, _, p| [p[0], p[1] + 5.0, p[2]], everywhere), 0);
     assert_eq!(added(&|_, _, p| [p[0], p[1], -p[2]], everywhere), 0);
-    // far behind the wall: nobody trusts that
+    // far behind the wall: implausible, so it must be rejected
     let far = |_: usize, _: usize, p: [f32; 3]| p.map(|v| 4.0 * v);
     let hidden_far = Tracks::new(
         FRAMES,

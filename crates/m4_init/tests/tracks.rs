@@ -1,4 +1,4 @@
-//! Initialisation of a capture that brings tracks: a plain band across the picture, whose motion no picture shows.
+//! Initialisation of a capture that brings tracks: a plain band across the image, whose motion no image shows.
 
 use m4_init::{InitConfig, InitError, TrackedInit, VelocityInit, initialise};
 use m4_math::Se3;
@@ -8,7 +8,7 @@ use m4_scene::{
 
 const WALL: f32 = 4.0;
 const BAND: f32 = 2.0;
-/// World units a frame, along the band.
+/// World units per frame, along the band.
 const SPEED: f32 = 0.03;
 const FRAMES: usize = 6;
 
@@ -89,7 +89,7 @@ fn with_tracks(on: bool) -> InitConfig {
     config
 }
 
-/// Mean velocity along x of what moves.
+/// Mean velocity along x of the dynamic part.
 fn speed(splats: &Splats) -> f32 {
     let v = splats.column(Column::Velocity, 0);
     v.iter().sum::<f32>() / v.len() as f32
@@ -105,7 +105,7 @@ fn points_move_as_the_tracks_near_them_do() {
     let alone = initialise(&capture(None), &with_tracks(true), &Silent).unwrap();
     assert!(
         speed(&alone) < 0.2 * SPEED,
-        "nothing in the pictures shows the motion: {}",
+        "nothing in the images shows the motion: {}",
         speed(&alone)
     );
     let told = initialise(&capture(Some(tracks(BAND).unwrap())), &with_tracks(true), &Silent).unwrap();

@@ -1,7 +1,7 @@
-//! Files that are written whole or not at all.
+//! Writes files atomically.
 //!
 //! The bytes go to `.NAME.tmp-PID` in the same folder, reach the disk (`fsync`) and only then take
-//! the place of `NAME`: whoever opens `NAME` sees the old file or the new one, never half of it.
+//! the place of `NAME`: a reader of `NAME` sees the old file or the new one, never half of it.
 
 use std::ffi::OsString;
 use std::fs::{self, File};

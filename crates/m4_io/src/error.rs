@@ -1,4 +1,4 @@
-//! What sort of failure an error is: enough for a program to choose its exit code.
+//! The kinds of failure, from which a program chooses its exit code.
 
 use std::io;
 

@@ -1,4 +1,4 @@
-//! Bytes to and from m4_scene: video, images, captures, scene files.
+//! Readers and writers for the types of m4_scene: video, images, captures, scene files.
 //!
 //! Everything that comes from outside is checked here, once: counts in headers against the size of
 //! the file before anything is allocated, numbers for being numbers, sizes for agreeing. Axes and

@@ -1,5 +1,4 @@
-//! Which files the files of a data set may name: a data set of somebody else must not put private files into what is made
-//! of it.
+//! The files that a data set may refer to: a data set from an untrusted source must not bring private files into the result.
 
 use crate::shortened;
 use std::path::{Path, PathBuf};
@@ -17,8 +16,8 @@ pub enum Reach {
 /// A file of a data set that lies elsewhere.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "{}{} is outside of {}, and may be a private file that would be shown to whoever sees the result; put a copy into \
-     the folder, or, if you trust who made the data set, give --allow-outside",
+    "{}{} is outside of {}, and may be a private file that the result would reveal; put a copy into \
+     the folder, or, if you trust the data set, pass --allow-outside",
     shortened(path.display()),
     if path == real { String::new() } else { format!(", which is {},", shortened(real.display())) },
     shortened(folder.display())
@@ -55,7 +54,7 @@ impl Bounds {
         Self {
             reach,
             folder: folder.to_path_buf(),
-            // In one that is not there no file is.
+            // In one that is missing no file is.
             real: all.filter_map(|folder| folder.canonicalize().ok()).collect(),
         }
     }
@@ -127,7 +126,7 @@ mod tests {
             let said = inside.check(&at(bad)).unwrap_err().to_string();
             assert!(said.contains(bad) && said.contains("--allow-outside"), "{said}");
         }
-        // what a link hides is told
+        // what a link points to is reported
         let said = inside.check(&at("set/folder/private.png")).unwrap_err().to_string();
         assert!(said.contains("set-2/private.png"), "{said}");
         for bad in outside {

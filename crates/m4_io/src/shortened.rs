@@ -1,4 +1,4 @@
-//! What messages quote of files.
+//! Shortens the parts of files that messages quote.
 
 use std::fmt::{self, Display, Write as _};
 
@@ -52,7 +52,7 @@ impl Quotation {
     }
 }
 
-/// The last letters of a text.
+/// Returns the last characters of a text.
 fn last(text: &str, letters: usize) -> &str {
     let from = text.char_indices().rev().nth(letters.saturating_sub(1));
     &text[from.map_or(0, |(at, _)| at)..]

@@ -76,7 +76,7 @@ fn a_clip_that_is_text_or_zeros_or_a_picture() {
     write_rgb(&path, &Plane::filled(8, 8, [1; 3])).unwrap();
     says(
         &video_error(&path, &options(), ErrorKind::BadData),
-        &["single picture", "folder"],
+        &["single image", "folder"],
     );
 }
 
@@ -316,7 +316,7 @@ fn flipped_and_missing_bytes_never_panic() {
     assert!(read > 100 && refused > 100, "{read} read, {refused} refused");
 }
 
-// --- folders of pictures and single pictures ------------------------------------------------------
+// --- folders of images and single images ------------------------------------------------------
 
 #[test]
 fn a_folder_without_pictures_or_with_odd_ones() {
@@ -326,7 +326,7 @@ fn a_folder_without_pictures_or_with_odd_ones() {
     std::fs::write(folder.join("readme.txt"), "nothing").unwrap();
     says(
         &video_error(&folder, &options(), ErrorKind::BadData),
-        &["no picture", ".jpg"],
+        &["no image", ".jpg"],
     );
     for (i, (w, h)) in [(20, 10), (20, 10), (10, 20)].into_iter().enumerate() {
         write_rgb(&folder.join(format!("{i}.png")), &Plane::filled(w, h, [9; 3])).unwrap();
@@ -355,7 +355,7 @@ fn pictures_that_are_none() {
         std::fs::write(&path, &whole[..cut]).unwrap();
         says(&read_rgb(&path).unwrap_err().to_string(), &["a.png", "damaged"]);
     }
-    // A header that promises 4 billion pixels a side.
+    // A header that promises 4 billion pixels per side.
     let mut huge = whole.clone();
     huge[16..24].fill(0x7f);
     std::fs::write(&path, &huge).unwrap();

@@ -1,4 +1,4 @@
-//! Decoders in processes of their own: the same pictures, and errors of the clip where they fail.
+//! Decoders in processes of their own: the same images, and errors of the clip where they fail.
 
 #[cfg(unix)]
 use crate::common::script;
@@ -46,7 +46,7 @@ fn failure(result: Result<Video, ReadVideoError>, words: &[&str]) -> DecoderEnd 
     }
 }
 
-/// The same pictures at the same times.
+/// The same images at the same times.
 fn same(a: &Video, b: &Video) -> bool {
     let pairs = || a.frames.iter().zip(&b.frames);
     a.frames.len() == b.frames.len() && pairs().all(|(a, b)| a.time_s == b.time_s && a.rgb == b.rgb)
@@ -70,14 +70,14 @@ fn a_child_decodes_the_same_bits() {
     assert!(same(&here, &there) && here.frames.len() == 7);
 }
 
-/// The example with some bytes of its coded pictures, and now and then of its index, replaced.
+/// The example with some bytes of its coded images, and now and then of its index, replaced.
 fn damaged(case: u32, whole: &[u8], mdat: usize) -> Vec<u8> {
     let mut rng = CounterRng::new(17, 0, u64::from(case));
     let mut bytes = whole.to_vec();
     for _ in 0..1 + case % 7 {
         let (start, end) = match case % 8 {
             0 => (0, mdat),
-            // The first picture has 53,848 bytes, and all others need it.
+            // The first image has 53,848 bytes, and all others need it.
             1 => (mdat + 8, mdat + 53_000),
             _ => (mdat + 54_000, mdat + 280_000),
         };
@@ -221,7 +221,7 @@ fn decoders_that_crash() {
         with_fake("echo hello, hello, hello, hello; cat >/dev/null", usual(), &Silent),
         &["does not answer"],
     );
-    // Agreed, and then gone: no shorter answer passes for a picture.
+    // Agreed, and then gone: no shorter answer passes for an image.
     let ready = "printf 'm4h264\\000\\001\\001'";
     failure(
         with_fake(&format!("{ready}; exit 0"), usual(), &Silent),
@@ -319,7 +319,7 @@ fn stopping_ends_the_child_and_what_it_started() {
     for pid in std::fs::read_to_string(&note).unwrap().split_whitespace() {
         let gone = || {
             let status = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-            // The grandchild is waited for by somebody else: Z until then.
+            // Another process reaps the grandchild: it is in state Z until then.
             status.is_empty() || status.contains(") Z ") || status.contains(") X ")
         };
         let deadline = Instant::now() + Duration::from_secs(20);
@@ -349,12 +349,12 @@ fn with_fake_ffmpeg(
     read_with(launcher, &clip, &options, &Silent)
 }
 
-/// What ffprobe says of a clip of three pictures of 4 x 2 pixels.
+/// What ffprobe says of a clip of three images of 4 x 2 pixels.
 #[cfg(unix)]
 const PROBED: &str = r#"echo '{"packets":[{"pts_time":"0","flags":"K_"},{"pts_time":"1","flags":"__"},{"pts_time":"2","flags":"__"}],
 "streams":[{"codec_name":"ffv1","width":4,"height":2,"pix_fmt":"yuv420p"}]}'"#;
 
-/// One of these pictures, as ffmpeg sends it.
+/// One of these images, as ffmpeg sends it.
 #[cfg(unix)]
 fn sent(second: u32) -> String {
     format!(

@@ -129,8 +129,8 @@ fn what_cannot_be_written_is_refused_and_leaves_nothing() {
     for (w, h, fps, says) in [
         (8, 8, 24.0, "16 x 16"),
         (8000, 100, 24.0, "3840"),
-        (64, 64, 0.0, "frames a second"),
-        (64, 64, f64::NAN, "frames a second"),
+        (64, 64, 0.0, "frames per second"),
+        (64, 64, f64::NAN, "frames per second"),
     ] {
         let error = Mp4Writer::create(&path, w, h, fps).unwrap_err();
         assert!(

@@ -114,7 +114,7 @@ fn damaged_files_are_refused_with_a_reason() {
     assert_eq!(read(&good, 2, LIMIT).unwrap().count(), 1);
 
     let cases: Vec<(Vec<u8>, &str)> = vec![
-        (b"not a zip".to_vec(), "no npz archive"),
+        (b"not a zip".to_vec(), "not an npz archive"),
         (archive(&[visibs()]), "no array `coords`"),
         (archive(&[coords()]), "no array `visibs`"),
         (
@@ -172,7 +172,7 @@ fn damaged_files_are_refused_with_a_reason() {
                 ),
                 visibs(),
             ]),
-            "infinite place in frame 0",
+            "infinite position in frame 0",
         ),
     ];
     for (bytes, says) in cases {

@@ -155,7 +155,7 @@ fn with_matrix(matrix: [i32; 4], path: &Path) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// A picture mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the
+/// An image mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the
 /// reader's own code.
 fn mapped(picture: &RgbImage, [a, b, c, d]: [i32; 4]) -> RgbImage {
     let (w, h) = (picture.width() as i32, picture.height() as i32);
@@ -410,7 +410,7 @@ fn a_folder_of_pictures_is_a_clip() {
         let picture = Plane::filled(32, 24, [i * 20, 0, 0]);
         m4_io::image::write_rgb(&dir.path().join(format!("f{i}.png")), &picture).unwrap();
     }
-    std::fs::write(dir.path().join("notes.txt"), "not a picture").unwrap();
+    std::fs::write(dir.path().join("notes.txt"), "not an image").unwrap();
     let options = VideoOptions {
         folder_fps: 10.0,
         ..all()

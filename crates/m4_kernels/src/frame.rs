@@ -1,4 +1,4 @@
-//! What goes into one frame and what comes out, shared by every twin.
+//! The inputs and outputs of one frame, shared by all versions of the kernels.
 
 use m4_scene::{Camera, Splats};
 
@@ -21,7 +21,7 @@ pub struct View {
     pub with_depth: bool,
 }
 
-/// A rendered image, one plane a channel, `[height][width]` each, row by row.
+/// A rendered image, one plane per channel, `[height][width]` each, row by row.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Frame {
     /// Columns.

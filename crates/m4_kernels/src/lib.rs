@@ -1,4 +1,4 @@
-//! The numeric core: each kernel as a contract, a reference and a SIMD twin.
+//! The numeric core: each kernel as a contract, a reference and a SIMD version.
 //!
 //! One frame flows through the folders in this order, and its gradient flows back:
 //!

@@ -1,9 +1,9 @@
-//! The order in which splats should lie in memory.
+//! The memory order of splats.
 
 use m4_scene::{Column, Splats};
 use rayon::prelude::*;
 
-/// Rows in the order that makes neighbours in the picture neighbours in memory: static splats first,
+/// Rows in the order that makes neighbours in the image neighbours in memory: static splats first,
 /// along a Morton curve; dynamic splats by coarse time (64 slots between the first and the last
 /// `time_mean`), along a Morton curve within each slot. Give it to [`Splats::gather`].
 #[must_use]

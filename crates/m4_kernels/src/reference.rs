@@ -1,4 +1,4 @@
-//! The whole chain in one precision: splats and a camera to an image, and back.
+//! The whole chain of kernels in one precision: splats and a camera to an image, and back.
 //!
 //! Strings the reference kernels together without tiles, threads or SIMD: each pixel looks at every
 //! splat. This is what the twins are checked against; nothing outside tests calls it.

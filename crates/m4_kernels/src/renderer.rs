@@ -1,4 +1,4 @@
-//! The CPU twins strung together: splats to a picture and back.
+//! The renderer on the CPU: splats to an image, and gradients back.
 
 use crate::{
     CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View, Wanted,

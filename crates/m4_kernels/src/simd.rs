@@ -1,4 +1,4 @@
-//! Which vector instructions the kernels run on, and the helpers that every `cpu.rs` shares.
+//! The instruction sets that the kernels run on, and the helpers shared by every `cpu.rs`.
 
 use fearless_simd::{Level, Simd, f32x16, prelude::*, u32x16};
 

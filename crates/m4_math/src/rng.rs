@@ -1,4 +1,4 @@
-//! Random numbers that depend on a key, not on who drew first.
+//! Random numbers that depend on a key, not on the order of calls.
 
 /// A counter-based generator: the stream is a pure function of its key.
 ///

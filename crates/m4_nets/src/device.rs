@@ -1,4 +1,4 @@
-//! Where tensors lie, and in which precision.
+//! The device and precision of tensors.
 
 use burn_core::module::{Module, ModuleMapper, Param};
 use burn_core::tensor::{DType, Device, FloatDType, Tensor};

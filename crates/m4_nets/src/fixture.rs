@@ -1,4 +1,4 @@
-//! What the tests of networks share: the golden fixtures, and checkpoints by the formula.
+//! Shared test code of the networks: the golden fixtures, and checkpoints with synthetic weights.
 
 use crate::load::{self, Shapes};
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tensor};
@@ -74,11 +74,11 @@ impl Fixture {
         values.collect()
     }
 
-    /// A picture of `[3, h, w]` bytes.
+    /// An image of `[3, h, w]` bytes.
     pub fn picture(&self, name: &str) -> RgbImage {
         let (_, _, shape) = self.tensor(name);
         let [3, h, w] = shape[..] else {
-            panic!("{name} is no picture");
+            panic!("{name} is not an image");
         };
         let bytes = self.bytes(name);
         RgbImage::from_fn(w, h, |x, y| [0, 1, 2].map(|c| bytes[(c * h + y) * w + x]))

@@ -1,6 +1,6 @@
-//! Optical flow, whichever network found it.
+//! Optical flow of any network.
 
-/// Where each pixel of one picture is in another.
+/// Where each pixel of one image is in another.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Flow {
     /// Columns.
@@ -17,24 +17,24 @@ pub struct Flow {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum FlowError {
-    /// The pictures differ in size.
-    #[error("flow needs two pictures of one size, these have {} x {} and {} x {} pixels", a.0, a.1, b.0, b.1)]
+    /// The images differ in size.
+    #[error("flow needs two images of one size, these have {} x {} and {} x {} pixels", a.0, a.1, b.0, b.1)]
     Sizes {
         /// Width and height of the first.
         a: (usize, usize),
         /// Width and height of the second.
         b: (usize, usize),
     },
-    /// A picture has no pixels.
-    #[error("flow needs pictures with pixels")]
+    /// An image has no pixels.
+    #[error("flow needs images with pixels")]
     Empty,
     /// A network that improves its flow step by step was given no step.
     #[error("flow needs at least one iteration; 22 are usual")]
     NoIterations,
-    /// The flow to start from is not of these pictures.
+    /// The flow to start from is not of these images.
     #[error(
-        "the flow to start from has {} x {} pixels ({numbers} numbers), these pictures need {} x {}: start from that of \
-         another pair of pictures of the same size",
+        "the flow to start from has {} x {} pixels ({numbers} numbers), these images need {} x {}: start from that of \
+         another pair of images of the same size",
         found.0, found.1, needed.0, needed.1
     )]
     Start {
@@ -42,7 +42,7 @@ pub enum FlowError {
         found: (usize, usize),
         /// The fewer of its numbers to the right and down.
         numbers: usize,
-        /// Width and height of an eighth of the padded pictures.
+        /// Width and height of an eighth of the padded images.
         needed: (usize, usize),
     },
     /// The device failed, for one for lack of memory.

@@ -1,7 +1,7 @@
 //! Pretrained networks: their layers written in [Burn](https://burn.dev), their weights read from the published checkpoints.
 //!
 //! ```text
-//! checkpoint --load--> network;  frames --network--> flow, masks, how alike pictures look
+//! checkpoint --load--> network;  frames --network--> flow, masks, perceptual similarity
 //! ```
 //!
 //! One folder a network. Fields carry the names of the checkpoint's keys, so that a loader is a list of what is named

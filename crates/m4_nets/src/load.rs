@@ -1,4 +1,4 @@
-//! Checkpoints, read strictly.
+//! Loads checkpoints, strictly.
 
 use burn_store::{
     ApplyResult, KeyRemapper, ModuleSnapshot, ModuleStore, PyTorchToBurnAdapter, PytorchStore, SafetensorsStore,
@@ -15,7 +15,7 @@ pub enum LoadError {
     /// There is no such file.
     #[error("there is no file {}; `minute4d weights list` says where weights come from", path.display())]
     Missing {
-        /// Where it was looked for.
+        /// The path that was searched.
         path: PathBuf,
     },
     /// The file is no checkpoint that can be read.
@@ -29,7 +29,7 @@ pub enum LoadError {
         reason: String,
     },
     /// The file is a checkpoint of something else.
-    #[error("{} is no checkpoint of {network}: {}", path.display(), differences(missing, unused, wrong))]
+    #[error("{} is not a checkpoint of {network}: {}", path.display(), differences(missing, unused, wrong))]
     OtherNetwork {
         /// The file.
         path: PathBuf,

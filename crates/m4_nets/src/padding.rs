@@ -1,11 +1,11 @@
-//! Pictures of any size as networks for flow take them, and their flow in the pictures' size.
+//! Images of any size as networks for flow take them, and their flow in the images' size.
 
 use crate::ops::tensor;
 use crate::{Flow, FlowError};
 use burn_core::tensor::{Device, Tensor};
 use m4_scene::RgbImage;
 
-/// How a picture lies within the padded one: in the middle.
+/// How an image lies within the padded one: in the middle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Padding {
     pub width: usize,
@@ -15,7 +15,7 @@ pub struct Padding {
 }
 
 impl Padding {
-    /// Of a picture of `width` by `height`: the next sides that are multiples of `multiple` and no less than `least`, itself such
+    /// Of an image of `width` by `height`: the next sides that are multiples of `multiple` and no less than `least`, itself such
     /// a multiple.
     ///
     /// # Errors
@@ -33,13 +33,13 @@ impl Padding {
         })
     }
 
-    /// Columns left of the picture and rows above it.
+    /// Columns left of the image and rows above it.
     fn before(self) -> (usize, usize) {
         let (width, height) = self.padded;
         ((width - self.width) / 2, (height - self.height) / 2)
     }
 
-    /// The picture `[1, 3, padded height, padded width]`, its edges repeated; `normalised` makes of a value between 0 and 1 and the
+    /// The image `[1, 3, padded height, padded width]`, its edges repeated; `normalised` makes of a value between 0 and 1 and the
     /// number of its channel what the network takes.
     pub fn tensor(self, image: &RgbImage, normalised: impl Fn(f32, usize) -> f32, device: &Device) -> Tensor<4> {
         let (width, height) = self.padded;
@@ -58,7 +58,7 @@ impl Padding {
         tensor(values, [1, 3, height, width], device)
     }
 
-    /// The flow of the picture out of that of the padded one, `[padded height, padded width, 2]`.
+    /// The flow of the image out of that of the padded one, `[padded height, padded width, 2]`.
     ///
     /// # Errors
     ///

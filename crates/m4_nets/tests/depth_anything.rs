@@ -1,4 +1,4 @@
-//! Depth-Anything V1 as it is called: checkpoints, pictures of any size, threads. Its layers are compared with the authors' module in
+//! Depth-Anything V1 as it is called: checkpoints, images of any size, threads. Its layers are compared with the authors' module in
 //! the crate's own tests.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 

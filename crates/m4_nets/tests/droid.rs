@@ -1,4 +1,4 @@
-//! MegaSaM's tracking network: its checkpoint and its pictures.
+//! MegaSaM's tracking network: its checkpoint and its images.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_nets::droid::{DroidMemory, MemoryOptions, Storage};

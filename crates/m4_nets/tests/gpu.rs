@@ -1,4 +1,4 @@
-//! The networks on a GPU, or on software that plays one, against the fixtures and against the processor.
+//! The networks on a GPU, or on a software Vulkan driver (lavapipe), against the fixtures and against the processor.
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
@@ -331,7 +331,7 @@ fn sam2_says_the_same_as_on_the_processor() {
     }
 }
 
-/// A wavy wall, before a camera that stands still.
+/// A wavy wall, before a static camera.
 struct Wall;
 
 impl PosedClip for Wall {

@@ -1,4 +1,4 @@
-//! LPIPS against the networks stated anew in PyTorch: with weights by a formula always, with the published ones where they are.
+//! LPIPS against the networks stated again in PyTorch: with synthetic weights always, with the published ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{fixtures, floats, picture, png, real_weights};
@@ -15,7 +15,7 @@ const NETS: [(LpipsNet, &str); 2] = [(LpipsNet::Alex, "alex"), (LpipsNet::Vgg, "
 /// Rows and columns of the maps that the fixture of the published weights keeps.
 const STEP: usize = 4;
 
-/// An array of a made-up checkpoint: its name, its sides (of a kernel `[h][w][in][out]`), its numbers row by row.
+/// An array of a synthetic checkpoint: its name, its sides (of a kernel `[h][w][in][out]`), its numbers row by row.
 #[derive(Clone)]
 struct Array {
     name: String,
@@ -211,7 +211,7 @@ fn agrees_with_pytorch_by_formula() {
     }
 }
 
-/// The distances that the LPIPS project prints for its own pictures, and the maps of the same weights in PyTorch.
+/// The distances that the LPIPS project prints for its own images, and the maps of the same weights in PyTorch.
 #[test]
 fn agrees_with_the_published_distances() {
     let file = fs::read(fixtures().join("lpips/published.safetensors")).unwrap();
@@ -281,13 +281,7 @@ fn refuses_what_it_cannot_compare() {
             .unwrap();
         assert!(score.distance.is_finite() && score.map.size() == (least, least));
         let sizes = lpips.compare(&flat(64, 64, 0.5), &flat(64, 65, 0.4));
-        assert!(matches!(
-            sizes,
-            Err(LpipsError::Size {
-                what: "the picture",
-                ..
-            })
-        ));
+        assert!(matches!(sizes, Err(LpipsError::Size { what: "the image", .. })));
         let mask = lpips.compare_inside(&flat(64, 64, 0.5), &flat(64, 64, 0.4), &Plane::filled(63, 64, 1));
         assert!(matches!(mask, Err(LpipsError::Size { what: "the mask", .. })));
         let none = lpips.compare_inside(&flat(64, 64, 0.5), &flat(64, 64, 0.4), &Plane::filled(64, 64, 0));

@@ -1,4 +1,4 @@
-//! MobileSAM against its authors' module: with weights by a formula always, with the real ones where they are.
+//! MobileSAM against its authors' module: with synthetic weights always, with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{fixtures, floats, picture, png, real_weights};
@@ -55,7 +55,7 @@ struct Limits {
     iou: f64,
 }
 
-/// The prompts of `oracles/mobile_sam.py` on a picture of this size; pixels are counted from 0 there.
+/// The prompts of `oracles/mobile_sam.py` on an image of this size; pixels are counted from 0 there.
 fn prompts(width: usize, height: usize) -> [(&'static str, Prompt); 4] {
     let at = |x: f64, y: f64| {
         let pixel = |part: f64, side: usize| (part * side as f64).round_ties_even() as f32 + 0.5;

@@ -1,4 +1,4 @@
-//! MoGe-2 as it is called: checkpoints, pictures of any size, options, threads. Its layers are compared with the authors' module in the
+//! MoGe-2 as it is called: checkpoints, images of any size, options, threads. Its layers are compared with the authors' module in the
 //! crate's own tests.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
@@ -89,7 +89,7 @@ fn a_known_focal_length_is_kept() {
     assert!((map.fov_x_rad - 2.0 * (30.0f64 / 70.0).atan()).abs() < 1e-12);
     let free = net.infer(&image, &few(24)).unwrap();
     assert!(free.focal_px > 0.0 && free.focal_px != 70.0);
-    // the centre of the picture's last pixel is half a pixel from its corner
+    // the centre of the image's last pixel is half a pixel from its corner
     let points = map.points_m();
     let (x, y) = (0..2400).map(|i| (i % 60, i / 60)).rfind(|&at| map.mask[at]).unwrap();
     let [px, py, pz] = points[(x, y)];
@@ -108,7 +108,7 @@ fn a_known_focal_length_is_kept() {
 fn odd_pictures_and_options() {
     let net = network();
     for (w, h) in [(1, 1), (1, 90), (400, 3)] {
-        // a picture of few pixels need not have a focal length
+        // an image of few pixels need not have a focal length
         match net.infer(&picture(w, h), &few(20)) {
             Ok(map) => assert_eq!(map.depth_m.size(), (w, h)),
             Err(error) => assert!(matches!(error, MoGeError::NoFocal | MoGeError::NothingValid), "{error}"),
@@ -119,7 +119,7 @@ fn odd_pictures_and_options() {
     assert!(matches!(net.infer(&picture(9, 9), &few(0)), Err(MoGeError::Tokens(0))));
 }
 
-/// A mask that is empty everywhere: nothing can be said of the picture.
+/// A mask that is empty everywhere: nothing can be said of the image.
 #[test]
 fn a_picture_without_depth_is_an_error() {
     let folder = TempDir::new().unwrap();

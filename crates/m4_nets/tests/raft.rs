@@ -1,4 +1,4 @@
-//! RAFT against its authors' module, with weights by a formula, and with the real ones where they are.
+//! RAFT against its authors' module, with synthetic weights, and with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{fixtures, floats, picture, png, real_weights};
@@ -125,7 +125,7 @@ fn real_weights_see_what_another_network_sees() {
     );
 }
 
-/// A picture with an edge repeated by hand gets the flow of the one that is padded inside.
+/// An image with an edge repeated by hand gets the flow of the one that is padded inside.
 #[test]
 fn odd_sizes_are_padded_and_cropped() {
     let net = network();

@@ -38,7 +38,7 @@ fn network(side: usize) -> Arc<Sam2> {
     Arc::new(Sam2::load(&path, cpu()).unwrap().with_side(side).unwrap())
 }
 
-/// The same for pictures of 64 by 64 pixels.
+/// The same for images of 64 by 64 pixels.
 fn smallest() -> Arc<Sam2> {
     static NET: LazyLock<Arc<Sam2>> = LazyLock::new(|| network(64));
     Arc::clone(&NET)
@@ -87,7 +87,7 @@ fn other_sides_are_multiples_of_32() {
     }
 }
 
-/// The frames of a fixture, each pixel four times a side.
+/// The frames of a fixture, each pixel four times per side.
 fn frames(file: &[u8]) -> Vec<RgbImage> {
     let tensors = SafeTensors::deserialize(file).unwrap();
     let bytes = tensors.tensor("frames_u8_64").unwrap().data().to_vec();
@@ -234,7 +234,7 @@ fn what_is_far_off_is_forgotten() {
             let known = predictor.mask(frame, 7).unwrap().is_some();
             assert_eq!(known, frame <= kept || 59 - frame <= kept, "frame {frame}, {kept}");
         }
-        // what is forgotten can be corrected all the same
+        // what is forgotten can be corrected anyway
         predictor.show(30, 7, &here()).unwrap();
         predictor
             .follow(25..=30, Direction::Backward, &Silent, |_, _| ())
@@ -276,7 +276,7 @@ fn a_mask_is_taken_as_it_is() {
     let differ = back.data().iter().zip(disc.data()).filter(|(a, b)| a != b).count();
     let area = disc.data().iter().filter(|&&on| on).count();
     assert!(area > 1000 && differ * 4 < area, "{differ} of {area}");
-    // nothing is an object that is not there
+    // nothing is an object that is missing
     let none = predictor.show_mask(0, 2, &Plane::filled(5, 5, false)).unwrap();
     assert!(!none.is_there() && none.mask_at((90, 50)).data().iter().all(|&on| !on));
     let mut last = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! `UniDepth` V2 against upstream's code, with weights by a formula: a small backbone of five blocks and heads of 128 channels.
+//! `UniDepth` V2 against upstream's code, with synthetic weights: a small backbone of five blocks and heads of 128 channels.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{fixtures, floats, picture, real_weights};

@@ -11,15 +11,15 @@ pub struct CaptureFrame {
     pub camera: Camera,
     /// When it was taken, in frames of the training video: `time * (frames - 1)` of a file's `time` in `[0, 1]`.
     pub t: f64,
-    /// The picture.
+    /// The image.
     pub rgb: RgbImage,
     /// z-depth in the unit of the poses, 0 where unknown; the size may differ from that of `rgb`.
     pub depth: Option<CompactDepth>,
-    /// What moves; the size may differ from that of `rgb`.
+    /// The dynamic part; the size may differ from that of `rgb`.
     pub mask: Option<CompactMask>,
-    /// How likely each pixel is to move, 255 = certainly, where somebody estimated that; the size may differ from that of `rgb`.
+    /// How likely each pixel is to move, 255 = certainly; `None` if not estimated; the size may differ from that of `rgb`.
     pub motion: Option<Plane<u8>>,
-    /// Which thing each pixel shows, the same number in all frames, 0 for none, where somebody told things apart; the size may differ
+    /// Which thing each pixel shows, the same number in all frames, 0 for none; `None` if objects were not segmented; the size may differ
     /// from that of `rgb`.
     pub instances: Option<CompactIds>,
     /// Which held-out camera took it; `None` for training frames.
@@ -37,6 +37,6 @@ pub struct Capture {
     pub duration_s: Option<f64>,
     /// True when depth and poses are metres; false when their scale is arbitrary.
     pub metric: bool,
-    /// Ways of points of moving parts, frame by frame as `frames`; `None` where nobody followed any.
+    /// Trajectories of points on dynamic objects, indexed like `frames`; `None` if no points were tracked.
     pub tracks: Option<Tracks>,
 }

@@ -2,7 +2,7 @@
 
 use crate::{DepthMap, Plane};
 
-/// A depth map that takes as little memory as where it came from: two bytes a pixel for one of 16-bit steps, four
+/// A depth map that takes as little memory as where it came from: two bytes per pixel for one of 16-bit steps, four
 /// for floats. Both come back bit by bit.
 #[derive(Debug, Clone)]
 pub struct CompactDepth(Values);
@@ -14,7 +14,7 @@ enum Values {
 }
 
 impl CompactDepth {
-    /// A map whose depth is `steps` times `unit`, scene units a step; 0 steps = depth unknown.
+    /// A map whose depth is `steps` times `unit`, scene units per step; 0 steps = depth unknown.
     #[must_use]
     pub fn from_steps(steps: Plane<u16>, unit: f64) -> Self {
         Self(Values::Steps { steps, unit })
@@ -49,7 +49,7 @@ impl CompactDepth {
         floats.iter().step_by(stride).copied().chain(decoded)
     }
 
-    /// The map as floats, four bytes a pixel.
+    /// The map as floats, four bytes per pixel.
     #[must_use]
     pub fn to_map(&self) -> DepthMap {
         match &self.0 {

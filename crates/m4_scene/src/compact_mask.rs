@@ -2,7 +2,7 @@
 
 use crate::{Mask, Plane};
 
-/// A mask of one bit a pixel.
+/// A mask of one bit per pixel.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CompactMask {
     width: usize,

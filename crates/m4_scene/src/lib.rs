@@ -42,9 +42,9 @@ pub use state::{StateTensor, TrainState};
 pub use tracks::Tracks;
 pub use video::{Video, VideoFrame};
 
-/// An image with three 8-bit sRGB channels a pixel.
+/// An image with three 8-bit sRGB channels per pixel.
 pub type RgbImage = Plane<[u8; 3]>;
-/// z-depth a pixel; `0.0` where unknown.
+/// z-depth per pixel; `0.0` where unknown.
 pub type DepthMap = Plane<f32>;
 /// `255` where the pixel shows something that moves, else `0`.
 pub type Mask = Plane<u8>;

@@ -14,7 +14,7 @@ pub trait Progress: Sync {
     fn cancelled(&self) -> bool;
 }
 
-/// Tells nobody and never stops: for tests and for callers that do not care.
+/// Discards progress and never stops, for tests and callers that need neither.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Silent;
 

@@ -5,7 +5,7 @@ use serde::{Serialize, de::DeserializeOwned};
 /// Keeps finished pieces of a long stage, so that an attempt after it was killed need not make them again. Names are
 /// unique within one stage with one input and one set of settings: the same name is the same bytes.
 ///
-/// A shelf that cannot keep something says so itself; work goes on, and is done again next time.
+/// A cache that cannot store a value reports that itself; the work continues, and is repeated next time.
 pub trait Shelf: Sync {
     /// What was put under this name, whole; `None` where nothing was, or it was damaged.
     fn get(&self, name: &str) -> Option<Vec<u8>>;
@@ -14,7 +14,7 @@ pub trait Shelf: Sync {
     fn put(&self, name: &str, bytes: &[u8]);
 }
 
-/// The things on a shelf whose names begin with `prefix`, under the names without it: of one of several that are alike.
+/// The entries of a cache whose names begin with `prefix`, under the names without it.
 #[derive(Clone, Copy)]
 pub struct ShelfPart<'a> {
     /// Keeps them.
@@ -45,7 +45,7 @@ impl Shelf for NoShelf {
     fn put(&self, _: &str, _: &[u8]) {}
 }
 
-/// A value from the shelf or, where it has none, as `work` makes it, put there then. It comes back bit by bit.
+/// Returns the cached value, bit by bit, or computes it with `work` and stores it.
 ///
 /// # Errors
 ///

@@ -17,7 +17,7 @@ use std::ops::Range;
 /// Which columns a set of splats has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SplatLayout {
-    /// One scale and no rotation a splat, in place of three scales and a quaternion.
+    /// One scale and no rotation per splat, instead of three scales and a quaternion.
     pub isotropic: bool,
     /// Degree of the spatial harmonics of the colour, 0..=3.
     pub sh_degree: usize,
@@ -32,7 +32,7 @@ impl SplatLayout {
         (self.sh_degree + 1) * (self.sh_degree + 1)
     }
 
-    /// Colour coefficients a channel: spatial terms times temporal terms, temporal index major.
+    /// Colour coefficients per channel: spatial terms times temporal terms, temporal index major.
     #[must_use]
     pub fn colour_terms(&self) -> usize {
         self.sh_terms() * (self.time_degree + 1)
@@ -111,7 +111,7 @@ pub enum Column {
     TimeMean,
     /// 1 column, dynamic: natural logarithm of the standard deviation in time, frames.
     LogTimeSd,
-    /// 3 columns, dynamic: world units a frame.
+    /// 3 columns, dynamic: world units per frame.
     Velocity,
 }
 
@@ -189,7 +189,7 @@ impl Splats {
         self.layout
     }
 
-    /// How many there are.
+    /// The number of them.
     #[must_use]
     pub fn n(&self) -> usize {
         self.n_static + self.n_dynamic
@@ -251,7 +251,7 @@ impl Splats {
     }
 
     /// Becomes [`gather`](Self::gather) of itself, one column after the other: with memory for one more
-    /// column in place of all.
+    /// column instead of all.
     ///
     /// # Errors
     ///

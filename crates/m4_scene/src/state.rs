@@ -1,4 +1,4 @@
-//! Named arrays: how a stage hands its state to whoever writes checkpoints.
+//! Named arrays: the form in which a stage hands its state to the writer of checkpoints.
 
 use crate::ShapeError;
 use std::borrow::Cow;

@@ -1,11 +1,11 @@
-//! Ways of points of moving parts through a clip: what a tracker hands to the initialisation.
+//! Trajectories of points on dynamic objects through a clip: what a tracker hands to the initialisation.
 
 use crate::ShapeError;
 
 /// Points followed through the frames of a [`Capture`](crate::Capture): frame `i` of the tracks is frame `i` of the capture.
 ///
 /// Places are world units, in the world of the cameras; one that is not known is NaN. A place can be known where the
-/// point was not seen (behind something, or out of the picture), never the other way round in what
+/// point was not seen (behind something, or out of the image), never the other way round in what
 /// [`Tracks::new`] accepts.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(try_from = "Written")]
@@ -73,11 +73,11 @@ impl Tracks {
         })
     }
 
-    /// The same with a colour a track, sRGB.
+    /// The same with a colour per track, sRGB.
     ///
     /// # Errors
     ///
-    /// [`ShapeError`] when there is not one a track.
+    /// [`ShapeError`] when there is not one per track.
     pub fn with_colours(self, rgb: Vec<[u8; 3]>) -> Result<Self, ShapeError> {
         ShapeError::check("colours of tracks", self.count, rgb.len())?;
         Ok(Self { rgb: Some(rgb), ..self })
@@ -87,7 +87,7 @@ impl Tracks {
     ///
     /// # Errors
     ///
-    /// [`ShapeError`] when there is not one a place.
+    /// [`ShapeError`] when there is not one per place.
     pub fn with_confidence(self, confidence: &[f32]) -> Result<Self, ShapeError> {
         // a NaN becomes 0 in the cast
         self.with_confidence_steps(confidence.iter().map(|c| (255.0 * c).round() as u8).collect())
@@ -97,7 +97,7 @@ impl Tracks {
     ///
     /// # Errors
     ///
-    /// [`ShapeError`] when there is not one a place.
+    /// [`ShapeError`] when there is not one per place.
     pub fn with_confidence_steps(self, steps: Vec<u8>) -> Result<Self, ShapeError> {
         ShapeError::check("confidence of tracks", self.xyz.len(), steps.len())?;
         Ok(Self {
@@ -130,7 +130,7 @@ impl Tracks {
         &self.visible
     }
 
-    /// One sRGB colour a track, where the tracker gave colours.
+    /// One sRGB colour per track, where the tracker gave colours.
     #[must_use]
     pub fn colours(&self) -> Option<&[[u8; 3]]> {
         self.rgb.as_deref()
@@ -178,7 +178,7 @@ impl Tracks {
     ///
     /// # Errors
     ///
-    /// [`ShapeError`] when `order` names a frame that is not there.
+    /// [`ShapeError`] when `order` names a frame that is missing.
     pub fn in_order(&self, order: &[usize]) -> Result<Self, ShapeError> {
         if let Some(&frame) = order.iter().find(|&&i| i >= self.frames) {
             return Err(ShapeError {

@@ -2,10 +2,10 @@
 
 use crate::RgbImage;
 
-/// One decoded picture, upright.
+/// One decoded image, upright.
 #[derive(Debug, Clone)]
 pub struct VideoFrame {
-    /// The picture, after the display matrix was applied.
+    /// The image, after the display matrix was applied.
     pub rgb: RgbImage,
     /// Presentation time, seconds from the first frame of the file.
     pub time_s: f64,

@@ -418,7 +418,7 @@ impl Segmenter for Oracle<'_> {
         let logits: Vec<f32> = match self {
             Self::Truth(drawn) => {
                 let same = drawn.images.iter().position(|other| other == image);
-                let i = same.ok_or_else(|| failed("another picture"))?;
+                let i = same.ok_or_else(|| failed("another image"))?;
                 let moving = drawn.moving[i].data().iter();
                 moving.map(|&m| if m != 0 { 5.0 } else { -5.0 }).collect()
             }

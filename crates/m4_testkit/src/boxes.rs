@@ -1,4 +1,4 @@
-//! Boxes that turn and travel behind a pillar and out of the picture, with the truth about every point of them.
+//! A synthetic scene with ground truth: boxes that rotate and move behind a pillar and out of the image.
 
 use m4_math::{
     Se3,
@@ -9,7 +9,7 @@ use m4_scene::{Camera, DepthMap, Intrinsics, Mask, Plane, RgbImage};
 /// What a ray meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
-    /// 0 the wall, 1 the pillar, 2 the box that passes behind it, 3 the box that leaves the picture.
+    /// 0 the wall, 1 the pillar, 2 the box that passes behind it, 3 the box that leaves the image.
     pub body: usize,
     /// Where on the body, in the body's own axes.
     pub local: Vector3<f64>,
@@ -18,10 +18,10 @@ pub struct Hit {
 }
 
 /// A textured wall at depth 6, a pillar at depth 2.2, and two textured boxes: one turns by 0.6 rad on its way behind the pillar, the
-/// other, nearer to the side, leaves the picture. The camera walks slowly.
+/// other, nearer to the side, leaves the image. The camera walks slowly.
 #[derive(Debug, Clone)]
 pub struct BoxScene {
-    /// One a frame.
+    /// One per frame.
     pub cameras: Vec<Camera>,
     hits: Vec<Vec<Hit>>,
 }
@@ -32,7 +32,7 @@ const FIRST_MOVING: usize = 2;
 const HALF: [[f64; 3]; 4] = [[12.0, 9.0, 0.1], [0.11, 3.0, 0.1], [0.42, 0.35, 0.3], [0.26, 0.22, 0.2]];
 
 impl BoxScene {
-    /// A clip of so many pictures of `width` x `height` pixels.
+    /// A clip of this many images of `width` x `height` pixels.
     #[must_use]
     pub fn new(width: usize, height: usize, frames: usize) -> Self {
         let camera = |t: usize| {
@@ -158,7 +158,7 @@ impl BoxScene {
         Plane::from_fn(k.width, k.height, |x, y| f(&self.hit(t, x, y)))
     }
 
-    /// The picture of frame `t`.
+    /// The image of frame `t`.
     #[must_use]
     pub fn rgb(&self, t: usize) -> RgbImage {
         self.plane(t, |hit| texture(hit.body, &hit.local))
@@ -170,7 +170,7 @@ impl BoxScene {
         self.plane(t, |hit| hit.depth as f32)
     }
 
-    /// What moves in frame `t`.
+    /// The dynamic part in frame `t`.
     #[must_use]
     pub fn mask(&self, t: usize) -> Mask {
         self.plane(t, |hit| if Self::moves(hit.body) { 255 } else { 0 })

@@ -1,4 +1,4 @@
-//! A headless Chromium that draws WebGL2 in software, spoken to by its DevTools protocol.
+//! Controls a headless Chromium with software WebGL2 through the DevTools protocol.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
@@ -26,7 +26,7 @@ const FLAGS: [&str; 14] = [
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    // whoever likes things to keep still: nothing plays by itself
+    // reduced motion: nothing plays automatically
     "--force-prefers-reduced-motion",
     "--hide-scrollbars",
     "--no-first-run",

@@ -1,4 +1,4 @@
-//! Comparisons whose bounds a gradient of zeros cannot meet.
+//! Comparisons with bounds that a zero gradient cannot satisfy.
 
 /// How two vectors of numbers agree.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,4 +1,4 @@
-//! Central differences that know about steps.
+//! Central differences of functions with discontinuities.
 
 /// What one evaluation gives.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,7 +19,7 @@ impl From<f64> for Side {
 /// The differences, and where they cannot be trusted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Differences {
-    /// One a parameter.
+    /// One per parameter.
     pub gradient: Vec<f64>,
     /// Parameters whose decisions differ on the two sides however small the step: their entry means
     /// nothing.

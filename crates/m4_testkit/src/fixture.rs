@@ -1,4 +1,4 @@
-//! `fixtures/`: numbers made by the programs in `oracles/`, never by us.
+//! Loads `fixtures/`: numbers computed by the programs in `oracles/`, never by this program.
 
 use serde::Deserialize;
 use std::{fs, path::PathBuf};
@@ -61,7 +61,7 @@ pub struct GradientCase {
     pub period: f64,
     /// Colour behind everything.
     pub background: [f64; 3],
-    /// The picture to compare with, `[height][width]`.
+    /// The image to compare with, `[height][width]`.
     pub gt: Vec<Vec<[f64; 3]>>,
     /// The depth to compare with, `[height][width]`.
     pub gt_depth: Vec<Vec<f64>>,
@@ -73,7 +73,7 @@ pub struct GradientCase {
     pub splats: Vec<FixtureSplat>,
     /// 0.8 L1 + 0.2 (1 - SSIM) + depth term.
     pub loss: f64,
-    /// One a splat.
+    /// One per splat.
     pub grad_splats: Vec<FixtureSplat>,
     /// Left twist, translation part.
     pub grad_translation: [f64; 3],

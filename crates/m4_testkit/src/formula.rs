@@ -1,4 +1,4 @@
-//! Weights and inputs that a formula gives, so that a fixture holds outputs alone.
+//! Synthetic weights and inputs from a formula, so that a fixture stores only outputs.
 //!
 //! The rule is section 1 of the README of the golden fixtures: FNV-1a of the tensor's name, SplitMix64 of key and index, and a
 //! scale that follows from the name's last part and the shape.
@@ -69,7 +69,7 @@ impl FormulaWeights {
         values.unwrap_or_else(|| panic!("there is no tensor {name}"))
     }
 
-    /// Puts `values` in place of those of `name`.
+    /// Puts `values` instead of those of `name`.
     ///
     /// # Panics
     ///

@@ -1,4 +1,4 @@
-//! Blind changes of files.
+//! Random mutations of files.
 
 use m4_math::CounterRng;
 

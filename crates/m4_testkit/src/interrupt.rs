@@ -1,11 +1,11 @@
-//! Work that is interrupted and goes on.
+//! Interrupts and resumes work.
 
 use m4_scene::{Progress, Shelf};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A shelf in memory.
+/// A cache in memory.
 #[derive(Debug, Default)]
 pub struct MemoryShelf(Mutex<HashMap<String, Vec<u8>>>);
 

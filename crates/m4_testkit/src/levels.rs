@@ -1,4 +1,4 @@
-//! One test body, every instruction set.
+//! Runs a test on every instruction set.
 
 use crate::{Need, skip};
 

@@ -1,4 +1,4 @@
-//! Large inputs that lie beside the repository and may be absent.
+//! Large inputs in a folder next to the repository, which may be absent.
 
 use crate::{Need, skip};
 use std::path::PathBuf;

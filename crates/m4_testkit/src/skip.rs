@@ -1,4 +1,4 @@
-//! Tests that cannot run on this machine: they say so where a person sees it.
+//! Reports tests that cannot run on this machine, in a list that is visible to the user.
 
 use std::fmt;
 use std::fs::OpenOptions;
@@ -17,7 +17,7 @@ pub enum Need {
     Ffmpeg,
     /// A browser.
     Chromium,
-    /// A GPU, or software that plays one.
+    /// A GPU, or a software Vulkan driver (lavapipe).
     Vulkan,
     /// A GPU that computes with 16 bits.
     HalfPrecision,
@@ -50,7 +50,7 @@ impl Need {
         }
     }
 
-    /// How to get it.
+    /// How to install it.
     #[must_use]
     pub fn remedy(self) -> &'static str {
         match self {

@@ -1,4 +1,4 @@
-//! Small scenes with known answers.
+//! Small synthetic scenes with known results.
 
 use m4_math::{
     CounterRng, Se3,
@@ -129,7 +129,7 @@ pub fn random_splats(seed: u64, camera: &Camera, spec: &SceneSpec) -> Splats {
 }
 
 /// A clip of random splats with a camera a frame that walks past, for what writes and reads scenes: none of its
-/// facts is a default. Pictures of 64 x 48 pixels, `spec.time_frames` of them in 1.25 seconds, Mip filter.
+/// facts is a default. Images of 64 x 48 pixels, `spec.time_frames` of them in 1.25 seconds, Mip filter.
 #[must_use]
 pub fn random_scene(spec: &SceneSpec) -> Scene {
     let frame = |i: usize| SourceFrame {
@@ -157,9 +157,9 @@ pub fn random_scene(spec: &SceneSpec) -> Scene {
 pub struct MovingScene {
     /// The wall (static rows) and the ball (dynamic rows).
     pub splats: Splats,
-    /// One a frame; frame `i` is at `t = i`.
+    /// One per frame; frame `i` is at `t = i`.
     pub cameras: Vec<Camera>,
-    /// Of the ball, world units a frame.
+    /// Of the ball, world units per frame.
     pub velocity: [f32; 3],
     /// Of the ball at `t = 0`.
     pub start: [f32; 3],

@@ -1,4 +1,4 @@
-//! Gradients of several frames, added up.
+//! Sums the gradients of several frames.
 
 use m4_kernels::Gradients;
 use rayon::prelude::*;

@@ -1,6 +1,6 @@
-//! Colours by least squares: rounds of "what is missing in my pixels, on the mean".
+//! Fits colours by least squares: rounds that distribute the residual of each splat's pixels.
 //!
-//! With everything else fixed a picture is `A c + b`: `A` holds the blending weights, at least 0 and of a sum of at most
+//! With everything else fixed an image is `A c + b`: `A` holds the blending weights, at least 0 and of a sum of at most
 //! 1 a pixel. A round is `c += relax * (A^T (target - picture)) / (A^T 1 + damping)`, splat by splat and channel by
 //! channel. Both sums are what the renderer's backward pass returns, of the residual and of ones.
 
@@ -24,7 +24,7 @@ pub(crate) struct ColourSums {
 /// Which of the sums.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Sum {
-    /// Of weight times picture minus target.
+    /// Of weight times image minus target.
     Residual,
     /// Of weights.
     Weight,
@@ -45,7 +45,7 @@ impl ColourSums {
         self.residual.iter_mut().for_each(|plane| plane.fill(0.0));
     }
 
-    /// Adds the gradients of a frame with respect to the constant coefficients, one column a channel; rows that are not
+    /// Adds the gradients of a frame with respect to the constant coefficients, one column per channel; rows that are not
     /// `touched` hold anything.
     pub fn add(&mut self, which: Sum, columns: &[Vec<f32>], touched: &[u8]) {
         let sums = match which {

@@ -1,4 +1,4 @@
-//! Steps somewhere else than on the processor.
+//! The interface of devices that take training steps instead of the CPU.
 //!
 //! A [`Device`] holds splats, the optimiser's state and the frames, and takes whole steps; the trainer
 //! ([`crate::Trainer::use_device`]) picks frames and keeps the schedules. Steps return before they are done: what they
@@ -12,7 +12,7 @@ use m4_kernels::photo::cpu::Target;
 use m4_kernels::{CameraGradient, View};
 use m4_scene::{Exposure, Splats};
 
-/// Why a device could not go on, in its own words.
+/// Why a device cannot continue, in its own words.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct DeviceError(pub String);
@@ -25,7 +25,7 @@ pub type DeviceMaker<'a> = &'a dyn Fn() -> Result<Box<dyn Device>, DeviceError>;
 pub struct DeviceLook<'a> {
     /// Its number.
     pub frame: usize,
-    /// How it is drawn.
+    /// The view that it is rendered with.
     pub view: &'a View,
     /// Also take the gradient of the camera, for [`DeviceFound::cameras`].
     pub camera: bool,
@@ -51,7 +51,7 @@ pub struct DeviceFound {
     pub steps: usize,
     /// Frames looked at: as many a step as a batch has.
     pub looks: usize,
-    /// Mean of the absolute differences over channels, pixels and frames; not finite if a picture was not.
+    /// Mean of the absolute differences over channels, pixels and frames; not finite if an image was not.
     pub l1: f64,
     /// Mean structural similarity.
     pub ssim: f64,
@@ -82,11 +82,11 @@ pub struct ScoreSettings {
 /// coefficient of each colour, `[channel][n]`, 0 where a splat was not seen.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ColourGradient {
-    /// Of blending weight times picture minus target.
+    /// Of blending weight times image minus target.
     pub residual: [Vec<f32>; 3],
     /// Of blending weights; empty unless they were asked for.
     pub weight: [Vec<f32>; 3],
-    /// Sum of squared differences between pictures and targets, over channels and pixels.
+    /// Sum of squared differences between images and targets, over channels and pixels.
     pub squares: f64,
 }
 
@@ -132,7 +132,7 @@ pub struct Regrowth<'a> {
     pub rows: &'a [u32],
     /// Of the next splats, how many are static.
     pub n_static: usize,
-    /// Where the optimiser's state starts from nothing, one flag a row.
+    /// Where the optimiser's state starts from nothing, one flag per row.
     pub newborn: &'a [bool],
     /// Rows that are other than the row they come from, static ones first.
     pub changed: &'a [u32],

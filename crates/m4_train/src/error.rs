@@ -1,4 +1,4 @@
-//! Why training could not start or go on.
+//! Errors of training.
 
 use m4_scene::ShapeError;
 
@@ -13,21 +13,21 @@ pub enum TrainError {
     #[error("there are no splats to train; initialise them from the capture first")]
     NoSplats,
     /// The first splats hold a value that is not a number.
-    #[error("the splats to train hold values that are not finite; they cannot be used as a start")]
+    #[error("the splats to train contain NaN or infinite values; they cannot be used for training")]
     BadSplats,
     /// A setting is out of range.
     #[error("setting `{field}` is {value}, which is not {expected}")]
     BadSetting {
         /// Path of the field within `TrainConfig`.
         field: &'static str,
-        /// What it holds.
+        /// Its contents.
         value: String,
-        /// What is allowed.
+        /// The allowed values.
         expected: &'static str,
     },
     /// The loss or a parameter stopped being a number.
     #[error(
-        "training diverged: {what} is not finite at iteration {iteration}; the splats of iteration {good_iteration} are kept. Lower \
+        "training diverged: {what} is NaN or infinite at iteration {iteration}; the splats of iteration {good_iteration} are kept. Lower \
          the learning rates, or report the capture"
     )]
     Diverged {
@@ -41,7 +41,7 @@ pub enum TrainError {
     /// The device failed.
     #[error("{why} (at iteration {iteration}; the splats of iteration {good_iteration} are kept)")]
     Device {
-        /// What it said.
+        /// Its message.
         why: String,
         /// Where.
         iteration: usize,
@@ -50,7 +50,7 @@ pub enum TrainError {
     },
     /// A saved state lacks a part.
     #[error(
-        "the saved training state has no usable {name:?}; it was written by another version or is damaged; train anew"
+        "the saved training state has no usable {name:?}; it was written by another version or is damaged; train again without --resume"
     )]
     BadState {
         /// The tensor at fault.

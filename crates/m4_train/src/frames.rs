@@ -1,4 +1,4 @@
-//! The training frames as the loss wants them.
+//! The training frames in the form that the loss needs.
 
 use m4_kernels::photo::cpu::Target;
 use m4_scene::{Capture, CaptureFrame};
@@ -11,13 +11,13 @@ struct Stored<'a> {
     cached: Option<Target>,
 }
 
-/// All frames, and as many prepared pictures as fit the budget.
+/// All frames, and as many prepared images as fit the budget.
 #[derive(Debug)]
 pub(crate) struct FrameStore<'a> {
     frames: Vec<Stored<'a>>,
     budget: usize,
     used: usize,
-    /// The picture prepared last that did not fit; its memory is used again for the next.
+    /// The image prepared last that did not fit; its memory is used again for the next.
     spare: Target,
     spare_of: Option<usize>,
 }
@@ -34,14 +34,14 @@ impl<'a> FrameStore<'a> {
         }
     }
 
-    /// Prepares every picture, as the first epoch would.
+    /// Prepares every image, as the first epoch would.
     pub fn prepare_all(&mut self) {
         for i in 0..self.frames.len() {
             self.target(i);
         }
     }
 
-    /// Every picture, for somebody else to keep; what is kept here is forgotten.
+    /// Takes every image out; nothing is kept here.
     pub fn hand_over(&mut self) -> Vec<Target> {
         self.frames.iter_mut().for_each(|f| f.cached = None);
         self.used = 0;
@@ -53,7 +53,7 @@ impl<'a> FrameStore<'a> {
         prepared.collect()
     }
 
-    /// The picture of frame `i`.
+    /// The image of frame `i`.
     pub fn target(&mut self, i: usize) -> &Target {
         let frame = self.frames[i].frame;
         if self.frames[i].cached.is_none() && self.spare_of != Some(i) {
@@ -72,7 +72,7 @@ impl<'a> FrameStore<'a> {
     }
 }
 
-/// What a prepared picture takes: a byte a colour.
+/// What a prepared image takes: a byte a colour.
 fn bytes(frame: &CaptureFrame) -> usize {
     let (width, height) = frame.rgb.size();
     3 * width * height
@@ -90,7 +90,7 @@ fn by_rows<T: Send>(width: usize, planes: [&mut [T]; 3], fill: impl Fn(usize, [&
     rows.for_each(|(y, ((red, green), blue))| fill(y, [red, green, blue]));
 }
 
-/// A row of a picture, one plane a channel.
+/// A row of an image, one plane per channel.
 fn split(pixels: &[[u8; 3]], [red, green, blue]: [&mut [u8]; 3]) {
     for (((r, g), b), pixel) in red.iter_mut().zip(green).zip(blue).zip(pixels) {
         [*r, *g, *b] = *pixel;

@@ -1,7 +1,7 @@
 //! The optimisation loop: schedule, loss, sparse Adam, loss-guided density control, checkpoints.
 //!
 //! [`Trainer`] takes a capture and its first splats and makes them look like the frames: pick a frame
-//! in an order drawn anew for each epoch, draw it, compare (L1 + SSIM), step every splat that was seen. Every
+//! in an order drawn again for each epoch, draw it, compare (L1 + SSIM), step every splat that was seen. Every
 //! hundred steps [`density`] looks at what is still wrong and adds or removes splats there (paper
 //! section 3.3).
 //!

@@ -1,4 +1,4 @@
-//! What a run reports while it goes on.
+//! The metrics of a running training.
 
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +42,7 @@ pub(crate) struct Totals {
     pub touched: usize,
 }
 
-/// PSNR of two pictures of one plane a channel, the first clamped to 0..1; 100 dB for equal ones.
+/// PSNR of two images of one plane per channel, the first clamped to 0..1; 100 dB for equal ones.
 pub(crate) fn psnr(rgb: &[Vec<f32>; 3], target: &[Vec<f32>; 3]) -> f64 {
     let (mut sum, mut count) = (0.0f64, 0usize);
     for (a, b) in rgb.iter().zip(target) {

@@ -1,4 +1,4 @@
-//! How many iterations fit into a given time on this machine.
+//! Estimates how many iterations fit into a time budget on this machine.
 
 use crate::TrainError;
 use crate::config::{ColourFitConfig, DensityConfig, RefineConfig, TrainConfig};
@@ -47,7 +47,7 @@ pub fn affordable_iterations(
 }
 
 /// The splats that density control may make of these: most of a run has as many. What is wrong is mostly in what
-/// stands still, and added up over the pixels, so the static rows that look largest (`size`, one a row) are there twice;
+/// is static, and added up over the pixels, so the static rows that look largest (`size`, one per row) are there twice;
 /// where each of them twice is not enough, all rows are repeated, as often as it takes.
 fn grown(splats: &Splats, size: &[f32], config: &TrainConfig) -> Result<Splats, TrainError> {
     let (n, n_static) = (splats.n(), splats.n_static());

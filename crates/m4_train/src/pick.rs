@@ -1,4 +1,4 @@
-//! Which frame an iteration looks at: a function of seed and iteration.
+//! Chooses the frame of an iteration, as a function of seed and iteration.
 
 use m4_math::CounterRng;
 
@@ -10,7 +10,7 @@ pub(crate) mod purpose {
     pub const SPLIT: u64 = 0x5455_0005;
 }
 
-/// Every frame once an epoch, in an order drawn anew for each.
+/// Every frame once an epoch, in an order drawn again for each.
 #[derive(Debug, Clone)]
 pub(crate) struct Picker {
     seed: u64,

@@ -1,4 +1,4 @@
-//! One learning rate a column.
+//! One learning rate per column.
 
 use crate::config::{PositionUnit, RateConfig};
 use crate::scale::SceneScale;

@@ -1,4 +1,4 @@
-//! Poses, focal length and exposure of the frames, by their own small Adam in f64.
+//! Refines poses, focal length and exposure of the frames with their own small Adam in f64.
 
 use crate::config::RefineConfig;
 use m4_kernels::CameraGradient;

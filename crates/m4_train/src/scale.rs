@@ -1,4 +1,4 @@
-//! How large the scene is, in the unit of its poses.
+//! The size of the scene, in the unit of its poses.
 
 use m4_math::nalgebra::Vector3;
 use m4_scene::Capture;

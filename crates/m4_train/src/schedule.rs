@@ -1,4 +1,4 @@
-//! What changes over a run, as functions of the iteration alone.
+//! The values that change during training, as functions of the iteration alone.
 
 /// `exp((1 - x) ln a + x ln b)`, log-linear from `a` to `b` with `x` in 0..1 (section 3); linear when
 /// one of them is 0.

@@ -1,4 +1,4 @@
-//! The trainer's state as named arrays, and back.
+//! Converts the trainer's state to named arrays, and back.
 //!
 //! Splats and cameras travel in the scene; here is what the scene does not hold. Names:
 //!

@@ -1,4 +1,4 @@
-//! What makes more of an iteration: several frames a step, colours by least squares, own counts of steps.
+//! What makes more of an iteration: several frames per step, colours by least squares, own counts of steps.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use crate::common::{FRAMES, disturbed, video};
@@ -209,7 +209,7 @@ fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
 #[test]
 fn a_newborn_moves_by_its_rate_at_first() {
     let (scene, capture) = video();
-    // half of the run is over when the splats of a round are born
+    // half of the run is over when the splats of a round are added
     let mut config = frozen(40);
     config.adam.sparse = false;
     config.adam.beta2_dynamic = config.adam.beta2;

@@ -1,4 +1,4 @@
-//! The frames of the source beside the re-render: small JPEGs, one after the other.
+//! The source frames shown next to the re-render: small JPEGs, one after the other.
 
 use crate::manifest::FrameIndex;
 use image::codecs::jpeg::JpegEncoder;
@@ -43,10 +43,10 @@ pub struct Frames {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum FramesError {
-    /// A picture without pixels.
+    /// An image without pixels.
     #[error("frame {index} is {width} x {height} pixels; it must have some")]
     Empty {
-        /// Which.
+        /// The name of the weights.
         index: usize,
         /// Columns.
         width: usize,
@@ -56,9 +56,9 @@ pub enum FramesError {
     /// The encoder.
     #[error("frame {index} cannot be written as a JPEG: {reason}")]
     Encode {
-        /// Which.
+        /// The name of the weights.
         index: usize,
-        /// What it said.
+        /// Its message.
         reason: String,
     },
 }
@@ -71,7 +71,7 @@ const LEAST_SIDE_PX: usize = 96;
 /// Frames that are tried before all are written.
 const SAMPLES: usize = 8;
 
-/// The pictures as JPEGs of one size within the limits, as far as those can be held; `None` for none.
+/// The images as JPEGs of one size within the limits, as far as those can be held; `None` for none.
 ///
 /// # Errors
 ///

@@ -1,9 +1,9 @@
-//! The page that shows a scene: one self-contained HTML file, or the same page from a local server.
+//! The viewer page: one self-contained HTML file, or the same page from a local server.
 //!
 //! ```text
 //! Scene --payload::encode--> Payload --+
 //!       --Manifest::new-----> Manifest +--page::compose--> viewer.html --page::read--> the same again
-//! pictures --encode_frames--> Frames --+
+//! images --encode_frames--> Frames --+
 //! ```
 //!
 //! The page itself is TypeScript in `crates/m4_viewer/page`, built and kept as `page.html`.

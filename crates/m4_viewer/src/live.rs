@@ -1,4 +1,4 @@
-//! A scene for a page that is open: the answer to a request for `live.scene` of the manifest.
+//! A scene for an open page: the response to a request for `live.scene` of the manifest.
 //!
 //! | bytes | what |
 //! |---|---|

@@ -1,4 +1,4 @@
-//! What the page is told of a scene besides its splats.
+//! The metadata of a scene that the page gets in addition to its splats.
 
 use crate::payload::Payload;
 use m4_scene::{Camera, Scene};
@@ -36,7 +36,7 @@ pub struct Manifest {
     pub centre: [f64; 3],
     /// How far from the source cameras the scene can be looked at.
     pub safe: SafeOrbit,
-    /// The frames of the source in the page, one a camera.
+    /// The frames of the source in the page, one per camera.
     pub frames: Option<FrameIndex>,
     /// Where the page hears of newer scenes; none in a file.
     pub live: Option<Live>,
@@ -45,15 +45,15 @@ pub struct Manifest {
 /// How many splats of which kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplatFacts {
-    /// Without time parameters.
+    /// Splats without time parameters.
     pub r#static: usize,
-    /// With them.
+    /// Splats with time parameters.
     pub dynamic: usize,
     /// Degree of the spatial harmonics of the colour.
     pub sh_degree: usize,
     /// Highest temporal harmonic of the colour.
     pub time_degree: usize,
-    /// One scale a splat and no rotation.
+    /// One scale per splat and no rotation.
     pub isotropic: bool,
     /// Bytes of the payload before gzip.
     pub bytes: usize,
@@ -87,9 +87,9 @@ pub struct SourceCamera {
     pub cx: f64,
     /// Principal point from the top edge, pixels.
     pub cy: f64,
-    /// Columns of its pictures.
+    /// Columns of its images.
     pub width: usize,
-    /// Rows of its pictures.
+    /// Rows of its images.
     pub height: usize,
 }
 
@@ -233,7 +233,7 @@ pub struct SafeConfig {
     /// swings about any scene.
     pub least_share: f64,
     /// At most this share of the median depth. 0.5: beyond it nearer things leave their place in the
-    /// picture altogether.
+    /// image altogether.
     pub most_share: f64,
 }
 

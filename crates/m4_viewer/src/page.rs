@@ -1,4 +1,4 @@
-//! The page with a scene in it, and what is in such a page.
+//! Writes and reads a page with a scene in it.
 //!
 //! The page as it is built ([`TEMPLATE`]) has one marker. In its place go
 //!
@@ -61,23 +61,23 @@ pub enum PageError {
         found: usize,
     },
     /// The manifest cannot be written or read as JSON.
-    #[error("the manifest of the page is not as it should be: {source}")]
+    #[error("the manifest of the page is invalid: {source}")]
     Manifest {
-        /// What is wrong.
+        /// The fault.
         #[from]
         source: serde_json::Error,
     },
     /// Compression, in memory.
     #[error("the splats cannot be packed or unpacked: {source}")]
     Gzip {
-        /// What is wrong.
+        /// The fault.
         #[from]
         source: std::io::Error,
     },
     /// An element that is missing.
     #[error("the page has no element {id}; it was not written by minute4d, or only in part")]
     Missing {
-        /// Which.
+        /// The name of the weights.
         id: &'static str,
     },
     /// An element in which a browser would look for the end of a comment.
@@ -85,7 +85,7 @@ pub enum PageError {
         "the element {id} of the page holds <!--, behind which browsers do not find its end; write the page again from its scene"
     )]
     Comment {
-        /// Which.
+        /// The name of the weights.
         id: &'static str,
     },
     /// Offsets that do not fit the frames.
@@ -97,9 +97,9 @@ pub enum PageError {
     /// An element that is not base64.
     #[error("the element {id} of the page is damaged: {source}")]
     Base64 {
-        /// Which.
+        /// The name of the weights.
         id: &'static str,
-        /// What is wrong.
+        /// The fault.
         source: base64::DecodeError,
     },
 }
@@ -107,7 +107,7 @@ pub enum PageError {
 /// What a page is made of.
 #[derive(Debug, Clone, Copy)]
 pub struct Parts<'a> {
-    /// What it is told.
+    /// Its metadata.
     pub manifest: &'a Manifest,
     /// The payload before gzip; `None` for a page that waits for the first scene of a server.
     pub payload: Option<&'a [u8]>,
@@ -169,7 +169,7 @@ fn element(out: &mut Vec<u8>, name: (&str, &str), text: &str) {
 /// What a page holds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contents {
-    /// What it is told.
+    /// Its metadata.
     pub manifest: Manifest,
     /// The payload without gzip, for [`crate::payload::decode`]; `None` where there is none.
     pub payload: Option<Vec<u8>>,

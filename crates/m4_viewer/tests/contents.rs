@@ -173,7 +173,7 @@ fn the_safe_radius_is_between_shares_of_the_depth() {
     let still = manifest_of(&scene, &payload);
     assert!(
         (still.safe.radius - 4.0 * config.least_share).abs() < 1e-12,
-        "the camera stands still"
+        "the camera is static"
     );
     // the middle camera looks from z = -0.5 to z = 4: the centre lies 4 units along that
     assert!((still.centre[2] - 3.5).abs() < 0.02, "{:?}", still.centre);

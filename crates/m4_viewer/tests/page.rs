@@ -54,7 +54,7 @@ fn scene() -> Scene {
     }
 }
 
-/// What our own renderer draws, 8 bits a channel.
+/// What our own renderer draws, 8 bits per channel.
 fn drawn(scene: &Scene, camera: &Camera, t: f64) -> RgbImage {
     let view = View {
         camera: *camera,
@@ -79,7 +79,7 @@ fn psnr_db(a: &RgbImage, b: &RgbImage) -> f64 {
     10.0 * (255.0f64.powi(2) * (3 * a.width() * a.height()) as f64 / sum).log10()
 }
 
-/// What the page is told of a scene, and its splats.
+/// The metadata of a scene for the page, and its splats.
 fn told(scene: &Scene) -> (Manifest, Vec<u8>) {
     let payload = encode(scene, DISTANCE, &PayloadConfig::default());
     let about = About {
@@ -108,7 +108,7 @@ fn written(scene: &Scene, folder: &Path) -> String {
     format!("file://{}", path.display())
 }
 
-/// The settled picture of the page as the browser encodes it.
+/// The settled image of the page as the browser encodes it.
 fn capture(page: &mut Chromium) -> Vec<u8> {
     let url = page.eval("minute4d.capture()");
     let (_, data) = url.as_str().unwrap().split_once("base64,").unwrap();
@@ -174,7 +174,7 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
     let first = look(&mut page);
     assert!(
         first == look(&mut page),
-        "the settled picture of a time is the same, bit for bit"
+        "the settled image of a time is the same, bit for bit"
     );
     let pictures: Vec<RgbImage> = first.iter().map(|png| decoded(png)).collect();
     for i in 0..3 {
@@ -215,7 +215,7 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
     page.wait_for("minute4d.state().splats !== 100");
     assert!(
         first == look(&mut page),
-        "the server's page draws other pictures than the file"
+        "the server's page draws other images than the file"
     );
 }
 

@@ -12,7 +12,7 @@ use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A scene and what a page is told of it.
+/// A scene and its metadata for the page.
 fn shown(n_static: usize) -> (Manifest, Vec<u8>) {
     let scene = scene(n_static, 3);
     let payload = encode(&scene, 4.0, &PayloadConfig::default());

@@ -1,13 +1,13 @@
-//! The time limit of a run, and what is left of it.
+//! The time limit of a run, and the time left.
 
 use crate::{Error, Settings};
 use std::time::{Duration, Instant};
 
-/// Share of what is left when training starts, and most seconds of it, that stay for reading back, page and preview.
+/// Reserve for reading back, page and preview: share of the time left when training starts, and its maximum in seconds.
 const RESERVE: f64 = 0.25;
 const MOST_RESERVE_S: f64 = 120.0;
 
-/// When a run started, and how long it may take.
+/// The start and the time limit of a run.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Clock {
     started: Instant,
@@ -25,24 +25,24 @@ impl Clock {
         }
     }
 
-    /// When all is to be done.
+    /// Returns the end of the time limit.
     pub fn end(&self) -> Option<Instant> {
         self.started.checked_add(self.limit?)
     }
 
-    /// True once the limit is reached.
+    /// Returns true after the limit is reached.
     pub fn is_over(&self) -> bool {
         self.end().is_some_and(|end| Instant::now() >= end)
     }
 
-    /// When training that starts now is to be done.
+    /// Returns the time by which training that starts now must end.
     pub fn end_of_training(&self) -> Option<Instant> {
         let left_s = self.end()?.saturating_duration_since(Instant::now()).as_secs_f64();
         let reserve_s = (RESERVE * left_s).min(MOST_RESERVE_S);
         Some(Instant::now() + Duration::from_secs_f64(left_s - reserve_s))
     }
 
-    /// The same failure, or that the time was up where nobody else said stop.
+    /// Returns the same failure, or "time is up" if only the clock asked to stop.
     pub fn blame(&self, error: Error, stage: &'static str, asked_to_stop: bool) -> Error {
         match self.limit {
             Some(limit) if error.is_stop() && !asked_to_stop && self.is_over() => Error::TimeLimit {

@@ -1,4 +1,4 @@
-//! The one error of the library, and what sort of failure each is.
+//! The error type of the library, and the category of each failure.
 
 use crate::enhance::EnhanceError;
 use crate::evaluate::ProtocolError;
@@ -30,37 +30,37 @@ use m4_viewer::server::ServeError;
 use std::io;
 use std::path::PathBuf;
 
-/// The command that builds the program with everything: GPUs and networks. Messages about what a build lacks name it.
+/// The command that builds the program with GPU support and networks, for messages about missing features.
 pub const BUILD_FULL: &str = "cargo build --release -p minute4d_cli --features full";
 
-/// The sort of a failure: what a program turns into its exit code.
+/// The category of a failure, which determines the exit code of the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Category {
-    /// A promise of the program itself is broken.
+    /// An invariant of the program is broken.
     Internal,
-    /// An argument has no meaning.
+    /// An argument is invalid.
     Usage,
-    /// An input is damaged, incomplete or contradicts itself.
+    /// An input is damaged, incomplete or inconsistent.
     BadInput,
     /// An input does not exist.
     NoInput,
-    /// This machine cannot compute what was asked for: a device, a program or weights are missing or fail, or memory is too little.
+    /// This machine cannot do the computation: a device, a program or weights are missing or fail, or memory is insufficient.
     NoDevice,
-    /// An output cannot be made.
+    /// An output cannot be written.
     CannotWrite,
     /// The machine failed while reading.
     Io,
-    /// It may work later.
+    /// The same command may succeed later.
     TryAgain,
-    /// A setting does not exist or has a value that cannot work.
+    /// A setting does not exist or has an invalid value.
     BadSettings,
     /// The caller asked to stop; what was finished is kept.
     Stopped,
 }
 
 impl Category {
-    /// The exit code of this sort of failure, after `sysexits.h`. That of [`Category::Stopped`] depends
+    /// Returns the exit code of this category, after `sysexits.h`. That of [`Category::Stopped`] depends
     /// on the signal; 130 here.
     #[must_use]
     pub fn exit_code(self) -> u8 {
@@ -100,23 +100,23 @@ pub enum Error {
     /// A file or folder could not be read.
     #[error("cannot read {}: {source}", path.display())]
     Read {
-        /// What was to be read.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file or folder could not be written.
     #[error("cannot write {}: {source}; check the permissions and the free space, or choose another folder", path.display())]
     Write {
-        /// What was to be written.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// The time that the user gave was up before there was a scene.
+    /// The time limit was reached before there was a scene.
     #[error(
-        "the time limit of {seconds:.0} s was reached in the stage {stage}; what it finished is kept: the same command with \
-         --resume goes on, and --time-limit changes the limit"
+        "the time limit of {seconds:.0} s was reached in the stage {stage}; finished work is kept: the same command with \
+         --resume continues, and --time-limit changes the limit"
     )]
     TimeLimit {
         /// The stage.
@@ -124,23 +124,23 @@ pub enum Error {
         /// The limit.
         seconds: f64,
     },
-    /// A GPU was asked for and is not there, does not start, or failed.
+    /// The requested GPU is missing, does not start, or failed.
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Gpu(#[from] m4_gpu::GpuError),
-    /// A GPU was asked for in a build that cannot use any.
+    /// A GPU was requested in a build without GPU support.
     #[error(
-        "this program was built without GPUs, which --device gpu needs: `{BUILD_FULL}` builds it with them; --device cpu works without"
+        "this program was built without GPU support, which --device gpu needs: `{BUILD_FULL}` builds it with them; --device cpu works without"
     )]
     NoGpuSupport,
-    /// A folder was to be made where a file is.
-    #[error("{} is a file, and a folder of that name is to be made; choose another name", path.display())]
+    /// A file has the name of a folder to create.
+    #[error("cannot create the folder {}: a file with that name exists; choose another name", path.display())]
     InTheWay {
         /// The file.
         path: PathBuf,
     },
-    /// A folder with things in it that are not ours.
-    #[error("the folder {} is not empty and not made by minute4d (it has no {missing} that can be used); choose another folder, or --force to write into it all the same", path.display())]
+    /// A folder with other files in it.
+    #[error("the folder {} is not empty and not made by minute4d (it has no usable {missing}); choose another folder, or --force to write into it anyway", path.display())]
     Foreign {
         /// The folder.
         path: PathBuf,
@@ -148,21 +148,21 @@ pub enum Error {
         missing: &'static str,
     },
     /// A folder with earlier work.
-    #[error("the folder {} holds {what}; --resume goes on with it, --force replaces it", path.display())]
+    #[error("the folder {} contains {what}; --resume continues it, --force replaces it", path.display())]
     Exists {
         /// The folder.
         path: PathBuf,
         /// What is in it.
         what: &'static str,
     },
-    /// A folder that another process works in.
-    #[error("another minute4d is at work in {}; wait for it, or choose another folder", path.display())]
+    /// A folder that another process uses.
+    #[error("another minute4d is using {}; wait for it, or choose another folder", path.display())]
     Busy {
         /// The folder.
         path: PathBuf,
     },
     /// A file that would be replaced.
-    #[error("{} is already there; --force replaces it", path.display())]
+    #[error("{} already exists; --force replaces it", path.display())]
     WouldReplace {
         /// The file or folder.
         path: PathBuf,
@@ -175,10 +175,10 @@ pub enum Error {
         /// Where.
         path: PathBuf,
     },
-    /// A folder or file that is nothing this program knows.
-    #[error("{} is neither a video, a folder of pictures, a capture, a scene nor a run", path.display())]
+    /// A folder or file of an unknown kind.
+    #[error("{} is neither a video, a folder of images, a capture, a scene nor a run", path.display())]
     Unknown {
-        /// What was given.
+        /// The given value.
         path: PathBuf,
     },
     /// A capture without held-out views.
@@ -187,18 +187,18 @@ pub enum Error {
         /// The capture.
         path: PathBuf,
     },
-    /// A row of an ablation could not be made.
-    #[error("the row {row} failed: {said}; what it made is in {}", folder.display())]
+    /// A row of an ablation failed.
+    #[error("the row {row} failed: {said}; its files are in {}", folder.display())]
     Row {
         /// Its name.
         row: &'static str,
-        /// Where it was to be made.
+        /// The folder of the row.
         folder: PathBuf,
-        /// Its last words.
+        /// Its last messages.
         said: String,
     },
     /// The finished scene did not read back as it was written.
-    #[error("{} was written but does not read back as it was: {what}; check the disk", path.display())]
+    #[error("{} was written but does not read back correctly: {what}; check the disk", path.display())]
     Verify {
         /// The file.
         path: PathBuf,
@@ -206,17 +206,17 @@ pub enum Error {
         what: String,
     },
     /// The caller asked to stop.
-    #[error("stopped during {stage}{}", if *saved { "; run the same command with --resume to go on" } else { "" })]
+    #[error("stopped during {stage}{}", if *saved { "; run the same command with --resume to continue" } else { "" })]
     Stopped {
-        /// The stage that was at work.
+        /// The stage that was running.
         stage: &'static str,
-        /// True when there is something to go on with.
+        /// True when there is something to resume from.
         saved: bool,
     },
     /// A bug.
     #[error("internal error: {what}; this is a bug in minute4d, please report it")]
     Internal {
-        /// What was seen.
+        /// The observation.
         what: String,
     },
     /// Settings.
@@ -243,10 +243,10 @@ pub enum Error {
     /// Writing a clip.
     #[error(transparent)]
     WriteVideo(#[from] WriteVideoError),
-    /// Reading a picture.
+    /// Reading an image.
     #[error(transparent)]
     ReadImage(#[from] ReadImageError),
-    /// Writing a picture.
+    /// Writing an image.
     #[error(transparent)]
     WriteImage(#[from] WriteImageError),
     /// Reading a capture.
@@ -294,7 +294,7 @@ pub enum Error {
         /// The front end.
         frontend: &'static str,
     },
-    /// A front end whose weights are not there.
+    /// A front end whose weights are missing.
     #[cfg(feature = "nets")]
     #[error("the front end {frontend} cannot be used: {source}; --frontend classical works without")]
     FrontEndWeights {
@@ -303,18 +303,18 @@ pub enum Error {
         /// What is missing, and how to get it.
         source: crate::weights::WeightsError,
     },
-    /// A front end whose weights are no weights.
+    /// A front end whose weights are invalid.
     #[cfg(feature = "nets")]
     #[error("the front end {frontend} cannot be used: {source}; --frontend classical works without")]
     FrontEndLoad {
         /// The front end.
         frontend: &'static str,
-        /// What is wrong with them.
+        /// The fault.
         source: Box<m4_nets::LoadError>,
     },
-    /// A network of depth that failed.
+    /// A depth network that failed.
     #[cfg(feature = "nets")]
-    #[error("{source_name} found no depth of frame {frame}: {reason}")]
+    #[error("{source_name} estimated no depth of frame {frame}: {reason}")]
     MonoDepth {
         /// Its name.
         source_name: String,
@@ -323,7 +323,7 @@ pub enum Error {
         /// What went wrong.
         reason: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// MegaSaM's way failed.
+    /// MegaSaM's reconstruction failed.
     #[error(transparent)]
     Megasam(#[from] MegasamError),
     /// A segmenter that needs a network, in a build that has none.
@@ -335,7 +335,7 @@ pub enum Error {
         /// The segmenter.
         segmenter: &'static str,
     },
-    /// A segmenter whose weights are not there.
+    /// A segmenter whose weights are missing.
     #[cfg(feature = "nets")]
     #[error("the segmenter {segmenter} cannot be used: {source}; --segmenter none works without")]
     SegmenterWeights {
@@ -344,13 +344,13 @@ pub enum Error {
         /// What is missing, and how to get it.
         source: crate::weights::WeightsError,
     },
-    /// A segmenter whose weights are no weights.
+    /// A segmenter whose weights are invalid.
     #[cfg(feature = "nets")]
     #[error("the segmenter {segmenter} cannot be used: {source}; --segmenter none works without")]
     SegmenterLoad {
         /// The segmenter.
         segmenter: &'static str,
-        /// What is wrong with them.
+        /// The fault.
         source: Box<m4_nets::LoadError>,
     },
     /// A tracker that needs a network, in a build that has none.
@@ -362,7 +362,7 @@ pub enum Error {
         /// The tracker.
         tracker: &'static str,
     },
-    /// A tracker whose weights are not there.
+    /// A tracker whose weights are missing.
     #[cfg(feature = "nets")]
     #[error("the tracker {tracker} cannot be used: {source}; --tracker flow works without")]
     TrackerWeights {
@@ -371,24 +371,22 @@ pub enum Error {
         /// What is missing, and how to get it.
         source: crate::weights::WeightsError,
     },
-    /// A tracker whose weights are no weights.
+    /// A tracker whose weights are invalid.
     #[cfg(feature = "nets")]
     #[error("the tracker {tracker} cannot be used: {source}; --tracker flow works without")]
     TrackerLoad {
         /// The tracker.
         tracker: &'static str,
-        /// What is wrong with them.
+        /// The fault.
         source: Box<m4_nets::LoadError>,
     },
-    /// Nothing was asked for, or nothing is here that could do it.
-    #[error(
-        "there is nothing to do: --segmenter none and --tracker none leave a capture as it is; leave one of them out"
-    )]
+    /// No method was selected, or none is available.
+    #[error("there is nothing to do: --segmenter none and --tracker none leave a capture unchanged; omit one of them")]
     NothingToEnhance,
-    /// Refining masks or following points.
+    /// Refining masks or tracking points.
     #[error(transparent)]
     Enhance(#[from] EnhanceError),
-    /// Something that the user gave for the geometry of a clip.
+    /// Geometry that the user provided.
     #[error(transparent)]
     Given(#[from] GivenError),
     /// Pretrained weights.
@@ -401,24 +399,24 @@ pub enum Error {
     /// The table of a data set.
     #[error(transparent)]
     Reproduce(#[from] ReproduceError),
-    /// Scoring pictures.
+    /// Scoring images.
     #[error(transparent)]
     Score(#[from] ImageError),
     /// Scoring geometry.
     #[error(transparent)]
     ScoreGeometry(#[from] GeometryError),
-    /// Camera truth in the LLFF layout.
+    /// Ground-truth cameras in the LLFF layout.
     #[error("{}: {source}", path.display())]
     Llff {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         source: LlffError,
     },
 }
 
 impl Error {
-    /// What sort of failure this is.
+    /// Returns the category of the failure.
     #[must_use]
     pub fn category(&self) -> Category {
         match self {
@@ -494,7 +492,7 @@ impl Error {
         }
     }
 
-    /// True where the same work may succeed later or on another machine: what was finished is worth keeping.
+    /// Returns true if the same work may succeed later or on another machine, so that finished work is worth keeping.
     #[must_use]
     pub fn may_pass(&self) -> bool {
         matches!(

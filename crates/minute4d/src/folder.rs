@@ -1,4 +1,4 @@
-//! The folder of a run: what may be replaced, and where its files are.
+//! The folder of a run: the names of its files, and which of them may be replaced.
 
 use crate::record::{GEOMETRY_FILE, RUN_FILE, RunRecord, Status};
 use crate::{Error, geometry};
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 /// The trained scene.
 pub const SCENE_FILE: &str = "scene.safetensors";
-/// One JSON object a line: how training went.
+/// The metrics of training, one JSON object per line.
 pub const METRICS_FILE: &str = "metrics.jsonl";
 /// Source, re-render and frozen time side by side.
 pub const PREVIEW_FILE: &str = "preview.mp4";
@@ -21,31 +21,30 @@ pub const CAPTURE_FOLDER: &str = "capture";
 /// Scenes saved during training.
 pub const CHECKPOINT_FOLDER: &str = "checkpoints";
 
-/// What to do with a folder that holds something.
+/// What to do with a folder that is not empty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Existing {
-    /// Leave it alone and fail.
+    /// Leave the folder unchanged and fail.
     #[default]
     Refuse,
-    /// Go on with the work of an earlier run.
+    /// Resume an earlier run.
     Resume,
-    /// Replace what an earlier run left; files that are not ours stay.
+    /// Replace the results of an earlier run; other files are kept.
     Force,
 }
 
-/// Makes or takes over the folder of a run, and locks it. With [`Existing::Resume`] gives the earlier record.
+/// Creates or reuses the folder of a run, and locks it. With [`Existing::Resume`] returns the earlier record.
 ///
 /// # Errors
 ///
 /// [`Error::InTheWay`] for a file of that name, [`Error::Foreign`] for a folder with other things in
-/// it, [`Error::Exists`] for an earlier run that was not asked for, [`Error::Busy`] for one that is at work,
-/// [`Error::Write`] where nothing can
-/// be made.
+/// it, [`Error::Exists`] for an unexpected earlier run, [`Error::Busy`] for one that is running,
+/// [`Error::Write`] if the folder cannot be written.
 pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<RunRecord>), Error> {
     let filled = make(folder)?;
     let lock = Lock::take(folder)?;
     let earlier = if filled { take_over(folder, existing)? } else { None };
-    // Nobody else writes these while the folder is locked.
+    // No other process writes these while the folder is locked.
     for path in half_written(folder, &OWN_FILES)?
         .into_iter()
         .chain(half_written_checkpoints(folder)?)
@@ -55,10 +54,10 @@ pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<Ru
     Ok((lock, earlier))
 }
 
-/// What a run writes into its folder, its record first.
+/// The files that a run writes into its folder, its record first.
 const OWN_FILES: [&str; 5] = [RUN_FILE, SCENE_FILE, METRICS_FILE, PREVIEW_FILE, VIEWER_FILE];
 
-/// What a process that was killed left of files of these names ([`m4_io::atomic`]).
+/// The temporary files of these names that a killed process left ([`m4_io::atomic`]).
 pub(crate) fn half_written(folder: &Path, names: &[&str]) -> Result<Vec<PathBuf>, Error> {
     let found = hidden(folder)?;
     let ours = |name: &str| names.iter().any(|own| m4_io::atomic::is_temporary_of(name, own));
@@ -74,7 +73,7 @@ fn half_written_checkpoints(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     Ok(found.into_iter().map(|(_, path)| path).collect())
 }
 
-/// Hidden files of a folder; none of one that is not there.
+/// Returns the hidden files of a folder; empty if the folder is missing.
 fn hidden(folder: &Path) -> Result<Vec<(String, PathBuf)>, Error> {
     let failed = |source| Error::Read {
         path: folder.to_path_buf(),
@@ -133,8 +132,8 @@ pub(crate) struct Lock {
 }
 
 impl Lock {
-    /// Locks the folder itself, so that no file is left behind. Systems that do not let a folder be
-    /// locked go without.
+    /// Locks the folder itself, so that no lock file is left behind. Systems that cannot lock a folder
+    /// run without a lock.
     pub fn take(folder: &Path) -> Result<Self, Error> {
         let Ok(handle) = File::open(folder) else {
             return Ok(Self { _folder: None });
@@ -148,7 +147,7 @@ impl Lock {
     }
 }
 
-/// Makes the folder if it is missing; true if something is in it. What a killed process left half written of a first record is nothing.
+/// Creates the folder if it is missing; returns true if it is not empty, ignoring a half-written first record.
 pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
     let write = |source| Error::Write {
         path: folder.to_path_buf(),
@@ -170,7 +169,7 @@ pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
     }
 }
 
-/// Removes what a run writes, and nothing else. Its record stays: a new one takes its place, so that there always is one.
+/// Removes the files of a run, and nothing else. The record stays until a new one replaces it.
 fn clear(folder: &Path) -> Result<(), Error> {
     for file in [SCENE_FILE, METRICS_FILE, PREVIEW_FILE, VIEWER_FILE, EVAL_FILE] {
         remove_file(&folder.join(file))?;
@@ -205,14 +204,14 @@ pub(crate) fn remove_folder(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// The file of the checkpoint after so many iterations.
+/// Returns the file of the checkpoint after this many iterations.
 pub(crate) fn checkpoint_file(folder: &Path, iteration: usize) -> PathBuf {
     folder
         .join(CHECKPOINT_FOLDER)
         .join(format!("{iteration:07}.safetensors"))
 }
 
-/// The checkpoints of a run and their iterations, oldest first.
+/// Returns the checkpoints of a run and their iterations, oldest first.
 pub(crate) fn checkpoints(folder: &Path) -> Vec<(usize, PathBuf)> {
     let Ok(entries) = fs::read_dir(folder.join(CHECKPOINT_FOLDER)) else {
         return Vec::new();

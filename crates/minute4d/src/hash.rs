@@ -1,14 +1,14 @@
-//! Hashes of inputs and settings: the keys by which finished stages are found again.
+//! Hashes of inputs and settings: the cache keys of finished stages.
 
 use crate::Error;
 use m4_scene::{Capture, CompactDepth, CompactMask, Plane};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-/// Records that the program itself writes beside an input; they are no part of it.
+/// Records that the program itself writes next to an input, which are not part of it.
 const OWN_RECORDS: [&str; 1] = [crate::record::GEOMETRY_FILE];
 
-/// BLAKE3 of a file's bytes, or of the names and bytes of everything in a folder; hexadecimal.
+/// Returns the BLAKE3 hash of a file's bytes, or of the names and bytes of everything in a folder; hexadecimal.
 ///
 /// Hidden files and the program's own records are left out.
 ///
@@ -35,7 +35,7 @@ pub fn of_path(path: &Path) -> Result<String, Error> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// BLAKE3 of several texts; where one ends and the next begins matters.
+/// Returns the BLAKE3 hash of several texts, which depends on the boundaries between them.
 #[must_use]
 pub fn of_parts(parts: &[&str]) -> String {
     let mut hasher = blake3::Hasher::new();
@@ -46,7 +46,7 @@ pub fn of_parts(parts: &[&str]) -> String {
     hasher.finalize().to_hex().to_string()
 }
 
-/// BLAKE3 of everything that training reads of a capture: cameras, times, pictures, depth, masks and tracks.
+/// Returns the BLAKE3 hash of everything that training reads of a capture: cameras, times, images, depth, masks and tracks.
 #[must_use]
 pub fn of_capture(capture: &Capture) -> String {
     let mut hasher = blake3::Hasher::new();

@@ -1,4 +1,4 @@
-//! What a file or folder holds.
+//! Describes the contents of a file or folder.
 
 use crate::folder::SCENE_FILE;
 use crate::record::{RUN_FILE, RunRecord, Status};
@@ -13,12 +13,12 @@ use serde::Serialize;
 use std::fmt;
 use std::path::Path;
 
-/// What was found.
+/// The description of a file or folder.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Inspection {
-    /// A video, or a folder of pictures.
+    /// A video, or a folder of images.
     Video(VideoFacts),
     /// Posed frames.
     Capture(CaptureFacts),
@@ -37,11 +37,11 @@ pub struct VideoFacts {
     pub size: [usize; 2],
     /// Seconds from the first to the last frame.
     pub duration_s: f64,
-    /// Mean frames a second.
+    /// Mean frames per second.
     pub fps: Option<f64>,
     /// Longest over median time between frames: 1 for an even clock.
     pub longest_gap: Option<f64>,
-    /// Focal length of the frames as they are in the file, pixels, where the file states it.
+    /// Focal length of the frames in the file, pixels, if the file states it.
     pub focal_px: Option<f64>,
     /// Damaged frames, tone mapping and the like.
     pub warnings: Vec<String>,
@@ -66,7 +66,7 @@ pub struct CaptureFacts {
     pub with_depth: usize,
     /// Frames with a mask.
     pub with_mask: usize,
-    /// Share of masked pixels that move.
+    /// Share of pixels that the masks mark as dynamic.
     pub moving_share: Option<f64>,
     /// Held-out views listed, if the list can be read.
     pub test_views: Option<usize>,
@@ -77,9 +77,9 @@ pub struct CaptureFacts {
 pub struct SceneFacts {
     /// Splats without time parameters.
     pub splats_static: usize,
-    /// Splats with them.
+    /// Splats with time parameters.
     pub splats_dynamic: usize,
-    /// One scale a splat.
+    /// True if splats have one scale instead of three.
     pub isotropic: bool,
     /// Degree of the spatial harmonics.
     pub sh_degree: usize,
@@ -91,7 +91,7 @@ pub struct SceneFacts {
     pub duration_s: Option<f64>,
     /// Cameras of the source video.
     pub cameras: usize,
-    /// True when it can be trained further.
+    /// True if training can be resumed from it.
     pub with_optimiser: bool,
     /// True when every number is finite.
     pub finite: bool,
@@ -102,13 +102,13 @@ pub struct SceneFacts {
 pub struct RunFacts {
     /// Its record.
     pub record: RunRecord,
-    /// Files that are missing or not as they were written.
+    /// Files that are missing or have changed.
     pub damaged: Vec<String>,
     /// Its scene, if it has one that can be read.
     pub scene: Option<SceneFacts>,
 }
 
-/// Finds out what `path` holds; a capture may name files within `reach`.
+/// Describes the contents of `path`; a capture may refer to files within `reach`.
 ///
 /// # Errors
 ///
@@ -258,7 +258,7 @@ impl fmt::Display for VideoFacts {
             self.frames, self.duration_s
         )?;
         if let Some(fps) = self.fps {
-            write!(f, ", {fps:.2} frames a second")?;
+            write!(f, ", {fps:.2} frames per second")?;
         }
         if let Some(gap) = self.longest_gap.filter(|&g| g > 1.5) {
             write!(
@@ -331,7 +331,7 @@ impl fmt::Display for RunFacts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let record = &self.record;
         let status = match record.status {
-            Status::Running => "unfinished (at work, or killed)",
+            Status::Running => "unfinished (running, or killed)",
             Status::Stopped => "stopped, can be resumed",
             Status::Failed => "failed",
             Status::Finished => "finished",

@@ -1,21 +1,21 @@
-//! What every stage is told.
+//! The job that every stage gets.
 
 use crate::device::DeviceRequest;
 use crate::folder::Existing;
 use crate::{Error, Observer, Settings};
 use m4_kernels::SimdLevel;
 
-/// Settings of a run, what to do with earlier results, and who listens.
+/// The inputs of every stage: settings, device, the treatment of earlier results, and the observer.
 pub struct Job<'a> {
     /// Every setting.
     pub settings: Settings,
-    /// Name of the built-in settings that they started from, for the record.
+    /// Name of the profile that the settings are based on, for the record.
     pub profile: String,
-    /// Where to train.
+    /// The device for training.
     pub device: DeviceRequest,
-    /// What to do with a folder that holds something.
+    /// What to do with a folder that is not empty.
     pub existing: Existing,
-    /// Who is told how it goes, and who may say stop.
+    /// Receives progress, and may ask to stop.
     pub observer: &'a dyn Observer,
 }
 
@@ -28,7 +28,7 @@ impl Job<'_> {
     }
 }
 
-/// Calls `f` on a pool of so many threads; on all cores for `None`.
+/// Calls `f` on a pool of this many threads; on all cores for `None`.
 ///
 /// # Errors
 ///

@@ -1,12 +1,12 @@
-//! The stages wired into one pipeline: a casual video in, a moving 3D scene out.
+//! The pipeline of minute4d: turns a casual video into a dynamic 3D scene.
 //!
 //! ```text
 //! video --geometry--> capture --train--> scene.safetensors --render, preview, viewer, evaluate-->
 //! ```
 //!
 //! [`run`] does everything; [`geometry::make`], [`train::make`], [`render::make`] and the functions of
-//! [`evaluate`] each do one stage on what the one before wrote. A stage is a function of its input, its
-//! [`Settings`] and the seed: results are kept under a hash of those ([`record`]) and used again when
+//! [`evaluate`] each run one stage on the output of the previous one. A stage is a function of its input, its
+//! [`Settings`] and the seed: results are stored with a hash of those ([`record`]) and reused if
 //! nothing changed.
 //!
 //! ```no_run

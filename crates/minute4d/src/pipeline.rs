@@ -1,4 +1,4 @@
-//! Everything in one go: geometry, train, preview, viewer.
+//! The whole pipeline: geometry, training, preview, viewer.
 
 use crate::clock::Clock;
 use crate::device::DeviceRequest;
@@ -10,17 +10,17 @@ use crate::workspace::Workspace;
 use crate::{Error, Existing, Job, geometry, hash, train};
 use std::path::Path;
 
-/// Makes a scene of a video, a folder of pictures, or a capture; what an earlier run finished is used
-/// again with [`Existing::Resume`].
+/// Turns a video, a folder of images, or a capture into a scene; finished stages of an earlier run are reused
+/// with [`Existing::Resume`].
 ///
 /// # Errors
 ///
-/// [`Error`] of the stage that failed; what was finished before stays in `out`.
+/// [`Error`] of the stage that failed; finished work stays in `out`.
 pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> {
     if is_capture(input) {
         if job.settings.geometry != GeometryOptions::default() {
             job.observer.warn(
-                "the input is a capture, whose geometry is taken as it is: --frontend, --segmenter, --intrinsics, --poses, --masks and \
+                "the input is a capture, whose geometry is used unchanged: --frontend, --segmenter, --intrinsics, --poses, --masks and \
                  --depth have no effect",
             );
         }
@@ -28,7 +28,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     }
     if !input.exists() {
         return Err(Error::Missing {
-            what: "video, folder of pictures or capture",
+            what: "video, folder of images or capture",
             path: input.to_path_buf(),
         });
     }
@@ -45,7 +45,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
             settings: job.settings.clone(),
             profile: job.profile.clone(),
             // The folder of the run was taken over; so is the capture in it.
-            // geometry is the processor's
+            // geometry runs on the CPU
             device: DeviceRequest::default(),
             existing: Existing::Resume,
             observer: &keeper,

@@ -1,29 +1,29 @@
-//! What a caller learns while a pipeline runs: stages beside the steps within them.
+//! The events of a pipeline: stages, in addition to the steps within them.
 
 use m4_scene::{Progress, Scene};
 use m4_train::MetricsEvent;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
-/// What happens to a stage.
+/// An event of a stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum StageEvent<'a> {
-    /// It starts; `because` says why an earlier result could not be used, where there was one.
+    /// The stage starts; `because` says why an earlier result, if any, could not be reused.
     Started {
-        /// Why, for people.
+        /// The reason, as text.
         because: Option<&'a str>,
     },
-    /// It goes on where an earlier run was stopped.
+    /// The stage continues an interrupted run.
     Resumed {
-        /// Steps that were done before.
+        /// Steps that were done earlier.
         done: usize,
-        /// All steps.
+        /// The total number of steps.
         total: usize,
     },
-    /// An earlier result was used as it is.
+    /// An earlier result was reused.
     Reused,
-    /// It is done.
+    /// The stage has finished.
     Finished {
         /// Wall-clock seconds.
         seconds: f64,
@@ -32,21 +32,21 @@ pub enum StageEvent<'a> {
 
 /// A [`Progress`] that also follows stages.
 pub trait Observer: Progress {
-    /// Something happened to the stage named.
+    /// Reports an event of the stage `name`.
     fn stage(&self, name: &str, event: StageEvent<'_>);
 
-    /// How training goes on, of so many iterations.
+    /// Reports the progress of training over this many iterations.
     fn metrics(&self, metrics: &MetricsEvent, iterations: usize) {
         let _ = (metrics, iterations);
     }
 
-    /// True when [`scene`](Self::scene) is to be called; training asks between two steps, so the answer
+    /// Returns true if [`scene`](Self::scene) should be called; training asks between two steps, so the answer
     /// must be cheap.
     fn wants_scene(&self) -> bool {
         false
     }
 
-    /// The scene as it is now, where that is wanted: `copy` makes a copy, which training waits for.
+    /// Offers the current scene: `copy` makes a copy, which training waits for.
     /// `median_depth` is that of the capture, world units.
     fn scene(&self, copy: &mut dyn FnMut() -> Scene, median_depth: f64) {
         let _ = (copy, median_depth);
@@ -57,7 +57,7 @@ impl Observer for m4_scene::Silent {
     fn stage(&self, _name: &str, _event: StageEvent<'_>) {}
 }
 
-/// Passes everything on, and keeps the warnings for the record.
+/// Forwards everything to another observer, and keeps the warnings for the record.
 pub struct Keeper<'a> {
     observer: &'a dyn Observer,
     warnings: Mutex<Vec<String>>,
@@ -65,7 +65,7 @@ pub struct Keeper<'a> {
 }
 
 impl<'a> Keeper<'a> {
-    /// Passes on to `observer`.
+    /// Creates one that forwards to `observer`.
     #[must_use]
     pub fn new(observer: &'a dyn Observer) -> Self {
         Self {
@@ -75,13 +75,13 @@ impl<'a> Keeper<'a> {
         }
     }
 
-    /// The same; says stop from then on.
+    /// Like [`new`](Self::new), but asks to stop after `end`.
     #[must_use]
     pub fn until(self, end: Option<Instant>) -> Self {
         Self { until: end, ..self }
     }
 
-    /// Every warning so far, each once, in the order of their first appearance.
+    /// Returns every warning so far, each once, in the order of first appearance.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
         self.warnings.lock().unwrap_or_else(PoisonError::into_inner).clone()

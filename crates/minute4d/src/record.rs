@@ -1,7 +1,7 @@
-//! What was done: `run.json` of a run, `geometry.json` of a capture.
+//! The records: `run.json` of a run, `geometry.json` of a capture.
 //!
-//! A record is written when work begins and again when it ends, so that a folder always says what is
-//! in it: [`Status::Running`] without a running process means that the process was killed.
+//! A record is written when work begins and again when it ends, so that it always describes the
+//! folder: [`Status::Running`] without a running process means that the process was killed.
 
 use crate::geometry::{Confidence, UsedNetwork};
 use crate::{Error, Settings};
@@ -15,7 +15,7 @@ use std::path::Path;
 
 /// Name of a run's record.
 pub const RUN_FILE: &str = "run.json";
-/// Name of the record that the geometry stage leaves in a capture.
+/// Name of the geometry stage's record in a capture.
 pub const GEOMETRY_FILE: &str = "geometry.json";
 /// `format` of a run's record.
 pub const RUN_FORMAT: &str = "minute4d-run";
@@ -24,11 +24,11 @@ pub const GEOMETRY_FORMAT: &str = "minute4d-geometry";
 /// Version of both; a record with another one is not used.
 pub const VERSION: u32 = 1;
 
-/// How far the work is.
+/// The status of a run or stage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// At work, or killed.
+    /// Running, or killed.
     Running,
     /// Stopped on request; can be resumed.
     Stopped,
@@ -38,7 +38,7 @@ pub enum Status {
     Finished,
 }
 
-/// Where the data came from.
+/// The input of a run.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Input {
     /// As given on the command line.
@@ -56,18 +56,18 @@ pub struct StageRecord {
     pub done: bool,
     /// Wall-clock seconds, those before an interruption included.
     pub seconds: f64,
-    /// Most memory that the process held up to the end of the stage, bytes; only where the system tells.
+    /// Peak memory of the process up to the end of the stage, bytes; `None` if the system does not report it.
     pub peak_memory_bytes: Option<u64>,
-    /// What the user should know about its result.
+    /// Warnings for the user about the result.
     pub warnings: Vec<String>,
 }
 
-/// What it was computed on.
+/// The device of a run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Device {
     /// `"cpu"` or `"gpu"`: where training steps are taken.
     pub kind: String,
-    /// What the GPU is called.
+    /// The name of the GPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gpu: Option<String>,
     /// Vector instructions used, as `minute4d doctor` names them.
@@ -79,7 +79,7 @@ pub struct Device {
 }
 
 impl Device {
-    /// This machine, and the current pool of threads; the GPU that trains, if one does.
+    /// Describes this machine and the current thread pool, with the GPU if one is used for training.
     #[must_use]
     pub fn here(simd: m4_kernels::SimdLevel, gpu: Option<&str>) -> Self {
         Self {
@@ -92,12 +92,12 @@ impl Device {
     }
 }
 
-/// How many splats a scene has.
+/// Numbers of splats of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplatCount {
-    /// Without time parameters.
+    /// Splats without time parameters.
     pub r#static: usize,
-    /// With them.
+    /// Splats with time parameters.
     pub dynamic: usize,
 }
 
@@ -119,19 +119,19 @@ pub struct RunRecord {
     pub version: u32,
     /// Release of the program that wrote it.
     pub minute4d: String,
-    /// How far it got.
+    /// The status.
     pub status: Status,
     /// The error of a failed run.
     pub error: Option<String>,
-    /// What was read.
+    /// The input.
     pub input: Input,
-    /// Built-in settings that it started from.
+    /// The profile that the settings are based on.
     pub profile: String,
     /// Seed of every random number.
     pub seed: u64,
     /// Every setting in effect.
     pub settings: Value,
-    /// What it ran on.
+    /// The device.
     pub device: Device,
     /// `bitwise`: the same input, settings, seed, SIMD level and GPU give the same bits on any number of
     /// threads.
@@ -140,7 +140,7 @@ pub struct RunRecord {
     pub stages: BTreeMap<String, StageRecord>,
     /// Wall-clock seconds of all stages.
     pub seconds: f64,
-    /// Most memory that the process held in any stage, bytes; only where the system tells.
+    /// Peak memory of the process in any stage, bytes; `None` if the system does not report it.
     pub peak_memory_bytes: Option<u64>,
     /// Iterations of training that are done.
     pub iterations: Option<usize>,
@@ -148,16 +148,16 @@ pub struct RunRecord {
     pub splats: Option<SplatCount>,
     /// Files of the result by name.
     pub files: BTreeMap<String, FileRecord>,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
 impl RunRecord {
-    /// The record of a run that begins.
+    /// Creates the record of a starting run.
     ///
     /// # Errors
     ///
-    /// [`Error::Internal`] if the settings cannot be written down.
+    /// [`Error::Internal`] if the settings cannot be serialised.
     pub fn begin(input: Input, profile: &str, settings: &Settings, device: Device) -> Result<Self, Error> {
         Ok(Self {
             format: RUN_FORMAT.to_owned(),
@@ -181,7 +181,7 @@ impl RunRecord {
         })
     }
 
-    /// Writes it into the folder of the run, whole or not at all.
+    /// Writes the record into the folder of the run, atomically.
     ///
     /// # Errors
     ///
@@ -193,7 +193,7 @@ impl RunRecord {
         write_json(&folder.join(RUN_FILE), self)
     }
 
-    /// The record of a folder; `None` if it has none that this release can use.
+    /// Reads the record of a folder; `None` if there is none that this release can use.
     ///
     /// # Errors
     ///
@@ -212,25 +212,25 @@ pub struct GeometryRecord {
     pub version: u32,
     /// Release of the program that wrote it.
     pub minute4d: String,
-    /// How far it got.
+    /// The status.
     pub status: Status,
-    /// What was read.
+    /// The input.
     pub input: Input,
     /// Hash of input, settings and version.
     pub key: String,
     /// Every setting of the stage.
     pub settings: Value,
-    /// What was found.
+    /// The findings.
     pub found: Option<Found>,
     /// Wall-clock seconds.
     pub seconds: f64,
-    /// Most memory that the process held, bytes; only where the system tells.
+    /// Peak memory of the process, bytes; `None` if the system does not report it.
     pub peak_memory_bytes: Option<u64>,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
-/// What the geometry stage found in a video.
+/// The results of the geometry stage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Found {
     /// Frames of the capture.
@@ -243,50 +243,50 @@ pub struct Found {
     pub fov_deg: f64,
     /// `parallax`, `rotation_only` or `static`.
     pub camera_motion: String,
-    /// Median reprojection error of what stands still, pixels.
+    /// Median reprojection error of static regions, pixels.
     pub residual_px: f64,
-    /// Tracks followed.
+    /// Number of feature tracks.
     pub tracks: usize,
-    /// Tracks with a place in the world.
+    /// Number of triangulated tracks.
     pub points: usize,
-    /// Share of all pixels that count as moving.
+    /// Share of all pixels that are dynamic.
     pub moving_share: f64,
-    /// Points of what moves that were followed, in `tracks.npz`.
+    /// Number of point tracks in dynamic regions, in `tracks.npz`.
     #[serde(default)]
     pub moving_tracks: usize,
-    /// Who found cameras, measured flow and knew depth: `classical`, `raft`, `megasam+raft+moge`.
+    /// The front end: `classical`, `raft`, `megasam+raft+moge`, ...
     #[serde(default)]
     pub frontend: String,
-    /// The networks of it, with the licences of their weights.
+    /// The networks of the front end, with the licences of their weights.
     #[serde(default)]
     pub networks: Vec<UsedNetwork>,
-    /// Frames that were keyframes of the tracking network.
+    /// Number of keyframes of the tracking network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub keyframes: Option<Vec<usize>>,
     /// Units of MegaSaM's own files (disparities whose 98th percentile is 2) a metre, where depth is metric.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub megasam_units_a_metre: Option<f64>,
-    /// Who outlined what moves: `none`, `mobilesam`.
+    /// The segmentation method: `none`, `mobilesam`.
     #[serde(default)]
     pub segmenter: String,
-    /// What the user gave: `intrinsics`, `poses`, `masks`, `depth`.
+    /// The geometry that the user provided: `intrinsics`, `poses`, `masks`, `depth`.
     #[serde(default)]
     pub given: Vec<String>,
-    /// How often depth and masks were made: twice where masks changed the cameras.
+    /// How often depth and masks were computed: twice if the masks changed the cameras.
     #[serde(default = "once")]
     pub rounds: usize,
-    /// How far it can be trusted.
+    /// The confidence.
     #[serde(default)]
     pub confidence: Option<Confidence>,
 }
 
-/// What records of earlier releases mean.
+/// Defaults for records of earlier releases.
 fn once() -> usize {
     1
 }
 
 impl GeometryRecord {
-    /// Writes it into the capture, whole or not at all.
+    /// Writes the record into the capture, atomically.
     ///
     /// # Errors
     ///
@@ -296,7 +296,7 @@ impl GeometryRecord {
         write_json(&folder.join(GEOMETRY_FILE), self)
     }
 
-    /// The record of a capture; `None` if it has none that this release can use.
+    /// Reads the record of a capture; `None` if there is none that this release can use.
     ///
     /// # Errors
     ///
@@ -307,7 +307,7 @@ impl GeometryRecord {
     }
 }
 
-/// A value as JSON in which 32-bit numbers keep their short form.
+/// Converts a value to JSON in which 32-bit numbers keep their short form.
 ///
 /// # Errors
 ///
@@ -318,7 +318,7 @@ pub fn plain_json(value: &impl Serialize) -> Result<Value, Error> {
     serde_json::from_str(&serde_json::to_string(value).map_err(internal)?).map_err(internal)
 }
 
-/// A value as indented JSON, keys in the order of its fields.
+/// Converts a value to indented JSON, with keys in the order of its fields.
 ///
 /// # Errors
 ///
@@ -328,7 +328,7 @@ pub fn pretty_json(value: &impl Serialize) -> Result<String, Error> {
     Ok(text + "\n")
 }
 
-/// Writes `value` as indented JSON, whole or not at all.
+/// Writes `value` as indented JSON, atomically.
 pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Error> {
     let text = pretty_json(value)?;
     atomic::write(path, text.as_bytes()).map_err(|source| Error::Write {
@@ -337,7 +337,7 @@ pub(crate) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Erro
     })
 }
 
-/// Reads JSON; `None` where there is no file or it holds something else.
+/// Reads JSON; `None` if there is no file or it has other contents.
 fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
     match fs::read(path) {
         Ok(bytes) => Ok(serde_json::from_slice(&bytes).ok()),
@@ -349,7 +349,7 @@ fn read_json<T: DeserializeOwned>(path: &Path) -> Result<Option<T>, Error> {
     }
 }
 
-/// The most memory this process has held so far, bytes; known on Linux alone.
+/// Returns the peak memory of this process so far, bytes; available on Linux only.
 #[must_use]
 pub fn peak_memory_bytes() -> Option<u64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;

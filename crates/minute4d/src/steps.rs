@@ -1,10 +1,10 @@
-//! Finished steps of a stage, on disk until the stage is done: what was killed goes on after the last of them.
+//! Finished steps of a stage, kept on disk until the stage is done, so that an interrupted stage continues after the last one.
 //!
-//! A step is a file in a hidden folder beside the result, one `.steps/NAME` each: magic, a hash, what was warned of, and
-//! the value. The hash covers the stage's key, the name and the bytes, so a torn file, one of another input and one of
-//! other settings are all the same: not there. Values come back bit by bit, so the result of a run that was killed is
-//! that of one that was not. Steps cost disk and save time alone: one that cannot be written is said once, and work
-//! goes on.
+//! A step is a file `.steps/NAME` next to the result: magic, a hash, the warnings, and
+//! the value. The hash covers the stage's key, the name and the bytes, so a damaged file, one of another input and one of
+//! other settings all count as missing. Values are restored bit by bit, so the result of an interrupted run equals
+//! that of an uninterrupted one. Steps only save time: a failure to write one is reported once, and the work
+//! continues.
 
 use crate::Observer;
 use crate::folder;
@@ -18,9 +18,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The hidden folder.
 const FOLDER: &str = ".steps";
-/// Holds the key of the stage that the steps belong to.
+/// The file with the key of the stage that the steps belong to.
 const KEY_FILE: &str = "key";
-/// What a step begins with: the format and its version.
+/// The magic bytes of a step: the format and its version.
 const MAGIC: &[u8; 8] = b"m4step01";
 /// Length of the hash.
 const HASH: usize = 32;
@@ -30,12 +30,12 @@ pub(crate) struct Steps<'a> {
     folder: PathBuf,
     key: String,
     observer: &'a dyn Observer,
-    /// False once something could not be written.
+    /// False after a failed write.
     usable: AtomicBool,
 }
 
 impl<'a> Steps<'a> {
-    /// Those of the stage with this key whose result goes to `folder`; steps of another key are removed.
+    /// Opens the steps of the stage with this key whose result goes to `folder`; steps of another key are removed.
     pub fn open(folder: &Path, key: &str, observer: &'a dyn Observer) -> Self {
         let steps = Self {
             folder: folder.join(FOLDER),
@@ -54,8 +54,8 @@ impl<'a> Steps<'a> {
         steps
     }
 
-    /// The value of a step: from disk, with its warnings said again, or as `work` makes it, kept then. What `work` warns
-    /// of goes to the observer that it is given.
+    /// Returns the value of a step: from disk, with its warnings repeated, or computed by `work` and stored. Warnings of
+    /// `work` go to the observer that it is given.
     ///
     /// # Errors
     ///
@@ -77,27 +77,27 @@ impl<'a> Steps<'a> {
         Ok(value)
     }
 
-    /// A value that was stored.
+    /// Returns a stored value.
     pub fn load<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
         m4_scene::load(self, name)
     }
 
-    /// Keeps a value.
+    /// Stores a value.
     pub fn store(&self, name: &str, value: &impl Serialize) {
         m4_scene::store(self, name, value);
     }
 
-    /// Who is told.
+    /// Receives warnings.
     pub fn observer(&self) -> &'a dyn Observer {
         self.observer
     }
 
-    /// The steps whose names begin with `prefix`: of the second time that something is done.
+    /// Returns the steps whose names begin with `prefix`, for repeated work.
     pub fn part<'s>(&'s self, prefix: &'s str) -> ShelfPart<'s> {
         ShelfPart { shelf: self, prefix }
     }
 
-    /// Removes them: the stage is done, or something else is to be done.
+    /// Removes all steps, when the stage is done or its key has changed.
     pub fn remove(&self) {
         remove(self.folder.parent().unwrap_or(&self.folder));
     }
@@ -115,7 +115,7 @@ impl<'a> Steps<'a> {
         self.folder.join(name)
     }
 
-    /// Without waiting for the disk: what a lost machine tears apart is recognised by its hash.
+    /// Writes without waiting for the disk: a torn file is recognised by its hash.
     fn write(&self, name: &str, parts: &[&[u8]]) -> std::io::Result<()> {
         let temporary = self.path(&format!("{name}.part"));
         let written = (|| {
@@ -131,7 +131,7 @@ impl<'a> Steps<'a> {
         written
     }
 
-    /// Says that nothing more is kept.
+    /// Warns that steps are no longer stored.
     fn give_up(&self, error: &std::io::Error) {
         if self.usable.swap(false, Ordering::Relaxed) {
             self.observer.warn(&format!(
@@ -160,9 +160,9 @@ impl Shelf for Steps<'_> {
     }
 }
 
-/// Removes the steps of whatever stage that are in `folder`.
+/// Removes the steps of any stage in `folder`.
 pub(crate) fn remove(folder: &Path) {
-    // What stays is no part of any result, and is removed or used by the next attempt.
+    // Remaining files are not part of any result, and are removed or reused by the next attempt.
     let _ = folder::remove_folder(&folder.join(FOLDER));
 }
 

@@ -1,4 +1,4 @@
-//! A run at work: its folder, its record, and who listens.
+//! A run in progress: its folder, its record, and its observer.
 
 use crate::clock::Clock;
 use crate::device::OpenGpu;
@@ -11,32 +11,32 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// A run at work.
+/// A run in progress.
 pub(crate) struct Workspace<'a> {
     pub folder: PathBuf,
     pub job: &'a Job<'a>,
     pub level: SimdLevel,
-    /// The GPU to train on; `None` for the processor.
+    /// The GPU to train on; `None` for the CPU.
     pub gpu: Option<OpenGpu>,
     pub record: RunRecord,
-    /// What an earlier run left, when this one goes on with it.
+    /// The record of an earlier run that this one resumes.
     pub earlier: Option<RunRecord>,
-    /// How much time there is.
+    /// The time limit.
     pub clock: Clock,
-    /// From when on a stage that can be left out is told to stop.
+    /// The time from which an optional stage is asked to stop.
     until: Option<Instant>,
     room: Room,
     _lock: Lock,
 }
 
-/// A little of the disk, held so that the record can say how a run ended when the disk is full.
+/// Reserved disk space, so that the record can be written when the disk is full.
 struct Room(PathBuf);
 
-/// More than a record has, bytes.
+/// More than the size of a record, bytes.
 const ROOM: usize = 1 << 18;
 
 impl Room {
-    /// Takes it, if there is any: where there is none, that is said when something is to be written.
+    /// Reserves the space if possible; otherwise the error appears at the next write.
     fn keep(folder: &Path) -> Self {
         let path = folder.join(".room");
         if fs::write(&path, vec![0xa5; ROOM]).is_err() {
@@ -56,11 +56,11 @@ impl Drop for Room {
     }
 }
 
-/// What a stage has to do.
+/// The task of a stage.
 pub(crate) enum Task {
-    /// Nothing: an earlier result is whole and of the same input and settings.
+    /// Nothing: an earlier result is complete and has the same input and settings.
     Reuse,
-    /// All of it, or what an interruption left; so many seconds were spent on it before.
+    /// The whole stage, or the rest of an interrupted one, after this many earlier seconds.
     Work {
         because: Option<&'static str>,
         seconds_before: f64,
@@ -68,7 +68,7 @@ pub(crate) enum Task {
 }
 
 impl<'a> Workspace<'a> {
-    /// Makes or takes over a folder and writes that work has begun.
+    /// Creates or reuses a folder and records the start of the run.
     pub fn open(path: &Path, input: Input, job: &'a Job<'a>, clock: Clock) -> Result<Self, Error> {
         let level = job.check()?;
         let gpu = job.device.choice.open()?;
@@ -101,7 +101,7 @@ impl<'a> Workspace<'a> {
         })
     }
 
-    /// Does the work and writes how it ended.
+    /// Runs the work and records its end.
     pub fn finish(mut self, work: impl FnOnce(&mut Self) -> Result<(), Error>) -> Result<RunRecord, Error> {
         let outcome = work(&mut self);
         match &outcome {
@@ -122,7 +122,7 @@ impl<'a> Workspace<'a> {
         Ok(self.record)
     }
 
-    /// A stage that the result can be without: where the time is up it is left out, and that is said.
+    /// Runs an optional stage, which is skipped with a note when the time is up.
     pub fn if_there_is_time(
         &mut self,
         what: &str,
@@ -151,7 +151,7 @@ impl<'a> Workspace<'a> {
         self.folder.join(name)
     }
 
-    /// Whether a stage with this key is done and its files are as they were written.
+    /// Returns whether a stage with this key is done and its files are unchanged.
     pub fn task(&self, stage: &str, key: &str, files: &[&str]) -> Result<Task, Error> {
         let Some(earlier) = self.record.stages.get(stage) else {
             return Ok(Task::Work {
@@ -205,7 +205,7 @@ impl<'a> Workspace<'a> {
         Ok(true)
     }
 
-    /// Runs a stage: says that it starts, keeps its warnings and seconds, notes its files.
+    /// Runs a stage: reports its start, and records its warnings, seconds and files.
     pub fn stage<R>(
         &mut self,
         name: &'static str,

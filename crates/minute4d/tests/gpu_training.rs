@@ -1,4 +1,4 @@
-//! Training on a GPU learns what training on the processor learns. Without a GPU it runs on software that plays one, where
+//! Training on a GPU learns what training on the processor learns. Without a GPU it runs on a software Vulkan driver (lavapipe), where
 //! that is installed; without that either, every test says so and ends.
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
@@ -19,7 +19,7 @@ use minute4d::device::{DeviceChoice, OpenGpu};
 
 const FRAMES: usize = 6;
 
-/// The best GPU, or software that plays one.
+/// The best GPU, or a software Vulkan driver (lavapipe).
 #[track_caller]
 fn gpu() -> Option<OpenGpu> {
     let opened = DeviceChoice::Gpu(None)
@@ -118,7 +118,7 @@ fn start(scene: &MovingScene) -> Splats {
     out
 }
 
-/// Density control, a fit of colours and a new order within so many steps.
+/// Density control, a fit of colours and a new order within this many steps.
 fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
@@ -271,7 +271,7 @@ fn a_gpu_densifies_and_prunes_as_the_processor_does() {
         let [a, b] = [&here, &there].map(|t| psnr(t.splats(), &scene, &capture));
         let [n, m] = [&here, &there].map(|t| t.splats().n());
         assert_ne!(n, start(&scene).n());
-        // newborns differ in their last digits
+        // new splats differ in their last digits
         assert!((a - b).abs() < 0.05, "processor {a:.3} dB, GPU {b:.3} dB");
         assert!(n.abs_diff(m) * 100 <= n, "{n} and {m} splats");
     }

@@ -10,7 +10,7 @@ use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Si
 const SIZE: (usize, usize) = (96, 64);
 const WALL: f64 = 4.0;
 const SQUARE: f64 = 2.0;
-/// World units a frame, to the right.
+/// World units per frame, to the right.
 const SPEED: f64 = 0.03;
 
 fn camera() -> Camera {

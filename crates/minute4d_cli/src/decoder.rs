@@ -1,14 +1,14 @@
-//! H.264 is decoded by this same program, started once more: what breaks the decoder breaks that process alone.
+//! Decodes H.264 in a second process of this program, so that a crash of the decoder ends that process alone.
 
 use minute4d::io::video::{DecoderProgram, serve_decoder, set_decoder_program};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// The first argument of such a start. It is no command for people.
+/// The first argument of a decoder process. It is internal and not shown in the help.
 const ARGUMENT: &str = "__decode-h264";
 
-/// Decodes, where that is what this process was started for.
+/// Runs the decoder if this process was started as one; returns its exit code.
 pub fn serve(args: &[OsString]) -> Option<ExitCode> {
     if args.get(1).is_none_or(|arg| arg != ARGUMENT) {
         return None;
@@ -23,9 +23,9 @@ pub fn serve(args: &[OsString]) -> Option<ExitCode> {
     })
 }
 
-/// Has clips decoded by processes of this program.
+/// Registers this program as the one to start for decoding.
 pub fn register(args: &[OsString]) {
-    // On Linux the very file that runs, even when another version was installed over it since.
+    // On Linux this is the file of the running program, even if another version was installed over it since.
     let running = Path::new("/proc/self/exe");
     let program = if cfg!(target_os = "linux") && running.exists() {
         running.to_path_buf()
@@ -33,6 +33,6 @@ pub fn register(args: &[OsString]) {
         let by_name = || PathBuf::from(args.first().cloned().unwrap_or_else(|| "minute4d".into()));
         std::env::current_exe().unwrap_or_else(|_| by_name())
     };
-    // Nothing else registers one.
+    // No other code registers a program, so this cannot fail.
     let _ = set_decoder_program(DecoderProgram::new(program, ARGUMENT));
 }

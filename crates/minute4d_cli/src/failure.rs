@@ -1,8 +1,8 @@
-//! From an error of the library to an exit code and one line for people.
+//! Turns library errors into an exit code and one line of text.
 
 use std::error::Error;
 
-/// Why a command failed.
+/// The failure of a command.
 #[derive(Debug)]
 pub struct Failure {
     /// The exit code.
@@ -12,7 +12,7 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// Arguments that contradict one another.
+    /// Returns the failure for arguments that contradict each other.
     pub fn usage(reason: &str) -> Self {
         Self {
             code: 2,
@@ -36,7 +36,7 @@ impl From<minute4d::settings::SettingsError> for Failure {
     }
 }
 
-/// The error and its causes in one line; causes that the message before already quotes are left out.
+/// Joins an error and its causes in one line, without causes that the text already quotes.
 pub fn chain(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();

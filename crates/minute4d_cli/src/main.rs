@@ -43,7 +43,7 @@ fn main() -> ExitCode {
     ExitCode::from(code)
 }
 
-/// What is wrong, without the usage that follows.
+/// Returns the error without the usage that follows it.
 fn first_paragraph(text: &str) -> String {
     let words = text
         .lines()
@@ -53,9 +53,9 @@ fn first_paragraph(text: &str) -> String {
     joined.strip_prefix("error: ").unwrap_or(&joined).to_owned()
 }
 
-/// Wrong arguments, or a question (`--help`, `--version`) that clap answers.
+/// Prints what clap has to say: wrong arguments, `--help` or `--version`.
 fn refuse(error: &clap::Error, args: &[OsString]) -> ExitCode {
-    // Where the terminal is gone there is nobody to tell.
+    // If the terminal is gone, the message is lost.
     let _ = error.print();
     if !error.use_stderr() {
         return ExitCode::SUCCESS;

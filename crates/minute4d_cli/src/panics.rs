@@ -1,4 +1,4 @@
-//! A panic is a bug of ours: it ends in exit code 1 and a report, never in a bare abort.
+//! A panic is a bug in minute4d: it ends the program with exit code 1 and a report that a user can send.
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::sync::{Mutex, PoisonError};
@@ -22,12 +22,12 @@ pub fn report_instead_of_abort() {
             crate::output::to_stderr(&backtrace.to_string());
         }
         let mut last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
-        // The first panic is the cause, later ones are its echo in other threads.
+        // The first panic is the cause; later ones in other threads follow from it.
         last.get_or_insert(report);
     }));
 }
 
-/// The report of the first panic.
+/// Returns the report of the first panic.
 pub fn last_report() -> String {
     let last = LAST.lock().unwrap_or_else(PoisonError::into_inner);
     last.clone()

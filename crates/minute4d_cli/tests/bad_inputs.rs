@@ -2,7 +2,7 @@
 //! the message, and `--json` must end with `ok: false`.
 
 use crate::common::{
-    Scratch, edit_transforms, refused, refused_with, text, train, write_capture, write_pictures, write_video,
+    Scratch, edit_transforms, refused, refused_with, text, train, write_capture, write_images, write_video,
 };
 use m4_testkit::{Need, skip};
 use serde_json::{Value, json};
@@ -44,7 +44,7 @@ fn videos_that_are_none() {
         &["missing.mp4", "there is no video"],
     );
     fs::create_dir(dir.path("empty")).unwrap();
-    bad_video(&dir, &dir.at("empty"), &[], 65, &["empty", "no picture"]);
+    bad_video(&dir, &dir.at("empty"), &[], 65, &["empty", "no image"]);
     let zero = dir.write("zero.mp4", b"");
     bad_video(&dir, &zero, &[], 65, &["zero.mp4", "empty (0 bytes)"]);
     let zeros = dir.write("zeros.mp4", [0; 5000]);
@@ -56,7 +56,7 @@ fn videos_that_are_damaged() {
     let dir = Scratch::new();
     write_video(&dir.path("good.mp4"), 8);
     let bytes = fs::read(dir.path("good.mp4")).unwrap();
-    // Within the index: nothing can be found. Within the pictures: some are missing.
+    // Within the index: nothing can be found. Within the images: some are missing.
     let index = dir.write("index.mp4", &bytes[..200]);
     bad_video(&dir, &index, &[], 65, &["index.mp4", "incomplete"]);
     let half = dir.write("half.mp4", &bytes[..bytes.len() / 2]);
@@ -89,7 +89,7 @@ fn a_codec_that_needs_ffmpeg_where_there_is_none() {
 }
 
 #[test]
-fn sound_without_picture() {
+fn sound_without_video() {
     let dir = Scratch::new();
     let path = dir.path("sound.mp4");
     let source = ["-f", "lavfi", "-i", "sine=duration=0.3", "-c:a", "aac"];
@@ -102,17 +102,17 @@ fn sound_without_picture() {
 }
 
 #[test]
-fn folders_of_pictures_that_cannot_be_a_clip() {
+fn folders_of_images_that_are_not_a_clip() {
     let dir = Scratch::new();
-    write_pictures(&dir.path("one"), 2);
+    write_images(&dir.path("one"), 2);
     fs::remove_file(dir.path("one/00001.png")).unwrap();
     bad_video(&dir, &dir.at("one"), &[], 65, &["at least 2"]);
 
-    write_pictures(&dir.path("broken"), 3);
-    dir.write("broken/00001.png", "no picture");
+    write_images(&dir.path("broken"), 3);
+    dir.write("broken/00001.png", "no image");
     bad_video(&dir, &dir.at("broken"), &[], 65, &["00001.png"]);
 
-    write_pictures(&dir.path("sizes"), 2);
+    write_images(&dir.path("sizes"), 2);
     let small = minute4d::scene::Plane::filled(32, 32, [9; 3]);
     minute4d::io::image::write_rgb(&dir.path("sizes/00001.png"), &small).unwrap();
     bad_video(&dir, &dir.at("sizes"), &[], 65, &["00001.png", "32 x 32", "one size"]);
@@ -126,7 +126,7 @@ fn folders_of_pictures_that_cannot_be_a_clip() {
         &dir.at("flat"),
         &[],
         65,
-        &["points could be followed", "--static-camera"],
+        &["points could be tracked", "--static-camera"],
     );
 }
 
@@ -219,7 +219,7 @@ fn outputs_that_cannot_be() {
         refused(&args, 73, words);
     };
     let file = dir.write("file", "mine");
-    to(&file, &[], &["file", "is a file"]);
+    to(&file, &[], &["file", "a file with that name exists"]);
     to(&dir.at("file/out"), &[], &["file", "cannot write"]);
     fs::create_dir(dir.path("foreign")).unwrap();
     dir.write("foreign/thesis.txt", "mine");
@@ -373,7 +373,7 @@ fn views_that_cannot_be_rendered() {
     refused(
         &["render", run, "-o", &there],
         73,
-        &["there.mp4", "already there", "--force"],
+        &["there.mp4", "already exists", "--force"],
     );
     assert_eq!(fs::read_to_string(&there).unwrap(), "mine");
 }

@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
 
-/// So many captures `clip1`..., in the folder `clips`.
+/// This many captures `clip1`..., in the folder `clips`.
 fn write_clips(dir: &Scratch, n: usize) {
     for i in 1..=n {
         write_capture(&dir.path(&format!("clips/clip{i}")), false);
@@ -74,7 +74,7 @@ fn checkpoints(work: &Path) -> Vec<std::ffi::OsString> {
     entries.filter_map(|entry| Some(entry.ok()?.file_name())).collect()
 }
 
-/// Starts a job and waits until its run has saved so often that so many checkpoints are new: it is at work by then.
+/// Starts a job and waits until its run has written this many new checkpoints, so that it is running by then.
 fn start_until_saved(command: Command, work: &Path, n: usize) -> Running {
     let before = checkpoints(work);
     let mut running = start(command);
@@ -172,7 +172,7 @@ fn good_clips_are_done_and_a_corrupt_one_fails_permanently() {
     assert!(said() > log, "it was run again because that was asked for");
     let which = ended(job(&manifest, &[]));
     assert!(
-        which.code == 2 && which.stderr.contains("--index takes 0 to 2"),
+        which.code == 2 && which.stderr.contains("--index from 0 to 2"),
         "{}",
         which.stderr
     );
@@ -351,12 +351,16 @@ fn plans_that_cannot_be_made_and_inputs_that_changed() {
     refuse("s3://bucket/a.mp4", 65, &["s3://", "mount the store"]);
     fs::create_dir_all(dir.path("results/clip1")).unwrap();
     dir.write("results/clip1/thesis.tex", "mine");
-    refuse(&dir.at("clips/clip1"), 73, &["was not made by `minute4d batch`"]);
+    refuse(&dir.at("clips/clip1"), 73, &["was not created by `minute4d batch`"]);
     fs::remove_dir_all(dir.path("results")).unwrap();
 
     let named = plan(&dir, &["--iterations", "5"]);
     let again = plan_of(&dir.at("clips/clip1"));
-    refused(&again.each_ref().map(String::as_str), 73, &["already there", "--force"]);
+    refused(
+        &again.each_ref().map(String::as_str),
+        73,
+        &["already exists", "--force"],
+    );
     fs::write(dir.path("clips/clip1/name.txt"), "another").unwrap();
     let changed = ended(job(&named, &["--index", "0"]));
     assert_eq!(changed.code, 75);

@@ -26,8 +26,8 @@ fn a_decoder_that_takes_too_much_is_ended_and_said() {
     let clip = dir.path("large.mp4");
     let mut writer = Mp4Writer::create(&clip, 3840, 2160, 24.0).unwrap();
     for i in 0..2 {
-        let picture = Plane::from_fn(3840, 2160, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);
-        writer.push(&picture).unwrap();
+        let image = Plane::from_fn(3840, 2160, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);
+        writer.push(&image).unwrap();
     }
     writer.finish().unwrap();
     // Our own process has all the memory that it wants.
@@ -52,7 +52,7 @@ fn the_hidden_command_decodes_for_nobody_else() {
     assert!(!help.stdout.contains("__decode"), "{}", help.stdout);
 }
 
-/// A folder with an `ffprobe` and an `ffmpeg` that write down what they are told and what they may, and a clip for them.
+/// A folder with an `ffprobe` and an `ffmpeg` that record their environment and limits, and a clip for them.
 #[cfg(target_os = "linux")]
 fn note_takers(dir: &Scratch) {
     let notes = |name: &str| {

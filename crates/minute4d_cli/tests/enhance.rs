@@ -95,7 +95,7 @@ fn a_table_of_what_parts_are_worth() {
     assert_eq!(names, ["full", "no-seg", "no-track", "no-density"]);
     for row in rows {
         if row["row"] == "no-seg" {
-            assert!(row["skipped"].as_str().unwrap().contains("map of how likely"), "{row}");
+            assert!(row["skipped"].as_str().unwrap().contains("no motion map"), "{row}");
             continue;
         }
         assert!(
@@ -127,7 +127,7 @@ fn a_table_of_what_parts_are_worth() {
     refused(&["ablate", &bare, "-o", &dir.at("none")], 65, &["transforms_test.json"]);
 }
 
-/// Networks with weights by a formula: what they find is worthless, that they are asked and answer is not.
+/// Networks with synthetic weights: what they find is worthless, that they are asked and answer is not.
 #[cfg(feature = "nets")]
 #[test]
 fn networks_enhance_a_capture() {

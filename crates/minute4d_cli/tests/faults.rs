@@ -1,9 +1,9 @@
-//! What is left of a run that was killed, ran out of time or out of disk, and how it goes on.
+//! What is left of a run that was killed, ran out of time or out of disk, and how it continues.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 #[cfg(unix)]
 use crate::common::Ended;
-use crate::common::clips::{picture, walk, write};
+use crate::common::clips::{frame_image, walk, write};
 use crate::common::{Scratch, call, program, write_capture};
 use serde_json::Value;
 use std::fs;
@@ -33,7 +33,7 @@ fn run<'a>(input: &'a str, out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
 }
 
 fn write_walk(folder: &Path) {
-    write(folder, walk(FRAMES).iter().map(picture));
+    write(folder, walk(FRAMES).iter().map(frame_image));
 }
 
 fn same_result(a: &Path, b: &Path) {
@@ -175,7 +175,7 @@ fn a_full_disk_is_said_and_recorded_and_the_run_goes_on_when_there_is_room() {
     write_walk(&dir.path("walk"));
     let (input, calm, full) = (dir.at("walk"), dir.at("calm"), dir.at("full"));
     assert_eq!(call(&run(&input, &calm, &[])).code, 0);
-    // what is large is refused: steps, pictures or the scene; records are small
+    // what is large is refused: steps, images or the scene; records are small
     for kilobytes in [24, 60, 200] {
         let ended = with_files_of(kilobytes, &run(&input, &full, &["--resume"]));
         let end = ended.end();

@@ -8,7 +8,7 @@ use minute4d::BUILD_FULL;
 #[cfg(not(feature = "gpu"))]
 #[test]
 fn a_gpu_is_refused_with_the_command_that_builds_it_in() {
-    let words = ["without GPUs", BUILD_FULL, "--device cpu"];
+    let words = ["without GPU support", BUILD_FULL, "--device cpu"];
     let clip = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4");
     let out = crate::common::Scratch::new().at("out");
     for command in [

@@ -2,25 +2,25 @@
 //! The table of docs/geometry.md says the same.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::clips::{self, FOCAL_PX, SIZE, camera, picture};
+use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image};
 use crate::common::{Ended, Scratch, call, refused};
 use m4_testkit::{Need, skip};
 use minute4d::math::CounterRng;
 use minute4d::scene::{Plane, RgbImage};
 use serde_json::Value;
 
-/// `geometry` of these pictures.
-fn geometry(dir: &Scratch, pictures: Vec<RgbImage>, more: &[&str]) -> Ended {
-    clips::write(&dir.path("clip"), pictures);
+/// `geometry` of these images.
+fn geometry(dir: &Scratch, images: Vec<RgbImage>, more: &[&str]) -> Ended {
+    clips::write(&dir.path("clip"), images);
     let (clip, out) = (dir.at("clip"), dir.at("out"));
     let args = ["geometry", &clip, "-o", &out, "--json"];
     call(&args.iter().chain(more).copied().collect::<Vec<_>>())
 }
 
 /// The same, which succeeds: what was found, and all warnings in one text.
-fn found(pictures: Vec<RgbImage>, more: &[&str]) -> (Value, String) {
+fn found(images: Vec<RgbImage>, more: &[&str]) -> (Value, String) {
     let dir = Scratch::new();
-    let ended = geometry(&dir, pictures, more);
+    let ended = geometry(&dir, images, more);
     assert_eq!(ended.code, 0, "{}\n{}", ended.stdout, ended.stderr);
     assert!(!ended.stderr.contains("panicked"), "{}", ended.stderr);
     let record = ended.result()["record"].clone();
@@ -44,7 +44,7 @@ fn noisy(image: &RgbImage, frame: u64) -> RgbImage {
 #[test]
 fn a_walk_for_comparison() {
     let cameras = clips::walk(24);
-    let (found, warnings) = found(cameras.iter().map(picture).collect(), &[]);
+    let (found, warnings) = found(cameras.iter().map(frame_image).collect(), &[]);
     assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
     let confidence = &found["confidence"];
     assert!(confidence["parallax_deg"].as_f64().unwrap() > 2.0, "{confidence}");
@@ -54,37 +54,37 @@ fn a_walk_for_comparison() {
 
 #[test]
 fn a_camera_that_only_turns() {
-    let turns = (0..20).map(|i| picture(&camera(0.0, 0.02 * f64::from(i) - 0.2, FOCAL_PX)));
+    let turns = (0..20).map(|i| frame_image(&camera(0.0, 0.02 * f64::from(i) - 0.2, FOCAL_PX)));
     let (found, warnings) = found(turns.collect(), &[]);
     assert_eq!(found["camera_motion"], "rotation_only", "{found}");
     contains(
         &warnings,
-        &["the camera turns", "rotations only", "geometry is poor", "sideways"],
+        &["the camera rotates", "rotations only", "geometry is poor", "sideways"],
     );
     assert_eq!(found["confidence"]["grade"], "poor");
 }
 
 #[test]
 fn a_tripod() {
-    let still = picture(&camera(0.0, 0.0, FOCAL_PX));
+    let still = frame_image(&camera(0.0, 0.0, FOCAL_PX));
     let (found, warnings) = found((0..12).map(|i| noisy(&still, i)).collect(), &[]);
     assert_eq!(found["camera_motion"], "static", "{found}");
-    contains(&warnings, &["standing still", "geometry is poor", "--depth"]);
+    contains(&warnings, &["appears to be static", "geometry is poor", "--depth"]);
 }
 
 #[test]
 fn the_same_frame_again_and_again() {
-    let still = picture(&camera(0.0, 0.0, FOCAL_PX));
+    let still = frame_image(&camera(0.0, 0.0, FOCAL_PX));
     let (found, warnings) = found(vec![still; 8], &[]);
     assert_eq!(found["camera_motion"], "static", "{found}");
-    contains(&warnings, &["standing still"]);
+    contains(&warnings, &["appears to be static"]);
     assert_eq!(found["moving_share"], 0.0);
 }
 
 #[test]
 fn a_zoom_without_a_step() {
     // The focal length doubles; the camera stays.
-    let zoom = (0..16).map(|i| picture(&camera(0.0, 0.0, FOCAL_PX * 2.0_f64.powf(f64::from(i) / 15.0))));
+    let zoom = (0..16).map(|i| frame_image(&camera(0.0, 0.0, FOCAL_PX * 2.0_f64.powf(f64::from(i) / 15.0))));
     let dir = Scratch::new();
     let ended = geometry(&dir, zoom.collect(), &[]);
     assert_eq!(ended.code, 0, "{}\n{}", ended.stdout, ended.stderr);
@@ -110,22 +110,22 @@ fn a_walk_straight_ahead_is_no_zoom() {
         camera.c2w.translation.z = 0.08 * f64::from(i);
         camera
     };
-    let (found, warnings) = found((0..16).map(|i| picture(&ahead(i))).collect(), &[]);
+    let (found, warnings) = found((0..16).map(|i| frame_image(&ahead(i))).collect(), &[]);
     assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
     assert!(!warnings.contains("zooms"), "{warnings}");
 }
 
 /// A clip that is refused with code 65 and these words, and leaves no capture.
-fn refuses(pictures: Vec<RgbImage>, words: &[&str]) {
+fn refuses(images: Vec<RgbImage>, words: &[&str]) {
     let dir = Scratch::new();
-    clips::write(&dir.path("clip"), pictures);
+    clips::write(&dir.path("clip"), images);
     refused(&["geometry", &dir.at("clip"), "-o", &dir.at("out")], 65, words);
     assert!(!dir.path("out/transforms_train.json").exists());
 }
 
 #[test]
 fn one_frame() {
-    refuses(vec![picture(&camera(0.0, 0.0, FOCAL_PX))], &["at least 2"]);
+    refuses(vec![frame_image(&camera(0.0, 0.0, FOCAL_PX))], &["at least 2"]);
 }
 
 #[test]
@@ -136,8 +136,8 @@ fn a_black_clip() {
 
 #[test]
 fn a_cut() {
-    let before = clips::walk(6).iter().map(picture).collect::<Vec<_>>();
-    let after = (0..6).map(|i| picture(&camera(50.0 + 0.1 * f64::from(i), 0.0, FOCAL_PX)));
+    let before = clips::walk(6).iter().map(frame_image).collect::<Vec<_>>();
+    let after = (0..6).map(|i| frame_image(&camera(50.0 + 0.1 * f64::from(i), 0.0, FOCAL_PX)));
     refuses(before.into_iter().chain(after).collect(), &["a cut"]);
 }
 
@@ -146,11 +146,11 @@ fn a_cut() {
 #[test]
 #[ignore = "takes minutes: cargo test --release -p minute4d_cli --test it fifteen_hundred -- --ignored --nocapture"]
 fn fifteen_hundred_frames() {
-    let pictures: Vec<RgbImage> = clips::walk(75).iter().map(picture).collect();
+    let images: Vec<RgbImage> = clips::walk(75).iter().map(frame_image).collect();
     let peak = |frames: usize| {
         let there_and_back = (0..frames).map(|i| {
             let k = i % 148;
-            pictures[if k < 75 { k } else { 148 - k }].clone()
+            images[if k < 75 { k } else { 148 - k }].clone()
         });
         let dir = Scratch::new();
         let ended = geometry(&dir, there_and_back.collect(), &[]);
@@ -169,6 +169,6 @@ fn fifteen_hundred_frames() {
     };
     // docs/geometry.md has what is kept a frame.
     let a_pixel = (many - few) / (1200.0 * (SIZE.0 * SIZE.1) as f64);
-    eprintln!("{a_pixel:.0} bytes a pixel and frame");
+    eprintln!("{a_pixel:.0} bytes per pixel and frame");
     assert!(a_pixel < 120.0, "{a_pixel}");
 }

@@ -1,7 +1,7 @@
 //! What the user gives for the geometry of a clip replaces what would be computed; what does not fit is refused by name.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::clips::{self, FOCAL_PX, SIZE, picture, see, walk};
+use crate::common::clips::{self, FOCAL_PX, SIZE, frame_image, see, walk};
 use crate::common::{Scratch, call, refused};
 #[cfg(feature = "nets")]
 use crate::common::{refused_with, text};
@@ -24,7 +24,7 @@ fn depth(camera: &Camera) -> DepthMap {
 fn known() -> (Scratch, Vec<Camera>) {
     let dir = Scratch::new();
     let cameras = walk(FRAMES);
-    clips::write(&dir.path("clip"), cameras.iter().map(picture));
+    clips::write(&dir.path("clip"), cameras.iter().map(frame_image));
     for folder in ["depth", "masks"] {
         fs::create_dir(dir.path(folder)).unwrap();
     }
@@ -41,7 +41,7 @@ fn known() -> (Scratch, Vec<Camera>) {
         name: format!("{i:05}"),
         camera: *camera,
         t: i as f64,
-        rgb: picture(camera),
+        rgb: frame_image(camera),
         depth: None,
         mask: None,
         motion: None,
@@ -141,7 +141,7 @@ fn poses_without_a_lens_or_of_another_clip_are_refused() {
     let backwards: Vec<&str> = lines.iter().rev().copied().collect();
     for wrong in [&shuffled[..], &backwards] {
         let wrong = dir.write("wrong.txt", numbered(wrong));
-        let words = ["contradict the pictures", "order of the frames", "leave the poses out"];
+        let words = ["contradict the images", "order of the frames", "leave the poses out"];
         refuse(&["--poses", &wrong, "--fov", "56"], 65, &words);
     }
 }
@@ -149,11 +149,11 @@ fn poses_without_a_lens_or_of_another_clip_are_refused() {
 #[test]
 fn a_lens_is_kept_with_its_principal_point() {
     let (dir, _) = known();
-    // Pictures cut off at the left: the principal point is no longer in the middle.
+    // Images cut off at the left: the principal point is no longer in the middle.
     let cut = 24;
     fs::remove_dir_all(dir.path("clip")).unwrap();
     let crop = |c: &Camera| {
-        let whole = picture(c);
+        let whole = frame_image(c);
         Plane::from_fn(SIZE.0 - cut, SIZE.1, |x, y| whole[(x + cut, y)])
     };
     clips::write(&dir.path("clip"), walk(FRAMES).iter().map(crop));
@@ -204,7 +204,7 @@ fn masks_are_taken_as_they_are() {
     let mask: Mask = Plane::filled(SIZE.1, SIZE.0, 0);
     write_mask(&dir.path("masks/00004.png"), &mask).unwrap();
     refused(&args, 65, &["00004.png", "120 x 160"]);
-    dir.write("masks/00004.png", "no picture");
+    dir.write("masks/00004.png", "no image");
     refused(&args, 65, &["00004.png"]);
     refused(
         &[
@@ -249,7 +249,7 @@ fn depth_decides_the_unit() {
         write_depth(&dir.path(&format!("depth/{i:05}.png")), &empty, 0.001).unwrap();
     }
     refused(&args, 65, &["depth", "0 (unknown) everywhere"]);
-    let colour = picture(&cameras[0]);
+    let colour = frame_image(&cameras[0]);
     minute4d::io::image::write_rgb(&dir.path("depth/00002.png"), &colour).unwrap();
     refused(&args, 65, &["00002.png", "16 bits"]);
 }

@@ -1,4 +1,4 @@
-//! `minute4d bench --device gpu:N`, on software that plays a GPU where there is nothing better.
+//! `minute4d bench --device gpu:N`, on a software Vulkan driver (lavapipe) where there is nothing better.
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 

@@ -24,9 +24,9 @@ fn sources_are_told_apart_and_become_captures() {
         ("record3d/clip.r3d", "record3d", 0),
     ] {
         let (source, out) = (fixture(name), dir.at(format));
-        let pictures = fixture("clip/images");
+        let folder = fixture("clip/images");
         let more: &[&str] = if format == "colmap" {
-            &["--images", &pictures]
+            &["--images", &folder]
         } else {
             &[]
         };
@@ -68,14 +68,14 @@ fn wrong_requests_are_refused_with_advice() {
     let (colmap, recording) = (fixture("colmap_text"), fixture("record3d/clip.r3d"));
     let davis = fixture("davis/JPEGImages/480p/ball");
     for (args, code, says) in [
-        (vec!["import", &*empty, "-o", &out], 65, "none of the layouts"),
+        (vec!["import", &*empty, "-o", &out], 65, "none of the known layouts"),
         (vec!["import", &empty, "-o", &out, "--format", "vipe"], 65, "pose"),
         (
             vec!["import", &empty, "-o", &out, "--format", "obj"],
             2,
             "no format is called obj",
         ),
-        (vec!["import", &davis, "-o", &out], 65, "no poses"),
+        (vec!["import", &davis, "-o", &out], 65, "no camera poses"),
         (
             vec!["import", &colmap, "-o", &out, "--fix", "--no-check"],
             2,
@@ -97,7 +97,7 @@ fn bench() -> Option<PathBuf> {
     m4_testkit::shared("bench/quad-1")
 }
 
-/// A scene whose cameras are said to have axes that they have not.
+/// A scene whose cameras are labelled with the wrong axis convention.
 #[test]
 fn axes_that_are_wrong_are_found_and_put_right() {
     let Some(scene) = bench() else { return };
@@ -179,7 +179,7 @@ fn captures_go_out_and_come_back() {
         refused(
             &["export", &own, "--format", format, "-o", &out],
             73,
-            &["already there", "--force"],
+            &["already exists", "--force"],
         );
     }
 }

@@ -38,7 +38,7 @@ fn write_scene(dir: &Scratch, mip: bool) {
 }
 
 fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+    value.as_f64().unwrap_or_else(|| panic!("{value} is not a number"))
 }
 
 #[test]
@@ -75,7 +75,7 @@ fn every_format_shows_the_scene_that_it_was_made_of() {
         assert_eq!(report["path"], dir.at(&format!("out/{file}")));
         assert!(number(&report["bytes"]) > 1000.0 && report["comparison"].is_null());
     }
-    // 17 numbers a splat, besides the header
+    // 17 numbers per splat, besides the header
     let still = succeed(&["export", &out, "--format", "ply", "--force", "--no-compare", "--json"]).result();
     assert!((68.0..69.5).contains(&number(&still["bytes_per_splat"])), "{still}");
     assert_eq!(fs::read_dir(dir.path("out/ply")).unwrap().count(), FRAMES);
@@ -230,10 +230,10 @@ fn a_still_ply_of_another_program_gets_cameras() {
         (&facts["scene"]["cameras"], &facts["scene"]["sh_degree"]),
         (&60.into(), &2.into())
     );
-    let picture = dir.at("png");
-    succeed(&["render", &dir.at("in"), "-o", &picture]);
+    let image = dir.at("png");
+    succeed(&["render", &dir.at("in"), "-o", &image]);
     let middle = fs::metadata(dir.path("png/00000.png")).unwrap().len();
-    assert!(middle > 20_000, "the splats are in the picture: {middle} bytes");
+    assert!(middle > 20_000, "the splats are in the image: {middle} bytes");
 }
 
 #[test]

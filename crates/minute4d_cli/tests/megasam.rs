@@ -62,7 +62,7 @@ fn files_of_numpy_become_captures() {
     let out = dir.at("out");
     let ended = succeed(&["import", &fixture("outputs_cvd/dog_sgd_cvd_hr.npz"), "-o", &out]);
     assert!(
-        ended.stderr.contains("30 were assumed") && ended.stderr.contains("3 frames of 24 x 16"),
+        ended.stderr.contains("30 frames per second are assumed") && ended.stderr.contains("3 frames of 24 x 16"),
         "{}",
         ended.stderr
     );
@@ -88,10 +88,10 @@ fn wrong_requests_are_refused_with_advice() {
         (
             vec!["export", &*given, "-o", &out],
             65,
-            "is a capture, which 4dgs does not hold",
+            "is a capture, which the format 4dgs cannot store",
         ),
         (vec!["export", &given, "--format", "megasam"], 2, "choose one of 4dgs"),
-        (vec!["import", &npz, "-o", &out], 65, "no npz archive"),
+        (vec!["import", &npz, "-o", &out], 65, "not an npz archive"),
         (vec!["import", &empty, "-o", &out], 65, "is a folder"),
         (
             vec!["import", &empty, "-o", &out, "--format", "megasam"],

@@ -1,4 +1,4 @@
-//! A front end of networks from outside, weights by a formula: what is found is worthless, how it is found is not.
+//! A front end of networks from outside, synthetic weights: what is found is worthless, how it is found is not.
 #![cfg(feature = "nets")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
@@ -88,9 +88,9 @@ fn megasam_makes_a_capture_and_names_its_networks() {
     let first = dir.path("first");
     let ended = run(&clip, &first, &store, &["--frontend", "megasam"]);
     assert_eq!(ended.code, 0, "{}", ended.stderr);
-    // What was chosen, and that there is no network of depth, is said.
+    // The choice, and the lack of a depth network, is reported.
     assert!(
-        ended.stderr.contains("raft") && ended.stderr.contains("no depth from one picture"),
+        ended.stderr.contains("raft") && ended.stderr.contains("no depth from one image"),
         "{}",
         ended.stderr
     );

@@ -1,7 +1,7 @@
 //! The happy path from outside: train, render, eval, inspect, stop, resume.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Ended, Scratch, capture, program, refused, succeed, text, train, write_capture, write_pictures};
+use crate::common::{Ended, Scratch, capture, program, refused, succeed, text, train, write_capture, write_images};
 use minute4d::Silent;
 use minute4d::io::capture::Split;
 use minute4d::math::nalgebra::Vector3;
@@ -228,7 +228,7 @@ fn a_killed_run_goes_on_from_its_last_checkpoint() {
     }
     let second = train(&data, &parts, "1200", &["--resume"]);
     assert_eq!(second.code, 75, "one folder, one process: {}", second.stderr);
-    assert!(second.stderr.contains("another minute4d is at work"));
+    assert!(second.stderr.contains("another minute4d is using"));
     signal(&running, "-KILL");
     running.0.wait().unwrap();
     let left = fs::read_dir(&saved).unwrap().filter(|e| {
@@ -394,10 +394,10 @@ fn doctor_and_bench_tell_what_is_here() {
 }
 
 #[test]
-fn pictures_of_a_still_camera_become_a_scene() {
+fn images_of_a_static_camera_become_a_scene() {
     let dir = Scratch::new();
-    write_pictures(&dir.path("pictures"), 6);
-    let (input, out) = (dir.at("pictures"), dir.at("out"));
+    write_images(&dir.path("images"), 6);
+    let (input, out) = (dir.at("images"), dir.at("out"));
     let args = [
         "run",
         &input,

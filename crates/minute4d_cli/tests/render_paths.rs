@@ -25,7 +25,7 @@ fn files(folder: &Path) -> usize {
     fs::read_dir(folder).unwrap().count()
 }
 
-/// Mean absolute difference of two pictures of one size, levels.
+/// Mean absolute difference of two images of one size, levels.
 fn difference(a: &Path, b: &Path) -> f64 {
     let (a, b) = (read_rgb(a).unwrap(), read_rgb(b).unwrap());
     assert_eq!(a.size(), b.size());
@@ -116,7 +116,7 @@ fn every_path_is_rendered_at_an_odd_size() {
 }
 
 #[test]
-fn one_picture_is_that_of_the_video() {
+fn one_image_is_that_of_the_video() {
     let dir = Scratch::new();
     let one = dir.at("one.png");
     succeed(&["render", run(), "--path", "source", "--at", "0.3s", "-o", &one]);
@@ -189,7 +189,7 @@ fn files_of_cameras_and_keyframes() {
     let ended = succeed(&["render", run(), "--path", &studio, "-o", &dir.at("studio")]);
     assert!(ended.stderr.contains("crop"), "{}", ended.stderr);
     succeed(&["render", run(), "--path", "train", "-o", &dir.at("train")]);
-    // The same lens at the same place in the same moment, written by somebody else.
+    // The same lens at the same place at the same time, written by another tool.
     let off = difference(&dir.path("studio/00000.png"), &dir.path("train/00000.png"));
     assert!(off < 6.0, "{off} levels apart");
 }
@@ -208,10 +208,10 @@ fn what_cannot_be_rendered_is_refused_before_anything_is_written() {
     path("bullet", &["--hold-s", "1000"], 2, &["--hold-s", "0.1 to 600"]);
     path("swing", &["--amount", "nan"], 2, &["--amount"]);
     path("swing", &["--seconds", "-1"], 2, &["--seconds"]);
-    path("swing", &["--seconds", "3600", "--fps", "240"], 2, &["864000 pictures"]);
+    path("swing", &["--seconds", "3600", "--fps", "240"], 2, &["864000 images"]);
     path("bullet", &["--seconds", "2"], 2, &["--hold-s"]);
     path("bullet", &["--at", "9s"], 2, &["9s", "outside"]);
-    path("bullet", &["--at", "soon"], 2, &["\"soon\"", "no moment"]);
+    path("bullet", &["--at", "soon"], 2, &["\"soon\"", "not a time"]);
     path("spiral", &[], 2, &["spiral", "bullet"]);
     let broken = dir.write(
         "broken.json",
@@ -227,7 +227,7 @@ fn what_cannot_be_rendered_is_refused_before_anything_is_written() {
     refused(
         &["render", run(), "--path", "swing", "-o", &dir.at("a.png")],
         2,
-        &["a.png", "one picture"],
+        &["a.png", "one image"],
     );
     assert!(!dir.path("a.mov").exists() && !dir.path("a.png").exists());
     let there = dir.write("there.png", "mine");

@@ -38,7 +38,7 @@ fn write_npy(path: &Path, shape: &[usize], values: &[f64], double: bool) {
     fs::write(path, bytes).unwrap();
 }
 
-/// `camera/ID.json` of DyCheck: of pictures twice as large.
+/// `camera/ID.json` of DyCheck: of images twice as large.
 fn dycheck_camera(path: &Path, camera: &Camera) {
     let r = camera.c2w.rotation;
     let orientation: Vec<Vec<f64>> = (0..3).map(|i| (0..3).map(|j| r[(j, i)]).collect()).collect();
@@ -125,7 +125,7 @@ fn write_dycheck_of(root: &Path, [train, test]: [Capture; 2], with_masks: bool) 
     );
 }
 
-/// A scene in the layout of RoDynRF's bundle: camera `i` took picture `i`, camera 0 is judged at all moments.
+/// A scene in the layout of RoDynRF's bundle: camera `i` took image `i`, camera 0 is judged at all moments.
 fn write_nvidia(root: &Path, n: usize) {
     for folder in ["images_2", "disp", "motion_masks", "gt"] {
         fs::create_dir_all(root.join(folder)).unwrap();
@@ -343,7 +343,7 @@ fn dycheck_is_reproduced_from_its_layout() {
             number(&row["headline"]) > 12.0 && row["headline"] != row["psnr_db"],
             "{row}"
         );
-        assert_eq!(row["mask"], "published masks of co-visibility,");
+        assert_eq!(row["mask"], "published co-visibility masks,");
     }
     let eval = read_json(&dir.path("out/dycheck/apple/run/eval.json"));
     assert!(
@@ -460,7 +460,7 @@ fn room(cameras: &[Camera]) -> Capture {
             name: format!("{i:05}"),
             camera: *camera,
             t: i as f64,
-            rgb: clips::picture(camera),
+            rgb: clips::frame_image(camera),
             depth: Some(depth.into()),
             mask: None,
             motion: None,
@@ -514,8 +514,8 @@ fn scenes_are_made_without_each_part_and_with_geometry_of_their_own() {
     for words in ["#### spin", "without density control", "1.17 dB"] {
         assert!(table.contains(words), "{words} is not in {table}");
     }
-    // poses of the pictures alone: the views of other cameras are placed by aligning
-    // ... and what was made with the data set's is made anew
+    // poses of the images alone: the views of other cameras are placed by aligning
+    // ... and what was made with the data set's is computed again
     let report = with(&["--protocols", "instant4d,dycheck", "--geometry", "own", "--ablations"]);
     let [held_out, novel] = [0, 1].map(|k| &report["tables"][k]);
     assert_eq!(held_out["rows"][0]["poses"], "own", "{held_out}");

@@ -124,7 +124,7 @@ fn a_run_writes_a_page_that_holds_its_scene() {
     let held = page::read(&html).unwrap();
     let scene = scene_file::read(&dir.path("out/scene.safetensors")).unwrap().scene;
     let splats = decode(&held.payload.unwrap()).unwrap();
-    // those that nobody can see are left out
+    // invisible ones are left out
     assert!(splats.n() <= scene.splats.n() && splats.n() > scene.splats.n() / 2);
     assert_eq!(held.manifest.cameras.len(), 6);
     assert_eq!(held.frames.unwrap().index.offsets.len(), 7);
@@ -139,7 +139,7 @@ fn a_run_writes_a_page_that_holds_its_scene() {
     assert_eq!(again.code, 0, "{}", again.stderr);
     assert!(file.exists(), "asked for later, it is made of the scene that is there");
     assert!(
-        again.stderr.contains("train: done before") && again.stderr.contains("viewer.html"),
+        again.stderr.contains("train: already done") && again.stderr.contains("viewer.html"),
         "{}",
         again.stderr
     );
@@ -167,7 +167,7 @@ fn view_shows_the_scene_and_the_one_that_takes_its_place() {
     stdout.read_line(&mut url).unwrap();
     let place = Place::of(&url);
 
-    // who may not, and what is not there
+    // who may not, and what is missing
     assert_eq!(place.ask_as("/", &format!("127.0.0.1:{}", place.port)).0, 403);
     let wrong = format!("/?token={}", "f".repeat(32));
     assert_eq!(place.ask_as(&wrong, &format!("127.0.0.1:{}", place.port)).0, 403);
@@ -232,7 +232,7 @@ fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
     let (data, out, other) = (dir.at("capture"), dir.at("out"), dir.at("other"));
     assert_eq!(train(&data, &out, "30", &["--no-viewer"]).code, 0);
     assert_eq!(train(&data, &other, "60", &["--no-viewer"]).code, 0);
-    // a folder in which training goes on: no scene yet, a checkpoint
+    // a folder in which training continues: no scene yet, a checkpoint
     fs::create_dir(dir.path("out/checkpoints")).unwrap();
     fs::rename(
         dir.path("out/scene.safetensors"),
@@ -245,19 +245,19 @@ fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
     stdout.read_line(&mut url).unwrap();
     let mut page = Chromium::open(chromium, url.trim());
     page.eval("minute4d.ready");
-    let picture = |page: &mut Chromium, t: f64| {
+    let image = |page: &mut Chromium, t: f64| {
         page.eval(&format!("minute4d.setTime({t})"));
-        let picture = page.eval("minute4d.capture()").as_str().unwrap().to_owned();
-        assert!(picture.starts_with("data:image/png;base64,") && picture.len() > 2000);
-        picture
+        let image = page.eval("minute4d.capture()").as_str().unwrap().to_owned();
+        assert!(image.starts_with("data:image/png;base64,") && image.len() > 2000);
+        image
     };
-    let first = [0.0, 2.0, 5.0].map(|t| picture(&mut page, t));
+    let first = [0.0, 2.0, 5.0].map(|t| image(&mut page, t));
     assert!(
         first[0] != first[1] && first[1] != first[2] && first[2] != first[0],
         "three instants look alike"
     );
     assert!(
-        first[1] == picture(&mut page, 2.0),
+        first[1] == image(&mut page, 2.0),
         "an instant is drawn as before, bit for bit"
     );
 
@@ -270,7 +270,7 @@ fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
     )
     .unwrap();
     let deadline = Instant::now() + Duration::from_secs(60);
-    while picture(&mut page, 2.0) == first[1] {
+    while image(&mut page, 2.0) == first[1] {
         assert!(Instant::now() < deadline, "the page still shows the checkpoint before");
         std::thread::sleep(Duration::from_millis(200));
     }

@@ -9,9 +9,9 @@ const ITERATIONS: usize = 1200;
 
 /// A training that differs from the default in one thing.
 struct Row {
-    /// What `--rows` calls it.
+    /// The name for `--rows`.
     name: &'static str,
-    /// What the table calls it.
+    /// The name in the table.
     what: &'static str,
     sets: &'static [&'static str],
     /// Frames a step: rows with several take as many steps fewer, and density control goes by frames.
@@ -31,13 +31,13 @@ const ROWS: &[Row] = &[
     row("default", "default", &[]),
     Row {
         name: "batch-2",
-        what: "two frames a step, half the steps",
+        what: "two frames per step, half the steps",
         sets: &["train.batch=2"],
         batch: 2,
     },
     Row {
         name: "batch-4",
-        what: "four frames a step, a quarter of the steps",
+        what: "four frames per step, a quarter of the steps",
         sets: &["train.batch=4"],
         batch: 4,
     },
@@ -152,7 +152,7 @@ impl Row {
     }
 }
 
-/// What one row measured.
+/// The measurements of one row.
 #[derive(Debug, Clone, Copy)]
 struct Figures {
     psnr: f64,

@@ -4,7 +4,7 @@ use super::{json, number, options, program, run, stem};
 use anyhow::Result;
 use std::path::Path;
 
-/// For each scene (`args`, after options of `minute4d geometry`) with truth and held-out views: recovers the geometry of its training pictures, trains both that and the
+/// For each scene (`args`, after options of `minute4d geometry`) with truth and held-out views: recovers the geometry of its training images, trains both that and the
 /// scene as given, and scores the same held-out views. One Markdown row each; the last columns are the difference.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! Jobs with a shell script in place of the program.
+//! Jobs with a shell script instead of the program.
 
 use super::{JobEnd, Tools, index_of_environment, run_job};
 use crate::child::Watch;
@@ -199,7 +199,7 @@ fn disks_that_cannot_be_used_and_folders_in_the_way_are_no_fault_of_the_clip() {
     fs::create_dir_all(batch.path("results/clip")).unwrap();
     let end = batch.run("finish");
     assert!(
-        end.outcome == Outcome::Retryable && end.reason.contains("was not made by"),
+        end.outcome == Outcome::Retryable && end.reason.contains("was not created by"),
         "{end:?}"
     );
     fs::remove_dir(batch.path("results/clip")).unwrap();

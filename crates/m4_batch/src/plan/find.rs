@@ -1,4 +1,4 @@
-//! Clips by files, folders and lists.
+//! Finds clips from files, folders and lists.
 
 use crate::error::BatchError;
 use std::collections::BTreeSet;
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 const VIDEOS: [&str; 15] = [
     "mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "wmv", "flv", "ogv",
 ];
-/// Extensions of pictures: a folder of these is a clip.
+/// Extensions of images: a folder of these is a clip.
 const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Lists of posed frames: a folder with one is a capture, and so a clip.
 const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
@@ -29,7 +29,7 @@ pub(crate) fn inputs(given: &[String], recursive: bool) -> Result<Vec<PathBuf>, 
     Ok(paths.into_iter().collect())
 }
 
-/// A list to its paths, before anybody looked whether they are there.
+/// Parses a list into its paths, without checking that they exist.
 fn expand(given: &str) -> Result<Vec<PathBuf>, BatchError> {
     let Some(list) = given.strip_prefix('@') else {
         return match given.contains("://") {
@@ -154,7 +154,7 @@ mod tests {
         assert_eq!(found(&[at("v")], false), ["v/a.MOV", "v/b.mp4"]);
         let all = ["v/a.MOV", "v/b.mp4", "v/cap", "v/in/d.mkv", "v/pics"];
         assert_eq!(found(&[at("v")], true), all);
-        assert_eq!(found(&[at("v/pics")], false), ["v/pics"], "pictures are a clip");
+        assert_eq!(found(&[at("v/pics")], false), ["v/pics"], "images are a clip");
         assert_eq!(found(&[at("v/b.mp4"), at("v/in/../b.mp4")], false), ["v/b.mp4"]);
         assert_eq!(
             found(&[at("v/notes.txt")], false),

@@ -1,4 +1,4 @@
-//! From what a user names to a manifest.
+//! Plans a manifest from the files that a user names.
 
 mod find;
 
@@ -13,13 +13,13 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// What to plan.
+/// The inputs of a plan.
 pub struct Plan<'a> {
     /// Files, folders, lists (`@FILE`).
     pub given: &'a [String],
     /// Look into folders of folders.
     pub recursive: bool,
-    /// Where results go.
+    /// The folder of results.
     pub results: &'a Path,
     /// What every run is started with.
     pub run: Arguments,

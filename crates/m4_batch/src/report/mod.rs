@@ -1,4 +1,4 @@
-//! What came of a batch, read from the results alone.
+//! The report of a batch, read from the results alone.
 
 mod page;
 
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-/// How far a clip is.
+/// The state of a clip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClipState {
@@ -44,7 +44,7 @@ impl ClipState {
         }
     }
 
-    /// True for what somebody should look at.
+    /// Returns true for jobs that need attention.
     #[must_use]
     pub fn is_trouble(self) -> bool {
         matches!(self, Self::Retryable | Self::Failed)
@@ -58,7 +58,7 @@ pub struct ClipReport {
     pub id: String,
     /// The clip.
     pub input: String,
-    /// How far it is.
+    /// The state.
     pub state: ClipState,
     /// Why it is not further, where something is known.
     pub reason: Option<String>,
@@ -68,7 +68,7 @@ pub struct ClipReport {
     pub seconds: Option<f64>,
     /// Splats of its scene.
     pub splats: Option<u64>,
-    /// PSNR of the training pictures at the end, dB.
+    /// PSNR of the training images at the end, dB.
     pub psnr_db: Option<f64>,
     /// Most memory that its run held, bytes.
     pub peak_memory_bytes: Option<u64>,
@@ -81,7 +81,7 @@ pub struct ClipReport {
 /// A whole batch.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
-    /// How many clips there are.
+    /// The number of clips.
     pub jobs: usize,
     /// How many are in each state; they add up to `jobs`.
     pub counts: BTreeMap<&'static str, usize>,
@@ -123,7 +123,7 @@ impl Report {
         }
     }
 
-    /// The table, for people: a line a clip, then the sums; `failed` for troubles alone.
+    /// The table, for people: a line per clip, then the sums; `failed` for troubles alone.
     #[must_use]
     pub fn table(&self, failed: bool) -> String {
         let width = self.clips.iter().map(|c| c.id.len()).max().unwrap_or(0).clamp(4, 40);
@@ -172,7 +172,7 @@ fn clip(layout: &Layout, job: &Job, key: &str) -> Result<ClipReport, BatchError>
     };
     let reason = match (state, &here) {
         (ClipState::Done, _) => None,
-        (_, Present::Foreign) => Some("a folder that is no result of a batch is in its place".to_owned()),
+        (_, Present::Foreign) => Some("its folder exists and is not a result of `minute4d batch`".to_owned()),
         (ClipState::Waiting, Present::Other) => Some("its result is of other settings, or damaged".to_owned()),
         _ => record.as_ref().map(|r| r.reason.clone()),
     };

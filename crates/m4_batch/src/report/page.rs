@@ -1,4 +1,4 @@
-//! One page of pictures: the template `page.html` with everything in it.
+//! The HTML report: the template `page.html` with images and metrics.
 
 use super::{ClipReport, ClipState, Report};
 use crate::layout::POSTER_FILE;
@@ -21,7 +21,7 @@ pub fn page(report: &Report, title: &str) -> String {
     })
 }
 
-/// A template with what `value` says in place of each `{{name}}`.
+/// A template with what `value` says instead of each `{{name}}`.
 fn fill(template: &str, value: impl Fn(&str) -> String) -> String {
     let (mut text, mut rest) = (String::new(), template);
     while let Some((before, (name, after))) = rest

@@ -3,7 +3,7 @@
 use crate::error::BatchError;
 use std::path::Path;
 
-/// Seconds before the end of a task's time at which it is told to save.
+/// Seconds before the end of a task's time at which it is asked to save.
 const WARNING_S: u32 = 120;
 /// How often a task is put back into the queue by itself.
 const RESTARTS: u32 = 20;

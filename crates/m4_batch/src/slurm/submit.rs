@@ -1,4 +1,4 @@
-//! Handing the script to Slurm.
+//! Submits the script to Slurm.
 
 use crate::error::BatchError;
 use std::ffi::OsStr;
@@ -8,7 +8,7 @@ use std::process::Command;
 /// What Slurm allows where it does not say.
 const DEFAULT_ARRAY: usize = 1001;
 
-/// Most tasks that an array may have here: what Slurm is set to, or what it is set to where nobody changed it.
+/// Returns the maximum number of tasks of an array: Slurm's setting, or its default.
 #[must_use]
 pub fn largest_array() -> usize {
     let told = Command::new("scontrol").args(["show", "config"]).output();
@@ -52,7 +52,7 @@ pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, BatchE
         script: script.to_path_buf(),
     };
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_digit()) {
-        let said = format!("it answered {answer:?}, which is no number of a job");
+        let said = format!("it answered {answer:?}, which is not a job id");
         return Err(refused("sbatch", said));
     }
     let known = call("scontrol", &["show".as_ref(), "job".as_ref(), id.as_ref()], script)?;

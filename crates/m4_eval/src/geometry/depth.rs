@@ -1,4 +1,4 @@
-//! Depth after one factor, and masks.
+//! Scores depth after one scale factor, and masks.
 
 use super::report::{DepthError, MaskScore, median_of_sorted};
 use m4_scene::{CaptureFrame, CompactDepth, CompactMask};

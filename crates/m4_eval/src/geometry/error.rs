@@ -1,10 +1,10 @@
-//! What makes two captures incomparable.
+//! The reasons why two captures cannot be compared.
 
 /// Why an estimate could not be compared with the truth.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GeometryError {
-    /// One side has no frames.
+    /// One of the captures has no frames.
     #[error("the {which} has no frames; nothing can be compared")]
     Empty {
         /// `"estimate"` or `"truth"`.
@@ -12,9 +12,9 @@ pub enum GeometryError {
     },
     /// Frames could be paired neither by name, nor by order, nor by time.
     #[error(
-        "the estimate has {estimate} frames and the truth {truth}; names such as {estimate_name:?} and \
-         {truth_name:?} do not pair them, nor do their times (frame {unpaired_name:?} is {distance_frames:.2} \
-         frames from the nearest true one): compare captures of the same frames of the same video"
+        "the estimate has {estimate} frames and the ground truth {truth}; names such as {estimate_name:?} and \
+         {truth_name:?} do not match, nor do their times (frame {unpaired_name:?} is {distance_frames:.2} \
+         frames from the nearest one of the ground truth): compare captures of the same frames of the same video"
     )]
     Unmatched {
         /// Frames of the estimate.
@@ -37,18 +37,18 @@ pub enum GeometryError {
         which: &'static str,
         /// The frame.
         name: String,
-        /// What is not finite.
+        /// The value that is NaN or infinite.
         what: &'static str,
     },
     /// Two paths have other numbers of poses.
-    #[error("the estimate has {estimate} poses and the truth {truth}; give the poses of the same frames")]
+    #[error("the estimate has {estimate} poses and the ground truth {truth}; give the poses of the same frames")]
     Lengths {
         /// Poses of the estimate.
         estimate: usize,
         /// Poses of the truth.
         truth: usize,
     },
-    /// A path stands still, or the two run against one another.
+    /// A path is static, or the two run against one another.
     #[error(
         "one of the paths has no extent, so there is nothing to align; compare without alignment, or rotations alone"
     )]

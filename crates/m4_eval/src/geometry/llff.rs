@@ -1,4 +1,4 @@
-//! Camera truth in the LLFF layout: `poses` of 3x5 matrices.
+//! Ground-truth cameras in the LLFF layout: `poses` of 3x5 matrices.
 
 use m4_math::Se3;
 use m4_math::nalgebra::{Matrix3, Vector3};
@@ -17,14 +17,14 @@ pub enum LlffError {
         source: serde_json::Error,
     },
     /// The list is empty.
-    #[error("\"poses\" is empty; there is no truth in this file")]
+    #[error("\"poses\" is empty; this file has no ground truth")]
     Empty,
     /// A pose that no camera has.
     #[error("pose {index}: {what} (found {value}); columns must be right, up, back, position, [height, width, focal]")]
     Bad {
-        /// Which pose, from 0.
+        /// Index of the pose, from 0.
         index: usize,
-        /// What is wrong.
+        /// The fault.
         what: &'static str,
         /// The value at fault.
         value: f64,
@@ -41,7 +41,7 @@ struct File {
 /// world, column 3 its centre, column 4 height, width and focal length in pixels. Other keys are
 /// ignored.
 ///
-/// The frames have no picture (0x0), no depth and no mask; they are named `00000`, `00001`, ...
+/// The frames have no image (0x0), no depth and no mask; they are named `00000`, `00001`, ...
 ///
 /// # Errors
 ///
@@ -85,9 +85,9 @@ fn camera(index: usize, pose: &[[f64; 5]; 3]) -> Result<Camera, LlffError> {
         if value < 1.0 || value > f64::from(u16::MAX) || value.fract() != 0.0 {
             return bad(
                 if what == "the height" {
-                    "the height is no number of pixels"
+                    "the height is not a valid number of pixels"
                 } else {
-                    "the width is no number of pixels"
+                    "the width is not a valid number of pixels"
                 },
                 value,
             );

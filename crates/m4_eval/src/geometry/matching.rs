@@ -1,11 +1,11 @@
-//! Which frame of the truth a frame of the estimate shows.
+//! Matches the frames of an estimate to those of the ground truth.
 
 use super::GeometryError;
 use m4_scene::CaptureFrame;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How frames were paired.
+/// How frames were matched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Matching {

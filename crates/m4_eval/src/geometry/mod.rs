@@ -1,4 +1,4 @@
-//! How close reconstructed cameras, depth and motion masks are to known ones.
+//! Scores reconstructed cameras, depth and motion masks against ground truth.
 //!
 //! A reconstruction from a video alone has its own origin, axes and unit, so cameras are compared
 //! after the similarity that fits them best (Umeyama 1991, over camera centres), rotations after the

@@ -1,4 +1,4 @@
-//! Errors of camera paths as the program `evo` has them (Grupp, "evo: Python package for the evaluation of odometry and SLAM").
+//! Errors of camera paths as defined by the program `evo` (Grupp, "evo: Python package for the evaluation of odometry and SLAM").
 //!
 //! The absolute error compares poses of one frame after an alignment of the whole path (Umeyama 1991, over camera centres); the
 //! relative error compares the motions from one frame to another (Sturm et al., IROS 2012): `(T_i^-1 T_j)^-1 (E_i^-1 E_j)` for truth `T`
@@ -22,7 +22,7 @@ pub enum PathAlignment {
     Sim3,
 }
 
-/// What is said of many errors.
+/// Statistics of a set of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct ErrorStatistics {
     /// Root of the mean square.
@@ -40,7 +40,7 @@ pub struct ErrorStatistics {
 }
 
 impl ErrorStatistics {
-    /// Of at least one error.
+    /// Computes the statistics of at least one error.
     fn of(mut errors: Vec<f64>) -> Self {
         let n = errors.len() as f64;
         let square = errors.iter().map(|e| e * e).sum::<f64>() / n;
@@ -61,7 +61,7 @@ impl ErrorStatistics {
 /// Errors of the poses of a path.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AbsoluteError {
-    /// What was done before.
+    /// The alignment.
     pub alignment: PathAlignment,
     /// Units of the truth in one unit of the estimate; 1 where the alignment does not scale.
     pub scale: f64,

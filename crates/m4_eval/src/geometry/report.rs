@@ -49,7 +49,7 @@ pub struct MaskScore {
 pub struct GeometryReport {
     /// Pairs of frames compared.
     pub frames: usize,
-    /// How they were paired.
+    /// How they were matched.
     pub matching: Matching,
     /// True if lengths are in metres (those of the truth).
     pub metric: bool,
@@ -134,13 +134,13 @@ fn with_notes(mut report: GeometryReport, estimate: &Side<'_>, truth: &Side<'_>)
     let unknown = report.depth.is_some() && truth.frames.iter().all(|f| f.mask.is_none());
     note(
         unknown,
-        "depth: the truth has no masks, so every pixel counts as static",
+        "depth: the ground truth has no masks, so every pixel counts as static",
     );
-    // a part of a clip is numbered anew: its 00001 need not be the whole clip's
+    // a part of a clip is numbered again: its 00001 need not be the whole clip's
     let (part, whole) = (estimate.frames.len(), truth.frames.len());
     if report.matching == Matching::Name && part != whole {
         report.notes.push(format!(
-            "frames: {part} of the estimate were paired with {whole} of the truth by file name; if the estimate was \
+            "frames: {part} of the estimate were paired with {whole} of the ground truth by file name; if the estimate was \
              made from a part of the clip (--start, --end, --max-frames), its names are numbered anew and the figures \
              mean nothing"
         ));
@@ -241,7 +241,7 @@ pub(super) mod tests {
     fn depth_is_compared_after_the_factor_of_static_pixels() {
         let mut estimate = capture(3);
         for frame in &mut estimate.frames {
-            // A quarter of the size; static depth halved, moving depth 1 in place of 4, one column unknown.
+            // A quarter of the size; static depth halved, moving depth 1 instead of 4, one column unknown.
             frame.depth = Some(Plane::from_fn(8, 6, |x, _| if x == 7 { 0.0 } else { 1.0 }).into());
         }
         let depth = evaluate(&estimate, &capture(3)).unwrap().depth.unwrap();

@@ -1,4 +1,4 @@
-//! Masks before they are used.
+//! Prepares masks for scoring.
 
 use m4_scene::{Mask, Plane};
 

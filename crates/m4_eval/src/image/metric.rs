@@ -1,11 +1,11 @@
-//! A metric by its name.
+//! Metrics by name.
 
 use super::{ImageError, Picture, PsnrKind, SsimKind, psnr_db_of, ssim};
 use m4_scene::Mask;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// A number that two pictures score. In JSON `{"psnr": "joint"}`, `{"ssim": "skimage_uniform"}`; as text `psnr_joint`.
+/// A number that two images score. In JSON `{"psnr": "joint"}`, `{"ssim": "skimage_uniform"}`; as text `psnr_joint`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Metric {
@@ -16,7 +16,7 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 8] = [
         Self::Psnr(PsnrKind::Joint),
         Self::Psnr(PsnrKind::PerChannel),
@@ -40,7 +40,7 @@ impl Metric {
         }
     }
 
-    /// What a report says of it.
+    /// Returns the title in a report.
     #[must_use]
     pub fn title(self) -> String {
         match self {

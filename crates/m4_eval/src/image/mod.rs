@@ -1,7 +1,7 @@
-//! How close a picture is to the photograph: PSNR and SSIM, whole and inside a mask, in the flavours that papers report.
+//! Image metrics: PSNR and SSIM of a rendering against a photograph, whole and inside a mask, in the variants that papers report.
 //!
 //! ```text
-//! picture, photograph, mask --Metric--> a number;  many --ImageReport--> rows, means, the protocol's name
+//! image, photograph, mask --Metric--> a number;  many --ImageReport--> rows, means, the protocol's name
 //! flow or depth of the training frames --covisible--> the mask of what they saw
 //! ```
 //!

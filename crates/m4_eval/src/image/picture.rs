@@ -2,22 +2,22 @@
 
 use m4_scene::{RgbImage, ShapeError};
 
-/// Why two pictures could not be compared.
+/// Why two images could not be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImageError {
     /// The number of values does not match the stated size.
-    #[error("a picture of {width}x{height} needs planes of {expected} values; channel {channel} has {found}")]
+    #[error("an image of {width}x{height} needs planes of {expected} values; channel {channel} has {found}")]
     Length {
         /// Columns.
         width: usize,
         /// Rows.
         height: usize,
-        /// Which channel, 0..3.
+        /// Index of the channel, 0..3.
         channel: usize,
         /// `width * height`.
         expected: usize,
-        /// What was given.
+        /// The given value.
         found: usize,
     },
     /// Two things that must have one size do not.
@@ -34,7 +34,7 @@ pub enum ImageError {
         found: (usize, usize),
     },
     /// No SSIM window fits in.
-    #[error("SSIM needs at least {window}x{window} pixels; the picture is {width}x{height}")]
+    #[error("SSIM needs at least {window}x{window} pixels; the image is {width}x{height}")]
     TooSmall {
         /// Columns.
         width: usize,
@@ -50,7 +50,7 @@ pub enum ImageError {
         x: usize,
         /// Row.
         y: usize,
-        /// Which channel, 0..3.
+        /// Index of the channel, 0..3.
         channel: usize,
         /// The value.
         value: f32,
@@ -65,7 +65,7 @@ pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (us
     }
 }
 
-/// A colour picture in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where a protocol does not clamp.
+/// A colour image in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where a protocol does not clamp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture {
     width: usize,

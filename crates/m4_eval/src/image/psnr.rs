@@ -1,10 +1,10 @@
-//! Peak signal-to-noise ratio, as the tables of papers have it.
+//! Peak signal-to-noise ratio, in the variants of published tables.
 
 use super::{ImageError, Picture, same_size};
 use m4_scene::Mask;
 use serde::{Deserialize, Serialize};
 
-/// What identical pictures score, dB: the true value is infinite, which no table can average.
+/// What identical images score, dB: the true value is infinite, which no table can average.
 pub const MAX_PSNR_DB: f64 = 100.0;
 
 /// Over what the mean squared error is made, and of which numbers.
@@ -12,13 +12,13 @@ pub const MAX_PSNR_DB: f64 = 100.0;
 #[serde(rename_all = "snake_case")]
 pub enum PsnrKind {
     /// One mean over all pixels and channels: `-10 log10 mean (x - y)^2`. With a mask it is DyCheck's mPSNR (Gao et al., NeurIPS
-    /// 2022), with pictures clamped to 0..1 what most programs call PSNR.
+    /// 2022), with images clamped to 0..1 what most programs call PSNR.
     Joint,
     /// The mean of the PSNR of red, green and blue, as Instant4D and other programs that took it from 3D Gaussian Splatting have
-    /// it: a mean of logarithms, never below [`Self::Joint`]. They do not clamp what they rendered: make the pictures with
+    /// it: a mean of logarithms, never below [`Self::Joint`]. They do not clamp what they rendered: make the images with
     /// [`Picture::from_planes_unclamped`].
     PerChannel,
-    /// Of whole numbers from 0 to 255, `20 log10 (255 / sqrt mean)`: `cv2.PSNR` of pictures in 8 bits (RoDynRF's protocol on NVIDIA
+    /// Of whole numbers from 0 to 255, `20 log10 (255 / sqrt mean)`: `cv2.PSNR` of images in 8 bits (RoDynRF's protocol on NVIDIA
     /// Dynamic). Colours are rounded to the nearest step, halves to the even one as NumPy and OpenCV
     /// do; a program that cuts the fraction off (`astype(uint8)`) scores its own
     /// files a little otherwise.
@@ -26,7 +26,7 @@ pub enum PsnrKind {
 }
 
 impl PsnrKind {
-    /// What a report says of it.
+    /// Returns the title in a report.
     #[must_use]
     pub fn title(self) -> &'static str {
         match self {
@@ -58,7 +58,7 @@ pub fn psnr_db_of(
     reference: &Picture,
     mask: Option<&Mask>,
 ) -> Result<Option<f64>, ImageError> {
-    same_size("the picture", reference.size(), image.size())?;
+    same_size("the image", reference.size(), image.size())?;
     if let Some(mask) = mask {
         same_size("the mask", reference.size(), mask.size())?;
     }

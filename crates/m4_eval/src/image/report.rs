@@ -11,9 +11,9 @@ use std::fmt::Write;
 pub struct ImageProtocol {
     /// Which views were scored, such as `"mill-1 held-out"`.
     pub name: String,
-    /// Columns of the scored pictures, pixels; 0 until the first is added.
+    /// Columns of the scored images, pixels; 0 until the first is added.
     pub width: usize,
-    /// Rows of the scored pictures, pixels; 0 until the first is added.
+    /// Rows of the scored images, pixels; 0 until the first is added.
     pub height: usize,
     /// By how many pixels masks were grown (square structuring element) before use.
     pub mask_dilation_px: usize,
@@ -21,7 +21,7 @@ pub struct ImageProtocol {
     pub ssim_window_px: usize,
     /// Standard deviation of the SSIM window, pixels.
     pub ssim_sigma_px: f64,
-    /// Which windows count: `"valid"`, those that lie wholly inside the picture.
+    /// Which windows count: `"valid"`, those that lie wholly inside the image.
     pub ssim_region: String,
     /// Channels share one mean squared error; colours are clamped to 0..1 first.
     pub psnr: String,
@@ -35,7 +35,7 @@ pub struct ImageProtocol {
 /// Scores of one view.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameScore {
-    /// The reference picture's name.
+    /// The reference image's name.
     pub name: String,
     /// When it was taken, frames of the training video.
     pub t: f64,
@@ -85,7 +85,7 @@ pub struct MeanScore {
 pub struct ImageReport {
     /// How the scores were made.
     pub protocol: ImageProtocol,
-    /// One row a view, in the order added.
+    /// One row per view, in the order added.
     pub frames: Vec<FrameScore>,
 }
 
@@ -111,11 +111,11 @@ impl ImageReport {
         }
     }
 
-    /// Scores one picture; `mask` (not yet grown) is where its moving parts are.
+    /// Scores one image; `mask` (not yet grown) is where its dynamic regions are.
     ///
     /// # Errors
     ///
-    /// [`ImageError::Size`] if picture, mask and reference, or this and earlier views, differ in size;
+    /// [`ImageError::Size`] if image, mask and reference, or this and earlier views, differ in size;
     /// [`ImageError::TooSmall`] if SSIM cannot be computed. A failed view leaves the report as it was.
     pub fn add(
         &mut self,
@@ -214,7 +214,7 @@ impl ImageReport {
         })
     }
 
-    /// The report as a table for people: one line a view, then the mean, then the protocol.
+    /// The report as a table for people: one line per view, then the mean, then the protocol.
     #[must_use]
     pub fn table(&self) -> String {
         let cell = |v: Option<f64>, digits: usize| v.map_or("-".to_owned(), |v| format!("{v:.digits$}"));

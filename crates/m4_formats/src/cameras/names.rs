@@ -1,4 +1,4 @@
-//! Names of pictures in lists of cameras.
+//! Names of images in lists of cameras.
 
 use m4_scene::Scene;
 
@@ -7,7 +7,7 @@ use m4_scene::Scene;
 #[non_exhaustive]
 pub enum BadName {
     /// Another number than that of the cameras.
-    #[error("there are {found} names of pictures and {expected} cameras")]
+    #[error("there are {found} names of images and {expected} cameras")]
     Count {
         /// Cameras of the scene.
         expected: usize,
@@ -15,7 +15,7 @@ pub enum BadName {
         found: usize,
     },
     /// A name that the lists cannot hold.
-    #[error("picture {index} is called {name:?}; names are not empty and have no spaces and no control characters")]
+    #[error("image {index} is called {name:?}; names are not empty and have no spaces and no control characters")]
     Name {
         /// Index of the camera.
         index: usize,
@@ -24,7 +24,7 @@ pub enum BadName {
     },
 }
 
-/// The names given, or `00000.png`, `00001.png`, ... as the pictures of a capture are called.
+/// The names given, or `00000.png`, `00001.png`, ... as the images of a capture are called.
 pub(super) fn names(scene: &Scene, given: Option<&[String]>) -> Result<Vec<String>, BadName> {
     let expected = scene.source.len();
     let Some(given) = given else {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! fl_x fl_y cx cy w h      pixels; of all frames, or inside each frame where they differ
-//! frames[].file_path        name of the picture, relative to the file
+//! frames[].file_path        name of the image, relative to the file
 //!         .transform_matrix 4 x 4, camera to world, OpenGL axes (right, up, back)
 //!         .time             0..1, first to last frame
 //! ```
@@ -31,7 +31,7 @@ const POSE_WITHIN: f64 = 1e-6;
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NerfstudioOptions {
-    /// Names of the pictures, relative to the file, one a camera of the scene. Default: `00000.png`, ...
+    /// Names of the images, relative to the file, one per camera of the scene. Default: `00000.png`, ...
     pub names: Option<Vec<String>>,
 }
 
@@ -47,7 +47,7 @@ pub enum WriteNerfstudioError {
     BadScene {
         /// The file.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         what: String,
     },
     /// The names do not fit.
@@ -55,7 +55,7 @@ pub enum WriteNerfstudioError {
     Names {
         /// The file.
         path: PathBuf,
-        /// What is wrong with them.
+        /// The fault.
         source: BadName,
     },
 }

@@ -1,4 +1,4 @@
-//! Whether a capture can be written at all.
+//! Checks whether a capture can be written.
 
 use super::WriteCaptureAsError;
 use crate::cameras_check::usable;
@@ -48,7 +48,7 @@ pub(super) fn check(out: &Path, capture: &Capture) -> Result<(), WriteCaptureAsE
         if frame.rgb.size() != (k.width, k.height) {
             let (w, h) = frame.rgb.size();
             return Err(bad(format!(
-                "the picture of frame {i} ({}) is {w} x {h} pixels and its camera {} x {}",
+                "the image of frame {i} ({}) is {w} x {h} pixels and its camera {} x {}",
                 frame.name, k.width, k.height
             )));
         }

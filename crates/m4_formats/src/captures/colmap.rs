@@ -1,9 +1,9 @@
-//! A capture as COLMAP's folders, for COLMAP and all that trains on its models.
+//! Writes a capture as COLMAP's folders, for COLMAP and tools that train on its models.
 //!
 //! ```text
 //! images/00000.png       the training frames
-//! masks/00000.png.png    0 where something moves, as COLMAP names and reads masks
-//! sparse/0/*.bin         PINHOLE cameras, poses (world to camera, OpenCV axes), points of what rests
+//! masks/00000.png.png    0 in dynamic regions, as COLMAP names and reads masks
+//! sparse/0/*.bin         PINHOLE cameras, poses (world to camera, OpenCV axes), points of static regions
 //! ```
 
 use super::WriteCaptureAsError;
@@ -23,7 +23,7 @@ use std::path::Path;
 pub struct CaptureColmapOptions {
     /// Text or binary. Default: binary.
     pub encoding: ColmapEncoding,
-    /// Most points. Default 100,000, the order of what COLMAP itself makes of a few hundred pictures.
+    /// Most points. Default 100,000, the order of what COLMAP itself makes of a few hundred images.
     pub max_points: usize,
 }
 
@@ -79,7 +79,7 @@ pub fn write(
 }
 
 fn losses(capture: &Capture, points: usize) -> Vec<Loss> {
-    let mut losses = vec![Loss::Dropped("when the pictures were taken".to_owned())];
+    let mut losses = vec![Loss::Dropped("when the images were taken".to_owned())];
     if capture.frames.iter().any(|f| f.depth.is_some()) {
         losses.push(Loss::Dropped(format!("depth, but for {}", plural(points, "point"))));
     }

@@ -1,4 +1,4 @@
-//! Why a capture could not be written for another tool.
+//! Errors of writing a capture for another tool.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
@@ -12,18 +12,18 @@ pub enum WriteCaptureAsError {
     /// A file did not get to the disk as it was made.
     #[error(transparent)]
     File(#[from] WriteFileError),
-    /// A picture could not be written.
+    /// An image could not be written.
     #[error(transparent)]
     Picture(#[from] WriteImageError),
-    /// A picture that was written could not be read again.
-    #[error("a picture was written and does not read back: {0}; check the disk")]
+    /// An image that was written could not be read again.
+    #[error("an image was written but does not read back: {0}; check the disk")]
     ReadBack(#[from] ReadImageError),
     /// The capture holds what the format cannot, or nothing.
     #[error("cannot write {}: {what}", path.display())]
     BadCapture {
         /// The file or folder.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         what: String,
     },
     /// The recorder of another tool failed.
@@ -31,7 +31,7 @@ pub enum WriteCaptureAsError {
     Recorder {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// Its message.
         what: String,
     },
     /// The caller asked to stop; nothing was left.

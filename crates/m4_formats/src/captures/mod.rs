@@ -1,13 +1,13 @@
-//! Captures for other tools: pictures, masks, depth and points beside the cameras that [`crate::cameras`] writes.
+//! Captures for other tools: images, masks, depth and points, in addition to the cameras that [`crate::cameras`] writes.
 //!
 //! ```text
-//! capture  ->  points of what rests, pictures, masks, depth  ->  a folder beside its place  ->  read back  ->  its name
+//! capture  ->  points of static regions, images, masks, depth  ->  a folder beside its place  ->  read back  ->  its name
 //! ```
 //!
 //! * [`colmap`]: `images/`, `masks/`, `sparse/0/`.
 //! * [`nerfstudio`]: `images/`, `masks/`, `depths/`, `points.ply`, `transforms.json`.
 //!
-//! What moves is 0 in the masks of both folders and left out of the points: their readers rebuild what rests. Conventions
+//! The dynamic part is 0 in the masks of both folders and left out of the points: their readers rebuild the static part. Conventions
 //! (OpenGL axes, polarity of masks, units of depth) are turned in the files of the formats and said there.
 
 pub mod colmap;

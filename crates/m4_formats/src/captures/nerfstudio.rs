@@ -1,11 +1,11 @@
-//! A capture as a folder of nerfstudio (`ns-train ... nerfstudio-data --data OUT`), and of the many tools that read such folders.
+//! Writes a capture as a folder of nerfstudio (`ns-train ... nerfstudio-data --data OUT`), which many tools read.
 //!
 //! ```text
 //! images/00000.png       training frames; test_00000.png: held-out views
-//! masks/00000.png        0 where something moves: nerfstudio trains where a mask is not 0
+//! masks/00000.png        0 in dynamic regions: nerfstudio trains where a mask is not 0
 //! depths/00000.png       z-depth in 16 bits, steps of depth_unit_scale_factor (0.001 where that fits, nerfstudio's own default)
-//! points.ply             points of what rests: x y z, red green blue
-//! transforms.json        lens and pose a frame (camera to world, OpenGL axes: right, up, back), time 0..1,
+//! points.ply             points of static regions: x y z, red green blue
+//! transforms.json        lens and pose per frame (camera to world, OpenGL axes: right, up, back), time 0..1,
 //!                        train_filenames, test_filenames where there are held-out views
 //! ```
 //!

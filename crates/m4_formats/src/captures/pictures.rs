@@ -1,4 +1,4 @@
-//! Pictures, masks and depth of frames as PNG, read back.
+//! Writes images, masks and depth of frames as PNG, and reads them back.
 
 use super::WriteCaptureAsError;
 use crate::WriteFileError;
@@ -52,7 +52,7 @@ fn one(folder: &Path, frame: &CaptureFrame, places: &Places, unit: f64) -> Resul
         let path = folder.join(place);
         let (w, h) = frame.rgb.size();
         let (mw, mh) = mask.size();
-        // their readers want the size of the picture, and white where they may look
+        // their readers want the size of the image, and white where they may look
         let rests = Plane::from_fn(w, h, |x, y| if mask.at(x * mw / w, y * mh / h) { 0 } else { 255 });
         image::write_mask(&path, &rests)?;
         if image::read_mask(&path)?.to_mask() != rests {

@@ -1,4 +1,4 @@
-//! Points of what rests, from depth.
+//! Points of static regions, from depth.
 
 use m4_scene::Capture;
 
@@ -24,7 +24,7 @@ pub(super) fn of_what_rests(capture: &Capture, most: usize) -> Vec<CapturePoint>
         let (w, h) = depth.size();
         let (pw, ph) = frame.rgb.size();
         let step = ((w * h) as f64 / of_frame as f64).sqrt().ceil().max(1.0) as usize;
-        // where the depth map has another size than the picture
+        // where the depth map has another size than the image
         let scale = [pw as f64 / w.max(1) as f64, ph as f64 / h.max(1) as f64];
         for y in (step / 2..h).step_by(step) {
             for x in (step / 2..w).step_by(step) {

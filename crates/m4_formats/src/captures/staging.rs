@@ -1,4 +1,4 @@
-//! Folders that take their place when all that is in them is right.
+//! Folders that are moved to their final location when complete.
 
 use crate::WriteFileError;
 use std::fs;

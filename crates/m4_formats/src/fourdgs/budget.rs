@@ -1,4 +1,4 @@
-//! How much memory a file asks for, before any of it is given.
+//! Computes the memory that a file requires before any is allocated.
 //!
 //! The decoder of the `fourdgs` crate stops at half a gigabyte, whatever the size of the file; streams
 //! with one constant row let a kilobyte ask for that much. Here the counts are added up first.

@@ -1,4 +1,4 @@
-//! The cameras of the video as a sensor on a rig, and a first view for players.
+//! The cameras of the video as a sensor on a rig, and an initial view for viewers.
 
 use super::convert::Clip;
 use crate::Loss;
@@ -63,7 +63,7 @@ pub(super) fn provenance(scene: &Scene, clip: &Clip) -> (Provenance, Vec<Loss>) 
     }
     let lens = first.camera.intrinsics;
     if scene.source.iter().any(|s| s.camera.intrinsics != lens) {
-        losses.push(Loss::Dropped("every lens but that of the first frame".to_owned()));
+        losses.push(Loss::Dropped("intrinsics of all frames but the first".to_owned()));
     }
     let size = |v: usize| u32::try_from(v).unwrap_or(u32::MAX);
     out.sensors.push(SensorCalibration {
@@ -131,7 +131,7 @@ fn median_depth(scene: &Scene, camera: &Camera) -> f64 {
     *depths.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The cameras of a file: those of its first pinhole sensor, one a pose of its rig.
+/// The cameras of a file: those of its first pinhole sensor, one per pose of its rig.
 pub(super) fn source(provenance: &Provenance, clip: &Clip, losses: &mut Vec<Loss>) -> Vec<SourceFrame> {
     let Some(sensor) = provenance.sensors.iter().find(|s| s.is_camera()) else {
         return Vec::new();
@@ -175,7 +175,7 @@ pub(super) fn source(provenance: &Provenance, clip: &Clip, losses: &mut Vec<Loss
         return source;
     }
     losses.push(Loss::Dropped(format!(
-        "the camera {:?}: its lens or its poses make no picture",
+        "the camera {:?}: its lens or its poses make no image",
         sensor.name
     )));
     Vec::new()

@@ -1,4 +1,4 @@
-//! Splats to the columns of the container, and back.
+//! Converts splats to the columns of the container, and back.
 
 use crate::Loss;
 use crate::row::{FOREVER_CLIPS, Life, Row, collect, logit, sigmoid, unit};

@@ -1,4 +1,4 @@
-//! Why a `.4dgs` file could not be read or written.
+//! Errors of reading and writing `.4dgs` files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
@@ -15,7 +15,7 @@ pub enum ReadFourdgsError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is of another kind, or of a version, model or codec that is not known here.
@@ -23,7 +23,7 @@ pub enum ReadFourdgsError {
     Unsupported {
         /// The file.
         path: PathBuf,
-        /// What the file says.
+        /// The statement in the file.
         reason: String,
     },
     /// The file ends too early or contradicts itself.
@@ -31,11 +31,11 @@ pub enum ReadFourdgsError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What the parser said.
+        /// The message of the parser.
         reason: String,
     },
     /// The file claims more than it can hold.
-    #[error("{} claims splats that need {needed} bytes of memory, and a file of {len} bytes may ask for {allowed}; it is damaged or made to exhaust the machine", path.display())]
+    #[error("{} declares splats that need {needed} bytes of memory, and a file of {len} bytes may use {allowed}; it is damaged or malicious", path.display())]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -53,9 +53,9 @@ pub enum ReadFourdgsError {
         path: PathBuf,
         /// Which splat, in the order of the file.
         splat: usize,
-        /// Which of its parameters.
+        /// The parameter.
         field: &'static str,
-        /// As found.
+        /// The value in the file.
         value: f32,
     },
 }
@@ -82,11 +82,11 @@ pub enum WriteFourdgsError {
     /// The scene has values that no file can hold.
     #[error("the scene cannot be written as .4dgs: {reason}")]
     BadScene {
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// The bytes that were made do not decode to the scene within the declared bounds.
-    #[error("the .4dgs file that was made does not decode to the scene: {reason}; this is a bug, please report it")]
+    #[error("the written .4dgs file does not decode to the scene: {reason}; this is a bug, please report it")]
     Verify {
         /// What differs, and by how much.
         reason: String,

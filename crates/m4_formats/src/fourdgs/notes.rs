@@ -1,4 +1,4 @@
-//! What of a scene the format has no field for, as a metadata record of our own.
+//! The properties of a scene without a field in the format, as our own metadata record.
 
 use ::fourdgs::Metadata;
 use m4_scene::Scene;

@@ -1,4 +1,4 @@
-//! A `.4dgs` file to a scene.
+//! Reads a `.4dgs` file as a scene.
 
 use super::convert::{BadField, Clip, from_set};
 use super::notes::{self, MAX_FRAMES};

@@ -1,9 +1,9 @@
-//! Whether a file decodes to what was put in, within the bounds that it declares.
+//! Verifies that a file decodes to its input, within the bounds that it declares.
 //!
 //! The encoder's own check allows 1e-9 beside each bound, and the decoder rounds to f32, so it refuses
 //! ordinary scenes. This one allows a unit in the last place. Chunks and the Morton order inside them
 //! rearrange splats, so each original is first put on the grid of the file as a decoder would, and the
-//! two sets of rows must then agree to the bit; the grid itself is compared with the original.
+//! two sets of rows must then agree bit for bit; the grid itself is compared with the original.
 
 use ::fourdgs::quantization::{
     Bounds, Steps, dequantize_rotation, life_class, motion_step, mu_step, quantize_rotation, rint, support_k,

@@ -1,4 +1,4 @@
-//! A scene to a `.4dgs` file.
+//! Writes a scene as a `.4dgs` file.
 
 use super::convert::{Clip, to_set};
 use super::{WriteFourdgsError, cameras, notes, verify};
@@ -113,12 +113,12 @@ pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Los
     let mut losses = Vec::new();
     if clock.assumed {
         losses.push(Loss::Baked(format!(
-            "seconds, at {DEFAULT_FPS} frames a second: the scene does not know how long it lasts"
+            "seconds, at {DEFAULT_FPS} frames per second: the scene does not know how long it lasts"
         )));
     }
     if scene.splats.layout().time_degree > 0 {
         losses.push(Loss::Baked(
-            "the harmonics of time: every colour is that in the middle of the splat's life".to_owned(),
+            "the harmonics of time: every colour is that in the middle of the splat's lifetime".to_owned(),
         ));
     }
     if scene.mip {

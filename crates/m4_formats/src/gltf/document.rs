@@ -18,7 +18,7 @@ pub struct Document {
     pub buffers: Vec<Buffer>,
 }
 
-/// What a mesh hangs on.
+/// The node of a mesh.
 #[derive(Debug, Clone, Serialize)]
 pub struct Node {
     pub name: String,

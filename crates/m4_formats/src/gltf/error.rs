@@ -1,4 +1,4 @@
-//! Why a glTF file could not be written.
+//! Errors of writing glTF files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
@@ -16,7 +16,7 @@ pub enum WriteGltfError {
     BadScene {
         /// The file.
         path: PathBuf,
-        /// What, and what to do.
+        /// The fault, and how to fix it.
         what: String,
     },
 }

@@ -1,4 +1,4 @@
-//! Binary glTF (`.glb`) with `KHR_gaussian_splatting`: one instant, 60 bytes a splat and 12 for each
+//! Binary glTF (`.glb`) with `KHR_gaussian_splatting`: one instant, 60 bytes per splat and 12 for each
 //! harmonic, in f32.
 //!
 //! The splats are the vertices of one primitive of points:

@@ -1,4 +1,4 @@
-//! One instant of a scene to binary glTF.
+//! Writes one instant of a scene as binary glTF.
 
 use super::document::{Accessor, Buffer, BufferView, Document, Mesh, Node, Primitive};
 use super::error::WriteGltfError;

@@ -1,4 +1,4 @@
-//! Why a PLY file could not be read or written.
+//! Errors of reading and writing PLY files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
@@ -15,7 +15,7 @@ pub enum ReadPlyError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is of another kind.
@@ -23,7 +23,7 @@ pub enum ReadPlyError {
     NotPly {
         /// The file.
         path: PathBuf,
-        /// How that is known.
+        /// The reason.
         reason: String,
     },
     /// A PLY file without splats, or with splats in a layout that is not known here.
@@ -39,7 +39,7 @@ pub enum ReadPlyError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What was found.
+        /// The findings.
         reason: String,
     },
     /// A number that no splat can have.
@@ -49,9 +49,9 @@ pub enum ReadPlyError {
         path: PathBuf,
         /// Which splat, in the order of the file.
         splat: usize,
-        /// Which of its properties.
+        /// The property.
         property: String,
-        /// As found.
+        /// The value in the file.
         value: f32,
     },
 }
@@ -78,7 +78,7 @@ pub enum WritePlyError {
     /// The scene has values that would not render.
     #[error("the scene cannot be written as PLY: {reason}")]
     BadScene {
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
 }

@@ -1,4 +1,4 @@
-//! The text at the start of a PLY file.
+//! The text header of a PLY file.
 
 /// Longest header that is read, bytes.
 const MAX_HEADER: usize = 64 << 10;
@@ -74,7 +74,7 @@ impl Element {
     }
 }
 
-/// What the text says.
+/// The contents of the header.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Header {
     pub encoding: Encoding,
@@ -106,7 +106,7 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, BadHeader> {
     let mut elements: Vec<Element> = Vec::new();
     loop {
         let Some(line) = lines.next() else {
-            return Err(BadHeader::Damaged("its header has no end, or is no text".to_owned()));
+            return Err(BadHeader::Damaged("its header has no end, or is not text".to_owned()));
         };
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         match words[..] {
@@ -122,7 +122,9 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Header, BadHeader> {
             }
             ["element", name, rows] => elements.push(Element {
                 name: name.to_owned(),
-                rows: rows.parse().map_err(|_| damaged("a count that is no number", line))?,
+                rows: rows
+                    .parse()
+                    .map_err(|_| damaged("a count that is not a number", line))?,
                 properties: Vec::new(),
                 lists: false,
             }),

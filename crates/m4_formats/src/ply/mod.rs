@@ -1,6 +1,6 @@
-//! PLY files in the layout of 3DGS: one instant, or a folder with one file a frame.
+//! PLY files in the layout of 3DGS: one instant, or a folder with one file per frame.
 //!
-//! A file is a header of text and a table of 32-bit numbers, little-endian, a row a splat:
+//! A file is a header of text and a table of 32-bit numbers, little-endian, a row per splat:
 //!
 //! ```text
 //! x y z            mean, world units             nx ny nz         0
@@ -11,7 +11,7 @@
 //! ```
 //!
 //! Read are also: other orders of the properties, missing normals, harmonics of degree 0 to 3, one scale in
-//! place of three, `red green blue` in place of coefficients, any number type, big-endian and text.
+//! place of three, `red green blue` instead of coefficients, any number type, big-endian and text.
 
 mod error;
 mod header;

@@ -1,4 +1,4 @@
-//! A PLY file of splats to a scene.
+//! Reads a PLY file of splats as a scene.
 
 use super::ReadPlyError;
 use super::header::{BadHeader, Kind, parse as parse_header};
@@ -158,7 +158,7 @@ impl<'a> Columns<'a> {
         let scale = match (scale(1), scale(2)) {
             (Some(second), Some(third)) => [first, second, third],
             (None, None) => [first; 3],
-            _ => return Err("it has two scales a splat: flat splats are not known here".to_owned()),
+            _ => return Err("it has two scales per splat: flat splats are not supported".to_owned()),
         };
         let turn: Option<Vec<&[f32]>> = (0..4).map(|k| numbered(["rot", "rotation"], k)).collect();
         let quat = turn.and_then(|columns| <[&[f32]; 4]>::try_from(columns).ok());

@@ -1,4 +1,4 @@
-//! A folder with one PLY file a frame.
+//! Writes a folder with one PLY file per frame.
 
 use super::WritePlyError;
 use super::write::{check, encode, seen, unheld};
@@ -14,7 +14,7 @@ pub fn frame_name(i: usize) -> String {
 }
 
 /// Writes a file for each of `times` (frames) into `folder`, each whole or not at all. Files of a longer
-/// sequence that was there before are removed. `each` is told after every file, and may stop the work by
+/// sequence that was there before are removed. `each` is called after every file, and may stop the work by
 /// returning false; the files written until then stay.
 ///
 /// # Errors

@@ -73,7 +73,7 @@ fn text(element: &Element, bytes: &[u8], columns: &mut [Option<Vec<f32>>]) -> Re
                 .next()
                 .and_then(|word| std::str::from_utf8(word).ok()?.parse::<f64>().ok());
             let Some(number) = number else {
-                return Err(format!("{} of splat {row} is no number, or missing", property.name));
+                return Err(format!("{} of splat {row} is not a number, or missing", property.name));
             };
             if let Some(column) = column {
                 column.push(number as f32);

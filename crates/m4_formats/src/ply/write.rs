@@ -1,4 +1,4 @@
-//! One instant of a scene to a PLY file.
+//! Writes one instant of a scene as a PLY file.
 
 use super::WritePlyError;
 use crate::row::Row;
@@ -52,7 +52,7 @@ pub(super) fn seen(scene: &Scene, t: f64) -> Splats {
     instant(&scene.splats, t, (scene.time_frames.max(2) - 1) as f64)
 }
 
-/// What no PLY file holds.
+/// Returns the properties of a scene that PLY cannot store.
 pub(super) fn unheld(scene: &Scene) -> Vec<Loss> {
     let mut losses = Vec::from_iter(Loss::of_mip(scene));
     if !scene.source.is_empty() {

@@ -1,4 +1,4 @@
-//! Why a `.splatv` file could not be written.
+//! Errors of writing `.splatv` files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
@@ -13,7 +13,7 @@ pub enum WriteSplatvError {
     /// The scene has values that no file can hold.
     #[error("the scene cannot be written as .splatv: {reason}")]
     BadScene {
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
 }

@@ -32,7 +32,7 @@ pub(super) struct View {
     pub time: f64,
 }
 
-/// What players do not need.
+/// Metadata that viewers ignore.
 #[derive(Debug, Serialize)]
 pub(super) struct Facts {
     pub time_frames: usize,

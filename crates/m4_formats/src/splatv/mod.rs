@@ -1,4 +1,4 @@
-//! `.splatv`: the file of the splaTV player, 64 bytes a splat.
+//! `.splatv`: the file of the splaTV viewer, 64 bytes per splat.
 //!
 //! There is no specification; this is what the players `splaTV` and `gsplat.js` read. Numbers are
 //! little-endian. The file is `0x674b` and the length of the JSON as `u32`, the JSON, and one texture
@@ -10,7 +10,7 @@
 //! word 3, 4    rotation (w, x, y, z), halves           word 5, 6    scales, 3 halves, world units
 //! word 7       red, green, blue, opacity, a byte each
 //! word 8..13   motion: 3 linear, 3 quadratic, 3 cubic coefficients, halves, world units a clip^n
-//! word 13, 14  change of the rotation, 4 halves a clip  word 15      middle of its life, its length s
+//! word 13, 14  change of the rotation, 4 halves per clip  word 15      middle of its life, its length s
 //! ```
 //!
 //! Time runs from 0 to 1; a splat is drawn with its opacity times `exp(-((t - middle) / s)^2)`, so that

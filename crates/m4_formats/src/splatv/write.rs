@@ -1,4 +1,4 @@
-//! A scene to a `.splatv` file.
+//! Writes a scene as a `.splatv` file.
 
 use super::header::{Facts, Part, views};
 use super::{MAGIC, SPLAT_BYTES, TEX_WIDTH, TEXEL_BYTES, WriteSplatvError};
@@ -134,12 +134,12 @@ fn losses(scene: &Scene, worst_shift: f64) -> Vec<Loss> {
     let mut losses = Vec::new();
     if layout.time_degree > 0 {
         losses.push(Loss::Baked(
-            "the harmonics of time: every colour is that in the middle of the splat's life".to_owned(),
+            "the harmonics of time: every colour is that in the middle of the splat's lifetime".to_owned(),
         ));
     }
     if layout.sh_degree > 0 {
         losses.push(Loss::Dropped(
-            "the harmonics of space: a colour is the same from every side".to_owned(),
+            "the spherical harmonics: a colour is the same from every direction".to_owned(),
         ));
     }
     if scene.mip {

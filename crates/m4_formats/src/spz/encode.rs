@@ -1,4 +1,4 @@
-//! Splats of one instant to the bytes inside the gzip stream.
+//! Encodes splats of one instant as the bytes inside the gzip stream.
 
 use super::layout::{COLOUR_SCALE, FLAG_ANTIALIASED, Header, ROTATION_STEPS};
 use super::options::SpzOptions;

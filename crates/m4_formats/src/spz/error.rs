@@ -1,4 +1,4 @@
-//! Why an SPZ file could not be written.
+//! Errors of writing SPZ files.
 
 use crate::WriteFileError;
 use m4_io::ErrorKind;
@@ -16,7 +16,7 @@ pub enum WriteSpzError {
     BadScene {
         /// The file.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         what: String,
     },
     /// A setting is out of range.
@@ -26,7 +26,7 @@ pub enum WriteSpzError {
         path: PathBuf,
         /// The field of [`super::SpzOptions`].
         setting: &'static str,
-        /// Its value.
+        /// The value.
         value: String,
         /// What was expected.
         expected: &'static str,

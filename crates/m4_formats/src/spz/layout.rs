@@ -13,7 +13,7 @@ pub const COLOUR_SCALE: f32 = 0.15;
 /// Largest magnitude of a 10-bit component.
 pub const ROTATION_STEPS: f32 = 511.0;
 
-/// What the header says.
+/// The contents of the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Header {
     pub splats: u32,

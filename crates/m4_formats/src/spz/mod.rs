@@ -1,6 +1,6 @@
-//! SPZ, the compressed splats of Niantic (version 3): one instant, about 10 bytes a splat.
+//! SPZ, the compressed splats of Niantic (version 3): one instant, about 10 bytes per splat.
 //!
-//! A gzip stream of a header of 16 bytes and then one block a parameter, little-endian:
+//! A gzip stream of a header of 16 bytes and then one block per parameter, little-endian:
 //!
 //! ```text
 //! u32 0x5053474e ("NGSP"), u32 version, u32 n, u8 sh_degree, u8 fractional_bits, u8 flags, u8 0

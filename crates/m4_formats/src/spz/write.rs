@@ -1,4 +1,4 @@
-//! One instant of a scene to an SPZ file.
+//! Writes one instant of a scene as an SPZ file.
 
 use super::encode::{Encoded, MAX_FRACTIONAL_BITS, encode};
 use super::error::WriteSpzError;

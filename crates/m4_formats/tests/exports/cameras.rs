@@ -164,11 +164,11 @@ fn what_cannot_be_written_is_named() {
     check(
         &scene,
         Some(vec!["a.png".into()]),
-        "there are 1 names of pictures and 9 cameras",
+        "there are 1 names of images and 9 cameras",
     );
     let mut names = vec!["a.png".to_owned(); 9];
     names[4] = "b c.png".into();
-    check(&scene, Some(names), "picture 4 is called \"b c.png\"");
+    check(&scene, Some(names), "image 4 is called \"b c.png\"");
     let mut none = scene.clone();
     none.source.clear();
     check(&none, None, "no cameras");

@@ -14,7 +14,7 @@ fn parts(bytes: &[u8]) -> (Value, &[u8]) {
     )
 }
 
-/// An attribute by what the JSON says of it, `width` numbers a splat.
+/// An attribute by what the JSON says of it, `width` numbers per splat.
 fn attribute(json: &Value, bin: &[u8], name: &str, width: usize) -> Vec<Vec<f32>> {
     let accessor = &json["meshes"][0]["primitives"][0]["attributes"][name];
     let accessor = &json["accessors"][accessor.as_u64().unwrap() as usize];
@@ -111,7 +111,7 @@ fn what_is_in_the_file_is_the_scene() {
         }
         let length = |q: &Vec<f32>| q.iter().map(|v| v * v).sum::<f32>().sqrt();
         assert!(of("ROTATION", 4).iter().all(|q| (length(q) - 1.0).abs() < 1e-5));
-        // what the documentation says: 60 bytes a splat and 12 a harmonic, beside the JSON
+        // what the documentation says: 60 bytes per splat and 12 a harmonic, beside the JSON
         let harmonics = (degree + 1) * (degree + 1) - 1;
         assert_eq!(bin.len(), expected.n() * (60 + 12 * harmonics), "{json}");
     }

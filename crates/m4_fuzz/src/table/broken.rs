@@ -1,4 +1,4 @@
-//! Readers that do each kind of harm to a file that starts with `!`: what looks for harm has to find it here.
+//! Deliberately faulty readers, one per kind of fault, for files that start with `!`: they verify that each fault is detected.
 
 use super::alone;
 use crate::reader::{Outcome, Reader};

@@ -1,4 +1,4 @@
-//! Readers of `m4_import`: one row for each file that a format parses, in a clip that is sound but for it.
+//! Readers of `m4_import`: one row for each file that a format parses, in an otherwise valid clip.
 
 use super::{among, within};
 use crate::dress::Dress;
@@ -33,7 +33,7 @@ fn plain(name: &'static str, format: SourceFormat, source: &str, file: &str) -> 
     Reader { dress, ..reader }
 }
 
-/// A file of a fixture whose pictures lie elsewhere.
+/// A file of a fixture whose images lie elsewhere.
 fn pictured(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
     let options = ImportOptions {
         pictures: Some(fixture("import/clip/images")),
@@ -98,7 +98,7 @@ fn cameras_of_tools() -> Vec<Reader> {
     ]
 }
 
-/// The same with the pictures that its list names beside it.
+/// The same with the images that its list names beside it.
 fn beside_clip(name: &'static str, file: &str) -> Reader {
     let options = ImportOptions {
         reach: Reach::Anywhere,

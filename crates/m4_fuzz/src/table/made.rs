@@ -1,4 +1,4 @@
-//! Sound files of our own writers.
+//! Valid files written by our own writers.
 
 use m4_io::capture::{self, Split};
 use m4_math::Se3;
@@ -77,7 +77,7 @@ pub fn capture_into(folder: &Path) {
     }
 }
 
-/// A small picture as a PNG file (of `name.png`) or a JPEG file.
+/// A small image as a PNG file (of `name.png`) or a JPEG file.
 pub fn picture(name: &str) -> Vec<u8> {
     let picture = Plane::from_fn(24, 18, |x, y| [x as u8 * 9, y as u8 * 11, (x * y) as u8]);
     written(name, |path| m4_io::image::write_rgb(path, &picture))

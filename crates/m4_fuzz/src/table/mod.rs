@@ -1,7 +1,7 @@
 //! All readers.
 //!
 //! ```text
-//! io        pictures, arrays, tracks, camera paths, captures, scene files, MegaSaM, video
+//! io        images, arrays, tracks, camera paths, captures, scene files, MegaSaM, video
 //! formats   splats and cameras of other tools
 //! import    clips of other tools: one row for each file that is parsed
 //! side      depth, masks and tracks that are given with a clip

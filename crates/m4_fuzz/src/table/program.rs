@@ -114,7 +114,7 @@ fn manifests() -> Vec<Vec<u8>> {
 /// What is seen of a batch whose results are in `folder`.
 fn report(folder: &Path) -> Outcome {
     let read = Report::read(&manifest(&folder.to_string_lossy()));
-    // What cannot be understood counts as not there, or as somebody else's.
+    // What cannot be understood counts as absent, or as not ours.
     let understood = |clip: &ClipReport| {
         let of_batch = |reason: &String| reason.starts_with("its result is of");
         clip.host.is_some() || clip.reason.as_ref().is_some_and(of_batch)
@@ -132,7 +132,7 @@ fn report(folder: &Path) -> Outcome {
     })
 }
 
-/// A record that is damaged is none: the stage begins anew.
+/// A record that is damaged is none: the stage starts again.
 fn usable<T, E: std::fmt::Display>(read: Result<Option<T>, E>) -> Outcome {
     match read {
         Ok(None) => Outcome::Refused("no record that can be used".to_owned()),

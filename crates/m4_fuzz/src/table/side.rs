@@ -1,4 +1,4 @@
-//! Readers of what is given with a clip: depth, masks and tracks.
+//! Readers of files that accompany a clip: depth, masks and tracks.
 
 use super::import::clip;
 use super::{alone, among, within};

@@ -1,4 +1,4 @@
-//! What becomes of each splat: the rows that it leaves and bears, and how many there are of each.
+//! The outcome of density control for each splat: the rows that it keeps and adds, and their totals.
 
 use super::{DensityRound, Grown, PruneRule, SplitSize};
 use crate::GpuError;
@@ -7,11 +7,11 @@ use crate::scan::{Scan, scan_cube};
 use crate::splats::DeviceSplats;
 use cubecl::prelude::*;
 
-/// Rows of the next splats: static that stay, static born, dynamic that stay, dynamic born.
+/// Rows of the next splats: static that stay, new static, dynamic that stay, new dynamic.
 pub(super) struct Fates {
     /// How many rows each splat leaves (0 or 1) and bears (0 to 2), `[2 n]` in that order.
     pub sizes: Buffer,
-    /// Where they are.
+    /// Their positions.
     pub places: Buffer,
     /// Cloned, split, pruned, splats, static splats.
     counts: Buffer,
@@ -100,7 +100,7 @@ impl Fates {
     }
 }
 
-/// Where row `i` is among the numbers of those that stay; of those born it is `n_static` or `n - n_static` farther.
+/// Where row `i` is among the numbers of those that stay; of the new ones it is `n_static` or `n - n_static` farther.
 #[cube]
 pub(super) fn stay_of(i: u32, n_static: u32) -> u32 {
     let mut stay = i;

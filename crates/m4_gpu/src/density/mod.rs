@@ -1,5 +1,4 @@
-//! A round of density control that never leaves the device: scores, who is cloned, split and pruned, and what becomes of
-//! them.
+//! A round of density control on the device: scores, the choice of splats to clone, split and prune, and the new rows.
 //!
 //! | file | what it does |
 //! |---|---|
@@ -7,7 +6,7 @@
 //! | `fate` | the rows that each splat leaves and bears, and how many there are |
 //! | `newborn` | the next rows, and what clones and halves look like |
 //!
-//! Rows are laid out by one exclusive sum: static splats that stay, then those born, then the same of dynamic splats. All
+//! Rows are laid out by one exclusive sum: static splats that stay, then the new ones, then the same of dynamic splats. All
 //! that is read back is how many there are.
 
 mod fate;
@@ -25,14 +24,14 @@ use m4_kernels::View;
 /// The rules of a round.
 #[derive(Debug, Clone, Copy)]
 pub struct DensityRound<'a> {
-    /// Frames by number and how they are seen: their scores say who is wrong. Not looked at where nobody is cloned, split or
+    /// Frames by number and how they are seen: their scores choose the splats to change. Unused if no splat is cloned, split or
     /// pruned by score.
     pub looks: &'a [(usize, View)],
     /// Which errors of a frame count.
     pub scores: ScoreSettings,
-    /// Who is cloned or split; `None` for nobody.
+    /// Which splats are cloned or split; `None` for none.
     pub grow: Option<GrowRule>,
-    /// Who is pruned by score; `None` for nobody.
+    /// Which splats are pruned by score; `None` for none.
     pub prune: Option<PruneRule>,
     /// Splats of a lower opacity (0..1, without time) go, unless they are split.
     pub min_opacity: f32,
@@ -47,7 +46,7 @@ pub struct DensityRound<'a> {
 pub struct GrowRule {
     /// The score that must be exceeded.
     pub threshold: f32,
-    /// At most so many.
+    /// At most this many.
     pub budget: usize,
 }
 
@@ -76,7 +75,7 @@ pub enum PruneRule {
 pub enum SplitSize<'a> {
     /// The same everywhere, scene units.
     Everywhere(f32),
-    /// As large as so many pixels in the nearest camera.
+    /// As large as this many pixels in the nearest camera.
     Pixels {
         /// Pixels.
         pixels: f32,
@@ -103,8 +102,8 @@ pub struct Grown {
 }
 
 impl Trainer {
-    /// Clones, splits and prunes splats by the rules of `round`. Survivors keep the optimiser's state, newborns start from
-    /// nothing. Rows are in their old order, static before dynamic, those born after those that stay; halves lie 0.6
+    /// Clones, splits and prunes splats by the rules of `round`. Survivors keep the optimiser's state, new splats start from
+    /// nothing. Rows are in their old order, static before dynamic, the new ones after those that stay; halves lie 0.6
     /// standard deviations to both sides along the longest axis, 0.8 as long there. Where nothing would be left, nothing
     /// changes.
     ///
@@ -151,7 +150,7 @@ impl Trainer {
         Ok(fate::Fates::new(client, &self.splats, round, &grows, &scores, &range))
     }
 
-    /// Scores `[2][n]` that say who grows and who goes; they hold anything where nobody asks.
+    /// Scores `[2][n]` that choose the splats to densify and to prune; unspecified where neither happens.
     fn scores_of_round(&mut self, round: &DensityRound<'_>) -> Result<Buffer, GpuError> {
         if round.grow.is_none() && round.prune.is_none() {
             return Ok(Buffer::empty(&self.gpu.client, 2 * self.splats.n));

@@ -1,4 +1,4 @@
-//! The next rows, and what clones and halves look like.
+//! Writes the next rows, including clones and split halves.
 
 use super::fate::{Fates, birth_of, stay_of};
 use crate::buffer::{Buffer, cubes, units};

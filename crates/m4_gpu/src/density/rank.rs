@@ -1,4 +1,4 @@
-//! Scores in order: the best that may grow, and the range that prune scores are measured in.
+//! Ranks scores: the best that may be densified, and the range in which prune scores are measured.
 
 use super::{GrowRule, PruneRule};
 use crate::bin;
@@ -61,7 +61,7 @@ impl Rank {
         grows
     }
 
-    /// The scores that become 0 and 1; the second is not larger where nobody is to be pruned.
+    /// The scores that become 0 and 1; the second is not larger if nothing is to be pruned.
     pub fn prune_range(&self, client: &Client, rule: Option<PruneRule>, scores: &Buffer) -> Buffer {
         let n = self.n as u32;
         let (literal, quantile) = match rule {

@@ -1,4 +1,4 @@
-//! From the sums of the tiles to gradients of the parameters.
+//! Turns the sums of the tiles into gradients of the parameters.
 
 use super::{Spec, ellipse, offset_of, opacity_logit, row, sight};
 use crate::eye::{FOCAL, INVERSE_PERIOD, TIME};

@@ -1,4 +1,4 @@
-//! From parameters to records.
+//! Turns parameters into records.
 
 use super::{Spec, ellipse, offset_of, opacity_logit, row, sight};
 use crate::eye::{INVERSE_PERIOD, NEAR, SIZE, TIME};

@@ -1,4 +1,4 @@
-//! Splats of one instant to ellipses on the image, and back: slice, project and shade in one kernel, a unit a splat.
+//! Projects splats of one instant to ellipses on the image, and back: slice, project and shade in one kernel, one unit per splat.
 
 mod backward;
 mod forward;

@@ -277,7 +277,7 @@ fn splats_grow_and_go_as_on_the_processor() {
         };
         let grown = check("only opacity", &mut trainer, &last);
         assert!(grown.cloned + grown.split == 0 && grown.pruned > 10, "{grown:?}");
-        // and steps go on from there
+        // and steps continue from there
         trainer.found().unwrap();
         let before = trainer.download_splats().unwrap();
         step(&mut trainer, &looks[0].1);

@@ -1,4 +1,4 @@
-//! The kernels on a GPU agree with those of the processor. Without a GPU they run on software that plays one, where
+//! The kernels on a GPU agree with those of the processor. Without a GPU they run on a software Vulkan driver (lavapipe), where
 //! that is installed (`apt-get install mesa-vulkan-drivers`); without that either, every test says so and ends.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
@@ -16,7 +16,7 @@ mod twins;
 
 use m4_gpu::{Choice, Gpu};
 
-/// A GPU, or software that plays one; `None`, and said so, where there is neither.
+/// A GPU, or a software Vulkan driver (lavapipe); `None`, and said so, where there is neither.
 #[track_caller]
 fn gpu(test: &str) -> Option<Gpu> {
     match Gpu::open(Choice::Best).or_else(|_| Gpu::open(Choice::Software)) {

@@ -32,7 +32,7 @@ fn survivors_keep_their_state_and_newborns_start_from_nothing() {
     let (splats, adam) = trainer.download().unwrap();
     assert_eq!(trainer.download_splats().unwrap(), splats);
     let (n, n_static) = (splats.n() as u32, splats.n_static() as u32);
-    // backwards, every third gone, every seventh twice: the second time as a newborn
+    // backwards, every third gone, every seventh twice: the second time as a new splat
     let mut rows = Vec::new();
     for range in [0..n_static, n_static..n] {
         rows.extend(range.clone().rev().filter(|r| r % 3 != 0).map(|r| (r, false)));
@@ -48,7 +48,7 @@ fn survivors_keep_their_state_and_newborns_start_from_nothing() {
     (0..rows.len()).filter(|&i| newborn[i]).for_each(|i| want.forget(i));
     assert!(want.step.contains(&2) && columns(&want.m).iter().any(|&v| v != 0.0));
 
-    // newborns differ from their parents, and so does one that stays
+    // new splats differ from their parents, and so does one that stays
     let mut next = next;
     let changed: Vec<u32> = (0..rows.len())
         .filter(|&i| newborn[i] || i == 5)
@@ -74,7 +74,7 @@ fn survivors_keep_their_state_and_newborns_start_from_nothing() {
     };
     trainer.regrow(&regrowth).unwrap();
     assert_eq!(trainer.download().unwrap(), (next.clone(), want.clone()));
-    // and steps go on from there
+    // and steps continue from there
     trainer.found().unwrap();
     let rates = vec![1e-3; LAYOUT.columns()];
     trainer.step(0, &view, &settings(&rates)).unwrap();

@@ -10,7 +10,7 @@ use m4_scene::{Column, Splats};
 /// Room that a trainer has at first for few splats.
 const FIRST: usize = 1 << 16;
 
-/// Many splats, each over the whole picture; nearly transparent, so that the last of them counts too.
+/// Many splats, each over the whole image; nearly transparent, so that the last of them counts too.
 fn wide() -> (Splats, View) {
     let (splats, view) = start();
     let rows: Vec<u32> = (0..4500).map(|i| i * 300 / 4500).collect();
@@ -40,7 +40,7 @@ fn settings(rates: &[f32]) -> StepSettings<'_> {
     }
 }
 
-/// The picture drawn last is that of the processor.
+/// The image drawn last is that of the processor.
 fn check(trainer: &Trainer, splats: &Splats, view: &View) {
     let want = Renderer::new(SimdLevel::best()).render(splats, view).clone();
     let got = trainer.frame().unwrap();

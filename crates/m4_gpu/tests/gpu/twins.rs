@@ -1,4 +1,4 @@
-//! Pictures and gradients.
+//! Images and gradients.
 
 use crate::gpu;
 use m4_gpu::Renderer as GpuRenderer;
@@ -45,7 +45,7 @@ const FLIPS: Flips = Flips {
 
 #[test]
 fn pictures_and_gradients_are_those_of_the_processor() {
-    let Some(gpu) = gpu("pictures and gradients") else {
+    let Some(gpu) = gpu("images and gradients") else {
         return;
     };
     for (seed, size, layout, n) in [

@@ -1,4 +1,4 @@
-//! Why a source could not be read.
+//! Errors of reading a source.
 
 use m4_io::image::ReadImageError;
 use m4_io::reach::OutsideError;
@@ -20,7 +20,7 @@ pub struct ReadSourceError {
     pub path: PathBuf,
     /// The field, line or frame.
     pub place: Option<String>,
-    /// What is wrong.
+    /// The fault.
     pub fault: SourceFault,
 }
 
@@ -31,12 +31,12 @@ pub enum SourceFault {
     /// The system could not read it.
     #[error("{0}")]
     Io(#[from] io::Error),
-    /// Something that the format needs is not there.
+    /// Something that the format needs is missing.
     #[error("{what} is missing; {remedy}")]
     Missing {
         /// What.
         what: String,
-        /// What to do.
+        /// How to fix it.
         remedy: String,
     },
     /// A value cannot be, or does not fit the others.
@@ -44,7 +44,7 @@ pub enum SourceFault {
     Bad {
         /// What it holds and what was expected.
         what: String,
-        /// What to do.
+        /// How to fix it.
         remedy: String,
     },
     /// It is in order but is not read here.
@@ -52,7 +52,7 @@ pub enum SourceFault {
     Unsupported {
         /// What.
         what: String,
-        /// What to do.
+        /// How to fix it.
         remedy: String,
     },
     /// It would not fit into memory.
@@ -62,17 +62,17 @@ pub enum SourceFault {
         limit_bytes >> 20
     )]
     TooLarge {
-        /// What would take it.
+        /// The data that need it.
         what: String,
-        /// How much.
+        /// The required memory.
         needed_bytes: u64,
-        /// What it may take.
+        /// The limit.
         limit_bytes: u64,
     },
     /// A file that the source names lies outside of its folder.
     #[error(transparent)]
     Outside(#[from] Box<OutsideError>),
-    /// A picture, depth map or mask cannot be decoded.
+    /// An image, depth map or mask cannot be decoded.
     #[error(transparent)]
     Image(#[from] ReadImageError),
     /// The caller asked to stop.
@@ -127,7 +127,7 @@ impl SourceFault {
         }
     }
 
-    /// With the file.
+    /// Adds the file to the fault.
     #[must_use]
     pub fn at(self, path: &Path) -> ReadSourceError {
         ReadSourceError {
@@ -169,9 +169,11 @@ mod tests {
 
     #[test]
     fn what_is_quoted_at_length_keeps_its_start_and_what_to_do() {
-        let fault = SourceFault::bad(format!("{:?} is no number", "9ü".repeat(100_000)), "correct it");
+        let fault = SourceFault::bad(format!("{:?} is not a number", "9ü".repeat(100_000)), "correct it");
         let said = fault.within(Path::new("a.txt"), "line 7").to_string();
-        assert!(said.starts_with("cannot import a.txt, line 7: \"9ü9ü") && said.ends_with("is no number; correct it"));
+        assert!(
+            said.starts_with("cannot import a.txt, line 7: \"9ü9ü") && said.ends_with("is not a number; correct it")
+        );
         assert!(said.chars().count() < 600, "{said}");
     }
 }

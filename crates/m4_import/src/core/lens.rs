@@ -1,4 +1,4 @@
-//! Lenses with distortion.
+//! Camera models with distortion.
 
 use super::SourceFault;
 use m4_scene::Intrinsics;
@@ -80,7 +80,7 @@ impl Distortion {
 /// A lens as a file describes it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Lens {
-    /// The pinhole part, of the pictures as they are stored.
+    /// The pinhole part, of the images as they are stored.
     pub intrinsics: Intrinsics,
     /// The rest.
     pub distortion: Distortion,
@@ -105,30 +105,30 @@ impl Lens {
         let k = &self.intrinsics;
         let side = |n: usize| (1..=1 << 16).contains(&n);
         if !(side(k.width) && side(k.height)) {
-            return Err(format!("pictures of {} x {} pixels", k.width, k.height));
+            return Err(format!("images of {} x {} pixels", k.width, k.height));
         }
         if !(k.fx.is_finite() && k.fx > 0.0 && k.fy.is_finite() && k.fy > 0.0) {
             return Err(format!("focal lengths {} and {}, above 0 was expected", k.fx, k.fy));
         }
         if !(k.cx.is_finite() && k.cy.is_finite() && self.distortion.is_finite()) {
-            return Err(format!("a lens with a value that is not a number: {self:?}"));
+            return Err(format!("intrinsics with a NaN or infinite value: {self:?}"));
         }
         Ok(())
     }
 
-    /// Refuses a picture of another size.
+    /// Refuses an image of another size.
     pub(crate) fn check_size(&self, (width, height): (usize, usize)) -> Result<(), SourceFault> {
         let k = &self.intrinsics;
         if (k.width, k.height) == (width, height) {
             return Ok(());
         }
         let what = format!(
-            "its picture is {width} x {height} but its camera is of {} x {} pixels",
+            "its image is {width} x {height} but its camera is of {} x {} pixels",
             k.width, k.height
         );
         Err(SourceFault::bad(
             what,
-            "give the pictures that the cameras were computed on",
+            "use the images that the cameras were computed from",
         ))
     }
 }

@@ -1,4 +1,4 @@
-//! What a format lists before anything large is read.
+//! The listing of a source: what a format knows before anything large is read.
 
 use super::{Lens, SourceFault};
 use m4_math::Se3;
@@ -6,11 +6,11 @@ use m4_scene::{Capture, CompactDepth, CompactIds, CompactMask, Plane, RgbImage, 
 use std::fmt;
 use std::sync::Mutex;
 
-/// How to get one picture, map or mask when its turn comes; called from several threads, once.
+/// How to get one image, map or mask when its turn comes; called from several threads, once.
 pub struct FrameSource<T>(Box<dyn Fn() -> Result<T, SourceFault> + Send + Sync>);
 
 impl<T> FrameSource<T> {
-    /// From a function.
+    /// Creates a loader from a function.
     pub fn new(get: impl Fn() -> Result<T, SourceFault> + Send + Sync + 'static) -> Self {
         Self(Box::new(get))
     }
@@ -23,7 +23,7 @@ impl<T> FrameSource<T> {
         let held = Mutex::new(Some(value));
         Self::new(move || {
             let taken = held.lock().ok().and_then(|mut held| held.take());
-            taken.ok_or_else(|| SourceFault::bad("a picture or map was asked for twice", "list the source again"))
+            taken.ok_or_else(|| SourceFault::bad("an image or map was asked for twice", "list the source again"))
         })
     }
 
@@ -43,22 +43,22 @@ impl<T> fmt::Debug for FrameSource<T> {
     }
 }
 
-/// One frame, its camera known and its pictures still where they are.
+/// One frame, its camera known and its images still where they are.
 #[derive(Debug)]
 pub struct ListedFrame {
     /// For messages and reports.
     pub name: String,
-    /// Lens of the picture as it is stored.
+    /// Lens of the image as it is stored.
     pub lens: Lens,
     /// Camera to world, OpenCV axes.
     pub c2w: Se3<f64>,
     /// When it was taken, in frames of the training video, `0 ..= time_frames - 1`.
     pub t: f64,
-    /// The picture; its size must be that of the lens.
+    /// The image; its size must be that of the lens.
     pub rgb: FrameSource<RgbImage>,
     /// z-depth in the unit of the poses, 0 where unknown; of any size, through the same lens.
     pub depth: Option<FrameSource<CompactDepth>>,
-    /// What moves; of any size, through the same lens.
+    /// The dynamic part; of any size, through the same lens.
     pub mask: Option<FrameSource<CompactMask>>,
     /// How likely each pixel is to move, 255 = certainly.
     pub motion: Option<FrameSource<Plane<u8>>>,
@@ -69,7 +69,7 @@ pub struct ListedFrame {
 }
 
 impl ListedFrame {
-    /// A training frame of a picture alone.
+    /// A training frame of an image alone.
     #[must_use]
     pub fn new(name: String, lens: Lens, c2w: Se3<f64>, t: f64, rgb: FrameSource<RgbImage>) -> Self {
         Self {
@@ -87,7 +87,7 @@ impl ListedFrame {
     }
 }
 
-/// A source, read but for its pictures.
+/// A source, read but for its images.
 #[derive(Debug)]
 pub struct Listing {
     /// The training video, in order of time.
@@ -100,7 +100,7 @@ pub struct Listing {
     pub duration_s: Option<f64>,
     /// Depth and poses are metres.
     pub metric: bool,
-    /// Ways of points of moving parts, frames in the order of `train`.
+    /// Trajectories of points on dynamic objects, frames in the order of `train`.
     pub tracks: Option<Tracks>,
 }
 

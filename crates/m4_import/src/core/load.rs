@@ -1,4 +1,4 @@
-//! A [`Listing`] to a capture: everything decoded, in parallel, within a limit of memory.
+//! Loads a [`Listing`] as a capture: everything decoded, in parallel, within a memory limit.
 
 use super::undistort::Undistort;
 use super::{ImportOptions, Imported, ListedFrame, Listing, ReadSourceError, SourceFault};
@@ -114,7 +114,7 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, SourceFa
             "correct the pose in the source",
         ));
     }
-    let get = |e: String| SourceFault::unsupported(e, "undistort the pictures with the tool that made them");
+    let get = |e: String| SourceFault::unsupported(e, "undistort the images with the tool that made them");
     let undistort = Undistort::new(&frame.lens).map_err(get)?;
     let rgb = frame.rgb.get()?;
     frame.lens.check_size(rgb.size())?;

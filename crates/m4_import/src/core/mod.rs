@@ -1,4 +1,4 @@
-//! What all formats share: the list of frames, the lens, loading, errors.
+//! The parts common to all formats: list of frames, camera models, loading, errors.
 
 mod error;
 mod lens;

@@ -1,14 +1,14 @@
-//! Distortion out of pictures, depth maps and masks.
+//! Removes lens distortion from images, depth maps and masks.
 
 use super::{Distortion, Lens};
 use m4_scene::{Intrinsics, Plane, RgbImage};
 
-/// Farthest that the focal length is stretched so that no pixel looks past the stored picture.
+/// Farthest that the focal length is stretched so that no pixel looks past the stored image.
 const MAX_STRETCH: f64 = 8.0;
 /// Samples along each side of the border.
 const BORDER: usize = 64;
 
-/// Where each pixel of a picture through a pinhole lies in the stored one.
+/// Where each pixel of an image through a pinhole lies in the stored one.
 #[derive(Debug, Clone)]
 pub struct Undistort {
     from: Lens,
@@ -21,7 +21,7 @@ impl Undistort {
     ///
     /// # Errors
     ///
-    /// A lens whose picture no pinhole can show: the distortion is not monotone within it.
+    /// A lens whose image no pinhole can show: the distortion is not monotone within it.
     pub fn new(lens: &Lens) -> Result<Option<Self>, String> {
         if lens.distortion == Distortion::None {
             return Ok(None);
@@ -41,7 +41,7 @@ impl Undistort {
         let (mut low, mut high) = (0.25, MAX_STRETCH);
         if !whole(high) {
             return Err(format!(
-                "the distortion {:?} bends rays back within the picture",
+                "the distortion {:?} bends rays back within the image",
                 lens.distortion
             ));
         }
@@ -59,14 +59,14 @@ impl Undistort {
         }))
     }
 
-    /// Pixel of the stored picture, corner-based, that shows what is at corner-based `(u, v)` of the new one.
+    /// Pixel of the stored image, corner-based, that shows what is at corner-based `(u, v)` of the new one.
     fn source(&self, u: f64, v: f64) -> [f64; 2] {
         let (to, k) = (&self.to, &self.from.intrinsics);
         let [x, y] = self.from.distortion.distorted((u - to.cx) / to.fx, (v - to.cy) / to.fy);
         [k.fx * x + k.cx, k.fy * y + k.cy]
     }
 
-    /// Whether the whole border, and rays towards it, come from within the stored picture, in order.
+    /// Whether the whole border, and rays towards it, come from within the stored image, in order.
     fn covers(&self) -> bool {
         let (w, h) = (self.to.width as f64, self.to.height as f64);
         let inside = |[u, v]: [f64; 2]| (0.0..=w).contains(&u) && (0.0..=h).contains(&v);
@@ -92,7 +92,7 @@ impl Undistort {
         })
     }
 
-    /// A picture of the stored size through the pinhole, bilinear.
+    /// An image of the stored size through the pinhole, bilinear.
     #[must_use]
     pub fn rgb(&self, image: &RgbImage) -> RgbImage {
         let (w, h) = image.size();
@@ -181,7 +181,7 @@ mod tests {
                 }
             }
             assert!(worst <= 3, "{distortion:?}: {worst}");
-            // without it the same picture is off
+            // without it the same image is off
             let moved = |i: usize| {
                 let (x, y) = (i % k.width, i / k.width);
                 let want = colour((x as f64 + 0.5 - to.cx) / to.fx, (y as f64 + 0.5 - to.cy) / to.fy);

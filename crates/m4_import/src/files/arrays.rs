@@ -1,4 +1,4 @@
-//! Small arrays of an npz archive, by any of several names.
+//! Reads small arrays of an npz archive, by any of several names.
 
 use super::npy::{NpyFile, array_of, open_npz, present};
 use crate::core::{ReadSourceError, SourceFault};

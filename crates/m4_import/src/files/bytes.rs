@@ -1,4 +1,4 @@
-//! Whole files.
+//! Reads whole files.
 
 use crate::core::{ReadSourceError, SourceFault};
 use std::fs::File;
@@ -32,6 +32,6 @@ pub(crate) fn text(path: &Path) -> Result<String, ReadSourceError> {
     let bytes = bytes(path, MAX_TEXT_BYTES).map_err(|fault| fault.at(path))?;
     String::from_utf8(bytes).map_err(|e| {
         let place = format!("byte {}", e.utf8_error().valid_up_to());
-        SourceFault::bad("it is no text (UTF-8)", "give the text file that the tool wrote").within(path, place)
+        SourceFault::bad("it is not text (UTF-8)", "give the text file that the tool wrote").within(path, place)
     })
 }

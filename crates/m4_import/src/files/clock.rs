@@ -1,4 +1,4 @@
-//! When frames were taken.
+//! The times of frames.
 
 use crate::core::{ImportOptions, SourceFault};
 use m4_scene::Progress;
@@ -10,18 +10,18 @@ pub(crate) const DEFAULT_FPS: f64 = 30.0;
 pub(crate) fn fps(options: &ImportOptions) -> Result<Option<f64>, SourceFault> {
     match options.fps {
         Some(fps) if !(fps.is_finite() && fps > 0.0) => {
-            let what = format!("the option fps is {fps}; frames a second, above 0, were expected");
+            let what = format!("the option fps is {fps}; frames per second, above 0, were expected");
             Err(SourceFault::bad(what, "give another"))
         }
         fps => Ok(fps),
     }
 }
 
-/// Seconds from the first of `frames` frames to the last, at the frames a second of the options, else 30, which is said.
+/// Seconds from the first of `frames` frames to the last, at the frames per second of the options, else 30 with a warning.
 pub(crate) fn duration_s(frames: usize, options: &ImportOptions, progress: &dyn Progress) -> Option<f64> {
     let fps = options.fps.unwrap_or_else(|| {
         progress.warn(&format!(
-            "the source does not say how many frames a second it has; {DEFAULT_FPS} were assumed (fps)"
+            "the source does not state its frame rate; {DEFAULT_FPS} frames per second are assumed (fps)"
         ));
         DEFAULT_FPS
     });

@@ -1,4 +1,4 @@
-//! Files that a source may have read: those in its folder, and in those that the options name.
+//! Checks that a source reads only files in its folder, and in those that the options name.
 
 use crate::core::{ImportOptions, ReadSourceError, SourceFault};
 use m4_io::reach::Bounds;
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Inside(Bounds);
 
 impl Inside {
-    /// Of the source in `folder` whose pictures may lie where the options say.
+    /// Of the source in `folder` whose images may lie where the options say.
     pub(crate) fn of(folder: &Path, options: &ImportOptions) -> Self {
         Self(Bounds::new(options.reach, folder, options.pictures.as_deref()))
     }
@@ -19,7 +19,7 @@ impl Inside {
         Self(Bounds::new(options.reach, named, []))
     }
 
-    /// The file, if it may be read or is not there.
+    /// The file, if it may be read or is missing.
     pub(crate) fn check<P: AsRef<Path>>(&self, file: P) -> Result<P, SourceFault> {
         self.0.check(file.as_ref())?;
         Ok(file)
@@ -33,7 +33,7 @@ impl Inside {
         }
     }
 
-    /// The same of many.
+    /// Checks many files.
     pub(crate) fn files(&self, files: Vec<PathBuf>) -> Result<Vec<PathBuf>, ReadSourceError> {
         files.into_iter().map(|file| self.file(file)).collect()
     }

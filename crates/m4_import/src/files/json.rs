@@ -1,4 +1,4 @@
-//! JSON.
+//! Reads JSON.
 
 use super::text;
 use crate::core::{ReadSourceError, SourceFault};

@@ -1,9 +1,9 @@
-//! Pinholes of numbers, and whether they fit pictures of a size.
+//! Parses pinhole intrinsics, and checks that they fit the image size.
 
 use crate::core::SourceFault;
 use m4_scene::Intrinsics;
 
-/// The pinhole `fx fy cx cy`, pixels, of pictures of that size.
+/// The pinhole `fx fy cx cy`, pixels, of images of that size.
 pub(crate) fn pinhole([fx, fy, cx, cy]: [f64; 4], (width, height): (usize, usize)) -> Intrinsics {
     Intrinsics {
         width,
@@ -15,19 +15,19 @@ pub(crate) fn pinhole([fx, fy, cx, cy]: [f64; 4], (width, height): (usize, usize
     }
 }
 
-/// The lens of a camera for its pictures at another size: a side is rounded to a whole pixel, nothing is cut off or turned.
+/// The lens of a camera for its images at another size: a side is rounded to a whole pixel, nothing is cut off or turned.
 pub(crate) fn resized(k: &Intrinsics, (width, height): (usize, usize)) -> Result<Intrinsics, SourceFault> {
     let slack = 1.0 / width.min(height).max(1) as f64 + 1e-9;
     if (aspect(k, (width, height)) - 1.0).abs() > slack {
         let what = format!(
-            "a picture of {width} x {height} pixels where the camera is of {} x {}",
+            "an image of {width} x {height} pixels where the camera is of {} x {}",
             k.width, k.height
         );
         let turned = (width > height) != (k.width > k.height);
         let remedy = if turned {
-            "the pictures were turned; give them as the sensor saw them"
+            "the images were rotated; use them in the sensor's orientation"
         } else {
-            "give pictures that are not cropped"
+            "give images that are not cropped"
         };
         return Err(SourceFault::bad(what, remedy));
     }

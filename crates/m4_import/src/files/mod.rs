@@ -1,4 +1,4 @@
-//! Files of a source: their bytes within a limit, and what they say.
+//! The files of a source: reading within a memory limit, and parsing.
 //!
 //! ```text
 //! bytes      whole files, text
@@ -9,9 +9,9 @@
 //! names      files of a folder in order, names below a folder
 //! inside     which files may be read: by their names and by links they may lead elsewhere
 //! pictures   a folder or a video as pictures of known size
-//! lens       pinholes, and whether they fit pictures of a size
+//! lens       pinholes, and whether they fit images of a size
 //! pose       matrices and quaternions to camera to world
-//! clock      frames a second, times in frames
+//! clock      frames per second, times in frames
 //! ```
 //!
 //! Faults of a file beside the source are named by [`SourceFault::of_file`](crate::SourceFault::of_file).

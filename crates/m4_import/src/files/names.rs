@@ -34,7 +34,7 @@ pub(crate) fn stem(path: &Path) -> String {
 pub(crate) fn below(folder: &Path, name: &str) -> Result<PathBuf, SourceFault> {
     let inside = |part: Component<'_>| matches!(part, Component::Normal(_) | Component::CurDir);
     if name.is_empty() || !Path::new(name).components().all(inside) {
-        let what = format!("the name {name:?} is not below the folder of the pictures");
+        let what = format!("the name {name:?} is not below the folder of the images");
         return Err(SourceFault::bad(what, "write names relative to that folder"));
     }
     Ok(folder.join(name))

@@ -1,4 +1,4 @@
-//! Arrays in `.npy` files, and archives of them.
+//! Reads arrays in `.npy` files, and archives of them.
 
 use crate::core::SourceFault;
 use m4_io::npy::{Array, ArrayFault, Npz, Number};
@@ -53,7 +53,7 @@ impl NpyFile {
 /// Opens an archive of arrays.
 pub(crate) fn open_npz(path: &Path) -> Result<Npz, SourceFault> {
     Npz::open(path)?.map_err(|reason| {
-        let what = format!("it is no npz archive of arrays, or a damaged one ({reason})");
+        let what = format!("it is not an npz archive of arrays, or a damaged one ({reason})");
         SourceFault::bad(what, "give the npz file that the tool wrote, whole")
     })
 }

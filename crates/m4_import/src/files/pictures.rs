@@ -1,4 +1,4 @@
-//! Pictures of known size: files of a folder, frames of a video.
+//! Images of known size: files of a folder, frames of a video.
 
 use super::Inside;
 use crate::core::{FrameSource, ImportOptions, ReadSourceError, SourceFault};
@@ -7,13 +7,13 @@ use m4_io::video::{self, ReadVideoError, VideoOptions};
 use m4_scene::{Progress, RgbImage};
 use std::path::Path;
 
-/// Pixels that a byte of a packed picture can stand for at most: deflate makes 1032 bytes of one, each of eight pixels of a bit; JPEG
+/// Pixels that a byte of a packed image can stand for at most: deflate makes 1032 bytes of one, each of eight pixels of a bit; JPEG
 /// about 400 pixels.
 const PIXELS_A_BYTE: u64 = 8 * 1032;
 /// Pixels that are always read.
 const FREE_PIXELS: u64 = 1 << 20;
 
-/// A picture that is not decoded yet.
+/// An image that is not decoded yet.
 #[derive(Debug)]
 pub(crate) struct Picture {
     /// `(width, height)`.
@@ -21,7 +21,7 @@ pub(crate) struct Picture {
     pub rgb: FrameSource<RgbImage>,
 }
 
-/// Pictures in order of time.
+/// Images in order of time.
 #[derive(Debug)]
 pub(crate) struct Pictures {
     pub all: Vec<Picture>,
@@ -39,7 +39,7 @@ pub(crate) fn of_file(path: &Path) -> Result<Picture, SourceFault> {
     })
 }
 
-/// The pictures of a folder in the natural order of their names, or the frames of a video.
+/// The images of a folder in the natural order of their names, or the frames of a video.
 pub(crate) fn read(
     path: &Path,
     inside: &Inside,
@@ -83,7 +83,7 @@ pub(crate) fn of_video(path: &Path, error: ReadVideoError) -> ReadSourceError {
         ReadVideoError::Cancelled { .. } => SourceFault::Cancelled,
         other => {
             let unsupported = other.kind() == m4_io::ErrorKind::Unsupported;
-            let (what, remedy) = (other.to_string(), "or give a folder of its pictures");
+            let (what, remedy) = (other.to_string(), "or give a folder of its images");
             if unsupported {
                 SourceFault::unsupported(what, remedy)
             } else {
@@ -101,7 +101,7 @@ pub(crate) fn size_of(path: &Path) -> Result<(usize, usize), SourceFault> {
     Ok((width, height))
 }
 
-/// Whether a packed picture of `file_bytes` can have that size.
+/// Whether a packed image of `file_bytes` can have that size.
 pub(crate) fn check_pixels(width: usize, height: usize, file_bytes: u64) -> Result<(), SourceFault> {
     let pixels = (width as u64).saturating_mul(height as u64);
     let most = file_bytes.saturating_mul(PIXELS_A_BYTE).saturating_add(FREE_PIXELS);

@@ -1,4 +1,4 @@
-//! Matrices and quaternions to camera to world.
+//! Converts matrices and quaternions to camera-to-world poses.
 
 use crate::core::SourceFault;
 use m4_io::capture::Pose;

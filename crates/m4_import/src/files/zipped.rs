@@ -1,4 +1,4 @@
-//! Files within a zip archive or a folder that one was unpacked to.
+//! Reads files within a zip archive, or in the folder that it was unpacked to.
 
 use super::Inside;
 use crate::core::SourceFault;
@@ -25,7 +25,7 @@ impl Members {
         }
         let archive = ZipArchive::new(BufReader::new(File::open(path)?));
         let archive = archive.map_err(|e| {
-            let what = format!("it is no zip archive, or a damaged one ({e})");
+            let what = format!("it is not a zip archive, or a damaged one ({e})");
             SourceFault::bad(what, "copy it again")
         })?;
         Ok(Self::Zip(Mutex::new(archive)))
@@ -62,7 +62,7 @@ impl Members {
         }
     }
 
-    /// All bytes of one, `limit_bytes` at most; `None` if it is not there.
+    /// All bytes of one, `limit_bytes` at most; `None` if it is missing.
     pub(crate) fn read(&self, name: &str, limit_bytes: u64) -> Result<Option<Vec<u8>>, SourceFault> {
         let too_large = |needed_bytes| SourceFault::TooLarge {
             what: name.to_owned(),

@@ -1,8 +1,8 @@
-//! DAVIS: clips without poses, whose things were outlined by hand.
+//! DAVIS: clips without poses, with manually annotated objects.
 //!
 //! ```text
-//! JPEGImages/480p/NAME/00000.jpg      the video, 24 frames a second
-//! Annotations/480p/NAME/00000.png     a palette picture: the number of the thing that each pixel shows, 0 for none
+//! JPEGImages/480p/NAME/00000.jpg      the video, 24 frames per second
+//! Annotations/480p/NAME/00000.png     a palette image: the number of the thing that each pixel shows, 0 for none
 //! ```
 //!
 //! A [`Listing`](crate::Listing) is of posed frames, which these are not: [`read_clip`] gives what the estimation of geometry starts
@@ -22,26 +22,26 @@ const FPS: f64 = 24.0;
 /// A clip and what was outlined in it.
 #[derive(Debug, Clone)]
 pub struct DavisClip {
-    /// The pictures.
+    /// The images.
     pub video: Video,
-    /// Which thing each pixel shows, for each frame of `video`, of the size of the files; `None` for frames that nobody outlined (test
+    /// Which thing each pixel shows, for each frame of `video`, of the size of the files; `None` for frames without annotation (test
     /// sets have the first alone, or none).
     pub instances: Vec<Option<CompactIds>>,
 }
 
-/// Whether a folder is that of the pictures of a clip (`.../JPEGImages/480p/NAME`).
+/// Whether a folder is that of the images of a clip (`.../JPEGImages/480p/NAME`).
 #[must_use]
 pub fn detect(path: &Path) -> bool {
     let named = |p: Option<&Path>| p.and_then(Path::file_name).is_some_and(|n| n == "JPEGImages");
     path.is_dir() && named(path.parent().and_then(Path::parent))
 }
 
-/// Reads the clip whose pictures lie in `path`, `ROOT/JPEGImages/RESOLUTION/NAME`; the maps lie in `ROOT/Annotations/RESOLUTION/NAME`.
+/// Reads the clip whose images lie in `path`, `ROOT/JPEGImages/RESOLUTION/NAME`; the maps lie in `ROOT/Annotations/RESOLUTION/NAME`.
 /// `options` choose frames and size as for any video; its `folder_fps` is passed over.
 ///
 /// # Errors
 ///
-/// [`ReadSourceError`]: another layout, pictures that cannot be read, or a map that has no palette or another size than its picture.
+/// [`ReadSourceError`]: another layout, images that cannot be read, or a map that has no palette or another size than its image.
 pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<DavisClip, ReadSourceError> {
     let annotations = annotations(path)?;
     let options = VideoOptions {
@@ -54,7 +54,7 @@ pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -
     for frame in &video.frames {
         let index = (frame.time_s * FPS).round() as usize;
         let Some(picture) = files.get(index) else {
-            let what = format!("frame {index} is not among the {} pictures", files.len());
+            let what = format!("frame {index} is not among the {} images", files.len());
             return Err(SourceFault::bad(what, "do not change files while they are read").at(path));
         };
         let file = annotations.join(format!("{}.png", stem(picture)));
@@ -75,8 +75,8 @@ fn annotations(path: &Path) -> Result<PathBuf, ReadSourceError> {
             Ok(root.join("Annotations").join(resolution).join(name))
         }
         _ => {
-            let what = "it is no folder ROOT/JPEGImages/RESOLUTION/NAME";
-            Err(SourceFault::bad(what, "give the folder of the clip's pictures").at(path))
+            let what = "it is not a folder ROOT/JPEGImages/RESOLUTION/NAME";
+            Err(SourceFault::bad(what, "give the folder of the clip's images").at(path))
         }
     }
 }
@@ -84,14 +84,14 @@ fn annotations(path: &Path) -> Result<PathBuf, ReadSourceError> {
 fn map(file: &Path, picture: &Path) -> Result<CompactIds, ReadSourceError> {
     let read = read_mask(file, false).map_err(|fault| fault.at(file))?;
     let Some(ids) = read.instances else {
-        let what = "it has no palette, so it does not tell things apart";
+        let what = "it has no palette, so it does not distinguish objects";
         return Err(SourceFault::bad(what, "give the annotations as they were published").at(file));
     };
     let size = size_of(picture).map_err(|fault| fault.at(picture))?;
     if ids.size() != size {
         let ((w, h), (pw, ph)) = (ids.size(), size);
-        let what = format!("it is {w} x {h} pixels but its picture is {pw} x {ph}");
-        return Err(SourceFault::bad(what, "give pictures and annotations of one resolution").at(file));
+        let what = format!("it is {w} x {h} pixels but its image is {pw} x {ph}");
+        return Err(SourceFault::bad(what, "give images and annotations of one resolution").at(file));
     }
     Ok(ids)
 }

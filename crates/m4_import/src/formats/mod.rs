@@ -1,8 +1,8 @@
-//! One file or folder a format, and which one a path is of.
+//! One file or folder per format, and the detection of formats.
 //!
 //! ```text
 //! data sets          dycheck, nvidia; davis, which has no poses and is read by itself
-//! telephones         record3d
+//! phones         record3d
 //! reconstructions    colmap, nerfstudio, vipe, megasam
 //!
 //! path -> detect -> the format's list -> Listing -> side::attach -> core::load -> Imported
@@ -34,7 +34,7 @@ pub enum SourceFormat {
     Nvidia,
     /// Record3D's `.r3d`.
     Record3d,
-    /// COLMAP's sparse model with its pictures.
+    /// COLMAP's sparse model with its images.
     Colmap,
     /// `transforms.json` of nerfstudio, Blender, Instant4D, and our own captures.
     Nerfstudio,
@@ -100,12 +100,12 @@ const ROWS: &[Row] = &[
 ];
 
 impl SourceFormat {
-    /// All of them.
+    /// All variants.
     pub fn all() -> impl Iterator<Item = Self> {
         ROWS.iter().map(|row| row.format)
     }
 
-    /// As on the command line.
+    /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         ROWS.iter().find(|row| row.format == self).map_or("", |row| row.name)

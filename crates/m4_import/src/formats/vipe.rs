@@ -4,14 +4,14 @@
 //! PATH                       the folder of the run, or its pose/NAME.npz where it has several clips
 //! rgb/NAME.mp4               the clip (or options.pictures)
 //! pose/NAME.npz              data [n][4][4] camera to world, inds [n]: which frames of the clip they are of
-//! intrinsics/NAME.npz        data [n][4] fx fy cx cy, pixels, inds [n]; NAME_camera.txt: "0: PINHOLE", a line a frame
+//! intrinsics/NAME.npz        data [n][4] fx fy cx cy, pixels, inds [n]; NAME_camera.txt: "0: PINHOLE", a line per frame
 //! depth/NAME.zip             00000.exr, ...: halves, channel Z, metres; not a number where unknown (optional)
 //! mask/NAME.zip, NAME.txt    00000.png, ...: which instance a pixel shows, 0 = none; "1: person", what each is (optional)
 //! flow, vipe                 are not read
 //! ```
 //!
 //! **What is converted.** Poses are OpenCV's and depth is z-depth: nothing is turned. Principal points are taken as they are, from the
-//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see [`m4_io::megasam`]). What moves is what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
+//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see [`m4_io::megasam`]). The dynamic part is what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
 //! phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and keep their place in time.
 //!
 //! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
@@ -85,7 +85,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         .clone()
         .unwrap_or_else(|| part("rgb", &format!("{name}.mp4")));
     if !clip.exists() {
-        let remedy = "give the clip or the folder of its pictures (pictures)";
+        let remedy = "give the clip or the folder of its images (images)";
         return Err(SourceFault::missing("the clip", remedy).at(&clip));
     }
     let pictures = pictures::read(&clip, &inside, options, progress)?;
@@ -155,7 +155,7 @@ fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f6
             "data has shape {shape:?} and there are {} inds; {width} numbers for each were expected",
             inds.len()
         );
-        let remedy = "lenses other than pinholes have more; run ViPE with a pinhole camera";
+        let remedy = "other camera models have more; run ViPE with a pinhole camera";
         return Err(SourceFault::bad(what, remedy).at(file));
     }
     let mut all = BTreeMap::new();
@@ -169,7 +169,7 @@ fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f6
     Ok((file.to_path_buf(), all))
 }
 
-/// Refuses lenses that are no pinholes; a file that is not there says nothing, as in ViPE.
+/// Refuses lenses that are no pinholes; a file that is missing says nothing, as in ViPE.
 fn pinholes(path: &Path) -> Result<(), ReadSourceError> {
     if !path.is_file() {
         return Ok(());
@@ -185,7 +185,7 @@ fn pinholes(path: &Path) -> Result<(), ReadSourceError> {
     Ok(())
 }
 
-/// Numbers of instances that stand still: the sky.
+/// Numbers of instances that are static: the sky.
 fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
     if !path.is_file() {
         return Ok(HashSet::new());
@@ -196,7 +196,7 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
             .split_once(':')
             .and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
         let (id, phrase) = parsed.ok_or_else(|| {
-            let what = format!("{line:?} is no number with a phrase, such as `1: person`");
+            let what = format!("{line:?} is not a number with a phrase, such as `1: person`");
             SourceFault::bad(what, "give the file that ViPE wrote").within(path, format!("line {}", i + 1))
         })?;
         phrases.insert(id, phrase.trim().to_ascii_lowercase());
@@ -208,7 +208,7 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
         .collect())
 }
 
-/// An archive of maps, one a frame.
+/// An archive of maps, one per frame.
 struct Zipped {
     path: PathBuf,
     members: Members,

@@ -1,4 +1,4 @@
-//! Side files to the frames of any listing.
+//! Attaches side files (depth, masks, tracks) to the frames of any listing.
 
 use super::{depth, mask, tracks};
 use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
@@ -7,7 +7,7 @@ use m4_scene::{CompactDepth, CompactMask, Progress};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Gives the training frames of `listing` the depth, masks and tracks that `options` name, in place of their own.
+/// Gives the training frames of `listing` the depth, masks and tracks that `options` name, instead of their own.
 ///
 /// # Errors
 ///

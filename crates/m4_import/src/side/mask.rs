@@ -1,4 +1,4 @@
-//! Masks of what moves, one a file, or a stack in an npz archive.
+//! Masks of dynamic regions, one per file, or a stack in an npz archive.
 
 use super::palette::read_numbers;
 use super::stack::Stack;
@@ -24,7 +24,7 @@ pub struct ReadMask {
 }
 
 /// Reads a mask: PNG, set where the number of the palette, the grey value or the colour is not 0; JPEG, set where the brightness
-/// is at least 128. With `invert` the other way round; then nothing is told apart.
+/// is at least 128. With `invert` the other way round; then instances are not distinguished.
 ///
 /// # Errors
 ///

@@ -1,4 +1,4 @@
-//! The numbers of PNG pictures as they are stored: of a palette its indices, which other readers turn into colours.
+//! The numbers of PNG images as they are stored: of a palette its indices, which other readers turn into colours.
 
 use crate::core::SourceFault;
 use crate::files::pictures::check_pixels;
@@ -8,16 +8,16 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-/// Largest side and what a picture may take, bytes.
+/// Largest side and what an image may take, bytes.
 const MAX_SIDE: u32 = 32_768;
 const MAX_BYTES: usize = 512 << 20;
 /// What deflate makes of a byte at most, and what a file of any length may unpack to.
 const MAX_RATIO: u64 = 1032;
 const FREE_BYTES: u64 = 4 << 20;
 
-/// A PNG picture of numbers.
+/// A PNG image of numbers.
 pub(crate) struct Numbers {
-    /// A number a pixel: index, grey value, or 1 where a colour is not black.
+    /// A number per pixel: index, grey value, or 1 where a colour is not black.
     pub plane: Plane<u16>,
     /// Whether the numbers are indices of a palette: each stands for a thing.
     pub palette: bool,
@@ -34,7 +34,7 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
     let mut reader = decoder.read_info().map_err(damaged)?;
     let (width, height) = reader.info().size();
     if width > MAX_SIDE || height > MAX_SIDE {
-        let what = format!("a picture of {width} x {height} pixels");
+        let what = format!("an image of {width} x {height} pixels");
         return Err(SourceFault::unsupported(what, "resize it"));
     }
     let (w, h) = (width as usize, height as usize);
@@ -42,7 +42,7 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
     let bytes = reader.output_buffer_size().filter(|&n| n <= MAX_BYTES);
     let Some(bytes) = bytes else {
         return Err(SourceFault::unsupported(
-            format!("a picture of {w} x {h} pixels"),
+            format!("an image of {w} x {h} pixels"),
             "resize it",
         ));
     };
@@ -56,7 +56,7 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
     let whole = line.checked_mul(h).is_some_and(|n| n <= data.len());
     if (frame.width, frame.height) != (width, height) || !whole {
         let what = format!(
-            "a frame of {} x {} pixels in a picture of {w} x {h}",
+            "a frame of {} x {} pixels in an image of {w} x {h}",
             frame.width, frame.height
         );
         return Err(SourceFault::bad(what, "export it again"));

@@ -37,7 +37,7 @@ impl Stack {
                     "{key} has shape {:?}; [frames, height, width] was expected",
                     array.shape
                 );
-                return Err(SourceFault::bad(what, "save one map a frame"));
+                return Err(SourceFault::bad(what, "save one map per frame"));
             }
         };
         if n != frames {

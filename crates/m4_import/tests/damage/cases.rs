@@ -65,7 +65,7 @@ fn plain(source: &'static str, format: SourceFormat, files: &'static [&'static s
     }
 }
 
-/// The same with the pictures of the clip.
+/// The same with the images of the clip.
 fn pictured(source: &'static str, format: SourceFormat, files: &'static [&'static str], refused: usize) -> Case {
     let options = ImportOptions {
         pictures: Some(fixture("import/clip/images")),

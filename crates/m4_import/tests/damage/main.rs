@@ -27,7 +27,7 @@ use zip::ZipArchive;
 
 /// Damaged copies a parser.
 const COPIES: u64 = 120;
-/// Memory that reading may take beyond what the sound source takes, bytes: this, and so many times the damaged file.
+/// Memory that reading may take beyond what the sound source takes, bytes: this, and this many times the damaged file.
 const FREE: usize = 4 << 20;
 const TIMES: usize = 64;
 
@@ -65,7 +65,7 @@ fn prepared(source: &str, dir: &Path) -> PathBuf {
     here
 }
 
-/// Writes a file anew: one that is emptied and written again is sent to the disk at once by some file systems.
+/// Writes a file again: one that is emptied and written again is sent to the disk at once by some file systems.
 fn replace(file: &Path, bytes: &[u8]) {
     std::fs::remove_file(file).unwrap();
     std::fs::write(file, bytes).unwrap();
@@ -80,7 +80,7 @@ fn fault_of(capture: &Capture) -> Option<&'static str> {
         let rigid = c2w.iter().all(|v| v.is_finite()) && (c2w.determinant() - 1.0).abs() < 1e-2;
         let depth = frame.depth.as_ref();
         [
-            (frame.rgb.size() == (k.width, k.height), "the size of a picture"),
+            (frame.rgb.size() == (k.width, k.height), "the size of an image"),
             (
                 k.fx > 0.0 && k.fy > 0.0 && k.cx.is_finite() && k.cy.is_finite(),
                 "a lens",

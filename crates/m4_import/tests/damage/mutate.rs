@@ -49,7 +49,7 @@ fn within(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> String {
     what
 }
 
-/// What was made to do harm in place of a file of that name: nothing, lists without end, counts that no file can hold.
+/// What was made to do harm instead of a file of that name: nothing, lists without end, counts that no file can hold.
 pub fn made(whole: &[u8], name: &str) -> Vec<(Vec<u8>, &'static str)> {
     let mut all = vec![
         (vec![], "nothing"),

@@ -30,7 +30,7 @@ pub fn refused(path: &Path, format: SourceFormat, options: &ImportOptions) -> St
     }
 }
 
-/// Keeps the warnings that it is told.
+/// Records warnings.
 #[derive(Default)]
 pub struct Heard(Mutex<Vec<String>>);
 

@@ -1,4 +1,4 @@
-//! Which points hang together.
+//! Groups points into rigid bodies.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! Motions between keyframes that can be asked for at any place.
+//! Motion fields between keyframes, which can be evaluated anywhere.
 
 use super::follow::Ways;
 use super::look::Look;
@@ -42,7 +42,7 @@ pub(crate) fn fields(
 ) -> Result<Vec<Fields>, InitError> {
     let mut out: Vec<Fields> = Vec::new();
     let look = |view: &View<'_>| view.frame.and_then(Look::new);
-    // two pictures at a time: all of them would be most of the memory of a run
+    // two images at a time: all of them would be most of the memory of a run
     let mut ahead = keyframes.first().and_then(look);
     for (i, pair) in keyframes.windows(2).enumerate() {
         stopped(progress)?;
@@ -219,7 +219,7 @@ mod tests {
         }
     }
 
-    /// Half of the cloud leaves the picture: what is left must not be pulled back to the border.
+    /// Half of the cloud leaves the image: what is left must not be pulled back to the border.
     #[test]
     fn what_leaves_the_picture_goes_on_with_the_rest() {
         let still = cloud();

@@ -1,4 +1,4 @@
-//! Where tracks say that places went.
+//! Motion according to the capture's tracks.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_math::nalgebra::Vector3;

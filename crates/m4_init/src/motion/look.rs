@@ -1,4 +1,4 @@
-//! A frame as the follower of patches sees it.
+//! The representation of a frame for patch tracking.
 
 use m4_scene::{Camera, CaptureFrame, DepthMap, Plane};
 
@@ -6,7 +6,7 @@ use m4_scene::{Camera, CaptureFrame, DepthMap, Plane};
 const RADIUS: i32 = 3;
 /// Values that a patch must have at least: a third of the pixels, in three colours.
 const LEAST: usize = 49;
-/// Noise of a smoothed picture, 0..1: less contrast than this is nothing to follow.
+/// Noise of a smoothed image, 0..1: less contrast than this is nothing to follow.
 const NOISE: f64 = 0.01;
 /// A mean difference of this size between a patch and its match halves the trust in it.
 const UNLIKE: f64 = 0.05;
@@ -17,7 +17,7 @@ const STEPS: usize = 4;
 /// A match that is this share of its depth off the expected depth is none.
 const DEPTH_JUMP: f64 = 0.05;
 
-/// Smoothed picture, depth and mask of one frame, all of the size of the picture.
+/// Smoothed image, depth and mask of one frame, all of the size of the image.
 #[derive(Debug, Clone)]
 pub(crate) struct Look {
     camera: Camera,
@@ -58,14 +58,14 @@ impl Look {
         })
     }
 
-    /// Whether a whole patch around the place, and its slopes, are in the picture.
+    /// Whether a whole patch around the place, and its slopes, are in the image.
     fn holds(&self, [u, v]: [f64; 2]) -> bool {
         let (w, h) = self.depth.size();
         let r = f64::from(RADIUS) + 1.0;
         u >= r && v >= r && u + r + 1.0 < w as f64 && v + r + 1.0 < h as f64
     }
 
-    /// Bilinear; the picture holds the place.
+    /// Bilinear; the image holds the place.
     fn sample(&self, colour: usize, u: f64, v: f64) -> f64 {
         let (a, b) = (u.fract(), v.fract());
         let (x, y) = (u as usize, v as usize);
@@ -73,7 +73,7 @@ impl Look {
         (1.0 - b) * ((1.0 - a) * p(x, y) + a * p(x + 1, y)) + b * ((1.0 - a) * p(x, y + 1) + a * p(x + 1, y + 1))
     }
 
-    /// The moving pixels around a place that the picture holds.
+    /// The moving pixels around a place that the image holds.
     fn patch(&self, [u, v]: [f64; 2]) -> Vec<Texel> {
         let mut out = Vec::new();
         for dy in -RADIUS..=RADIUS {
@@ -166,7 +166,7 @@ mod tests {
     use m4_math::Se3;
     use m4_scene::{Camera, CaptureFrame, CompactMask, Intrinsics, Plane};
 
-    /// A textured wall at depth 2 that moves by `shift` pixels; the left third stands still.
+    /// A textured wall at depth 2 that moves by `shift` pixels; the left third is static.
     fn frame(shift: [f64; 2], flat: bool) -> CaptureFrame {
         let texture = |x: f64, y: f64| match flat {
             true => 0.5,

@@ -1,9 +1,9 @@
-//! First motions: how the moving points of a keyframe get to the next (section 2.6).
+//! Initial motion: moves the dynamic points of a keyframe to the next one (section 2.6).
 //!
 //! ```text
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)
 //! follow (what tracks of the capture say, where there are any)
-//! look (their pictures -> where patches went)
+//! look (their images -> where patches went)
 //! bodies (what hangs together moves together, seen or not)
 //! ```
 

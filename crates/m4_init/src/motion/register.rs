@@ -1,4 +1,4 @@
-//! Two keyframes' moving points brought together.
+//! Registers the dynamic points of two keyframes.
 
 use super::follow::Follow;
 use super::look::Look;
@@ -10,7 +10,7 @@ use m4_scene::CaptureFrame;
 use rayon::prelude::*;
 use std::num::NonZero;
 
-/// How points are registered.
+/// The parameters of the registration.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Registration {
     /// A difference of colour of this size counts as much as a displacement of one `reach`.
@@ -21,7 +21,7 @@ pub(crate) struct Registration {
     pub neighbours: usize,
     /// Rounds of match and fit.
     pub rounds: usize,
-    /// Rounds in which the pictures say where points went.
+    /// Rounds in which the images say where points went.
     pub picture_rounds: usize,
 }
 
@@ -41,7 +41,7 @@ pub(crate) struct View<'a> {
     pub nodes: &'a Centroids,
     /// Points that nodes of other keyframes are brought onto.
     pub points: &'a Centroids,
-    /// Its frame, for a look at the picture; `None` to do without.
+    /// Its frame, for a look at the image; `None` to do without.
     pub frame: Option<&'a CaptureFrame>,
     /// Whether it would see a place.
     pub sees: &'a (dyn Fn([f32; 3]) -> bool + Sync),
@@ -53,7 +53,7 @@ pub(crate) struct View<'a> {
 /// a node is the rigid one that fits what the matches of its neighbours ask for, matches of unlike colour or far
 /// away weighing little, and nodes that go where they cannot be seen nothing at all. Neighbourhoods shrink from
 /// round to round: large pieces first, then their parts. Then tracks have their word, `follow`, on nodes that are near any; in the last
-/// rounds the pictures, `looks`, say where nodes went, which is exact to a fraction of a pixel.
+/// rounds the images, `looks`, say where nodes went, which is exact to a fraction of a pixel.
 pub(crate) fn register(
     from: &View<'_>,
     to: &View<'_>,

@@ -1,4 +1,4 @@
-//! Rigid motions of clouds of points.
+//! Rigid motions of point clouds.
 
 use m4_math::nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
@@ -77,7 +77,7 @@ impl Rigid {
         }
     }
 
-    /// Where the point goes.
+    /// Returns the transformed point.
     pub fn apply(&self, p: [f32; 3]) -> [f32; 3] {
         (self.to + self.rotation * (Vector3::from(p) - self.from)).into()
     }

@@ -1,4 +1,4 @@
-//! Decodes H.264 for `m4_io::video` in a process of its own: see `m4_io::video::set_decoder_program`.
+//! Decodes H.264 for `m4_io::video` in a separate process: see `m4_io::video::set_decoder_program`.
 #![forbid(unsafe_code)]
 
 use std::io::Write;
@@ -10,7 +10,7 @@ fn main() -> ExitCode {
     match m4_io::video::serve_decoder(&limits, std::io::stdin().lock(), std::io::stdout().lock()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
-            // Where nobody reads there is nobody to tell.
+            // If the output is closed, the error cannot be reported.
             let _ = writeln!(std::io::stderr(), "m4_decode_h264: {e}");
             ExitCode::FAILURE
         }

@@ -1,4 +1,4 @@
-//! Which way a camera's axes point in a file.
+//! The axis convention of cameras in a file.
 
 use m4_math::Se3;
 use serde::{Deserialize, Serialize};

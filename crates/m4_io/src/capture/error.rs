@@ -1,4 +1,4 @@
-//! Why a capture could not be read or written.
+//! Errors of reading and writing captures.
 
 use super::pose::PoseFault;
 use crate::ErrorKind;
@@ -18,7 +18,7 @@ pub enum ReadCaptureError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is not JSON, or a key holds the wrong type.
@@ -42,7 +42,7 @@ pub enum ReadCaptureError {
         path: PathBuf,
         /// The key.
         key: &'static str,
-        /// What it holds.
+        /// Its contents.
         value: String,
         /// What was expected and what to do.
         expected: &'static str,
@@ -72,37 +72,37 @@ pub enum ReadCaptureError {
         fault: String,
     },
     /// The lens is not a pinhole.
-    #[error("{} has lens distortion ({key} = {value}), which is not modelled: undistort the images first (`colmap image_undistorter`, or `ns-process-data`) and set it to 0", path.display())]
+    #[error("{} has lens distortion ({key} = {value}), which is not supported: undistort the images first (`colmap image_undistorter`, or `ns-process-data`) and set it to 0", path.display())]
     Distorted {
         /// The file.
         path: PathBuf,
         /// The coefficient.
         key: &'static str,
-        /// Its value.
+        /// The value.
         value: f64,
     },
-    /// A picture, depth map or mask could not be read.
+    /// An image, depth map or mask could not be read.
     #[error("{}, frame {frame}: {source}", path.display())]
     Image {
-        /// The file that names the picture.
+        /// The file that names the image.
         path: PathBuf,
         /// Index in the list.
         frame: usize,
-        /// What is wrong with the picture.
+        /// What is wrong with the image.
         source: ReadImageError,
     },
-    /// A picture has another size than the file says.
+    /// An image has another size than the file says.
     #[error("{}, frame {frame}: the image {} is {} x {} pixels but w and h say {} x {}; scale the images or the intrinsics (w, h, fl_x, fl_y, cx, cy) so that they agree", path.display(), shortened(image.display()), found.0, found.1, expected.0, expected.1)]
     ImageSize {
-        /// The file that names the picture.
+        /// The file that names the image.
         path: PathBuf,
         /// Index in the list.
         frame: usize,
-        /// The picture.
+        /// The image.
         image: PathBuf,
         /// `w` and `h`.
         expected: (usize, usize),
-        /// The picture's own size.
+        /// The image's own size.
         found: (usize, usize),
     },
     /// A file that the list names lies outside of its folder.
@@ -120,7 +120,7 @@ pub enum ReadCaptureError {
     Tracks {
         /// The file that names them.
         list: PathBuf,
-        /// What is wrong with them.
+        /// The fault.
         source: ReadTracksError,
     },
     /// The frames would not fit.
@@ -132,13 +132,13 @@ pub enum ReadCaptureError {
         frames: usize,
         /// Width and height of the first.
         size: (usize, usize),
-        /// What they would take.
+        /// The required memory.
         needed_bytes: u64,
-        /// What they may take.
+        /// The limit.
         limit_bytes: u64,
     },
     /// The times of a test split mean nothing without the length of the training video.
-    #[error("{} has times from 0 to 1 but nothing says how many training frames these span: put transforms_train.json beside it or add \"time_frames\"", path.display())]
+    #[error("{} has times from 0 to 1 but nothing says how many training frames these span: put transforms_train.json next to it or add \"time_frames\"", path.display())]
     NoTrainingSplit {
         /// The file.
         path: PathBuf,
@@ -191,10 +191,10 @@ pub enum WriteCaptureError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// A picture could not be written.
+    /// An image could not be written.
     #[error(transparent)]
     Image(#[from] WriteImageError),
     /// A frame holds a number that no file can.
@@ -206,11 +206,11 @@ pub enum WriteCaptureError {
         frame: usize,
         /// Its name.
         name: String,
-        /// What is wrong with it.
+        /// The fault.
         what: String,
     },
     /// The tracks are not of these frames.
-    #[error("the capture for {} has {frames} frames but tracks over {tracks}; follow its own frames, or leave the tracks out", path.display())]
+    #[error("the capture for {} has {frames} frames but tracks over {tracks}; compute tracks of these frames, or remove them", path.display())]
     Tracks {
         /// The JSON file.
         path: PathBuf,

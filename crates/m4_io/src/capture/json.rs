@@ -1,4 +1,4 @@
-//! The keys of `transforms*.json`, as they are in the file.
+//! The keys of `transforms*.json`.
 
 use super::{Axes, ReadCaptureError};
 use m4_scene::Intrinsics;
@@ -27,7 +27,7 @@ pub struct Lens {
     pub w: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub h: Option<f64>,
-    /// Horizontal field of view, radians: the synthetic NeRF scenes have it in place of `fl_x`.
+    /// Horizontal field of view, radians: the synthetic NeRF scenes have it instead of `fl_x`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera_angle_x: Option<f64>,
     #[serde(skip_serializing)]
@@ -67,7 +67,7 @@ impl Lens {
         }
     }
 
-    /// The pinhole of a picture of `width` x `height` pixels, or what is wrong with these values.
+    /// The pinhole of an image of `width` x `height` pixels, or what is wrong with these values.
     pub fn intrinsics(&self, (width, height): (usize, usize)) -> Result<Intrinsics, String> {
         let (w, h) = (width as f64, height as f64);
         let from_angle = |angle: f64| w / (2.0 * (angle / 2.0).tan());
@@ -81,10 +81,10 @@ impl Lens {
         }
         let (cx, cy) = (self.cx.unwrap_or(w / 2.0), self.cy.unwrap_or(h / 2.0));
         for (key, c, side) in [("cx", cx, w), ("cy", cy, h)] {
-            // A crop may put the principal point outside of the picture, but not far.
+            // A crop may put the principal point outside of the image, but not far.
             if !(c.is_finite() && c >= -side && c <= 2.0 * side) {
                 return Err(format!(
-                    "{key} = {c}; the principal point of a picture {side} pixels long was expected"
+                    "{key} = {c}; the principal point of an image {side} pixels long was expected"
                 ));
             }
         }

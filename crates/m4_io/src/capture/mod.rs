@@ -1,4 +1,4 @@
-//! Folders of posed frames: `transforms_train.json` beside pictures, depth maps and masks.
+//! Captures as folders of posed frames: `transforms_train.json` with images, depth maps and masks.
 //!
 //! The layout is nerfstudio's with a few keys more:
 //!
@@ -6,15 +6,15 @@
 //! NAME/transforms_train.json      the training video (a lone transforms.json is read too)
 //! NAME/transforms_test.json       optional: held-out views
 //! fl_x fl_y cx cy w h             pixels; for all frames, or inside a frame for that one. fl_y, cx and cy
-//!                                 default to fl_x and the picture's centre, w and h to the picture's size
-//! k1 k2 k3 k4 p1 p2               must be 0: pictures are expected undistorted
+//!                                 default to fl_x and the image's centre, w and h to the image's size
+//! k1 k2 k3 k4 p1 p2               must be 0: images are expected undistorted
 //! depth_unit_scale_factor         scene units a step of the depth maps, default 0.001
 //! axes                            "opengl" (default: x right, y up, z back) or "opencv"
 //! metric                          true when a scene unit is a metre; default false
 //! duration_s                      seconds from the first to the last frame
 //! tracks_path                     optional: tracks.npz, ways of moving points ([`crate::tracks`]); frames in the order of `frames`
 //! time_frames                     of a test split without a training split: how many frames `time` spans
-//! frames[]  file_path             picture, relative to the JSON file; PNG or JPEG
+//! frames[]  file_path             image, relative to the JSON file; PNG or JPEG
 //!           transform_matrix      4x4 camera-to-world
 //!           time                  0..1, first to last training frame; default: the frame's index
 //!           depth_file_path       optional: 16-bit PNG of z-depth, 0 = unknown

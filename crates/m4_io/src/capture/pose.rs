@@ -1,4 +1,4 @@
-//! Is a 4x4 matrix from a file a rigid motion?
+//! Checks that a 4x4 matrix from a file is a rigid motion.
 
 use m4_math::{Se3, nalgebra::Matrix3, nalgebra::Vector3};
 
@@ -14,7 +14,7 @@ pub enum PoseFault {
     /// Not 4 rows (or 3, without the last) of 4 numbers.
     #[error("has {rows} rows of {columns} numbers where 4 rows of 4 were expected")]
     Shape {
-        /// How many there are.
+        /// The number of them.
         rows: usize,
         /// Length of the first that is not 4 long.
         columns: usize,

@@ -1,4 +1,4 @@
-//! A folder of posed frames to a [`Capture`].
+//! Reads a folder of posed frames as a [`Capture`].
 
 use super::json::{self, Frame, Lens, Transforms};
 use super::{CaptureOptions, Pose, ReadCaptureError, Split};
@@ -77,7 +77,7 @@ fn list_of_frames(path: &Path, split: Split) -> PathBuf {
     }
 }
 
-/// A frame whose keys were checked but whose pictures are still on disk.
+/// A frame whose keys were checked but whose images are still on disk.
 struct Entry {
     index: usize,
     name: String,
@@ -266,7 +266,7 @@ impl Reader {
         }
     }
 
-    /// The picture's file; the synthetic NeRF scenes leave the extension away.
+    /// The image's file; the synthetic NeRF scenes leave the extension away.
     fn picture(&self, name: &str) -> PathBuf {
         let path = self.folder.join(name);
         if path.extension().is_none() {
@@ -279,7 +279,7 @@ impl Reader {
         path
     }
 
-    /// Refuses before the first picture is decoded.
+    /// Refuses before the first image is decoded.
     fn check_memory(&self, entries: &[Entry], options: &CaptureOptions) -> Result<(), ReadCaptureError> {
         let Some(first) = entries.first() else { return Ok(()) };
         let size = image::size(&first.picture).map_err(|e| self.image(first, e))?;

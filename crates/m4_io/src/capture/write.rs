@@ -1,4 +1,4 @@
-//! A [`Capture`] to a folder of posed frames.
+//! Writes a [`Capture`] as a folder of posed frames.
 
 use super::json::{Frame, Lens, Transforms};
 use super::{Axes, Split, WriteCaptureError};
@@ -15,7 +15,7 @@ const MIN_STEPS: f64 = 200.0;
 /// Steps of a 16-bit depth map.
 const MAX_STEPS: f64 = 65535.0;
 
-/// Writes one split of a capture to `folder` in the layout of [the module](super): pictures, masks
+/// Writes one split of a capture to `folder` in the layout of [the module](super): images, masks
 /// and depth as PNG, so that colours and masks come back bit by bit and poses too.
 ///
 /// The list of frames is removed first and written last: a folder that was left half-way is not
@@ -130,7 +130,7 @@ fn entry(
     if frame.rgb.size() != (k.width, k.height) {
         let (w, h) = frame.rgb.size();
         return Err(bad(format!(
-            "its picture is {w} x {h} but its camera {} x {}",
+            "its image is {w} x {h} but its camera {} x {}",
             k.width, k.height
         )));
     }

@@ -1,11 +1,11 @@
-//! Why a picture could not be read or written.
+//! Errors of reading and writing images.
 
 use crate::ErrorKind;
 use crate::shortened;
 use std::io;
 use std::path::PathBuf;
 
-/// Why a picture could not be read.
+/// Why an image could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReadImageError {
@@ -14,7 +14,7 @@ pub enum ReadImageError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is not a PNG or JPEG file.
@@ -23,7 +23,7 @@ pub enum ReadImageError {
         /// The file.
         path: PathBuf,
     },
-    /// The bytes are not a picture.
+    /// The bytes are not an image.
     #[error("the image {} is damaged ({reason}); export it again", shortened(path.display()), reason = shortened(reason))]
     Damaged {
         /// The file.
@@ -31,8 +31,8 @@ pub enum ReadImageError {
         /// What the decoder said.
         reason: String,
     },
-    /// The picture claims to be larger than the limit.
-    #[error("the image {} is {width} x {height} pixels, more than the {limit} pixels a side that are read; resize it", shortened(path.display()))]
+    /// The image claims to be larger than the limit.
+    #[error("the image {} is {width} x {height} pixels, above the limit of {limit} pixels per side; resize it", shortened(path.display()))]
     TooLarge {
         /// The file.
         path: PathBuf,
@@ -44,7 +44,7 @@ pub enum ReadImageError {
         limit: u32,
     },
     /// A depth map that is not a 16-bit greyscale PNG.
-    #[error("the depth map {} is {found}; it must be a greyscale PNG with 16 bits a pixel", shortened(path.display()), found = shortened(found))]
+    #[error("the depth map {} is {found}; it must be a greyscale PNG with 16 bits per pixel", shortened(path.display()), found = shortened(found))]
     NotDepth {
         /// The file.
         path: PathBuf,
@@ -52,7 +52,7 @@ pub enum ReadImageError {
         found: String,
     },
     /// A map of things that is not a greyscale PNG.
-    #[error("the map of instances {} is {found}; it must be a greyscale PNG with 8 or 16 bits a pixel, 0 where there is none", shortened(path.display()), found = shortened(found))]
+    #[error("the instance map {} is {found}; it must be a greyscale PNG with 8 or 16 bits per pixel, 0 where there is none", shortened(path.display()), found = shortened(found))]
     NotIds {
         /// The file.
         path: PathBuf,
@@ -75,7 +75,7 @@ impl ReadImageError {
     }
 }
 
-/// Why a picture could not be written.
+/// Why an image could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteImageError {
@@ -84,7 +84,7 @@ pub enum WriteImageError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The extension names a format that is not written.
@@ -93,7 +93,7 @@ pub enum WriteImageError {
         /// The file.
         path: PathBuf,
     },
-    /// The picture cannot be stored in that format.
+    /// The image cannot be stored in that format.
     #[error("cannot encode the image {}: {reason}", path.display())]
     Encode {
         /// The file.

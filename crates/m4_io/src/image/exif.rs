@@ -1,4 +1,4 @@
-//! The one thing that a camera's EXIF block tells the geometry: how long the lens is.
+//! The focal length in a camera's EXIF block, the only value that geometry uses.
 
 /// Diagonal of a frame of 35 mm film, millimetres: what "35 mm equivalent" focal lengths refer to (CIPA DCG-001).
 const FILM_DIAGONAL_MM: f64 = 43.266_615;
@@ -7,7 +7,7 @@ const EXIF_PART: u16 = 0x8769;
 /// Tag `FocalLengthIn35mmFilm`, millimetres.
 const FOCAL_35_MM: u16 = 0xa405;
 
-/// Focal length in pixels of a picture of `width` x `height` pixels, from its EXIF block (a TIFF
+/// Focal length in pixels of an image of `width` x `height` pixels, from its EXIF block (a TIFF
 /// header and directories); `None` where the block does not say or is damaged.
 pub fn focal_px(exif: &[u8], width: usize, height: usize) -> Option<f64> {
     let tiff = Tiff::new(exif)?;

@@ -1,4 +1,4 @@
-//! Pictures, depth maps and masks, one file each.
+//! Images, depth maps and masks, one file each.
 //!
 //! Reading takes 8- and 16-bit PNG and JPEG. Transparent pixels are laid over black. Writing is
 //! atomic; the format follows the file name's extension.

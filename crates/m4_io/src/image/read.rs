@@ -1,4 +1,4 @@
-//! PNG and JPEG files to planes.
+//! Reads PNG and JPEG files into planes.
 
 use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
@@ -16,7 +16,7 @@ const JPEG_PIXELS_A_BYTE: u64 = 512;
 /// Pixels that a file of any length may claim.
 const FREE_PIXELS: u64 = 1 << 20;
 
-/// Opens a picture and checks its format and size, from the header alone.
+/// Opens an image and checks its format and size, from the header alone.
 fn open(path: &Path) -> Result<impl ImageDecoder, ReadImageError> {
     let io = |source| ReadImageError::Io {
         path: path.to_path_buf(),
@@ -113,7 +113,7 @@ fn plane<T>(path: &Path, width: u32, height: u32, data: Vec<T>) -> Result<Plane<
     })
 }
 
-/// Width and height of a picture in pixels, from its header.
+/// Width and height of an image in pixels, from its header.
 ///
 /// # Errors
 ///
@@ -123,7 +123,7 @@ pub fn size(path: &Path) -> Result<(usize, usize), ReadImageError> {
     Ok((width as usize, height as usize))
 }
 
-/// Decodes a colour picture that was read from an archive; as [`read_rgb`], at most `most_pixels`. `name` is for messages.
+/// Decodes a colour image that was read from an archive; as [`read_rgb`], at most `most_pixels`. `name` is for messages.
 ///
 /// # Errors
 ///
@@ -156,7 +156,7 @@ pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImag
     )
 }
 
-/// Reads a colour picture; grey becomes colour, 16 bits become 8, transparency becomes black.
+/// Reads a colour image; grey becomes colour, 16 bits become 8, transparency becomes black.
 ///
 /// # Errors
 ///
@@ -165,7 +165,7 @@ pub fn read_rgb(path: &Path) -> Result<RgbImage, ReadImageError> {
     rgb(path, decode(path)?)
 }
 
-/// A picture as a camera took it.
+/// An image as a camera took it.
 #[derive(Debug, Clone)]
 pub struct Photo {
     /// Upright: turned as its EXIF block says.
@@ -174,7 +174,7 @@ pub struct Photo {
     pub focal_px: Option<f64>,
 }
 
-/// Reads a colour picture with what its EXIF block says about the camera.
+/// Reads a colour image with what its EXIF block says about the camera.
 ///
 /// # Errors
 ///
@@ -209,7 +209,7 @@ fn rgb(path: &Path, image: DynamicImage) -> Result<RgbImage, ReadImageError> {
     plane(path, width, height, data)
 }
 
-/// Reads a depth map: a greyscale PNG of 16 bits, times `unit` (scene units a step); 0 stays 0 = unknown.
+/// Reads a depth map: a greyscale PNG of 16 bits, times `unit` (scene units per step); 0 stays 0 = unknown.
 ///
 /// # Errors
 ///
@@ -276,7 +276,7 @@ fn is_png(path: &Path) -> Result<bool, ReadImageError> {
     Ok(reader.format() == Some(ImageFormat::Png))
 }
 
-/// Reads a mask: set where the picture's brightness is at least 128.
+/// Reads a mask: set where the image's brightness is at least 128.
 ///
 /// # Errors
 ///
@@ -285,7 +285,7 @@ pub fn read_mask(path: &Path) -> Result<CompactMask, ReadImageError> {
     Ok(read_grey(path)?.into())
 }
 
-/// Reads the brightness of a picture, 0 to 255.
+/// Reads the brightness of an image, 0 to 255.
 ///
 /// # Errors
 ///

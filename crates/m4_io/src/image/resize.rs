@@ -1,11 +1,11 @@
-//! Pictures of another size.
+//! Resizes images.
 
 use fast_image_resize::images::{TypedImage, TypedImageRef};
 use fast_image_resize::pixels::U8x3;
 use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
 use m4_scene::{Plane, RgbImage};
 
-/// The picture at `width` x `height` pixels, filtered against aliasing: shrinking weighs every
+/// The image at `width` x `height` pixels, filtered against aliasing: shrinking weighs every
 /// source pixel with a triangle two target pixels wide (both at least 1 pixel; `None` otherwise).
 #[must_use]
 pub fn resize_rgb(image: &RgbImage, width: usize, height: usize) -> Option<RgbImage> {

@@ -1,4 +1,4 @@
-//! Planes to PNG and JPEG files.
+//! Writes planes as PNG and JPEG files.
 
 use super::WriteImageError;
 use crate::atomic;
@@ -48,7 +48,7 @@ fn save(
     })
 }
 
-/// Writes a colour picture as PNG or JPEG (quality 95), by the extension.
+/// Writes a colour image as PNG or JPEG (quality 95), by the extension.
 ///
 /// # Errors
 ///

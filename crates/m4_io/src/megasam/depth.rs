@@ -1,4 +1,4 @@
-//! Depth: how it is stored, and what MegaSaM takes for unknown.
+//! Depth in MegaSaM's files, and the values that mean unknown.
 
 /// MegaSaM takes depth below this for unknown before it tracks.
 const LEAST_DEPTH: f64 = 1e-2;

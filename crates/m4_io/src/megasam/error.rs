@@ -1,4 +1,4 @@
-//! Why files of MegaSaM could not be read.
+//! Errors of reading MegaSaM's files.
 
 use crate::ErrorKind;
 use crate::npy::ArrayFault;
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub struct ReadMegasamError {
     /// The file.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// The fault.
     pub fault: MegasamFault,
 }
 
@@ -25,9 +25,9 @@ pub enum MegasamFault {
     #[error("{0}; give a NAME_droid.npz, a NAME_sgd_cvd_hr.npz or a folder of reconstructions")]
     Io(io::Error),
     /// It is no zip archive, or a damaged one.
-    #[error("it is no npz archive, or a damaged one ({0}); copy it again, or run MegaSaM again")]
+    #[error("it is not an npz archive, or a damaged one ({0}); copy it again, or run MegaSaM again")]
     Archive(String),
-    /// An array is not there.
+    /// An array is missing.
     #[error("it has no array `{array}` ({has})")]
     Missing {
         /// Name of the array.
@@ -68,21 +68,21 @@ pub enum MegasamFault {
     Option {
         /// The option.
         option: &'static str,
-        /// Its value.
+        /// The value.
         value: f64,
         /// What was expected.
         expected: &'static str,
     },
     /// It would not fit into memory.
-    #[error("{what} takes {} MiB of memory, above the limit of {} MiB; cut the clip, or raise the limit (max_memory_bytes)",
+    #[error("{what} takes {} MiB of memory, above the limit of {} MiB; shorten the clip, or raise the limit (max_memory_bytes)",
         needed_bytes >> 20,
         limit_bytes >> 20, what = shortened(what))]
     TooLarge {
-        /// What would take it.
+        /// The data that need it.
         what: String,
-        /// How much.
+        /// The required memory.
         needed_bytes: u64,
-        /// What it may take.
+        /// The limit.
         limit_bytes: u64,
     },
     /// The caller asked to stop.

@@ -1,4 +1,4 @@
-//! Arrays by name, out of an archive or a folder.
+//! Named arrays from an archive or a folder.
 
 use super::MegasamFault;
 use crate::npy::{Array, Npz, Number};
@@ -21,7 +21,7 @@ impl Input {
         npz.map(Self::Archive).map_err(MegasamFault::Archive)
     }
 
-    /// An array, its header read; `None` if it is not there.
+    /// An array, its header read; `None` if it is missing.
     pub fn find(&mut self, name: &'static str, limit_bytes: u64) -> Result<Option<Array<'_>>, MegasamFault> {
         match self {
             Self::Archive(npz) => npz.array(name, limit_bytes).map_err(MegasamFault::of(name)),

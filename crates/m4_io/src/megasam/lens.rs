@@ -1,9 +1,9 @@
-//! Lenses: the principal point is measured from the image's corner (see [the module](super)).
+//! Intrinsics in MegaSaM's files: the principal point is measured from the image's corner (see [the module](super)).
 
 use super::MegasamFault;
 use m4_scene::Intrinsics;
 
-/// The pinhole of `[fx, fy, cx, cy]`, pixels of a picture of `size`.
+/// The pinhole of `[fx, fy, cx, cy]`, pixels of an image of `size`.
 pub(super) fn of_numbers(
     array: &'static str,
     frame: usize,
@@ -20,7 +20,7 @@ pub(super) fn of_numbers(
     }
     for (name, c, side) in [("cx", cx, width as f64), ("cy", cy, height as f64)] {
         if !(c >= -side && c <= 2.0 * side) {
-            let what = format!("{name} = {c}; the principal point of a picture {side} pixels long was expected");
+            let what = format!("{name} = {c}; the principal point of an image {side} pixels long was expected");
             return Err(bad(what));
         }
     }

@@ -6,7 +6,7 @@
 //! reconstructions/NAME/  images.npy u8 [n][3][h][w] BGR    disps.npy [n][h][w]    poses.npy [n][7]    intrinsics.npy [n][4]
 //!                        motion_prob.npy [n][h/8][w/8]
 //!
-//! read:   file or folder -> shapes compared -> lenses, poses -> pictures, depth, masks -> Capture
+//! read:   file or folder -> shapes compared -> lenses, poses -> images, depth, masks -> Capture
 //! ```
 //!
 //! Source: section 1.9 of the specification of the front end, and the scripts of MegaSaM (Li et al. 2025; Apache-2.0)
@@ -18,8 +18,8 @@
 //! * Depth: z-depth in the unit of the poses; `disps` is `1 / (depth + 1e-6)`. Unknown (0 here) is what MegaSaM itself
 //!   takes for unknown: below 0.01, or in the clipped form at the lower end, or no number. The unit is a metre times a
 //!   factor that MegaSaM divides by and does not save, so a capture that is read is not metric.
-//! * `motion_prob` is **high where things stand still** (it weighs the bundle adjustment). The probability of motion is
-//!   `1 - m`; a pixel moves where that is above `tau_motion`, after `m` was resized bilinearly to the picture. Where more
+//! * `motion_prob` is **high where things are static** (it weighs the bundle adjustment). The probability of motion is
+//!   `1 - m`; a pixel moves where that is above `tau_motion`, after `m` was resized bilinearly to the image. Where more
 //!   than 60 % of the pixels come out as moving the map is probably one of the other polarity, and a warning says so.
 //! * Principal point: **the numbers are taken as they are**, as measured from the image's corner, where the centre of
 //!   the first pixel is at (0.5, 0.5). MegaSaM sets `cx = W/2` and then counts pixels from their corners in some places

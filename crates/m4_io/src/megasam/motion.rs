@@ -1,4 +1,4 @@
-//! `motion_prob` to masks.
+//! Converts `motion_prob` to masks.
 
 use super::{MegasamFault, MegasamOptions};
 use m4_scene::{CompactMask, Progress};
@@ -57,7 +57,7 @@ pub(super) fn mask(
         return Err(MegasamFault::Value {
             array: "motion_prob",
             frame,
-            what: format!("it holds {value}; 0 (moving) to 1 (standing still) was expected"),
+            what: format!("it holds {value}; 0 (dynamic) to 1 (static) was expected"),
         });
     }
     let across = taps(of.0, size.0);
@@ -97,8 +97,8 @@ pub(super) fn check_polarity<'a>(
     let share = moving as f64 / all.max(1) as f64;
     if share > MOST_MOVING {
         progress.warn(&format!(
-            "{:.0} % of the pixels count as moving: motion_prob is high where things stand still, and this file is \
-             probably the other way round; save 1 - motion_prob and import again, or raise tau_motion (now {tau_motion})",
+            "{:.0} % of the pixels count as dynamic: motion_prob is high in static regions, and this file is \
+             probably inverted; save 1 - motion_prob and import again, or raise tau_motion (now {tau_motion})",
             100.0 * share
         ));
     }

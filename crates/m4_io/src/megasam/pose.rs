@@ -1,4 +1,4 @@
-//! Poses: matrices camera to world, and translations with quaternions world to camera.
+//! Poses in MegaSaM's files: camera-to-world matrices, and translations with quaternions, world to camera.
 
 use super::MegasamFault;
 use crate::capture::Pose;

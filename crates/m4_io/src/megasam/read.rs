@@ -1,4 +1,4 @@
-//! A file or folder of MegaSaM to a [`Capture`].
+//! Reads a file or folder of MegaSaM as a [`Capture`].
 
 use super::depth::{self, Stored};
 use super::input::{self, Input};
@@ -15,7 +15,7 @@ const BYTES_A_PIXEL: u64 = 8;
 
 /// Reads a `.npz` file or a folder of reconstructions; see [the module](super) for what is converted.
 ///
-/// What was assumed (frames a second, a motion map that is missing or looks turned round) is reported to `progress`.
+/// What was assumed (frames per second, a motion map that is missing or looks turned round) is reported to `progress`.
 ///
 /// # Errors
 ///
@@ -52,7 +52,7 @@ fn inner(path: &Path, options: &MegasamOptions, progress: &dyn Progress) -> Resu
 
     let fps = options.fps.unwrap_or_else(|| {
         progress.warn(&format!(
-            "the files of MegaSaM do not say how many frames a second they have; {DEFAULT_FPS} were assumed (fps)"
+            "the files of MegaSaM do not state the frame rate; {DEFAULT_FPS} frames per second are assumed (fps)"
         ));
         DEFAULT_FPS
     });
@@ -90,7 +90,7 @@ fn check(options: &MegasamOptions) -> Result<(), MegasamFault> {
         })
     };
     if let Some(fps) = options.fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
-        return bad("fps", fps, "frames a second, above 0, were expected");
+        return bad("fps", fps, "frames per second, above 0, were expected");
     }
     let tau = options.tau_motion;
     if !(0.0..=1.0).contains(&tau) {
@@ -99,7 +99,7 @@ fn check(options: &MegasamOptions) -> Result<(), MegasamFault> {
     Ok(())
 }
 
-/// Looks at the shape of the pictures, and at what all frames will take.
+/// Looks at the shape of the images, and at what all frames will take.
 fn clip(input: &mut Input, planar: bool, limit_bytes: u64) -> Result<Clip, MegasamFault> {
     let images = input.array("images", limit_bytes)?;
     input::numbers("images", &images, true)?;
@@ -151,7 +151,7 @@ fn cameras(input: &mut Input, clip: Clip, limit: u64) -> Result<Cameras, Megasam
     Ok((vec![k; clip.frames], poses.collect::<Result<_, _>>()?))
 }
 
-/// A lens a frame, and translations with quaternions world to camera.
+/// A lens per frame, and translations with quaternions world to camera.
 fn trajectory(input: &mut Input, clip: Clip, limit: u64) -> Result<Cameras, MegasamFault> {
     let k = input.array("intrinsics", limit)?;
     input::shape(
@@ -186,7 +186,7 @@ fn pictures(
     let mut array = input.array("images", limit)?;
     let mut pictures = Vec::new();
     for i in 0..clip.frames {
-        step("read pictures", i, clip.frames, progress)?;
+        step("read images", i, clip.frames, progress)?;
         let bytes = array.next_u8(3 * w * h).map_err(MegasamFault::of("images"))?;
         let pixels = if planar {
             // blue, green, red, a plane each
@@ -249,7 +249,7 @@ fn depths(
     Ok(maps)
 }
 
-/// What moves, and how likely each cell does.
+/// The dynamic part, and how likely each cell does.
 type Moving = (CompactMask, Plane<u8>);
 
 /// Masks, and how likely each cell moves; `None` where there is no map of motion.
@@ -265,7 +265,7 @@ fn masks(
             .map(|p| p.display().to_string())
             .collect();
         progress.warn(&format!(
-            "no map of motion was found ({}), so everything counts as standing still; give the file motion_prob.npy \
+            "no motion map was found ({}), so every pixel counts as static; give the file motion_prob.npy \
              that MegaSaM wrote into reconstructions/NAME",
             at.join(", ")
         ));
@@ -291,7 +291,7 @@ fn masks(
     Ok(Some(masks))
 }
 
-/// Width and height of the map of motion: an eighth of the picture, or all of it.
+/// Width and height of the map of motion: an eighth of the image, or all of it.
 fn map_size(array: &Array<'_>, clip: Clip) -> Result<(usize, usize), MegasamFault> {
     let (w, h) = clip.size;
     let small = (w / motion::BLOCK, h / motion::BLOCK);
@@ -307,7 +307,7 @@ fn map_size(array: &Array<'_>, clip: Clip) -> Result<(usize, usize), MegasamFaul
         array: "motion_prob",
         found: array.shape.clone(),
         expected: format!(
-            "({} frames, {}, {}), an eighth of the pictures, or their size; is it of another clip?",
+            "({} frames, {}, {}), an eighth of the images, or their size; is it of another clip?",
             clip.frames, small.1, small.0
         ),
     })

@@ -1,4 +1,4 @@
-//! The numbers of an array, read from front to back.
+//! Reads the numbers of an array from front to back.
 
 use super::Header;
 use half::f16;
@@ -16,7 +16,7 @@ pub enum ArrayFault {
     TooLarge {
         /// What it takes, bytes.
         needed_bytes: u64,
-        /// What it may take.
+        /// The limit.
         limit_bytes: u64,
     },
 }
@@ -212,7 +212,7 @@ impl<'a> Array<'a> {
         let mut one = [0];
         match self.reader.read(&mut one) {
             Ok(0) => Ok(()),
-            Ok(_) => Err(ArrayFault::Bad("goes on after all of its numbers".into())),
+            Ok(_) => Err(ArrayFault::Bad("continues after all of its numbers".into())),
             Err(e) => Err(unpacked(e)),
         }
     }

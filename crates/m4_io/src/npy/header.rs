@@ -34,7 +34,7 @@ impl Header {
         };
         let start = take(8)?;
         if &start[..6] != MAGIC {
-            return Err("is no npy array".into());
+            return Err("is not an npy array".into());
         }
         let length = match start[6] {
             1 => take(2)?,
@@ -45,7 +45,7 @@ impl Header {
         if length > MAX_HEADER {
             return Err(format!("has a header of {length} bytes; at most {MAX_HEADER} are read"));
         }
-        let text = String::from_utf8(take(length)?).map_err(|_| "has a header that is no text".to_owned())?;
+        let text = String::from_utf8(take(length)?).map_err(|_| "has a header that is not text".to_owned())?;
         Self::parse(&text).ok_or_else(|| format!("has a header that is not understood: {}", text.trim_end()))
     }
 
@@ -124,7 +124,7 @@ mod tests {
     fn headers_that_are_not_read_say_why() {
         let refused = |bytes: &[u8]| Header::read(&mut &*bytes).unwrap_err();
         assert!(refused(b"PK").contains("ends in its header"));
-        assert!(refused(b"\x93NUMPX\x01\x00\x02\x00{}").contains("no npy"));
+        assert!(refused(b"\x93NUMPX\x01\x00\x02\x00{}").contains("not an npy"));
         assert!(refused(b"\x93NUMPY\x09\x00\x02\x00{}").contains("version 9"));
         assert!(refused(b"\x93NUMPY\x02\x00\xff\xff\xff\xff").contains("4294967295 bytes"));
         let written = |text: &str| {

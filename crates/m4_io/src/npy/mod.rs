@@ -1,4 +1,4 @@
-//! Arrays as numpy saves them: `.npy` files (NumPy enhancement proposal 1) and `.npz` archives of them.
+//! Reads numpy arrays: `.npy` files (NumPy enhancement proposal 1) and `.npz` archives of them.
 //!
 //! ```text
 //! .npy   header | numbers                       Header -> Array, read from front to back

@@ -53,7 +53,7 @@ impl Npz {
         names.join(", ")
     }
 
-    /// One array, its header read; `None` if it is not there.
+    /// One array, its header read; `None` if it is missing.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! Between a [`m4_scene::Scene`] and named arrays.
+//! Converts between a [`m4_scene::Scene`] and named arrays.
 
 use super::tensor::Source;
 use m4_math::{Se3, nalgebra::Matrix3, nalgebra::Vector3};

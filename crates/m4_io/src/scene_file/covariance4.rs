@@ -1,4 +1,4 @@
-//! Dynamic splats as 4x4 covariances: the form in which other programs hold 4D Gaussians.
+//! Dynamic splats as 4x4 covariances, the form in which other programs store 4D Gaussians.
 
 use super::convert::{Arrays, Fault, Sources, f32_array};
 use super::read::{fault_to_error, load};

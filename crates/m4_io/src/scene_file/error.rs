@@ -1,4 +1,4 @@
-//! Why a scene file could not be read or written.
+//! Errors of reading and writing scene files.
 
 use crate::ErrorKind;
 use crate::shortened;
@@ -14,7 +14,7 @@ pub enum ReadSceneError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is no safetensors file.
@@ -22,7 +22,7 @@ pub enum ReadSceneError {
     NotScene {
         /// The file.
         path: PathBuf,
-        /// How that is known.
+        /// The reason.
         reason: String,
     },
     /// The file ends too early or its parts overlap.
@@ -30,7 +30,7 @@ pub enum ReadSceneError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What the parser said.
+        /// The message of the parser.
         reason: String,
     },
     /// A newer program wrote the file.
@@ -82,7 +82,7 @@ pub enum ReadSceneError {
         splat: usize,
         /// The array.
         name: &'static str,
-        /// What it holds.
+        /// Its contents.
         value: String,
         /// What was expected.
         expected: String,
@@ -115,7 +115,7 @@ pub enum WriteSceneError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The scene holds something that the format does not.
@@ -123,7 +123,7 @@ pub enum WriteSceneError {
     BadScene {
         /// The file.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         what: String,
     },
     /// The file that was written reads back otherwise; it was removed.
@@ -131,7 +131,7 @@ pub enum WriteSceneError {
     Verify {
         /// The file.
         path: PathBuf,
-        /// What was found.
+        /// The findings.
         reason: String,
     },
 }

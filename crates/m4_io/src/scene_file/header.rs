@@ -1,4 +1,4 @@
-//! What a scene file says besides its arrays.
+//! The metadata of a scene file.
 
 use super::convert::Sources;
 use m4_scene::SplatLayout;

@@ -1,4 +1,4 @@
-//! A scene file to a scene.
+//! Reads a scene file.
 
 use super::ReadSceneError;
 use super::convert::{Arrays, Fault, arrays_to_source, arrays_to_splats};

@@ -1,13 +1,13 @@
-//! Numbers that no scene holds.
+//! Checks that the numbers of a scene are valid.
 
 use m4_math::nalgebra::Matrix3;
 use m4_scene::{Scene, SourceFrame};
 
-/// Longest side of a picture of the source, pixels.
+/// Longest side of an image of the source, pixels.
 const MAX_SIDE_PX: usize = 1 << 16;
 /// Farthest that the product of a rotation and its transpose may be from the identity.
 const ROTATION_WITHIN: f64 = 1e-2;
-/// Most frames of a clip: nine hours at 30 frames a second. What goes through them frame by frame has to end.
+/// Most frames of a clip: nine hours at 30 frames per second. What goes through them frame by frame has to end.
 const MAX_FRAMES: usize = 1_000_000;
 
 /// What of a scene is no number, or cannot be, and what it holds; `None` where all is in order.
@@ -35,11 +35,11 @@ fn of_source(frame: &SourceFrame) -> Option<String> {
     let k = &frame.camera.intrinsics;
     let sides = [k.width, k.height];
     if !sides.iter().all(|side| (1..=MAX_SIDE_PX).contains(side)) {
-        return Some(format!("pictures of {} x {} pixels", k.width, k.height));
+        return Some(format!("images of {} x {} pixels", k.width, k.height));
     }
     let lens = [k.fx, k.fy, k.cx, k.cy];
     if !(lens.iter().all(|v| v.is_finite()) && k.fx > 0.0 && k.fy > 0.0) {
-        return Some(format!("the lens {lens:?} (fx, fy, cx, cy)"));
+        return Some(format!("the intrinsics {lens:?} (fx, fy, cx, cy)"));
     }
     let c2w = &frame.camera.c2w;
     if !c2w.translation.iter().all(|v| v.is_finite()) {
@@ -48,7 +48,7 @@ fn of_source(frame: &SourceFrame) -> Option<String> {
     let turned = c2w.rotation.transpose() * c2w.rotation - Matrix3::identity();
     // a comparison that what is no number fails
     if !turned.iter().all(|v| v.abs() < ROTATION_WITHIN) || c2w.rotation.determinant() < 0.0 {
-        return Some("a pose that is no rotation".into());
+        return Some("a pose that is not a rotation".into());
     }
     if !frame.t.is_finite() {
         return Some(format!("the time {}", frame.t));

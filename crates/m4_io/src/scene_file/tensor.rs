@@ -1,4 +1,4 @@
-//! Arrays between memory and safetensors files, little-endian, a piece at a time.
+//! Copies arrays between memory and safetensors files, little-endian, in pieces.
 
 use m4_scene::StateTensor;
 use safetensors::tensor::Dtype;

@@ -1,4 +1,4 @@
-//! A scene to a scene file.
+//! Writes a scene file.
 
 use super::WriteSceneError;
 use super::convert::{Sources, source_to_arrays, splats_to_arrays};

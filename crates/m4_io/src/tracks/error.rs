@@ -1,4 +1,4 @@
-//! Why tracks could not be read.
+//! Errors of reading tracks.
 
 use crate::ErrorKind;
 use crate::shortened;
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 pub struct ReadTracksError {
     /// The file.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// The fault.
     pub fault: TracksFault,
 }
 
@@ -24,9 +24,9 @@ pub enum TracksFault {
     #[error("{0}; give the file of the capture, or remove `tracks_path` from the list of frames")]
     Io(io::Error),
     /// It is no zip archive, or a damaged one.
-    #[error("it is no npz archive, or a damaged one ({0}); save it with numpy.savez")]
+    #[error("it is not an npz archive, or a damaged one ({0}); save it with numpy.savez")]
     Archive(String),
-    /// An array is not there.
+    /// An array is missing.
     #[error("it has no array `{0}`; `coords` and `visibs` are needed")]
     Missing(&'static str),
     /// A member is no array that is read here.
@@ -48,7 +48,7 @@ pub enum TracksFault {
         expected: String,
     },
     /// A coordinate is infinite.
-    #[error("track {track} is at an infinite place in frame {frame}; unknown places are NaN")]
+    #[error("track {track} has an infinite position in frame {frame}; unknown positions must be NaN")]
     Infinite {
         /// Index of the frame in the file.
         frame: usize,
@@ -64,7 +64,7 @@ pub enum TracksFault {
         array: &'static str,
         /// What it would take.
         needed_bytes: u64,
-        /// What it may take.
+        /// The limit.
         limit_bytes: u64,
     },
 }

@@ -1,4 +1,4 @@
-//! Tracks as `tracks.npz`: arrays by the names that TAPIP3D gives them, so that its files are read as they are.
+//! Tracks as `tracks.npz`, with the array names of TAPIP3D, so that its files can be read directly.
 //!
 //! ```text
 //! coords   [frames][tracks][3]   float32   world units; NaN where unknown

@@ -1,4 +1,4 @@
-//! `tracks.npz` to [`Tracks`].
+//! Reads `tracks.npz` as [`Tracks`].
 
 use super::{ReadTracksError, TracksFault};
 use crate::npy::Header;
@@ -73,7 +73,7 @@ struct Array {
     bytes: Vec<u8>,
 }
 
-/// One member of the archive; `None` if it is not there. `unfit` says what was expected if a shape is another.
+/// One member of the archive; `None` if it is missing. `unfit` says what was expected if a shape is another.
 fn array(
     archive: &mut ZipArchive<BufReader<File>>,
     name: &'static str,

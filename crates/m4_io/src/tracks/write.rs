@@ -1,4 +1,4 @@
-//! [`Tracks`] to `tracks.npz`.
+//! Writes [`Tracks`] as `tracks.npz`.
 
 use crate::atomic;
 use crate::npy::Header;

@@ -1,4 +1,4 @@
-//! Why a camera path could not be read.
+//! Errors of reading camera paths.
 
 use crate::ErrorKind;
 use crate::shortened;
@@ -14,7 +14,7 @@ pub enum ReadTrajectoryError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file is not JSON of a known layout.

@@ -10,19 +10,19 @@ use std::path::Path;
 
 /// Longest file that is read, bytes: half a kilobyte a camera.
 const MAX_BYTES: u64 = 64 << 20;
-/// Most cameras or keyframes of a path: an hour at 28 frames a second.
+/// Most cameras or keyframes of a path: an hour at 28 frames per second.
 const MAX_CAMERAS: usize = 100_000;
 
 /// What a file says about a camera path.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Trajectory {
-    /// A camera a picture.
+    /// A camera an image.
     Listed(Listed),
     /// Places to go through.
     Keyed(Keyed),
 }
 
-/// A camera path as a camera a picture.
+/// A camera path as a camera an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Listed {
     /// Cameras, each with its moment in frames.

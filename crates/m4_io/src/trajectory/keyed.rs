@@ -9,7 +9,7 @@ pub struct Keyed {
     pub keyframes: Vec<Keyframe>,
     /// Seconds from the last keyframe back to the first, where the path is closed.
     pub back_s: Option<f64>,
-    /// Columns and rows of the pictures, where the file says.
+    /// Columns and rows of the images, where the file says.
     pub size: Option<(usize, usize)>,
     /// Frames a second, where the file says.
     pub fps: Option<f64>,
@@ -38,13 +38,13 @@ pub struct Keyframe {
 pub enum KeyPose {
     /// Camera to world, OpenCV axes.
     C2w(Se3<f64>),
-    /// At `position`, with `look_at` in the middle of the picture.
+    /// At `position`, with `look_at` in the middle of the image.
     LookAt {
         /// World units.
         position: Vector3<f64>,
         /// World units.
         look_at: Vector3<f64>,
-        /// The direction that is upwards in the picture; `None` for that of the source.
+        /// The direction that is upwards in the image; `None` for that of the source.
         up: Option<Vector3<f64>>,
     },
 }

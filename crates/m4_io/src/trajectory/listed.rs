@@ -1,4 +1,4 @@
-//! Files that list a camera a picture: `transforms.json`, and `camera_path` of the nerfstudio viewer.
+//! Files that list one camera per image: `transforms.json`, and `camera_path` of the nerfstudio viewer.
 
 use super::Listed;
 use super::file::Fault;
@@ -87,7 +87,7 @@ impl PathFile {
     fn intrinsics(&self, stop: &Stop) -> Result<Intrinsics, String> {
         let mut lens = stop.lens.or(&self.lens);
         let pixels = |keys: &str, value: Option<f64>| {
-            let value = value.ok_or_else(|| format!("{keys}, the size of the picture in pixels, is missing"))?;
+            let value = value.ok_or_else(|| format!("{keys}, the size of the image in pixels, is missing"))?;
             side(keys, value)
         };
         let width = pixels("w (or render_width)", lens.w.or(self.header.render_width))?;

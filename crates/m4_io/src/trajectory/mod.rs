@@ -1,10 +1,10 @@
-//! Camera paths to render along.
+//! Reads camera paths for rendering.
 //!
-//! Four layouts of JSON are read, told apart by their keys. Two list a camera a picture:
+//! Four layouts of JSON are read, distinguished by their keys. Two list a camera an image:
 //!
 //! ```text
 //! transforms.json   frames[].transform_matrix, fl_x .. h, time (nerfstudio; as in crate::capture,
-//!                   without pictures)
+//!                   without images)
 //! camera_path.json  camera_path[].camera_to_world (16 numbers, row-major), fov (vertical, degrees),
 //!                   render_time; render_width, render_height, fps, camera_type; OpenGL axes
 //! ```

@@ -1,4 +1,4 @@
-//! What the viewer of nerfstudio writes: its `keyframes`, and what both its lists share.
+//! Files of the nerfstudio viewer: its `keyframes`, and the parts common to both of its lists.
 //!
 //! Layout: `nerfstudio/viewer/render_panel.py` (`_write_json`). `matrix` is row-major numbers with OpenGL
 //! axes; up to version 0.3 it was column-major text (`JSON.stringify` of a three.js matrix).
@@ -10,7 +10,7 @@ use crate::capture::{Axes, Pose};
 use m4_math::Se3;
 use serde::Deserialize;
 
-/// Largest side of a picture to render, pixels.
+/// Largest side of an image to render, pixels.
 pub const MAX_SIDE_PX: f64 = 16_384.0;
 /// Seconds between keyframes where the file does not say: the viewer's own.
 const TRANSITION_S: f64 = 2.0;

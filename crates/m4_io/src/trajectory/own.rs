@@ -1,4 +1,4 @@
-//! Our own keyframes; the layout is described for users in `docs/paths.md`.
+//! The keyframes of minute4d; the layout is described for users in `docs/paths.md`.
 
 use super::file::Fault;
 use super::keyed::{fov, vector};

@@ -1,4 +1,4 @@
-//! Why a clip could not be read or written.
+//! Errors of reading and writing clips.
 
 use super::decoder::DecoderEnd;
 use crate::ErrorKind;
@@ -16,7 +16,7 @@ pub enum ReadVideoError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The file has no bytes.
@@ -30,7 +30,7 @@ pub enum ReadVideoError {
     NotVideo {
         /// The file.
         path: PathBuf,
-        /// How that is known.
+        /// The reason.
         reason: String,
     },
     /// The file ends too early.
@@ -49,7 +49,7 @@ pub enum ReadVideoError {
         /// Where and what.
         what: String,
     },
-    /// There is sound but no picture.
+    /// There is sound but no image.
     #[error("{} has no video track ({found}); a clip filmed with a moving camera is needed", path.display(), found = shortened(found))]
     NoVideoTrack {
         /// The file.
@@ -62,7 +62,7 @@ pub enum ReadVideoError {
     NoFrames {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         reason: String,
     },
     /// The part that was asked for is not in the clip.
@@ -78,7 +78,7 @@ pub enum ReadVideoError {
         end_s: f64,
     },
     /// Damaged frames, where none were to be tolerated.
-    #[error("{damaged} of {total} frames of {} are damaged (the first at {first_s:.2} s); without `strict` they are left out", path.display())]
+    #[error("{damaged} of {total} frames of {} are damaged (the first at {first_s:.2} s); without --strict-video they are dropped", path.display())]
     DamagedFrames {
         /// The file.
         path: PathBuf,
@@ -98,7 +98,7 @@ pub enum ReadVideoError {
         what: String,
         /// The program that was tried.
         ffmpeg: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         reason: String,
     },
     /// ffmpeg gave up.
@@ -120,18 +120,18 @@ pub enum ReadVideoError {
         /// How it failed.
         how: DecoderEnd,
     },
-    /// The registered decoder is not there, or the system refuses it.
+    /// The registered decoder is missing, or the system refuses it.
     #[error("cannot decode the video {}: the decoder program {} cannot be started ({source}); install the program again", path.display(), program.display())]
     DecoderNotStarted {
         /// The file.
         path: PathBuf,
         /// The program.
         program: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The size of the frames changes within the clip.
-    #[error("the video {} changes its size from {} x {} to {} x {} at {time_s:.2} s; cut it there", path.display(), from.0, from.1, to.0, to.1)]
+    #[error("the video {} changes its size from {} x {} to {} x {} at {time_s:.2} s; split it there", path.display(), from.0, from.1, to.0, to.1)]
     SizeChanges {
         /// The file.
         path: PathBuf,
@@ -151,9 +151,9 @@ pub enum ReadVideoError {
         frames: usize,
         /// Width and height they would have.
         size: (usize, usize),
-        /// What they would take.
+        /// The required memory.
         needed_bytes: u64,
-        /// What they may take.
+        /// The limit.
         limit_bytes: u64,
     },
     /// An option has a value that cannot be.
@@ -161,28 +161,28 @@ pub enum ReadVideoError {
     BadOption {
         /// The option.
         option: &'static str,
-        /// Its value.
+        /// The value.
         value: String,
         /// What was expected.
         expected: &'static str,
     },
-    /// A folder without pictures.
-    #[error("the folder {} has no picture whose name ends in .jpg, .jpeg or .png; give a video file or a folder of frames", path.display())]
+    /// A folder without images.
+    #[error("the folder {} has no image whose name ends in .jpg, .jpeg or .png; give a video file or a folder of frames", path.display())]
     NoPictures {
         /// The folder.
         path: PathBuf,
     },
-    /// Pictures of one folder differ in size.
-    #[error("the picture {} is {} x {} pixels but those before it are {} x {}; frames of one camera must have one size", path.display(), found.0, found.1, expected.0, expected.1)]
+    /// Images of one folder differ in size.
+    #[error("the image {} is {} x {} pixels but those before it are {} x {}; frames of one camera must have one size", path.display(), found.0, found.1, expected.0, expected.1)]
     PictureSize {
-        /// The first picture that differs.
+        /// The first image that differs.
         path: PathBuf,
         /// Width and height of the others.
         expected: (usize, usize),
         /// Its width and height.
         found: (usize, usize),
     },
-    /// A picture of a folder could not be read.
+    /// An image of a folder could not be read.
     #[error(transparent)]
     Picture(#[from] ReadImageError),
     /// The caller asked to stop.
@@ -229,7 +229,7 @@ pub enum WriteVideoError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A size or rate that cannot be encoded.
@@ -263,7 +263,7 @@ pub enum WriteVideoError {
     Encode {
         /// The file.
         path: PathBuf,
-        /// What it said.
+        /// Its message.
         reason: String,
     },
     /// The file that was written does not read back; it was removed.
@@ -271,7 +271,7 @@ pub enum WriteVideoError {
     Verify {
         /// The file.
         path: PathBuf,
-        /// What was found.
+        /// The findings.
         reason: String,
     },
 }

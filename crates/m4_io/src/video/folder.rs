@@ -1,4 +1,4 @@
-//! A folder of pictures as a clip.
+//! A folder of images as a clip.
 
 use super::plan::{self, Collector};
 use super::{ReadVideoError, VideoOptions};
@@ -9,7 +9,7 @@ use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering as Atomic};
 
-/// Reads the pictures of a folder in natural order (`2.png` before `10.png`), evenly spaced in time.
+/// Reads the images of a folder in natural order (`2.png` before `10.png`), evenly spaced in time.
 pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
     let pictures = pictures(path)?;
     let times: Vec<f64> = (0..pictures.len()).map(|i| i as f64 / options.folder_fps).collect();
@@ -44,12 +44,12 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
             if let Some(small) = image::resize_rgb(&photo.rgb, width, height) {
                 photo.rgb = small;
             }
-            progress.update("read pictures", done.fetch_add(1, Atomic::Relaxed) + 1, kept.len(), "");
+            progress.update("read images", done.fetch_add(1, Atomic::Relaxed) + 1, kept.len(), "");
             Ok(photo)
         })
         .collect();
     let frames = frames.into_iter().collect::<Result<Vec<_>, _>>()?;
-    // Pictures turned by their EXIF blocks may differ although the files agree.
+    // Images turned by their EXIF blocks may differ although the files agree.
     let upright = frames.first().map_or(size, |f| f.rgb.size());
     if let Some(i) = frames.iter().position(|f| f.rgb.size() != upright) {
         return Err(ReadVideoError::PictureSize {
@@ -71,7 +71,7 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
     })
 }
 
-/// The pictures (PNG, JPEG) of a folder in natural order: `2.png` before `10.png`; at least one.
+/// The images (PNG, JPEG) of a folder in natural order: `2.png` before `10.png`; at least one.
 ///
 /// # Errors
 ///

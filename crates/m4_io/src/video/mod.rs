@@ -1,4 +1,4 @@
-//! Clips: reading video files and folders of pictures, writing MP4.
+//! Clips: reads video files and folders of images, writes MP4.
 //!
 //! 8-bit H.264 in MP4 and MOV files is decoded by OpenH264, which is built in. Everything else goes through
 //! an `ffmpeg` on the PATH, if there is one.

@@ -1,8 +1,8 @@
-//! Pictures upright: the eight ways in which a display matrix can turn and mirror.
+//! Rotates images upright: the eight ways in which a display matrix can rotate and mirror.
 
 use m4_scene::{Plane, RgbImage};
 
-/// Where the stored picture's columns and rows go on the display.
+/// Where the stored image's columns and rows go on the display.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Orientation {
     /// Stored columns become displayed rows.
@@ -42,7 +42,7 @@ impl Orientation {
         self.transpose
     }
 
-    /// The picture as it is displayed.
+    /// The image as it is displayed.
     pub fn apply(self, picture: RgbImage) -> RgbImage {
         if self
             == (Self {

@@ -1,4 +1,4 @@
-//! Which frames are kept, at which size, and whether they fit.
+//! Chooses the frames to keep and their size, and checks that they fit into memory.
 
 use super::{ReadVideoError, VideoOptions};
 use m4_scene::{RgbImage, Video, VideoFrame};
@@ -35,7 +35,7 @@ pub fn check_options(options: &VideoOptions) -> Result<(), ReadVideoError> {
         ));
     }
     if !(options.folder_fps.is_finite() && options.folder_fps > 0.0) {
-        let expected = "frames a second, above 0, were expected";
+        let expected = "frames per second, above 0, were expected";
         return Err(bad("folder_fps", options.folder_fps.to_string(), expected));
     }
     options.decoder.check()

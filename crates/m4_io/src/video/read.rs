@@ -1,4 +1,4 @@
-//! Which decoder reads a clip.
+//! Chooses the decoder of a clip.
 
 use super::decoder::{DecoderProgram, decoder_program};
 use super::mp4::{Movie, Mp4Error};
@@ -14,7 +14,7 @@ const START_BYTES: u64 = 512;
 /// Said of a file that ffmpeg may still know.
 const UNKNOWN: &str = "its first bytes are those of no known container; give an MP4, MOV, MKV, WebM or AVI file";
 
-/// Reads a clip: a video file or a folder of pictures. Frames come upright (display matrix applied),
+/// Reads a clip: a video file or a folder of images. Frames come upright (display matrix applied),
 /// in sRGB, in order of time, all of one size; what the user should know is in [`Video::warnings`].
 /// H.264 is decoded by the program of [`super::set_decoder_program`], and in this process where there is none.
 ///
@@ -49,7 +49,7 @@ pub fn read_with(
     if !meta.is_file() {
         return Err(ReadVideoError::NotVideo {
             path: path.to_path_buf(),
-            reason: "it is a device or a pipe; give a file or a folder of pictures".into(),
+            reason: "it is a device or a pipe; give a file or a folder of images".into(),
         });
     }
     if meta.len() == 0 {
@@ -100,7 +100,7 @@ fn container(start: &[u8]) -> Result<&'static str, &'static str> {
     }
     let pictures: [&[u8]; 2] = [b"\x89PNG", &[0xff, 0xd8, 0xff]];
     if pictures.iter().any(|magic| start.starts_with(magic)) {
-        return Err("it is a single picture; give a video or the folder that holds all frames");
+        return Err("it is a single image; give a video or the folder that holds all frames");
     }
     if start.iter().all(|&b| b == 0) {
         return Err("it starts with zeros, as after a copy that was interrupted; copy it again");

@@ -1,4 +1,4 @@
-//! Pictures to an MP4 file that plays everywhere.
+//! Writes images as an MP4 file that plays in common players.
 
 use super::colour::{Planes420, Range, YuvMatrix};
 use super::mp4::Movie;
@@ -17,9 +17,9 @@ use std::path::{Path, PathBuf};
 
 /// Sides that the encoder takes, pixels: from one macroblock to level 5.2.
 const SIDES_PX: (usize, usize) = (16, 3840);
-/// Shorter side of the largest picture, pixels.
+/// Shorter side of the largest image, pixels.
 const SHORT_SIDE_PX: usize = 2160;
-/// Quantisation: coding begins to be seen at 26, and under 18 it costs bits that nobody sees.
+/// Quantisation: coding begins to be seen at 26, and below 18 it costs bits without a visible gain.
 const QP: (u8, u8) = (20, 22);
 /// Bits a second that the encoder asks for. It steers nothing in the mode that is used here.
 const NOMINAL_BITS_PER_S: u32 = 2_000_000;
@@ -72,7 +72,9 @@ impl Mp4Writer {
             )));
         }
         if !(fps.is_finite() && (0.1..=1000.0).contains(&fps)) {
-            return Err(unsupported(format!("{fps} frames a second; 0.1 to 1000 were expected")));
+            return Err(unsupported(format!(
+                "{fps} frames per second; 0.1 to 1000 were expected"
+            )));
         }
         let encode = |reason: String| WriteVideoError::Encode {
             path: path.to_path_buf(),

@@ -62,7 +62,7 @@ pub fn ffmpeg(arguments: &str, output: &Path) -> bool {
     }
 }
 
-/// Peak signal-to-noise ratio of two pictures of one size, dB.
+/// Peak signal-to-noise ratio of two images of one size, dB.
 pub fn psnr(a: &RgbImage, b: &RgbImage) -> f64 {
     assert_eq!(a.size(), b.size());
     let square = |(a, b): (&u8, &u8)| (f64::from(*a) - f64::from(*b)).powi(2);

@@ -1,4 +1,4 @@
-//! The SIMD twin of the optimiser step.
+//! The SIMD version of the optimiser step.
 
 use super::AdamParams;
 use crate::{
@@ -84,7 +84,7 @@ impl AdamState {
 const CHUNK_ROWS: usize = 8192;
 
 /// One step of every splat that `gradients` touch (of every splat unless `config.sparse`).
-/// `lr` holds one learning rate a column, in the order of [`Splats::columns`].
+/// `lr` holds one learning rate per column, in the order of [`Splats::columns`].
 ///
 /// # Panics
 ///
@@ -172,7 +172,7 @@ struct Chunk<'a> {
     columns: Vec<Column<'a>>,
 }
 
-/// What the columns of a chunk share, a value a row.
+/// What the columns of a chunk share, a value per row.
 #[derive(Debug, Default)]
 struct Bias {
     /// `1 / (1 - beta1^count)`; 0 for splats that are not stepped.

@@ -1,5 +1,4 @@
-//! How many splats live at an instant and how many pixels they change: slow passes of their own, so that
-//! kernels count nothing.
+//! Counts the splats visible at an instant and the pixels that they change, in separate slow passes, so that kernels count nothing.
 
 use crate::{
     View,

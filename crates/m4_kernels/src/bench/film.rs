@@ -1,16 +1,16 @@
-//! A filmed version of the synthetic room: frames with poses, depth and masks, as training reads them.
+//! A rendered sequence of the synthetic room: frames with poses, depth and masks, in the form that training reads.
 
 use super::scene::{FRAMES, camera, cast, colour, drift, is_ball};
 use m4_math::{Se3, nalgebra::Vector3};
 use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Plane};
 use rayon::prelude::*;
 
-/// The first balls, which are the largest in the picture, stand still: an eighth of the picture moves.
+/// The first balls, which are the largest in the image, stand still: an eighth of the image moves.
 const STILL: usize = 2;
 /// How far the camera walks to the side, metres.
 const WALK: f64 = 0.8;
 
-/// `frames` pictures of `width` x `height` pixels with exact depth, masks of the balls that move, and
+/// `frames` images of `width` x `height` pixels with exact depth, masks of the balls that move, and
 /// a camera that walks past them.
 #[must_use]
 pub fn film(frames: usize, width: usize, height: usize) -> Capture {

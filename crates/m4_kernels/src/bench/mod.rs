@@ -1,5 +1,5 @@
-//! What it takes to time the kernels: scenes, one step on a clock, what each kernel had to do, and
-//! what the machine can do at most. `minute4d bench` makes a report of it.
+//! The parts of a kernel benchmark: scenes, timed steps, the minimum work of each kernel, and the limits of the machine. `minute4d bench`
+//! turns them into a report.
 
 mod count;
 mod film;

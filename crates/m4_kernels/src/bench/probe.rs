@@ -1,4 +1,4 @@
-//! What the machine can do at most.
+//! Measures the limits of the machine.
 
 use crate::{
     SimdLevel,
@@ -9,7 +9,7 @@ use fearless_simd_macros::simd;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-/// Peak rates of blending on one core: useful pixel-gaussian evaluations a second.
+/// Peak rates of blending on one core: useful pixel-gaussian evaluations per second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PeakEvaluations {
     /// [`SimdLevel::name`].
@@ -48,7 +48,7 @@ const PROBE: Duration = Duration::from_millis(40);
 /// Rates of this machine, all threads of rayon's current pool together.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Probe {
-    /// `a[i] += s * b[i]` over arrays of some size: 12 bytes a number (two read, one written).
+    /// `a[i] += s * b[i]` over arrays of some size: 12 bytes per number (two read, one written).
     pub bytes_per_s: f64,
     /// Independent multiply-adds in registers, one operation a lane.
     pub operations_per_s: f64,

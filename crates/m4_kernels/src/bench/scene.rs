@@ -1,5 +1,5 @@
-//! The synthetic scenes that kernels are timed on: a room with six balls, sampled through three nearby
-//! cameras, so that a third of the splats is partly hidden, as in a video.
+//! The synthetic benchmark scenes: a room with six balls, sampled through three nearby cameras, so that a third of the splats is partly
+//! occluded, as in a video.
 
 use crate::View;
 use m4_math::{
@@ -33,7 +33,7 @@ pub enum SceneKind {
     /// Every splat is there all the time, on walls and balls alike.
     Static,
     /// As training has them: the walls are a fifth of the splats; the rest lies on the balls, each alive
-    /// for a frame or two out of [`FRAMES`], so that at any instant most of them are not there.
+    /// for a frame or two out of [`FRAMES`], so that at any instant most of them are missing.
     FourD,
 }
 
@@ -58,7 +58,7 @@ const DYNAMIC: f64 = 0.8;
 const TIME_SD: f64 = 0.5;
 /// A splat is alive this many standard deviations to either side ([`crate::slice::MARGINAL_MIN`]).
 const REACH: f64 = 2.448;
-/// How fast the balls drift, metres a frame (standard deviation an axis).
+/// How fast the balls drift, metres per frame (standard deviation an axis).
 const SPEED: f64 = 0.004;
 
 /// Where a ray first hits: distance, normal, a number for the surface.
@@ -99,7 +99,7 @@ pub(super) fn is_ball(surface: usize) -> Option<usize> {
     surface.checked_sub(BALL)
 }
 
-/// Velocity of a ball, metres a frame.
+/// Velocity of a ball, metres per frame.
 fn velocity(ball: usize) -> Vector3<f64> {
     let mut rng = CounterRng::new(11, 0, ball as u64);
     Vector3::from_fn(|_, _| SPEED * rng.normal())
@@ -158,7 +158,7 @@ pub(super) fn picture(width: usize, height: usize) -> [Vec<u8>; 3] {
     planes
 }
 
-/// A direction through the picture, and the camera it starts from.
+/// A direction through the image, and the camera it starts from.
 fn draw_ray(rng: &mut CounterRng, k: &Intrinsics) -> (Vector3<f64>, Vector3<f64>) {
     let origin = Vector3::from(CAMERAS[rng.below(3)]);
     let ray = Vector3::new(
@@ -169,7 +169,7 @@ fn draw_ray(rng: &mut CounterRng, k: &Intrinsics) -> (Vector3<f64>, Vector3<f64>
     (origin, ray.normalize())
 }
 
-/// Share of the picture that balls cover, sampled.
+/// Share of the image that balls cover, sampled.
 fn share_of_balls(k: &Intrinsics) -> f64 {
     const SAMPLES: usize = 4096;
     let mut rng = CounterRng::new(13, 0, 0);
@@ -193,7 +193,7 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
         SceneKind::FourD => n - (n as f64 * DYNAMIC) as usize,
     };
     let pixels = (width * height) as f64;
-    // so that what is there at an instant covers the picture as densely as a static scene does
+    // so that what is there at an instant covers the image as densely as a static scene does
     let alive = (n - n_static) as f64 * 2.0 * REACH * TIME_SD / FRAMES as f64;
     let spacing_static = (pixels / n_static.max(1) as f64).sqrt();
     let spacing_dynamic = (pixels * share_of_balls(&k) / alive.max(1.0)).sqrt();
@@ -207,7 +207,7 @@ pub(super) fn splats(n: usize, (width, height): (usize, usize), kind: SceneKind,
             SceneKind::Static => cast(&origin, &ray, |_| Vector3::zeros()),
             SceneKind::FourD => cast_walls(&origin, &ray),
         };
-        // a ray that meets no ball in so many attempts stays on the wall
+        // a ray that meets no ball in this many attempts stays on the wall
         for _ in 0..if dynamic { 100 } else { 0 } {
             hit = cast(&origin, &ray, |ball| drift(ball, time));
             if is_ball(hit.2).is_some() {

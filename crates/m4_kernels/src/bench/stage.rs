@@ -1,4 +1,4 @@
-//! Training steps on a synthetic scene, kernel by kernel on a clock.
+//! Times training steps on a synthetic scene, kernel by kernel.
 
 use super::{Counts, Kernel, SceneKind, scene, useful_evaluations};
 use crate::{
@@ -50,7 +50,7 @@ pub struct BenchScene {
     pub splats: Splats,
     /// One of a static scene, several instants of a moving one.
     pub views: Vec<View>,
-    /// The picture of every view.
+    /// The image of every view.
     pub target: Target,
 }
 

@@ -1,4 +1,4 @@
-//! What a kernel has to do at least: bytes, operations, evaluations.
+//! The minimum work of a kernel: bytes, operations, evaluations.
 //!
 //! **Bytes** are compulsory traffic: every input of the kernel read once and every output written once,
 //! in the layout that they have (`f32` columns, 40 bytes a projected splat, a line of 64 bytes for its
@@ -112,7 +112,7 @@ impl Kernel {
         }
     }
 
-    /// True for the kernels that a picture alone needs.
+    /// True for the kernels that an image alone needs.
     #[must_use]
     pub fn renders(self) -> bool {
         matches!(self, Self::Project | Self::Bin | Self::Blend)
@@ -133,7 +133,7 @@ impl Kernel {
     #[must_use]
     pub fn work(self, c: &Counts) -> Work {
         let (shared, time) = (c.shared_columns as f64, TIME_COLUMNS as f64);
-        // numbers in the columns of so many static and dynamic splats
+        // numbers in the columns of this many static and dynamic splats
         let columns =
             |[n_static, n_dynamic]: [usize; 2]| (n_static + n_dynamic) as f64 * shared + n_dynamic as f64 * time;
         let (alive, touched) = ((c.alive[0] + c.alive[1]) as f64, (c.touched[0] + c.touched[1]) as f64);
@@ -161,9 +161,9 @@ impl Kernel {
                 evaluations: useful,
                 items: used,
             },
-            // a channel: two blurs of three pictures, 11 taps along each axis, 25 for SSIM, 10 for the rest
+            // a channel: two blurs of three images, 11 taps along each axis, 25 for SSIM, 10 for the rest
             Self::Photo => Work {
-                // the picture, its gradient, three bytes of the target
+                // the image, its gradient, three bytes of the target
                 bytes: planes(6) + 3.0 * pixels,
                 operations: 3.0 * pixels * (2.0 * 3.0 * 22.0 + 35.0),
                 evaluations: 0.0,

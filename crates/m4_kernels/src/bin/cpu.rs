@@ -1,4 +1,4 @@
-//! The SIMD twin: bands of tile rows, each with lists of the splats that touch it.
+//! The SIMD version: bands of tile rows, each with lists of the splats that touch it.
 //!
 //! The image is cut into bands of [`BAND_TILES`] tile rows. The splats that reach a band have numbers in
 //! it, in the order of their rows in memory. So a band's blending works on some hundred kilobytes that stay
@@ -20,11 +20,11 @@ use crate::simd::{LANES, lanes};
 pub(crate) const BAND_TILES: usize = 4;
 /// Pixel rows a band.
 pub(crate) const BAND_ROWS: usize = BAND_TILES * TILE;
-/// Tile columns a block.
+/// Tile columns per block.
 pub(crate) const BLOCK_COLUMNS: usize = 2;
 /// Tiles a block, row by row.
 pub(crate) const BLOCK_TILES: usize = BLOCK_COLUMNS * BAND_TILES;
-/// Pixel columns a block.
+/// Pixel columns per block.
 pub(crate) const BLOCK_WIDTH: usize = BLOCK_COLUMNS * TILE;
 
 /// One projected splat as the blending reads it: a cache line.
@@ -93,7 +93,7 @@ pub(crate) fn span(first: u32, end: u32) -> u32 {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Entry(u64);
 
-/// Bits of a row and of a number: the parameters alone of so many splats take 15 GB.
+/// Bits of a row and of a number: the parameters alone of this many splats take 15 GB.
 const INDEX_BITS: u32 = 28;
 const _: () = assert!(
     2 * INDEX_BITS as usize + BLOCK_TILES == 64,

@@ -1,5 +1,5 @@
-//! What the projection hands to the bands: every splat once ([`Row`]), and for each band who reaches it and
-//! where.
+//! The data that the projection passes to the bands: every splat once ([`Row`]), and for each band the splats that reach it, and their
+//! tiles.
 
 use super::cpu::{BAND_TILES, BLOCK_COLUMNS};
 use crate::simd::{LANES, bits as bits_of, each, lanes as lanes_of};
@@ -8,7 +8,7 @@ use fearless_simd::{Simd, mask32x16, prelude::*, u32x16};
 /// Numbers of a projected splat.
 pub(crate) const FIELDS: usize = 10;
 /// A projected splat, the numbers of a [`Record`](super::cpu::Record) side by side. It lies where its row
-/// is, sixteen a group; rows of groups that are not in the picture hold what they held.
+/// is, sixteen a group; rows of groups that are not in the image hold what they held.
 pub(crate) type Row = [f32; FIELDS];
 /// Tiles of a row, from the first of the blocks reached on, that have a bit in [`Part::tiles`].
 pub(super) const WINDOW: u32 = 16;
@@ -24,7 +24,7 @@ pub(crate) struct Part {
     pub(super) row: u32,
     pub(super) lanes: u16,
     /// For each splat and each tile row of the band [`WINDOW`] bits, one for each of the first tiles of its
-    /// range of blocks; two rows a number.
+    /// range of blocks; two rows per number.
     pub(super) tiles: [[u32; LANES]; BAND_TILES / 2],
     /// For each splat the range of blocks that it reaches: first in the low half, end in the high half.
     pub(super) range: [u32; LANES],

@@ -1,4 +1,4 @@
-//! Ellipses to depth-ordered tile lists.
+//! Binning: turns ellipses into depth-ordered tile lists.
 //!
 //! The image is cut into square tiles of [`TILE`] pixels; the last column and row may be cut off by
 //! the image's edge. A tile's list holds the splats that reach at least one pixel *of the image* in

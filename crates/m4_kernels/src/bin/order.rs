@@ -1,4 +1,4 @@
-//! Near to far.
+//! Sorts splats by depth, near to far.
 
 use std::ops::Range;
 

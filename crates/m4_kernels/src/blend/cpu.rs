@@ -1,4 +1,4 @@
-//! The SIMD twin: one vector is a tile of 4x4 pixels, and each tile walks its own list.
+//! The SIMD version: one vector is a tile of 4x4 pixels, and each tile processes its own list.
 //!
 //! A block's list is cut into chunks; for each chunk, every tile gets the list of the entries that
 //! reach it ([`Shares`]), so that no vector is spent on a tile that a splat does not reach. No branch in

@@ -1,4 +1,4 @@
-//! Splats to pixels, front to back, and back again (section 1.7 of the optimiser's specification).
+//! Alpha blending of splats, front to back, and its gradient (section 1.7 of the optimiser's specification).
 //!
 //! For each pixel, splats near to far, `d = centre - pixel`, transmittance `T` from 1:
 //!
@@ -14,7 +14,7 @@
 //! the colours alone. An alpha that was cut at [`ALPHA_MAX`] passes no gradient to opacity and shape.
 //!
 //! The gradient comes in two forms that agree to rounding: back to front, and the *replay* form,
-//! front to back with one scalar a pixel (`sigma = <g, C>` less what was seen so far), which needs the
+//! front to back with one scalar per pixel (`sigma = <g, C>` less what was seen so far), which needs the
 //! final image alone.
 
 pub(crate) mod cpu;

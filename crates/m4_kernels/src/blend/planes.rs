@@ -1,4 +1,4 @@
-//! The part of an image that a band covers, and how tiles are cut from it.
+//! The part of an image that a band covers, and its division into tiles.
 
 use crate::bin::{
     TILE,
@@ -47,7 +47,7 @@ impl Window {
         for (y, row) in tile.chunks_exact(TILE).take(self.rows).enumerate() {
             let to = &mut plane[self.offset + y * self.width..];
             if self.columns == TILE {
-                // of known length: one instruction in place of a call
+                // of known length: one instruction instead of a call
                 to[..TILE].copy_from_slice(row);
             } else {
                 to[..self.columns].copy_from_slice(&row[..self.columns]);

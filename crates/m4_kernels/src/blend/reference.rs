@@ -117,7 +117,7 @@ pub struct Image<T: Real> {
 /// The gradient of a loss with respect to the input of [`blend()`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct BlendGradient<T: Real> {
-    /// One a splat, in the order given.
+    /// One per splat, in the order given.
     pub splats: Vec<Ellipse<T>>,
     /// With respect to the background colour.
     pub background: [T; 3],
@@ -268,7 +268,7 @@ pub fn blend_vjp<T: Real, C: Cutoff>(
     out
 }
 
-/// The same gradient front to back: needs the final `image` and one scalar a pixel (section 1.7).
+/// The same gradient front to back: needs the final `image` and one scalar per pixel (section 1.7).
 pub fn blend_vjp_replay<T: Real, C: Cutoff>(
     splats: &[Ellipse<T>],
     image: &Image<T>,

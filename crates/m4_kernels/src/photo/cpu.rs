@@ -1,4 +1,4 @@
-//! The SIMD twin: each channel is cut into fixed segments of rows, which are tasks.
+//! The SIMD version: each channel is divided into fixed segments of rows, which are tasks.
 
 use super::segment::{self, Buffers, Segment};
 pub use super::target::{Target, TargetPlanes};
@@ -13,7 +13,7 @@ const ERROR_ROWS: usize = 16;
 /// Buffers kept from frame to frame.
 #[derive(Debug, Clone, Default)]
 pub struct PhotoScratch {
-    /// One a segment.
+    /// One per segment.
     buffers: Vec<Buffers>,
 }
 
@@ -22,14 +22,14 @@ pub struct PhotoScratch {
 pub struct PhotoLoss {
     /// Mean absolute difference.
     pub l1: f64,
-    /// Mean structural similarity, 1 for equal pictures.
+    /// Mean structural similarity, 1 for equal images.
     pub ssim: f64,
     /// `(1 - lambda) l1 + lambda (1 - ssim)`.
     pub total: f64,
 }
 
 /// The loss of `rgb` against `target` and, in `gradient`, its gradient with respect to `rgb`
-/// (overwritten, resized as needed). Of a picture without pixels both are 0.
+/// (overwritten, resized as needed). Of an image without pixels both are 0.
 ///
 /// # Panics
 ///

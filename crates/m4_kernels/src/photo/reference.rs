@@ -58,7 +58,7 @@ pub fn ssim<T: Real>(x: &[T], y: &[T], width: usize, height: usize) -> (T, Vec<T
     (sum / count, gradient)
 }
 
-/// The loss of image `x` against `y`, one plane a channel, and its gradient with respect to `x`.
+/// The loss of image `x` against `y`, one plane per channel, and its gradient with respect to `x`.
 /// `lambda` is the share of SSIM, 0..=1. An image without pixels has loss 0.
 pub fn photo<T: Real>(x: [&[T]; 3], y: [&[T]; 3], width: usize, height: usize, lambda: T) -> (T, [Vec<T>; 3]) {
     if width * height == 0 {

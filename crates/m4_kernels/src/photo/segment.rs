@@ -1,10 +1,10 @@
-//! Some rows of one channel, from pictures to loss and gradient in one sweep.
+//! Computes loss and gradient for some rows of one channel in one sweep.
 //!
 //! Sixteen rows at a time run through four stages, one block of sixteen columns after another: blur down
 //! the columns of `x`, `y`, `x^2 + y^2` and `x y`; blur along the rows, which gives the moments, then SSIM
 //! and its derivatives with respect to them; blur those along the rows; and, one block of rows later, when
 //! the rows below are there, down the columns, which gives the gradient. So nothing leaves the caches but
-//! the pictures and the gradient. What lies outside the image is 0 in every stage.
+//! the images and the gradient. What lies outside the image is 0 in every stage.
 //!
 //! Between the blurs down the columns blocks are turned: a vector is sixteen rows of one column there. So
 //! a blur along the rows is a sum of vectors too, where it would be ten shifts of each vector, and a turn
@@ -18,7 +18,7 @@ use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use fearless_simd_macros::simd;
 use std::ops::Range;
 
-/// Rows and columns a block.
+/// Rows and columns per block.
 const BLOCK: usize = LANES;
 /// Taps to either side.
 const REACH: usize = WINDOW / 2;
@@ -38,7 +38,7 @@ const SPAN: usize = 4 * BLOCK;
 #[derive(Debug)]
 pub(super) struct Segment<'a> {
     pub(super) target: &'a Target,
-    /// The picture's plane.
+    /// The image's plane.
     pub(super) x: &'a [f32],
     pub(super) channel: usize,
     pub(super) rows: Range<usize>,
@@ -66,13 +66,13 @@ impl Line {
 /// Some columns of a block of rows of `N` quantities, turned.
 type Turned<const N: usize, const COLUMNS: usize> = [[Line; COLUMNS]; N];
 
-/// Memory of a segment, kept from frame to frame. Nobody writes past the ends of the rows: it stays 0.
+/// Memory of a segment, kept from frame to frame. The space past the ends of the rows is never written and stays 0.
 #[derive(Debug, Clone)]
 pub(super) struct Buffers {
     width: usize,
     /// A row of the target.
     row: Vec<f32>,
-    /// Picture and target, `[2][RING][stride]`.
+    /// Image and target, `[2][RING][stride]`.
     pictures: Vec<Line>,
     /// Blurred down the columns.
     moments: Turned<4, SPAN>,
@@ -232,7 +232,7 @@ pub(super) fn run<S: Simd>(s: S, segment: &Segment<'_>, buffers: &mut Buffers, o
     total
 }
 
-/// Sixteen rows from pictures to pulls; `top` is the first that is read. Returns the sum of SSIM.
+/// Sixteen rows from images to pulls; `top` is the first that is read. Returns the sum of SSIM.
 #[inline(always)]
 fn block_row<S: Simd>(s: S, f: &Frame<S>, segment: &Segment<'_>, top: usize, buffers: &mut Buffers) -> f64 {
     // a block of columns to the left is outside the image, and one to the right
@@ -313,7 +313,7 @@ fn down<S: Simd>(s: S, f: &Frame<S>, top: usize, block: usize, buffers: &mut Buf
     let pictures = &buffers.pictures;
     let places = [f.places(top, block), f.places(top + HALF, block)];
     let [of_x, of_y, of_square, of_product] = &mut buffers.moments;
-    // pictures are loaded again for each moment: all at once they do not fit into the registers
+    // images are loaded again for each moment: all at once they do not fit into the registers
     for (n, moments) in [of_x, of_y].into_iter().enumerate() {
         let halves: [_; 2] = each!(2, half => f.blur(&f.rows(s, pictures, n, &places[half])));
         set_turned(moments, block, &halves);
@@ -360,7 +360,7 @@ fn similarity<S: Simd>(
 ) -> f32x16<S> {
     let k = |v: f64| all(s, v as f32);
     let (two, one, zero, c1, c2) = (k(2.0), k(1.0), k(0.0), k(SSIM_C1), k(SSIM_C2));
-    // two loops, because the processor looks only so many operations ahead: much of the second is waiting
+    // two loops, because the processor looks only a limited number of operations ahead: much of the second is waiting
     for (moments, blurred) in buffers.moments.iter().zip(&mut buffers.blurred) {
         for half in [0, HALF] {
             let columns = f.blur(&f.columns(s, moments, block * BLOCK + half));
@@ -427,7 +427,7 @@ fn gradient<S: Simd>(
 ) -> f64 {
     let zero = all(s, 0.0);
     let (of_l1, of_ssim) = (all(s, segment.factors[0]), all(s, segment.factors[1]));
-    // the pictures' rows start REACH above those of the pulls
+    // the images' rows start REACH above those of the pulls
     let at: [usize; HALF] = each!(8, row => (top + 2 * REACH + row) % RING * f.stride + block);
     let (pictures, targets) = buffers.pictures.split_at(RING * f.stride);
     let places = f.places(top, block);

@@ -1,13 +1,13 @@
-//! A picture to compare with, kept small.
+//! A target image, stored compactly.
 
 use crate::simd::{LANES, all, each};
 use fearless_simd::{Simd, f32x16, prelude::*};
 use m4_scene::ShapeError;
 
-/// A picture to compare with: one plane a channel, `[height][width]` each, 0..1.
+/// An image to compare with: one plane per channel, `[height][width]` each, 0..1.
 ///
-/// A video is kept whole, so what a frame takes counts: a photograph is three bytes a pixel. What SSIM
-/// needs of the target alone is blurred anew at each comparison: one of seven blurs, and cheaper than
+/// A video is kept whole, so what a frame takes counts: a photograph is three bytes per pixel. What SSIM
+/// needs of the target alone is blurred again at each comparison: one of seven blurs, and cheaper than
 /// fetching it from memory for every frame of a video.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Target {
@@ -23,7 +23,7 @@ enum Samples {
     Bytes([Vec<u8>; 3]),
 }
 
-/// The planes of a [`Target`] as they are kept, one a channel.
+/// The planes of a [`Target`] as they are kept, one per channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TargetPlanes<'a> {
     /// Colours 0..1.
@@ -39,7 +39,7 @@ impl Default for Samples {
 }
 
 impl Target {
-    /// Takes the planes of a picture, 0..1.
+    /// Takes the planes of an image, 0..1.
     ///
     /// # Errors
     ///
@@ -99,7 +99,7 @@ impl Target {
         3 * self.width * self.height * each
     }
 
-    /// The picture as it is kept: for those who keep it elsewhere.
+    /// The image as it is kept: for those who keep it elsewhere.
     #[must_use]
     pub fn planes(&self) -> TargetPlanes<'_> {
         match &self.samples {
@@ -108,7 +108,7 @@ impl Target {
         }
     }
 
-    /// The picture, one plane a channel, 0..1.
+    /// The image, one plane per channel, 0..1.
     #[must_use]
     pub fn rgb(&self) -> [Vec<f32>; 3] {
         match &self.samples {

@@ -1,4 +1,4 @@
-//! The SIMD twin: sixteen ellipses at a time.
+//! The SIMD version: sixteen ellipses at a time.
 
 use super::{LOW_PASS, NEAR_MIN, jacobian_limits};
 use crate::{
@@ -47,7 +47,7 @@ impl Eye {
             width: k.width,
             height: k.height,
             t: view.t as f32,
-            // a period of 0 is none: the harmonics stand still
+            // a period of 0 means none: the harmonics are static
             inverse_period: if view.period > 0.0 { 1.0 / view.period } else { 0.0 },
             mip: view.mip,
         }

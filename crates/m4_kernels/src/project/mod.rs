@@ -1,4 +1,4 @@
-//! A 3D splat to an ellipse on the image (EWA; sections 0 and 1.6 of the optimiser's specification).
+//! Projects a 3D splat to an ellipse on the image (EWA; sections 0 and 1.6 of the optimiser's specification).
 //!
 //! ```text
 //! p_c = W m + T = (x, y, z)                      left out unless z > max(near, NEAR_MIN)
@@ -21,7 +21,7 @@ use m4_scene::Intrinsics;
 pub(crate) mod cpu;
 pub mod reference;
 
-/// The smallest near plane, world units: a splat at depth 0 or behind has no picture, whatever the view
+/// The smallest near plane, world units: a splat at depth 0 or behind has no image, whatever the view
 /// says.
 pub const NEAR_MIN: f64 = 1e-6;
 

@@ -77,7 +77,7 @@ impl<T: Real> Setup<T> {
 /// The gradient of a loss with respect to everything.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneGradient<T: Real> {
-    /// One a splat; 0 for splats that are not in the frame.
+    /// One per splat; 0 for splats that are not in the frame.
     pub splats: Vec<Splat<T>>,
     /// Whether the splat is composited on at least one pixel.
     pub touched: Vec<bool>,

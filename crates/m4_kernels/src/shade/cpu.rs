@@ -1,4 +1,4 @@
-//! The SIMD twin: sixteen colours at a time.
+//! The SIMD version: sixteen colours at a time.
 
 use super::{C0, C1, C2, C3};
 use crate::{

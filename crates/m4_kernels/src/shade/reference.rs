@@ -77,7 +77,7 @@ pub fn harmonics<T: Real>(d: &Vector3<T>) -> ([T; MAX_TERMS], [Vector3<T>; MAX_T
     (value, gradient)
 }
 
-/// Angular frequency of temporal harmonic `n`, radians a frame.
+/// Angular frequency of temporal harmonic `n`, radians per frame.
 fn frequency<T: Real>(sight: &Sight<T>, n: usize) -> T {
     T::two_pi() * T::of(n as f64) / sight.period
 }

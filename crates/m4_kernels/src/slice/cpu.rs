@@ -1,4 +1,4 @@
-//! The SIMD twin: sixteen splats at a time, straight from the columns.
+//! The SIMD version: sixteen splats at a time, straight from the columns.
 
 use super::MARGINAL_MIN;
 use crate::simd::{all, each, exp, load, store, touch};
@@ -64,9 +64,9 @@ impl Columns<'_> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Slice<S: Simd> {
     pub(crate) mean: [f32x16<S>; 3],
-    /// Standard deviations; isotropic: all the same.
+    /// Standard deviations; isotropic: anyway.
     pub(crate) scale: [f32x16<S>; 3],
-    /// Columns are the axes; isotropic: zeros that nobody reads.
+    /// Columns are the axes; isotropic: zeros, which are never read.
     pub(crate) axes: [[f32x16<S>; 3]; 3],
     /// The quaternion as it is and two over its square; isotropic: zeros.
     quat: [f32x16<S>; 4],

@@ -1,4 +1,4 @@
-//! A 4D splat at one instant.
+//! Slices a 4D splat at one instant.
 //!
 //! Sections 1.3 to 1.5 of the optimiser's specification. With `dt = t - time_mean` in frames and
 //! `w = exp(2 log_time_sd)`:

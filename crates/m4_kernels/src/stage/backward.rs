@@ -1,4 +1,4 @@
-//! From the sums of the bands to gradients of the columns.
+//! Turns the sums of the bands into gradients of the columns.
 
 use super::{CameraSums, Chunk, ChunkGradient, Group, forward::sight};
 use crate::{
@@ -33,7 +33,7 @@ pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(
         // one after the other: of a sum the compiler makes gathers, which are slower
         std::hint::black_box(line.0[0]);
     }
-    // the few columns of one colour a splat the processor fetches as well on its own
+    // the few columns of one colour per splat the processor fetches as well on its own
     let many = c.layout.colour_terms() > 1;
     let (mut from, mut fetched) = (0, 0);
     for group in &chunk.groups {

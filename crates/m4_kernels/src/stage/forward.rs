@@ -1,4 +1,4 @@
-//! From columns to the records of the bands.
+//! Turns columns into the records of the bands.
 
 use super::{Chunk, Group, Part};
 use crate::{
@@ -30,7 +30,7 @@ pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     for band in &mut chunk.bands {
         band.clear();
     }
-    // the few columns of one colour a splat the processor fetches as well on its own
+    // the few columns of one colour per splat the processor fetches as well on its own
     let many = c.layout.colour_terms() > 1;
     let mut fetched = 0;
     for at in (0..chunk.rows.len()).step_by(LANES) {

@@ -1,11 +1,11 @@
-//! Slice, project and shade in one pass over the columns, and the same way back.
+//! Slice, project and shade in one pass over the columns, forward and backward.
 //!
 //! Rows are cut into fixed chunks, static and dynamic rows apart; a chunk is a task. Forward, it hands
 //! every splat on once, as a [`Row`], and tells each band which of them reach it. Backward, it collects the moments of its splats
 //! from the bands, in the order of the bands, and turns them into gradients of the columns.
 //!
 //! Sixteen rows are a group. Splats of a group go to their bands one band after the other, not one splat
-//! after the other: neighbours in memory are neighbours in the picture, so a group reaches few bands,
+//! after the other: neighbours in memory are neighbours in the image, so a group reaches few bands,
 //! and the length of the loops is guessed right far more often.
 
 mod backward;

@@ -68,7 +68,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 
 #[test]
 fn the_order_of_the_rows_only_rounds() {
-    // two orders of the same splats are the same picture: nothing depends on the place in memory
+    // two orders of the same splats are the same image: nothing depends on the place in memory
     let camera = random_camera(23, 60, 40);
     let spec = SceneSpec {
         n_static: 300,
@@ -116,7 +116,7 @@ fn splats_of_other_frames_change_nothing_and_are_left_alone() {
     every_level(|level| {
         let frame = Renderer::new(level).render(&splats, &view).clone();
         let mut renderer = Renderer::new(level);
-        assert!(frame == *renderer.render(&few, &view), "{level}: the pictures differ");
+        assert!(frame == *renderer.render(&few, &view), "{level}: the images differ");
 
         let (mut renderer, mut gradients) = (Renderer::new(level), Gradients::default());
         renderer.render(&splats, &view);

@@ -1,4 +1,4 @@
-//! What the twin does with scenes that nobody trains: nothing to draw, nothing in front, numbers that
+//! The SIMD version on scenes that do not occur in training: nothing to draw, nothing in front, numbers that
 //! are none.
 
 use crate::twin::{Expected, assert_frame, assert_gradients, compare, every_level, frame_gradient, view};

@@ -33,7 +33,7 @@ fn check<T: Real>(case: &GradientCase, run: &Run<T>, tolerance: f64) {
     for ((kind, got), (want_kind, want)) in by_name(&run.gradient.splats).into_iter().zip(by_name(&want)) {
         assert_eq!((kind, got.len()), (want_kind, want.len()));
         if kind == "velocity" && case.model == "isotropic" {
-            // the oracle's isotropic model stands still: nothing to compare with
+            // the oracle's isotropic model is static: nothing to compare with
             continue;
         }
         assert_gradient(&format!("{name}: {kind}"), &got, &want, tolerance);

@@ -17,7 +17,7 @@ use m4_testkit::{FixtureSplat, GradientCase, GradientFixtures};
 /// Spatial harmonics in the fixtures: degree 3.
 pub const SH_TERMS: usize = 16;
 
-/// One plane a channel.
+/// One plane per channel.
 pub fn planes<T: Real>(pixels: &[[T; 3]]) -> [Vec<T>; 3] {
     std::array::from_fn(|c| pixels.iter().map(|p| p[c]).collect())
 }

@@ -100,7 +100,7 @@ fn check_fixture(fixtures: &GradientFixtures, case: &GradientCase, level: SimdLe
             "mean" => Column::Mean,
             // shape and life of the rotor form are other parameters
             "log_scale" | "log_time_sd" | "left" | "right" if case.model == "rotor" => continue,
-            // the oracle's isotropic model stands still
+            // the oracle's isotropic model is static
             "velocity" if case.model == "isotropic" => continue,
             "log_scale" => Column::LogScale,
             "quat" => Column::Quat,

@@ -1,4 +1,4 @@
-//! Correlation of two feature maps, looked up around positions: what DROID's and RAFT's updates see of the pictures.
+//! Correlation of two feature maps, looked up around positions: what DROID's and RAFT's updates see of the images.
 //!
 //! ```text
 //! score(p, q) = f(p) . g(q) / 16

@@ -15,7 +15,7 @@ pub enum Values {
     Device(Tensor<3>),
 }
 
-/// Features of one picture at one level, already divided by 4.
+/// Features of one image at one level, already divided by 4.
 #[derive(Debug, Clone)]
 pub struct FeatureMap {
     size: [usize; 3],
@@ -87,7 +87,7 @@ fn pooled(values: &[f32], [h, w, c]: [usize; 3]) -> Vec<f32> {
     out
 }
 
-/// Features of one picture at every level, the finest first.
+/// Features of one image at every level, the finest first.
 #[derive(Debug, Clone)]
 pub struct Pyramid {
     levels: Vec<FeatureMap>,

@@ -1,15 +1,15 @@
-//! Depth-Anything V1: relative depth of one picture.
+//! Depth-Anything V1: relative depth of one image.
 //!
 //! - Paper: Yang et al., "Depth Anything: Unleashing the Power of Large-Scale Unlabeled Data", CVPR 2024; the head is that of Ranftl et
 //!   al., "Vision Transformers for Dense Prediction", ICCV 2021 (DPT).
 //! - Upstream: LiheYoung/Depth-Anything, Apache-2.0, weights too.
 //!
 //! ```text
-//! picture --bicubic, sides <= 768--> DINOv2 --last four blocks--> 4 maps of patches
-//! maps --DPT: 4 levels, fused from coarse to fine--> disparity of the patches' pixels --bilinear--> disparity of the picture
+//! image --bicubic, sides <= 768--> DINOv2 --last four blocks--> 4 maps of patches
+//! maps --DPT: 4 levels, fused from coarse to fine--> disparity of the patches' pixels --bilinear--> disparity of the image
 //! ```
 //!
-//! The result is inverse depth up to a factor and an offset that nobody knows: larger is nearer, 0 is the furthest that the network
+//! The result is inverse depth up to an unknown factor and offset: larger is nearer, 0 is the furthest that the network
 //! can say. Which of the three sizes a checkpoint holds is read off its tensors.
 //!
 //! Depth-Anything V2 has the same tensors in the same shapes, but taps other blocks: a checkpoint of it cannot be told from one of
@@ -38,8 +38,8 @@ const NAME: &str = "Depth-Anything V1";
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DisparityError {
-    /// The picture has no pixels.
-    #[error("disparity needs a picture with pixels")]
+    /// The image has no pixels.
+    #[error("disparity needs an image with pixels")]
     Empty,
     /// The device failed, for one for lack of memory.
     #[error("the device that computes disparity failed: {0}")]
@@ -70,7 +70,7 @@ impl Net {
         }
     }
 
-    /// Of pictures `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means 0.
+    /// Of images `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means 0.
     fn logits(&self, pictures: Tensor<4>) -> Tensor<4> {
         let [_, _, height, width] = pictures.dims();
         let grid = [height / dinov2::PATCH, width / dinov2::PATCH];
@@ -114,12 +114,12 @@ impl DepthAnything {
         self.net.num_params()
     }
 
-    /// The disparity of `image`, `[height][width]` as the picture: relative (a factor and an offset are unknown), 0 or more, larger where it is
+    /// The disparity of `image`, `[height][width]` as the image: relative (a factor and an offset are unknown), 0 or more, larger where it is
     /// nearer.
     ///
     /// # Errors
     ///
-    /// [`DisparityError`] if the picture has no pixels or the device fails.
+    /// [`DisparityError`] if the image has no pixels or the device fails.
     pub fn disparity(&self, image: &RgbImage) -> Result<Plane<f32>, DisparityError> {
         let sides = Sides::of(image.width(), image.height())?;
         let logits = self.net.logits(sides.tensor(image, &self.device));

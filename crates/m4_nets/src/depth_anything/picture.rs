@@ -1,4 +1,4 @@
-//! Pictures of any size as the network takes them, and its disparity in their size.
+//! Images of any size as the network takes them, and its disparity in their size.
 
 use super::DisparityError;
 use crate::dinov2::PATCH;
@@ -9,7 +9,7 @@ use m4_scene::{Plane, RgbImage};
 /// Pixels that the longer side has at most.
 const LONGEST: usize = 768;
 
-/// Sides of a picture and of what the network makes of it.
+/// Sides of an image and of what the network makes of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sides {
     width: usize,
@@ -17,7 +17,7 @@ pub struct Sides {
 }
 
 impl Sides {
-    /// Of a picture of `width` by `height`.
+    /// Of an image of `width` by `height`.
     ///
     /// # Errors
     ///
@@ -29,7 +29,7 @@ impl Sides {
         Ok(Self { width, height })
     }
 
-    /// Width and height that the network works with: those of the picture in the same ratio with the longer at 768, rounded to whole
+    /// Width and height that the network works with: those of the image in the same ratio with the longer at 768, rounded to whole
     /// patches (down where that would make more than 768), one patch at least.
     pub fn inside(self) -> (usize, usize) {
         let scale = LONGEST as f64 / self.width.max(self.height) as f64;
@@ -46,7 +46,7 @@ impl Sides {
         (side(self.width), side(self.height))
     }
 
-    /// The picture `[1, 3, height, width]` of the sides [`Sides::inside`], normalised.
+    /// The image `[1, 3, height, width]` of the sides [`Sides::inside`], normalised.
     pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
         let (width, height) = self.inside();
         let values = planes(image, IMAGENET_MEAN, IMAGENET_STD);
@@ -56,7 +56,7 @@ impl Sides {
         tensor(values, [1, 3, height, width], device)
     }
 
-    /// Disparity of the sides [`Sides::inside`] in those of the picture.
+    /// Disparity of the sides [`Sides::inside`] in those of the image.
     pub fn to_picture(self, disparity: &[f32]) -> Plane<f32> {
         let (width, height) = self.inside();
         let columns = Kernels::linear(width, self.width);
@@ -92,7 +92,7 @@ mod tests {
         assert!(Sides::of(0, 4).is_err());
     }
 
-    /// A constant stays one, and a slope goes to the picture's size and keeps its ends.
+    /// A constant stays one, and a slope goes to the image's size and keeps its ends.
     #[test]
     fn disparity_comes_back_in_the_size_of_the_picture() {
         let sides = Sides::of(300, 200).unwrap();

@@ -1,4 +1,4 @@
-//! Against the authors' module, with weights by a formula.
+//! Against the authors' module, with synthetic weights.
 
 use super::Net;
 use super::head::RENAMES;

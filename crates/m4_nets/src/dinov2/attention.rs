@@ -1,4 +1,4 @@
-//! Every token in the light of all others, in several heads.
+//! Self-attention over all tokens, with several heads.
 
 use super::biased;
 use burn_core as burn;

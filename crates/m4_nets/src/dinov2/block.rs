@@ -1,4 +1,4 @@
-//! A block: attention, then the feed-forward layer, each normalised before, scaled a channel after, and added.
+//! A transformer block: attention, then the feed-forward layer, each with pre-normalisation, a per-channel scale and a residual.
 
 use super::attention::Attention;
 use super::{BackboneSize, biased, fine_norm};

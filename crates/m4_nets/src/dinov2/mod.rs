@@ -6,7 +6,7 @@
 //! - Upstream: facebookresearch/dinov2, Apache-2.0. Networks for depth carry its weights, trained further, in their own checkpoints.
 //!
 //! ```text
-//! picture [b, 3, 14 h, 14 w] --patches of 14 x 14, class token, positions--> tokens [b, 1 + h w, c] --blocks--> tokens
+//! image [b, 3, 14 h, 14 w] --patches of 14 x 14, class token, positions--> tokens [b, 1 + h w, c] --blocks--> tokens
 //! ```
 //!
 //! What a block gives away passes the final normalisation first ([`DinoV2::taps`]). Fields are named as in the checkpoint of the
@@ -99,7 +99,7 @@ impl DinoV2 {
         self.blocks.len()
     }
 
-    /// What the blocks `taps` (counted from 0, ascending) give away of pictures `[b, 3, 14 h, 14 w]` that are normalised (ImageNet's mean and
+    /// What the blocks `taps` (counted from 0, ascending) give away of images `[b, 3, 14 h, 14 w]` that are normalised (ImageNet's mean and
     /// standard deviation). Blocks after the last of them are not run.
     pub fn taps<const N: usize>(&self, pictures: Tensor<4>, taps: [usize; N]) -> [Tap; N] {
         let mut run = self.run(pictures);

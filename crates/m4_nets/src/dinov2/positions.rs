@@ -1,6 +1,6 @@
-//! The learned positions, for pictures of another size than they were learned for.
+//! The learned positions, for images of another size than they were learned for.
 //!
-//! Bicubic (a = -0.75, no antialiasing), as PyTorch's `interpolate` does it with a scale factor in place of a size: DINOv2 asks for
+//! Bicubic (a = -0.75, no antialiasing), as PyTorch's `interpolate` does it with a scale factor instead of a size: DINOv2 asks for
 //! `(h + 0.1) / 37`, so that rounding cannot lose a row, and the samples lie `37 / (h + 0.1)` apart, not `37 / h`. Depth changes by a
 //! fifth without that tenth. `UniDepth` V2 was trained without it.
 

@@ -1,4 +1,4 @@
-//! The sizes that were published.
+//! The published sizes.
 
 use crate::LoadError;
 use crate::load::Shapes;

@@ -1,4 +1,4 @@
-//! Against the authors' module, with weights by a formula (the backbone of Depth-Anything's fixtures).
+//! Against the authors' module, with synthetic weights (the backbone of Depth-Anything's fixtures).
 
 use super::positions;
 use super::{BackboneSize, DinoV2, Tap, unneeded};
@@ -70,7 +70,7 @@ fn learned_positions_stay_what_they_are() {
     assert_eq!(learned, same);
 }
 
-/// Many queries are answered some at a time: a picture of 390 patches and the same as half of a batch.
+/// Many queries are answered some at a time: an image of 390 patches and the same as half of a batch.
 #[test]
 fn a_batch_is_as_its_pictures() {
     let net = backbone(BackboneSize::Small, SMALL, 2);

@@ -1,4 +1,4 @@
-//! What all edges of a source frame say of its disparities.
+//! Aggregates the edges of a source frame into an update of its disparities.
 
 use super::WIDTH;
 use crate::ops::{conv, convolve};

@@ -1,4 +1,4 @@
-//! Features of a picture at an eighth of its size.
+//! Features of an image at an eighth of its size.
 
 use crate::ops::{conv, convolve, instance_norm};
 use burn_core as burn;
@@ -88,7 +88,7 @@ impl Encoder {
         }
     }
 
-    /// Of pictures `[n, 3, h, w]`: `[n, width, h / 8, w / 8]`.
+    /// Of images `[n, 3, h, w]`: `[n, width, h / 8, w / 8]`.
     pub fn forward(&self, x: Tensor<4>, norm: Norm) -> Tensor<4> {
         let mut x = relu(norm.of(convolve([x], &self.conv1)));
         for block in [&self.layer1, &self.layer2, &self.layer3].into_iter().flatten() {

@@ -1,4 +1,4 @@
-//! What can go wrong.
+//! Errors of the tracking network.
 
 use std::error::Error;
 
@@ -6,9 +6,9 @@ use std::error::Error;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DroidError {
-    /// A picture is too small, or its sides are no multiples of 8.
+    /// An image is too small, or its sides are no multiples of 8.
     #[error(
-        "the tracking network takes pictures whose sides are multiples of 8 and at least 128 px, this has {width} x {height}; \
+        "the tracking network takes images whose sides are multiples of 8 and at least 128 px, this has {width} x {height}; \
          resize and crop it"
     )]
     Size {
@@ -70,8 +70,8 @@ pub enum DroidError {
         /// Pixels of the grid.
         expected: usize,
     },
-    /// A picture could not be had again.
-    #[error("the picture of frame {frame} cannot be had: {reason}")]
+    /// An image could not be had again.
+    #[error("the image of frame {frame} is not available: {reason}")]
     Picture {
         /// The frame.
         frame: usize,
@@ -79,7 +79,7 @@ pub enum DroidError {
         reason: Box<dyn Error + Send + Sync>,
     },
     /// The file that states are moved to failed.
-    #[error("the network's states cannot be kept in a file in {}: {reason}; is the disk full?", folder.display())]
+    #[error("the network's state cannot be stored in a file in {}: {reason}; is the disk full?", folder.display())]
     Scratch {
         /// Where the file is.
         folder: std::path::PathBuf,

@@ -1,4 +1,4 @@
-//! MegaSaM's tracking network: DROID-SLAM's recurrent update with a head that tells what moves.
+//! MegaSaM's tracking network: DROID-SLAM's recurrent update with a head that detects dynamic pixels.
 //!
 //! - Papers: Teed and Deng, "DROID-SLAM: Deep Visual SLAM for Monocular, Stereo, and RGB-D Cameras", NeurIPS 2021; Li et al.,
 //!   "MegaSaM: Accurate, Fast, and Robust Structure and Motion from Casual Dynamic Videos", CVPR 2025, section 3.2.
@@ -6,9 +6,9 @@
 //!   tensors, 5,192,467 numbers, of which [`DroidNet`] leaves out those that only training used.
 //!
 //! ```text
-//! picture --fnet--> features at 1/8        --cnet--> hidden (tanh), context (relu)
+//! image --fnet--> features at 1/8        --cnet--> hidden (tanh), context (relu)
 //! edge: correlation around where geometry sees the pixels, motion --update(hidden, context)--> hidden, delta, weight
-//! all edges of a source --mean--> eta (damping of disparities), upmask; how likely each edge's pixels stand still
+//! all edges of a source --mean--> eta (damping of disparities), upmask; how likely each edge's pixels are static
 //! ```
 //!
 //! [`DroidNet`] is the network, [`DroidMemory`] what it keeps of a clip: features of frames and hidden states of edges, within

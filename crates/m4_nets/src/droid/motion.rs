@@ -1,4 +1,4 @@
-//! MegaSaM's motion head: which pixels stand still.
+//! MegaSaM's motion head: which pixels are static.
 
 use super::WIDTH;
 use super::update::Pair;
@@ -82,7 +82,7 @@ impl MotionHead {
         activated(&self.norm_5, convolve([mean], &self.conv5))
     }
 
-    /// How likely pixels stand still, `[n, 1, h, w]` in 0..1, of both.
+    /// How likely pixels are static, `[n, 1, h, w]` in 0..1, of both.
     pub fn still(&self, edges: Tensor<4>, together: Tensor<4>) -> Tensor<4> {
         sigmoid(self.logits_2.forward(edges + together, gelu))
     }

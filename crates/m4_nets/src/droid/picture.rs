@@ -1,4 +1,4 @@
-//! Pictures as the encoders take them.
+//! Prepares images for the encoders.
 
 use super::DroidError;
 use crate::ops::tensor;
@@ -13,7 +13,7 @@ const MULTIPLE: usize = 8;
 /// The smallest side: correlation is pooled down to an eighth of an eighth, which must have pixels (upstream's limit, too).
 const SMALLEST: usize = 128;
 
-/// Whether the network takes pictures of this size.
+/// Whether the network takes images of this size.
 ///
 /// # Errors
 ///

@@ -54,7 +54,7 @@ impl Fixture {
         words.map(|&b| u64::from_le_bytes(b) as usize).collect()
     }
 
-    /// Pictures of blue, green and red planes.
+    /// Images of blue, green and red planes.
     pub fn pictures(&self) -> Vec<RgbImage> {
         let (w, h) = (8 * W, 8 * H);
         let picture = |planes: &[u8]| {

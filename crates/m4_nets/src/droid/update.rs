@@ -1,4 +1,4 @@
-//! The update operator: from what pictures and geometry say of an edge to how far its pixels should move.
+//! The update operator: from what images and geometry say of an edge to how far its pixels should move.
 
 use super::WIDTH;
 use super::aggregation::Aggregation;

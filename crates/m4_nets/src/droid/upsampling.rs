@@ -1,4 +1,4 @@
-//! Disparities at the size of the picture.
+//! Disparities at the size of the image.
 
 use burn_core::tensor::activation::softmax;
 use burn_core::tensor::ops::PadMode;

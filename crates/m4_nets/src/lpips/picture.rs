@@ -1,4 +1,4 @@
-//! Pictures as the networks take them.
+//! Prepares images for the networks.
 
 use super::LpipsError;
 use crate::ops::{planes, tensor};
@@ -9,7 +9,7 @@ use m4_scene::{Mask, RgbImage};
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
 
-/// A picture of sRGB values from 0 to 1.
+/// An image of sRGB values from 0 to 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LpipsPicture {
     width: usize,

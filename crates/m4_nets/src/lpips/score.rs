@@ -1,4 +1,4 @@
-//! What a comparison gives.
+//! The result of a comparison.
 
 use super::LpipsError;
 use super::picture::same_size;
@@ -6,12 +6,12 @@ use crate::ops::{Kernels, resampled};
 use burn_core::tensor::Tensor;
 use m4_scene::{Mask, Plane};
 
-/// How different two pictures look.
+/// How different two images look.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LpipsScore {
-    /// The distance, 0 for equal pictures: upstream's default output.
+    /// The distance, 0 for equal images: upstream's default output.
     pub distance: f64,
-    /// The same where it comes from, `[height][width]` of the pictures: upstream's output with `spatial=True`.
+    /// The same where it comes from, `[height][width]` of the images: upstream's output with `spatial=True`.
     pub map: Plane<f32>,
 }
 

@@ -18,13 +18,13 @@ const EPSILON: f32 = 1e-10;
 #[derive(Module, Debug)]
 pub struct Net {
     convs: Vec<Conv2d>,
-    /// What a difference counts in each channel, one a compared layer: `[1, channels, 1, 1]`.
+    /// What a difference counts in each channel, one per compared layer: `[1, channels, 1, 1]`.
     lins: [Conv2d; 5],
 }
 
 /// The layers up to one that is compared.
 struct Stage {
-    /// Whether the picture is made smaller first: the largest of each square of so many pixels a side, every second one.
+    /// Whether the image is made smaller first: the largest of each square of this many pixels per side, every second one.
     pool: Option<usize>,
     /// Which convolutions, each with the negative cut off.
     convs: std::ops::Range<usize>,
@@ -87,7 +87,7 @@ impl Net {
         }
     }
 
-    /// How far apart two pictures `[1, 3, h, w]` are at each place of each compared layer: `[1, 1, h', w']`. Both go through the
+    /// How far apart two images `[1, 3, h, w]` are at each place of each compared layer: `[1, 1, h', w']`. Both go through the
     /// network side by side, so that the features of one layer at most are held.
     pub fn differences(&self, net: LpipsNet, image: Tensor<4>, reference: Tensor<4>) -> [Tensor<4>; 5] {
         let (mut a, mut b) = (image, reference);

@@ -1,4 +1,4 @@
-//! The mask decoder: four masks of an embedding and a prompt, and how good each is thought to be.
+//! The mask decoder: four masks of an embedding and a prompt, with predicted quality.
 
 use crate::sam::{MAP_WIDTH, Mlp, Token, TwoWay, Upscaling};
 use burn_core as burn;
@@ -30,7 +30,7 @@ impl MaskDecoder {
         }
     }
 
-    /// Of a picture's embedding with what is known of the mask, `[256, h, w]`, the places of its pixels, `[h w, 256]`, and the
+    /// Of an image's embedding with what is known of the mask, `[256, h, w]`, the places of its pixels, `[h w, 256]`, and the
     /// tokens of the prompt, `[n, 256]`: four masks `[4, 4 h, 4 w]` and their qualities `[4]`.
     pub fn forward(&self, map: Tensor<3>, grid: &Tensor<2>, prompt: Option<Tensor<2>>) -> (Tensor<3>, Tensor<1>) {
         let [c, h, w] = map.dims();

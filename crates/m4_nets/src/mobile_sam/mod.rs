@@ -1,16 +1,16 @@
-//! MobileSAM: the mask of whatever a point, a box or an earlier mask shows.
+//! MobileSAM: segmentation from a point, a box or an earlier mask.
 //!
 //! - Papers: Kirillov et al., "Segment Anything", ICCV 2023 (prompt encoder, mask decoder); Zhang et al., "Faster Segment Anything: Towards
 //!   Lightweight SAM for Mobile Applications", 2023 (the image encoder, a TinyViT).
 //! - Upstream: ChaoningZhang/MobileSAM, Apache-2.0. Weights (Apache-2.0): the entry `mobile-sam` of `minute4d weights list`.
 //!
 //! ```text
-//! picture --resize, pad--> 1024 x 1024 --TinyVit--> embedding [256, 64, 64]
+//! image --resize, pad--> 1024 x 1024 --TinyVit--> embedding [256, 64, 64]
 //! prompt --PromptEncoder--> tokens, map;  embedding + map, tokens --MaskDecoder--> 4 masks [256, 256], their qualities
 //! ```
 //!
-//! [`MobileSam::encode`] is nearly all of the work and depends on the picture alone; any number of prompts may follow. Places are
-//! in pixels of the picture as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
+//! [`MobileSam::encode`] is nearly all of the work and depends on the image alone; any number of prompts may follow. Places are
+//! in pixels of the image as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
 
 mod attention;
 mod decoder;
@@ -36,8 +36,8 @@ use tiny_vit::TinyVit;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SamError {
-    /// A picture has no pixels, or is too narrow for its length.
-    #[error("masks need a picture with pixels on both sides when the longer has 1024, not {width} x {height}")]
+    /// An image has no pixels, or is too narrow for its length.
+    #[error("masks need an image with pixels on both sides when the longer has 1024, not {width} x {height}")]
     Shape {
         /// Columns.
         width: usize,
@@ -47,21 +47,21 @@ pub enum SamError {
     /// The prompt is empty.
     #[error("a prompt needs a point, a box or a mask")]
     NothingAsked,
-    /// A point or a corner of the prompt is not in the picture.
-    #[error("the prompt has a place at column {}, row {} of a picture of {width} x {height} pixels", at_px[0], at_px[1])]
+    /// A point or a corner of the prompt is not in the image.
+    #[error("the prompt has a point at column {}, row {} of an image of {width} x {height} pixels", at_px[0], at_px[1])]
     Outside {
         /// Column and row, in pixels.
         at_px: [f32; 2],
-        /// Columns of the picture.
+        /// Columns of the image.
         width: usize,
-        /// Rows of the picture.
+        /// Rows of the image.
         height: usize,
     },
     /// The box of the prompt ends before it begins.
-    #[error("the box of a prompt is its first column and row, then its last, not {0:?}")]
+    #[error("the box of a prompt must be first column and row, then last column and row, not {0:?}")]
     Reversed([f32; 4]),
     /// The prompt's mask has numbers that are infinite or none.
-    #[error("the mask of a prompt has numbers that are not finite")]
+    #[error("the mask of a prompt has NaN or infinite values")]
     NotFinite,
     /// The prompt's mask has another size.
     #[error("the mask of a prompt has 256 x 256 pixels, as the logits of a prediction, not {width} x {height}")]
@@ -76,7 +76,7 @@ pub enum SamError {
     Device(String),
 }
 
-/// What the network keeps of a picture, for any number of prompts.
+/// What the network keeps of an image, for any number of prompts.
 #[derive(Debug, Clone)]
 pub struct Embedding {
     scale: Scale,
@@ -85,7 +85,7 @@ pub struct Embedding {
 }
 
 impl Embedding {
-    /// The numbers, `[256][64][64]`, of the square that the picture lies in the upper left of.
+    /// The numbers, `[256][64][64]`, of the square that the image lies in the upper left of.
     ///
     /// # Errors
     ///
@@ -94,7 +94,7 @@ impl Embedding {
         numbers(self.map.clone())
     }
 
-    /// A mask of the picture, of any size with pixels and the picture's shape, as the `mask_logits` of a [`Prompt`].
+    /// A mask of the image, of any size with pixels and the image's shape, as the `mask_logits` of a [`Prompt`].
     #[must_use]
     pub fn mask_logits(&self, mask: &Plane<f32>) -> Plane<f32> {
         self.scale.to_square(mask)
@@ -105,7 +105,7 @@ impl Embedding {
 #[derive(Debug, Clone, PartialEq)]
 pub struct MaskPrediction {
     scale: Scale,
-    /// `[256][256]`, of the square that the picture lies in the upper left of, its longer side along a whole side: above 0 where the
+    /// `[256][256]`, of the square that the image lies in the upper left of, its longer side along a whole side: above 0 where the
     /// object is. May be part of another [`Prompt`].
     pub logits: Plane<f32>,
     /// How well the network thinks that the mask fits: its intersection with the true one over their union, 1 at best (though the
@@ -114,7 +114,7 @@ pub struct MaskPrediction {
 }
 
 impl MaskPrediction {
-    /// The logits at the picture's size, bilinear: above 0 where the object is.
+    /// The logits at the image's size, bilinear: above 0 where the object is.
     #[must_use]
     pub fn picture_logits(&self) -> Plane<f32> {
         self.logits_at(self.scale.size())
@@ -215,7 +215,7 @@ impl MobileSam {
         })
     }
 
-    /// Four masks of what `prompt` shows in the picture of `embedding`. The first is the one to take where there is no doubt which object is
+    /// Four masks of what `prompt` shows in the image of `embedding`. The first is the one to take where there is no doubt which object is
     /// meant; the others are three readings of a prompt that [is ambiguous](Prompt::is_ambiguous): take that of the highest `iou`.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Pictures of any size as the network takes them, and its masks in their size.
+//! Images of any size as the network takes them, and its masks in their size.
 
 use super::SamError;
 use crate::ops::tensor;
@@ -6,7 +6,7 @@ use crate::sam::{Filter, resized};
 use burn_core::tensor::{Device, Tensor};
 use m4_scene::{Plane, RgbImage};
 
-/// Sides of the picture that the network takes, of the embedding, and of the masks.
+/// Sides of the image that the network takes, of the embedding, and of the masks.
 pub const INPUT_SIDE: usize = 1024;
 pub const EMBEDDING_SIDE: usize = 64;
 pub const MASK_SIDE: usize = 256;
@@ -14,7 +14,7 @@ pub const MASK_SIDE: usize = 256;
 const MEAN: [f32; 3] = [123.675, 116.28, 103.53];
 const STD: [f32; 3] = [58.395, 57.12, 57.375];
 
-/// How a picture lies in the square that the network takes: its longer side as long as that, in the upper left.
+/// How an image lies in the square that the network takes: its longer side as long as that, in the upper left.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Scale {
     width: usize,
@@ -22,7 +22,7 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// Of a picture of `width` by `height`.
+    /// Of an image of `width` by `height`.
     ///
     /// # Errors
     ///
@@ -36,14 +36,14 @@ impl Scale {
         Ok(scale)
     }
 
-    /// Width and height of the picture in the square.
+    /// Width and height of the image in the square.
     fn inside(self) -> (usize, usize) {
         let longer = self.width.max(self.height);
         let side = |side: usize| (2 * side * INPUT_SIDE + longer) / (2 * longer);
         (side(self.width), side(self.height))
     }
 
-    /// Whether a place is in the picture, its borders included.
+    /// Whether a place is in the image, its borders included.
     ///
     /// # Errors
     ///
@@ -58,14 +58,14 @@ impl Scale {
         }
     }
 
-    /// A place in the picture, as one in the square. Pixels have their centres at halves in both; SAM scales their numbers.
+    /// A place in the image, as one in the square. Pixels have their centres at halves in both; SAM scales their numbers.
     pub fn to_input(self, [x, y]: [f32; 2]) -> [f32; 2] {
         let (width, height) = self.inside();
         let place = |x: f32, from: usize, to: usize| (x - 0.5) * (to as f32 / from as f32) + 0.5;
         [place(x, self.width, width), place(y, self.height, height)]
     }
 
-    /// The picture `[1, 3, 1024, 1024]`, normalised, zero beside it.
+    /// The image `[1, 3, 1024, 1024]`, normalised, zero beside it.
     pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
         let (width, height) = self.inside();
         let image = resized(image, width, height, Filter::Triangle);
@@ -80,12 +80,12 @@ impl Scale {
         tensor(values, [1, 3, INPUT_SIDE, INPUT_SIDE], device)
     }
 
-    /// Width and height of the picture.
+    /// Width and height of the image.
     pub fn size(self) -> (usize, usize) {
         (self.width, self.height)
     }
 
-    /// A mask of the picture, of any size, as one of the square, `[256][256]`: bilinear, the least of its numbers beside the picture.
+    /// A mask of the image, of any size, as one of the square, `[256][256]`: bilinear, the least of its numbers beside the image.
     pub fn to_square(self, mask: &Plane<f32>) -> Plane<f32> {
         let (width, height) = self.inside();
         let beside = mask.data().iter().copied().fold(0.0, f32::min);
@@ -104,8 +104,8 @@ impl Scale {
         })
     }
 
-    /// A mask of the square, `[256][256]`, as one of the picture with `size` columns and rows: bilinear to the square's, without what lies
-    /// beside the picture, bilinear to that.
+    /// A mask of the square, `[256][256]`, as one of the image with `size` columns and rows: bilinear to the square's, without what lies
+    /// beside the image, bilinear to that.
     pub fn to_picture(self, mask: &Plane<f32>, size: (usize, usize)) -> Plane<f32> {
         let (width, height) = self.inside();
         let square = bilinear(mask, (INPUT_SIDE, INPUT_SIDE));
@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn a_mask_goes_to_the_square_and_comes_back() {
-        // Straight lines survive bilinear sampling; the picture takes the upper 144 rows of 256.
+        // Straight lines survive bilinear sampling; the image takes the upper 144 rows of 256.
         let scale = Scale::of(640, 360).unwrap();
         let mask = Plane::from_fn(320, 180, |x, y| 0.05 * x as f32 - 0.1 * y as f32 + 2.0);
         let square = scale.to_square(&mask);

@@ -1,4 +1,4 @@
-//! What is asked for, and its encoding: points and boxes as tokens, an earlier mask as a map.
+//! Prompts and their encoding: points and boxes as tokens, an earlier mask as a map.
 
 use super::SamError;
 use super::picture::{EMBEDDING_SIDE, INPUT_SIDE, MASK_SIDE, Scale};
@@ -6,7 +6,7 @@ use crate::ops::tensor;
 use crate::sam::{Prompt, PromptEncoder};
 use burn_core::tensor::{Device, Tensor};
 
-/// Whether `prompt` asks for something in a picture that lies so.
+/// Whether `prompt` asks for something in an image that lies so.
 fn check(prompt: &Prompt, scale: Scale) -> Result<(), SamError> {
     if prompt.points.is_empty() && prompt.box_px.is_none() && prompt.mask_logits.is_none() {
         return Err(SamError::NothingAsked);
@@ -36,7 +36,7 @@ fn check(prompt: &Prompt, scale: Scale) -> Result<(), SamError> {
 ///
 /// # Errors
 ///
-/// [`SamError`] if nothing is asked, a place is not in the picture, the box is reversed, or the mask has another size or numbers that
+/// [`SamError`] if nothing is asked, a place is not in the image, the box is reversed, or the mask has another size or numbers that
 /// are not finite.
 pub fn encoded(
     encoder: &PromptEncoder,

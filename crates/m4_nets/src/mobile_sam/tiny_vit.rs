@@ -203,7 +203,7 @@ impl TinyVit {
         }
     }
 
-    /// Of a picture `[1, 3, 1024, 1024]`: `[1, 256, 64, 64]`.
+    /// Of an image `[1, 3, 1024, 1024]`: `[1, 256, 64, 64]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let x = gelu(self.patch_embed.first.forward(x));
         let x = self.patch_embed.second.forward(x);

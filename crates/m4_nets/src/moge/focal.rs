@@ -1,13 +1,13 @@
 //! Focal length and depth offset of a point map (section 3.1 of the MoGe paper).
 //!
-//! The network's points are right up to an unknown offset `s` of their depth. With the focal length `f` in units of half the picture's
-//! diagonal, a point `(x, y, z)` seen at `(u, v)` (in the same units, from the picture's middle) has `f (x, y) / (z + s) = (u, v)`. For a
+//! The network's points are right up to an unknown offset `s` of their depth. With the focal length `f` in units of half the image's
+//! diagonal, a point `(x, y, z)` seen at `(u, v)` (in the same units, from the image's middle) has `f (x, y) / (z + s) = (u, v)`. For a
 //! given `s` the best `f` is known in closed form, which leaves one unknown: the squared differences are minimised over `s` by steps of
 //! Gauss and Newton within a trust region, from `s = 0` (Moré, "The Levenberg-Marquardt algorithm: Implementation and theory", 1978,
 //! for one unknown). 64 x 64 of the points are enough.
 //!
 //! The rules for the region are MINPACK's, and the search ends where a step gains less than a thousandth, as upstream's does (SciPy's
-//! `least_squares` with `ftol=1e-3`). That is part of the method: where a picture says little about its focal length (a wall seen from the front) the sum is flat, and the offset
+//! `least_squares` with `ftol=1e-3`). That is part of the method: where an image says little about its focal length (a wall seen from the front) the sum is flat, and the offset
 //! stays near the network's own depth instead of wandering off.
 
 use super::MoGeError;
@@ -35,7 +35,7 @@ struct Sighting {
     uv: [f64; 2],
 }
 
-/// Points `[height][width]` of a picture, those that `valid` says so, and their focal length where it is `known`.
+/// Points `[height][width]` of an image, those that `valid` says so, and their focal length where it is `known`.
 ///
 /// # Errors
 ///
@@ -95,7 +95,7 @@ pub fn recovered(
     }
 }
 
-/// The middle points of a grid over the picture, where they are valid and finite: the nearest to the upper left of each cell, as
+/// The middle points of a grid over the image, where they are valid and finite: the nearest to the upper left of each cell, as
 /// PyTorch's nearest resize takes them.
 fn sightings(points: &[[f32; 3]], valid: impl Fn(usize) -> bool, (width, height): (usize, usize)) -> Vec<Sighting> {
     let diagonal = (width as f64).hypot(height as f64);
@@ -197,7 +197,7 @@ mod tests {
         assert_eq!(got.focal, known);
     }
 
-    /// A plane that leans, of a picture of 90 x 60 pixels.
+    /// A plane that leans, of an image of 90 x 60 pixels.
     fn leaning(focal: f64, shift: f64) -> Vec<[f32; 3]> {
         let (w, h) = (90, 60);
         let diagonal = f64::hypot(90.0, 60.0);

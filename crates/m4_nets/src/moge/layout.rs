@@ -1,4 +1,4 @@
-//! How wide and deep the parts of a checkpoint are, as the shapes of its tensors tell.
+//! The widths and depths of a checkpoint, derived from the shapes of its tensors.
 
 use crate::load::Shapes;
 

@@ -1,30 +1,30 @@
-//! From what the network says to depth in metres.
+//! Converts the network's output to depth in metres.
 
 use super::config::Remap;
 use super::{MoGeError, focal};
 use m4_scene::Plane;
 use rayon::prelude::*;
 
-/// How to look at a picture.
+/// How to look at an image.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MoGeOptions {
-    /// Patches that the picture is cut into, about; `None` for the most that the network was trained with
+    /// Patches that the image is cut into, about; `None` for the most that the network was trained with
     /// ([`MoGe::tokens`](super::MoGe::tokens)). Fewer are faster and coarser.
     pub tokens: Option<usize>,
-    /// The focal length of the picture, pixels, where it is known. Else it is found with the depth.
+    /// The focal length of the image, pixels, where it is known. Else it is found with the depth.
     pub known_focal_px: Option<f64>,
 }
 
-/// A picture's geometry. OpenCV axes: x right, y down, z forward.
+/// An image's geometry. OpenCV axes: x right, y down, z forward.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MoGeMap {
-    /// z-depth, metres, `[height][width]` as the picture; 0 where `mask` is false.
+    /// z-depth, metres, `[height][width]` as the image; 0 where `mask` is false.
     pub depth_m: Plane<f32>,
     /// Where there is depth: not in the sky, and not where the network is in doubt.
     pub mask: Plane<bool>,
     /// Directions that surfaces face, of length 1; 0 where `mask` is false. `None` if the checkpoint has no head for them.
     pub normal: Option<Plane<[f32; 3]>>,
-    /// Focal length, pixels, the same in both directions; the principal point is the picture's middle.
+    /// Focal length, pixels, the same in both directions; the principal point is the image's middle.
     pub focal_px: f64,
     /// Horizontal field of view, radians.
     pub fov_x_rad: f64,
@@ -45,7 +45,7 @@ impl MoGeMap {
     }
 }
 
-/// What the network says of a picture of `width` by `height` pixels.
+/// What the network says of an image of `width` by `height` pixels.
 #[derive(Debug, Clone)]
 pub struct Said {
     pub width: usize,
@@ -83,7 +83,7 @@ impl Said {
         }
     }
 
-    /// The picture's geometry, its focal length `known_focal_px` if there is one.
+    /// The image's geometry, its focal length `known_focal_px` if there is one.
     ///
     /// # Errors
     ///

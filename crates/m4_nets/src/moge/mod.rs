@@ -1,11 +1,11 @@
-//! MoGe-2: depth in metres, field of view, mask and normals of one picture.
+//! MoGe-2: depth in metres, field of view, mask and normals of one image.
 //!
 //! - Papers: Wang et al., "MoGe: Unlocking Accurate Monocular Geometry Estimation for Open-Domain Images with Optimal Training
 //!   Supervision", CVPR 2025; "MoGe-2: Accurate Monocular Geometry with Metric Scale and Sharp Details", 2025.
 //! - Upstream: microsoft/MoGe, MIT (its copy of DINOv2 Apache-2.0), weights too.
 //!
 //! ```text
-//! picture --antialiased bilinear--> 14 x 14 patches --DINOv2, four blocks summed--> map, class token
+//! image --antialiased bilinear--> 14 x 14 patches --DINOv2, four blocks summed--> map, class token
 //! map --neck: 5 levels of doubling size, each told where its pixels are--> 5 maps --heads--> points, mask, normals at 16 x the patches
 //! class token --three layers--> metric scale;  points + mask --one unknown--> focal length, depth offset --> depth in metres
 //! ```
@@ -51,17 +51,17 @@ const NAME: &str = "MoGe-2";
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MoGeError {
-    /// The picture has no pixels.
-    #[error("depth needs a picture with pixels")]
+    /// The image has no pixels.
+    #[error("depth needs an image with pixels")]
     Empty,
     /// That many patches cannot be.
-    #[error("a picture can be cut into 1 to {most} patches, not {0}", most = picture::MOST_TOKENS)]
+    #[error("an image can be cut into 1 to {most} patches, not {0}", most = picture::MOST_TOKENS)]
     Tokens(usize),
     /// The focal length that was given is none.
     #[error("a focal length is a positive number of pixels, not {0}")]
     FocalLength(f64),
     /// The network sees nothing but sky, or what it cannot tell.
-    #[error("the network finds no depth in this picture: its mask is empty")]
+    #[error("the network finds no depth in this image: its mask is empty")]
     NothingValid,
     /// The points are those of no camera.
     #[error("no focal length explains the points that the network sees; giving the focal length may help")]
@@ -147,7 +147,7 @@ impl Net {
         }
     }
 
-    /// What the neck makes of a picture `[1, 3, 14 h, 14 w]`, from small to large, and the class token.
+    /// What the neck makes of an image `[1, 3, 14 h, 14 w]`, from small to large, and the class token.
     fn features(&self, picture: Tensor<4>, taps: &[usize], grid: Grid) -> (Vec<Tensor<4>>, Tensor<2>) {
         let (map, class) = self.encoder.forward(picture, taps, [grid.down, grid.across]);
         let (device, dtype) = (map.device(), map.dtype());
@@ -235,7 +235,7 @@ impl MoGe {
     ///
     /// # Errors
     ///
-    /// [`MoGeError`] if the picture has no pixels, an option is out of range, the network finds no depth, or the device fails.
+    /// [`MoGeError`] if the image has no pixels, an option is out of range, the network finds no depth, or the device fails.
     pub fn infer(&self, image: &RgbImage, options: &MoGeOptions) -> Result<MoGeMap, MoGeError> {
         self.said(image, options)?.geometry(options.known_focal_px)
     }

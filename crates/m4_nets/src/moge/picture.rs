@@ -1,4 +1,4 @@
-//! Pictures of any size as the network takes them, the places of its maps' pixels, and its maps in the pictures' size.
+//! Images of any size as the network takes them, the places of its maps' pixels, and its maps in the images' size.
 
 use super::MoGeError;
 use crate::dinov2::PATCH;
@@ -6,10 +6,10 @@ use crate::ops::{Kernels, planes, resampled, tensor};
 use burn_core::tensor::{DType, Device, Tensor, TensorData};
 use m4_scene::RgbImage;
 
-/// The most patches that a picture may be cut into; the published networks were trained with up to 3600.
+/// The most patches that an image may be cut into; the published networks were trained with up to 3600.
 pub const MOST_TOKENS: usize = 20_000;
 
-/// A picture's sides, and the patches that it is cut into.
+/// An image's sides, and the patches that it is cut into.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Grid {
     pub width: usize,
@@ -20,7 +20,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Of a picture of `width` by `height` in about `tokens` patches, one at least each way.
+    /// Of an image of `width` by `height` in about `tokens` patches, one at least each way.
     ///
     /// # Errors
     ///
@@ -42,7 +42,7 @@ impl Grid {
         })
     }
 
-    /// The picture `[1, 3, 14 down, 14 across]` from 0 to 1.
+    /// The image `[1, 3, 14 down, 14 across]` from 0 to 1.
     pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
         let (width, height) = (self.across * PATCH, self.down * PATCH);
         let values = planes(image, [0.0; 3], [1.0; 3]);
@@ -53,7 +53,7 @@ impl Grid {
     }
 
     /// Where the pixels of level `level` (of `2^level` times as many as there are patches each way) are, `[1, 2, h, w]`: to the right and
-    /// down from the picture's middle, in units of half its diagonal.
+    /// down from the image's middle, in units of half its diagonal.
     pub fn places(self, level: usize, device: &Device, dtype: DType) -> Tensor<4> {
         let (w, h) = (self.across << level, self.down << level);
         let diagonal = (self.width as f64).hypot(self.height as f64);
@@ -67,7 +67,7 @@ impl Grid {
         Tensor::from_data(TensorData::new(values, [1, 2, h, w]), (device, dtype))
     }
 
-    /// Planes `[n][h][w]` of a map in the picture's size, bilinear.
+    /// Planes `[n][h][w]` of a map in the image's size, bilinear.
     pub fn to_picture(self, planes: &[f32], w: usize, h: usize) -> Vec<f32> {
         resampled(
             planes,

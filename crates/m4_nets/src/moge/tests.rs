@@ -1,4 +1,4 @@
-//! Against the authors' module, with weights by a formula and the small backbone.
+//! Against the authors' module, with synthetic weights and the small backbone.
 
 use super::config::{Config, Remap};
 use super::focal::recovered;

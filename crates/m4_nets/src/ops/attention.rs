@@ -1,4 +1,4 @@
-//! Attention of several heads whose scores are never all held.
+//! Multi-head attention that never stores all scores.
 
 use super::softmax_rows;
 use burn_core::tensor::{Device, Tensor};

@@ -14,7 +14,7 @@ fn neighbours(x: Tensor<3>) -> Tensor<4> {
     Tensor::stack(shifted, 2)
 }
 
-/// Of `flow` `[h, w, 2]` (pixels of the map): the flow `[factor h, factor w, 2]` in pixels of the picture, which has `factor`
+/// Of `flow` `[h, w, 2]` (pixels of the map): the flow `[factor h, factor w, 2]` in pixels of the image, which has `factor`
 /// times the sides. `weights` are `[9 factor factor, h, w]`: neighbour, then row and column within the pixel; their softmax over
 /// the neighbours is what counts.
 pub fn convex_upsample(flow: Tensor<3>, weights: Tensor<3>, factor: usize) -> Tensor<3> {

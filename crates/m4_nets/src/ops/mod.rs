@@ -73,7 +73,7 @@ pub fn norm(width: usize, device: &Device) -> LayerNorm {
     LayerNormConfig::new(width).init(device)
 }
 
-/// Each channel of each picture of `x` `[n, c, h, w]` less its mean, divided by its standard deviation (over the `h * w`
+/// Each channel of each image of `x` `[n, c, h, w]` less its mean, divided by its standard deviation (over the `h * w`
 /// pixels, epsilon 1e-5): instance normalisation without weights. Sums are made in 32 bits, whatever `x` is in.
 pub fn instance_norm(x: Tensor<4>) -> Tensor<4> {
     let [n, c, h, w] = x.dims();

@@ -1,4 +1,4 @@
-//! Pictures as planes of numbers.
+//! Images as planes of numbers.
 
 use m4_scene::RgbImage;
 

@@ -1,4 +1,4 @@
-//! Rows of numbers in another length, as PyTorch and OpenCV resize pictures. The centre of number `i` is at `i + 1/2`.
+//! Rows of numbers in another length, as PyTorch and OpenCV resize images. The centre of number `i` is at `i + 1/2`.
 
 use rayon::prelude::*;
 
@@ -100,7 +100,7 @@ fn cubic(x: f64) -> f64 {
     }
 }
 
-/// Planes `[n][height][width]` (`width` numbers a row) with columns and rows of other numbers: along rows, then along columns.
+/// Planes `[n][height][width]` (`width` numbers per row) with columns and rows of other numbers: along rows, then along columns.
 pub fn resampled(planes: &[f32], width: usize, height: usize, columns: &Kernels, rows: &Kernels) -> Vec<f32> {
     let (to_width, to_height) = (columns.to(), rows.to());
     let planes_count = planes.len().checked_div(width * height).unwrap_or(0);

@@ -8,7 +8,7 @@ use burn_core::tensor::{Device, Tensor};
 /// Batch normalisation adds this to the variance.
 const EPSILON: f32 = 1e-5;
 
-/// What batch normalisation learned, a number a channel each.
+/// What batch normalisation learned, a number per channel each.
 #[derive(Module, Debug)]
 pub struct Statistics {
     weight: Param<Tensor<1>>,

@@ -1,4 +1,4 @@
-//! A picture's features at an eighth of its size: the same layers for what is compared and for the context, but for how they are
+//! An image's features at an eighth of its size: the same layers for what is compared and for the context, but for how they are
 //! normalised.
 
 use crate::ops::{Statistics, conv, convolve, instance_norm, with_weights};
@@ -11,7 +11,7 @@ use burn_nn::conv::Conv2d;
 /// How a network normalises the channels after each convolution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Norm {
-    /// Each picture by its own mean and variance, without weights.
+    /// Each image by its own mean and variance, without weights.
     Instance,
     /// By the statistics of training.
     Batch,
@@ -120,14 +120,14 @@ impl Encoder {
         self.conv1.weight.dtype()
     }
 
-    /// Of pictures `[n, 3, h, w]`: features `[n, width, h / 8, w / 8]`.
+    /// Of images `[n, 3, h, w]`: features `[n, width, h / 8, w / 8]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let x = relu(normalised(&self.conv1, self.norm1.as_ref(), x));
         let x = self.blocks().fold(x, |x, block| block.forward(x));
         convolve([x], &self.conv2)
     }
 
-    /// How many of its numbers are statistics of the pictures of training, which were not learned.
+    /// How many of its numbers are statistics of the images of training, which were not learned.
     pub fn statistics(&self) -> usize {
         let first = self.norm1.as_ref().map_or(0, |norm| 2 * norm.width());
         first + self.blocks().map(Residual::statistics).sum::<usize>()

@@ -54,7 +54,7 @@ pub struct SepConvGru {
     convq2: Kernel,
 }
 
-/// The unit for the context of some pictures.
+/// The unit for the context of some images.
 #[derive(Debug)]
 pub struct Unit {
     passes: [Pass; 2],

@@ -5,13 +5,13 @@
 //! - Upstream: princeton-vl/RAFT, BSD-3. Weights: the entry `raft-things` of `minute4d weights list`, 5,257,536 learned numbers.
 //!
 //! ```text
-//! picture --fnet--> features at 1/8, which are compared;  --cnet--> hidden state and context
+//! image --fnet--> features at 1/8, which are compared;  --cnet--> hidden state and context
 //! a pair, again and again:  correlations around where the flow points --motion encoder--> motion
 //!                           hidden state, context, motion --recurrent unit--> hidden state --flow head--> change of the flow
 //! hidden state --mask head--> weights of upsampling;  flow at 1/8 --convex upsampling--> flow
 //! ```
 //!
-//! [`Raft::encode`] keeps what depends on one picture alone; both directions of a pair share it and are computed side by side.
+//! [`Raft::encode`] keeps what depends on one image alone; both directions of a pair share it and are computed side by side.
 //! Inside, maps are `[n, channels, height, width]`; flow is in 32 bits whatever the type of the weights.
 
 mod encoder;
@@ -36,15 +36,15 @@ use update::{FACTOR, UpdateBlock};
 
 /// Channels that are compared, and channels of hidden state and context together.
 const WIDTH: usize = 256;
-/// Sizes at which a picture is compared, each half of the one before.
+/// Sizes at which an image is compared, each half of the one before.
 const LEVELS: usize = 4;
 /// How far lookups reach, in pixels of each level.
 const RADIUS: usize = 4;
-/// Sides are padded to this at least: the coarsest level then has two pixels a side, the fewest that the published network can
+/// Sides are padded to this at least: the coarsest level then has two pixels per side, the fewest that the published network can
 /// look up in.
 const LEAST: usize = (2 * FACTOR) << (LEVELS - 1);
 
-/// Flow at an eighth of the padded picture's size, in pixels of that size: what another pair that ends in the same picture may
+/// Flow at an eighth of the padded image's size, in pixels of that size: what another pair that ends in the same image may
 /// start from.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LowFlow(pub Flow);
@@ -52,13 +52,13 @@ pub struct LowFlow(pub Flow);
 /// What the network found for one direction of a pair.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RaftFlow {
-    /// The flow in the picture's size.
+    /// The flow in the image's size.
     pub flow: Flow,
     /// The same before upsampling.
     pub low: LowFlow,
 }
 
-/// What the network keeps of one picture, for use in several pairs.
+/// What the network keeps of one image, for use in several pairs.
 #[derive(Debug, Clone)]
 pub struct Features {
     padding: Padding,
@@ -157,12 +157,12 @@ impl Raft {
         })
     }
 
-    /// The flows from the picture of `a` to that of `b`, and back, after `iterations` (22 are usual). They start from `init`, in
+    /// The flows from the image of `a` to that of `b`, and back, after `iterations` (22 are usual). They start from `init`, in
     /// the same order, or from no motion.
     ///
     /// # Errors
     ///
-    /// [`FlowError`] if the pictures differ in size, `init` is not of their size or has too few numbers, there is no iteration, or the
+    /// [`FlowError`] if the images differ in size, `init` is not of their size or has too few numbers, there is no iteration, or the
     /// device fails.
     pub fn flow_both(
         &self,

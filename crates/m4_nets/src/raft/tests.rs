@@ -1,4 +1,4 @@
-//! Parts of the network against the published module, with weights by a formula.
+//! Parts of the network against the published module, with synthetic weights.
 
 use super::*;
 use crate::cpu;

@@ -8,7 +8,7 @@ use burn_core::tensor::activation::relu;
 use burn_core::tensor::{Device, Tensor};
 use burn_nn::conv::Conv2d;
 
-/// Rows and columns of the picture in a pixel of the map.
+/// Rows and columns of the image in a pixel of the map.
 pub const FACTOR: usize = 8;
 /// The checkpoint's weights of upsampling are this much too large: in training it balanced their gradients.
 const MASK_SCALE: f32 = 0.25;

@@ -55,7 +55,7 @@ impl Upscaling {
         }
     }
 
-    /// Of `[b, h, w, 256]`: `[b, 4 h, 4 w, 32]`. `fine` are finer maps of the picture to be added where sizes are those, `[1, 2 h, 2 w, 64]`
+    /// Of `[b, h, w, 256]`: `[b, 4 h, 4 w, 32]`. `fine` are finer maps of the image to be added where sizes are those, `[1, 2 h, 2 w, 64]`
     /// and `[1, 4 h, 4 w, 32]`, or `b` of them.
     pub fn forward(&self, x: Tensor<4>, fine: Option<[Tensor<4>; 2]>) -> Tensor<4> {
         let [half, whole] = fine.map_or([None, None], |fine| fine.map(Some));

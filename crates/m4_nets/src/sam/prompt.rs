@@ -2,10 +2,10 @@
 
 use m4_scene::Plane;
 
-/// A place in a picture, and whether it belongs to the object.
+/// A place in an image, and whether it belongs to the object.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointPrompt {
-    /// Column and row in pixels of the picture; the centre of its first pixel is (0.5, 0.5).
+    /// Column and row in pixels of the image; the centre of its first pixel is (0.5, 0.5).
     pub at_px: [f32; 2],
     /// Whether the object is there.
     pub on_object: bool,
@@ -18,7 +18,7 @@ pub struct Prompt {
     pub points: Vec<PointPrompt>,
     /// A box around it: column and row of the centre of its first pixel, then of its last, as for points.
     pub box_px: Option<[f32; 4]>,
-    /// The `logits` of an earlier [`MaskPrediction`](crate::MaskPrediction) of the same picture, `[256][256]`.
+    /// The `logits` of an earlier [`MaskPrediction`](crate::MaskPrediction) of the same image, `[256][256]`.
     pub mask_logits: Option<Plane<f32>>,
 }
 

@@ -27,7 +27,7 @@ impl Token {
 /// Where something is, as sines and cosines of 128 fixed waves.
 #[derive(Module, Debug)]
 struct Waves {
-    /// `[2, 128]`: waves a picture's side, to the right and down.
+    /// `[2, 128]`: waves an image's side, to the right and down.
     positional_encoding_gaussian_matrix: Param<Tensor<2>>,
 }
 
@@ -38,7 +38,7 @@ impl Waves {
         }
     }
 
-    /// Of places `[n, 2]`, columns and rows as parts of the picture's side: `[n, 256]`.
+    /// Of places `[n, 2]`, columns and rows as parts of the image's side: `[n, 256]`.
     fn forward(&self, places: Tensor<2>) -> Tensor<2> {
         let centred = places.mul_scalar(2.0).sub_scalar(1.0);
         let angles = centred
@@ -105,7 +105,7 @@ impl PromptEncoder {
         }
     }
 
-    /// The token `[1, 256]` of a place, column and row as parts of the picture's side: 0 off the object, 1 on it, 2 the box's first corner,
+    /// The token `[1, 256]` of a place, column and row as parts of the image's side: 0 off the object, 1 on it, 2 the box's first corner,
     /// 3 its last.
     pub fn place(&self, at: [f32; 2], kind: usize) -> Tensor<2> {
         let known = self.point_embeddings[kind].weight.val();

@@ -1,5 +1,5 @@
-//! Pictures in another size as Pillow's filters make them, which SAM was trained with: a function that is as wide as a new pixel
-//! where pictures become smaller, along rows and then along columns, rounded to bytes after each. In whole numbers, as Pillow's, so
+//! Images in another size as Pillow's filters make them, which SAM was trained with: a function that is as wide as a new pixel
+//! where images become smaller, along rows and then along columns, rounded to bytes after each. In whole numbers, as Pillow's, so
 //! that the bytes are the same.
 
 use m4_scene::{Plane, RgbImage};
@@ -13,7 +13,7 @@ const DIGITS: u32 = 22;
 pub enum Filter {
     /// Linear to both sides: `BILINEAR`.
     Triangle,
-    /// The cubic of Keys with a = -0.5: `BICUBIC`, which is what `resize` takes where nothing else is said.
+    /// The cubic of Keys with a = -0.5: `BICUBIC`, the default of `resize`.
     Cubic,
 }
 
@@ -114,7 +114,7 @@ mod tests {
         let tensors = SafeTensors::deserialize(file).unwrap();
         let tensor = tensors.tensor(name).unwrap();
         let [h, w, 3] = tensor.shape() else {
-            panic!("{name} is no picture");
+            panic!("{name} is not an image");
         };
         RgbImage::from_vec(*w, *h, tensor.data().as_chunks::<3>().0.to_vec()).unwrap()
     }

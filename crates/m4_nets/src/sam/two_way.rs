@@ -1,4 +1,4 @@
-//! The decoder's transformer: tokens that look at the picture and a picture that looks at the tokens, in turn (Kirillov et al.,
+//! The decoder's transformer: tokens that look at the image and an image that looks at the tokens, in turn (Kirillov et al.,
 //! "Segment Anything", ICCV 2023, appendix A).
 
 use super::{WIDTH, heads};
@@ -53,7 +53,7 @@ pub struct Mlp {
     lin2: Linear,
 }
 
-/// Tokens among themselves, tokens to picture, feed-forward, picture to tokens.
+/// Tokens among themselves, tokens to image, feed-forward, image to tokens.
 #[derive(Module, Debug)]
 pub struct Layer {
     self_attn: Attention,
@@ -114,7 +114,7 @@ impl TwoWay {
         }
     }
 
-    /// `tokens` `[b, n, 256]` and the pictures' `pixels` `[b, m, 256]`, whose places are `grid` `[1, m, 256]`, after each has seen the
+    /// `tokens` `[b, n, 256]` and the images' `pixels` `[b, m, 256]`, whose places are `grid` `[1, m, 256]`, after each has seen the
     /// other.
     pub fn forward(&self, tokens: Tensor<3>, pixels: Tensor<3>, grid: &Tensor<3>) -> (Tensor<3>, Tensor<3>) {
         let places = tokens.clone();

@@ -17,7 +17,7 @@ pub struct Answer {
     pub logits: Tensor<3>,
     /// `[1, 256]`.
     pub pointer: Tensor<2>,
-    /// Above 0 where the object is in the picture.
+    /// Above 0 where the object is in the image.
     pub score: f32,
     /// How good the mask is thought to be, and those that it was chosen from.
     pub iou: f32,

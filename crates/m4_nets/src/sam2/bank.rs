@@ -74,7 +74,7 @@ impl Object {
         pending.or_else(settled)
     }
 
-    /// What was shown in a frame, and is not found anew.
+    /// What was shown in a frame, and is not found again.
     pub fn shown(&self, frame: usize) -> Option<&Entry> {
         let corrected = || self.others.get(&frame).filter(|entry| entry.prompted);
         self.conditioning.get(&frame).or_else(corrected)

@@ -1,4 +1,4 @@
-//! A block of the image encoder: attention within windows or over the whole picture, then the feed-forward layer; the first of a
+//! A block of the image encoder: attention within windows or over the whole image, then the feed-forward layer; the first of a
 //! stage halves rows and columns, its queries being the largest of 2 by 2.
 
 use super::config::BlockConfig;
@@ -77,7 +77,7 @@ pub struct Block {
     mlp: Mlp,
     /// Where the number of channels changes.
     proj: Option<Linear>,
-    /// Side of the windows, 0 for the whole picture.
+    /// Side of the windows, 0 for the whole image.
     window: usize,
     halves: bool,
     /// Whether it is the last of its stage.

@@ -36,7 +36,7 @@ pub struct Decoded {
     pub iou: Tensor<2>,
     /// The masks' tokens, `[b, 4, 256]`.
     pub tokens: Tensor<3>,
-    /// `[b, 1]`: above 0 where the object is in the picture.
+    /// `[b, 1]`: above 0 where the object is in the image.
     pub score: Tensor<2>,
 }
 

@@ -6,13 +6,13 @@ use std::error::Error;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Sam2Error {
-    /// The network cannot take pictures of this side.
-    #[error("the side of the picture that SAM 2 takes is a multiple of 32 from 64 to 2048, not {0}")]
+    /// The network cannot take images of this side.
+    #[error("the side of the image that SAM 2 takes is a multiple of 32 from 64 to 2048, not {0}")]
     Side(usize),
-    /// A picture has no pixels.
+    /// An image has no pixels.
     #[error("{what} has no pixels: it is {width} x {height}")]
     NoPixels {
-        /// What it is.
+        /// The kind.
         what: &'static str,
         /// Columns.
         width: usize,
@@ -23,7 +23,7 @@ pub enum Sam2Error {
     #[error("a clip without frames has no masks")]
     NoFrames,
     /// A frame that the clip has not.
-    #[error("frame {frame} is asked for in a clip of {frames}, whose first is 0")]
+    #[error("frame {frame} was requested in a clip of {frames} frames, counted from 0")]
     NoSuchFrame {
         /// The frame.
         frame: usize,
@@ -31,29 +31,29 @@ pub enum Sam2Error {
         frames: usize,
     },
     /// An object that was never shown.
-    #[error("object {0} is not known; show it in a frame first")]
+    #[error("object {0} is unknown; prompt it in a frame first")]
     UnknownObject(u32),
     /// There is no object to follow.
-    #[error("there is no object to follow; show one in a frame first")]
+    #[error("there is no object to track; prompt one in a frame first")]
     NoObjects,
     /// The prompt is empty.
     #[error("a prompt needs a point, a box or a mask")]
     NothingAsked,
-    /// A point or a corner of the prompt is not in the picture.
-    #[error("the prompt has a place at column {}, row {} of a picture of {width} x {height} pixels", at_px[0], at_px[1])]
+    /// A point or a corner of the prompt is not in the image.
+    #[error("the prompt has a point at column {}, row {} of an image of {width} x {height} pixels", at_px[0], at_px[1])]
     Outside {
         /// Column and row, in pixels.
         at_px: [f32; 2],
-        /// Columns of the picture.
+        /// Columns of the image.
         width: usize,
-        /// Rows of the picture.
+        /// Rows of the image.
         height: usize,
     },
     /// The box of the prompt ends before it begins.
-    #[error("the box of a prompt is its first column and row, then its last, not {0:?}")]
+    #[error("the box of a prompt must be first column and row, then last column and row, not {0:?}")]
     Reversed([f32; 4]),
     /// The prompt's mask has numbers that are infinite or none.
-    #[error("the mask of a prompt has numbers that are not finite")]
+    #[error("the mask of a prompt has NaN or infinite values")]
     NotFinite,
     /// The prompt's mask has another size.
     #[error(
@@ -67,8 +67,8 @@ pub enum Sam2Error {
         /// Columns and rows that it should have.
         expected: usize,
     },
-    /// A frame's picture could not be had.
-    #[error("the picture of frame {frame} cannot be had: {reason}")]
+    /// A frame's image could not be had.
+    #[error("the image of frame {frame} is not available: {reason}")]
     Picture {
         /// The frame.
         frame: usize,
@@ -76,7 +76,7 @@ pub enum Sam2Error {
         reason: Box<dyn Error + Send + Sync>,
     },
     /// The user asked to stop.
-    #[error("following objects was stopped")]
+    #[error("tracking objects was stopped")]
     Cancelled,
     /// The device failed, for one for lack of memory.
     #[error("the device that computes masks failed: {0}")]

@@ -1,5 +1,5 @@
 //! Hiera, the image encoder: four stages of blocks, each at half the resolution of the one before (Ryali et al., "Hiera: A Hierarchical
-//! Vision Transformer without the Bells-and-Whistles", ICML 2023), with positions that are a learned map stretched over the picture
+//! Vision Transformer without the Bells-and-Whistles", ICML 2023), with positions that are a learned map stretched over the image
 //! and one repeated in windows (Bolya et al., "Window Attention is Bugged", ICLR 2024).
 
 use super::block::Block;
@@ -69,8 +69,8 @@ impl Hiera {
         (tensor(stretched, [1, c, h, w], &device) + repeated).permute([0, 2, 3, 1])
     }
 
-    /// Of a picture `[1, 3, 4 h, 4 w]` and its `positions` `[1, h, w, c]`: what each stage ends with, `[1, h, w, c]`, then half the rows and
-    /// columns and twice the channels a stage.
+    /// Of an image `[1, 3, 4 h, 4 w]` and its `positions` `[1, h, w, c]`: what each stage ends with, `[1, h, w, c]`, then half the rows and
+    /// columns and twice the channels per stage.
     pub fn forward(&self, picture: Tensor<4>, positions: Tensor<4>) -> Vec<Tensor<4>> {
         let mut x = self.patch_embed.proj.forward(picture).permute([0, 2, 3, 1]) + positions;
         let mut stages = Vec::new();

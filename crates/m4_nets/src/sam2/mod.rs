@@ -1,18 +1,18 @@
-//! SAM 2.1: masks of what a prompt shows in a picture, and of the same object in every other frame of a clip.
+//! SAM 2.1: masks of what a prompt shows in an image, and of the same object in every other frame of a clip.
 //!
 //! - Paper: Ravi et al., "SAM 2: Segment Anything in Images and Videos", 2024.
 //! - Upstream: facebookresearch/sam2, Apache-2.0. Weights (Apache-2.0): the sizes `tiny`, `small`, `base_plus` and `large` of version
 //!   2.1, whose tensors lie under `model` in the published files.
 //!
 //! ```text
-//! picture --squeeze--> 1024 x 1024 --Hiera, neck--> features at 1/16, finer ones at 1/8 and 1/4
+//! image --squeeze--> 1024 x 1024 --Hiera, neck--> features at 1/16, finer ones at 1/8 and 1/4
 //! features + no memory, prompt --MaskDecoder--> masks [256, 256], their qualities, whether the object is there
 //! features, memories of other frames --MemoryAttention--> features, no prompt --MaskDecoder--> the object's mask
 //! features, mask --MemoryEncoder--> a memory [64 * 64, 64];  the mask's token --> a pointer [256]
 //! ```
 //!
-//! [`Sam2`] is the network, [`Sam2::encode`] and [`Sam2::masks`] are of single pictures; [`VideoPredictor`] follows objects. Places are
-//! in pixels of the picture as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
+//! [`Sam2`] is the network, [`Sam2::encode`] and [`Sam2::masks`] are of single images; [`VideoPredictor`] follows objects. Places are
+//! in pixels of the image as everywhere in this library: the centre of its first pixel is (0.5, 0.5).
 //!
 //! Inside, maps have their channels last, so that normalisations and linear layers read rows.
 
@@ -62,15 +62,15 @@ use picture::Frame;
 use rope::Rotations;
 use std::path::Path;
 
-/// The side of the picture that the network was trained with.
+/// The side of the image that the network was trained with.
 const SIDE: usize = 1024;
-/// Pixels a side of the picture that are one of the features.
+/// Pixels a side of the image that are one of the features.
 const STRIDE: usize = 16;
-/// Pixels a side of the picture that are one of a mask.
+/// Pixels a side of the image that are one of a mask.
 const MASK_STRIDE: usize = 4;
 /// Memories that temporal positions are there for: six frames before, and those that were prompted.
 const MEMORIES: usize = 7;
-/// The logits of an object that is not there.
+/// The logits of an object that is missing.
 const ABSENT: f32 = -1024.0;
 
 /// Names of the checkpoint that are not those of fields.
@@ -161,7 +161,7 @@ impl Net {
     }
 }
 
-/// What follows from the parameters, or from the picture's side.
+/// What follows from the parameters, or from the image's side.
 #[derive(Debug)]
 struct Tables {
     /// Rows and columns of the features.
@@ -175,7 +175,7 @@ struct Tables {
     rotations: Rotations,
     /// Where pixels of the features are, for the mask decoder, `[1, n, 256]`.
     places: Tensor<3>,
-    /// A row of a mask's numbers as one of the picture's, bilinear: `[1, s, s / 4]`, in 32 bits.
+    /// A row of a mask's numbers as one of the image's, bilinear: `[1, s, s / 4]`, in 32 bits.
     enlarge: Tensor<3>,
 }
 
@@ -192,7 +192,7 @@ pub struct Sam2 {
     dtype: DType,
 }
 
-/// What the network makes of a picture, for any number of prompts.
+/// What the network makes of an image, for any number of prompts.
 #[derive(Debug, Clone)]
 pub struct Features {
     frame: Frame,
@@ -211,7 +211,7 @@ impl Sam2 {
     pub fn load(path: &Path, on: impl Into<Compute>) -> Result<Self, LoadError> {
         let on: Compute = on.into();
         let device = on.device.clone();
-        // what has no size of ours is told against the smallest
+        // a size that none of ours has is reported against the smallest
         let size = Sam2Size::of(&load::shapes(NAME, path, &RENAMES)?).unwrap_or(Sam2Size::Tiny);
         let mut net = Net::new(&size.config(), &device);
         load::fill(&mut net, NAME, path, &RENAMES, unneeded)?;
@@ -251,7 +251,7 @@ impl Sam2 {
         }
     }
 
-    /// The same network for pictures that are squeezed to `side` by `side` pixels instead of 1024, as it was trained: faster and coarser
+    /// The same network for images that are squeezed to `side` by `side` pixels instead of 1024, as it was trained: faster and coarser
     /// where less. All masks and features shrink with it.
     ///
     /// # Errors
@@ -295,7 +295,7 @@ impl Sam2 {
         let [s0, s1, map, coarse] = self.level(stages);
         let n = self.tables.grid * self.tables.grid;
         Ok(Features {
-            frame: Frame::of("a picture", image.size())?,
+            frame: Frame::of("an image", image.size())?,
             map: (map + repeated(coarse)).reshape([1, n, WIDTH]),
             fine: [s1, s0],
         })
@@ -315,7 +315,7 @@ impl Sam2 {
         })
     }
 
-    /// Masks of what `prompt` shows in the picture of `features`: three where it [is ambiguous](Prompt::is_ambiguous), of which that of the
+    /// Masks of what `prompt` shows in the image of `features`: three where it [is ambiguous](Prompt::is_ambiguous), of which that of the
     /// highest `iou` is the one to take, else one. The logits are as the network says them, whether or not the object is there.
     ///
     /// # Errors
@@ -380,7 +380,7 @@ impl Sam2 {
         self.answers(self.decoded(map, features, tokens, None), true)
     }
 
-    /// Masks of the picture's square from logits `[b, 4 h, 4 w]`: `[b, 1, 16 h, 16 w]`.
+    /// Masks of the image's square from logits `[b, 4 h, 4 w]`: `[b, 1, 16 h, 16 w]`.
     fn enlarged(&self, logits: Tensor<3>) -> Tensor<4> {
         let rows = self.tables.enlarge.clone();
         let columns = rows.clone().swap_dims(1, 2);

@@ -1,4 +1,4 @@
-//! Pictures of any size as the network takes them, a square, and its masks in their size.
+//! Images of any size as the network takes them, a square, and its masks in their size.
 
 use super::Sam2Error;
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
@@ -30,7 +30,7 @@ impl Frame {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error::Outside`] if it is not in the picture, borders included.
+    /// [`Sam2Error::Outside`] if it is not in the image, borders included.
     pub fn place(self, at_px: [f32; 2], side: usize) -> Result<[f32; 2], Sam2Error> {
         let Self { width, height } = self;
         let [x, y] = at_px;
@@ -49,7 +49,7 @@ impl Frame {
 ///
 /// [`Sam2Error::NoPixels`] if it has none.
 pub fn squared(image: &RgbImage, side: usize, device: &Device) -> Result<Tensor<4>, Sam2Error> {
-    Frame::of("a picture", image.size())?;
+    Frame::of("an image", image.size())?;
     let values = if image.size() == (side, side) {
         planes(image, IMAGENET_MEAN, IMAGENET_STD)
     } else {
@@ -58,7 +58,7 @@ pub fn squared(image: &RgbImage, side: usize, device: &Device) -> Result<Tensor<
     Ok(tensor(values, [1, 3, side, side], device))
 }
 
-/// A mask of a picture as one of the square, `[side][side]`, 1 where the object is: where at least half of a pixel is it.
+/// A mask of an image as one of the square, `[side][side]`, 1 where the object is: where at least half of a pixel is it.
 pub fn squared_mask(mask: &Plane<bool>, side: usize) -> Vec<f32> {
     let (w, h) = mask.size();
     let values: Vec<f32> = mask.data().iter().map(|&on| f32::from(u8::from(on))).collect();

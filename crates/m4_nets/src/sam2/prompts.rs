@@ -7,12 +7,12 @@ use crate::sam::{Prompt, PromptEncoder};
 use burn_core::tensor::{Device, Tensor};
 use m4_scene::Plane;
 
-/// Tokens `[n, 256]` of `prompt` in a picture of the size `frame`: the box's corners, the points, and one that is no place; two of those
+/// Tokens `[n, 256]` of `prompt` in an image of the size `frame`: the box's corners, the points, and one that is no place; two of those
 /// where there are neither.
 ///
 /// # Errors
 ///
-/// [`Sam2Error`] if a place is not in the picture or the box is reversed.
+/// [`Sam2Error`] if a place is not in the image or the box is reversed.
 pub fn tokens(encoder: &PromptEncoder, prompt: &Prompt, frame: Frame, side: usize) -> Result<Tensor<2>, Sam2Error> {
     let mut tokens = Vec::new();
     if let Some([x0, y0, x1, y1]) = prompt.box_px {

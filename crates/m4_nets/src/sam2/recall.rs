@@ -74,7 +74,7 @@ impl Sam2 {
         features.map.clone() + self.net.no_mem_embed.val()
     }
 
-    /// What a mask of the picture's square, 1 where the object is, stands for.
+    /// What a mask of the image's square, 1 where the object is, stands for.
     pub(super) fn given(&self, features: &Features, mask: Vec<f32>) -> Result<Answer, Sam2Error> {
         let (side, small) = (self.side, self.mask_side());
         let there = mask.iter().any(|&x| x > 0.0);

@@ -22,7 +22,7 @@ fn loaded(weights: &FormulaWeights, side: usize) -> Sam2 {
     Sam2::load(&path, cpu()).unwrap().with_side(side).unwrap()
 }
 
-/// The tiny size for pictures of 256 by 256 pixels.
+/// The tiny size for images of 256 by 256 pixels.
 fn tiny() -> &'static Sam2 {
     static NET: LazyLock<Sam2> = LazyLock::new(|| loaded(&FormulaWeights::of_keys(TINY), 256));
     &NET
@@ -163,7 +163,7 @@ fn the_decoder_meets_its_fixture() {
     assert_near(pixels, &fixture, "transformer_image_strided", LIMIT);
 
     let features = Features {
-        frame: Frame::of("a picture", (256, 256)).unwrap(),
+        frame: Frame::of("an image", (256, 256)).unwrap(),
         map: map.clone(),
         fine,
     };
@@ -278,7 +278,7 @@ fn the_memory_encoder_meets_its_fixture() {
     assert_map(places, &fixture, "pos", LIMIT);
 }
 
-/// A frame of a clip: 64 by 64 pixels, each four times a side.
+/// A frame of a clip: 64 by 64 pixels, each four times per side.
 fn frame(fixture: &Fixture, i: usize) -> RgbImage {
     let bytes = fixture.bytes("frames_u8_64");
     RgbImage::from_fn(256, 256, |x, y| {

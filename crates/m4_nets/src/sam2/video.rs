@@ -24,7 +24,7 @@ use std::fmt;
 use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::Arc;
 
-/// Gives the picture of a frame, by its number in the clip. Pictures may be of any size: all are squeezed to the network's square.
+/// Gives the image of a frame, by its number in the clip. Images may be of any size: all are squeezed to the network's square.
 pub type Pictures<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
 
 /// Which way objects are followed.
@@ -51,7 +51,7 @@ impl Direction {
 pub struct Clip {
     /// Frames.
     pub frames: usize,
-    /// Columns that places of prompts are counted in, whatever the size of the pictures.
+    /// Columns that places of prompts are counted in, whatever the size of the images.
     pub width: usize,
     /// Rows, likewise.
     pub height: usize,
@@ -60,7 +60,7 @@ pub struct Clip {
 /// How objects are followed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct VideoOptions {
-    /// Holes of at most so many pixels of the logits are filled; 0 fills none. Upstream fills 8 where it runs on CUDA, and none elsewhere.
+    /// Holes of at most this many pixels of the logits are filled; 0 fills none. Upstream fills 8 where it runs on CUDA, and none elsewhere.
     pub fill_holes_px: usize,
     /// Whether a frame that an object is corrected in, after it was followed to it, counts as one that it was shown in first: later frames
     /// then never forget it. Upstream's is false.
@@ -118,7 +118,7 @@ impl fmt::Debug for VideoPredictor<'_> {
 }
 
 impl<'a> VideoPredictor<'a> {
-    /// For `clip`, whose pictures are asked for where they are needed.
+    /// For `clip`, whose images are asked for where they are needed.
     ///
     /// # Errors
     ///
@@ -179,7 +179,7 @@ impl<'a> VideoPredictor<'a> {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error`] if the clip has no such frame, the prompt is empty or wrong, or the picture or the device fails.
+    /// [`Sam2Error`] if the clip has no such frame, the prompt is empty or wrong, or the image or the device fails.
     pub fn show(&mut self, frame: usize, object: u32, prompt: &Prompt) -> Result<ObjectMask, Sam2Error> {
         self.check(frame)?;
         prompts::check(prompt)?;
@@ -210,7 +210,7 @@ impl<'a> VideoPredictor<'a> {
         self.pend(frame, object, answers, first)
     }
 
-    /// Shows an object in a frame by its mask, of any size with pixels over the whole picture.
+    /// Shows an object in a frame by its mask, of any size with pixels over the whole image.
     ///
     /// # Errors
     ///
@@ -244,7 +244,7 @@ impl<'a> VideoPredictor<'a> {
     ///
     /// # Errors
     ///
-    /// [`Sam2Error`] if there is no object, the clip has no such frames, `progress` says to stop, or a picture or the device fails. Frames
+    /// [`Sam2Error`] if there is no object, the clip has no such frames, `progress` says to stop, or an image or the device fails. Frames
     /// that `each` got stay followed.
     pub fn follow(
         &mut self,

@@ -11,14 +11,14 @@ pub trait PosedClip {
     /// How many frames there are.
     fn frames(&self) -> usize;
 
-    /// The picture of `frame`, in any size.
+    /// The image of `frame`, in any size.
     ///
     /// # Errors
     ///
     /// What hinders it.
     fn picture(&self, frame: usize) -> Result<RgbImage, ClipError>;
 
-    /// z-depth of `frame` in the unit of the poses, in any size that shows what the picture shows. 0, less, or not finite where
+    /// z-depth of `frame` in the unit of the poses, in any size that shows what the image shows. 0, less, or not finite where
     /// it is not known.
     ///
     /// # Errors
@@ -26,7 +26,7 @@ pub trait PosedClip {
     /// What hinders it.
     fn depth(&self, frame: usize) -> Result<DepthMap, ClipError>;
 
-    /// The camera of `frame`: its pose, and its intrinsics for the picture's or any other size.
+    /// The camera of `frame`: its pose, and its intrinsics for the image's or any other size.
     ///
     /// # Errors
     ///
@@ -59,7 +59,7 @@ pub struct Tapip3dOptions {
     /// Whether depth at edges of objects is replaced by that beside them; as published.
     pub clean_edges: bool,
     /// Bytes for what is worked with. More lets more points be followed together and features of more frames be kept for the way
-    /// back; what is asked for and its answer come on top (some 70 kB a point in 32 bits).
+    /// back; what is asked for and its answer come on top (some 70 kB per point in 32 bits).
     pub memory_bytes: usize,
 }
 

@@ -136,9 +136,9 @@ pub struct Histogram {
     total: u64,
 }
 
-/// Depths are told apart by these bits of theirs: the exponent and 16 bits of the fraction.
+/// Depths are distinguished by these bits of theirs: the exponent and 16 bits of the fraction.
 const DROPPED_BITS: u32 = 7;
-/// Sign and exponent of the least and the largest depth that are told apart, 2^-40 and 2^40.
+/// Sign and exponent of the least and the largest depth that are distinguished, 2^-40 and 2^40.
 const EXPONENTS: (u32, u32) = (127 - 40, 127 + 40);
 
 impl Histogram {

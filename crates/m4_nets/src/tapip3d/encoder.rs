@@ -1,4 +1,4 @@
-//! Features of a picture at a quarter of its size: the network of CoTracker3.
+//! Features of an image at a quarter of its size: the network of CoTracker3.
 
 use crate::ops::{conv, convolve, instance_norm};
 use burn_core as burn;
@@ -14,7 +14,7 @@ pub const STRIDE: usize = 4;
 /// Channels of the four stages.
 const STAGES: [usize; 4] = [64, 96, 128, 128];
 
-/// Two convolutions beside a shortcut, each normalised over the picture.
+/// Two convolutions beside a shortcut, each normalised over the image.
 #[derive(Module, Debug)]
 struct Residual {
     conv1: Conv2d,
@@ -88,7 +88,7 @@ impl Encoder {
         self.conv1.weight.dtype()
     }
 
-    /// Of pictures `[n, 3, h, w]` from -1 to 1: `[n, width, h / 4, w / 4]`.
+    /// Of images `[n, 3, h, w]` from -1 to 1: `[n, width, h / 4, w / 4]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let [_, _, h, w] = x.dims();
         let size = InterpolateOptions::new(InterpolateMode::Bilinear)

@@ -7,10 +7,10 @@ use super::clip::ClipError;
 #[non_exhaustive]
 pub enum Tapip3dError {
     /// The clip has no frames.
-    #[error("points are followed through frames, and the clip has none")]
+    #[error("points cannot be tracked in a clip without frames")]
     NoFrames,
     /// A frame could not be had.
-    #[error("frame {frame} of the clip to follow points in: {source}")]
+    #[error("frame {frame} of the clip: {source}")]
     Frame {
         /// The frame.
         frame: usize,
@@ -18,16 +18,16 @@ pub enum Tapip3dError {
         source: ClipError,
     },
     /// A frame has no pixels, or its camera is none.
-    #[error("frame {frame} cannot be used to follow points: {reason}")]
+    #[error("frame {frame} cannot be used to track points: {reason}")]
     BadFrame {
         /// The frame.
         frame: usize,
-        /// What is wrong with it.
+        /// The fault.
         reason: &'static str,
     },
     /// The network cannot work at this size.
     #[error(
-        "points cannot be followed at {width} x {height} px: the coarsest map has to hold {neighbours} points, which takes 32 by 32 px \
+        "points cannot be tracked at {width} x {height} px: the coarsest map has to hold {neighbours} points, which takes 32 by 32 px \
          for each; choose a larger size"
     )]
     Size {
@@ -39,15 +39,15 @@ pub enum Tapip3dError {
         neighbours: usize,
     },
     /// A point to follow is in no frame of the clip, or nowhere.
-    #[error("point {index} cannot be followed: {reason}")]
+    #[error("point {index} cannot be tracked: {reason}")]
     Query {
         /// Its number.
         index: usize,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// There is no depth where it is needed.
-    #[error("no depth is known in frames {first} to {last}: points cannot be followed there")]
+    #[error("no depth is known in frames {first} to {last}: points cannot be tracked there")]
     NoDepth {
         /// The first of the frames.
         first: usize,
@@ -55,7 +55,9 @@ pub enum Tapip3dError {
         last: usize,
     },
     /// The network's answer is no number.
-    #[error("the network lost its points in frames {first} to {last}: what it says is not finite; 32 bits may help")]
+    #[error(
+        "the network lost its points in frames {first} to {last}: its output is NaN or infinite; 32-bit precision may help"
+    )]
     NotFinite {
         /// The first frame of the window.
         first: usize,
@@ -63,9 +65,9 @@ pub enum Tapip3dError {
         last: usize,
     },
     /// The user stopped it.
-    #[error("following points was stopped")]
+    #[error("tracking points was stopped")]
     Stopped,
     /// The device failed, for one for lack of memory.
-    #[error("the device that follows points failed: {0}")]
+    #[error("the device that tracks points failed: {0}")]
     Device(String),
 }

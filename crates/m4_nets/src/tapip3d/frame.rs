@@ -24,7 +24,7 @@ pub fn map_sizes(size: (usize, usize), levels: usize) -> Vec<(usize, usize)> {
 #[derive(Debug)]
 pub struct Geometry {
     pub lens: Lens,
-    /// A map a level, `[h][w]`. A pixel without depth is at the camera's centre, as upstream has it.
+    /// A map per level, `[h][w]`. A pixel without depth is at the camera's centre, as upstream has it.
     pub points: Vec<Vec<[f32; 3]>>,
     /// Of all pixels whose depth counts.
     pub moments: Moments,
@@ -98,7 +98,7 @@ pub fn picture(image: &RgbImage, size: (usize, usize), config: &Config, device: 
     tensor(planes, [1, 3, size.1, size.0], device).cast(dtype)
 }
 
-/// Features of a picture `[1, 3, h, w]`: a map a level, `[pixels, channels]`.
+/// Features of an image `[1, 3, h, w]`: a map per level, `[pixels, channels]`.
 pub fn maps(net: &Net, picture: Tensor<4>, levels: usize) -> Vec<Tensor<2>> {
     let mut map = net.encoder.forward(picture);
     let flat = |x: &Tensor<4>| {
@@ -116,7 +116,7 @@ pub fn maps(net: &Net, picture: Tensor<4>, levels: usize) -> Vec<Tensor<2>> {
 /// A frame of a window.
 #[derive(Debug)]
 pub struct Frame {
-    /// Features as tokens have them, a map a level, `[pixels, width]`.
+    /// Features as tokens have them, a map per level, `[pixels, width]`.
     pub features: Vec<Tensor<2>>,
     pub points: Vec<Vec<[f32; 3]>>,
     pub moments: Moments,

@@ -6,7 +6,7 @@
 //!   before they are used for more than research.
 //!
 //! ```text
-//! picture --encoder--> features at 1/4, 1/8, 1/16, 1/32       depth, camera --> where these pixels are in the world
+//! image --encoder--> features at 1/4, 1/8, 1/16, 1/32       depth, camera --> where these pixels are in the world
 //! query: frame, point --32 nearest points of each map--> what it looks like
 //! window of 16 frames, 6 times: 32 nearest points around where each point is now, compared with its query's;
 //!     visibility, comparison, steps --attention over time, and among points through 64 virtual ones--> how points move
@@ -14,7 +14,7 @@
 //! ```
 //!
 //! Queries are followed in groups that share a window's work; points of a group see each other through the virtual ones, so that what
-//! is said of a point depends a little on the group, and thereby on the setting for memory. It depends on nothing else: the same
+//! is predicted for a point depends a little on the group, and thereby on the setting for memory. It depends on nothing else: the same
 //! input gives the same bits on the processor for any number of threads. Each group has a grid of points of the first frame beside it.
 //!
 //! Where points are stays in 32 bits whatever the network computes in, and the search for neighbours runs on the processor for every
@@ -144,7 +144,7 @@ impl Tapip3d {
         self.net.num_params()
     }
 
-    /// Columns and rows of the pictures that the network was trained with.
+    /// Columns and rows of the images that the network was trained with.
     #[must_use]
     pub fn training_size(&self) -> (usize, usize) {
         self.config.size

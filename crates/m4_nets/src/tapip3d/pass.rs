@@ -10,7 +10,7 @@ use m4_scene::Progress;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// The order in which frames are gone through: times count from 0 in that order, and beyond its end it stands still.
+/// The order in which frames are gone through: times count from 0 in that order, and beyond its end it is static.
 #[derive(Debug, Clone, Copy)]
 pub struct Way {
     pub frames: usize,

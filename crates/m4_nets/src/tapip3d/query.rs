@@ -9,7 +9,7 @@ use m4_math::nalgebra::Vector3;
 use rayon::prelude::*;
 
 /// What the network knows of `queries`, which are points of the world in a frame with the features `maps` (of the encoder) and the
-/// points `points`, a map a level, seen through `lens` in `size`.
+/// points `points`, a map per level, seen through `lens` in `size`.
 pub fn sides(
     net: &Net,
     maps: &[Tensor<2>],

@@ -124,7 +124,7 @@ impl<'a> Source<'a> {
             .picture(frame)
             .map_err(|source| Tapip3dError::Frame { frame, source })?;
         if image.data().is_empty() {
-            let reason = "its picture has no pixels";
+            let reason = "its image has no pixels";
             return Err(Tapip3dError::BadFrame { frame, reason });
         }
         let (net, config) = (&self.net.net, &self.net.config);

@@ -455,7 +455,7 @@ fn edges_of_depth_are_replaced() {
 fn offsets_of_nothing_and_weights_of_nobody() {
     let clip = clip();
     let net = network(&clip.0);
-    // a query far outside is not seen, and is followed all the same
+    // a query far outside is not seen, and is followed anyway
     let queries = [[1e6, -1e6, 5.0], [0.0, 0.0, -3.0]].map(|world| PointQuery { frame: 3, world });
     let tracks = net.track(&clip, &queries, &fixture_options(), &Silent).unwrap();
     assert!(tracks.world().as_flattened().iter().all(|x| x.is_finite()));

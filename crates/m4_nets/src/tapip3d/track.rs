@@ -111,7 +111,7 @@ pub fn track_within(
         }
         let report = || {
             done += 1;
-            progress.update("points followed", done, total, "");
+            progress.update("points tracked", done, total, "");
         };
         let walkers = walk(
             &source,

@@ -1,4 +1,4 @@
-//! The camera, and scale and offset of depth: what the whole picture tells, through its class tokens.
+//! The camera, and scale and offset of depth: what the whole image tells, through its class tokens.
 
 use super::layers::{Block, Mlp};
 use super::rays;

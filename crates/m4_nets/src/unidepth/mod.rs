@@ -1,4 +1,4 @@
-//! `UniDepth` V2, as first published: metric depth and the camera of one picture.
+//! `UniDepth` V2, as first published: metric depth and the camera of one image.
 //!
 //! - Paper: Piccinelli et al., "UniDepthV2: Universal Monocular Metric Depth Estimation Made Simpler", 2025, after "UniDepth", CVPR 2024.
 //!   This is the network before that paper, of mid 2024: revision `1d0d3c52` of its weights, which `MegaSaM` uses (the entry `unidepth-v2-l` of `minute4d weights list`).
@@ -6,10 +6,10 @@
 //!   computed here was learned from upstream's code; none of that code is here.
 //!
 //! ```text
-//! picture --2400 patches of its shape--> DINOv2 --last four blocks--> 4 levels of tokens, class tokens
+//! image --2400 patches of its shape--> DINOv2 --last four blocks--> 4 levels of tokens, class tokens
 //! class tokens, tokens --camera head--> fx fy cx cy --> rays of the pixels
 //! class tokens, tokens, rays --global head--> scale, offset
-//! tokens, rays --depth head: 1/14, 1/7, 2/7, 4/7 of the size--> logarithm of depth, normalised over the picture
+//! tokens, rays --depth head: 1/14, 1/7, 2/7, 4/7 of the size--> logarithm of depth, normalised over the image
 //! depth = softplus((exp(logarithm) + offset) scale)
 //! ```
 //!
@@ -43,7 +43,7 @@ use std::path::Path;
 
 /// What it is called in messages.
 const NAME: &str = "UniDepth V2";
-/// Patches that a picture is cut into where nothing else is asked for: the most that upstream takes.
+/// Patches that an image is cut into where nothing else is asked for: the most that upstream takes.
 const PATCHES: usize = 2400;
 /// Blocks of the backbone that are tapped: the last ones.
 const TAPS: usize = 4;
@@ -54,12 +54,12 @@ const WIDTH_MULTIPLE: usize = 32;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum UniDepthError {
-    /// The picture has no pixels.
-    #[error("depth needs a picture with pixels")]
+    /// The image has no pixels.
+    #[error("depth needs an image with pixels")]
     Empty,
-    /// The picture is so narrow that nothing like it was trained with.
+    /// The image is so narrow that nothing like it was trained with.
     #[error(
-        "a picture of {width} x {height} pixels is too narrow for depth: cut it so that one side is at most 16 times the other"
+        "an image of {width} x {height} pixels is too narrow for depth: cut it so that one side is at most 16 times the other"
     )]
     Narrow {
         /// Its columns.
@@ -72,12 +72,12 @@ pub enum UniDepthError {
     Device(String),
 }
 
-/// Depth and camera of a picture.
+/// Depth and camera of an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct UniDepthMap {
-    /// `[height][width]` of the picture: z-depth in metres.
+    /// `[height][width]` of the image: z-depth in metres.
     pub depth_m: Plane<f32>,
-    /// In pixels of the picture. The principal point is predicted too.
+    /// In pixels of the image. The principal point is predicted too.
     pub camera: Intrinsics,
 }
 
@@ -139,7 +139,7 @@ fn unneeded(name: &str) -> bool {
     dinov2::unneeded(name) || name == "pixel_encoder.register_tokens" || confidence
 }
 
-/// What the heads give of one picture.
+/// What the heads give of one image.
 #[derive(Debug)]
 struct Heads {
     camera: Intrinsics,
@@ -172,7 +172,7 @@ impl Net {
         }
     }
 
-    /// Of a picture `[1, 3, 14 h, 14 w]`.
+    /// Of an image `[1, 3, 14 h, 14 w]`.
     fn heads(&self, picture: Tensor<4>, patches: Patches) -> Result<Heads, UniDepthError> {
         let decoder = &self.pixel_decoder;
         let dtype = decoder.level_embeds.dtype();
@@ -220,7 +220,7 @@ impl Net {
 }
 
 impl Decoder {
-    /// Of the tokens of all levels, level by level: `[4 h w, c]`, where in the picture and on which level they are.
+    /// Of the tokens of all levels, level by level: `[4 h w, c]`, where in the image and on which level they are.
     fn positions(&self, grid: [usize; 2], device: &Device) -> Tensor<2> {
         let [levels, c] = self.level_embeds.dims();
         let n = grid[0] * grid[1];
@@ -285,7 +285,7 @@ impl UniDepth {
     ///
     /// # Errors
     ///
-    /// [`UniDepthError`] if the picture has no pixels or is too narrow, or the device fails.
+    /// [`UniDepthError`] if the image has no pixels or is too narrow, or the device fails.
     pub fn depth(&self, image: &RgbImage) -> Result<UniDepthMap, UniDepthError> {
         self.depth_by_patches(image, PATCHES)
     }

@@ -1,4 +1,4 @@
-//! Pictures of any size as the network takes them, and depth in their size.
+//! Images of any size as the network takes them, and depth in their size.
 
 use super::UniDepthError;
 use crate::dinov2::PATCH;
@@ -11,7 +11,7 @@ const LONGEST: f64 = 16.0;
 /// Softplus turns from exponential to straight this fast, in 1/m.
 const BETA: f64 = 10.0;
 
-/// How a picture is cut into patches.
+/// How an image is cut into patches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Patches {
     width: usize,
@@ -21,7 +21,7 @@ pub struct Patches {
 }
 
 impl Patches {
-    /// Of a picture of `width` by `height`, about `n` in all, of its shape.
+    /// Of an image of `width` by `height`, about `n` in all, of its shape.
     ///
     /// # Errors
     ///
@@ -49,7 +49,7 @@ impl Patches {
         (columns * PATCH, rows * PATCH)
     }
 
-    /// The picture `[1, 3, height, width]` of the sides [`Patches::inside`], normalised.
+    /// The image `[1, 3, height, width]` of the sides [`Patches::inside`], normalised.
     pub fn tensor(self, image: &RgbImage, device: &Device) -> Tensor<4> {
         let (width, height) = self.inside();
         let values = planes(image, IMAGENET_MEAN, IMAGENET_STD);
@@ -74,7 +74,7 @@ impl Patches {
         }
     }
 
-    /// The same camera in pixels of the picture. As published, both axes shrink by the ratio of the heights.
+    /// The same camera in pixels of the image. As published, both axes shrink by the ratio of the heights.
     pub fn camera_of_picture(self, camera: &Intrinsics) -> Intrinsics {
         let ratio = camera.height as f64 / self.height as f64;
         Intrinsics {
@@ -87,7 +87,7 @@ impl Patches {
         }
     }
 
-    /// Depth `[height][width]` in metres, of the logarithms that the depth's head gives: they are normalised over the whole picture.
+    /// Depth `[height][width]` in metres, of the logarithms that the depth's head gives: they are normalised over the whole image.
     pub fn depth(self, logarithms: &[f32], log_scale: f64, offset: f64) -> Plane<f32> {
         let n = logarithms.len() as f64;
         let mean = logarithms.iter().map(|&x| f64::from(x)).sum::<f64>() / n;

@@ -10,7 +10,7 @@ const BANDS: usize = 32;
 /// Channels of an encoded ray.
 pub const CHANNELS: usize = 3 * BANDS + 3;
 
-/// Unit vectors towards the pixels of the network's picture, `[3][height][width]`.
+/// Unit vectors towards the pixels of the network's image, `[3][height][width]`.
 #[derive(Debug, Clone)]
 pub struct Rays {
     planes: Vec<f32>,

@@ -1,4 +1,4 @@
-//! Parts of the network against upstream's, with weights by a formula: a small backbone of five blocks and heads of 128 channels.
+//! Parts of the network against upstream's, with synthetic weights: a small backbone of five blocks and heads of 128 channels.
 
 use super::*;
 use crate::cpu;

@@ -20,7 +20,7 @@ pub fn floats(file: &[u8], name: &str) -> Vec<f32> {
     bytes.map(|b| f32::from_le_bytes(b.try_into().unwrap())).collect()
 }
 
-/// A picture, `[h, w, 3]` or `[3, h, w]` bytes.
+/// An image, `[h, w, 3]` or `[3, h, w]` bytes.
 pub fn picture(file: &[u8], name: &str) -> RgbImage {
     let tensors = SafeTensors::deserialize(file).unwrap();
     let tensor = tensors.tensor(name).unwrap();
@@ -31,12 +31,12 @@ pub fn picture(file: &[u8], name: &str) -> RgbImage {
             let pixel = |i| [0, 1, 2].map(|c| bytes[c * h * w + i]);
             (w, h, (0..h * w).map(pixel).collect())
         }
-        _ => panic!("{name} is no picture"),
+        _ => panic!("{name} is not an image"),
     };
     RgbImage::from_vec(w, h, pixels).unwrap()
 }
 
-/// A picture from a PNG file of the fixtures.
+/// An image from a PNG file of the fixtures.
 pub fn png(name: &str) -> RgbImage {
     let image = image::open(fixtures().join(name)).unwrap().to_rgb8();
     let (w, h) = (image.width() as usize, image.height() as usize);

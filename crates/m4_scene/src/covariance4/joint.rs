@@ -52,7 +52,7 @@ pub enum Covariance4Error {
     /// The variance in time is not a positive number.
     #[error("the variance in time is {variance}; it must be above 0 (a static splat has no 4D form)")]
     Time {
-        /// As found.
+        /// The value in the file.
         variance: f64,
     },
     /// What an instant sees has a direction without extent.

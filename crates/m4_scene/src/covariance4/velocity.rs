@@ -21,7 +21,7 @@ pub struct VelocityForm<T: Real> {
     pub time_mean: T,
     /// Natural logarithm of the standard deviation in time, frames.
     pub log_time_sd: T,
-    /// World units a frame.
+    /// World units per frame.
     pub velocity: Vector3<T>,
     /// Logit of the opacity at the peak in time.
     pub opacity: T,

@@ -50,9 +50,9 @@ pub enum Cause {
 impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Masks => {
-                f.write_str("the masks look turned round (what they say moves fits the cameras, what rests does not)")
-            }
+            Self::Masks => f.write_str(
+                "the masks look inverted (pixels marked dynamic fit the cameras, pixels marked static do not)",
+            ),
             Self::Inverted => f.write_str("the poses look inverted (world to camera taken for camera to world)"),
             Self::Axes => {
                 f.write_str("the cameras' axes look turned (OpenGL's y up, z back for OpenCV's y down, z forward)")

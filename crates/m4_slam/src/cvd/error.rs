@@ -46,7 +46,7 @@ pub enum CvdError {
         expected: usize,
     },
     /// Images that are too small.
-    #[error("frames of {}x{} are too small; at least {minimum} px a side are needed", size.0, size.1)]
+    #[error("frames of {}x{} are too small; at least {minimum} px per side are needed", size.0, size.1)]
     Size {
         /// Width and height.
         size: (usize, usize),

@@ -103,7 +103,7 @@ impl Clip<'_> {
             };
             if let Some(segmenter) = self.sources.segmenter {
                 let size = (self.width, self.height);
-                let sharp = self.each("outlining moving parts", |i| {
+                let sharp = self.each("segmenting dynamic objects", |i| {
                     segment::sharpen(segmenter, self.frames[i], size, &moving[i], &self.config.segment)
                         .map_err(|source| DenseError::Segment { frame: i, source })
                 })?;

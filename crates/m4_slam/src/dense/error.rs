@@ -23,7 +23,7 @@ pub enum DenseError {
     },
     /// Frames of different sizes, or too small to work on.
     #[error(
-        "frame {frame} is {}x{} where {}x{} was expected; all frames must have one size, at least {minimum} px a side",
+        "frame {frame} is {}x{} where {}x{} was expected; all frames must have one size, at least {minimum} px per side",
         found.0, found.1, expected.0, expected.1
     )]
     Size {
@@ -61,7 +61,7 @@ pub enum DenseError {
         source: MonoError,
     },
     /// The segmenter failed.
-    #[error("no masks of things in frame {frame}")]
+    #[error("no object masks in frame {frame}")]
     Segment {
         /// Which frame.
         frame: usize,
@@ -69,7 +69,7 @@ pub enum DenseError {
         source: SegmentError,
     },
     /// Masks or depth were given for another clip.
-    #[error("{what} of {found} frames were given for {expected} frames; give one a frame")]
+    #[error("{what} of {found} frames were given for {expected} frames; give one per frame")]
     Given {
         /// Masks or depth.
         what: &'static str,
@@ -92,7 +92,7 @@ pub enum DenseError {
     #[error("depth could not be made consistent over time")]
     Consistent(#[from] CvdError),
     /// Points could not be followed.
-    #[error("what moves could not be followed")]
+    #[error("dynamic objects could not be tracked")]
     Tracks(#[from] TrackError),
     /// The user asked to stop.
     #[error("stopped on request while {phase}")]

@@ -48,7 +48,7 @@ impl Ground {
         if !parallax {
             progress.warn(
                 "the camera hardly moves, so depth cannot be measured: the static background is placed at distance 1 and dynamic \
-                 parts in layers in front of it; views from beside the camera will look flat (film again while walking sideways)",
+                 parts in layers in front of it; views from the side will look flat (film again while walking sideways)",
             );
         }
         if let Some(found) = sources.mono.frames().filter(|&n| n != count) {
@@ -59,7 +59,7 @@ impl Ground {
         let one_lens = one_lens(&resized);
         if parallax && !one_lens {
             progress.warn(
-                "the lens changes from frame to frame: depth is not made consistent over time, and moving parts keep the depth \
+                "the focal length changes from frame to frame: depth is not made consistent over time, and dynamic objects get the depth \
                  of what they touch",
             );
         }

@@ -8,7 +8,7 @@ use super::source::VideoError;
 #[non_exhaustive]
 pub enum InstanceError {
     /// The clip has no frames, or frames without pixels.
-    #[error("the clip has {frames} frames of {}x{} pixels; at least one frame of {minimum} px a side is needed", size.0, size.1)]
+    #[error("the clip has {frames} frames of {}x{} pixels; at least one frame of {minimum} px per side is needed", size.0, size.1)]
     NoFrames {
         /// Frames.
         frames: usize,
@@ -18,7 +18,7 @@ pub enum InstanceError {
         minimum: usize,
     },
     /// Coarse masks of another clip.
-    #[error("{found} coarse masks were given for {expected} frames; give one a frame")]
+    #[error("{found} coarse masks were given for {expected} frames; give one per frame")]
     Count {
         /// Masks.
         found: usize,
@@ -33,8 +33,8 @@ pub enum InstanceError {
     },
     /// A map of motion is the other way round.
     #[error(
-        "the maps of motion look turned round ({evidence}): high values are to mean that something moves. If they mean that it rests, set \
-         `reading = \"still\"`; if they are right as they are, `reading = \"moving\"`"
+        "the motion maps look inverted ({evidence}): high values must mean dynamic. If they mean static, set \
+         `reading = \"still\"`; if they are correct, `reading = \"moving\"`"
     )]
     Polarity {
         /// What was found.
@@ -65,7 +65,7 @@ impl From<VideoError> for InstanceError {
     fn from(error: VideoError) -> Self {
         match error {
             VideoError::Cancelled { .. } => Self::Cancelled {
-                phase: "following things",
+                phase: "tracking objects",
             },
             other => Self::Video(other),
         }

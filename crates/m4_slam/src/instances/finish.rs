@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Share of a thing's pixels that must be coarse for a frame to support it.
 const SUPPORT: f64 = 0.25;
 /// What is done, for messages.
-const PHASE: &str = "painting things";
+const PHASE: &str = "painting instances";
 
 /// `segmenter`: its name, and how far from coarse pixels its masks may reach.
 pub(super) fn finish(

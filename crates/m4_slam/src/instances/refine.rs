@@ -19,7 +19,7 @@ use std::ops::ControlFlow;
 /// Sides below this show too little to work on.
 const LEAST_SIDE: usize = 16;
 /// What is done, for messages.
-const PHASE: &str = "following things";
+const PHASE: &str = "tracking objects";
 
 /// What is refined.
 pub struct RefineInput<'a> {
@@ -120,7 +120,7 @@ fn polarity(
         match evidence.verdict() {
             Polarity::Moving => {}
             Polarity::Doubtful => progress.warn(&format!(
-                "the maps of motion may be turned round ({evidence}): if high values mean that something rests, set `reading = \"still\"`"
+                "the motion maps may be inverted ({evidence}): if high values mean static, set `reading = \"still\"`"
             )),
             Polarity::Still => return Err(InstanceError::Polarity { evidence }),
         }
@@ -225,9 +225,9 @@ impl Search<'_> {
         );
         let mut wrong: Option<VideoError> = None;
         let way = if later {
-            "following things"
+            "tracking objects"
         } else {
-            "following things back"
+            "tracking objects backwards"
         };
         let mut sink = |frame: usize, found: Vec<ObjectMask>| {
             let fits = found.iter().map(|f| f.object).eq(objects.iter().copied());
@@ -253,7 +253,7 @@ impl Search<'_> {
                 }
             }
             let done = if later { frame + 1 } else { frames - frame };
-            progress.update(way, done, frames, &format!("{} things", found.len()));
+            progress.update(way, done, frames, &format!("{} objects", found.len()));
             ControlFlow::Continue(())
         };
         self.session.follow(&objects, from, to, progress, &mut sink)?;

@@ -68,7 +68,7 @@ impl ObjectMask {
 #[non_exhaustive]
 pub enum VideoError {
     /// The segmenter failed.
-    #[error("{segmenter} cannot follow things in frame {frame}: {reason}")]
+    #[error("{segmenter} cannot track objects in frame {frame}: {reason}")]
     Source {
         /// Its name.
         segmenter: String,
@@ -104,7 +104,7 @@ pub enum VideoError {
         source: FlowError,
     },
     /// The segmenter of single pictures failed.
-    #[error("no masks of things in frame {frame}")]
+    #[error("no object masks in frame {frame}")]
     Segment {
         /// The frame.
         frame: usize,
@@ -112,7 +112,7 @@ pub enum VideoError {
         source: SegmentError,
     },
     /// A thing is to be followed from a frame at which it is not known.
-    #[error("object {} is not known in frame {frame}; prompt it there, or follow it there first", object.0)]
+    #[error("object {} is not known in frame {frame}; prompt it there, or track it to that frame first", object.0)]
     Unknown {
         /// The thing.
         object: ObjectId,
@@ -128,7 +128,7 @@ pub enum VideoError {
         frames: usize,
     },
     /// A belief of another size than the session.
-    #[error("the belief of object {} has {found} values where {} x {} were expected", object.0, expected.0, expected.1)]
+    #[error("the logits of object {} have {found} values where {} x {} were expected", object.0, expected.0, expected.1)]
     Size {
         /// The thing.
         object: ObjectId,
@@ -148,7 +148,7 @@ pub enum VideoError {
         expected: (usize, usize),
     },
     /// Masks of other things than were asked for.
-    #[error("{segmenter} gave masks of {found} things where {expected} were asked for, or of others")]
+    #[error("{segmenter} returned masks of {found} objects where {expected} were requested, or of others")]
     Objects {
         /// The segmenter.
         segmenter: String,
@@ -158,7 +158,7 @@ pub enum VideoError {
         expected: usize,
     },
     /// The caller asked to stop.
-    #[error("stopped on request while following things, at frame {frame}")]
+    #[error("stopped on request while tracking objects, at frame {frame}")]
     Cancelled {
         /// The frame that was next.
         frame: usize,

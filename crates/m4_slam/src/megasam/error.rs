@@ -11,7 +11,7 @@ use crate::tracker::mono::MonoError;
 pub enum MegasamError {
     /// Pictures that cannot be tracked.
     #[error(
-        "pictures of {}x{} pixels cannot be tracked at {pixels} pixels; less than 8 a side would be left, or it is no number of pixels",
+        "images of {}x{} pixels cannot be tracked at {pixels} pixels; fewer than 8 per side would be left, or the size is invalid",
         full.0, full.1
     )]
     Size {
@@ -21,7 +21,7 @@ pub enum MegasamError {
         pixels: f64,
     },
     /// Lists that do not belong together.
-    #[error("{what} of {found} frames were given for {expected} pictures; give one a picture, all of one size")]
+    #[error("{what} of {found} frames were given for {expected} images; give one an image, all of one size")]
     Count {
         /// What is listed.
         what: &'static str,
@@ -31,7 +31,7 @@ pub enum MegasamError {
         expected: usize,
     },
     /// A picture of another size.
-    #[error("picture {frame} has {}x{} pixels where the first has {}x{}", found.0, found.1, expected.0, expected.1)]
+    #[error("image {frame} has {}x{} pixels where the first has {}x{}", found.0, found.1, expected.0, expected.1)]
     OtherSize {
         /// Its number.
         frame: usize,
@@ -41,7 +41,7 @@ pub enum MegasamError {
         expected: (usize, usize),
     },
     /// Depth from one picture that is empty.
-    #[error("the depth of picture {frame} has no pixels; give a map of the shape of the picture")]
+    #[error("the depth of image {frame} has no pixels; give a map of the shape of the image")]
     NoPixels {
         /// Its number.
         frame: usize,

@@ -5,7 +5,7 @@
 #[non_exhaustive]
 pub enum SparseError {
     /// A clip has at least two frames.
-    #[error("the clip has {found} frame(s); at least 2 are needed to see anything move")]
+    #[error("the clip has {found} frame(s); at least 2 are needed to observe motion")]
     TooFewFrames {
         /// Frames given.
         found: usize,
@@ -21,7 +21,7 @@ pub enum SparseError {
         expected: (usize, usize),
     },
     /// Pictures too small to follow anything.
-    #[error("frames of {width}x{height} pixels are too small to follow points; at least 64x64 are needed")]
+    #[error("frames of {width}x{height} pixels are too small to track points; at least 64x64 are needed")]
     FrameTooSmall {
         /// Columns.
         width: usize,
@@ -40,8 +40,8 @@ pub enum SparseError {
     },
     /// Nothing to hold on to.
     #[error(
-        "only {found} points could be followed from frame {frame} to the next, {needed} are needed (flat, dark or \
-         blurred pictures, or a cut); cut the clip there, or pass --static-camera if the camera stands still, or \
+        "only {found} points could be tracked from frame {frame} to the next, {needed} are needed (flat, dark or \
+         blurred images, or a cut); cut the clip there, or pass --static-camera if the camera is static, or \
          supply a capture with poses"
     )]
     TooFewTracks {
@@ -55,8 +55,8 @@ pub enum SparseError {
     /// Two views could not be related although the picture moves.
     #[error(
         "no two frames agree on a static scene: the best pair has {inliers} of {matches} points on one rigid motion, \
-         {needed} are needed (moving things fill the picture?); pass --fov with the true field of view, \
-         --static-camera if the camera stands still, or supply a capture with poses"
+         {needed} are needed (do moving objects fill the image?); pass --fov with the true field of view, \
+         --static-camera if the camera is static, or supply a capture with poses"
     )]
     NoStart {
         /// Points that agree.
@@ -69,7 +69,7 @@ pub enum SparseError {
     /// Frames were related, yet hardly anything fits the result.
     #[error(
         "only {points} of {tracks} tracks fit a static scene after bundle adjustment, {needed} are needed (moving \
-         things fill the picture?); pass --fov with the true field of view, --static-camera if the camera stands \
+         things fill the image?); pass --fov with the true field of view, --static-camera if the camera stands \
          still, or supply a capture with poses"
     )]
     TooFewPoints {
@@ -81,7 +81,7 @@ pub enum SparseError {
         needed: usize,
     },
     /// There is one mask a frame.
-    #[error("there are {masks} masks for {frames} frames; give one a frame")]
+    #[error("there are {masks} masks for {frames} frames; give one per frame")]
     MaskCount {
         /// Masks given.
         masks: usize,
@@ -89,7 +89,7 @@ pub enum SparseError {
         frames: usize,
     },
     /// There is one camera a frame.
-    #[error("there are {cameras} cameras for {frames} frames; give one a frame")]
+    #[error("there are {cameras} cameras for {frames} frames; give one per frame")]
     CameraCount {
         /// Cameras given.
         cameras: usize,
@@ -106,7 +106,7 @@ pub enum SparseError {
     },
     /// Given poses that contradict the pictures.
     #[error(
-        "the given poses do not fit the pictures: only {points} of {tracks} tracks agree with them on a static scene, \
+        "the given poses do not fit the images: only {points} of {tracks} tracks agree with them on a static scene, \
          {needed} are needed; check the order of the frames, the direction (camera to world) and the axes of the poses, and \
          the focal length"
     )]
@@ -120,8 +120,8 @@ pub enum SparseError {
     },
     /// Given poses that explain far less than others do.
     #[error(
-        "the given poses contradict the pictures: {points} of {tracks} tracks agree with them on a static scene, {better} \
-         with poses found from the pictures alone, which turn otherwise by up to {turn_deg:.1} degrees; check the order of \
+        "the given poses contradict the images: {points} of {tracks} tracks agree with them on a static scene, {better} \
+         with poses estimated from the images alone, whose rotations differ by up to {turn_deg:.1} degrees; check the order of \
          the frames, the direction (camera to world) and the axes of the poses, and the focal length, or leave the poses out"
     )]
     PosesRefuted {

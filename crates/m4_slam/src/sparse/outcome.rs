@@ -15,7 +15,7 @@ impl Clip<'_> {
         let typical = map.median_error(&self.tracks).unwrap_or(0.0);
         if typical > 1.0 {
             self.warn(format!(
-                "points are explained to {typical:.2} px only (working size; below 1 px is usual): poses are doubtful"
+                "high reprojection error: median {typical:.2} px (at working size; below 1 px is normal); camera poses may be wrong"
             ));
         }
         let fov = self.fov_deg(map.focal);
@@ -37,12 +37,14 @@ impl Clip<'_> {
         let (rest, moving) = (count(Motion::Static), count(Motion::Dynamic));
         if moving > rest {
             self.warn(format!(
-                "more tracks move ({moving}) than rest ({rest}): the poses may follow something that moves"
+                "more tracks are dynamic ({moving}) than static ({rest}): the poses may follow a moving object"
             ));
         }
         let points = map.points.iter().flatten().count();
         if points < 100 {
-            self.warn(format!("only {points} points were triangulated: poses are doubtful"));
+            self.warn(format!(
+                "only {points} points were triangulated; camera poses may be wrong"
+            ));
         }
         sigma
     }

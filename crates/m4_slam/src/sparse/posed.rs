@@ -85,7 +85,7 @@ fn check_camera(frame: usize, camera: &Camera, (width, height): (usize, usize)) 
     }
     if ![k.fx, k.fy].iter().all(|f| f.is_finite() && *f > 0.0) || ![k.cx, k.cy].iter().all(|c| c.is_finite()) {
         return bad(format!(
-            "without a valid lens (fx {}, fy {}, cx {}, cy {})",
+            "without valid intrinsics (fx {}, fy {}, cx {}, cy {})",
             k.fx, k.fy, k.cx, k.cy
         ));
     }
@@ -143,7 +143,7 @@ impl Clip<'_> {
             if (points as f64) < DOUBTFUL_SHARE * judged as f64 {
                 self.refute(cameras, focal, points, judged)?;
                 self.warn(format!(
-                    "only {points} of {judged} tracks agree with the given poses: if the scene mostly rests, check the order of \
+                    "only {points} of {judged} tracks agree with the given poses: if the scene is mostly static, check the order of \
                      the frames, the direction (camera to world) and the axes of the poses, and the focal length"
                 ));
             }

@@ -129,7 +129,7 @@ pub(super) fn check(
     range("fov_deg", config.fov_deg, 1.0, 175.0, "1 to 175 degrees")?;
     range("focal_px", config.focal_px, 0.0, f64::INFINITY, "above 0 pixels")?;
     let [fx, fy, cx, cy] = config.intrinsics.map_or([None; 4], |k| k.map(Some));
-    let inside = "within the picture, from its corner";
+    let inside = "within the image, from its corner";
     range("intrinsics fx", fx, 0.0, f64::INFINITY, "above 0 pixels")?;
     range("intrinsics fy", fy, 0.0, f64::INFINITY, "above 0 pixels")?;
     range("intrinsics cx", cx, 0.0, width as f64, inside)?;
@@ -207,10 +207,10 @@ impl Clip<'_> {
     pub(super) fn solve(&mut self) -> Result<Recovered, SparseError> {
         if self.config.static_camera {
             let seen = sway(&self.tracks, self.frames, &[self.default_focal()], MIN_TRACKS);
-            let map = self.still("it was declared to stand still");
+            let map = self.still("it was declared static");
             if let Some(seen) = seen.filter(|s| s.motion_px > DOUBTFUL * self.geometry.static_motion_px) {
                 self.warn(format!(
-                    "the camera was declared to stand still, but most of the picture moves, by up to {:.1} px (working \
+                    "the camera was declared static, but most of the image moves, by up to {:.1} px (working \
                      size); without --static-camera its motion would be reconstructed",
                     seen.motion_px
                 ));
@@ -287,7 +287,7 @@ impl Clip<'_> {
     fn still(&mut self, why: &str) -> Map {
         let map = standing(&self.tracks, self.frames, self.default_focal());
         self.warn(format!(
-            "camera taken as standing still: {why}; depth cannot be measured and new views will be plausible at best{}",
+            "the camera appears to be static: {why}; depth cannot be measured, so novel views are a guess{}",
             self.focal_note()
         ));
         map
@@ -304,7 +304,7 @@ impl Clip<'_> {
             self.focal_note()
         };
         self.warn(format!(
-            "the camera turns (by up to {:.1} degrees) but hardly moves: median parallax is at most {:.1} px where \
+            "the camera rotates (by up to {:.1} degrees) but hardly translates: median parallax is at most {:.1} px where \
              {:.1} px are needed (working size); rotations only, depth cannot be measured{note}",
             sway.turn_rad.to_degrees(),
             sway.parallax_px,
@@ -313,7 +313,7 @@ impl Clip<'_> {
         if found.lost > 0 {
             let (lost, frames) = (found.lost, self.frames);
             self.warn(format!(
-                "{lost} of {frames} frames took the rotation of the frame before"
+                "rotation could not be estimated for {lost} of {frames} frames; the previous frame's rotation was used"
             ));
         }
         let focal = match self.untold_focal() {

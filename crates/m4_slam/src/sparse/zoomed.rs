@@ -110,7 +110,7 @@ impl Clip<'_> {
         let (least, most) = range(&found.aims);
         self.warn(format!(
             "the lens zooms (its field of view goes from {:.0} to {:.0} degrees, between {:.0} and {:.0}) and the camera does \
-             not move, or walks straight towards something flat, which looks the same: a turn and a focal length a frame \
+             not move, or moves straight towards a flat surface, which looks the same: a rotation and a focal length per frame \
              explain the tracks to {median_px:.2} px (working size); depth cannot be measured: film without zoom while \
              walking sideways{note}",
             self.fov_deg(first),

@@ -14,7 +14,7 @@ pub enum TrackerError {
     #[error(transparent)]
     Dba(#[from] DbaError),
     /// A clip has at least two frames.
-    #[error("the clip has {found} frame(s); at least 2 are needed to see anything move")]
+    #[error("the clip has {found} frame(s); at least 2 are needed to observe motion")]
     TooFewFrames {
         /// Frames given.
         found: usize,
@@ -39,7 +39,7 @@ pub enum TrackerError {
     },
     /// The state became useless.
     #[error(
-        "the adjustment of {keyframes} keyframes gave a number that is not finite; check the correspondences (or supply \
+        "the adjustment of {keyframes} keyframes gave a NaN or infinite value; check the correspondences (or supply \
          a capture with poses)"
     )]
     Diverged {

@@ -23,7 +23,7 @@ impl PosedFrame {
         let k = &self.camera.intrinsics;
         if self.depth.size() != size || self.moving.size() != size || (k.width, k.height) != size {
             return Err(format!(
-                "picture {size:?}, depth {:?}, mask {:?} and camera {:?} are not of one size",
+                "image {size:?}, depth {:?}, mask {:?} and camera {:?} are not of one size",
                 self.depth.size(),
                 self.moving.size(),
                 (k.width, k.height)
@@ -36,7 +36,7 @@ impl PosedFrame {
         let finite = |v: &[f64]| v.iter().all(|v| v.is_finite());
         let lens = [k.fx, k.fy, k.cx, k.cy];
         if !finite(&lens) || k.fx <= 0.0 || k.fy <= 0.0 {
-            return Err("its focal length is no number above 0".to_owned());
+            return Err("its focal length is not a number above 0".to_owned());
         }
         if !finite(pose.rotation.as_slice()) || !finite(pose.translation.as_slice()) {
             return Err("its pose is not finite".to_owned());

@@ -7,7 +7,7 @@ use crate::dense::FlowError;
 #[non_exhaustive]
 pub enum TrackError {
     /// The clip could not be read.
-    #[error("frame {frame} of the clip cannot be followed: {reason}")]
+    #[error("points cannot be tracked in frame {frame}: {reason}")]
     Frame {
         /// Which frame.
         frame: usize,
@@ -24,7 +24,7 @@ pub enum TrackError {
     },
     /// A query that asks about no place of the clip.
     #[error(
-        "query {query} asks about frame {frame} of {frames} at {xyz:?}; it needs a frame of the clip and a finite place"
+        "query {query} asks about frame {frame} of {frames} at {xyz:?}; it needs a frame of the clip and a finite position"
     )]
     Query {
         /// Which query.
@@ -37,7 +37,7 @@ pub enum TrackError {
         xyz: [f32; 3],
     },
     /// The tracker failed.
-    #[error("{tracker} could not follow points: {reason}")]
+    #[error("{tracker} could not track points: {reason}")]
     Source {
         /// Its name.
         tracker: String,

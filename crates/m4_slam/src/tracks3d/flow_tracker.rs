@@ -162,7 +162,7 @@ fn strip(
     config: &TrackConfig,
     progress: &dyn Progress,
 ) -> Result<Strip, TrackError> {
-    const PHASE: &str = "computing flow of what moves";
+    const PHASE: &str = "computing flow of dynamic objects";
     let frames = clip.frames();
     let mut out = Strip {
         width: 0,

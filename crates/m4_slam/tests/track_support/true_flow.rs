@@ -27,7 +27,7 @@ impl FlowSource for TrueFlow<'_> {
             let at = self.pictures.iter().position(|q| q.data() == p.rgb);
             at.ok_or_else(|| FlowError::Source {
                 source_name: "true".to_owned(),
-                reason: "an unknown picture".into(),
+                reason: "an unknown image".into(),
             })
         };
         let (from, to) = (index(a)?, index(b)?);

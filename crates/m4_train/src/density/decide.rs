@@ -1,4 +1,4 @@
-//! Scores to decisions: a pure function, so that it can be tested on made-up scores.
+//! Turns scores into decisions: a pure function, so that it can be tested on synthetic scores.
 
 use super::error_mask::quantile;
 use super::{Origin, Plan, Scores};

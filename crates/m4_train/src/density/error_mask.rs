@@ -1,4 +1,4 @@
-//! Which pixels are wrong enough to count (paper equations 6 to 8).
+//! The pixels whose error is large enough to count (paper equations 6 to 8).
 
 use crate::config::ErrorRange;
 

@@ -1,5 +1,4 @@
-//! Loss-guided density control (paper section 3.3): where the picture is wrong, add splats; splats
-//! that keep being wrong, remove.
+//! Loss-guided density control (paper section 3.3): adds splats where the image is wrong, and prunes splats that stay wrong.
 //!
 //! | file | what it does |
 //! |---|---|
@@ -12,7 +11,7 @@
 //!
 //! Readings where the paper is open (section 4.4): p(t) is the marginal with peak 1; a splat's
 //! footprint are the pixels that it is composited on; scores are raw sums of error. Both scores are
-//! taken from the same state of the splats; newborns are never pruned in the round that made them,
+//! taken from the same state of the splats; new splats are never pruned in the round that made them,
 //! nor are parents of clones.
 
 mod decide;

@@ -1,4 +1,4 @@
-//! What clones and children look like.
+//! The parameters of clones and children.
 
 use super::{Origin, Plan};
 use crate::config::{DensityConfig, NewbornOpacity, SplitPlacement};
@@ -15,7 +15,7 @@ use m4_scene::{Column, ShapeError, Splats};
 /// parent passed. Children of a split lie as [`SplitPlacement`] says; drawn ones are taken from the splat's Gaussian, in space and (dynamic
 /// splats) in time: `dt ~ N(0, w)`, `x = v dt + Q diag(s) e`; their scales, that in time included, are
 /// the parent's over `split_factor`. The draws depend on `seed`, `iteration` and the parent's row alone.
-/// Survivors keep their optimiser state, newborns start from nothing.
+/// Survivors keep their optimiser state, new splats start from nothing.
 ///
 /// # Errors
 ///

@@ -1,4 +1,4 @@
-//! Rows of the next set of splats.
+//! The rows of the next set of splats.
 
 /// Where a row of the next set comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,7 +37,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// True where the row is newborn, `[rows]`.
+    /// True where the row is new splat, `[rows]`.
     #[must_use]
     pub fn newborn(&self) -> Vec<bool> {
         self.origins.iter().map(|o| o.is_newborn()).collect()

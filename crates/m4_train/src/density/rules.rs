@@ -12,7 +12,7 @@ pub struct Rules<'a> {
     pub config: &'a DensityConfig,
     /// What is due.
     pub due: Decision,
-    /// Splats of a lower opacity go; in place of that of [`config`](Self::config).
+    /// Splats of a lower opacity go; instead of that of [`config`](Self::config).
     pub min_opacity: f32,
     /// The lengths that sizes are measured in.
     pub scale: &'a SceneScale,

@@ -1,4 +1,4 @@
-//! The fit of colours after the last step.
+//! The colour fit after the last step.
 
 use super::Trainer;
 use crate::colour_fit::{ColourSums, Sum};

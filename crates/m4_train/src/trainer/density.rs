@@ -1,4 +1,4 @@
-//! When density control is due, and what it is given.
+//! The schedule of density control and its inputs.
 
 use super::Trainer;
 use crate::TrainError;

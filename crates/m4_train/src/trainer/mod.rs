@@ -1,4 +1,4 @@
-//! The loop.
+//! The training loop.
 
 mod colour;
 mod density;
@@ -41,7 +41,7 @@ pub struct Trainer<'a> {
     config: TrainConfig,
     level: SimdLevel,
     store: FrameStore<'a>,
-    /// Frames, one a frame of the capture.
+    /// Frames, one per frame of the capture.
     times: Vec<f64>,
     time_frames: usize,
     duration_s: Option<f64>,
@@ -114,7 +114,7 @@ impl<'a> Trainer<'a> {
         ))
     }
 
-    /// A run that goes on from [`state`](Self::state); `splats` are those of the scene saved with it.
+    /// A run that resumes from [`state`](Self::state); `splats` are those of the scene saved with it.
     /// Capture and settings must be those of the saved run, else the result is not that of an
     /// uninterrupted one; the number of iterations is taken from the saved run.
     ///

@@ -1,7 +1,7 @@
-//! Steps on a device: what stays here, and when the two agree.
+//! Training on a device: the state on the host, and its synchronisation with the device.
 //!
 //! Splats and optimiser state are on the device while it steps and grows and prunes; those here are as old as the last time
-//! somebody had to look at them: the guard now and then, a checkpoint, density control where the device leaves it to the
+//! the host needed them: the guard now and then, a checkpoint, density control where the device leaves it to the
 //! processor. `splats_are_old` and `adam_is_old` say so.
 
 mod density;

@@ -1,4 +1,4 @@
-//! What a run leaves: the scene, and what going on with it needs.
+//! The results of a run: the scene, and the state needed to resume.
 
 use super::Trainer;
 use crate::state::{write_adam, write_refinement};

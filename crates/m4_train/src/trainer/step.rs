@@ -145,7 +145,7 @@ impl Trainer<'_> {
         })
     }
 
-    /// Prepares every picture, so that steps cost what they cost after the first epoch.
+    /// Prepares every image, so that steps cost what they cost after the first epoch.
     pub(crate) fn prepare_frames(&mut self) {
         self.store.prepare_all();
     }

@@ -1,4 +1,4 @@
-//! A made-up video whose splats, cameras and motion are known.
+//! A synthetic video whose splats, cameras and motion are known.
 
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_math::CounterRng;

@@ -83,7 +83,7 @@ pub struct Mirror {
     steps: usize,
     /// A splat is no longer finite after this step.
     pub breaks_at: usize,
-    /// Rounds of density control are done by itself, so many of them; `None` leaves them to the trainer.
+    /// Rounds of density control are done by itself, this many of them; `None` leaves them to the trainer.
     rounds: Option<Arc<AtomicUsize>>,
 }
 

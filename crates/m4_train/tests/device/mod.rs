@@ -13,7 +13,7 @@ use mirror::Mirror;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Density control, a fit of colours and a new order within so many steps.
+/// Density control, a fit of colours and a new order within this many steps.
 fn config() -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = 100;

@@ -78,7 +78,7 @@ export function pageApi(ready: Promise<App>): PageApi {
   // a failure is shown on the page; whoever waits for `ready` gets it too
   done.catch(() => undefined);
   const there = (): App => {
-    if (!app) throw new Error("the scene is not there yet: wait for `minute4d.ready`");
+    if (!app) throw new Error("the scene is not loaded yet: wait for `minute4d.ready`");
     return app;
   };
   return {

@@ -30,7 +30,7 @@ const IMAGES_TO_JUDGE = 8;
 const HANDS_OFF_MS = 160;
 const REPEATS: readonly Repeat[] = ["loop", "swing", "once"];
 
-/** A camera that was set from outside and stays until somebody moves. */
+/** A camera that was set from outside and stays until the user moves. */
 interface Fixed {
   readonly pose: Pose;
   readonly lens: Omit<Lens, "width" | "height">;

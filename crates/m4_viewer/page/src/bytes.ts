@@ -11,7 +11,7 @@ export const breath = (): Promise<void> => new Promise((resolve) => setTimeout(r
 function damaged(what: string, cause: unknown): PageError {
   return new PageError(
     "The data in this page is damaged",
-    `The ${what} could not be read (${messageOf(cause)}). The file was cut off or changed on its way: fetch it again, or write it again from the scene.`,
+    `The ${what} could not be read (${messageOf(cause)}). The file was truncated or changed in transit: download it again, or export it again from the scene.`,
     { cause },
   );
 }
@@ -48,7 +48,7 @@ export async function fromBase64(
   } catch (error) {
     throw damaged(what, error);
   }
-  if (at !== out.length) throw damaged(what, `${at} bytes in place of ${out.length}`);
+  if (at !== out.length) throw damaged(what, `${at} bytes instead of ${out.length}`);
   return out;
 }
 
@@ -64,7 +64,7 @@ export async function gunzip(
   if (typeof DecompressionStream === "undefined") {
     throw new PageError(
       "This browser is too old for the page",
-      "It cannot unpack gzip. Chrome 80, Firefox 113 and Safari 16.4 or newer can.",
+      "It cannot decompress gzip. Chrome 80, Firefox 113 and Safari 16.4 or newer can.",
     );
   }
   try {

@@ -28,7 +28,7 @@ export function embeddedManifest(): Manifest {
     if (error instanceof PageError) throw error;
     throw new PageError(
       "The scene in this page is damaged",
-      `Its manifest is not JSON (${messageOf(error)}). Fetch the file again, or write it again from the scene.`,
+      `Its manifest is not JSON (${messageOf(error)}). Download the file again, or export it again from the scene.`,
       { cause: error },
     );
   }
@@ -40,8 +40,8 @@ export async function embeddedSplats(manifest: Manifest, progress: Progress): Pr
   if (base64 === null || base64.trim() === "") {
     if (manifest.live) return null;
     throw new PageError(
-      "The scene in this page is cut off",
-      "The manifest is there, the splats are not. Fetch the file again, or write it again from the scene.",
+      "The scene in this page is truncated",
+      "The manifest is complete, but the splats are missing. Download the file again, or export it again from the scene.",
     );
   }
   const packed = await fromBase64(base64, "splats", (s) => progress(s, "Reading"));
@@ -59,8 +59,8 @@ export async function embeddedFrames(manifest: Manifest): Promise<Uint8Array<Arr
   const end = manifest.frames.offsets.at(-1) ?? 0;
   if (bytes.length < end) {
     throw new PageError(
-      "The input frames in this page are cut off",
-      `${bytes.length} bytes are there and ${end} should be. The scene itself can still be seen.`,
+      "The input frames in this page are truncated",
+      `${bytes.length} of ${end} bytes are present. The scene itself can still be seen.`,
     );
   }
   return bytes;

@@ -1,4 +1,4 @@
-/** What the page tells in place of a picture: what is wrong, and what to do. */
+/** The error that the page shows instead of an image: what is wrong, and what to do. */
 export class PageError extends Error {
   override readonly name = "PageError";
 
@@ -22,7 +22,7 @@ export function messageOf(error: unknown): string {
 export function toPageError(error: unknown): PageError {
   if (error instanceof PageError) return error;
   return new PageError(
-    "The page met an error of its own",
+    "Internal error of the page",
     `${messageOf(error)}. Reloading may help; if it does not, please report this text.`,
     { cause: error },
   );

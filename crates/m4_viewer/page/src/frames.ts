@@ -17,7 +17,7 @@ export class SourceFrames {
     return this.index.offsets.length - 1;
   }
 
-  /** Frame `i`; rejects where it is not a picture. */
+  /** Frame `i`; rejects where it is not an image. */
   frame(i: number): Promise<ImageBitmap> {
     const known = this.kept.get(i);
     if (known) {

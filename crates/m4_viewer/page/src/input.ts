@@ -1,4 +1,4 @@
-/** Mouse, fingers, wheel on the picture, and keys. */
+/** Mouse, fingers, wheel on the image, and keys. */
 
 import type { App } from "./app";
 import { flies, pushOf } from "./camera/fly";
@@ -28,7 +28,7 @@ export interface Taps {
   tap(wasHidden: boolean): void;
 }
 
-/** Drags on the picture. */
+/** Drags on the image. */
 export function startPointer(canvas: HTMLCanvasElement, app: App, taps: Taps): void {
   const fingers = new Map<number, Finger>();
   let travelled = 0;

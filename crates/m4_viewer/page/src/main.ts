@@ -31,7 +31,7 @@ import { startTips } from "./ui/tips";
 import { startTheme } from "./ui/theme";
 
 const FADE_TOLD = 0.05;
-const OUTSIDE = "Outside of what was filmed: the scene is a guess from here";
+const OUTSIDE = "Outside the filmed region: the scene is a guess from here";
 
 function title(manifest: Manifest): void {
   document.title = `${manifest.title} · minute4d`;
@@ -82,8 +82,8 @@ async function start(): Promise<App> {
     onLost: () =>
       showMessage(
         new PageError(
-          "The graphics driver took the image away",
-          "That happens when the device sleeps or runs out of memory. Reload to go on; close other pages if it happens again.",
+          "The graphics context was lost",
+          "This happens when the device sleeps or runs out of memory. Reload to continue; close other pages if it happens again.",
         ),
       ),
     onFailure: showMessage,

@@ -6,7 +6,7 @@ import type { FrameIndex, LiveSource, Manifest, SourceCamera } from "./scene";
 function damaged(what: string): PageError {
   return new PageError(
     "The scene in this page is damaged",
-    `The manifest does not hold ${what}. Write the page again from the scene it was made of.`,
+    `The manifest does not hold ${what}. Export the page again from its scene.`,
   );
 }
 
@@ -110,7 +110,7 @@ export function readManifest(value: unknown): Manifest {
   if (f.get("version") !== 1) {
     throw new PageError(
       "This scene is of another version",
-      `The page reads version 1 and found ${JSON.stringify(f.get("version") ?? null)}. Write the page again with one release of minute4d.`,
+      `The page reads version 1 and found ${JSON.stringify(f.get("version") ?? null)}. Export the page again with the same release of minute4d.`,
     );
   }
   const splats = f.object("splats");

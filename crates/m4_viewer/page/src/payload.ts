@@ -13,7 +13,7 @@ const MIDDLE_16 = 2 ** 15;
 function damaged(what: string, cause?: unknown): PageError {
   return new PageError(
     "The scene in this page is damaged",
-    `The splats cannot be read: ${what}. Write the page again from the scene it was made of.`,
+    `The splats cannot be read: ${what}. Export the page again from its scene.`,
     { cause },
   );
 }
@@ -82,7 +82,7 @@ export function decodePayload(bytes: Uint8Array, manifest: Pick<Manifest, "splat
   const shared = isotropic ? 3 * 3 + 1 + 1 + 2 * colours : 3 * 3 + 3 + 4 + 1 + 2 * colours;
   const expected = HEADER_BYTES + n * shared + nDynamic * (2 + 1 + 3 * 2);
   if (bytes.length !== expected) {
-    throw damaged(`${expected} bytes of splats were expected, and ${bytes.length} are there`);
+    throw damaged(`${expected} bytes of splats were expected, and ${bytes.length} were found`);
   }
   const number = (index: number): number => view.getFloat64(24 + 8 * index, true);
   const planes = new Planes(bytes, HEADER_BYTES);
@@ -187,6 +187,6 @@ export function splitLiveScene(answer: Uint8Array): { manifest: unknown; payload
     const manifest: unknown = JSON.parse(new TextDecoder().decode(answer.subarray(4, end)));
     return { manifest, payload: answer.subarray(end) };
   } catch (cause) {
-    throw damaged("the manifest that the server sent is no JSON", cause);
+    throw damaged("the manifest that the server sent is not JSON", cause);
   }
 }

@@ -1,4 +1,4 @@
-//! Numbers to unsigned integers and back.
+//! Converts numbers to unsigned integers and back.
 
 use super::{MIDDLE_16, MIDDLE_24};
 

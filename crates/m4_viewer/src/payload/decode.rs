@@ -1,4 +1,4 @@
-//! Bytes to splats.
+//! Decodes bytes to splats.
 
 use super::codec::{Linear, Sinh, rotation_value};
 use super::{HEADER_BYTES, MAGIC, VERSION, bytes_per_splat};
@@ -11,13 +11,13 @@ pub enum PayloadError {
     /// Too short for a header, or another first word.
     #[error("these {bytes} bytes do not begin with the header of a minute4d page")]
     Header {
-        /// How many there are.
+        /// The number of them.
         bytes: usize,
     },
     /// A later layout.
     #[error("the splats are of version {found}, this program reads version {VERSION}; write the page again")]
     Version {
-        /// As found.
+        /// The value in the file.
         found: u32,
     },
     /// Degrees of the colour that do not exist.
@@ -25,9 +25,9 @@ pub enum PayloadError {
         "the header names harmonics of degree {sh_degree} in space and {time_degree} in time; 3 and 2 are the highest"
     )]
     Degree {
-        /// As found.
+        /// The value in the file.
         sh_degree: u8,
-        /// As found.
+        /// The value in the file.
         time_degree: u8,
     },
     /// Planes that are missing, or something behind them.
@@ -49,7 +49,7 @@ pub enum PayloadError {
     Number {
         /// Counted from 0.
         index: usize,
-        /// As found.
+        /// The value in the file.
         value: f64,
     },
 }

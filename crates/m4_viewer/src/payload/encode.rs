@@ -1,4 +1,4 @@
-//! Splats to bytes.
+//! Encodes splats as bytes.
 
 use super::codec::{Linear, Planes, Sinh, rotation_code};
 use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, bytes_per_splat};

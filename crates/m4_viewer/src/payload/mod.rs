@@ -1,4 +1,4 @@
-//! The splats of a scene as bytes for the page: columns, quantised where it cannot be seen.
+//! The payload of the page: the splats of a scene as quantised columns, without visible loss.
 //!
 //! Everything is little endian. A header of [`HEADER_BYTES`] bytes:
 //!
@@ -19,11 +19,11 @@
 //! | 80 | f64 | `colour_step` |
 //! | 88 | 2 x f64 | `time_low`, `time_step`, frames |
 //! | 104 | 2 x f64 | `sd_low`, `sd_step` |
-//! | 120 | f64 | `velocity_spread`, world units a frame |
+//! | 120 | f64 | `velocity_spread`, world units per frame |
 //! | 128 | f64 | `velocity_step` |
 //!
 //! Then the parameters in this order, `n` = static + dynamic splats, static ones first. A parameter has
-//! components, each an unsigned integer `q` of so many bytes. For each component in turn, and for each
+//! components, each an unsigned integer `q` of this many bytes. For each component in turn, and for each
 //! of its bytes in turn (the least significant first), there is one plane with a byte a splat: the
 //! upper bytes, which hardly differ, lie together and all but vanish under gzip.
 //!
@@ -36,7 +36,7 @@
 //! | colour | 3 x terms | 2 | n | `colour_step (q - 2^15)`, component `3 term + channel` |
 //! | time mean | 1 | 2 | dynamic | `time_low + time_step q`, frames |
 //! | time sd | 1 | 1 | dynamic | `exp(sd_low + sd_step q)`, frames |
-//! | velocity | 3 | 2 | dynamic | `velocity_spread sinh(velocity_step (q - 2^15))`, world units a frame |
+//! | velocity | 3 | 2 | dynamic | `velocity_spread sinh(velocity_step (q - 2^15))`, world units per frame |
 //!
 //! `terms = (sh_degree + 1)^2 (time_degree + 1)`, temporal index major, as in [`m4_scene::Column::Colour`].
 //! Nothing follows the last plane.

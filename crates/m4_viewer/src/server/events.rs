@@ -1,4 +1,4 @@
-//! Server-sent events: what a page has not heard yet.
+//! Server-sent events: those that a page has not received yet.
 
 use super::Shared;
 use super::guard::query_value;

@@ -1,4 +1,4 @@
-//! Who may ask, and what every answer forbids.
+//! Access control: which requests are allowed, and the security headers of every response.
 
 use super::{ServeError, Shared};
 use axum::extract::{Request, State};
@@ -7,7 +7,7 @@ use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-/// Random bytes of a token: nobody guesses 128 bits.
+/// Random bytes of a token: 128 bits cannot be guessed.
 const TOKEN_BYTES: usize = 16;
 
 /// The page is one file: nothing is fetched from elsewhere, nothing is sent anywhere but here, nobody
@@ -63,7 +63,7 @@ impl Guard {
     }
 }
 
-/// The first value of that name in a query. Ours are letters and digits, which nobody escapes.
+/// The first value of that name in a query. Ours consist of letters and digits, which need no escaping.
 pub(super) fn query_value<'a>(query: Option<&'a str>, name: &str) -> Option<&'a str> {
     query?
         .split('&')

@@ -1,4 +1,4 @@
-//! What the server shows: set by the program, read by every request.
+//! The state shown by the server: set by the program, read by every request.
 
 use crate::frames::Frames;
 use crate::manifest::{Live, Manifest};
@@ -7,7 +7,7 @@ use serde::Serialize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
-/// How training goes on.
+/// How training continues.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Metrics {
     /// Steps taken.
@@ -18,7 +18,7 @@ pub struct Metrics {
     pub loss: f64,
     /// Of the last frame, dB.
     pub psnr: f64,
-    /// How many there are.
+    /// The number of them.
     pub splats: usize,
 }
 
@@ -29,7 +29,7 @@ pub(super) struct Pulse {
     pub version: u64,
     /// Lines of the log.
     pub logged: usize,
-    /// How it ended.
+    /// The outcome.
     pub end: Option<bool>,
 }
 
@@ -86,7 +86,7 @@ impl Hub {
         self.pulse.send_modify(|pulse| pulse.version = version);
     }
 
-    /// Tells how training goes on.
+    /// Tells how training continues.
     pub fn metrics(&self, metrics: &Metrics) {
         #[derive(Serialize)]
         struct Event<'a> {

@@ -1,4 +1,4 @@
-//! The page from a server on this machine, which tells it of newer scenes.
+//! Serves the page from this machine, and notifies it of newer scenes.
 //!
 //! It listens on 127.0.0.1 alone and answers three addresses: `/` (the page with the newest scene and
 //! the frames in it), `/scene` (the newest scene, see [`crate::live`]) and `/events` (server-sent
@@ -14,7 +14,7 @@
 //! {"event":"end","ok":true}
 //! ```
 //!
-//! Who comes late gets every `metrics` so far; of several scenes that nobody fetched only the newest counts.
+//! A page that connects late gets every `metrics` so far; of several scenes that were not fetched only the newest is kept.
 
 mod events;
 mod guard;
@@ -42,9 +42,7 @@ use tokio::sync::oneshot;
 #[non_exhaustive]
 pub enum ServeError {
     /// Something else listens there.
-    #[error(
-        "port {port} of 127.0.0.1 is in use; choose another one with --port, or leave --port away and a free one is taken"
-    )]
+    #[error("port {port} of 127.0.0.1 is in use; choose another one with --port, or omit --port to use a free one")]
     InUse {
         /// The port that was asked for.
         port: u16,
@@ -54,19 +52,21 @@ pub enum ServeError {
     Listen {
         /// The port that was asked for; 0 for any.
         port: u16,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// No random numbers for the token.
-    #[error("the system gives no random numbers, without which anyone on this machine could read the scene: {reason}")]
+    #[error(
+        "the system provides no random numbers, without which any user of this machine could read the scene: {reason}"
+    )]
     Random {
-        /// What the system said.
+        /// The error of the operating system.
         reason: String,
     },
     /// No thread or no event loop.
     #[error("cannot start the server: {source}")]
     Start {
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
 }
@@ -134,7 +134,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         if let Some(stop) = self.stop.take() {
-            // Where nobody listens any more the server has ended already.
+            // If the receiver is gone, the server has ended already.
             let _ = stop.send(());
         }
         if let Some(thread) = self.thread.take() {

@@ -1,4 +1,4 @@
-//! A small scene and what the page is told of it.
+//! A small scene and its metadata for the page.
 
 use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
@@ -7,7 +7,7 @@ use m4_viewer::{About, Manifest, SafeConfig};
 
 const FRAMES: usize = 6;
 
-/// Splats in front of a camera that stands still.
+/// Splats in front of a static camera.
 pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
     let camera = camera_looking_at(Intrinsics::centred(160, 120, 140.0), [0.3, 0.1, -0.5], [0.3, 0.1, 4.0]);
     let spec = SceneSpec {
@@ -37,7 +37,7 @@ pub fn scene(n_static: usize, n_dynamic: usize) -> Scene {
     }
 }
 
-/// What a page is told of a scene with a median depth of 4.
+/// The page's metadata of a scene with a median depth of 4.
 pub fn manifest_of(scene: &Scene, payload: &Payload) -> Manifest {
     let about = About {
         title: "a test",

@@ -1,10 +1,10 @@
-//! What each part of the method is worth on a clip: the scene made with everything, and again without one part each (paper, table 3).
+//! Ablations on a clip: trains the scene with the full method, and again without one part each (paper, table 3).
 //!
 //! ```text
-//! settings --switch a part off--> `minute4d run`, a process a row --> scene --held-out views--> PSNR, SSIM;  its record --> seconds, memory
+//! settings --switch a part off--> `minute4d run`, one process per row --> scene --held-out views--> PSNR, SSIM;  its record --> seconds, memory
 //! ```
 //!
-//! Rows that need the same geometry share it: only a row without segmentation has another. All rows take as many steps as the full one.
+//! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
 
 mod picture;
 mod report;
@@ -41,11 +41,11 @@ pub struct AblateOptions {
     pub rows: Vec<Row>,
     /// The capture with the held-out views; the input itself where it is a capture.
     pub data: Option<PathBuf>,
-    /// Masks of what moves are grown by this before they are scored, pixels.
+    /// Masks of dynamic regions are grown by this before they are scored, pixels.
     pub grow_mask: usize,
 }
 
-/// Makes every row of the table in a folder of its own in `out`, scores the held-out views, and writes the table and a picture of what
+/// Makes every row of the table in a folder of its own in `out`, scores the held-out views, and writes the table and an image of what
 /// tracking brings. Rows that are finished are not made again; [`Job::existing`] is of no meaning.
 ///
 /// # Errors
@@ -54,7 +54,7 @@ pub struct AblateOptions {
 pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) -> Result<AblationReport, Error> {
     if !input.exists() {
         return Err(Error::Missing {
-            what: "video, folder of pictures or capture",
+            what: "video, folder of images or capture",
             path: input.to_path_buf(),
         });
     }
@@ -128,7 +128,7 @@ impl Bench<'_> {
             Row::NoSeg if !from_frames => match self.coarse()? {
                 Some(capture) => capture,
                 None => {
-                    let why = "the capture brings masks and no map of how likely each pixel moves";
+                    let why = "the capture has masks but no motion map";
                     return Ok(RowReport::skipped(row, why.to_owned()));
                 }
             },
@@ -190,7 +190,7 @@ impl Bench<'_> {
 
     fn run(&self, input: &Path, folder: &Path, row: Row, settings: &Settings) -> Result<(), Error> {
         let mut settings = settings.clone();
-        // nobody looks at them
+        // they are not needed
         settings.viewer.write = false;
         let config = self.out.join(format!("{}.toml", row.name()));
         let text = settings.to_toml()?;

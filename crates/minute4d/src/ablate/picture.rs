@@ -1,4 +1,4 @@
-//! What tracking brings: the place of a held-out view that it changes most.
+//! The effect of tracking as an image: the region of a held-out view that it changes most.
 
 use crate::evaluate::HeldOut;
 use crate::{Error, Job};
@@ -13,13 +13,13 @@ const ENLARGED: usize = 2;
 /// Pixels between two panels.
 const GAP: usize = 4;
 
-/// A place of a view: the true picture, without and with.
+/// A place of a view: the true image, without and with.
 struct Place {
     gain: f64,
     panels: [RgbImage; 3],
 }
 
-/// Writes to `path` the true picture of that place, and how the scenes in `folders` (without, with) draw it, side by side; gives
+/// Writes to `path` the true image of that place, and how the scenes in `folders` (without, with) draw it, side by side; gives
 /// nothing where neither does better anywhere.
 ///
 /// # Errors
@@ -59,7 +59,7 @@ pub fn write(folders: &[PathBuf; 2], data: &Path, path: &Path, job: &Job<'_>) ->
     Ok(Some(path.to_owned()))
 }
 
-/// Where the second picture is closer to the truth than the first by most.
+/// Where the second image is closer to the truth than the first by most.
 fn most_gained(truth: &RgbImage, [without, with]: [&RgbImage; 2]) -> Place {
     let (width, height) = truth.size();
     let side = (width.min(height) / PART).max(1);

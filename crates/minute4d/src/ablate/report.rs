@@ -1,4 +1,4 @@
-//! What an ablation found.
+//! The results of an ablation.
 
 use super::row::Row;
 use crate::bench::aligned;
@@ -8,13 +8,13 @@ use std::path::PathBuf;
 /// One row.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RowReport {
-    /// Which.
+    /// The name of the weights.
     pub row: Row,
     /// Why it was not made, where it was not: then everything else is absent.
     pub skipped: Option<String>,
     /// Mean PSNR of the held-out views, dB.
     pub psnr_db: Option<f64>,
-    /// The same inside the masks of what moves, where there are any.
+    /// The same inside the masks of dynamic regions, where there are any.
     pub moving_psnr_db: Option<f64>,
     /// Mean SSIM of the held-out views.
     pub ssim: Option<f64>,
@@ -69,7 +69,7 @@ pub struct AblationReport {
     pub threads: usize,
     /// The rows.
     pub rows: Vec<RowReport>,
-    /// A picture of what tracking brings, where both rows are there.
+    /// An image of what tracking brings, where both rows are there.
     pub picture: Option<PathBuf>,
 }
 

@@ -13,7 +13,7 @@ pub enum Row {
     NoSeg,
     /// No points are followed or carried from one frame to another.
     NoTrack,
-    /// Splats are neither born nor removed.
+    /// Splats are neither added nor pruned.
     NoDensity,
 }
 
@@ -32,7 +32,7 @@ impl Row {
         }
     }
 
-    /// As tables call it.
+    /// Returns the name in tables.
     #[must_use]
     pub fn title(self) -> &'static str {
         match self {

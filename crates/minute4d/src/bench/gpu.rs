@@ -1,4 +1,4 @@
-//! Cases on a GPU.
+//! Benchmark cases on a GPU.
 
 use super::measure::{Millis, Step, Timed, case, mean_over, ms};
 use super::{BenchConfig, Case, GpuCase, GpuMachine};
@@ -196,7 +196,7 @@ fn fastest(
 }
 
 /// Milliseconds a step, processor time over wall clock, and how many were behind one another, the fastest of some
-/// repetitions; `run` does so many rounds over all views, and waits once.
+/// repetitions; `run` does this many rounds over all views, and waits once.
 fn behind_one_another(
     steps: usize,
     views: usize,

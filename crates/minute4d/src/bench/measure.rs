@@ -1,4 +1,4 @@
-//! One case on the clock.
+//! Times one benchmark case.
 
 use super::{BenchConfig, Bound, Case, GpuCase, KernelRow, StepRow};
 use cpu_time::ProcessTime;
@@ -12,7 +12,7 @@ const PROBE_BYTES: (f64, f64) = (1e6, 256e6);
 /// comparison or root is 1, an `exp` or division 4 (a quarter of the rate of multiply-adds, as devices have it).
 const OPERATIONS: (f64, f64) = (24.0, 44.0);
 
-/// Times a scene on the current pool of threads; `counts` has one entry a view.
+/// Times a scene on the current pool of threads; `counts` has one entry per view.
 pub(super) fn on_processor(
     level: SimdLevel,
     scene: &SceneConfig,
@@ -169,7 +169,7 @@ fn time_steps(bench: &mut Bench, steps: usize) -> (Millis, Step) {
     )
 }
 
-/// Frames alone: milliseconds a frame and a kernel.
+/// Frames alone: milliseconds per frame and a kernel.
 fn time_frames(bench: &mut Bench, frames: usize) -> (f64, Millis) {
     let views = bench.views();
     let mut best = vec![([f64::INFINITY; Kernel::ALL.len()], f64::INFINITY); views];

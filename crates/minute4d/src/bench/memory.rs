@@ -1,4 +1,4 @@
-//! How much memory training takes: the program trains on a made-up clip, and its record says.
+//! Peak memory of training: the program trains on a synthetic clip, and the peak is read from its record.
 
 use super::Machine;
 use super::save::today;
@@ -56,7 +56,7 @@ pub struct MemoryCase {
     /// Most memory that the process held (resident set), bytes: reading, initialisation, training,
     /// checkpoints, writing the scene and the preview. None where the system does not tell.
     pub peak_bytes: Option<u64>,
-    /// Pictures, depth and masks in memory, bytes: part of the above.
+    /// Images, depth and masks in memory, bytes: part of the above.
     pub capture_bytes: u64,
     /// Size of the finished scene file, bytes.
     pub scene_bytes: u64,
@@ -75,7 +75,7 @@ pub struct MemoryReport {
     pub date: String,
     /// Where.
     pub machine: Machine,
-    /// One a clip.
+    /// One per clip.
     pub cases: Vec<MemoryCase>,
 }
 
@@ -165,7 +165,7 @@ fn case(program: &Path, config: &MemoryConfig, frames: usize) -> Result<MemoryCa
 }
 
 impl MemoryReport {
-    /// One row a clip.
+    /// One row per clip.
     #[must_use]
     pub fn to_markdown(&self) -> String {
         let head = [
@@ -174,7 +174,7 @@ impl MemoryReport {
             "splats",
             "steps",
             "peak MB",
-            "of it pictures MB",
+            "of it images MB",
             "scene file MB",
             "train s",
         ];

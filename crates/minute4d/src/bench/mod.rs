@@ -1,4 +1,4 @@
-//! How long the kernels take on this machine, and how far that is from what it can do.
+//! Benchmarks of the kernels on this machine, compared with its limits.
 //!
 //! [`run`] times training steps and rendering on synthetic scenes ([`m4_kernels::bench`]); the
 //! [`BenchReport`] is what the program prints, saves and compares. `docs/bench.md` explains every column.
@@ -70,8 +70,8 @@ impl Default for BenchConfig {
 ///
 /// # Errors
 ///
-/// [`Error::Simd`] if the instruction set asked for is not there, [`Error::Stopped`] on request,
-/// [`Error::Internal`] if the system gives no threads; [`Error::Gpu`] if the GPU asked for is not there, does not have or may
+/// [`Error::Simd`] if the instruction set asked for is missing, [`Error::Stopped`] on request,
+/// [`Error::Internal`] if the system gives no threads; [`Error::Gpu`] if the GPU asked for is missing, does not have or may
 /// not take the memory, or fails; [`Error::NoGpuSupport`] in a build that cannot use any.
 pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport, Error> {
     let level = SimdLevel::detect()?;
@@ -123,7 +123,7 @@ pub fn run(config: &BenchConfig, observer: &dyn Observer) -> Result<BenchReport,
     ))
 }
 
-/// The cases of every scene, of which each has so many, with progress.
+/// Runs the cases of every scene with progress; each scene has this many cases.
 fn each(
     scenes: &[SceneConfig],
     cases_each: usize,

@@ -1,4 +1,4 @@
-//! What was measured.
+//! The results of a benchmark.
 
 use super::save;
 use m4_kernels::SimdLevel;
@@ -32,7 +32,7 @@ pub struct Machine {
 /// A GPU that kernels ran on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GpuMachine {
-    /// As its driver says.
+    /// The name that the driver reports.
     pub name: String,
     /// Discrete, integrated, virtual, software, other.
     pub kind: String,
@@ -106,7 +106,7 @@ pub enum Bound {
 }
 
 impl Bound {
-    /// As tables call it.
+    /// Returns the name in tables.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -122,15 +122,15 @@ impl Bound {
 pub struct KernelRow {
     /// Its name.
     pub kernel: String,
-    /// Wall clock a step, fastest of all steps.
+    /// Wall clock per step, fastest of all steps.
     pub ms: f64,
     /// What [`Self::ns_per_item`] is counted in: splat (alive or touched), pair (looked at), pixel.
     pub item: String,
     /// Nanoseconds of wall clock an item.
     pub ns_per_item: f64,
-    /// Useful evaluations a second, billions; of the blending kernels.
+    /// Useful evaluations per second, billions; of the blending kernels.
     pub evaluations_g_per_s: Option<f64>,
-    /// Compulsory traffic, bytes a step.
+    /// Compulsory traffic, bytes per step.
     pub bytes: f64,
     /// That traffic over that time, GB/s.
     pub gb_per_s: f64,
@@ -216,7 +216,7 @@ pub struct BenchReport {
     pub machine: Machine,
     /// Times that each view was stepped.
     pub steps: usize,
-    /// One a combination.
+    /// One per combination.
     pub cases: Vec<Case>,
 }
 

@@ -1,4 +1,4 @@
-//! Reports as files: `DATE-MACHINE.json`, and the same as a table.
+//! Writes reports as files: `DATE-MACHINE.json`, and the same as a table.
 
 use super::{BenchReport, Machine, MemoryReport};
 use crate::Error;
@@ -72,7 +72,7 @@ pub fn save(folder: &Path, report: &impl SavedReport) -> Result<PathBuf, Error> 
     Ok(json)
 }
 
-/// GPU, or processor, cores and instructions, in letters that every file system takes.
+/// GPU, or processor, cores and instructions, in characters that every file system accepts.
 fn slug(m: &Machine) -> String {
     let name = match &m.gpu {
         Some(gpu) => format!("{} {}", gpu.name, gpu.api),
@@ -103,7 +103,7 @@ pub(crate) fn today() -> String {
     format!("{year:04}-{month:02}-{day:02}")
 }
 
-/// Year, month and day of so many days after 1970-01-01, Gregorian calendar (years from March on, so
+/// Year, month and day of this many days after 1970-01-01, Gregorian calendar (years from March on, so
 /// that the leap day is the last: 146,097 days in 400 years).
 fn civil(days: u64) -> (u64, u64, u64) {
     let days = days + 719_468;

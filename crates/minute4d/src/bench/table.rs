@@ -1,4 +1,4 @@
-//! The report for people: Markdown whose columns line up in a terminal too.
+//! Formats the report as Markdown whose columns also line up in a terminal.
 
 use super::{BenchReport, Case, GpuCase, KernelRow};
 
@@ -25,7 +25,7 @@ impl BenchReport {
         text
     }
 
-    /// One row a case: milliseconds a kernel and a step.
+    /// One row a case: milliseconds per kernel and a step.
     fn overview(&self) -> String {
         let mut rows = vec![vec!["scene", "splats", "size", "threads"]];
         let names: Vec<&str> = match self.cases.iter().max_by_key(|c| c.kernels.len()) {
@@ -73,7 +73,7 @@ impl Case {
             self.splats, self.width, self.height, self.scene,
         );
         text += &format!(
-            "{:.0} alive, {:.0} in the picture, {:.0} touched, {:.0} pairs; {:.1} blends a pixel, {:.0} % of the lanes \
+            "{:.0} alive, {:.0} in the image, {:.0} touched, {:.0} pairs; {:.1} blends a pixel, {:.0} % of the lanes \
              useful; memory {:.1} GB/s, multiply-adds {:.1} G/s\n\n",
             self.alive,
             self.visible,

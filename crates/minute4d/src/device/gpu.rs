@@ -1,4 +1,4 @@
-//! A GPU that was started.
+//! An open GPU.
 
 use super::NetworkDevice;
 use super::training::GpuTraining;
@@ -76,7 +76,7 @@ pub struct GpuPainter {
 }
 
 impl GpuPainter {
-    /// The picture of `view`.
+    /// The image of `view`.
     ///
     /// # Errors
     ///

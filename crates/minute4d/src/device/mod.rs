@@ -1,4 +1,4 @@
-//! Where kernels run: on the processor or on a GPU.
+//! The device that kernels run on: CPU or GPU.
 
 #[cfg(feature = "gpu")]
 mod gpu;

@@ -1,4 +1,4 @@
-//! What stands for a GPU in a build without support for any: nothing.
+//! Replaces the GPU in a build without GPU support; every request is an error.
 
 use crate::Error;
 use m4_kernels::{Frame, View};
@@ -52,7 +52,7 @@ impl OpenGpu {
 pub enum GpuPainter {}
 
 impl GpuPainter {
-    /// The picture of `view`.
+    /// The image of `view`.
     ///
     /// # Errors
     ///

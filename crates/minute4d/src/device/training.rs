@@ -1,4 +1,4 @@
-//! Training steps on a GPU, as the trainer asks for them.
+//! Training steps on a GPU, behind the trainer's interface.
 
 use m4_gpu::{DensityRound, Gpu, GpuError, GrowRule, Look, Plan, ScoreRange, StepSettings, Trainer};
 use m4_kernels::View;
@@ -82,7 +82,7 @@ impl GpuTraining {
             return Ok(usize::MAX);
         };
         least.check(limit)?;
-        // frames leave room for as many entries as pictures usually have
+        // frames leave room for as many entries as images usually have
         let all = plan(frames.len(), entries + ENTRIES * shape.n_static);
         Ok(usize::try_from(all.frames_budget(limit)).unwrap_or(usize::MAX))
     }

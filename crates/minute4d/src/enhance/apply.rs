@@ -1,4 +1,4 @@
-//! A capture, enhanced as planned.
+//! Enhances a capture by a plan.
 
 use super::plan::{Plan, Points, Things};
 use super::{EnhanceConfig, EnhanceError, Follower, masks};
@@ -11,11 +11,11 @@ use m4_slam::dense::{FlowSource, InverseSearch, TrackConfig};
 use m4_slam::instances::InstanceReport;
 use m4_slam::tracks3d::{CaptureClip, FlowTracker, QueryGrid, Tracker3d};
 
-/// Refines masks, then follows points in them, each a step; gives what was found of things where anybody followed them.
+/// Refines masks, then follows points in them, each a step; returns the statistics of objects if a method tracked them.
 ///
 /// # Errors
 ///
-/// [`Error`] where a network cannot be loaded or fails, the capture says nothing of what moves, or the observer says to stop.
+/// [`Error`] where a network cannot be loaded or fails, the capture says nothing of the dynamic part, or the observer says to stop.
 pub(crate) fn apply(
     mut capture: Capture,
     plan: &Plan,
@@ -57,7 +57,7 @@ struct Masks {
 /// Name of the step that is stored last.
 const MASKS: &str = "masks";
 
-/// Masks from the finished steps, or as `work` makes them; they are steps then, one a frame.
+/// Masks from the finished steps, or as `work` makes them; they are steps then, one per frame.
 fn kept_masks(
     steps: &Steps<'_>,
     frames: usize,
@@ -69,7 +69,7 @@ fn kept_masks(
         Some((mask.map(CompactMask::from), ids.as_ref().map(CompactIds::from)))
     };
     let mut made = None;
-    // As text, the form in which it is written in the end: its kinds are told apart by names.
+    // As text, the form in which it is written in the end: its kinds are distinguished by names.
     let report: String = steps.keep(MASKS, |observer| {
         let (refined, report) = work(observer)?;
         let mut frames = Vec::with_capacity(refined.frames.len());
@@ -102,7 +102,7 @@ fn kept_masks(
     }
 }
 
-/// Masks by whoever follows things; as they are where nobody does.
+/// Refines masks with the method that tracks objects; unchanged without one.
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
 fn things(
     capture: &Capture,

@@ -1,4 +1,4 @@
-//! Why masks could not be refined or points not be followed.
+//! Errors of mask refinement and point tracking.
 
 use crate::error::Category;
 use m4_slam::instances::InstanceError;
@@ -8,9 +8,9 @@ use m4_slam::tracks3d::TrackError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EnhanceError {
-    /// A frame without any word on what moves.
+    /// A frame without any word on the dynamic part.
     #[error(
-        "frame {frame} ({name:?}) has neither a map of motion nor a mask, so there is nothing to refine; make the capture with masks \
+        "frame {frame} ({name:?}) has neither a motion map nor a mask, so there is nothing to refine; create the capture with masks \
          (`minute4d geometry`), or import it with them"
     )]
     NoCoarse {

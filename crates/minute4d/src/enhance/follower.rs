@@ -1,11 +1,11 @@
-//! Who follows things where no network with a memory does.
+//! The object tracker without a video network: propagates masks along flow.
 
 use crate::Error;
 use crate::geometry::{self, Segmenter};
 use m4_slam::dense::{self, FlowSource, InverseSearch};
 use m4_slam::instances::{FlowFollower, FollowSettings};
 
-/// Classical flow, and a segmenter of single pictures or none.
+/// Classical flow, and a segmenter of single images or none.
 pub struct Follower {
     flow: InverseSearch,
     pictures: Option<Box<dyn dense::Segmenter>>,

@@ -1,7 +1,7 @@
-//! Better masks for a capture: what moves is told apart into things, outlined, and followed through the clip.
+//! Better masks for a capture: dynamic objects are separated, segmented and tracked through the clip.
 //!
 //! ```text
-//! capture (maps of motion, or masks) --m4_slam::instances, with whoever follows things--> capture (masks, instances), report
+//! capture (motion maps, or masks) --m4_slam::instances, with an object tracker--> capture (masks, instances), report
 //! ```
 //!
 //! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_slam::tracks3d`]); the geometry stage does the same to what its
@@ -65,13 +65,13 @@ impl Clip for Frames<'_> {
     }
 }
 
-/// The capture with refined masks and maps of instances at the size of its pictures, and what was found. Everything else stays as it is, the maps of
-/// motion, too. What moves roughly is read from the maps of motion where every frame has one, else from the masks. `flow` checks whether maps
+/// The capture with refined masks and maps of instances at the size of its images, and what was found. Everything else stays as it is, the maps of
+/// motion, too. The dynamic part roughly is read from the maps of motion where every frame has one, else from the masks. `flow` checks whether maps
 /// of motion are the right way round, besides their looks.
 ///
 /// # Errors
 ///
-/// [`Error::Enhance`]: a frame says nothing about what moves, the maps are the wrong way round, the settings make no sense, `segmenter`
+/// [`Error::Enhance`]: a frame says nothing about the dynamic part, the maps are the wrong way round, the settings make no sense, `segmenter`
 /// fails or `progress` says to stop.
 pub fn masks(
     mut capture: Capture,
@@ -147,7 +147,7 @@ mod tests {
 
     const SIZE: (usize, usize) = (96, 72);
 
-    /// A patterned square that moves by two pixels a frame in front of a pattern that rests.
+    /// A patterned square that moves by two pixels per frame in front of a pattern that rests.
     fn on_square(x: usize, y: usize, i: usize) -> bool {
         (10 + 2 * i..34 + 2 * i).contains(&x) && (20..44).contains(&y)
     }

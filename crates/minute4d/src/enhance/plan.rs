@@ -1,4 +1,4 @@
-//! Who enhances a capture, by the weights that are here.
+//! Chooses the segmentation and tracking methods by the installed weights.
 
 use super::Tracker;
 use crate::Error;
@@ -19,9 +19,9 @@ const TAPIP3D: &str = "tapip3d";
 /// Who follows things.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Things {
-    /// Nobody: masks stay as they are.
+    /// None: masks stay unchanged.
     Nobody,
-    /// Flow, with this segmenter of single pictures.
+    /// Flow, with this segmenter of single images.
     #[cfg_attr(
         not(feature = "nets"),
         expect(dead_code, reason = "flow alone is never chosen: it makes masks worse")
@@ -35,7 +35,7 @@ pub(crate) enum Things {
 /// Who follows points.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Points {
-    /// Nobody: tracks stay as they are.
+    /// None: tracks stay unchanged.
     Nobody,
     /// Chains of flow.
     Flow,
@@ -56,7 +56,7 @@ pub(crate) struct Plan {
 /// What has been done before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Before {
-    /// Masks that a segmenter of single pictures sharpened, and chains of flow: only networks with a memory can add to them.
+    /// Masks that a segmenter of single images sharpened, and chains of flow: only networks with a memory can add to them.
     Classical,
     /// A map of how likely each pixel moves, and no tracks.
     Motion,
@@ -73,7 +73,7 @@ impl Plan {
         !self.used.is_empty()
     }
 
-    /// As records name who outlines what moves.
+    /// As records name the segmentation method.
     pub fn segmenter(&self) -> &'static str {
         match self.things {
             Things::Nobody => Segmenter::None.name(),

@@ -1,4 +1,4 @@
-//! SAM 2 as what follows things through a clip.
+//! SAM 2 as an object tracker.
 
 use m4_nets::sam2::{self, Clip as NetClip, Direction, Sam2Error, VideoOptions, VideoPredictor};
 use m4_nets::{PointPrompt, Prompt, Sam2, Sam2Size};
@@ -180,7 +180,7 @@ impl VideoSession for Session<'_> {
     }
 }
 
-/// A mask of the network at the size of the pictures.
+/// A mask of the network at the size of the images.
 fn converted(object: ObjectId, mask: &sam2::ObjectMask, size: (usize, usize)) -> ObjectMask {
     if !mask.is_there() {
         return ObjectMask::unseen(object, size, Sight::Hidden);

@@ -1,4 +1,4 @@
-//! `minute4d enhance`: a capture to a better one.
+//! `minute4d enhance`: improves the masks of a capture and tracks points.
 
 use super::apply::apply;
 use super::plan::{Before, Plan};
@@ -24,13 +24,13 @@ pub const STAGE: &str = "enhance";
 pub struct EnhanceReport {
     /// The capture that was made.
     pub path: PathBuf,
-    /// Who outlined what moves: `none`, `flow`, `mobilesam` or `sam2`.
+    /// The segmentation method: `none`, `flow`, `mobilesam` or `sam2`.
     pub segmenter: String,
     /// Who followed points: `none`, `flow` or `tapip3d`.
     pub tracker: String,
     /// Networks that took part.
     pub networks: Vec<UsedNetwork>,
-    /// Things that were told apart.
+    /// Number of objects.
     pub instances: usize,
     /// Share of all pixels that move, before and after; `None` where the capture had no masks.
     pub moving_share: [Option<f64>; 2],
@@ -54,7 +54,7 @@ struct Part<'a> {
 ///
 /// # Errors
 ///
-/// [`Error`]: the capture cannot be read or says nothing of what moves, weights are missing, the folder cannot be used, or the user stops.
+/// [`Error`]: the capture cannot be read or says nothing of the dynamic part, weights are missing, the folder cannot be used, or the user stops.
 pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Error> {
     if !input.exists() {
         return Err(Error::Missing {

@@ -1,4 +1,4 @@
-//! TAPIP3D as what follows points.
+//! TAPIP3D as a point tracker.
 
 use m4_nets::tapip3d::{self, ClipError};
 use m4_nets::{PointQuery, Tapip3d, Tapip3dError, Tapip3dOptions};
@@ -62,7 +62,7 @@ impl Tracker3d for Tapip3dTracker {
         let found = self.net.track(&Frames(clip), &asked, &self.options, progress);
         let found = found.map_err(|error| match error {
             Tapip3dError::Stopped => TrackError::Cancelled {
-                phase: "following points",
+                phase: "tracking points",
             },
             other => TrackError::Source {
                 tracker: NAME.to_owned(),

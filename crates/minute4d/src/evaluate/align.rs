@@ -1,4 +1,4 @@
-//! Where held-out cameras are in the world of a scene whose geometry came from the video alone.
+//! Aligns held-out cameras with the world of a scene whose geometry was estimated from the video alone.
 
 use crate::{Error, Observer};
 use m4_io::trajectory;
@@ -74,7 +74,7 @@ impl Alignment {
 pub(super) fn between(scene: &Scene, data: &Path, observer: &dyn Observer) -> Result<Option<Alignment>, Error> {
     let Some(list) = training_list(data) else {
         observer.warn(
-            "the capture lists no training cameras, so it is taken for granted that its held-out cameras are in the world \
+            "the capture lists no training cameras, so it is assumed that its held-out cameras are in the world \
              of the scene",
         );
         return Ok(None);
@@ -128,7 +128,7 @@ fn same_world(pairs: &[(Camera, Camera)]) -> bool {
         .iter()
         .map(|(d, _)| (d.centre() - first.0.centre()).norm())
         .fold(0.0, f64::max);
-    // A camera that stands still has no extent; a unit of the world serves as well.
+    // A static camera has no extent; a unit of the world serves as well.
     let limit = SAME_WORLD * if extent > 0.0 { extent } else { 1.0 };
     pairs.iter().all(|(d, s)| {
         (d.centre() - s.centre()).norm() <= limit && (d.c2w.rotation - s.c2w.rotation).norm() <= SAME_WORLD.sqrt()

@@ -1,4 +1,4 @@
-//! A scene against held-out views as a protocol has it.
+//! Scores a scene on held-out views by the rules of a protocol.
 
 use super::choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice, poses};
 use super::covisible::{MaskSource, Masks};
@@ -16,7 +16,7 @@ use m4_scene::{Camera, CompactMask};
 use std::path::Path;
 use std::time::Instant;
 
-/// Cameras closer than this (share of the path's length, entries of the rotation) took one picture.
+/// Cameras closer than this (share of the path's length, entries of the rotation) took one image.
 const SAME_POSE: f64 = 1e-4;
 /// Moments closer than this are one, frames.
 const SAME_MOMENT: f64 = 1e-3;
@@ -278,7 +278,7 @@ fn pose_words(rules: &Rules, given: String, refined: bool) -> String {
                 StartPose::NearestTraining => "the pose of the training frame nearest in time".to_owned(),
             };
             format!(
-                "{} steps of Adam on the squared error of the test picture itself, rate {} (radians, shares of the median depth in view), from \
+                "{} steps of Adam on the squared error of the test image itself, rate {} (radians, shares of the median depth in view), from \
                  {from}",
                 rule.steps, rule.lr
             )
@@ -302,7 +302,8 @@ fn metrics(images: &ImageReport) -> std::collections::BTreeMap<String, String> {
     );
     out.insert("ssim".to_owned(), ssim);
     let grown = p.mask_dilation_px;
-    let masked = format!("the same inside the capture's masks of what moves, grown by {grown} px, where it has some");
+    let masked =
+        format!("the same inside the capture's masks of dynamic regions, dilated by {grown} px, if it has masks");
     out.insert("masked".to_owned(), masked);
     out
 }

@@ -1,4 +1,4 @@
-//! Everything that was chosen for a score, as `eval.json` keeps it.
+//! The choices behind a score, as recorded in `eval.json`.
 
 use super::covisible::MaskSource;
 use super::perceptual::LpipsChoice;
@@ -20,7 +20,7 @@ pub struct Choices {
     pub task: Task,
     /// Which frames are held out, and which were scored.
     pub frames: FrameChoice,
-    /// The size of the pictures.
+    /// The size of the images.
     pub resolution: ResolutionChoice,
     /// Where scores count.
     pub mask: MaskChoice,
@@ -30,11 +30,11 @@ pub struct Choices {
     pub metrics: BTreeMap<String, String>,
     /// LPIPS, network by network.
     pub lpips: Vec<LpipsChoice>,
-    /// How test pictures got their poses.
+    /// How test images got their poses.
     pub poses: PoseChoice,
     /// The score that stands for the protocol in tables.
     pub headline: Headline,
-    /// What whoever compares must know.
+    /// What to know before comparing results.
     pub note: &'static str,
 }
 
@@ -45,7 +45,7 @@ pub struct FrameChoice {
     pub rule: FrameRule,
     /// In words.
     pub words: String,
-    /// Names of the scored pictures, in order.
+    /// Names of the scored images, in order.
     pub scored: Vec<String>,
     /// Their indices in the whole video, where they were held out of it.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -53,14 +53,14 @@ pub struct FrameChoice {
     /// Frames of the whole video, where they were held out of it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub of_frames: Option<usize>,
-    /// Scored pictures whose camera and moment are those of a training picture: no test.
+    /// Scored images whose camera and moment are those of a training image: no test.
     pub also_training: Vec<String>,
     /// Means without these, where there are any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mean_without: Option<MeanScore>,
 }
 
-/// The size of the pictures.
+/// The size of the images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct ResolutionChoice {
     /// Columns and rows that were scored.
@@ -82,16 +82,16 @@ pub struct MaskChoice {
     pub share: Option<f64>,
 }
 
-/// How test pictures got their poses.
+/// How test images got their poses.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PoseChoice {
     /// How.
     pub treatment: PoseTreatment,
     /// In words.
     pub words: String,
-    /// Whether what estimated the poses saw the held-out pictures; absent where the capture does not say.
+    /// Whether what estimated the poses saw the held-out images; absent where the capture does not say.
     pub geometry_saw_held_out: Option<bool>,
-    /// What the protocol's peers do at test time, where they do; whether it was done here is said by `treatment`.
+    /// What the protocol's peers do at test time, where they do; `treatment` says whether it was done here.
     pub refinement_of_protocol: Option<RefineRule>,
     /// How far refined poses went, view by view.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -101,7 +101,7 @@ pub struct PoseChoice {
     pub mean_unrefined: Option<MeanScore>,
 }
 
-/// How test pictures got their poses.
+/// How test images got their poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PoseTreatment {
@@ -122,7 +122,7 @@ pub struct Headline {
     pub mean: Option<f64>,
 }
 
-/// Whether what estimated the poses saw the held-out pictures, and how test pictures got theirs, before any refinement.
+/// Whether what estimated the poses saw the held-out images, and how test images got theirs, before any refinement.
 pub(super) fn poses(
     alignment: Option<&Alignment>,
     split: Option<&SplitRecord>,
@@ -145,7 +145,7 @@ pub(super) fn poses(
         (None, Some(_)) => (PoseTreatment::Given, "those of the capture that was split".to_owned(), Some(false)),
         (None, None) => (
             PoseTreatment::Given,
-            "as the capture gives them; whether what estimated them saw the held-out pictures is not written there".to_owned(),
+            "as the capture gives them; whether their estimation used the held-out images is not recorded".to_owned(),
             None,
         ),
     }

@@ -1,10 +1,10 @@
-//! Masks of co-visibility: which pixels of a test picture the training video saw.
+//! Co-visibility masks: the pixels of a test image that the training video saw.
 //!
-//! The masks that a data set publishes come first (`covisible/` in the capture, or a folder that is named); they are files named as the
-//! picture of their view. Where there are none, masks are made from the poses and depth of the training frames. A test picture has no
-//! depth of its own, so that what the training frames saw is drawn into it first, each pixel a square as large as it lands, the nearest on
-//! top; then each training frame is asked whether it saw that point (`m4_eval::image::covisible::seen_by_depth`). What moves counts at
-//! the test picture's moment alone: pixels of masks of motion are drawn from the training frame that is nearest in time.
+//! Published masks of the data set take precedence (`covisible/` in the capture, or a given folder); the files are named like the
+//! images of their views. Without them, masks are computed from the poses and depth of the training frames. A test image has no
+//! depth, so the depth of the training frames is first projected into it, each pixel as a square of its projected size, the nearest on
+//! top; then each training frame is tested for seeing that point (`m4_eval::image::covisible::seen_by_depth`). Dynamic pixels are valid
+//! only at the time of the test image: they are projected from the training frame that is nearest in time.
 
 use super::ProtocolError;
 use crate::{Error, Observer, Settings};
@@ -27,7 +27,7 @@ const MOST_SIDE: f64 = 4.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MaskSource {
-    /// The protocol scores whole pictures.
+    /// The protocol scores whole images.
     None,
     /// Files that a data set publishes, or that were given.
     Files,
@@ -63,7 +63,7 @@ impl Masks {
                 return Ok(Self::Files(folder.to_path_buf()));
             }
             return Err(Error::Missing {
-                what: "folder of masks of co-visibility",
+                what: "folder of co-visibility masks",
                 path: folder.to_path_buf(),
             });
         }
@@ -84,8 +84,8 @@ impl Masks {
             why,
         })?;
         observer.warn(
-            "there are no published masks of co-visibility: they are made from poses and depth of the training frames, and the scores inside \
-             them do not compare with published ones",
+            "there are no published co-visibility masks: they are computed from poses and depth of the training frames, and scores inside \
+             them are not comparable with published ones",
         );
         Ok(Self::Computed(Box::new(training)))
     }
@@ -101,7 +101,7 @@ impl Masks {
     /// What a report says of them.
     pub fn words(&self) -> String {
         match self {
-            Self::None => "none: whole pictures".to_owned(),
+            Self::None => "none: whole images".to_owned(),
             Self::Files(folder) => format!("the files of {}", folder.display()),
             Self::Computed(training) => format!(
                 "made from poses and depth of {} of {} training frames: seen by more than {} of them, depth within {} %",
@@ -237,7 +237,7 @@ fn draw(out: &mut DepthMap, u: f64, v: f64, z: f32, side: f64) {
     }
 }
 
-/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the capture is that of its picture. Files that
+/// Copies published masks into a capture: `from(name)` is the file of a view, whose name in the capture is that of its image. Files that
 /// do not exist are passed over; says how many were copied.
 pub(crate) fn adopt(capture: &Path, views: &Capture, from: impl Fn(&str) -> PathBuf) -> Result<usize, Error> {
     let folder = capture.join(COVISIBLE_FOLDER);
@@ -298,7 +298,7 @@ mod tests {
         }
     }
 
-    /// A wall at depth 4: a test camera a unit and a half to the right sees 6 columns that nobody saw.
+    /// A wall at depth 4: a test camera a unit and a half to the right sees 6 columns that no training camera saw.
     #[test]
     fn what_the_training_frames_did_not_see_does_not_count() {
         let training = Training::of(capture(8, true)).unwrap();

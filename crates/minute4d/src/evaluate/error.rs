@@ -1,4 +1,4 @@
-//! Why a protocol cannot be followed.
+//! Errors of evaluation by a protocol.
 
 use super::Protocol;
 use crate::Category;
@@ -10,8 +10,8 @@ use std::path::PathBuf;
 pub enum ProtocolError {
     /// The held-out frames of the capture are not those of the protocol.
     #[error(
-        "{} was not split by the protocol {asked} ({found}); `minute4d split CAPTURE --protocol {asked} -o NEW` makes a capture that is, to \
-         be trained and judged",
+        "{} was not split by the protocol {asked} ({found}); `minute4d split CAPTURE --protocol {asked} -o NEW` writes such a capture for \
+         training and evaluation",
         path.display()
     )]
     NotSplit {
@@ -24,7 +24,7 @@ pub enum ProtocolError {
     },
     /// A capture whose views come with it was to be split.
     #[error(
-        "the protocol {0} takes the held-out views that a data set brings, so there is nothing to split; import it with them"
+        "the protocol {0} uses the held-out views of the data set, so there is nothing to split; import them with the data set"
     )]
     NothingToSplit(Protocol),
     /// A capture was to be split into its own folder.
@@ -32,7 +32,7 @@ pub enum ProtocolError {
     SameFolder(PathBuf),
     /// Nothing would be left.
     #[error(
-        "the protocol {protocol} leaves {train} of {frames} frames to train and {test} to judge; give a longer clip"
+        "the protocol {protocol} leaves {train} of {frames} frames for training and {test} for evaluation; use a longer clip"
     )]
     TooShort {
         /// The protocol.
@@ -45,28 +45,28 @@ pub enum ProtocolError {
         test: usize,
     },
     /// A frame belongs to no number of the full video.
-    #[error("tracks of {} do not go with its frames: {what}; make them again with `minute4d enhance`", path.display())]
+    #[error("tracks of {} do not match its frames: {what}; compute them again with `minute4d enhance`", path.display())]
     Tracks {
         /// The capture.
         path: PathBuf,
-        /// What is wrong.
+        /// The fault.
         what: String,
     },
-    /// A mask of co-visibility is not there.
+    /// A mask of co-visibility is missing.
     #[error(
-        "there is no mask of co-visibility {} for the view {view}; masks are PNG files named as the picture of their view, white where the \
-         training video saw the place",
+        "there is no co-visibility mask {} for the view {view}; masks are PNG files named as the image of their view, white where the \
+         training video saw the point",
         path.display()
     )]
     NoMask {
-        /// Where it was looked for.
+        /// The path that was searched.
         path: PathBuf,
         /// The view.
         view: String,
     },
     /// Masks of co-visibility cannot be made.
     #[error(
-        "masks of co-visibility cannot be made for {}: {why}; give the official ones with --covisible DIR",
+        "co-visibility masks cannot be computed for {}: {why}; give the official ones with --covisible DIR",
         path.display()
     )]
     NoCovisibility {
@@ -86,20 +86,20 @@ pub enum ProtocolError {
         found: (usize, usize),
     },
     /// Refinement was asked of a protocol that has none.
-    #[error("the protocol {0} does not refine the poses of test pictures; leave --refine-poses away")]
+    #[error("the protocol {0} does not refine the poses of test images; omit --refine-poses")]
     NoRefinement(Protocol),
     /// A network of LPIPS failed.
     #[error("LPIPS of the view {view} failed: {why}")]
     Lpips {
         /// The view.
         view: String,
-        /// What it said.
+        /// Its message.
         why: String,
     },
     /// The weights of LPIPS are here and no weights.
     #[error("the weights of LPIPS cannot be used: {why}; `minute4d weights verify` says more")]
     LpipsWeights {
-        /// What is wrong with them.
+        /// The fault.
         why: String,
     },
 }

@@ -1,7 +1,7 @@
-//! Scores: of a scene over held-out views, by a protocol or without one; of a capture against known geometry.
+//! Evaluation: scores of a scene on held-out views, with or without a protocol; scores of a capture against ground truth.
 //!
 //! ```text
-//! capture of a video --split by a Protocol--> capture that trains and judges --train--> scene
+//! capture of a video --split by a Protocol--> capture with training and test frames --train--> scene
 //! scene, its held-out views --views (Rules: masks, metrics, poses)--> eval.json with every choice
 //! ```
 

@@ -1,4 +1,4 @@
-//! LPIPS of a protocol: by the networks whose weights are here, and in plain words why by no others.
+//! LPIPS as a protocol defines it, with the networks whose weights are installed, and the reason for missing ones.
 
 #[cfg(feature = "nets")]
 use super::ProtocolError;
@@ -28,7 +28,7 @@ const DEFINITION: &str =
     "LPIPS 0.1; sRGB values from 0 to 1 enter as 2 x - 1, less the shift of the scaling layer, over its scale";
 
 impl LpipsRule {
-    /// Names of its score over the whole picture, and inside a mask.
+    /// Names of its score over the whole image, and inside a mask.
     fn scores(self) -> [&'static str; 2] {
         match self {
             Self::Alex => ["lpips_alex", "lpips_alex_masked"],
@@ -76,7 +76,7 @@ mod with_nets {
     }
 
     impl Perceptual {
-        /// Loads what is here of `wanted`, for pictures whose shorter side is `least_px`.
+        /// Loads what is here of `wanted`, for images whose shorter side is `least_px`.
         pub fn load(wanted: &[LpipsRule], masked: bool, least_px: usize, device: DeviceChoice) -> Result<Self, Error> {
             let mut out = Self {
                 nets: Vec::new(),
@@ -91,7 +91,7 @@ mod with_nets {
                 let net = rule.net();
                 let absent = if least_px < net.min_side_px() {
                     Some(format!(
-                        "{} needs pictures of {} pixels a side at least, these have {least_px}",
+                        "{} needs images of {} pixels per side at least, these have {least_px}",
                         net.title(),
                         net.min_side_px()
                     ))
@@ -148,7 +148,7 @@ mod with_nets {
                         let score = net.compare_inside(&image, &reference, mask).map_err(failed)?;
                         if let Some(score) = score {
                             let title = format!(
-                                "{title}, both pictures black outside a mask, the map averaged over it (DyCheck)"
+                                "{title}, both images black outside a mask, the map averaged over it (DyCheck)"
                             );
                             report.add_other(rule.scores()[1], &title, score);
                         }

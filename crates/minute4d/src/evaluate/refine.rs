@@ -1,13 +1,13 @@
-//! The pose of a test picture, looked for in the finished scene.
+//! Refines the pose of a test image by optimisation against the finished scene.
 //!
 //! ```text
-//! pose --draw--> picture --squared error--> gradient --backward of the kernels--> twist --Adam--> pose
+//! pose --render--> image --squared error--> gradient --backward kernels--> twist --Adam--> pose
 //! ```
 //!
-//! RoDyGS, MoSca and others score held-out pictures after such a search, since poses that were estimated or aligned are a little off and
-//! half a pixel costs a decibel. It makes every score better and compares only with scores that had it. The pose moves by left twists
-//! of world to camera (specification, section 1.6): rotations in radians, translations as shares of the median depth in view, so that the
-//! result does not depend on the unit of the world. Splats, lens and moment stay.
+//! RoDyGS, MoSca and others score held-out images after such a refinement, since estimated or aligned poses are slightly off and
+//! half a pixel costs a decibel. It improves every score, so refined scores compare only with refined ones. The pose moves by left twists
+//! of world to camera (specification, section 1.6): rotations in radians, translations as fractions of the median depth in view, so that the
+//! result does not depend on the unit of the world. Splats, intrinsics and time are fixed.
 
 use super::protocol::RefineRule;
 use crate::render::{Painter, view};
@@ -30,7 +30,7 @@ pub struct Moved {
     pub turned_deg: f64,
     /// Distance of the camera's centres before and after, shares of the median depth in view.
     pub shifted: f64,
-    /// Mean squared error of the picture before and after.
+    /// Mean squared error of the image before and after.
     pub mse: [f64; 2],
 }
 

@@ -1,4 +1,4 @@
-//! A capture of a whole video, parted into frames that train and frames that judge.
+//! Splits a capture of a whole video into training and test frames.
 
 use super::{FrameRule, Protocol, ProtocolError};
 use crate::folder::{self, Existing, Lock};

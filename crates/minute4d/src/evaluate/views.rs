@@ -1,4 +1,4 @@
-//! A scene against the held-out views of a capture.
+//! Scores a scene on the held-out views of a capture.
 
 use super::align::Alignment;
 use super::by_protocol;
@@ -31,7 +31,7 @@ pub struct OtherMean {
 /// How views are scored.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EvalOptions {
-    /// Masks of moving parts are grown by so many pixels first.
+    /// Masks of dynamic regions are grown by this many pixels first.
     pub grow_mask: usize,
     /// Where views are drawn and LPIPS is computed.
     pub device: DeviceChoice,
@@ -39,7 +39,7 @@ pub struct EvalOptions {
     pub protocol: Option<Protocol>,
     /// Masks of co-visibility, for protocols that have some; `None` for those of the capture, or made ones.
     pub covisible: Option<PathBuf>,
-    /// Refine the poses of test pictures as the protocol's peers do.
+    /// Refine the poses of test images as the protocol's peers do.
     pub refine_poses: bool,
     /// Which files the capture may name.
     pub reach: Reach,
@@ -62,7 +62,7 @@ pub struct EvalReport {
     pub splats: usize,
     /// Means over all views.
     pub mean: Option<MeanScore>,
-    /// Protocol, and one row a view.
+    /// Protocol, and one row per view.
     pub images: ImageReport,
     /// Means of the scores by other metrics.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
@@ -70,7 +70,7 @@ pub struct EvalReport {
     /// Everything that the protocol chose, where there was one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub choices: Option<Choices>,
-    /// Pictures a second while drawing, one after the other, each copied to the host.
+    /// Images a second while drawing, one after the other, each copied to the host.
     pub frames_per_s: Option<f64>,
     /// What drew: `cpu`, or the GPU's name.
     pub device: String,
@@ -78,10 +78,10 @@ pub struct EvalReport {
     pub seconds: f64,
 }
 
-/// Renders, on `device`, the held-out views of the capture `data` and compares them with its pictures; writes
+/// Renders, on `device`, the held-out views of the capture `data` and compares them with its images; writes
 /// `eval.json` into the run `out`.
 ///
-/// Masks of moving parts are grown by `grow_mask` pixels first. A scene that was trained on another
+/// Masks of dynamic regions are grown by `grow_mask` pixels first. A scene that was trained on another
 /// capture of the same video has a world of its own; the held-out cameras are then placed by the
 /// similarity that takes the training cameras of `data` to those of the scene, and a warning says how
 /// well that fits.
@@ -152,7 +152,7 @@ pub fn views_by(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn O
     Ok(report)
 }
 
-/// Joint PSNR and SSIM of pictures in 8 bits, and the seconds of drawing.
+/// Joint PSNR and SSIM of images in 8 bits, and the seconds of drawing.
 fn plain(
     held: &HeldOut,
     data: &Path,

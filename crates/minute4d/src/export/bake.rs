@@ -1,4 +1,4 @@
-//! The Mip filter for players that have none.
+//! Bakes the Mip filter into opacities, for viewers without such a filter.
 
 use m4_formats::Loss;
 use m4_kernels::project::reference::{Pinhole, project};

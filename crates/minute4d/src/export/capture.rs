@@ -1,4 +1,4 @@
-//! A capture as files of other tools.
+//! Exports a capture for other tools.
 
 use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
 use crate::{Error, Observer, Settings};
@@ -56,7 +56,7 @@ fn write(
         Format::Nerfstudio => captures::nerfstudio::write(out, train, test, observer),
         other => {
             return Err(Error::Internal {
-                what: format!("{} was taken for a format of captures", other.name()),
+                what: format!("{} was treated as a capture format", other.name()),
             });
         }
     };

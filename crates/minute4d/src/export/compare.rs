@@ -1,4 +1,4 @@
-//! What was written against what it was written from, both through our renderer.
+//! Compares an exported file with its scene by rendering both.
 
 use super::{ExportError, Format, Time};
 use crate::import::read_back;
@@ -19,7 +19,7 @@ const VIEWS: usize = 4;
 pub struct Comparison {
     /// Cameras of the source that were rendered, spread over the clip.
     pub views: usize,
-    /// Mean PSNR of the render of the file against that of the scene, dB; 100 for equal pictures.
+    /// Mean PSNR of the render of the file against that of the scene, dB; 100 for equal images.
     pub psnr_db: f64,
     /// That of the worst view, dB.
     pub lowest_psnr_db: f64,

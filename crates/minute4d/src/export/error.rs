@@ -1,4 +1,4 @@
-//! Why an export failed, beside the files that could not be written.
+//! Errors of an export, except for files that cannot be written.
 
 use super::Format;
 use crate::Category;
@@ -29,7 +29,7 @@ pub enum ExportError {
         format: Format,
     },
     /// A capture for a format that holds a scene.
-    #[error("{} is a capture, which {} does not hold; choose colmap or nerfstudio, or train it first (`minute4d train`)", path.display(), format.name())]
+    #[error("{} is a capture, which the format {} cannot store; choose colmap or nerfstudio, or train it first (`minute4d train`)", path.display(), format.name())]
     NeedsScene {
         /// The format.
         format: Format,
@@ -37,22 +37,20 @@ pub enum ExportError {
         path: PathBuf,
     },
     /// A format that is not known.
-    #[error("{given:?} is no format; choose one of {}", Format::names())]
+    #[error("{given:?} is not a format; choose one of {}", Format::names())]
     Unknown {
-        /// What was written.
+        /// The given text.
         given: String,
     },
     /// A video of a scene without cameras.
-    #[error(
-        "the scene has no cameras, so there is nothing to see it from; render it along a path, such as --path swing"
-    )]
+    #[error("the scene has no cameras to render it from; render it along a path, such as --path swing")]
     NoCameras,
     /// The file that was written could not be read back for the comparison.
     #[error("the {} file was written but does not read back; this is a bug, please report it: {source}", format.name())]
     ReadBack {
         /// The format.
         format: Format,
-        /// Why not.
+        /// The reason.
         source: Box<crate::import::ImportError>,
     },
     /// Writing a capture for another tool.

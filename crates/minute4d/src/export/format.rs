@@ -1,4 +1,4 @@
-//! The formats there are.
+//! The export formats.
 
 use super::ExportError;
 use serde::Serialize;
@@ -23,9 +23,9 @@ pub enum Format {
     Spz,
     /// Binary glTF with `KHR_gaussian_splatting`, one instant.
     Gltf,
-    /// A COLMAP model: cameras, and splats as points; of a capture, its pictures and masks with points of what rests.
+    /// A COLMAP model: cameras, and splats as points; of a capture, its images and masks with points of static regions.
     Colmap,
-    /// `transforms.json` of nerfstudio: cameras; of a capture, a folder with pictures, masks, depth and points.
+    /// `transforms.json` of nerfstudio: cameras; of a capture, a folder with images, masks, depth and points.
     Nerfstudio,
     /// A video along the cameras of the source.
     Mp4,
@@ -40,7 +40,7 @@ pub enum Time {
     Instant,
     /// It holds one instant a frame.
     Sequence,
-    /// It holds pictures.
+    /// It holds images.
     Video,
     /// It holds no splats.
     Cameras,

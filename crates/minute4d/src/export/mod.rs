@@ -1,8 +1,7 @@
-//! A scene as a file that other tools play, with what that costs: bytes, seconds, and decibels against
-//! our own render.
+//! Exports a scene for other tools, and reports bytes, seconds, and the loss in decibels against our own rendering.
 //!
 //! Adding a format: a variant of [`Format`] with its row in `format.rs`, an arm in `write.rs`, and, where
-//! there is a reader, one in `crate::import`. Those that hold a capture, too, have an arm in `capture.rs`.
+//! there is a reader, one in `crate::import`. Formats that can hold a capture also have an arm in `capture.rs`.
 
 mod bake;
 mod capture;
@@ -26,10 +25,10 @@ use m4_scene::Scene;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What to export.
+/// An export job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExportJob {
-    /// As what.
+    /// The format.
     pub format: Format,
     /// Where to; `None` for the usual name beside the scene.
     pub out: Option<PathBuf>,

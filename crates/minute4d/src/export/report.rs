@@ -1,4 +1,4 @@
-//! What was exported.
+//! The report of an export.
 
 use super::{Comparison, Format, Time};
 use m4_formats::{Loss, Written};
@@ -37,14 +37,14 @@ pub struct ExportReport {
 pub struct Losses {
     /// Evaluated at fixed instants.
     pub baked: Vec<String>,
-    /// Not there.
+    /// Dropped properties.
     pub dropped: Vec<String>,
     /// Stored with fewer digits.
     pub quantised: Vec<String>,
 }
 
 impl Losses {
-    /// Sorted.
+    /// Sorts losses by kind.
     #[must_use]
     pub fn of(losses: Vec<Loss>) -> Self {
         let mut all = Self::default();
@@ -112,10 +112,10 @@ impl fmt::Display for ExportReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}: {:.2} MB", self.format.name(), self.bytes as f64 / 1e6)?;
         if let Some(bytes) = self.bytes_per_splat {
-            write!(f, ", {bytes:.1} bytes a splat")?;
+            write!(f, ", {bytes:.1} bytes per splat")?;
         }
         if let Some(bytes) = self.bytes_per_s {
-            write!(f, ", {:.2} MB a second of the clip", bytes / 1e6)?;
+            write!(f, ", {:.2} MB per second of the clip", bytes / 1e6)?;
         }
         write!(f, ", written in {:.1} s", self.encode_s)?;
         let losses = &self.losses;

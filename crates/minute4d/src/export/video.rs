@@ -1,4 +1,4 @@
-//! A video along the cameras of the source.
+//! Exports a video along the source cameras.
 
 use super::ExportError;
 use crate::render::{Painter, source_fps};
@@ -40,6 +40,6 @@ pub(super) fn write(out: &Path, scene: &Scene, fps: Option<f64>, observer: &dyn 
         path: out.to_path_buf(),
         bytes,
         splats: 0,
-        losses: vec![Loss::Baked(format!("everything, into {} pictures", scene.source.len()))],
+        losses: vec![Loss::Baked(format!("everything, into {} images", scene.source.len()))],
     })
 }

@@ -1,4 +1,4 @@
-//! One arm a format.
+//! Calls the writer of each format.
 
 use super::{ExportError, ExportJob, Format, video};
 use crate::{Error, Observer};

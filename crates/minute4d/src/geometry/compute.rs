@@ -1,4 +1,4 @@
-//! From frames to a capture.
+//! Computes a capture from frames.
 
 use super::between;
 use super::confidence::{Confidence, Grade};
@@ -257,7 +257,7 @@ fn to_metres_by_networks(sparse: &mut SparseReconstruction, maps: &[DepthMap], o
     }
 }
 
-/// Cameras found without what the masks cover, if they differ enough for depth and masks to be made anew.
+/// Cameras found without what the masks cover, if they differ enough for depth and masks to be computed again.
 fn once_more(
     followed: &Followed,
     first: &SparseReconstruction,
@@ -266,13 +266,13 @@ fn once_more(
     steps: &Steps<'_>,
     observer: &dyn Observer,
 ) -> Result<Option<Recovered>, Error> {
-    const PHASE: &str = "cameras without what moves";
+    const PHASE: &str = "cameras from static points";
     let masks = iterate::take_masks(frames);
     let mut found = None;
     if iterate::worth(first, &masks) {
         observer.update(PHASE, 0, 1, "");
         let known = Known { masks: Some(&masks) };
-        // What the second look says of the clip was said by the first, or is said when it is taken.
+        // The warnings of the second pass repeat those of the first, or are given when its result is used.
         let second = steps.keep("second-cameras", |observer| {
             let work = Work {
                 progress: &Quiet(observer),
@@ -385,7 +385,7 @@ enum Depth<'a> {
     Given(&'a [DepthMap]),
     /// Networks.
     Network(MonoClip),
-    /// Nobody.
+    /// None.
     Unknown,
 }
 

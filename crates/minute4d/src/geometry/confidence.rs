@@ -1,4 +1,4 @@
-//! How far the result can be trusted, in numbers, a grade and one piece of advice.
+//! The confidence of the geometry: numbers, a grade and one piece of advice.
 
 use m4_slam::dense::DenseFrame;
 use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction};
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Grade {
-    /// Expect depth of what rests within a few per cent.
+    /// Expect depth of static regions within a few per cent.
     Good,
     /// Usable; one of the numbers is weak.
     Fair,
@@ -18,7 +18,7 @@ pub enum Grade {
 }
 
 impl Grade {
-    /// In a word.
+    /// Returns the grade as a word.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -44,7 +44,7 @@ pub enum Focal {
 /// How far geometry can be trusted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Confidence {
-    /// All in all.
+    /// The overall grade.
     pub grade: Grade,
     /// What to do about it, where it is not good.
     pub advice: Option<String>,
@@ -60,7 +60,7 @@ pub struct Confidence {
     pub focal: Focal,
     /// Standard deviation of an estimated focal length, per cent.
     pub focal_sigma_percent: Option<f64>,
-    /// Median reprojection error of what rests, pixels.
+    /// Median reprojection error of static regions, pixels.
     pub residual_px: f64,
     /// Share of the pixels whose depth was measured (or given) and not filled in.
     pub measured_share: f64,
@@ -147,11 +147,11 @@ impl Confidence {
             findings.push(match around.camera_motion {
                 CameraMotion::Static => (
                     Grade::Poor,
-                    "the camera stands still, so depth is made up: film while walking sideways, or give --depth",
+                    "the camera is static, so depth is a placeholder: film while walking sideways, or give --depth",
                 ),
                 CameraMotion::RotationOnly => (
                     Grade::Poor,
-                    "the camera only turns, so depth is made up: film while walking sideways, or give --depth",
+                    "the camera only rotates, so depth is a placeholder: film while walking sideways, or give --depth",
                 ),
                 CameraMotion::Parallax => (
                     low(self.parallax_deg, 2.0, 0.7),
@@ -163,9 +163,9 @@ impl Confidence {
             findings.push((
                 low(self.inlier_share, 0.4, 0.15),
                 if crowded {
-                    "what moves fills the frame: give --masks, or film with more of the surroundings"
+                    "dynamic objects fill the frame: give --masks, or film with more of the surroundings"
                 } else {
-                    "few points can be followed: film slower, in more light, with textured things in view"
+                    "few points can be tracked: film slower, in more light, with textured objects in view"
                 },
             ));
         }
@@ -186,13 +186,13 @@ impl Confidence {
         if !around.masks_given {
             findings.push((
                 low(self.static_share, 0.6, 0.35),
-                "what moves fills the frame: give --masks, or film with more of the surroundings",
+                "dynamic objects fill the frame: give --masks, or film with more of the surroundings",
             ));
         }
         if moves && !around.depth_given {
             findings.push((
                 low(self.measured_share, 0.35, 0.1),
-                "little of the depth was measured, the rest is filled in: film textured things while walking sideways, or \
+                "little of the depth was measured, the rest is filled in: film textured objects while walking sideways, or \
                  give --depth",
             ));
         }
@@ -203,7 +203,7 @@ impl Confidence {
         (worst, advice.map(|(_, advice)| (*advice).to_owned()))
     }
 
-    /// In a line.
+    /// Returns a one-line summary.
     #[must_use]
     pub fn words(&self) -> String {
         let focal = match (self.focal, self.focal_sigma_percent) {
@@ -213,7 +213,7 @@ impl Confidence {
             (Focal::Assumed, _) => "focal length assumed".to_owned(),
         };
         format!(
-            "confidence {}: parallax {:.0} px ({:.1} degrees), {:.0} % of tracks fit, {:.0} % of pixels rest, {focal}, \
+            "confidence {}: parallax {:.0} px ({:.1} degrees), {:.0} % of tracks fit, {:.0} % of pixels are static, {focal}, \
              poses to {:.2} px, {:.0} % of depth measured",
             self.grade.name(),
             self.parallax_px,
@@ -302,7 +302,7 @@ mod tests {
             camera_motion: CameraMotion::Static,
             ..MOVING
         };
-        weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "stands still");
+        weak(&|c| c.focal = Focal::Assumed, tripod, Grade::Poor, "is static");
         let told = Circumstances {
             depth_given: true,
             ..tripod

@@ -1,7 +1,7 @@
-//! Cameras once more, now that it is known what moves.
+//! Estimates the cameras a second time, without the tracks in dynamic regions.
 //!
-//! The first cameras come from tracks that judged each other. Masks know more: tracks within them are left out, cameras are
-//! found anew, and where that changes what they see, depth and masks are made anew, too. Otherwise all stays as it was.
+//! The first cameras come from tracks of the whole image. With the masks, tracks in dynamic regions are excluded and the cameras are
+//! estimated again; if their projections change, depth and masks are computed again, too. Otherwise the first result is kept.
 
 use m4_math::Sim3;
 use m4_math::nalgebra::Vector3;
@@ -33,16 +33,16 @@ pub(super) struct Change {
 }
 
 impl Change {
-    /// Whether depth and masks are to be made anew with the second.
+    /// Whether depth and masks are to be computed again with the second.
     pub fn matters(&self) -> bool {
         let differs = self.shift_px > SHIFT_PX || self.verdicts > VERDICTS;
         differs && self.kept >= AS_MANY
     }
 
-    /// In a few words.
+    /// Returns a short description.
     pub fn words(&self) -> String {
         format!(
-            "they see points {:.2} px elsewhere, {:.1} % of tracks judged otherwise",
+            "projections differ by {:.2} px, {:.1} % of tracks are classified differently",
             self.shift_px,
             100.0 * self.verdicts
         )

@@ -1,10 +1,10 @@
-//! Flow that is measured once: between the same two pictures it is taken from the finished steps.
+//! Caches optical flow between two images in the finished steps.
 
 use m4_scene::Shelf;
 use m4_slam::dense::{Flow, FlowError, FlowPicture, FlowSource};
 
-/// A source of flow and where its results are kept. A clip may ask for the same pictures again: after an interruption, and
-/// when depth is found anew with better cameras.
+/// A source of flow and where its results are kept. A clip may ask for the same images again: after an interruption, and
+/// when depth is found again with better cameras.
 pub(super) struct KeptFlow<'a> {
     pub source: &'a dyn FlowSource,
     pub shelf: &'a dyn Shelf,

@@ -1,4 +1,4 @@
-//! From frames to a capture by MegaSaM's networks.
+//! Computes a capture with MegaSaM's networks.
 
 use super::compute::{Clip, instants, moments};
 use super::frontend::{MonoClip, NetworkCorrespondence, Plan};
@@ -100,8 +100,7 @@ pub(super) fn compute(
 
 fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Observer) {
     if !geometry.observability.has_parallax() {
-        observer
-            .warn("the camera hardly moves aside: depth is that of one picture, and views from aside will be wrong");
+        observer.warn("the camera hardly moves sideways: depth is monocular, and views from the side will be wrong");
     }
     if !geometry.focal_adjusted && !focal_is_known {
         observer.warn("the clip does not tell its focal length; a usual one was taken: --fov or --intrinsics sets it");
@@ -142,7 +141,7 @@ fn assemble(video: Video, geometry: &MegasamGeometry, given: &Given, tau: f64) -
     }
 }
 
-/// What moves, at the size of the picture.
+/// The dynamic part, at the size of the image.
 fn mask(motion: &Plane<f32>, (width, height): (usize, usize), tau: f64) -> CompactMask {
     let full = resize_bilinear(motion, width, height);
     CompactMask::from_fn(width, height, |x, y| f64::from(full.row(y)[x]) > tau)

@@ -1,16 +1,16 @@
-//! First stage: a video to a capture (poses, focal length, depth, motion masks).
+//! The first stage: turns a video into a capture (poses, focal length, depth, motion masks).
 //!
 //! ```text
-//! video, and what the user knows (given) -> frames
+//! video, and what the user provides (given) -> frames
 //!   --sparse--> cameras, tracks, points --dense, with flow of a front end--> depth, masks --> capture
 //!              ^                                                            |    '-> confidence
 //!              '---- once more without what is masked (iterate) ------------'
 //! ```
 //!
-//! Finished steps are kept in the folder until all is done, so that what was interrupted goes on.
+//! Finished steps are kept in the folder until the stage is done, so that an interrupted stage can be resumed.
 //!
-//! This file keeps the record and the folder; `compute` does the work, `frontend` chooses who measures flow, `segmenter` who outlines what moves,
-//! `given` reads what the user knows, `confidence` says how far the result can be trusted.
+//! This file handles the record and the folder; `compute` does the work, `frontend` chooses the methods for cameras, flow and depth, `segmenter`
+//! the segmentation method, `given` reads geometry that the user provides, and `confidence` grades the result.
 
 mod between;
 mod compute;
@@ -57,7 +57,7 @@ struct Part<'a> {
     video: &'a m4_io::video::VideoOptions,
     sparse: &'a m4_slam::sparse::SparseConfig,
     dense: &'a m4_slam::dense::DenseConfig,
-    /// What was asked for.
+    /// The requested value.
     geometry: &'a GeometryOptions,
     /// What that came to: the front end's name, and the hashes of its weights.
     frontend: &'a str,
@@ -67,7 +67,7 @@ struct Part<'a> {
     megasam: Option<&'a m4_slam::megasam::MegasamSettings>,
     /// Where networks run: another device gives other last bits.
     device: &'a str,
-    /// The same of what outlines what moves.
+    /// The same of what outlines the dynamic part.
     segmenter: &'a str,
     segmenter_weights: Option<&'a str>,
     /// What is done to its result, and by which networks.
@@ -77,7 +77,7 @@ struct Part<'a> {
     given: Sources,
 }
 
-/// Makes a capture of a video or a folder of pictures, or finds that it was made before.
+/// Makes a capture of a video or a folder of images, or finds that it was made before.
 ///
 /// # Errors
 ///
@@ -85,13 +85,13 @@ struct Part<'a> {
 pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecord, Error> {
     if !input.exists() {
         return Err(Error::Missing {
-            what: "video or folder of pictures",
+            what: "video or folder of images",
             path: input.to_path_buf(),
         });
     }
     let (_lock, earlier) = open(capture, job.existing)?;
     let mut settings = job.settings.clone();
-    // chains of flow are made with the depth, unless somebody else follows points afterwards
+    // flow tracks are computed with the depth, unless another method tracks points afterwards
     settings.dense.tracks.enabled &= !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
     let settings = &settings;
     let plan = frontend::plan(&settings.geometry.frontend, job.device.choice)?;
@@ -107,7 +107,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         None => enhance::Plan::of(settings.geometry.segmenter, settings.geometry.tracker, before)?,
     };
     let device = if plan.used.is_empty() && !enhance.has_network() {
-        // A GPU that nobody needs is not started, and does not tell one result from another.
+        // A GPU that is not needed is not started, and does not count as a difference between results.
         NetworkDevice::processor()
     } else {
         job.device.choice.for_networks()?

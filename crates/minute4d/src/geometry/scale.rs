@@ -1,4 +1,4 @@
-//! The unit of lengths: where depth is given, it decides.
+//! The unit of length, which given depth determines.
 
 use super::GivenError;
 use m4_scene::DepthMap;

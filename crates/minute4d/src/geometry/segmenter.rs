@@ -1,10 +1,10 @@
-//! Who outlines what moves: nobody, or a network.
+//! The segmentation method: none, or a network.
 
 use crate::Error;
 use m4_slam::dense;
 use serde::{Deserialize, Serialize};
 
-/// Who outlines what moves.
+/// The segmentation method.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Segmenter {
@@ -160,12 +160,12 @@ mod network {
         }
     }
 
-    /// The network; a picture is encoded once for all of its prompts.
+    /// The network; an image is encoded once for all of its prompts.
     pub struct MobileSamSegmenter {
         net: MobileSam,
     }
 
-    /// A prompt of a picture of `size` as one of `image`.
+    /// A prompt of an image of `size` as one of `image`.
     fn ours(prompt: &SegmentPrompt, belief: Plane<f32>, image: &RgbImage, size: (usize, usize)) -> Prompt {
         let (sx, sy) = (
             image.width() as f32 / size.0 as f32,

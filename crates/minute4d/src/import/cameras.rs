@@ -1,11 +1,11 @@
-//! Cameras for a scene that comes without.
+//! Default cameras for an imported scene without any.
 
 use crate::render::{SwingConfig, swing};
 use m4_math::Se3;
 use m4_math::nalgebra::{Matrix3, Vector3};
 use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, Splats};
 
-/// Size of the pictures, pixels.
+/// Size of the images, pixels.
 const SIZE_PX: (usize, usize) = (640, 480);
 /// Horizontal field of view, degrees.
 const FOV_DEG: f64 = 50.0;
@@ -16,7 +16,7 @@ const STILL_FRAMES: usize = 60;
 /// Up where the file does not say, as in scenes of COLMAP and 3DGS: y points down.
 const UP: [f64; 3] = [0.0, -1.0, 0.0];
 
-/// Puts a row of cameras, one a frame, in front of the middle of the splats, swinging to both sides. A scene of
+/// Puts a row of cameras, one per frame, in front of the middle of the splats, swinging to both sides. A scene of
 /// a single frame gets 60, so that there is something to play.
 pub fn default_cameras(scene: &mut Scene, up: Option<[f64; 3]>) {
     let (middle, radius) = extent(&scene.splats);
@@ -120,7 +120,7 @@ mod tests {
                 let camera = frame.camera;
                 let ([u, v], z) = camera.project(&Vector3::new(5.0, 1.0, 0.0));
                 assert!((u - 319.5).abs() < 1e-6 && (v - 239.5).abs() < 1e-6 && z > 1.0);
-                // up in the world is up in the picture
+                // up in the world is up in the image
                 let up = Vector3::from(up.unwrap_or([0.0, -1.0, 0.0]));
                 let ([_, above], _) = camera.project(&(Vector3::new(5.0, 1.0, 0.0) + up * 0.5));
                 assert!(above < v);

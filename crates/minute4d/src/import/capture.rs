@@ -1,4 +1,4 @@
-//! A posed clip as a capture.
+//! Imports a clip with poses as a capture.
 
 use super::checked::{Checked, checked};
 use super::{ImportError, ImportJob, ImportOptions, STAGE};
@@ -15,7 +15,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// What was imported.
+/// The report of an import.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CaptureReport {
     /// The format that was read.
@@ -36,7 +36,7 @@ pub struct CaptureReport {
     pub moving_share: Option<f64>,
     /// Held-out views.
     pub held_out: usize,
-    /// How well cameras and depth fit the pictures; `None` where that was not asked for.
+    /// How well cameras and depth fit the images; `None` where that was not asked for.
     pub check: Option<Checked>,
     /// Wall-clock seconds.
     pub seconds: f64,
@@ -145,7 +145,7 @@ pub(crate) fn write(
             // Nerfies and HyperNeRF publish none
             if (1..test.frames.len()).contains(&masks) {
                 observer.warn(&format!(
-                    "{} of {} views of {} have no published mask of co-visibility",
+                    "{} of {} views of {} have no published co-visibility mask",
                     test.frames.len() - masks,
                     test.frames.len(),
                     source.display()

@@ -1,4 +1,4 @@
-//! A capture compared with the flow of its pictures, and put right where that is asked for.
+//! Compares a capture with the optical flow of its images, and corrects it on request.
 
 use super::{ImportError, STAGE};
 use crate::Error;
@@ -10,7 +10,7 @@ use m4_slam::dense::InverseSearch;
 use serde::Serialize;
 use std::fmt;
 
-/// What the comparison found.
+/// The result of the comparison.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Checked {
     /// Of the capture that was written.
@@ -20,10 +20,10 @@ pub struct Checked {
     pub repaired: Option<Repaired>,
 }
 
-/// What was put right.
+/// The corrections.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Repaired {
-    /// What was misread.
+    /// The convention errors found.
     pub causes: Vec<Cause>,
     /// The comparison of the capture as its files say.
     pub before: Consistency,
@@ -53,7 +53,7 @@ pub(super) fn checked(mut imported: Imported, fix: bool, keeper: &Keeper<'_>) ->
         imported.test = imported.test.map(|test| consistency::fixed(test, &found.causes));
         let after = check(&imported)?;
         for cause in &found.causes {
-            keeper.warn(&format!("{cause}; this was put right"));
+            keeper.warn(&format!("{cause}; this was corrected"));
         }
         let repaired = Some(Repaired {
             causes: found.causes.clone(),
@@ -72,7 +72,7 @@ pub(super) fn checked(mut imported: Imported, fix: bool, keeper: &Keeper<'_>) ->
     }
     if found.verdict == Verdict::Bad && found.causes.is_empty() {
         keeper.warn(
-            "cameras and depth do not fit the pictures, and none of the usual misreadings (axes, direction, unit, focal length, half a pixel) explains \
+            "cameras and depth do not fit the images, and none of the usual convention errors (axes, direction, unit, focal length, half a pixel) explains \
              it: are they of the same clip and frames?",
         );
     }
@@ -89,7 +89,7 @@ impl fmt::Display for Checked {
         if c.verdict == Verdict::Unknown {
             return write!(
                 f,
-                "consistency unknown: {} pixels that rest were followed, by {:.2} px on average; that is too little to tell",
+                "consistency unknown: {} static pixels were tracked, by {:.2} px on average, which is too little to decide",
                 c.samples, c.flow_px
             );
         }
@@ -107,8 +107,8 @@ impl fmt::Display for Checked {
         }
         if let Some(before) = self.repaired.as_ref().map(|r| &r.before) {
             match before.error_px {
-                Some(px) => write!(f, "; {px:.2} px before it was put right")?,
-                None => f.write_str("; behind a camera before it was put right")?,
+                Some(px) => write!(f, "; {px:.2} px before the correction")?,
+                None => f.write_str("; behind a camera before the correction")?,
             }
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! Why an import failed.
+//! Errors of an import.
 
 use crate::Category;
 use m4_formats::fourdgs::ReadFourdgsError;
@@ -13,7 +13,7 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum ImportError {
     /// A file whose name says nothing.
-    #[error("the name of {} does not say what it is; add --format, one of {known}", path.display())]
+    #[error("the format of {} is not recognised by its name; add --format, one of {known}", path.display())]
     Unknown {
         /// The file.
         path: PathBuf,
@@ -31,13 +31,13 @@ pub enum ImportError {
     /// A name that no format has.
     #[error("no format is called {given}; these can be imported: {known}")]
     NoSuchFormat {
-        /// What was given.
+        /// The given value.
         given: String,
         /// The formats that can be imported.
         known: String,
     },
     /// A folder of nothing that is known.
-    #[error("{} is a folder of none of the layouts that are known; if it is one, name it by --format, one of {known}", path.display())]
+    #[error("{} is a folder with none of the known layouts; if it has one, select it with --format, one of {known}", path.display())]
     Folder {
         /// The folder.
         path: PathBuf,
@@ -45,7 +45,7 @@ pub enum ImportError {
         known: String,
     },
     /// A sequence of splats.
-    #[error("{} is a folder: a sequence cannot be imported as a clip, since nothing says which splat of one file is which of the next; give one of its files, such as {}", path.display(), first.display())]
+    #[error("{} is a folder: a sequence cannot be imported as a clip, since the correspondence of splats between files is unknown; give one of its files, such as {}", path.display(), first.display())]
     Sequence {
         /// The folder.
         path: PathBuf,
@@ -53,13 +53,13 @@ pub enum ImportError {
         first: PathBuf,
     },
     /// A clip without poses.
-    #[error("{} is of DAVIS, whose clips have no poses; `minute4d run PICTURES --masks ANNOTATIONS -o OUT`, with the folders of one clip, finds them", path.display())]
+    #[error("{} is a DAVIS clip, which has no camera poses; estimate them with `minute4d run IMAGES --masks ANNOTATIONS -o OUT`, with the folders of one clip", path.display())]
     NoPoses {
         /// The folder.
         path: PathBuf,
     },
     /// A file without splats.
-    #[error("{} holds no splats, so there is nothing to see", path.display())]
+    #[error("{} contains no splats", path.display())]
     NoSplats {
         /// The file.
         path: PathBuf,
@@ -73,7 +73,7 @@ pub enum ImportError {
         format: &'static str,
     },
     /// An option that the format has no use for.
-    #[error("{option} has no meaning for {format}, which brings its own; leave it out")]
+    #[error("{option} has no meaning for {format}, which has its own; leave it out")]
     NotOfFormat {
         /// The option.
         option: &'static str,
@@ -83,8 +83,8 @@ pub enum ImportError {
     /// Reading a clip that another tool posed.
     #[error(transparent)]
     Source(#[from] ReadSourceError),
-    /// Comparing a capture with the flow of its pictures.
-    #[error("the capture cannot be checked: {0}; --no-check imports it all the same")]
+    /// Comparing a capture with the flow of its images.
+    #[error("the capture cannot be checked: {0}; --no-check imports it anyway")]
     Check(#[from] ConsistencyError),
     /// Reading files of MegaSaM.
     #[error(transparent)]

@@ -1,4 +1,4 @@
-//! What can be imported: splats as a scene, posed clips as a capture.
+//! The import formats: splats as a scene, clips with poses as a capture.
 
 use super::ImportError;
 use crate::export::Format;
@@ -21,7 +21,7 @@ pub enum ImportFormat {
 }
 
 impl ImportFormat {
-    /// As on the command line.
+    /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {

@@ -1,4 +1,4 @@
-//! What to import, and how.
+//! The options of an import.
 
 use super::ImportFormat;
 use crate::folder::Existing;
@@ -16,7 +16,7 @@ pub struct ImportJob {
     pub options: ImportOptions,
     /// MegaSaM's map of motion; `None` for the one that lies where MegaSaM writes it.
     pub motion: Option<PathBuf>,
-    /// Compare cameras and depth of a capture with the flow of its pictures.
+    /// Compare cameras and depth of a capture with the flow of its images.
     pub check: bool,
     /// Put right what that finds.
     pub fix: bool,

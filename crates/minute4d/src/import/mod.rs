@@ -1,9 +1,9 @@
-//! Files of other tools: splats as the folder of a run, which can be rendered, viewed and exported; clips with poses as a capture, which can be
-//! trained.
+//! Imports files of other tools: splats as the folder of a run, which can be rendered, viewed and exported; clips with poses as a capture,
+//! which can be trained.
 //!
 //! ```text
-//! format   which it is                     read      splats -> Scene
-//! capture  a posed clip -> Capture -> check -> fixed, if that is asked for -> written
+//! format   detection                       read      splats -> Scene
+//! capture  a posed clip -> Capture -> check -> corrected on request -> written
 //! ```
 
 mod cameras;
@@ -39,7 +39,7 @@ use std::path::{Path, PathBuf};
 /// Name of the stage.
 pub const STAGE: &str = "import";
 
-/// What was imported.
+/// The report of an import.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ImportReport {
     /// The format that was read.
@@ -60,7 +60,7 @@ pub struct ImportReport {
     pub seconds: f64,
 }
 
-/// What became of a file.
+/// The report of an import.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Report {
@@ -71,7 +71,7 @@ pub enum Report {
 }
 
 /// Imports a file or folder into the folder `out`: splats as a scene, posed clips as a capture. A scene without
-/// cameras gets some that look at its middle; the cameras and depth of a capture are compared with the flow of its pictures.
+/// cameras gets some that look at its middle; the cameras and depth of a capture are compared with the flow of its images.
 ///
 /// # Errors
 ///
@@ -141,7 +141,7 @@ fn scene(
                 keeper.warn(&loss.to_string());
             }
             if cameras == 0 {
-                keeper.warn("the file has no cameras; some that look at its middle were made up");
+                keeper.warn("the file has no cameras; a default path around its centre is used");
             }
             Ok(scene_file::write(
                 &run.path(SCENE_FILE),

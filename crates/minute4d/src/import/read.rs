@@ -1,4 +1,4 @@
-//! One arm a format.
+//! Calls the reader of each format.
 
 use super::{ImportError, ImportFormat};
 use crate::export::Format;

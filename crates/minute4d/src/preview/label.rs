@@ -1,4 +1,4 @@
-//! Words in a picture, in a 5x7 font that holds the letters the labels need.
+//! Draws text into an image, in a 5x7 font with the characters that the labels need.
 
 use m4_scene::RgbImage;
 

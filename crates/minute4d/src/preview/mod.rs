@@ -28,7 +28,7 @@ pub const STAGE: &str = "preview";
 pub struct PreviewConfig {
     /// Longest side of each of the three panels, pixels. 480: three fit on a full-HD screen.
     pub panel_px: usize,
-    /// Name the panels in the picture.
+    /// Name the panels in the image.
     pub labels: bool,
     /// Shortest clip, seconds; shorter ones are played again until they are this long. 4: one swing.
     pub min_seconds: f64,
@@ -67,7 +67,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
             run.job.observer.stage(STAGE, StageEvent::Reused);
             return Ok(());
         }
-        // A preview is made anew, so seconds of an earlier attempt do not count.
+        // A preview is computed again, so seconds of an earlier attempt do not count.
         Task::Work { because, .. } => (because, 0.0),
     };
     run.stage(STAGE, key, task, &[PREVIEW_FILE], |run, keeper| {
@@ -124,7 +124,7 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Keeper<'
     Ok(())
 }
 
-/// The size of a panel: at most `longest` pixels a side, both sides even.
+/// The size of a panel: at most `longest` pixels per side, both sides even.
 fn panel_size(camera: &Camera, longest: usize) -> (usize, usize) {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
     let scale = (longest.max(16) as f64 / w.max(h).max(1) as f64).min(1.0);

@@ -1,11 +1,11 @@
-//! Three pictures side by side.
+//! Places three images side by side.
 
 use super::label;
 use m4_scene::{Plane, RgbImage};
 
 /// Pixels between two panels.
 const GAP: usize = 4;
-/// What the panels show.
+/// The titles of the panels.
 pub(super) const NAMES: [&str; 3] = ["SOURCE", "RE-RENDER", "FROZEN TIME"];
 
 /// The layout of a preview.

@@ -1,4 +1,4 @@
-//! `poster.jpg`: a frame and its re-render, small, for lists of many clips.
+//! `poster.jpg`: a small image of a frame and its re-render, for overviews of many clips.
 
 use super::{panel_size, sharpest};
 use crate::folder::{CAPTURE_FOLDER, SCENE_FILE};
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// Name of the file in the folder of a run.
 pub const POSTER_FILE: &str = "poster.jpg";
-/// Longest side of each of the two pictures, pixels: a page of a thousand posters stays under 50 MB.
+/// Longest side of each of the two images, pixels: a page of a thousand posters stays under 50 MB.
 const SIDE_PX: usize = 240;
 
 /// Makes the poster of a finished run of `input` and notes it in the run's record. The frame is the one that
@@ -30,7 +30,7 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
         what: RUN_FILE,
         path: run.to_path_buf(),
     })?;
-    // What the capture has to say was said while the scene was made.
+    // Warnings about the capture were given while the scene was made.
     let made = run.join(CAPTURE_FOLDER);
     let capture = train::read(if made.is_dir() { &made } else { input }, settings, &Silent)?;
     let scene = scene_file::read(&run.join(SCENE_FILE))?.scene;

@@ -1,20 +1,20 @@
-//! The moment to freeze: where the moving parts are sharpest.
+//! Chooses the time to freeze: the frame in which dynamic regions are sharpest.
 
 use m4_scene::{Capture, CaptureFrame};
 
-/// Pixels looked at: every so many columns and rows.
+/// Stride of the sampled pixels, columns and rows.
 const STEP: usize = 2;
 
-/// What a frame shows of the moving parts.
+/// What a frame shows of the dynamic regions.
 #[derive(Debug, Clone, Copy)]
 struct Look {
-    /// Pixels of the moving parts; all where there is no mask.
+    /// Pixels of the dynamic regions; all where there is no mask.
     count: usize,
     /// Mean squared brightness gradient over them.
     sharpness: f64,
 }
 
-/// Index of the frame in which the moving parts are sharpest (everything, where nothing moves). It is
+/// Index of the frame in which the dynamic regions are sharpest (everything, where nothing moves). It is
 /// one that shows at least three quarters of what the middle frame by that measure shows, away from
 /// the ends of the clip, where the scene is seen least.
 pub(super) fn sharpest(capture: &Capture) -> usize {

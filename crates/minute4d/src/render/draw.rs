@@ -1,9 +1,9 @@
-//! One picture of a scene.
+//! Renders one image of a scene.
 
 use m4_kernels::{Frame, Renderer, SimdLevel, View};
 use m4_scene::{Camera, Exposure, Plane, RgbImage, Scene};
 
-/// Draws pictures of one scene, one after the other.
+/// Draws images of one scene, one after the other.
 pub struct Painter<'a> {
     scene: &'a Scene,
     renderer: Renderer,
@@ -28,7 +28,7 @@ impl<'a> Painter<'a> {
         self.renderer.render(&self.scene.splats, &view)
     }
 
-    /// The same as an 8-bit picture with an exposure.
+    /// The same as an 8-bit image with an exposure.
     pub fn picture(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> RgbImage {
         to_rgb(self.frame(camera, t, false), exposure)
     }
@@ -64,7 +64,7 @@ pub fn view(scene: &Scene, camera: &Camera, t: f64) -> View {
     }
 }
 
-/// Exposed, clamped and rounded to 8 bits a channel.
+/// Exposed, clamped and rounded to 8 bits per channel.
 #[must_use]
 pub fn to_rgb(frame: &Frame, exposure: &Exposure) -> RgbImage {
     let (m, o) = (&exposure.matrix, &exposure.offset);

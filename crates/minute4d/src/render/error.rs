@@ -1,4 +1,4 @@
-//! Why a camera path cannot be rendered.
+//! Errors of rendering along a camera path.
 
 use std::path::PathBuf;
 
@@ -21,28 +21,28 @@ pub enum PathError {
     Range {
         /// The option.
         option: &'static str,
-        /// Its value.
+        /// The value.
         value: f64,
-        /// What is possible.
+        /// The allowed values.
         expected: &'static str,
     },
-    /// More pictures than anyone wants.
+    /// More images than anyone wants.
     #[error(
-        "the path takes {seconds} s, which is {frames} pictures at {fps} a second; at most {limit} are rendered, so ask for fewer with --seconds or --fps"
+        "the path takes {seconds} s, which is {frames} images at {fps} per second; at most {limit} are rendered, so choose fewer with --seconds or --fps"
     )]
     TooManyFrames {
         /// Length, seconds.
         seconds: f64,
-        /// Pictures a second.
+        /// Images a second.
         fps: f64,
-        /// Pictures.
+        /// Images.
         frames: f64,
-        /// Most pictures.
+        /// Most images.
         limit: usize,
     },
-    /// A bullet path that is over before time stands still.
+    /// A bullet path that is over before time is frozen.
     #[error(
-        "--seconds {seconds} leaves nothing beside the {hold_s} s for which time stands still; ask for more, or for less with --hold-s"
+        "--seconds {seconds} leaves no time besides the {hold_s} s for which time is frozen; choose more, or less with --hold-s"
     )]
     TooShort {
         /// Length asked for.
@@ -52,7 +52,7 @@ pub enum PathError {
     },
     /// A scene without its cameras.
     #[error(
-        "the scene does not say from where it was filmed, so there is no camera path {path}; give a file of cameras with --path"
+        "the scene has no cameras of its source, so there is no camera path {path}; give a file of cameras with --path"
     )]
     NoSource {
         /// The path.
@@ -61,27 +61,27 @@ pub enum PathError {
     /// Neither a path nor a file.
     #[error("there is no camera path {name:?}; write {}, or the name of a file", super::path::WORDS.join(", "))]
     Unknown {
-        /// What was given.
+        /// The given value.
         name: String,
     },
-    /// Many pictures into one file.
-    #[error("{} is one picture, but the path has {frames}; name a folder or an .mp4 file, or ask for one moment with --path source --at T", path.display())]
+    /// Many images into one file.
+    #[error("{} is one image, but the path has {frames}; name a folder or an .mp4 file, or choose one time with --path source --at T", path.display())]
     OnePicture {
         /// The file.
         path: PathBuf,
-        /// Pictures of the path.
+        /// Images of the path.
         frames: usize,
     },
     /// A name that promises another sort of video.
-    #[error("{} would be a {extension} file, which is not written; name an .mp4 file, a .png file or a folder", path.display())]
+    #[error("{} has the extension {extension}, which is not supported; name an .mp4 file, a .png file or a folder", path.display())]
     Format {
         /// The file.
         path: PathBuf,
         /// Its extension.
         extension: String,
     },
-    /// A picture too small or too large.
-    #[error("pictures of {width} x {height} pixels are not rendered; each side must have 1 to {limit}")]
+    /// An image too small or too large.
+    #[error("images of {width} x {height} pixels are not supported; each side must have 1 to {limit}")]
     Size {
         /// Columns.
         width: usize,

@@ -1,4 +1,4 @@
-//! Pictures of a trained scene: along which cameras, at which moments, into which files.
+//! Renders images of a trained scene along a camera path into files.
 
 mod draw;
 mod error;
@@ -36,20 +36,20 @@ use std::time::Instant;
 /// Frames a second where the scene does not say.
 pub const DEFAULT_FPS: f64 = 30.0;
 
-/// What to render.
+/// A rendering job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RenderJob {
     /// Cameras.
     pub path: CameraPath,
-    /// What is asked of the path.
+    /// The options of the path.
     pub options: PathOptions,
-    /// Its defaults.
+    /// The defaults of the path.
     pub config: PathConfig,
     /// Moments.
     pub time: TimePath,
     /// Frames a second; `None` for that of the file of cameras or of the source.
     pub fps: Option<f64>,
-    /// Columns and rows of the pictures; `None` for those of the cameras.
+    /// Columns and rows of the images; `None` for those of the cameras.
     pub size: Option<(usize, usize)>,
     /// What happens where that is another shape.
     pub fit: Fit,
@@ -57,7 +57,7 @@ pub struct RenderJob {
     pub zoom: f64,
     /// Replace what is there.
     pub replace: bool,
-    /// Where pictures are drawn.
+    /// The device that renders.
     pub device: DeviceChoice,
 }
 
@@ -79,7 +79,7 @@ impl RenderJob {
         }
     }
 
-    /// Every camera and moment of the pictures.
+    /// Every camera and moment of the images.
     ///
     /// # Errors
     ///
@@ -101,14 +101,14 @@ impl RenderJob {
     }
 }
 
-/// What was rendered.
+/// The report of a rendering.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rendered {
-    /// Pictures written.
+    /// Images written.
     pub frames: usize,
-    /// Pictures a second of the path.
+    /// Images a second of the path.
     pub fps: f64,
-    /// Columns and rows of the first picture.
+    /// Columns and rows of the first image.
     pub size: (usize, usize),
     /// Wall-clock seconds.
     pub seconds: f64,
@@ -116,14 +116,14 @@ pub struct Rendered {
     pub device: String,
 }
 
-/// Renders a scene (a file, or the folder of a run) to a folder of PNG pictures, to an MP4 where `out`
-/// ends in `.mp4`, or to one picture where it ends in `.png` or `.jpg`. An MP4 is read back and its frames
+/// Renders a scene (a file, or the folder of a run) to a folder of PNG images, to an MP4 where `out`
+/// ends in `.mp4`, or to one image where it ends in `.png` or `.jpg`. An MP4 is read back and its frames
 /// are counted before it gets its name.
 ///
 /// # Errors
 ///
 /// [`Error`]: the scene or the cameras cannot be read, a moment lies outside the scene, options cannot
-/// work, or the pictures cannot be written.
+/// work, or the images cannot be written.
 pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) -> Result<Rendered, Error> {
     let start = Instant::now();
     Sink::check(out, job.replace)?;

@@ -1,4 +1,4 @@
-//! Pictures of a scene, drawn on whichever device was chosen.
+//! Renders images of a scene on the chosen device.
 
 use super::draw::{Painter, to_rgb, view};
 use crate::Error;
@@ -44,7 +44,7 @@ impl<'a> Pictures<'a> {
         }
     }
 
-    /// What a camera sees at a moment (frames), eight bits a channel, with an exposure.
+    /// What a camera sees at a moment (frames), eight bits per channel, with an exposure.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! Where a camera may go: what it sees from where it stands, and where the source camera was.
+//! The region in which a camera may move: the view of its start, and the positions of the source camera.
 
 use super::Painter;
 use super::Stop;
@@ -15,9 +15,9 @@ const LEAST_MOVING: usize = 50;
 /// The surroundings of a camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Region {
-    /// Where a path starts.
+    /// The start of a path.
     pub stop: Stop,
-    /// Median z-depth of what moves in the picture, or of the whole picture where nothing does; world units.
+    /// Median z-depth of dynamic regions in the image, or of the whole image where nothing does; world units.
     pub distance: f64,
     /// How far the source cameras are to the side, world units.
     pub reach: f64,
@@ -28,7 +28,7 @@ impl Region {
     #[must_use]
     pub fn of(scene: &Scene, painter: &mut Painter<'_>, stop: Stop) -> Self {
         let all = painter.median_depth(&stop.camera, stop.t).unwrap_or(1.0);
-        // What moves is what one looks at, and what bears a turn of the camera least: the turn is about it.
+        // The dynamic part is what one looks at, and what bears a turn of the camera least: the turn is about it.
         let distance = moving_depth(scene, &stop).unwrap_or(all);
         let centres: Vec<Vector3<f64>> = scene.source.iter().map(|s| s.camera.centre()).collect();
         Self {
@@ -38,7 +38,7 @@ impl Region {
         }
     }
 
-    /// What the camera looks at.
+    /// Returns the point that the camera looks at.
     #[must_use]
     pub fn pivot(&self) -> Vector3<f64> {
         self.stop.camera.c2w.transform(&Vector3::new(0.0, 0.0, self.distance))
@@ -105,7 +105,7 @@ mod tests {
             sh_degree: 0,
             time_degree: 0,
         };
-        // 100 static splats at 9; 60 moving ones that are at 4 in frame 10; 60 beside the picture; 60 of frame 30.
+        // 100 static splats at 9; 60 moving ones that are at 4 in frame 10; 60 beside the image; 60 of frame 30.
         let mut splats = Splats::zeros(layout, 100, 180);
         splats.column_mut(Column::Opacity, 0).fill(3.0);
         let z = splats.column_mut(Column::Mean, 2);

@@ -1,4 +1,4 @@
-//! Where pictures go.
+//! Writes rendered images to their destination.
 
 use super::{PathError, Stop};
 use crate::Error;
@@ -10,14 +10,14 @@ use std::path::{Path, PathBuf};
 
 /// Video files that are not written, and would otherwise become folders.
 const OTHER_VIDEOS: [&str; 8] = ["mov", "avi", "mkv", "webm", "m4v", "gif", "webp", "apng"];
-/// Files for one picture.
+/// Files for one image.
 const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
 
-/// Where pictures go.
+/// The destination of images.
 pub(super) enum Sink {
     /// `00000.png` and so on.
     Folder { path: PathBuf, next: usize },
-    /// One picture.
+    /// One image.
     Picture(PathBuf),
     /// A clip.
     Video(Box<Mp4Writer>),
@@ -42,7 +42,7 @@ impl Sink {
         Ok(())
     }
 
-    /// Makes the place for the pictures of `stops`.
+    /// Makes the place for the images of `stops`.
     pub fn open(out: &Path, stops: &[Stop], fps: f64, replace: bool) -> Result<Self, Error> {
         Self::check(out, replace)?;
         let path = out.to_path_buf();
@@ -69,7 +69,7 @@ impl Sink {
         Ok(Self::Video(Box::new(Mp4Writer::create(out, size.0, size.1, fps)?)))
     }
 
-    /// The next picture.
+    /// The next image.
     pub fn push(&mut self, picture: &RgbImage) -> Result<(), Error> {
         match self {
             Self::Folder { path, next } => {
@@ -105,7 +105,7 @@ fn numbered(folder: &Path, i: usize) -> PathBuf {
     folder.join(format!("{i:05}.png"))
 }
 
-/// Removes the pictures from number `next` on, so that the folder holds one render.
+/// Removes the images from number `next` on, so that the folder holds one render.
 fn remove_from(folder: &Path, next: usize) -> Result<(), Error> {
     let read = |source| Error::Read {
         path: folder.to_path_buf(),

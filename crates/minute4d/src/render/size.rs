@@ -1,23 +1,23 @@
-//! Pictures of another size.
+//! Cameras for images of another size.
 
 use super::PathError;
 use m4_scene::Intrinsics;
 
-/// Longest side of a picture, pixels.
+/// Longest side of an image, pixels.
 pub const MAX_SIDE_PX: usize = 16_384;
 
-/// What happens where the shape of the picture is another one.
+/// What happens where the shape of the image is another one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Fit {
-    /// The middle of the view fills the picture; the rest is cut off.
+    /// The middle of the view fills the image; the rest is cut off.
     #[default]
     Crop,
-    /// All of the view is in the picture, and beside it what lies beyond.
+    /// All of the view is in the image, and beside it what lies beyond.
     Extend,
 }
 
-/// The same view on a picture of `width` x `height` pixels: pixels keep their shape, the middle of the
-/// picture stays the middle, and the principal point moves with it.
+/// The same view on an image of `width` x `height` pixels: pixels keep their shape, the middle of the
+/// image stays the middle, and the principal point moves with it.
 ///
 /// # Errors
 ///
@@ -47,7 +47,7 @@ pub fn fitted(k: &Intrinsics, (width, height): (usize, usize), fit: Fit) -> Resu
     })
 }
 
-/// The same picture with everything `factor` times as large about the principal point.
+/// The same image with everything `factor` times as large about the principal point.
 #[must_use]
 pub fn zoomed(k: &Intrinsics, factor: f64) -> Intrinsics {
     Intrinsics {
@@ -73,7 +73,7 @@ mod tests {
 
     #[test]
     fn what_was_in_the_middle_stays_there() {
-        // The ray through the middle of the picture, whatever the size.
+        // The ray through the middle of the image, whatever the size.
         let middle = |k: &Intrinsics| {
             let (w, h) = (k.width as f64, k.height as f64);
             ((0.5 * w - k.cx) / k.fx, (0.5 * h - k.cy) / k.fy)

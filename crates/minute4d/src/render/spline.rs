@@ -1,8 +1,8 @@
-//! Smooth ways through points and poses.
+//! Smooth interpolation of points and poses.
 //!
-//! Between two nodes the way is a cubic Bezier curve whose slopes at the nodes are the differences to the
-//! neighbours, weighted by the times between them: Catmull-Rom for uneven times. Rotations go the same way
-//! with great arcs in place of straight lines (Shoemake, "Animating rotation with quaternion curves", 1985).
+//! Between two nodes the curve is a cubic Bezier curve whose slopes at the nodes are the differences to the
+//! neighbours, weighted by the times between them: a non-uniform Catmull-Rom spline. Rotations use the same construction
+//! with great arcs instead of straight lines (Shoemake, "Animating rotation with quaternion curves", 1985).
 
 use m4_math::Se3;
 use m4_math::nalgebra::{Rotation3, SVector, UnitQuaternion, Vector3};

@@ -1,4 +1,4 @@
-//! A camera that swings about the middle of what it sees.
+//! A camera that swings around the centre of its view.
 
 use m4_math::nalgebra::{Matrix3, Vector3};
 use m4_math::{Se3, exp_so3};
@@ -10,12 +10,12 @@ use std::f64::consts::TAU;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SwingConfig {
-    /// Greatest turn to either side, degrees. 6: beyond, what moves begins to come apart, since it was seen
+    /// Greatest turn to either side, degrees. 6: beyond, the dynamic part begins to come apart, since it was seen
     /// from one side alone (ours, judged by eye; section 2.6 of the user specification asks for a limit).
     pub side_deg: f64,
     /// Greatest turn up or down, degrees.
     pub up_deg: f64,
-    /// Frames of one swing there and back. 60: two seconds at 30 frames a second.
+    /// Frames of one swing there and back. 60: two seconds at 30 frames per second.
     pub period_frames: usize,
 }
 

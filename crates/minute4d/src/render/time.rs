@@ -1,4 +1,4 @@
-//! When the views of a camera path are taken.
+//! Parses the scene time of a camera path.
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,7 +12,7 @@ pub enum Moment {
     Seconds(f64),
 }
 
-/// How time goes on along a camera path.
+/// How time continues along a camera path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TimePath {
     /// `source`: every camera at its own moment.
@@ -25,22 +25,22 @@ pub enum TimePath {
     Play,
 }
 
-/// Why a time cannot be used.
+/// Errors of parsing times.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TimeError {
-    /// Not one of the forms.
+    /// The text has none of the known forms.
     #[error(
-        "{given:?} is no time; write source, play, freeze@T or A..B, where T, A and B count frames (12.5), or seconds with an s behind (1.5s)"
+        "{given:?} is not a time; write source, play, freeze@T or A..B, where T, A and B are frame numbers (12.5), or seconds with the suffix s (1.5s)"
     )]
     Form {
-        /// What was written.
+        /// The given text.
         given: String,
     },
-    /// Not a moment.
-    #[error("{given:?} is no moment; count frames (12.5), or seconds with an s behind (1.5s)")]
+    /// The text is not a time.
+    #[error("{given:?} is not a time; write a frame number (12.5), or seconds with the suffix s (1.5s)")]
     Moment {
-        /// What was written.
+        /// The given text.
         given: String,
     },
     /// Before the first or after the last frame.
@@ -57,7 +57,7 @@ pub enum TimeError {
         duration_s: Option<f64>,
     },
     /// Seconds in a scene that has none.
-    #[error("{moment} cannot be found: the scene does not say how many seconds it lasts; count frames, 0 to {last}")]
+    #[error("{moment} is unknown: the scene does not state its duration in seconds; write a frame number, 0 to {last}")]
     NoDuration {
         /// The moment asked for.
         moment: Moment,
@@ -120,7 +120,7 @@ fn parse_moment(text: &str) -> Option<Moment> {
     })
 }
 
-/// How long a scene lasts.
+/// The duration of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Span {
     /// Time runs from 0 to one less than this, frames.
@@ -161,7 +161,7 @@ impl Span {
 }
 
 impl TimePath {
-    /// The moment of each camera in frames, given each camera's own and their number a second.
+    /// The moment of each camera in frames, given each camera's own and their number per second.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! A scene again without each part of the method.
+//! Trains a scene again without each part of the method.
 
 use super::scene::Made;
 use crate::ablate::{self, AblateOptions, AblationReport, Row};
@@ -6,7 +6,7 @@ use crate::{Error, Job};
 use serde::Serialize;
 use std::path::Path;
 
-/// Pixels by which masks of what moves are grown before they are scored.
+/// Pixels by which masks of dynamic regions are grown before they are scored.
 const GROW_MASK: usize = 2;
 
 /// What each part of the method is worth on a scene.
@@ -14,7 +14,7 @@ const GROW_MASK: usize = 2;
 pub struct SceneAblation {
     /// The scene.
     pub scene: String,
-    /// The rows; PSNR and SSIM are of whole pictures (clamped, 8 bits), whatever the protocol's headline is.
+    /// The rows; PSNR and SSIM are of whole images (clamped, 8 bits), whatever the protocol's headline is.
     pub report: AblationReport,
 }
 
@@ -39,7 +39,7 @@ pub(super) fn markdown(scenes: &[SceneAblation]) -> String {
         return String::new();
     }
     let mut out = String::from(
-        "\n### Without each part\n\nThe same steps for all rows; PSNR and SSIM of whole pictures in 8 bits. The paper loses 1.17 dB without segmentation and \
+        "\n### Without each part\n\nThe same steps for all rows; PSNR and SSIM of whole images in 8 bits. The paper loses 1.17 dB without segmentation and \
          tracking on its clips (table 3).\n",
     );
     for scene in scenes {

@@ -1,4 +1,4 @@
-//! Why a table cannot be made.
+//! Errors of a reproduction.
 
 use super::{MissingScene, Suite};
 use crate::Category;
@@ -15,41 +15,41 @@ pub enum ReproduceError {
     NoScenes {
         /// The data set.
         suite: Suite,
-        /// Where it was looked for.
+        /// The path that was searched.
         path: PathBuf,
-        /// What is lacking of each.
+        /// The missing files of each scene.
         missing: String,
-        /// Where people get it.
+        /// The source for downloading the data set.
         source_words: &'static str,
     },
     /// The data set has no test of that protocol.
-    #[error("{suite} is not judged by the protocol {protocol}; its protocols are {known}")]
+    #[error("{suite} is not scored by the protocol {protocol}; its protocols are {known}")]
     NotItsProtocol {
         /// The data set.
         suite: Suite,
         /// The protocol.
         protocol: Protocol,
-        /// Those that it has.
+        /// The supported protocols.
         known: String,
     },
     /// A scene lacks its held-out views.
-    #[error("{} has no held-out views, which the protocol {protocol} judges; {remedy}", path.display())]
+    #[error("{} has no held-out views, which the protocol {protocol} scores; {remedy}", path.display())]
     NoViews {
         /// The scene.
         path: PathBuf,
         /// The protocol.
         protocol: Protocol,
-        /// What to do.
+        /// How to fix it.
         remedy: &'static str,
     },
-    /// Training pictures that are not one step of time apart each.
-    #[error("the training pictures of {} are not evenly spaced in time, and geometry from pictures alone takes them to be; leave out --geometry own", path.display())]
+    /// Training images that are not one step of time apart each.
+    #[error("the training images of {} are not evenly spaced in time, as geometry from images alone assumes; omit --geometry own", path.display())]
     UnevenTimes {
         /// The capture.
         path: PathBuf,
     },
     /// Poses of our own that lie nowhere near those of the data set.
-    #[error("the cameras found from the pictures of {} do not align with those of the data set, so its views cannot be placed; train with --geometry given", path.display())]
+    #[error("the cameras found from the images of {} do not align with those of the data set, so its views cannot be placed; train with --geometry given", path.display())]
     NotAligned {
         /// The scene.
         path: PathBuf,
@@ -57,12 +57,12 @@ pub enum ReproduceError {
     /// A scene cannot be imported.
     #[error(transparent)]
     Import(#[from] ReadSourceError),
-    /// A picture of a table cannot be written.
+    /// An image of a table cannot be written.
     #[error("cannot write {}: {what}", path.display())]
     Plot {
-        /// The picture.
+        /// The image.
         path: PathBuf,
-        /// What was said.
+        /// The message.
         what: String,
     },
 }

@@ -1,14 +1,14 @@
-//! The tables of papers again, on this machine: every scene of a data set that is here, imported, split, trained and judged.
+//! Reproduces published tables: imports, splits, trains and scores every available scene of a data set.
 //!
 //! ```text
 //! folder of a data set --Suite--> scenes --import, or geometry of a video--> capture --split--> capture of the protocol
-//!   --train--> scene --evaluate by the protocol--> eval.json --> a table a protocol, beside published numbers of the same task
+//!   --train--> scene --evaluate by the protocol--> eval.json --> a table per protocol, beside published numbers of the same task
 //!   --without each part--> the ablations
 //! ```
 //!
-//! What is finished is not made again: a scene is skipped when its record has the key of its data, its settings and its device. Tables of
-//! two tasks are apart ([`crate::evaluate::Task`]), and so are ours and the published numbers in a table: those were measured on
-//! other machines, most with poses of their own.
+//! Finished scenes are not run again: a scene is skipped if its record has the key of its data, its settings and its device. The two
+//! tasks have separate tables ([`crate::evaluate::Task`]), and our results are separate from published ones, which were measured on
+//! other machines, most with other poses.
 
 mod ablation;
 mod error;
@@ -46,28 +46,28 @@ pub enum GeometrySource {
     /// Those that the data set brings; of a data set without any, as [`Self::Own`].
     #[default]
     Given,
-    /// Those of [`crate::geometry`], from the training pictures alone.
+    /// Those of [`crate::geometry`], from the training images alone.
     Own,
 }
 
-/// What to make again.
+/// The options of a reproduction.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ReproduceOptions {
     /// Which protocols; those of the data set where empty.
     pub protocols: Vec<Protocol>,
     /// Which scenes; those of the published tables where empty.
     pub scenes: Vec<String>,
-    /// By how much the pictures of a data set are shrunk; `None` for what published numbers use.
+    /// By how much the images of a data set are shrunk; `None` for what published numbers use.
     pub factor: Option<u32>,
-    /// Refine the poses of test pictures where peers do.
+    /// Refine the poses of test images where peers do.
     pub refine_poses: bool,
-    /// Whose poses and depth.
+    /// The source of poses and depth.
     pub geometry: GeometrySource,
     /// The program itself, to make every scene again without each part of the method ([`mod@crate::ablate`]); `None` to leave that out.
     pub ablations: Option<PathBuf>,
 }
 
-/// Makes the tables of a data set in the folder `out`: `reproduce.md`, `reproduce.json`, and a picture a table. Scenes that are finished are
+/// Makes the tables of a data set in the folder `out`: `reproduce.md`, `reproduce.json`, and an image a table. Scenes that are finished are
 /// not made again; [`Job::existing`] is of no meaning.
 ///
 /// # Errors

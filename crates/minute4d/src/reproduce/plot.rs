@@ -1,4 +1,4 @@
-//! A table as a picture: bars of decibels, ours first.
+//! A table as an image: bars of decibels, our result first.
 
 use super::{ReproduceError, TableReport};
 use plotters::prelude::*;
@@ -6,7 +6,7 @@ use std::path::Path;
 
 const WIDTH: i32 = 860;
 const ROW: i32 = 26;
-/// Where bars begin and end.
+/// The first and last column of the bars.
 const FROM: i32 = 330;
 const TO: i32 = 790;
 const TOP: i32 = 64;

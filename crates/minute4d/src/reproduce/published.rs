@@ -1,4 +1,4 @@
-//! Published numbers, each with its task: one of another task never stands in the same table.
+//! Published results, each with its task; results of different tasks never share a table.
 //!
 //! Kinds of sources: the Minute4D paper (`paper`), the paper of the method or another's table of it (`peers`). Times are those of the
 //! GPU that their authors used.
@@ -19,9 +19,9 @@ pub struct Published {
     pub ssim: Option<f64>,
     /// Mean LPIPS with AlexNet.
     pub lpips: Option<f64>,
-    /// How long it trains.
+    /// The training time.
     pub training: Option<&'static str>,
-    /// Pictures a second.
+    /// Images a second.
     pub frames_per_s: Option<f64>,
     /// Scenes of the mean, where that was seen stated.
     pub scenes: Option<usize>,
@@ -226,7 +226,7 @@ pub fn published(protocol: Protocol) -> &'static [Published] {
 pub(super) fn caveat(protocol: Protocol) -> &'static str {
     match protocol {
         Protocol::Instant4d | Protocol::Rodygs => {
-            "Published PSNR is Instant4D's mean over channels of unclamped pictures (compare psnr_per_channel_unclamped), with poses of a SLAM \
+            "Published PSNR is Instant4D's mean over channels of unclamped images (compare psnr_per_channel_unclamped), with poses of a SLAM \
              that saw the held-out frames, on an A6000; training time leaves SLAM, segmentation and tracking out. The paper names the split of \
              RoDyGS and takes its reference numbers from Instant4D's."
         }
@@ -235,12 +235,12 @@ pub(super) fn caveat(protocol: Protocol) -> &'static str {
              papers average 5 or 7 scenes, at the full size or half of it."
         }
         Protocol::Nvidia => {
-            "Peers whose poses are estimated refine test poses. Whether the view at time 0, which is a training picture, counts differs between \
-             programs; ours counts it here, eval.json has the mean without it."
+            "Peers whose poses are estimated refine test poses. Whether the view at time 0, which is a training image, counts differs between \
+             programs; it is counted here, and eval.json has the mean without it."
         }
         Protocol::Davis => {
-            "No published number compares: papers show pictures of DAVIS, or time it (breakdance-flare, 72 frames, end to end: Minute4D 42.5 s, \
-             Instant4D 145.4 s). StreamSplat's 23.66 dB are of middle frames in a setup of its own."
+            "No published number compares: papers show images of DAVIS, or time it (breakdance-flare, 72 frames, end to end: Minute4D 42.5 s, \
+             Instant4D 145.4 s). StreamSplat's 23.66 dB are of middle frames in a different setup."
         }
         Protocol::Holdout => "No published number compares.",
     }

@@ -1,4 +1,4 @@
-//! What was made.
+//! The report of a reproduction.
 
 use super::published::{Published, caveat, published};
 use super::{SceneAblation, Suite, table};
@@ -20,24 +20,24 @@ pub struct ReproduceReport {
     pub date: String,
     /// The data set.
     pub suite: Suite,
-    /// Where it lies.
+    /// The folder.
     pub data: PathBuf,
     /// Profile of the settings.
     pub profile: String,
     /// Threads.
     pub threads: usize,
-    /// One a protocol.
+    /// One per protocol.
     pub tables: Vec<TableReport>,
-    /// Scenes that are not there, and what they lack.
+    /// Scenes that are missing, and what they lack.
     pub missing: Vec<MissingScene>,
 }
 
-/// A scene that is not there.
+/// A scene that is missing.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct MissingScene {
     /// Its name.
     pub scene: String,
-    /// What it lacks.
+    /// The missing files.
     pub why: String,
 }
 
@@ -48,7 +48,7 @@ pub struct TableReport {
     pub suite: Suite,
     /// The protocol.
     pub protocol: Protocol,
-    /// What it asks.
+    /// The task.
     pub task: Task,
     /// Name of the score that stands for it.
     pub headline: String,
@@ -76,13 +76,13 @@ pub struct SceneRow {
     pub views: usize,
     /// The score that stands for the protocol, mean over views; absent where no view has it.
     pub headline: Option<f64>,
-    /// PSNR of whole pictures, joint over channels, clamped, dB.
+    /// PSNR of whole images, joint over channels, clamped, dB.
     pub psnr_db: f64,
-    /// SSIM of whole pictures.
+    /// SSIM of whole images.
     pub ssim: f64,
     /// Means of the other scores.
     pub others: BTreeMap<String, f64>,
-    /// Whose poses the scene was trained with (`own`: found from the pictures), and how test pictures got theirs.
+    /// Whose poses the scene was trained with (`own`: found from the images), and how test images got theirs.
     pub poses: String,
     /// Where scores count, in words.
     pub mask: String,
@@ -96,13 +96,13 @@ pub struct SceneRow {
     pub iterations: Option<usize>,
     /// Splats of the scene.
     pub splats: usize,
-    /// Pictures a second while judging, each copied to the host.
+    /// Images a second while judging, each copied to the host.
     pub frames_per_s: Option<f64>,
-    /// What trained and drew.
+    /// The device.
     pub device: String,
 }
 
-/// In words of tables.
+/// Returns the name of a pose treatment in tables.
 pub(super) fn pose_word(treatment: PoseTreatment) -> &'static str {
     match treatment {
         PoseTreatment::Given => "given",
@@ -151,13 +151,13 @@ impl TableReport {
         }
     }
 
-    /// Name of its picture.
+    /// Name of its image.
     #[must_use]
     pub fn picture(&self) -> String {
         format!("reproduce-{}.svg", self.protocol)
     }
 
-    /// What our mean is called.
+    /// Returns the name of our mean.
     pub(super) fn ours(&self) -> String {
         let poses: std::collections::BTreeSet<&str> = self.rows.iter().map(|r| r.poses.as_str()).collect();
         let poses: Vec<&str> = poses.into_iter().collect();

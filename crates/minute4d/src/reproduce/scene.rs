@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! OUT/captures/SCENE              the data set's own poses and depth, or geometry of its video; shared by protocols
-//! OUT/captures-own/SCENE          geometry of its training pictures, where that was asked for of a data set with poses
-//! OUT/PROTOCOL/SCENE/capture      the split, where the protocol holds out frames of the video
+//! OUT/captures-own/SCENE          geometry estimated from its training images, with --geometry own
+//! OUT/PROTOCOL/SCENE/capture      the split, if the protocol holds out frames of the video
 //! OUT/PROTOCOL/SCENE/run          a run as of `minute4d train`, with eval.json
 //! OUT/PROTOCOL/SCENE/row.json     the row of the table and its key: written last
 //! OUT/PROTOCOL/SCENE/ablation     as of `minute4d ablate`
@@ -29,7 +29,7 @@ const ROW_FILE: &str = "row.json";
 const KEY_FILE: &str = "import.json";
 /// Frames a second of the clips of DAVIS.
 const DAVIS_FPS: f64 = 24.0;
-const REMEDY: &str = "get the pictures that results are compared with too";
+const REMEDY: &str = "also download the images that results are compared with";
 
 /// `row.json`.
 #[derive(Serialize, Deserialize)]
@@ -78,7 +78,7 @@ pub(super) fn make(
     let file = folder.join(ROW_FILE);
     let run = folder.join("run");
     let mut settings = job.settings.clone();
-    // nobody looks at them
+    // they are not needed
     settings.viewer.write = false;
     if suite == Suite::Davis {
         settings.video.folder_fps = DAVIS_FPS;
@@ -155,7 +155,7 @@ pub(super) fn make(
     Ok(made(row))
 }
 
-/// Geometry from the training pictures alone, as they lie in the capture that was imported; its seconds.
+/// Geometry from the training images alone, as they lie in the capture that was imported; its seconds.
 fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error> {
     let mut settings = job.settings.clone();
     let options = &settings.capture;
@@ -182,7 +182,7 @@ fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error
     Ok(geometry::make(&imported.join(pictures), out, &job)?.seconds)
 }
 
-/// The capture of a scene with all its frames, made if it is not there; seconds of its geometry where that was estimated.
+/// The capture of a scene with all its frames, made if it is missing; seconds of its geometry where that was estimated.
 fn whole_capture(
     suite: Suite,
     scene: &FoundScene,
@@ -252,9 +252,9 @@ fn row(
             (Some(_), treatment) => format!("own, {}", pose_word(treatment)),
         },
         mask: match choices.mask.source {
-            evaluate::MaskSource::None => "whole pictures,".to_owned(),
-            evaluate::MaskSource::Files => "published masks of co-visibility,".to_owned(),
-            evaluate::MaskSource::Computed => "masks of co-visibility made here,".to_owned(),
+            evaluate::MaskSource::None => "whole images,".to_owned(),
+            evaluate::MaskSource::Files => "published co-visibility masks,".to_owned(),
+            evaluate::MaskSource::Computed => "co-visibility masks made here,".to_owned(),
         },
         size_px: choices.resolution.scored_px,
         train_s: record.stages.get(crate::train::STAGE).map(|stage| stage.seconds),

@@ -1,4 +1,4 @@
-//! Data sets: their scenes, where these lie in a folder, and where people get them.
+//! Data sets: their scenes, the layout of their folders, and where to download them.
 
 use super::{MissingScene, ReproduceError};
 use crate::evaluate::Protocol;
@@ -69,7 +69,7 @@ const NVIDIA: Facts = Facts {
     below: &["", "nvidia", "Nvidia", "NVIDIA"],
     protocols: &[Protocol::Nvidia],
     more_protocols: &[],
-    source: "The scenes with poses and masks, and the pictures that results are compared with (gt/v000_tTTT.png), are bundles that the \
+    source: "The scenes with poses and masks, and the images that results are compared with (gt/v000_tTTT.png), are bundles that the \
              README of facebookresearch/robust-dynrf links; unpack them side by side",
 };
 const DAVIS: Facts = Facts {
@@ -96,7 +96,7 @@ pub(super) struct FoundScene {
 }
 
 impl Suite {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 3] = [Self::Dycheck, Self::Nvidia, Self::Davis];
 
     fn facts(self) -> &'static Facts {
@@ -107,19 +107,19 @@ impl Suite {
         }
     }
 
-    /// As on the command line.
+    /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.facts().name
     }
 
-    /// As tables call it.
+    /// Returns the name in tables.
     #[must_use]
     pub fn title(self) -> &'static str {
         self.facts().title
     }
 
-    /// Where people get it.
+    /// Returns the source for downloading the data set.
     #[must_use]
     pub fn source(self) -> &'static str {
         self.facts().source
@@ -177,7 +177,7 @@ impl Suite {
     fn locate(self, data: &Path, name: &str) -> Result<PathBuf, String> {
         // a name becomes part of a path
         if name.is_empty() || name.contains(['/', '\\']) || name.contains("..") {
-            return Err("is no name of a scene".to_owned());
+            return Err("is not the name of a scene".to_owned());
         }
         let mut there = None;
         for below in self.facts().below {
@@ -210,7 +210,7 @@ impl fmt::Display for Suite {
     }
 }
 
-/// No data set of that name.
+/// The name of the data set is unknown.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("there is no data set {0:?}; the data sets are dycheck, nvidia and davis")]
 pub struct UnknownSuite(pub String);
@@ -249,6 +249,6 @@ mod tests {
         assert!(found.is_empty() && missing.len() == 7);
         assert!(missing[0].why.contains("not in the layout") && missing[1].why == "is not there");
         let (_, missing) = Suite::Dycheck.find(dir.path(), &["../x".to_owned()]);
-        assert_eq!(missing[0].why, "is no name of a scene");
+        assert_eq!(missing[0].why, "is not the name of a scene");
     }
 }

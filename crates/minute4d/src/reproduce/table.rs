@@ -1,4 +1,4 @@
-//! Tables for people.
+//! Formats the tables.
 
 use super::ablation;
 use super::report::{ReproduceReport, TableReport};

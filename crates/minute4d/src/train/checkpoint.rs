@@ -1,4 +1,4 @@
-//! Scenes saved while training goes on, and how training goes on from them.
+//! Writes checkpoints during training, and resumes from them.
 
 use crate::folder;
 use crate::{Error, Observer};
@@ -31,8 +31,8 @@ impl Checkpoints {
         }
     }
 
-    /// A trainer that goes on from the newest checkpoint that can be read and belongs to this stage.
-    /// What could not be used is said.
+    /// A trainer that resumes from the newest checkpoint that can be read and belongs to this stage.
+    /// Warns about checkpoints that cannot be used.
     pub fn latest<'a>(
         &self,
         capture: &'a Capture,
@@ -97,7 +97,7 @@ impl Checkpoints {
     }
 }
 
-/// Stops a trainer when it is time for a checkpoint, when somebody wants to see the scene, or when the
+/// Stops a trainer when it is time for a checkpoint, when a page requests the scene, or when the
 /// user says so.
 pub(super) struct Patience<'a> {
     inner: &'a dyn Progress,
@@ -108,7 +108,7 @@ pub(super) struct Patience<'a> {
 }
 
 impl<'a> Patience<'a> {
-    /// Lasts for so many seconds.
+    /// Lasts for this many seconds.
     pub fn new(inner: &'a dyn Progress, observer: &'a dyn Observer, seconds: f64) -> Self {
         const LONGEST: Duration = Duration::from_secs(1 << 31);
         let wait = Duration::try_from_secs_f64(seconds).unwrap_or(LONGEST).min(LONGEST);

@@ -1,4 +1,4 @@
-//! `metrics.jsonl`: one event a line, written whole at every checkpoint.
+//! `metrics.jsonl`: one event per line, written at every checkpoint.
 
 use crate::Error;
 use m4_io::atomic;

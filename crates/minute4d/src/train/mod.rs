@@ -1,4 +1,4 @@
-//! Second stage: a capture to a scene.
+//! The second stage: trains a scene from a capture.
 
 mod checkpoint;
 mod metrics;
@@ -99,7 +99,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene,
     let scene = run.stage(STAGE, key, (because, seconds), &files, |run, keeper| {
         train(run, capture, &same_key, keeper)
     })?;
-    // Only now: until the record says that the scene is whole, they are what a killed run goes on from.
+    // Only now: until the record says that the scene is whole, they are what a killed run continues from.
     folder::remove_checkpoints(&run.folder)?;
     Ok(scene)
 }

@@ -1,4 +1,4 @@
-//! Training, shown while it goes on.
+//! Shows the scene in the browser during training.
 
 use super::pack::pack;
 use super::source::{Source, event};

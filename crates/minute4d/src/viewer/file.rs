@@ -35,7 +35,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
             run.job.observer.stage(STAGE, StageEvent::Reused);
             return Ok(());
         }
-        // A page is written anew, so seconds of an earlier attempt do not count.
+        // A page is written again, so seconds of an earlier attempt do not count.
         Task::Work { because, .. } => (because, 0.0),
     };
     run.stage(STAGE, key, task, &[VIEWER_FILE], |run, _| {

@@ -1,7 +1,7 @@
-//! Scenes in a browser: `viewer.html` of a run, and the same page from a local server.
+//! Shows scenes in a browser: `viewer.html` of a run, and the same page from a local server.
 //!
-//! [`stage`](self) writes the page as the last stage of a run. [`view()`] serves a scene that is there and
-//! shows every newer one; [`Broadcast`] does so from within the process that trains.
+//! [`stage`](self) writes the page as the last stage of a run. [`view()`] serves an existing scene and
+//! shows every newer one; [`Broadcast`] does the same from within the training process.
 
 mod broadcast;
 mod config;

@@ -1,4 +1,4 @@
-//! A scene to what the page is given.
+//! Packs a scene into the data of the page.
 
 use super::ViewerConfig;
 use crate::Error;
@@ -8,7 +8,7 @@ use m4_scene::{Capture, RgbImage, Scene};
 use m4_viewer::payload::{Payload, encode};
 use m4_viewer::{About, Frames, Manifest, encode_frames};
 
-/// The splats for the page, and what it is told of them. `median_depth`: of what the middle camera
+/// The splats for the page, and their metadata. `median_depth`: of what the middle camera
 /// sees, world units.
 pub(super) fn pack(scene: &Scene, title: &str, median_depth: f64, config: &ViewerConfig) -> (Manifest, Payload) {
     let payload = encode(scene, median_depth, &config.splats);

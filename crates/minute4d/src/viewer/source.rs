@@ -1,4 +1,4 @@
-//! What there is to look at in a folder, and whether it is newer than what was seen.
+//! Finds the scene in a folder, and tells whether it is newer than the one shown.
 
 use super::ViewerConfig;
 use super::file::title;
@@ -85,7 +85,7 @@ impl Source {
         }
     }
 
-    /// How the run went, once it ended; `None` while it goes on. A scene alone is a result.
+    /// How the run went, once it ended; `None` while it continues. A scene alone is a result.
     pub fn end(&self) -> Option<bool> {
         if !self.path.is_dir() {
             return Some(true);
@@ -97,7 +97,7 @@ impl Source {
         }
     }
 
-    /// What the page is called.
+    /// Returns the title of the page.
     pub fn title(&self) -> String {
         match self.record() {
             Some(record) => title(&self.path, &record.input.path),
@@ -105,7 +105,7 @@ impl Source {
         }
     }
 
-    /// How training went so far.
+    /// Returns the metrics so far.
     pub fn metrics(&self) -> Vec<Metrics> {
         let text = fs::read_to_string(self.path.join(METRICS_FILE)).unwrap_or_default();
         let events: Vec<MetricsEvent> = text.lines().filter_map(|l| serde_json::from_str(l).ok()).collect();

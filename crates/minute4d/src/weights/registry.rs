@@ -1,11 +1,11 @@
-//! Every file of weights that the program knows.
+//! The registry of all known files of weights.
 
 use super::WeightsError;
 
 /// A file of weights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Entry {
-    /// What commands call it.
+    /// The name on the command line.
     pub name: &'static str,
     /// Its file name.
     pub file: &'static str,
@@ -19,7 +19,7 @@ pub struct Entry {
     pub commercial: bool,
     /// What the program does with it.
     pub used_for: &'static str,
-    /// Where it comes from.
+    /// The source.
     pub origin: Origin,
 }
 
@@ -28,7 +28,7 @@ pub struct Entry {
 pub enum Origin {
     /// Its authors' page, which the program does not visit.
     Authors {
-        /// Where to look for it.
+        /// The page that offers it.
         page: &'static str,
     },
     /// A repository on Hugging Face, which the program does not visit either; a copy that other tools left in the folder of
@@ -305,7 +305,7 @@ pub fn find(name: &str) -> Result<&'static Entry, WeightsError> {
 }
 
 impl Origin {
-    /// Where to look, in words.
+    /// Returns a description of the source.
     #[must_use]
     pub fn words(&self) -> String {
         match self {

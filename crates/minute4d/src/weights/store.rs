@@ -1,4 +1,4 @@
-//! The folder that weights lie in.
+//! The folder of installed weights.
 
 use super::check::{self, Side, Sum};
 use super::{Entry, Origin, WeightsError};
@@ -35,14 +35,14 @@ pub struct Record {
     pub published: bool,
     /// The licence of the weights.
     pub licence: String,
-    /// Where it came from.
+    /// The source.
     pub source: String,
 }
 
 /// Whether a file of weights is here.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum State {
-    /// It is not.
+    /// It is not installed.
     Absent,
     /// It is in the store.
     Stored(PathBuf),
@@ -63,7 +63,7 @@ pub enum Condition {
     Unknown,
     /// The file has changed or is damaged.
     Damaged {
-        /// In what.
+        /// The fault.
         reason: String,
     },
 }

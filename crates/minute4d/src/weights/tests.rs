@@ -362,7 +362,7 @@ fn what_is_missing_says_what_gets_it_and_what_is_lost() {
     let place = Place::new();
     let missing = place.store.require(&entry(true)).unwrap_err().to_string();
     assert!(
-        missing.contains("minute4d weights fetch little") && missing.contains("Lost without"),
+        missing.contains("minute4d weights fetch little") && missing.contains("Without them"),
         "{missing}"
     );
 }

@@ -10,33 +10,33 @@ use std::path::PathBuf;
 /// `minute4d ablate`
 #[derive(Debug, Args)]
 pub struct Ablate {
-    /// A video, a folder of images, or a capture folder (then geometry is taken from it)
+    /// A video, a folder of images, or a capture folder (whose geometry is then used)
     pub input: PathBuf,
-    /// Folder for the table, and a folder in it for every row; rows that are finished are not made again
+    /// Folder for the table, with one folder per row in it; finished rows are not computed again
     #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
     /// The capture whose transforms_test.json lists the held-out views [default: the input]
     #[arg(long, value_name = "CAPTURE")]
     pub data: Option<PathBuf>,
-    /// Which rows beside the full one: no-seg, no-track, no-density [default: all]
+    /// Rows in addition to the full method: no-seg, no-track, no-density [default: all]
     #[arg(long, value_name = "ROW,ROW", value_delimiter = ',')]
     pub rows: Vec<Row>,
-    /// Grow the masks of moving parts by this much before they are scored, pixels
+    /// Dilate the masks of dynamic regions by this many pixels before scoring
     #[arg(long, value_name = "PX", default_value_t = 0)]
     pub grow_mask: usize,
-    /// Where to train, and where networks run: `cpu`, `gpu`, `gpu:N` or `auto`
+    /// Device for training and networks: `cpu`, `gpu`, `gpu:N` or `auto`
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,
-    /// How long to train: the full row's number of steps is that of all.
+    /// How long to train; every row takes as many steps as the full one.
     #[command(flatten)]
     pub length: LengthArgs,
-    /// Which part of the video.
+    /// The part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,
-    /// Which files it may name.
+    /// Which files the capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }

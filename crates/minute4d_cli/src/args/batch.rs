@@ -7,12 +7,12 @@ use std::path::PathBuf;
 /// `minute4d batch`
 #[derive(Debug, Args)]
 pub struct Batch {
-    /// What to do with many clips
+    /// What to do with the clips
     #[command(subcommand)]
     pub action: BatchAction,
 }
 
-/// What is done with many clips.
+/// The actions on many clips.
 #[derive(Debug, Subcommand)]
 pub enum BatchAction {
     /// List clips and settings in a manifest
@@ -28,34 +28,34 @@ pub enum BatchAction {
 /// `minute4d batch plan`
 #[derive(Debug, Args)]
 pub struct BatchPlan {
-    /// Videos, folders, or @LIST, a text file with one of these a line
+    /// Videos, folders, or @LIST, a text file with one of these per line
     #[arg(required_unless_present = "print_config", value_name = "VIDEOS")]
     pub given: Vec<String>,
-    /// The manifest
+    /// The manifest to write
     #[arg(short = 'o', value_name = "FILE", required_unless_present = "print_config")]
     pub manifest: Option<PathBuf>,
-    /// Folder for the results, one folder a clip in it
+    /// Folder for the results, with one folder per clip in it
     #[arg(long, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// Look into folders of folders
+    /// Search folders recursively
     #[arg(long)]
     pub recursive: bool,
-    /// Replace a manifest that is already there
+    /// Replace an existing manifest
     #[arg(long)]
     pub force: bool,
-    /// How long to train.
+    /// The length of training.
     #[command(flatten)]
     pub length: LengthArgs,
-    /// End each run in time, as `run` does with the same option
+    /// Time limit of each run, as `--time-limit` of `run`
     #[arg(long, value_name = "TIME", value_parser = values::duration)]
     pub time_limit: Option<f64>,
-    /// Which part of each video.
+    /// The part of each video.
     #[command(flatten)]
     pub video: VideoArgs,
-    /// Where to train.
+    /// The device for training.
     #[command(flatten)]
     pub device: DeviceArgs,
-    /// What to go without.
+    /// Parts of the method to switch off.
     #[command(flatten)]
     pub without: WithoutArgs,
     /// Settings.
@@ -64,7 +64,7 @@ pub struct BatchPlan {
     /// Do not write viewer.html
     #[arg(long)]
     pub no_viewer: bool,
-    /// Which files it may name.
+    /// Which files a capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }
@@ -78,7 +78,7 @@ pub struct BatchRun {
     /// Index of the job, counted from 0 [default: SLURM_ARRAY_TASK_ID or JOB_COMPLETION_INDEX, whichever is set first]
     #[arg(long, value_name = "N")]
     pub index: Option<usize>,
-    /// Run it again although it failed permanently
+    /// Run the job again even if it failed permanently
     #[arg(long)]
     pub retry_failed: bool,
 }
@@ -89,10 +89,10 @@ pub struct BatchSubmit {
     /// The manifest
     #[arg(long, value_name = "FILE")]
     pub manifest: PathBuf,
-    /// Maximum number of tasks of an array to run at the same time
+    /// Maximum number of array tasks that run at the same time
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub max_parallel: Option<u32>,
-    /// Write the script and do not submit it
+    /// Write the script without submitting it
     #[arg(long)]
     pub dry_run: bool,
     /// Options of sbatch, such as --gres=gpu:1 --cpus-per-task=8 --time=02:00:00
@@ -106,10 +106,10 @@ pub struct BatchStatus {
     /// The manifest
     #[arg(long, value_name = "FILE")]
     pub manifest: PathBuf,
-    /// List troubles alone
+    /// List only the jobs that failed or are to be repeated
     #[arg(long)]
     pub failed: bool,
-    /// Write a page with a picture and the figures of every clip; one file that loads nothing
+    /// Write an HTML page with an image and the metrics of every clip (one self-contained file)
     #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
 }

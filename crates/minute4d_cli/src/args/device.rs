@@ -1,24 +1,24 @@
-//! Processor or GPU.
+//! The device to run on: CPU or GPU.
 
 use crate::failure::Failure;
 use clap::Args;
 use minute4d::device::{DeviceChoice, DeviceRequest, UnknownDevice};
 
-/// Where to train.
+/// The device for training.
 #[derive(Debug, Args)]
 pub struct DeviceArgs {
-    /// Where training steps are taken and networks run: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a
-    /// GPU where there is one that is more than software)
+    /// Device for training and networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto` (a hardware
+    /// GPU if there is one, else the CPU)
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,
-    /// Most memory that training may take on a GPU, megabytes: frames that do not fit are sent when they are needed, and
-    /// what does not fit without them is refused [default: as much as it takes]
+    /// Limit of GPU memory for training in megabytes: frames that do not fit are uploaded when needed; training that does not
+    /// fit without them is refused [default: unlimited]
     #[arg(long, value_name = "MB", value_parser = clap::value_parser!(u32).range(1..))]
     pub max_vram: Option<u32>,
 }
 
 impl DeviceArgs {
-    /// As the library takes it.
+    /// Returns the request in the library's type.
     pub fn request(&self) -> Result<DeviceRequest, Failure> {
         Ok(DeviceRequest {
             choice: self.device,
@@ -27,17 +27,17 @@ impl DeviceArgs {
     }
 }
 
-/// `--max-vram`, which says nothing about the processor.
+/// Checks `--max-vram`, which applies to GPUs only; returns megabytes.
 pub fn limit(device: DeviceChoice, max_vram: Option<u32>) -> Result<Option<usize>, Failure> {
     if device == DeviceChoice::Cpu && max_vram.is_some() {
         return Err(Failure::usage(
-            "--max-vram limits a GPU's memory; name one with --device gpu, or leave it out",
+            "--max-vram limits a GPU's memory; choose a GPU with --device gpu, or omit --max-vram",
         ));
     }
     Ok(max_vram.map(|mb| mb as usize))
 }
 
-/// A device by its name.
+/// Parses the name of a device.
 pub fn device(text: &str) -> Result<DeviceChoice, UnknownDevice> {
     text.parse()
 }

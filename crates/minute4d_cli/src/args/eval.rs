@@ -15,24 +15,24 @@ pub struct Eval {
     /// The capture whose transforms_test.json lists the held-out views
     #[arg(long, value_name = "CAPTURE")]
     pub data: PathBuf,
-    /// Grow the masks of moving parts by this much first, pixels
+    /// Dilate the masks of dynamic regions by this many pixels first
     #[arg(long, value_name = "PX", default_value_t = 0)]
     pub grow_mask: usize,
-    /// Judge by a protocol, which fixes frames, masks, metrics and poses: holdout, instant4d, rodygs, dycheck, nvidia, davis; eval.json then
-    /// names every choice
+    /// Evaluation protocol, which fixes frames, masks, metrics and poses: holdout, instant4d, rodygs, dycheck, nvidia, davis; eval.json then
+    /// records every choice
     #[arg(long, value_name = "PROTOCOL")]
     pub protocol: Option<Protocol>,
-    /// Masks of co-visibility, PNG files named as the pictures of the views [default: the folder covisible of the capture, or masks made
-    /// from its poses and depth]
+    /// Folder of co-visibility masks, PNG files named like the images of the views [default: the capture's folder covisible, or masks
+    /// computed from its poses and depth]
     #[arg(long, value_name = "DIR", requires = "protocol")]
     pub covisible: Option<PathBuf>,
-    /// Refine the poses of test pictures against these pictures, as the protocol's peers do
+    /// Optimise the poses of test images before scoring, as published methods do under this protocol
     #[arg(long, requires = "protocol")]
     pub refine_poses: bool,
-    /// Where the views are drawn: `cpu`, `gpu`, `gpu:N` or `auto`, as for `render`
+    /// Device that renders the views: `cpu`, `gpu`, `gpu:N` or `auto`
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,
-    /// Which files it may name.
+    /// Which files the capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }
@@ -40,12 +40,12 @@ pub struct Eval {
 /// `minute4d eval-geometry`
 #[derive(Debug, Args)]
 pub struct EvalGeometry {
-    /// The capture to judge
+    /// The capture to evaluate
     pub capture: PathBuf,
-    /// What is true: a capture folder, a transforms file, or a JSON file of LLFF poses
+    /// Ground truth: a capture folder, a transforms file, or a JSON file of LLFF poses
     #[arg(long, value_name = "SCENE")]
     pub truth: PathBuf,
-    /// Which files it may name.
+    /// Which files the capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }

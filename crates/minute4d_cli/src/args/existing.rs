@@ -1,14 +1,14 @@
-//! Folders that are already there.
+//! Output folders that already exist.
 
 use clap::Args;
 
-/// What may happen to a folder that is already there.
+/// What may happen to an output folder that already exists.
 #[derive(Debug, Args)]
 pub struct OutArgs {
-    /// Go on where an earlier run stopped; finished stages are not repeated
+    /// Continue an earlier run; finished stages are not repeated
     #[arg(long, conflicts_with = "force")]
     pub resume: bool,
-    /// Replace what an earlier run left in the folder; other files in it stay
+    /// Replace the results of an earlier run in the folder; other files are kept
     #[arg(long)]
     pub force: bool,
 }

@@ -9,52 +9,52 @@ use std::path::PathBuf;
 /// `minute4d export`
 #[derive(Debug, Args)]
 pub struct Export {
-    /// The folder of a run, or a scene file; for colmap and nerfstudio a capture, too
+    /// The folder of a run or a scene file; for colmap and nerfstudio also a capture
     pub scene: PathBuf,
-    /// The format [default: what --out ends in, or 4dgs]; 4dgs, splatv: the whole clip; ply, spz, gltf: one
-    /// instant; ply-sequence: one a frame; colmap, nerfstudio: cameras, of a capture with pictures, masks, points (and depth); mp4: a
-    /// video along the cameras of the source
+    /// Output format [default: by the extension of --out, or 4dgs]. 4dgs, splatv: the whole clip; ply, spz, gltf: one
+    /// instant; ply-sequence: one file per frame; colmap, nerfstudio: cameras, and for a capture also images, masks, points (and depth);
+    /// mp4: a video rendered from the source cameras
     #[arg(long, value_name = "FORMAT", value_parser = format)]
     pub format: Option<Format>,
-    /// The file, or the folder of a sequence [default: scene.4dgs and the like, beside the scene]
+    /// Output file, or folder for a sequence [default: scene.EXTENSION next to the scene]
     #[arg(long, short, value_name = "PATH")]
     pub out: Option<PathBuf>,
-    /// The instant of a format that has one: a frame, or seconds with an `s` behind, as in 1.5s [default: the middle]
+    /// Instant for formats that hold one: a frame number, or seconds with the suffix `s`, as in 1.5s [default: the middle]
     #[arg(long, value_name = "T")]
     pub time: Option<String>,
-    /// Files or pictures a second of a format that has many [default: the frames of the source]
+    /// Files or frames per second for sequences and videos [default: the rate of the source]
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
-    /// How finely a .4dgs file is written
+    /// Quantisation of a .4dgs file
     #[arg(long, value_enum, value_name = "P", default_value = "normal")]
     pub precision: PrecisionArg,
-    /// Replace a file that is already there
+    /// Replace an existing file
     #[arg(long)]
     pub force: bool,
-    /// Do not read the file back, render it and compare it with the scene, as is done with 4dgs, ply and ply-sequence
+    /// Skip the check that reads 4dgs, ply and ply-sequence files back and compares their renderings with the scene
     #[arg(long)]
     pub no_compare: bool,
-    /// Write the opacities as they were trained, for players with a Mip filter and for `import`; else what the filter does to
-    /// them is baked in, as the cameras of the source see it
+    /// Write opacities as trained, for viewers with a Mip filter and for `import`; without it, the effect of the filter at the
+    /// source cameras is baked into the opacities
     #[arg(long)]
     pub keep_mip: bool,
-    /// Which files it may name.
+    /// Which files a capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }
 
-/// How finely a `.4dgs` file is written.
+/// How finely a `.4dgs` file is quantised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum PrecisionArg {
-    /// Larger, closer
+    /// Larger file, smaller error
     Fine,
-    /// The default of the format
+    /// The format's default
     Normal,
-    /// Smaller
+    /// Smaller file, larger error
     Coarse,
 }
 
-/// The name of a format.
+/// Parses the name of an export format.
 pub fn format(text: &str) -> Result<Format, String> {
     text.parse().map_err(|e: minute4d::export::ExportError| e.to_string())
 }

@@ -15,19 +15,19 @@ pub struct Geometry {
     /// Folder for the capture
     #[arg(long, short, value_name = "DIR", required_unless_present = "print_config")]
     pub out: Option<PathBuf>,
-    /// Which part of the video.
+    /// The part of the video.
     #[command(flatten)]
     pub video: VideoArgs,
-    /// Where networks run: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
+    /// Device for networks: `cpu`, `gpu` (the best one), `gpu:N` (`minute4d doctor` lists them), or `auto`
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,
-    /// What to go without.
+    /// Parts of the method to switch off.
     #[command(flatten)]
     pub without: WithoutArgs,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,
-    /// An existing folder.
+    /// What may happen to an existing folder.
     #[command(flatten)]
     pub existing: OutArgs,
 }

@@ -10,65 +10,65 @@ use std::path::PathBuf;
 /// `minute4d import`
 #[derive(Debug, Args)]
 pub struct Import {
-    /// A clip with poses of another tool (COLMAP, nerfstudio, ViPE, MegaSaM, DyCheck, NVIDIA, Record3D): it becomes a capture. A .4dgs file, or
-    /// a PLY file of splats as 3DGS writes it: they become a scene
+    /// A clip with poses from another tool (COLMAP, nerfstudio, ViPE, MegaSaM, DyCheck, NVIDIA, Record3D), which becomes a capture; or a .4dgs
+    /// file or a 3DGS PLY file, which becomes a scene
     #[arg(value_name = "SOURCE")]
     pub file: PathBuf,
-    /// Folder for the capture, or for the scene, as of a run
+    /// Folder for the capture, or for the scene (with the layout of a run)
     #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
-    /// The format [default: what the name, the files of the folder and their first bytes say]
+    /// Format of the source [default: detected from names and contents]
     #[arg(long, value_name = "FORMAT", value_parser = format)]
     pub format: Option<ImportFormat>,
-    /// Frames a second, where the files have no clock [default: 30]
+    /// Frames per second, for sources without timestamps [default: 30]
     #[arg(long, value_name = "FPS", value_parser = rate)]
     pub fps: Option<f64>,
-    /// Pictures, a folder or a video, where they lie elsewhere [default: where the format has them]
+    /// Folder of images or a video, if they are not where the format expects them
     #[arg(long, visible_alias = "pictures", value_name = "PATH")]
     pub images: Option<PathBuf>,
-    /// Depth maps in place of those of the source: a folder with one a frame (16-bit PNG, EXR, PFM, npy) or an npz
+    /// Depth maps that replace those of the source: a folder with one file per frame (16-bit PNG, EXR, PFM, npy), or an npz
     #[arg(long, value_name = "PATH")]
     pub depth: Option<PathBuf>,
-    /// Scene units a step of 16-bit depth maps [default: what the format says, or 0.001]
+    /// Scene units per step of 16-bit depth maps [default: as the format defines, or 0.001]
     #[arg(long, value_name = "UNIT", value_parser = positive)]
     pub depth_unit: Option<f64>,
-    /// Masks of what moves in place of those of the source: a folder with one a frame, or an npz
+    /// Masks of dynamic regions that replace those of the source: a folder with one file per frame, or an npz
     #[arg(long, value_name = "PATH")]
     pub masks: Option<PathBuf>,
-    /// Masks mean the opposite of what the format says
+    /// Invert the masks, if they mean the opposite of what the format defines
     #[arg(long)]
     pub invert_masks: bool,
-    /// Tracks of points: an npz of TAPIP3D, SpatialTracker or CoTracker
+    /// Point tracks: an npz of TAPIP3D, SpatialTracker or CoTracker
     #[arg(long, value_name = "FILE")]
     pub tracks: Option<PathBuf>,
-    /// Axes of the cameras, where the format leaves them open [default: told by the files]
+    /// Axis convention of the cameras, if the format does not define it [default: detected]
     #[arg(long, value_enum, value_name = "AXES")]
     pub axes: Option<AxesArg>,
-    /// By what the pictures of a data set are shrunk, as DyCheck's rgb/2x [default: what the protocols use]
+    /// Downscaling factor of a data set's images, such as 2 for DyCheck's rgb/2x [default: that of the protocols]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub factor: Option<u32>,
-    /// A pixel of MegaSaM's moves where 1 - motion_prob is above this, 0 to 1 [default: 0.7]
+    /// Threshold of 1 - motion_prob above which a pixel of a MegaSaM clip is dynamic, 0 to 1 [default: 0.7]
     #[arg(long, value_name = "TAU", value_parser = share)]
     pub tau_motion: Option<f64>,
-    /// The motion_prob.npy of MegaSaM [default: reconstructions/NAME/motion_prob.npy beside the file or its folder, or
-    /// motion_prob.npy beside it]
+    /// MegaSaM's motion_prob.npy [default: reconstructions/NAME/motion_prob.npy next to the file or its folder, or
+    /// motion_prob.npy next to the file]
     #[arg(long, value_name = "FILE")]
     pub motion_prob: Option<PathBuf>,
-    /// Put right what the check finds: axes, direction of poses, unit of depth, focal length, half-pixel shifts
+    /// Correct the convention errors that the check finds: axes, pose direction, depth unit, focal length, half-pixel shifts
     #[arg(long, conflicts_with = "no_check")]
     pub fix: bool,
-    /// Do not compare cameras and depth with the flow of the pictures
+    /// Skip the check of cameras and depth against the optical flow of the images
     #[arg(long)]
     pub no_check: bool,
-    /// Replace what an earlier run left in the folder; other files in it stay
+    /// Replace the results of an earlier import in the folder; other files are kept
     #[arg(long)]
     pub force: bool,
-    /// Which files it may name.
+    /// Which files the source may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }
 
-/// Axes of cameras.
+/// The axis convention of cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum AxesArg {
     /// x right, y up, z back: nerfstudio, Blender
@@ -78,7 +78,7 @@ pub enum AxesArg {
 }
 
 impl Import {
-    /// As the library takes it.
+    /// Returns the job in the library's type.
     pub fn job(&self) -> ImportJob {
         let defaults = ImportOptions::default();
         ImportJob {
@@ -112,7 +112,7 @@ impl Import {
     }
 }
 
-/// The name of a format.
+/// Parses the name of an import format.
 fn format(text: &str) -> Result<ImportFormat, String> {
     text.parse().map_err(|e: minute4d::import::ImportError| e.to_string())
 }

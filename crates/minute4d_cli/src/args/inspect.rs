@@ -9,7 +9,7 @@ use std::path::PathBuf;
 pub struct Inspect {
     /// A video, a capture folder, a scene file or the folder of a run
     pub path: PathBuf,
-    /// Which files it may name.
+    /// Which files a capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }

@@ -1,64 +1,64 @@
-//! Who measures flow and outlines what moves, and what the user knows of a clip.
+//! Methods of the geometry stage, and geometry that the user provides.
 
 use clap::{Args, ValueEnum};
 use minute4d::geometry::{Frontend, UnknownFrontend};
 use std::path::PathBuf;
 
-/// Who measures flow and outlines what moves, and what the user knows of a clip.
+/// Methods of the geometry stage, and geometry that the user provides.
 #[derive(Debug, Args)]
 pub struct KnownArgs {
-    /// Who finds cameras, measures flow and knows depth: `auto`, or parts joined by `+`: `megasam` (cameras, by a network), `classical`,
-    /// `raft` (flow), `moge`, `unidepth`, `depth-anything` (depth from one picture); all but `classical` need weights
-    /// (`minute4d weights list`) [default: auto]
+    /// Front end, the methods for camera poses, optical flow and monocular depth: `auto`, or parts joined by `+`: `megasam` (poses, by a
+    /// network), `classical`, `raft` (flow), `moge`, `unidepth`, `depth-anything` (depth); all but `classical` need weights (`minute4d
+    /// weights list`) [default: auto]
     #[arg(long, value_name = "WORD+WORD", value_parser = frontend)]
     pub frontend: Option<Frontend>,
-    /// Who outlines what moves [default: auto]
+    /// Segmentation method [default: auto]
     #[arg(long, value_enum)]
     pub segmenter: Option<Segmenter>,
-    /// Who follows points of what moves [default: auto]
+    /// Tracking method [default: auto]
     #[arg(long, value_enum)]
     pub tracker: Option<Tracker>,
-    /// The lens: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers in pixels of the frames
+    /// Camera intrinsics: a JSON file with fl_x, fl_y, cx, cy, w and h, or the numbers, in pixels of the frames
     #[arg(long, value_name = "FILE|FX,FY,CX,CY")]
     pub intrinsics: Option<String>,
-    /// A pose for every frame: transforms.json, or lines "t tx ty tz qx qy qz qw" (camera to world, OpenCV axes)
+    /// Camera poses, one per frame: transforms.json, or lines "t tx ty tz qx qy qz qw" (camera to world, OpenCV axes)
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
-    /// Masks, a picture for every frame, not black where something moves
+    /// Folder of masks, one image per frame, not black where the scene is dynamic
     #[arg(long, value_name = "DIR")]
     pub masks: Option<PathBuf>,
-    /// Depth, a 16-bit PNG for every frame: millimetres of z-depth, 0 where unknown
+    /// Folder of depth maps, one 16-bit PNG per frame: z-depth in millimetres, 0 where unknown
     #[arg(long, value_name = "DIR")]
     pub depth: Option<PathBuf>,
 }
 
-/// Who outlines what moves.
+/// The segmentation method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Segmenter {
-    /// `mobilesam` where its weights are present, and `sam2` after it where its are; else `none`
+    /// `mobilesam` if its weights are installed, then `sam2` if its weights are; otherwise `none`
     Auto,
-    /// Nobody: masks are what motion and colours say
+    /// No network: masks from motion and colour only
     None,
-    /// A network; `minute4d weights fetch mobile-sam` gets its weights
+    /// MobileSAM; `minute4d weights fetch mobile-sam` installs its weights
     Mobilesam,
-    /// SAM 2.1, a network that follows things through the clip; needs the weights of one of its sizes
+    /// SAM 2.1, which tracks objects through the clip; needs the weights of one of its sizes
     Sam2,
 }
 
-/// Who follows points of what moves.
+/// The tracking method.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Tracker {
     /// `flow`
     Auto,
-    /// Nobody
+    /// No tracking
     None,
-    /// Chains of flow, lifted with depth, carried on behind what hides them
+    /// Chained optical flow, lifted to 3D with depth and continued through occlusions
     Flow,
-    /// A network; its licence forbids commercial use
+    /// TAPIP3D, a network whose licence forbids commercial use
     Tapip3d,
 }
 
-/// A front end by its words.
+/// Parses the parts of a front end.
 fn frontend(text: &str) -> Result<Frontend, UnknownFrontend> {
     text.parse()
 }

@@ -1,4 +1,4 @@
-//! The command line, as clap reads it: what holds for all commands, and a file for each.
+//! The command line as clap parses it: the options of all commands here, and one file per command.
 
 mod ablate;
 mod batch;
@@ -57,22 +57,22 @@ pub use without::WithoutArgs;
 
 use clap::{Args, Parser, Subcommand};
 
-/// Makes a moving 3D scene out of one casual video, on a plain CPU.
+/// Turns one casual video into a 4D Gaussian splatting scene, on a plain CPU.
 ///
-/// The result goes to stdout, everything else to stderr.
+/// The result goes to stdout, progress and messages to stderr.
 #[derive(Debug, Parser)]
 #[command(
     name = "minute4d",
     version,
     max_term_width = 100,
-    after_help = "Exit codes: 0 done; 1 a bug; 2 wrong arguments; 65 bad input; 66 no input; 69 no usable device, decoder or \
+    after_help = "Exit codes: 0 done; 1 internal error; 2 wrong arguments; 65 bad input; 66 no input; 69 no usable device, decoder or \
                   weights; 73 cannot write; 74 reading failed; 75 try again later; 78 bad settings; 130 and 143 stopped by a signal (run again with --resume)."
 )]
 pub struct Cli {
-    /// What to do.
+    /// The command to run.
     #[command(subcommand)]
     pub command: Command,
-    /// How to talk and how many threads to use.
+    /// Output and threads.
     #[command(flatten)]
     pub common: Common,
 }
@@ -80,58 +80,58 @@ pub struct Cli {
 /// Options of every command.
 #[derive(Debug, Args)]
 pub struct Common {
-    /// One JSON object a line on stdout; the last is {"event":"end","ok":..,"code":..,"reason":..}
+    /// Print one JSON object per line on stdout; the last is {"event":"end","ok":..,"code":..,"reason":..}
     #[arg(long, global = true)]
     pub json: bool,
-    /// No progress; warnings and errors are still shown
+    /// Hide progress; warnings and errors are still shown
     #[arg(long, short, global = true)]
     pub quiet: bool,
-    /// Threads to compute on; the result does not depend on it [default: all cores]
+    /// Number of threads; the result does not depend on it [default: all cores]
     #[arg(long, global = true, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-    /// Save and stop when standard input ends: for a parent that holds the other end.
+    /// Save and stop when standard input is closed, so that a parent process can stop this one.
     #[arg(long, global = true, hide = true)]
     pub stop_at_eof: bool,
 }
 
-/// What the program does.
+/// The commands of the program.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// From a video to a scene: geometry, train, a preview and a page
+    /// Turn a video into a scene: geometry, training, a preview video and a viewer page
     Run(Run),
-    /// From a video to a capture: poses, focal length, depth, motion masks
+    /// Turn a video into a capture: poses, focal length, depth, motion masks
     Geometry(Geometry),
-    /// Better masks for a capture, and points of what moves followed through it
+    /// Improve the masks of a capture, and track points on dynamic objects
     Enhance(Enhance),
-    /// From a capture to a scene
+    /// Train a scene from a capture
     Train(Train),
-    /// Pictures or a video of a trained scene
+    /// Render images or a video of a trained scene
     Render(Render),
-    /// A scene as a file that other tools play, or a capture as files of COLMAP or nerfstudio
+    /// Export a scene for other viewers, or a capture for COLMAP or nerfstudio
     Export(Export),
-    /// A splat file of another tool as a scene, or a clip that another tool posed as a capture
+    /// Import a splat file as a scene, or a clip with poses from another tool as a capture
     Import(Import),
-    /// A scene in the browser, from a server on this machine; newer scenes appear by themselves
+    /// Show a scene in the browser from a local server; the page follows a training run
     View(View),
-    /// Compare a trained scene with the held-out views of a capture, by a protocol of the papers or without one
+    /// Score a trained scene on the held-out views of a capture, optionally by a published protocol
     Eval(Eval),
-    /// Hold out frames of a capture by a protocol: a capture that trains and can be judged
+    /// Split a capture into training and held-out frames by a protocol
     Split(Split),
-    /// The tables of papers from the data sets themselves: import, split, train and judge every scene
+    /// Reproduce published tables from a data set: import, split, train and score every scene
     Reproduce(Reproduce),
-    /// What segmentation, tracking and density control are worth on a clip: a table
+    /// Measure the contribution of segmentation, tracking and density control on a clip
     Ablate(Ablate),
-    /// Compare the cameras, depth and masks of a capture with known ones
+    /// Compare the cameras, depth and masks of a capture with ground truth
     EvalGeometry(EvalGeometry),
-    /// Many clips on many machines: plan, run, hand to Slurm, see how far they are
+    /// Process many clips on many machines: plan, run, submit to Slurm, show progress
     Batch(Batch),
-    /// Say what a video, a capture, a scene file or a run holds
+    /// Describe the contents of a video, a capture, a scene file or a run
     Inspect(Inspect),
-    /// Say what this machine has: cores, instructions, memory, disk, ffmpeg
+    /// Describe this machine: cores, instruction sets, memory, disk, GPUs, ffmpeg
     Doctor,
-    /// Time the kernels on this machine
+    /// Benchmark the kernels on this machine
     Bench(Bench),
-    /// Pretrained weights of networks: which are known, which are here, getting and checking them
+    /// List, download, add and verify pretrained network weights
     Weights(Weights),
 }
 

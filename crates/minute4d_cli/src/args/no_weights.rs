@@ -1,11 +1,11 @@
-//! `minute4d weights` in a program without networks: any arguments, to say how to build one with them.
+//! `minute4d weights` in a build without networks: accepts any arguments, so that the error can say how to build with them.
 
 use clap::Args;
 
 /// `minute4d weights`
 #[derive(Debug, Args)]
 pub struct Weights {
-    /// What would be done with them.
+    /// The arguments, which are ignored.
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
     _rest: Vec<String>,
 }

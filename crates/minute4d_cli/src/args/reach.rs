@@ -1,19 +1,19 @@
-//! Which files a data set may name.
+//! Which files a data set may refer to.
 
 use clap::Args;
 use minute4d::io::reach::Reach;
 
-/// Which files a data set may name.
+/// Which files a data set may refer to.
 #[derive(Debug, Args)]
 pub struct ReachArgs {
-    /// Read pictures, depth, masks and tracks that lie outside of the folder of the data set too, by their names or by links.
-    /// Only for data sets of people you trust: the files of others may name private pictures of yours
+    /// Also read images, depth, masks and tracks outside the folder of the data set, by path or by link. Only for data sets
+    /// that you trust: a malicious one could refer to private images on this machine
     #[arg(long)]
     pub allow_outside: bool,
 }
 
 impl ReachArgs {
-    /// As the library takes it.
+    /// Returns the choice in the library's type.
     pub fn reach(&self) -> Reach {
         if self.allow_outside {
             Reach::Anywhere

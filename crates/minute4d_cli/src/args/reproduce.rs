@@ -8,12 +8,12 @@ use minute4d::evaluate::Protocol;
 use minute4d::reproduce::Suite;
 use std::path::PathBuf;
 
-/// Whose poses and depth.
+/// The source of poses and depth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum WhoseGeometry {
     /// Those of the data set.
     Given,
-    /// From the training pictures alone.
+    /// Estimated from the training images alone.
     Own,
 }
 
@@ -22,41 +22,41 @@ pub enum WhoseGeometry {
 pub struct Reproduce {
     /// The data set: dycheck, nvidia or davis
     pub suite: Suite,
-    /// The folder in which its scenes lie, as they are published
+    /// Folder with the scenes in their published layout
     #[arg(long, value_name = "DIR")]
     pub data: PathBuf,
-    /// Folder for the tables (reproduce.md, reproduce.json, a picture each) and the runs; scenes that are finished are not made again
+    /// Folder for the tables (reproduce.md, reproduce.json, one image per scene) and the runs; finished scenes are not run again
     #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
-    /// Which protocols [default: those of the data set: instant4d,dycheck; nvidia; davis]
+    /// Evaluation protocols [default: those of the data set: instant4d,dycheck; nvidia; davis]
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     pub protocols: Vec<Protocol>,
-    /// Which scenes [default: those of the published tables]
+    /// Scenes to run [default: those of the published tables]
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     pub scenes: Vec<String>,
-    /// By how much the pictures are shrunk, of DyCheck and NVIDIA [default: 2, as published numbers]
+    /// Downscaling factor of the images of DyCheck and NVIDIA [default: 2, as in published results]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=8))]
     pub factor: Option<u32>,
-    /// Refine the poses of test pictures against these pictures where the protocol's peers do
+    /// Optimise the poses of test images before scoring, where published methods do under the protocol
     #[arg(long)]
     pub refine_poses: bool,
-    /// Whose poses and depth to train with: given (those of the data set) or own (from the training pictures alone; views of other cameras are
-    /// then placed by aligning) [davis: always own]
+    /// Poses and depth to train with: given (those of the data set) or own (estimated from the training images; views of other cameras are
+    /// then placed by alignment) [davis: always own]
     #[arg(long, value_name = "WHOSE", default_value = "given", value_enum)]
     pub geometry: WhoseGeometry,
-    /// Make every scene again without segmentation, tracking and density control each
+    /// Also run every scene without segmentation, without tracking, and without density control
     #[arg(long)]
     pub ablations: bool,
-    /// Where to train and draw, and where networks run: `cpu`, `gpu`, `gpu:N` or `auto`
+    /// Device for training, rendering and networks: `cpu`, `gpu`, `gpu:N` or `auto`
     #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = device)]
     pub device: DeviceChoice,
-    /// How long to train.
+    /// The length of training.
     #[command(flatten)]
     pub length: LengthArgs,
     /// Settings.
     #[command(flatten)]
     pub settings: SettingsArgs,
-    /// Which files it may name.
+    /// Which files the data set may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }

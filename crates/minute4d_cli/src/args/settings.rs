@@ -1,24 +1,24 @@
-//! Settings, and how long training takes.
+//! Settings, and the length of training.
 
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
-/// Settings in layers: profile, preset, file, --set, then the options with their own name.
+/// Settings in layers: profile, preset, file, `--set`, then dedicated options.
 #[derive(Debug, Args)]
 pub struct SettingsArgs {
     /// The built-in settings to start from
     #[arg(long, value_enum, default_value = "fast")]
     pub profile: Profile,
-    /// A TOML file laid over the profile; --print-config shows every key
+    /// A TOML file of settings that override the profile; --print-config shows every key
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// One setting, such as train.iterations=2000; may be given more than once
+    /// Override one setting, such as train.iterations=2000; may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
-    /// Seed of every random number
+    /// Seed of the random number generator
     #[arg(long, value_name = "S")]
     pub seed: Option<u64>,
-    /// Print the settings that would be used, as TOML, and stop
+    /// Print the effective settings as TOML and exit
     #[arg(long)]
     pub print_config: bool,
 }
@@ -28,27 +28,27 @@ pub struct SettingsArgs {
 pub enum Profile {
     /// Minutes on a plain CPU
     Fast,
-    /// The paper to the letter
+    /// The paper's settings, literally
     Faithful,
 }
 
-/// How long optimisation goes on.
+/// The length of training.
 #[derive(Debug, Args)]
 pub struct LengthArgs {
-    /// How long it may take on this machine, with the fast profile [default: default]
+    /// Time budget of training on this machine, for the fast profile [default: default]
     #[arg(long, value_enum)]
     pub preset: Option<Preset>,
-    /// So many iterations, however long they take
+    /// Number of training iterations (overrides the time budget)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub iterations: Option<u32>,
 }
 
-/// Time against quality.
+/// Time budgets of training.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Preset {
-    /// A look: ten seconds, a third of the splats
+    /// A quick preview: ten seconds, a third of the splats
     Draft,
-    /// The best scene within sixty seconds
+    /// Sixty seconds
     Default,
     /// Five minutes
     Quality,

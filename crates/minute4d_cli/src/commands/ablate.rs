@@ -1,4 +1,4 @@
-//! `minute4d ablate`: what each part of the method is worth.
+//! `minute4d ablate`: the contribution of each part of the method.
 
 use super::settings::{job, print_config, settings};
 use crate::args::{Ablate, OutArgs};
@@ -38,8 +38,8 @@ pub fn run(args: &Ablate, output: &Output) -> Result<(), Failure> {
     };
     let job = job(&args.settings, device, &existing, settings, output);
     let report = ablate::ablate(&args.input, &args.out, &options, &job)?;
-    if let Some(picture) = &report.picture {
-        output.note(&format!("{}: true, without tracking, full", picture.display()));
+    if let Some(image) = &report.picture {
+        output.note(&format!("{}: source, without tracking, full method", image.display()));
     }
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
     Ok(())

@@ -1,4 +1,4 @@
-//! `minute4d bench`: milliseconds a kernel, beside what the machine can do.
+//! `minute4d bench`: milliseconds per kernel, next to the limits of the machine.
 
 use super::doctor::processor;
 use crate::args::{Bench, BenchScene, Common, limit};
@@ -9,7 +9,7 @@ use minute4d::bench::{self, BenchConfig, MemoryConfig, SavedReport};
 use minute4d::kernels::bench::SceneKind;
 use std::path::{Path, PathBuf};
 
-/// Times that `--quick` steps each view.
+/// Number of steps per view with `--quick`.
 const QUICK_STEPS: usize = 5;
 
 pub fn run(args: &Bench, common: &Common, output: &Output) -> Result<(), Failure> {

@@ -1,4 +1,4 @@
-//! `minute4d doctor`: what this machine has, and what that means for the program.
+//! `minute4d doctor`: describes the machine, and notes what limits the program on it.
 
 use crate::failure::Failure;
 use crate::output::Output;
@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use sysinfo::{Disks, System};
 
-/// Less free memory than this is worth a warning, bytes.
+/// Free memory below which a note is printed, bytes.
 const LITTLE_MEMORY: u64 = 2 << 30;
-/// Less free disk than this is worth a warning, bytes.
+/// Free disk space below which a note is printed, bytes.
 const LITTLE_DISK: u64 = 1 << 30;
 
 #[derive(Debug, Serialize)]
@@ -28,7 +28,7 @@ struct Machine {
     notes: Vec<String>,
 }
 
-/// A graphics adapter, and whether it is of use.
+/// A graphics adapter, and whether it is used.
 #[derive(Debug, Serialize)]
 struct GpuAdapter {
     index: usize,
@@ -65,12 +65,12 @@ struct Ffmpeg {
 pub fn run(output: &Output) -> Result<(), Failure> {
     let machine = examine()?;
     let value = minute4d::plain_json(&machine)?;
-    output.result(&words(&machine), value);
+    output.result(&describe(&machine), value);
     Ok(())
 }
 
 fn examine() -> Result<Machine, Failure> {
-    // What the system does not tell is left out, not made up.
+    // Values that the system does not report are omitted.
     let system = System::new().ok().map(|mut system| {
         system.refresh_memory();
         system
@@ -101,7 +101,7 @@ fn examine() -> Result<Machine, Failure> {
     Ok(machine)
 }
 
-/// The name of the processor.
+/// Returns the name of the processor.
 pub(super) fn processor() -> Option<String> {
     let mut system = System::new().ok()?;
     system.refresh_cpu_all();
@@ -109,7 +109,7 @@ pub(super) fn processor() -> Option<String> {
     (!brand.is_empty()).then_some(brand)
 }
 
-/// The disk that a folder lies on: that of the longest mount point above it.
+/// Returns the disk of a folder: that of the longest mount point above it.
 fn disk_of(folder: &Path) -> Option<Disk> {
     let disks = Disks::new_with_refreshed_list().ok()?;
     let above = disks.iter().filter(|disk| folder.starts_with(disk.mount_point()));
@@ -142,12 +142,12 @@ fn ffmpeg() -> Ffmpeg {
 fn gpus() -> Vec<GpuAdapter> {
     use minute4d::gpu::{AdapterKind, adapters};
     let all = adapters();
-    let of_use = |a: &minute4d::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
+    let usable = |a: &minute4d::gpu::Adapter| a.kind != AdapterKind::Software && a.unfit.is_none();
     let best = minute4d::gpu::best(&all).map(|a| a.index);
     let why = |a: &minute4d::gpu::Adapter| match (&a.unfit, a.kind) {
         (Some(unfit), _) => Some(unfit.clone()),
-        (None, AdapterKind::Software) => Some("software: slower than this program on the processor".to_owned()),
-        (None, _) if of_use(a) && best != Some(a.index) => Some("another is better".to_owned()),
+        (None, AdapterKind::Software) => Some("software rendering, slower than --device cpu".to_owned()),
+        (None, _) if usable(a) && best != Some(a.index) => Some("another GPU is better".to_owned()),
         _ => None,
     };
     all.iter()
@@ -174,19 +174,19 @@ fn notes(machine: &Machine) -> Vec<String> {
     let mut notes = Vec::new();
     if !cfg!(feature = "gpu") {
         notes.push(format!(
-            "this program was built without GPUs: `{}` builds it with them",
+            "this program was built without GPU support; `{}` builds it with it",
             minute4d::BUILD_FULL
         ));
     } else if machine.gpus.is_empty() {
         notes.push(
-            "no GPU answers by Vulkan, Metal, DX12 or OpenGL: where there is one, its driver is missing".to_owned(),
+            "no GPU was found through Vulkan, Metal, DX12 or OpenGL; if there is one, its driver is missing".to_owned(),
         );
     }
     #[cfg(feature = "cuda")]
     notes.extend(minute4d::gpu::missing_for_cuda());
     if !machine.ffmpeg.found {
         notes.push(
-            "no ffmpeg: 8-bit H.264 in MP4 or MOV works without; HEVC, AV1, VP9 and others need it \
+            "no ffmpeg: 8-bit H.264 in MP4 or MOV works without it; HEVC, AV1, VP9 and others need it \
              (apt, brew or winget install ffmpeg)"
                 .to_owned(),
         );
@@ -196,20 +196,20 @@ fn notes(machine: &Machine) -> Vec<String> {
         .as_ref()
         .is_some_and(|m| m.available_bytes < LITTLE_MEMORY)
     {
-        notes.push("little free memory: use --max-frames and --size to keep clips small".to_owned());
+        notes.push("little free memory: reduce clips with --max-frames and --size".to_owned());
     }
     if machine.disk.as_ref().is_some_and(|disk| disk.free_bytes < LITTLE_DISK) {
-        notes.push("little free disk: a run of a hundred frames writes about 100 MB".to_owned());
+        notes.push("little free disk space: a run of a hundred frames writes about 100 MB".to_owned());
     }
     if machine.simd == "sse2" || machine.simd == "portable" {
-        notes.push("no wide vector instructions (AVX2 or better): training takes several times as long".to_owned());
+        notes.push("no wide vector instructions (AVX2 or better): training is several times slower".to_owned());
     }
     notes
 }
 
-fn gpu_words(gpu: &GpuAdapter) -> String {
+fn describe_gpu(gpu: &GpuAdapter) -> String {
     let limits = format!(
-        "{} ({}, {}, {}); buffers to {} MB, {} units a cube with {} kB",
+        "{} ({}, {}, {}); buffers up to {} MB, {} threads per workgroup with {} kB of shared memory",
         gpu.name,
         gpu.kind,
         gpu.api,
@@ -225,7 +225,7 @@ fn gpu_words(gpu: &GpuAdapter) -> String {
     format!("{}: {limits}; {chosen}", gpu.index)
 }
 
-fn words(machine: &Machine) -> String {
+fn describe(machine: &Machine) -> String {
     let gib = |bytes: u64| bytes as f64 / f64::from(1u32 << 30);
     let ffmpeg = match (&machine.ffmpeg.version, machine.ffmpeg.found) {
         (Some(version), _) => version.clone(),
@@ -263,7 +263,7 @@ fn words(machine: &Machine) -> String {
         ),
         ("ffmpeg", ffmpeg),
     ];
-    rows.extend(machine.gpus.iter().map(|gpu| ("gpu", gpu_words(gpu))));
+    rows.extend(machine.gpus.iter().map(|gpu| ("gpu", describe_gpu(gpu))));
     rows.extend(machine.notes.iter().map(|note| ("note", note.clone())));
     let lines = rows.iter().map(|(name, text)| format!("{name:<13} {text}\n"));
     lines.collect()

@@ -1,4 +1,4 @@
-//! `minute4d enhance`: a capture to a better one.
+//! `minute4d enhance`: improves the masks of a capture and tracks points.
 
 use super::settings::{job, print_config, settings};
 use crate::args::Enhance;
@@ -22,9 +22,9 @@ pub fn run(args: &Enhance, output: &Output) -> Result<(), Failure> {
     };
     let job = job(&args.settings, device, &args.existing, settings, output);
     let report = minute4d::enhance::make(capture, out, &job)?;
-    let share = |share: Option<f64>| share.map_or_else(|| "nothing said".to_owned(), |s| format!("{:.1} %", 100.0 * s));
+    let share = |share: Option<f64>| share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s));
     output.note(&format!(
-        "segmenter {}: {} things; moving {} before, {} now; tracker {}: {} points",
+        "segmentation {}: {} objects; dynamic pixels {} before, {} now; tracking {}: {} points",
         report.segmenter,
         report.instances,
         share(report.moving_share[0]),

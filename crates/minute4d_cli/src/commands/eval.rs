@@ -1,4 +1,4 @@
-//! `minute4d eval`: a scene against held-out views.
+//! `minute4d eval`: scores a scene on held-out views.
 
 use crate::args::Eval;
 use crate::failure::Failure;
@@ -18,17 +18,17 @@ pub fn run(args: &Eval, output: &Output) -> Result<(), Failure> {
     let report = minute4d::evaluate::views_by(&args.out, &args.data, &options, output)?;
     let mut text = report.images.table();
     if let Some(choices) = &report.choices {
-        text += &words(choices);
+        text += &describe(choices);
     }
     output.result(&text, minute4d::plain_json(&report)?);
     Ok(())
 }
 
-/// The choices of a protocol for people.
-fn words(c: &Choices) -> String {
+/// Formats the choices of a protocol.
+fn describe(c: &Choices) -> String {
     let mut out = String::new();
     let mut line = |name: &str, text: &str| {
-        // into a text, which cannot fail
+        // writing to a string cannot fail
         let _ = writeln!(out, "{name:<10} {text}");
     };
     line("protocol", &format!("{}: {}", c.protocol, c.title));

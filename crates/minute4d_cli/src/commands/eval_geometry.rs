@@ -1,4 +1,4 @@
-//! `minute4d eval-geometry`: a capture against known geometry.
+//! `minute4d eval-geometry`: scores a capture against ground truth.
 
 use crate::args::EvalGeometry;
 use crate::failure::Failure;

@@ -1,4 +1,4 @@
-//! `minute4d export`: a scene as a file that other tools play, or a capture as files of COLMAP or nerfstudio.
+//! `minute4d export`: writes a scene for other viewers, or a capture for COLMAP or nerfstudio.
 
 use crate::args::{Export, PrecisionArg};
 use crate::failure::Failure;

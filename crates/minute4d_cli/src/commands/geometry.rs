@@ -1,4 +1,4 @@
-//! `minute4d geometry`: a video to a capture.
+//! `minute4d geometry`: turns a video into a capture.
 
 use super::settings::{job, print_config, settings};
 use crate::args::Geometry;
@@ -28,7 +28,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     let record = minute4d::geometry::make(input, out, &job)?;
     if let Some(found) = &record.found {
         output.note(&format!(
-            "{} frames, {} x {} pixels, field of view {:.1} degrees, {:.1} % moving, reprojection error {:.2} px",
+            "{} frames, {} x {} pixels, field of view {:.1} degrees, {:.1} % dynamic, reprojection error {:.2} px",
             found.frames,
             found.size[0],
             found.size[1],
@@ -44,7 +44,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
             && found.segmenter == Segmenter::None.name()
             && found.keyframes.is_none()
         {
-            output.note("moving parts are outlined better with MobileSAM: `minute4d weights fetch mobile-sam`");
+            output.note("MobileSAM improves the masks of dynamic objects: `minute4d weights fetch mobile-sam`");
         }
     }
     output.result(

@@ -1,4 +1,4 @@
-//! `minute4d import`: files of another tool as a scene or a capture.
+//! `minute4d import`: turns files of another tool into a scene or a capture.
 
 use crate::args::Import;
 use crate::failure::Failure;
@@ -44,7 +44,7 @@ fn of_capture(report: &CaptureReport) -> String {
         100.0 * report.known_share,
         match report.moving_share {
             None => "no masks".to_owned(),
-            Some(share) => format!("{:.1} % moving", 100.0 * share),
+            Some(share) => format!("{:.1} % dynamic", 100.0 * share),
         },
         match report.held_out {
             0 => String::new(),

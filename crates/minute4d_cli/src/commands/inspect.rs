@@ -1,4 +1,4 @@
-//! `minute4d inspect`: what a file or folder holds.
+//! `minute4d inspect`: describes the contents of a file or folder.
 
 use crate::args::Inspect;
 use crate::failure::Failure;

@@ -1,4 +1,4 @@
-//! One file a command: arguments to a call of the library, and its result to words.
+//! One file per command, which turns arguments into a call of the library and prints the result.
 
 mod ablate;
 mod batch;
@@ -25,11 +25,11 @@ use crate::args::{Cli, Command};
 use crate::failure::Failure;
 use crate::output::Output;
 
-/// Runs the command on the threads asked for.
+/// Runs the command with the requested number of threads.
 ///
 /// # Errors
 ///
-/// [`Failure`] with the exit code and what to tell the user.
+/// [`Failure`] with the exit code and the message for the user.
 pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     let threads = cli.common.threads.map(usize::from);
     let outcome = minute4d::with_threads(threads, || match &cli.command {
@@ -56,7 +56,7 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
         Command::Weights(_) => Err(Failure {
             code: minute4d::Category::NoDevice.exit_code(),
             reason: format!(
-                "this program was built without networks, whose weights these are: `{}` builds it with them",
+                "this program was built without networks, so it uses no weights; `{}` builds it with networks",
                 minute4d::BUILD_FULL
             ),
         }),
@@ -65,7 +65,7 @@ pub fn run(cli: &Cli, output: &Output) -> Result<(), Failure> {
     outcome.map_err(|failure| stopped(failure, output))
 }
 
-/// A command that ended because of a signal ends with the code of that signal.
+/// Gives a command that ended because of a signal the exit code of that signal.
 fn stopped(failure: Failure, output: &Output) -> Failure {
     match output.stop().code() {
         Some(code) if failure.code == minute4d::Category::Stopped.exit_code() => Failure { code, ..failure },

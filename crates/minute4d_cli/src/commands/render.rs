@@ -1,4 +1,4 @@
-//! `minute4d render`: pictures or a video of a scene.
+//! `minute4d render`: renders images or a video of a scene.
 
 use crate::args::{FitArg, Render};
 use crate::failure::Failure;

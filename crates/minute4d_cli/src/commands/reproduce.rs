@@ -1,4 +1,4 @@
-//! `minute4d reproduce`: the tables of papers, from the data sets themselves.
+//! `minute4d reproduce`: computes the published tables of a data set.
 
 use super::settings::{job, print_config, settings};
 use crate::args::{OutArgs, Reproduce, WhoseGeometry};
@@ -40,7 +40,7 @@ pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
     };
     let job = job(&args.settings, device, &existing, settings, output);
     let report = reproduce(args.suite, &args.data, &args.out, &options, &job)?;
-    output.note(&format!("{}: the tables", args.out.join(TABLE_FILE).display()));
+    output.note(&format!("tables written to {}", args.out.join(TABLE_FILE).display()));
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `minute4d run`: a video to a scene.
+//! `minute4d run`: turns a video into a scene.
 
 use super::settings::{job, print_config, settings};
 use super::view::while_training;
@@ -34,12 +34,12 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     while_training(&args.page, (input, out), output, work, |done| report(out, done, output))
 }
 
-/// What was made, where it is and how to look at it.
+/// Reports the folder of the results, the time, and the file to open.
 pub fn report(out: &Path, done: &RunRecord, output: &Output) -> Result<(), Failure> {
-    let look = [VIEWER_FILE, PREVIEW_FILE];
-    let look = look.into_iter().find(|name| done.files.contains_key(*name));
-    let look = look.map_or_else(String::new, |name| format!("; open {}", out.join(name).display()));
-    output.note(&format!("{} of work in all{look}", duration(done.seconds)));
+    let mut viewable = [VIEWER_FILE, PREVIEW_FILE].into_iter();
+    let file = viewable.find(|name| done.files.contains_key(*name));
+    let open = file.map_or_else(String::new, |name| format!("; open {}", out.join(name).display()));
+    output.note(&format!("finished in {}{open}", duration(done.seconds)));
     output.result(
         &out.display().to_string(),
         json!({"path": out, "record": minute4d::plain_json(done)?}),

@@ -1,4 +1,4 @@
-//! From options to settings: profile, preset, file, `--set`, then the options with their own name.
+//! Turns options into settings: profile, preset, file, `--set`, then dedicated options.
 
 use crate::args::{self, LengthArgs, OutArgs, Profile, SettingsArgs, VideoArgs};
 use crate::failure::Failure;
@@ -9,7 +9,7 @@ use minute4d::geometry::Segmenter;
 use minute4d::settings::{Layers, Preset, Settings};
 use minute4d::{Existing, Job, Observer};
 
-const PRESET_OF_FAITHFUL: &str = "--preset goes with the fast profile; give the faithful one --iterations N, or seconds with \
+const PRESET_OF_FAITHFUL: &str = "--preset applies to the fast profile only; for the faithful one use --iterations N, or a time budget in seconds with \
      --set train.budget_s=60";
 
 impl Profile {
@@ -54,7 +54,7 @@ impl args::Preset {
     }
 }
 
-/// Puts the layers together; `length` where the command trains.
+/// Combines the layers of settings; `length` is given for commands that train.
 pub fn settings(
     args: &SettingsArgs,
     video: Option<&VideoArgs>,
@@ -77,26 +77,26 @@ pub fn settings(
     for given in &args.set {
         layers = layers.set(given)?;
     }
-    // who asks for a number of iterations and no time gets that number
-    let counted = layers.named("train.iterations") && !layers.named("train.budget_s");
+    // a number of iterations without a time budget switches the budget off
+    let iterations_only = layers.named("train.iterations") && !layers.named("train.budget_s");
     let mut settings = layers.finish();
     let iterations = length.and_then(|l| l.iterations);
     if let Some(n) = iterations {
         settings.train.iterations = n as usize;
     }
-    if counted || iterations.is_some() {
+    if iterations_only || iterations.is_some() {
         settings.train.budget_s = 0.0;
     }
     if let Some(seed) = args.seed {
         settings.set_seed(seed);
     }
     if let Some(video) = video {
-        lay_video(&mut settings, video);
+        apply_video(&mut settings, video);
     }
     Ok(settings)
 }
 
-fn lay_video(settings: &mut Settings, args: &VideoArgs) {
+fn apply_video(settings: &mut Settings, args: &VideoArgs) {
     let video = &mut settings.video;
     video.max_frames = args.max_frames.map(|n| n as usize).or(video.max_frames);
     video.size = args.size.map(|px| px as usize).or(video.size);
@@ -117,7 +117,7 @@ fn lay_video(settings: &mut Settings, args: &VideoArgs) {
     geometry.depth = known.depth.clone().or(geometry.depth.take());
 }
 
-/// Everything that the stages of a run need to know.
+/// Returns the job that the stages of a run work on.
 pub fn job<'a>(
     args: &SettingsArgs,
     device: DeviceRequest,
@@ -138,7 +138,7 @@ pub fn job<'a>(
     }
 }
 
-/// `--print-config`: the settings in effect, as a file for `--config`.
+/// Prints the effective settings as a file for `--config`.
 pub fn print_config(settings: &Settings, output: &Output) -> Result<(), Failure> {
     let text = settings.to_toml()?;
     let value = minute4d::plain_json(settings)?;

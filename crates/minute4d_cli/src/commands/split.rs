@@ -1,4 +1,4 @@
-//! `minute4d split`: frames of a video that train, and frames that judge.
+//! `minute4d split`: splits a capture into training and held-out frames.
 
 use crate::args::Split;
 use crate::failure::Failure;

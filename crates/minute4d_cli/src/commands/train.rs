@@ -1,4 +1,4 @@
-//! `minute4d train`: a capture to a scene.
+//! `minute4d train`: trains a scene from a capture.
 
 use super::run::report;
 use super::settings::{job, print_config, settings};

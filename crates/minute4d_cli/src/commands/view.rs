@@ -13,15 +13,15 @@ use std::path::Path;
 pub fn run(args: &View, output: &Output) -> Result<(), Failure> {
     let mut viewing = minute4d::viewer::view(&args.scene, args.port.unwrap_or(0), output)?;
     output.result(viewing.url(), json!({"url": viewing.url()}));
-    output.note("the page shows newer scenes by itself; Ctrl-C ends it");
+    output.note("the page shows new scenes automatically; Ctrl-C stops the server");
     open(viewing.url(), args.no_open, output);
     output.stop().nothing_to_save();
     viewing.follow(output);
     Ok(())
 }
 
-/// Trains with `work`, which is given who listens; with `--view` pages listen too, and stay until
-/// Ctrl-C where somebody sits at a terminal. `report` says the result before that.
+/// Trains with `work`, which is given the observer. With `--view` the scene is also shown in the browser, on a terminal until
+/// Ctrl-C; `report` prints the result before that.
 pub fn while_training(
     args: &PageArgs,
     (input, out): (&Path, &Path),
@@ -39,22 +39,22 @@ pub fn while_training(
     let done = work(&live);
     let shown = live.finish(out, done.is_ok());
     report(&done?)?;
-    // a scene that cannot be shown is there all the same
+    // a failure to show the scene does not invalidate it
     if let Err(error) = shown {
         output.note(&format!("the page does not show the result: {error}"));
     }
     let briefly = !std::io::stdout().is_terminal() || output.is_json();
     if !briefly {
-        output.note("the page stays; Ctrl-C ends it");
+        output.note("the page stays available; Ctrl-C stops the server");
         output.stop().nothing_to_save();
     }
     live.stay(briefly);
     Ok(())
 }
 
-/// Opens the browser where somebody sits before one.
+/// Opens the browser if the program runs on a terminal with a display.
 fn open(url: &str, no_open: bool, output: &Output) {
-    // without a screen the system would start a browser in the terminal
+    // without a display the system would start a browser in the terminal
     let screen = cfg!(any(windows, target_os = "macos"))
         || ["DISPLAY", "WAYLAND_DISPLAY"]
             .iter()
@@ -63,6 +63,6 @@ fn open(url: &str, no_open: bool, output: &Output) {
         return;
     }
     if let Err(error) = open::that_detached(url) {
-        output.note(&format!("no browser opens ({error}); open the address yourself"));
+        output.note(&format!("cannot open a browser ({error}); open the address yourself"));
     }
 }

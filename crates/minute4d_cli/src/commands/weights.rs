@@ -1,4 +1,4 @@
-//! `minute4d weights`: what is known, what is here, and getting it.
+//! `minute4d weights`: lists, downloads, adds and verifies network weights.
 
 use crate::args::{Weights, WeightsAction};
 use crate::failure::Failure;
@@ -19,7 +19,7 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
                 let record = weights::fetch(entry, &store, None, *accept_license, output);
                 records.push(record.map_err(minute4d::Error::from)?);
             }
-            kept(&store, &records, output)
+            report_installed(&store, &records, output)
         }
         WeightsAction::Add {
             name,
@@ -29,11 +29,11 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
             let record = weights::add(known(name)?, &store, file, *accept_license).map_err(minute4d::Error::from)?;
             if !record.published {
                 output.warn(&format!(
-                    "nothing is known to compare {name} with; its SHA-256 is {}",
+                    "no published checksum for {name}; the SHA-256 of the file is {}",
                     record.sha256
                 ));
             }
-            kept(&store, &[record], output)
+            report_installed(&store, &[record], output)
         }
         WeightsAction::Verify { names } => verify(&store, names, output),
     }
@@ -55,12 +55,12 @@ struct Row {
     used_for: &'static str,
     /// `fetch` or `add`.
     got_by: &'static str,
-    /// The command that gets it.
+    /// The command that installs it.
     command: String,
-    /// What is lost without it, and what works all the same.
+    /// What is unavailable without it, and what still works.
     without: &'static str,
     origin: String,
-    /// The file, where it is here.
+    /// The file, if it is installed.
     path: Option<PathBuf>,
 }
 
@@ -106,9 +106,12 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
     }
     let missing: Vec<&Row> = rows.iter().filter(|row| row.path.is_none()).collect();
     if !missing.is_empty() {
-        text += "\nwhat is not here: the command that gets it, and what is lost without it\n";
+        text += "\nnot installed: the command that installs it, and what is unavailable without it\n";
         for row in missing {
-            text += &format!("{:<24} {}\n{:<24} lost: {}\n", row.name, row.command, "", row.without);
+            text += &format!(
+                "{:<24} {}\n{:<24} without it: {}\n",
+                row.name, row.command, "", row.without
+            );
         }
         text += "\n";
     }
@@ -117,15 +120,15 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Says what was kept, where, and under which licence.
-fn kept(store: &Store, records: &[Record], output: &Output) -> Result<(), Failure> {
+/// Reports which weights were installed, where, and under which licence.
+fn report_installed(store: &Store, records: &[Record], output: &Output) -> Result<(), Failure> {
     let mut text = String::new();
     for record in records {
         let path = store.root().join(&record.name).join(&record.file);
         let checked = if record.published {
-            "as published"
+            "checksum as published"
         } else {
-            "not compared"
+            "no published checksum"
         };
         text += &format!(
             "{}: {} ({} bytes, {checked}), licence: {}\n",
@@ -139,7 +142,7 @@ fn kept(store: &Store, records: &[Record], output: &Output) -> Result<(), Failur
     Ok(())
 }
 
-/// What was found of one file.
+/// The verification result of one file.
 #[derive(Debug, Serialize)]
 struct Found {
     name: &'static str,
@@ -180,7 +183,7 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
     let text: String = found.iter().map(line).collect();
     output.result(
         if text.is_empty() {
-            "no weights are here\n"
+            "no weights are installed\n"
         } else {
             &text
         },
@@ -191,7 +194,7 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
         Some(bad) => Err(Failure {
             code: minute4d::Category::BadInput.exit_code(),
             reason: format!(
-                "{} is damaged; remove it from {} and get it again",
+                "{} is damaged; remove it from {} and install it again",
                 bad.name,
                 store.root().join(bad.name).display()
             ),

@@ -1,4 +1,4 @@
-//! The event stream of `--json`: one object a line, `end` always last and once.
+//! The event stream of `--json`: one object per line, with exactly one `end`, which is the last.
 
 use minute4d::StageEvent;
 use serde_json::{Value, json};
@@ -30,7 +30,7 @@ struct Phase {
 pub struct Events(Mutex<State>);
 
 impl Events {
-    /// A stream that says who writes it, and in which version of these events.
+    /// Starts a stream; its first event holds the version of the program and of the schema.
     pub fn start() -> Self {
         let events = Self::default();
         let release = Value::from(env!("CARGO_PKG_VERSION"));
@@ -46,7 +46,7 @@ impl Events {
         }
     }
 
-    /// A step of a phase; most are left out.
+    /// Writes a step of a phase, at most one per interval.
     pub fn progress(&self, phase: &str, done: usize, total: usize, note: &str) {
         let now = Instant::now();
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -89,7 +89,7 @@ impl Events {
         }
     }
 
-    /// A stage began or ended.
+    /// Writes the start or end of a stage.
     pub fn stage(&self, name: &str, event: StageEvent<'_>) {
         let status = |text: &str| ("status", Value::from(text));
         let more = match event {
@@ -106,7 +106,7 @@ impl Events {
         self.emit("stage", &fields);
     }
 
-    /// The last event; later ones are dropped.
+    /// Writes the last event; later ones are dropped.
     pub fn end(&self, code: u8, reason: &str) {
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if !state.ended {
@@ -116,7 +116,7 @@ impl Events {
     }
 }
 
-/// The whole stream of a program that never got to work.
+/// Writes the whole stream of a program that failed before any work.
 pub fn end_of_json(code: u8, reason: &str) {
     Events::start();
     write_end(code, reason);
@@ -131,13 +131,13 @@ fn write_end(code: u8, reason: &str) {
     write_line("end", &fields);
 }
 
-/// The object is put together by hand so that its name comes first, for people who read along.
+/// Writes one event. The object is assembled by hand so that the event's name comes first.
 fn write_line(event: &str, fields: &[(&str, Value)]) {
     let fields = fields
         .iter()
         .map(|(name, value)| format!(",{}:{value}", Value::from(*name)));
     let line = format!("{{\"event\":{}{}}}\n", Value::from(event), fields.collect::<String>());
     let mut stdout = std::io::stdout().lock();
-    // A reader that went away wants no more events; the work goes on.
+    // If the reader has closed the pipe, the work continues without events.
     let _ = stdout.write_all(line.as_bytes()).and_then(|()| stdout.flush());
 }

@@ -1,4 +1,4 @@
-//! Progress where there is no terminal: one line every ten seconds.
+//! Progress without a terminal: one line every ten seconds.
 
 use super::duration;
 use std::sync::{Mutex, PoisonError};
@@ -13,12 +13,12 @@ struct Phase {
     last_line: Instant,
 }
 
-/// Decides which steps deserve a line.
+/// Decides which steps are printed.
 #[derive(Default)]
 pub struct Lines(Mutex<Option<Phase>>);
 
 impl Lines {
-    /// The line to print for this step, if ten seconds have passed since the last.
+    /// Returns the line to print for this step, if ten seconds have passed since the last.
     pub fn update(&self, phase: &str, done: usize, total: usize, note: &str) -> Option<String> {
         self.at(Instant::now(), phase, done, total, note)
     }
@@ -58,7 +58,7 @@ impl Lines {
     }
 }
 
-/// Seconds that `left` steps take if `done` took `elapsed_s`; `None` before the first.
+/// Estimates the seconds that `left` steps take if `done` took `elapsed_s`; `None` before the first.
 pub fn eta_s(elapsed_s: f64, done: usize, left: usize) -> Option<f64> {
     (done > 0).then(|| elapsed_s / done as f64 * left as f64)
 }

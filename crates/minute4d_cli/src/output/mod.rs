@@ -1,4 +1,4 @@
-//! How the program talks: the result on stdout, everything else on stderr, or events as JSON lines.
+//! Output of the program: the result on stdout and messages on stderr, or events as JSON lines.
 
 mod events;
 mod lines;
@@ -16,19 +16,19 @@ use std::io::{ErrorKind, IsTerminal, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 use terminal::Bars;
 
-/// Where progress goes.
+/// The destination of progress.
 enum Mode {
-    /// One JSON object a line on stdout.
+    /// One JSON object per line on stdout.
     Json(Events),
     /// Bars on the terminal.
     Bars(Bars),
-    /// A line now and then on stderr.
+    /// A line every ten seconds on stderr.
     Lines(Lines),
     /// Nowhere; warnings and errors still go to stderr.
     Quiet,
 }
 
-/// The program's voice; shared by the stages, the signal watcher and the end of `main`.
+/// The program's output; shared by the stages, the signal watcher and the end of `main`.
 pub struct Output {
     mode: Mode,
     stop: StopSignal,
@@ -36,8 +36,8 @@ pub struct Output {
 }
 
 impl Output {
-    /// Chooses how to talk: `json` and `quiet` as asked, else bars where stderr is a terminal that can
-    /// show them.
+    /// Chooses the mode: `json` or `quiet` as requested, else bars if stderr is a terminal that can
+    /// show them, else lines.
     pub fn new(json: bool, quiet: bool, stop: StopSignal) -> Arc<Self> {
         let dumb = std::env::var_os("TERM").is_some_and(|term| term == "dumb");
         let mode = if json {
@@ -56,24 +56,24 @@ impl Output {
         })
     }
 
-    /// The signal that asked the program to stop, if one did.
+    /// Returns the state of stop requests.
     pub fn stop(&self) -> &StopSignal {
         &self.stop
     }
 
-    /// True when a person reads along on stderr.
+    /// Returns true if progress is shown on stderr.
     fn talks(&self) -> bool {
         matches!(self.mode, Mode::Bars(_) | Mode::Lines(_))
     }
 
-    /// Something that is neither progress nor result, for people alone.
+    /// Prints a message that is neither progress nor result; `--json` and `--quiet` omit it.
     pub fn note(&self, message: &str) {
         if self.talks() {
             self.say(message);
         }
     }
 
-    /// Where a page is while work goes on: an event, or a line on stderr, also when nothing else is said.
+    /// Reports the address of the viewer page during work: an event, or a line on stderr even with `--quiet`.
     pub fn address(&self, url: &str) {
         match &self.mode {
             Mode::Json(events) => events.emit("view", &[("url", url.into())]),
@@ -81,12 +81,12 @@ impl Output {
         }
     }
 
-    /// True for `--json`.
+    /// Returns true for `--json`.
     pub fn is_json(&self) -> bool {
         matches!(self.mode, Mode::Json(_))
     }
 
-    /// The result: `text` on stdout, or `value` in a `result` event.
+    /// Prints the result: `text` on stdout, or `value` in a `result` event.
     pub fn result(&self, text: &str, value: Value) {
         match &self.mode {
             Mode::Json(events) => events.emit("result", &[("result", value)]),
@@ -98,7 +98,7 @@ impl Output {
         }
     }
 
-    /// The last event of `--json`; elsewhere a failure's reason on stderr.
+    /// Writes the last event of `--json`, and the reason of a failure on stderr.
     pub fn end(&self, code: u8, reason: &str) {
         match &self.mode {
             Mode::Json(events) => events.end(code, reason),
@@ -163,16 +163,16 @@ impl Observer for Output {
         }
         match event {
             StageEvent::Started { because: None } => self.say(&format!("{name}: started")),
-            StageEvent::Started { because: Some(why) } => self.say(&format!("{name}: started again, {why}")),
-            StageEvent::Resumed { done, total } => self.say(&format!("{name}: goes on at {done} of {total}")),
-            StageEvent::Reused => self.say(&format!("{name}: done before, nothing changed")),
+            StageEvent::Started { because: Some(why) } => self.say(&format!("{name}: started again: {why}")),
+            StageEvent::Resumed { done, total } => self.say(&format!("{name}: resumed at {done} of {total}")),
+            StageEvent::Reused => self.say(&format!("{name}: already done, nothing changed")),
             StageEvent::Finished { seconds } => self.say(&format!("{name}: done in {}", duration(seconds))),
             _ => {}
         }
     }
 }
 
-/// Seconds for people: `8.3 s`, `2m05s`, `1h02m`.
+/// Formats seconds: `8.3 s`, `2m05s`, `1h02m`.
 pub fn duration(seconds: f64) -> String {
     let whole = seconds.max(0.0).round() as u64;
     match whole {
@@ -182,7 +182,7 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// Prints to stdout. A reader that went away has what it wanted, so that is success.
+/// Prints to stdout. A closed pipe counts as success.
 fn print_result(text: &str) {
     let mut stdout = std::io::stdout().lock();
     let written = stdout
@@ -202,7 +202,7 @@ fn print_result(text: &str) {
     }
 }
 
-/// Writes a line to stderr; when that is impossible there is nobody left to tell.
+/// Writes a line to stderr; a failure to do so is ignored.
 pub fn to_stderr(line: &str) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }

@@ -1,4 +1,4 @@
-//! Ctrl-C and its kin: once to stop in good order, twice to stop at once.
+//! Signals: the first asks the program to save and stop, the second ends it at once.
 
 use super::Output;
 use std::sync::Arc;
@@ -7,29 +7,29 @@ use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 /// Exit code of a program that SIGTERM stopped.
 const TERM: u8 = 143;
 
-/// What a signal asks for.
+/// How to respond to a signal.
 #[derive(Debug, PartialEq, Eq)]
 enum Answer {
-    /// To save and stop.
+    /// Save and stop.
     Save,
-    /// What was asked for before.
+    /// Nothing: the stop was requested before.
     Known,
-    /// To stop at once.
+    /// Stop at once.
     End,
 }
 
-/// Whether, and by which signal, the program was asked to stop.
+/// Whether the program was asked to stop, and by which signal.
 #[derive(Debug, Clone, Default)]
 pub struct StopSignal {
     code: Arc<AtomicU8>,
-    /// True once a signal came; the end of standard input is none.
+    /// True after the first signal; the end of standard input does not count as one.
     signalled: Arc<AtomicBool>,
     engine: Arc<AtomicBool>,
     idle: Arc<AtomicBool>,
 }
 
 impl StopSignal {
-    /// The exit code that belongs to the signal (130 SIGINT, 143 SIGTERM), once there was one.
+    /// Returns the exit code of the first stop request (130 SIGINT, 143 SIGTERM), if there was one.
     pub fn code(&self) -> Option<u8> {
         match self.code.load(Ordering::SeqCst) {
             0 => None,
@@ -37,18 +37,18 @@ impl StopSignal {
         }
     }
 
-    /// From now on nothing is lost by stopping, so nothing is said about it.
+    /// Marks that there is nothing left to save, so that stopping needs no message.
     pub fn nothing_to_save(&self) {
         self.idle.store(true, Ordering::SeqCst);
     }
 
-    /// From now on SIGTERM is no urgent wish, however often it comes: engines tell every process of a task, and a script
-    /// passes on what it was told. Whoever is in a hurry has SIGKILL.
+    /// From now on a repeated SIGTERM does not end the program at once: batch engines send it to every process of a task,
+    /// and scripts forward it. SIGKILL still ends the program.
     pub fn of_an_engine(&self) {
         self.engine.store(true, Ordering::SeqCst);
     }
 
-    /// Notes a signal; what is to be done about it.
+    /// Records a signal and returns how to respond.
     fn request(&self, code: u8) -> Answer {
         self.ask(code);
         let first = !self.signalled.swap(true, Ordering::SeqCst);
@@ -59,26 +59,26 @@ impl StopSignal {
         }
     }
 
-    /// Notes a wish that is not urgent, however often it comes.
+    /// Records a request to stop that is never urgent.
     fn ask(&self, code: u8) {
-        // The first one says how the program ends.
+        // The first request determines the exit code.
         let _ = self.code.compare_exchange(0, code, Ordering::SeqCst, Ordering::SeqCst);
     }
 }
 
-/// Asks to stop, as SIGTERM does, when standard input ends: whoever held its other end let go of it, or died. A signal
-/// may come besides, from an engine that tells all processes, and is still the first.
+/// Asks to stop, as SIGTERM does, when standard input ends, which means that the parent process closed it or died. A
+/// signal that an engine sends in addition still counts as the first one.
 pub fn stop_at_eof(output: &Arc<Output>) {
     let stop = output.stop().clone();
     std::thread::spawn(move || {
-        // An input that cannot be read tells as little as one that ended.
+        // An input that cannot be read is treated like one that ended.
         let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
         stop.ask(TERM);
     });
 }
 
-/// Starts to listen for signals. Where that is impossible, the system's default stays: the process
-/// just ends.
+/// Starts to listen for signals. If that is impossible, the system's default remains: the process
+/// ends.
 #[cfg(unix)]
 pub fn watch_signals(output: &Arc<Output>) {
     use signal_hook::consts::{SIGINT, SIGTERM};
@@ -91,7 +91,8 @@ pub fn watch_signals(output: &Arc<Output>) {
             let code = if signal == SIGINT { 130 } else { TERM };
             match output.stop().request(code) {
                 Answer::Save if !output.stop().idle.load(Ordering::SeqCst) => {
-                    output.note("stopping after this step, what is done will be saved; once more to stop at once");
+                    output
+                        .note("stopping after this step and saving; press Ctrl-C again to stop at once without saving");
                 }
                 Answer::Save | Answer::Known => {}
                 Answer::End => {
@@ -103,7 +104,7 @@ pub fn watch_signals(output: &Arc<Output>) {
     });
 }
 
-/// Starts to listen for signals: here the first is noted and the second ends the process.
+/// Starts to listen for signals: the first is recorded, the second ends the process.
 #[cfg(not(unix))]
 pub fn watch_signals(output: &Arc<Output>) {
     use signal_hook::consts::{SIGINT, SIGTERM};
@@ -126,7 +127,7 @@ mod tests {
     use super::{Answer, StopSignal};
 
     #[test]
-    fn the_end_of_the_input_and_a_signal_are_one_wish() {
+    fn the_end_of_the_input_and_a_signal_are_one_request() {
         let stop = StopSignal::default();
         assert_eq!(stop.code(), None);
         stop.ask(143);
@@ -137,12 +138,12 @@ mod tests {
     }
 
     #[test]
-    fn an_engine_may_say_it_twice() {
+    fn an_engine_may_send_sigterm_twice() {
         let stop = StopSignal::default();
         assert_eq!((stop.request(143), stop.request(143)), (Answer::Save, Answer::End));
         let stop = StopSignal::default();
         stop.of_an_engine();
         assert_eq!((stop.request(143), stop.request(143)), (Answer::Save, Answer::Known));
-        assert_eq!(stop.request(130), Answer::End, "a person is in a hurry");
+        assert_eq!(stop.request(130), Answer::End, "Ctrl-C is always urgent");
     }
 }

@@ -1,4 +1,4 @@
-//! Progress on a terminal: one bar for the phase at work.
+//! Progress on a terminal: one bar for the current phase.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use std::sync::{Mutex, PoisonError};
@@ -40,7 +40,7 @@ impl Bars {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn clear(&self) {
         if let Some((_, bar)) = self.0.lock().unwrap_or_else(PoisonError::into_inner).take() {
             bar.finish_and_clear();
@@ -48,9 +48,9 @@ impl Bars {
     }
 }
 
-/// Without colours, so that there is nothing for `NO_COLOR` to switch off.
+/// Returns the style of the bar, without colours, so that `NO_COLOR` needs no handling.
 fn style() -> ProgressStyle {
-    ProgressStyle::with_template("{prefix:>12} [{bar:28}] {pos}/{len}  {elapsed} gone, {eta} left  {wide_msg}")
+    ProgressStyle::with_template("{prefix:>12} [{bar:28}] {pos}/{len}  {elapsed} elapsed, {eta} left  {wide_msg}")
         .unwrap_or_else(|_| ProgressStyle::default_bar())
         .progress_chars("=> ")
 }

@@ -1,4 +1,4 @@
-//! Generated clips of a textured room, as folders of pictures.
+//! Generated clips of a textured room, as folders of images.
 
 use minute4d::io::image::write_rgb;
 use minute4d::math::nalgebra::{Vector3, Vector6};
@@ -6,12 +6,12 @@ use minute4d::math::{Se3, exp_so3};
 use minute4d::scene::{Camera, Intrinsics, Plane, RgbImage};
 use std::path::Path;
 
-/// Size of the pictures.
+/// Size of the images.
 pub const SIZE: (usize, usize) = (160, 120);
 /// Focal length, pixels.
 pub const FOCAL_PX: f64 = 150.0;
 
-/// Brightness of a wall: waves of many lengths, none of which repeats over the picture.
+/// Brightness of a wall: waves of many lengths, none of which repeats over the image.
 fn texture(x: f64, y: f64, wall: f64) -> f64 {
     let wave = |k: i32| {
         let turn = 2.4 * f64::from(k) + wall;
@@ -73,16 +73,16 @@ pub fn walk(n: usize) -> Vec<Camera> {
 }
 
 /// What a camera sees.
-pub fn picture(camera: &Camera) -> RgbImage {
+pub fn frame_image(camera: &Camera) -> RgbImage {
     Plane::from_fn(camera.intrinsics.width, camera.intrinsics.height, |x, y| {
         see(camera, x as f64, y as f64).0
     })
 }
 
-/// Writes pictures as `00000.png`...
-pub fn write(folder: &Path, pictures: impl IntoIterator<Item = RgbImage>) {
+/// Writes images as `00000.png`...
+pub fn write(folder: &Path, images: impl IntoIterator<Item = RgbImage>) {
     std::fs::create_dir_all(folder).unwrap();
-    for (i, picture) in pictures.into_iter().enumerate() {
-        write_rgb(&folder.join(format!("{i:05}.png")), &picture).unwrap();
+    for (i, frame_image) in images.into_iter().enumerate() {
+        write_rgb(&folder.join(format!("{i:05}.png")), &frame_image).unwrap();
     }
 }

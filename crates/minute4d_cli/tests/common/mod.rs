@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// Size of the pictures of every test.
+/// Size of the images of every test.
 pub const SIZE: (usize, usize) = (64, 48);
 
 /// The program, without progress that depends on the terminal.
@@ -146,7 +146,7 @@ impl Scratch {
 }
 
 /// What a camera sees of a textured wall at depth 4 and a square before it at depth 2.5 that moves to
-/// the right; picture, depth and mask.
+/// the right; image, depth and mask.
 fn see(camera: &Camera, share: f64) -> (RgbImage, Plane<f32>, Plane<u8>) {
     let (w, h) = (camera.intrinsics.width, camera.intrinsics.height);
     let hit = |x: usize, y: usize| {
@@ -246,8 +246,8 @@ pub fn write_video(path: &Path, n: usize) {
     writer.finish().unwrap();
 }
 
-/// The pictures of the same scene as a folder of PNG files, large enough for geometry.
-pub fn write_pictures(folder: &Path, n: usize) {
+/// The images of the same scene as a folder of PNG files, large enough for geometry.
+pub fn write_images(folder: &Path, n: usize) {
     std::fs::create_dir_all(folder).unwrap();
     for frame in capture_of((128, 96), n, false).frames {
         write_rgb(&folder.join(format!("{}.png", frame.name)), &frame.rgb).unwrap();

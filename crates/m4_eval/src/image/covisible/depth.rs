@@ -1,4 +1,4 @@
-//! What depth and poses say.
+//! Co-visibility from depth and poses.
 
 use crate::image::{ImageError, same_size};
 use m4_scene::{Camera, DepthMap, Mask, Plane};
@@ -37,7 +37,7 @@ impl DepthView<'_> {
 ///
 /// [`ImageError::Size`] if a depth map has another size than its camera's image.
 pub fn seen_by_depth(test: DepthView<'_>, training: DepthView<'_>, tolerance: f64) -> Result<Mask, ImageError> {
-    test.check("the depth of the test picture")?;
+    test.check("the depth of the test image")?;
     training.check("the depth of a training frame")?;
     let (width, height) = training.depth.size();
     let seen = |x: usize, y: usize| {

@@ -1,10 +1,10 @@
-//! What flow there and back says.
+//! Co-visibility from forward-backward optical flow.
 
 use crate::image::{ImageError, same_size};
 use m4_scene::{Mask, Plane};
 
-/// 255 where a pixel of the test picture is seen in a training frame: `|f + b|^2 <= 0.01 (|f|^2 + |b|^2) + 0.5` for the flow `f` from the
-/// test picture to the frame and the flow `b` back, read bilinearly where `f` leads (Brox et al., ECCV 2004; `compute_occ_brox` of
+/// 255 where a pixel of the test image is seen in a training frame: `|f + b|^2 <= 0.01 (|f|^2 + |b|^2) + 0.5` for the flow `f` from the
+/// test image to the frame and the flow `b` back, read bilinearly where `f` leads (Brox et al., ECCV 2004; `compute_occ_brox` of
 /// DyCheck, but exact where OpenCV rounds places to 1/32 px). Beyond the frame `b` is 0.
 ///
 /// `forward` and `backward` are pixels to the right and down, `[height][width]`, of equal size. A pixel whose flow is not finite is not

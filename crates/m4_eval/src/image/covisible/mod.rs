@@ -1,14 +1,14 @@
-//! Which pixels of a test picture the training frames saw: scores elsewhere judge invention, not reconstruction.
+//! Co-visibility: the pixels of a test image that the training frames saw. Scores elsewhere would measure invention, not reconstruction.
 //!
 //! ```text
-//! test picture, each training frame --flow, or depth and poses--> which pixels it saw --CovisibleCounts--> mask
+//! test image, each training frame --flow, or depth and poses--> which pixels it saw --CovisibleCounts--> mask
 //! ```
 //!
-//! DyCheck (Gao et al., NeurIPS 2022, section 3.2) counts, for each pixel of the test picture, the training frames in which it is
+//! DyCheck (Gao et al., NeurIPS 2022, section 3.2) counts, for each pixel of the test image, the training frames in which it is
 //! not occluded by the forward-backward check of optical flow ([`seen_by_flow`]), and keeps those that more than
 //! max(5, a tenth of the frames) saw. The masks that its authors publish (`covisible/2x/val`) were made so with RAFT; where they are
 //! at hand they should be used, for figures to be comparable. [`seen_by_depth`] serves captures that have depth and poses instead: it
-//! cannot follow what moves, so that a moving thing counts as seen only by the frames in which it stands where it stood.
+//! cannot follow the dynamic part, so that a moving thing counts as seen only by the frames in which it stands where it stood.
 
 mod depth;
 mod flow;
@@ -26,7 +26,7 @@ pub fn too_few_frames(training_frames: usize) -> usize {
     (training_frames / 10).max(5)
 }
 
-/// How many training frames saw each pixel of a test picture.
+/// How many training frames saw each pixel of a test image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CovisibleCounts {
     counts: Plane<u32>,
@@ -34,7 +34,7 @@ pub struct CovisibleCounts {
 }
 
 impl CovisibleCounts {
-    /// None yet, for a picture of `width` by `height`.
+    /// None yet, for an image of `width` by `height`.
     #[must_use]
     pub fn new(width: usize, height: usize) -> Self {
         Self {
@@ -43,7 +43,7 @@ impl CovisibleCounts {
         }
     }
 
-    /// Adds a training frame, which saw the pixels of the test picture that are not 0 in `seen`.
+    /// Adds a training frame, which saw the pixels of the test image that are not 0 in `seen`.
     ///
     /// # Errors
     ///

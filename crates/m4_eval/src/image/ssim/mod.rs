@@ -1,7 +1,7 @@
-//! Structural similarity (Wang et al. 2004, equation 13), in the flavours that papers report.
+//! Structural similarity (Wang et al. 2004, equation 13), in the variants that papers report.
 //!
 //! ```text
-//! two pictures --window--> means, variances, covariance around each pixel, a channel
+//! two images --window--> means, variances, covariance around each pixel, a channel
 //!   --> (2 ma mb + C1)(2 cov + C2) / ((ma^2 + mb^2 + C1)(va + vb + C2)) --mean of the channels--> map --mean--> SSIM
 //! ```
 //!
@@ -41,12 +41,12 @@ pub enum SsimKind {
     /// DyCheck's mSSIM (Gao et al., NeurIPS 2022): 11x11 Gaussian of 1.5 px over the pixels of the mask alone, whose sums are multiplied
     /// by the side of the window over how many of its pixels are in the mask, along rows and then along columns (the partial convolution
     /// of Liu et al., ECCV 2018); variances are cut off at 0, the covariance at their geometric mean. The mean goes over all
-    /// windows that lie wholly inside the picture; one without a pixel of the mask counts as 1, as its authors' program has it.
+    /// windows that lie wholly inside the image; one without a pixel of the mask counts as 1, as its authors' program has it.
     DycheckMasked,
 }
 
 impl SsimKind {
-    /// What a report says of it.
+    /// Returns the title in a report.
     #[must_use]
     pub fn title(self) -> &'static str {
         match self {
@@ -75,7 +75,7 @@ impl SsimKind {
 pub struct SsimMap {
     /// Entry `(x, y)` belongs to pixel `(x + border_px, y + border_px)`.
     pub map: Plane<f64>,
-    /// How many pixels at each border of the pictures have no entry.
+    /// How many pixels at each border of the images have no entry.
     pub border_px: usize,
 }
 
@@ -86,7 +86,7 @@ impl SsimMap {
         self.map.data().iter().sum::<f64>() / self.map.data().len() as f64
     }
 
-    /// Mean over those pixels of `mask` (as large as the pictures) that lie in the region; `None` if there are none.
+    /// Mean over those pixels of `mask` (as large as the images) that lie in the region; `None` if there are none.
     #[must_use]
     pub fn mean_inside(&self, mask: &Mask) -> Option<f64> {
         let border = self.border_px;
@@ -103,7 +103,7 @@ impl SsimMap {
     }
 }
 
-/// The SSIM map of two pictures, [`SsimKind::GaussianValid`].
+/// The SSIM map of two images, [`SsimKind::GaussianValid`].
 ///
 /// # Errors
 ///
@@ -112,7 +112,7 @@ pub fn ssim_map(image: &Picture, reference: &Picture) -> Result<SsimMap, ImageEr
     ssim_map_of(SsimKind::GaussianValid, image, reference, None)
 }
 
-/// The SSIM map of two pictures of another kind. Only [`SsimKind::DycheckMasked`] looks at the mask here (all pixels without
+/// The SSIM map of two images of another kind. Only [`SsimKind::DycheckMasked`] looks at the mask here (all pixels without
 /// one); for the others it selects entries of the map: [`SsimMap::mean_inside`].
 ///
 /// # Errors
@@ -124,7 +124,7 @@ pub fn ssim_map_of(
     reference: &Picture,
     mask: Option<&Mask>,
 ) -> Result<SsimMap, ImageError> {
-    same_size("the picture", reference.size(), image.size())?;
+    same_size("the image", reference.size(), image.size())?;
     if let Some(mask) = mask {
         same_size("the mask", reference.size(), mask.size())?;
     }
@@ -164,7 +164,7 @@ pub fn ssim_map_of(
     Ok(SsimMap { map, border_px })
 }
 
-/// The mean SSIM of two pictures: over the whole region, or inside `mask`. `None` if no pixel of the mask lies in the region.
+/// The mean SSIM of two images: over the whole region, or inside `mask`. `None` if no pixel of the mask lies in the region.
 ///
 /// # Errors
 ///

@@ -1,4 +1,4 @@
-//! The window over which means and variances are made.
+//! The window over which means and variances are computed.
 
 /// Side of the Gaussian window, pixels.
 pub const SSIM_WINDOW_PX: usize = 11;
@@ -71,7 +71,7 @@ impl Window {
         self.unbias
     }
 
-    /// Columns and rows that have a window, of pictures that are as large as one at least.
+    /// Columns and rows that have a window, of images that are as large as one at least.
     pub fn out_size(&self, width: usize, height: usize) -> (usize, usize) {
         let lost = if self.zero_padded { 0 } else { self.side() - 1 };
         (width - lost, height - lost)

@@ -36,7 +36,7 @@ pub fn write_cameras(out: &mut impl Write, rows: &[ColmapCamera]) -> io::Result<
     out.write_all(&(rows.len() as u64).to_le_bytes())?;
     for row in rows {
         let model = MODELS.iter().position(|(name, _)| *name == row.model);
-        let model = model.ok_or_else(|| io::Error::other(format!("{} is no model of COLMAP", row.model)))?;
+        let model = model.ok_or_else(|| io::Error::other(format!("{} is not a camera model of COLMAP", row.model)))?;
         out.write_all(&row.id.to_le_bytes())?;
         out.write_all(&(model as i32).to_le_bytes())?;
         out.write_all(&row.width.to_le_bytes())?;

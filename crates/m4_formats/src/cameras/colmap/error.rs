@@ -1,4 +1,4 @@
-//! Why a sparse model could not be read or written.
+//! Errors of reading and writing sparse models.
 
 use crate::WriteFileError;
 use crate::cameras::BadName;
@@ -16,7 +16,7 @@ pub enum ReadColmapError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A file ends too early or holds what it cannot.
@@ -26,11 +26,11 @@ pub enum ReadColmapError {
         path: PathBuf,
         /// Line or byte.
         place: String,
-        /// What was found.
+        /// The findings.
         reason: String,
     },
     /// A lens with distortion, or one that is unknown.
-    #[error("{} has a camera that is not read: {what}; PINHOLE and SIMPLE_PINHOLE are (`colmap image_undistorter` makes such)", path.display(), what = shortened(what))]
+    #[error("{} has an unsupported camera: {what}; PINHOLE and SIMPLE_PINHOLE are supported (`colmap image_undistorter` writes these)", path.display(), what = shortened(what))]
     Unsupported {
         /// The file.
         path: PathBuf,
@@ -38,11 +38,11 @@ pub enum ReadColmapError {
         what: String,
     },
     /// The files contradict each other.
-    #[error("the sparse model {} contradicts itself: {reason}", path.display(), reason = shortened(reason))]
+    #[error("the sparse model {} is inconsistent: {reason}", path.display(), reason = shortened(reason))]
     Inconsistent {
         /// The folder.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         reason: String,
     },
 }
@@ -71,7 +71,7 @@ pub enum WriteColmapError {
     BadScene {
         /// The folder.
         path: PathBuf,
-        /// What, and where.
+        /// The fault, and where it is.
         what: String,
     },
     /// The names do not fit.
@@ -79,7 +79,7 @@ pub enum WriteColmapError {
     Names {
         /// The folder.
         path: PathBuf,
-        /// What is wrong with them.
+        /// The fault.
         source: BadName,
     },
 }

@@ -9,7 +9,7 @@
 //!                                                      (unknown), no track
 //! ```
 //!
-//! [`read()`] takes models of pinholes; [`read_tables`] gives the lenses of all models as they are, for who can undistort pictures.
+//! [`read()`] takes models of pinholes; [`read_tables`] gives the lenses of all models as they are, for who can undistort images.
 //!
 //! In binary files counts are u64, identifiers of cameras and images u32, numbers f64, all little-endian.
 //! The names of the folders are the caller's (COLMAP's own is `sparse/0`). Rigs and frames, which

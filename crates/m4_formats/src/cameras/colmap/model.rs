@@ -1,4 +1,4 @@
-//! What the three files hold, between bytes and scene.
+//! The contents of the three files, between bytes and scene.
 
 use m4_math::Se3;
 use m4_math::nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
@@ -8,10 +8,10 @@ use std::collections::HashMap;
 /// Models without distortion.
 const PINHOLES: [&str; 2] = ["SIMPLE_PINHOLE", "PINHOLE"];
 
-/// A picture of a sparse model.
+/// An image of a sparse model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColmapImage {
-    /// File name, relative to the folder of pictures.
+    /// File name, relative to the folder of images.
     pub name: String,
     /// Lens and pose, in our conventions.
     pub camera: Camera,
@@ -42,11 +42,11 @@ pub struct ColmapCamera {
     pub id: u32,
     /// COLMAP's name of the model, such as `OPENCV`.
     pub model: String,
-    /// Columns of the pictures.
+    /// Columns of the images.
     pub width: u64,
-    /// Rows of the pictures.
+    /// Rows of the images.
     pub height: u64,
-    /// Focal lengths and principal point in pixels (from the picture's corner), then distortion, in the order of the model.
+    /// Focal lengths and principal point in pixels (from the image's corner), then distortion, in the order of the model.
     pub parameters: Vec<f64>,
 }
 
@@ -63,7 +63,7 @@ impl ColmapCamera {
     }
 }
 
-/// A line of `images`: a picture with its pose, as the file has it.
+/// A line of `images`: an image with its pose, as the file has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColmapPose {
     /// Identifier of the image.
@@ -74,7 +74,7 @@ pub struct ColmapPose {
     pub translation: [f64; 3],
     /// Identifier of its camera.
     pub camera: u32,
-    /// File name, relative to the folder of pictures.
+    /// File name, relative to the folder of images.
     pub name: String,
 }
 

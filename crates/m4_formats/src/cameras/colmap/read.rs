@@ -1,4 +1,4 @@
-//! A folder with the three files to a model.
+//! Reads a folder with the three files as a model.
 
 use super::binary::{self, Fault};
 use super::error::ReadColmapError;

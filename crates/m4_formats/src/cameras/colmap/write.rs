@@ -1,4 +1,4 @@
-//! The cameras of a scene, and points of it, as a sparse model.
+//! Writes the cameras and points of a scene as a sparse model.
 
 use super::error::WriteColmapError;
 use super::model::{ColmapPoint, Tables};
@@ -39,14 +39,14 @@ impl ColmapEncoding {
 pub struct ColmapOptions {
     /// Text or binary. Default: binary.
     pub encoding: ColmapEncoding,
-    /// Names of the pictures, one a camera of the scene. Default: `00000.png`, `00001.png`, ...
+    /// Names of the images, one per camera of the scene. Default: `00000.png`, `00001.png`, ...
     pub names: Option<Vec<String>>,
     /// The instant whose splats become points, frames. Default 0.
     pub t: f64,
     /// Fainter splats are no points. Default 0.5: what is more solid than not.
     pub least_opacity: f64,
     /// Where there are more, every second, third, ... is taken. Default 100,000, the order of what COLMAP
-    /// itself makes of a few hundred pictures.
+    /// itself makes of a few hundred images.
     pub max_points: usize,
 }
 
@@ -96,7 +96,7 @@ pub fn write(folder: &Path, scene: &Scene, options: &ColmapOptions) -> Result<Wr
         bytes,
         splats: tables.points.len(),
         losses: vec![
-            Loss::Dropped("all of the splats but places and colours of some, times of the pictures".into()),
+            Loss::Dropped("splat parameters except positions and colours of some splats; times of the images".into()),
             Loss::Baked(format!("points, at frame {}", options.t)),
         ],
     })

@@ -4,7 +4,7 @@ use crate::core::{Distortion, Lens, SourceFault};
 use m4_formats::cameras::colmap::ColmapCamera;
 use m4_scene::Intrinsics;
 
-/// Longest side of a picture, pixels.
+/// Longest side of an image, pixels.
 const MAX_SIDE: u64 = 1 << 16;
 
 /// The lens of a camera.
@@ -32,14 +32,14 @@ pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, SourceFault> {
         ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => ([fx, fy, cx, cy], fisheye([k1, k2, k3, k4])),
         (model, parameters) => {
             let what = format!("its lens is of the model {model} with {} parameters", parameters.len());
-            let remedy = "models of pinholes, RADIAL, OPENCV and their fisheyes are read; undistort the pictures \
+            let remedy = "models of pinholes, RADIAL, OPENCV and their fisheyes are read; undistort the images \
                           (`colmap image_undistorter`)";
             return Err(SourceFault::unsupported(what, remedy));
         }
     };
     let side = |px: u64| (1..=MAX_SIDE).contains(&px);
     if !(side(camera.width) && side(camera.height)) {
-        let what = format!("its pictures are {} x {} pixels", camera.width, camera.height);
+        let what = format!("its images are {} x {} pixels", camera.width, camera.height);
         return Err(SourceFault::bad(what, "export the model again"));
     }
     let lens = Lens {

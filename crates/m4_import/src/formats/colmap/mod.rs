@@ -10,8 +10,8 @@
 //! **What is converted.** Poses are world to camera with a quaternion `w x y z` and OpenCV axes; they are inverted. Principal
 //! points are measured from the image's corner, as ours. Lenses of SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV,
 //! FULL_OPENCV, SIMPLE_FISHEYE, FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE and OPENCV_FISHEYE are undistorted. A sparse
-//! model has no clock: time is a frame's place among the pictures of its folder in the natural order of names, so that pictures that
-//! COLMAP could not register leave a gap; where pictures lie in several folders frames are evenly spaced. Its scale is arbitrary.
+//! model has no clock: time is a frame's place among the images of its folder in the natural order of names, so that images that
+//! COLMAP could not register leave a gap; where images lie in several folders frames are evenly spaced. Its scale is arbitrary.
 //!
 //! Source: COLMAP's documentation, "Output Format" and "Camera Models"; the rigs of 3.12 and later leave `images` as it was.
 
@@ -48,8 +48,8 @@ fn model_folder(path: &Path) -> Option<PathBuf> {
 }
 
 /// The folder that names start from: as the options say, else `images` beside the model or one or two folders up, or one of these
-/// folders themselves (ViPE's script writes names with `images/`), whichever has the first picture. With it the folder that the model
-/// and its pictures are in.
+/// folders themselves (ViPE's script writes names with `images/`), whichever has the first image. With it the folder that the model
+/// and its images are in.
 fn picture_folder(
     model: &Path,
     images: &[ColmapPose],
@@ -65,8 +65,8 @@ fn picture_folder(
         .chain(up().map(|folder| (folder.to_path_buf(), folder.to_path_buf())));
     let has = |(folder, _): &(PathBuf, PathBuf)| below(folder, first).is_ok_and(|file| file.is_file());
     folders.into_iter().find(has).ok_or_else(|| {
-        let what = format!("the picture {first:?}, in a folder `images` beside the model or above it,");
-        SourceFault::missing(what, "give the folder of the pictures (pictures)").at(model)
+        let what = format!("the image {first:?}, in a folder `images` beside the model or above it,");
+        SourceFault::missing(what, "give the folder of the images (images)").at(model)
     })
 }
 
@@ -116,7 +116,7 @@ struct Places {
     all: usize,
 }
 
-/// The places of the images among all pictures of their folder; `None` where they lie in several.
+/// The places of the images among all images of their folder; `None` where they lie in several.
 fn places(folder: &Path, images: &[ColmapPose]) -> Option<Places> {
     let inner = Path::new(&images.first()?.name).parent()?;
     let files = m4_io::video::pictures(&folder.join(inner)).ok()?;

@@ -32,7 +32,7 @@ fn one() -> f64 {
 }
 
 pub(super) struct Camera {
-    /// Of the pictures of factor 1.
+    /// Of the images of factor 1.
     pub lens: Lens,
     pub c2w: Se3<f64>,
 }
@@ -44,7 +44,7 @@ pub(super) fn read(path: &Path) -> Result<Camera, ReadSourceError> {
             "skew is {}; only cameras whose pixels are rectangles are read",
             file.skew
         );
-        return Err(SourceFault::unsupported(what, "undistort the pictures").at(path));
+        return Err(SourceFault::unsupported(what, "undistort the images").at(path));
     }
     let whole = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let [Some(width), Some(height)] = file.image_size.map(whole) else {

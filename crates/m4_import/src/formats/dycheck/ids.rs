@@ -1,4 +1,4 @@
-//! Which frames there are, and which of them train.
+//! The frames of a scene, and its training split.
 
 use crate::core::{ReadSourceError, SourceFault};
 use crate::files::json;
@@ -63,7 +63,7 @@ pub(super) fn read(root: &Path, progress: &dyn Progress) -> Result<Split, ReadSo
         // a name becomes part of a path
         if !(1..=MAX_NAME).contains(&id.name.len()) || id.name.contains(['/', '\\']) || id.name.contains("..") {
             let short: String = id.name.chars().take(MAX_NAME).collect();
-            let what = format!("{short:?} is no name of a frame");
+            let what = format!("{short:?} is not the name of a frame");
             return Err(SourceFault::bad(what, "correct the list of frames").at(&file));
         }
     }

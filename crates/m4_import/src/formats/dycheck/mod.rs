@@ -15,7 +15,7 @@
 //!
 //! The training video is what camera 0 took of the train split, in order of time; the test views are all of the val split within
 //! its time. Axes are OpenCV's there too; `orientation` is turned round. World units stay those of `position`: neither `center`
-//! nor `scale` is applied. Intrinsics are of factor 1 and shrink with the pictures. Depth may be in millimetres while places are in metres
+//! nor `scale` is applied. Intrinsics are of factor 1 and shrink with the images. Depth may be in millimetres while places are in metres
 //! (the authors' page says so, their code takes both as equal): the unit is the one that puts the median of depth between `near` and
 //! `far`.
 
@@ -32,7 +32,7 @@ use m4_scene::Progress;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// By what pictures are shrunk: 2 in the tables of the papers.
+/// By what images are shrunk: 2 in the tables of the papers.
 const DEFAULT_FACTOR: u32 = 2;
 
 /// Whether a folder is of it.
@@ -58,7 +58,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let factor = options.factor.unwrap_or(DEFAULT_FACTOR);
     let folder = path.join(format!("rgb/{factor}x"));
     if !folder.is_dir() {
-        let remedy = "choose a factor whose pictures are there (the option factor)";
+        let remedy = "choose a factor whose images exist (the option factor)";
         return Err(SourceFault::missing(format!("rgb/{factor}x"), remedy).at(path));
     }
     let Split { train, test } = ids::read(path, progress)?;
@@ -111,7 +111,7 @@ fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<
     };
     if own.or(given).is_none() {
         progress.warn(&format!(
-            "{} does not say how fast it was taken; 30 frames a second are assumed",
+            "{} does not state its frame rate; 30 frames per second are assumed",
             path.display()
         ));
     }
@@ -119,7 +119,7 @@ fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<
     if fps.is_finite() && fps > 0.0 {
         return Ok(fps);
     }
-    let what = format!("fps is {fps}; frames a second, above 0, were expected");
+    let what = format!("fps is {fps}; frames per second, above 0, were expected");
     Err(SourceFault::bad(what, "correct it").at(&file))
 }
 

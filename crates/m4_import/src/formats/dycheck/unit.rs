@@ -1,4 +1,4 @@
-//! Whether depth is in the unit of the poses or in thousandths of it.
+//! Detects whether depth is in the unit of the poses or in thousandths of it.
 
 use super::ids::Id;
 use crate::core::{ImportOptions, ReadSourceError, SourceFault};
@@ -22,7 +22,7 @@ const MILLI: f64 = 1e-3;
 pub(super) struct Unit {
     /// Scene units a step of the maps.
     pub scene_units: f64,
-    /// Whether a scene unit is a metre: what the sensor of a telephone saw.
+    /// Whether a scene unit is a metre: what the sensor of a phone saw.
     pub metric: bool,
 }
 

@@ -1,4 +1,4 @@
-//! Which way the cameras look.
+//! Detects the axis convention of the cameras.
 
 use super::json::{Frame, Transforms};
 use crate::core::ImportOptions;

@@ -1,4 +1,4 @@
-//! The keys of the file as they are.
+//! The keys of the file.
 
 use m4_io::capture::Axes;
 use serde::Deserialize;

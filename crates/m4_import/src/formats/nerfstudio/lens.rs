@@ -1,20 +1,20 @@
-//! The lens of a frame.
+//! The intrinsics of a frame.
 
 use super::json::LensKeys;
 use crate::core::{Distortion, Lens, SourceFault};
 use m4_scene::Intrinsics;
 
-const REMEDY: &str = "correct the lens in the file";
+const REMEDY: &str = "correct the intrinsics in the file";
 
-/// The lens of a picture of that size.
+/// The lens of an image of that size.
 pub fn of(keys: &LensKeys, (width, height): (usize, usize)) -> Result<Lens, SourceFault> {
     let (w, h) = (width as f64, height as f64);
     for (key, said, found) in [("w", keys.w, w), ("h", keys.h, h)] {
         if let Some(said) = said.filter(|said| (said - found).abs() > 0.5) {
-            let what = format!("{key} = {said}, but the picture has {found}");
+            let what = format!("{key} = {said}, but the image has {found}");
             return Err(SourceFault::bad(
                 what,
-                "give the pictures that the cameras were computed on",
+                "use the images that the cameras were computed from",
             ));
         }
     }
@@ -52,7 +52,7 @@ pub fn of(keys: &LensKeys, (width, height): (usize, usize)) -> Result<Lens, Sour
     let inside = |c: f64, side: f64| c >= -side && c <= 2.0 * side;
     let (cx, cy) = (lens.intrinsics.cx, lens.intrinsics.cy);
     if !(inside(cx, w) && inside(cy, h)) {
-        let what = format!("the principal point is ({cx}, {cy}) in a picture of {w} x {h} pixels");
+        let what = format!("the principal point is ({cx}, {cy}) in an image of {w} x {h} pixels");
         return Err(SourceFault::bad(what, REMEDY));
     }
     lens.check().map_err(|what| SourceFault::bad(what, REMEDY))?;
@@ -68,20 +68,20 @@ fn distortion(keys: &LensKeys) -> Result<Distortion, SourceFault> {
     if fisheye {
         if (p1, p2) != (0.0, 0.0) {
             let what = format!("a fisheye with p1 = {p1}, p2 = {p2}");
-            return Err(SourceFault::unsupported(what, "undistort the pictures"));
+            return Err(SourceFault::unsupported(what, "undistort the images"));
         }
         return Ok(Distortion::Fisheye { k });
     }
     match model {
         "SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV" | "PERSPECTIVE" => {}
         other => {
-            let remedy = "PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and OPENCV_FISHEYE are read; undistort the pictures";
+            let remedy = "PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV and OPENCV_FISHEYE are read; undistort the images";
             return Err(SourceFault::unsupported(format!("camera_model is {other:?}"), remedy));
         }
     }
     if k[3] != 0.0 {
-        let what = format!("k4 = {} of a lens that is no fisheye", k[3]);
-        return Err(SourceFault::unsupported(what, "undistort the pictures and set it to 0"));
+        let what = format!("k4 = {} of a lens that is not a fisheye", k[3]);
+        return Err(SourceFault::unsupported(what, "undistort the images and set it to 0"));
     }
     Ok(Distortion::brown(k[0], k[1], k[2], p1, p2))
 }

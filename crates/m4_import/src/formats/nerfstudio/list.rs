@@ -1,4 +1,4 @@
-//! Entries of the file to frames.
+//! Converts the entries of the file to frames.
 
 use super::json::{Frame, Transforms};
 use super::{axes, lens};
@@ -57,7 +57,7 @@ pub fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Re
     if let Some(file) = test_file {
         let split = Split::read(&file, options, progress)?;
         if !split.timed {
-            progress.warn("the held-out views have no time; they were spread evenly over the clip, which is right for a scene that stands still alone");
+            progress.warn("the held-out views have no time; they were spread evenly over the clip, which is correct only for a static scene");
         }
         test.extend(split.frames(time_frames, true, options)?);
     }
@@ -263,7 +263,7 @@ impl Split {
         })
     }
 
-    /// The file of a picture: Blender's scenes leave its extension out.
+    /// The file of an image: Blender's scenes leave its extension out.
     fn picture(&self, name: &str, options: &ImportOptions) -> Result<PathBuf, SourceFault> {
         if name.is_empty() {
             return Err(SourceFault::missing("file_path", "write the file again"));
@@ -276,8 +276,8 @@ impl Split {
         let with = |e: &str| PathBuf::from(format!("{}.{e}", exact.display()));
         let named = ["png", "jpg", "jpeg", "PNG", "JPG"].map(with);
         let found = named.into_iter().find(|file| file.is_file()).ok_or_else(|| {
-            let remedy = "put it there, or give the folder that file_path starts from (pictures)";
-            SourceFault::missing(format!("the picture {}", exact.display()), remedy)
+            let remedy = "put it there, or give the folder that file_path starts from (images)";
+            SourceFault::missing(format!("the image {}", exact.display()), remedy)
         });
         self.inside.check(found?)
     }

@@ -1,4 +1,4 @@
-//! Relative disparity of a network to depth, by the bounds of a view.
+//! Converts relative disparity of a network to depth, with the bounds of a view.
 
 use crate::core::SourceFault;
 use crate::files::npy::NpyFile;

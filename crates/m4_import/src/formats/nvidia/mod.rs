@@ -1,8 +1,8 @@
-//! NVIDIA Dynamic Scenes, and any clip in the layout of LLFF: `poses_bounds.npy` beside folders of pictures.
+//! NVIDIA Dynamic Scenes, and any clip in the layout of LLFF: `poses_bounds.npy` beside folders of images.
 //!
 //! ```text
 //! poses_bounds.npy       [n][17]: 3 x 5 by rows (rotation, centre, height width focal), then the nearest and farthest depth in view
-//! images_2/ or images/   n pictures, in natural order of names; camera i took picture i at time i
+//! images_2/ or images/   n images, in natural order of names; camera i took image i at time i
 //! motion_masks/          optional, n masks, not 0 moves
 //! disp/                  optional, n maps of relative disparity (npy), of a network
 //! gt/ or test/           held-out views vCCC_tTTT.png: camera CCC at time TTT (RoDynRF's results; CCC is 000 there)
@@ -10,12 +10,12 @@
 //! ```
 //!
 //! Columns of the rotation are the camera's down, right and back in the world; in our axes (right, down, forward) they are
-//! columns 1, 0 and minus 2. The principal point is the middle. Pictures may be of any size; height, width and focal length shrink with
+//! columns 1, 0 and minus 2. The principal point is the middle. Images may be of any size; height, width and focal length shrink with
 //! them. Disparity of the network is known up to scale and shift: both are chosen for each frame so that its 0.1 and 99.9 percent
 //! quantiles are those of the bounds, which is how COLMAP's points made these (`imgs2poses.py` of Fyusion/LLFF); this is said through
 //! `progress`. Sources: `load_llff.py` of zhengqili/Neural-Scene-Flow-Fields, `dataLoader/nvidia.py` of facebookresearch/robust-dynrf.
 //!
-//! `v000_t000` is the view of the first training picture: whoever compares numbers must know whether they count it.
+//! `v000_t000` is the view of the first training image: results compare only if both or neither count it.
 
 mod disparity;
 mod poses;
@@ -87,7 +87,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     })
 }
 
-/// The folder of pictures.
+/// The folder of images.
 fn pictures(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadSourceError> {
     let named = match (&options.pictures, options.factor) {
         (Some(folder), _) => vec![folder.clone()],
@@ -97,7 +97,7 @@ fn pictures(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadSourceE
     };
     named.iter().find(|p| p.is_dir()).cloned().ok_or_else(|| {
         let what = named[0].display().to_string();
-        SourceFault::missing(what, "choose a factor whose pictures are there (the option factor)").at(path)
+        SourceFault::missing(what, "choose a factor whose images exist (the option factor)").at(path)
     })
 }
 

@@ -15,14 +15,14 @@ const REMEDY: &str = "make poses_bounds.npy again";
 
 pub(super) struct Pose {
     pub c2w: Se3<f64>,
-    /// Of pictures of the full size.
+    /// Of images of the full size.
     pub intrinsics: Intrinsics,
     /// Depth in view, scene units.
     pub near: f64,
     pub far: f64,
 }
 
-/// One a camera, at least one.
+/// One per camera, at least one.
 pub(super) fn read(path: &Path) -> Result<Vec<Pose>, ReadSourceError> {
     let array = NpyFile::read(path, MAX_BYTES).map_err(|fault| fault.at(path))?;
     match array.shape[..] {
@@ -46,7 +46,7 @@ fn camera(row: &[f64; WIDTH]) -> Result<Pose, SourceFault> {
     let [height, width, focal] = [0, 1, 2].map(|i| m(i, 4));
     let side = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let (Some(w), Some(h)) = (side(width), side(height)) else {
-        return bad(format!("pictures of {width} x {height} pixels"));
+        return bad(format!("images of {width} x {height} pixels"));
     };
     if !(focal.is_finite() && focal > 0.0) {
         return bad(format!("the focal length {focal}; pixels, above 0, were expected"));

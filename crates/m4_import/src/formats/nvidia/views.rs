@@ -37,7 +37,7 @@ pub(super) fn read(root: &Path, n: usize) -> Result<Vec<View>, ReadSourceError> 
     let mut views = Vec::new();
     for (time, moment) in moments {
         let files = listed(&moment, PICTURES)?;
-        // of the cameras around, in turn, one took the training picture
+        // of the cameras around, in turn, one took the training image
         let cameras = files.len().max(1);
         for file in files {
             let number = stem(&file).strip_prefix("cam").and_then(|n| n.parse::<usize>().ok());

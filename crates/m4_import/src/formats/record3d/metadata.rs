@@ -44,7 +44,7 @@ impl Metadata {
         let bytes = members.read("metadata", MAX_BYTES).map_err(|fault| fault.at(path))?;
         let bytes = bytes.ok_or_else(|| SourceFault::missing("metadata", REMEDY).at(path))?;
         let bad = |what: String| SourceFault::bad(what, REMEDY).within(path, "metadata");
-        let text = std::str::from_utf8(&bytes).map_err(|e| bad(format!("it is no text ({e})")))?;
+        let text = std::str::from_utf8(&bytes).map_err(|e| bad(format!("it is not text ({e})")))?;
         let metadata: Self = parse_json(text, &path.join("metadata"))?;
         let n = metadata.poses.len();
         for (key, count) in [
@@ -65,13 +65,13 @@ impl Metadata {
         let sensed = |v: usize| (1..=MAX_SENSOR_SIDE).contains(&v);
         if !(side(metadata.w) && side(metadata.h) && sensed(dw) && sensed(dh)) {
             return Err(bad(format!(
-                "pictures of {} x {} and depth of {dw} x {dh} pixels",
+                "images of {} x {} and depth of {dw} x {dh} pixels",
                 metadata.w, metadata.h
             )));
         }
         if (dw > dh) != (metadata.w > metadata.h) {
             return Err(bad(format!(
-                "pictures of {} x {} but depth of {dw} x {dh} pixels: one of them was turned",
+                "images of {} x {} but depth of {dw} x {dh} pixels: one of them was rotated",
                 metadata.w, metadata.h
             )));
         }
@@ -85,7 +85,7 @@ impl Metadata {
         (self.dw.unwrap_or(w), self.dh.unwrap_or(h))
     }
 
-    /// Of pictures of `w x h`.
+    /// Of images of `w x h`.
     pub(super) fn intrinsics(&self, n: usize) -> Result<Intrinsics, SourceFault> {
         let own = self.coefficients.as_ref().and_then(|c| c.get(n));
         let numbers = own.copied().unwrap_or([self.k[0], self.k[4], self.k[6], self.k[7]]);
@@ -110,7 +110,7 @@ impl Metadata {
         let bad = |what: String| Err(SourceFault::bad(what, REMEDY).within(path, "metadata"));
         let steps = (frames.len() - 1) as f64;
         if let Some(fps) = fps.filter(|v| !(v.is_finite() && *v > 0.0)) {
-            return bad(format!("fps is {fps}; frames a second, above 0, were expected"));
+            return bad(format!("fps is {fps}; frames per second, above 0, were expected"));
         }
         let stamps = self.timestamps.as_ref().filter(|s| !s.is_empty());
         let Some(stamps) = stamps else {

@@ -1,18 +1,18 @@
-//! Record3D's `.r3d`: a zip archive (or the folder that it was unpacked to) of pictures, depth and poses of an iPhone.
+//! Record3D's `.r3d`: a zip archive (or the folder that it was unpacked to) of images, depth and poses of an iPhone.
 //!
 //! ```text
 //! metadata        JSON: w h (of K), dw dh (of depth), fps, K (9 numbers, columns first), perFrameIntrinsicCoeffs [n][fx fy cx cy],
 //!                 poses [n][qx qy qz qw px py pz] camera to world, frameTimestamps [n] in seconds
-//! rgbd/N.jpg      the picture, as large as w x h or another multiple
+//! rgbd/N.jpg      the image, as large as w x h or another multiple
 //! rgbd/N.depth    z-depth, metres, 32-bit floats [dh][dw], LZFSE; 0 or NaN where unknown
 //! rgbd/N.conf     0, 1 or 2, bytes [dh][dw], LZFSE; depth where it is 0 is dropped
 //! ```
 //!
 //! Camera axes are ARKit's (x right, y up, z back): y and z turn round here. The principal point is measured from the corner.
 //!
-//! Pictures are taken as they are stored: poses, `K` and depth are those of the stored rows and columns, whatever an EXIF block says
-//! about turning. Pictures that a tool turned for good (their longer side is not that of `w` and `h`) are refused. `K` is of
-//! `w x h` and grows with the picture. Source: the notes on the format in marek-simonik/record3d, `record3d_utils.py` of
+//! Images are taken as they are stored: poses, `K` and depth are those of the stored rows and columns, whatever an EXIF block says
+//! about turning. Images that a tool turned for good (their longer side is not that of `w` and `h`) are refused. `K` is of
+//! `w x h` and grows with the image. Source: the notes on the format in marek-simonik/record3d, `record3d_utils.py` of
 //! nerfstudio.
 
 mod metadata;
@@ -26,7 +26,7 @@ use metadata::Metadata;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Largest picture file and what a decoded one may have.
+/// Largest image file and what a decoded one may have.
 const MAX_PICTURE_BYTES: u64 = 64 << 20;
 const MAX_PIXELS: u64 = 64 << 20;
 
@@ -48,17 +48,17 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
         return Err(SourceFault::missing("every rgbd/N.jpg", "export the recording again as .r3d").at(path));
     };
     if last >= poses {
-        let what = format!("the picture rgbd/{last}.jpg has no pose: metadata has {poses}");
+        let what = format!("the image rgbd/{last}.jpg has no pose: metadata has {poses}");
         return Err(SourceFault::bad(what, "export the recording again as .r3d").at(path));
     }
     if pictures.len() < poses {
         progress.warn(&format!(
-            "{} of {poses} poses of {} have no picture and are left out",
+            "{} of {poses} poses of {} have no image and are ignored",
             poses - pictures.len(),
             path.display()
         ));
     }
-    // of the first picture; `load` compares the others
+    // of the first image; `load` compares the others
     let size = picture(&members, pictures[0]).map_err(|fault| fault.at(path))?.size();
     let given = clock::fps(options).map_err(|fault| fault.at(path))?;
     let fps = metadata.fps.or(given);
@@ -86,7 +86,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     })
 }
 
-/// The numbers of the pictures, in order.
+/// The numbers of the images, in order.
 fn pictures(members: &Members) -> Result<Vec<usize>, SourceFault> {
     let names = members.names("rgbd")?;
     let mut numbers: Vec<usize> = names

@@ -12,7 +12,7 @@ use std::io::Cursor;
 const CHANNELS: &[&str] = &["Z", "depth", "Y", "R"];
 /// Channels that a message names.
 const MAX_NAMED: usize = 12;
-/// What a byte of a packed picture becomes at most, and what is always read. The methods other than zip can go beyond the first
+/// What a byte of a packed image becomes at most, and what is always read. The methods other than zip can go beyond the first
 /// for maps of one value; those are no depth.
 const MAX_RATIO: u64 = 1032;
 const FREE_BYTES: u64 = 8 << 20;
@@ -46,10 +46,10 @@ pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, SourceFault> {
     let (seen, whole) = (header.layer_size, header.shared_attributes.display_window.size);
     if seen != whole {
         let what = format!(
-            "it holds {} x {} pixels of a picture of {} x {}",
+            "it holds {} x {} pixels of an image of {} x {}",
             seen.0, seen.1, whole.0, whole.1
         );
-        return Err(SourceFault::unsupported(what, "export the whole picture"));
+        return Err(SourceFault::unsupported(what, "export the whole image"));
     }
     let image = read()
         .no_deep_data()

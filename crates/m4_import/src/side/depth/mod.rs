@@ -1,4 +1,4 @@
-//! One depth map a file, or a stack in an npz archive.
+//! Depth maps: one per file, or a stack in an npz archive.
 //!
 //! ```text
 //! exr, pfm   files of these formats; PNG is m4_io's, npy of crate::files
@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 
 /// Extensions of maps that are read of a folder.
 pub(crate) const EXTENSIONS: &[&str] = &["png", "exr", "pfm", "npy"];
-/// Scene units a step of 16-bit depth maps where nobody says: millimetres where the unit is a metre.
+/// Default scene units per step of 16-bit depth maps: millimetres if the unit is a metre.
 pub(crate) const DEFAULT_UNIT: f64 = 1e-3;
 /// Largest unit of depth.
 const MAX_UNIT: f64 = 1e6;
@@ -92,7 +92,7 @@ fn read_in(path: &Path, unit: f64, float_unit: f64) -> Result<CompactDepth, Sour
         return Err(SourceFault::bad("the file is empty", "export it again"));
     }
     Err(SourceFault::unsupported(
-        "it is no depth map that is read here",
+        "its format is not supported for depth maps",
         "give PNG of 16 bits, EXR, PFM, npy or npz",
     ))
 }

@@ -1,4 +1,4 @@
-//! Depth of a sensor, and how sure it was of it.
+//! Sensor depth with its confidence.
 
 use crate::core::SourceFault;
 use m4_scene::{CompactDepth, Plane};

@@ -63,7 +63,7 @@ impl Read {
         Ok(Numbers { second, third, values })
     }
 
-    /// One pose a frame.
+    /// One pose per frame.
     pub(super) fn cameras(&mut self, key: &str) -> Result<Option<Vec<Se3<f64>>>, SourceFault> {
         if !self.npz.has(key) {
             return Ok(None);
@@ -81,7 +81,7 @@ impl Read {
         poses.map(Some)
     }
 
-    /// Width and height of the pictures that were followed, by the shape of `video`.
+    /// Width and height of the images that were followed, by the shape of `video`.
     pub(super) fn video_size(&mut self) -> Result<Option<(usize, usize)>, SourceFault> {
         let array = self.npz.array("video", u64::MAX).map_err(|e| array_fault("video", e))?;
         let Some(array) = array else { return Ok(None) };
@@ -97,7 +97,7 @@ impl Read {
         }
     }
 
-    /// A colour a track.
+    /// A colour per track.
     pub(super) fn colours(&mut self, tracks: usize) -> Result<Option<Vec<[u8; 3]>>, SourceFault> {
         let array = self
             .npz

@@ -1,4 +1,4 @@
-//! Places of a world that has its own cameras to the world of a clip.
+//! Transforms positions from a world with its own cameras to the world of a clip.
 
 use crate::core::ListedFrame;
 use m4_math::Se3;
@@ -10,10 +10,10 @@ const SAME_SCALE_WITHIN: f64 = 1e-3;
 /// A camera moves when its places spread by this share of how far the points are.
 const MOVES_FROM: f64 = 1e-3;
 
-/// Places `[frames][tracks][3]` through `w2c`, one a frame, to the world of `frames`.
+/// Places `[frames][tracks][3]` through `w2c`, one per frame, to the world of `frames`.
 ///
 /// Each place is seen from its frame's camera there, scaled, and put before our camera. The scale is how far our cameras spread over how
-/// far those spread; 1 where either stands still.
+/// far those spread; 1 where either is static.
 pub(super) fn to_our_world(
     xyz: &mut [f64],
     tracks: usize,

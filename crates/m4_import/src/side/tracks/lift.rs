@@ -1,4 +1,4 @@
-//! Tracks in pixels to places in the world.
+//! Lifts tracks in pixels to 3D positions.
 
 use super::arrays::Numbers;
 use crate::core::{Distortion, Lens, ListedFrame, SourceFault, step};
@@ -10,7 +10,7 @@ const STEPS: usize = 100;
 const FOUND_WITHIN: f64 = 1e-6;
 
 /// Places `[frames][tracks][3]` of `[frames][tracks][2]` pixels (centre of the first: 0, 0), whose depth is looked up, or `[3]`: pixels and
-/// z-depth. Pixels are of pictures of `size`, or of those of the frames. NaN where depth is not known.
+/// z-depth. Pixels are of images of `size`, or of those of the frames. NaN where depth is not known.
 pub(super) fn lift(
     tracks: &Numbers,
     frames: &[ListedFrame],
@@ -37,7 +37,7 @@ pub(super) fn lift(
             }
         };
         for place in row.chunks_exact(columns) {
-            // corner-based, of the stored picture
+            // corner-based, of the stored image
             let (u, v) = ((place[0] + 0.5) * sx, (place[1] + 0.5) * sy);
             let z = match &depth {
                 Some(map) => at(map, u / k.width as f64, v / k.height as f64),
@@ -63,7 +63,7 @@ fn at(map: &CompactDepth, x: f64, y: f64) -> f64 {
     f64::from(map.at(x.min(w - 1), y.min(h - 1)))
 }
 
-/// Pinhole coordinates of what a pixel of the stored picture shows; `None` where the lens has none.
+/// Pinhole coordinates of what a pixel of the stored image shows; `None` where the lens has none.
 fn ray(lens: &Lens, u: f64, v: f64) -> Option<[f64; 2]> {
     let k = &lens.intrinsics;
     let (bx, by) = ((u - k.cx) / k.fx, (v - k.cy) / k.fy);

@@ -1,4 +1,4 @@
-//! Ways of points from an npz archive of a tracker to places in the world.
+//! Point trajectories from an npz archive of a tracker, as positions in the world.
 
 mod arrays;
 mod cameras;
@@ -13,7 +13,7 @@ use std::path::Path;
 /// From which number on a visibility that is no boolean counts as seen. TAPIP3D writes booleans that it compared with 0.9 itself.
 const SEEN: f64 = 0.5;
 
-/// Reads the tracks of the clip `frames`, one frame of the file for each. Which tracker wrote it is told by the names in it:
+/// Reads the tracks of the clip `frames`, one frame of the file for each. The tracker that wrote it is recognised by the names in it:
 ///
 /// ```text
 /// coords [n][k][3] + visibs             places in the world whose cameras `extrinsics` [n][4][4] are (world to camera); without
@@ -22,11 +22,11 @@ const SEEN: f64 = 0.5;
 /// tracks | pred_tracks [n][k][2]        pixels; depth is looked up in that of `frames`
 /// visibs | visibility | pred_visibility [n][k] or [n][k][1]
 /// colors [k][3]                         optional, 8 bits
-/// video  [n][h][w][3] or [n][3][h][w]   optional: pixels are of this size; without it of the size of the pictures
+/// video  [n][h][w][3] or [n][3][h][w]   optional: pixels are of this size; without it of the size of the images
 /// ```
 ///
 /// All may have a first dimension of 1. Places of a world with another scale than that of `frames` are scaled by how far
-/// the cameras moved, which is said through `progress`.
+/// the cameras moved, which is reported through `progress`.
 ///
 /// # Errors
 ///

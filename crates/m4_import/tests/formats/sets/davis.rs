@@ -1,4 +1,4 @@
-//! `fixtures/import/davis`: five pictures of which four are annotated.
+//! `fixtures/import/davis`: five images of which four are annotated.
 
 use super::truth::*;
 use crate::support::{copied, fixture};

@@ -49,7 +49,7 @@ fn without_splits_the_lists_of_the_data_set_say_the_same() {
     std::fs::remove_file(path.join("extra.json")).unwrap();
     let heard = Heard::default();
     let clip = read(&path, FORMAT, &ImportOptions::default(), &heard).unwrap();
-    assert!(heard.all().contains("30 frames a second"), "{}", heard.all());
+    assert!(heard.all().contains("30 frames per second"), "{}", heard.all());
     assert_poses(&clip.train, "c2w");
     assert!((clip.train.duration_s.unwrap() - 4.0 / 30.0).abs() < 1e-12);
     assert_eq!(clip.test.unwrap().frames.len(), 2);
@@ -160,7 +160,7 @@ fn faults_say_where_they_are() {
         r#""time_ids": [3, "#,
         &["of one moment"],
     );
-    broken("splits/val.json", "1_00001", "../../x", &["no name of a frame"]);
+    broken("splits/val.json", "1_00001", "../../x", &["not the name of a frame"]);
     broken("splits/val.json", "1_00001", "0_00001", &["both splits"]);
     broken(
         "scene.json",

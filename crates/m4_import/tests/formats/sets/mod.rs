@@ -1,4 +1,4 @@
-//! Clips of data sets, telephones and trackers, compared with what `oracles/import_formats_b.py` wrote them from.
+//! Clips of data sets, phones and trackers, compared with what `oracles/import_formats_b.py` wrote them from.
 
 mod davis;
 mod dycheck;

@@ -100,7 +100,7 @@ fn faults_say_where_they_are() {
     std::fs::remove_file(path.join("images_2/002.png")).unwrap();
     let why = refused(&path, FORMAT, &ImportOptions::default());
     assert!(
-        why.contains("images_2") && why.contains("4 pictures for 5 poses"),
+        why.contains("images_2") && why.contains("4 images for 5 poses"),
         "{why}"
     );
     let bytes = std::fs::read(path.join("poses_bounds.npy")).unwrap();

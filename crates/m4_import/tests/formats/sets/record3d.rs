@@ -1,4 +1,4 @@
-//! `fixtures/import/record3d/clip.r3d`: lenses of 96 x 72 for pictures of 48 x 36, depth of 24 x 18.
+//! `fixtures/import/record3d/clip.r3d`: lenses of 96 x 72 for images of 48 x 36, depth of 24 x 18.
 
 use super::truth::*;
 use crate::support::{edit, fixture, refused};

@@ -57,7 +57,7 @@ fn depth_of_exr_files_with_parts_is_found_and_of_cropped_ones_refused() {
     let why = read_depth(&fixture("import/side/exr_other/cropped.exr"), 1.0)
         .unwrap_err()
         .to_string();
-    assert!(why.contains("24 x 18 pixels of a picture of 34 x 28"), "{why}");
+    assert!(why.contains("24 x 18 pixels of an image of 34 x 28"), "{why}");
 }
 
 #[test]
@@ -170,7 +170,10 @@ fn faults_say_where_they_are() {
         )
         .unwrap();
     }
-    refused(&|o| o.depth = folder.clone(), &["frame 4", "4.exr", "no depth map"]);
+    refused(
+        &|o| o.depth = folder.clone(),
+        &["frame 4", "4.exr", "not supported for depth maps"],
+    );
     refused(
         &|o| o.depth = side("masks.npz"),
         &["masks.npz", "depths or depth", "there are: masks"],
@@ -182,7 +185,7 @@ fn faults_say_where_they_are() {
     );
     refused(
         &|o| o.tracks = side("depth_png/frame8.png"),
-        &["frame8.png", "no npz archive"],
+        &["frame8.png", "not an npz archive"],
     );
     refused(&|o| o.depth = side("nothing.npz"), &["nothing.npz"]);
     let unit = |o: &mut ImportOptions| {

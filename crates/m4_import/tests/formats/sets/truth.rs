@@ -40,7 +40,7 @@ pub fn assert_poses(capture: &Capture, key: &str) {
     }
 }
 
-/// The lens is `[fx, fy, cx, cy]` of pictures of `W` x `H`.
+/// The lens is `[fx, fy, cx, cy]` of images of `W` x `H`.
 pub fn assert_lens(frame: &CaptureFrame, want: [f64; 4]) {
     let k = &frame.camera.intrinsics;
     assert_eq!((k.width, k.height), (W, H));
@@ -57,7 +57,7 @@ pub fn assert_true_lens(capture: &Capture) {
     }
 }
 
-/// Pictures of `want`, `[frames][H][W][3]`, to `most` steps at worst and `mean` on average.
+/// Images of `want`, `[frames][H][W][3]`, to `most` steps at worst and `mean` on average.
 pub fn assert_pictures(capture: &Capture, want: &[f64], most: f64, mean: f64) {
     assert_eq!(capture.frames.len() * W * H * 3, want.len());
     for (frame, want) in capture.frames.iter().zip(want.chunks_exact(W * H * 3)) {

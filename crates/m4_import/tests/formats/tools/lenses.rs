@@ -1,4 +1,4 @@
-//! Lenses: pictures that OpenCV drew through one, undistorted.
+//! Lenses: images that OpenCV drew through one, undistorted.
 
 use super::truth::{SIZE, Truth, beside, colour, read};
 use m4_import::SourceFormat::{Colmap, Nerfstudio};

@@ -1,4 +1,4 @@
-//! The made-up clip of `oracles/import_formats_a.py` as every tool of reconstruction leaves it.
+//! The synthetic clip of `oracles/import_formats_a.py` as every tool of reconstruction leaves it.
 
 mod colmap;
 mod lenses;

@@ -11,7 +11,7 @@ use m4_scene::Silent;
 fn nerfstudio_with_what_it_applied() {
     let truth = Truth::read();
     let got = read("import/nerfstudio", Nerfstudio, &ImportOptions::default()).unwrap();
-    // pictures are JPEG
+    // images are JPEG
     truth.same_cameras(&got.train, (12, 2.0));
     // millimetres
     truth.same_depth(&got.train, 0.0, 0.000_501);
@@ -72,7 +72,7 @@ fn a_training_and_a_test_split() {
             truth.same_pose(i, frame);
             truth.same_picture(i, &frame.rgb, (0, 0.0));
             let k = frame.camera.intrinsics;
-            // one field of view, and the middle of the picture
+            // one field of view, and the middle of the image
             let off = [k.fx - 50.0, k.fy - 50.0, k.cx - 24.0, k.cy - 18.0].map(f64::abs);
             assert!(off.into_iter().fold(0.0, f64::max) < 1e-9, "{k:?}");
             assert_eq!(frame.t, i as f64 / 2.0);

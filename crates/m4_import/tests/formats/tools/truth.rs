@@ -28,7 +28,7 @@ pub struct Truth {
     pub images: Vec<RgbImage>,
 }
 
-/// Options with the pictures of the clip.
+/// Options with the images of the clip.
 pub fn with_pictures() -> ImportOptions {
     ImportOptions {
         pictures: Some(fixture("import/clip/images")),
@@ -36,7 +36,7 @@ pub fn with_pictures() -> ImportOptions {
     }
 }
 
-/// Options for lists whose pictures are those of the clip beside them.
+/// Options for lists whose images are those of the clip beside them.
 pub fn beside() -> ImportOptions {
     ImportOptions {
         reach: Reach::Anywhere,
@@ -78,7 +78,7 @@ impl Truth {
         }
     }
 
-    /// Compares all but depth and masks; pictures may be off by `colours` (largest, mean).
+    /// Compares all but depth and masks; images may be off by `colours` (largest, mean).
     pub fn same_cameras(&self, capture: &Capture, colours: (u8, f64)) {
         assert_eq!(capture.frames.len(), FRAMES);
         for (i, frame) in capture.frames.iter().enumerate() {

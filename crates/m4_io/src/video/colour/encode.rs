@@ -1,10 +1,10 @@
-//! sRGB to the planes that an encoder wants.
+//! Converts sRGB to the planes of an encoder.
 
 use super::YuvMatrix;
 use m4_scene::RgbImage;
 use rayon::prelude::*;
 
-/// Planes of a picture in 4:2:0.
+/// Planes of an image in 4:2:0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Planes420 {
     /// Even.
@@ -18,7 +18,7 @@ pub struct Planes420 {
 }
 
 impl Planes420 {
-    /// Converts a picture; odd sides grow by repeating the last column or row. Chroma is sited at the
+    /// Converts an image; odd sides grow by repeating the last column or row. Chroma is sited at the
     /// left luma column, between two rows, and weighed 1 2 1 along the row.
     pub fn new(picture: &RgbImage, matrix: &YuvMatrix) -> Self {
         let (w, h) = picture.size();

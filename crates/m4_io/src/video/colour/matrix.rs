@@ -1,4 +1,4 @@
-//! Luma and chroma to red, green and blue.
+//! Converts luma and chroma to red, green and blue.
 
 use m4_scene::{Plane, RgbImage};
 use rayon::prelude::*;
@@ -36,7 +36,7 @@ impl YuvMatrix {
         Some(Self { kr, kb, range })
     }
 
-    /// A picture from 4:2:0 planes with the given strides. Chroma lies at the left luma column and
+    /// An image from 4:2:0 planes with the given strides. Chroma lies at the left luma column and
     /// between two luma rows (MPEG-2 siting, H.264's default) and is interpolated. `None` if a plane is
     /// too short.
     pub fn picture_420(

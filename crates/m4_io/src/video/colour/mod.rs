@@ -1,4 +1,4 @@
-//! From the numbers in a video stream to sRGB.
+//! Converts the values of a video stream to sRGB.
 
 mod encode;
 mod matrix;

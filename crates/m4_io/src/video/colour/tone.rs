@@ -1,4 +1,4 @@
-//! High dynamic range (BT.2100 PQ and HLG) to sRGB.
+//! Converts high dynamic range (BT.2100 PQ and HLG) to sRGB.
 
 use m4_scene::{Plane, RgbImage};
 
@@ -68,7 +68,7 @@ impl Hdr {
     }
 }
 
-/// Turns pictures with 16 bits a channel into sRGB; made once a clip.
+/// Turns images with 16 bits per channel into sRGB; made once a clip.
 pub struct ToneMap {
     hdr: Hdr,
     /// Light of each of the 65536 signals.
@@ -120,7 +120,7 @@ impl ToneMap {
         narrow.map(|v| self.encoded[((v * gain).clamp(0.0, 1.0) * 4095.0).round() as usize])
     }
 
-    /// A picture of rows of `width` pixels of 3 little-endian 16-bit numbers; `None` if the length is wrong.
+    /// An image of rows of `width` pixels of 3 little-endian 16-bit numbers; `None` if the length is wrong.
     pub fn picture_16(&self, width: usize, height: usize, bytes: &[u8]) -> Option<RgbImage> {
         let pixel = |p: &[u8]| {
             let channel = |i: usize| u16::from_le_bytes([p[2 * i], p[2 * i + 1]]);
@@ -129,7 +129,7 @@ impl ToneMap {
         Plane::from_vec(width, height, bytes.chunks_exact(6).map(pixel).collect()).ok()
     }
 
-    /// A picture that a decoder gave with 8 bits a channel.
+    /// An image that a decoder gave with 8 bits per channel.
     pub fn picture_8(&self, picture: &RgbImage) -> RgbImage {
         picture.map(|p| self.pixel(p.map(|v| u16::from(v) * 257)))
     }

@@ -1,4 +1,4 @@
-//! A decoder in a process of its own: limited, watched, and gone when its owner is.
+//! A decoder in a separate process: limited, supervised, and ended with its owner.
 
 use super::end::DecoderEnd;
 use super::messages::{Messages, OnLine};

@@ -1,4 +1,4 @@
-//! How a decoder ended that did not finish.
+//! The ways in which a decoder can fail.
 
 use super::Allowed;
 use std::fmt;
@@ -23,7 +23,7 @@ pub enum DecoderEnd {
         /// Seconds that were waited.
         seconds: u64,
     },
-    /// A signal ended it: a crash, or somebody's wish.
+    /// A signal ended it: a crash, or a `kill`.
     Signal {
         /// Its number.
         signal: i32,
@@ -61,8 +61,8 @@ impl DecoderEnd {
     #[must_use]
     pub fn advice(&self) -> &'static str {
         match self {
-            Self::Memory { .. } => "if the clip is to be trusted, raise video.decoder.memory_mb, or make it smaller",
-            Self::Cpu { .. } => "if the clip is to be trusted, raise video.decoder.cpu_seconds, or cut a shorter part",
+            Self::Memory { .. } => "if you trust this clip, raise video.decoder.memory_mb, or make it smaller",
+            Self::Cpu { .. } => "if you trust this clip, raise video.decoder.cpu_seconds, or cut a shorter part",
             Self::Idle { .. } => {
                 "the clip may be damaged: copy it again; on a slow disk, raise video.decoder.idle_seconds"
             }
@@ -71,8 +71,8 @@ impl DecoderEnd {
             }
             // Many decoders crash where memory is refused: SIGABRT, SIGBUS, SIGSEGV.
             Self::Signal { signal: 6 | 7 | 11 } => {
-                "the clip is damaged, made to break decoders, or needs more memory: copy or export it again; if it is to be \
-                 trusted, raise video.decoder.memory_mb"
+                "the clip is damaged, made to break decoders, or needs more memory: copy or export it again; if you trust \
+                 this clip, raise video.decoder.memory_mb"
             }
             Self::Signal { .. } | Self::Messages { .. } | Self::Answer { .. } => {
                 "if it fails on another machine, too, the clip is damaged, or made to break decoders: copy or export it again"

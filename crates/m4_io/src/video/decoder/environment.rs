@@ -1,4 +1,4 @@
-//! What a decoder is told of the environment: nothing that is secret.
+//! The environment variables that a decoder gets: none that may hold secrets.
 
 use std::process::Command;
 

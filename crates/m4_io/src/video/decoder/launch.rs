@@ -1,5 +1,4 @@
-//! Starting a program that was not written to limit itself: on Linux our own program is started in its place, limits
-//! itself, and then becomes that program.
+//! Starts a program that does not limit itself: on Linux our own program is started first, limits itself, and then executes that program.
 
 use super::{Allowed, Confined, DecoderProgram, limit_self};
 use std::ffi::OsString;

@@ -1,12 +1,12 @@
-//! What a decoder may take.
+//! The resource limits of a decoder.
 
 use crate::video::ReadVideoError;
 use serde::{Deserialize, Serialize};
 
 const MIB: u64 = 1 << 20;
-/// Address space of a decoder besides its pictures: ffmpeg 5.1 with 6 threads maps 0.5 GiB.
+/// Address space of a decoder besides its images: ffmpeg 5.1 with 6 threads maps 0.5 GiB.
 const BASE_BYTES: u64 = 2 << 30;
-/// Pictures that a decoder may hold: 16 for reference, as many in flight in its threads, and some on their way out.
+/// Images that a decoder may hold: 16 for reference, as many in flight in its threads, and some on their way out.
 const PICTURES: u64 = 40;
 /// Bytes of a pixel: two samples, and half of two more, of 16 bits.
 const PIXEL_BYTES: u64 = 4;
@@ -14,9 +14,9 @@ const PIXEL_BYTES: u64 = 4;
 const MOST_BYTES: u64 = 8 << 30;
 /// Seconds that any decoder has.
 const BASE_S: u64 = 120;
-/// Slower than any processor of this decade decodes and converts, pixels a second.
+/// Slower than any processor of this decade decodes and converts, pixels per second.
 const PIXELS_A_SECOND: u64 = 2_000_000;
-/// Slower than any of them takes a file apart, bytes a second.
+/// Slower than any of them takes a file apart, bytes per second.
 const BYTES_A_SECOND: u64 = 5_000_000;
 
 /// What a process that decodes a video may take before it is ended with
@@ -26,11 +26,11 @@ const BYTES_A_SECOND: u64 = 5_000_000;
 #[serde(default, deny_unknown_fields)]
 #[non_exhaustive]
 pub struct DecoderLimits {
-    /// Address space, MiB. Default 0: by the size of the pictures, 2 GiB and 160 bytes a pixel, at most 8 GiB
+    /// Address space, MiB. Default 0: by the size of the images, 2 GiB and 160 bytes per pixel, at most 8 GiB
     /// (2.3 GiB for 1080p, 3.2 GiB for 4K).
     pub memory_mb: u64,
     /// Seconds of one core. Default 0: by the length of the clip, 120 s and 1 s for every 2 million pixels (10 s
-    /// of 1080p at 30 frames a second: 431 s) and 5 MB of the file.
+    /// of 1080p at 30 frames per second: 431 s) and 5 MB of the file.
     pub cpu_seconds: u64,
     /// Seconds within which something must come from the decoder while it is waited for. Default 120.
     pub idle_seconds: u64,
@@ -49,9 +49,9 @@ impl Default for DecoderLimits {
 /// What is to be decoded, as far as it is known before.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Work {
-    /// Of a picture; 0 where it is not known.
+    /// Of an image; 0 where it is not known.
     pub pixels: u64,
-    /// Pictures.
+    /// Images.
     pub frames: u64,
     /// Of the file.
     pub bytes: u64,
@@ -80,7 +80,7 @@ impl DecoderLimits {
         };
         // Of which none can overflow below.
         if self.memory_mb != 0 && !(64..=1 << 24).contains(&self.memory_mb) {
-            let expected = "64 to 16777216 MiB were expected, or 0 for a limit by the size of the pictures";
+            let expected = "64 to 16777216 MiB were expected, or 0 for a limit by the size of the images";
             return bad("decoder.memory_mb", self.memory_mb, expected);
         }
         if self.cpu_seconds > 1 << 30 {

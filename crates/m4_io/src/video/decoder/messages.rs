@@ -1,4 +1,4 @@
-//! What a child writes to standard error, of which a bounded part is read and kept.
+//! Reads a bounded part of what a child writes to standard error.
 
 use std::io::{BufRead, BufReader, Read};
 use std::sync::atomic::{AtomicBool, Ordering};

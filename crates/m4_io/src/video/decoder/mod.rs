@@ -1,11 +1,11 @@
-//! Decoders as child processes: what they may take, how they are watched, and how they end.
+//! Decoders as child processes: their limits, their supervision, and their end.
 //!
 //! Decoders are large programs in C that are given bytes of strangers. They run in processes of their
 //! own, so that a crash, an endless loop or a claim of all memory is an error of the clip.
 //!
 //! ```text
 //! program      our own program, started once more: the decoder of H.264, and what limits itself for other programs
-//! environment  what they are told of ours
+//! environment  the variables that they get
 //! launch       our own program becomes another
 //! rlimits      limits of the kernel; tasks: how many processes a user has
 //! child        watching; messages: standard error; end: how it ended

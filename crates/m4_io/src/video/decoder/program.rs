@@ -1,4 +1,4 @@
-//! The program that decodes H.264 for this one.
+//! The registered program that decodes H.264.
 
 use super::Allowed;
 use std::ffi::OsString;

@@ -1,4 +1,4 @@
-//! Limits that the operating system keeps (`setrlimit`, `prctl`), on Linux; elsewhere there are none.
+//! Limits of the operating system (`setrlimit`, `prctl`), on Linux only.
 
 use super::Allowed;
 use std::io;
@@ -31,7 +31,7 @@ const MORE_TASKS: u64 = 1024;
 #[cfg(target_os = "linux")]
 type Limit = (rustix::process::Resource, u64);
 
-/// Of every decoder. Whoever started it sets them too, so they are the same there.
+/// Of every decoder. The parent process sets them, too, so they are the same there.
 #[cfg(target_os = "linux")]
 fn limits(allowed: &Allowed) -> [Limit; 4] {
     use rustix::process::Resource;

@@ -1,4 +1,4 @@
-//! How many processes and threads a user has.
+//! Counts the processes and threads of a user.
 
 use std::fs;
 

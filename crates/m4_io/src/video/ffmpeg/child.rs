@@ -1,4 +1,4 @@
-//! Commands for ffmpeg and ffprobe.
+//! The command lines of ffmpeg and ffprobe.
 
 use crate::video::decoder::{self, Allowed, DecoderProgram, Start};
 use std::io;
@@ -11,7 +11,7 @@ pub fn probe_beside(ffmpeg: &Path) -> PathBuf {
     ffmpeg.with_file_name(name.replacen("ffmpeg", "ffprobe", 1))
 }
 
-/// Containers that are taken apart: those of clips that hold their pictures themselves. Lists of other files (`hls`,
+/// Containers that are taken apart: those of clips that hold their images themselves. Lists of other files (`hls`,
 /// `concat`, `dash`, ...) and descriptions of streams (`sdp`) are not among them. What a build does not know is
 /// passed over.
 const FORMATS: &str = "3g2,apng,asf,av1,avi,dv,flv,gif,h264,hevc,ivf,m4v,matroska,mj2,mjpeg,mov,mp4,mpeg,mpegts,mpegtsraw,\

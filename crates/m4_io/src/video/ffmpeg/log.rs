@@ -1,4 +1,4 @@
-//! What ffmpeg writes to standard error: frames (filter `showinfo`) and complaints.
+//! Parses the standard error of ffmpeg: frames (filter `showinfo`) and error messages.
 
 /// A frame that is about to come through the pipe.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,4 +1,4 @@
-//! What `ffprobe` says about a clip: codec, colours, and when each frame is shown.
+//! Parses the output of `ffprobe`: codec, colours, and the time of each frame.
 
 use super::child::{command, probe_beside, start};
 use crate::video::colour::Hdr;
@@ -12,7 +12,7 @@ use std::path::Path;
 const MAX_OUTPUT_BYTES: usize = 256 << 20;
 /// Most bytes of complaints.
 const MESSAGE_BYTES: u64 = 64 << 20;
-/// Pixels of 8K, since the size is not known before: finding the format may take decoding some pictures.
+/// Pixels of 8K, since the size is not known before: finding the format may take decoding some images.
 const MAX_PIXELS: u64 = 7680 * 4320;
 
 #[derive(Debug, Deserialize)]
@@ -53,15 +53,15 @@ pub struct Description {
     pub hdr: Option<Hdr>,
     /// The stream says which YUV matrix it has.
     pub matrix_known: bool,
-    /// Pictures are woven from two fields.
+    /// Images are woven from two fields.
     pub interlaced: bool,
-    /// Pixels of a picture as coded.
+    /// Pixels of an image as coded.
     pub pixels: u64,
     /// Rows as coded, which the guess of the YUV matrix depends on.
     pub height: usize,
     /// Seconds, in order; `None` where some packets have no time stamp.
     pub times_s: Option<Vec<f64>>,
-    /// Pictures that will be shown.
+    /// Images that will be shown.
     pub packets: usize,
 }
 
@@ -74,7 +74,7 @@ pub fn describe(
     progress: &dyn Progress,
 ) -> Result<Option<Description>, ReadVideoError> {
     let program = probe_beside(&options.ffmpeg);
-    // V: no cover pictures.
+    // V: no cover images.
     let entries = "stream=codec_name,pix_fmt,color_space,color_transfer,width,height,field_order:packet=pts_time,flags";
     let arguments = [
         "-v",

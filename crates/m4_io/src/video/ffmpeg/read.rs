@@ -12,11 +12,11 @@ use std::path::Path;
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Largest picture that is taken from the pipe, pixels: 16384 x 16384.
+/// Largest image that is taken from the pipe, pixels: 16384 x 16384.
 const MAX_PIXELS: usize = 1 << 28;
 /// Complaints that are kept for a message.
 const KEPT_COMPLAINTS: usize = 8;
-/// Bytes of messages that are read at most, and so many more for every picture: a line on each takes some 300, and a
+/// Bytes of messages that are read at most, and this many more for every image: a line on each takes some 300, and a
 /// damaged one may be complained of many times.
 const MESSAGE_BYTES: u64 = 64 << 20;
 const MESSAGE_BYTES_A_PICTURE: u64 = 8 << 10;
@@ -231,7 +231,7 @@ impl<'a> Decoder<'a> {
         Ok(Collector::new(size))
     }
 
-    /// Reads one picture; false when the child ended before it was whole.
+    /// Reads one image; false when the child ended before it was whole.
     fn picture_bytes(&mut self, info: &FrameInfo, bytes: &mut Vec<u8>) -> Result<bool, ReadVideoError> {
         let pixels = info.width.saturating_mul(info.height);
         if pixels == 0 || pixels > MAX_PIXELS {
@@ -251,7 +251,7 @@ impl<'a> Decoder<'a> {
                 Plane::from_vec(info.width, info.height, pixels).ok()
             }
         };
-        picture.ok_or_else(|| self.failed("a picture has the wrong length".into()))
+        picture.ok_or_else(|| self.failed("an image has the wrong length".into()))
     }
 
     fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, ReadVideoError> {
@@ -269,7 +269,7 @@ impl<'a> Decoder<'a> {
             && (!exit.status.success() || complaints.of_memory)
         {
             let how = self.child.why(exit);
-            // That it ended early by its own decision is told below, and what it decoded is kept.
+            // An early end by its own decision is reported below, and what it decoded is kept.
             if !matches!(how, DecoderEnd::Answer { .. }) {
                 return Err(self.halted(Halt::Failed(how)));
             }
@@ -333,7 +333,7 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// What happens to a picture before it enters the pipe.
+/// What happens to an image before it enters the pipe.
 fn filters(description: &Description) -> String {
     let mut filters = String::new();
     if description.interlaced {

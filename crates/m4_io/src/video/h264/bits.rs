@@ -1,4 +1,4 @@
-//! Bits of a NAL unit, most significant first.
+//! Reads the bits of a NAL unit, most significant first.
 
 /// Reads the payload of a NAL unit, without its emulation prevention bytes (`00 00 03` -> `00 00`).
 pub struct Bits {

@@ -1,4 +1,4 @@
-//! One coded frame in, one picture out: OpenH264.
+//! Decodes one coded frame into one image with OpenH264.
 
 use super::wire::Setup;
 use openh264::OpenH264API;
@@ -31,8 +31,8 @@ pub enum Frame<'a> {
 impl H264 {
     /// `None` when the library cannot be set up.
     pub fn new(setup: Setup) -> Option<Self> {
-        // Parameter sets were changed so that no picture is held back (see `sps::undelayed`); flushing
-        // would leak the decoder's pictures.
+        // Parameter sets were changed so that no image is held back (see `sps::undelayed`); flushing
+        // would leak the decoder's images.
         let settings = DecoderConfig::new().flush_after_decode(Flush::NoFlush);
         let decoder = Decoder::with_api_config(OpenH264API::from_source(), settings).ok()?;
         Some(Self {
@@ -78,7 +78,7 @@ fn plane<'a>(yuv: &'a DecodedYUV<'_>, which: usize, size: (usize, usize)) -> (&'
     }
 }
 
-/// True when the planes have all rows of a picture of `size`.
+/// True when the planes have all rows of an image of `size`.
 fn holds(yuv: &DecodedYUV<'_>, size: (usize, usize)) -> bool {
     (0..3).all(|which| {
         let (bytes, stride, (width, height)) = plane(yuv, which, size);

@@ -1,4 +1,4 @@
-//! Coded frames in, pictures out, decoded in this process or in another: the same pictures, bit by bit.
+//! Decodes frames in this process or in another, with the same result bit by bit.
 
 use super::decode::{Frame, H264};
 use super::wire::{self, Setup, plane_bytes};
@@ -15,7 +15,7 @@ const WINDOW: usize = 6;
 /// Bytes of messages that a child may write: OpenH264 writes none, the system a few.
 const MESSAGE_BYTES: u64 = 1 << 20;
 
-/// What became of a frame: `None` if it is damaged, and a picture where one was wanted.
+/// What became of a frame: `None` if it is damaged, and an image where one was wanted.
 type Answer = Option<Option<RgbImage>>;
 
 /// The decoder of one stream.
@@ -103,7 +103,7 @@ impl<'a> Engine<'a> {
         }
     }
 
-    /// Gives a frame (with start codes), behind parameter sets when it is `fresh`. A picture is made only when it
+    /// Gives a frame (with start codes), behind parameter sets when it is `fresh`. An image is made only when it
     /// is wanted.
     pub fn give(&mut self, frame: &[u8], fresh: bool, wanted: bool) {
         match &mut self.place {

@@ -1,4 +1,4 @@
-//! H.264 inside of MP4 files, decoded in a process of its own where one is registered, and here where none is.
+//! H.264 in MP4 files, decoded in a separate process if a decoder program is registered, else in this one.
 //!
 //! The decoder (OpenH264) takes 8-bit 4:2:0 progressive streams of the Baseline, Main and High
 //! profiles, B-frames included; [`Unsupported`] says why anything else is left to ffmpeg.

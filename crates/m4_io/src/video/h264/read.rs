@@ -1,4 +1,4 @@
-//! A track of H.264 to a clip.
+//! Reads an H.264 track as a clip.
 
 use super::Unsupported;
 use super::config::Config;
@@ -225,7 +225,7 @@ struct Run<'a> {
 
 impl Run<'_> {
     /// Decodes in the order of the file up to the last frame that is kept. The decoder itself sees to parameter sets
-    /// after a frame that it finds damaged; a frame that never reaches it is told to it with the next.
+    /// after a frame that it finds damaged; a frame that never reaches it is reported to it with the next.
     fn frames(
         &mut self,
         file: &mut File,
@@ -328,7 +328,7 @@ fn coded_bytes(file: &mut File, sample: &Sample, bytes: &mut Vec<u8>) -> io::Res
     }
 }
 
-/// Size of the pictures of a track and how many of them decode in this process, or why none does: for files of our own.
+/// Size of the images of a track and how many of them decode in this process, or why none does: for files of our own.
 pub fn count(file: &mut File, track: &Track) -> Result<((usize, usize), usize), String> {
     let entry = track.entries.first().ok_or("its track has no decoder configuration")?;
     let config = configure(entry).map_err(|Unsupported(what)| format!("it is {what}"))?;

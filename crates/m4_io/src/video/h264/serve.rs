@@ -1,4 +1,4 @@
-//! The other end of the pipes: the process that decodes.
+//! The decoder process at the other end of the pipes.
 
 use super::decode::{Frame, H264, rows};
 use super::wire::{self, Setup};
@@ -10,7 +10,7 @@ use std::io::{self, BufReader, BufWriter, ErrorKind, Read, Write};
 /// [`crate::video::set_decoder_program`] and finds the arguments of its registration in its command line.
 /// `limits` are the arguments behind those. On Linux the limits of memory, time, files, processes and core dumps are set
 /// before the first byte is read, for the whole process, and it can gain no privileges. Where a command line follows the
-/// limits, the process becomes that program in place of decoding.
+/// limits, the process becomes that program instead of decoding.
 ///
 /// # Errors
 ///

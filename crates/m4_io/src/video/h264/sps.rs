@@ -9,7 +9,7 @@ pub struct Sps {
     /// 0 = grey, 1 = 4:2:0, 2 = 4:2:2, 3 = 4:4:4.
     pub chroma_format: u32,
     pub bit_depth: u32,
-    /// Every picture is a whole frame.
+    /// Every image is a whole frame.
     pub progressive: bool,
     /// Cropped, pixels.
     pub width: usize,
@@ -159,14 +159,14 @@ impl Sps {
     }
 }
 
-/// Profile whose pictures the decoder gives out as soon as they are decoded (Scalable Baseline, with
+/// Profile whose images the decoder gives out as soon as they are decoded (Scalable Baseline, with
 /// the syntax of a High parameter set).
 const UNDELAYED_PROFILE: u8 = 83;
 
-/// The parameter set (a NAL unit of type 7) with a profile for which OpenH264 does not hold pictures
+/// The parameter set (a NAL unit of type 7) with a profile for which OpenH264 does not hold images
 /// back to put them in order of display. What is decoded does not change: for progressive 8-bit 4:2:0
 /// the profile decides about nothing else in that decoder. The order is ours to make, from the times in
-/// the container; the decoder's own order would hide which picture a damaged frame took away.
+/// the container; the decoder's own order would hide which image a damaged frame took away.
 pub fn undelayed(nal: &[u8]) -> Option<Vec<u8>> {
     let &[header, profile, constraints, level, ref rest @ ..] = nal else {
         return None;

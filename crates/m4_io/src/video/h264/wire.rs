@@ -1,4 +1,4 @@
-//! What the program and its decoder say to each other through two pipes. Numbers are little-endian.
+//! The protocol between the program and its decoder over two pipes. Numbers are little-endian.
 //!
 //! ```text
 //! to the decoder:    MAGIC  width u32  height u32  headers (u32, bytes)
@@ -14,13 +14,13 @@ use std::io::{self, Read};
 
 /// The first bytes in both directions.
 pub const MAGIC: [u8; 8] = *b"m4h264\x00\x01";
-/// Flag: the picture is wanted, not only decoded.
+/// Flag: the image is wanted, not only decoded.
 pub const WANTED: u8 = 1;
 /// Flag: parameter sets go before the frame.
 pub const FRESH: u8 = 2;
 /// Answer: the frame is damaged.
 pub const DAMAGED: u8 = 0;
-/// Answer: the frame was decoded, and nobody wants it.
+/// Answer: the frame was decoded, and is not needed.
 pub const DECODED: u8 = 1;
 /// Answer: the frame was decoded and follows.
 pub const PICTURE: u8 = 2;
@@ -81,7 +81,7 @@ pub fn read_request(input: &mut impl Read, frame: &mut Vec<u8>) -> io::Result<Op
     Ok(Some(flags[0]))
 }
 
-/// Lengths of luma and of one chroma plane of a picture, bytes.
+/// Lengths of luma and of one chroma plane of an image, bytes.
 pub fn plane_bytes((width, height): (usize, usize)) -> (usize, usize) {
     (width * height, width.div_ceil(2) * height.div_ceil(2))
 }

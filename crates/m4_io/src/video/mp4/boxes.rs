@@ -1,12 +1,12 @@
-//! Boxes: four letters, a length, and bytes.
+//! MP4 boxes: a type of four characters, a length, and bytes.
 
 use super::Mp4Error;
 use std::io::{Read, Seek, SeekFrom};
 
-/// Longest index that is read into memory, bytes: an hour of 240 frames a second takes 40 MB.
+/// Longest index that is read into memory, bytes: an hour of 240 frames per second takes 40 MB.
 const MAX_INDEX_BYTES: u64 = 512 << 20;
 
-/// Four letters.
+/// The type: four characters.
 pub type Kind = [u8; 4];
 
 /// For messages.
@@ -16,7 +16,7 @@ pub fn name(kind: Kind) -> String {
         .collect()
 }
 
-/// True when bytes 4..8 of a file are letters that MP4 and QuickTime files start with.
+/// True when bytes 4..8 of a file are a box type that MP4 and QuickTime files start with.
 pub fn looks_like_mp4(start: &[u8]) -> bool {
     let known: [&Kind; 7] = [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip", b"pnot"];
     start.get(4..8).is_some_and(|kind| known.iter().any(|k| *k == kind))

@@ -1,4 +1,4 @@
-//! When a frame is shown: the edit list of a track (ISO/IEC 14496-12, 8.6.6).
+//! The presentation time of a frame: the edit list of a track (ISO/IEC 14496-12, 8.6.6).
 
 /// One entry of an edit list.
 #[derive(Debug, Clone, Copy, PartialEq)]

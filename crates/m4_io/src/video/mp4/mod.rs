@@ -1,4 +1,4 @@
-//! MP4 and QuickTime files: which bytes are which frame, when it is shown, and which way is up.
+//! MP4 and QuickTime files: the bytes of each frame, its presentation time, and the orientation.
 //!
 //! Only what a reader of clips needs (ISO/IEC 14496-12, -15). Every count is checked against the
 //! bytes that are there before anything is allocated, so that no file can make the reader panic or

@@ -1,4 +1,4 @@
-//! Tracks: what they hold and how they are shown.
+//! Tracks: their contents and their presentation.
 
 use super::boxes::{Body, Kind, child, children, read_moov, required};
 use super::edits::Edit;

@@ -1,9 +1,9 @@
-//! The sample tables: where the bytes of each frame are, and its time.
+//! The sample tables: the position of each frame's bytes, and its time.
 
 use super::Mp4Error;
 use super::boxes::{Body, child, required};
 
-/// Most samples that are read: four days at 30 frames a second, and 240 MB here.
+/// Most samples that are read: four days at 30 frames per second, and 240 MB here.
 const MAX_SAMPLES: usize = 10_000_000;
 
 /// One coded frame.
@@ -144,7 +144,7 @@ fn time(stbl: &[u8], samples: &mut [Sample]) -> Result<(), Mp4Error> {
     let runs = ctts.count(8)?;
     let mut next = 0usize;
     for _ in 0..runs {
-        // Version 0 is unsigned on paper; writers put negative numbers there all the same.
+        // Version 0 is unsigned on paper; writers put negative numbers there anyway.
         let (count, offset) = (ctts.u32()? as usize, ctts.i32()?);
         for sample in samples.iter_mut().skip(next).take(count) {
             sample.ticks = sample.ticks.saturating_add(i64::from(offset));

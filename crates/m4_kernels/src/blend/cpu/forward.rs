@@ -1,4 +1,4 @@
-//! Splats to pixels.
+//! The forward pass, from splats to pixels.
 
 use super::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step};
 use crate::{
@@ -125,7 +125,7 @@ fn tile_forward<S: Simd, const DEPTH: bool>(
     let (mut count, mut finished) = (0, false);
     let mut alphas = [[0.0; 16]; BATCH];
     for batch in list.chunks(BATCH) {
-        // two loops, because the processor looks only so many operations ahead: the second waits for
+        // two loops, because the processor looks only a limited number of operations ahead: the second waits for
         // itself, the first for nothing
         for (&place, row) in batch.iter().zip(&mut alphas) {
             alpha(s, &records[place as usize % CHUNK], pixels).store_slice(row);

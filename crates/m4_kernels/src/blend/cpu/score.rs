@@ -1,4 +1,4 @@
-//! How much of a map of weights each splat is blended on.
+//! Sums a map of weights over the pixels that each splat is blended on.
 
 use super::{CHUNK, Pixels, T_FLOOR, Used, alpha, copy, step};
 use crate::{
@@ -12,7 +12,7 @@ use crate::{
 use fearless_simd::{Simd, f32x16, prelude::*};
 use fearless_simd_macros::simd;
 
-/// Fills `scores[i]`, one a splat of the band: the weights of the pixels that it is blended on.
+/// Fills `scores[i]`, one per splat of the band: the weights of the pixels that it is blended on.
 #[inline(always)]
 pub(crate) fn score<S: Simd>(
     s: S,

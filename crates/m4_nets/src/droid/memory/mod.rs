@@ -1,4 +1,4 @@
-//! What the tracking network keeps of a clip, and what it answers.
+//! The state of the tracking network for a clip, and its queries.
 //!
 //! ```text
 //! add_frame --fnet--> features                    enter, leave: edges, whose hidden states start as their source's
@@ -30,7 +30,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use store::Store;
 
-/// Gives the picture of a frame, by its number in the clip, in the size that the network works with.
+/// Gives the image of a frame, by its number in the clip, in the size that the network works with.
 pub type Pictures<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
 
 /// How a memory keeps what it keeps.
@@ -69,7 +69,7 @@ pub struct DroidMemory<'a> {
     store: Store<Key>,
     pictures: Pictures<'a>,
     edges: HashMap<u64, Edge>,
-    /// Columns and rows of the pictures, once one was seen.
+    /// Columns and rows of the images, once one was seen.
     size: Option<(usize, usize)>,
 }
 
@@ -97,7 +97,7 @@ impl<'a> DroidMemory<'a> {
         }
     }
 
-    /// Columns and rows of the grid, an eighth of the pictures', once a picture was seen.
+    /// Columns and rows of the grid, an eighth of the images', once an image was seen.
     #[must_use]
     pub fn grid(&self) -> Option<(usize, usize)> {
         self.size.map(|(w, h)| (w / 8, h / 8))
@@ -115,12 +115,12 @@ impl<'a> DroidMemory<'a> {
         self.store.spilled()
     }
 
-    /// Computes the features of `frame` from its picture, unless they are known. A frame that is not added is, when it is
+    /// Computes the features of `frame` from its image, unless they are known. A frame that is not added is, when it is
     /// needed.
     ///
     /// # Errors
     ///
-    /// [`DroidError`] if the picture is too small, has sides that are no multiples of 8 or another size than those before, or
+    /// [`DroidError`] if the image is too small, has sides that are no multiples of 8 or another size than those before, or
     /// if file or device fail.
     pub fn add_frame(&mut self, frame: usize, image: &RgbImage) -> Result<(), DroidError> {
         if self.store.contains(Key::Features(frame)) {
@@ -138,13 +138,13 @@ impl<'a> DroidMemory<'a> {
         }
     }
 
-    /// Starts an edge: where the pixels of `source` are in `target`. One that is there already starts anew.
+    /// Starts an edge: where the pixels of `source` are in `target`. One that is there already starts again.
     pub fn enter(&mut self, edge_id: u64, source: usize, target: usize) {
         self.store.remove(Key::Hidden(edge_id));
         self.edges.insert(edge_id, Edge { source, target });
     }
 
-    /// Forgets an edge; nothing happens if it is not there.
+    /// Forgets an edge; nothing happens if it is missing.
     pub fn leave(&mut self, edge_id: u64) {
         self.store.remove(Key::Hidden(edge_id));
         self.edges.remove(&edge_id);
@@ -154,7 +154,7 @@ impl<'a> DroidMemory<'a> {
     ///
     /// # Errors
     ///
-    /// [`DroidError`] if a picture cannot be had or does not fit, or if file or device fail.
+    /// [`DroidError`] if an image cannot be had or does not fit, or if file or device fail.
     pub fn motion_px(&mut self, from: usize, to: usize) -> Result<f64, DroidError> {
         let [hidden, context] = self.first_state(from)?;
         let source = FeatureMap::new(self.features(from)?);

@@ -23,7 +23,7 @@ pub struct EdgeUpdate<'a> {
     pub target_px: &'a mut [Vec<f32>; 2],
     /// Written: confidence of each component, in 0..1. Not yet multiplied by the static confidence.
     pub weight: &'a mut [Vec<f32>; 2],
-    /// Written: how likely the pixel stands still, in 0..1.
+    /// Written: how likely the pixel is static, in 0..1.
     pub static_confidence: &'a mut Vec<f32>,
 }
 
@@ -45,7 +45,7 @@ impl DroidMemory<'_> {
     /// # Errors
     ///
     /// [`DroidError`] if an edge is not known, starts elsewhere or is there twice, if there is none, if a plane has another size,
-    /// if a picture cannot be had, or if file or device fail. Answers of some edges may be written by then.
+    /// if an image cannot be had, or if file or device fail. Answers of some edges may be written by then.
     pub fn revise_source(&mut self, source: usize, edges: &mut [EdgeUpdate<'_>]) -> Result<SourceUpdate, DroidError> {
         let known = self.check(source, edges)?;
         let [first, context] = self.first_state(source)?;
@@ -101,7 +101,7 @@ impl DroidMemory<'_> {
         })
     }
 
-    /// `disparity` `[h * w]` of the frame that `update` is of, at the size of the picture: `[8 h * 8 w]`.
+    /// `disparity` `[h * w]` of the frame that `update` is of, at the size of the image: `[8 h * 8 w]`.
     ///
     /// # Errors
     ///

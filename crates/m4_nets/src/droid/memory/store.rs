@@ -128,7 +128,7 @@ impl<K: Copy + Eq + Hash> Store<K> {
         self.entries.contains_key(&key)
     }
 
-    /// Keeps `values` under `key`, in place of what was there.
+    /// Keeps `values` under `key`, instead of what was there.
     ///
     /// # Errors
     ///

@@ -13,7 +13,7 @@ fn options(budget_bytes: usize, storage: Storage) -> MemoryOptions {
     }
 }
 
-/// A memory of the pictures of the fixture, which are added when they are needed.
+/// A memory of the images of the fixture, which are added when they are needed.
 fn memory(options: MemoryOptions) -> DroidMemory<'static> {
     let pictures = Fixture::open("encoders.safetensors").pictures();
     let pictures = move |frame: usize| pictures.get(frame).cloned().ok_or_else(|| "no such frame".into());

@@ -239,7 +239,7 @@ impl<'a> Machine<'a> {
             b'c' => {
                 let (module, name) = (self.line()?, self.line()?);
                 let name = Name::of(module, name);
-                let name = name.ok_or_else(|| self.refused("something of Python that is no array"))?;
+                let name = name.ok_or_else(|| self.refused("something of Python that is not an array"))?;
                 self.stack.push(Value::Name(name));
             }
             b'q' => {
@@ -290,7 +290,7 @@ impl<'a> Machine<'a> {
     /// Puts keys and values, one after the other, into the dictionary on the stack.
     fn insert(&mut self, pairs: &[Value<'a>]) -> Result<(), Refused> {
         let Some(&Value::Dict(dict)) = self.stack.last() else {
-            return Err(self.refused("this is no dictionary"));
+            return Err(self.refused("this is not a dictionary"));
         };
         let (pairs, rest) = pairs.as_chunks::<2>();
         if !rest.is_empty() {
@@ -298,14 +298,14 @@ impl<'a> Machine<'a> {
         }
         for &[key, value] in pairs {
             let Value::Text(key) = key else {
-                return Err(self.refused("a key is no text"));
+                return Err(self.refused("a key is not text"));
             };
             self.dicts[dict].push((key, value));
         }
         Ok(())
     }
 
-    /// An empty array, or a type, in place of a name and its arguments.
+    /// An empty array, or a type, instead of a name and its arguments.
     fn call(&mut self) -> Result<(), Refused> {
         let (args, name) = (self.pop()?, self.pop()?);
         let (Value::Tuple(args), Value::Name(name)) = (args, name) else {
@@ -333,7 +333,7 @@ impl<'a> Machine<'a> {
     fn set_state(&mut self) -> Result<(), Refused> {
         let (state, object) = (self.pop()?, self.pop()?);
         let Value::Tuple(state) = state else {
-            return Err(self.refused("a state is no tuple"));
+            return Err(self.refused("a state is not a tuple"));
         };
         match (object, &self.tuples[state][..]) {
             (Value::Type(of), [Value::Int(_), Value::Text(order), ..]) => {

@@ -14,7 +14,7 @@ impl<'a> Machine<'a> {
         }
         let root = self.pop()?;
         let (Value::Dict(root), true) = (root, self.stack.is_empty()) else {
-            return Err(self.refused("what was pickled is no dictionary"));
+            return Err(self.refused("what was pickled is not a dictionary"));
         };
         let mut found = BTreeMap::new();
         let mut seen = BTreeSet::from([root]);
@@ -41,7 +41,7 @@ impl<'a> Machine<'a> {
                             return Err(self.refused("a name is there twice"));
                         }
                     }
-                    _ => return Err(self.refused("a dictionary holds something that is no array")),
+                    _ => return Err(self.refused("a dictionary holds something that is not an array")),
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! Convolutions with stride 1, padded by half their kernels, without a matrix of neighbourhoods.
 //!
 //! ```text
-//! planes --pad--> [c][h + kh - 1][w + kw - 1], one picture after the other
+//! planes --pad--> [c][h + kh - 1][w + kw - 1], one image after the other
 //! weights --pack--> [block of input channels][block of outputs][channel, tap][output of the block]
 //! for groups of pixels (in parallel), input blocks, tiles of some vectors of pixels, output blocks:
 //!     sums of (outputs of the block) x (vectors of the tile) in registers
@@ -14,7 +14,7 @@ use fearless_simd::{Level, Simd, dispatch, f32x16, prelude::*};
 use rayon::prelude::*;
 
 const LANES: usize = 16;
-/// Products that one sum takes before it goes back to memory: so many rows of weights stay in the first cache.
+/// Products that one sum takes before it goes back to memory: this many rows of weights stay in the first cache.
 const DEPTH: usize = 288;
 /// Pixels of a group: a multiple of all tiles.
 const GROUP: usize = 192;
@@ -28,11 +28,11 @@ pub struct Filter<'a> {
     pub channels: usize,
     /// Rows and columns, odd.
     pub kernel: [usize; 2],
-    /// What lies beyond the picture.
+    /// What lies beyond the image.
     pub beyond: Beyond,
 }
 
-/// What lies beyond a picture.
+/// What lies beyond an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Beyond {
     /// Zeros.
@@ -97,7 +97,7 @@ impl Shape {
     }
 }
 
-/// A picture, padded, and what of it is convolved.
+/// An image, padded, and what of it is convolved.
 struct Padded<'a> {
     values: &'a [f32],
     /// Numbers of a plane.
@@ -106,7 +106,7 @@ struct Padded<'a> {
     taps: &'a [usize],
 }
 
-/// The convolution of `n` pictures of `h` by `w` pixels; `parts` `[n][c][h * w]`, whose channels follow each other, are all of
+/// The convolution of `n` images of `h` by `w` pixels; `parts` `[n][c][h * w]`, whose channels follow each other, are all of
 /// the filter's: `[n][out][h * w]`.
 pub fn convolve(parts: &[&[f32]], n: usize, size: [usize; 2], filter: &Filter<'_>) -> Vec<f32> {
     with_level(Level::new(), parts, n, size, filter)
@@ -122,7 +122,7 @@ fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filt
     let taps: Vec<usize> = (0..kh).flat_map(|y| (0..kw).map(move |x| y * wide + x)).collect();
     let groups = (h * wide).div_ceil(GROUP);
     let outputs = filter.out.next_multiple_of(shape.outputs());
-    // so many pictures at a time that all threads have work
+    // as many images at a time as keep all threads busy
     let together = (4 * rayon::current_num_threads()).div_ceil(groups).clamp(1, n);
     // the last tile reads beyond the last plane
     let room = filter.channels * plane + GROUP + kw;

@@ -30,7 +30,7 @@ pub enum FlowError {
         reason: Box<dyn std::error::Error + Send + Sync>,
     },
     /// The source gave flow of another size than that of its pictures.
-    #[error("the flow has {}x{} values where the pictures have {}x{}", found.0, found.1, expected.0, expected.1)]
+    #[error("the flow has {}x{} values where the images have {}x{}", found.0, found.1, expected.0, expected.1)]
     Size {
         /// Width and height of the flow.
         found: (usize, usize),

@@ -1,4 +1,4 @@
-//! Rounds of density control with a device: by itself, or scored there and decided here.
+//! Density control with a device: decided by the device, or scored there and decided on the host.
 
 use crate::TrainError;
 use crate::config::SplitPlacement;

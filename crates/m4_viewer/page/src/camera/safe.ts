@@ -2,14 +2,14 @@
  * How far the camera may leave the filmed path.
  *
  * Within `radius` of it everything was seen by the source camera from nearly there. Further out the
- * picture fades; at `STOP_AT` times the radius the camera stands still.
+ * image fades; at `STOP_AT` times the radius the camera stops.
  */
 
 import { type Vec3, add, distance, norm, scale, smoothstep, sub } from "../maths";
 import type { SourcePath } from "./path";
 
 const STOP_AT = 1.6;
-/** How much of the picture is gone where the camera stops. */
+/** How much of the image has faded where the camera stops. */
 const FADE_MOST = 0.8;
 /** Share of the distance to what is looked at that takes the place of a radius of nothing. */
 const LEAST_SHARE = 0.05;

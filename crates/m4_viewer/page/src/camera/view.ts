@@ -1,4 +1,4 @@
-/** How the picture of a source camera sits in a window of another shape. */
+/** How the image of a source camera fits a window of another aspect ratio. */
 
 import type { Lens } from "./path";
 
@@ -10,7 +10,7 @@ export interface Placement {
   readonly height: number;
 }
 
-/** How much larger than the whole frame the picture may be drawn, so that less of the window is empty. */
+/** How much larger than the whole frame the image may be drawn, so that less of the window is empty. */
 const CROP_MOST = 1.6;
 
 /** A lens for the window under which the source frame is `placement`. */

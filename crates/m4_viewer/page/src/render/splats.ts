@@ -35,7 +35,7 @@ export class Splats {
       this.fail(
         new PageError(
           "The page cannot sort the splats",
-          `Its worker stopped (${event.message || "the browser does not say why"}). Reload to go on; a browser that allows workers and has enough memory shows the scene.`,
+          `Its worker stopped (${event.message || "the browser does not say why"}). Reload to continue; a browser that allows workers and has enough memory shows the scene.`,
         ),
       );
     });
@@ -103,6 +103,6 @@ export class Splats {
   /** Ends the worker; what was asked of it is answered with an error. */
   close(): void {
     this.worker.terminate();
-    this.fail(new PageError("Another scene took the place of this one", "Reload the page if it does not show it."));
+    this.fail(new PageError("Another scene replaced this one", "Reload the page if it does not show it."));
   }
 }

@@ -37,7 +37,7 @@ async function answer(message: ToWorker): Promise<void> {
     await load(message);
     return;
   }
-  if (!slicer) throw new Error("the splats are not there yet");
+  if (!slicer) throw new Error("the splats are not loaded yet");
   const slice = slicer.slice(message.view);
   say({ kind: "sliced", slice, sentMs: sharedNow() }, [slice.ids.buffer as ArrayBuffer]);
 }

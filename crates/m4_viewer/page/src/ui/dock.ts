@@ -5,7 +5,7 @@ import { SPEED_MAX, SPEED_MIN, timecode } from "../clock";
 import { control, fillRange, find, setAttribute, setIcon, setText } from "./dom";
 import type { Actions } from "./actions";
 
-const REPEAT_WORDS = { loop: "Loop", swing: "To and fro", once: "Once" } as const;
+const REPEAT_WORDS = { loop: "Loop", swing: "Back and forth", once: "Once" } as const;
 const SPEED_STEPS = [0.1, 0.25, 0.5, 0.75, 1, 1.5, 2, 3, 4] as const;
 
 const speedText = (v: number): string => `${Number(v.toFixed(2))}×`;
@@ -153,7 +153,7 @@ export class Dock {
     setAttribute(
       this.freeze,
       "data-tip",
-      this.app.frozen ? "Let time go on  (F)" : "Stop time and move around it  (F)",
+      this.app.frozen ? "Resume time  (F)" : "Stop time and move around it  (F)",
     );
 
     for (const mode of ["ride", "orbit", "fly"] as const) {

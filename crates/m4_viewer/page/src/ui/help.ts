@@ -6,32 +6,32 @@ type Line = readonly [what: string, ...keys: string[]];
 
 const HANDS: readonly Line[] = [
   ["Orbit", "Drag"],
-  ["Move aside", "Two fingers", "Right drag"],
-  ["Come nearer", "Pinch", "Wheel"],
+  ["Move sideways", "Two fingers", "Right drag"],
+  ["Zoom", "Pinch", "Wheel"],
   ["Hide controls", "Tap"],
 ];
 const TIME: readonly Line[] = [
   ["Play or pause", "Space"],
   ["Freeze time", "F"],
-  ["Frame back, frame on", ",", "."],
+  ["Previous, next frame", ",", "."],
   ["Start, end", "Home", "End"],
   ["Slower, faster", "−", "+"],
-  ["Loop, to and fro, once", "L"],
+  ["Loop, back and forth, once", "L"],
 ];
 const CAMERA: readonly Line[] = [
   ["Source camera", "C"],
   ["Orbit", "O"],
   ["Fly", "G"],
-  ["Fly ahead and aside", "W", "A", "S", "D"],
+  ["Fly forward and sideways", "W", "A", "S", "D"],
   ["Fly down, up", "Q", "E"],
   ["Fly faster", "Shift"],
-  ["Back to the beginning", "R"],
+  ["Reset the view", "R"],
 ];
 const PAGE: readonly Line[] = [
   ["Compare with the input", "V"],
   ["Copy a link", "K"],
   ["Save an image", "P"],
-  ["What an instant costs", "I"],
+  ["Timings per instant", "I"],
   ["Light or dark", "T"],
   ["Full screen", "Enter"],
   ["This help", "?"],
@@ -54,13 +54,13 @@ export class Help {
     close.setAttribute("aria-label", "Close");
     close.dataset["control"] = "help-close";
     close.addEventListener("click", () => this.dialog.close());
-    const heading = make("h2", "", "How to look around");
+    const heading = make("h2", "", "Controls");
     heading.id = "help-title";
     const about = make(
       "p",
       "",
-      "A scene made of one clip is right near the places it was filmed from. Further out the image fades, " +
-        "and the camera stops where nothing is known any more.",
+      "A scene from one clip is accurate near the source camera. Further away the image fades, " +
+        "and the camera stops where nothing is known.",
     );
     const keys = make(
       "div",

@@ -1,4 +1,4 @@
-/** Controls step aside while the scene plays and nobody touches anything. */
+/** Hides the controls while the scene plays without input. */
 
 const WAIT_MS = 2600;
 

@@ -25,7 +25,7 @@ export class Meter {
     const ms = (name: string, v: number): string => `${name.padEnd(9)}${v.toFixed(1).padStart(7)} ms`;
     const count = (v: number): string => v.toLocaleString("en");
     const lines = [
-      `${stage.timing.rate(performance.now()).toFixed(1)} instants a second`,
+      `${stage.timing.rate(performance.now()).toFixed(1)} instants per second`,
       `${count(stage.active)} of ${count(manifest.splats.static + manifest.splats.dynamic)} splats`,
       ms("slice", slice),
       ms("readback", readback),

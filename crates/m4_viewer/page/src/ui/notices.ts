@@ -1,4 +1,4 @@
-/** Short words over the picture. */
+/** Short messages over the image. */
 
 import { find, setText } from "./dom";
 

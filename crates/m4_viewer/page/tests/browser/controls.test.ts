@@ -61,13 +61,13 @@ test("the time line goes by frames with keys, and anywhere with the mouse", asyn
   expect(await page.getAttribute(control("scrub"), "aria-valuetext")).toMatch(/^0:0\d\.\d\d, frame 1[12] of 23$/);
 });
 
-test("what an instant costs is told, to people and to scripts", async () => {
+test("the timings of an instant are shown on the page and to scripts", async () => {
   const page = await desk("no-preference");
   expect(await page.isVisible("#meter")).toBe(false);
   await page.keyboard.press("i");
   await expect
     .poll(() => page.innerText("#meter"), { timeout: 20_000 })
-    .toMatch(/^\d+\.\d instants a second\n\d+ of 300 splats\nslice .* ms\nreadback .* ms\nsort .* ms\ndraw .*[1-9].* ms\n760 x 428 pixels$/);
+    .toMatch(/^\d+\.\d instants per second\n\d+ of 300 splats\nslice .* ms\nreadback .* ms\nsort .* ms\ndraw .*[1-9].* ms\n760 x 428 pixels$/);
   const { instant, active } = await state(page);
   expect(Object.keys(instant)).toEqual(["slice_ms", "readback_ms", "sort_ms", "draw_ms", "per_second"]);
   expect(instant.draw_ms).toBeGreaterThan(0);
@@ -94,7 +94,7 @@ test("speed and repeat", async () => {
   expect(repeats).toEqual(["swing", "once", "loop"]);
 });
 
-test("freeze: time stands, the camera swings until it is taken, and all goes on", async () => {
+test("freeze: time stops, the camera swings until it is dragged, and time resumes", async () => {
   const page = await desk("no-preference");
   await page.click(control("freeze"));
   const before = await state(page);
@@ -137,7 +137,7 @@ test("orbit by mouse, fly by keys, and back to the source", async () => {
   expect(apart(back, start)).toBeLessThan(1e-9);
 });
 
-test("the picture fades outside of what was filmed, and the camera stops", async () => {
+test("the image fades outside the filmed region, and the camera stops", async () => {
   const page = await desk();
   await page.mouse.move(400, 200);
   for (let i = 0; i < 12; i++) await page.mouse.wheel(0, 300);
@@ -153,7 +153,7 @@ test("the picture fades outside of what was filmed, and the camera stops", async
   await expect.poll(() => page.isVisible("#hint")).toBe(false);
 });
 
-test("a link leads back to the same picture", async () => {
+test("a link leads back to the same image", async () => {
   const page = await desk();
   await page.evaluate(() => window.minute4d.setTime(9.5));
   await page.mouse.move(400, 200);
@@ -198,7 +198,7 @@ test("the input frame lies over its own place, and in the corner elsewhere", asy
   await expect.poll(async () => (await page.locator("#compare .picture").boundingBox())?.width).toBe(240);
 });
 
-test("themes, help, full screen and a picture to keep", async () => {
+test("themes, help, full screen and saving an image", async () => {
   const page = await desk();
   const before = (await state(page)).theme;
   await page.click(control("theme"));

@@ -96,7 +96,7 @@ test("a run from its first splats to its end", async () => {
   const after = await page.evaluate(async () => ({ ...window.minute4d.state(), png: await window.minute4d.capture() }));
   expect(after.camera).toEqual(before.camera);
   expect(after).toMatchObject({ time: 7, mode: "orbit", sorted: true });
-  expect(after.png, "the same scene is the same picture").toBe(before.png);
+  expect(after.png, "the same scene gives the same image").toBe(before.png);
 
   send({ event: "end", ok: true });
   await expect.poll(() => page.getAttribute("#live", "data-state")).toBe("finished");

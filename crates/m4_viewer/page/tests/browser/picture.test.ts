@@ -1,4 +1,4 @@
-/** The picture is the one that the definition gives, and nothing but the file is needed for it. */
+/** The rendered image agrees with the definition, and needs nothing but the file. */
 
 import { afterAll, beforeAll, expect, test } from "vitest";
 import { Bench, type Opened, ready } from "./browser";
@@ -47,7 +47,7 @@ async function capture(shot: Shot): Promise<string> {
   }, shot);
 }
 
-test.each(shots().map((s, i) => [i, s] as const))("picture %i agrees with the definition", async (_i, shot) => {
+test.each(shots().map((s, i) => [i, s] as const))("image %i agrees with the definition", async (_i, shot) => {
   const got = await pixels(await capture(shot));
   const expected = render(scene.data, scene.manifest, shot);
   expect(got.length).toBe((expected.length / 3) * 4);
@@ -60,14 +60,14 @@ test.each(shots().map((s, i) => [i, s] as const))("picture %i agrees with the de
     spread += Math.abs((expected[i] ?? 0) - 255 * (scene.manifest.background[i % 3] ?? 0));
   }
   const psnr = 10 * Math.log10(255 ** 2 / (squares / expected.length));
-  expect(spread / expected.length, "the picture shows something").toBeGreaterThan(20);
+  expect(spread / expected.length, "the image is not empty").toBeGreaterThan(20);
   // rounding to a byte alone gives 58.9 dB
   expect(psnr).toBeGreaterThan(54);
   // two splats of nearly one depth may change places in a few pixels
   expect(worst).toBeLessThan(16);
 });
 
-test("the same view is the same picture to the bit, another time is another", async () => {
+test("the same view gives the same image bit for bit, another time gives another", async () => {
   const [first, second] = shots();
   if (!first || !second) throw new Error("there are shots");
   const once = await capture(first);

@@ -1,4 +1,4 @@
-/** What a picture must be: the definition in plain double precision, one pixel after the other. */
+/** The definition of an image in plain double precision, one pixel after the other. */
 
 import { type SceneData, shTerms, splatCount } from "../../src/scene";
 import type { Manifest } from "../../src/scene";

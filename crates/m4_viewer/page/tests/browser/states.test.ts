@@ -1,4 +1,4 @@
-/** A message in place of a blank page, whatever is wrong. */
+/** Every failure shows a message instead of a blank page. */
 
 import type { Page } from "playwright-core";
 import { afterAll, afterEach, beforeAll, expect, test } from "vitest";
@@ -30,7 +30,7 @@ test.each<[string, Partial<Elements>, RegExp]>([
   ["no JSON", { manifest: "{" }, /not JSON/],
   ["another version", { manifest: '{"version":2}' }, /another version/],
   ["a field that is missing", { manifest: '{"version":1}' }, /`splats`/],
-  ["no splats", { splats: null }, /cut off/],
+  ["no splats", { splats: null }, /truncated/],
   ["half of the splats", { splats: (good.splats ?? "").slice(0, 4000) }, /damaged/],
   ["other bytes", { splats: flipped.toString("base64") }, /damaged/],
   ["no base64", { splats: "%%%%" }, /damaged/],
@@ -38,10 +38,10 @@ test.each<[string, Partial<Elements>, RegExp]>([
   const { page } = await bench.open(bench.file(`${name}.html`, pageWith({ ...good, ...change })));
   expect(await message(page)).toMatch(expected);
   const reason = await page.evaluate(() => window.minute4d.ready.then(() => "ready", (e: unknown) => String(e)));
-  expect(reason, "whoever waits hears of it too").toMatch(/PageError/);
+  expect(reason, "a waiting script gets the error, too").toMatch(/PageError/);
 });
 
-test("input frames that are cut off cost only themselves", async () => {
+test("truncated input frames leave the scene intact", async () => {
   const frames = (good.frames ?? "").slice(0, 200);
   const { page } = await bench.open(bench.file("frames.html", pageWith({ ...good, frames })));
   await ready(page);
@@ -87,7 +87,7 @@ test("the poster lies where the frame will be, until the scene is there", async 
   expect(box.x).toBeCloseTo(camera.cx - scale * source.cx, 0);
 });
 
-test("a link to another instant, and a page that cannot go on, show no poster", async () => {
+test("a link to another instant, and a failed page, show no poster", async () => {
   const file = bench.file("linked.html", pageWith(good));
   const { page } = await bench.open(`${file}#t=5`);
   await ready(page);

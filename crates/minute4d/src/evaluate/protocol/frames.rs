@@ -1,4 +1,4 @@
-//! Which frames of a training video are held out.
+//! The rules that choose held-out frames of a training video.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 pub enum FrameRule {
     /// Frame `i`, counted from 0, where `(i + offset) mod every = 0`.
     Every {
-        /// One of so many.
+        /// One of this many frames.
         every: usize,
         /// Added to the index first.
         offset: usize,

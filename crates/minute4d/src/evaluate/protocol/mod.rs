@@ -1,12 +1,12 @@
-//! Protocols: everything that two scores must have in common before they may stand in one column.
+//! Evaluation protocols: everything that must agree before two scores can be compared.
 //!
 //! ```text
 //! name --Rules--> frames held out, resolution, masks, metrics, LPIPS, how test poses are treated
 //! ```
 //!
-//! The rules are plain data ([`Rules`], `rules.rs`), from the programs that made the published numbers. Two tasks are told apart
-//! ([`Task`]): pictures of the *training* camera at moments that were held out, which is the table of the Minute4D and Instant4D
-//! papers, and pictures of *other* cameras, which is DyCheck's own test. The same scenes score 7 dB apart in the two.
+//! The rules are plain data ([`Rules`], `rules.rs`), from the programs that made the published numbers. Two tasks are distinguished
+//! ([`Task`]): images of the *training* camera at moments that were held out, which is the table of the Minute4D and Instant4D
+//! papers, and images of *other* cameras, which is DyCheck's own test. The same scenes score 7 dB apart in the two.
 
 mod frames;
 mod rules;
@@ -53,14 +53,14 @@ pub enum Protocol {
     Rodygs,
     /// DyCheck's own: views of other cameras, scored where the training video saw the place.
     Dycheck,
-    /// NVIDIA Dynamic Scenes as RoDynRF takes them: 12 training pictures, views of camera 0 at their moments.
+    /// NVIDIA Dynamic Scenes as RoDynRF takes them: 12 training images, views of camera 0 at their moments.
     Nvidia,
     /// Every fourth frame of a clip of DAVIS is held out.
     Davis,
 }
 
 impl Protocol {
-    /// All of them.
+    /// All variants.
     pub const ALL: [Self; 6] = [
         Self::Holdout,
         Self::Instant4d,
@@ -70,7 +70,7 @@ impl Protocol {
         Self::Davis,
     ];
 
-    /// As on the command line.
+    /// Returns the name on the command line.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.rules().name

@@ -1,13 +1,13 @@
 //! The protocols as plain data.
 //!
 //! Sources: the programs that made the published numbers (RoDyGS, Instant4D, `KAIR-BAIR/dycheck`, `facebookresearch/robust-dynrf`, MoSca).
-//! What such a program leaves open, or what was not seen in one, is said in [`Rules::note`].
+//! What such a program leaves open, or what was not seen in one, is stated in [`Rules::note`].
 
 use super::{FrameRule, Protocol, Task};
 use m4_eval::image::{Metric, PsnrKind, SsimKind};
 use serde::{Deserialize, Serialize};
 
-/// Where the search for the pose of a test picture starts.
+/// Where the search for the pose of a test image starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StartPose {
@@ -17,7 +17,7 @@ pub enum StartPose {
     NearestTraining,
 }
 
-/// How the pose of a test picture is looked for when the scene is finished: Adam on the squared error of the picture.
+/// How the pose of a test image is looked for when the scene is finished: Adam on the squared error of the image.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RefineRule {
     /// Steps of Adam.
@@ -41,39 +41,39 @@ pub enum LpipsRule {
 /// What a protocol fixes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rules {
-    /// Which.
+    /// The name of the weights.
     pub protocol: Protocol,
-    /// As on the command line.
+    /// The name on the command line.
     pub name: &'static str,
     /// One line for people.
     pub title: &'static str,
-    /// What it asks.
+    /// The task.
     pub task: Task,
     /// Which frames are held out.
     pub frames: FrameRule,
-    /// Columns and rows of the pictures that published numbers are of; `None` where it takes those of the capture.
+    /// Columns and rows of the images that published numbers are of; `None` where it takes those of the capture.
     pub size_px: Option<[usize; 2]>,
     /// Scores count where the training video saw the place.
     pub covisible: bool,
-    /// Metrics of the whole picture beside joint PSNR and SSIM over a Gaussian window.
+    /// Metrics of the whole image beside joint PSNR and SSIM over a Gaussian window.
     pub whole: &'static [Metric],
     /// Metrics inside the mask of co-visibility.
     pub inside: &'static [Metric],
     /// Networks of LPIPS; inside a mask AlexNet alone, as DyCheck's mLPIPS.
     pub lpips: &'static [LpipsRule],
     /// Name of the score that stands for the protocol in tables, of [`m4_eval::image::FrameScore::others`]; `None` for the joint PSNR of
-    /// the whole picture.
+    /// the whole image.
     pub headline: Option<&'static str>,
-    /// How peers refine the poses of test pictures, where they do.
+    /// How peers refine the poses of test images, where they do.
     pub refine: Option<RefineRule>,
-    /// What whoever compares must know.
+    /// What to know before comparing results.
     pub note: &'static str,
 }
 
 const PER_CHANNEL: Metric = Metric::Psnr(PsnrKind::PerChannel);
 const ZERO_PADDED: Metric = Metric::Ssim(SsimKind::GaussianZeroPadded);
 const BOTH: &[LpipsRule] = &[LpipsRule::Alex, LpipsRule::Vgg];
-/// DyCheck's pictures at a factor of 2.
+/// DyCheck's images at a factor of 2.
 const DYCHECK_2X: Option<[usize; 2]> = Some([360, 480]);
 
 static TABLE: [Rules; 6] = [
@@ -105,7 +105,7 @@ static TABLE: [Rules; 6] = [
         lpips: BOTH,
         headline: None,
         refine: None,
-        note: "published numbers are the mean over channels of the PSNR of each, of pictures that were not clamped (psnr_per_channel_unclamped), \
+        note: "published numbers are the mean over channels of the PSNR of each, of images that were not clamped (psnr_per_channel_unclamped), \
                with poses of a MegaSaM that saw the held-out frames; that linspace cuts fractions off is assumed",
     },
     Rules {
@@ -163,7 +163,7 @@ static TABLE: [Rules; 6] = [
             lr: 3e-4,
             start: StartPose::Given,
         }),
-        note: "the view at time 0 is the first training picture; scores are given with it, as the result bundle has it, and without",
+        note: "the view at time 0 is the first training image; scores are given with it, as the result bundle has it, and without",
     },
     Rules {
         protocol: Protocol::Davis,
@@ -178,7 +178,7 @@ static TABLE: [Rules; 6] = [
         lpips: BOTH,
         headline: None,
         refine: None,
-        note: "a stand-in of this program: DAVIS has no other view, and the papers show pictures of it alone",
+        note: "a substitute of this program: DAVIS has no other view, and the papers show images of it alone",
     },
 ];
 

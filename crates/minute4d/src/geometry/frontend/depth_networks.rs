@@ -1,4 +1,4 @@
-//! Networks of depth from one picture.
+//! Networks for monocular depth.
 
 use super::source::unusable;
 use super::{MonoClip, Part, Plan};
@@ -11,9 +11,9 @@ use std::path::Path;
 
 /// Longer side of the maps that are kept, pixels: those of MegaSaM's metric depth.
 const KEPT_SIDE: usize = 640;
-/// Patches that MoGe-2 cuts a picture into on the processor: the fewest that it was trained with. On a GPU it is the most.
+/// Patches that MoGe-2 cuts an image into on the processor: the fewest that it was trained with. On a GPU it is the most.
 const PROCESSOR_TOKENS: usize = 1200;
-const PHASE: &str = "depth from one picture";
+const PHASE: &str = "depth from one image";
 
 enum Metric {
     MoGe(Box<MoGe>),
@@ -35,11 +35,11 @@ fn kept(plane: Plane<f32>) -> Plane<f32> {
     m4_slam::megasam::resize_nearest(&plane, side(w), side(h))
 }
 
-/// The picture with its longer side at most `long`.
+/// The image with its longer side at most `long`.
 fn at_most(picture: &RgbImage, long: usize) -> Result<RgbImage, Box<dyn std::error::Error + Send + Sync>> {
     let (w, h) = picture.size();
     let side = |n: usize| (n * long.min(w.max(h)) / w.max(h).max(1)).max(1);
-    m4_io::image::resize_rgb(picture, side(w), side(h)).ok_or_else(|| "the picture is empty".into())
+    m4_io::image::resize_rgb(picture, side(w), side(h)).ok_or_else(|| "the image is empty".into())
 }
 
 fn load<T>(
@@ -67,8 +67,8 @@ fn of_moge(
 }
 
 impl MonoClip {
-    /// What the networks of `plan` say of the pictures; `None` where it has none. A focal length that is known (pixels of the
-    /// pictures) is given to networks that take one.
+    /// What the networks of `plan` say of the images; `None` where it has none. A focal length that is known (pixels of the
+    /// images) is given to networks that take one.
     ///
     /// # Errors
     ///
@@ -166,7 +166,7 @@ impl Metric {
         match self {
             Self::MoGe(net) => of_moge(net.infer(picture, &moge), picture),
             Self::UniDepth(net) => {
-                // MegaSaM hands it pictures of this size.
+                // MegaSaM hands it images of this size.
                 let small = at_most(picture, KEPT_SIDE)?;
                 let map = net.depth(&small)?;
                 Ok((map.depth_m, Some(map.camera.horizontal_fov_rad())))

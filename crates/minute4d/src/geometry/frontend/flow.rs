@@ -1,4 +1,4 @@
-//! Networks as sources of flow.
+//! Networks for optical flow.
 
 use m4_nets::{Raft, raft::LowFlow};
 use m4_scene::{Plane, RgbImage};

@@ -1,5 +1,4 @@
-//! Who finds cameras, who measures flow, and who knows depth from one picture: searches without weights, networks, and any
-//! mixture of both.
+//! The front end: the methods for cameras, optical flow and monocular depth, with or without networks, in any combination.
 //!
 //! ```text
 //! --frontend WORD+WORD --parse--> Frontend --plan: which weights are here--> Plan
@@ -30,7 +29,7 @@ use std::str::FromStr;
 /// A part of a front end, as `--frontend` names it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Part {
-    /// Cameras, and what stands still, by MegaSaM's tracking network; depth made consistent along flow.
+    /// Cameras, and the static part, by MegaSaM's tracking network; depth made consistent along flow.
     Megasam,
     /// Flow by inverse search with variational refinement; needs nothing.
     Classical,
@@ -107,7 +106,7 @@ pub enum UnknownFrontend {
         first: &'static str,
         /// The second.
         second: &'static str,
-        /// What both do.
+        /// The common task.
         task: &'static str,
     },
 }

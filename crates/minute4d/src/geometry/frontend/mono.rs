@@ -1,4 +1,4 @@
-//! Depth of every frame from one picture each.
+//! Monocular depth of every frame.
 
 use m4_scene::{Plane, RgbImage};
 use m4_slam::dense::{MonoDepth, MonoError, MonoKind, MonoMap};
@@ -6,7 +6,7 @@ use m4_slam::dense::{MonoDepth, MonoError, MonoKind, MonoMap};
 use m4_slam::megasam::{DepthPrior, MegasamError, TrackingSize};
 use std::borrow::Cow;
 
-/// Depth of every frame of a clip; the maps may be smaller than the pictures.
+/// Depth of every frame of a clip; the maps may be smaller than the images.
 pub struct MonoClip {
     pub(super) name: String,
     /// z-depth, metres, 0 where unknown.

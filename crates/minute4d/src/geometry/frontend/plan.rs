@@ -1,4 +1,4 @@
-//! Which networks a front end comes to, by the weights that are here.
+//! Resolves a front end to the networks whose weights are installed.
 
 use super::{Frontend, Part};
 use crate::Error;
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[cfg(feature = "nets")]
 use std::path::PathBuf;
 
-/// Who finds the cameras.
+/// The method for cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Cameras {
     /// Tracked corners and bundle adjustment.
@@ -36,7 +36,7 @@ pub struct UsedNetwork {
 pub struct Plan {
     /// What was chosen, never `auto`.
     pub frontend: Frontend,
-    /// Who finds the cameras.
+    /// The method for cameras.
     pub cameras: Cameras,
     /// The networks, in the order of the parts.
     pub used: Vec<UsedNetwork>,
@@ -79,10 +79,10 @@ fn names(part: Part) -> &'static [&'static str] {
     }
 }
 
-/// What the tracking network takes for flow where nobody says, the best first.
+/// The default flow methods for the tracking network, best first.
 #[cfg(feature = "nets")]
 const FLOWS: [Part; 2] = [Part::Raft, Part::Classical];
-/// What it takes for depth.
+/// The depth methods, best first.
 #[cfg(feature = "nets")]
 const DEPTHS: [&[Part]; 5] = [
     &[Part::Moge],
@@ -211,7 +211,7 @@ fn complete(asked: &Frontend, here: &dyn Fn(Part) -> bool, notes: &mut Vec<Strin
         let without = if depth {
             ""
         } else {
-            ", and no depth from one picture (`minute4d weights add moge-2-l FILE` brings one)"
+            ", and no depth from one image (`minute4d weights add moge-2-l FILE` installs one)"
         };
         notes.push(format!(
             "megasam takes {}{without}: that is what is here",

@@ -1,4 +1,4 @@
-//! Flow, loaded.
+//! Loads the source of optical flow.
 
 use super::{MonoClip, Plan};
 use crate::Error;
@@ -29,8 +29,8 @@ impl Plan {
 }
 
 impl Plan {
-    /// Depth of every picture from itself alone; `None` where the front end has no network for that. A focal length that is
-    /// known (pixels of the pictures) is given to networks that take one. Each frame is a step.
+    /// Depth of every image from itself alone; `None` where the front end has no network for that. A focal length that is
+    /// known (pixels of the images) is given to networks that take one. Each frame is a step.
     ///
     /// # Errors
     ///
@@ -85,7 +85,7 @@ mod networks {
             Ok(raft.map(|net| Box::new(RaftSource { net, iterations }) as Box<dyn FlowSource>))
         }
 
-        /// RAFT along a clip; `None` if flow is somebody else's.
+        /// RAFT along a clip; `None` if another method measures flow.
         ///
         /// # Errors
         ///

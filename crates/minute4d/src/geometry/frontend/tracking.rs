@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// The network's memory of one clip.
 pub struct NetworkCorrespondence<'a> {
     memory: DroidMemory<'a>,
-    /// What is known to move, a plane a frame on the grid.
+    /// What is known to move, a plane per frame on the grid.
     moving: Option<Vec<Vec<bool>>>,
 }
 

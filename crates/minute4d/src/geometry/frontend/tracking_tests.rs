@@ -1,4 +1,4 @@
-//! The tracker with the tracking network in it, weights by a formula: what it asks, how often, and the published loop.
+//! The tracker with the tracking network in it, synthetic weights: what it asks, how often, and the published loop.
 
 use super::{NetworkCorrespondence, memory};
 use m4_math::Se3;
@@ -346,11 +346,11 @@ fn assert_close(got: &[f32], want: &[f32], limit: f32, what: &str) {
     assert!(scale > 0.0 && off < limit * scale, "{what}: {off} of {scale}");
 }
 
-/// The pictures of a fixture, `[n][3][h][w]` in the order blue, green, red.
+/// The images of a fixture, `[n][3][h][w]` in the order blue, green, red.
 fn pictures(all: &SafeTensors<'_>) -> Vec<RgbImage> {
     let tensor = all.tensor("images_bgr_u8").unwrap();
     let [n, 3, h, w] = *tensor.shape() else {
-        panic!("no pictures");
+        panic!("no images");
     };
     let at = |k: usize, c: usize, x: usize, y: usize| tensor.data()[((k * 3 + c) * h + y) * w + x];
     (0..n)

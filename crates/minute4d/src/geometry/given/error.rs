@@ -1,4 +1,4 @@
-//! Why something that the user gave cannot be used.
+//! Errors of geometry that the user provides.
 
 use std::io;
 use std::path::PathBuf;
@@ -8,14 +8,14 @@ use std::path::PathBuf;
 #[non_exhaustive]
 pub enum GivenError {
     /// Poses for a front end that finds them itself.
-    #[error("the front end megasam finds the poses itself: leave --poses out, or take another --frontend")]
+    #[error("the front end megasam estimates the poses itself: omit --poses, or choose another --frontend")]
     CamerasTwice,
     /// There is no such file or folder.
     #[error("there is nothing at {}, which was given with {option}", path.display())]
     Missing {
         /// The option.
         option: &'static str,
-        /// Where it was looked for.
+        /// The path that was searched.
         path: PathBuf,
     },
     /// A file that cannot be read.
@@ -23,33 +23,33 @@ pub enum GivenError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// A lens that is none.
     #[error(
-        "the lens {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with fl_x, fl_y, cx, cy, w and h"
+        "the intrinsics {given:?} cannot be used: {reason}; give --intrinsics fx,fy,cx,cy in pixels of the frames, or a JSON file with fl_x, fl_y, cx, cy, w and h"
     )]
     Lens {
-        /// What was given.
+        /// The given value.
         given: String,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// Another number of files or poses than of frames.
-    #[error("{} has {found} {what} for {frames} frames; give one a frame, in the order or with the names of the frames", path.display())]
+    #[error("{} has {found} {what} for {frames} frames; give one per frame, in the order or with the names of the frames", path.display())]
     Count {
-        /// What was counted.
+        /// The kind of file.
         what: &'static str,
         /// The file or folder.
         path: PathBuf,
-        /// How many there are.
+        /// The number of them.
         found: usize,
         /// How many frames the clip has.
         frames: usize,
     },
-    /// A picture of another shape than the frames.
-    #[error("{} is {} x {} pixels and the frames are {} x {}: the shapes differ", path.display(), found.0, found.1, frame.0, frame.1)]
+    /// An image of another shape than the frames.
+    #[error("{} is {} x {} pixels and the frames are {} x {}: the aspect ratios differ", path.display(), found.0, found.1, frame.0, frame.1)]
     Size {
         /// The file.
         path: PathBuf,
@@ -65,11 +65,11 @@ pub enum GivenError {
         path: PathBuf,
         /// Its line, from 1.
         line: usize,
-        /// What is wrong with it.
+        /// The fault.
         what: String,
     },
     /// A trajectory says nothing about the lens.
-    #[error("{} has poses without a lens; give --intrinsics, or --fov with the horizontal field of view", path.display())]
+    #[error("{} has poses without intrinsics; give --intrinsics, or --fov with the horizontal field of view", path.display())]
     NoLens {
         /// The file.
         path: PathBuf,

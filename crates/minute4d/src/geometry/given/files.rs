@@ -1,4 +1,4 @@
-//! Which file belongs to which frame.
+//! Matches files to frames.
 
 use super::GivenError;
 use crate::Error;
@@ -14,7 +14,7 @@ pub struct Clip {
     pub frames: usize,
     /// Their width and height.
     pub size: (usize, usize),
-    /// Of a folder: all its pictures, and which of them the frames are.
+    /// Of a folder: all its images, and which of them the frames are.
     source: Option<(Vec<PathBuf>, Vec<usize>)>,
 }
 
@@ -53,7 +53,7 @@ impl Clip {
         self.in_order(what, folder, files)
     }
 
-    /// One of `items` a frame, by order: they are as many as the frames, or as the pictures that the frames were chosen
+    /// One of `items` a frame, by order: they are as many as the frames, or as the images that the frames were chosen
     /// from.
     pub fn in_order<T: Clone>(&self, what: &'static str, path: &Path, items: Vec<T>) -> Result<Vec<T>, Error> {
         if items.len() == self.frames {

@@ -1,4 +1,4 @@
-//! A lens on the command line or in a JSON file.
+//! Parses intrinsics from the command line or a JSON file.
 
 use super::{GivenError, same_shape};
 use m4_scene::Intrinsics;
@@ -37,7 +37,7 @@ pub fn numbers(text: &str) -> Option<Vec<f64>> {
 ///
 /// # Errors
 ///
-/// [`GivenError`] if it is incomplete, distorted, or of pictures of another shape.
+/// [`GivenError`] if it is incomplete, distorted, or of images of another shape.
 pub fn read(given: &str, size: (usize, usize)) -> Result<Intrinsics, GivenError> {
     let bad = |reason: String| GivenError::Lens {
         given: given.to_owned(),
@@ -96,7 +96,7 @@ fn of_file(file: &File, size: (usize, usize)) -> Result<Intrinsics, String> {
     let (width, height) = (side(file.w, size.0)?, side(file.h, size.1)?);
     if !same_shape((width, height), size) {
         return Err(format!(
-            "it is of pictures of {width} x {height} pixels, a shape other than that of the frames, {} x {}",
+            "it is of images of {width} x {height} pixels, another aspect ratio than that of the frames, {} x {}",
             size.0, size.1
         ));
     }

@@ -1,4 +1,4 @@
-//! What the user knows: lens, poses, masks, depth; read, checked against the clip, and hashed.
+//! Geometry that the user provides: intrinsics, poses, masks, depth; read, checked against the clip, and hashed.
 
 mod error;
 mod files;
@@ -37,7 +37,7 @@ impl Sources {
     ///
     /// # Errors
     ///
-    /// [`Error`] naming the option and the file that is not there or cannot be read.
+    /// [`Error`] naming the option and the file that is missing or cannot be read.
     pub(super) fn of(options: &GeometryOptions) -> Result<Self, Error> {
         let of = |option: &'static str, path: Option<&Path>| -> Result<Option<String>, Error> {
             let Some(path) = path else { return Ok(None) };
@@ -67,7 +67,7 @@ pub(super) struct Given {
     pub lens: Option<Intrinsics>,
     /// A camera a frame.
     pub cameras: Option<Vec<Camera>>,
-    /// A mask a frame, 255 where something moves.
+    /// A mask per frame, 255 where something moves.
     pub masks: Option<Vec<Mask>>,
     /// Depth a frame, metres, 0 where unknown.
     pub depth: Option<Vec<DepthMap>>,
@@ -159,7 +159,7 @@ fn each<T: Send>(
     all.into_iter().collect()
 }
 
-/// True where both are the same picture at some size.
+/// True where both are the same image at some size.
 fn same_shape(a: (usize, usize), b: (usize, usize)) -> bool {
     let ratio = |(w, h): (usize, usize)| w as f64 / h.max(1) as f64;
     a.0 > 0 && a.1 > 0 && (ratio(a) / ratio(b) - 1.0).abs() < 0.01

@@ -1,4 +1,4 @@
-//! Poses in a file: `transforms.json` of our own captures and of nerfstudio, or a trajectory as the TUM benchmark has it.
+//! Reads poses: `transforms.json` of our own captures and of nerfstudio, or a trajectory in the format of the TUM benchmark.
 
 use super::files::Clip;
 use super::{GivenError, same_shape};

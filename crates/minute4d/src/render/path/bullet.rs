@@ -1,4 +1,4 @@
-//! Bullet time: play, stand still while the camera goes round, go on.
+//! Bullet time: plays, freezes time while the camera moves around, and plays on.
 
 use super::shapes::side_rad;
 use super::{PathConfig, PathError, PathOptions, SourcePath, Stop};
@@ -9,19 +9,19 @@ use std::f64::consts::TAU;
 /// When a bullet path does what; seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bullet {
-    /// The moment that stands still, from the first frame of the source.
+    /// The moment that is static, from the first frame of the source.
     freeze_s: f64,
     /// Seconds of the source that are played before it and after it.
     played_s: [f64; 2],
     /// In which time slows down, and speeds up again.
     ease_s: [f64; 2],
-    /// For which time stands still.
+    /// For which time is frozen.
     hold_s: f64,
 }
 
 impl Bullet {
-    /// A bullet that stands still at `freeze_s` of a source of `source_s`; with a length asked for, less of the
-    /// source is played, or time stands still for longer.
+    /// A bullet that is static at `freeze_s` of a source of `source_s`; with a length asked for, less of the
+    /// source is played, or time is frozen for longer.
     ///
     /// # Errors
     ///
@@ -63,7 +63,7 @@ impl Bullet {
         self.lead_s() + self.hold_s + self.played_s[1] + 0.5 * self.ease_s[1]
     }
 
-    /// When time begins to stand still.
+    /// When time begins to be frozen.
     fn lead_s(&self) -> f64 {
         self.played_s[0] + 0.5 * self.ease_s[0]
     }
@@ -81,7 +81,7 @@ impl Bullet {
         (self.freeze_s + eased(held - self.hold_s, self.ease_s[1]), 1.0)
     }
 
-    /// The camera at a time of the path; `region` is where time stands still.
+    /// The camera at a time of the path; `region` is where time is frozen.
     pub fn stop(
         &self,
         path_s: f64,

@@ -1,4 +1,4 @@
-//! Cameras between the keyframes of a file.
+//! Interpolates cameras between the keyframes of a file.
 
 use super::shapes::looking;
 use super::{SourcePath, Stop};
@@ -16,10 +16,10 @@ pub struct KeyedPath {
     start_s: f64,
     /// From the first keyframe to the last, or back to the first where the path is closed.
     pub seconds: f64,
-    /// It ends where it begins.
+    /// Whether the path is closed.
     pub closed: bool,
     way: Way,
-    /// Natural logarithm of the focal length in picture heights.
+    /// Natural logarithm of the focal length in image heights.
     zoom: Spline<1>,
     /// Times of the path and moments of the scene (frames), straight between.
     clock: Vec<(f64, f64)>,
@@ -71,7 +71,7 @@ impl KeyedPath {
         })
     }
 
-    /// The camera so many seconds after the first keyframe.
+    /// The camera this many seconds after the first keyframe.
     pub fn at(&self, path_s: f64) -> Stop {
         let time = self.start_s + path_s;
         let (width, height) = self.size;
@@ -125,7 +125,7 @@ impl Way {
     }
 }
 
-/// Keyframes in the order of the nodes, and the times of the nodes; a closed path goes on beyond its ends.
+/// Keyframes in the order of the nodes, and the times of the nodes; a closed path continues beyond its ends.
 fn nodes(keys: &[Keyframe], period: Option<f64>) -> (Vec<usize>, Vec<f64>) {
     let n = keys.len();
     let Some(period) = period else {
@@ -140,7 +140,7 @@ fn nodes(keys: &[Keyframe], period: Option<f64>) -> (Vec<usize>, Vec<f64>) {
         .unzip()
 }
 
-/// Downwards in the pictures of the source, on the whole.
+/// Downwards in the images of the source, on the whole.
 fn mean_down(source: &SourcePath) -> Vector3<f64> {
     let (first, last) = source.span();
     let down = |share: f64| {

@@ -1,4 +1,4 @@
-//! Which cameras look, and when.
+//! Camera paths: the cameras and their times.
 
 mod bullet;
 mod keyed;
@@ -18,9 +18,9 @@ use stabilised::Smoothing;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Most pictures of a path.
+/// Most images of a path.
 const MAX_FRAMES: usize = 100_000;
-/// Sources with fewer frames a second than this do not look smooth, so paths that can have more get
+/// Sources with fewer frames per second than this do not look smooth, so paths that can have more get
 /// [`super::DEFAULT_FPS`].
 const SMOOTH_FPS: f64 = 20.0;
 /// The words for camera paths.
@@ -37,7 +37,7 @@ pub enum CameraPath {
     Stabilised,
     /// `swing`: a figure of eight about what one camera sees.
     Swing,
-    /// `bullet`: the source, which stands still in time once while the camera goes round.
+    /// `bullet`: the source, which is static in time once while the camera goes round.
     Bullet,
     /// `test:TRANSFORMS` or another file: the cameras or keyframes there, in the scene's world.
     File(PathBuf),
@@ -61,7 +61,7 @@ impl fmt::Display for CameraPath {
 pub struct Stop {
     /// Lens and pose.
     pub camera: Camera,
-    /// Its own moment, frames.
+    /// The time of the camera, frames.
     pub t: f64,
     /// Colour correction of what it sees.
     pub exposure: Exposure,
@@ -70,9 +70,9 @@ pub struct Stop {
 /// Every camera of a path.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
-    /// One a picture.
+    /// One per image.
     pub stops: Vec<Stop>,
-    /// Pictures a second.
+    /// Images a second.
     pub fps: f64,
     /// What had no effect, for people.
     pub remarks: Vec<String>,
@@ -130,7 +130,7 @@ impl CameraPath {
     }
 }
 
-/// How long a scene lasts.
+/// The duration of a scene.
 pub fn span(scene: &Scene) -> Span {
     Span {
         time_frames: scene.time_frames,
@@ -138,7 +138,7 @@ pub fn span(scene: &Scene) -> Span {
     }
 }
 
-/// The moment that was asked for, frames: where to start, or where time stands still.
+/// The moment that was asked for, frames: where to start, or where time is frozen.
 fn anchor(job: &RenderJob, span: &Span) -> Result<Option<f64>, Error> {
     let frozen = match job.time {
         TimePath::Freeze(moment) => Some(moment),
@@ -147,12 +147,12 @@ fn anchor(job: &RenderJob, span: &Span) -> Result<Option<f64>, Error> {
     Ok(job.options.at.or(frozen).map(|m| span.frames(m)).transpose()?)
 }
 
-/// Pictures of an open path: one at both ends, if the rate meets them.
+/// Images of an open path: one at both ends, if the rate meets them.
 fn open_frames(seconds: f64, fps: f64) -> Result<usize, PathError> {
     limited((seconds * fps + 1e-6).floor() + 1.0, seconds, fps)
 }
 
-/// Pictures of a path that is closed: the last is the one before the first.
+/// Images of a path that is closed: the last is the one before the first.
 fn closed_frames(seconds: f64, fps: f64) -> Result<usize, PathError> {
     limited((seconds * fps).round().max(1.0), seconds, fps)
 }
@@ -170,7 +170,7 @@ fn limited(frames: f64, seconds: f64, fps: f64) -> Result<usize, PathError> {
     }
 }
 
-/// What a path is made of.
+/// The inputs of a path.
 struct Maker<'a> {
     scene: &'a Scene,
     source: &'a SourcePath,

@@ -1,4 +1,4 @@
-//! Ways about what one camera sees.
+//! Camera motions around the view of one camera.
 
 use super::{PathConfig, PathOptions};
 use crate::render::Region;

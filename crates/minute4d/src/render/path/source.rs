@@ -1,4 +1,4 @@
-//! The camera that took the video, between its frames too.
+//! The source camera, interpolated between its frames.
 
 use super::{PathError, Stop};
 use crate::render::DEFAULT_FPS;
@@ -57,7 +57,7 @@ impl SourcePath {
         (last - first) / self.frames_per_s
     }
 
-    /// The moment (frames) so many seconds after the first frame.
+    /// The moment (frames) this many seconds after the first frame.
     #[must_use]
     pub fn moment(&self, seconds: f64) -> f64 {
         let (first, last) = self.span();

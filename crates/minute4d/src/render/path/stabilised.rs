@@ -1,9 +1,9 @@
-//! The source camera without its tremble.
+//! The source camera path, smoothed.
 //!
-//! At every moment a straight motion is fitted to the poses around it, weighted by a Gaussian of time;
-//! its middle is the smoothed pose. Inside the clip that is Gaussian smoothing, and at the ends, where
-//! one side is missing, it neither lags nor pulls inwards. How far it may leave the source is limited by
-//! `d / (1 + (d / limit)^8)^(1/8)`, which has no corner and leaves what is well within the limit alone.
+//! At every time a linear motion is fitted to the poses around it, weighted by a Gaussian of time;
+//! its value there is the smoothed pose. Inside the clip that is Gaussian smoothing; at the ends, where
+//! one side is missing, it neither lags nor contracts. The distance from the source is limited by
+//! `d / (1 + (d / limit)^8)^(1/8)`, which is smooth and hardly changes distances well below the limit.
 
 use super::SourcePath;
 use crate::render::spline::{PoseSpline, quaternion};
@@ -17,7 +17,7 @@ const MAX_SAMPLES: f64 = 18_000.0;
 /// Half width of the window, standard deviations.
 const WINDOW_SIGMAS: f64 = 3.0;
 
-/// How much is smoothed.
+/// The parameters of the smoothing.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Smoothing {
     /// Standard deviation, seconds.
@@ -91,7 +91,7 @@ impl Line {
         }
     }
 
-    /// Where the line is at 0.
+    /// Returns the value of the line at 0.
     fn middle(&self) -> (Vector3<f64>, Vector3<f64>) {
         let d = self.weight * self.xx - self.x * self.x;
         let at = |k: usize| {

@@ -1,4 +1,4 @@
-//! `minute4d batch`: many clips, as jobs of a scheduler.
+//! `minute4d batch`: processes many clips as jobs of a scheduler.
 
 mod plan;
 mod run;
@@ -21,7 +21,7 @@ pub fn run(args: &Batch, common: &Common, output: &Output) -> Result<(), Failure
     }
 }
 
-/// BLAKE3 of an input, as the record of its run has it.
+/// Returns the BLAKE3 hash of an input, as recorded in its run.
 fn hash(path: &Path) -> Result<String, String> {
     minute4d::hash_of_path(path).map_err(|e| chain(&e))
 }

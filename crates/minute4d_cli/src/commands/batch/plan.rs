@@ -1,4 +1,4 @@
-//! `minute4d batch plan`: clips and settings to a manifest.
+//! `minute4d batch plan`: writes clips and settings into a manifest.
 
 use super::super::settings::{print_config, settings};
 use crate::args::BatchPlan;
@@ -23,9 +23,9 @@ pub fn run(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
     let (Some(manifest), Some(results), false) = (&args.manifest, &args.out, args.settings.print_config) else {
         return print_config(&settings, output);
     };
-    whole_paths(&mut settings)?;
+    make_paths_absolute(&mut settings)?;
     args.device.request()?;
-    let results = whole(results)?;
+    let results = absolute(results)?;
     let planned = plan(&Plan {
         given: &args.given,
         recursive: args.recursive,
@@ -56,8 +56,8 @@ pub fn run(args: &BatchPlan, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What every run is started with. The settings must read back as they are, from a file that is there for a moment beside
-/// the manifest: what is planned is what is run.
+/// Returns the arguments of every run. To make sure that the jobs run what is planned, the settings are written to a temporary
+/// file next to the manifest and read back; a difference is an error.
 fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<Arguments, Failure> {
     let text = settings.to_toml()?;
     let failed = |source| minute4d::Error::Write {
@@ -92,7 +92,7 @@ fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<A
     if let Some(mb) = args.device.max_vram {
         arguments.extend(["--max-vram".to_owned(), mb.to_string()]);
     }
-    // No part of the settings: whoever plans allows it, not a file.
+    // Not part of the settings: the user who plans grants this permission, a file cannot.
     if args.reach.allow_outside {
         arguments.push("--allow-outside".to_owned());
     }
@@ -102,24 +102,24 @@ fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<A
     })
 }
 
-/// Files that settings name must be found from whatever folder a job is started in.
-fn whole_paths(settings: &mut Settings) -> Result<(), Failure> {
+/// Makes the paths in the settings absolute, since jobs may start in another folder.
+fn make_paths_absolute(settings: &mut Settings) -> Result<(), Failure> {
     let geometry = &mut settings.geometry;
     for path in [&mut geometry.poses, &mut geometry.masks, &mut geometry.depth]
         .into_iter()
         .flatten()
     {
-        *path = whole(path)?;
+        *path = absolute(path)?;
     }
-    // Numbers, unless there is a file of that name.
+    // The value holds numbers, unless a file of that name exists.
     if let Some(lens) = geometry.intrinsics.as_mut().filter(|lens| Path::new(lens).is_file()) {
-        *lens = whole(Path::new(lens))?.display().to_string();
+        *lens = absolute(Path::new(lens))?.display().to_string();
     }
     Ok(())
 }
 
-/// The path from the root.
-fn whole(path: &Path) -> Result<PathBuf, Failure> {
+/// Returns the absolute path.
+fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|source| {
         minute4d::Error::Read {
             path: path.to_path_buf(),

@@ -1,4 +1,4 @@
-//! `minute4d batch run`: one job.
+//! `minute4d batch run`: runs one job of a manifest.
 
 use crate::args::{BatchRun, Common};
 use crate::failure::Failure;
@@ -10,7 +10,7 @@ use sysinfo::System;
 
 pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Failure> {
     output.stop().of_an_engine();
-    let manifest = Manifest::read(&args.manifest).map_err(elsewhere)?;
+    let manifest = Manifest::read(&args.manifest).map_err(batch_failure)?;
     let index = match args.index {
         Some(index) => Some(index),
         None => index_of_environment(|name| std::env::var(name).ok())?,
@@ -18,11 +18,11 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
     let Some(index) = index else {
         let last = manifest.jobs.len().saturating_sub(1);
         return Err(Failure::usage(&format!(
-            "which job? --index takes 0 to {last}; a scheduler starts one process for each (docs/batch.md)"
+            "no job index: pass --index from 0 to {last}; a scheduler starts one process per job (docs/batch.md)"
         )));
     };
     let program = std::env::current_exe().map_err(|e| minute4d::Error::Internal {
-        what: format!("this program does not know where it is: {e}"),
+        what: format!("the path of this program is unknown: {e}"),
     })?;
     let tools = Tools {
         program,
@@ -32,9 +32,9 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
         hash: &super::hash,
         host: System::host_name().unwrap_or_else(|_| "unknown".to_owned()),
     };
-    let end = run_job(&manifest, index, args.retry_failed, &tools, &Voice(output)).map_err(elsewhere)?;
+    let end = run_job(&manifest, index, args.retry_failed, &tools, &JobProgress(output)).map_err(batch_failure)?;
     let id = &manifest.jobs[index].id;
-    let text = words(id, &end);
+    let text = describe(id, &end);
     output.result(
         &text,
         json!({"index": index, "id": id, "outcome": end.outcome, "seconds": end.seconds, "reason": end.reason}),
@@ -42,7 +42,7 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
     let code = match end.outcome {
         Outcome::Done => return Ok(()),
         Outcome::Failed => Category::BadInput.exit_code(),
-        // Ctrl-C keeps its own code: whoever pressed it wants no scheduler to begin anew.
+        // Ctrl-C keeps its own code, so that the scheduler does not run the job again.
         Outcome::Retryable => {
             let pressed = output
                 .stop()
@@ -54,8 +54,8 @@ pub fn run(args: &BatchRun, common: &Common, output: &Output) -> Result<(), Fail
     Err(Failure { code, reason: text })
 }
 
-/// What cannot be read or written here may be so on another machine, or later; what is wrong with a manifest is no fault of a clip.
-fn elsewhere(error: BatchError) -> Failure {
+/// Maps an error outside the clip to an exit code: files that cannot be read or written may work later or on another machine; a bad manifest is bad settings.
+fn batch_failure(error: BatchError) -> Failure {
     let category = match &error {
         BatchError::Read { .. } | BatchError::Write { .. } => Category::TryAgain,
         BatchError::Manifest { .. } => Category::BadSettings,
@@ -67,23 +67,23 @@ fn elsewhere(error: BatchError) -> Failure {
     }
 }
 
-fn words(id: &str, end: &JobEnd) -> String {
+fn describe(id: &str, end: &JobEnd) -> String {
     match (end.outcome, end.seconds) {
         (Outcome::Done, Some(seconds)) => format!("{id}: done in {}", duration(seconds)),
-        (Outcome::Done, None) => format!("{id}: done before"),
+        (Outcome::Done, None) => format!("{id}: already done"),
         (Outcome::Failed, Some(_)) => format!("{id} failed permanently: {}", end.reason),
         (Outcome::Failed, None) => format!(
-            "{id} failed permanently before, and is not run again without --retry-failed: {}",
+            "{id} failed permanently before and is not run again without --retry-failed: {}",
             end.reason
         ),
-        (Outcome::Retryable, _) => format!("{id} is to be tried again: {}", end.reason),
+        (Outcome::Retryable, _) => format!("{id} should be retried: {}", end.reason),
     }
 }
 
-/// The run talks through the program's voice.
-struct Voice<'a>(&'a Output);
+/// Forwards the progress of a job to the program's output.
+struct JobProgress<'a>(&'a Output);
 
-impl Watch for Voice<'_> {
+impl Watch for JobProgress<'_> {
     fn stop(&self) -> bool {
         self.0.cancelled()
     }

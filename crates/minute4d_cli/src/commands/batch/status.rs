@@ -1,4 +1,4 @@
-//! `minute4d batch status`: how far all are.
+//! `minute4d batch status`: shows the progress of all jobs.
 
 use crate::args::BatchStatus;
 use crate::failure::Failure;
@@ -18,7 +18,7 @@ pub fn run(args: &BatchStatus, output: &Output) -> Result<(), Failure> {
             path: path.clone(),
             source,
         })?;
-        output.note(&format!("{} shows every clip", path.display()));
+        output.note(&format!("overview of all clips written to {}", path.display()));
     }
     let table = report.table(args.failed);
     if args.failed {

@@ -1,4 +1,4 @@
-//! `minute4d batch submit`: a manifest to Slurm.
+//! `minute4d batch submit`: submits the jobs of a manifest to Slurm.
 
 use crate::args::BatchSubmit;
 use crate::failure::Failure;
@@ -11,10 +11,10 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 
 pub fn run(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
-    let path = whole(&args.manifest)?;
+    let path = absolute(&args.manifest)?;
     let manifest = Manifest::read(&path)?;
     let program = std::env::current_exe().map_err(|e| Error::Internal {
-        what: format!("this program does not know where it is: {e}"),
+        what: format!("the path of this program is unknown: {e}"),
     })?;
     let logs = path.with_extension("logs");
     let script = Script {
@@ -31,11 +31,11 @@ pub fn run(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
         let path = path.to_path_buf();
         move |source| Error::Write { path, source }
     };
-    // Slurm writes no log into a folder that is not there, and says nothing about it.
+    // Slurm silently drops logs for a folder that does not exist.
     std::fs::create_dir_all(&logs).map_err(failed(&logs))?;
     atomic::write(&file, text.as_bytes()).map_err(failed(&file))?;
     output.note(&format!(
-        "{} jobs in {} array(s); they write to {}",
+        "{} jobs in {} array(s); logs in {}",
         manifest.jobs.len(),
         arrays.len(),
         logs.display()
@@ -62,7 +62,7 @@ pub fn run(args: &BatchSubmit, output: &Output) -> Result<(), Failure> {
     Ok(())
 }
 
-fn whole(path: &Path) -> Result<PathBuf, Failure> {
+fn absolute(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|source| {
         Error::Read {
             path: path.to_path_buf(),

@@ -87,7 +87,7 @@ fn moments_of_keyframes_lie_in_the_scene() {
         keyed(&unnamed, &RenderJob::new(CameraPath::Train)).unwrap().stops.len(),
         1
     );
-    // Time goes on to the end of the scene, and stays there.
+    // Time continues to the end of the scene, and stays there.
     let long = r#"{"format": "minute4d-path", "version": 1, "fps": 1, "keyframes": [
         {"time_s": 0, "position": [0, 0, 0], "look_at": [0, 0, 2], "speed": 2},
         {"time_s": 9, "position": [0, 0, 0], "look_at": [0, 0, 2]}]}"#;

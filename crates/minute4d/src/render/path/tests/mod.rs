@@ -93,7 +93,7 @@ fn the_source_goes_through_its_cameras_at_their_times() {
         assert!((stop.camera.intrinsics.fx - frame.camera.intrinsics.fx).abs() < 1e-9);
         assert_eq!(stop.exposure, frame.exposure);
     }
-    // Three times as many pictures: every third is a frame of the source.
+    // Three times as many images: every third is a frame of the source.
     let dense = stops(&scene, CameraPath::Source, NONE, 30.0);
     assert_eq!(dense.len(), 91);
     for (i, frame) in scene.source.iter().enumerate() {
@@ -184,7 +184,7 @@ fn the_stabilised_source_trembles_a_hundred_times_less_and_stays_near() {
     };
     let same = stops(&scene, CameraPath::Stabilised, off, 30.0);
     for (a, b) in source.iter().zip(&same) {
-        // Between its samples the smoothed path is interpolated anew.
+        // Between its samples the smoothed path is interpolated again.
         assert!(difference(a, b) < 2e-3, "{}", difference(a, b));
     }
 }
@@ -241,7 +241,7 @@ fn endless_paths_are_refused() {
         ..RenderJob::new(CameraPath::Swing)
     };
     let error = plan_of(&scene, &job).unwrap_err();
-    assert!(error.to_string().contains("864000 pictures"), "{error}");
+    assert!(error.to_string().contains("864000 images"), "{error}");
 }
 
 #[test]
