@@ -1,5 +1,5 @@
-//! Which tiles an ellipse reaches, exactly (section 5.2): per row of tiles, the ones between the leftmost and the
-//! rightmost point of the ellipse within that row.
+//! Which tiles an ellipse reaches, exactly (docs/spec/optimiser.md 5.2): per row of tiles, the ones between the
+//! leftmost and the rightmost point of the ellipse within that row.
 
 use cubecl::prelude::*;
 

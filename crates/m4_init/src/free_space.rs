@@ -1,7 +1,7 @@
 //! Standing points that other frames see through.
 //!
 //! Depth that was estimated smears over edges, and each frame smears in a way of its own. A point that hangs in front of what
-//! several other frames see behind it is no surface (section 2.6 has the check for tracked points).
+//! several other frames see behind it is no surface (docs/spec/optimiser.md 2.6 has the check for tracked points).
 
 use crate::cloud::{Pixels, dilate, is_depth, moving_pixels};
 use crate::error::stopped;

@@ -1,4 +1,4 @@
-//! A video of known motion is learned: picture quality, motion, counts (T8 and T9 of the specification).
+//! A video of known motion is learned: picture quality, motion, counts (docs/spec/optimiser.md 9, T8 and T9).
 
 use crate::common::{FRAMES, disturbed, video};
 use m4_init::{InitConfig, initialise};

@@ -1,4 +1,4 @@
-//! First motions: how the moving points of a keyframe get to the next (section 2.6).
+//! First motions: how the moving points of a keyframe get to the next (docs/spec/optimiser.md 2.6).
 //!
 //! ```text
 //! register (two keyframes -> a rigid motion around each point) -> field (motion at any place)

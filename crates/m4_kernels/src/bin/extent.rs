@@ -1,4 +1,4 @@
-//! Exact extents: which tiles of each tile row an ellipse reaches (section 5.2).
+//! Exact extents: which tiles of each tile row an ellipse reaches (docs/spec/optimiser.md 5.2).
 
 use super::{TILE, cpu::BAND_TILES, handover::Reach};
 use crate::{

@@ -1,4 +1,4 @@
-//! Splats to pixels, front to back, and back again (section 1.7 of the optimiser's specification).
+//! Splats to pixels, front to back, and back again (docs/spec/optimiser.md 1.7).
 //!
 //! For each pixel, splats near to far, `d = centre - pixel`, transmittance `T` from 1:
 //!

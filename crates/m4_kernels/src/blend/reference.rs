@@ -268,7 +268,7 @@ pub fn blend_vjp<T: Real, C: Cutoff>(
     out
 }
 
-/// The same gradient front to back: needs the final `image` and one scalar a pixel (section 1.7).
+/// The same gradient front to back: needs the final `image` and one scalar a pixel (docs/spec/optimiser.md 1.7).
 pub fn blend_vjp_replay<T: Real, C: Cutoff>(
     splats: &[Ellipse<T>],
     image: &Image<T>,

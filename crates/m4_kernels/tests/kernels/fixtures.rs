@@ -90,7 +90,7 @@ fn float32_reference_is_within_rounding_of_the_oracle() {
     }
 }
 
-/// Section 1.4: the velocity form is an exact reparametrisation of the rotor form.
+/// docs/spec/optimiser.md 1.4: the velocity form is an exact reparametrisation of the rotor form.
 #[test]
 fn rotor_and_velocity_form_are_one_picture() {
     let fixtures = gradient_fixtures();

@@ -10,7 +10,7 @@
 //! | `plan` | decisions to rows: which splats the next set is made of |
 //! | `newborn` | what clones and children look like |
 //!
-//! Readings where the paper is open (section 4.4): p(t) is the marginal with peak 1; a splat's
+//! Readings where the paper is open (docs/spec/optimiser.md 4.4): p(t) is the marginal with peak 1; a splat's
 //! footprint are the pixels that it is composited on; scores are raw sums of error. Both scores are
 //! taken from the same state of the splats; newborns are never pruned in the round that made them,
 //! nor are parents of clones.

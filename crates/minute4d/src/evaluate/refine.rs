@@ -6,7 +6,7 @@
 //!
 //! RoDyGS, MoSca and others score held-out pictures after such a search, since poses that were estimated or aligned are a little off and
 //! half a pixel costs a decibel. It makes every score better and compares only with scores that had it. The pose moves by left twists
-//! of world to camera (specification, section 1.6): rotations in radians, translations as shares of the median depth in view, so that the
+//! of world to camera (docs/spec/optimiser.md 1.6): rotations in radians, translations as shares of the median depth in view, so that the
 //! result does not depend on the unit of the world. Splats, lens and moment stay.
 
 use super::protocol::RefineRule;
