@@ -1,4 +1,4 @@
-//! Tile lists to an image: a cube a tile, a unit a pixel.
+//! Tile lists to an image (Minute4D Eq. 3): a cube a tile, a unit a pixel.
 use crate::eye::BACKGROUND;
 use cubecl::prelude::*;
 

@@ -1,4 +1,4 @@
-//! Which pixels of a frame are wrong enough to count (paper equations 6 to 8).
+//! Which pixels of a frame are wrong enough to count: the mask (Minute4D Eq. 7).
 
 use crate::Gpu;
 use crate::buffer::{Buffer, cubes, units};
@@ -108,7 +108,8 @@ impl Mask {
     }
 }
 
-/// Mean over the channels of the absolute differences, 0 where that is not finite; smallest and largest of each cube.
+/// Mean over the channels of the absolute differences (Minute4D Eq. 6), 0 where that is not finite; smallest and largest of
+/// each cube.
 #[cube(launch)]
 fn error_map(
     image: &[f32],

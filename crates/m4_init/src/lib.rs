@@ -3,7 +3,7 @@
 //! [`initialise`] back-projects the depth of every frame, keeps what stands still and what moves
 //! apart, replaces the points of each voxel by their centroid and gives every centroid the size,
 //! opacity and time span that the optimiser starts from
-//! (docs/spec/optimiser.md 2; Minute4D section 3.1).
+//! (docs/spec/optimiser.md 2).
 //!
 //! ```text
 //! cloud (depth -> points) -> free_space (what other frames see through goes) -> voxel (points -> centroids) -> spacing (neighbours -> discs) -> assemble

@@ -1,4 +1,4 @@
-//! Voxels: many points to one centroid a cell, in a fixed order.
+//! Voxels: many points to one centroid per cell, in a fixed order (Minute4D sec. 3.1).
 
 use crate::CellSize;
 use crate::cloud::Cloud;

@@ -1,4 +1,4 @@
-//! A round of density control that never leaves the device: scores, who is cloned, split and pruned, and what becomes of
+//! A round of density control (Minute4D sec. 3.3) that never leaves the device: scores, who is cloned, split and pruned, and what becomes of
 //! them.
 //!
 //! | file | what it does |

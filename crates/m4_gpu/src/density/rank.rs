@@ -61,7 +61,7 @@ impl Rank {
         grows
     }
 
-    /// The scores that become 0 and 1; the second is not larger where nobody is to be pruned.
+    /// The scores that normalisation makes 0 and 1 (Minute4D Eq. 10); the second is not larger where nobody is to be pruned.
     pub fn prune_range(&self, client: &Client, rule: Option<PruneRule>, scores: &Buffer) -> Buffer {
         let n = self.n as u32;
         let (literal, quantile) = match rule {

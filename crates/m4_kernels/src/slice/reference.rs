@@ -155,8 +155,7 @@ fn blocks<T: Real>(m: &Matrix4<T>) -> (Matrix3<T>, Vector3<T>, T) {
     )
 }
 
-/// The 3D splat at time `t`, frames: conditional mean and covariance, peak-1 marginal
-/// (docs/spec/optimiser.md 1.3).
+/// The 3D splat at time `t`, frames: mean, covariance and marginal with peak 1 (Minute4D Eq. 1).
 pub fn slice_rotor<T: Real>(splat: &RotorGaussian<T>, t: T) -> Sliced<T> {
     let (space, cross, variance) = blocks(&rotor_covariance(splat).0);
     let dt = t - splat.time_mean;

@@ -1,4 +1,4 @@
-//! Which pixels are wrong enough to count (paper equations 6 to 8).
+//! Which pixels are wrong enough to count: the mask (Minute4D Eq. 7) and the masked error (Minute4D Eq. 8).
 
 use crate::config::ErrorRange;
 

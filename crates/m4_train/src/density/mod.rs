@@ -1,10 +1,10 @@
-//! Loss-guided density control (paper section 3.3): where the picture is wrong, add splats; splats
+//! Loss-guided density control (Minute4D sec. 3.3): where the picture is wrong, add splats; splats
 //! that keep being wrong, remove.
 //!
 //! | file | what it does |
 //! |---|---|
-//! | `error_mask` | error map to masked error (eq. 6, 7, 8) |
-//! | `score` | masked errors of K frames to two scores a splat (eq. 9, 10) |
+//! | `error_mask` | error map to masked error |
+//! | `score` | masked errors of K frames to two scores per splat |
 //! | `rules` | what a round goes by |
 //! | `decide` | scores to who is cloned, split and pruned |
 //! | `plan` | decisions to rows: which splats the next set is made of |
@@ -33,8 +33,8 @@ pub(crate) use score::{ScoreInput, score};
 /// The two scores of every splat.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Scores {
-    /// `[n]` mean over the frames of the time-weighted masked error on the footprint (eq. 9).
+    /// `[n]` mean over the frames of the time-weighted masked error on the footprint.
     pub densify: Vec<f32>,
-    /// `[n]` the same weighted by the frame's photometric loss, summed, not yet normalised (eq. 10).
+    /// `[n]` the same weighted by the frame's photometric loss, summed, not yet normalised.
     pub prune: Vec<f32>,
 }

@@ -1,4 +1,4 @@
-//! Better masks for a capture: what moves is told apart into things, outlined, and followed through the clip.
+//! Better masks for a capture: dynamic objects are segmented and tracked through the clip (Minute4D sec. 3.2).
 //!
 //! ```text
 //! capture (maps of motion, or masks) --m4_slam::instances, with whoever follows things--> capture (masks, instances), report

@@ -1,4 +1,4 @@
-//! From frames to a capture by MegaSaM's networks.
+//! From frames to a capture by MegaSaM's networks (Minute4D sec. 3.1).
 
 use super::compute::{Clip, instants, moments};
 use super::frontend::{MonoClip, NetworkCorrespondence, Plan};

@@ -1,4 +1,4 @@
-//! Splats to pixels.
+//! Splats to pixels (Minute4D Eq. 3).
 
 use super::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step};
 use crate::{

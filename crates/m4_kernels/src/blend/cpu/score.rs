@@ -1,4 +1,4 @@
-//! How much of a map of weights each splat is blended on.
+//! How much of a map of weights each splat is blended on: the sum over the footprint (Minute4D Eq. 9).
 
 use super::{CHUNK, Pixels, T_FLOOR, Used, alpha, copy, step};
 use crate::{
