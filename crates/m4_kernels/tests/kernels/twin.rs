@@ -203,6 +203,37 @@ pub fn compare(name: &str, level: SimdLevel, splats: &Splats, view: &View, toler
     let weight: Vec<f32> = g.rgb[0].iter().map(|w| w.abs()).collect();
     let mut score = vec![0.0; splats.n()];
     renderer.score(&weight, &mut score);
-    let score: Vec<f64> = score.into_iter().map(f64::from).collect();
-    assert_gradient(&format!("{name}: score"), &score, &expected.score(&weight), 0.02);
+    assert_score(&name, &score, &expected.score(&weight));
+}
+
+/// Fails unless every score is that of the reference, but for few splats of which f32 puts a pixel on the other side of the
+/// cut-off; weights are at most 1. A splat whose rim is missing would be off in every one of its rim's pixels.
+fn assert_score(name: &str, got: &[f32], want: &[f64]) {
+    let (mut flips, mut sum, mut total) = (0, 0.0, 0.0);
+    for (i, (&got, &want)) in got.iter().zip(want).enumerate() {
+        let off = (f64::from(got) - want).abs();
+        // written so that a NaN fails
+        assert!(
+            off <= 2.0 + 1e-4 * want,
+            "{name}: score {i} is {got} where {want} was expected"
+        );
+        flips += usize::from(off > 1e-4 * (1.0 + want));
+        sum += f64::from(got) - want;
+        total += want;
+    }
+    eprintln!(
+        "{name}: {flips} of {} scores differ, sum off by {:.1e}",
+        want.len(),
+        sum / total
+    );
+    let allowed = 1 + want.len() / 50;
+    assert!(
+        flips <= allowed,
+        "{name}: {flips} of {} scores differ, {allowed} may",
+        want.len()
+    );
+    assert!(
+        sum.abs() <= 1e-3 * total + 1.0,
+        "{name}: the scores' sum is off by {sum} of {total}"
+    );
 }
