@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_see_through_goes_and_nothing_else() {
+    fn only_points_in_the_free_space_of_other_frames_are_removed() {
         let inside = |x: usize, y: usize| (30..36).contains(&x) && (4..9).contains(&y);
         let smeared = capture(|i, x, y| (i == 2 && inside(x, y)).then_some(3.0));
         let want: Vec<_> = (4..9).flat_map(|y| (30..36).map(move |x| (x, y))).collect();

@@ -49,7 +49,7 @@ fn points_are_followed_without_weights() {
 }
 
 #[test]
-fn what_cannot_be_done_is_said() {
+fn impossible_enhancements_are_refused_with_a_reason() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let from = dir.at("capture");
@@ -84,7 +84,7 @@ fn what_cannot_be_done_is_said() {
 }
 
 #[test]
-fn a_table_of_what_parts_are_worth() {
+fn ablate_writes_a_table_of_every_row() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), true);
     let (from, to) = (dir.at("capture"), dir.at("table"));

@@ -259,7 +259,7 @@ fn a_killed_run_goes_on_from_its_last_checkpoint() {
 }
 
 #[test]
-fn what_is_finished_is_not_done_again_unless_something_changed() {
+fn finished_stages_are_reused_unless_inputs_or_settings_change() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let (data, out) = (dir.at("capture"), dir.at("out"));
@@ -346,7 +346,7 @@ fn printed_settings_are_a_settings_file() {
 }
 
 #[test]
-fn a_reader_that_goes_away_is_no_failure() {
+fn a_closed_stdout_pipe_is_no_failure() {
     let mut child = program()
         .args(["train", "--print-config"])
         .stdout(Stdio::piped())
@@ -398,7 +398,7 @@ fn doctor_and_bench_tell_what_is_here() {
 }
 
 #[test]
-fn pictures_of_a_still_camera_become_a_scene() {
+fn frames_of_a_static_camera_become_a_scene() {
     let dir = Scratch::new();
     write_pictures(&dir.path("pictures"), 6);
     let (input, out) = (dir.at("pictures"), dir.at("out"));
@@ -455,7 +455,7 @@ fn a_timed_run_is_repeated_by_its_iterations() {
 }
 
 #[test]
-fn time_and_iterations_do_not_overrule_each_other_in_silence() {
+fn iterations_disable_the_default_time_budget() {
     let budget = |more: &[&str]| {
         let out = succeed(&[&["train", "--print-config"], more].concat()).stdout;
         let line = out.lines().find(|l| l.starts_with("budget_s")).unwrap().to_owned();

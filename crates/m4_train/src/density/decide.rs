@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_wrong_changes_nothing() {
+    fn zero_scores_keep_every_splat() {
         let view = SplatView {
             n_static: 1,
             opacity: &[0.5; 3],
