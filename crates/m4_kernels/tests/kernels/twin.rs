@@ -206,34 +206,24 @@ pub fn compare(name: &str, level: SimdLevel, splats: &Splats, view: &View, toler
     assert_score(&name, &score, &expected.score(&weight));
 }
 
-/// Fails unless every score is that of the reference, but for few splats of which f32 puts a pixel on the other side of the
-/// cut-off; weights are at most 1. A splat whose rim is missing would be off in every one of its rim's pixels.
+/// Fails unless every score is that of the reference, but for a few splats of which f32 puts one pixel, of a weight of at most
+/// 1, on the other side of the cut-off: measured at most 1 of 117 on every level. A twin that loses rims is off in most splats.
 fn assert_score(name: &str, got: &[f32], want: &[f64]) {
-    let (mut flips, mut sum, mut total) = (0, 0.0, 0.0);
+    let mut flips = 0;
     for (i, (&got, &want)) in got.iter().zip(want).enumerate() {
         let off = (f64::from(got) - want).abs();
+        let rounding = 1e-5 * (1.0 + want);
         // written so that a NaN fails
         assert!(
-            off <= 2.0 + 1e-4 * want,
+            off <= 1.0 + rounding,
             "{name}: score {i} is {got} where {want} was expected"
         );
-        flips += usize::from(off > 1e-4 * (1.0 + want));
-        sum += f64::from(got) - want;
-        total += want;
+        flips += usize::from(off > rounding);
     }
-    eprintln!(
-        "{name}: {flips} of {} scores differ, sum off by {:.1e}",
-        want.len(),
-        sum / total
-    );
-    let allowed = 1 + want.len() / 50;
+    let allowed = 1 + want.len() / 100;
     assert!(
         flips <= allowed,
         "{name}: {flips} of {} scores differ, {allowed} may",
         want.len()
-    );
-    assert!(
-        sum.abs() <= 1e-3 * total + 1.0,
-        "{name}: the scores' sum is off by {sum} of {total}"
     );
 }

@@ -215,6 +215,6 @@ fn a_thrown_ball_is_at_the_distance_that_its_parabola_tells() {
         ..BodyConfig::default()
     };
     let ((_, without), (_, with)) = (errors_with(&ball, guess, &flat), errors(&ball, guess));
-    eprintln!("without falling {without:.4}, with {with:.4}");
-    assert!(without > 0.11 && with < 0.07, "{without} {with}");
+    // measured: 0.351 and 0.0174
+    assert!(without > 0.3 && with < 0.025, "{without} {with}");
 }
