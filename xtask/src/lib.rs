@@ -8,6 +8,7 @@
 pub mod arrows;
 pub mod lock;
 pub mod page;
+pub mod paper;
 pub mod plot;
 pub mod results;
 pub mod tests;

@@ -2,4 +2,5 @@
 
 mod arrows;
 mod page;
+mod paper;
 mod tests;

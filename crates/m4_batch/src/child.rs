@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_last_words_and_signals_are_told() {
+    fn exit_codes_last_stderr_lines_and_signals_are_reported() {
         let ended = shell(r#"echo '{"event":"end","code":65,"reason":"no frames"}'; exit 65"#);
         assert_eq!((ended.code, ended.reason.as_str()), (Some(65), "no frames"));
         assert!(!ended.asked);

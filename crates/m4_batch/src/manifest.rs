@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_named_by_its_line() {
+    fn malformed_manifests_are_rejected_with_the_line() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("jobs.jsonl");
         manifest().write(&path, false).unwrap();

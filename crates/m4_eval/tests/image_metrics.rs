@@ -74,7 +74,7 @@ fn agrees_with_scikit_image_and_opencv() {
 }
 
 #[test]
-fn what_is_not_clamped_scores_as_it_is() {
+fn unclamped_psnr_uses_values_outside_0_to_1() {
     let fixture = fixture();
     let reference = picture("reference.png");
     let (w, h) = reference.size();

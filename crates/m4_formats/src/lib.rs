@@ -35,5 +35,5 @@ pub use written::{Imported, Loss, Written};
 
 pub(crate) use words::plural;
 
-/// The constant harmonic: a colour is `1/2 + C0` times the first coefficient (section 1.8).
+/// The constant harmonic: a colour is `1/2 + C0` times the first coefficient (docs/spec/optimiser.md 1.8).
 pub(crate) const C0: f64 = 0.282_094_791_773_878_14;

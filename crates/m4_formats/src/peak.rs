@@ -4,7 +4,7 @@ use m4_scene::{Column, SplatLayout, Splats};
 use std::borrow::Cow;
 
 /// The splats without harmonics of time: every colour is that in the middle of the splat's life, where
-/// each cosine is 1 (section 1.8). Static splats lose nothing by that.
+/// each cosine is 1 (docs/spec/optimiser.md 1.8). Static splats lose nothing by that.
 #[must_use]
 pub fn at_peak(splats: &Splats) -> Cow<'_, Splats> {
     let from = splats.layout();

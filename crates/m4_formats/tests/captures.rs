@@ -140,7 +140,7 @@ impl Progress for Stop {
 }
 
 #[test]
-fn nothing_is_left_of_what_was_stopped_or_cannot_be() {
+fn cancelled_or_failed_exports_leave_no_files() {
     let (_, capture) = made_up(3);
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("out");

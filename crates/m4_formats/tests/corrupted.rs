@@ -87,7 +87,7 @@ fn parse_bounded(name: &str, parse: Parse, bytes: &[u8], what: &str) -> Result<S
 }
 
 #[test]
-fn damage_is_an_error_or_a_sound_scene() {
+fn damaged_files_give_an_error_or_a_valid_scene() {
     let dir = tempfile::tempdir().unwrap();
     for (name, files, parse) in formats(dir.path()) {
         for bytes in &files {

@@ -67,7 +67,7 @@ fn replayed(name: &str, folder: &Path) -> Report {
 }
 
 #[test]
-fn no_reader_is_harmed() {
+fn no_reader_fails_on_hostile_files() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("findings");
     fs::create_dir_all(&folder).unwrap();
     let names: Vec<&str> = readers().iter().map(|r| r.name).collect();
@@ -113,7 +113,7 @@ fn no_reader_is_harmed() {
 }
 
 #[test]
-fn harm_of_every_kind_is_found() {
+fn panics_aborts_excess_memory_and_bad_output_are_detected() {
     let folder = tempfile::tempdir().unwrap();
     let words = [
         "this reader is broken",

@@ -1,4 +1,4 @@
-//! Blends tile lists into an image: one cube per tile, one unit per pixel.
+//! Blends tile lists into an image (Minute4D Eq. 3): one cube per tile, one unit per pixel.
 use crate::eye::BACKGROUND;
 use cubecl::prelude::*;
 

@@ -25,7 +25,7 @@ pub(crate) fn bucket_tiles(counts: &[u32], offsets: &[u32], tile_of: &mut [u32],
     }
 }
 
-/// Sums over the pixels of a tile: weight, first and second moments, colours and depth (section 1.7).
+/// Sums over the pixels of a tile: weight, first and second moments, colours and depth (docs/spec/optimiser.md 1.7).
 #[cube(launch)]
 pub(crate) fn blend_backward(
     records: &[f32],

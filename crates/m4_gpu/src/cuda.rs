@@ -128,7 +128,7 @@ mod tests {
     use super::{adapters, has_driver, missing};
 
     #[test]
-    fn what_is_missing_is_named_and_keeps_adapters_from_being_chosen() {
+    fn missing_cuda_libraries_are_named_and_disable_the_adapters() {
         let (missing, found) = (missing(), adapters());
         if !has_driver() {
             assert!(found.is_empty(), "{found:?}");

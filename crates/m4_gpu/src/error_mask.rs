@@ -1,4 +1,4 @@
-//! The pixels of a frame whose error is large enough to count (paper equations 6 to 8).
+//! The pixels of a frame whose error is large enough to count (Minute4D Eq. 7).
 
 use crate::Gpu;
 use crate::buffer::{Buffer, cubes, units};
@@ -108,7 +108,8 @@ impl Mask {
     }
 }
 
-/// Mean over the channels of the absolute differences, 0 where that is not finite; smallest and largest of each cube.
+/// Mean over the channels of the absolute differences (Minute4D Eq. 6), 0 where that is not finite; smallest and largest of
+/// each cube.
 #[cube(launch)]
 fn error_map(
     image: &[f32],

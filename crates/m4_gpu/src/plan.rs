@@ -287,7 +287,7 @@ mod tests {
     }
 
     #[test]
-    fn splats_take_what_their_columns_take() {
+    fn splat_memory_is_the_size_of_the_columns() {
         let plan = plan(10);
         let of = |what| plan.parts().iter().find(|p| p.what == what).unwrap().bytes;
         let splats = 4 * (14 * 100_000 + 5 * 80_000);
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_limit_names_every_part() {
+    fn exceeding_the_memory_limit_lists_every_part() {
         let plan = plan(500);
         assert!(plan.check(plan.total()).is_ok());
         let error = plan.check(100_000_000).unwrap_err();
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_left_goes_to_frames() {
+    fn remaining_memory_is_given_to_frames() {
         let plan = plan(500);
         let ten = plan.without_frames() + 10 * plan.frame_bytes();
         assert_eq!(plan.frames_budget(ten), 10 * plan.frame_bytes());

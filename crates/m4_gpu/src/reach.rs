@@ -1,4 +1,4 @@
-//! The tiles that an ellipse reaches, exactly (section 5.2): per row of tiles, those between the leftmost and the rightmost point of the
+//! The tiles that an ellipse reaches, exactly (docs/spec/optimiser.md 5.2): per row of tiles, those between the leftmost and the rightmost point of the
 //! ellipse within that row.
 
 use cubecl::prelude::*;

@@ -1,4 +1,4 @@
-//! The scores of density control: splats in regions where the image is wrong (paper equations 6 to 10).
+//! The scores of density control: splats in regions where the image is wrong (Minute4D Eq. 9, Minute4D Eq. 10).
 //!
 //! For each look: errors of the pixels, those above a threshold of the frame's own range, sums of them over the pixels
 //! that each splat is blended on (a slot per tile and splat, as in the backward pass), times how much of the splat is there
@@ -124,7 +124,7 @@ impl Trainer {
     }
 }
 
-/// The errors that count, summed over the pixels of a tile that a splat is blended on: a cube a bucket, a unit an entry.
+/// The errors that count (Minute4D Eq. 8), summed over the pixels of a tile that a splat is blended on: a cube a bucket, a unit an entry.
 #[cube(launch)]
 fn score_slots(
     records: &[f32],

@@ -63,7 +63,7 @@ fn harmonic_slope(#[comptime] l: u32, d: &V3) -> V3 {
     }
 }
 
-/// Red, green, blue before the cut at 0.
+/// Red, green, blue before the cut at 0 (Minute4D Eq. 2).
 #[cube]
 pub(crate) fn raw_colour(
     colour: &[f32],

@@ -26,7 +26,7 @@ pub(crate) struct Shape {
     pub k: f32,
 }
 
-/// Moves splat `i` to the instant `t`.
+/// Moves splat `i` to the instant `t` (Minute4D Eq. 1).
 #[cube]
 pub(crate) fn life(geometry: &[f32], time: &[f32], i: u32, n: u32, n_static: u32, t: f32) -> Life {
     let at = i as usize;

@@ -1,7 +1,7 @@
 //! Propagates dynamic points to keyframes in which they are occluded, from keyframes that see them.
 //!
 //! What leaves the image, or goes behind something, is still there: a view from beside the video may
-//! see it (section 2.6: "keep occluded samples"). Points move on with what can be seen of the body that they
+//! see it (docs/spec/optimiser.md 2.6: occluded samples are kept). Points move on with what can be seen of the body that they
 //! belong to, or, where nothing of it can be seen, as they moved last. In every keyframe they pass through, those that the camera would see are dropped, since the keyframe's own
 //! points are better; so are those that would float in front of something.
 

@@ -33,7 +33,7 @@ pub(crate) struct Pixels {
 }
 
 impl Pixels {
-    /// The points, row by row.
+    /// The points, row by row (Minute4D Eq. 4).
     pub fn cloud(&self, capture: &Capture) -> Cloud {
         let frame = &capture.frames[self.frame];
         let mut out = Cloud::default();

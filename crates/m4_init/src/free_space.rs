@@ -1,7 +1,7 @@
 //! Removes static points that other frames see through.
 //!
 //! Depth that was estimated smears over edges, and each frame smears in a way of its own. A point that hangs in front of what
-//! several other frames see behind it is no surface (section 2.6 has the check for tracked points).
+//! several other frames see behind it is no surface (docs/spec/optimiser.md 2.6 has the check for tracked points).
 
 use crate::cloud::{Pixels, dilate, is_depth, moving_pixels};
 use crate::error::stopped;
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_see_through_goes_and_nothing_else() {
+    fn only_points_in_the_free_space_of_other_frames_are_removed() {
         let inside = |x: usize, y: usize| (30..36).contains(&x) && (4..9).contains(&y);
         let smeared = capture(|i, x, y| (i == 2 && inside(x, y)).then_some(3.0));
         let want: Vec<_> = (4..9).flat_map(|y| (30..36).map(move |x| (x, y))).collect();

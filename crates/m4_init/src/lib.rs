@@ -2,8 +2,8 @@
 //!
 //! [`initialise`] back-projects the depth of every frame, keeps static and dynamic points
 //! apart, replaces the points of each voxel by their centroid and gives every centroid the size,
-//! opacity and time span that the optimiser starts from (section 2 of the specification of the
-//! optimiser; paper section 3.1).
+//! opacity and time span that the optimiser starts from
+//! (docs/spec/optimiser.md 2).
 //!
 //! ```text
 //! cloud (depth -> points) -> free_space (what other frames see through goes) -> voxel (points -> centroids) -> spacing (neighbours -> discs) -> assemble

@@ -1,4 +1,4 @@
-//! Merges points into one centroid per voxel, in a fixed order.
+//! Merges points into one centroid per voxel, in a fixed order (Minute4D sec. 3.1).
 
 use crate::CellSize;
 use crate::cloud::Cloud;

@@ -172,7 +172,7 @@ fn points_of_the_frames_win_where_both_exist() {
 }
 
 #[test]
-fn what_cannot_be_is_dropped() {
+fn implausible_track_points_are_dropped() {
     let without = run(None, on()).n_dynamic();
     let everywhere = TrackedInit { seen: true, ..on() };
     let added = |bend: &dyn Fn(usize, usize, [f32; 3]) -> [f32; 3], by: TrackedInit| {

@@ -140,7 +140,7 @@ fn threads_do_not_change_a_bit() {
 }
 
 #[test]
-fn tracks_of_another_clip_are_refused_and_odd_ones_do_no_harm() {
+fn tracks_of_another_clip_are_refused_and_degenerate_tracks_are_ignored() {
     let other = Tracks::new(2, 1, vec![[0.0; 3]; 2], vec![true; 2]).unwrap();
     let error = initialise(&capture(Some(other)), &with_tracks(true), &Silent).unwrap_err();
     assert_eq!(

@@ -63,7 +63,7 @@ mod tests {
     use super::shortened;
 
     #[test]
-    fn what_is_short_stays_and_what_is_long_keeps_its_start_and_its_end() {
+    fn short_text_stays_and_long_text_keeps_start_and_end() {
         for n in [0, 1, 3, 399, 400] {
             let text = "ü".repeat(n);
             assert_eq!(shortened(&text), text);

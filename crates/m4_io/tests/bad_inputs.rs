@@ -186,7 +186,7 @@ fn counts_that_the_file_cannot_hold() {
 }
 
 #[test]
-fn options_that_cannot_be() {
+fn impossible_options_are_refused() {
     let read = |options: VideoOptions| video::read(&pinwheel(), &options, &Silent).unwrap_err();
     let text = read(VideoOptions {
         max_frames: Some(0),
@@ -259,7 +259,7 @@ fn a_clip_that_does_not_fit_in_memory() {
 }
 
 #[test]
-fn stopping_is_heard() {
+fn reading_can_be_cancelled() {
     struct Stop;
     impl Progress for Stop {
         fn update(&self, _: &str, _: usize, _: usize, _: &str) {}

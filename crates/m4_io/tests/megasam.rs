@@ -220,7 +220,7 @@ fn the_motion_map_is_found_and_looked_at() {
 }
 
 #[test]
-fn what_is_read_goes_through_a_capture() {
+fn megasam_files_round_trip_through_a_capture() {
     let dir = tempfile::tempdir().unwrap();
     let read_back = read_ok(&fixture("reconstructions/dog"));
     capture::write(dir.path(), &read_back, Split::Train, &Silent).unwrap();

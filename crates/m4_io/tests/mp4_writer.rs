@@ -123,7 +123,7 @@ fn odd_sides_grow_and_one_frame_is_enough() {
 }
 
 #[test]
-fn what_cannot_be_written_is_refused_and_leaves_nothing() {
+fn invalid_mp4_frames_are_refused_and_leave_no_file() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("clip.mp4");
     for (w, h, fps, says) in [

@@ -103,7 +103,7 @@ fn links_out_of_the_folder_are_not_followed() {
 }
 
 #[test]
-fn what_may_be_read_is_no_setting() {
+fn permission_to_read_outside_is_not_serialised() {
     let anywhere = CaptureOptions {
         reach: Reach::Anywhere,
         ..CaptureOptions::default()

@@ -13,7 +13,7 @@ pub struct View {
     pub background: [f32; 3],
     /// Splats with a z-depth of at most this are skipped, world units.
     pub near: f32,
-    /// Opacity-compensated 2D filter (section 1.6).
+    /// Opacity-compensated 2D filter (docs/spec/optimiser.md 1.6).
     pub mip: bool,
     /// Period of the first temporal harmonic of the colour, frames.
     pub period: f32,
@@ -50,7 +50,7 @@ pub struct FrameGradient {
 /// The gradient of a loss with respect to one camera.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct CameraGradient {
-    /// Left twist of the world-to-camera pose, translation part (section 1.6).
+    /// Left twist of the world-to-camera pose, translation part (docs/spec/optimiser.md 1.6).
     pub tau: [f64; 3],
     /// Left twist, rotation part.
     pub omega: [f64; 3],

@@ -15,7 +15,7 @@
 //! | `blend` | tile lists to an image |
 //! | `photo` | L1 + SSIM and its gradient |
 //! | `adam` | sparse parameter update |
-//! | `score` | time-weighted error a splat (paper eq. 9, 10) |
+//! | `score` | time-weighted error per splat |
 //!
 //! In each folder `mod.rs` is the contract, `reference.rs` the definition (generic over f32 and f64,
 //! slow on purpose, the oracle of the tests) and `cpu.rs` the SIMD twin that the product runs.

@@ -217,7 +217,7 @@ fn touched<T: Real, C: Cutoff>(n: usize, rendered: &Rendered<T>) -> Vec<bool> {
     out
 }
 
-/// The score of each of `n` splats in a frame (section 4); `weight` is `[height][width]`.
+/// The score of each of `n` splats in a frame (docs/spec/optimiser.md 4); `weight` is `[height][width]`.
 pub fn score_splats<T: Real>(n: usize, rendered: &Rendered<T>, weight: &[T]) -> Vec<T> {
     let marginals: Vec<T> = rendered.drawn.iter().map(|d| d.sliced.marginal).collect();
     let scores = score(&rendered.ellipses, &marginals, rendered.image.width, weight);

@@ -1,4 +1,4 @@
-//! Pairs of unit quaternions as rotations of space-time (section 1.2 of the optimiser's specification).
+//! Pairs of unit quaternions as rotations of space-time (docs/spec/optimiser.md 1.2).
 //!
 //! A space-time vector in storage order `(x, y, z, t)` is the quaternion `t + x i + y j + z k`; the
 //! rotor pair `(l, r)` acts as `v -> l v conj(r)`. With `l == r` the time axis stays where it is and

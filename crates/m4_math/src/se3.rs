@@ -69,7 +69,7 @@ impl<T: Real> Se3<T> {
     }
 
     /// Left perturbation `R <- exp([omega]) R`, `T <- exp([omega]) T + tau`, with `twist = (tau, omega)`
-    /// (section 1.6 of the specification of the optimiser).
+    /// (docs/spec/optimiser.md 1.6).
     #[must_use]
     pub fn retract(&self, twist: &Vector6<T>) -> Self {
         let turn = exp_so3(&twist.fixed_rows::<3>(3).into_owned());

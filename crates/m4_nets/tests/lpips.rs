@@ -267,7 +267,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
-fn refuses_what_it_cannot_compare() {
+fn images_of_different_or_too_small_size_are_refused() {
     let flat = |w, h, v| LpipsPicture::from_planes(w, h, [&vec![v; w * h]; 3].map(|p| &p[..])).unwrap();
     for (net, _) in NETS {
         let lpips = network(net);

@@ -168,7 +168,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
-fn refuses_what_it_cannot_answer() {
+fn invalid_images_and_prompts_are_refused() {
     let net = network();
     let shape = |width, height| net.encode(&Plane::filled(width, height, [9, 9, 9])).map(|_| ());
     assert!(matches!(shape(0, 4), Err(SamError::Shape { width: 0, height: 4 })));

@@ -71,7 +71,7 @@ fn agrees_with_the_module_by_formula() {
 }
 
 #[test]
-fn goes_on_from_a_flow() {
+fn a_warm_start_uses_the_given_flow() {
     let net = network();
     let (file, a, b) = pair();
     let (a, b) = (net.encode(&a).unwrap(), net.encode(&b).unwrap());
@@ -176,7 +176,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
-fn refuses_what_does_not_fit() {
+fn zero_iterations_and_mismatched_sizes_are_refused() {
     let net = network();
     let small: RgbImage = Plane::filled(1, 1, [9, 9, 9]);
     let small = net.encode(&small).unwrap();

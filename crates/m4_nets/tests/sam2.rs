@@ -215,7 +215,7 @@ fn here() -> Prompt {
 }
 
 #[test]
-fn what_is_far_off_is_forgotten() {
+fn memories_older_than_the_history_are_dropped() {
     for (history_frames, kept) in [(0, 15), (20, 20)] {
         let mut predictor = clip(VideoOptions {
             history_frames,
@@ -371,7 +371,7 @@ fn the_user_can_stop() {
 }
 
 #[test]
-fn refuses_what_makes_no_sense() {
+fn invalid_clips_and_prompts_are_refused() {
     let pictures = |size: (usize, usize)| Box::new(move |_: usize| Ok(moving(size.0, size.1, 0)));
     let clip_of = |frames, width, height| Clip { frames, width, height };
     let options = VideoOptions::default;

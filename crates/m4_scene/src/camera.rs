@@ -85,7 +85,8 @@ impl Camera {
         ([k.fx * p.x / p.z + k.cx - 0.5, k.fy * p.y / p.z + k.cy - 0.5], p.z)
     }
 
-    /// The world point at pixel coordinates `(u, v)` (centre of the first pixel: 0, 0) and z-depth `z`.
+    /// The world point at pixel coordinates `(u, v)` (centre of the first pixel: 0, 0) and z-depth `z`
+    /// (Minute4D Eq. 4).
     #[must_use]
     pub fn unproject(&self, u: f64, v: f64, z: f64) -> Vector3<f64> {
         let k = &self.intrinsics;

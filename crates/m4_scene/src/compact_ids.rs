@@ -84,7 +84,7 @@ mod tests {
     use crate::Plane;
 
     #[test]
-    fn every_map_comes_back() {
+    fn id_maps_round_trip() {
         for (w, h) in [(0, 0), (0, 3), (1, 1), (7, 1), (13, 5), (64, 9)] {
             let ids = Plane::from_fn(
                 w,
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn large_things_take_little() {
+    fn large_objects_take_few_bytes() {
         let held = CompactIds::from(&Plane::from_fn(480, 360, |x, y| {
             u16::from((100..200).contains(&x) && (50..150).contains(&y))
         }));

@@ -91,7 +91,7 @@ mod tests {
     use crate::{Mask, Plane};
 
     #[test]
-    fn every_size_comes_back() {
+    fn masks_of_every_size_round_trip() {
         for (w, h) in [(0, 0), (0, 3), (1, 1), (63, 1), (64, 1), (13, 5), (16, 8), (129, 2)] {
             let mask: Mask = Plane::from_fn(w, h, |x, y| if (x * x + 3 * y) % 5 < 2 { 255 } else { 0 });
             let held = CompactMask::from(&mask);

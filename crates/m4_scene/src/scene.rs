@@ -41,7 +41,7 @@ pub struct Scene {
     pub time_frames: usize,
     /// Seconds from the first to the last frame, where known.
     pub duration_s: Option<f64>,
-    /// Opacity-compensated 2D filter on (Mip filter, section 1.6).
+    /// Opacity-compensated 2D filter on (Mip filter, docs/spec/optimiser.md 1.6).
     pub mip: bool,
     /// Splats nearer than this z-depth are not drawn, world units.
     pub near: f32,

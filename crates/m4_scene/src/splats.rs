@@ -1,7 +1,7 @@
 //! 4D Gaussians in columns.
 //!
 //! A splat is *static* (it has no time parameters at all) or *dynamic*: then it also has a middle of
-//! its life, a duration and a velocity (section 1.4 of the optimiser's specification):
+//! its life, a duration and a velocity (docs/spec/optimiser.md 1.4):
 //!
 //! ```text
 //! m(t) = mean + velocity (t - time_mean)          S = Q diag(exp(2 log_scale)) Q^T

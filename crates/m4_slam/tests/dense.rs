@@ -177,10 +177,15 @@ fn depth_and_masks_of_a_drawn_scene() {
     .unwrap();
     let ([fixed, moving], iou) = score(&drawn, &found);
     eprintln!("static {fixed:.4}, moving {moving:.4}, masks {iou:.3}");
-    assert!(fixed < 0.03, "static depth is off by {fixed:.4}");
-    // The box floats before the wall: nothing says where, but never behind it.
-    assert!(moving < 4.0 / 2.4 - 1.0 + 0.05, "moving depth is off by {moving:.4}");
-    assert!(iou > 0.6, "masks overlap by {iou:.3}");
+    // measured: 0.0101, 0.589 and 0.859
+    assert!(fixed < 0.015, "static depth is off by {fixed:.4}");
+    // The box floats, and nothing says how far before the wall: its distance is not recovered here (`dense::bodies` has tests of
+    // what can be). It must lie before the wall, on which the error would be 4 / 2.4 - 1 = 0.667.
+    assert!(
+        moving < 0.62,
+        "the moving box is on the wall: its depth is off by {moving:.4}"
+    );
+    assert!(iou > 0.8, "masks overlap by {iou:.3}");
 }
 
 #[test]

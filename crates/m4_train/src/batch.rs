@@ -44,7 +44,7 @@ mod tests {
     use m4_kernels::Gradients;
 
     #[test]
-    fn the_union_is_touched_and_only_what_was_touched_is_added() {
+    fn batch_gradients_sum_over_touched_rows_only() {
         let gradients = |shared: [f32; 4], late: [f32; 2], touched: [u8; 4]| Gradients {
             columns: vec![shared.to_vec(), late.to_vec()],
             touched: touched.to_vec(),

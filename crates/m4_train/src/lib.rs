@@ -2,8 +2,7 @@
 //!
 //! [`Trainer`] takes a capture and its first splats and makes them look like the frames: pick a frame
 //! in an order drawn again for each epoch, draw it, compare (L1 + SSIM), step every splat that was seen. Every
-//! hundred steps [`density`] looks at what is still wrong and adds or removes splats there (paper
-//! section 3.3).
+//! hundred steps [`density`] looks at what is still wrong and adds or removes splats there.
 //!
 //! Steps are taken here or on a [`device`] ([`Trainer::use_device`]), which has kernels of its own for the same definitions; schedule,
 //! choice of frames and checkpoints stay here.

@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_frame_holds_the_world() {
+    fn the_pose_of_the_first_frame_stays_fixed() {
         let camera = Camera {
             intrinsics: Intrinsics::centred(8, 8, 8.0),
             c2w: Se3::identity(),

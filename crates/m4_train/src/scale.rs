@@ -6,7 +6,7 @@ use m4_scene::Capture;
 /// Lengths that rates and thresholds are measured in.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneScale {
-    /// `max(1.1 * largest distance of a camera from their mean, 0.1 * median depth)` (section 3).
+    /// `max(1.1 * largest distance of a camera from their mean, 0.1 * median depth)` (docs/spec/optimiser.md 3).
     pub extent: f32,
     /// Median of the depth maps; without any, the extent of the cameras.
     pub median_depth: f32,

@@ -1,7 +1,7 @@
 //! The values that change during training, as functions of the iteration alone.
 
-/// `exp((1 - x) ln a + x ln b)`, log-linear from `a` to `b` with `x` in 0..1 (section 3); linear when
-/// one of them is 0.
+/// `exp((1 - x) ln a + x ln b)`, log-linear from `a` to `b` with `x` in 0..1 (docs/spec/optimiser.md 3);
+/// linear when one of them is 0.
 pub(crate) fn log_linear(a: f32, b: f32, x: f32) -> f32 {
     let x = x.clamp(0.0, 1.0);
     if a > 0.0 && b > 0.0 {

@@ -1,4 +1,4 @@
-//! A video of known motion is learned: image quality, motion, counts (T8 and T9 of the specification).
+//! A video of known motion is learned: image quality, motion, counts (docs/spec/optimiser.md 9, T8 and T9).
 
 use crate::common::{FRAMES, disturbed, video};
 use m4_init::{InitConfig, initialise};
@@ -38,7 +38,7 @@ fn mean_velocity(splats: &Splats) -> [f32; 3] {
 }
 
 #[test]
-fn disturbed_splats_find_picture_and_motion() {
+fn perturbed_splats_recover_image_and_velocity() {
     let (scene, capture) = video();
     let config = config(800);
     let mut splats = disturbed(&scene, 1);
@@ -64,7 +64,7 @@ fn disturbed_splats_find_picture_and_motion() {
 }
 
 #[test]
-fn the_whole_way_from_depth_to_picture() {
+fn training_from_depth_exceeds_30_db() {
     let (_, capture) = video();
     let init = InitConfig {
         max_static: 3000,
@@ -93,7 +93,7 @@ fn the_whole_way_from_depth_to_picture() {
 }
 
 #[test]
-fn refinement_brings_a_pose_back() {
+fn pose_refinement_recovers_a_perturbed_pose() {
     let (scene, mut capture) = video();
     let truth = capture.frames[3].camera;
     capture.frames[3].camera.c2w.translation.x += 0.03;

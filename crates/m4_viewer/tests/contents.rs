@@ -59,7 +59,7 @@ const HOSTILE: [&str; 5] = [
 ];
 
 #[test]
-fn no_title_is_markup() {
+fn titles_are_escaped() {
     let scene = scene(4, 3);
     let payload = encode(&scene, 4.0, &PayloadConfig::default());
     let mut manifest = manifest_of(&scene, &payload);
@@ -79,7 +79,7 @@ fn no_title_is_markup() {
 }
 
 #[test]
-fn what_no_browser_reads_is_not_read_back() {
+fn pages_that_browsers_cannot_parse_are_refused() {
     let scene = scene(4, 3);
     let payload = encode(&scene, 4.0, &PayloadConfig::default());
     let mut manifest = manifest_of(&scene, &payload);

@@ -227,7 +227,7 @@ fn pages_hear_of_scenes_metrics_and_the_end() {
 }
 
 #[test]
-fn a_port_in_use_is_said() {
+fn a_port_in_use_is_an_error() {
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
     let port = taken.local_addr().unwrap().port();
     let error = Server::start(Hub::waiting("x"), port).unwrap_err();

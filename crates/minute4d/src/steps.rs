@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_kept_is_said_once() {
+    fn a_cache_write_failure_is_reported_once() {
         let dir = tempfile::tempdir().unwrap();
         let heard = Heard::default();
         fs::write(dir.path().join(".steps"), "in the way").unwrap();

@@ -78,7 +78,7 @@ fn least(values: &[f64]) -> f64 {
 }
 
 #[test]
-fn the_page_cannot_be_told_from_the_scene() {
+fn the_quantised_page_renders_like_the_scene() {
     let layouts = [(false, 0, 0), (true, 0, 0), (false, 2, 1)];
     for (isotropic, sh_degree, time_degree) in layouts {
         let layout = SplatLayout {

@@ -21,7 +21,7 @@ fn limits_are_settings() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_decoder_that_takes_too_much_is_ended_and_said() {
+fn a_decoder_over_its_limits_is_killed_and_reported() {
     let dir = Scratch::new();
     let clip = dir.path("large.mp4");
     let mut writer = Mp4Writer::create(&clip, 3840, 2160, 24.0).unwrap();
@@ -41,7 +41,7 @@ fn a_decoder_that_takes_too_much_is_ended_and_said() {
 }
 
 #[test]
-fn the_hidden_command_decodes_for_nobody_else() {
+fn the_decode_command_is_hidden_and_fails_without_a_parent() {
     for arguments in [&["__decode-h264"][..], &["__decode-h264", "1000000000", "20"]] {
         let mut command = program();
         let output = command.args(arguments).stdin(Stdio::null()).output().unwrap();

@@ -95,7 +95,7 @@ fn geometry_that_was_killed_goes_on_after_its_last_step() {
 }
 
 #[test]
-fn what_a_killed_process_left_half_written_is_in_nobodys_way() {
+fn partial_files_of_a_killed_process_do_not_block_the_next_run() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     fs::create_dir(dir.path("out")).unwrap();

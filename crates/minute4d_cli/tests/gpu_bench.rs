@@ -54,7 +54,7 @@ fn a_gpu_is_timed_by_the_same_columns() {
 }
 
 #[test]
-fn what_would_take_too_much_is_refused_part_by_part() {
+fn too_large_a_gpu_bench_is_refused_with_its_parts() {
     if !is_there() {
         return;
     }
@@ -63,7 +63,7 @@ fn what_would_take_too_much_is_refused_part_by_part() {
 }
 
 #[test]
-fn a_limit_of_a_gpu_says_nothing_about_the_processor() {
+fn a_gpu_memory_limit_does_not_apply_to_the_cpu() {
     let dir = Scratch::new();
     let out = dir.at("out");
     for command in [

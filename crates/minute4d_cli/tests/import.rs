@@ -129,7 +129,7 @@ fn axes_that_are_wrong_are_found_and_put_right() {
 
 /// What is exported comes back by the importer, which was written against the formats and not against the exporter.
 #[test]
-fn captures_go_out_and_come_back() {
+fn exported_captures_import_to_the_same_capture() {
     let dir = Scratch::new();
     let source = fixture("dycheck");
     let own = dir.at("own");

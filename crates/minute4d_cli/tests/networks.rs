@@ -129,7 +129,7 @@ fn megasam_makes_a_capture_and_names_its_networks() {
 }
 
 #[test]
-fn what_cannot_be_mixed_or_is_not_here_is_refused() {
+fn incompatible_or_missing_front_end_parts_are_refused() {
     let dir = Scratch::new();
     let (clip, store, out) = (dir.path("clip"), dir.path("weights"), dir.path("out"));
     write_clip(&clip);

@@ -195,7 +195,7 @@ fn files_of_cameras_and_keyframes() {
 }
 
 #[test]
-fn what_cannot_be_rendered_is_refused_before_anything_is_written() {
+fn impossible_renders_are_refused_before_anything_is_written() {
     let dir = Scratch::new();
     let out = dir.at("never");
     let path = |path: &str, more: &[&str], code: i32, words: &[&str]| {

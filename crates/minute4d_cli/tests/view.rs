@@ -278,7 +278,7 @@ fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
 }
 
 #[test]
-fn view_says_what_is_wrong() {
+fn view_refuses_bad_arguments_and_broken_scenes() {
     let dir = Scratch::new();
     let broken = dir.write("broken.safetensors", b"not a scene");
     refused(&["view", &broken, "--no-open"], 65, &["broken.safetensors"]);

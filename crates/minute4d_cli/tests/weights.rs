@@ -51,7 +51,7 @@ fn the_list_says_what_is_known_and_here() {
 }
 
 #[test]
-fn what_cannot_be_got_says_why() {
+fn weights_that_cannot_be_fetched_are_refused_with_a_reason() {
     let dir = Scratch::new();
     reason(&weights(&dir, &["fetch", "mobile-sm"]), 2, &["did you mean mobile-sam"]);
     reason(&weights(&dir, &["fetch", "megasam"]), 66, &["weights add megasam FILE"]);

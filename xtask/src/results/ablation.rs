@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn differences_have_a_sign() {
+    fn ablation_differences_are_printed_with_a_sign() {
         let default = Figures {
             psnr: 31.0,
             moving: 23.5,

@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_are_no_paths() {
+    fn urls_are_refused_as_inputs() {
         let said = inputs(&["s3://bucket/a.mp4".to_owned()], false).unwrap_err();
         assert!(said.to_string().contains("mount the store"), "{said}");
     }

@@ -53,7 +53,7 @@ fn a_result_appears_whole_and_replaces_an_older_one() {
 }
 
 #[test]
-fn nothing_is_published_that_is_not_finished_and_whole() {
+fn only_finished_and_complete_results_are_published() {
     let dir = tempfile::tempdir().unwrap();
     let layout = Layout::new(dir.path());
     let work = layout.work("a");
@@ -84,7 +84,7 @@ fn nothing_is_published_that_is_not_finished_and_whole() {
 }
 
 #[test]
-fn what_was_killed_while_it_published_is_gone_on_with() {
+fn an_interrupted_publication_is_completed() {
     let dir = tempfile::tempdir().unwrap();
     let layout = Layout::new(dir.path());
     let (work, target) = (layout.work("a"), layout.result("a"));

@@ -20,7 +20,7 @@ fn clip(id: &str, state: ClipState, reason: Option<&str>, output: &str) -> ClipR
 }
 
 #[test]
-fn counts_add_up_and_reasons_are_told() {
+fn status_counts_add_up_and_failures_have_reasons() {
     let clips = vec![
         clip("a", ClipState::Done, None, "/r/a"),
         clip("b7", ClipState::Failed, Some("/clips/b7.mp4 is empty"), "/r/b7"),

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_named() {
+    fn malformed_llff_is_rejected() {
         assert!(matches!(llff_truth("{}"), Err(LlffError::Parse { .. })));
         assert!(matches!(llff_truth(r#"{"poses": []}"#), Err(LlffError::Empty)));
         let left = r#"{"poses": [[[-1,0,0,5,48],[0,1,0,6,64],[0,0,1,7,50]]]}"#;

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_compared_is_said() {
+    fn incomparable_trajectories_are_rejected() {
         let truth = path(5);
         let still = vec![truth[0]; 5];
         let absolute = |estimate: &[Se3<f64>], alignment| absolute_error(estimate, &truth, alignment);

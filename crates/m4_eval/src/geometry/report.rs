@@ -274,7 +274,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_said() {
+    fn missing_depth_masks_and_focal_are_reported() {
         let mut truth = capture(3);
         for frame in &mut truth.frames {
             (frame.depth, frame.mask) = (None, None);

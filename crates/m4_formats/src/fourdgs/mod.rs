@@ -1,6 +1,6 @@
 //! `.4dgs`: splats with a velocity and a Gaussian in time, in chunks that can be sought (version 1).
 //!
-//! The model `gaussian-birth` is ours (section 1.4): a centre that moves along a straight line, a
+//! The model `gaussian-birth` is ours (docs/spec/optimiser.md 1.4): a centre that moves along a straight line, a
 //! marginal in time that is cut off at 0.05, scales and a rotation that stay. Nothing is baked but the
 //! harmonics of time. What the format has no field for (background, near plane, Mip filter, number of
 //! frames) travels as a metadata record named `minute4d`, the cameras of the video as the format's own

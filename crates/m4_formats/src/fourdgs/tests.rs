@@ -100,7 +100,7 @@ fn every_parameter_comes_back_within_its_bound() {
 }
 
 #[test]
-fn what_the_format_has_no_field_for_comes_back_too() {
+fn extra_metadata_round_trips() {
     let scene = scene(0, 0, false);
     let (bytes, losses) = encode(&scene, &FourdgsConfig::default()).unwrap();
     let found = parse(name(), &bytes).unwrap();

@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn nonsense_is_named() {
+    fn malformed_ply_headers_are_rejected() {
         assert!(matches!(parse(b"PLY\n"), Err(BadHeader::NotPly(_))));
         for text in [
             "ply\nend_header\n",

@@ -154,7 +154,7 @@ fn other_orders_and_types_are_read() {
 }
 
 #[test]
-fn what_is_missing_or_wrong_is_named() {
+fn malformed_ply_is_rejected_with_a_reason() {
     let at = Path::new("other.ply");
     let head = |count: &str, names: &[&str]| {
         let properties: String = names.iter().map(|n| format!("property float {n}\n")).collect();

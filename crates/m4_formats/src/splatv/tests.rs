@@ -106,7 +106,7 @@ fn every_parameter_is_there_to_eleven_bits() {
 }
 
 #[test]
-fn what_a_half_cannot_hold_is_refused() {
+fn values_out_of_range_of_f16_are_refused() {
     let mut scene = scene();
     scene.splats.column_mut(Column::Velocity, 0)[3] = 5000.0;
     let dir = tempfile::tempdir().unwrap();

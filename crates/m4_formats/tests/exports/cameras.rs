@@ -144,7 +144,7 @@ fn nerfstudio_by_hand_and_back() {
 }
 
 #[test]
-fn what_cannot_be_written_is_named() {
+fn cameras_that_cannot_be_written_are_rejected() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("out");
     let path = folder.join("transforms.json");

@@ -84,7 +84,7 @@ fn the_numbers_of_two_splats() {
 }
 
 #[test]
-fn what_is_in_the_file_is_the_scene() {
+fn gltf_holds_the_parameters_of_the_scene() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.glb");
     for degree in 0..=3 {

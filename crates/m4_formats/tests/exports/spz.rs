@@ -111,7 +111,7 @@ fn taken_apart(path: &std::path::Path) -> Splats {
 }
 
 #[test]
-fn what_is_in_the_file_is_the_scene_to_within_half_a_step() {
+fn spz_round_trips_within_half_a_quantisation_step() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.spz");
     let scene = common::random_scene(3, 200, 300);

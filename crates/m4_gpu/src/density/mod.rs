@@ -1,4 +1,4 @@
-//! A round of density control on the device: scores, the choice of splats to clone, split and prune, and the new rows.
+//! A round of density control on the device (Minute4D sec. 3.3): scores, the choice of splats to clone, split and prune, and the new rows.
 //!
 //! | file | what it does |
 //! |---|---|

@@ -61,7 +61,7 @@ impl Rank {
         grows
     }
 
-    /// The scores that become 0 and 1; the second is not larger if nothing is to be pruned.
+    /// The scores that become 0 and 1; the second is not larger if nothing is to be pruned (Minute4D Eq. 10).
     pub fn prune_range(&self, client: &Client, rule: Option<PruneRule>, scores: &Buffer) -> Buffer {
         let n = self.n as u32;
         let (literal, quantile) = match rule {

@@ -211,7 +211,7 @@ fn median(mut values: Vec<f32>) -> f32 {
 }
 
 #[test]
-fn splats_grow_and_go_as_on_the_processor() {
+fn densify_and_prune_match_the_cpu() {
     let Some(gpu) = gpu("density control") else { return };
     for isotropic in [false, true] {
         let (mut trainer, looks) = trainer(gpu.clone(), isotropic);

@@ -1,8 +1,9 @@
 //! Scenes that are easily got wrong.
 
 use crate::gpu;
+use crate::twins::assert_same_gradients;
 use m4_gpu::Renderer as GpuRenderer;
-use m4_kernels::{Frame, FrameGradient, Gradients, Renderer, SimdLevel, View};
+use m4_kernels::{Frame, FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
 use m4_math::Se3;
 use m4_scene::{Camera, Column, Intrinsics, SplatLayout, Splats};
 
@@ -51,11 +52,35 @@ fn close(what: &str, got: &Frame, want: &Frame) {
     }
 }
 
+/// Fails unless image and gradients are those of the processor, whose gradients are finite.
 fn both(what: &str, splats: &Splats, view: &View) {
     let Some(gpu) = gpu(what) else { return };
-    let want = Renderer::new(SimdLevel::best()).render(splats, view).clone();
-    let got = GpuRenderer::new(gpu, splats).unwrap().render(view).unwrap();
+    let mut cpu = Renderer::new(SimdLevel::best());
+    let want = cpu.render(splats, view).clone();
+    let mut twin = GpuRenderer::new(gpu, splats).unwrap();
+    let got = twin.render(view).unwrap();
     close(what, &got, &want);
+
+    let pixels = want.transmittance.len();
+    let plane = |step: usize| -> Vec<f32> { (0..pixels).map(|i| (i * step % 13) as f32 / 6.0 - 1.0).collect() };
+    let g = FrameGradient {
+        rgb: [plane(5), plane(7), plane(8)],
+        alpha: plane(9),
+        depth: plane(11),
+    };
+    let (mut want, mut got) = (Gradients::default(), Gradients::default());
+    cpu.backward(splats, &g, Wanted::default(), &mut want);
+    twin.backward(view, &g, &mut got).unwrap();
+    for (c, column) in want.columns.iter().enumerate() {
+        let first = splats.n() - column.len();
+        let touched = column.iter().zip(&want.touched[first..]).filter(|(_, t)| **t == 1);
+        let bad = touched.filter(|(v, _)| !v.is_finite()).count();
+        assert_eq!(
+            bad, 0,
+            "{what}: column {c} of the processor has values that are not finite"
+        );
+    }
+    assert_same_gradients(what, &got, &want);
 }
 
 #[test]

@@ -107,7 +107,7 @@ fn on_the_processor(splats: &Splats, looks: &[(Target, View)], rates: &[f32]) ->
 }
 
 #[test]
-fn a_step_of_some_frames_is_that_of_the_processor() {
+fn a_batched_step_matches_the_cpu() {
     let Some(gpu) = gpu("steps of some frames") else { return };
     let (splats, view) = start();
     let rates = vec![1e-4; LAYOUT.columns()];
@@ -166,7 +166,7 @@ fn a_step_of_some_frames_is_that_of_the_processor() {
 }
 
 #[test]
-fn frames_that_are_not_there_are_errors() {
+fn missing_frames_are_errors() {
     let Some(gpu) = gpu("missing frames") else { return };
     let (splats, view) = start();
     let mut trainer = Trainer::new(gpu, &splats, &AdamState::new(&splats), [picture(0)], usize::MAX).unwrap();

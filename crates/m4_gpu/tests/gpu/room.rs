@@ -50,7 +50,7 @@ fn check(trainer: &Trainer, splats: &Splats, view: &View) {
 }
 
 #[test]
-fn the_first_frame_gets_the_room_it_takes() {
+fn the_first_frame_allocates_enough_tile_entries() {
     let Some(gpu) = gpu("a first frame without room") else {
         return;
     };
@@ -63,7 +63,7 @@ fn the_first_frame_gets_the_room_it_takes() {
 }
 
 #[test]
-fn frames_that_had_too_many_entries_have_room_after_they_are_found() {
+fn tile_entries_are_reallocated_after_an_overflow() {
     let Some(gpu) = gpu("a later frame without room") else {
         return;
     };

@@ -195,7 +195,7 @@ fn splats_may_be_replaced() {
 }
 
 #[test]
-fn what_is_not_finite_is_said() {
+fn non_finite_parameters_are_reported() {
     let Some(gpu) = gpu("broken steps") else { return };
     let (splats, view) = start();
     let mut trainer = Trainer::new(gpu, &splats, &AdamState::new(&splats), [picture(0)], usize::MAX).unwrap();

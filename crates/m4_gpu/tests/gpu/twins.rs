@@ -43,6 +43,23 @@ const FLIPS: Flips = Flips {
     share: 0.01,
 };
 
+/// Fails unless the splats touched and their gradients are those of the processor, `want`.
+pub fn assert_same_gradients(what: &str, got: &Gradients, want: &Gradients) {
+    assert_eq!(got.columns.len(), want.columns.len(), "{what}");
+    let different = got.touched.iter().zip(&want.touched).filter(|(a, b)| a != b).count();
+    assert!(different <= 2, "{what}: {different} splats touched by one alone");
+    let both: Vec<bool> = got.touched.iter().zip(&want.touched).map(|(a, b)| a & b == 1).collect();
+    for (c, (got, want)) in got.columns.iter().zip(&want.columns).enumerate() {
+        let first = both.len() - want.len();
+        let seen = |column: &[f32]| -> Vec<f64> {
+            let rows = column.iter().zip(&both[first..]).filter(|(_, both)| **both);
+            rows.map(|(&v, _)| f64::from(v)).collect()
+        };
+        // a contribution that only one of them has is a thousandth of a large gradient
+        assert_gradient(&format!("{what}, column {c}"), &seen(got), &seen(want), 5e-3);
+    }
+}
+
 #[test]
 fn pictures_and_gradients_are_those_of_the_processor() {
     let Some(gpu) = gpu("images and gradients") else {
@@ -84,18 +101,7 @@ fn pictures_and_gradients_are_those_of_the_processor() {
             let (mut want, mut got) = (Gradients::default(), Gradients::default());
             cpu.backward(&splats, &g, Wanted::default(), &mut want);
             twin.backward(&view, &g, &mut got).unwrap();
-            let different = got.touched.iter().zip(&want.touched).filter(|(a, b)| a != b).count();
-            assert!(different <= 2, "{what}: {different} splats touched by one alone");
-            let both: Vec<bool> = got.touched.iter().zip(&want.touched).map(|(a, b)| a & b == 1).collect();
-            for (c, (got, want)) in got.columns.iter().zip(&want.columns).enumerate() {
-                let first = splats.n() - want.len();
-                let seen = |column: &[f32]| -> Vec<f64> {
-                    let rows = column.iter().zip(&both[first..]).filter(|(_, both)| **both);
-                    rows.map(|(&v, _)| f64::from(v)).collect()
-                };
-                // a contribution that only one of them has is a thousandth of a large gradient
-                assert_gradient(&format!("{what}, column {c}"), &seen(got), &seen(want), 5e-3);
-            }
+            assert_same_gradients(&what, &got, &want);
         }
     }
 }

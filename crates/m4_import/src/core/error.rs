@@ -168,7 +168,7 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn what_is_quoted_at_length_keeps_its_start_and_what_to_do() {
+    fn long_quotes_are_shortened_and_keep_the_advice() {
         let fault = SourceFault::bad(format!("{:?} is not a number", "9ü".repeat(100_000)), "correct it");
         let said = fault.within(Path::new("a.txt"), "line 7").to_string();
         assert!(

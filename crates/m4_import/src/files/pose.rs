@@ -54,7 +54,7 @@ mod tests {
     use super::{of_quaternion, of_rotation};
 
     #[test]
-    fn rotations_are_told_from_what_is_none() {
+    fn non_rotations_are_rejected_and_printed_ones_repaired() {
         // a quarter about z: x goes to y
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let by_quaternion = of_quaternion([1.0, 2.0, 3.0], [half, 0.0, 0.0, half]).unwrap();

@@ -167,7 +167,7 @@ fn run(case: &Case) -> (String, Vec<String>) {
 
 // one test, as the memory of all would be counted together
 #[test]
-fn damage_is_an_error_or_a_sound_capture() {
+fn damaged_sources_give_an_error_or_a_valid_capture() {
     // reading takes a few hundred microseconds: waiting for other threads would be most of it
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let mut failures = Vec::new();

@@ -4,7 +4,7 @@ use crate::support::fixture;
 use m4_import::SourceFormat;
 
 #[test]
-fn every_source_is_told_by_its_files() {
+fn source_formats_are_detected_by_their_files() {
     use SourceFormat::{Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
     for (path, format) in [
         ("import/dycheck", Dycheck),

@@ -221,7 +221,7 @@ mod tests {
 
     /// Half of the cloud leaves the image: what is left must not be pulled back to the border.
     #[test]
-    fn what_leaves_the_picture_goes_on_with_the_rest() {
+    fn points_that_leave_the_image_follow_their_neighbours() {
         let still = cloud();
         let all = [0.0f32, 0.1, 0.2, 0.3].map(|x| moved(&still, |p| [p[0] + x, p[1], p[2]]));
         let in_picture = |p: &[f32; 3]| p[0] < 0.9;

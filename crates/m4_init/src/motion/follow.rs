@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn one_wrong_track_is_outvoted_and_far_ones_say_nothing() {
+    fn one_wrong_track_is_outvoted_and_far_tracks_have_no_weight() {
         let tracks = row();
         let ways = Ways {
             tracks: &tracks,
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lone_track_speaks_within_reach() {
+    fn a_single_track_moves_points_within_reach() {
         let tracks = Tracks::new(2, 1, vec![[0.0; 3], [0.0, 1.0, 0.0]], vec![true; 2]).unwrap();
         let ways = Ways {
             tracks: &tracks,

@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_point_is_shifted_and_none_says_nothing() {
+    fn one_point_gives_a_translation_and_none_gives_no_motion() {
         let start = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.2, 0.0));
         let (p, q) = (Vector3::new(1.0, 2.0, 3.0), Vector3::new(4.0, 4.0, 4.0));
         let fit = Rigid::fit([(p, q, 1.0)].into_iter(), start).unwrap();

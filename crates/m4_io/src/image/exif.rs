@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn cut_blocks_say_nothing() {
+    fn truncated_exif_blocks_give_no_focal_length() {
         let whole = block();
         for cut in 0..38 {
             assert_eq!(focal_px(&whole[..cut], 40, 30), None, "{cut}");

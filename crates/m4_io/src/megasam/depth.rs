@@ -36,7 +36,7 @@ mod tests {
     use super::{Stored, depth};
 
     #[test]
-    fn unknown_stays_unknown() {
+    fn unknown_depth_stays_unknown() {
         for stored in [Stored::Depth, Stored::Clipped] {
             assert_eq!(depth(stored, 3.25), 3.25);
         }

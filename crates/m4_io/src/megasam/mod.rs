@@ -9,7 +9,7 @@
 //! read:   file or folder -> shapes compared -> lenses, poses -> images, depth, masks -> Capture
 //! ```
 //!
-//! Source: section 1.9 of the specification of the front end, and the scripts of MegaSaM (Li et al. 2025; Apache-2.0)
+//! Source: docs/spec/front-end.md 1.9, and the scripts of MegaSaM (Li et al. 2025; Apache-2.0)
 //! that write these files, read to learn what they hold.
 //!
 //! **What is converted, here and nowhere else.**

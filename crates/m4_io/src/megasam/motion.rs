@@ -110,7 +110,7 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn high_is_still_and_the_resizing_is_bilinear() {
+    fn high_motion_values_are_static_and_resized_bilinearly() {
         // one row: still, moving; the middle between them is at column 8 of 16
         let held = mask(0, &[1.0, 0.0], (2, 1), (16, 1), 0.7).unwrap();
         let moves: Vec<bool> = (0..16).map(|x| held.at(x, 0)).collect();

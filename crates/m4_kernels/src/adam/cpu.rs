@@ -18,12 +18,12 @@ pub struct AdamConfig {
     /// Decay of the second moment of static splats. 0.999 (Kingma and Ba; 3DGS).
     pub beta2: f64,
     /// Decay of the second moment of dynamic splats. 0.99: they see some 220 steps, and 0.999 looks
-    /// back a thousand (section 3).
+    /// back a thousand (docs/spec/optimiser.md 3).
     pub beta2_dynamic: f64,
     /// Added to the root of the second moment. 1e-15 (3DGS).
     pub eps: f64,
-    /// Leave splats alone that the frame did not touch. true (section 3); false is the dense Adam of
-    /// 3DGS, for which an untouched splat has gradient 0.
+    /// Leave splats alone that the frame did not touch. true (docs/spec/optimiser.md 3); false is the
+    /// dense Adam of 3DGS, for which an untouched splat has gradient 0.
     pub sparse: bool,
 }
 

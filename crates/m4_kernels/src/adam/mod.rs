@@ -1,4 +1,4 @@
-//! Adam (Kingma and Ba 2015) on the rows that a frame touched (section 3).
+//! Adam (Kingma and Ba 2015) on the rows that a frame touched (docs/spec/optimiser.md 3).
 //!
 //! ```text
 //! count += 1                                    once a splat, not once a column
@@ -18,8 +18,8 @@ pub mod reference;
 pub struct AdamParams {
     /// Decay of the first moment. 0.9 (Kingma and Ba; 3DGS).
     pub beta1: f64,
-    /// Decay of the second moment. 0.999 (Kingma and Ba; 3DGS); section 3 recommends 0.99 for dynamic
-    /// splats, which see some 220 steps.
+    /// Decay of the second moment. 0.999 (Kingma and Ba; 3DGS); docs/spec/optimiser.md 3
+    /// recommends 0.99 for dynamic splats, which see some 220 steps.
     pub beta2: f64,
     /// Added to the root of the second moment. 1e-15 (3DGS): gradients of a splat are tiny.
     pub epsilon: f64,

@@ -1,4 +1,4 @@
-//! Exact extents: the tiles of each tile row that an ellipse reaches (section 5.2).
+//! Exact extents: the tiles of each tile row that an ellipse reaches (docs/spec/optimiser.md 5.2).
 
 use super::{TILE, cpu::BAND_TILES, handover::Reach};
 use crate::{

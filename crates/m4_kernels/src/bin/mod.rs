@@ -14,5 +14,5 @@ pub mod reference;
 
 /// Edge of a tile, pixels. Sixteen pixels are one vector of the widest instructions; the smaller the
 /// tile, the fewer pixels are visited in vain: of 100,000 splats on 480x360 pixels 46 % of the visits
-/// blend something, against 23 % with tiles of 8 (section 5.2).
+/// blend something, against 23 % with tiles of 8 (docs/spec/optimiser.md 5.2).
 pub const TILE: usize = 4;

@@ -185,7 +185,7 @@ impl<S: Simd> Pixels<S> {
     }
 }
 
-/// The exponent of `alpha` (base 2) over a tile (section 1.7).
+/// The exponent of `alpha` (base 2) over a tile (docs/spec/optimiser.md 1.7).
 #[inline(always)]
 fn exponent<S: Simd>(s: S, r: &Record, pixels: &Pixels<S>) -> f32x16<S> {
     let dx = all(s, r.x) - pixels.x;

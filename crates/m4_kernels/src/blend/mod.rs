@@ -1,4 +1,4 @@
-//! Alpha blending of splats, front to back, and its gradient (section 1.7 of the optimiser's specification).
+//! Alpha blending of splats, front to back, and its gradient (docs/spec/optimiser.md 1.7).
 //!
 //! For each pixel, splats near to far, `d = centre - pixel`, transmittance `T` from 1:
 //!

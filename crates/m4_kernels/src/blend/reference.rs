@@ -191,7 +191,7 @@ fn behind_all<T: Real>(background: &[T; 3]) -> [T; CHANNELS] {
     [background[0], background[1], background[2], T::zero(), T::zero()]
 }
 
-/// The image of `splats`, which are in order of depth.
+/// The image of `splats`, which are in order of depth (Minute4D Eq. 3).
 pub fn blend<T: Real, C: Cutoff>(splats: &[Ellipse<T>], width: usize, height: usize, background: &[T; 3]) -> Image<T> {
     let mut image = Image {
         width,
@@ -268,7 +268,7 @@ pub fn blend_vjp<T: Real, C: Cutoff>(
     out
 }
 
-/// The same gradient front to back: needs the final `image` and one scalar per pixel (section 1.7).
+/// The same gradient front to back: needs the final `image` and one scalar per pixel (docs/spec/optimiser.md 1.7).
 pub fn blend_vjp_replay<T: Real, C: Cutoff>(
     splats: &[Ellipse<T>],
     image: &Image<T>,

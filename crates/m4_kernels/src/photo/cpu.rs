@@ -91,7 +91,7 @@ pub fn loss(
     }
 }
 
-/// The mean over the channels of `|rgb - target|`, `[height][width]` (the error map of paper eq. 6).
+/// The mean over the channels of `|rgb - target|`, `[height][width]` (the error map: Minute4D Eq. 6).
 ///
 /// # Panics
 ///

@@ -1,4 +1,4 @@
-//! The photometric loss `(1 - lambda) L1 + lambda (1 - SSIM)` and its gradient (section 3).
+//! The photometric loss `(1 - lambda) L1 + lambda (1 - SSIM)` and its gradient (docs/spec/optimiser.md 3).
 //!
 //! Both terms are means over all pixels and channels. SSIM (Wang et al. 2004): a Gaussian window of
 //! [`WINDOW`] taps and [`WINDOW_SD`] pixels, applied along rows and columns, *zero padded* (images

@@ -157,7 +157,7 @@ pub(crate) fn ellipse<S: Simd, const ISO: bool>(s: S, eye: &Eye, place: &Place<S
     }
 }
 
-/// The sums over pixels that a splat's gradient is made of (section 1.7), with
+/// The sums over pixels that a splat's gradient is made of (docs/spec/optimiser.md 1.7), with
 /// `omega = dL/d(alpha) alpha` (0 where alpha was cut) and `d = centre - pixel`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Moments<S: Simd> {

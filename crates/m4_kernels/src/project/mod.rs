@@ -1,4 +1,4 @@
-//! Projects a 3D splat to an ellipse on the image (EWA; sections 0 and 1.6 of the optimiser's specification).
+//! Projects a 3D splat to an ellipse on the image (EWA; docs/spec/optimiser.md 0, 1.6).
 //!
 //! ```text
 //! p_c = W m + T = (x, y, z)                      left out unless z > max(near, NEAR_MIN)

@@ -3,7 +3,7 @@
 use crate::blend::reference::CHANNELS;
 use m4_math::Real;
 
-/// `c' = M c + b` for the colours of every pixel, `[M | b]` row by row (section 8, item 4).
+/// `c' = M c + b` for the colours of every pixel, `[M | b]` row by row (docs/spec/optimiser.md 8.4).
 pub fn expose<T: Real>(pixels: &[[T; CHANNELS]], exposure: &[[T; 4]; 3]) -> Vec<[T; 3]> {
     pixels
         .iter()

@@ -1,4 +1,4 @@
-//! The time-weighted error of each splat (section 4; paper eq. 6 to 10).
+//! The time-weighted error of each splat (docs/spec/optimiser.md 4).
 //!
 //! For one frame and one plane of weights, `[height][width]` (the masked error of each pixel):
 //!

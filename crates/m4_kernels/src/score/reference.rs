@@ -1,4 +1,4 @@
-//! The definition of the score.
+//! The definition of the score in one frame: the sum over the footprint (Minute4D Eq. 9).
 
 use crate::blend::reference::{Ellipse, Hard, walk};
 use m4_math::Real;

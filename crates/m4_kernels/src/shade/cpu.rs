@@ -127,7 +127,7 @@ fn raw<S: Simd>(s: S, c: &Columns<'_>, row: usize, basis: &[f32x16<S>; 16], cos:
     sum
 }
 
-/// Red, green and blue, at least 0.
+/// Red, green and blue, at least 0 (Minute4D Eq. 2).
 #[inline(always)]
 pub(crate) fn shade<S: Simd>(s: S, c: &Columns<'_>, row: usize, sight: &Sight<S>) -> [f32x16<S>; 3] {
     let zero = all(s, 0.0);

@@ -1,4 +1,4 @@
-//! The colour of a splat seen from a camera at an instant: 4D spherindrical harmonics (section 1.8).
+//! The colour of a splat seen from a camera at an instant: 4D spherindrical harmonics (docs/spec/optimiser.md 1.8).
 //!
 //! ```text
 //! colour = max(0, 1/2 + sum_n sum_l K[n, l] cos(2 pi n dt / period) Y_l(direction))

@@ -96,7 +96,7 @@ fn raw<T: Real>(coefficients: &[[T; 3]], sight: &Sight<T>) -> [T; 3] {
     sum
 }
 
-/// Red, green and blue, at least 0. `coefficients` hold a multiple of [`Sight::sh_terms`] rows.
+/// Red, green and blue, at least 0 (Minute4D Eq. 2). `coefficients` hold a multiple of [`Sight::sh_terms`] rows.
 pub fn shade<T: Real>(coefficients: &[[T; 3]], sight: &Sight<T>) -> [T; 3] {
     raw(coefficients, sight).map(|c| if c > T::zero() { c } else { T::zero() })
 }

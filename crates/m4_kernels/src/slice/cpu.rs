@@ -112,7 +112,7 @@ fn marginal<S: Simd>(s: S, c: &Columns<'_>, at: usize, t: f32) -> Moment<S> {
     }
 }
 
-/// Moves to the instant: mean, marginal. Cheap, so that most dynamic splats go no further.
+/// Moves to the instant: mean, marginal (Minute4D Eq. 1). Cheap, so that most dynamic splats go no further.
 #[inline(always)]
 pub(crate) fn life<S: Simd, const DYNAMIC: bool>(s: S, c: &Columns<'_>, row: usize, t: f32) -> Slice<S> {
     let zero = all(s, 0.0);

@@ -1,6 +1,6 @@
 //! Slices a 4D splat at one instant.
 //!
-//! Sections 1.3 to 1.5 of the optimiser's specification. With `dt = t - time_mean` in frames and
+//! Specification: docs/spec/optimiser.md 1.3 to 1.5. With `dt = t - time_mean` in frames and
 //! `w = exp(2 log_time_sd)`:
 //!
 //! ```text
@@ -15,12 +15,12 @@
 //! The gradient of a symmetric matrix is symmetric everywhere in this crate: `dL = <G, dS>`, so a
 //! scalar that sits at both `(0, 1)` and `(1, 0)` receives `2 G_01`.
 //!
-//! [`mod@reference`] also slices the rotor-pair form (section 1.2), which has no twin: it is there to
+//! [`mod@reference`] also slices the rotor-pair form (docs/spec/optimiser.md 1.2), which has no twin: it is there to
 //! prove that the velocity form is the same model.
 
 pub(crate) mod cpu;
 pub mod reference;
 
 /// Splats whose temporal marginal is at most this are left out of a frame: `|dt| > 2.448 sd`
-/// (section 1.3).
+/// (docs/spec/optimiser.md 1.3).
 pub const MARGINAL_MIN: f64 = 0.05;

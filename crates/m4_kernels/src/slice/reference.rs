@@ -1,6 +1,6 @@
 //! The definition of slicing, forward and backward.
 //!
-//! Three models (sections 1.2 to 1.5): the velocity form with three scales and a quaternion, the
+//! Three models (docs/spec/optimiser.md 1.2 to 1.5): the velocity form with three scales and a quaternion, the
 //! same with one scale, and the rotor pair. A gradient has the type of what it is the gradient of.
 
 use m4_math::{
@@ -37,7 +37,7 @@ pub struct Life<T: Real> {
     pub velocity: Vector3<T>,
 }
 
-/// The velocity form (section 1.4); static without a `life`.
+/// The velocity form (docs/spec/optimiser.md 1.4); static without a `life`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Gaussian<T: Real> {
     /// World units; of a dynamic splat: at `time_mean`.
@@ -48,7 +48,7 @@ pub struct Gaussian<T: Real> {
     pub life: Option<Life<T>>,
 }
 
-/// The rotor-pair form (sections 1.1 to 1.3).
+/// The rotor-pair form (docs/spec/optimiser.md 1.1 to 1.3).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RotorGaussian<T: Real> {
     /// World units, at `time_mean`.
@@ -155,7 +155,7 @@ fn blocks<T: Real>(m: &Matrix4<T>) -> (Matrix3<T>, Vector3<T>, T) {
     )
 }
 
-/// The 3D splat at time `t`, frames: conditional mean and covariance, peak-1 marginal (section 1.3).
+/// The 3D splat at time `t`, frames: mean, covariance and marginal with peak 1 (Minute4D Eq. 1).
 pub fn slice_rotor<T: Real>(splat: &RotorGaussian<T>, t: T) -> Sliced<T> {
     let (space, cross, variance) = blocks(&rotor_covariance(splat).0);
     let dt = t - splat.time_mean;

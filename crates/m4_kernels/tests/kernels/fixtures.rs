@@ -90,9 +90,9 @@ fn float32_reference_is_within_rounding_of_the_oracle() {
     }
 }
 
-/// Section 1.4: the velocity form is an exact reparametrisation of the rotor form.
+/// docs/spec/optimiser.md 1.4: the velocity form is an exact reparametrisation of the rotor form.
 #[test]
-fn rotor_and_velocity_form_are_one_picture() {
+fn rotor_and_velocity_form_render_the_same_image() {
     let fixtures = gradient_fixtures();
     for case in fixtures.cases.iter().filter(|c| c.model == "rotor") {
         let rotor: Vec<_> = case.splats.iter().map(splat::<f64>).collect();

@@ -203,6 +203,27 @@ pub fn compare(name: &str, level: SimdLevel, splats: &Splats, view: &View, toler
     let weight: Vec<f32> = g.rgb[0].iter().map(|w| w.abs()).collect();
     let mut score = vec![0.0; splats.n()];
     renderer.score(&weight, &mut score);
-    let score: Vec<f64> = score.into_iter().map(f64::from).collect();
-    assert_gradient(&format!("{name}: score"), &score, &expected.score(&weight), 0.02);
+    assert_score(&name, &score, &expected.score(&weight));
+}
+
+/// Fails unless every score is that of the reference, but for a few splats of which f32 puts one pixel, of a weight of at most
+/// 1, on the other side of the cut-off: measured at most 1 of 117 on every level. A twin that loses rims is off in most splats.
+fn assert_score(name: &str, got: &[f32], want: &[f64]) {
+    let mut flips = 0;
+    for (i, (&got, &want)) in got.iter().zip(want).enumerate() {
+        let off = (f64::from(got) - want).abs();
+        let rounding = 1e-5 * (1.0 + want);
+        // written so that a NaN fails
+        assert!(
+            off <= 1.0 + rounding,
+            "{name}: score {i} is {got} where {want} was expected"
+        );
+        flips += usize::from(off > rounding);
+    }
+    let allowed = 1 + want.len() / 100;
+    assert!(
+        flips <= allowed,
+        "{name}: {flips} of {} scores differ, {allowed} may",
+        want.len()
+    );
 }

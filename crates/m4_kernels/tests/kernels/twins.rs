@@ -140,7 +140,7 @@ fn fixtures_of_the_oracle() {
 }
 
 #[test]
-fn columns_of_a_fixture_are_the_fixture() {
+fn fixture_columns_round_trip_to_the_fixture() {
     // what the test above drives the twin with, to the rounding of f32
     let fixtures = gradient_fixtures();
     for case in fixtures.cases.iter().filter(|c| c.model != "rotor") {

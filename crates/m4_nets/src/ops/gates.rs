@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn wild_numbers_stay_within_bounds() {
+    fn gates_of_extreme_inputs_stay_within_bounds() {
         let xs = [f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30, 0.0, -0.0, f32::NAN];
         let got = of(tanh, &xs);
         assert_eq!(got[..6], [1.0, -1.0, 1.0, -1.0, 0.0, -0.0]);

@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_is_seen() {
+    fn softmax_propagates_nan() {
         let row = |last: f32| {
             let mut values = vec![0.5; 20];
             values[17] = last;

@@ -1,7 +1,7 @@
 //! RAFT: optical flow by repeated lookups in all-pairs correlations.
 //!
 //! - Paper: Teed and Deng, "RAFT: Recurrent All-Pairs Field Transforms for Optical Flow", ECCV 2020; the section numbers in this
-//!   folder are its. The large model, as `MegaSaM` runs it (section 1.7 of the specification of the front end).
+//!   folder are its. The large model, as `MegaSaM` runs it (docs/spec/front-end.md 1.7).
 //! - Upstream: princeton-vl/RAFT, BSD-3. Weights: the entry `raft-things` of `minute4d weights list`, 5,257,536 learned numbers.
 //!
 //! ```text

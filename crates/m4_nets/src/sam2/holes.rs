@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_stays() {
+    fn hole_filling_keeps_nan() {
         let mut mask = Plane::filled(3, 3, f32::NAN);
         fill(&mut mask, 100);
         assert!(mask.data().iter().all(|x| x.is_nan()));

@@ -452,7 +452,7 @@ fn edges_of_depth_are_replaced() {
 }
 
 #[test]
-fn offsets_of_nothing_and_weights_of_nobody() {
+fn queries_outside_every_view_and_samples_out_of_bounds_stay_finite() {
     let clip = clip();
     let net = network(&clip.0);
     // a query far outside is not seen, and is followed anyway

@@ -75,8 +75,8 @@ impl<T: Real> Covariance4<T> {
         }
     }
 
-    /// From the rotor pair: `R(left, right) diag(exp(2 log_scale)) R^T` (section 1.2). `log_scale` is
-    /// that of the unrotated x, y, z and t axes.
+    /// From the rotor pair: `R(left, right) diag(exp(2 log_scale)) R^T` (docs/spec/optimiser.md 1.2).
+    /// `log_scale` is that of the unrotated x, y, z and t axes.
     #[must_use]
     pub fn from_rotor(
         mean: [T; 4],

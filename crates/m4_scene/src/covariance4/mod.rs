@@ -1,5 +1,5 @@
 //! Dynamic splats as 4D Gaussians with one 4x4 covariance, and the exact way to and from the columns
-//! of [`crate::Splats`] (sections 1.2 to 1.4 of the optimiser's specification).
+//! of [`crate::Splats`] (docs/spec/optimiser.md 1.2, 1.3, 1.4).
 //!
 //! The two forms are the same model. With `S` the covariance that an instant sees, `v` the velocity
 //! and `w` the variance in time:

@@ -87,7 +87,7 @@ fn splats_keep_the_form() {
 }
 
 #[test]
-fn what_is_no_splat_is_an_error() {
+fn covariances_that_are_not_positive_definite_are_errors() {
     let mut m = Matrix4::<f64>::identity();
     m[(3, 3)] = 0.0;
     let error = |m: &Matrix4<f64>| {

@@ -104,6 +104,7 @@ fn best(config: &DensityConfig, scores: &[f32], n: usize, budget: usize) -> Vec<
     out
 }
 
+/// True for the splats whose normalised score is above the threshold (Minute4D Eq. 10), as far as the rule of opacity allows.
 fn pruned_by_score(config: &DensityConfig, opacity: &[f32], scores: &[f32]) -> Vec<bool> {
     let (low, high) = match config.prune_rule {
         PruneRule::Literal => scores
@@ -257,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_wrong_changes_nothing() {
+    fn zero_scores_keep_every_splat() {
         let view = SplatView {
             n_static: 1,
             opacity: &[0.5; 3],

@@ -1,4 +1,4 @@
-//! The pixels whose error is large enough to count (paper equations 6 to 8).
+//! The pixels whose error is large enough to count (Minute4D Eq. 7, Minute4D Eq. 8).
 
 use crate::config::ErrorRange;
 

@@ -1,15 +1,15 @@
-//! Loss-guided density control (paper section 3.3): adds splats where the image is wrong, and prunes splats that stay wrong.
+//! Loss-guided density control (Minute4D sec. 3.3): adds splats where the image is wrong, and prunes splats that stay wrong.
 //!
 //! | file | what it does |
 //! |---|---|
-//! | `error_mask` | error map to masked error (eq. 6, 7, 8) |
-//! | `score` | masked errors of K frames to two scores a splat (eq. 9, 10) |
+//! | `error_mask` | error map to masked error |
+//! | `score` | masked errors of K frames to two scores per splat |
 //! | `rules` | what a round goes by |
 //! | `decide` | scores to who is cloned, split and pruned |
 //! | `plan` | decisions to rows: which splats the next set is made of |
 //! | `newborn` | what clones and children look like |
 //!
-//! Readings where the paper is open (section 4.4): p(t) is the marginal with peak 1; a splat's
+//! Readings where the paper is open (docs/spec/optimiser.md 4.4): p(t) is the marginal with peak 1; a splat's
 //! footprint are the pixels that it is composited on; scores are raw sums of error. Both scores are
 //! taken from the same state of the splats; new splats are never pruned in the round that made them,
 //! nor are parents of clones.
@@ -32,8 +32,8 @@ pub(crate) use score::{ScoreInput, score};
 /// The two scores of every splat.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Scores {
-    /// `[n]` mean over the frames of the time-weighted masked error on the footprint (eq. 9).
+    /// `[n]` mean over the frames of the time-weighted masked error on the footprint.
     pub densify: Vec<f32>,
-    /// `[n]` the same weighted by the frame's photometric loss, summed, not yet normalised (eq. 10).
+    /// `[n]` the same weighted by the frame's photometric loss, summed, not yet normalised.
     pub prune: Vec<f32>,
 }

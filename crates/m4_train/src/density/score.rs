@@ -1,4 +1,5 @@
-//! Scores of every splat over some frames (paper equations 9 and 10).
+//! Scores of every splat over some frames: their mean (Minute4D Eq. 9), and their sum weighted by the loss of the frame
+//! (Minute4D Eq. 10, which [`super::decide()`] normalises).
 
 use super::{Scores, masked_error};
 use crate::config::DensityConfig;

@@ -48,7 +48,7 @@ pub struct Payload {
 const SH_C0: f64 = 0.282_094_791_773_878_14;
 /// Positions are spaced evenly within this share of the median depth about the cameras.
 const EVEN_SHARE: f64 = 0.1;
-/// The least opacity that is drawn (section 1.7).
+/// The least opacity that is drawn (docs/spec/optimiser.md 1.7).
 const ALPHA_MIN: f64 = 1.0 / 255.0;
 
 /// The splats that can be seen. Those whose opacity never exceeds 1/255 in the time of the scene, or

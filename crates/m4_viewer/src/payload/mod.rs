@@ -71,7 +71,7 @@ pub const HEADER_BYTES: usize = 136;
 pub const VERSION: u32 = 1;
 /// The first bytes.
 const MAGIC: &[u8; 4] = b"M4SP";
-/// Splats are not drawn where their temporal marginal is at most this (section 1.3).
+/// Splats are not drawn where their temporal marginal is at most this (docs/spec/optimiser.md 1.3).
 const MARGINAL_MIN: f64 = 0.05;
 /// Standard deviations in time that a splat is drawn for, to either side: `sqrt(-2 ln 0.05)`.
 const LIFE_SDS: f64 = 2.447_746_830_680_816;

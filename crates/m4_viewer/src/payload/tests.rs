@@ -121,7 +121,7 @@ fn codes_stay_in_their_bytes() {
 }
 
 #[test]
-fn what_cannot_be_seen_is_left_out() {
+fn invisible_splats_are_left_out_of_the_payload() {
     let layout = SplatLayout {
         isotropic: true,
         sh_degree: 0,
@@ -149,7 +149,7 @@ fn what_cannot_be_seen_is_left_out() {
 }
 
 #[test]
-fn an_empty_scene_is_a_scene() {
+fn an_empty_scene_round_trips() {
     let layout = SplatLayout {
         isotropic: false,
         sh_degree: 0,

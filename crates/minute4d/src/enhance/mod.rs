@@ -1,4 +1,4 @@
-//! Better masks for a capture: dynamic objects are separated, segmented and tracked through the clip.
+//! Better masks for a capture (Minute4D sec. 3.2): dynamic objects are separated, segmented and tracked through the clip.
 //!
 //! ```text
 //! capture (motion maps, or masks) --m4_slam::instances, with an object tracker--> capture (masks, instances), report

@@ -300,7 +300,7 @@ mod tests {
 
     /// A wall at depth 4: a test camera a unit and a half to the right sees 6 columns that no training camera saw.
     #[test]
-    fn what_the_training_frames_did_not_see_does_not_count() {
+    fn pixels_unseen_in_training_are_masked_out() {
         let training = Training::of(capture(8, true)).unwrap();
         let masks = Masks::Computed(Box::new(training));
         let mask = masks.mask(&frame(1.5, 3.0, false)).unwrap().unwrap();
@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn too_little_to_go_by_is_said() {
+    fn covisibility_without_depth_or_enough_frames_is_an_error() {
         assert!(Training::of(capture(8, false)).is_err_and(|why| why.contains("no depth")));
         assert!(Training::of(capture(5, true)).is_err_and(|why| why.contains("more than 5")));
     }

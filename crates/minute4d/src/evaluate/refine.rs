@@ -6,7 +6,7 @@
 //!
 //! RoDyGS, MoSca and others score held-out images after such a refinement, since estimated or aligned poses are slightly off and
 //! half a pixel costs a decibel. It improves every score, so refined scores compare only with refined ones. The pose moves by left twists
-//! of world to camera (specification, section 1.6): rotations in radians, translations as fractions of the median depth in view, so that the
+//! of world to camera (docs/spec/optimiser.md 1.6): rotations in radians, translations as fractions of the median depth in view, so that the
 //! result does not depend on the unit of the world. Splats, intrinsics and time are fixed.
 
 use super::protocol::RefineRule;

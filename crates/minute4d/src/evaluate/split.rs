@@ -263,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_split_is_refused() {
+    fn splits_that_leave_too_few_frames_are_refused() {
         assert!(matches!(
             parts(clip(8), Protocol::Dycheck),
             Err(ProtocolError::NothingToSplit(_))

@@ -9,13 +9,13 @@ use rayon::prelude::*;
 
 /// Cameras that a splat is looked at from.
 const CAMERAS: usize = 16;
-/// Standard deviations in time after which a splat is not drawn: a marginal of 0.05 (section 1.3).
+/// Standard deviations in time after which a splat is not drawn: a marginal of 0.05 (docs/spec/optimiser.md 1.3).
 const REACH_SD: f64 = 2.447_746_83;
 /// Least opacity that is kept apart from nothing.
 const LEAST_OPACITY: f64 = 1e-6;
 
 /// The scene for a renderer without Mip filter. Both renderers widen a splat by the same low pass, but the
-/// filter also makes it fainter, by the area that it gained (section 1.6): by how much depends on where it
+/// filter also makes it fainter, by the area that it gained (docs/spec/optimiser.md 1.6): by how much depends on where it
 /// is seen from. Here that factor, averaged over up to 16 of the source cameras that see the splat while it
 /// lives, goes into its opacity. `None` for scenes without filter or without cameras.
 pub(super) fn bake(scene: &Scene) -> Option<(Scene, Loss)> {

@@ -1,4 +1,4 @@
-//! Computes a capture with MegaSaM's networks.
+//! Computes a capture with MegaSaM's networks (Minute4D sec. 3.1).
 
 use super::compute::{Clip, instants, moments};
 use super::frontend::{MonoClip, NetworkCorrespondence, Plan};
@@ -13,7 +13,7 @@ use m4_slam::megasam::{
     DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TrackingSize, reconstruct, resize_bilinear,
 };
 
-/// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (section 1.9).
+/// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (docs/spec/front-end.md 1.9).
 const TOO_MUCH_MOTION: f64 = 0.6;
 
 /// Finds geometry of `clip`.

@@ -72,7 +72,7 @@ mod tests {
     };
 
     #[test]
-    fn what_was_in_the_middle_stays_there() {
+    fn fitting_keeps_the_ray_through_the_image_centre() {
         // The ray through the middle of the image, whatever the size.
         let middle = |k: &Intrinsics| {
             let (w, h) = (k.width as f64, k.height as f64);

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 #[serde(default, deny_unknown_fields)]
 pub struct SwingConfig {
     /// Greatest turn to either side, degrees. 6: beyond, the dynamic part begins to come apart, since it was seen
-    /// from one side alone (ours, judged by eye; section 2.6 of the user specification asks for a limit).
+    /// from one side alone (ours, judged by eye).
     pub side_deg: f64,
     /// Greatest turn up or down, degrees.
     pub up_deg: f64,

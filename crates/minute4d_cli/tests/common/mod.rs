@@ -194,6 +194,30 @@ pub fn seen_from(camera: &Camera, i: usize, n: usize) -> RgbImage {
     see(camera, i as f64 / (n - 1) as f64).0
 }
 
+/// What no reconstruction is needed for: the mean PSNR, dB, over `views` of the mean of `frames` over time. Columns from
+/// `columns` on do not count.
+pub fn mean_image_psnr_db<'a>(
+    frames: impl IntoIterator<Item = &'a CaptureFrame>,
+    views: impl IntoIterator<Item = RgbImage>,
+    columns: usize,
+) -> f64 {
+    let frames: Vec<&RgbImage> = frames.into_iter().map(|frame| &frame.rgb).collect();
+    let mean = |x: usize, y: usize, k: usize| {
+        let sum: f64 = frames.iter().map(|rgb| f64::from(rgb[(x, y)][k])).sum();
+        sum / frames.len() as f64
+    };
+    let psnr_db = |view: RgbImage| {
+        let (w, h) = view.size();
+        let places = (0..h).flat_map(|y| (0..w.min(columns)).map(move |x| (x, y)));
+        let squares: Vec<f64> = places
+            .flat_map(|(x, y)| [0, 1, 2].map(|k| (mean(x, y, k) - f64::from(view[(x, y)][k])).powi(2)))
+            .collect();
+        -10.0 * (squares.iter().sum::<f64>() / squares.len() as f64 / (255.0 * 255.0)).log10()
+    };
+    let scores: Vec<f64> = views.into_iter().map(psnr_db).collect();
+    scores.iter().sum::<f64>() / scores.len() as f64
+}
+
 /// A capture of `n` frames of [`SIZE`]; with held-out views where `held_out`.
 pub fn capture(n: usize, held_out: bool) -> Capture {
     capture_of(SIZE, n, held_out)

@@ -74,7 +74,7 @@ mod tests {
 
     /// A wall at 4 with a box at 2 before it, seen from two places: what the box hides there is not seen.
     #[test]
-    fn what_something_hides_is_not_seen() {
+    fn occluded_pixels_are_not_covisible() {
         let (here, there) = (camera(0.0), camera(1.0));
         // the box spans x from 0 to 1 in the world: columns 10..15 here, 5..10 there
         let of = |first: usize| {
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tolerance_is_a_share_and_the_unknown_is_not_seen() {
+    fn the_depth_tolerance_is_relative_and_unknown_depth_is_not_covisible() {
         let (here, there) = (camera(0.0), camera(0.0));
         let flat = |z: f32| Plane::filled(20, 10, z);
         let share = |a: f32, b: f32, tolerance| {

@@ -68,7 +68,7 @@ mod tests {
     use m4_scene::Plane;
 
     #[test]
-    fn what_comes_back_is_seen() {
+    fn forward_backward_consistent_pixels_are_visible() {
         // everything moves by (2, -1): two columns and a row leave
         let there = Plane::filled(8, 6, [2.0, -1.0]);
         let mut back = Plane::filled(8, 6, [-2.0, 1.0]);
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_limit_grows_with_the_flow() {
+    fn the_consistency_limit_grows_with_the_flow() {
         let at = |there: f32, back: f32| {
             let seen = seen_by_flow(&Plane::filled(40, 1, [there, 0.0]), &Plane::filled(40, 1, [back, 0.0])).unwrap();
             seen[(0, 0)] == 255

@@ -7,7 +7,7 @@ use m4_io::video::VideoOptions;
 use m4_scene::Silent;
 
 #[test]
-fn pictures_come_with_the_things_in_them() {
+fn davis_frames_are_read_with_their_instance_masks() {
     let path = fixture("import/davis/JPEGImages/480p/ball");
     assert!(detect(&path) && !detect(&fixture("import/davis")));
     let clip = read_clip(&path, &VideoOptions::default(), &Silent).unwrap();
@@ -36,7 +36,7 @@ fn pictures_come_with_the_things_in_them() {
 }
 
 #[test]
-fn fewer_frames_keep_their_own_maps() {
+fn thinned_davis_frames_keep_their_own_masks() {
     let options = VideoOptions {
         max_frames: Some(2),
         ..VideoOptions::default()
@@ -47,7 +47,7 @@ fn fewer_frames_keep_their_own_maps() {
 }
 
 #[test]
-fn faults_say_where_they_are() {
+fn malformed_davis_is_rejected_with_file_and_reason() {
     let why = read_clip(&fixture("import/davis"), &VideoOptions::default(), &Silent).unwrap_err();
     assert!(why.to_string().contains("JPEGImages"), "{why}");
     let (_dir, path) = copied("import/davis");

@@ -9,7 +9,7 @@ use m4_io::image;
 const FORMAT: SourceFormat = SourceFormat::Dycheck;
 
 #[test]
-fn it_is_the_clip_that_was_written() {
+fn dycheck_matches_the_clip_it_was_written_from() {
     let path = fixture("import/dycheck");
     let heard = Heard::default();
     let clip = read(&path, FORMAT, &ImportOptions::default(), &heard).unwrap();
@@ -117,7 +117,7 @@ fn lenses_are_distorted_stretched_or_refused() {
 }
 
 #[test]
-fn faults_say_where_they_are() {
+fn malformed_dycheck_is_rejected_with_file_and_reason() {
     let factor = ImportOptions {
         factor: Some(4),
         ..ImportOptions::default()

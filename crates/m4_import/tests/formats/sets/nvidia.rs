@@ -11,7 +11,7 @@ fn own(name: &str) -> Vec<f64> {
 }
 
 #[test]
-fn it_is_the_clip_that_was_written() {
+fn nvidia_matches_the_clip_it_was_written_from() {
     let heard = Heard::default();
     let clip = read(&fixture("import/nvidia"), FORMAT, &ImportOptions::default(), &heard).unwrap();
     assert!(heard.all().contains("disp"), "{}", heard.all());
@@ -77,7 +77,7 @@ fn views_of_many_cameras_are_held_out_but_for_those_that_train() {
 }
 
 #[test]
-fn faults_say_where_they_are() {
+fn malformed_nvidia_is_rejected_with_file_and_reason() {
     let (_dir, path) = copied("import/nvidia");
     let why = refused(
         &path,

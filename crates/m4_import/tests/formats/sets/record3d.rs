@@ -31,12 +31,12 @@ fn unpacked() -> (tempfile::TempDir, PathBuf) {
 }
 
 #[test]
-fn it_is_the_clip_that_was_written() {
+fn record3d_matches_the_clip_it_was_written_from() {
     check(&fixture("import/record3d/clip.r3d"));
 }
 
 #[test]
-fn large_maps_are_packed_in_another_way() {
+fn large_record3d_depth_maps_are_read() {
     let clip = import(&fixture("import/record3d/large.r3d"), FORMAT, &ImportOptions::default())
         .unwrap()
         .train;
@@ -52,7 +52,7 @@ fn large_maps_are_packed_in_another_way() {
 }
 
 #[test]
-fn a_folder_that_it_was_unpacked_to_is_the_same() {
+fn an_unpacked_record3d_folder_gives_the_same_clip() {
     check(&unpacked().1);
 }
 
@@ -77,7 +77,7 @@ fn without_time_stamps_and_own_lenses_frames_are_even_and_k_holds() {
 }
 
 #[test]
-fn faults_say_where_they_are() {
+fn malformed_record3d_is_rejected_with_file_and_reason() {
     let broken = |from: &str, to: &str, says: &[&str]| {
         let (_dir, path) = unpacked();
         edit(&path.join("metadata"), from, to);

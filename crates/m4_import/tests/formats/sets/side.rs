@@ -145,7 +145,7 @@ fn points_where_depth_is_unknown_are_not_placed() {
 }
 
 #[test]
-fn faults_say_where_they_are() {
+fn malformed_side_files_are_rejected_with_file_and_reason() {
     let refused = |change: &dyn Fn(&mut ImportOptions), says: &[&str]| {
         let why = with(change).unwrap_err();
         assert!(says.iter().all(|s| why.contains(s)), "{why}");

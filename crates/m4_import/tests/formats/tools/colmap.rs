@@ -59,7 +59,7 @@ fn names_may_begin_with_the_folder() {
 }
 
 #[test]
-fn what_is_missing_or_not_read_is_named() {
+fn missing_and_unsupported_colmap_files_are_named() {
     let (dir, here) = copied("import/colmap_text");
     let plain = ImportOptions::default();
     assert!(refused(&here, Colmap, &plain).contains("images"));

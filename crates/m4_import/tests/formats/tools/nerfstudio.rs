@@ -81,7 +81,7 @@ fn a_training_and_a_test_split() {
 }
 
 #[test]
-fn our_own_captures_come_back() {
+fn our_own_captures_round_trip_through_nerfstudio() {
     let truth = Truth::read();
     let mut capture = read("import/nerfstudio", Nerfstudio, &ImportOptions::default())
         .unwrap()
@@ -133,7 +133,7 @@ fn files_that_list_their_splits() {
 }
 
 #[test]
-fn what_cannot_be_is_named() {
+fn malformed_nerfstudio_is_rejected() {
     let (_dir, here) = copied("import/nerfstudio");
     let file = here.join("transforms.json");
     let text = std::fs::read_to_string(&file).unwrap();

@@ -6,7 +6,7 @@ use m4_import::ImportOptions;
 use m4_import::SourceFormat::Vipe;
 
 #[test]
-fn a_run_is_the_clip() {
+fn vipe_matches_the_clip_it_was_written_from() {
     let truth = Truth::read();
     for name in ["import/vipe", "import/vipe/pose/dog.npz"] {
         let got = read(name, Vipe, &ImportOptions::default()).unwrap().train;
@@ -26,7 +26,7 @@ fn a_run_is_the_clip() {
 }
 
 #[test]
-fn what_is_missing_or_not_read_is_named() {
+fn missing_and_unsupported_vipe_files_are_named() {
     let (_dir, here) = copied("import/vipe");
     let plain = ImportOptions::default();
     std::fs::write(here.join("intrinsics/dog_camera.txt"), "0: PINHOLE\n1: MEI\n").unwrap();

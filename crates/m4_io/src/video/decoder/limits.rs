@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_that_cannot_be() {
+    fn impossible_limits_are_refused() {
         let with = |memory_mb, cpu_seconds, idle_seconds| DecoderLimits {
             memory_mb,
             cpu_seconds,

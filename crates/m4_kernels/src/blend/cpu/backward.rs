@@ -1,4 +1,4 @@
-//! The backward pass, from pixels to splats: the replay form (section 1.7), front to back.
+//! The backward pass, from pixels to splats: the replay form (docs/spec/optimiser.md 1.7), front to back.
 //!
 //! Sums over pixels are products of matrices. For a splat on a tile there are two rows of sixteen
 //! numbers, `omega` and the weight `w`; the sums wanted are those of `omega` times `1, X, Y, XX, XY,

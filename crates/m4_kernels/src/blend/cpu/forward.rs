@@ -1,4 +1,4 @@
-//! The forward pass, from splats to pixels.
+//! The forward pass, from splats to pixels (Minute4D Eq. 3).
 
 use super::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step};
 use crate::{

@@ -1,4 +1,4 @@
-//! Sums a map of weights over the pixels that each splat is blended on.
+//! Sums a map of weights over the pixels that each splat is blended on (Minute4D Eq. 9).
 
 use super::{CHUNK, Pixels, T_FLOOR, Used, alpha, copy, step};
 use crate::{

@@ -224,7 +224,7 @@ fn requests_that_make_no_sense_are_refused() {
 
 /// Positions that are no numbers, or far away, spoil their own pixels alone.
 #[test]
-fn wild_positions_do_no_harm() {
+fn non_finite_positions_do_not_panic() {
     let mut memory = memory(options(1 << 30, Storage::F32));
     memory.enter(0, 0, 1);
     let mut planes = [start()];

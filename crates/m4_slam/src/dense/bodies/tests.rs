@@ -28,8 +28,9 @@ fn camera(t: usize) -> Camera {
     }
 }
 
-/// A disc that faces the camera: where its middle is and how far it is turned, by frame.
+/// A disc that faces the camera, or a ball: where its middle is and how far it is turned, by frame.
 struct Disc {
+    ball: bool,
     radius: f64,
     middle: fn(usize) -> Vector3<f64>,
     turn_rad: f64,
@@ -60,8 +61,16 @@ struct World {
 fn disc_disparity(disc: &Disc, camera: &Camera, t: usize, x: f64, y: f64) -> Option<f64> {
     let (c, ray) = (camera.centre(), camera.unproject(x, y, 1.0) - camera.centre());
     let middle = (disc.middle)(t);
-    let s = (middle.z - c.z) / ray.z;
-    ((c + ray * s - middle).norm() < disc.radius).then(|| 1.0 / camera.project(&(c + ray * s)).1)
+    let s = if disc.ball {
+        // the nearer of the two places where the ray meets the sphere
+        let (a, b) = (ray.norm_squared(), ray.dot(&(middle - c)));
+        let inside = b * b - a * ((middle - c).norm_squared() - disc.radius.powi(2));
+        (inside > 0.0).then(|| (b - inside.sqrt()) / a)?
+    } else {
+        let s = (middle.z - c.z) / ray.z;
+        ((c + ray * s - middle).norm() < disc.radius).then_some(s)?
+    };
+    Some(1.0 / camera.project(&(c + ray * s)).1)
 }
 
 fn world(disc: &Disc) -> World {
@@ -166,6 +175,7 @@ fn errors_with(disc: &Disc, guess: impl Fn(usize) -> f32, config: &BodyConfig) -
 #[test]
 fn a_wheel_in_the_air_stays_in_place_at_its_true_distance_alone() {
     let disc = Disc {
+        ball: false,
         radius: 0.5,
         middle: |_| Vector3::new(0.3, -0.1, 3.0),
         turn_rad: 0.15,
@@ -177,6 +187,7 @@ fn a_wheel_in_the_air_stays_in_place_at_its_true_distance_alone() {
 #[test]
 fn what_rolls_on_the_ground_is_where_it_touches_it() {
     let disc = Disc {
+        ball: false,
         radius: 0.4,
         middle: |t| Vector3::new(-0.8 + 0.07 * t as f64, 0.6, 3.0 - 0.02 * t as f64),
         turn_rad: 0.17,
@@ -186,9 +197,10 @@ fn what_rolls_on_the_ground_is_where_it_touches_it() {
 }
 
 #[test]
-fn what_is_thrown_is_where_its_way_bends_as_it_does() {
+fn a_thrown_ball_is_at_the_distance_that_its_parabola_tells() {
     // It leaves the ground in frame 1 and is back in frame 18.
-    let disc = Disc {
+    let ball = Disc {
+        ball: true,
         radius: 0.25,
         middle: |t| {
             let t = t as f64;
@@ -202,7 +214,7 @@ fn what_is_thrown_is_where_its_way_bends_as_it_does() {
         falling: false,
         ..BodyConfig::default()
     };
-    // A disc has no bulge, which a body is taken to have: most of the error that is left.
-    let ((_, without), (_, with)) = (errors_with(&disc, guess, &flat), errors(&disc, guess));
-    assert!(without > 0.11 && with < 0.07, "{without} {with}");
+    let ((_, without), (_, with)) = (errors_with(&ball, guess, &flat), errors(&ball, guess));
+    // measured: 0.351 and 0.0174
+    assert!(without > 0.3 && with < 0.025, "{without} {with}");
 }

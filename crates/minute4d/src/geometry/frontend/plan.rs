@@ -256,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_named_is_done_without_weights() {
+    fn parts_not_named_use_methods_without_weights() {
         assert_eq!(parts("moge", &[Part::Raft, Part::Moge]).0, "classical+moge");
         assert_eq!(parts("raft", &[]), ("raft".to_owned(), vec![]));
     }

@@ -87,7 +87,7 @@ impl Correspondence for Counted<'_> {
 }
 
 #[test]
-fn the_front_end_asks_as_often_as_the_specification_says() {
+fn the_tracker_runs_the_specified_number_of_updates() {
     let (frames, settings) = (clip(), few());
     let pictures: Vec<&RgbImage> = frames.iter().collect();
     let size = TrackingSize::new((SIDE, SIDE), (SIDE * SIDE) as f64).unwrap();

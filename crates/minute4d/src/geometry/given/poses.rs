@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_pose_is_named_by_its_line() {
+    fn malformed_pose_files_are_rejected_with_the_line() {
         for (text, line, word) in [
             ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 1", 2, "7 numbers"),
             ("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1", 2, "not after"),
