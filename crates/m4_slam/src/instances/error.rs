@@ -31,10 +31,10 @@ pub enum InstanceError {
         /// Frame.
         frame: usize,
     },
-    /// A map of motion is the other way round.
+    /// A map of motion is inverted.
     #[error(
-        "the motion maps look inverted ({evidence}): high values must mean dynamic. If they mean static, set \
-         `reading = \"still\"`; if they are correct, `reading = \"moving\"`"
+        "the motion maps look inverted ({evidence}): high values must mean dynamic; replace each value by 255 minus it, or \
+         pass `--segmenter none` to keep the masks as they are"
     )]
     Polarity {
         /// What was found.

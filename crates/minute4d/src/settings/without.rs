@@ -25,7 +25,7 @@ impl Settings {
             Enhancement::Segmentation => self.geometry.segmenter = Segmenter::None,
             Enhancement::Tracking => {
                 self.geometry.tracker = Tracker::None;
-                self.dense.tracks.enabled = false;
+                self.dense.tracks = false;
                 self.init.carry_keyframes = 0;
                 self.init.tracked.enabled = false;
                 match &mut self.init.velocity {
