@@ -7,7 +7,7 @@ use clap::Args;
 /// The part of a video that is read, and how.
 #[derive(Debug, Args)]
 pub struct VideoArgs {
-    /// Maximum number of frames, sampled evenly over the clip
+    /// Maximum number of frames to train on, sampled evenly over the clip; geometry may use up to four times as many
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..))]
     pub max_frames: Option<u32>,
     /// Downscale frames so that their longest side is at most this many pixels
