@@ -6,10 +6,10 @@ use std::path::PathBuf;
 /// Settings in layers: profile, preset, file, --set, then the options with their own name.
 #[derive(Debug, Args)]
 pub struct SettingsArgs {
-    /// The built-in settings to start from
-    #[arg(long, value_enum, default_value = "fast")]
-    pub profile: Profile,
-    /// A TOML file laid over the profile; --print-config shows every key
+    /// The built-in settings to start from [default: that of --config, else fast]
+    #[arg(long, value_enum)]
+    pub profile: Option<Profile>,
+    /// A TOML file laid over the profile; docs/settings.md explains every key, --print-config shows its value
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// One setting, such as train.iterations=2000; may be given more than once
@@ -46,10 +46,8 @@ pub struct LengthArgs {
 /// Time against quality.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Preset {
-    /// A look: ten seconds, a third of the splats
+    /// A first impression: ten seconds, a third of the splats
     Draft,
     /// The best scene within sixty seconds
     Default,
-    /// Five minutes
-    Quality,
 }
