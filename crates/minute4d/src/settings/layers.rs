@@ -194,10 +194,12 @@ impl Layers {
     }
 }
 
-/// The settings in `table`, whose last layer is called `layer`.
+/// The settings in `table`, whose last layer is called `layer`. The seed of the training is that of geometry, too.
 fn read(table: &Table, layer: &str) -> Result<Settings, SettingsError> {
-    serde_path_to_error::deserialize(table.clone())
-        .map_err(|e| explain(&e.path().to_string(), e.inner().message(), table, layer))
+    let mut settings: Settings = serde_path_to_error::deserialize(table.clone())
+        .map_err(|e| explain(&e.path().to_string(), e.inner().message(), table, layer))?;
+    settings.set_seed(settings.train.seed);
+    Ok(settings)
 }
 
 /// Tables are merged key by key; everything else is replaced.
@@ -312,7 +314,8 @@ mod tests {
             .and_then(|layers| layers.set("video.ffmpeg=a b"));
         std::fs::remove_file(&file).unwrap();
         let mut want = Settings::fast();
-        (want.train.seed, want.train.density.every) = (3, 7);
+        want.set_seed(3);
+        want.train.density.every = 7;
         want.train.density.error_threshold = 1.0;
         want.video.ffmpeg = PathBuf::from("a b");
         let layers = layers.unwrap();
@@ -324,7 +327,7 @@ mod tests {
     fn a_profile_is_the_first_layer_wherever_it_is_named() {
         let layers = set("train.seed=3").unwrap().set("profile=faithful").unwrap();
         let mut want = Settings::faithful();
-        want.train.seed = 3;
+        want.set_seed(3);
         assert_eq!(layers.profile(), Some(Profile::Faithful));
         assert_eq!(layers.finish().unwrap(), want);
         let text = layers.over(&Settings::fast()).unwrap_err().to_string();

@@ -15,7 +15,7 @@ pub struct TrainSettings {
     /// Seconds that the optimisation may take, 0 for as many as `iterations` need. Where it is above 0, `iterations` is
     /// replaced by what [`m4_train::affordable_iterations`] finds before training starts.
     pub budget_s: f64,
-    /// Key of every random draw.
+    /// Key of every random draw, those of geometry included ([`super::Settings::set_seed`]).
     pub seed: u64,
     /// As [`TrainConfig::background`].
     pub background: Option<[f32; 3]>,

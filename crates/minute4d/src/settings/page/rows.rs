@@ -268,7 +268,7 @@ pub const SECTIONS: &[Section] = &[
             (
                 "train.seed",
                 "number",
-                "Seed of every random draw of the training; `--seed` also sets that of geometry.",
+                "Seed of every random draw, those of geometry included. As `--seed`.",
             ),
             (
                 "train.background",
