@@ -141,7 +141,7 @@ fn the_faithful_profile_has_one_scale_and_fades_everything() {
 #[test]
 fn a_shadow_on_the_wall_is_laid_over_it() {
     let mut capture = capture(8);
-    // from frame 4 on, the right edge of the picture is in the shade
+    // from frame 4 on, the right edge of the image is in the shade
     for frame in &mut capture.frames[4..] {
         let lit = frame.rgb.clone();
         frame.rgb = Plane::from_fn(96, 64, |x, y| lit[(x, y)].map(|c| if x >= 88 { c / 2 } else { c }));

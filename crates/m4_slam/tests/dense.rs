@@ -32,7 +32,7 @@ fn keeping(
     progress: &dyn Progress,
     shelf: &dyn Shelf,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    let flow = InverseSearch::default();
+    let flow = InverseSearch;
     let sources = Sources {
         shelf,
         ..Sources::flow(&flow)
@@ -210,8 +210,7 @@ fn what_was_stopped_goes_on_to_the_same_bits() {
     let frames = &references(&drawn)[..FEW];
     let sparse = first(&sparse(&drawn, CameraMotion::Parallax), FEW);
     let mut config = DenseConfig::default();
-    config.consistent.optimiser.stage1.steps = 3;
-    config.consistent.optimiser.stage2.steps = 3;
+    config.cvd.steps = [3, 3];
     let go = |progress: &dyn Progress, shelf: &dyn Shelf| keeping(frames, &sparse, &config, progress, shelf);
     let counter = StopAtPoll::after(usize::MAX);
     let want = go(&counter, &NoShelf).unwrap();
@@ -349,11 +348,11 @@ fn bad_input_is_named() {
         DenseError::Camera { frame: 2, .. }
     ));
     let mut settings = config.clone();
-    settings.static_depth.hypotheses = 1;
+    settings.working_side_px = 63;
     assert!(matches!(
         fails(&frames, &good, &settings),
         DenseError::Setting {
-            name: "dense.static_depth.hypotheses",
+            name: "dense.working_side_px",
             ..
         }
     ));
@@ -365,32 +364,6 @@ fn bad_input_is_named() {
         densify(&frames, &good, &config, &stop),
         Err(DenseError::Cancelled { .. })
     ));
-}
-
-#[test]
-fn settings_of_masks_and_bodies_out_of_range_are_named() {
-    let drawn = draw(0.06);
-    let (frames, good) = (references(&drawn), sparse(&drawn, CameraMotion::Parallax));
-    let named = |change: &dyn Fn(&mut DenseConfig)| {
-        let mut config = DenseConfig::default();
-        change(&mut config);
-        match densify(&frames, &good, &config, &Silent) {
-            Err(DenseError::Setting { name, .. }) => name,
-            other => panic!("accepted, or refused for another reason: {:?}", other.err()),
-        }
-    };
-    assert_eq!(named(&|c| c.bodies.block_px = 0), "dense.bodies.block_px");
-    assert_eq!(named(&|c| c.bodies.longest = 1), "dense.bodies.longest");
-    assert_eq!(named(&|c| c.bodies.prior = f32::NAN), "dense.bodies.prior");
-    assert_eq!(named(&|c| c.plate.step = 0.0), "dense.plate.step");
-    assert_eq!(named(&|c| c.plate.reaches = vec![0, 3]), "dense.plate.reaches");
-    assert_eq!(named(&|c| c.consistent.prior = -1.0), "dense.consistent.prior");
-    assert_eq!(named(&|c| c.segment.points = 0), "dense.segment.points");
-    assert_eq!(
-        named(&|c| c.segment.belief_limit = f32::NAN),
-        "dense.segment.belief_limit"
-    );
-    assert_eq!(named(&|c| c.segment.least_overlap = 1.5), "dense.segment.least_overlap");
 }
 
 /// Answers every prompt with the same kind of mask.
@@ -435,7 +408,7 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
     for (step, motion) in [(0.06, CameraMotion::Parallax), (0.0, CameraMotion::Static)] {
         let drawn = draw(step);
         let (frames, good) = (references(&drawn), sparse(&drawn, motion));
-        let flow = InverseSearch::default();
+        let flow = InverseSearch;
         let with = |segmenter: Option<&dyn Segmenter>| {
             let sources = Sources {
                 segmenter,
@@ -495,7 +468,7 @@ fn what_moves_takes_its_depth_from_a_source_that_knows_it() {
         &sparse,
         &Sources {
             mono: &Network(&drawn),
-            ..Sources::flow(&InverseSearch::default())
+            ..Sources::flow(&InverseSearch)
         },
         &masks,
         &DenseConfig::default(),

@@ -4,8 +4,10 @@
 use crate::track_support::score::Score;
 use crate::track_support::{TrueFlow, clip, score};
 use m4_scene::{Progress, Silent};
-use m4_slam::dense::{FillConfig, InverseSearch, TrackConfig};
-use m4_slam::tracks3d::{FlowTracker, Followed, PosedClip, PosedFrame, Query, QueryGrid, TrackError, Tracker3d};
+use m4_slam::dense::InverseSearch;
+use m4_slam::tracks3d::{
+    FlowTracker, Followed, PosedClip, PosedFrame, Query, QueryGrid, TrackConfig, TrackError, Tracker3d,
+};
 use m4_testkit::BoxScene;
 
 const SIZE: (usize, usize) = (192, 144);
@@ -17,10 +19,7 @@ fn scene() -> BoxScene {
 
 fn config(fill: bool) -> TrackConfig {
     TrackConfig {
-        fill: FillConfig {
-            enabled: fill,
-            ..FillConfig::default()
-        },
+        fill,
         ..TrackConfig::default()
     }
 }
@@ -54,7 +53,7 @@ fn hidden_points_go_on_with_their_bodies() {
 #[test]
 fn our_own_flow_is_nearly_as_good() {
     let scene = scene();
-    let search = InverseSearch::default();
+    let search = InverseSearch;
     let tracker = FlowTracker {
         flow: &search,
         config: config(true),
@@ -202,7 +201,7 @@ fn queries_lie_in_the_masks_and_spare_what_is_followed_already() {
     assert_eq!(few.queries.len(), 9);
     let zero = QueryGrid {
         spacing_px: 0,
-        ..QueryGrid::nvidia()
+        ..QueryGrid::default()
     };
     assert!(matches!(
         Still.follow_grid(&clip, &zero, &Silent),

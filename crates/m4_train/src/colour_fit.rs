@@ -1,7 +1,7 @@
 //! Colours by least squares: rounds of "what is missing in my pixels, on the mean".
 //!
-//! With everything else fixed a picture is `A c + b`: `A` holds the blending weights, at least 0 and of a sum of at most
-//! 1 a pixel. A round is `c += (A^T (target - picture)) / (A^T 1 + damping)`, splat by splat and channel by channel: the
+//! With everything else fixed an image is `A c + b`: `A` holds the blending weights, at least 0 and of a sum of at most
+//! 1 a pixel. A round is `c += (A^T (target - image)) / (A^T 1 + damping)`, splat by splat and channel by channel: the
 //! simultaneous iterative reconstruction technique (Gilbert 1972), whose error never grows (section 8, item 7). Both sums
 //! are what the renderer's backward pass returns, of the residual and of ones.
 
@@ -17,7 +17,7 @@ const DARKEST: f32 = 0.004;
 /// Added to the sum of a splat's weights, pixels over all frames: splats that are hardly seen hardly change (our choice).
 const DAMPING_PX: f32 = 0.1;
 
-/// Frames that a fit of so many rounds draws, in units of what a frame of a step costs; `all` are in the capture.
+/// Frames that a fit of `rounds` rounds draws, in units of what a frame of a step costs; `all` are in the capture.
 pub(crate) fn frames_drawn(rounds: usize, all: usize) -> f64 {
     match rounds {
         0 => 0.0,
@@ -35,7 +35,7 @@ pub(crate) struct ColourSums {
 /// Which of the sums.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Sum {
-    /// Of weight times picture minus target.
+    /// Of weight times image minus target.
     Residual,
     /// Of weights.
     Weight,

@@ -4,13 +4,16 @@
 
 use crate::common::{Ended, Scratch, program};
 use m4_testkit::write_formula_weights;
-use minute4d::Silent;
+use minute4d::device::{DeviceChoice, DeviceRequest};
 use minute4d::io::capture::{self, CaptureOptions, Split};
 use minute4d::io::image::write_rgb;
 use minute4d::scene::{Capture, Plane};
+use minute4d::slam::tracker::TrackerSettings;
+use minute4d::{Existing, Job, Settings, Silent, geometry};
 use serde_json::Value;
-use std::fs;
 use std::path::Path;
+use std::process::Command;
+use std::{env, fs};
 
 const FRAMES: usize = 24;
 /// The least that the tracking network takes.
@@ -42,23 +45,73 @@ fn write_weights(store: &Path) {
     }
 }
 
-/// Few updates, for the time that they take.
-const FEW: [&str; 14] = [
-    "megasam.tracking_pixels=16384",
-    "megasam.flow_iterations=1",
-    "megasam.cvd.stage1.steps=2",
-    "megasam.cvd.stage2.steps=3",
-    "megasam.tracker.motion_filter_px=0.01",
-    "megasam.tracker.keyframe_px=1.1",
-    "megasam.tracker.initial_updates=1",
-    "megasam.tracker.first_updates=1",
-    "megasam.tracker.second_updates=1",
-    "megasam.tracker.probe_updates=1",
-    "megasam.tracker.backend_updates=1",
-    "megasam.tracker.backend_factors=2",
-    "megasam.tracker.final_updates=1",
-    "megasam.tracker.filler_updates=1",
-];
+/// Few updates, for the time that they take: settings of callers in Rust. Weights by a formula show hardly any motion, so less of it has
+/// to do.
+fn few() -> Settings {
+    let mut settings = Settings::fast();
+    let megasam = &mut settings.megasam;
+    megasam.tracking_pixels = (SIDE * SIDE) as f64;
+    megasam.flow_iterations = 1;
+    megasam.cvd.steps = [2, 3];
+    megasam.tracker = TrackerSettings {
+        motion_filter_px: 0.01,
+        keyframe_px: 1.1,
+        initial_updates: 1,
+        first_updates: 1,
+        second_updates: 1,
+        probe_updates: 1,
+        backend_updates: 1,
+        backend_factors: 2,
+        final_updates: 1,
+        filler_updates: 1,
+        ..TrackerSettings::default()
+    };
+    settings
+}
+
+/// What the process of [`one_capture_by_a_caller_in_rust`] reads.
+const CLIP: &str = "MINUTE4D_TEST_CLIP";
+const OUT: &str = "MINUTE4D_TEST_OUT";
+const FRONTEND: &str = "MINUTE4D_TEST_FRONTEND";
+const THREADS: &str = "MINUTE4D_TEST_THREADS";
+
+/// The process that makes a capture: the store of weights is that of its environment. Does nothing where it is not asked to.
+#[test]
+fn one_capture_by_a_caller_in_rust() {
+    let Ok(clip) = env::var(CLIP) else { return };
+    let mut settings = few();
+    settings.geometry.frontend = env::var(FRONTEND).unwrap().parse().unwrap();
+    let job = Job {
+        settings,
+        device: DeviceRequest {
+            choice: DeviceChoice::Cpu,
+            max_vram_mb: None,
+        },
+        existing: Existing::Refuse,
+        observer: &Silent,
+    };
+    let threads = env::var(THREADS).ok().map(|n| n.parse().unwrap());
+    let out = env::var(OUT).unwrap();
+    let make = || geometry::make(Path::new(&clip), Path::new(&out), &job).map(drop);
+    minute4d::with_threads(threads, make).unwrap().unwrap();
+}
+
+fn made(clip: &Path, out: &Path, store: &Path, frontend: &str, threads: Option<usize>) -> Capture {
+    let mut command = Command::new(env::current_exe().unwrap());
+    command
+        .args(["--exact", "networks::one_capture_by_a_caller_in_rust", "--nocapture"])
+        .env("MINUTE4D_WEIGHTS", store)
+        .env("HF_HOME", store)
+        .env(CLIP, clip)
+        .env(OUT, out)
+        .env(FRONTEND, frontend);
+    if let Some(threads) = threads {
+        command.env(THREADS, threads.to_string());
+    }
+    let ended = Ended::of(command.output().unwrap());
+    assert_eq!(ended.code, 0, "{} {}", ended.stdout, ended.stderr);
+    read(out)
+}
 
 fn run(clip: &Path, out: &Path, store: &Path, more: &[&str]) -> Ended {
     let mut command = program();
@@ -69,9 +122,6 @@ fn run(clip: &Path, out: &Path, store: &Path, more: &[&str]) -> Ended {
         .arg(clip)
         .arg("-o")
         .arg(out);
-    for setting in FEW {
-        command.args(["--set", setting]);
-    }
     Ended::of(command.args(more).output().unwrap())
 }
 
@@ -86,15 +136,14 @@ fn megasam_makes_a_capture_and_names_its_networks() {
     write_clip(&clip);
     write_weights(&store);
     let first = dir.path("first");
-    let ended = run(&clip, &first, &store, &["--frontend", "megasam"]);
-    assert_eq!(ended.code, 0, "{}", ended.stderr);
-    // What was chosen, and that there is no network of depth, is said.
-    assert!(
-        ended.stderr.contains("raft") && ended.stderr.contains("no depth from one picture"),
-        "{}",
-        ended.stderr
-    );
+    let capture = made(&clip, &first, &store, "megasam", None);
     let record: Value = serde_json::from_str(&fs::read_to_string(first.join("geometry.json")).unwrap()).unwrap();
+    // What was chosen, and that there is no network of depth, is said.
+    let warnings = record["warnings"].to_string();
+    assert!(
+        warnings.contains("raft") && warnings.contains("no depth from one picture"),
+        "{warnings}"
+    );
     let found = &record["found"];
     assert_eq!(
         (&found["frontend"], &found["frames"]),
@@ -104,25 +153,18 @@ fn megasam_makes_a_capture_and_names_its_networks() {
     let licences: Vec<&str> = networks.iter().map(|n| n["licence"].as_str().unwrap()).collect();
     assert_eq!(licences, ["CC-BY 4.0", "BSD-3-Clause"]);
     assert!(found["keyframes"].as_array().unwrap().len() > 2, "{found}");
-    let made = read(&first);
-    assert_eq!((made.frames.len(), made.metric), (FRAMES, false));
+    assert_eq!((capture.frames.len(), capture.metric), (FRAMES, false));
     assert!(
-        made.frames
+        capture
+            .frames
             .iter()
             .all(|f| f.motion.is_some() && f.mask.is_some() && f.depth.is_some())
     );
 
     // Another time, on another number of threads: the same bits.
     let second = dir.path("second");
-    let ended = run(
-        &clip,
-        &second,
-        &store,
-        &["--frontend", "megasam+raft", "--threads", "1"],
-    );
-    assert_eq!(ended.code, 0, "{}", ended.stderr);
-    let again = read(&second);
-    for (a, b) in made.frames.iter().zip(&again.frames) {
+    let again = made(&clip, &second, &store, "megasam+raft", Some(1));
+    for (a, b) in capture.frames.iter().zip(&again.frames) {
         assert_eq!(a.camera, b.camera);
         assert_eq!((&a.depth, &a.motion, &a.mask), (&b.depth, &b.motion, &b.mask));
     }

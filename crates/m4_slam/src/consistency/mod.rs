@@ -27,4 +27,4 @@ mod tests;
 
 pub use fix::fixed;
 pub use report::{Cause, Consistency, Verdict, check};
-pub use samples::{CheckOptions, ConsistencyError};
+pub use samples::ConsistencyError;

@@ -2,7 +2,7 @@
 
 use super::causes::{likeliest, masks_turned};
 use super::reading::{Reading, depth_errors, errors, median, quantile};
-use super::samples::{CheckOptions, ConsistencyError, Pair, Samples, samples};
+use super::samples::{ConsistencyError, Pair, Samples, samples};
 use crate::dense::FlowSource;
 use m4_scene::{Camera, Capture, Progress};
 use serde::{Deserialize, Serialize};
@@ -131,10 +131,9 @@ pub struct Consistency {
 pub fn check(
     capture: &Capture,
     flow: &dyn FlowSource,
-    options: &CheckOptions,
     progress: &dyn Progress,
 ) -> Result<Consistency, ConsistencyError> {
-    let found = samples(capture, flow, options, progress)?;
+    let found = samples(capture, flow, progress)?;
     let cameras: Vec<Camera> = capture.frames.iter().map(|f| f.camera).collect();
     let mut report = of_pairs(capture, &cameras, &found.resting);
     if masks_turned(&cameras, &found) {

@@ -3,7 +3,6 @@
 use crate::dense::{FlowError, FlowPair, FlowPicture, FlowSource, rgb_and_grey, working_size};
 use m4_scene::{Capture, CaptureFrame, CompactDepth, Progress};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Flow whose way there and back does not close by this is not used, pixels of the working size.
@@ -11,30 +10,14 @@ const ROUND_TRIP_PX: f32 = 0.5;
 /// Depth that changes by more than this share from a pixel to the next is an edge, whose place is uncertain.
 const EDGE: f32 = 0.05;
 
-/// How much is looked at.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct CheckOptions {
-    /// Longest side at which flow is measured, pixels.
-    pub side_px: usize,
-    /// Frames from which flow is measured, evenly spread.
-    pub anchors: usize,
-    /// How many frames later it arrives.
-    pub gaps: Vec<usize>,
-    /// Pixels of the working size from one sample to the next.
-    pub stride_px: usize,
-}
-
-impl Default for CheckOptions {
-    fn default() -> Self {
-        Self {
-            side_px: 640,
-            anchors: 12,
-            gaps: vec![1, 6],
-            stride_px: 5,
-        }
-    }
-}
+/// Longest side at which flow is measured, pixels.
+const SIDE_PX: usize = 640;
+/// Frames from which flow is measured, evenly spread.
+const ANCHORS: usize = 12;
+/// How many frames later flow arrives.
+const GAPS: [usize; 2] = [1, 6];
+/// Pixels of the working size from one sample to the next.
+const STRIDE_PX: usize = 5;
 
 /// Why a capture could not be checked.
 #[derive(Debug, thiserror::Error)]
@@ -80,13 +63,12 @@ pub(super) struct Samples {
 pub(super) fn samples(
     capture: &Capture,
     flow: &dyn FlowSource,
-    options: &CheckOptions,
     progress: &dyn Progress,
 ) -> Result<Samples, ConsistencyError> {
     let n = capture.frames.len();
-    let anchors = options.anchors.clamp(1, n.max(1));
+    let anchors = ANCHORS.clamp(1, n.max(1));
     let mut pairs: Vec<[usize; 2]> = Vec::new();
-    for &gap in &options.gaps {
+    for gap in GAPS {
         let room = n.saturating_sub(gap);
         for k in 0..anchors.min(room) {
             let from = k * (room - 1) / (anchors.min(room) - 1).max(1);
@@ -103,7 +85,7 @@ pub(super) fn samples(
             if progress.cancelled() {
                 return Err(ConsistencyError::Cancelled);
             }
-            let pair = between(capture, frames, flow, options)?;
+            let pair = between(capture, frames, flow)?;
             progress.update("check", done.fetch_add(1, Ordering::Relaxed) + 1, pairs.len(), "");
             Ok(pair)
         })
@@ -117,15 +99,10 @@ pub(super) fn samples(
     Ok(out)
 }
 
-fn between(
-    capture: &Capture,
-    frames: [usize; 2],
-    flow: &dyn FlowSource,
-    options: &CheckOptions,
-) -> Result<[Pair; 2], ConsistencyError> {
+fn between(capture: &Capture, frames: [usize; 2], flow: &dyn FlowSource) -> Result<[Pair; 2], ConsistencyError> {
     let [a, b] = frames.map(|i| &capture.frames[i]);
     let (w, h) = a.rgb.size();
-    let (fw, fh) = working_size(w, h, options.side_px);
+    let (fw, fh) = working_size(w, h, SIDE_PX);
     let pictures = [a, b].map(|f| rgb_and_grey(&f.rgb, fw, fh));
     let [first, second] = pictures.each_ref().map(|(rgb, grey)| FlowPicture {
         width: fw,
@@ -138,7 +115,7 @@ fn between(
         source,
     })?;
     let (sx, sy) = (w as f64 / fw as f64, h as f64 / fh as f64);
-    let stride = options.stride_px.max(1);
+    let stride = STRIDE_PX;
     let (mut resting, mut moving) = (Vec::new(), Vec::new());
     for y in (stride / 2..fh).step_by(stride) {
         for x in (stride / 2..fw).step_by(stride) {

@@ -83,16 +83,6 @@ pub enum CvdError {
         /// Pairs given.
         pairs: usize,
     },
-    /// A setting out of range.
-    #[error("setting {name} is {value}; it must be {range}")]
-    Setting {
-        /// Name of the setting.
-        name: &'static str,
-        /// Its value.
-        value: f64,
-        /// What is allowed.
-        range: &'static str,
-    },
     /// Pairs could not be read.
     #[error(transparent)]
     Pairs(#[from] PairError),

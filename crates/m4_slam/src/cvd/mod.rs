@@ -37,7 +37,7 @@ mod settings;
 pub use error::{CvdError, PairError};
 pub use input::{CvdInput, uncertainty_of_static};
 pub use optimise::{Consistent, optimise};
-pub use settings::{CvdSettings, Stage, Weights};
+pub use settings::{CvdSettings, Weights};
 
 #[cfg(test)]
 mod tests;

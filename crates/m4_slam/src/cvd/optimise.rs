@@ -4,6 +4,7 @@ use super::course::{Course, Keeper};
 use super::fast::{Descent, Moves, SimdLevel, Start};
 use super::pairs::PairSource;
 use super::reference::{DISPARITY, Lens, UNCERTAINTY};
+use super::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS, WORKING_PERCENTILE_98};
 use super::{CvdError, CvdInput, CvdSettings, PairError};
 use m4_math::Se3;
 use m4_scene::{Plane, Progress, Shelf};
@@ -44,7 +45,6 @@ pub fn optimise(
     progress: &dyn Progress,
     shelf: &dyn Shelf,
 ) -> Result<Consistent, CvdError> {
-    settings.check()?;
     check(input, pairs)?;
     let k = &input.intrinsics;
     let lens = Lens {
@@ -55,9 +55,7 @@ pub fn optimise(
         normal_shift_px: 0.0,
     };
     // disparities times this are worked on
-    let unit = settings
-        .working_percentile_98
-        .map_or(1.0, |p| p / percentile_98(input.disparity));
+    let unit = WORKING_PERCENTILE_98 / percentile_98(input.disparity);
     let w2c: Vec<Se3<f64>> = input
         .c2w
         .iter()
@@ -110,12 +108,11 @@ pub(super) fn run(
     shelf: &dyn Shelf,
 ) -> Result<Course, CvdError> {
     const MOVES: [Moves; 2] = [Moves::Affine, Moves::Pixels];
-    let stages = [&settings.stage1, &settings.stage2];
-    let total = stages[0].steps + stages[1].steps;
+    let total = settings.steps[0] + settings.steps[1];
     let mut keeper = Keeper::new(shelf);
     let mut course = keeper.resume(descent, &MOVES).unwrap_or_default();
-    for index in course.stage..stages.len() {
-        let (stage, moves) = (stages[index], MOVES[index]);
+    for index in course.stage..MOVES.len() {
+        let moves = MOVES[index];
         course.stage = index;
         if course.step == 0 {
             descent.begin();
@@ -123,7 +120,7 @@ pub(super) fn run(
                 keeper.second_stage(descent);
             }
         }
-        while course.step < stage.steps {
+        while course.step < settings.steps[index] {
             if progress.cancelled() {
                 keeper.save(&mut course, descent);
                 return Err(CvdError::Cancelled {
@@ -132,13 +129,8 @@ pub(super) fn run(
                 });
             }
             course.step += 1;
-            let report = descent.step(
-                moves,
-                &stage.weights,
-                stage.learning_rate,
-                settings.adam_epsilon,
-                course.step,
-            )?;
+            let (weights, rate) = (&WEIGHTS[index], LEARNING_RATE[index]);
+            let report = descent.step(moves, weights, rate, ADAM_EPSILON, course.step)?;
             if index == 0 && course.step == 1 && report.count == 0.0 {
                 return Err(CvdError::NoFlow { pairs });
             }

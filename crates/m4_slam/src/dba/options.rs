@@ -2,10 +2,9 @@
 
 use super::problem::Pinhole;
 use super::robust::Robust;
-use serde::{Deserialize, Serialize};
 
 /// What moves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Free {
     /// Poses alone.
     Poses,
@@ -30,7 +29,7 @@ impl Free {
 }
 
 /// How a problem is adjusted. [`Default`] is the front end of section 1.5 of the specification.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DbaOptions {
     /// What moves.
     pub free: Free,
@@ -50,7 +49,6 @@ pub struct DbaOptions {
     /// `fx` and `fy` by equal amounts, and where poses alone move the damping is added to the diagonal of every 6x6
     /// block, also of those between two poses.
     #[cfg(test)]
-    #[serde(skip)]
     pub(crate) python_twin: bool,
 }
 

@@ -1,10 +1,9 @@
 //! Robust weights: what a residual counts for.
 
 use m4_math::Real;
-use serde::{Deserialize, Serialize};
 
 /// A weight that falls with the length of the residual (iteratively reweighted least squares).
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Robust {
     /// Every residual counts in full: the published solver, whose confidences come from a network.
     #[default]

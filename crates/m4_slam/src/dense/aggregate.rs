@@ -1,13 +1,9 @@
 //! Semi-global aggregation of a cost volume along eight directions (Hirschmueller 2008).
 
-/// Penalties, in the unit of the costs.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Penalties {
-    pub small: i16,
-    /// On a flat image; divided by the brightness step, never below `small`.
-    pub large: i16,
-}
-
+/// Penalty of a disparity step of one between neighbours, census bits (Hirschmueller 2008, P1).
+const SMALL_STEP: i16 = 6;
+/// Penalty of a larger step on a flat image, census bits (P2); divided by the brightness step, never below [`SMALL_STEP`].
+const LARGE_STEP: i16 = 40;
 /// Brightness step that halves the large penalty, 0..255.
 const EDGE: f32 = 10.0;
 /// Above every path cost, and small enough to have a penalty added.
@@ -20,32 +16,16 @@ struct Path {
 }
 
 /// The disparity of least aggregated cost a pixel, `[height][width]`: index into the range, with a fraction.
-pub(super) fn aggregate(
-    width: usize,
-    height: usize,
-    count: usize,
-    volume: &[u8],
-    grey: &[f32],
-    penalties: Penalties,
-) -> Vec<f32> {
+pub(super) fn aggregate(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32]) -> Vec<f32> {
     let mut total = vec![0i16; width * height * count];
     for downwards in [true, false] {
-        pass(width, height, count, volume, grey, penalties, downwards, &mut total);
+        pass(width, height, count, volume, grey, downwards, &mut total);
     }
     winner(count, &total)
 }
 
 /// Adds four directions: along the row, and from the three neighbours in the previous row.
-fn pass(
-    width: usize,
-    height: usize,
-    count: usize,
-    volume: &[u8],
-    grey: &[f32],
-    penalties: Penalties,
-    downwards: bool,
-    total: &mut [i16],
-) {
+fn pass(width: usize, height: usize, count: usize, volume: &[u8], grey: &[f32], downwards: bool, total: &mut [i16]) {
     let fresh = || Path {
         values: vec![FAR; count + 2],
         least: 0,
@@ -79,10 +59,10 @@ fn pass(
             };
             let large = |j: usize| {
                 let fade = 1.0 / (1.0 + (grey[i] - grey[j]).abs() / EDGE);
-                ((f32::from(penalties.large) * fade) as i16).max(penalties.small)
+                ((f32::from(LARGE_STEP) * fade) as i16).max(SMALL_STEP)
             };
             match step_back(x, width) {
-                Some(px) => extend(cost, &left, penalties.small, large(y * width + px), &mut here, out),
+                Some(px) => extend(cost, &left, SMALL_STEP, large(y * width + px), &mut here, out),
                 None => extend(cost, &start, 0, 0, &mut here, out),
             }
             std::mem::swap(&mut left, &mut here);
@@ -93,7 +73,7 @@ fn pass(
                 match (py, column) {
                     (Some(py), Some(px)) => {
                         let p2 = large(py * width + px);
-                        extend(cost, &before[direction][px], penalties.small, p2, target, out);
+                        extend(cost, &before[direction][px], SMALL_STEP, p2, target, out);
                     }
                     _ => extend(cost, &start, 0, 0, target, out),
                 }
@@ -145,9 +125,7 @@ fn winner(count: usize, total: &[i16]) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Penalties, aggregate};
-
-    const PENALTIES: Penalties = Penalties { small: 6, large: 40 };
+    use super::aggregate;
 
     #[test]
     fn neighbours_outvote_a_wrong_pixel() {
@@ -159,7 +137,7 @@ mod tests {
         let odd = 3 * w + 4;
         volume[odd * n + 5] = 8;
         volume[odd * n + 12] = 2;
-        let index = aggregate(w, h, n, &volume, &vec![100.0; w * h], PENALTIES);
+        let index = aggregate(w, h, n, &volume, &vec![100.0; w * h]);
         assert!(index.iter().all(|&k| (k - 5.0).abs() < 0.01), "{index:?}");
     }
 
@@ -171,7 +149,7 @@ mod tests {
         for i in 0..w * h {
             volume[i * n + if i % w < 6 { 3 } else { 11 }] = 2;
         }
-        let index = aggregate(w, h, n, &volume, &grey, PENALTIES);
+        let index = aggregate(w, h, n, &volume, &grey);
         for (i, k) in index.iter().enumerate() {
             let want = if i % w < 6 { 3.0 } else { 11.0 };
             assert!((k - want).abs() < 0.3, "pixel {i}: {k} where {want} was expected");
@@ -181,7 +159,7 @@ mod tests {
     #[test]
     fn fractions_come_from_the_parabola() {
         let volume: Vec<u8> = [9u8, 4, 1, 2, 8].to_vec();
-        let index = aggregate(1, 1, 5, &volume, &[0.0], PENALTIES);
+        let index = aggregate(1, 1, 5, &volume, &[0.0]);
         // (4 - 2) / (4 + 2 - 2) / 2 past the least.
         assert!((index[0] - 2.25).abs() < 1e-6, "{}", index[0]);
     }

@@ -1,7 +1,6 @@
 //! What moves and what stands still, told apart: motion spoils depth and depth shows motion, so one is found from the other
 //! in turn. Each turn is kept on the shelf, so that what was interrupted goes on there.
 
-use super::config::DenseConfig;
 use super::densify::each;
 use super::error::DenseError;
 use super::flow::FlowPair;
@@ -19,6 +18,10 @@ use m4_scene::{Progress, RgbImage};
 
 /// How often depth and motion are estimated in turn: the second round knows the masks of the first.
 const ROUNDS: usize = 2;
+/// How often evidence of motion is averaged with that of the frames before and after, along the flow.
+const VOTES: usize = 16;
+/// Colour difference that stops the edge-aware fill of depth, 0..255 (Min et al. 2014, sigma).
+const FILL_SIGMA: f32 = 8.0;
 
 /// One a frame, above 0 where something moves.
 pub(super) type Masks = Vec<Vec<u8>>;
@@ -37,7 +40,6 @@ pub(super) struct Clip<'a> {
     pub mono: &'a Mono,
     pub clues: &'a Clues,
     pub sources: &'a Sources<'a>,
-    pub config: &'a DenseConfig,
     pub progress: &'a dyn Progress,
 }
 
@@ -88,8 +90,7 @@ impl Clip<'_> {
 
     /// Made anew where needed: cheaper than keeping them.
     pub fn smoother(&self, i: usize) -> Smoother {
-        let sigma = self.config.static_depth.fill_sigma;
-        Smoother::new(self.width, self.height, &self.shots[i].frame.rgb, sigma)
+        Smoother::new(self.width, self.height, &self.shots[i].frame.rgb, FILL_SIGMA)
     }
 
     /// Masks of what moves, sharp.
@@ -104,7 +105,7 @@ impl Clip<'_> {
             if let Some(segmenter) = self.sources.segmenter {
                 let size = (self.width, self.height);
                 let sharp = self.each("outlining moving parts", |i| {
-                    segment::sharpen(segmenter, self.frames[i], size, &moving[i], &self.config.segment)
+                    segment::sharpen(segmenter, self.frames[i], size, &moving[i])
                         .map_err(|source| DenseError::Segment { frame: i, source })
                 })?;
                 moving = sharp.into_iter().collect::<Result<_, _>>()?;
@@ -140,28 +141,18 @@ impl Clip<'_> {
                 confidence: &measured[i].confidence,
             };
             let smoother = self.smoother(i);
-            motion::evidence(
-                self.clues,
-                self.shots,
-                self.flows,
-                i,
-                &seen,
-                &smoother,
-                &self.config.motion,
-            )
+            motion::evidence(self.clues, self.shots, self.flows, i, &seen, &smoother)
         })?;
-        for _ in 0..self.config.motion.votes {
+        for _ in 0..VOTES {
             evidence = self.each("voting on motion", |i| motion::vote(w, h, &evidence, self.flows, i))?;
         }
-        self.each("cutting masks", |i| {
-            motion::mask(w, h, &evidence[i], &self.config.motion)
-        })
+        self.each("cutting masks", |i| motion::mask(w, h, &evidence[i]))
     }
 
     /// Disparities that the neighbours confirm; what moves (above 0) confirms nothing.
     fn measured(&self, moving: Option<&[Vec<u8>]>) -> Result<Vec<Measured>, DenseError> {
         self.each("comparing depth", |i| {
-            let mut measured = static_depth::measure(self.shots, self.swept, moving, i, &self.config.static_depth);
+            let mut measured = static_depth::measure(self.shots, self.swept, moving, i);
             self.mono.impose(i, &mut measured, of(moving, i));
             measured
         })
@@ -180,8 +171,7 @@ impl Clip<'_> {
     }
 
     fn fill(&self, i: usize, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
-        let settings = &self.config.static_depth;
-        static_depth::fill(&self.shots[i], &self.smoother(i), measured, moving, settings)
+        static_depth::fill(&self.shots[i], &self.smoother(i), measured, moving)
     }
 
     /// `moving` with the outlines of the pictures, by what the other frames show behind it; depth is taken from what
@@ -190,7 +180,7 @@ impl Clip<'_> {
         let (width, height) = (self.width, self.height);
         let measured = self.measured(before)?;
         let near = self.each("growing masks", |i| {
-            plate::grown(width, height, &moving[i], self.config.plate.guard_px)
+            plate::grown(width, height, &moving[i], plate::GUARD_PX)
         })?;
         let background = self.each("filling depth", |i| {
             let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));
@@ -211,14 +201,7 @@ impl Clip<'_> {
         };
         self.each("sharpening masks", |i| {
             let smoother = self.smoother(i);
-            plate::sharpen(
-                &scene,
-                i,
-                &moving[i],
-                &smoother,
-                &self.config.motion,
-                &self.config.plate,
-            )
+            plate::sharpen(&scene, i, &moving[i], &smoother)
         })
     }
 }

@@ -1,6 +1,6 @@
 //! What a camera that stands still sees most of the time.
 
-use super::config::MotionConfig;
+use super::motion::{STATIC_VOTE, THRESHOLD};
 use super::working::WorkingFrame;
 
 /// Frames the background is the median of, spread over the clip.
@@ -34,7 +34,7 @@ impl Background {
 
     /// Evidence of motion a pixel, as that of the flow: the difference to the most similar background
     /// pixel nearby (a tripod shakes, too) in units of the noise.
-    pub fn evidence(&self, frame: &WorkingFrame, config: &MotionConfig) -> Vec<f32> {
+    pub fn evidence(&self, frame: &WorkingFrame) -> Vec<f32> {
         let (w, h) = (frame.width, frame.height);
         let difference = |a: [u8; 3], b: [u8; 3]| a.iter().zip(&b).map(|(a, b)| a.abs_diff(*b)).fold(0, u8::max);
         let mut out: Vec<f32> = vec![0.0; w * h];
@@ -53,7 +53,7 @@ impl Background {
         let median = super::shot::quantile(&mut sorted, 0.5).unwrap_or(0.0);
         let noise = NOISE.max(2.0 * median);
         for v in &mut out {
-            *v = (0.5 * (*v / noise - config.threshold)).clamp(-config.static_vote, 1.0);
+            *v = (0.5 * (*v / noise - THRESHOLD)).clamp(-STATIC_VOTE, 1.0);
         }
         out
     }
@@ -62,7 +62,6 @@ impl Background {
 #[cfg(test)]
 mod tests {
     use super::Background;
-    use crate::dense::config::MotionConfig;
     use crate::dense::working::WorkingFrame;
     use m4_math::Se3;
     use m4_scene::{Camera, Intrinsics, Plane};
@@ -84,7 +83,7 @@ mod tests {
             WorkingFrame::new(&image, &camera, 40, 32)
         };
         let frames: Vec<WorkingFrame> = (0..11).map(frame).collect();
-        let evidence = Background::new(&frames).evidence(&frames[5], &MotionConfig::default());
+        let evidence = Background::new(&frames).evidence(&frames[5]);
         for (i, e) in evidence.iter().enumerate() {
             let (x, y) = (i % 40, i / 40);
             let inside = (15..19).contains(&x) && (10..20).contains(&y);

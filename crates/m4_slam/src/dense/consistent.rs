@@ -6,13 +6,12 @@
 //!
 //! Works on planes of half the working size; what comes back is a factor a pixel, so the edges of the working size stay.
 
-use super::config::ConsistentConfig;
 use super::error::DenseError;
 use super::flow::{Flow, FlowPair, bilinear};
 use super::pair::Pair;
 use super::shot::quantile;
 use crate::cvd::pairs::{FlowView, FramePair, PairSource, PairStore, consistency_mask, pair_list};
-use crate::cvd::{CvdError, CvdInput, optimise, uncertainty_of_static};
+use crate::cvd::{CvdError, CvdInput, CvdSettings, optimise, uncertainty_of_static};
 use m4_math::Se3;
 use m4_scene::{Camera, Plane, Progress, Shelf};
 
@@ -28,6 +27,13 @@ pub(super) struct Clip<'a> {
     pub confidence: &'a [Vec<f32>],
 }
 
+/// How firmly pixels on which all partners agree stay where they are.
+const PRIOR: f32 = 1.0;
+/// Flow of a pair counts if it misses where measured depth leads by at most this share of the parallax, medians over the measured
+/// pixels.
+const FLOW_MISS: f32 = 0.06;
+/// Memory for flow; more goes to a temporary file, bytes.
+const FLOW_BYTES: usize = 512 << 20;
 const PHASE: &str = "making depth consistent";
 
 fn halved(flow: &Flow) -> Flow {
@@ -97,15 +103,10 @@ fn miss(clip: &Clip<'_>, disparity: &[Vec<f32>], led: &Led<'_>) -> Option<f32> {
 
 /// Flow of every pair of the list, chained from neighbour to neighbour, where it is sure and nothing moves; and how many
 /// pairs were left out because measured depth (`disparity`) contradicts their flow.
-fn pairs(
-    clip: &Clip<'_>,
-    disparity: &[Vec<f32>],
-    config: &ConsistentConfig,
-    progress: &dyn Progress,
-) -> Result<(PairStore, usize), DenseError> {
+fn pairs(clip: &Clip<'_>, disparity: &[Vec<f32>], progress: &dyn Progress) -> Result<(PairStore, usize), DenseError> {
     let (w, h) = (clip.width / 2, clip.height / 2);
     let frames = clip.cameras.len();
-    let mut store = PairStore::new(w, h, config.flow_bytes);
+    let mut store = PairStore::new(w, h, FLOW_BYTES);
     let mut left_out = 0;
     let forward: Vec<Flow> = clip.flows.iter().map(|f| halved(&f.forward)).collect();
     let backward: Vec<Flow> = clip.flows.iter().map(|f| halved(&f.backward)).collect();
@@ -136,7 +137,7 @@ fn pairs(
             flow: &there,
             counts: &mask,
         };
-        if miss(clip, disparity, &led).is_some_and(|miss| miss.is_nan() || miss > config.flow_miss) {
+        if miss(clip, disparity, &led).is_some_and(|miss| miss.is_nan() || miss > FLOW_MISS) {
             left_out += 1;
             continue;
         }
@@ -150,17 +151,17 @@ fn pairs(
 pub(super) fn factors(
     clip: &Clip<'_>,
     disparity: &[Vec<f32>],
-    config: &ConsistentConfig,
+    settings: &CvdSettings,
     progress: &dyn Progress,
     shelf: &dyn Shelf,
 ) -> Result<Option<Vec<Vec<f32>>>, DenseError> {
     let (w, h) = (clip.width / 2, clip.height / 2);
-    let (store, left_out) = pairs(clip, disparity, config, progress)?;
+    let (store, left_out) = pairs(clip, disparity, progress)?;
     if store.pairs().is_empty() {
         progress.warn(&format!(
             "flow contradicts measured depth by more than {} % of the parallax in all {left_out} pairs of frames: depth is not \
              made consistent over time",
-            100.0 * config.flow_miss
+            100.0 * FLOW_MISS
         ));
         return Ok(None);
     }
@@ -180,11 +181,7 @@ pub(super) fn factors(
         start.push(small(&|p| disparity[i][p]));
         u.push(small(&|p| uncertainty_of_static(if moves(p) { 0.0 } else { 1.0 })));
         prior.push(small(&|p| {
-            if moves(p) {
-                1.0
-            } else {
-                config.prior * clip.confidence[i][p]
-            }
+            if moves(p) { 1.0 } else { PRIOR * clip.confidence[i][p] }
         }));
     }
     let c2w: Vec<Se3<f64>> = clip.cameras.iter().map(|c| c.c2w).collect();
@@ -195,7 +192,7 @@ pub(super) fn factors(
         uncertainty: &u,
         prior_confidence: Some(&prior),
     };
-    let found = optimise(&input, &store, &config.optimiser, progress, shelf)?;
+    let found = optimise(&input, &store, settings, progress, shelf)?;
     let factors = (0..frames)
         .map(|i| {
             let ratio: Vec<f32> = found.disparity[i]
@@ -218,7 +215,7 @@ pub(super) fn factors(
 #[cfg(test)]
 mod tests {
     use super::{Clip, Flow, FlowPair, factors};
-    use crate::dense::config::ConsistentConfig;
+    use crate::cvd::CvdSettings;
     use m4_math::Se3;
     use m4_math::nalgebra::Vector6;
     use m4_scene::{Camera, Intrinsics, NoShelf, Progress};
@@ -277,7 +274,7 @@ mod tests {
             confidence: &vec![vec![0.6; W * H]; FRAMES],
         };
         let warnings = Warnings::default();
-        let found = factors(&clip, &disparity, &ConsistentConfig::default(), &warnings, &NoShelf).unwrap();
+        let found = factors(&clip, &disparity, &CvdSettings::default(), &warnings, &NoShelf).unwrap();
         (found, warnings.0.into_inner().unwrap())
     }
 

@@ -21,6 +21,7 @@ use super::static_depth::{self, Measured, Swept};
 use super::tracks;
 use super::working::WorkingFrame;
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
+use crate::tracks3d::{QueryGrid, TrackConfig};
 use m4_scene::{Camera, DepthMap, Mask, Plane, Progress, RgbImage, Tracks};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -89,7 +90,11 @@ pub fn densify(
             (working, stages.flows, placed)
         }
     };
-    let tracks = followed(&ground, &working, &flows, &placed, config, progress)?;
+    let tracks = if config.tracks {
+        followed(&ground, &working, &flows, &placed, progress)?
+    } else {
+        None
+    };
     let frames = each(frames.len(), "enlarging depth", progress, |i| {
         let small = Small {
             frame: &working[i],
@@ -108,12 +113,8 @@ fn followed(
     working: &[WorkingFrame],
     flows: &[FlowPair],
     placed: &Placed,
-    config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Option<Tracks>, DenseError> {
-    if !config.tracks.enabled {
-        return Ok(None);
-    }
     let cameras: Vec<Camera> = working.iter().map(|frame| frame.camera).collect();
     let clip = tracks::Clip {
         width: ground.size.0,
@@ -123,7 +124,7 @@ fn followed(
         disparity: &placed.disparity,
         flows,
     };
-    tracks::tracks(&clip, &config.tracks, progress)
+    tracks::tracks(&clip, &QueryGrid::chains(), &TrackConfig::default(), progress)
 }
 
 /// Runs `f` for every frame in parallel, in order of frames, with progress.
@@ -165,10 +166,10 @@ fn estimate(
     let flows = ground.flows(&working, sources, progress)?;
     let points = sparse_points(sparse, w, h);
     let shots = each(count, "preparing frames", progress, |i| {
-        Shot::new(&working, i, &points, &config.static_depth, parallax)
+        Shot::new(&working, i, &points, parallax)
     })?;
     let swept = each(count, "sweeping depth", progress, |i| {
-        let sweep = || static_depth::sweep(&shots, i, &config.static_depth).disparity;
+        let sweep = || static_depth::sweep(&shots, i).disparity;
         Swept {
             disparity: numbers(sources.shelf, &format!("swept-{i:05}"), w * h, sweep),
         }
@@ -191,7 +192,6 @@ fn estimate(
         mono: &mono,
         clues: &clues,
         sources,
-        config,
         progress,
     };
     let told = (0..count).map(|i| given.mask(i, w, h)).collect();
@@ -201,7 +201,7 @@ fn estimate(
         mut filled,
     } = clip.apart(told)?;
     let large = w.min(h) >= LEAST_CONSISTENT;
-    if parallax && one_lens && large && config.consistent.enabled && count > 1 {
+    if parallax && one_lens && large && config.consistent && count > 1 {
         let confidence: Vec<Vec<f32>> = measured.iter().map(|m| m.confidence.clone()).collect();
         let input = consistent::Clip {
             width: w,
@@ -211,7 +211,7 @@ fn estimate(
             moving: &moving,
             confidence: &confidence,
         };
-        let factors = consistent::factors(&input, &filled, &config.consistent, progress, sources.shelf)?;
+        let factors = consistent::factors(&input, &filled, &config.cvd, progress, sources.shelf)?;
         for (filled, factors) in filled.iter_mut().zip(factors.into_iter().flatten()) {
             for (d, f) in filled.iter_mut().zip(factors) {
                 *d *= f;
@@ -227,19 +227,12 @@ fn estimate(
         flows: &flows,
     };
     let mut disparity = if parallax || !mono.is_empty() {
-        moving_depth::place(w, h, &moving, &filled, &flows, &config.moving_depth)
+        moving_depth::place(w, h, &moving, &filled, &flows)
     } else {
-        layers::place(&input, &shots, &config.bodies)
+        layers::place(&input, &shots)
     };
     if parallax && one_lens {
-        bodies::place(
-            &input,
-            |i| clip.smoother(i),
-            &config.moving_depth,
-            &config.bodies,
-            &mut disparity,
-            progress,
-        )?;
+        bodies::place(&input, |i| clip.smoother(i), true, &mut disparity, progress)?;
     }
     for i in 0..count {
         if parallax {

@@ -86,7 +86,7 @@ pub enum DenseError {
         /// Its value.
         value: f64,
         /// What is allowed.
-        range: String,
+        range: &'static str,
     },
     /// Depth could not be made consistent.
     #[error("depth could not be made consistent over time")]

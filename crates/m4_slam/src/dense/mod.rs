@@ -53,18 +53,15 @@ mod tracks;
 mod working;
 
 pub(crate) use components::Components;
-pub use config::{
-    BodyConfig, DenseConfig, FillConfig, FlowConfig, MotionConfig, MovingDepthConfig, PlateConfig, StaticDepthConfig,
-    TrackConfig,
-};
+pub use config::DenseConfig;
 pub use densify::{Dense, DenseFrame, densify};
 pub use error::DenseError;
 pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
 pub(crate) use flow::{FlowPair, bilinear, round_trip_px};
 pub use given::Given;
 pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};
-pub use segment::{SegmentConfig, SegmentError, SegmentMask, SegmentPrompt, Segmenter};
-pub(crate) use segment::{belief, points_apart, to_outside};
+pub(crate) use segment::{LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, POINTS, belief, points_apart, to_outside};
+pub use segment::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
 pub(crate) use shot::quantile;
 pub(crate) use smooth::Smoother;
 pub use sources::Sources;

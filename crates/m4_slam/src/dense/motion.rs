@@ -2,7 +2,6 @@
 
 use super::background::Background;
 use super::components::clean;
-use super::config::MotionConfig;
 use super::flow::{Flow, FlowPair, bilinear};
 use super::pair::Pair;
 use super::shot::{Shot, quantile};
@@ -10,6 +9,33 @@ use super::smooth::{Smoother, box_blur};
 use super::working::WorkingFrame;
 use crate::reconstruction::{Motion, SparseReconstruction};
 use m4_scene::Camera;
+
+/// Over how many frames flow is chained and compared, each both ways: the short span for fast motion, the long one for slow motion.
+const SPANS: [usize; 2] = [1, 4];
+/// Noise of the flow, pixels at the working size.
+const FLOW_NOISE_PX: f32 = 0.4;
+/// Noise of the flow that grows with its length, as a share of it.
+const FLOW_NOISE_SHARE: f32 = 0.05;
+/// Residual at which a pixel is as likely dynamic as static, in units of the noise. The specification's 3 MAD are 2 standard
+/// deviations.
+pub(super) const THRESHOLD: f32 = 2.5;
+/// Strength of a vote for static against one for dynamic, 0..1: motion that one span alone can see outvotes the rest.
+pub(super) const STATIC_VOTE: f32 = 0.5;
+/// Difference in brightness (0..255, mean of 5x5 pixels) between a pixel and its static place in the other frame that clearly
+/// refutes that it is static.
+const BRIGHTNESS_STEP: f32 = 6.0;
+/// Least weight of flow that calls a pixel dynamic although its brightness fits a static one, 0..1.
+const LEAST_REFUTED: f32 = 0.1;
+/// Strength of the edge-aware smoothing of evidence, pixels squared (Min et al. 2014, lambda).
+const SMOOTH_LAMBDA: f32 = 100.0;
+/// Evidence for static of a pixel on which all partners agree, 0..1.
+const AGREEMENT: f32 = 1.0;
+/// Weight of the prior that an unknown pixel is static; the flow between two frames has 1.
+const PRIOR: f32 = 0.3;
+/// Weight of a track's verdict; the flow between two frames has 1.
+const TRACK_WEIGHT: f32 = 3.0;
+/// Components below this share of the image are dropped. Specification: 0.2 %.
+const LEAST_COMPONENT: f32 = 0.002;
 
 /// Flow that leads from a frame to another.
 struct Link {
@@ -68,9 +94,6 @@ pub(super) fn verdicts(sparse: &SparseReconstruction, width: usize, height: usiz
 
 /// The flow from frame `i` over `span` frames, by chaining; `None` past the end of the clip.
 fn link(flows: &[FlowPair], cameras: &[Camera], i: usize, span: usize, later: bool) -> Option<Link> {
-    if span == 0 {
-        return None;
-    }
     let target = if later { i + span } else { i.checked_sub(span)? };
     let to = cameras.get(target)?;
     let step = |k: usize| {
@@ -111,48 +134,40 @@ pub(super) fn evidence(
     i: usize,
     seen: &Seen<'_>,
     smoother: &Smoother,
-    config: &MotionConfig,
 ) -> Vec<f32> {
     let (w, h) = (seen.frame.width, seen.frame.height);
-    let (mut value, mut weight) = (
-        vec![-config.prior * config.static_vote; w * h],
-        vec![config.prior.max(1e-3); w * h],
-    );
-    for &span in &config.spans {
+    let (mut value, mut weight) = (vec![-PRIOR * STATIC_VOTE; w * h], vec![PRIOR; w * h]);
+    for span in SPANS {
         for later in [false, true] {
             if let Some(link) = link(flows, &clues.cameras, i, span, later) {
                 let other = &shots[if later { i + span } else { i - span }].frame.grey;
-                let refuted = refuted(&seen.frame.grey, other, &link, seen.disparity, config);
-                add_link(&link, seen.disparity, &refuted, config, &mut value, &mut weight);
+                let refuted = refuted(&seen.frame.grey, other, &link, seen.disparity);
+                add_link(&link, seen.disparity, &refuted, &mut value, &mut weight);
             }
         }
     }
     for p in 0..w * h {
-        let agreement = config.agreement * seen.confidence[p] * seen.confidence[p];
+        let agreement = AGREEMENT * seen.confidence[p] * seen.confidence[p];
         value[p] -= agreement;
         weight[p] += agreement;
     }
     if let Some(background) = &clues.background {
-        for ((v, w), e) in value
-            .iter_mut()
-            .zip(&mut weight)
-            .zip(background.evidence(seen.frame, config))
-        {
+        for ((v, w), e) in value.iter_mut().zip(&mut weight).zip(background.evidence(seen.frame)) {
             (*v, *w) = (*v + e, *w + 1.0);
         }
     }
     for verdict in &clues.verdicts[i] {
-        add_verdict(verdict, w, h, config.track_weight, &mut value, &mut weight);
+        add_verdict(verdict, w, h, &mut value, &mut weight);
     }
     for (v, w) in value.iter_mut().zip(&weight) {
         *v /= w;
     }
-    smoother.fill(&value, &weight, config.smooth_lambda).0
+    smoother.fill(&value, &weight, SMOOTH_LAMBDA).0
 }
 
 /// How clearly the picture says that a pixel is not where it would be if it stood still, 0..1: on a
 /// flat wall flow is a guess, and a pixel that looks the same at its static place need not have moved.
-fn refuted(grey: &[f32], other: &[f32], link: &Link, disparity: &[f32], config: &MotionConfig) -> Vec<f32> {
+fn refuted(grey: &[f32], other: &[f32], link: &Link, disparity: &[f32]) -> Vec<f32> {
     let (w, h) = (link.there.width, link.there.height);
     let mut out: Vec<f32> = (0..w * h)
         .map(|i| {
@@ -162,19 +177,12 @@ fn refuted(grey: &[f32], other: &[f32], link: &Link, disparity: &[f32], config: 
         .collect();
     box_blur(w, h, &mut out);
     for v in &mut out {
-        *v = (*v / config.brightness_step).clamp(config.least_refuted, 1.0);
+        *v = (*v / BRIGHTNESS_STEP).clamp(LEAST_REFUTED, 1.0);
     }
     out
 }
 
-fn add_link(
-    link: &Link,
-    disparity: &[f32],
-    refuted: &[f32],
-    config: &MotionConfig,
-    value: &mut [f32],
-    weight: &mut [f32],
-) {
+fn add_link(link: &Link, disparity: &[f32], refuted: &[f32], value: &mut [f32], weight: &mut [f32]) {
     let width = link.there.width;
     // Distance between where the flow and where the geometry says a pixel went; NaN for no answer.
     let residual: Vec<f32> = (0..disparity.len())
@@ -190,11 +198,11 @@ fn add_link(
         .collect();
     // Most of a frame stands still, so what half of it exceeds is error of the cameras.
     let mut known: Vec<f32> = residual.iter().copied().filter(|r| r.is_finite()).collect();
-    let floor = config.flow_noise_px.max(quantile(&mut known, 0.5).unwrap_or(0.0));
+    let floor = FLOW_NOISE_PX.max(quantile(&mut known, 0.5).unwrap_or(0.0));
     for i in (0..disparity.len()).filter(|&i| residual[i].is_finite()) {
         let (u, v, trip) = (link.there.u[i], link.there.v[i], link.round_trip[i]);
-        let noise = floor + config.flow_noise_share * u.hypot(v) + 0.5 * trip;
-        let e = (0.5 * (residual[i] / noise - config.threshold)).clamp(-config.static_vote, 1.0);
+        let noise = floor + FLOW_NOISE_SHARE * u.hypot(v) + 0.5 * trip;
+        let e = (0.5 * (residual[i] / noise - THRESHOLD)).clamp(-STATIC_VOTE, 1.0);
         let w = 1.0 / (1.0 + trip * trip) * if e > 0.0 { refuted[i] } else { 1.0 };
         value[i] += w * e;
         weight[i] += w;
@@ -202,13 +210,13 @@ fn add_link(
 }
 
 /// A track speaks for its surroundings.
-fn add_verdict(verdict: &Verdict, w: usize, h: usize, strength: f32, value: &mut [f32], weight: &mut [f32]) {
+fn add_verdict(verdict: &Verdict, w: usize, h: usize, value: &mut [f32], weight: &mut [f32]) {
     const REACH: usize = 3;
     let (x, y) = (verdict.pixel % w, verdict.pixel / w);
     for ny in y.saturating_sub(REACH)..(y + REACH + 1).min(h) {
         for nx in x.saturating_sub(REACH)..(x + REACH + 1).min(w) {
             let square = (nx.abs_diff(x).pow(2) + ny.abs_diff(y).pow(2)) as f32;
-            let near = strength * (-square / 4.0).exp();
+            let near = TRACK_WEIGHT * (-square / 4.0).exp();
             value[ny * w + nx] += if verdict.moves { near } else { -near };
             weight[ny * w + nx] += near;
         }
@@ -244,9 +252,9 @@ pub(super) fn vote(width: usize, height: usize, evidence: &[Vec<f32>], flows: &[
 }
 
 /// Where evidence is above 0, without specks and pinholes.
-pub(super) fn mask(width: usize, height: usize, evidence: &[f32], config: &MotionConfig) -> Vec<u8> {
+pub(super) fn mask(width: usize, height: usize, evidence: &[f32]) -> Vec<u8> {
     let mut mask: Vec<u8> = evidence.iter().map(|&e| if e > 0.0 { 255 } else { 0 }).collect();
-    let least = (config.least_component * (width * height) as f32).ceil() as usize;
+    let least = (LEAST_COMPONENT * (width * height) as f32).ceil() as usize;
     clean(width, height, &mut mask, least);
     mask
 }

@@ -4,12 +4,32 @@
 //! those frames agree on a colour and the frame at hand shows another, something stands in front of it; where it
 //! shows the same, the mask is too wide.
 
-use super::config::{MotionConfig, PlateConfig};
 use super::flow::bilinear_rgb;
 use super::pair::Pair;
 use super::shot::Shot;
 use super::smooth::{Smoother, box_blur};
 use m4_scene::Camera;
+
+/// Distances in time of the frames that a plate is made of, each both ways.
+const REACHES: [usize; 5] = [2, 5, 9, 14, 20];
+/// Fewest frames that must have seen a pixel of the background.
+const LEAST_FRAMES: usize = 2;
+/// How far a region may reach beyond its mask, pixels at the working size.
+const MARGIN_PX: usize = 6;
+/// How far masks are grown before pixels of other frames count as background, pixels.
+pub(super) const GUARD_PX: usize = 2;
+/// Difference in colour (0..255, mean of 5x5 pixels) that is as likely motion as not, inside the previous mask.
+const STEP: f32 = 20.0;
+/// The same outside of the previous mask.
+const STEP_OUTSIDE: f32 = 32.0;
+/// Darkest shadow, as a share of the light.
+const LEAST_GAIN: f32 = 0.4;
+/// Cost of explaining a difference by a shadow, 0..255 for full darkness.
+const GAIN_COST: f32 = 20.0;
+/// Weight of the previous mask; a pixel of the plate has 1.
+const PRIOR: f32 = 0.3;
+/// Strength of the edge-aware smoothing, pixels squared (Min et al. 2014, lambda).
+const SMOOTH_LAMBDA: f32 = 10.0;
 
 /// Everything that the plates are made of.
 pub(super) struct Scene<'a> {
@@ -48,10 +68,10 @@ pub(super) fn grown(width: usize, height: usize, mask: &[u8], reach: usize) -> V
 }
 
 /// The colour of every pixel of `zone` (above 0) if nothing moved, `[height][width]`; `None` where too few frames saw it.
-fn plate(scene: &Scene<'_>, i: usize, zone: &[u8], config: &PlateConfig) -> Vec<Option<[f32; 3]>> {
+fn plate(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<[f32; 3]>> {
     let (w, h) = (scene.width, scene.height);
     let mut partners = Vec::new();
-    for &reach in &config.reaches {
+    for reach in REACHES {
         partners.extend(i.checked_sub(reach));
         partners.extend(Some(i + reach).filter(|&j| j < scene.cameras.len()));
     }
@@ -74,7 +94,7 @@ fn plate(scene: &Scene<'_>, i: usize, zone: &[u8], config: &PlateConfig) -> Vec<
                     seen.push(bilinear_rgb(w, h, &scene.shots[*j].frame.rgb, at.x, at.y));
                 }
             }
-            (seen.len() >= config.least_frames).then(|| std::array::from_fn(|c| median(seen.iter().map(|s| s[c]))))
+            (seen.len() >= LEAST_FRAMES).then(|| std::array::from_fn(|c| median(seen.iter().map(|s| s[c]))))
         })
         .collect()
 }
@@ -85,10 +105,10 @@ fn median(values: impl Iterator<Item = f32>) -> f32 {
 }
 
 /// Evidence of motion a pixel, above 0 for moving, and its weight.
-fn evidence(scene: &Scene<'_>, i: usize, before: &[u8], config: &PlateConfig) -> (Vec<f32>, Vec<f32>) {
+fn evidence(scene: &Scene<'_>, i: usize, before: &[u8]) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (scene.width, scene.height);
-    let zone = grown(w, h, &scene.near[i], config.margin_px);
-    let plate = plate(scene, i, &zone, config);
+    let zone = grown(w, h, &scene.near[i], MARGIN_PX);
+    let plate = plate(scene, i, &zone);
     let frame = &scene.shots[i].frame;
     // Shadows keep the pattern of what they fall on: the plate may be darker by one factor around a pixel.
     let level = |rgb: [f32; 3]| rgb[0] + rgb[1] + rgb[2];
@@ -102,15 +122,11 @@ fn evidence(scene: &Scene<'_>, i: usize, before: &[u8], config: &PlateConfig) ->
     for p in 0..w * h {
         let Some(still) = plate[p] else { continue };
         let rgb = frame.rgb[p].map(f32::from);
-        let gain = (here[p] / there[p].max(1.0)).clamp(config.least_gain, 1.0);
+        let gain = (here[p] / there[p].max(1.0)).clamp(LEAST_GAIN, 1.0);
         let off = |g: f32| (0..3).map(|c| (rgb[c] - g * still[c]).abs()).fold(0.0, f32::max);
-        let difference = off(1.0).min(off(gain) + config.gain_cost * (1.0 - gain));
+        let difference = off(1.0).min(off(gain) + GAIN_COST * (1.0 - gain));
         // Clamped, so that the mean around a pixel crosses 1 at an edge however strong the edge is.
-        let step = if before[p] > 0 {
-            config.step
-        } else {
-            config.step_outside
-        };
+        let step = if before[p] > 0 { STEP } else { STEP_OUTSIDE };
         value[p] = (difference / step).min(2.0);
         weight[p] = 1.0;
     }
@@ -126,28 +142,20 @@ fn evidence(scene: &Scene<'_>, i: usize, before: &[u8], config: &PlateConfig) ->
 }
 
 /// The mask of a frame, from `before` (its mask so far) and the plate.
-pub(super) fn sharpen(
-    scene: &Scene<'_>,
-    i: usize,
-    before: &[u8],
-    smoother: &Smoother,
-    motion: &MotionConfig,
-    config: &PlateConfig,
-) -> Vec<u8> {
-    let (mut value, mut weight) = evidence(scene, i, before, config);
+pub(super) fn sharpen(scene: &Scene<'_>, i: usize, before: &[u8], smoother: &Smoother) -> Vec<u8> {
+    let (mut value, mut weight) = evidence(scene, i, before);
     for p in 0..value.len() {
-        let prior = if before[p] > 0 { config.prior } else { -config.prior };
+        let prior = if before[p] > 0 { PRIOR } else { -PRIOR };
         value[p] = value[p] * weight[p] + prior;
-        weight[p] += config.prior.max(1e-3);
+        weight[p] += PRIOR;
         value[p] /= weight[p];
     }
-    let smooth = smoother.fill(&value, &weight, config.smooth_lambda).0;
-    super::motion::mask(scene.width, scene.height, &smooth, motion)
+    let smooth = smoother.fill(&value, &weight, SMOOTH_LAMBDA).0;
+    super::motion::mask(scene.width, scene.height, &smooth)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::config::{MotionConfig, PlateConfig};
     use super::super::shot::Shot;
     use super::super::smooth::Smoother;
     use super::super::sweep::Range;
@@ -241,8 +249,7 @@ mod tests {
         };
         let t = FRAMES / 2;
         let smoother = Smoother::new(W, H, &shots[t].frame.rgb, 8.0);
-        let (motion, config) = (MotionConfig::default(), PlateConfig::default());
-        let after = sharpen(&scene, t, &before[t], &smoother, &motion, &config);
+        let after = sharpen(&scene, t, &before[t], &smoother);
         let (wide, sharp) = (share(&before[t], &truth[t]), share(&after, &truth[t]));
         assert!(wide < 0.55 && sharp > 0.75, "{wide} {sharp}");
     }

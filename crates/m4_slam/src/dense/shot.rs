@@ -1,10 +1,19 @@
 //! One frame with everything that the geometry of its neighbours needs.
 
-use super::config::StaticDepthConfig;
 use super::pair::{Pair, parallax_px};
-use super::sweep::{MAX_PARTNERS, Range, census};
+use super::sweep::{Range, census};
 use super::working::WorkingFrame;
 use crate::reconstruction::{Motion, SparseReconstruction};
+
+/// Disparities tried between the farthest and the nearest surface.
+const HYPOTHESES: usize = 64;
+/// Parallax of a point at median depth between a frame and its partners on each side, pixels at the working size: one partner per
+/// target and side.
+const PARALLAX_PX: [f64; 2] = [6.0, 12.0];
+/// How far away in time partners may be, frames. Specification: 8; slow cameras need more.
+const PARTNER_FRAMES: usize = 24;
+/// Least parallax of a partner, pixels at the working size.
+const LEAST_PARALLAX_PX: f64 = 1.5;
 
 /// A sparse point in a frame.
 #[derive(Debug, Clone, Copy)]
@@ -59,7 +68,7 @@ pub(crate) fn quantile(values: &mut [f32], q: f64) -> Option<f32> {
 
 /// Disparities worth trying: those of the points in the frame and around it in time, with room for
 /// nearer and farther surfaces that no point lies on.
-pub(super) fn range(points: &[Vec<SparsePoint>], i: usize, config: &StaticDepthConfig) -> (Range, f32) {
+fn range(points: &[Vec<SparsePoint>], i: usize) -> (Range, f32) {
     const WINDOW: usize = 8;
     const ENOUGH: usize = 50;
     let collect =
@@ -74,20 +83,15 @@ pub(super) fn range(points: &[Vec<SparsePoint>], i: usize, config: &StaticDepthC
     let (least, most) = (0.6 * far, 1.4 * near.max(1.2 * median));
     let range = Range {
         least,
-        step: (most - least) / (config.hypotheses - 1) as f32,
-        count: config.hypotheses,
+        step: (most - least) / (HYPOTHESES - 1) as f32,
+        count: HYPOTHESES,
     };
     (range, median)
 }
 
 /// On each side in time, the frame whose parallax comes nearest to each target; where the clip ends,
 /// the other side serves twice as many.
-pub(super) fn partners(
-    frames: &[WorkingFrame],
-    i: usize,
-    median: f32,
-    config: &StaticDepthConfig,
-) -> Vec<(usize, Pair)> {
+fn partners(frames: &[WorkingFrame], i: usize, median: f32) -> Vec<(usize, Pair)> {
     let parallax = |j: usize| parallax_px(&frames[i].camera, &frames[j].camera, f64::from(median));
     let up_to = |reach: usize, later: bool| -> Vec<(usize, f64)> {
         (1..=reach)
@@ -99,12 +103,12 @@ pub(super) fn partners(
                 }
             })
             .map(|j| (j, parallax(j)))
-            .filter(|&(_, p)| p >= config.least_parallax_px)
+            .filter(|&(_, p)| p >= LEAST_PARALLAX_PX)
             .collect()
     };
     // Where the camera pauses, time goes on until it moves.
     let side = |later: bool| {
-        let near = up_to(config.partner_frames, later);
+        let near = up_to(PARTNER_FRAMES, later);
         if near.is_empty() {
             up_to(frames.len(), later)
         } else {
@@ -113,9 +117,7 @@ pub(super) fn partners(
     };
     let (before, after) = (side(false), side(true));
     let mut chosen: Vec<usize> = Vec::new();
-    let mut targets = config.parallax_px.clone();
-    targets.truncate(MAX_PARTNERS / 2);
-    for &target in &targets {
+    for target in PARALLAX_PX {
         for side in [&before, &after] {
             // On a side that is too short for this target, another parallax on the other side serves.
             let reaches = side.iter().any(|&(_, p)| p >= 0.7 * target);
@@ -139,20 +141,14 @@ pub(super) fn partners(
 }
 
 impl Shot {
-    pub fn new(
-        frames: &[WorkingFrame],
-        i: usize,
-        points: &[Vec<SparsePoint>],
-        config: &StaticDepthConfig,
-        parallax: bool,
-    ) -> Self {
+    pub fn new(frames: &[WorkingFrame], i: usize, points: &[Vec<SparsePoint>], parallax: bool) -> Self {
         let frame = frames[i].clone();
-        let (range, median) = range(points, i, config);
+        let (range, median) = range(points, i);
         Self {
             census: census(frame.width, frame.height, &frame.grey),
             points: points[i].clone(),
             partners: if parallax {
-                partners(frames, i, median, config)
+                partners(frames, i, median)
             } else {
                 Vec::new()
             },

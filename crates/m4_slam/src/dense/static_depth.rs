@@ -1,11 +1,21 @@
 //! Depth of what does not move: sweep, agreement between frames, fill.
 
-use super::aggregate::{Penalties, aggregate};
-use super::config::StaticDepthConfig;
+use super::aggregate::aggregate;
 use super::shot::{Shot, SparsePoint};
 use super::smooth::Smoother;
 use super::sweep::{Partner, cost_volume};
 use serde::{Deserialize, Serialize};
+
+/// Largest difference to a partner's disparity that counts as agreement, in hypothesis steps.
+const AGREE_STEPS: f32 = 1.5;
+/// Patches of agreement smaller than this are taken for chance, pixels at the working size.
+const LEAST_PATCH_PX: usize = 30;
+/// Weight of one sparse point in the fill; a pixel on which all partners agree has 1.
+const POINT_WEIGHT: f32 = 4.0;
+/// Strength of the edge-aware fill, pixels squared (Min et al. 2014, lambda).
+const FILL_LAMBDA: f32 = 900.0;
+/// Strength of the last smoothing, pixels squared.
+const DENOISE_LAMBDA: f32 = 4.0;
 
 /// What the sweep of one frame found.
 pub(super) struct Swept {
@@ -23,7 +33,7 @@ pub(super) struct Measured {
 }
 
 /// Sweeps one frame; all zero confidence later on if it has no partners.
-pub(super) fn sweep(shots: &[Shot], i: usize, config: &StaticDepthConfig) -> Swept {
+pub(super) fn sweep(shots: &[Shot], i: usize) -> Swept {
     let shot = &shots[i];
     let (w, h) = (shot.frame.width, shot.frame.height);
     let partners: Vec<Partner<'_>> = shot
@@ -40,24 +50,14 @@ pub(super) fn sweep(shots: &[Shot], i: usize, config: &StaticDepthConfig) -> Swe
         };
     }
     let volume = cost_volume(w, h, &shot.census, &partners, &shot.range);
-    let penalties = Penalties {
-        small: config.small_step,
-        large: config.large_step,
-    };
-    let index = aggregate(w, h, shot.range.count, &volume, &shot.frame.grey, penalties);
+    let index = aggregate(w, h, shot.range.count, &volume, &shot.frame.grey);
     Swept {
         disparity: index.iter().map(|&k| shot.range.at(k)).collect(),
     }
 }
 
 /// Keeps what the partners' own sweeps confirm. Moving pixels (`moving[frame]`, above 0) confirm nothing.
-pub(super) fn measure(
-    shots: &[Shot],
-    swept: &[Swept],
-    moving: Option<&[Vec<u8>]>,
-    i: usize,
-    config: &StaticDepthConfig,
-) -> Measured {
+pub(super) fn measure(shots: &[Shot], swept: &[Swept], moving: Option<&[Vec<u8>]>, i: usize) -> Measured {
     let shot = &shots[i];
     let (w, h) = (shot.frame.width, shot.frame.height);
     let mut out = Measured {
@@ -85,7 +85,7 @@ pub(super) fn measure(
                 }
                 let q = qy as usize * w + qx as usize;
                 let difference = swept[*j].disparity[q] - seen.disparity;
-                let tolerance = config.agree_steps * shots[*j].range.step;
+                let tolerance = AGREE_STEPS * shots[*j].range.step;
                 if difference.abs() <= tolerance && moving.is_none_or(|m| m[*j][q] == 0) {
                     sum += d + difference * d / seen.disparity;
                     agree += 1;
@@ -97,12 +97,12 @@ pub(super) fn measure(
             }
         }
     }
-    despeckle(w, h, &mut out, 2.0 * shot.range.step, config.least_patch_px);
+    despeckle(w, h, &mut out, 2.0 * shot.range.step);
     out
 }
 
-/// Distrusts patches of fewer than `least` pixels that continue nothing around them: chance agreement.
-fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32, least: usize) {
+/// Distrusts patches of fewer than [`LEAST_PATCH_PX`] pixels that continue nothing around them: chance agreement.
+fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32) {
     let (disparity, confidence) = (&measured.disparity, &mut measured.confidence);
     let mut seen = vec![false; width * height];
     let (mut open, mut patch) = (Vec::new(), Vec::new());
@@ -129,7 +129,7 @@ fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32, le
                 }
             }
         }
-        if patch.len() < least {
+        if patch.len() < LEAST_PATCH_PX {
             for &i in &patch {
                 confidence[i] = 0.0;
             }
@@ -141,20 +141,14 @@ fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32, le
 /// what the image's edges let through.
 ///
 /// Points within `moving` (above 0) are not believed: nothing there stands still.
-pub(super) fn fill(
-    shot: &Shot,
-    smoother: &Smoother,
-    measured: &Measured,
-    moving: Option<&[u8]>,
-    config: &StaticDepthConfig,
-) -> Vec<f32> {
+pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
     /// Weight of the surroundings against a pixel on which all partners agree.
     const SURROUNDINGS: f32 = 0.15;
     let (mut values, mut weight) = (measured.disparity.clone(), measured.confidence.clone());
     let still = |p: &&SparsePoint| moving.is_none_or(|m| m[p.pixel] == 0);
     for point in shot.points.iter().filter(still) {
-        let total = weight[point.pixel] + config.point_weight;
-        let sum = values[point.pixel] * weight[point.pixel] + point.disparity * config.point_weight;
+        let total = weight[point.pixel] + POINT_WEIGHT;
+        let sum = values[point.pixel] * weight[point.pixel] + point.disparity * POINT_WEIGHT;
         (values[point.pixel], weight[point.pixel]) = (sum / total, total);
     }
     // Where nothing at all was measured, the middle of the range is as good as any.
@@ -164,13 +158,13 @@ pub(super) fn fill(
         *v = (*v * *w + middle * anything) / (*w + anything);
         *w += anything;
     }
-    let (surroundings, _) = smoother.fill(&values, &weight, config.fill_lambda);
+    let (surroundings, _) = smoother.fill(&values, &weight, FILL_LAMBDA);
     for ((v, w), s) in values.iter_mut().zip(&mut weight).zip(&surroundings) {
         *v = (*w * *v + SURROUNDINGS * s) / (*w + SURROUNDINGS);
         *w += SURROUNDINGS;
     }
     // Noise goes where the image is flat and stays where it has edges.
-    let (mut filled, _) = smoother.fill(&values, &weight, config.denoise_lambda);
+    let (mut filled, _) = smoother.fill(&values, &weight, DENOISE_LAMBDA);
     let least = 0.5 * shot.range.least;
     for d in &mut filled {
         *d = d.max(least);

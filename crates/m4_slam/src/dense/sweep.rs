@@ -96,7 +96,7 @@ pub(super) fn cost_volume(
 }
 
 /// Partners beyond these are not used.
-pub(super) const MAX_PARTNERS: usize = 6;
+const MAX_PARTNERS: usize = 6;
 
 fn better_half(costs: &[u8; MAX_PARTNERS], count: usize) -> u8 {
     let mut sorted = *costs;

@@ -13,9 +13,10 @@
 //! Pixels here are those of the working size, with the centre of the first one at 0, 0, as [`Camera::unproject`] has them.
 
 use super::DenseError;
-use super::config::TrackConfig;
 use super::flow::FlowPair;
-use crate::tracks3d::{QueryGrid, Scene, Sparse, Strip, TrackError, board_of, fill, followed, on_grid, way};
+use crate::tracks3d::{
+    QueryGrid, Scene, Sparse, Strip, TrackConfig, TrackError, board_of, fill, followed, on_grid, way,
+};
 use m4_scene::{Camera, Plane, Progress, Tracks};
 
 /// Everything that chains are made of, at the working size.
@@ -33,17 +34,12 @@ pub(super) struct Clip<'a> {
 /// Tracks of everything that moves; `None` if nothing could be followed.
 pub(super) fn tracks(
     clip: &Clip<'_>,
+    grid: &QueryGrid,
     config: &TrackConfig,
     progress: &dyn Progress,
 ) -> Result<Option<Tracks>, DenseError> {
-    let strip = strip(clip, config);
-    let grid = QueryGrid {
-        every: config.every,
-        spacing_px: config.spacing_px,
-        most: config.most,
-        rounds: 1,
-    };
-    let pieces = on_grid(&strip, &grid, config);
+    let strip = strip(clip);
+    let pieces = on_grid(&strip, grid, config);
     if pieces.is_empty() {
         return Ok(None);
     }
@@ -57,7 +53,7 @@ pub(super) fn tracks(
         surface: &surface,
         config,
     };
-    if config.fill.enabled {
+    if config.fill {
         fill(&scene, &mut board, progress).map_err(|e| match e {
             TrackError::Cancelled { phase } => DenseError::Cancelled { phase },
             other => DenseError::Tracks(other),
@@ -67,22 +63,21 @@ pub(super) fn tracks(
 }
 
 /// What is kept of the clip.
-fn strip(clip: &Clip<'_>, config: &TrackConfig) -> Strip {
+fn strip(clip: &Clip<'_>) -> Strip {
     let (w, h) = (clip.width, clip.height);
     let moves = |frame: usize, i: usize| clip.moving[frame][i] > 0;
     let moving = |frame: usize| Sparse::new(w, h, |i| moves(frame, i).then(|| clip.disparity[frame][i]));
     let pairs = || clip.flows.iter().enumerate();
-    let trip_px = config.round_trip_px;
     Strip {
         width: w,
         height: h,
         cameras: clip.cameras.to_vec(),
         moving: (0..clip.moving.len()).map(moving).collect(),
         forward: pairs()
-            .map(|(t, pair)| way(&pair.forward, &pair.forward_round_trip, |i| moves(t, i), trip_px))
+            .map(|(t, pair)| way(&pair.forward, &pair.forward_round_trip, |i| moves(t, i)))
             .collect(),
         backward: pairs()
-            .map(|(t, pair)| way(&pair.backward, &pair.backward_round_trip, |i| moves(t + 1, i), trip_px))
+            .map(|(t, pair)| way(&pair.backward, &pair.backward_round_trip, |i| moves(t + 1, i)))
             .collect(),
     }
 }

@@ -1,8 +1,8 @@
 //! A square that flies past a moving camera, with the flow that it makes.
 
 use super::Clip;
-use crate::dense::config::{FillConfig, TrackConfig};
 use crate::dense::flow::{Flow, FlowPair};
+use crate::tracks3d::{QueryGrid, TrackConfig};
 use m4_math::{CounterRng, Se3};
 use m4_scene::{Camera, Intrinsics, Silent, Tracks};
 use nalgebra::Vector3;
@@ -36,16 +36,13 @@ impl Made {
 /// Chains alone.
 fn chains() -> TrackConfig {
     TrackConfig {
-        fill: FillConfig {
-            enabled: false,
-            ..FillConfig::default()
-        },
+        fill: false,
         ..TrackConfig::default()
     }
 }
 
 fn tracks(clip: &Clip<'_>, config: &TrackConfig) -> Option<Tracks> {
-    super::tracks(clip, config, &Silent).unwrap()
+    super::tracks(clip, &QueryGrid::chains(), config, &Silent).unwrap()
 }
 
 fn depth(t: usize) -> f64 {
@@ -197,13 +194,17 @@ fn what_is_not_there_has_no_tracks_and_too_many_are_thinned() {
     assert_eq!(tracks(&still.clip(), &config), None);
 
     let all = tracks(&made(0.0).clip(), &config).unwrap();
-    let few = TrackConfig { most: 10, ..config };
-    let thinned = tracks(&made(0.0).clip(), &few).unwrap();
+    let grid = QueryGrid {
+        most: 10,
+        ..QueryGrid::chains()
+    };
+    let few = |clip: &Clip<'_>| super::tracks(clip, &grid, &config, &Silent).unwrap();
+    let thinned = few(&made(0.0).clip()).unwrap();
     assert_eq!(thinned.count(), 10);
     assert!(all.count() > 40);
     let mut alone = made(0.0);
     alone.flows.clear();
-    assert_eq!(tracks(&alone.clip(), &few), None, "no flow, nothing to follow");
+    assert_eq!(few(&alone.clip()), None, "no flow, nothing to follow");
 }
 
 #[test]

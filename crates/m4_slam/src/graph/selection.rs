@@ -1,9 +1,7 @@
 //! The choice of edges from distances.
 
-use serde::{Deserialize, Serialize};
-
 /// Which pairs are candidates and how many are taken.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProximitySettings {
     /// First source of a candidate pair.
     pub first_source: usize,

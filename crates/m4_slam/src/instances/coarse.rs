@@ -2,10 +2,17 @@
 
 use super::error::InstanceError;
 use super::morphology::opened;
-use super::settings::{MotionReading, RefineSettings};
+use super::settings::RefineSettings;
 use crate::dense::Components;
 use crate::megasam::resize_bilinear;
 use m4_scene::{CompactMask, Plane};
+
+/// Motion below which a pixel is surely static: there the places off a thing are taken from.
+pub(super) const TAU_STILL: f32 = 0.3;
+/// Radius of the opening of coarse masks, share of the longest side: 2 px of 480. Below 1 px there is none.
+const OPEN_SHARE: f32 = 2.0 / 480.0;
+/// Least area of a coarse part, share of the image. Specification: 0.001 to 0.002.
+const LEAST_AREA: f32 = 0.0015;
 
 /// What a front end found to move, one a frame, of any size with the shape of the frames.
 #[derive(Debug, Clone)]
@@ -79,11 +86,9 @@ impl Rough<'_> {
         let (w, h) = self.size;
         let (raw, still): (Vec<u8>, Vec<bool>) = match self.coarse {
             Coarse::Motion(maps) => {
-                let inverted = self.settings.reading == MotionReading::Still;
-                let share = maps[frame].map(|&m| f32::from(if inverted { 255 - m } else { m }) / 255.0);
+                let share = maps[frame].map(|&m| f32::from(m) / 255.0);
                 let share = resize_bilinear(&share, w, h);
-                let (tau, still) = (self.settings.tau, self.settings.tau_still);
-                let of = |&p: &f32| (if p > tau { 255 } else { 0 }, p < still);
+                let of = |&p: &f32| (if p > self.settings.tau { 255 } else { 0 }, p < TAU_STILL);
                 share.data().iter().map(of).unzip()
             }
             Coarse::Masks(masks) => {
@@ -96,7 +101,7 @@ impl Rough<'_> {
                     .unzip()
             }
         };
-        let radius_px = self.settings.open_share * w.max(h) as f32;
+        let radius_px = OPEN_SHARE * w.max(h) as f32;
         let mut moving = opened(w, h, &raw, radius_px);
         let least = self.least_px();
         for pixels in Components::of(w, h, &moving).pixels {
@@ -112,6 +117,6 @@ impl Rough<'_> {
     /// The least area of a part, pixels.
     pub fn least_px(&self) -> usize {
         let (w, h) = self.size;
-        ((self.settings.least_area * (w * h) as f32).ceil() as usize).max(1)
+        ((LEAST_AREA * (w * h) as f32).ceil() as usize).max(1)
     }
 }

@@ -31,10 +31,10 @@ pub enum InstanceError {
         /// Frame.
         frame: usize,
     },
-    /// A map of motion is the other way round.
+    /// A map of motion is inverted.
     #[error(
-        "the maps of motion look turned round ({evidence}): high values are to mean that something moves. If they mean that it rests, set \
-         `reading = \"still\"`; if they are right as they are, `reading = \"moving\"`"
+        "the maps of motion look inverted ({evidence}): high values must mean that something moves; replace each value by 255 minus it, or \
+         pass `--segmenter none` to leave the masks as they are"
     )]
     Polarity {
         /// What was found.

@@ -7,8 +7,8 @@ use super::ledger::Thing;
 use super::outline::Outline;
 use super::paint;
 use super::polarity::PolarityEvidence;
-use super::propose::{Around, proposals};
-use super::refine::{Refined, RefinedFrame, Refusal};
+use super::propose::{Around, PERSISTENT_IN, proposals};
+use super::refine::{MERGE_OVERLAP, Refined, RefinedFrame, Refusal};
 use super::report::{InstanceReport, Rejection};
 use super::source::ObjectId;
 use m4_scene::{CompactIds, CompactMask, Progress};
@@ -18,6 +18,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Share of a thing's pixels that must be coarse for a frame to support it.
 const SUPPORT: f64 = 0.25;
+/// In what share of its frames a thing must be supported by coarse pixels: what was taken for dynamic for a moment and never again is
+/// dropped. Not in the paper, which has 0.
+const LEAST_SUPPORT: f32 = 0.1;
+/// Holes of the masks up to this share of the image are filled.
+const HOLE_SHARE: f32 = 0.001;
 /// What is done, for messages.
 const PHASE: &str = "painting things";
 
@@ -32,8 +37,7 @@ pub(super) fn finish(
     progress: &dyn Progress,
 ) -> Result<Refined, InstanceError> {
     let (w, h) = rough.size;
-    let settings = rough.settings;
-    let (things, now) = merged(things, settings.merge_overlap, rough.size);
+    let (things, now) = merged(things, rough.size);
     let support = support(rough, &things, frames, progress)?;
     let things = match bound {
         Some(share) => bounded(rough, things, frames, share, progress)?,
@@ -42,7 +46,7 @@ pub(super) fn finish(
     let mut kept: Vec<(u16, &Thing, f64)> = Vec::new();
     let mut ids: BTreeMap<ObjectId, u16> = BTreeMap::new();
     for (thing, &share) in things.iter().zip(&support) {
-        if share < f64::from(settings.least_support) || thing.masks.is_empty() {
+        if share < f64::from(LEAST_SUPPORT) || thing.masks.is_empty() {
             refused.push(Refusal {
                 frame: thing.prompted,
                 area: thing.part_area,
@@ -88,7 +92,7 @@ pub(super) fn finish(
         polarity,
         frames,
         size: [w, h],
-        every_frames: settings.every_frames,
+        every_frames: rough.settings.every_frames,
         coarse_share: share(&|p| p.coarse_px),
         refined_share: share(&|p| p.frame.mask.count()),
         unexplained_share: share(&|p| p.unexplained_px),
@@ -102,15 +106,11 @@ pub(super) fn finish(
 }
 
 /// Things that are one, made one, in the order in which they were found; and what became of those that were taken in.
-fn merged(
-    things: BTreeMap<ObjectId, Thing>,
-    least: f32,
-    size: (usize, usize),
-) -> (Vec<Thing>, BTreeMap<ObjectId, ObjectId>) {
+fn merged(things: BTreeMap<ObjectId, Thing>, size: (usize, usize)) -> (Vec<Thing>, BTreeMap<ObjectId, ObjectId>) {
     let mut out: Vec<Thing> = Vec::new();
     let mut now = BTreeMap::new();
     for thing in things.into_values() {
-        match out.iter_mut().find(|other| other.is_also(&thing, least)) {
+        match out.iter_mut().find(|other| other.is_also(&thing, MERGE_OVERLAP)) {
             Some(other) => {
                 now.insert(thing.object, other.object);
                 other.absorb(thing, size);
@@ -160,18 +160,15 @@ struct Painted {
 
 fn paint_frame(rough: &Rough<'_>, frame: usize, frames: usize, shown: &[(u16, &Outline)]) -> Painted {
     let (w, h) = rough.size;
-    let settings = rough.settings;
     let mut ids = paint::ids(shown, rough.size);
-    paint::fill_holes(&mut ids, (settings.hole_share * (w * h) as f32) as usize);
+    paint::fill_holes(&mut ids, (HOLE_SHARE * (w * h) as f32) as usize);
     let mut mask: Vec<u8> = ids.data().iter().map(|&id| if id > 0 { 255 } else { 0 }).collect();
-    let keep = settings
-        .keep_unexplained
-        .unwrap_or(matches!(rough.coarse, Coarse::Masks(_)));
     let mut unexplained_px = 0;
-    let coarse = if keep {
+    // Coarse parts that no thing explains stay in masks, which found them with more care than maps of motion do (the paper drops them).
+    let coarse = if matches!(rough.coarse, Coarse::Masks(_)) {
         let around = Around::of(rough, frame, frames);
         for part in proposals(rough, &around, &mask) {
-            if part.seen_in >= settings.persistent_in {
+            if part.seen_in >= PERSISTENT_IN {
                 unexplained_px += part.outline.area();
                 for (x, y) in part.outline.pixels() {
                     mask[y * w + x] = 255;

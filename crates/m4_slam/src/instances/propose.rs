@@ -3,10 +3,22 @@
 use super::coarse::{Rough, RoughFrame};
 use super::morphology::{dilated, opened};
 use super::outline::Outline;
-use super::settings::RefineSettings;
 use super::source::{ObjectId, ObjectPrompt};
 use crate::dense::{Components, belief, points_apart, to_outside};
 use m4_scene::CompactMask;
+
+/// Places on a thing. Specification: 3 to 5.
+const POINTS_ON: usize = 4;
+/// Places off a thing. Specification: 1 to 2.
+const POINTS_OFF: usize = 2;
+/// By how much the masks of things are grown before the coarse pixels outside of them are searched, share of the longest side: 10 px of
+/// 480, since maps of an eighth of the size are off by as much. What is left is opened by half of it, so that rims are no things.
+const COVER_SHARE: f32 = 10.0 / 480.0;
+/// In how many of three frames around it a part must be seen. Specification: 2. It holds for the first frame, too, where the paper does
+/// not ask for it.
+pub(super) const PERSISTENT_IN: usize = 2;
+/// Share of a part's pixels that must be coarse in another frame for it to be seen there.
+const PERSISTENT_OVERLAP: f32 = 0.5;
 
 /// A part of the coarse mask that no thing covers.
 pub(super) struct Proposal {
@@ -39,8 +51,7 @@ impl Around {
 /// counts each as seen where there is none.
 pub(super) fn proposals(rough: &Rough<'_>, around: &Around, covered: &[u8]) -> Vec<Proposal> {
     let (w, h) = rough.size;
-    let settings = rough.settings;
-    let reach_px = settings.cover_share * w.max(h) as f32;
+    let reach_px = COVER_SHARE * w.max(h) as f32;
     let covered = dilated(w, h, covered, reach_px);
     let mut left = around.here.moving.clone();
     for (m, c) in left.iter_mut().zip(&covered) {
@@ -66,7 +77,7 @@ pub(super) fn proposals(rough: &Rough<'_>, around: &Around, covered: &[u8]) -> V
         }
         let seen = |other: &&Vec<u8>| {
             let there = pixels.iter().filter(|&&p| other[p as usize] > 0).count();
-            there as f32 >= settings.persistent_overlap * pixels.len() as f32
+            there as f32 >= PERSISTENT_OVERLAP * pixels.len() as f32
         };
         let seen_in = 1 + others.iter().filter(seen).count() + (2 - others.len().min(2));
         let mut inside = vec![false; w * h];
@@ -83,13 +94,7 @@ pub(super) fn proposals(rough: &Rough<'_>, around: &Around, covered: &[u8]) -> V
 }
 
 /// What a segmenter is told of a part.
-pub(super) fn prompt(
-    object: ObjectId,
-    part: &Outline,
-    here: &RoughFrame,
-    (w, h): (usize, usize),
-    settings: &RefineSettings,
-) -> ObjectPrompt {
+pub(super) fn prompt(object: ObjectId, part: &Outline, here: &RoughFrame, (w, h): (usize, usize)) -> ObjectPrompt {
     let mut inside = vec![false; w * h];
     let mut ends = [usize::MAX, usize::MAX, 0, 0];
     for (x, y) in part.pixels() {
@@ -100,22 +105,22 @@ pub(super) fn prompt(
     let outer = to_outside(w, h, |p| !inside[p]);
     ObjectPrompt {
         object,
-        on_px: points_apart(w, h, &inner, settings.points_on),
-        off_px: points_off(part, here, &outer, (w, h), settings.points_off),
+        on_px: points_apart(w, h, &inner, POINTS_ON),
+        off_px: points_off(part, here, &outer, (w, h)),
         box_px: Some(ends.map(|v| v as f32 + 0.5)),
-        belief: Some(belief(&inner, &outer, settings.belief_per_px, settings.belief_limit)),
+        belief: Some(belief(&inner, &outer)),
     }
 }
 
 /// Places near the part that surely rest: deep in what rests, then the farthest from those before. `outer` is the distance to the part.
-fn points_off(part: &Outline, here: &RoughFrame, outer: &[f32], (w, h): (usize, usize), count: usize) -> Vec<[f32; 2]> {
+fn points_off(part: &Outline, here: &RoughFrame, outer: &[f32], (w, h): (usize, usize)) -> Vec<[f32; 2]> {
     let gap_px = (0.15 * (part.area() as f32).sqrt()).max(4.0);
     let clear = to_outside(w, h, |p| here.still[p] && here.raw[p] == 0);
     let good: Vec<usize> = (0..w * h)
         .filter(|&p| clear[p] >= 0.5 * gap_px && outer[p] >= gap_px && outer[p] <= 4.0 * gap_px)
         .collect();
     let mut out: Vec<[f32; 2]> = Vec::new();
-    for _ in 0..count {
+    for _ in 0..POINTS_OFF {
         let score = |p: usize| {
             let (x, y) = ((p % w) as f32 + 0.5, (p / w) as f32 + 0.5);
             let nearest = out

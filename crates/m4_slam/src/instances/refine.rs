@@ -7,15 +7,25 @@ use super::finish::finish;
 use super::ledger::Thing;
 use super::outline::Outline;
 use super::polarity::{Polarity, PolarityEvidence};
-use super::propose::{Around, Proposal, prompt, proposals};
+use super::propose::{Around, PERSISTENT_IN, Proposal, prompt, proposals};
 use super::report::{InstanceReport, Rejected, Rejection};
-use super::settings::{MotionReading, RefineSettings};
+use super::settings::RefineSettings;
 use super::source::{ObjectId, ObjectMask, VideoError, VideoSegmenter, VideoSession};
-use crate::dense::{FlowSource, working_size};
+use crate::dense::{self, FlowSource, working_size};
 use m4_scene::{CompactIds, CompactMask, Progress};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
+/// A mask that covers a larger share of the image is of the background. Specification: 0.3 to 0.35.
+const MOST_SHARE: f32 = 0.35;
+/// Least intersection over union of a mask with the part that it was asked for. Specification: 0.2.
+const LEAST_OVERLAP: f32 = 0.2;
+/// Things that overlap by more (intersection over union) are one. Specification: 0.7.
+pub(super) const MERGE_OVERLAP: f32 = 0.7;
+/// How far from coarse pixels the masks may reach of a segmenter that carries them from frame to frame, share of the longest side: such
+/// masks spread over what they pass and stick to it. 6 px of 480. Where less than a quarter of a mask is left, it is kept whole within
+/// five frames of one where more is, and dropped elsewhere.
+const CARRIED_BOUND: f32 = 6.0 / 480.0;
 /// Sides below this show too little to work on.
 const LEAST_SIDE: usize = 16;
 /// What is done, for messages.
@@ -94,7 +104,7 @@ pub fn refine(
         rejected,
         ..
     } = search;
-    let bound = settings.bound(segmenter.remembers());
+    let bound = (!segmenter.remembers()).then_some(CARRIED_BOUND);
     finish(
         &rough,
         frames,
@@ -112,15 +122,12 @@ fn polarity(
     settings: &RefineSettings,
     progress: &dyn Progress,
 ) -> Result<Option<PolarityEvidence>, InstanceError> {
-    if settings.reading != MotionReading::Checked {
-        return Ok(None);
-    }
     let evidence = input.coarse.polarity(input.clip, input.flow, settings.tau)?;
     if let Some(evidence) = evidence {
         match evidence.verdict() {
             Polarity::Moving => {}
             Polarity::Doubtful => progress.warn(&format!(
-                "the maps of motion may be turned round ({evidence}): if high values mean that something rests, set `reading = \"still\"`"
+                "the maps of motion may be inverted ({evidence}): if high values mean that nothing moves, replace each by 255 minus it"
             )),
             Polarity::Still => return Err(InstanceError::Polarity { evidence }),
         }
@@ -215,7 +222,7 @@ impl Search<'_> {
             return Ok(());
         }
         let (w, h) = self.rough.size;
-        let most_px = (self.rough.settings.most_share * (w * h) as f32) as usize;
+        let most_px = (MOST_SHARE * (w * h) as f32) as usize;
         let (things, size, frames, progress, name) = (
             &mut self.things,
             self.rough.size,
@@ -270,10 +277,9 @@ impl Search<'_> {
                 covered[y * w + x] = 255;
             }
         }
-        let settings = self.rough.settings;
         let mut asked = Vec::new();
         for proposal in proposals(&self.rough, &around, &covered) {
-            if proposal.seen_in < settings.persistent_in {
+            if proposal.seen_in < PERSISTENT_IN {
                 let seen_in = proposal.seen_in;
                 self.refuse(frame, &proposal, Rejection::Flicker { seen_in }, None);
             } else if self.things.len() + asked.len() >= usize::from(u16::MAX) {
@@ -288,7 +294,7 @@ impl Search<'_> {
         }
         let prompts: Vec<_> = asked
             .iter()
-            .map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h), settings))
+            .map(|(object, part)| prompt(*object, &part.outline, &around.here, (w, h)))
             .collect();
         let found = self.session.prompt(frame, &prompts)?;
         if !found.iter().map(|f| f.object).eq(prompts.iter().map(|p| p.object)) {
@@ -322,30 +328,30 @@ impl Search<'_> {
             }
             .into());
         }
-        let settings = self.rough.settings;
         let outline = match Outline::of(&found.mask) {
             Some(outline) => outline,
             None => return self.drop(frame, object, part, Rejection::Nothing, None),
         };
         let share = outline.area() as f32 / (w * h) as f32;
         let overlap = outline.overlap(&part.outline);
-        if share > settings.most_share {
+        if share > MOST_SHARE {
             return self.drop(frame, object, part, Rejection::TooLarge { share }, None);
         }
-        if overlap < settings.least_overlap {
+        if overlap < LEAST_OVERLAP {
             return self.drop(frame, object, part, Rejection::Elsewhere { overlap }, None);
         }
-        let least = settings.outline_overlap.unwrap_or(match self.rough.coarse {
+        // Below this overlap the thing starts with the outline of the coarse part; maps of motion are too coarse to have one.
+        let least = match self.rough.coarse {
             Coarse::Motion(_) => 0.0,
-            Coarse::Masks(_) => 0.6,
-        });
+            Coarse::Masks(_) => dense::LEAST_OVERLAP,
+        };
         let coarse_outline = overlap < least;
         let outline = if coarse_outline { part.outline.clone() } else { outline };
         let there = self
             .things
             .values()
             .filter_map(|thing| Some((thing.object, thing.masks.get(&frame)?)));
-        let same = there.filter(|(_, mask)| mask.overlap(&outline) > settings.merge_overlap);
+        let same = there.filter(|(_, mask)| mask.overlap(&outline) > MERGE_OVERLAP);
         let same = same.map(|(object, _)| object).next();
         if same.is_some() {
             return self.drop(frame, object, part, Rejection::Duplicate { of: None }, same);

@@ -171,7 +171,7 @@ pub trait VideoSegmenter: Sync {
     fn name(&self) -> &str;
 
     /// Whether it knows what a thing looks like. One that does not carries masks from frame to frame, and what it gives is held near the
-    /// coarse masks ([`RefineSettings::bound_share`](super::RefineSettings::bound_share)).
+    /// coarse masks.
     fn remembers(&self) -> bool {
         true
     }

@@ -34,5 +34,5 @@ pub use flows::{PairFlow, PairFlowError, SourceFlow};
 pub use prior::{DepthPrior, PriorKind};
 pub use reconstruct::{MegasamGeometry, MegasamInput, reconstruct};
 pub use resample::{resize_area, resize_bilinear, resize_nearest};
-pub use settings::MegasamSettings;
+pub use settings::{MegasamSettings, TAU_MOTION};
 pub use size::TrackingSize;

@@ -1,18 +1,24 @@
-//! Settings of the way, with their sources.
+//! Settings, with their sources.
 
 use crate::cvd::CvdSettings;
 use crate::tracker::TrackerSettings;
 use serde::{Deserialize, Serialize};
 
+/// Share of motion (1 - static confidence) above which a pixel counts as dynamic. 0.7: the paper's tau.
+pub const TAU_MOTION: f64 = 0.7;
+
 /// Settings of [`super::reconstruct()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MegasamSettings {
-    /// Pixels of the pictures that are tracked. `384 * 512`: MegaSaM (section 1.1). The cost is proportional.
+    /// Pixels of the images that are tracked. `384 * 512`: MegaSaM (section 1.1). The cost is proportional. For callers in Rust.
+    #[serde(skip)]
     pub tracking_pixels: f64,
-    /// Of the tracker. Section 1.5.
+    /// Of the tracker. Section 1.5. For callers in Rust.
+    #[serde(skip)]
     pub tracker: TrackerSettings,
-    /// Of consistent video depth. Section 1.7.
+    /// Of consistent video depth. Section 1.7. For callers in Rust.
+    #[serde(skip)]
     pub cvd: CvdSettings,
     /// Iterations of a recurrent network of flow. 22: MegaSaM.
     pub flow_iterations: usize,
@@ -21,8 +27,6 @@ pub struct MegasamSettings {
     /// Megabytes of the tracking network's features and states that stay in memory; the rest is on disk. 2,000: ours; a clip of
     /// 100 frames of 854 x 480 pixels has 1,500.
     pub memory_budget_mb: usize,
-    /// Share of motion (1 - static confidence) above which a pixel counts as moving. 0.7: the paper's tau.
-    pub tau_motion: f64,
     /// Field of view where neither the user nor the depth knows one, degrees across. 60: ours, the main camera of common
     /// phones.
     pub default_fov_deg: f64,
@@ -37,7 +41,6 @@ impl Default for MegasamSettings {
             flow_iterations: 22,
             flow_budget_mb: 1000,
             memory_budget_mb: 2000,
-            tau_motion: 0.7,
             default_fov_deg: 60.0,
         }
     }

@@ -1,17 +1,22 @@
 //! A moving camera: growth from keyframes, then all frames, bundle adjustment and motion in turn.
 
+use super::SparseError;
 use super::bundle::{BundleOptions, BundleReport};
 use super::growth::{MIN_MATCHES, scan, start_pairs};
 use super::known::{FocalSource, Recovered};
+use super::limits::Limits;
 use super::map::Map;
-use super::motion::classify;
+use super::motion::{ROUNDS, classify};
 use super::reconstruct::Clip;
 use super::rotation::keyframes;
 use super::selection::{Selected, select};
-use super::{GeometryConfig, SparseError};
 use crate::reconstruction::{CameraMotion, Motion};
 use serde::{Deserialize, Serialize};
 
+/// Steps of the final bundle adjustments.
+const BUNDLE_ITERATIONS: usize = 30;
+/// Bundle adjustment ends when a step lowers the loss by less than this share.
+const BUNDLE_TOLERANCE: f64 = 1e-6;
 /// Fewest points of a reconstruction, whatever the number of tracks; else one in twenty.
 pub(super) const MIN_POINTS: usize = 30;
 
@@ -27,17 +32,18 @@ impl Clip<'_> {
         focals: &[f64],
         likely_focal: f64,
     ) -> Result<Result<Recovered, SparseError>, SparseError> {
-        let geometry = &self.geometry;
+        let limits = &self.limits;
         let free_focal = self.given_focal().is_none();
         let (keys, starts) = self.work.part("starts", || {
-            let keys = keyframes(&self.tracks, self.frames, self.size.width, likely_focal, geometry);
-            let pairs = start_pairs(&self.tracks, &keys, likely_focal, self.size.width);
-            let starts = scan(&self.tracks, &pairs, focals, geometry, &self.work)?;
+            let width = self.size.width;
+            let keys = keyframes(&self.tracks, self.frames, width, likely_focal, limits.keyframe_parallax);
+            let pairs = start_pairs(&self.tracks, &keys, likely_focal, width);
+            let starts = scan(&self.tracks, &pairs, focals, self.config.seed, &self.work)?;
             Ok((keys, starts))
         })?;
         let selected = self.work.part("selected", || {
             let (tracks, frames) = (&self.tracks, self.frames);
-            select(tracks, &keys, &starts, frames, free_focal, geometry, &self.work)
+            select(tracks, &keys, &starts, frames, free_focal, limits, &self.work)
         })?;
         let Some(Selected { map, rival_focal }) = selected else {
             let first = starts.iter().max_by_key(|s| s.view.inliers.len());
@@ -49,11 +55,11 @@ impl Clip<'_> {
         };
         let Refined {
             map,
-            geometry,
+            limits,
             motions,
             report,
         } = self.refine(map, free_focal)?;
-        self.geometry = geometry;
+        self.limits = limits;
         let points = map.points.iter().flatten().count();
         let judged = motions.iter().filter(|m| **m != Motion::Unknown).count();
         let needed = MIN_POINTS.max(judged / 20);
@@ -91,7 +97,7 @@ impl Clip<'_> {
             let mut map = map.clone();
             let report = map.adjust(
                 &self.tracks,
-                &bundle_options(&self.geometry, free_focal),
+                &bundle_options(&self.limits, free_focal),
                 self.work.progress,
             );
             self.work.stopped().map(|()| (map, report))
@@ -114,31 +120,28 @@ impl Clip<'_> {
     fn refine(&self, map: Map, free_focal: bool) -> Result<Refined, SparseError> {
         let usable = vec![true; self.tracks.len()];
         let mut refined = self.work.part("all-frames", || {
-            let geometry = self.geometry.clone();
-            let motions = Vec::new();
-            self.adjusted(map, geometry, motions, &usable, free_focal, Order::FramesFirst)
+            self.adjusted(map, self.limits, Vec::new(), &usable, free_focal, Order::FramesFirst)
         })?;
-        let rounds = self.config.motion.rounds.max(1);
-        for round in 0..rounds {
+        for round in 0..ROUNDS {
             self.work.progress.update(
                 "bundle adjustment",
                 round,
-                rounds,
+                ROUNDS,
                 &format!("focal {:.1} px", refined.map.focal / self.size.scale),
             );
             refined = self.work.part(&format!("round-{round}"), || {
-                let Refined { map, mut geometry, .. } = refined;
+                let Refined { map, mut limits, .. } = refined;
                 if let Some(typical) = map.median_error(&self.tracks) {
-                    geometry.sharpen(typical);
+                    limits.sharpen(typical);
                 }
-                let motions = classify(&map, &self.tracks, &self.config.motion);
+                let motions = classify(&map, &self.tracks);
                 let usable = usable_by(&motions);
-                self.adjusted(map, geometry, motions, &usable, free_focal, Order::PointsFirst)
+                self.adjusted(map, limits, motions, &usable, free_focal, Order::PointsFirst)
             })?;
         }
         let usable = usable_by(&refined.motions);
-        refined.map.triangulate(&self.tracks, &usable, &refined.geometry);
-        self.work.progress.update("bundle adjustment", rounds, rounds, "");
+        refined.map.triangulate(&self.tracks, &usable, &refined.limits);
+        self.work.progress.update("bundle adjustment", ROUNDS, ROUNDS, "");
         Ok(refined)
     }
 
@@ -146,7 +149,7 @@ impl Clip<'_> {
     fn adjusted(
         &self,
         mut map: Map,
-        geometry: GeometryConfig,
+        limits: Limits,
         motions: Vec<Motion>,
         usable: &[bool],
         free_focal: bool,
@@ -154,25 +157,25 @@ impl Clip<'_> {
     ) -> Result<Refined, SparseError> {
         match order {
             Order::FramesFirst => {
-                self.register_all(&mut map, &geometry)?;
-                map.triangulate(&self.tracks, usable, &geometry);
+                self.register_all(&mut map)?;
+                map.triangulate(&self.tracks, usable, &limits);
             }
             Order::PointsFirst => {
-                map.triangulate(&self.tracks, usable, &geometry);
-                self.register_all(&mut map, &geometry)?;
+                map.triangulate(&self.tracks, usable, &limits);
+                self.register_all(&mut map)?;
             }
         }
-        let report = map.adjust(&self.tracks, &bundle_options(&geometry, free_focal), self.work.progress);
+        let report = map.adjust(&self.tracks, &bundle_options(&limits, free_focal), self.work.progress);
         Ok(Refined {
             map,
-            geometry,
+            limits,
             motions,
             report,
         })
     }
 
     /// Places the frames that have no pose yet, nearest to placed ones first.
-    fn register_all(&self, map: &mut Map, geometry: &GeometryConfig) -> Result<(), SparseError> {
+    fn register_all(&self, map: &mut Map) -> Result<(), SparseError> {
         loop {
             let open: Vec<usize> = (0..self.frames).filter(|&i| map.poses[i].is_none()).collect();
             let mut placed = 0;
@@ -180,7 +183,7 @@ impl Clip<'_> {
                 self.work.stopped()?;
                 let beside = frame.checked_sub(1).is_some_and(|i| map.poses[i].is_some())
                     || map.poses.get(frame + 1).is_some_and(Option::is_some);
-                placed += usize::from(beside && map.register(&self.tracks, frame, geometry));
+                placed += usize::from(beside && map.register(&self.tracks, frame));
             }
             self.work.progress.update("frames", map.registered(), self.frames, "");
             if placed == 0 {
@@ -194,8 +197,8 @@ impl Clip<'_> {
 #[derive(Serialize, Deserialize)]
 struct Refined {
     map: Map,
-    /// The settings, as sharp as the errors of the map allow.
-    geometry: GeometryConfig,
+    /// As sharp as the errors of the map allow.
+    limits: Limits,
     /// By track; empty before they were judged.
     motions: Vec<Motion>,
     report: BundleReport,
@@ -211,11 +214,12 @@ fn usable_by(motions: &[Motion]) -> Vec<bool> {
     motions.iter().map(|m| *m != Motion::Dynamic).collect()
 }
 
-fn bundle_options(geometry: &GeometryConfig, free_focal: bool) -> BundleOptions {
+/// How a map of all frames is adjusted.
+pub(super) fn bundle_options(limits: &Limits, free_focal: bool) -> BundleOptions {
     BundleOptions {
-        cauchy_px: geometry.cauchy_px,
-        iterations: geometry.bundle_iterations,
-        tolerance: geometry.bundle_tolerance,
+        cauchy_px: limits.cauchy_px,
+        iterations: BUNDLE_ITERATIONS,
+        tolerance: BUNDLE_TOLERANCE,
         free_focal,
         free_poses: true,
     }

@@ -1,7 +1,16 @@
 //! Where tracks begin: the strongest Shi-Tomasi corner of every empty cell.
 
-use super::config::TrackingConfig;
 use m4_scene::Plane;
+
+/// Side of the cells that hold at least one track each, where there is texture, working pixels. 16 gives about 700 tracks on 480x360.
+const CELL_PX: usize = 16;
+/// New corners keep this distance from existing tracks, working pixels.
+pub(super) const MIN_DISTANCE_PX: f32 = 6.0;
+/// Corners weaker than this share of the strongest one are not used. Shi and Tomasi use 0.01 to 0.1; lower because cells already
+/// spread the corners.
+const QUALITY: f32 = 0.001;
+/// Corners with a lesser eigenvalue below this (squared grey levels) are noise.
+const MIN_RESPONSE: f32 = 2.0;
 
 /// The lesser eigenvalue of the mean structure tensor over 5x5 pixels, in squared grey levels per
 /// pixel (Shi and Tomasi 1994); 0 within 3 pixels of the border.
@@ -48,18 +57,13 @@ pub(crate) fn response(luma: &Plane<f32>) -> Plane<f32> {
 }
 
 /// New corners in the cells that hold none of `occupied` (pixel coordinates), at least
-/// `min_distance_px` away from all of them, at least `margin` pixels inside; in order of cells.
-pub(crate) fn fill_empty_cells(
-    luma: &Plane<f32>,
-    occupied: &[[f32; 2]],
-    margin: usize,
-    config: &TrackingConfig,
-) -> Vec<[f32; 2]> {
+/// [`MIN_DISTANCE_PX`] away from all of them, at least `margin` pixels inside; in order of cells.
+pub(crate) fn fill_empty_cells(luma: &Plane<f32>, occupied: &[[f32; 2]], margin: usize) -> Vec<[f32; 2]> {
     let (w, h) = luma.size();
     let response = response(luma);
-    let (columns, rows) = (w.div_ceil(config.cell_px.max(1)), h.div_ceil(config.cell_px.max(1)));
+    let (columns, rows) = (w.div_ceil(CELL_PX), h.div_ceil(CELL_PX));
     let cell = |p: [f32; 2]| {
-        let along = |v: f32, n: usize| ((v.max(0.0) as usize) / config.cell_px.max(1)).min(n - 1);
+        let along = |v: f32, n: usize| ((v.max(0.0) as usize) / CELL_PX).min(n - 1);
         along(p[1], rows) * columns + along(p[0], columns)
     };
     let mut cells: Vec<Vec<[f32; 2]>> = vec![Vec::new(); columns * rows];
@@ -67,14 +71,14 @@ pub(crate) fn fill_empty_cells(
         cells[cell(p)].push(p);
     }
     let strongest = response.data().iter().copied().fold(0.0_f32, f32::max);
-    let threshold = (config.quality * strongest).max(config.min_response);
+    let threshold = (QUALITY * strongest).max(MIN_RESPONSE);
     let near = |cells: &[Vec<[f32; 2]>], p: [f32; 2], cx: usize, cy: usize| {
         (cy.saturating_sub(1)..(cy + 2).min(rows))
             .flat_map(|y| (cx.saturating_sub(1)..(cx + 2).min(columns)).map(move |x| y * columns + x))
             .any(|c| {
                 cells[c]
                     .iter()
-                    .any(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < config.min_distance_px)
+                    .any(|q| (q[0] - p[0]).hypot(q[1] - p[1]) < MIN_DISTANCE_PX)
             })
     };
     let mut found = Vec::new();
@@ -84,8 +88,8 @@ pub(crate) fn fill_empty_cells(
                 continue;
             }
             let mut best: Option<(f32, [f32; 2])> = None;
-            for y in (cy * config.cell_px).max(margin)..((cy + 1) * config.cell_px).min(h.saturating_sub(margin)) {
-                for x in (cx * config.cell_px).max(margin)..((cx + 1) * config.cell_px).min(w.saturating_sub(margin)) {
+            for y in (cy * CELL_PX).max(margin)..((cy + 1) * CELL_PX).min(h.saturating_sub(margin)) {
+                for x in (cx * CELL_PX).max(margin)..((cx + 1) * CELL_PX).min(w.saturating_sub(margin)) {
                     let value = response[(x, y)];
                     let p = [x as f32, y as f32];
                     if value >= threshold && best.is_none_or(|(b, _)| value > b) && !near(&cells, p, cx, cy) {
@@ -105,7 +109,6 @@ pub(crate) fn fill_empty_cells(
 #[cfg(test)]
 mod tests {
     use super::{fill_empty_cells, response};
-    use crate::sparse::config::TrackingConfig;
     use m4_scene::Plane;
 
     fn squares() -> Plane<f32> {
@@ -121,14 +124,10 @@ mod tests {
 
     #[test]
     fn occupied_cells_stay_as_they_are() {
-        let config = TrackingConfig {
-            cell_px: 24,
-            ..TrackingConfig::default()
-        };
-        let all = fill_empty_cells(&squares(), &[], 8, &config);
+        let all = fill_empty_cells(&squares(), &[], 8);
         assert!(all.len() >= 9, "{all:?}");
-        assert!(fill_empty_cells(&squares(), &all, 8, &config).is_empty());
+        assert!(fill_empty_cells(&squares(), &all, 8).is_empty());
         let flat = Plane::filled(96, 96, 128.0);
-        assert!(fill_empty_cells(&flat, &[], 8, &config).is_empty());
+        assert!(fill_empty_cells(&flat, &[], 8).is_empty());
     }
 }

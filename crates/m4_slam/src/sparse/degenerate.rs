@@ -1,6 +1,5 @@
 //! Cameras that stand still or only turn: rotations alone, no points.
 
-use super::config::GeometryConfig;
 use super::map::Map;
 use super::motion::median_far_error;
 use super::rotation::{matches, turn};
@@ -30,20 +29,20 @@ pub(crate) struct Turning {
 }
 
 /// Rotations for the focal length among `focals` that explains the tracks best, or for `assumed` when
-/// the best explains them hardly better.
+/// the best explains them hardly better; `cauchy_px` is the scale of the loss.
 pub(crate) fn turning(
     tracks: &[RawTrack],
     frames: usize,
     focals: &[f64],
     assumed: f64,
     min_matches: usize,
-    config: &GeometryConfig,
+    cauchy_px: f64,
 ) -> Turning {
     let all: Vec<(f64, Map, usize)> = focals
         .par_iter()
         .chain(rayon::iter::once(&assumed))
         .map(|&focal| {
-            let (map, lost) = rotations(tracks, frames, focal, min_matches, config);
+            let (map, lost) = rotations(tracks, frames, focal, min_matches, cauchy_px);
             (median_far_error(&map, tracks).unwrap_or(f64::INFINITY), map, lost)
         })
         .collect();
@@ -67,13 +66,7 @@ pub(crate) fn turning(
 /// Rotations chained from frame to frame, then refined so that every track has one direction in the
 /// world (alternating between directions and rotations). Frames that share fewer than `min_matches`
 /// tracks with the one before keep its rotation; their number is returned.
-fn rotations(
-    tracks: &[RawTrack],
-    frames: usize,
-    focal: f64,
-    min_matches: usize,
-    config: &GeometryConfig,
-) -> (Map, usize) {
+fn rotations(tracks: &[RawTrack], frames: usize, focal: f64, min_matches: usize, cauchy_px: f64) -> (Map, usize) {
     let mut rotations = vec![Matrix3::identity(); frames];
     let mut lost = 0;
     for frame in 1..frames {
@@ -86,7 +79,7 @@ fn rotations(
     for _ in 0..10 {
         let directions: Vec<Option<Vector3<f64>>> = tracks.iter().map(|t| direction(t, &rotations, focal)).collect();
         let refined: Vec<Matrix3<f64>> = (0..frames)
-            .map(|frame| refine(tracks, &directions, frame, &rotations[frame], focal, config.cauchy_px))
+            .map(|frame| refine(tracks, &directions, frame, &rotations[frame], focal, cauchy_px))
             .collect();
         rotations = refined;
     }

@@ -1,7 +1,7 @@
 //! Tracks of a clip, kept so that cameras can be found more than once.
 
 use super::known::{Known, Recovered};
-use super::luma::WorkingSize;
+use super::luma::{LONGEST_SIDE_PX, WorkingSize};
 use super::reconstruct::{check, check_masks, from_tracks};
 use super::tracking::{RawTrack, track};
 use super::{SparseConfig, SparseError, Work};
@@ -23,9 +23,9 @@ pub struct Followed {
 /// As [`super::recover`], but for what concerns cameras.
 pub fn follow(frames: &[&RgbImage], config: &SparseConfig, progress: &dyn Progress) -> Result<Followed, SparseError> {
     let (width, height) = check(frames, &Known::default(), config)?;
-    let working = WorkingSize::new(width, height, config.tracking.longest_side_px);
+    let working = WorkingSize::new(width, height, LONGEST_SIDE_PX);
     Ok(Followed {
-        tracks: track(frames, working, &config.tracking, progress)?,
+        tracks: track(frames, working, progress)?,
         frames: frames.len(),
         size: [width, height],
         working,

@@ -1,12 +1,12 @@
 //! From keyframes to a map: a start pair, then one keyframe after another.
 
 use super::bundle::BundleOptions;
-use super::config::GeometryConfig;
+use super::limits::Limits;
 use super::map::Map;
 use super::rotation::{matches, turn};
 use super::tracking::RawTrack;
 use super::two_view::{TwoView, relate};
-use super::{SparseError, Work};
+use super::{INLIER_PX, SparseError, Work};
 use m4_math::Se3;
 use rayon::prelude::*;
 
@@ -71,7 +71,7 @@ pub(crate) fn scan(
     tracks: &[RawTrack],
     pairs: &[Pair],
     focals: &[f64],
-    config: &GeometryConfig,
+    seed: u64,
     work: &Work<'_>,
 ) -> Result<Vec<Start>, SparseError> {
     // Pairs that overlap in time say the same thing twice.
@@ -90,16 +90,7 @@ pub(crate) fn scan(
         let views: Vec<Option<TwoView>> = picked
             .par_iter()
             .enumerate()
-            .map(|(i, (_, found))| {
-                relate(
-                    found,
-                    focal,
-                    config.inlier_px,
-                    config.two_view_samples,
-                    config.seed,
-                    i as u64,
-                )
-            })
+            .map(|(i, (_, found))| relate(found, focal, INLIER_PX, TWO_VIEW_SAMPLES, seed, i as u64))
             .collect();
         let score = views.iter().flatten().map(|v| v.score).sum::<f64>() / picked.len().max(1) as f64;
         for ((pair, _), view) in picked.iter().zip(views) {
@@ -117,6 +108,9 @@ pub(crate) fn scan(
     Ok(starts)
 }
 
+/// Random samples of five tracks per pair and focal length.
+const TWO_VIEW_SAMPLES: usize = 150;
+
 /// Pairs over which the score of a focal length is averaged.
 const SCANNED_PAIRS: usize = 4;
 
@@ -129,7 +123,7 @@ pub(crate) fn grow(
     start: &Start,
     frames: usize,
     free_focal: bool,
-    config: &GeometryConfig,
+    limits: &Limits,
     work: &Work<'_>,
 ) -> Result<Option<Map>, SparseError> {
     let mut map = Map {
@@ -139,12 +133,12 @@ pub(crate) fn grow(
     };
     map.poses[start.pair.a] = Some(Se3::identity());
     map.poses[start.pair.b] = Some(start.view.motion);
-    map.triangulate(tracks, usable, config);
+    map.triangulate(tracks, usable, limits);
     if map.points.iter().flatten().count() < 20 {
         return Ok(None);
     }
     let options = |iterations: usize, free_focal: bool| BundleOptions {
-        cauchy_px: config.cauchy_px,
+        cauchy_px: limits.cauchy_px,
         iterations,
         tolerance: 1e-4,
         free_focal,
@@ -163,24 +157,24 @@ pub(crate) fn grow(
         let Some((_, next)) = counted.max_by_key(|&(n, k)| (n, std::cmp::Reverse(k))) else {
             break;
         };
-        if !map.register(tracks, next, config) {
+        if !map.register(tracks, next) {
             failed.push(next);
             continue;
         }
         // A new camera brings new points, which may place the ones that failed.
         failed.clear();
-        map.triangulate(tracks, usable, config);
+        map.triangulate(tracks, usable, limits);
         let count = map.registered();
         if count <= 5 || 6 * count >= 7 * adjusted_at {
             adjusted_at = count;
             map.adjust(tracks, &options(8, free_focal && count >= 4), work.progress);
-            map.triangulate(tracks, usable, config);
+            map.triangulate(tracks, usable, limits);
         }
         work.progress.update("keyframes", count.min(keys.len()), keys.len(), "");
     }
     for _ in 0..2 {
         map.adjust(tracks, &options(15, free_focal && map.registered() >= 3), work.progress);
-        map.triangulate(tracks, usable, config);
+        map.triangulate(tracks, usable, limits);
     }
     Ok(Some(map))
 }

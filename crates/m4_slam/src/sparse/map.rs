@@ -1,7 +1,8 @@
 //! Cameras and points that grow from a pair of frames.
 
+use super::INLIER_PX;
 use super::bundle::{Bundle, BundleOptions, BundleReport, Observation};
-use super::config::GeometryConfig;
+use super::limits::Limits;
 use super::resection::{Sighting, descend, error_px, resect};
 use super::rotation::spread;
 use super::tracking::RawTrack;
@@ -48,14 +49,14 @@ impl Map {
 
     /// Triangulates every track that is `usable`, forgets the points of all others and of those whose
     /// rays are too parallel or disagree.
-    pub fn triangulate(&mut self, tracks: &[RawTrack], usable: &[bool], config: &GeometryConfig) {
+    pub fn triangulate(&mut self, tracks: &[RawTrack], usable: &[bool], limits: &Limits) {
         let map = &*self;
         let points: Vec<Option<Vector3<f64>>> = tracks
             .par_iter()
             .zip(usable)
             .map(|(track, &usable)| {
-                let found = usable.then(|| triangulate(&map.views(track), map.focal, config.cauchy_px))??;
-                let good = found.angle_rad >= config.min_angle_deg.to_radians() && found.median_px <= config.inlier_px;
+                let found = usable.then(|| triangulate(&map.views(track), map.focal, limits.cauchy_px))??;
+                let good = found.angle_rad >= limits.min_angle_deg.to_radians() && found.median_px <= INLIER_PX;
                 good.then_some(found.point)
             })
             .collect();
@@ -64,12 +65,12 @@ impl Map {
 
     /// Gives `frame` a pose, starting from that of the nearest frames that have one; false when too
     /// few points agree.
-    pub fn register(&mut self, tracks: &[RawTrack], frame: usize, config: &GeometryConfig) -> bool {
+    pub fn register(&mut self, tracks: &[RawTrack], frame: usize) -> bool {
         let sightings = self.sightings(tracks, frame);
         let best = self
             .starts(frame)
             .iter()
-            .map(|start| resect(&sightings, self.focal, start, config.inlier_px))
+            .map(|start| resect(&sightings, self.focal, start, INLIER_PX))
             .fold(None, |best: Option<super::resection::Resection>, r| match best {
                 Some(b) if b.inliers >= r.inliers => Some(b),
                 _ => Some(r),

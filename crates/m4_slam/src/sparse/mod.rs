@@ -27,6 +27,7 @@ mod followed;
 mod growth;
 mod klt;
 mod known;
+mod limits;
 mod luma;
 mod map;
 mod motion;
@@ -47,10 +48,13 @@ mod zoomed;
 #[cfg(test)]
 mod tests;
 
-pub use config::{GeometryConfig, MotionConfig, SparseConfig, TrackingConfig};
+pub use config::SparseConfig;
 pub use error::SparseError;
 pub use followed::{Followed, follow};
 pub use known::{FocalSource, Known, Recovered};
 pub use posed::with_cameras;
 pub use reconstruct::{reconstruct, recover};
 pub use work::Work;
+
+/// Epipolar and reprojection errors above this do not count as agreement, working pixels.
+const INLIER_PX: f64 = 2.0;

@@ -1,6 +1,5 @@
 //! Which tracks move, judged by how badly a resting point explains them.
 
-use super::config::{MotionConfig, RAYLEIGH_MEDIAN};
 use super::map::Map;
 use super::tracking::RawTrack;
 use super::triangulate::{median, triangulate};
@@ -8,13 +7,26 @@ use crate::reconstruction::Motion;
 use m4_math::nalgebra::Vector3;
 use rayon::prelude::*;
 
+/// Median of the length of a residual whose two components have standard deviation 1 (Rayleigh).
+pub(super) const RAYLEIGH_MEDIAN: f64 = 1.177_41;
+/// Residuals above this many robust standard deviations disagree. 3: section 7.1.
+const DEVIATIONS: f64 = 3.0;
+/// ... if they are also above this, working pixels. 1: section 7.1.
+const MIN_RESIDUAL_PX: f64 = 1.0;
+/// A track is dynamic when at least this share of its observations disagrees. 0.3: section 7.1.
+const SHARE: f64 = 0.3;
+/// Tracks with fewer observations are not judged. 3: the first number with more than one equation to spare.
+const MIN_OBSERVATIONS: usize = 3;
+/// How often classification and bundle adjustment alternate. 2: section 7.1.
+pub(super) const ROUNDS: usize = 2;
+
 /// Judges every track: the best resting point is fitted to all its observations, also to those of
 /// tracks that the map gave up on; where rays do not meet, a point at infinity stands in.
 ///
 /// What counts as disagreement follows the errors of the map's points, or, in a map without points,
 /// those of all tracks.
-pub(crate) fn classify(map: &Map, tracks: &[RawTrack], config: &MotionConfig) -> Vec<Motion> {
-    let limit_for = |typical: f64| (config.deviations * typical / RAYLEIGH_MEDIAN).max(config.min_residual_px);
+pub(crate) fn classify(map: &Map, tracks: &[RawTrack]) -> Vec<Motion> {
+    let limit_for = |typical: f64| (DEVIATIONS * typical / RAYLEIGH_MEDIAN).max(MIN_RESIDUAL_PX);
     let limit = match map.median_error(tracks) {
         Some(typical) => limit_for(typical),
         None => limit_for(median_far_error(map, tracks).unwrap_or(0.0)),
@@ -25,9 +37,9 @@ pub(crate) fn classify(map: &Map, tracks: &[RawTrack], config: &MotionConfig) ->
             let errors = resting_errors(map, track, limit);
             let seen = errors.len();
             let disagree = errors.iter().filter(|e| **e > limit).count();
-            if seen < config.min_observations {
+            if seen < MIN_OBSERVATIONS {
                 Motion::Unknown
-            } else if disagree as f64 >= config.share * seen as f64 {
+            } else if disagree as f64 >= SHARE * seen as f64 {
                 Motion::Dynamic
             } else {
                 Motion::Static

@@ -3,13 +3,14 @@
 use super::adjustment::MIN_POINTS;
 use super::bundle::BundleReport;
 use super::known::{FocalSource, Known, Lenses, Recovered};
-use super::luma::WorkingSize;
+use super::limits::Limits;
+use super::luma::{LONGEST_SIDE_PX, WorkingSize};
 use super::map::Map;
-use super::motion::{classify, median_far_error};
+use super::motion::{ROUNDS, classify, median_far_error};
 use super::reconstruct::{Clip, MIN_TRACKS, check};
 use super::rotation::sway;
 use super::tracking::{RawTrack, track};
-use super::{SparseConfig, SparseError, Work};
+use super::{INLIER_PX, SparseConfig, SparseError, Work};
 use crate::reconstruction::{CameraMotion, Motion};
 use m4_scene::{Camera, RgbImage};
 
@@ -41,8 +42,8 @@ pub fn with_cameras(
     for (frame, camera) in cameras.iter().enumerate() {
         check_camera(frame, camera, (width, height))?;
     }
-    let size = WorkingSize::new(width, height, config.tracking.longest_side_px);
-    let tracks = work.part("corners", || track(frames, size, &config.tracking, work.progress))?;
+    let size = WorkingSize::new(width, height, LONGEST_SIDE_PX);
+    let tracks = work.part("corners", || track(frames, size, work.progress))?;
     posed_tracks(tracks, cameras, [width, height], size, known, config, work)
 }
 
@@ -66,7 +67,7 @@ pub(super) fn posed_tracks(
         width,
         height,
         config,
-        geometry: config.geometry.clone(),
+        limits: Limits::default(),
         work: *work,
         warnings: Vec::new(),
         quiet: false,
@@ -113,7 +114,7 @@ impl Clip<'_> {
             self.lenses.undo(tracks, self.size, focal);
         }
         if let Some(sway) = sway(&self.tracks, self.frames, &[focal], MIN_TRACKS) {
-            self.adapt(&sway);
+            self.limits.adapt(&sway, self.size.width);
         }
         let mut map = Map {
             focal,
@@ -122,15 +123,15 @@ impl Clip<'_> {
         };
         let mut usable = vec![true; self.tracks.len()];
         let mut motions = Vec::new();
-        for _ in 0..self.config.motion.rounds.max(1) {
+        for _ in 0..ROUNDS {
             self.work.stopped()?;
-            map.triangulate(&self.tracks, &usable, &self.geometry);
-            motions = classify(&map, &self.tracks, &self.config.motion);
+            map.triangulate(&self.tracks, &usable, &self.limits);
+            motions = classify(&map, &self.tracks);
             for (usable, motion) in usable.iter_mut().zip(&motions) {
                 *usable = *motion != Motion::Dynamic;
             }
         }
-        map.triangulate(&self.tracks, &usable, &self.geometry);
+        map.triangulate(&self.tracks, &usable, &self.limits);
         let points = map.points.iter().flatten().count();
         let judged = motions.iter().filter(|m| **m != Motion::Unknown).count();
         let needed = MIN_POINTS.max(judged / 20);
@@ -151,7 +152,7 @@ impl Clip<'_> {
         } else {
             // Without points, the poses must at least explain the pictures as turns.
             let far = median_far_error(&map, &self.tracks).unwrap_or(f64::INFINITY);
-            if far > self.geometry.inlier_px {
+            if far > INLIER_PX {
                 return Err(SparseError::PosesDoNotFit {
                     points,
                     tracks: judged,

@@ -1,20 +1,26 @@
 //! The whole way from frames to a reconstruction.
 
 use super::SparseError;
-use super::config::{GeometryConfig, SparseConfig};
+use super::config::SparseConfig;
 use super::degenerate::{standing, turning};
 use super::known::{FocalSource, Known, Lenses, Recovered};
-use super::luma::WorkingSize;
+use super::limits::Limits;
+use super::luma::{LONGEST_SIDE_PX, WorkingSize};
 use super::map::Map;
 use super::motion::classify;
-use super::rotation::{Sway, focal_candidates, focal_from_fov, matches, sway};
+use super::rotation::{KEYFRAME_PARALLAX, Sway, focal_candidates, focal_from_fov, matches, sway};
 use super::tracking::{RawTrack, track};
 use super::work::Work;
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_scene::{Intrinsics, Progress, RgbImage};
 
+/// Below this greatest median parallax (share of the width, rotation taken out) nothing can be triangulated and the camera counts as
+/// turning only. 0.004: 2 pixels of 480, some twenty times the error of a track.
+const MIN_PARALLAX: f64 = 0.004;
+/// Below this motion of 60 % of all tracks over the clip the camera counts as static, working pixels.
+const STATIC_MOTION_PX: f64 = 1.0;
 /// A camera declared to stand still is doubted when the picture moves by this many times
-/// `static_motion_px`.
+/// [`STATIC_MOTION_PX`].
 const DOUBTFUL: f64 = 5.0;
 
 /// Fewest tracks from one frame to the next.
@@ -54,8 +60,8 @@ pub fn recover(
     work: &Work<'_>,
 ) -> Result<Recovered, SparseError> {
     let (width, height) = check(frames, known, config)?;
-    let size = WorkingSize::new(width, height, config.tracking.longest_side_px);
-    let tracks = track(frames, size, &config.tracking, work.progress)?;
+    let size = WorkingSize::new(width, height, LONGEST_SIDE_PX);
+    let tracks = track(frames, size, work.progress)?;
     from_tracks(tracks, frames.len(), [width, height], size, known, config, work)
 }
 
@@ -87,7 +93,7 @@ pub(super) fn from_tracks(
         width,
         height,
         config,
-        geometry: config.geometry.clone(),
+        limits: Limits::default(),
         work: *work,
         warnings: Vec::new(),
         quiet: false,
@@ -134,13 +140,6 @@ pub(super) fn check(
     range("intrinsics fy", fy, 0.0, f64::INFINITY, "above 0 pixels")?;
     range("intrinsics cx", cx, 0.0, width as f64, inside)?;
     range("intrinsics cy", cy, 0.0, height as f64, inside)?;
-    range(
-        "tracking.longest_side_px",
-        Some(config.tracking.longest_side_px as f64),
-        63.0,
-        1e5,
-        "64 to 99999 pixels",
-    )?;
     Ok((width, height))
 }
 
@@ -166,8 +165,7 @@ pub(super) struct Clip<'a> {
     /// Rows of the input.
     pub(super) height: usize,
     pub(super) config: &'a SparseConfig,
-    /// The settings, adapted to how much parallax there is.
-    pub(super) geometry: GeometryConfig,
+    pub(super) limits: Limits,
     pub(super) work: Work<'a>,
     pub(super) warnings: Vec<String>,
     /// Whether warnings are kept back for now.
@@ -192,7 +190,7 @@ impl Clip<'_> {
 
     pub(super) fn default_focal(&self) -> f64 {
         self.given_focal()
-            .unwrap_or_else(|| self.working_focal(self.config.geometry.default_fov_deg))
+            .unwrap_or_else(|| self.working_focal(self.config.default_fov_deg))
     }
 
     fn working_focal(&self, fov_deg: f64) -> f64 {
@@ -208,7 +206,7 @@ impl Clip<'_> {
         if self.config.static_camera {
             let seen = sway(&self.tracks, self.frames, &[self.default_focal()], MIN_TRACKS);
             let map = self.still("it was declared to stand still");
-            if let Some(seen) = seen.filter(|s| s.motion_px > DOUBTFUL * self.geometry.static_motion_px) {
+            if let Some(seen) = seen.filter(|s| s.motion_px > DOUBTFUL * STATIC_MOTION_PX) {
                 self.warn(format!(
                     "the camera was declared to stand still, but most of the picture moves, by up to {:.1} px (working \
                      size); without --static-camera its motion would be reconstructed",
@@ -220,33 +218,33 @@ impl Clip<'_> {
         self.check_tracks()?;
         let focals = match self.given_focal() {
             Some(focal) => vec![focal],
-            None => focal_candidates(self.size.width, &self.geometry),
+            None => focal_candidates(self.size.width),
         };
         let Some(sway) = sway(&self.tracks, self.frames, &focals, MIN_TRACKS) else {
             // Frames far apart have nothing in common: the camera moves a lot.
             return self.moving(&focals, self.default_focal())?;
         };
-        if sway.motion_px < self.geometry.static_motion_px {
+        if sway.motion_px < STATIC_MOTION_PX {
             let why = format!(
                 "60 % of all points move by at most {:.2} px over the clip (working size), less than {} px",
-                sway.motion_px, self.geometry.static_motion_px
+                sway.motion_px, STATIC_MOTION_PX
             );
             let map = self.still(&why);
             return Ok(self.without_points(map, CameraMotion::Static, self.untold_focal()));
         }
         let share = sway.parallax_px / self.size.width as f64;
-        if share < self.geometry.min_parallax {
+        if share < MIN_PARALLAX {
             return self.turning(&focals, &sway);
         }
         let zoom = self.zoom(&focals)?;
         // What is said about a walk that is none would mislead.
         self.quiet = zoom.is_some();
-        self.adapt(&sway);
+        self.limits.adapt(&sway, self.size.width);
         let moving = self.moving(&focals, sway.focal)?;
         self.quiet = false;
         if let Some(zoom) = zoom {
             let walk = moving.as_ref().ok();
-            if zoom.explains_as_much_as(walk, &self.config.motion, self.size.scale) {
+            if zoom.explains_as_much_as(walk, self.size.scale) {
                 self.warnings.clear();
                 return Ok(self.zoomed(zoom));
             }
@@ -256,17 +254,9 @@ impl Clip<'_> {
         }
         match moving {
             Ok(found) => Ok(found),
-            Err(_) if share < self.config.geometry.keyframe_parallax => self.turning(&focals, &sway),
+            Err(_) if share < KEYFRAME_PARALLAX => self.turning(&focals, &sway),
             Err(no_start) => Err(no_start),
         }
-    }
-
-    /// Little parallax asks for keyframes and rays that lie closer together.
-    pub(super) fn adapt(&mut self, sway: &Sway) {
-        let angle_deg = (sway.parallax_px / sway.focal).to_degrees();
-        let g = &mut self.geometry;
-        g.min_angle_deg = g.min_angle_deg.min(0.5 * angle_deg);
-        g.keyframe_parallax = g.keyframe_parallax.min(0.2 * sway.parallax_px / self.size.width as f64);
     }
 
     fn check_tracks(&self) -> Result<(), SparseError> {
@@ -297,7 +287,14 @@ impl Clip<'_> {
     fn turning(&mut self, focals: &[f64], sway: &Sway) -> Result<Recovered, SparseError> {
         self.work.stopped()?;
         let assumed = self.default_focal();
-        let found = turning(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, &self.geometry);
+        let found = turning(
+            &self.tracks,
+            self.frames,
+            focals,
+            assumed,
+            MIN_TRACKS,
+            self.limits.cauchy_px,
+        );
         let note = if found.focal_observed {
             String::new()
         } else {
@@ -308,7 +305,7 @@ impl Clip<'_> {
              {:.1} px are needed (working size); rotations only, depth cannot be measured{note}",
             sway.turn_rad.to_degrees(),
             sway.parallax_px,
-            self.geometry.min_parallax * self.size.width as f64
+            MIN_PARALLAX * self.size.width as f64
         ));
         if found.lost > 0 {
             let (lost, frames) = (found.lost, self.frames);
@@ -324,7 +321,7 @@ impl Clip<'_> {
     }
 
     pub(super) fn without_points(&mut self, map: Map, camera_motion: CameraMotion, focal: FocalSource) -> Recovered {
-        let motions = classify(&map, &self.tracks, &self.config.motion);
+        let motions = classify(&map, &self.tracks);
         let sparse = self.finish(map, &motions, camera_motion);
         Recovered { sparse, focal }
     }
@@ -342,7 +339,7 @@ impl Clip<'_> {
             Some(_) => String::new(),
             None => format!(
                 "; a field of view of {} degrees is assumed (give the true one with --fov)",
-                self.config.geometry.default_fov_deg
+                self.config.default_fov_deg
             ),
         }
     }

@@ -1,6 +1,7 @@
 //! Given poses against those that the clip itself suggests.
 
 use super::known::Lenses;
+use super::limits::Limits;
 use super::reconstruct::Clip;
 use super::{SparseConfig, SparseError, Work};
 use crate::reconstruction::CameraMotion;
@@ -40,7 +41,7 @@ impl Clip<'_> {
             size: self.size,
             width: self.width,
             height: self.height,
-            geometry: config.geometry.clone(),
+            limits: Limits::default(),
             config: &config,
             work: Work {
                 shelf: &ShelfPart {

@@ -1,11 +1,24 @@
 //! Frames related by a turn of the camera alone, and what is left when that turn is taken out.
 
-use super::config::GeometryConfig;
 use super::tracking::RawTrack;
 use super::triangulate::median;
 use super::two_view::Match;
 use m4_math::nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
+
+/// Fields of view tried where none is given. 12: section 7.1.
+const FOV_CANDIDATES: usize = 12;
+/// Least horizontal field of view tried, degrees. 35: section 7.1.
+const MIN_FOV_DEG: f64 = 35.0;
+/// Greatest horizontal field of view tried, degrees. 100: section 7.1.
+const MAX_FOV_DEG: f64 = 100.0;
+/// A frame becomes a keyframe when the median parallax to the last one, rotation taken out, exceeds this share of the image width.
+/// 0.015: section 7.1.
+pub(super) const KEYFRAME_PARALLAX: f64 = 0.015;
+/// ... or when fewer than this share of the last keyframe's tracks are still seen.
+const KEYFRAME_SURVIVAL: f64 = 0.6;
+/// Most keyframes; the clip is cut into this many where more are asked for.
+const MAX_KEYFRAMES: usize = 40;
 
 /// Tracks seen in both frames, and where.
 pub(crate) fn matches(tracks: &[RawTrack], a: usize, b: usize) -> Vec<Match> {
@@ -66,13 +79,12 @@ pub(crate) fn turn(matches: &[Match], focal: f64) -> Option<Turn> {
 }
 
 /// Focal lengths in working pixels for the fields of view to try, widest lens first.
-pub(crate) fn focal_candidates(width: usize, config: &GeometryConfig) -> Vec<f64> {
-    let n = config.fov_candidates.max(1);
+pub(crate) fn focal_candidates(width: usize) -> Vec<f64> {
     // Evenly spaced in the logarithm of the focal length.
     let at = |deg: f64| focal_from_fov(width, deg).ln();
-    let (low, high) = (at(config.max_fov_deg), at(config.min_fov_deg));
-    (0..n)
-        .map(|i| (low + (high - low) * (i as f64 + 0.5) / n as f64).exp())
+    let (low, high) = (at(MAX_FOV_DEG), at(MIN_FOV_DEG));
+    (0..FOV_CANDIDATES)
+        .map(|i| (low + (high - low) * (i as f64 + 0.5) / FOV_CANDIDATES as f64).exp())
         .collect()
 }
 
@@ -145,22 +157,16 @@ pub(crate) fn spread(n: usize, count: usize) -> Vec<usize> {
 }
 
 /// Keyframes: frame 0, then a frame whenever the parallax to the last keyframe or the loss of tracks
-/// asks for one, and the last frame.
-pub(crate) fn keyframes(
-    tracks: &[RawTrack],
-    frames: usize,
-    width: usize,
-    focal: f64,
-    config: &GeometryConfig,
-) -> Vec<usize> {
-    let mut threshold = config.keyframe_parallax * width as f64;
+/// asks for one, and the last frame; `parallax` as [`KEYFRAME_PARALLAX`].
+pub(crate) fn keyframes(tracks: &[RawTrack], frames: usize, width: usize, focal: f64, parallax: f64) -> Vec<usize> {
+    let mut threshold = parallax * width as f64;
     loop {
         let mut keys = vec![0];
         let mut last = 0;
         for frame in 1..frames {
             let found = matches(tracks, last, frame);
             let started = tracks.iter().filter(|t| t.at(last).is_some()).count().max(1);
-            let lost = (found.len() as f64) < config.keyframe_survival * started as f64;
+            let lost = (found.len() as f64) < KEYFRAME_SURVIVAL * started as f64;
             if lost || turn(&found, focal).is_none_or(|t| t.parallax_px > threshold) {
                 keys.push(frame);
                 last = frame;
@@ -169,12 +175,12 @@ pub(crate) fn keyframes(
         if last + 1 != frames {
             keys.push(frames - 1);
         }
-        if keys.len() <= config.max_keyframes.max(3) {
+        if keys.len() <= MAX_KEYFRAMES {
             return keys;
         }
         // Loss of tracks cannot be argued with: then every n-th frame it is.
         if threshold > 0.2 * width as f64 {
-            return spread(frames, config.max_keyframes.max(3));
+            return spread(frames, MAX_KEYFRAMES);
         }
         threshold *= 1.5;
     }
@@ -182,8 +188,7 @@ pub(crate) fn keyframes(
 
 #[cfg(test)]
 mod tests {
-    use super::{focal_candidates, keyframes, spread, sway, turn};
-    use crate::sparse::config::GeometryConfig;
+    use super::{KEYFRAME_PARALLAX, focal_candidates, keyframes, spread, sway, turn};
     use crate::sparse::tracking::RawTrack;
     use m4_math::nalgebra::Vector3;
     use m4_math::{CounterRng, exp_so3};
@@ -217,8 +222,7 @@ mod tests {
 
     #[test]
     fn sway_tells_turning_from_moving_and_finds_the_focal_length_of_a_turn() {
-        let config = GeometryConfig::default();
-        let focals = focal_candidates(480, &config);
+        let focals = focal_candidates(480);
         let turning = sway(&tracks(20, 0.02, 0.0, 400.0), 20, &focals, 20).expect("sway");
         assert!(turning.parallax_px < 2.5 && turning.motion_px > 20.0, "{turning:?}");
         assert!((turning.focal / 400.0).ln().abs() < 0.1, "{turning:?}");
@@ -228,12 +232,11 @@ mod tests {
 
     #[test]
     fn keyframes_follow_parallax_alone() {
-        let config = GeometryConfig::default();
         assert_eq!(
-            keyframes(&tracks(20, 0.02, 0.0, 400.0), 20, 480, 400.0, &config),
+            keyframes(&tracks(20, 0.02, 0.0, 400.0), 20, 480, 400.0, KEYFRAME_PARALLAX),
             [0, 19]
         );
-        let moving = keyframes(&tracks(20, 0.0, 0.2, 400.0), 20, 480, 400.0, &config);
+        let moving = keyframes(&tracks(20, 0.0, 0.2, 400.0), 20, 480, 400.0, KEYFRAME_PARALLAX);
         assert!(moving.len() > 4, "{moving:?}");
         assert_eq!(spread(10, 4), [0, 3, 6, 9]);
     }

@@ -1,11 +1,11 @@
 //! Which of several starts the reconstruction goes on with.
 
-use super::bundle::BundleOptions;
-use super::config::GeometryConfig;
+use super::adjustment::bundle_options;
 use super::growth::{Start, grow};
+use super::limits::Limits;
 use super::map::Map;
 use super::tracking::RawTrack;
-use super::{SparseError, Work};
+use super::{INLIER_PX, SparseError, Work};
 use m4_scene::Progress;
 
 /// The map that explains the tracks best.
@@ -34,7 +34,7 @@ pub(crate) fn select(
     starts: &[Start],
     frames: usize,
     free_focal: bool,
-    config: &GeometryConfig,
+    limits: &Limits,
     work: &Work<'_>,
 ) -> Result<Option<Selected>, SparseError> {
     let usable = vec![true; tracks.len()];
@@ -44,7 +44,7 @@ pub(crate) fn select(
             break;
         }
         let grown = work.part(&format!("grown-{tried}"), || {
-            grow(tracks, &usable, keys, start, frames, free_focal, config, work)
+            grow(tracks, &usable, keys, start, frames, free_focal, limits, work)
         })?;
         let Some(map) = grown.filter(|m| 2 * m.registered_among(keys) >= keys.len()) else {
             continue;
@@ -59,10 +59,10 @@ pub(crate) fn select(
     let medians = maps.iter().filter_map(|m| m.median_error(tracks));
     let least = medians.fold(f64::INFINITY, f64::min);
     if maps.len() > 1 {
-        polish(&mut maps, tracks, least, free_focal, config, work.progress);
+        polish(&mut maps, tracks, least, free_focal, limits, work.progress);
         work.stopped()?;
     }
-    let scale = (3.0 * least).clamp(0.1, config.inlier_px);
+    let scale = (3.0 * least).clamp(0.1, INLIER_PX);
     let mut scored: Vec<(f64, Map)> = maps.into_iter().map(|m| (m.explained(tracks, scale), m)).collect();
     scored.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut scored = scored.into_iter();
@@ -81,18 +81,12 @@ fn polish(
     tracks: &[RawTrack],
     median_px: f64,
     free_focal: bool,
-    config: &GeometryConfig,
+    limits: &Limits,
     progress: &dyn Progress,
 ) {
-    let mut narrow = config.clone();
+    let mut narrow = *limits;
     narrow.sharpen(median_px);
-    let options = BundleOptions {
-        cauchy_px: narrow.cauchy_px,
-        iterations: config.bundle_iterations,
-        tolerance: config.bundle_tolerance,
-        free_focal,
-        free_poses: true,
-    };
+    let options = bundle_options(&narrow, free_focal);
     for map in maps {
         map.adjust(tracks, &options, progress);
     }

@@ -1,12 +1,27 @@
 //! Points followed through the whole clip.
 
-use super::config::TrackingConfig;
-use super::corners::fill_empty_cells;
+use super::corners::{MIN_DISTANCE_PX, fill_empty_cells};
 use super::klt::{Template, follow, inside};
 use super::luma::{Pyramid, WorkingSize, luma};
 use super::{SparseError, Work};
 use m4_scene::{Progress, RgbImage};
 use rayon::prelude::*;
+
+/// Reach of the patch that is followed, working pixels: 5 for a side of 11. Section 7.1 has a side of 21; 11 gave trajectories as good
+/// or better, and is faster (docs/decisions/0001).
+const RADIUS: usize = 5;
+/// Levels of the pyramid, each half the size of the one below. 4: section 7.1.
+const LEVELS: usize = 4;
+/// Gauss-Newton steps per level.
+const ITERATIONS: usize = 12;
+/// A point followed to the next frame and back must return this close, working pixels. 0.7: section 7.1.
+const MAX_ROUND_TRIP_PX: f32 = 0.7;
+/// Least normalised cross-correlation of a patch with itself one frame later.
+const MIN_CORRELATION: f32 = 0.7;
+/// Positions are aligned to the patch of an earlier frame while it correlates this much.
+const ANCHOR_CORRELATION: f32 = 0.92;
+/// ... and while that moves the position by no more than this, working pixels.
+const MAX_DRIFT_PX: f32 = 1.0;
 
 /// One point followed through consecutive frames.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -45,12 +60,9 @@ struct Live {
 pub(crate) fn track(
     frames: &[&RgbImage],
     size: WorkingSize,
-    config: &TrackingConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<RawTrack>, SparseError> {
-    let radius = (config.window_px / 2).max(2);
-    let margin = radius + 1;
-    let pyramid = |frame: &RgbImage| Pyramid::new(luma(frame, size), config.levels.max(1));
+    let pyramid = |frame: &RgbImage| Pyramid::new(luma(frame, size), LEVELS);
     let mut done: Vec<RawTrack> = Vec::new();
     let mut live: Vec<Live> = Vec::new();
     let mut previous: Option<Pyramid> = None;
@@ -65,10 +77,8 @@ pub(crate) fn track(
             let frame = batch_index * BATCH + i;
             Work::new(progress).stopped()?;
             if let Some(previous) = &previous {
-                let moved: Vec<Option<([f32; 2], Option<Template>)>> = live
-                    .par_iter()
-                    .map(|t| step(t, previous, &current, radius, config))
-                    .collect();
+                let moved: Vec<Option<([f32; 2], Option<Template>)>> =
+                    live.par_iter().map(|t| step(t, previous, &current)).collect();
                 let mut kept = Vec::with_capacity(live.len());
                 for (mut t, moved) in live.into_iter().zip(moved) {
                     match moved {
@@ -82,16 +92,16 @@ pub(crate) fn track(
                         None => done.push(finish(t)),
                     }
                 }
-                live = without_collisions(kept, config, &mut done, finish);
+                live = without_collisions(kept, &mut done, finish);
             }
             if frame + 1 < frames.len() {
                 let occupied: Vec<[f32; 2]> = live.iter().filter_map(|t| t.seen.last().copied()).collect();
-                let found = fill_empty_cells(&current.levels[0], &occupied, margin, config);
+                let found = fill_empty_cells(&current.levels[0], &occupied, RADIUS + 1);
                 live.extend(found.into_iter().filter_map(|p| {
                     Some(Live {
                         first: frame,
                         seen: vec![p],
-                        anchor: Template::new(&current.levels[0], p, radius)?,
+                        anchor: Template::new(&current.levels[0], p, RADIUS)?,
                     })
                 }));
             }
@@ -113,41 +123,30 @@ pub(crate) fn track(
 const BATCH: usize = 8;
 
 /// The position of `t` in `to`, and a new anchor where the old one no longer looks alike.
-fn step(
-    t: &Live,
-    from: &Pyramid,
-    to: &Pyramid,
-    radius: usize,
-    config: &TrackingConfig,
-) -> Option<([f32; 2], Option<Template>)> {
+fn step(t: &Live, from: &Pyramid, to: &Pyramid) -> Option<([f32; 2], Option<Template>)> {
     let p = *t.seen.last()?;
-    let (mut q, correlation) = follow(from, to, p, radius, config.iterations)?;
-    if correlation < config.min_correlation {
+    let (mut q, correlation) = follow(from, to, p, RADIUS, ITERATIONS)?;
+    if correlation < MIN_CORRELATION {
         return None;
     }
-    let (back, _) = follow(to, from, q, radius, config.iterations)?;
-    if (back[0] - p[0]).hypot(back[1] - p[1]) > config.max_round_trip_px {
+    let (back, _) = follow(to, from, q, RADIUS, ITERATIONS)?;
+    if (back[0] - p[0]).hypot(back[1] - p[1]) > MAX_ROUND_TRIP_PX {
         return None;
     }
-    let (held, likeness) = t.anchor.align(&to.levels[0], q, config.iterations);
+    let (held, likeness) = t.anchor.align(&to.levels[0], q, ITERATIONS);
     let drift = (held[0] - q[0]).hypot(held[1] - q[1]);
-    let anchor = if likeness >= config.anchor_correlation && drift <= config.max_drift_px {
+    let anchor = if likeness >= ANCHOR_CORRELATION && drift <= MAX_DRIFT_PX {
         q = held;
         None
     } else {
-        Some(Template::new(&to.levels[0], q, radius)?)
+        Some(Template::new(&to.levels[0], q, RADIUS)?)
     };
-    inside(&to.levels[0], q, radius).then_some((q, anchor))
+    inside(&to.levels[0], q, RADIUS).then_some((q, anchor))
 }
 
 /// Where two tracks have run together the younger one ends.
-fn without_collisions(
-    mut tracks: Vec<Live>,
-    config: &TrackingConfig,
-    done: &mut Vec<RawTrack>,
-    finish: impl Fn(Live) -> RawTrack,
-) -> Vec<Live> {
-    let reach = (0.5 * config.min_distance_px).max(0.5);
+fn without_collisions(mut tracks: Vec<Live>, done: &mut Vec<RawTrack>, finish: impl Fn(Live) -> RawTrack) -> Vec<Live> {
+    let reach = 0.5 * MIN_DISTANCE_PX;
     // Oldest first: `live` is in order of birth already, since new tracks are appended.
     let mut buckets: std::collections::BTreeMap<(i32, i32), Vec<[f32; 2]>> = std::collections::BTreeMap::new();
     let mut kept = Vec::with_capacity(tracks.len());

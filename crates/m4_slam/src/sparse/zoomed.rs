@@ -1,7 +1,6 @@
 //! What comes of a clip whose lens zooms while the camera stays in place: rotations and a lens a frame.
 
 use super::SparseError;
-use super::config::MotionConfig;
 use super::known::{FocalSource, Lenses, Recovered};
 use super::map::Map;
 use super::motion::{classify, median_far_error};
@@ -29,10 +28,10 @@ pub(super) struct Zoom {
 
 impl Zoom {
     /// Whether a camera that moves instead, with a lens that does not, explains nothing more.
-    pub fn explains_as_much_as(&self, moving: Option<&Recovered>, config: &MotionConfig, scale: f64) -> bool {
+    pub fn explains_as_much_as(&self, moving: Option<&Recovered>, scale: f64) -> bool {
         let Some(moving) = moving else { return true };
         let resting = |motions: &mut dyn Iterator<Item = Motion>| motions.filter(|m| *m == Motion::Static).count();
-        let here = resting(&mut classify(&self.map, &self.tracks, config).into_iter());
+        let here = resting(&mut classify(&self.map, &self.tracks).into_iter());
         let there = resting(&mut moving.sparse.tracks.iter().map(|t| t.motion));
         let median_px = AS_GOOD.0 * moving.sparse.residual_px * scale + AS_GOOD.1;
         here as f64 >= AS_MANY * there as f64 && self.median_px <= median_px.min(MOST_PX)
@@ -54,7 +53,7 @@ impl Clip<'_> {
     /// How the lens zooms, if turns and zooms alone explain the tracks.
     pub(super) fn zoom(&self, focals: &[f64]) -> Result<Option<Zoom>, SparseError> {
         let assumed = self.default_focal();
-        let cauchy_px = self.geometry.cauchy_px;
+        let cauchy_px = self.limits.cauchy_px;
         let found = self.work.part("zoom", || {
             let found = zooming(&self.tracks, self.frames, focals, assumed, MIN_TRACKS, cauchy_px);
             Ok(found)

@@ -1,5 +1,6 @@
 //! The back end: all keyframes at once.
 
+use super::BETA;
 use super::correspondence::Correspondence;
 use super::error::TrackerError;
 use super::keyframes::Keyframes;
@@ -8,6 +9,15 @@ use super::update::Update;
 use crate::dba::{DbaOptions, DbaReport, Factor, Observability, Problem, observability};
 use crate::graph::{FactorGraph, ProximitySettings};
 use m4_scene::Progress;
+
+/// Greatest distance of an edge, pixels of the grid: 16.
+const GREATEST_DISTANCE_PX: f64 = 16.0;
+/// Frames this close in time are always joined: 2.
+const RADIUS: usize = 2;
+/// Suppression around an edge, steps of frames: 3.
+const SUPPRESSION: usize = 3;
+/// Source frames whose edges are revised at once: 8.
+const BATCH: usize = 8;
 
 /// A graph over all keyframes and what is adjusted with it.
 #[derive(Debug)]
@@ -27,10 +37,10 @@ impl Backend {
         let proximity = ProximitySettings {
             first_source: 0,
             first_target: 0,
-            radius: settings.backend_radius,
-            suppression: settings.backend_suppression,
-            threshold_px: settings.backend_px,
-            beta: settings.beta,
+            radius: RADIUS,
+            suppression: SUPPRESSION,
+            threshold_px: GREATEST_DISTANCE_PX,
+            beta: BETA,
             max_factors,
         };
         graph.add_proximity(&proximity, &keyframes.geometry, &keyframes.frame, false);
@@ -54,7 +64,6 @@ impl Backend {
     ) -> Result<DbaReport, TrackerError> {
         let s = &self.settings;
         let update = Update {
-            settings: s,
             options: DbaOptions {
                 robust: s.robust,
                 min_depth: s.min_depth,
@@ -64,7 +73,7 @@ impl Backend {
             },
             window: 1.min(keyframes.len())..keyframes.len(),
             inactive_from: None,
-            batch: Some(s.backend_batch),
+            batch: Some(BATCH),
         };
         let mut report = DbaReport::default();
         for k in 0..updates {

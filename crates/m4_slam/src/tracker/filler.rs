@@ -11,6 +11,9 @@ use crate::graph::FactorGraph;
 use m4_math::Se3;
 use m4_scene::Progress;
 
+/// Frames that are placed at once: 16.
+const BATCH: usize = 16;
+
 /// The pose of every frame of `frames`, world to camera: that of the keyframe, or one placed between its neighbours.
 /// Depth and poses of the keyframes stay as they are.
 ///
@@ -34,7 +37,7 @@ pub fn fill(
         .collect();
     let missing: Vec<usize> = (0..frames.len()).filter(|&k| poses[k].is_none()).collect();
     let mut state = keyframes.clone();
-    for (done, batch) in missing.chunks(settings.filler_batch.max(1)).enumerate() {
+    for (done, batch) in missing.chunks(BATCH).enumerate() {
         if progress.cancelled() {
             return Err(TrackerError::Cancelled);
         }
@@ -52,7 +55,6 @@ pub fn fill(
             graph.add(pairs, &state.geometry, &state.frame, false);
         }
         let update = Update {
-            settings,
             options: DbaOptions {
                 free: Free::Poses,
                 robust: settings.frontend_robust,
@@ -74,7 +76,7 @@ pub fn fill(
             poses[k] = Some(*pose);
         }
         state.truncate(count);
-        let placed = ((done + 1) * settings.filler_batch.max(1)).min(missing.len());
+        let placed = ((done + 1) * BATCH).min(missing.len());
         progress.update("placing frames between keyframes", placed, missing.len(), "");
     }
     Ok(poses.into_iter().flatten().collect())

@@ -1,5 +1,6 @@
 //! The front end: frames come one by one, keyframes are chosen, a window of them is adjusted.
 
+use super::BETA;
 use super::correspondence::Correspondence;
 use super::error::TrackerError;
 use super::keyframes::{FrameInput, Keyframes};
@@ -8,6 +9,27 @@ use super::update::Update;
 use crate::dba::{DbaOptions, Free, Grid, Pinhole};
 use crate::graph::{FactorGraph, ProximitySettings, frame_distance};
 use m4_math::Se3;
+
+/// Keyframes before the first adjustment: 8.
+const WARMUP: usize = 8;
+/// Share of the full motion in the distance of frames in the first choice of edges: 0.25.
+const INITIAL_BETA: f64 = 0.25;
+/// Keyframes a new one may be joined with: 25.
+const WINDOW: usize = 25;
+/// Sources of new edges: the last 5 keyframes.
+const NEW_SOURCES: usize = 5;
+/// Greatest distance of an edge, pixels of the grid: 12.
+const GREATEST_DISTANCE_PX: f64 = 12.0;
+/// Frames this close in time are always joined: 2.
+const RADIUS: usize = 2;
+/// Suppression around an edge, steps of frames: 1.
+const SUPPRESSION: usize = 1;
+/// Suppression of the first choice: 2.
+const INITIAL_SUPPRESSION: usize = 2;
+/// Updates after which an edge retires: 25.
+const MAX_AGE: u32 = 25;
+/// Weight of the depth prior: 0.05.
+const PRIOR_ALPHA: f64 = 0.05;
 
 /// What became of a submitted frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -93,7 +115,7 @@ impl Frontend {
         if self.initialised {
             return self.track(source);
         }
-        if self.keyframes.len() < self.settings.warmup {
+        if self.keyframes.len() < WARMUP {
             return Ok(Submitted::Waiting);
         }
         self.initialise(source)?;
@@ -132,10 +154,10 @@ impl Frontend {
         let proximity = ProximitySettings {
             first_source: 0,
             first_target: 0,
-            radius: s.frontend_radius,
-            suppression: s.initial_suppression,
-            threshold_px: s.frontend_px,
-            beta: s.initial_beta,
+            radius: RADIUS,
+            suppression: INITIAL_SUPPRESSION,
+            threshold_px: GREATEST_DISTANCE_PX,
+            beta: INITIAL_BETA,
             max_factors: s.max_factors,
         };
         self.graph
@@ -145,7 +167,7 @@ impl Frontend {
                 self.update(1, free, source)?;
             }
         }
-        let oldest = s.warmup.min(count).saturating_sub(4);
+        let oldest = WARMUP.min(count).saturating_sub(4);
         self.graph.retire(|e| e.factor.source < oldest);
         self.initialised = true;
         Ok(())
@@ -154,14 +176,14 @@ impl Frontend {
     fn track(&mut self, source: &mut dyn Correspondence) -> Result<Submitted, TrackerError> {
         let s = self.settings;
         let count = self.keyframes.len();
-        self.graph.retire(|e| e.age > s.max_age);
+        self.graph.retire(|e| e.age > MAX_AGE);
         let proximity = ProximitySettings {
-            first_source: count.saturating_sub(s.new_sources),
-            first_target: count.saturating_sub(s.window),
-            radius: s.frontend_radius,
-            suppression: s.frontend_suppression,
-            threshold_px: s.frontend_px,
-            beta: s.beta,
+            first_source: count.saturating_sub(NEW_SOURCES),
+            first_target: count.saturating_sub(WINDOW),
+            radius: RADIUS,
+            suppression: SUPPRESSION,
+            threshold_px: GREATEST_DISTANCE_PX,
+            beta: BETA,
             max_factors: s.max_factors,
         };
         let frames = self.keyframes.frame.clone();
@@ -179,7 +201,7 @@ impl Frontend {
         }
         let (a, b) = (count - 3, count - 2);
         let g = &self.keyframes.geometry;
-        let distance_px = 0.5 * (frame_distance(g, a, b, s.beta) + frame_distance(g, b, a, s.beta));
+        let distance_px = 0.5 * (frame_distance(g, a, b, BETA) + frame_distance(g, b, a, BETA));
         let dropped = (distance_px < s.keyframe_px).then(|| self.keyframes.frame[b]);
         if dropped.is_some() {
             self.graph.remove_frame(b);
@@ -201,10 +223,9 @@ impl Frontend {
     fn update(&mut self, first: usize, free: Free, source: &mut dyn Correspondence) -> Result<(), TrackerError> {
         let s = &self.settings;
         let update = Update {
-            settings: s,
             options: DbaOptions {
                 free,
-                prior_alpha: Some(s.prior_alpha),
+                prior_alpha: Some(PRIOR_ALPHA),
                 robust: s.frontend_robust,
                 min_depth: s.min_depth,
                 #[cfg(test)]

@@ -41,3 +41,6 @@ pub use keyframes::{FrameInput, Keyframes};
 pub use settings::TrackerSettings;
 pub use static_map::confidence_from_residuals;
 pub use track::{Clip, Tracked, track};
+
+/// Share of the full motion in the distance of frames: 0.3.
+const BETA: f64 = 0.3;

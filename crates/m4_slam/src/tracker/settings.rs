@@ -1,20 +1,13 @@
-//! Settings of the tracker; the defaults are those of section 1.5 of the specification.
+//! Settings of the tracker; the defaults are those of section 1.5 of the specification. Values that no caller changes are constants of
+//! the files that use them.
 
 use crate::dba::{MIN_DEPTH, Robust};
-use serde::{Deserialize, Serialize};
 
 /// How a clip is tracked. Lengths are pixels of the grid.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackerSettings {
     /// Motion beyond which a frame is taken for a keyframe: 2.
     pub motion_filter_px: f64,
-    /// Keyframes before the first adjustment: 8.
-    pub warmup: usize,
-    /// Share of the full motion in the distance of frames: 0.3.
-    pub beta: f64,
-    /// The same in the first choice of edges: 0.25.
-    pub initial_beta: f64,
     /// Distance below which the last keyframe but one is dropped: 2.
     pub keyframe_px: f64,
     /// Updates of each of the three initial phases: 10.
@@ -23,50 +16,20 @@ pub struct TrackerSettings {
     pub first_updates: usize,
     /// Updates that follow when no keyframe is dropped: 4.
     pub second_updates: usize,
-    /// Keyframes a new one may be joined with: 25.
-    pub window: usize,
-    /// Sources of new edges: the last 5 keyframes.
-    pub new_sources: usize,
-    /// Greatest distance of a front-end edge: 12.
-    pub frontend_px: f64,
-    /// Radius of the front end: 2.
-    pub frontend_radius: usize,
-    /// Suppression of the front end: 1.
-    pub frontend_suppression: usize,
-    /// Suppression of the first choice: 2.
-    pub initial_suppression: usize,
     /// Most active edges of the front end: 48.
     pub max_factors: usize,
-    /// Updates after which an edge retires: 25.
-    pub max_age: u32,
-    /// Greatest distance of a back-end edge: 16.
-    pub backend_px: f64,
-    /// Radius of the back end: 2.
-    pub backend_radius: usize,
-    /// Suppression of the back end: 3.
-    pub backend_suppression: usize,
     /// Most back-end edges a keyframe: 16.
     pub backend_factors: usize,
-    /// Source frames whose edges are revised at once in the back end: 8.
-    pub backend_batch: usize,
     /// Updates that measure what can be seen: 10.
     pub probe_updates: usize,
     /// Updates of all keyframes: 20.
     pub backend_updates: usize,
     /// Updates of all frames: 15.
     pub final_updates: usize,
-    /// Frames between keyframes that are placed at once: 16.
-    pub filler_batch: usize,
-    /// Updates of those: 6.
+    /// Updates of the frames between keyframes: 6.
     pub filler_updates: usize,
-    /// Weight of the depth prior in the front end: 0.05.
-    pub prior_alpha: f64,
-    /// Weight of the depth prior of the probe: 1e-5.
-    pub probe_alpha: f64,
     /// Weight of the depth prior of the back end where there is no parallax at all: 1e-5.
     pub low_parallax_alpha: f64,
-    /// What the damping of a source of correspondences is multiplied by: 1.
-    pub damping_scale: f64,
     /// Least scaled depth of a point that counts: 0.25.
     pub min_depth: f64,
     /// Extra weight of residuals in the front end and the filler: none.
@@ -76,7 +39,6 @@ pub struct TrackerSettings {
     /// As the program that the fixtures come from: the Python twin of the published solver
     /// ([`crate::dba::DbaOptions::python_twin`]), and edges that retire by the permutation of their ages.
     #[cfg(test)]
-    #[serde(skip)]
     pub(crate) python_twin: bool,
     /// False keeps the focal length whatever can be seen: true.
     pub optimise_focal: bool,
@@ -102,35 +64,17 @@ impl Default for TrackerSettings {
     fn default() -> Self {
         Self {
             motion_filter_px: 2.0,
-            warmup: 8,
-            beta: 0.3,
-            initial_beta: 0.25,
             keyframe_px: 2.0,
             initial_updates: 10,
             first_updates: 8,
             second_updates: 4,
-            window: 25,
-            new_sources: 5,
-            frontend_px: 12.0,
-            frontend_radius: 2,
-            frontend_suppression: 1,
-            initial_suppression: 2,
             max_factors: 48,
-            max_age: 25,
-            backend_px: 16.0,
-            backend_radius: 2,
-            backend_suppression: 3,
             backend_factors: 16,
-            backend_batch: 8,
             probe_updates: 10,
             backend_updates: 20,
             final_updates: 15,
-            filler_batch: 16,
             filler_updates: 6,
-            prior_alpha: 0.05,
-            probe_alpha: 1e-5,
             low_parallax_alpha: 1e-5,
-            damping_scale: 1.0,
             min_depth: MIN_DEPTH,
             frontend_robust: Robust::None,
             robust: Robust::None,

@@ -12,6 +12,9 @@ use crate::dba::{Geometry, Grid, Observability, Pinhole, Robust};
 use m4_math::Se3;
 use m4_scene::Progress;
 
+/// Weight of the depth prior of the probe: 1e-5.
+const PROBE_ALPHA: f64 = 1e-5;
+
 /// What a clip looks like to the tracker.
 #[derive(Debug, Clone, Copy)]
 pub struct Clip<'a> {
@@ -139,8 +142,14 @@ fn probe(
 ) -> Result<Observability, TrackerError> {
     let mut copy = keyframes.clone();
     let mut backend = Backend::new(&copy, *settings);
-    let alpha = Some(settings.probe_alpha);
-    backend.run(&mut copy, source, settings.probe_updates, false, alpha, progress)?;
+    backend.run(
+        &mut copy,
+        source,
+        settings.probe_updates,
+        false,
+        Some(PROBE_ALPHA),
+        progress,
+    )?;
     let seen = backend.observability(&copy)?;
     backend.finish(source)?;
     Ok(seen)

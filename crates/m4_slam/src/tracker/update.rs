@@ -3,7 +3,6 @@
 use super::correspondence::{Correspondence, EdgeRevision, Revision, SourceRevision};
 use super::error::TrackerError;
 use super::keyframes::Keyframes;
-use super::settings::TrackerSettings;
 use crate::dba::{DbaOptions, DbaReport, Factor, Problem, adjust};
 use crate::graph::{FactorGraph, GraphEdge, projected_planes};
 use rayon::prelude::*;
@@ -13,8 +12,7 @@ use std::ops::Range;
 const LEAST_DAMPING: f32 = 1e-7;
 
 /// What takes part in an update.
-pub(super) struct Update<'a> {
-    pub settings: &'a TrackerSettings,
+pub(super) struct Update {
     pub options: DbaOptions,
     /// Frames whose poses move.
     pub window: Range<usize>,
@@ -24,7 +22,7 @@ pub(super) struct Update<'a> {
     pub batch: Option<usize>,
 }
 
-impl Update<'_> {
+impl Update {
     /// Runs one update on `graph`.
     pub(super) fn run(
         &self,
@@ -42,11 +40,10 @@ impl Update<'_> {
                 .is_some_and(|from| e.factor.source >= from && e.factor.target >= from)
         });
         let edges: Vec<&Factor<f32>> = inactive.chain(&graph.active).map(|e| &e.factor).collect();
-        let scale = self.settings.damping_scale as f32;
         let eta: Vec<Vec<f32>> = keyframes
             .damping
             .iter()
-            .map(|plane| plane.iter().map(|&x| scale * x + LEAST_DAMPING).collect())
+            .map(|plane| plane.iter().map(|&x| x + LEAST_DAMPING).collect())
             .collect();
         let problem = Problem {
             edges: &edges,

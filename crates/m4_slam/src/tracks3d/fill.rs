@@ -10,12 +10,20 @@ use super::chain::{Chain, is_inside, one_way};
 use super::grid::nearest;
 use super::lift::{Lifted, around, lift};
 use super::predict::{Guess, Lost, Step, lose};
-use super::{Strip, TrackError};
-use crate::dense::TrackConfig;
+use super::{Strip, TrackConfig, TrackError};
 use m4_math::nalgebra::Vector3;
 use m4_scene::{DepthMap, Progress};
 use rayon::prelude::*;
 
+/// Most frames that a point is carried on from the last in which it was seen.
+const MOST_FRAMES: usize = 60;
+/// A point is visible again where the visible surface lies at its depth, to within this share ...
+pub(super) const JOIN_DEPTH: f32 = 0.03;
+/// ... and where, some frames later, it is still within this many pixels of the prediction of its neighbours.
+const JOIN_PX: f32 = 3.0;
+/// A hidden point in front of the visible surface by more than this share of the depth is wrong (section 2.6 of the specification of
+/// the optimiser: 5 %).
+const FREE_SPACE: f32 = 0.05;
 /// Frames in which something farther was seen in its place, after which a track is given up.
 const MOST_VIOLATIONS: usize = 2;
 /// Frames after which a track that came back is compared with its neighbours.
@@ -46,7 +54,6 @@ fn sweep(scene: &Scene<'_>, board: &mut Board, forward: bool, progress: &dyn Pro
     const PHASE: &str = "carrying hidden points";
     let n = board.frames;
     let frame = |s: usize| if forward { s } else { n - 1 - s };
-    let config = &scene.config.fill;
     let mut lost: Vec<Option<Lost>> = vec![None; board.count];
     for s in 1..n {
         if progress.cancelled() {
@@ -66,7 +73,7 @@ fn sweep(scene: &Scene<'_>, board: &mut Board, forward: bool, progress: &dyn Pro
         let open: Vec<(usize, &Lost)> = (0..board.count)
             .filter(open)
             .filter_map(|k| lost[k].as_ref().map(|l| (k, l)))
-            .filter(|(_, l)| now.abs_diff(l.since) <= config.most_frames)
+            .filter(|(_, l)| now.abs_diff(l.since) <= MOST_FRAMES)
             .collect();
         if open.is_empty() {
             continue;
@@ -75,7 +82,7 @@ fn sweep(scene: &Scene<'_>, board: &mut Board, forward: bool, progress: &dyn Pro
         let step = Step::new(board, before, now);
         let earlier = (s >= 2).then(|| frame(s - 2));
         let outcome = |&(k, memory): &(usize, &Lost)| {
-            let guess = memory.guess(board, k, &step, earlier, config)?;
+            let guess = memory.guess(board, k, &step, earlier)?;
             let outcome = look(scene, board, (k, memory), guess, now, forward, &surface);
             Some((k, outcome))
         };
@@ -132,7 +139,7 @@ fn look(
     if !(z > 0.0 && is_inside(strip, at)) {
         return out;
     }
-    out.violated = z < f64::from(least(surface, at)) * (1.0 - f64::from(scene.config.fill.free_space));
+    out.violated = z < f64::from(least(surface, at)) * (1.0 - f64::from(FREE_SPACE));
     if memory.faces(&guess, &camera.centre()) {
         out.back = again(scene, board, (track, memory), (now, at, z), forward);
     }
@@ -157,10 +164,10 @@ fn again(
     (now, at, z): (usize, [f32; 2], f64),
     forward: bool,
 ) -> Option<Lifted> {
-    let (strip, config) = (scene.strip, &scene.config.fill);
+    let strip = scene.strip;
     let (x, y) = nearest(at);
     strip.moving[now].get(x, y)?;
-    let same_depth = |z: f64, surface: f64| (z / surface - 1.0).abs() <= f64::from(config.join_depth);
+    let same_depth = |z: f64, surface: f64| (z / surface - 1.0).abs() <= f64::from(JOIN_DEPTH);
     if !same_depth(z, 1.0 / f64::from(around(strip, now, at))) {
         return None;
     }
@@ -178,13 +185,13 @@ fn again(
     let reach = (piece.places.len() - 1).min(PROOF - 1);
     let then = if forward { now + reach } else { now - reach };
     if let (Some(want), Some(found)) = (
-        memory.check(board, track, then, config),
+        memory.check(board, track, then),
         then.checked_sub(piece.first).and_then(|i| piece.places.get(i)),
     ) {
         let found = Vector3::from(found.map(f64::from));
         let (a, b) = (strip.cameras[then].project(&want), strip.cameras[then].project(&found));
         let off = (a.0[0] - b.0[0]).hypot(a.0[1] - b.0[1]);
-        if !(off <= f64::from(config.join_px) && same_depth(a.1, b.1)) {
+        if !(off <= f64::from(JOIN_PX) && same_depth(a.1, b.1)) {
             return None;
         }
     }

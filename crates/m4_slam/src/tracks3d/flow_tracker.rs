@@ -3,14 +3,15 @@
 use super::board::State;
 use super::chain::is_inside;
 use super::clip::{frame_error, read_checked};
+use super::fill::JOIN_DEPTH;
 use super::grid::{nearest, thinned};
-use super::lift::around;
+use super::lift::{SHORTEST, around};
 use super::strip::{Strip, moving, ways};
 use super::{
     Board, Chain, Followed, Lifted, PosedClip, PosedFrame, Query, QueryGrid, Scene, TrackError, Tracker3d, chain, fill,
     lift, seed,
 };
-use crate::dense::{FlowSource, TrackConfig};
+use crate::dense::FlowSource;
 use m4_scene::Progress;
 use rayon::prelude::*;
 
@@ -18,6 +19,25 @@ use rayon::prelude::*;
 const BATCH: usize = 8;
 /// Most places of all tracks together: a place takes 17 bytes while points are followed.
 const MOST_PLACES: usize = 8_000_000;
+
+/// How chains become tracks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrackConfig {
+    /// Whether points are carried on where they are hidden, with the local rigid motion of their neighbours (section 3 of the
+    /// front-end specification, "cheaper substitute"); else a track ends where its chain ends.
+    pub fill: bool,
+    /// Time over which the depth of a track is smoothed, standard deviation in frames; 0 for none.
+    pub smooth_frames: f32,
+}
+
+impl Default for TrackConfig {
+    fn default() -> Self {
+        Self {
+            fill: true,
+            smooth_frames: 2.0,
+        }
+    }
+}
 
 /// Chains along optical flow, lifted with depth, carried on where they are hidden (section 7.1, item 8, and the end of section 3 of
 /// the front-end specification).
@@ -38,7 +58,7 @@ impl Tracker3d for FlowTracker<'_> {
     fn follow(&self, clip: &dyn PosedClip, queries: &[Query], progress: &dyn Progress) -> Result<Followed, TrackError> {
         let frames = clip.frames();
         Query::check_all(queries, frames)?;
-        let strip = strip(clip, self.flow, &self.config, progress)?;
+        let strip = strip(clip, self.flow, progress)?;
         let pieces: Vec<Option<Lifted>> = queries.par_iter().map(|q| asked(&strip, q, &self.config)).collect();
         let mut board = Board::new(frames, queries.len());
         for (k, (query, piece)) in queries.iter().zip(pieces).enumerate() {
@@ -58,7 +78,7 @@ impl Tracker3d for FlowTracker<'_> {
         progress: &dyn Progress,
     ) -> Result<Followed, TrackError> {
         grid.check()?;
-        let strip = strip(clip, self.flow, &self.config, progress)?;
+        let strip = strip(clip, self.flow, progress)?;
         let pieces = on_grid(&strip, grid, &self.config);
         let (board, queries) = board_of(clip.frames(), &pieces);
         finish(clip, &strip, board, queries, &self.config, progress)
@@ -80,7 +100,7 @@ fn finish(
         surface: &surface,
         config,
     };
-    if config.fill.enabled {
+    if config.fill {
         fill(&scene, &mut board, progress)?;
     }
     followed(board, queries)
@@ -130,7 +150,7 @@ pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid, config: &TrackConfig) -> 
         let seeds = free.filter_map(|c| seed(size, c % columns, c / columns, cell, &moves));
         let seeds: Vec<[f32; 2]> = seeds.collect();
         let found: Vec<Chain> = seeds.par_iter().map(|at| chain(strip, start, *at)).collect();
-        all.extend(found.into_iter().filter(|c| c.seen.len() >= config.shortest));
+        all.extend(found.into_iter().filter(|c| c.seen.len() >= SHORTEST));
     }
     let lifted: Vec<Vec<Lifted>> = all.par_iter().map(|chain| lift(strip, chain, config)).collect();
     let lifted: Vec<Lifted> = lifted.into_iter().flatten().collect();
@@ -147,7 +167,7 @@ fn asked(strip: &Strip, query: &Query, config: &TrackConfig) -> Option<Lifted> {
     let (x, y) = nearest(at);
     strip.moving[query.frame].get(x, y)?;
     let surface = f64::from(around(strip, query.frame, at));
-    if (z * surface - 1.0).abs() > f64::from(config.fill.join_depth) {
+    if (z * surface - 1.0).abs() > f64::from(JOIN_DEPTH) {
         return None;
     }
     let pieces = lift(strip, &chain(strip, query.frame, at), config);
@@ -156,12 +176,7 @@ fn asked(strip: &Strip, query: &Query, config: &TrackConfig) -> Option<Lifted> {
 }
 
 /// Flow and depth of what moves in the whole clip.
-fn strip(
-    clip: &dyn PosedClip,
-    flow: &dyn FlowSource,
-    config: &TrackConfig,
-    progress: &dyn Progress,
-) -> Result<Strip, TrackError> {
+fn strip(clip: &dyn PosedClip, flow: &dyn FlowSource, progress: &dyn Progress) -> Result<Strip, TrackError> {
     const PHASE: &str = "computing flow of what moves";
     let frames = clip.frames();
     let mut out = Strip {
@@ -201,7 +216,7 @@ fn strip(
             .par_windows(2)
             .enumerate()
             .map(|(i, pair)| {
-                ways([&pair[0], &pair[1]], flow, config.round_trip_px).map_err(|source| TrackError::Flow {
+                ways([&pair[0], &pair[1]], flow).map_err(|source| TrackError::Flow {
                     frame: first + i,
                     source,
                 })

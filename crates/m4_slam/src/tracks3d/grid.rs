@@ -19,6 +19,7 @@ pub struct QueryGrid {
 }
 
 impl Default for QueryGrid {
+    /// Every 10th frame: the paper's choice for DyCheck and DAVIS; for NVIDIA Dynamic it has every frame.
     fn default() -> Self {
         Self {
             every: 10,
@@ -30,25 +31,13 @@ impl Default for QueryGrid {
 }
 
 impl QueryGrid {
-    /// The paper's choice for DyCheck: every 10th frame.
+    /// For chains of flow: every 4th frame. The specification's queries: every frame to every 10th.
     #[must_use]
-    pub fn dycheck() -> Self {
-        Self::default()
-    }
-
-    /// The paper's choice for NVIDIA Dynamic: every frame.
-    #[must_use]
-    pub fn nvidia() -> Self {
+    pub fn chains() -> Self {
         Self {
-            every: 1,
+            every: 4,
             ..Self::default()
         }
-    }
-
-    /// The paper's choice for DAVIS: every 10th frame.
-    #[must_use]
-    pub fn davis() -> Self {
-        Self::default()
     }
 
     /// Refuses values that nobody can use.

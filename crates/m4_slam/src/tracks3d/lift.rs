@@ -1,10 +1,15 @@
 //! Chains brought into the world with the depth under them.
 
+use super::TrackConfig;
 use super::chain::Chain;
 use super::grid::nearest;
 use super::strip::Strip;
-use crate::dense::{TrackConfig, quantile};
+use crate::dense::quantile;
 
+/// Fewest frames of a track.
+pub(super) const SHORTEST: usize = 4;
+/// A track is cut at a step longer than this many times its median step.
+const JUMP: f32 = 5.0;
 /// A step shorter than this is none that could be a jump, pixels.
 const SMALL_STEP_PX: f64 = 3.0;
 
@@ -30,7 +35,7 @@ pub(crate) fn lift(strip: &Strip, chain: &Chain, config: &TrackConfig) -> Vec<Li
     let median = quantile(&mut steps.clone(), 0.5).unwrap_or(0.0);
     let jumps = |k: usize| {
         let small = SMALL_STEP_PX / (f64::from(raw[k]) * strip.cameras[chain.first + k].intrinsics.fx);
-        !steps[k].is_finite() || steps[k] > config.jump * median + small as f32
+        !steps[k].is_finite() || steps[k] > JUMP * median + small as f32
     };
     let mut out = Vec::new();
     let mut from = 0;
@@ -38,7 +43,7 @@ pub(crate) fn lift(strip: &Strip, chain: &Chain, config: &TrackConfig) -> Vec<Li
         if to < raw.len() && !jumps(to - 1) {
             continue;
         }
-        if to - from >= config.shortest {
+        if to - from >= SHORTEST {
             let depth = smooth(&raw[from..to], config.smooth_frames);
             let piece = (chain.first + from..).zip(&chain.seen[from..to]).zip(&depth);
             let places: Vec<[f32; 3]> = piece

@@ -31,7 +31,7 @@ mod tracker;
 
 pub use clip::{CaptureClip, PosedClip, PosedFrame};
 pub use error::TrackError;
-pub use flow_tracker::FlowTracker;
+pub use flow_tracker::{FlowTracker, TrackConfig};
 pub use grid::QueryGrid;
 pub use tracker::{Followed, Query, Tracker3d};
 

@@ -2,13 +2,18 @@
 
 use super::board::{Board, State};
 use super::rigid::{Anchor, fit};
-use crate::dense::FillConfig;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_math::nalgebra::{Matrix3, Rotation3, Vector3};
 use m4_scene::Camera;
 use rayon::prelude::*;
 use std::num::NonZero;
 
+/// Neighbours that a hidden point goes with.
+const NEIGHBOURS: usize = 16;
+/// Neighbours farther away than this many times the distance of neighbouring tracks do not count.
+const REACH: f32 = 24.0;
+/// Most frames that a hidden point without a visible neighbour goes on with its last motion; they count if it becomes visible again.
+const BLIND_FRAMES: usize = 12;
 /// Neighbours that are remembered when a point is lost: the nearest, and those of a thinner set that reaches farther.
 const NEAREST: usize = 24;
 const FARTHER: usize = 40;
@@ -177,16 +182,9 @@ impl Step {
 impl Lost {
     /// Where the point is in the frame that `step` leads to: by those that were seen with it, else by those that are around it on the
     /// way, else as it moved last (`before`: the frame before that of the step).
-    pub fn guess(
-        &self,
-        board: &Board,
-        track: usize,
-        step: &Step,
-        earlier: Option<usize>,
-        config: &FillConfig,
-    ) -> Option<Guess> {
-        let together = self.anchors_together(board, track, step.now, config);
-        let passing = || self.anchors_passing(board, track, step, config);
+    pub fn guess(&self, board: &Board, track: usize, step: &Step, earlier: Option<usize>) -> Option<Guess> {
+        let together = self.anchors_together(board, track, step.now);
+        let passing = || self.anchors_passing(board, track, step);
         if together.len() >= ENOUGH {
             return self.together(board, track, step.now, &together);
         }
@@ -200,12 +198,12 @@ impl Lost {
         if !passing.is_empty() {
             return self.passing(board, track, step, &passing);
         }
-        self.blindly(board, track, step, earlier, config)
+        self.blindly(board, track, step, earlier)
     }
 
     /// Where those that were last seen with it say that it is in frame `now`; `None` where too few are seen there.
-    pub fn check(&self, board: &Board, track: usize, now: usize, config: &FillConfig) -> Option<Vector3<f64>> {
-        let anchors = self.anchors_together(board, track, now, config);
+    pub fn check(&self, board: &Board, track: usize, now: usize) -> Option<Vector3<f64>> {
+        let anchors = self.anchors_together(board, track, now);
         let enough = anchors.len() >= ENOUGH;
         enough
             .then(|| self.together(board, track, now, &anchors))?
@@ -225,22 +223,22 @@ impl Lost {
     }
 
     /// Neighbours in the last frame where both were seen, and now.
-    fn anchors_together(&self, board: &Board, track: usize, now: usize, config: &FillConfig) -> Vec<Anchor> {
+    fn anchors_together(&self, board: &Board, track: usize, now: usize) -> Vec<Anchor> {
         let from = vector(board.places[board.at(self.since, track)]);
         let both = self.near.iter().filter(|(_, kin)| *kin > 0.05).filter_map(|&(j, kin)| {
             let place = board.places[board.at(self.since, j as usize)];
             Some((vector(place), vector(board.seen(now, j as usize)?), kin))
         });
-        self.weighted(&from, both.take(config.neighbours).collect(), config)
+        self.weighted(&from, both.take(NEIGHBOURS).collect())
     }
 
     /// Neighbours in the frame before, wherever they come from.
-    fn anchors_passing(&self, board: &Board, track: usize, step: &Step, config: &FillConfig) -> Vec<Anchor> {
+    fn anchors_passing(&self, board: &Board, track: usize, step: &Step) -> Vec<Anchor> {
         let at = board.places[board.at(step.before, track)];
         let Some(tree) = &step.tree else {
             return Vec::new();
         };
-        let near = nearest(tree, &at, config.neighbours.min(step.tracks.len()));
+        let near = nearest(tree, &at, NEIGHBOURS.min(step.tracks.len()));
         let both = near.into_iter().filter_map(|(_, i)| {
             let k = step.tracks[i];
             Some((
@@ -249,17 +247,12 @@ impl Lost {
                 1.0,
             ))
         });
-        self.weighted(&vector(at), both.collect(), config)
+        self.weighted(&vector(at), both.collect())
     }
 
     /// Pairs, nearest first, with weights that fall with their distance to `at`; none beyond the reach.
-    fn weighted(
-        &self,
-        at: &Vector3<f64>,
-        pairs: Vec<(Vector3<f64>, Vector3<f64>, f64)>,
-        config: &FillConfig,
-    ) -> Vec<Anchor> {
-        let reach = f64::from(config.reach) * self.spacing;
+    fn weighted(&self, at: &Vector3<f64>, pairs: Vec<(Vector3<f64>, Vector3<f64>, f64)>) -> Vec<Anchor> {
+        let reach = f64::from(REACH) * self.spacing;
         let far = |p: &Vector3<f64>| (p - at).norm();
         let pairs: Vec<_> = pairs.into_iter().filter(|(p, _, _)| far(p) <= reach).collect();
         let Some((middle, _, _)) = pairs.get(pairs.len() / 2) else {
@@ -296,17 +289,10 @@ impl Lost {
         })
     }
 
-    fn blindly(
-        &self,
-        board: &Board,
-        track: usize,
-        step: &Step,
-        earlier: Option<usize>,
-        config: &FillConfig,
-    ) -> Option<Guess> {
+    fn blindly(&self, board: &Board, track: usize, step: &Step, earlier: Option<usize>) -> Option<Guess> {
         let from = board.places[board.at(step.before, track)];
         let last = board.places[board.at(earlier?, track)];
-        let known = self.blind < config.blind_frames && last.iter().all(|v| v.is_finite());
+        let known = self.blind < BLIND_FRAMES && last.iter().all(|v| v.is_finite());
         known.then(|| Guess {
             place: 2.0 * vector(from) - vector(last),
             rotation: self.rotation,

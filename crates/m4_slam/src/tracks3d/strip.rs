@@ -67,19 +67,18 @@ pub(super) fn moving(frame: &PosedFrame) -> Sparse<f32> {
     })
 }
 
-/// Flow of pixels that `moves` and whose round trip is at most `trip_px`.
-pub(crate) fn way(flow: &Flow, trip: &[f32], moves: impl Fn(usize) -> bool, trip_px: f32) -> Sparse<[f32; 2]> {
+/// Flow whose round trip misses by more than this is not followed, pixels.
+const ROUND_TRIP_PX: f32 = 1.0;
+
+/// Flow of pixels that `moves` and whose round trip is at most [`ROUND_TRIP_PX`].
+pub(crate) fn way(flow: &Flow, trip: &[f32], moves: impl Fn(usize) -> bool) -> Sparse<[f32; 2]> {
     Sparse::new(flow.width, flow.height, |i| {
-        (moves(i) && trip[i] <= trip_px).then(|| [flow.u[i], flow.v[i]])
+        (moves(i) && trip[i] <= ROUND_TRIP_PX).then(|| [flow.u[i], flow.v[i]])
     })
 }
 
 /// Flow there and back between two frames, of what moves in each.
-pub(super) fn ways(
-    [a, b]: [&PosedFrame; 2],
-    source: &dyn FlowSource,
-    trip_px: f32,
-) -> Result<[Sparse<[f32; 2]>; 2], FlowError> {
+pub(super) fn ways([a, b]: [&PosedFrame; 2], source: &dyn FlowSource) -> Result<[Sparse<[f32; 2]>; 2], FlowError> {
     let size = a.rgb.size();
     let grey = |f: &PosedFrame| -> Vec<f32> {
         let luma = |c: &[u8; 3]| 0.299 * f32::from(c[0]) + 0.587 * f32::from(c[1]) + 0.114 * f32::from(c[2]);
@@ -107,8 +106,8 @@ pub(super) fn ways(
     }
     let moves = |f: &PosedFrame, i: usize| f.moving.data()[i] > 0;
     Ok([
-        way(&there, &round_trip_px(&there, &back), |i| moves(a, i), trip_px),
-        way(&back, &round_trip_px(&back, &there), |i| moves(b, i), trip_px),
+        way(&there, &round_trip_px(&there, &back), |i| moves(a, i)),
+        way(&back, &round_trip_px(&back, &there), |i| moves(b, i)),
     ])
 }
 

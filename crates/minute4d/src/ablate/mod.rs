@@ -176,7 +176,7 @@ impl Bench<'_> {
         if folder.join(Split::Train.file_name()).is_file() {
             return Ok(Some(folder));
         }
-        let tau = self.job.settings.megasam.tau_motion as f32;
+        let tau = m4_slam::megasam::TAU_MOTION as f32;
         for frame in &mut capture.frames {
             let Some(motion) = &frame.motion else { continue };
             let share = motion.map(|&m| f32::from(m) / 255.0);

@@ -7,9 +7,9 @@ use crate::record::plain_json;
 use crate::steps::Steps;
 use crate::{Error, Settings};
 use m4_scene::{Capture, CompactIds, CompactMask, Mask, Plane, Progress};
-use m4_slam::dense::{FlowSource, InverseSearch, TrackConfig};
+use m4_slam::dense::{FlowSource, InverseSearch};
 use m4_slam::instances::InstanceReport;
-use m4_slam::tracks3d::{CaptureClip, FlowTracker, QueryGrid, Tracker3d};
+use m4_slam::tracks3d::{CaptureClip, FlowTracker, QueryGrid, TrackConfig, Tracker3d};
 
 /// Refines masks, then follows points in them, each a step; gives what was found of things where anybody followed them.
 ///
@@ -24,9 +24,7 @@ pub(crate) fn apply(
     steps: &Steps<'_>,
 ) -> Result<(Capture, Option<InstanceReport>), Error> {
     let config = &settings.enhance;
-    let flow = InverseSearch {
-        config: settings.dense.flow.clone(),
-    };
+    let flow = InverseSearch;
     let mut report = None;
     if plan.things != Things::Nobody {
         let work = |progress: &dyn Progress| things(&capture, &plan.things, config, &flow, device, progress);
@@ -36,11 +34,10 @@ pub(crate) fn apply(
         }
         report = Some(found.report);
     }
-    let tracks = &settings.dense.tracks;
     if let Some(tracker) = tracker(&plan.points, settings, &flow, device)? {
         let clip = CaptureClip::new(&capture, settings.dense.working_side_px);
         let found = steps.keep("tracks", |progress| {
-            let followed = tracker.follow_grid(&clip, &grid(&plan.points, config, tracks), progress);
+            let followed = tracker.follow_grid(&clip, &grid(&plan.points, config), progress);
             followed.map(|found| found.tracks).map_err(EnhanceError::from)
         })?;
         capture.tracks = (found.count() > 0).then_some(found);
@@ -115,7 +112,7 @@ fn things(
     match who {
         Things::Nobody => Err(Error::NothingToEnhance),
         Things::Flow(pictures) => {
-            let follower = Follower::load(*pictures, config.follow.clone())?;
+            let follower = Follower::load(*pictures)?;
             masks(
                 capture.clone(),
                 &config.masks,
@@ -145,10 +142,10 @@ fn tracker<'a>(
 ) -> Result<Option<Box<dyn Tracker3d + 'a>>, Error> {
     match who {
         Points::Nobody => Ok(None),
-        Points::Flow if !settings.dense.tracks.enabled => Ok(None),
+        Points::Flow if !settings.dense.tracks => Ok(None),
         Points::Flow => Ok(Some(Box::new(FlowTracker {
             flow,
-            config: settings.dense.tracks.clone(),
+            config: TrackConfig::default(),
         }))),
         #[cfg(feature = "nets")]
         Points::Tapip3d(path) => {
@@ -171,21 +168,15 @@ fn tracker<'a>(
 
 /// Where points start.
 #[cfg_attr(not(feature = "nets"), expect(unused_variables, reason = "only networks need it"))]
-fn grid(who: &Points, config: &EnhanceConfig, tracks: &TrackConfig) -> QueryGrid {
-    let chains = QueryGrid {
-        every: tracks.every,
-        spacing_px: tracks.spacing_px,
-        most: tracks.most,
-        ..QueryGrid::default()
-    };
+fn grid(who: &Points, config: &EnhanceConfig) -> QueryGrid {
     match who {
         #[cfg(feature = "nets")]
         Points::Tapip3d(_) => QueryGrid {
             every: config.tapip3d.every,
             spacing_px: config.tapip3d.spacing_px,
             most: config.tapip3d.most,
-            ..chains
+            ..QueryGrid::default()
         },
-        _ => chains,
+        _ => QueryGrid::chains(),
     }
 }

@@ -1,6 +1,6 @@
 //! Settings of the enhancement.
 
-use m4_slam::instances::{FollowSettings, RefineSettings};
+use m4_slam::instances::RefineSettings;
 use serde::{Deserialize, Serialize};
 
 /// Who follows points of what moves.
@@ -37,9 +37,7 @@ impl Tracker {
 pub struct EnhanceConfig {
     /// How things are found and told apart.
     pub masks: RefineSettings,
-    /// How they are followed where no network with a memory does.
-    pub follow: FollowSettings,
-    /// What TAPIP3D is asked. Chains of flow have `dense.tracks`.
+    /// What TAPIP3D is asked.
     pub tapip3d: Tapip3dConfig,
 }
 

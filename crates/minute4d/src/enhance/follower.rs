@@ -3,13 +3,11 @@
 use crate::Error;
 use crate::geometry::{self, Segmenter};
 use m4_slam::dense::{self, FlowSource, InverseSearch};
-use m4_slam::instances::{FlowFollower, FollowSettings};
+use m4_slam::instances::FlowFollower;
 
 /// Classical flow, and a segmenter of single pictures or none.
 pub struct Follower {
-    flow: InverseSearch,
     pictures: Option<Box<dyn dense::Segmenter>>,
-    settings: FollowSettings,
     weights_hash: Option<String>,
 }
 
@@ -20,12 +18,10 @@ impl Follower {
     ///
     /// [`Error::NoSegmenter`] if the build has no networks; with networks [`Error::SegmenterWeights`] if weights are missing and
     /// [`Error::SegmenterLoad`] if they cannot be used.
-    pub fn load(pictures: Segmenter, settings: FollowSettings) -> Result<Self, Error> {
+    pub fn load(pictures: Segmenter) -> Result<Self, Error> {
         let resolved = geometry::resolve_segmenter(pictures)?;
         Ok(Self {
-            flow: InverseSearch::default(),
             pictures: resolved.load()?,
-            settings,
             weights_hash: resolved.weights_hash().map(str::to_owned),
         })
     }
@@ -33,13 +29,13 @@ impl Follower {
     /// What follows things.
     #[must_use]
     pub fn segmenter(&self) -> FlowFollower<'_> {
-        FlowFollower::new(&self.flow, self.pictures.as_deref(), self.settings.clone())
+        FlowFollower::new(&InverseSearch, self.pictures.as_deref())
     }
 
     /// The source of flow, to check maps of motion with.
     #[must_use]
     pub fn flow(&self) -> &dyn FlowSource {
-        &self.flow
+        &InverseSearch
     }
 
     /// BLAKE3 of the weights, for records.

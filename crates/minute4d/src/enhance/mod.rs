@@ -143,7 +143,7 @@ mod tests {
     use crate::{Category, Error};
     use m4_io::capture::{CaptureOptions, Split};
     use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Silent};
-    use m4_slam::instances::{FollowSettings, InstanceReport, RefineSettings};
+    use m4_slam::instances::{InstanceReport, RefineSettings};
 
     const SIZE: (usize, usize) = (96, 72);
 
@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn a_capture_gets_numbers_that_are_written_and_read() {
-        let follower = Follower::load(Segmenter::None, FollowSettings::default()).unwrap();
+        let follower = Follower::load(Segmenter::None).unwrap();
         let settings = RefineSettings::default();
         let (found, report) = masks(
             capture(12),
@@ -223,7 +223,7 @@ mod tests {
 
     #[test]
     fn a_frame_that_says_nothing_is_named() {
-        let follower = Follower::load(Segmenter::None, FollowSettings::default()).unwrap();
+        let follower = Follower::load(Segmenter::None).unwrap();
         let mut given = capture(4);
         given.frames[2].mask = None;
         let error = masks(given, &RefineSettings::default(), &follower.segmenter(), None, &Silent).unwrap_err();

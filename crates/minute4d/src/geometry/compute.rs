@@ -112,7 +112,7 @@ fn by_corners(
     observer: &dyn Observer,
 ) -> Result<(Capture, Found), Error> {
     let Clip { video, given, focal_px } = clip;
-    let flow = plan.flow(&settings.dense.flow, settings.megasam.flow_iterations, device)?;
+    let flow = plan.flow(settings.megasam.flow_iterations, device)?;
     let outlines = segmenter.load()?;
     let pictures: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
     let mono = match &given.depth {
@@ -120,7 +120,7 @@ fn by_corners(
         None => plan.depth(&pictures, focal_px, device, steps, observer)?,
     };
     if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
-        config.geometry.default_fov_deg = fov_rad.to_degrees();
+        config.default_fov_deg = fov_rad.to_degrees();
     }
     let flow = KeptFlow {
         source: flow.as_ref(),

@@ -109,7 +109,7 @@ mod tests {
             rgb,
             grey,
         });
-        let (search, memory) = (InverseSearch::default(), Memory::default());
+        let (search, memory) = (InverseSearch, Memory::default());
         let kept = KeptFlow {
             source: &search,
             shelf: &memory,

@@ -10,7 +10,8 @@ use crate::steps::Steps;
 use crate::{Error, Observer, Settings};
 use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, RgbImage, Video};
 use m4_slam::megasam::{
-    DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TrackingSize, reconstruct, resize_bilinear,
+    DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TAU_MOTION, TrackingSize, reconstruct,
+    resize_bilinear,
 };
 
 /// Share of moving pixels beyond which it is likelier that the network is misread than that so much moves (section 1.9).
@@ -66,7 +67,7 @@ pub(super) fn compute(
         let mut flow: Box<dyn PairFlow + '_> = match plan.raft_pairs(iterations, device)? {
             Some(raft) => raft,
             None => {
-                source = plan.flow(&settings.dense.flow, iterations, device)?;
+                source = plan.flow(iterations, device)?;
                 kept = KeptFlow {
                     source: source.as_ref(),
                     shelf: steps,
@@ -85,13 +86,12 @@ pub(super) fn compute(
     })?;
     drop(prior);
     warn(&geometry, known_focal_px.is_some() || fov_rad.is_some(), observer);
-    let tau = settings.megasam.tau_motion;
     drop(pictures);
-    let capture = assemble(video, &geometry, &given, tau);
+    let capture = assemble(video, &geometry, &given);
     let found = summary(&capture, &geometry, plan, &given);
     if found.moving_share > TOO_MUCH_MOTION {
         observer.warn(&format!(
-            "{:.0} % of all pixels count as moving; if that is wrong, `megasam.tau_motion` (now {tau}) is too low for this clip",
+            "{:.0} % of all pixels count as moving; if that is wrong, give masks of your own with --masks",
             100.0 * found.moving_share
         ));
     }
@@ -108,7 +108,7 @@ fn warn(geometry: &MegasamGeometry, focal_is_known: bool, observer: &dyn Observe
     }
 }
 
-fn assemble(video: Video, geometry: &MegasamGeometry, given: &Given, tau: f64) -> Capture {
+fn assemble(video: Video, geometry: &MegasamGeometry, given: &Given) -> Capture {
     let n = video.frames.len();
     let (moments, duration_s) = moments(&video);
     let frames = video.frames.into_iter().enumerate().map(|(i, frame)| {
@@ -116,7 +116,7 @@ fn assemble(video: Video, geometry: &MegasamGeometry, given: &Given, tau: f64) -
         let motion = geometry.static_at(i, w, h).map(|&m| 1.0 - m.clamp(0.0, 1.0));
         let mask = match &given.masks {
             Some(masks) => masks[i].clone().into(),
-            None => mask(&motion, frame.rgb.size(), tau),
+            None => mask(&motion, frame.rgb.size()),
         };
         CaptureFrame {
             name: format!("{i:05}"),
@@ -143,9 +143,9 @@ fn assemble(video: Video, geometry: &MegasamGeometry, given: &Given, tau: f64) -
 }
 
 /// What moves, at the size of the picture.
-fn mask(motion: &Plane<f32>, (width, height): (usize, usize), tau: f64) -> CompactMask {
+fn mask(motion: &Plane<f32>, (width, height): (usize, usize)) -> CompactMask {
     let full = resize_bilinear(motion, width, height);
-    CompactMask::from_fn(width, height, |x, y| f64::from(full.row(y)[x]) > tau)
+    CompactMask::from_fn(width, height, |x, y| f64::from(full.row(y)[x]) > TAU_MOTION)
 }
 
 fn summary(capture: &Capture, geometry: &MegasamGeometry, plan: &Plan, given: &Given) -> Found {

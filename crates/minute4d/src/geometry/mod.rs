@@ -56,6 +56,8 @@ struct Part<'a> {
     video: &'a m4_io::video::VideoOptions,
     sparse: &'a m4_slam::sparse::SparseConfig,
     dense: &'a m4_slam::dense::DenseConfig,
+    /// Of random samples.
+    seed: u64,
     /// What was asked for.
     geometry: &'a GeometryOptions,
     /// What that came to: the front end's name, and the hashes of its weights.
@@ -91,7 +93,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     let (_lock, earlier) = open(capture, job.existing)?;
     let mut settings = job.settings.clone();
     // chains of flow are made with the depth, unless somebody else follows points afterwards
-    settings.dense.tracks.enabled &= !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
+    settings.dense.tracks &= !matches!(settings.geometry.tracker, Tracker::None | Tracker::Tapip3d);
     let settings = &settings;
     let plan = frontend::plan(&settings.geometry.frontend, job.device.choice)?;
     let (asked, before) = match plan.cameras {
@@ -116,6 +118,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
         video: &settings.video,
         sparse: &settings.sparse,
         dense: &settings.dense,
+        seed: settings.sparse.seed,
         geometry: &settings.geometry,
         frontend: &name,
         weights: plan.hashes(),

@@ -5,7 +5,7 @@ use crate::Error;
 use crate::progress::Keeper;
 use m4_import::Imported;
 use m4_scene::Progress;
-use m4_slam::consistency::{self, Cause, CheckOptions, Consistency, ConsistencyError, Verdict};
+use m4_slam::consistency::{self, Cause, Consistency, ConsistencyError, Verdict};
 use m4_slam::dense::InverseSearch;
 use serde::Serialize;
 use std::fmt;
@@ -33,12 +33,7 @@ pub struct Repaired {
 /// the comparison is made again.
 pub(super) fn checked(mut imported: Imported, fix: bool, keeper: &Keeper<'_>) -> Result<(Checked, Imported), Error> {
     let check = |imported: &Imported| {
-        let found = consistency::check(
-            &imported.train,
-            &InverseSearch::default(),
-            &CheckOptions::default(),
-            keeper,
-        );
+        let found = consistency::check(&imported.train, &InverseSearch, keeper);
         found.map_err(|error| match error {
             ConsistencyError::Cancelled => Error::Stopped {
                 stage: STAGE,

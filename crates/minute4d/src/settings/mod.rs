@@ -152,7 +152,7 @@ impl Settings {
     /// Uses one seed for every random number.
     pub fn set_seed(&mut self, seed: u64) {
         self.train.seed = seed;
-        self.sparse.geometry.seed = seed;
+        self.sparse.seed = seed;
     }
 
     /// As TOML, every key with its value.

@@ -24,7 +24,7 @@ impl Settings {
             Enhancement::Segmentation => self.geometry.segmenter = Segmenter::None,
             Enhancement::Tracking => {
                 self.geometry.tracker = Tracker::None;
-                self.dense.tracks.enabled = false;
+                self.dense.tracks = false;
                 self.init.tracks = false;
             }
             Enhancement::Density => self.train.density.enabled = false,

@@ -2,7 +2,7 @@
 
 mod room;
 
-use super::{Cause, CheckOptions, Verdict, check, fixed};
+use super::{Cause, Verdict, check, fixed};
 use crate::dense::InverseSearch;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_scene::{Capture, CompactDepth, CompactMask, Silent};
@@ -31,9 +31,9 @@ fn every_usual_misreading_is_told() {
 }
 
 fn tell_all(truth: Capture) {
-    let flow = InverseSearch::default();
+    let flow = InverseSearch;
     let said = |capture: &Capture| {
-        let report = check(capture, &flow, &CheckOptions::default(), &Silent).unwrap();
+        let report = check(capture, &flow, &Silent).unwrap();
         println!("{report:?}");
         report
     };
@@ -116,8 +116,8 @@ fn poses_without_depth_are_checked_too() {
 
 fn tell_without_depth(mut truth: Capture) {
     truth.frames.iter_mut().for_each(|f| f.depth = None);
-    let flow = InverseSearch::default();
-    let said = |capture: &Capture| check(capture, &flow, &CheckOptions::default(), &Silent).unwrap();
+    let flow = InverseSearch;
+    let said = |capture: &Capture| check(capture, &flow, &Silent).unwrap();
     let good = said(&truth);
     println!("{good:?}");
     assert_eq!((good.verdict, good.depth_error), (Verdict::Good, None));
@@ -134,6 +134,6 @@ fn tell_without_depth(mut truth: Capture) {
 fn a_camera_that_rests_says_nothing() {
     let mut still = room::room();
     still.frames = vec![still.frames[0].clone(); 8];
-    let report = check(&still, &InverseSearch::default(), &CheckOptions::default(), &Silent).unwrap();
+    let report = check(&still, &InverseSearch, &Silent).unwrap();
     assert_eq!((report.verdict, report.causes.len()), (Verdict::Unknown, 0));
 }

@@ -1,7 +1,8 @@
 //! The two stages, plainly.
 
 use super::{DISPARITY, Problem, UNCERTAINTY, clamp, edge_weight, within};
-use crate::cvd::{CvdSettings, Stage};
+use crate::cvd::CvdSettings;
+use crate::cvd::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS};
 use m4_math::Real;
 
 /// Adam (Kingma and Ba) with decays 0.9 and 0.999.
@@ -27,7 +28,7 @@ impl<T: Real> Adam<T> {
     }
 
     /// One step; what is not a number in `gradient` counts as 0.
-    pub fn step(&mut self, x: &mut [T], gradient: &[T], learning_rate: f64, epsilon: f64) {
+    pub fn step(&mut self, x: &mut [T], gradient: &[T], learning_rate: f64) {
         self.steps += 1;
         let [first, second] = DECAY.map(|beta| 1.0 - beta.powi(self.steps));
         let rate = T::of(learning_rate / first);
@@ -41,7 +42,7 @@ impl<T: Real> Adam<T> {
             };
             self.m[i] = b1 * self.m[i] + (T::one() - b1) * g;
             self.v[i] = b2 * self.v[i] + (T::one() - b2) * g * g;
-            x[i] -= rate * self.m[i] / (self.v[i].sqrt() / root + T::of(epsilon));
+            x[i] -= rate * self.m[i] / (self.v[i].sqrt() / root + T::of(ADAM_EPSILON));
         }
     }
 }
@@ -76,7 +77,7 @@ fn affine<T: Real>(initial: &[T], log_scale: &[T], shift: &[T]) -> Vec<T> {
     initial.iter().enumerate().map(at).collect()
 }
 
-/// Both stages from `problem.initial` and `uncertainty`; `settings.working_percentile_98` is not looked at.
+/// Both stages from `problem.initial` and `uncertainty`, which are taken in the unit that they have.
 /// `problem.edge_weight` and the limits of `problem.initial` are set here.
 #[must_use]
 pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], settings: &CvdSettings) -> Trajectory<T> {
@@ -95,17 +96,12 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], settings: &CvdS
         uncertainty: uncertainty.to_vec(),
         losses: [Vec::new(), Vec::new()],
     };
-    let Stage {
-        steps,
-        learning_rate,
-        weights,
-    } = settings.stage1;
     let mut adam = [Adam::new(frames), Adam::new(frames), Adam::new(start.len())];
-    for _ in 0..steps {
+    for _ in 0..settings.steps[0] {
         let raw = affine(&start, &out.log_scale, &out.shift);
         let seen = seen_disparity(&start, &out.log_scale, &out.shift);
         let u: Vec<T> = out.uncertainty.iter().map(|&u| clamp(u, UNCERTAINTY)).collect();
-        let total = problem.total(&seen, &u, &weights);
+        let total = problem.total(&seen, &u, &WEIGHTS[0]);
         out.losses[0].push(total.value);
         let (mut scale, mut shift) = (vec![T::zero(); frames], vec![T::zero(); frames]);
         for i in 0..raw.len() {
@@ -114,36 +110,26 @@ pub fn descend<T: Real>(problem: &Problem<T>, uncertainty: &[T], settings: &CvdS
                 shift[i / n] += total.disparity[i];
             }
         }
-        adam[0].step(&mut out.log_scale, &scale, learning_rate, settings.adam_epsilon);
-        adam[1].step(&mut out.shift, &shift, learning_rate, settings.adam_epsilon);
+        adam[0].step(&mut out.log_scale, &scale, LEARNING_RATE[0]);
+        adam[1].step(&mut out.shift, &shift, LEARNING_RATE[0]);
         let gradient = gated(&out.uncertainty, &total.uncertainty, UNCERTAINTY);
-        adam[2].step(&mut out.uncertainty, &gradient, learning_rate, settings.adam_epsilon);
+        adam[2].step(&mut out.uncertainty, &gradient, LEARNING_RATE[0]);
     }
     out.disparity = affine(&start, &out.log_scale, &out.shift);
     problem.initial = affine(&problem.initial, &out.log_scale, &out.shift)
         .into_iter()
         .map(|d| clamp(d, DISPARITY))
         .collect();
-    let Stage {
-        steps,
-        learning_rate,
-        weights,
-    } = settings.stage2;
     let mut adam = [Adam::new(start.len()), Adam::new(start.len())];
-    for _ in 0..steps {
+    for _ in 0..settings.steps[1] {
         let seen: Vec<T> = out.disparity.iter().map(|&d| clamp(d, DISPARITY)).collect();
         let u: Vec<T> = out.uncertainty.iter().map(|&u| clamp(u, UNCERTAINTY)).collect();
-        let total = problem.total(&seen, &u, &weights);
+        let total = problem.total(&seen, &u, &WEIGHTS[1]);
         out.losses[1].push(total.value);
         let by_disparity = gated(&out.disparity, &total.disparity, DISPARITY);
         let by_uncertainty = gated(&out.uncertainty, &total.uncertainty, UNCERTAINTY);
-        adam[0].step(&mut out.disparity, &by_disparity, learning_rate, settings.adam_epsilon);
-        adam[1].step(
-            &mut out.uncertainty,
-            &by_uncertainty,
-            learning_rate,
-            settings.adam_epsilon,
-        );
+        adam[0].step(&mut out.disparity, &by_disparity, LEARNING_RATE[1]);
+        adam[1].step(&mut out.uncertainty, &by_uncertainty, LEARNING_RATE[1]);
     }
     out
 }

@@ -100,7 +100,7 @@ fn loss_and_gradients_are_those_of_the_definition() {
             let mut fast = descent(level, &problem, &store, &f32s(&problem.initial), &u0);
             fast.begin();
             for step in 1..=3 {
-                fast.step(Moves::Pixels, &Weights::default(), 5e-3, 1e-8, step).unwrap();
+                fast.step(Moves::Pixels, &Weights::STAGE2, 5e-3, 1e-8, step).unwrap();
             }
             let [d, u] = [flat(fast.disparity()), flat(fast.uncertainty())];
             // the moments of the steps so far would be added to the gradient
@@ -145,8 +145,7 @@ fn eight_steps_of_both_stages_are_those_of_the_original() {
     let (store, problem) = compacted(usize::MAX);
     let want = Tensors::open("optimiser.safetensors");
     let u0 = f32s(&Tensors::open("losses.safetensors").get("uncertainty"));
-    let mut settings = CvdSettings::default();
-    (settings.stage1.steps, settings.stage2.steps) = (8, 8);
+    let settings = CvdSettings { steps: [8, 8] };
     on_every_level(&SimdLevel::available(), SimdLevel::name, &LEVELS, |level| {
         let mut fast = descent(level, &problem, &store, &f32s(&problem.initial), &u0);
         let Course { affine, losses, .. } = run(&mut fast, 16, &settings, &Silent, &NoShelf).unwrap();
@@ -179,8 +178,7 @@ fn eight_steps_of_both_stages_are_those_of_the_original() {
 fn a_whole_descent_ends_where_the_definition_ends() {
     let (store, problem) = compacted(usize::MAX);
     let u0 = Tensors::open("losses.safetensors").get("uncertainty");
-    let mut settings = CvdSettings::default();
-    (settings.stage1.steps, settings.stage2.steps) = (30, 60);
+    let settings = CvdSettings { steps: [30, 60] };
     let want = descend(&problem, &u0, &settings);
     let mut fast = descent(SimdLevel::best(), &problem, &store, &f32s(&problem.initial), &f32s(&u0));
     let Course { losses, .. } = run(&mut fast, 16, &settings, &Silent, &NoShelf).unwrap();
@@ -198,8 +196,7 @@ fn a_whole_descent_ends_where_the_definition_ends() {
 fn bits(threads: usize, budget: usize) -> Vec<u32> {
     let (store, problem) = compacted(budget);
     let u0 = f32s(&Tensors::open("losses.safetensors").get("uncertainty"));
-    let mut settings = CvdSettings::default();
-    (settings.stage1.steps, settings.stage2.steps) = (3, 4);
+    let settings = CvdSettings { steps: [3, 4] };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| {
         let mut fast = descent(SimdLevel::best(), &problem, &store, &f32s(&problem.initial), &u0);

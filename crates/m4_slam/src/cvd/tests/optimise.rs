@@ -108,9 +108,9 @@ fn even() -> Vec<Plane<f32>> {
 }
 
 fn settings(stage1: usize, stage2: usize) -> CvdSettings {
-    let mut settings = CvdSettings::default();
-    (settings.stage1.steps, settings.stage2.steps) = (stage1, stage2);
-    settings
+    CvdSettings {
+        steps: [stage1, stage2],
+    }
 }
 
 /// Mean of |depth - truth| / truth, without any alignment.
@@ -246,9 +246,8 @@ fn broken_inputs_are_refused_with_a_reason() {
     let clip = clip(1.0, |_| false);
     let u = even();
     let good = input(&clip, &u);
-    let quick = settings(1, 1);
-    let message = |input: &CvdInput<'_>, pairs: &PairStore, settings: &CvdSettings| {
-        optimise(input, pairs, settings, &Silent, &NoShelf)
+    let message = |input: &CvdInput<'_>, pairs: &PairStore| {
+        optimise(input, pairs, &settings(1, 1), &Silent, &NoShelf)
             .unwrap_err()
             .to_string()
     };
@@ -256,18 +255,18 @@ fn broken_inputs_are_refused_with_a_reason() {
         c2w: &clip.c2w[1..],
         ..good
     };
-    assert!(message(&short, &clip.pairs, &quick).contains("disparity has 10 entries where 9"));
+    assert!(message(&short, &clip.pairs).contains("disparity has 10 entries where 9"));
     let mut holes = clip.start.clone();
     holes[3].data_mut()[7] = f32::NAN;
     let holed = CvdInput {
         disparity: &holes,
         ..good
     };
-    let text = message(&holed, &clip.pairs, &quick);
+    let text = message(&holed, &clip.pairs);
     assert!(text.contains("frame 3") && text.contains("NaN"), "{text}");
     let mut intrinsics = clip.intrinsics;
     intrinsics.fx = -1.0;
-    assert!(message(&CvdInput { intrinsics, ..good }, &clip.pairs, &quick).contains("focal"));
+    assert!(message(&CvdInput { intrinsics, ..good }, &clip.pairs).contains("focal"));
     let flow = |store: &mut PairStore, source, target, mask: bool| {
         let n = SIZE.0 * SIZE.1;
         let zero = vec![0.0; n];
@@ -281,14 +280,11 @@ fn broken_inputs_are_refused_with_a_reason() {
     };
     let mut far = PairStore::new(SIZE.0, SIZE.1, 0);
     flow(&mut far, 0, 10, true).unwrap();
-    assert!(message(&good, &far, &quick).contains("there are 10 frames"));
+    assert!(message(&good, &far).contains("there are 10 frames"));
     assert!(matches!(flow(&mut far, 0, 10, true), Err(PairError::Pair { .. })));
     let mut nothing = PairStore::new(SIZE.0, SIZE.1, 0);
     flow(&mut nothing, 0, 1, false).unwrap();
-    assert!(message(&good, &nothing, &quick).contains("no pixel"));
-    let mut wrong = settings(1, 1);
-    wrong.stage2.weights.normal = f64::NAN;
-    assert!(message(&good, &clip.pairs, &wrong).contains("weights"));
+    assert!(message(&good, &nothing).contains("no pixel"));
 }
 
 #[test]

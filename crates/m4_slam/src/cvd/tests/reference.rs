@@ -101,10 +101,9 @@ fn normals_and_edge_weights_are_those_of_the_original() {
 fn eight_steps_of_both_stages_are_those_of_the_original() {
     let file = Tensors::open("losses.safetensors");
     let want = Tensors::open("optimiser.safetensors");
-    let mut settings = CvdSettings::default();
     for steps in [1, 8] {
         // the second stage starts where eight steps of the first one lead
-        (settings.stage1.steps, settings.stage2.steps) = (8, steps);
+        let settings = CvdSettings { steps: [8, steps] };
         let got = descend(&problem::<f64>(&file), &file.get("uncertainty"), &settings);
         assert_gradient(
             "s2 disparity",
@@ -115,7 +114,7 @@ fn eight_steps_of_both_stages_are_those_of_the_original() {
         assert_gradient("s2 u", &got.uncertainty, &want.get(&format!("s2_u_{steps}")), 1e-8);
         assert_gradient("s1 losses", &got.losses[0], &want.get("s1_losses"), 1e-8);
         assert_gradient("s2 losses", &got.losses[1], &want.get("s2_losses")[..steps], 1e-8);
-        (settings.stage1.steps, settings.stage2.steps) = (steps, 0);
+        let settings = CvdSettings { steps: [steps, 0] };
         let got = descend(&problem::<f64>(&file), &file.get("uncertainty"), &settings);
         assert_gradient(
             "scale",
@@ -139,7 +138,7 @@ fn gradients_are_central_differences() {
     let weights = Weights {
         gradient: 0.0,
         prior: 2.0,
-        ..Weights::default()
+        ..Weights::STAGE2
     };
     let (d, u) = (file.get("disp"), file.get("uncertainty"));
     let total = p.total(&d, &u, &weights);

@@ -1,9 +1,11 @@
 //! Where the pixels of a part are seen in other frames, for dense bundle adjustment.
 
-use super::super::config::BodyConfig;
 use super::super::flow::FlowPair;
-use super::{Clip, Tracklet};
+use super::{BLOCK_PX, Clip, ROUND_TRIP_PX, Tracklet};
 use crate::dba::{Factor, Grid};
+
+/// Over how many frames a region is compared with itself, each both ways; rising.
+const SPANS: [usize; 3] = [1, 3, 8];
 
 /// The flow at a pixel from frame `i` to a neighbour, and how far its round trip misses.
 fn step(flows: &[FlowPair], i: usize, later: bool, x: f32, y: f32, w: usize, h: usize) -> (f32, f32, f32) {
@@ -41,33 +43,19 @@ impl Inside {
     }
 }
 
-/// The edges of every frame to those `config.spans` before and after; frames are counted from the tracklet's first.
-pub(super) fn factors(
-    clip: &Clip<'_>,
-    tracklet: &Tracklet,
-    inside: &Inside,
-    grid: Grid,
-    config: &BodyConfig,
-) -> Vec<Factor<f32>> {
+/// The edges of every frame to those [`SPANS`] before and after; frames are counted from the tracklet's first.
+pub(super) fn factors(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid) -> Vec<Factor<f32>> {
     let mut out = Vec::new();
     for k in 0..tracklet.parts.len() {
         for later in [true, false] {
-            out.extend(chain(clip, tracklet, inside, grid, config, k, later));
+            out.extend(chain(clip, tracklet, inside, grid, k, later));
         }
     }
     out
 }
 
-fn chain(
-    clip: &Clip<'_>,
-    tracklet: &Tracklet,
-    inside: &Inside,
-    grid: Grid,
-    config: &BodyConfig,
-    k: usize,
-    later: bool,
-) -> Vec<Factor<f32>> {
-    let (w, h, block) = (clip.width, clip.height, config.block_px as f32);
+fn chain(clip: &Clip<'_>, tracklet: &Tracklet, inside: &Inside, grid: Grid, k: usize, later: bool) -> Vec<Factor<f32>> {
+    let (w, h, block) = (clip.width, clip.height, BLOCK_PX as f32);
     let n = grid.len();
     let (mut px, mut py, mut miss) = (vec![0.0f32; n], vec![0.0f32; n], vec![f32::INFINITY; n]);
     for g in 0..n {
@@ -76,10 +64,9 @@ fn chain(
             (px[g], py[g], miss[g]) = (x, y, 0.0);
         }
     }
-    let longest = config.spans.iter().copied().max().unwrap_or(0);
     let mut out = Vec::new();
     let mut at = k;
-    for span in 1..=longest {
+    for span in 1..=SPANS[SPANS.len() - 1] {
         let next = if later { at + 1 } else { at.wrapping_sub(1) };
         if next >= tracklet.parts.len() {
             break;
@@ -90,14 +77,14 @@ fn chain(
             }
             let (u, v, trip) = step(clip.flows, tracklet.first + at, later, px[g], py[g], w, h);
             (px[g], py[g]) = (px[g] + u, py[g] + v);
-            miss[g] = if trip < config.round_trip_px && inside.at(next, px[g], py[g], w, h) {
+            miss[g] = if trip < ROUND_TRIP_PX && inside.at(next, px[g], py[g], w, h) {
                 miss[g].hypot(trip)
             } else {
                 f32::INFINITY
             };
         }
         at = next;
-        if config.spans.contains(&span) {
+        if SPANS.contains(&span) {
             let weight: Vec<f32> = miss
                 .iter()
                 .map(|m| if m.is_finite() { 1.0 / (1.0 + m * m) } else { 0.0 })

@@ -5,8 +5,7 @@
 //! the same pair of labels.
 
 use super::super::components::Components;
-use super::super::config::BodyConfig;
-use super::Clip;
+use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, SHORTEST};
 use std::collections::{BTreeMap, VecDeque};
 
 /// Least share of its pixels that a label must keep, to be in a part at all.
@@ -17,13 +16,13 @@ const ALL_BUT: f32 = 0.97;
 const PAIR: f32 = 0.5;
 
 /// The regions of every frame.
-pub(super) fn regions(clip: &Clip<'_>, config: &BodyConfig) -> Vec<Components> {
+pub(super) fn regions(clip: &Clip<'_>) -> Vec<Components> {
     let (w, h) = (clip.width, clip.height);
     let parts: Vec<Components> = clip.moving.iter().map(|m| Components::of(w, h, m)).collect();
-    let least = ((config.least_share * (w * h) as f32) as usize).max(1);
+    let least = ((LEAST_SHARE * (w * h) as f32) as usize).max(1);
     let (later, earlier) = rayon::join(
-        || carry(clip, &parts, least, true, config),
-        || carry(clip, &parts, least, false, config),
+        || carry(clip, &parts, least, true),
+        || carry(clip, &parts, least, false),
     );
     parts
         .into_iter()
@@ -33,7 +32,7 @@ pub(super) fn regions(clip: &Clip<'_>, config: &BodyConfig) -> Vec<Components> {
 }
 
 /// Labels (`[height][width]` by frame, 0 outside the masks) carried from one end of the clip to the other.
-fn carry(clip: &Clip<'_>, parts: &[Components], least: usize, later: bool, config: &BodyConfig) -> Vec<Vec<u32>> {
+fn carry(clip: &Clip<'_>, parts: &[Components], least: usize, later: bool) -> Vec<Vec<u32>> {
     let n = parts.len();
     let mut out: Vec<Vec<u32>> = vec![Vec::new(); n];
     let mut fresh = 0u32;
@@ -43,7 +42,7 @@ fn carry(clip: &Clip<'_>, parts: &[Components], least: usize, later: bool, confi
     for step in 0..n {
         let t = if later { step } else { n - 1 - step };
         let labels = match before {
-            Some(s) => next(clip, &parts[t], &out[s], (s, t), least, config, &age, &mut fresh),
+            Some(s) => next(clip, &parts[t], &out[s], (s, t), least, &age, &mut fresh),
             None => own(&parts[t], &mut fresh),
         };
         for pixels in &parts[t].pixels {
@@ -66,17 +65,12 @@ fn own(parts: &Components, fresh: &mut u32) -> Vec<u32> {
 }
 
 /// The labels of frame `t` from those of its neighbour `s`.
-#[expect(
-    clippy::too_many_arguments,
-    reason = "one step of a loop, in a function of its own to be read alone"
-)]
 fn next(
     clip: &Clip<'_>,
     parts: &Components,
     known: &[u32],
     (s, t): (usize, usize),
     least: usize,
-    config: &BodyConfig,
     age: &BTreeMap<u32, usize>,
     fresh: &mut u32,
 ) -> Vec<u32> {
@@ -99,7 +93,7 @@ fn next(
         for &p in pixels {
             let p = p as usize;
             let (x, y) = ((p % w) as f32 + flow.u[p] + 0.5, (p / w) as f32 + flow.v[p] + 0.5);
-            if trip[p] > config.round_trip_px || !(x >= 0.0 && y >= 0.0) {
+            if trip[p] > ROUND_TRIP_PX || !(x >= 0.0 && y >= 0.0) {
                 continue;
             }
             let (x, y) = (x as usize, y as usize);
@@ -117,8 +111,7 @@ fn next(
         // What was apart for a moment only is a flaw of the masks.
         let kept = |l: u32, n: usize| {
             n as f32 >= KEPT * area[&l] as f32
-                && (Some((l, n)) == first
-                    || !alone && n >= least / 2 && age.get(&l).is_some_and(|a| *a >= config.shortest))
+                && (Some((l, n)) == first || !alone && n >= least / 2 && age.get(&l).is_some_and(|a| *a >= SHORTEST))
         };
         heirs.push(votes.into_iter().filter(|(l, n)| kept(*l, *n)).collect());
     }

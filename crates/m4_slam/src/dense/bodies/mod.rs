@@ -25,7 +25,6 @@ mod tracklet;
 #[cfg(test)]
 mod tests;
 
-use super::config::{BodyConfig, MovingDepthConfig};
 use super::densify::each;
 use super::error::DenseError;
 use super::flow::FlowPair;
@@ -33,6 +32,17 @@ use super::smooth::Smoother;
 use m4_scene::{Camera, Progress};
 use rayon::prelude::*;
 pub(super) use tracklet::{Tracklet, follow};
+
+/// Distance of the pixels that are adjusted, pixels at the working size.
+const BLOCK_PX: usize = 4;
+/// Regions smaller than this share of the image are not shaped.
+const LEAST_SHARE: f32 = 0.002;
+/// Fewest frames of a region.
+const SHORTEST: usize = 5;
+/// Flow whose round trip misses by more than this is not followed, pixels at the working size.
+pub(super) const ROUND_TRIP_PX: f32 = 1.5;
+/// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
+const FILL_LAMBDA: f32 = 100.0;
 
 /// What is known of the clip.
 pub(super) struct Clip<'a> {
@@ -49,7 +59,7 @@ pub(super) struct Clip<'a> {
 }
 
 /// Replaces the disparity of moving parts, `[height][width]` by frame, where a part could be followed long
-/// enough to be understood as a body.
+/// enough to be understood as a body; `falling`: what flies takes its distance from how it falls, where there is a ground.
 ///
 /// # Errors
 ///
@@ -57,17 +67,16 @@ pub(super) struct Clip<'a> {
 pub(super) fn place<'s>(
     clip: &Clip<'_>,
     smoother: impl Fn(usize) -> Smoother + Sync + 's,
-    contact: &MovingDepthConfig,
-    config: &BodyConfig,
+    falling: bool,
     disparity: &mut [Vec<f32>],
     progress: &dyn Progress,
 ) -> Result<(), DenseError> {
-    let tracklets = follow(clip, config);
+    let tracklets = follow(clip);
     let before: &[Vec<f32>] = disparity;
     let bodies = each(tracklets.len(), "shaping moving parts", progress, |i| {
         let t = &tracklets[i];
-        let shape = rigid::reconstruct(clip, t, before, config)?;
-        let reading = scale::read(clip, t, &shape, contact, config)?;
+        let shape = rigid::reconstruct(clip, t, before)?;
+        let reading = scale::read(clip, t, &shape)?;
         Some((t, shape, reading))
     })?;
     let bodies: Vec<_> = bodies.into_iter().flatten().collect();
@@ -77,10 +86,8 @@ pub(super) fn place<'s>(
         .zip(&scales)
         .map(|((t, _, _), s)| vec![*s; t.parts.len()])
         .collect();
-    if config.falling
-        && let Some(ground) = ground::find(clip)
-    {
-        fall(clip, &ground, &bodies, contact, config, &mut scales);
+    if falling && let Some(ground) = ground::find(clip) {
+        fall(clip, &ground, &bodies, &mut scales);
     }
     // Part by part onto the pixels, along the edges of the picture.
     let mut values: Vec<Vec<(u32, f32)>> = vec![Vec::new(); disparity.len()];
@@ -91,7 +98,7 @@ pub(super) fn place<'s>(
     }
     disparity.par_iter_mut().enumerate().for_each(|(i, disparity)| {
         if !values[i].is_empty() {
-            spread(clip, i, &smoother(i), &bodies, &values[i], config, disparity);
+            spread(clip, i, &smoother(i), &bodies, &values[i], disparity);
         }
     });
     Ok(())
@@ -102,8 +109,6 @@ fn fall(
     clip: &Clip<'_>,
     ground: &ground::Ground,
     bodies: &[(&Tracklet, rigid::Shape, scale::Reading)],
-    contact: &MovingDepthConfig,
-    config: &BodyConfig,
     scales: &mut [Vec<f32>],
 ) {
     let typical = |shape: &rigid::Shape, k: usize| {
@@ -134,7 +139,7 @@ fn fall(
             .enumerate()
             .map(|(k, z)| match z {
                 Some(z) => typical(shape, k).map(|d| 1.0 / (*z as f32 * d)),
-                None => scale::standing(clip, tracklet, shape, k, contact, config),
+                None => scale::standing(clip, tracklet, shape, k),
             })
             .collect();
         scale::between(&known, scales);
@@ -148,7 +153,6 @@ fn spread(
     smoother: &Smoother,
     bodies: &[(&Tracklet, rigid::Shape, scale::Reading)],
     values: &[(u32, f32)],
-    config: &BodyConfig,
     disparity: &mut [f32],
 ) {
     let n = clip.width * clip.height;
@@ -157,7 +161,7 @@ fn spread(
         value[p as usize] = d;
         weight[p as usize] = 1.0;
     }
-    let (filled, reach) = smoother.fill(&value, &weight, config.fill_lambda);
+    let (filled, reach) = smoother.fill(&value, &weight, FILL_LAMBDA);
     for (tracklet, _, _) in bodies {
         let Some(pixels) = i.checked_sub(tracklet.first).and_then(|k| tracklet.parts.get(k)) else {
             continue;

@@ -1,17 +1,28 @@
 //! A part as a rigid body: dense bundle adjustment of the camera against it.
 
-use super::super::config::BodyConfig;
 use super::edges::{Inside, factors};
-use super::{Clip, Tracklet};
+use super::{BLOCK_PX, Clip, Tracklet};
 use crate::dba::{DbaOptions, Free, Geometry, Grid, Pinhole, Problem, Robust, adjust};
 use m4_math::Se3;
 use m4_scene::Camera;
 use nalgebra::Vector3;
 
+/// Fewest adjusted pixels per frame.
+const LEAST_POINTS: usize = 12;
+/// Noise of the flow, pixels at the working size (scale of the Cauchy weight).
+const NOISE_PX: f32 = 0.6;
+/// Weight of the disparity that contact suggests.
+const PRIOR: f32 = 0.001;
+/// Share of the relief of a region that is kept, 0..1; the rest is drawn to a plane.
+const RELIEF: f32 = 0.5;
+/// Iterations with the shape held.
+const POSE_ITERATIONS: usize = 6;
+/// Iterations of all variables.
+const ITERATIONS: usize = 20;
+
 /// What adjustment made of a part, up to one factor.
 pub(super) struct Shape {
     grid: Grid,
-    block: usize,
     /// World to camera by frame of the tracklet, the world being fixed to the body.
     pub poses: Vec<Se3<f64>>,
     /// `[grid height][grid width]` by frame; 0 where nothing is known.
@@ -45,7 +56,7 @@ impl Shape {
             .enumerate()
             .filter(|(_, d)| **d > 0.0)
             .map(move |(g, d)| {
-                let (x, y) = (g % self.grid.width * self.block, g / self.grid.width * self.block);
+                let (x, y) = (g % self.grid.width * BLOCK_PX, g / self.grid.width * BLOCK_PX);
                 ((y * clip.width + x) as u32, *d)
             })
     }
@@ -58,25 +69,20 @@ fn ray(camera: &Camera, x: usize, y: usize) -> Vector3<f64> {
 }
 
 /// Adjusts one part; `before` is the disparity that it was believed to have.
-pub(super) fn reconstruct(
-    clip: &Clip<'_>,
-    tracklet: &Tracklet,
-    before: &[Vec<f32>],
-    config: &BodyConfig,
-) -> Option<Shape> {
-    let (w, h, block) = (clip.width, clip.height, config.block_px);
+pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f32>]) -> Option<Shape> {
+    let (w, h) = (clip.width, clip.height);
     let grid = Grid {
-        width: w.div_ceil(block),
-        height: h.div_ceil(block),
+        width: w.div_ceil(BLOCK_PX),
+        height: h.div_ceil(BLOCK_PX),
     };
     let inside = Inside::of(clip, tracklet);
-    let edges = factors(clip, tracklet, &inside, grid, config);
+    let edges = factors(clip, tracklet, &inside, grid);
     let frames = tracklet.parts.len();
     let sensor: Vec<Vec<f32>> = (0..frames)
         .map(|k| {
             (0..grid.len())
                 .map(|g| {
-                    let (x, y) = (g % grid.width * block, g / grid.width * block);
+                    let (x, y) = (g % grid.width * BLOCK_PX, g / grid.width * BLOCK_PX);
                     if inside.at(k, x as f32, y as f32, w, h) {
                         before[tracklet.first + k][y * w + x]
                     } else {
@@ -89,7 +95,7 @@ pub(super) fn reconstruct(
     // Disparities count in units of the part's own, so that one prior fits near and far parts.
     let known: Vec<f32> = sensor.iter().flatten().copied().filter(|d| *d > 0.0).collect();
     let unit = known.iter().sum::<f32>() / known.len().max(1) as f32;
-    if unit <= 0.0 || known.len() < config.least_points * frames {
+    if unit <= 0.0 || known.len() < LEAST_POINTS * frames {
         return None;
     }
     let scaled = |camera: &Camera| {
@@ -104,7 +110,7 @@ pub(super) fn reconstruct(
     let k = clip.cameras[tracklet.first].intrinsics;
     let mut geometry = Geometry {
         grid,
-        lens: Pinhole::of_picture(k.fx, k.fy, k.cx, k.cy, block as f64),
+        lens: Pinhole::of_picture(k.fx, k.fy, k.cx, k.cy, BLOCK_PX as f64),
         poses: clip.cameras[tracklet.first..tracklet.first + frames]
             .iter()
             .map(scaled)
@@ -123,12 +129,12 @@ pub(super) fn reconstruct(
     };
     let options = DbaOptions {
         free: Free::Poses,
-        iterations: config.pose_iterations,
+        iterations: POSE_ITERATIONS,
         lm: 1e-4,
         ep: 1e-4,
-        prior_alpha: Some(f64::from(config.prior)),
+        prior_alpha: Some(f64::from(PRIOR)),
         robust: Robust::Cauchy {
-            scale_px: f64::from(config.noise_px) / block as f64,
+            scale_px: f64::from(NOISE_PX) / BLOCK_PX as f64,
         },
         min_depth: 0.1,
         #[cfg(test)]
@@ -137,7 +143,7 @@ pub(super) fn reconstruct(
     adjust(&mut geometry, &problem, 1..frames, &options).ok()?;
     let options = DbaOptions {
         free: Free::PosesAndDepth,
-        iterations: config.iterations,
+        iterations: ITERATIONS,
         ..options
     };
     let report = adjust(&mut geometry, &problem, 1..frames, &options).ok()?;
@@ -156,23 +162,18 @@ pub(super) fn reconstruct(
         })
         .collect();
     for d in &mut disparity {
-        tilt(grid.width, d, config.relief);
+        tilt(grid.width, d);
     }
     let mut poses = geometry.poses;
     for pose in &mut poses {
         pose.translation /= f64::from(unit);
     }
-    Some(Shape {
-        grid,
-        block,
-        poses,
-        disparity,
-    })
+    Some(Shape { grid, poses, disparity })
 }
 
-/// Draws disparities towards the plane that fits them best (a plane of the scene is one of disparity), `relief` being the
-/// share of what lies off it that stays.
-fn tilt(width: usize, disparity: &mut [f32], relief: f32) {
+/// Draws disparities towards the plane that fits them best (a plane of the scene is one of disparity); [`RELIEF`] of what lies off
+/// it stays.
+fn tilt(width: usize, disparity: &mut [f32]) {
     use nalgebra::{Matrix3, Vector3};
     let mut weights: Vec<f64> = disparity.iter().map(|d| if *d > 0.0 { 1.0 } else { 0.0 }).collect();
     let mut plane = Vector3::zeros();
@@ -204,7 +205,7 @@ fn tilt(width: usize, disparity: &mut [f32], relief: f32) {
     for (g, d) in disparity.iter_mut().enumerate().filter(|(_, d)| **d > 0.0) {
         let flat = row(g).dot(&plane) as f32;
         if flat > 0.0 {
-            *d = flat + relief * (*d - flat);
+            *d = flat + RELIEF * (*d - flat);
         }
     }
 }

@@ -1,11 +1,22 @@
 //! The one number that the motion of a part does not reveal.
 
-use super::super::config::{BodyConfig, MovingDepthConfig};
+use super::super::moving_depth::{BELOW_PX, FEET_SHARE, HIDDEN_QUANTILE};
 use super::super::shot::quantile;
 use super::path::in_place;
 use super::rigid::Shape;
 use super::{Clip, Tracklet};
 
+/// Share of the frames whose lower bound of the scale the scale exceeds.
+const TOUCH_QUANTILE: f64 = 0.75;
+/// A region has ground under it where the background there comes nearer by more than this share of its disparity per row.
+const GROUND_SLOPE: f32 = 0.003;
+/// Least share of its frames in which a region must have ground under it for its scale to be known.
+const STANDING_SHARE: f32 = 0.3;
+/// A region whose path, at its best scale, is shorter than this share of what the path of the camera would make of it at another
+/// scale stays in place, and that is its scale.
+const STILL_REST: f64 = 0.12;
+/// ... unless that is farther than what it hides by more than this factor.
+const STILL_RANGE: f32 = 1.2;
 /// Over how many rows the slope of the ground is read.
 const SLOPE_ROWS: usize = 6;
 
@@ -24,31 +35,25 @@ pub(super) struct Reading {
 /// In every frame the part is at least as near as what it hides and as the ground at its feet: a lower bound of
 /// the factor, which is met while it touches the ground. The bounds of all frames are in one unit, so a high
 /// quantile of them is the touch, and a few bad readings do no harm.
-pub(super) fn read(
-    clip: &Clip<'_>,
-    tracklet: &Tracklet,
-    shape: &Shape,
-    contact: &MovingDepthConfig,
-    config: &BodyConfig,
-) -> Option<Reading> {
+pub(super) fn read(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape) -> Option<Reading> {
     let frames = tracklet.parts.len();
     let (mut all, mut standing, mut typical) = (Vec::new(), Vec::new(), Vec::new());
     for k in 0..frames {
-        if let Some(bound) = bound(clip, tracklet, shape, k, contact) {
+        if let Some(bound) = bound(clip, tracklet, shape, k) {
             all.push(bound.factor);
             typical.push(bound.typical);
-            if bound.slope > config.ground_slope {
+            if bound.slope > GROUND_SLOPE {
                 standing.push(bound.factor);
             }
         }
     }
     let share = standing.len() as f32 / frames as f32;
-    let quantile_of = |v: &mut Vec<f32>| quantile(v, f64::from(config.touch_quantile));
+    let quantile_of = |v: &mut Vec<f32>| quantile(v, TOUCH_QUANTILE);
     let (bound, typical) = (quantile_of(&mut all)?, quantile(&mut typical, 0.5)?);
-    let touch = quantile_of(&mut standing).filter(|_| share >= config.standing_share);
+    let touch = quantile_of(&mut standing).filter(|_| share >= STANDING_SHARE);
     // Nothing but the right factor makes a part stay where it is while the camera passes it.
-    let still = in_place(clip, tracklet, shape)
-        .filter(|e| e.rest < config.still_rest && e.factor as f32 > bound / config.still_range);
+    let still =
+        in_place(clip, tracklet, shape).filter(|e| e.rest < STILL_REST && e.factor as f32 > bound / STILL_RANGE);
     Some(Reading {
         typical,
         bound,
@@ -66,16 +71,9 @@ pub(super) fn settle(readings: &[&Reading]) -> Vec<f32> {
 }
 
 /// The factor by the ground under a part in one frame, if it is ground.
-pub(super) fn standing(
-    clip: &Clip<'_>,
-    tracklet: &Tracklet,
-    shape: &Shape,
-    k: usize,
-    contact: &MovingDepthConfig,
-    config: &BodyConfig,
-) -> Option<f32> {
-    let bound = bound(clip, tracklet, shape, k, contact)?;
-    (bound.slope > config.ground_slope).then_some(bound.factor)
+pub(super) fn standing(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Option<f32> {
+    let bound = bound(clip, tracklet, shape, k)?;
+    (bound.slope > GROUND_SLOPE).then_some(bound.factor)
 }
 
 /// Fills what is not known between what is, evenly in ratios, and carries the first and the last on.
@@ -105,19 +103,19 @@ struct Bound {
     slope: f32,
 }
 
-fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize, contact: &MovingDepthConfig) -> Option<Bound> {
+fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize) -> Option<Bound> {
     let (w, h) = (clip.width, clip.height);
     let background = &clip.background[tracklet.first + k];
     let pixels = &tracklet.parts[k];
     let row = |i: u32| i as usize / w;
     let (top, bottom) = (row(*pixels.first()?), row(*pixels.last()?));
-    let feet_from = bottom - ((bottom - top) as f32 * contact.feet_share) as usize;
+    let feet_from = bottom - ((bottom - top) as f32 * FEET_SHARE) as usize;
     let (mut feet, mut hidden, mut own, mut slope) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (p, d) in shape.known(clip, k) {
         own.push(d);
         hidden.push(background[p as usize] / d);
-        if row(p) + 2 >= feet_from && bottom + 1 + contact.below_px < h {
-            let below = (bottom + contact.below_px).min(h - 1);
+        if row(p) + 2 >= feet_from && bottom + 1 + BELOW_PX < h {
+            let below = (bottom + BELOW_PX).min(h - 1);
             let ground = |y: usize| background[y * w + p as usize % w];
             feet.push(ground(below) / d);
             let further = (below + SLOPE_ROWS).min(h - 1);
@@ -125,7 +123,7 @@ fn bound(clip: &Clip<'_>, tracklet: &Tracklet, shape: &Shape, k: usize, contact:
         }
     }
     let feet = quantile(&mut feet, 0.5).unwrap_or(0.0);
-    let hidden = quantile(&mut hidden, contact.hidden_quantile).unwrap_or(0.0);
+    let hidden = quantile(&mut hidden, HIDDEN_QUANTILE).unwrap_or(0.0);
     let factor = feet.max(hidden);
     (factor > 0.0).then_some(Bound {
         factor,

@@ -1,6 +1,5 @@
 //! Bodies on made-up clips: exact flow, a wrong guess of their distance.
 
-use super::super::config::{BodyConfig, MovingDepthConfig};
 use super::super::flow::{Flow, FlowPair};
 use super::super::smooth::Smoother;
 use super::{Clip, place};
@@ -118,10 +117,10 @@ fn world(disc: &Disc) -> World {
 
 /// Mean relative error of depth inside the disc, before and after, from a guess that is wrong by `guess(t)`.
 fn errors(disc: &Disc, guess: impl Fn(usize) -> f32) -> (f32, f32) {
-    errors_with(disc, guess, &BodyConfig::default())
+    errors_with(disc, guess, true)
 }
 
-fn errors_with(disc: &Disc, guess: impl Fn(usize) -> f32, config: &BodyConfig) -> (f32, f32) {
+fn errors_with(disc: &Disc, guess: impl Fn(usize) -> f32, falling: bool) -> (f32, f32) {
     let world = world(disc);
     let mut disparity = world.truth.clone();
     for (t, disparity) in disparity.iter_mut().enumerate() {
@@ -151,15 +150,7 @@ fn errors_with(disc: &Disc, guess: impl Fn(usize) -> f32, config: &BodyConfig) -
         flows: &world.flows,
     };
     let smoother = |_: usize| Smoother::new(W, H, &[[90; 3]; W * H], 8.0);
-    let done = place(
-        &clip,
-        smoother,
-        &MovingDepthConfig::default(),
-        config,
-        &mut disparity,
-        &Silent,
-    );
-    done.expect("nobody stops it");
+    place(&clip, smoother, falling, &mut disparity, &Silent).expect("it is not cancelled");
     (before, error(&disparity))
 }
 
@@ -198,11 +189,7 @@ fn what_is_thrown_is_where_its_way_bends_as_it_does() {
         turn_rad: 0.0,
     };
     let guess = |t: usize| 0.75 + 0.05 * (t as f32).sin();
-    let flat = BodyConfig {
-        falling: false,
-        ..BodyConfig::default()
-    };
     // A disc has no bulge, which a body is taken to have: most of the error that is left.
-    let ((_, without), (_, with)) = (errors_with(&disc, guess, &flat), errors(&disc, guess));
+    let ((_, without), (_, with)) = (errors_with(&disc, guess, false), errors(&disc, guess));
     assert!(without > 0.11 && with < 0.07, "{without} {with}");
 }

@@ -1,10 +1,14 @@
 //! A moving part through time, for as long as it stays one part.
 
 use super::super::components::Components;
-use super::super::config::BodyConfig;
 use super::super::flow::Flow;
-use super::Clip;
 use super::instances::regions;
+use super::{Clip, LEAST_SHARE, ROUND_TRIP_PX, SHORTEST};
+
+/// Most frames that are adjusted together: bounds memory.
+const LONGEST: usize = 96;
+/// A region that grows or shrinks by more than this factor from one frame to the next is another region.
+const GROWTH: f32 = 1.6;
 
 /// One connected part in consecutive frames.
 pub(in super::super) struct Tracklet {
@@ -15,7 +19,7 @@ pub(in super::super) struct Tracklet {
 }
 
 /// For every part of a frame the part of the other frame where most of it is seen, and the share.
-fn heirs(clip: &Clip<'_>, from: &Components, to: &Components, flow: &Flow, trip: &[f32], reach_px: f32) -> Vec<usize> {
+fn heirs(clip: &Clip<'_>, from: &Components, to: &Components, flow: &Flow, trip: &[f32]) -> Vec<usize> {
     let (w, h) = (clip.width, clip.height);
     from.pixels
         .iter()
@@ -24,7 +28,7 @@ fn heirs(clip: &Clip<'_>, from: &Components, to: &Components, flow: &Flow, trip:
             let mut seen = 0usize;
             for &p in pixels {
                 let p = p as usize;
-                if trip[p] > reach_px {
+                if trip[p] > ROUND_TRIP_PX {
                     continue;
                 }
                 let x = ((p % w) as f32 + flow.u[p] + 0.5).max(0.0) as usize;
@@ -41,33 +45,19 @@ fn heirs(clip: &Clip<'_>, from: &Components, to: &Components, flow: &Flow, trip:
 }
 
 /// Follows every part until it leaves, splits, merges or changes its size at once.
-pub(in super::super) fn follow(clip: &Clip<'_>, config: &BodyConfig) -> Vec<Tracklet> {
+pub(in super::super) fn follow(clip: &Clip<'_>) -> Vec<Tracklet> {
     let (w, h) = (clip.width, clip.height);
     let mut done = Vec::new();
     // The open tracklet of every part of the frame before.
     let mut open: Vec<Option<Tracklet>> = Vec::new();
     let mut before: Option<Components> = None;
-    let least = (config.least_share * (w * h) as f32) as usize;
-    for (t, now) in regions(clip, config).into_iter().enumerate() {
+    let least = (LEAST_SHARE * (w * h) as f32) as usize;
+    for (t, now) in regions(clip).into_iter().enumerate() {
         let mut next: Vec<Option<Tracklet>> = (0..now.pixels.len()).map(|_| None).collect();
         if let Some(before) = &before {
             let flow = &clip.flows[t - 1];
-            let there = heirs(
-                clip,
-                before,
-                &now,
-                &flow.forward,
-                &flow.forward_round_trip,
-                config.round_trip_px,
-            );
-            let back = heirs(
-                clip,
-                &now,
-                before,
-                &flow.backward,
-                &flow.backward_round_trip,
-                config.round_trip_px,
-            );
+            let there = heirs(clip, before, &now, &flow.forward, &flow.forward_round_trip);
+            let back = heirs(clip, &now, before, &flow.backward, &flow.backward_round_trip);
             for (a, tracklet) in open.drain(..).enumerate() {
                 let Some(mut tracklet) = tracklet else { continue };
                 let b = there[a];
@@ -76,8 +66,8 @@ pub(in super::super) fn follow(clip: &Clip<'_>, config: &BodyConfig) -> Vec<Trac
                     before.pixels[a].len() as f32,
                     now.pixels.get(b.wrapping_sub(1)).map_or(0, Vec::len) as f32,
                 );
-                let alike = new > old / config.growth && new < old * config.growth;
-                if mutual && alike && tracklet.parts.len() < config.longest {
+                let alike = new > old / GROWTH && new < old * GROWTH;
+                if mutual && alike && tracklet.parts.len() < LONGEST {
                     tracklet.parts.push(now.pixels[b - 1].clone());
                     next[b - 1] = Some(tracklet);
                 } else {
@@ -97,6 +87,6 @@ pub(in super::super) fn follow(clip: &Clip<'_>, config: &BodyConfig) -> Vec<Trac
         before = Some(now);
     }
     done.extend(open.into_iter().flatten());
-    done.retain(|t| t.parts.len() >= config.shortest);
+    done.retain(|t| t.parts.len() >= SHORTEST);
     done
 }

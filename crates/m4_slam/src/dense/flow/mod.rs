@@ -5,7 +5,6 @@ mod search;
 mod source;
 mod variational;
 
-use super::config::FlowConfig;
 use super::working::WorkingFrame;
 use pyramid::Pyramid;
 pub use source::{FlowError, FlowPicture, FlowSource, InverseSearch};
@@ -123,15 +122,15 @@ impl FlowPair {
 }
 
 /// The flow from `a` to `b`.
-fn flow(a: &Pyramid, b: &Pyramid, config: &FlowConfig) -> Flow {
+fn flow(a: &Pyramid, b: &Pyramid) -> Flow {
     let mut flow: Option<Flow> = None;
     for (a, b) in a.levels.iter().zip(&b.levels).rev() {
         let start = match &flow {
             Some(coarse) => coarse.resized(a.width, a.height),
             None => Flow::zero(a.width, a.height),
         };
-        let mut fine = search::search(a, b, &start, config);
-        variational::refine(a, b, &mut fine, config);
+        let mut fine = search::search(a, b, &start);
+        variational::refine(a, b, &mut fine);
         flow = Some(fine);
     }
     flow.unwrap_or_default()
@@ -160,7 +159,6 @@ pub(crate) fn round_trip_px(there: &Flow, back: &Flow) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::{Pyramid, flow, round_trip_px};
-    use crate::dense::config::FlowConfig;
 
     const W: usize = 96;
     const H: usize = 72;
@@ -189,8 +187,7 @@ mod tests {
             b.push(gain * texture(bx, by));
         }
         let (a, b) = (Pyramid::new(W, H, &a), Pyramid::new(W, H, &b));
-        let config = FlowConfig::default();
-        let (there, back) = (flow(&a, &b, &config), flow(&b, &a, &config));
+        let (there, back) = (flow(&a, &b), flow(&b, &a));
         let trip = round_trip_px(&there, &back);
         let (mut sum, mut trips, mut count) = (0.0, 0.0, 0.0);
         for y in 12..H - 12 {
@@ -227,7 +224,7 @@ mod tests {
     #[test]
     fn flat_pictures_do_not_move() {
         let flat = Pyramid::new(W, H, &vec![77.0; W * H]);
-        let found = flow(&flat, &flat, &FlowConfig::default());
+        let found = flow(&flat, &flat);
         assert!(found.u.iter().chain(&found.v).all(|v| v.abs() < 1e-3));
     }
 }

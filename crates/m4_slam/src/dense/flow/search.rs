@@ -1,10 +1,15 @@
 //! Inverse search: each patch of the first image is aligned to the second by Gauss-Newton with the
 //! Hessian of the first (Kroeger et al. 2016, section 2.1), then patches are averaged (section 2.2).
 
-use super::super::config::FlowConfig;
 use super::Flow;
 use super::pyramid::{BORDER, Level};
 
+/// Side of a patch, pixels. Kroeger et al. and the specification: 8.
+const PATCH_PX: usize = 8;
+/// Distance of patches, pixels. Specification: 4.
+const STRIDE_PX: usize = 4;
+/// Gauss-Newton steps per patch and level. Kroeger et al.: 12.
+const ITERATIONS: usize = 12;
 /// A step shorter than this ends the search, pixels.
 const SMALL_STEP_PX: f32 = 0.01;
 
@@ -24,21 +29,18 @@ struct Search<'a> {
     difference: Vec<f32>,
 }
 
-fn positions(n: usize, size: usize, stride: usize) -> Vec<usize> {
+fn positions(n: usize, size: usize) -> Vec<usize> {
     let last = n - size;
-    let mut out: Vec<usize> = (0..=last).step_by(stride).collect();
-    if !last.is_multiple_of(stride) {
+    let mut out: Vec<usize> = (0..=last).step_by(STRIDE_PX).collect();
+    if !last.is_multiple_of(STRIDE_PX) {
         out.push(last);
     }
     out
 }
 
-pub(super) fn search(a: &Level, b: &Level, start: &Flow, config: &FlowConfig) -> Flow {
-    let size = config.patch_px.min(a.width).min(a.height);
-    let (xs, ys) = (
-        positions(a.width, size, config.stride_px),
-        positions(a.height, size, config.stride_px),
-    );
+pub(super) fn search(a: &Level, b: &Level, start: &Flow) -> Flow {
+    let size = PATCH_PX.min(a.width).min(a.height);
+    let (xs, ys) = (positions(a.width, size), positions(a.height, size));
     let mut search = Search {
         a,
         b,
@@ -84,7 +86,7 @@ pub(super) fn search(a: &Level, b: &Level, start: &Flow, config: &FlowConfig) ->
                 }
             }
             if improved {
-                let found = search.descend(&patches[i], flow[i], config.iterations);
+                let found = search.descend(&patches[i], flow[i]);
                 let moved = (found[0] - initial[i][0]).hypot(found[1] - initial[i][1]);
                 let c = search.cost(&patches[i], found);
                 if c < cost[i] && moved < 2.0 * size as f32 {
@@ -158,13 +160,13 @@ impl Search<'_> {
         square - mean * mean * self.difference.len() as f32
     }
 
-    fn descend(&mut self, patch: &Patch, start: [f32; 2], iterations: usize) -> [f32; 2] {
+    fn descend(&mut self, patch: &Patch, start: [f32; 2]) -> [f32; 2] {
         let Some([ixx, ixy, iyy]) = patch.inverse else {
             return start;
         };
         let (size, width) = (self.size, self.a.width);
         let mut f = start;
-        for _ in 0..iterations {
+        for _ in 0..ITERATIONS {
             let mean = self.sample(patch, f);
             let (mut bx, mut by) = (0.0f32, 0.0f32);
             for j in 0..size {

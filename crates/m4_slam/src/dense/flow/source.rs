@@ -1,6 +1,5 @@
 //! The seam between dense geometry and whatever measures optical flow.
 
-use super::super::config::FlowConfig;
 use super::pyramid::Pyramid;
 use super::{Flow, flow};
 
@@ -55,11 +54,8 @@ pub trait FlowSource: Sync {
 }
 
 /// Inverse search with variational refinement (Kroeger et al. 2016): no weights, and the default.
-#[derive(Debug, Clone, Default)]
-pub struct InverseSearch {
-    /// Its settings.
-    pub config: FlowConfig,
-}
+#[derive(Debug, Clone, Copy)]
+pub struct InverseSearch;
 
 impl FlowSource for InverseSearch {
     fn name(&self) -> &'static str {
@@ -69,6 +65,6 @@ impl FlowSource for InverseSearch {
     fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
         let pyramid = |p: &FlowPicture<'_>| Pyramid::new(p.width, p.height, p.grey);
         let (a, b) = (pyramid(a), pyramid(b));
-        Ok((flow(&a, &b, &self.config), flow(&b, &a, &self.config)))
+        Ok((flow(&a, &b), flow(&b, &a)))
     }
 }

@@ -1,10 +1,19 @@
 //! Variational refinement: robust equal brightness and equal gradients, robust smoothness
 //! (Brox et al. 2004; normalised as in Zimmer et al. 2011; Kroeger et al. 2016, section 2.3).
 
-use super::super::config::FlowConfig;
 use super::Flow;
 use super::pyramid::{Level, gradient};
 
+/// Linearisations of the energy per level. Kroeger et al.: level + 1; 3 measured as good.
+const REFINEMENTS: usize = 3;
+/// Relaxation sweeps per linearisation. Kroeger et al.: 3 to 5.
+const RELAXATIONS: usize = 5;
+/// Weight of smoothness. As in OpenCV's implementation of the paper: 20.
+const SMOOTHNESS: f32 = 20.0;
+/// Weight of equal brightness. Kroeger et al.: 5.
+const BRIGHTNESS: f32 = 5.0;
+/// Weight of equal gradients. Kroeger et al.: 10.
+const GRADIENT: f32 = 10.0;
 /// Added to squared errors under the root: below it, errors count as noise.
 const ROBUST: f32 = 1e-3;
 /// Added to squared gradients in the normalisation: flat pixels count less.
@@ -26,14 +35,14 @@ struct System {
     below: Vec<f32>,
 }
 
-pub(super) fn refine(a: &Level, b: &Level, flow: &mut Flow, config: &FlowConfig) {
+pub(super) fn refine(a: &Level, b: &Level, flow: &mut Flow) {
     let (w, h) = (a.width, a.height);
     let (mut du, mut dv) = (vec![0.0f32; w * h], vec![0.0f32; w * h]);
-    for _ in 0..config.refinements {
-        let system = linearise(a, b, flow, config);
+    for _ in 0..REFINEMENTS {
+        let system = linearise(a, b, flow);
         du.fill(0.0);
         dv.fill(0.0);
-        for _ in 0..config.relaxations {
+        for _ in 0..RELAXATIONS {
             relax(&system, flow, &mut du, &mut dv);
         }
         for i in 0..w * h {
@@ -65,7 +74,7 @@ fn warp(b: &Level, flow: &Flow) -> ([Vec<f32>; 3], Vec<f32>) {
     (out, inside)
 }
 
-fn linearise(a: &Level, b: &Level, flow: &Flow, config: &FlowConfig) -> System {
+fn linearise(a: &Level, b: &Level, flow: &Flow) -> System {
     let (w, h) = (a.width, a.height);
     let ([image, dx, dy], inside) = warp(b, flow);
     let mean = |p: &[f32], q: &[f32]| -> Vec<f32> { p.iter().zip(q).map(|(p, q)| 0.5 * (p + q)).collect() };
@@ -87,8 +96,8 @@ fn linearise(a: &Level, b: &Level, flow: &Flow, config: &FlowConfig) -> System {
         let n0 = 1.0 / (ix[i] * ix[i] + iy[i] * iy[i] + NORMALISE);
         let n1 = 1.0 / (ixx[i] * ixx[i] + ixy[i] * ixy[i] + NORMALISE);
         let n2 = 1.0 / (ixy[i] * ixy[i] + iyy[i] * iyy[i] + NORMALISE);
-        let brightness = inside[i] * config.brightness / (n0 * it * it + ROBUST * ROBUST).sqrt();
-        let edges = inside[i] * config.gradient / (n1 * ixt * ixt + n2 * iyt * iyt + ROBUST * ROBUST).sqrt();
+        let brightness = inside[i] * BRIGHTNESS / (n0 * it * it + ROBUST * ROBUST).sqrt();
+        let edges = inside[i] * GRADIENT / (n1 * ixt * ixt + n2 * iyt * iyt + ROBUST * ROBUST).sqrt();
         let (k0, k1, k2) = (brightness * n0, edges * n1, edges * n2);
         s.a11[i] = k0 * ix[i] * ix[i] + k1 * ixx[i] * ixx[i] + k2 * ixy[i] * ixy[i];
         s.a12[i] = k0 * ix[i] * iy[i] + k1 * ixx[i] * ixy[i] + k2 * ixy[i] * iyy[i];
@@ -96,17 +105,17 @@ fn linearise(a: &Level, b: &Level, flow: &Flow, config: &FlowConfig) -> System {
         s.b1[i] = -(k0 * ix[i] * it + k1 * ixx[i] * ixt + k2 * ixy[i] * iyt);
         s.b2[i] = -(k0 * iy[i] * it + k1 * ixy[i] * ixt + k2 * iyy[i] * iyt);
     }
-    (s.right, s.below) = smoothness(flow, config.smoothness);
+    (s.right, s.below) = smoothness(flow);
     s
 }
 
-/// `weight / sqrt(|grad u|^2 + |grad v|^2 + e^2)`, averaged onto the edges between pixels; 0 at the rim.
-fn smoothness(flow: &Flow, weight: f32) -> (Vec<f32>, Vec<f32>) {
+/// [`SMOOTHNESS`] over `sqrt(|grad u|^2 + |grad v|^2 + e^2)`, averaged onto the edges between pixels; 0 at the rim.
+fn smoothness(flow: &Flow) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (flow.width, flow.height);
     let ((ux, uy), (vx, vy)) = (gradient(w, h, &flow.u), gradient(w, h, &flow.v));
     let psi: Vec<f32> = (0..w * h)
         .map(|i| {
-            0.5 * weight / (ux[i] * ux[i] + uy[i] * uy[i] + vx[i] * vx[i] + vy[i] * vy[i] + ROBUST * ROBUST).sqrt()
+            0.5 * SMOOTHNESS / (ux[i] * ux[i] + uy[i] * uy[i] + vx[i] * vx[i] + vy[i] * vy[i] + ROBUST * ROBUST).sqrt()
         })
         .collect();
     let (mut right, mut below) = (vec![0.0; w * h], vec![0.0; w * h]);

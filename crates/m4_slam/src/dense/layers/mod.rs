@@ -19,7 +19,6 @@ mod tests;
 
 use super::bodies::{Clip, Tracklet, follow};
 use super::components::Components;
-use super::config::BodyConfig;
 use super::shot::Shot;
 use m4_scene::Camera;
 use occluders::Occluders;
@@ -47,14 +46,14 @@ pub(super) fn sphere(camera: &Camera) -> Vec<f32> {
 }
 
 /// Disparity of every pixel of every frame, `[height][width]` each. `clip.background` is [`sphere`] of each camera, `shots` have the
-/// colours, and a flow whose round trip misses by more than `config.round_trip_px` saw an occlusion.
-pub(super) fn place(clip: &Clip<'_>, shots: &[Shot], config: &BodyConfig) -> Vec<Vec<f32>> {
+/// colours, and a flow whose round trip misses by more than [`super::bodies::ROUND_TRIP_PX`] saw an occlusion.
+pub(super) fn place(clip: &Clip<'_>, shots: &[Shot]) -> Vec<Vec<f32>> {
     let (w, h) = (clip.width, clip.height);
-    let tracklets = follow(clip, config);
+    let tracklets = follow(clip);
     let labels = labels(clip, &tracklets);
-    let ranks = order::ranks(clip, &labels, tracklets.len(), config.round_trip_px);
+    let ranks = order::ranks(clip, &labels, tracklets.len());
     let front = ranks.iter().max().map_or(0, |r| r + 1);
-    let occluders = Occluders::find(clip, shots, config.round_trip_px);
+    let occluders = Occluders::find(clip, shots);
     (0..clip.moving.len())
         .into_par_iter()
         .map(|i| {

@@ -1,7 +1,7 @@
 //! Static pixels that occlude dynamic regions: where a mask ends at the same place for many frames while what is inside it moves
 //! across that edge, it is cut off by something static in front of it.
 
-use super::super::bodies::Clip;
+use super::super::bodies::{Clip, ROUND_TRIP_PX};
 use super::super::pair::Pair;
 use super::super::shot::Shot;
 use super::super::smooth::Smoother;
@@ -34,7 +34,7 @@ pub(super) struct Occluders {
 
 impl Occluders {
     /// Looks for them; `shots` have the colours.
-    pub fn find(clip: &Clip<'_>, shots: &[Shot], round_trip_px: f32) -> Self {
+    pub fn find(clip: &Clip<'_>, shots: &[Shot]) -> Self {
         let (w, h) = (clip.width, clip.height);
         let camera = canvas(&clip.cameras[clip.cameras.len() / 2]);
         let (cw, ch) = (camera.intrinsics.width, camera.intrinsics.height);
@@ -49,7 +49,7 @@ impl Occluders {
                 }
             }
             if i + 1 < clip.moving.len() {
-                for (p, step) in crossings(clip, i, round_trip_px) {
+                for (p, step) in crossings(clip, i) {
                     if let Some(q) = at(p) {
                         travel[q] += step;
                     }
@@ -117,7 +117,7 @@ fn on_sphere(there: &Pair, p: usize, w: usize, (width, height): (usize, usize)) 
 
 /// Static pixels of frame `i` beside a dynamic one that stay so until the next frame, and how far what is inside the mask moves
 /// across the edge meanwhile, pixels.
-fn crossings(clip: &Clip<'_>, i: usize, round_trip_px: f32) -> Vec<(usize, f32)> {
+fn crossings(clip: &Clip<'_>, i: usize) -> Vec<(usize, f32)> {
     let (w, h) = (clip.width, clip.height);
     let (now, next) = (&clip.moving[i], &clip.moving[i + 1]);
     let flow = &clip.flows[i];
@@ -134,7 +134,7 @@ fn crossings(clip: &Clip<'_>, i: usize, round_trip_px: f32) -> Vec<(usize, f32)>
             for (dx, dy) in [(1isize, 0isize), (-1, 0), (0, 1), (0, -1)] {
                 let beside = |n: isize| y.wrapping_add_signed(n * dy) * w + x.wrapping_add_signed(n * dx);
                 let (edge, inside) = (beside(1), beside(DEPTH_PX));
-                if now[edge] == 0 || now[inside] == 0 || flow.forward_round_trip[inside] > round_trip_px {
+                if now[edge] == 0 || now[inside] == 0 || flow.forward_round_trip[inside] > ROUND_TRIP_PX {
                     continue;
                 }
                 let later = |q: usize| on_sphere(&camera, q, w, (w, h)).map(|q| next[q] > 0);

@@ -2,7 +2,7 @@
 //! one are covered and uncovered there (Stein and Hebert 2009). A pixel of the back region, moved on as its region moves, lands in the
 //! front one.
 
-use super::super::bodies::Clip;
+use super::super::bodies::{Clip, ROUND_TRIP_PX};
 use super::super::flow::Flow;
 use super::super::shot::quantile;
 use std::collections::BTreeMap;
@@ -23,10 +23,10 @@ struct Beside {
 
 /// The rank of every tracklet: 0 for the farthest; greater than those of all that it touches and surely occludes. Regions that touch
 /// without a sure order share a rank: they may be parts of one body.
-pub(super) fn ranks(clip: &Clip<'_>, labels: &[Vec<u32>], count: usize, round_trip_px: f32) -> Vec<usize> {
+pub(super) fn ranks(clip: &Clip<'_>, labels: &[Vec<u32>], count: usize) -> Vec<usize> {
     let mut beside: BTreeMap<(usize, usize), Beside> = BTreeMap::new();
     for t in 0..labels.len() {
-        observe(clip, labels, t, round_trip_px, &mut beside);
+        observe(clip, labels, t, &mut beside);
     }
     // By tracklet: those that it touches in a sure order, with how surely it is in front of them.
     let mut ordered: Vec<Vec<(usize, f32)>> = vec![Vec::new(); count];
@@ -62,13 +62,7 @@ fn in_front(a: Beside, b: Beside) -> f32 {
 }
 
 /// Adds what frame `t` shows together with the frames before and after it.
-fn observe(
-    clip: &Clip<'_>,
-    labels: &[Vec<u32>],
-    t: usize,
-    round_trip_px: f32,
-    beside: &mut BTreeMap<(usize, usize), Beside>,
-) {
+fn observe(clip: &Clip<'_>, labels: &[Vec<u32>], t: usize, beside: &mut BTreeMap<(usize, usize), Beside>) {
     let (w, h) = (clip.width, clip.height);
     let reach = ((BAND * w as f32).round() as usize).max(1);
     let label = &labels[t];
@@ -93,7 +87,7 @@ fn observe(
             .map(|s| (s, &clip.flows[s].backward, &clip.flows[s].backward_round_trip)),
     ];
     for (to, flow, trip) in neighbours.into_iter().flatten() {
-        let motion = motions(label, flow, trip, round_trip_px);
+        let motion = motions(label, flow, trip);
         for &(p, other) in &pairs {
             let Some([u, v]) = motion.get(&label[p]) else {
                 continue;
@@ -109,9 +103,9 @@ fn observe(
 }
 
 /// Median flow of each label, of the pixels whose flow comes back.
-fn motions(label: &[u32], flow: &Flow, trip: &[f32], round_trip_px: f32) -> BTreeMap<u32, [f32; 2]> {
+fn motions(label: &[u32], flow: &Flow, trip: &[f32]) -> BTreeMap<u32, [f32; 2]> {
     let mut all: BTreeMap<u32, [Vec<f32>; 2]> = BTreeMap::new();
-    for p in (0..label.len()).filter(|&p| label[p] > 0 && trip[p] <= round_trip_px) {
+    for p in (0..label.len()).filter(|&p| label[p] > 0 && trip[p] <= ROUND_TRIP_PX) {
         let [u, v] = all.entry(label[p]).or_default();
         u.push(flow.u[p]);
         v.push(flow.v[p]);

@@ -1,7 +1,6 @@
 //! Two blocks that pass each other behind a pole, before a wall, seen by a camera that stands still or pans.
 
 use super::super::bodies::Clip;
-use super::super::config::BodyConfig;
 use super::super::flow::{Flow, FlowPair};
 use super::super::shot::{Shot, quantile};
 use super::super::sweep::Range;
@@ -137,7 +136,7 @@ fn layers_follow_occlusion() {
         background: &world.background,
         flows: &world.flows,
     };
-    let out = place(&clip, &world.shots, &BodyConfig::default());
+    let out = place(&clip, &world.shots);
     // In units of the background's.
     let least_and_most = |t: usize, of: Thing| {
         let found = (0..W * H).filter(|&p| thing((p % W) as isize, p / W, t) == of);

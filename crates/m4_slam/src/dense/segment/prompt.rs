@@ -1,35 +1,30 @@
 //! What is known of a part of the coarse mask, as a segmenter takes it.
 
-use super::config::SegmentConfig;
 use super::distance::to_outside;
 use super::source::SegmentPrompt;
+use super::{BELIEF_LIMIT, BELIEF_PER_PX, POINTS};
 
 /// How much farther from each other than from the part's edge points are to lie.
 const APART: f32 = 3.0;
 
 /// The prompt for the pixels at which `part` holds; `None` if there are none.
-pub fn prompt(
-    width: usize,
-    height: usize,
-    part: impl Fn(usize) -> bool + Copy,
-    config: &SegmentConfig,
-) -> Option<SegmentPrompt> {
+pub fn prompt(width: usize, height: usize, part: impl Fn(usize) -> bool + Copy) -> Option<SegmentPrompt> {
     let inner = to_outside(width, height, part);
     let outer = to_outside(width, height, |p| !part(p));
     Some(SegmentPrompt {
-        points_px: points_apart(width, height, &inner, config.points),
+        points_px: points_apart(width, height, &inner, POINTS),
         off_points_px: Vec::new(),
         box_px: bounds(width, height, part)?,
-        belief: belief(&inner, &outer, config.belief_per_px, config.belief_limit),
+        belief: belief(&inner, &outer),
     })
 }
 
-/// Logits that grow by `per_px` with the distance from the edge of a part up to `limit`; `inner` is the distance of each pixel to what is outside
+/// Logits that grow by [`BELIEF_PER_PX`] with the distance from the edge of a part up to [`BELIEF_LIMIT`]; `inner` is the distance of each pixel to what is outside
 /// of the part, `outer` that to the part.
-pub(crate) fn belief(inner: &[f32], outer: &[f32], per_px: f32, limit: f32) -> Vec<f32> {
+pub(crate) fn belief(inner: &[f32], outer: &[f32]) -> Vec<f32> {
     let logit = |(inner, outer): (&f32, &f32)| {
         let beyond_edge_px = if *inner > 0.0 { inner - 0.5 } else { 0.5 - outer };
-        (per_px * beyond_edge_px).clamp(-limit, limit)
+        (BELIEF_PER_PX * beyond_edge_px).clamp(-BELIEF_LIMIT, BELIEF_LIMIT)
     };
     inner.iter().zip(outer).map(logit).collect()
 }
@@ -75,7 +70,7 @@ pub(crate) fn points_apart(width: usize, height: usize, inner: &[f32], count: us
 
 #[cfg(test)]
 mod tests {
-    use super::super::config::SegmentConfig;
+    use super::super::{BELIEF_LIMIT, BELIEF_PER_PX, POINTS};
     use super::prompt;
 
     #[test]
@@ -83,10 +78,9 @@ mod tests {
         let (w, h) = (40, 30);
         // A bar of 24 x 6 pixels.
         let part = |p: usize| (8..32).contains(&(p % w)) && (10..16).contains(&(p / w));
-        let config = SegmentConfig::default();
-        let found = prompt(w, h, part, &config).unwrap();
+        let found = prompt(w, h, part).unwrap();
         assert_eq!(found.box_px, [8.5, 10.5, 31.5, 15.5]);
-        assert_eq!(found.points_px.len(), config.points);
+        assert_eq!(found.points_px.len(), POINTS);
         for (i, &[x, y]) in found.points_px.iter().enumerate() {
             assert!(part(y as usize * w + x as usize), "{x} {y}");
             for &[ox, oy] in &found.points_px[..i] {
@@ -94,12 +88,9 @@ mod tests {
             }
         }
         let at = |x: usize, y: usize| found.belief[y * w + x];
-        assert_eq!(
-            (at(8, 12), at(7, 12)),
-            (0.5 * config.belief_per_px, -0.5 * config.belief_per_px)
-        );
-        assert_eq!(at(0, 0), -config.belief_limit);
-        assert_eq!(at(16, 12), 2.5 * config.belief_per_px);
-        assert!(prompt(w, h, |_| false, &config).is_none());
+        assert_eq!((at(8, 12), at(7, 12)), (0.5 * BELIEF_PER_PX, -0.5 * BELIEF_PER_PX));
+        assert_eq!(at(0, 0), -BELIEF_LIMIT);
+        assert_eq!(at(16, 12), 2.5 * BELIEF_PER_PX);
+        assert!(prompt(w, h, |_| false).is_none());
     }
 }

@@ -1,7 +1,9 @@
 //! What a segmenter of single pictures is asked, and when it is believed.
 
-use super::settings::FollowSettings;
-use crate::dense::{SegmentError, SegmentMask, SegmentPrompt, Segmenter, belief, points_apart, to_outside};
+use crate::dense::{
+    LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, POINTS, SegmentError, SegmentMask, SegmentPrompt, Segmenter, belief,
+    points_apart, to_outside,
+};
 use m4_scene::{CompactMask, RgbImage};
 use rayon::prelude::*;
 
@@ -40,7 +42,7 @@ pub fn above(logits: &[f32], (width, height): (usize, usize)) -> CompactMask {
 }
 
 /// The prompt that a mask is for the next frame.
-pub fn prompt_of(mask: &CompactMask, settings: &FollowSettings) -> SegmentPrompt {
+pub fn prompt_of(mask: &CompactMask) -> SegmentPrompt {
     let (w, h) = mask.size();
     let inside = |p: usize| mask.at(p % w, p / w);
     let inner = to_outside(w, h, inside);
@@ -49,12 +51,11 @@ pub fn prompt_of(mask: &CompactMask, settings: &FollowSettings) -> SegmentPrompt
     for (x, y) in mask.set_pixels() {
         ends = [ends[0].min(x), ends[1].min(y), ends[2].max(x), ends[3].max(y)];
     }
-    let config = &settings.segment;
     SegmentPrompt {
-        points_px: points_apart(w, h, &inner, config.points),
+        points_px: points_apart(w, h, &inner, POINTS),
         off_points_px: Vec::new(),
         box_px: ends.map(|v| v as f32 + 0.5),
-        belief: belief(&inner, &outer, config.belief_per_px, config.belief_limit),
+        belief: belief(&inner, &outer),
     }
 }
 
@@ -64,27 +65,20 @@ pub fn sharpened(
     image: &RgbImage,
     size: (usize, usize),
     carried: Vec<Option<CompactMask>>,
-    settings: &FollowSettings,
 ) -> Result<Vec<Option<Trusted>>, SegmentError> {
     let asked: Vec<usize> = (0..carried.len())
-        .filter(|&k| {
-            carried[k]
-                .as_ref()
-                .is_some_and(|m| m.count() >= settings.segment.least_part_px)
-        })
+        .filter(|&k| carried[k].as_ref().is_some_and(|m| m.count() >= LEAST_PART_PX))
         .collect();
     let prompts: Vec<SegmentPrompt> = asked
         .par_iter()
-        .filter_map(|&k| Some(prompt_of(carried[k].as_ref()?, settings)))
+        .filter_map(|&k| Some(prompt_of(carried[k].as_ref()?)))
         .collect();
     let found = masks(segmenter, image, size, &prompts)?;
     let mut out: Vec<_> = carried.into_iter().map(|mask| mask.map(|mask| (mask, None))).collect();
     for (&k, answer) in asked.iter().zip(&found) {
         if let Some((mask, quality)) = &mut out[k] {
             let sharp = above(&answer.logits, size);
-            if answer.quality >= settings.segment.least_quality
-                && overlap(&sharp, mask) >= settings.segment.least_overlap
-            {
+            if answer.quality >= LEAST_QUALITY && overlap(&sharp, mask) >= LEAST_OVERLAP {
                 *mask = sharp;
                 *quality = Some(answer.quality);
             }

@@ -12,11 +12,9 @@
 mod ask;
 mod picture;
 mod session;
-mod settings;
 mod warp;
 
 pub(super) use picture::Picture;
-pub use settings::FollowSettings;
 
 use super::clip::Clip;
 use super::source::{VideoError, VideoSegmenter, VideoSession};
@@ -26,24 +24,18 @@ use crate::dense::{FlowSource, Segmenter};
 pub struct FlowFollower<'a> {
     flow: &'a dyn FlowSource,
     segmenter: Option<&'a dyn Segmenter>,
-    settings: FollowSettings,
     name: String,
 }
 
 impl<'a> FlowFollower<'a> {
     /// Follows by flow of `flow`; `segmenter` may outline things in each frame.
     #[must_use]
-    pub fn new(flow: &'a dyn FlowSource, segmenter: Option<&'a dyn Segmenter>, settings: FollowSettings) -> Self {
+    pub fn new(flow: &'a dyn FlowSource, segmenter: Option<&'a dyn Segmenter>) -> Self {
         let name = match segmenter {
             Some(segmenter) => format!("{}+{}", segmenter.name(), flow.name()),
             None => flow.name().to_owned(),
         };
-        Self {
-            flow,
-            segmenter,
-            settings,
-            name,
-        }
+        Self { flow, segmenter, name }
     }
 }
 

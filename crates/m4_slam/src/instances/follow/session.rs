@@ -12,6 +12,8 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 
+/// Longest side of the images between which flow is measured, pixels; as [`crate::dense::DenseConfig::working_side_px`].
+const FLOW_SIDE_PX: usize = 480;
 /// Steps whose flow is measured at once.
 const AHEAD: usize = 8;
 
@@ -53,7 +55,7 @@ impl<'a> Session<'a> {
 
     /// Flow of steps from each of `frames` to the next of them, and the pictures they lead to at the size of masks.
     fn steps(&self, frames: &[usize]) -> Result<Vec<(Step, Picture)>, VideoError> {
-        let flow_size = working_size(self.size.0, self.size.1, self.follower.settings.flow_side_px);
+        let flow_size = working_size(self.size.0, self.size.1, FLOW_SIDE_PX);
         let small: Vec<Picture> = frames
             .par_iter()
             .map(|&frame| Picture::of(self.clip, frame, flow_size))
@@ -78,15 +80,12 @@ impl<'a> Session<'a> {
         step: &Step,
         onto: &Picture,
     ) -> Result<Vec<Option<Trusted>>, VideoError> {
-        let settings = &self.follower.settings;
-        let carried: Vec<Option<CompactMask>> = masks
-            .par_iter()
-            .map(|mask| carry(mask.as_ref()?, step, onto, settings))
-            .collect();
+        let carried: Vec<Option<CompactMask>> =
+            masks.par_iter().map(|mask| carry(mask.as_ref()?, step, onto)).collect();
         match self.follower.segmenter {
             Some(segmenter) if carried.iter().any(Option::is_some) => {
                 let image = read(self.clip, frame)?;
-                ask::sharpened(segmenter, &image, self.size, carried, settings)
+                ask::sharpened(segmenter, &image, self.size, carried)
                     .map_err(|source| VideoError::Segment { frame, source })
             }
             _ => Ok(carried.into_iter().map(|mask| mask.map(|mask| (mask, None))).collect()),
@@ -129,7 +128,7 @@ impl<'a> Session<'a> {
         } else {
             CompactMask::from_fn(w, h, |_, _| true)
         };
-        let of_mask = ask::prompt_of(&somewhere, &self.follower.settings);
+        let of_mask = ask::prompt_of(&somewhere);
         SegmentPrompt {
             points_px: if prompt.on_px.is_empty() {
                 of_mask.points_px
@@ -161,9 +160,8 @@ impl VideoSession for Session<'_> {
             }
             None => {
                 let picture = Picture::from_image(image.as_ref(), self.size);
-                let settings = &self.follower.settings;
                 let of = |p: &ObjectPrompt| match p.belief {
-                    Some(_) => (snap(&self.described(p), &picture, settings), None),
+                    Some(_) => (snap(&self.described(p), &picture), None),
                     None => (self.described(p), None),
                 };
                 prompts.par_iter().map(of).collect()

@@ -11,7 +11,7 @@ pub const FRAMES: usize = 30;
 pub const LATE_COARSE: usize = 9;
 pub const LATE_SEEN: usize = 5;
 /// The thing that rests is in the coarse masks of the first frames.
-pub const REST_COARSE: usize = 2;
+pub const REST_COARSE: usize = 1;
 /// What is in the coarse mask of this frame only.
 pub const FLICKER: usize = 20;
 

@@ -2,7 +2,7 @@
 
 use super::film::{FRAMES, SIZE, picture, thing_at};
 use crate::dense::InverseSearch;
-use crate::instances::{Clip, FlowFollower, FollowSettings, ObjectId, ObjectMask, ObjectPrompt, PictureError, Sight};
+use crate::instances::{Clip, FlowFollower, ObjectId, ObjectMask, ObjectPrompt, PictureError, Sight};
 use crate::instances::{VideoError, VideoSegmenter, VideoSession};
 use m4_scene::{CompactMask, RgbImage, Silent};
 use std::borrow::Cow;
@@ -56,8 +56,8 @@ const LATE: ObjectId = ObjectId(2);
 
 #[test]
 fn things_are_followed_both_ways_in_one_pass_each() {
-    let (flow, clip) = (InverseSearch::default(), Lazy::default());
-    let follower = FlowFollower::new(&flow, None, FollowSettings::default());
+    let (flow, clip) = (InverseSearch, Lazy::default());
+    let follower = FlowFollower::new(&flow, None);
     let mut session = follower.open(&clip, SIZE).unwrap();
     session.set_mask(15, WALKER, &exactly(1, 15)).unwrap();
     session.set_mask(15, LATE, &exactly(2, 15)).unwrap();
@@ -90,8 +90,8 @@ fn things_are_followed_both_ways_in_one_pass_each() {
 
 #[test]
 fn what_is_said_of_a_frame_holds_there() {
-    let (flow, clip) = (InverseSearch::default(), Lazy::default());
-    let follower = FlowFollower::new(&flow, None, FollowSettings::default());
+    let (flow, clip) = (InverseSearch, Lazy::default());
+    let follower = FlowFollower::new(&flow, None);
     let mut session = follower.open(&clip, SIZE).unwrap();
     session.set_mask(0, WALKER, &exactly(1, 0)).unwrap();
     let other = exactly(2, 12);
@@ -120,8 +120,8 @@ fn what_is_said_of_a_frame_holds_there() {
 
 #[test]
 fn what_cannot_be_is_an_error() {
-    let (flow, clip) = (InverseSearch::default(), Lazy::default());
-    let follower = FlowFollower::new(&flow, None, FollowSettings::default());
+    let (flow, clip) = (InverseSearch, Lazy::default());
+    let follower = FlowFollower::new(&flow, None);
     let mut session = follower.open(&clip, SIZE).unwrap();
     session.set_mask(4, WALKER, &exactly(1, 4)).unwrap();
     let unknown = |e: VideoError| matches!(e, VideoError::Unknown { .. });

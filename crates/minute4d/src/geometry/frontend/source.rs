@@ -5,7 +5,7 @@ use crate::Error;
 use crate::device::NetworkDevice;
 use crate::steps::Steps;
 use m4_scene::{Progress, RgbImage};
-use m4_slam::dense::{FlowConfig, FlowSource, InverseSearch};
+use m4_slam::dense::{FlowSource, InverseSearch};
 
 impl Plan {
     /// The source of flow; a recurrent network takes `iterations`.
@@ -13,18 +13,13 @@ impl Plan {
     /// # Errors
     ///
     /// [`Error::FrontEndLoad`] if weights cannot be used.
-    pub fn flow(
-        &self,
-        config: &FlowConfig,
-        iterations: usize,
-        device: &NetworkDevice,
-    ) -> Result<Box<dyn FlowSource>, Error> {
+    pub fn flow(&self, iterations: usize, device: &NetworkDevice) -> Result<Box<dyn FlowSource>, Error> {
         #[cfg(feature = "nets")]
         if let Some(network) = self.flow_network(iterations, device)? {
             return Ok(network);
         }
         let _ = (iterations, device);
-        Ok(Box::new(InverseSearch { config: config.clone() }))
+        Ok(Box::new(InverseSearch))
     }
 }
 

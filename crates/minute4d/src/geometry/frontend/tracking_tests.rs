@@ -165,9 +165,9 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
         tracker: few(),
         ..MegasamSettings::default()
     };
-    (settings.cvd.stage1.steps, settings.cvd.stage2.steps) = (3, 4);
+    settings.cvd.steps = [3, 4];
     let size = TrackingSize::new((SIDE, SIDE), settings.tracking_pixels).unwrap();
-    let search = m4_slam::dense::InverseSearch::default();
+    let search = m4_slam::dense::InverseSearch;
     let run = |budget_mb: usize, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {

@@ -64,7 +64,7 @@ fn page() -> String {
         if !section.about.is_empty() {
             write!(out, "{}\n\n", section.about).unwrap();
         }
-        out += "| key | type or unit | default | |\n|---|---|---|---|\n";
+        out += "| key | type or unit | default | meaning |\n|---|---|---|---|\n";
         for (key, unit, about) in section.rows {
             let (default, other) = (shown(&fast, key), shown(&faithful, key));
             let default = match default == other {
