@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::{Command, ExitCode};
 use std::time::Instant;
 
-const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
+const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- ARGUMENT...] | check [--skip-tests] | arrows | lock | deny | page | settings [--check] | results-held-out SCENE... | results-time SECONDS,... SCENE... | results-geometry [OPTION VALUE]... INPUT=TRUTH... | results-raw [OPTION VALUE]... SCENE... | results-ablation [--iterations N] [--rows NAME,...] [--reuse] SCENE...>
 
   test    the tests of the default program, and at the end what could not run here and why; --full: what networks and GPUs add to
           them; --require ffmpeg,chromium,vulkan,...: fail where a test was skipped for want of these (docs/building.md)
@@ -20,6 +20,7 @@ const USAGE: &str = "usage: cargo xtask <test [--full] [--require NEED,...] [-- 
   lock    no git sources in Cargo.lock
   deny    cargo-deny: licences, sources, duplicate versions (skipped where it is not installed)
   page    build the viewer's page from crates/m4_viewer/page (needs npm)
+  settings  write docs/settings.md from the code; --check: fail where it is not up to date
   results-held-out  train each scene in every profile and score its held-out views (docs/results.md)
   results-time      train each scene in both profiles for so many seconds each and score its held-out views
   results-geometry  recover the geometry of each input and compare it with the truth (docs/results.md)
@@ -41,6 +42,8 @@ fn main() -> ExitCode {
         ["lock"] => step("lock", || xtask::lock::check(&root)),
         ["deny"] => step("deny", || deny(&root)),
         ["page"] => step("page", || xtask::page::build(&root, &root.join("target/page"))),
+        ["settings"] => step("settings", || settings(&root, true)),
+        ["settings", "--check"] => step("settings", || settings(&root, false)),
         ["results-held-out", ref scenes @ ..] if !scenes.is_empty() => {
             table(xtask::results::held_out(&root, scenes, &root.join("target/results")))
         }
@@ -106,6 +109,20 @@ fn check(root: &Path, tests: bool) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// The page of settings, by the tests of the crate whose settings they are.
+fn settings(root: &Path, write: bool) -> Result<()> {
+    let env: &[(&str, &str)] = if write {
+        &[("MINUTE4D_WRITE_SETTINGS", "1")]
+    } else {
+        &[]
+    };
+    cargo(
+        root,
+        &["test", "--quiet", "-p", "minute4d", "--lib", "settings::page"],
+        env,
+    )
 }
 
 /// Prints what was measured.

@@ -1,10 +1,10 @@
 //! Turns point clouds into splats.
 
-use crate::carry::{Carry, Moving, hidden, is_seen};
+use crate::carry::{CARRY_MARGIN, CARRY_REACH_PIXELS, Carry, MOST_CARRIED, Moving, hidden, is_seen};
 use crate::change::changes;
 use crate::cloud::{Clouds, Pixels, clouds};
 use crate::error::stopped;
-use crate::motion::{Field, Fields, Registration, View, Ways, fields};
+use crate::motion::{Field, Fields, NODE_PIXELS, REACH_PIXELS, Registration, View, Ways, fields};
 use crate::shell::{Shell, shell};
 use crate::tracked::{self, Known};
 use crate::voxel::{Centroids, Grid, pixels_for};
@@ -12,6 +12,14 @@ use crate::write::{BRIGHT, DARK, Writer};
 use crate::{InitConfig, InitError, TimeSpread, VelocityInit};
 use m4_scene::{Capture, Progress, SplatLayout, Splats};
 use rayon::prelude::*;
+
+/// Voxels are never smaller than this, pixels at the median depth: splats finer than the pixels leave cracks in views from the
+/// side (measured: -0.4 dB inside moving parts at 0.5; docs/decisions/0004).
+const MIN_PIXELS: f32 = 1.25;
+/// Spacing of the splats that tint changed patches, pixels at the median depth (our rule).
+const TINT_PIXELS: f32 = 5.0;
+/// Radius of the shell, in units of the depth below which 99 of 100 pixels lie (our rule).
+const SHELL_RADIUS: f32 = 2.0;
 
 /// The first splats of a capture.
 ///
@@ -40,12 +48,9 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let grid = |pixels| Grid::new(config.cells, pixels, focal_px, median_depth, &centres, origin);
     let points = |pixels: &Pixels| pixels.cloud(capture);
 
-    let static_pixels = match config.static_pixels {
-        0.0 => pixels_for(config.max_static, config.min_pixels, |p| {
-            grid(p).occupied_by(&clouds.standing, points)
-        }),
-        pixels => pixels,
-    };
+    let static_pixels = pixels_for(config.max_static, MIN_PIXELS, |p| {
+        grid(p).occupied_by(&clouds.standing, points)
+    });
     let standing_grid = grid(static_pixels);
     let standing = standing_grid.merge_all(&clouds.standing, points);
     stopped(progress)?;
@@ -55,11 +60,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         let grid = grid(p);
         clouds.moving.par_iter().map(|k| grid.occupied(&points(k))).sum()
     };
-    let dynamic_pixels = match config.dynamic_pixels {
-        0.0 => pixels_for(config.max_dynamic, config.min_pixels, count),
-        pixels => pixels,
-    };
-    let moving_grid = grid(dynamic_pixels);
+    let moving_grid = grid(pixels_for(config.max_dynamic, MIN_PIXELS, count));
     let moving: Vec<(f64, Centroids)> = clouds
         .moving
         .par_iter()
@@ -73,12 +74,12 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     let by = Carry {
         keyframes: match config.velocity {
             // What does not move is carried nowhere.
-            VelocityInit::Zero | VelocityInit::Tracks { .. } => 0,
+            VelocityInit::Zero => 0,
             VelocityInit::Register { .. } => config.carry_keyframes,
         },
-        most: config.carry_max,
-        margin: config.carry_margin,
-        reach: (f64::from(config.carry_reach_pixels) * median_depth / focal_px) as f32,
+        most: MOST_CARRIED,
+        margin: CARRY_MARGIN,
+        reach: (f64::from(CARRY_REACH_PIXELS) * median_depth / focal_px) as f32,
     };
     let hidden = hidden(capture, &frames, &moving, &fields, &moving_grid, by, progress)?;
     let known = Known {
@@ -93,18 +94,9 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     stopped(progress)?;
     let tracked = tracked::tracked(&known, config);
     stopped(progress)?;
-    let velocities = match config.velocity {
-        VelocityInit::Tracks {
-            neighbours,
-            reach_pixels,
-        } => {
-            let reach = f64::from(reach_pixels) * median_depth / focal_px;
-            tracked::velocities(&known, neighbours, reach as f32, config)
-        }
-        VelocityInit::Zero | VelocityInit::Register { .. } => velocities(&moving, &fields),
-    };
+    let velocities = velocities(&moving, &fields);
     stopped(progress)?;
-    let tint_grid = grid(config.change_pixels);
+    let tint_grid = grid(TINT_PIXELS);
     let tints: Vec<Tints> = frames
         .par_iter()
         .map(|&frame| {
@@ -118,11 +110,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
             }
         })
         .collect();
-    let shell = shell(
-        capture,
-        config.shell_splats,
-        config.shell_radius * clouds.far_depth as f32,
-    );
+    let shell = shell(capture, config.shell_splats, SHELL_RADIUS * clouds.far_depth as f32);
     let parts = Parts {
         standing,
         shell,
@@ -175,26 +163,13 @@ fn motions(
     progress: &dyn Progress,
 ) -> Result<Vec<Fields>, InitError> {
     match config.velocity {
-        VelocityInit::Zero | VelocityInit::Tracks { .. } => Ok(vec![Fields::default(); moving.len().saturating_sub(1)]),
-        VelocityInit::Register {
-            pixels,
-            colour_scale,
-            reach_pixels,
-            neighbours,
-            rounds,
-            picture_rounds,
-            tracks,
-        } => {
-            let coarse_grid = grid(pixels);
+        VelocityInit::Zero => Ok(vec![Fields::default(); moving.len().saturating_sub(1)]),
+        VelocityInit::Register { tracks } => {
+            let coarse_grid = grid(NODE_PIXELS);
             let coarse = clouds.moving.par_iter().map(|k| coarse_grid.merge(&k.cloud(capture)));
             let coarse: Vec<Centroids> = coarse.collect();
-            let by = Registration {
-                colour_scale,
-                reach: (f64::from(reach_pixels) * clouds.median_depth / clouds.focal_px) as f32,
-                neighbours,
-                rounds,
-                picture_rounds,
-            };
+            let reach = f64::from(REACH_PIXELS) * clouds.median_depth / clouds.focal_px;
+            let by = Registration::with_reach(reach as f32);
             let frames = || clouds.moving.iter().map(|k| &capture.frames[k.frame]);
             let sees: Vec<_> = frames()
                 .map(|frame| move |p| is_seen(frame, p, HIDDEN_BEHIND))
@@ -204,7 +179,7 @@ fn motions(
                 .map(|(i, frame)| View {
                     nodes: &coarse[i],
                     points: &moving[i].1,
-                    frame: (picture_rounds > 0).then_some(frame),
+                    frame: Some(frame),
                     sees: &sees[i],
                 })
                 .collect();

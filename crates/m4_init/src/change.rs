@@ -14,6 +14,8 @@ use m4_scene::CaptureFrame;
 const STEP: usize = 2;
 /// Half the side of the patch that is averaged, compared pixels: texture cancels, shadows do not.
 const PATCH: usize = 3;
+/// At most this share of a frame counts as changed (our rule).
+const MOST_CHANGED: f32 = 0.1;
 /// Overlays float this share of the depth in front of the surface: near enough to show no parallax.
 const LIFT: f64 = 0.01;
 
@@ -60,7 +62,7 @@ pub(crate) fn changes(frame: &CaptureFrame, config: &InitConfig, grid: &Grid, vo
         .filter(|d| d.is_finite())
         .map(|d| (d - common).abs())
         .collect();
-    let rank = ((sizes.len() as f32 * (1.0 - config.change_max_share)) as usize).min(sizes.len() - 1);
+    let rank = ((sizes.len() as f32 * (1.0 - MOST_CHANGED)) as usize).min(sizes.len() - 1);
     let threshold = sizes
         .select_nth_unstable_by(rank, f32::total_cmp)
         .1

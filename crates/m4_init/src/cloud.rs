@@ -6,6 +6,10 @@ use m4_math::nalgebra::Vector3;
 use m4_scene::{Capture, CaptureFrame, CompactMask, DepthMap, Progress};
 use rayon::prelude::*;
 
+/// A pixel is dropped when its depth lies between those of two opposite neighbours and differs from both by more than this
+/// share: it hangs in the air between two surfaces (our rule; docs/decisions/0004).
+const EDGE_JUMP: f32 = 0.05;
+
 /// Coloured points of the world.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct Cloud {
@@ -117,10 +121,8 @@ pub(crate) fn clouds(capture: &Capture, config: &InitConfig, progress: &dyn Prog
             .par_iter()
             .enumerate()
             .map(|(i, &frame)| {
-                let rank = b * BATCH + i;
-                let standing = standing_rank.binary_search(&rank).is_ok();
-                let moving = rank.is_multiple_of(config.dynamic_stride);
-                look_at(&capture.frames[frame], config, standing, moving)
+                let standing = standing_rank.binary_search(&(b * BATCH + i)).is_ok();
+                look_at(&capture.frames[frame], config, standing)
             })
             .collect();
         for (i, part) in parts.into_iter().enumerate() {
@@ -170,15 +172,16 @@ fn camera_is_usable(frame: &CaptureFrame) -> bool {
 
 /// What one frame contributes.
 struct Part {
-    /// Pixels that are points, where they are asked for.
+    /// Static pixels that are points, where they are asked for.
     standing: Option<CompactMask>,
+    /// Dynamic pixels that are points; `None` without depth.
     moving: Option<CompactMask>,
     /// Every 16th usable depth, for the median.
     depths: Vec<f32>,
     focal_px: f64,
 }
 
-fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool, want_moving: bool) -> Part {
+fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool) -> Part {
     let mut part = Part {
         standing: None,
         moving: None,
@@ -191,7 +194,7 @@ fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool, want_
     let camera = frame.camera.resized(w, h);
     part.focal_px = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy);
     let usable: Vec<bool> = (0..w * h)
-        .map(|i| is_depth(depth.data()[i]) && !hangs_in_air(depth, i % w, i / w, config.edge_jump))
+        .map(|i| is_depth(depth.data()[i]) && !hangs_in_air(depth, i % w, i / w))
         .collect();
     let sampled = (0..w * h).step_by(16).filter(|&i| usable[i]);
     part.depths = sampled.map(|i| depth.data()[i]).collect();
@@ -201,10 +204,8 @@ fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool, want_
         let still = |i: usize| usable[i] && !near_moving[i];
         part.standing = Some(CompactMask::from_fn(w, h, |x, y| still(y * w + x)));
     }
-    if want_moving {
-        let moving = |i: usize| usable[i] && moves[i];
-        part.moving = Some(CompactMask::from_fn(w, h, |x, y| moving(y * w + x)));
-    }
+    let moving = |i: usize| usable[i] && moves[i];
+    part.moving = Some(CompactMask::from_fn(w, h, |x, y| moving(y * w + x)));
     part
 }
 
@@ -225,7 +226,7 @@ pub(crate) fn standing_pixels(
     for y in (0..h).step_by(step) {
         for x in (0..w).step_by(step) {
             let z = depth[(x, y)];
-            if !near_moving[y * w + x] && is_depth(z) && !hangs_in_air(depth, x, y, config.edge_jump) {
+            if !near_moving[y * w + x] && is_depth(z) && !hangs_in_air(depth, x, y) {
                 let colour = frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))];
                 visit(x, y, camera.unproject(x as f64, y as f64, f64::from(z)), colour);
             }
@@ -239,11 +240,11 @@ pub(crate) fn is_depth(z: f32) -> bool {
 
 /// True where the depth lies strictly between two opposite neighbours and is far from both: such
 /// pixels are blends of two surfaces. A clean step keeps both of its sides.
-fn hangs_in_air(depth: &DepthMap, x: usize, y: usize, jump: f32) -> bool {
+fn hangs_in_air(depth: &DepthMap, x: usize, y: usize) -> bool {
     let z = depth[(x, y)];
     let between = |a: f32, b: f32| {
         let (low, high) = (a.min(b), a.max(b));
-        is_depth(a) && is_depth(b) && z - low > jump * z && high - z > jump * z
+        is_depth(a) && is_depth(b) && z - low > EDGE_JUMP * z && high - z > EDGE_JUMP * z
     };
     let (w, h) = depth.size();
     (x > 0 && x + 1 < w && between(depth[(x - 1, y)], depth[(x + 1, y)]))
@@ -290,9 +291,9 @@ mod tests {
     #[test]
     fn a_clean_step_stays_and_a_blended_pixel_goes() {
         let step = Plane::from_vec(4, 1, vec![2.0, 2.0, 5.0, 5.0]).unwrap();
-        assert!((0..4).all(|x| !hangs_in_air(&step, x, 0, 0.05)));
+        assert!((0..4).all(|x| !hangs_in_air(&step, x, 0)));
         let blend = Plane::from_vec(5, 1, vec![2.0, 2.0, 3.3, 5.0, 5.0]).unwrap();
-        let dropped: Vec<bool> = (0..5).map(|x| hangs_in_air(&blend, x, 0, 0.05)).collect();
+        let dropped: Vec<bool> = (0..5).map(|x| hangs_in_air(&blend, x, 0)).collect();
         assert_eq!(dropped, [false, false, true, false, false]);
     }
 

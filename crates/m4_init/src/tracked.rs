@@ -4,16 +4,20 @@
 //! keyframe; it is left out where it is not to be trusted, floats in front of what the frame sees, no camera of the clip looks there, or the
 //! track jumps. Points of the frames are better where both exist: tracks fill only cells that are empty in that keyframe.
 
-use crate::carry::{Moving, is_seen};
+use crate::carry::{CARRY_MARGIN, Moving, is_seen};
 use crate::voxel::{Centroids, Grid};
 use crate::{InitConfig, VelocityInit};
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use m4_scene::{Capture, CaptureFrame, Tracks};
 use rayon::prelude::*;
-use std::num::NonZero;
 
 /// Cameras of the clip that are asked whether they look at a place.
 const CAMERAS: usize = 32;
+/// Places that are trusted less than this are dropped where they lie outside the range of depths that frames see (our rule).
+const LEAST_CONFIDENCE: f32 = 0.5;
+/// Places in front of what the frame sees by more than this share of the depth are dropped (section 2.6: 5 %).
+const FREE_SPACE: f32 = 0.05;
+/// Places that a track reaches or leaves by a step of more than this many times its median step are dropped (our rule).
+const JUMP: f32 = 8.0;
 /// A step shorter than this share of the median depth is no jump.
 const SMALL_STEP: f32 = 0.01;
 
@@ -158,8 +162,8 @@ fn samples(
         let (Some(xyz), Some(rgb)) = (tracks.place(at, k), way.rgb) else {
             continue;
         };
-        let own = !config.tracked.seen && is_seen(frame, xyz, config.carry_margin);
-        if own || !is_plausible(known, tracks, (k, way), (at, xyz), cameras, config) {
+        let own = !config.tracked.seen && is_seen(frame, xyz, CARRY_MARGIN);
+        if own || !is_plausible(known, tracks, (k, way), (at, xyz), cameras) {
             continue;
         }
         let key = known.grid.key(xyz);
@@ -197,15 +201,14 @@ fn is_plausible(
     (track, way): (usize, &Way),
     (at, xyz): (usize, [f32; 3]),
     cameras: &[&CaptureFrame],
-    config: &InitConfig,
 ) -> bool {
     let frame = &known.capture.frames[at];
     let (_, z) = frame.camera.project(&xyz.map(f64::from).into());
     let [near, far] = known.depth_range;
-    if tracks.confidence(at, track) < config.tracked.confidence && !(near..=far).contains(&z) {
+    if tracks.confidence(at, track) < LEAST_CONFIDENCE && !(near..=far).contains(&z) {
         return false;
     }
-    if floats(frame, xyz, config.tracked.free_space) {
+    if floats(frame, xyz) {
         return false;
     }
     if colour(frame, xyz).is_none() && !cameras.iter().any(|c| colour(c, xyz).is_some()) {
@@ -213,15 +216,15 @@ fn is_plausible(
     }
     let before = (0..at).rev().find_map(|t| Some((t, tracks.place(t, track)?)));
     let after = (at + 1..tracks.frames()).find_map(|t| Some((t, tracks.place(t, track)?)));
-    let most = (config.tracked.jump * way.step).max(SMALL_STEP * known.median_depth as f32);
+    let most = (JUMP * way.step).max(SMALL_STEP * known.median_depth as f32);
     [before, after]
         .into_iter()
         .flatten()
         .all(|other| speed((at, xyz), other) <= most)
 }
 
-/// Whether a frame sees something farther where the place is, by more than `share` of its depth, in all of 3x3 pixels.
-fn floats(frame: &CaptureFrame, p: [f32; 3], share: f32) -> bool {
+/// Whether a frame sees something farther where the place is, by more than [`FREE_SPACE`] of its depth, in all of 3x3 pixels.
+fn floats(frame: &CaptureFrame, p: [f32; 3]) -> bool {
     let Some(depth) = &frame.depth else { return false };
     let (w, h) = depth.size();
     let ([u, v], z) = frame.camera.resized(w, h).project(&p.map(f64::from).into());
@@ -237,7 +240,7 @@ fn floats(frame: &CaptureFrame, p: [f32; 3], share: f32) -> bool {
         .filter(|d| d.is_finite() && *d > 0.0);
     known
         .min_by(f32::total_cmp)
-        .is_some_and(|least| z < f64::from(least * (1.0 - share)))
+        .is_some_and(|least| z < f64::from(least * (1.0 - FREE_SPACE)))
 }
 
 /// How tracks move at a keyframe.
@@ -278,34 +281,4 @@ impl<'a> Velocities<'a> {
         let gap = (time(after.0) - time(before.0)) as f32;
         (gap != 0.0).then(|| [0, 1, 2].map(|k| (after.1[k] - before.1[k]) / gap))
     }
-}
-
-/// Velocities of the points of every keyframe, world units per frame: the mean of the nearest `neighbours` tracks within `reach`, by the
-/// inverse of their distance; 0 where there is none.
-pub(crate) fn velocities(known: &Known<'_>, neighbours: usize, reach: f32, config: &InitConfig) -> Vec<Vec<[f32; 3]>> {
-    let still = |i: usize| vec![[0.0; 3]; known.moving[i].1.xyz.len()];
-    let Some(tracks) = &known.capture.tracks else {
-        return (0..known.moving.len()).map(still).collect();
-    };
-    let keyframe = |i: usize| {
-        let ways = Velocities::new(known, tracks, i, config);
-        let told = (0..tracks.count()).filter_map(|k| Some((tracks.place(known.frames[i], k)?, ways.of(k)?)));
-        let (places, moves): (Vec<[f32; 3]>, Vec<[f32; 3]>) = told.unzip();
-        let count = NonZero::new(neighbours.min(places.len()));
-        let (Some(count), Ok(tree)) = (count, ImmutableKdTree::<f32, 3>::new_from_slice(&places)) else {
-            return still(i);
-        };
-        let at = |p: &[f32; 3]| {
-            let near = tree.query(p).nearest_n::<SquaredEuclidean<f32>>(count).execute();
-            let (mut sum, mut total) = ([0.0f32; 3], 0.0f32);
-            for n in near.iter().filter(|n| n.distance <= reach * reach) {
-                let weight = 1.0 / (n.distance.sqrt() + 0.01 * reach);
-                (0..3).for_each(|k| sum[k] += weight * moves[n.item as usize][k]);
-                total += weight;
-            }
-            if total > 0.0 { sum.map(|s| s / total) } else { sum }
-        };
-        known.moving[i].1.xyz.iter().map(at).collect()
-    };
-    (0..known.moving.len()).into_par_iter().map(keyframe).collect()
 }

@@ -17,8 +17,15 @@ const SHELL_OPACITY: f32 = 0.9;
 /// Splats of standard deviation 0.75 of their spacing cover each place `2 pi 0.75^2` times.
 const COVER: f32 = 3.5;
 
+/// Neighbours, the point itself among them, whose spread gives a splat its axes and its standard deviations: a disc on the
+/// surface (our rule; measured: +1 dB on whole held-out views, +0.5 dB inside moving parts over spheres; docs/decisions/0004).
+const DISC_NEIGHBOURS: usize = 9;
+/// Thickness of a disc: least standard deviation in units of the distance to the three nearest neighbours (docs/decisions/0004).
+const DISC_THICKNESS: f32 = 0.05;
 /// A disc is at most this much longer than a sphere would be wide.
 const MOST_STRETCHED: f32 = 3.0;
+/// Largest standard deviation, in voxel edges: an isolated point must not become a cloud (our rule).
+const MOST_EDGES: f32 = 3.0;
 
 /// Fills rows one after the other.
 pub(crate) struct Writer<'a> {
@@ -51,16 +58,16 @@ impl Writer<'_> {
         let config = self.config;
         let first = self.row;
         let size = spacing(&points.xyz, &points.edge);
-        let largest = |i: usize| config.max_scale_cells * points.edge[i];
+        let largest = |i: usize| MOST_EDGES * points.edge[i];
         for (i, &p) in points.xyz.iter().enumerate() {
             let sd = (config.scale_factor * size[i]).min(largest(i));
             self.put(p, points.rgb[i], sd, config.opacity);
         }
-        if config.isotropic || config.disc_neighbours <= 2 {
+        if config.isotropic {
             return;
         }
-        for (i, spread) in spread(&points.xyz, config.disc_neighbours).into_iter().enumerate() {
-            let thinnest = config.disc_thickness * size[i];
+        for (i, spread) in spread(&points.xyz, DISC_NEIGHBOURS).into_iter().enumerate() {
+            let thinnest = DISC_THICKNESS * size[i];
             let longest = (MOST_STRETCHED * config.scale_factor * size[i]).max(thinnest);
             for k in 0..3 {
                 let sd = (config.scale_factor * spread.sd[k])

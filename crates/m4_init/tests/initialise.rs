@@ -141,14 +141,13 @@ fn the_faithful_profile_has_one_scale_and_fades_everything() {
 #[test]
 fn a_shadow_on_the_wall_is_laid_over_it() {
     let mut capture = capture(8);
-    // from frame 4 on, the right quarter of the image is in the shade
+    // from frame 4 on, the right edge of the image is in the shade
     for frame in &mut capture.frames[4..] {
         let lit = frame.rgb.clone();
-        frame.rgb = Plane::from_fn(96, 64, |x, y| lit[(x, y)].map(|c| if x >= 72 { c / 2 } else { c }));
+        frame.rgb = Plane::from_fn(96, 64, |x, y| lit[(x, y)].map(|c| if x >= 88 { c / 2 } else { c }));
     }
     let config = InitConfig {
         change_threshold: 0.05,
-        change_max_share: 0.4,
         velocity: VelocityInit::Zero,
         ..fast()
     };
@@ -284,15 +283,7 @@ fn frames_of_one_instant_make_no_endless_velocities() {
         frame.t = (i / 2) as f64;
     }
     capture.time_frames = 4;
-    let splats = initialise(
-        &capture,
-        &InitConfig {
-            carry_margin: 0.05,
-            ..fast()
-        },
-        &Silent,
-    )
-    .unwrap();
+    let splats = initialise(&capture, &fast(), &Silent).unwrap();
     assert!(splats.n_dynamic() > 100 && splats.is_finite());
     for k in 0..3 {
         let fastest = splats

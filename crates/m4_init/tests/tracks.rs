@@ -83,7 +83,7 @@ fn config() -> InitConfig {
 /// The configuration with or without a word for tracks.
 fn with_tracks(on: bool) -> InitConfig {
     let mut config = config();
-    if let VelocityInit::Register { tracks, .. } = &mut config.velocity {
+    if let VelocityInit::Register { tracks } = &mut config.velocity {
         *tracks = on;
     }
     config

@@ -1,8 +1,9 @@
 //! Fits colours by least squares: rounds that distribute the residual of each splat's pixels.
 //!
 //! With everything else fixed an image is `A c + b`: `A` holds the blending weights, at least 0 and of a sum of at most
-//! 1 a pixel. A round is `c += relax * (A^T (target - picture)) / (A^T 1 + damping)`, splat by splat and channel by
-//! channel. Both sums are what the renderer's backward pass returns, of the residual and of ones.
+//! 1 a pixel. A round is `c += (A^T (target - image)) / (A^T 1 + damping)`, splat by splat and channel by channel: the
+//! simultaneous iterative reconstruction technique (Gilbert 1972), whose error never grows (docs/spec/optimiser.md 8, item 7). Both sums
+//! are what the renderer's backward pass returns, of the residual and of ones.
 
 use m4_scene::{Column, Splats};
 use rayon::prelude::*;
@@ -13,6 +14,16 @@ const CHUNK_ROWS: usize = 8192;
 const Y00: f32 = m4_kernels::shade::C0 as f32;
 /// Least colour that a fit leaves, 0..1: at 0 and below a colour has no gradient any more.
 const DARKEST: f32 = 0.004;
+/// Added to the sum of a splat's weights, pixels over all frames: splats that are hardly seen hardly change (our choice).
+const DAMPING_PX: f32 = 0.1;
+
+/// Frames that a fit of `rounds` rounds draws, in units of what a frame of a step costs; `all` are in the capture.
+pub(crate) fn frames_drawn(rounds: usize, all: usize) -> f64 {
+    match rounds {
+        0 => 0.0,
+        rounds => all as f64 * (rounds as f64 + 0.5),
+    }
+}
 
 /// Sums over the pixels of all frames, `[channel][n]`, as derivatives with respect to the constant coefficient.
 #[derive(Debug)]
@@ -76,7 +87,7 @@ impl ColourSums {
     }
 
     /// Moves the colours.
-    pub fn apply(&self, splats: &mut Splats, relax: f32, damping_px: f32) {
+    pub fn apply(&self, splats: &mut Splats) {
         let constant = splats.layout().colour_terms() == 1;
         for k in 0..3 {
             let column = splats.column_mut(Column::Colour, k);
@@ -85,8 +96,8 @@ impl ColourSums {
                 if weight <= 0.0 {
                     continue;
                 }
-                let missing = residual / (weight + Y00 * damping_px);
-                let moved = *c - relax * missing / Y00;
+                let missing = residual / (weight + Y00 * DAMPING_PX);
+                let moved = *c - missing / Y00;
                 let floor = if constant {
                     (DARKEST - 0.5) / Y00
                 } else {
@@ -100,8 +111,14 @@ impl ColourSums {
 
 #[cfg(test)]
 mod tests {
-    use super::{ColourSums, DARKEST, Sum, Y00};
+    use super::{ColourSums, DAMPING_PX, DARKEST, Sum, Y00, frames_drawn};
     use m4_scene::{Column, SplatLayout, Splats};
+
+    #[test]
+    fn a_fit_costs_its_rounds_and_half_a_round() {
+        assert_eq!(frames_drawn(2, 10), 25.0);
+        assert_eq!(frames_drawn(0, 10), 0.0);
+    }
 
     #[test]
     fn a_colour_moves_by_the_weighted_mean_of_what_is_missing() {
@@ -129,9 +146,10 @@ mod tests {
                 &[1, 0, 1],
             );
         }
-        sums.apply(&mut splats, 1.0, 0.0);
+        sums.apply(&mut splats);
         let red = splats.column(Column::Colour, 0);
-        assert!((red[0] * Y00 - 0.2 / 0.75).abs() < 1e-6, "{}", red[0] * Y00);
+        let want = 0.2 / (0.75 + DAMPING_PX);
+        assert!((red[0] * Y00 - want).abs() < 1e-6, "{}", red[0] * Y00);
         assert_eq!(red[1], 0.0);
         assert!(
             (0.5 + red[2] * Y00 - DARKEST).abs() < 1e-6,

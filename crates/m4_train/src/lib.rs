@@ -30,9 +30,7 @@ mod schedule;
 mod state;
 mod trainer;
 
-pub use config::{
-    AdamSettings, ColourFitConfig, DensityConfig, LossConfig, PositionUnit, RateConfig, RefineConfig, TrainConfig,
-};
+pub use config::{AdamConfig, DensityConfig, RateConfig, RefineConfig, TrainConfig};
 pub use device::{Device, DeviceError, DeviceMaker};
 pub use error::TrainError;
 pub use metrics::MetricsEvent;

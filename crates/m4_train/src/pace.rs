@@ -1,7 +1,8 @@
 //! Estimates how many iterations fit into a time budget on this machine.
 
 use crate::TrainError;
-use crate::config::{ColourFitConfig, DensityConfig, RefineConfig, TrainConfig};
+use crate::colour_fit::frames_drawn;
+use crate::config::{DensityConfig, RefineConfig, TrainConfig};
 use crate::device::{DeviceError, DeviceMaker};
 use crate::scale::SceneScale;
 use crate::trainer::Trainer;
@@ -41,7 +42,7 @@ pub fn affordable_iterations(
     }
     let grown = grown(splats, &apparent_sizes(capture, splats), config)?;
     let step_s = trial(capture, &grown, config, level, device)?;
-    let fits = config.colour_fit.frames_drawn(capture.frames.len()) / config.batch as f64;
+    let fits = frames_drawn(config.colour_fit_rounds, capture.frames.len()) / config.batch as f64;
     let count = (PLANNED * seconds / step_s.max(1e-6) - fits).max(0.0) as usize;
     Ok((count / 10 * 10).max(LEAST))
 }
@@ -100,7 +101,7 @@ fn trial(
             enabled: false,
             ..config.density.clone()
         },
-        colour_fit: ColourFitConfig::off(),
+        colour_fit_rounds: 0,
         refine: RefineConfig {
             from: 0,
             ..config.refine.clone()

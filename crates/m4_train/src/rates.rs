@@ -1,6 +1,6 @@
 //! One learning rate per column.
 
-use crate::config::{PositionUnit, RateConfig};
+use crate::config::RateConfig;
 use crate::scale::SceneScale;
 use crate::schedule::log_linear;
 use m4_scene::{Column, SplatLayout};
@@ -22,10 +22,7 @@ pub(crate) fn rates(
     basis: RateBasis,
     x: f32,
 ) -> Vec<f32> {
-    let unit = match config.position_unit {
-        PositionUnit::Extent => scale.extent,
-        PositionUnit::MedianDepth => scale.median_depth,
-    };
+    let unit = scale.extent;
     let fall = log_linear(config.position, config.position_end, x);
     let other = log_linear(1.0, config.other_end, x);
     let velocity = if config.position > 0.0 {
@@ -37,7 +34,7 @@ pub(crate) fn rates(
         let last = basis.time_frames.max(2) - 1;
         config.position * unit * last as f32 / config.time_mean_reference
     } else {
-        config.time_mean * other
+        0.0
     };
     let mut out = vec![0.0; layout.columns()];
     let mut set = |column, rate: f32| out[layout.range(column)].fill(rate);
@@ -45,7 +42,7 @@ pub(crate) fn rates(
     set(Column::LogScale, config.scale * other);
     set(Column::Quat, config.rotation * other);
     set(Column::Opacity, config.opacity * other);
-    set(Column::Colour, config.colour_rest * other);
+    set(Column::Colour, config.colour / 20.0 * other);
     set(Column::TimeMean, time_mean);
     set(Column::LogTimeSd, config.time_sd * other);
     set(Column::Velocity, velocity * unit / basis.time_sd.max(1e-3));

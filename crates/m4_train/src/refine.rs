@@ -5,6 +5,9 @@ use m4_kernels::CameraGradient;
 use m4_math::nalgebra::Vector6;
 use m4_scene::{Camera, Exposure};
 
+/// Rate of the logarithm of the focal length (our choice).
+const FOCAL_LR: f32 = 1e-5;
+
 /// Adam over a few numbers.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct SmallAdam<const N: usize> {
@@ -106,7 +109,7 @@ impl Refinement {
         if config.focal {
             let k = &drawn.intrinsics;
             let g = gradient.intrinsics[0] * k.fx + gradient.intrinsics[1] * k.fy;
-            self.log_focal += self.focal.step(&[g], &[f64::from(config.focal_lr)])[0];
+            self.log_focal += self.focal.step(&[g], &[f64::from(FOCAL_LR)])[0];
         }
     }
 

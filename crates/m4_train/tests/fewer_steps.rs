@@ -5,23 +5,21 @@ use crate::common::{FRAMES, disturbed, video};
 use m4_kernels::SimdLevel;
 use m4_math::CounterRng;
 use m4_scene::{Capture, Column, Silent, Splats, StateTensor, TrainState};
-use m4_train::{ColourFitConfig, DensityConfig, MetricsEvent, RateConfig, TrainConfig, Trainer};
+use m4_train::{DensityConfig, MetricsEvent, RateConfig, TrainConfig, Trainer};
 
 /// Nothing moves and nothing changes over the run.
 fn frozen(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.density.enabled = false;
-    config.colour_fit = ColourFitConfig::off();
+    config.colour_fit_rounds = 0;
     config.lr = RateConfig {
         position: 0.0,
         position_end: 0.0,
         colour: 0.0,
-        colour_rest: 0.0,
         opacity: 0.0,
         scale: 0.0,
         rotation: 0.0,
-        time_mean: 0.0,
         time_sd: 0.0,
         velocity: 0.0,
         ..RateConfig::default()
@@ -108,11 +106,7 @@ fn everything(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.iterations = iterations;
     config.batch = 2;
-    config.colour_fit = ColourFitConfig {
-        rounds: 2,
-        frames: 5,
-        ..ColourFitConfig::default()
-    };
+    config.colour_fit_rounds = 2;
     config.density = DensityConfig {
         from: 10,
         every: 10,
@@ -169,13 +163,9 @@ fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
         let column = splats.column_mut(Column::Colour, k);
         column.iter_mut().for_each(|c| *c += 0.5 * rng.normal() as f32);
     }
-    let run = |rounds: usize, relax: f32| {
+    let run = |rounds: usize| {
         let mut config = frozen(1);
-        config.colour_fit = ColourFitConfig {
-            rounds,
-            relax,
-            ..ColourFitConfig::default()
-        };
+        config.colour_fit_rounds = rounds;
         let mut trainer = start(&capture, splats.clone(), config);
         trainer.run(&Silent, &mut |_| {}).unwrap();
         let fitted = trainer.into_scene().splats;
@@ -187,18 +177,11 @@ fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
         trainer.run(&Silent, &mut |e| last = Some(*e)).unwrap();
         (last.unwrap().l1, fitted)
     };
-    let (before, start) = run(0, 1.0);
-    let (one, fitted) = run(1, 1.0);
-    let (eight, _) = run(8, 1.0);
-    let (none, still) = run(3, 0.0);
-    let (faster, _) = run(8, 1.8);
+    let (before, start) = run(0);
+    let (one, fitted) = run(1);
+    let (eight, _) = run(8);
     assert!(one < 0.6 * before, "l1 {before} to {one}");
     assert!(eight < 0.3 * one, "l1 {one} to {eight}");
-    assert!(faster < 0.8 * eight, "l1 {eight} to {faster}");
-    assert!(
-        none == before && bits(&still) == bits(&start),
-        "nothing of what is missing is nothing"
-    );
     let layout = splats.layout();
     let colour = layout.range(Column::Colour);
     for (c, (a, b)) in start.columns().iter().zip(fitted.columns()).enumerate() {

@@ -11,7 +11,6 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 fn config(iterations: usize) -> TrainConfig {
     let mut config = TrainConfig::fast();
     config.lr.colour = 0.02;
-    config.lr.time_mean = 0.0;
     config.lr.position = 1e-3;
     config.lr.scale = 0.01;
     config.lr.velocity = 1e-2;

@@ -16,8 +16,6 @@ pub struct FrameLimits {
     pub side_px: usize,
     /// All of them together, bytes; where that is not enough, quality and then size are lowered.
     pub bytes: usize,
-    /// JPEG quality to begin with, 1 to 100. 80: blocks are not seen at this size.
-    pub quality: u8,
 }
 
 impl Default for FrameLimits {
@@ -25,7 +23,6 @@ impl Default for FrameLimits {
         Self {
             side_px: 480,
             bytes: 6_000_000,
-            quality: 80,
         }
     }
 }
@@ -63,6 +60,8 @@ pub enum FramesError {
     },
 }
 
+/// JPEG quality to begin with, 1 to 100: blocks are not seen at this size.
+const QUALITY: u8 = 80;
 /// Quality is lowered by this much at a time, down to [`LEAST_QUALITY`]; after that the size.
 const QUALITY_STEP: u8 = 15;
 const LEAST_QUALITY: u8 = 50;
@@ -85,7 +84,7 @@ pub fn encode_frames(pictures: &[&RgbImage], limits: &FrameLimits) -> Result<Opt
     }
     let Some(first) = pictures.first() else { return Ok(None) };
     let mut side = limits.side_px.max(LEAST_SIDE_PX);
-    let mut quality = limits.quality.clamp(1, 100);
+    let mut quality = QUALITY;
     // a few frames tell how large all will be
     let step = pictures.len().div_ceil(SAMPLES);
     loop {

@@ -18,6 +18,4 @@ mod frames;
 mod manifest;
 
 pub use frames::{FrameLimits, Frames, FramesError, encode_frames};
-pub use manifest::{
-    About, FrameIndex, Live, MANIFEST_VERSION, Manifest, SafeConfig, SafeOrbit, SourceCamera, SplatFacts,
-};
+pub use manifest::{About, FrameIndex, Live, MANIFEST_VERSION, Manifest, SafeOrbit, SourceCamera, SplatFacts};

@@ -148,8 +148,6 @@ pub struct About<'a> {
     pub median_depth: f64,
     /// Frames a second of the source.
     pub fps: f64,
-    /// How far from the source cameras the scene may be looked at.
-    pub safe: SafeConfig,
 }
 
 impl Manifest {
@@ -176,7 +174,7 @@ impl Manifest {
             period_frames: (scene.time_frames.max(2) - 1) as f64,
             cameras: scene.source.iter().map(|s| SourceCamera::new(&s.camera, s.t)).collect(),
             centre,
-            safe: SafeOrbit::new(scene, depth, &about.safe),
+            safe: SafeOrbit::new(scene, depth),
             frames: None,
             live: None,
         }
@@ -222,35 +220,18 @@ pub(crate) fn usable_depth(median_depth: f64) -> f64 {
     }
 }
 
-/// How far from the source cameras a scene may be looked at, as shares of what the video tells.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SafeConfig {
-    /// Share of the extent of the camera's path. 0.5: what lies behind an edge was seen as far as the
-    /// camera moved, and half as far again what is there is guessed well from what is beside it.
-    pub path_share: f64,
-    /// At least this share of the median depth. 0.14: the tangent of the 8 degrees by which the preview
-    /// swings about any scene.
-    pub least_share: f64,
-    /// At most this share of the median depth. 0.5: beyond it nearer things leave their place in the
-    /// image altogether.
-    pub most_share: f64,
-}
-
-impl Default for SafeConfig {
-    fn default() -> Self {
-        Self {
-            path_share: 0.5,
-            least_share: 0.14,
-            most_share: 0.5,
-        }
-    }
-}
+/// Share of the extent of the camera's path within which a scene is shown without a fade: what lies behind an edge was seen
+/// as far as the camera moved, and half as far again what is there is guessed well from what is beside it.
+const PATH_SHARE: f64 = 0.5;
+/// At least this share of the median depth: the tangent of the 8 degrees by which the preview swings about any scene.
+const LEAST_SHARE: f64 = 0.14;
+/// At most this share of the median depth: beyond it nearer things leave their place in the frame altogether.
+const MOST_SHARE: f64 = 0.5;
 
 impl SafeOrbit {
     /// A share of the extent of the camera's path (the diagonal of the box about it), between two shares
     /// of the median depth.
-    fn new(scene: &Scene, median_depth: f64, config: &SafeConfig) -> Self {
+    fn new(scene: &Scene, median_depth: f64) -> Self {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for source in &scene.source {
             let eye: [f64; 3] = source.camera.centre().into();
@@ -260,9 +241,9 @@ impl SafeOrbit {
             }
         }
         let extent = (0..3).map(|k| (high[k] - low[k]).max(0.0).powi(2)).sum::<f64>().sqrt();
-        let radius = (config.path_share * extent).max(config.least_share * median_depth);
+        let radius = (PATH_SHARE * extent).max(LEAST_SHARE * median_depth);
         Self {
-            radius: radius.min(config.most_share * median_depth),
+            radius: radius.min(MOST_SHARE * median_depth),
         }
     }
 }

@@ -5,8 +5,8 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use m4_scene::{Plane, RgbImage};
 use m4_viewer::page::{self, Effort, MARKER, PageError, Parts, TEMPLATE, compose};
-use m4_viewer::payload::{PayloadConfig, decode, encode};
-use m4_viewer::{FrameLimits, SafeConfig, encode_frames};
+use m4_viewer::payload::{decode, encode};
+use m4_viewer::{FrameLimits, encode_frames};
 
 #[test]
 fn the_page_has_one_place_for_a_scene() {
@@ -16,7 +16,7 @@ fn the_page_has_one_place_for_a_scene() {
 #[test]
 fn a_scene_comes_back_out_of_the_page() {
     let scene = scene(40, 30);
-    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let payload = encode(&scene, 4.0);
     let mut manifest = manifest_of(&scene, &payload);
     manifest.title = "</script><script>alert(1)</script> \"ä\"".to_owned();
     let pictures: Vec<RgbImage> = (0..scene.source.len())
@@ -61,7 +61,7 @@ const HOSTILE: [&str; 5] = [
 #[test]
 fn titles_are_escaped() {
     let scene = scene(4, 3);
-    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let payload = encode(&scene, 4.0);
     let mut manifest = manifest_of(&scene, &payload);
     for title in HOSTILE {
         manifest.title = title.to_owned();
@@ -81,7 +81,7 @@ fn titles_are_escaped() {
 #[test]
 fn pages_that_browsers_cannot_parse_are_refused() {
     let scene = scene(4, 3);
-    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let payload = encode(&scene, 4.0);
     let mut manifest = manifest_of(&scene, &payload);
     manifest.title = "a clip".to_owned();
     let parts = Parts {
@@ -121,7 +121,7 @@ fn a_page_that_waits_has_no_splats() {
 #[test]
 fn damaged_pages_are_errors() {
     let scene = scene(4, 3);
-    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let payload = encode(&scene, 4.0);
     let manifest = manifest_of(&scene, &payload);
     let parts = Parts {
         manifest: &manifest,
@@ -168,13 +168,9 @@ fn damaged_pages_are_errors() {
 #[test]
 fn the_safe_radius_is_between_shares_of_the_depth() {
     let mut scene = scene(3, 0);
-    let payload = encode(&scene, 4.0, &PayloadConfig::default());
-    let config = SafeConfig::default();
+    let payload = encode(&scene, 4.0);
     let still = manifest_of(&scene, &payload);
-    assert!(
-        (still.safe.radius - 4.0 * config.least_share).abs() < 1e-12,
-        "the camera is static"
-    );
+    assert!((still.safe.radius - 4.0 * 0.14).abs() < 1e-12, "the camera is static");
     // the middle camera looks from z = -0.5 to z = 4: the centre lies 4 units along that
     assert!((still.centre[2] - 3.5).abs() < 0.02, "{:?}", still.centre);
     let n = scene.source.len();

@@ -10,9 +10,9 @@ use m4_math::nalgebra::{Matrix3, Vector3};
 use m4_scene::{Camera, Exposure, Intrinsics, RgbImage, Scene, SourceFrame, SplatLayout};
 use m4_testkit::{Chromium, SceneSpec, camera_looking_at, find_chromium, random_splats};
 use m4_viewer::page::{self, Effort, Parts, TEMPLATE};
-use m4_viewer::payload::{PayloadConfig, decode, encode};
+use m4_viewer::payload::{decode, encode};
 use m4_viewer::server::{Hub, Server};
-use m4_viewer::{About, FrameLimits, Manifest, SafeConfig, encode_frames};
+use m4_viewer::{About, FrameLimits, Manifest, encode_frames};
 use serde_json::json;
 use std::path::Path;
 use std::sync::Arc;
@@ -81,12 +81,11 @@ fn psnr_db(a: &RgbImage, b: &RgbImage) -> f64 {
 
 /// The metadata of a scene for the page, and its splats.
 fn told(scene: &Scene) -> (Manifest, Vec<u8>) {
-    let payload = encode(scene, DISTANCE, &PayloadConfig::default());
+    let payload = encode(scene, DISTANCE);
     let about = About {
         title: "five thousand splats",
         median_depth: DISTANCE,
         fps: 9.0,
-        safe: SafeConfig::default(),
     };
     (Manifest::new(scene, &payload, &about), payload.bytes)
 }

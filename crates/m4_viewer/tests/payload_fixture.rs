@@ -5,7 +5,7 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use m4_scene::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
-use m4_viewer::payload::{PayloadConfig, decode, encode};
+use m4_viewer::payload::{decode, encode};
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
@@ -89,7 +89,7 @@ fn words(splats: &Splats) -> Value {
 
 fn fixture(name: &str, layout: SplatLayout) -> Value {
     let scene = scene(layout);
-    let payload = encode(&scene, MEDIAN_DEPTH, &PayloadConfig::default());
+    let payload = encode(&scene, MEDIAN_DEPTH);
     json!({
         "name": name,
         "splats": {
@@ -120,7 +120,7 @@ fn fixtures_are_what_is_written_and_hold_the_splats() {
     for (name, layout) in layouts() {
         let kept: Value = serde_json::from_slice(&std::fs::read(path(name)).unwrap()).unwrap();
         let bytes = STANDARD.decode(kept["payload"].as_str().unwrap()).unwrap();
-        let written = encode(&scene(layout), MEDIAN_DEPTH, &PayloadConfig::default());
+        let written = encode(&scene(layout), MEDIAN_DEPTH);
         assert_eq!(
             bytes, written.bytes,
             "{name}: write the fixtures again if the layout was changed"

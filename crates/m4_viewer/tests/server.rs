@@ -5,7 +5,7 @@
 use crate::common::{manifest_of, scene};
 use m4_viewer::Manifest;
 use m4_viewer::page;
-use m4_viewer::payload::{PayloadConfig, decode, encode};
+use m4_viewer::payload::{decode, encode};
 use m4_viewer::server::{Hub, Metrics, ServeError, Server};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
@@ -15,7 +15,7 @@ use std::time::Duration;
 /// A scene and its metadata for the page.
 fn shown(n_static: usize) -> (Manifest, Vec<u8>) {
     let scene = scene(n_static, 3);
-    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let payload = encode(&scene, 4.0);
     (manifest_of(&scene, &payload), payload.bytes)
 }
 

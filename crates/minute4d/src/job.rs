@@ -9,8 +9,6 @@ use m4_kernels::SimdLevel;
 pub struct Job<'a> {
     /// Every setting.
     pub settings: Settings,
-    /// Name of the profile that the settings are based on, for the record.
-    pub profile: String,
     /// The device for training.
     pub device: DeviceRequest,
     /// What to do with a folder that is not empty.
@@ -22,8 +20,7 @@ pub struct Job<'a> {
 impl Job<'_> {
     /// Refuses settings that no stage can use, before any of them starts.
     pub(crate) fn check(&self) -> Result<SimdLevel, Error> {
-        self.settings.init.check()?;
-        self.settings.train.check()?;
+        self.settings.check()?;
         Ok(SimdLevel::detect()?)
     }
 }

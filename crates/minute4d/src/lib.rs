@@ -14,7 +14,6 @@
 //! # fn main() -> Result<(), minute4d::Error> {
 //! let job = Job {
 //!     settings: Settings::fast(),
-//!     profile: "fast".to_owned(),
 //!     device: Default::default(),
 //!     existing: Existing::Resume,
 //!     observer: &Silent,

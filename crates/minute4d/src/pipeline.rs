@@ -43,7 +43,6 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
         let keeper = Keeper::new(job.observer).until(clock.end());
         let stage_job = Job {
             settings: job.settings.clone(),
-            profile: job.profile.clone(),
             // The folder of the run was taken over; so is the capture in it.
             // geometry runs on the CPU
             device: DeviceRequest::default(),

@@ -158,7 +158,7 @@ impl RunRecord {
     /// # Errors
     ///
     /// [`Error::Internal`] if the settings cannot be serialised.
-    pub fn begin(input: Input, profile: &str, settings: &Settings, device: Device) -> Result<Self, Error> {
+    pub fn begin(input: Input, settings: &Settings, device: Device) -> Result<Self, Error> {
         Ok(Self {
             format: RUN_FORMAT.to_owned(),
             version: VERSION,
@@ -166,7 +166,7 @@ impl RunRecord {
             status: Status::Running,
             error: None,
             input,
-            profile: profile.to_owned(),
+            profile: settings.profile.name().to_owned(),
             seed: settings.train.seed,
             settings: plain_json(settings)?,
             device,

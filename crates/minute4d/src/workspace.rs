@@ -75,7 +75,6 @@ impl<'a> Workspace<'a> {
         let (lock, earlier) = folder::open(path, job.existing)?;
         let mut record = RunRecord::begin(
             input,
-            &job.profile,
             &job.settings,
             Device::here(level, gpu.as_ref().map(OpenGpu::name)),
         )?;

@@ -5,7 +5,7 @@
 
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 use minute4d::kernels::SimdLevel;
-use minute4d::page::payload::{PayloadConfig, bytes_per_splat, decode, encode};
+use minute4d::page::payload::{bytes_per_splat, decode, encode};
 use minute4d::render::Painter;
 use minute4d::scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 
@@ -47,7 +47,7 @@ fn losses(scene: &Scene, stride: usize) -> Vec<f64> {
     let depth = Painter::new(scene, level)
         .median_depth(&middle.camera, middle.t)
         .unwrap();
-    let payload = encode(scene, depth, &PayloadConfig::default());
+    let payload = encode(scene, depth);
     let (of_static, of_dynamic) = bytes_per_splat(payload.layout);
     let again = Scene {
         splats: decode(&payload.bytes).unwrap(),

@@ -143,7 +143,8 @@ fn settings_that_do_not_exist_or_do_not_fit() {
     set("train.iterations=-4", &["train.iterations", "-4"]);
     set("train.iterations", &["key=value"]);
     set("=5", &["key=value"]);
-    set("init.cells=round", &["init.cells", "round", "constant"]);
+    set("profile=best", &["profile", "best", "faithful"]);
+    set("init.opacity=0.5", &["init.opacity", "max_static"]);
 
     let file = |name: &str, toml: &str, code: i32, words: &[&str]| {
         let path = dir.write(name, toml);
@@ -163,9 +164,9 @@ fn settings_that_do_not_exist_or_do_not_fit() {
     );
     file(
         "type.toml",
-        "[train]\nmip = 3",
+        "[train.refine]\nposes = 3",
         78,
-        &["type.toml", "train.mip = 3", "boolean"],
+        &["type.toml", "train.refine.poses = 3", "boolean"],
     );
     let missing = dir.at("missing.toml");
     refused(
@@ -178,7 +179,7 @@ fn settings_that_do_not_exist_or_do_not_fit() {
     let (data, out) = (dir.at("capture"), dir.at("never"));
     let range = |given: &str, words: &[&str]| refused(&["train", &data, "-o", &out, "--set", given], 78, words);
     range("train.loss.lambda_ssim=3", &["lambda_ssim", "between 0 and 1"]);
-    range("init.opacity=1", &["opacity", "between 0 and 1"]);
+    range("init.keyframe_gaps=0", &["keyframe_gaps", "above 0"]);
     range("train.density.every=0", &["density.every", "at least 1"]);
     assert!(
         !dir.path("never").exists(),

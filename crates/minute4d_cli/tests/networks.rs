@@ -83,7 +83,6 @@ fn one_capture_by_a_caller_in_rust() {
     settings.geometry.frontend = env::var(FRONTEND).unwrap().parse().unwrap();
     let job = Job {
         settings,
-        profile: "fast".to_owned(),
         device: DeviceRequest {
             choice: DeviceChoice::Cpu,
             max_vram_mb: None,

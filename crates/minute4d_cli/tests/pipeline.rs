@@ -316,20 +316,22 @@ fn force_replaces_a_run_and_leaves_other_files() {
 #[test]
 fn printed_settings_are_a_settings_file() {
     let dir = Scratch::new();
-    for profile in ["fast", "faithful"] {
+    for (profile, other) in [("fast", "faithful"), ("faithful", "fast")] {
         let printed = succeed(&[
             "train",
             "--print-config",
             "--profile",
             profile,
             "--set",
-            "init.opacity=0.25",
+            "init.keyframe_gaps=0.25",
         ])
         .stdout;
-        assert!(printed.contains("opacity = 0.25"), "{printed}");
+        assert!(printed.contains("keyframe_gaps = 0.25"), "{printed}");
         let file = dir.write("settings.toml", &printed);
-        let again = succeed(&["run", "--print-config", "--profile", "fast", "--config", &file]).stdout;
+        let again = succeed(&["run", "--print-config", "--config", &file]).stdout;
         assert_eq!(printed, again);
+        let both = ["run", "--print-config", "--profile", other, "--config", &file];
+        refused(&both, 78, &["profile", "fast", "faithful"]);
     }
     let layers = [
         "train",

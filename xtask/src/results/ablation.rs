@@ -47,29 +47,8 @@ const ROWS: &[Row] = &[
         &["train.colour_fit.rounds=0"],
     ),
     row("colour-fit-3", "3 rounds of it last", &["train.colour_fit.rounds=3"]),
-    row(
-        "dense-adam",
-        "Adam moves unseen splats too",
-        &["train.adam.sparse=false"],
-    ),
-    row(
-        "soft-start",
-        "opacity 0.5, 0.75 of the spacing",
-        &["init.opacity=0.5", "init.scale_factor=0.75"],
-    ),
-    row("spheres", "spheres, not discs", &["init.disc_neighbours=0"]),
-    row(
-        "short-lives",
-        "lives of 0.5 frames",
-        &["init.time_spread.keyframe_gaps.factor=0.5"],
-    ),
-    row(
-        "long-lives",
-        "lives of 1.5 frames",
-        &["init.time_spread.keyframe_gaps.factor=1.5"],
-    ),
-    row("no-velocity", "no first velocities", &["init.velocity=\"zero\""]),
-    row("no-carry", "no points carried over", &["init.carry_keyframes=0"]),
+    row("short-lives", "lives of 0.5 frames", &["init.keyframe_gaps=0.5"]),
+    row("long-lives", "lives of 1.5 frames", &["init.keyframe_gaps=1.5"]),
     row("no-density", "no density control", &["train.density.enabled=false"]),
 ];
 
@@ -247,7 +226,7 @@ mod tests {
 
     #[test]
     fn words_choose_rows_and_steps() {
-        let ask = Ask::parse(&["--rows", "batch-2,spheres", "a", "--iterations", "400", "b"]).unwrap();
+        let ask = Ask::parse(&["--rows", "batch-2,no-density", "a", "--iterations", "400", "b"]).unwrap();
         assert_eq!(
             (ask.iterations, ask.reuse, ask.scenes.as_slice()),
             (400, false, ["a", "b"].as_slice())
@@ -255,7 +234,7 @@ mod tests {
         let names: Vec<&str> = ask.rows().map(|r| r.name).collect();
         assert_eq!(
             names,
-            ["default", "batch-2", "spheres"],
+            ["default", "batch-2", "no-density"],
             "the default is always there to compare with"
         );
         let all = Ask::parse(&["a", "--reuse"]).unwrap();
@@ -299,8 +278,8 @@ mod tests {
             ..default
         };
         assert_eq!(
-            line("mill-1", "spheres", other, Some(default)),
-            "| mill-1 | spheres | 30.50 (-0.50) | 23.50 (+0.00) | 0.950 (+0.000) | 22.0 (+2.0) | 7 |\n"
+            line("mill-1", "no density control", other, Some(default)),
+            "| mill-1 | no density control | 30.50 (-0.50) | 23.50 (+0.00) | 0.950 (+0.000) | 22.0 (+2.0) | 7 |\n"
         );
         assert_eq!(
             line("mill-1", "default", default, None),

@@ -11,8 +11,8 @@ use std::path::Path;
 pub fn rows() -> Vec<Reader> {
     vec![
         alone("program-settings", "a.toml", settings, |p| {
-            let read = Layers::new(Settings::default()).and_then(|layers| layers.file(p));
-            Outcome::of(read.map(Layers::finish), |_| None)
+            let read = Layers::default().file(p).and_then(|layers| layers.finish());
+            Outcome::of(read, |_| None)
         }),
         below("program-run-record", "run.json", runs, |p| usable(RunRecord::read(p))),
         below("program-geometry-record", "geometry.json", geometries, |p| {
@@ -68,7 +68,7 @@ fn input() -> Input {
 
 fn runs() -> Vec<Vec<u8>> {
     let device = Device::here(minute4d::kernels::SimdLevel::best(), None);
-    let record = RunRecord::begin(input(), "fast", &Settings::fast(), device);
+    let record = RunRecord::begin(input(), &Settings::fast(), device);
     vec![json(&record.unwrap_or_else(|e| panic!("a sound record: {e}")))]
 }
 

@@ -17,6 +17,6 @@ mod rigid;
 pub(crate) use bodies::bodies;
 pub(crate) use field::{Field, Fields, fields};
 pub(crate) use follow::Ways;
-pub(crate) use register::{Registration, View};
+pub(crate) use register::{NODE_PIXELS, REACH_PIXELS, Registration, View};
 #[cfg(test)]
 pub(crate) use rigid::Rigid;

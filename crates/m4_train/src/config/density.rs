@@ -1,11 +1,8 @@
 //! Settings of loss-guided density control (paper section 3.3, equations 6 to 10; section 4 of the
 //! specification).
 
-use serde::{Deserialize, Serialize};
-
 /// How an error map is brought to 0..1 before it is compared with the threshold.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ErrorRange {
     /// Smallest to largest error of the frame (paper eq. 7).
     MinMax,
@@ -17,8 +14,7 @@ pub enum ErrorRange {
 }
 
 /// Which splats the prune score removes.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PruneRule {
     /// Every splat above the threshold; scores min-max normalised over all splats (paper eq. 10, to
     /// the letter).
@@ -35,8 +31,7 @@ pub enum PruneRule {
 }
 
 /// The size at which a splat is split rather than cloned.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case", deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum SplitSize {
     /// Largest standard deviation above this share of the extent. 0.01 (3DGS).
     Extent {
@@ -51,11 +46,10 @@ pub enum SplitSize {
 }
 
 /// Where the children of a split lie.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SplitPlacement {
-    /// Drawn from the splat's Gaussian, for dynamic splats in space and time, scales over
-    /// `split_factor`, opacity kept (3DGS, 4DGS; section 4.4).
+    /// Drawn from the splat's Gaussian, for dynamic splats in space and time, scales over 1.6, opacity kept (3DGS,
+    /// 4DGS; section 4.4).
     Sample,
     /// 0.6 standard deviations to both sides along the longest axis, 0.8 of its length: two Gaussians of
     /// the parent's mean and covariance (section 4.4, alternative), which share the parent's opacity as
@@ -64,8 +58,7 @@ pub enum SplitPlacement {
 }
 
 /// The opacity of a clone and its parent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NewbornOpacity {
     /// Both keep it (3DGS).
     Keep,
@@ -74,8 +67,7 @@ pub enum NewbornOpacity {
 }
 
 /// Loss-guided density control. Defaults are those of [`DensityConfig::fast`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct DensityConfig {
     /// Off: the number of splats stays as initialised.
     pub enabled: bool,
@@ -111,8 +103,6 @@ pub struct DensityConfig {
     pub split_size: SplitSize,
     /// Where children lie.
     pub split_placement: SplitPlacement,
-    /// Drawn children: scales are those of the parent over this; 1.6 (3DGS).
-    pub split_factor: f32,
     /// Opacity of clones.
     pub newborn_opacity: NewbornOpacity,
     /// Splats below this opacity are removed at every round. 0.005 (3DGS); 0.003 here, for moving shadows.
@@ -151,7 +141,6 @@ impl DensityConfig {
             max_growth: 1.02,
             split_size: SplitSize::Pixels { pixels: 2.0 },
             split_placement: SplitPlacement::LongestAxis,
-            split_factor: 1.6,
             newborn_opacity: NewbornOpacity::Share,
             min_opacity: 0.003,
             final_opacity: 0.005,

@@ -1,65 +1,42 @@
-//! Settings of the training, each with its source.
+//! What differs between trainings, each with its source; constants stand beside the code that uses them.
 
-mod colour;
 mod density;
 mod rates;
 
-pub use colour::ColourFitConfig;
 pub use density::{DensityConfig, ErrorRange, NewbornOpacity, PruneRule, SplitPlacement, SplitSize};
-pub use rates::{AdamSettings, PositionUnit, RateConfig, RefineConfig};
+pub use m4_kernels::adam::cpu::AdamConfig;
+pub use rates::{RateConfig, RefineConfig};
 
 use crate::TrainError;
-use serde::{Deserialize, Serialize};
-
-/// What is minimised.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LossConfig {
-    /// Weight of `1 - SSIM` beside L1. 0.2 (3DGS, Instant4D; the paper gives no value); 0.4 here (measured: +0.003
-    /// SSIM on held-out views at no loss of PSNR).
-    pub lambda_ssim: f32,
-}
-
-impl Default for LossConfig {
-    fn default() -> Self {
-        Self { lambda_ssim: 0.4 }
-    }
-}
 
 /// Settings of a [`crate::Trainer`]. Defaults are those of [`TrainConfig::fast`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct TrainConfig {
     /// Steps of [`batch`](Self::batch) frames each. Paper: 5000 (DyCheck, DAVIS), 1500 (NVIDIA).
     pub iterations: usize,
-    /// Frames a step; their gradients are added up before splats move. Reference: 1.
+    /// Frames per step; their gradients are added up before splats move, and rates are multiplied by the root of their
+    /// number: with more frames a step is surer, and there are fewer of them (the square-root rule for Adam, Malladi et
+    /// al. 2022). Reference: 1.
     pub batch: usize,
-    /// Rates are multiplied by `batch` to this power: with more frames a step is surer, and there are fewer of them. 0.5
-    /// (the square-root rule for Adam, Malladi et al. 2022).
-    pub batch_rate_power: f32,
-    /// Seconds that the optimisation may take, 0 for as many as `iterations` need. Where it is above 0, `iterations` is
-    /// replaced by what [`crate::affordable_iterations`] finds before training starts; [`crate::Trainer`] itself
-    /// knows iterations alone.
-    pub budget_s: f64,
     /// Key of every random draw.
     pub seed: u64,
-    /// Colours by least squares.
-    pub colour_fit: ColourFitConfig,
-    /// What is minimised.
-    pub loss: LossConfig,
+    /// Rounds of the least-squares fit of colours after the last step; 0 for no fit. 1: more of them fit what is half
+    /// hidden too closely (`docs/decisions/0005`). A frame of a round costs about as much as a step, in the first round
+    /// half as much again.
+    pub colour_fit_rounds: usize,
+    /// Weight of `1 - SSIM` beside L1. 0.2 (3DGS, Instant4D; the paper gives no value); 0.4 here (measured: +0.003
+    /// SSIM on held-out views at no loss of PSNR).
+    pub lambda_ssim: f32,
     /// How fast parameters move.
     pub lr: RateConfig,
-    /// The optimiser.
-    pub adam: AdamSettings,
+    /// The optimiser (section 3). The bias of the moments is corrected by each splat's own number of steps, 0 for new ones.
+    pub adam: AdamConfig,
     /// Adding and removing splats.
     pub density: DensityConfig,
     /// Poses, focal length and exposure.
     pub refine: RefineConfig,
     /// Opacity-compensated 2D filter (section 1.6); false in the reference.
     pub mip: bool,
-    /// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene
-    /// units whatever the scale (section 1.6).
-    pub near_share: f32,
     /// Colour behind everything. `None`: the mean colour of pixels without a surface (depth 0) where at
     /// least one in a thousand has none, else black (reference: black).
     pub background: Option<[f32; 3]>,
@@ -94,17 +71,14 @@ impl TrainConfig {
         Self {
             iterations: 2000,
             batch: 1,
-            batch_rate_power: 0.5,
-            budget_s: 0.0,
             seed: 0,
-            colour_fit: ColourFitConfig::default(),
-            loss: LossConfig::default(),
+            colour_fit_rounds: 1,
+            lambda_ssim: 0.4,
             lr: RateConfig::default(),
-            adam: AdamSettings::default(),
+            adam: AdamConfig::default(),
             density: DensityConfig::fast(),
             refine: RefineConfig::default(),
             mip: true,
-            near_share: 0.05,
             background: None,
             reorder_every: 0,
             guard_every: 100,
@@ -120,15 +94,15 @@ impl TrainConfig {
     pub fn faithful() -> Self {
         Self {
             iterations: 5000,
-            loss: LossConfig { lambda_ssim: 0.2 },
+            colour_fit_rounds: 0,
+            lambda_ssim: 0.2,
             lr: RateConfig::faithful(),
-            adam: AdamSettings {
+            adam: AdamConfig {
                 sparse: false,
                 beta2_dynamic: 0.999,
-                ..AdamSettings::default()
+                ..AdamConfig::default()
             },
             density: DensityConfig::faithful(),
-            colour_fit: ColourFitConfig::off(),
             mip: false,
             background: Some([0.0; 3]),
             ..Self::fast()
@@ -141,40 +115,31 @@ impl TrainConfig {
     ///
     /// [`TrainError::BadSetting`] naming the first field out of range.
     pub fn check(&self) -> Result<(), TrainError> {
+        let (density, lr, refine) = (&self.density, &self.lr, &self.refine);
         let shares = [
-            ("loss.lambda_ssim", self.loss.lambda_ssim),
-            ("near_share", self.near_share),
-            ("density.until", self.density.until),
-            ("density.error_threshold", self.density.error_threshold),
-            ("density.budget", self.density.budget),
-            ("density.final_opacity", self.density.final_opacity),
+            ("loss.lambda_ssim", self.lambda_ssim),
+            ("density.until", density.until),
+            ("density.error_threshold", density.error_threshold),
+            ("density.budget", density.budget),
+            ("density.final_opacity", density.final_opacity),
         ];
         for (field, value) in shares {
             if !(0.0..=1.0).contains(&value) {
                 return Err(bad(field, value, "between 0 and 1"));
             }
         }
-        if !(self.budget_s.is_finite() && self.budget_s >= 0.0) {
-            return Err(bad("budget_s", self.budget_s, "a number of at least 0"));
-        }
         let not_negative = [
-            ("batch_rate_power", self.batch_rate_power),
-            ("colour_fit.damping_px", self.colour_fit.damping_px),
-            ("colour_fit.relax", self.colour_fit.relax),
-            ("lr.position", self.lr.position),
-            ("lr.position_end", self.lr.position_end),
-            ("lr.colour", self.lr.colour),
-            ("lr.colour_rest", self.lr.colour_rest),
-            ("lr.opacity", self.lr.opacity),
-            ("lr.scale", self.lr.scale),
-            ("lr.rotation", self.lr.rotation),
-            ("lr.time_mean", self.lr.time_mean),
-            ("lr.time_sd", self.lr.time_sd),
-            ("lr.velocity", self.lr.velocity),
-            ("refine.rotation_lr", self.refine.rotation_lr),
-            ("refine.translation_lr", self.refine.translation_lr),
-            ("refine.focal_lr", self.refine.focal_lr),
-            ("refine.exposure_lr", self.refine.exposure_lr),
+            ("lr.position", lr.position),
+            ("lr.position_end", lr.position_end),
+            ("lr.colour", lr.colour),
+            ("lr.opacity", lr.opacity),
+            ("lr.scale", lr.scale),
+            ("lr.rotation", lr.rotation),
+            ("lr.time_sd", lr.time_sd),
+            ("lr.velocity", lr.velocity),
+            ("refine.rotation_lr", refine.rotation_lr),
+            ("refine.translation_lr", refine.translation_lr),
+            ("refine.exposure_lr", refine.exposure_lr),
             ("keep_every_s", self.keep_every_s),
         ];
         for (field, value) in not_negative {
@@ -182,21 +147,15 @@ impl TrainConfig {
                 return Err(bad(field, value, "a number of at least 0"));
             }
         }
-        let positive = [
-            ("density.split_factor", self.density.split_factor),
-            ("density.max_growth", self.density.max_growth),
-        ];
-        for (field, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(bad(field, value, "a number above 0"));
-            }
+        if !(density.max_growth.is_finite() && density.max_growth > 0.0) {
+            return Err(bad("density.max_growth", density.max_growth, "a number above 0"));
         }
         let counts = [
             ("guard_every", self.guard_every),
             ("metrics_every", self.metrics_every),
-            ("density.every", self.density.every),
-            ("density.prune_every", self.density.prune_every),
-            ("density.frames", self.density.frames),
+            ("density.every", density.every),
+            ("density.prune_every", density.prune_every),
+            ("density.frames", density.frames),
             ("iterations", self.iterations),
             ("batch", self.batch),
         ];

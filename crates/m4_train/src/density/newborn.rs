@@ -9,12 +9,15 @@ use m4_math::nalgebra::{Vector3, Vector4};
 use m4_math::quat;
 use m4_scene::{Column, ShapeError, Splats};
 
+/// Scales of drawn children are those of the parent over this (3DGS).
+const SPLIT_FACTOR: f32 = 1.6;
+
 /// Carries a plan out: splats and optimiser state become the next ones, in place.
 ///
 /// Clones are copies; with [`NewbornOpacity::Share`] parent and clone pass together the light that the
 /// parent passed. Children of a split lie as [`SplitPlacement`] says; drawn ones are taken from the splat's Gaussian, in space and (dynamic
 /// splats) in time: `dt ~ N(0, w)`, `x = v dt + Q diag(s) e`; their scales, that in time included, are
-/// the parent's over `split_factor`. The draws depend on `seed`, `iteration` and the parent's row alone.
+/// the parent's over 1.6. The draws depend on `seed`, `iteration` and the parent's row alone.
 /// Survivors keep their optimiser state, new splats start from nothing.
 ///
 /// # Errors
@@ -66,7 +69,7 @@ pub(crate) fn apply_to_splats(
                 let key = (iteration as u64) << 8 | u64::from(k);
                 let parent = u64::from(plan.rows[row]);
                 let rng = CounterRng::new(seed, purpose::SPLIT.wrapping_add(key << 32), parent);
-                become_child(config, out, row, rng);
+                become_child(out, row, rng);
             }
         }
     }
@@ -114,9 +117,9 @@ fn turned(splats: &Splats, row: usize, local: Vector3<f32>) -> Vector3<f32> {
     }
 }
 
-fn become_child(config: &DensityConfig, splats: &mut Splats, row: usize, mut rng: CounterRng) {
+fn become_child(splats: &mut Splats, row: usize, mut rng: CounterRng) {
     let isotropic = splats.layout().isotropic;
-    let shrink = config.split_factor.ln();
+    let shrink = SPLIT_FACTOR.ln();
     let scale: [f32; 3] = [0, 1, 2].map(|k| splats.column(Column::LogScale, if isotropic { 0 } else { k })[row].exp());
     let local = Vector3::from_fn(|k, _| scale[k] * rng.normal() as f32);
     let mut shift = if isotropic { local } else { turned(splats, row, local) };

@@ -9,19 +9,18 @@ use m4_scene::Column;
 impl Trainer<'_> {
     /// Whether a fit belongs after the step just taken: the last.
     pub(super) fn colours_are_due(&self) -> bool {
-        self.config.colour_fit.rounds > 0 && self.iteration == self.config.iterations
+        self.config.colour_fit_rounds > 0 && self.iteration == self.config.iterations
     }
 
     /// Solves for the colours, and returns the mean squared error of the frames before each round.
     pub(super) fn fit_colours(&mut self) -> Vec<f64> {
-        let config = self.config.colour_fit.clone();
-        let frames = self.frames_to_fit();
+        let rounds = self.config.colour_fit_rounds;
         let mut sums = ColourSums::new(self.splats.n());
-        let mut errors = Vec::with_capacity(config.rounds);
-        for round in 0..config.rounds {
+        let mut errors = Vec::with_capacity(rounds);
+        for round in 0..rounds {
             let (mut squares, mut values) = (0.0f64, 0usize);
             sums.next_round();
-            for &frame in &frames {
+            for frame in 0..self.times.len() {
                 squares += self.residual(frame);
                 values += self.frame_gradient.rgb.iter().map(Vec::len).sum::<usize>();
                 self.add_colours(&mut sums, Sum::Residual);
@@ -30,17 +29,10 @@ impl Trainer<'_> {
                     self.add_colours(&mut sums, Sum::Weight);
                 }
             }
-            sums.apply(&mut self.splats, config.relax, config.damping_px);
+            sums.apply(&mut self.splats);
             errors.push(squares / values.max(1) as f64);
         }
         errors
-    }
-
-    /// The frames that a fit looks at, evenly spread.
-    pub(super) fn frames_to_fit(&self) -> Vec<usize> {
-        let (all, wanted) = (self.times.len(), self.config.colour_fit.frames);
-        let count = if wanted == 0 { all } else { wanted.min(all) };
-        (0..count).map(|k| k * all / count).collect()
     }
 
     /// Draws a frame, leaves what it has too much as the gradient, and returns its sum of squares.

@@ -87,7 +87,7 @@ impl Trainer<'_> {
         let mut input = ScoreInput {
             level: self.level,
             config: &self.config.density,
-            lambda_ssim: self.config.loss.lambda_ssim,
+            lambda_ssim: self.config.lambda_ssim,
             store: &mut self.store,
             fit: self.config.refine.exposure.then_some(&self.fit),
             renderer: &mut self.renderer,

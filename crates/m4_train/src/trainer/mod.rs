@@ -23,6 +23,10 @@ use m4_scene::{Capture, Column, Progress, Splats, TrainState};
 use remote::Remote;
 use std::time::Instant;
 
+/// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene units whatever the scale
+/// (section 1.6).
+const NEAR_SHARE: f32 = 0.05;
+
 /// How a run ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
@@ -292,7 +296,7 @@ impl<'a> Trainer<'a> {
     }
 
     fn near(&self) -> f32 {
-        self.config.near_share * self.scale.median_depth
+        NEAR_SHARE * self.scale.median_depth
     }
 
     /// How frame `frame` is drawn at this point of the run.

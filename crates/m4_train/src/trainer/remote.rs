@@ -86,7 +86,7 @@ impl Trainer<'_> {
         let views: Vec<View> = frames.iter().map(|&f| self.view(f)).collect();
         let x = schedule::progress(i, n);
         let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
-        let faster = (batch as f32).powf(self.config.batch_rate_power);
+        let faster = (batch as f32).sqrt();
         lr.iter_mut().for_each(|rate| *rate *= faster);
         let refine = &self.config.refine;
         let refining = i >= refine.from;
@@ -102,9 +102,9 @@ impl Trainer<'_> {
             })
             .collect();
         let settings = DeviceStep {
-            lambda_ssim: self.config.loss.lambda_ssim,
+            lambda_ssim: self.config.lambda_ssim,
             rates: &lr,
-            adam: self.config.adam.kernel(),
+            adam: self.config.adam,
         };
         self.remotely(|device| device.step(&looks, &settings))?;
         if let Some(remote) = &mut self.remote {
@@ -160,7 +160,7 @@ impl Trainer<'_> {
         if found.steps == 0 {
             return Ok(self.remote.as_ref().map_or(StepReport::NONE, |r| r.last));
         }
-        let lambda = f64::from(self.config.loss.lambda_ssim);
+        let lambda = f64::from(self.config.lambda_ssim);
         let loss = (1.0 - lambda) * found.l1 + lambda * (1.0 - found.ssim);
         if !loss.is_finite() {
             return Err(self.back_to_good("the loss"));
@@ -239,21 +239,16 @@ impl Trainer<'_> {
 
     /// As `fit_colours`, with the sums made on the device.
     fn fit_colours_remotely(&mut self) -> Result<(), TrainError> {
-        let config = self.config.colour_fit.clone();
-        let looks: Vec<(usize, View)> = self
-            .frames_to_fit()
-            .into_iter()
-            .map(|frame| (frame, self.view(frame)))
-            .collect();
+        let looks: Vec<(usize, View)> = (0..self.times.len()).map(|frame| (frame, self.view(frame))).collect();
         self.prepare_remote()?;
         self.bring_splats()?;
         let n = self.splats.n();
         let (rows, newborn): (Vec<u32>, _) = ((0..n as u32).collect(), vec![false; n]);
         let mut sums = ColourSums::new(n);
-        for round in 0..config.rounds {
+        for round in 0..self.config.colour_fit_rounds {
             let found = self.remotely(|device| device.colour_gradient(&looks, round == 0))?;
             sums.replace(found.residual, found.weight);
-            sums.apply(&mut self.splats, config.relax, config.damping_px);
+            sums.apply(&mut self.splats);
             let values = self.splats.clone();
             self.remotely(|device| {
                 device.regrow(&Regrowth {

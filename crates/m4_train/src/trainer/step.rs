@@ -58,14 +58,14 @@ impl Trainer<'_> {
         let gradients = if batch > 1 { &self.batch_sum } else { &self.gradients };
         let x = schedule::progress(i, n);
         let mut lr = rates(&self.config.lr, self.splats.layout(), &self.scale, self.basis, x);
-        let faster = (batch as f32).powf(self.config.batch_rate_power);
+        let faster = (batch as f32).sqrt();
         lr.iter_mut().for_each(|rate| *rate *= faster);
         adam_step(
             self.level,
             &mut self.splats,
             gradients,
             &mut self.adam,
-            &self.config.adam.kernel(),
+            &self.config.adam,
             &lr,
         );
         self.totals.steps += 1;
@@ -103,7 +103,7 @@ impl Trainer<'_> {
         } else {
             &drawn.rgb
         };
-        let lambda = self.config.loss.lambda_ssim;
+        let lambda = self.config.lambda_ssim;
         let out = &mut self.frame_gradient;
         let photo = loss(self.level, target, rgb, lambda, &mut self.photo, &mut out.rgb);
         let (done, every) = (i + 1, self.config.metrics_every);

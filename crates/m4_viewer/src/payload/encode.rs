@@ -3,33 +3,6 @@
 use super::codec::{Linear, Planes, Sinh, rotation_code};
 use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, bytes_per_splat};
 use m4_scene::{Column, Scene, SplatLayout, Splats};
-use serde::{Deserialize, Serialize};
-
-/// How finely the splats are kept.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PayloadConfig {
-    /// Steps of a position to a pixel of the source video at the median depth. 32: at 16 the loss is
-    /// first seen beside that of the scales.
-    pub position_steps_per_px: f64,
-    /// Steps of a colour from black to white. 255: that of the source video.
-    pub colour_steps: f64,
-    /// Steps of a small displacement in a splat's life to a pixel, and of a large one to its size over e.
-    pub velocity_steps: f64,
-    /// Coarsest step of the logarithm of a scale. 0.055: from the largest splat down to a millionth of it.
-    pub scale_step: f64,
-}
-
-impl Default for PayloadConfig {
-    fn default() -> Self {
-        Self {
-            position_steps_per_px: 32.0,
-            colour_steps: 255.0,
-            velocity_steps: 64.0,
-            scale_step: 0.055,
-        }
-    }
-}
 
 /// The splats of a scene as bytes, and what is in them.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,6 +19,15 @@ pub struct Payload {
 
 /// `Y_0` of the spherical harmonics: colours are `1/2 + Y_0 K + ...`.
 const SH_C0: f64 = 0.282_094_791_773_878_14;
+/// Steps of a position to a pixel of the source video at the median depth: at 16 the loss is first seen beside that of the
+/// scales.
+const POSITION_STEPS_PER_PX: f64 = 32.0;
+/// Steps of a colour from black to white: that of the source video.
+const COLOUR_STEPS: f64 = 255.0;
+/// Steps of a small displacement in a splat's life to a pixel, and of a large one to its size over e.
+const VELOCITY_STEPS: f64 = 64.0;
+/// Coarsest step of the logarithm of a scale: from the largest splat down to a millionth of it.
+const SCALE_STEP: f64 = 0.055;
 /// Positions are spaced evenly within this share of the median depth about the cameras.
 const EVEN_SHARE: f64 = 0.1;
 /// The least opacity that is drawn (docs/spec/optimiser.md 1.7).
@@ -55,12 +37,12 @@ const ALPHA_MIN: f64 = 1.0 / 255.0;
 /// that have a parameter which is no finite number, are left out. `median_depth` is that of what the
 /// source cameras see, world units: it sets what a pixel is.
 #[must_use]
-pub fn encode(scene: &Scene, median_depth: f64, config: &PayloadConfig) -> Payload {
+pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     let splats = &scene.splats;
     let rows = visible_rows(scene);
     let n_static = rows.iter().take_while(|&&r| r < splats.n_static()).count();
     let (layout, n, n_dynamic) = (splats.layout(), rows.len(), rows.len() - n_static);
-    let codes = Codes::of(scene, &rows, n_static, median_depth, config);
+    let codes = Codes::of(scene, &rows, n_static, median_depth);
 
     let (a, b) = bytes_per_splat(layout);
     let mut bytes = Vec::with_capacity(super::HEADER_BYTES + n_static * a + n_dynamic * b);
@@ -137,7 +119,7 @@ struct Codes {
 }
 
 impl Codes {
-    fn of(scene: &Scene, rows: &[usize], n_static: usize, median_depth: f64, config: &PayloadConfig) -> Self {
+    fn of(scene: &Scene, rows: &[usize], n_static: usize, median_depth: f64) -> Self {
         let splats = &scene.splats;
         let depth = if median_depth.is_finite() && median_depth > 0.0 {
             median_depth
@@ -148,7 +130,7 @@ impl Codes {
         let centre = middle.map_or([0.0; 3], |c| c.centre().into());
         // where no camera says what a pixel is: that of a phone's video at 480 pixels
         let focal_px = middle.map_or(400.0, |c| c.intrinsics.fx).max(1.0);
-        let step = 1.0 / (focal_px * config.position_steps_per_px);
+        let step = 1.0 / (focal_px * POSITION_STEPS_PER_PX);
         let scales = splats.layout().range(Column::LogScale).len();
         let late = || rows[n_static..].iter().map(|r| r - splats.n_static());
         let (time, sd) = (splats.column(Column::TimeMean, 0), splats.column(Column::LogTimeSd, 0));
@@ -166,12 +148,12 @@ impl Codes {
             scale: Linear::over(
                 (0..scales).flat_map(|k| rows.iter().map(move |&r| splats.column(Column::LogScale, k)[r])),
                 255.0,
-                config.scale_step,
+                SCALE_STEP,
             ),
-            colour_step: 1.0 / (SH_C0 * config.colour_steps),
+            colour_step: 1.0 / (SH_C0 * COLOUR_STEPS),
             time: Linear::over(late().map(|r| time[r]), 65535.0, f64::INFINITY),
             sd: Linear::over(late().map(|r| sd[r]), 255.0, f64::INFINITY),
-            velocity: Sinh::velocity(depth / focal_px / life.max(1e-3), 1.0 / config.velocity_steps),
+            velocity: Sinh::velocity(depth / focal_px / life.max(1e-3), 1.0 / VELOCITY_STEPS),
         }
     }
 

@@ -49,7 +49,7 @@
 //!
 //! A coordinate needs to be known to a share of the distance from which it is seen, so means and
 //! velocities are spaced evenly in `asinh`: evenly near the cameras, by a constant ratio far from them.
-//! [`PayloadConfig`] says how fine. Where the numbers end is measured, not assumed: a scene goes through
+//! Constants of [`encode()`] say how fine. Where the numbers end is measured, not assumed: a scene goes through
 //! [`encode()`] and [`decode()`], is rendered from its source cameras and compared
 //! (`crates/minute4d/tests/viewer_quality.rs`).
 
@@ -61,7 +61,7 @@ mod encode;
 mod tests;
 
 pub use decode::{PayloadError, decode};
-pub use encode::{Payload, PayloadConfig, encode};
+pub use encode::{Payload, encode};
 
 use m4_scene::SplatLayout;
 

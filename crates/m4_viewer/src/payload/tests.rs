@@ -1,5 +1,5 @@
 use super::codec::{Linear, Sinh, rotation_code, rotation_value};
-use super::{HEADER_BYTES, PayloadConfig, PayloadError, bytes_per_splat, decode, encode};
+use super::{HEADER_BYTES, PayloadError, bytes_per_splat, decode, encode};
 use m4_math::CounterRng;
 use m4_scene::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
@@ -57,7 +57,7 @@ fn farthest(a: &Splats, b: &Splats, column: Column, map: impl Fn(f64) -> f64) ->
 fn every_layout_comes_back_within_half_a_step() {
     for layout in layouts() {
         let scene = scene(layout, 70, 50);
-        let payload = encode(&scene, 4.0, &PayloadConfig::default());
+        let payload = encode(&scene, 4.0);
         assert_eq!((payload.n_static, payload.n_dynamic), (70, 50));
         let (a, b) = bytes_per_splat(layout);
         assert_eq!(payload.bytes.len(), HEADER_BYTES + 70 * a + 50 * b);
@@ -138,7 +138,7 @@ fn invisible_splats_are_left_out_of_the_payload() {
     }
     // the first lives until -6 + 2.448 x 2 < 0, the third from 20.2 on; the last row is too faint
     splats.column_mut(Column::Opacity, 0)[7] = -6.0;
-    let payload = encode(&scene, 4.0, &PayloadConfig::default());
+    let payload = encode(&scene, 4.0);
     assert_eq!((payload.n_static, payload.n_dynamic), (2, 2));
     let back = decode(&payload.bytes).unwrap();
     let times = back.column(Column::TimeMean, 0);
@@ -157,7 +157,7 @@ fn an_empty_scene_round_trips() {
     };
     let mut scene = scene(layout, 0, 0);
     scene.source.clear();
-    let payload = encode(&scene, f64::NAN, &PayloadConfig::default());
+    let payload = encode(&scene, f64::NAN);
     assert_eq!(payload.bytes.len(), HEADER_BYTES);
     assert_eq!(decode(&payload.bytes).unwrap().n(), 0);
 }
@@ -165,7 +165,7 @@ fn an_empty_scene_round_trips() {
 #[test]
 fn other_bytes_are_errors() {
     let layout = layouts().next().unwrap();
-    let good = encode(&scene(layout, 3, 2), 4.0, &PayloadConfig::default()).bytes;
+    let good = encode(&scene(layout, 3, 2), 4.0).bytes;
     let with = |at: usize, byte: u8| {
         let mut bytes = good.clone();
         bytes[at] = byte;

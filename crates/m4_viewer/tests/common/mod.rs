@@ -3,7 +3,7 @@
 use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 use m4_viewer::payload::Payload;
-use m4_viewer::{About, Manifest, SafeConfig};
+use m4_viewer::{About, Manifest};
 
 const FRAMES: usize = 6;
 
@@ -43,7 +43,6 @@ pub fn manifest_of(scene: &Scene, payload: &Payload) -> Manifest {
         title: "a test",
         median_depth: 4.0,
         fps: 10.0,
-        safe: SafeConfig::default(),
     };
     Manifest::new(scene, payload, &about)
 }

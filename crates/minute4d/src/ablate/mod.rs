@@ -206,7 +206,7 @@ impl Bench<'_> {
             .arg(folder)
             .arg("--config")
             .arg(&config);
-        command.args(["--profile", &self.job.profile, "--resume", "--quiet"]);
+        command.args(["--resume", "--quiet"]);
         command.args(["--threads", &crate::threads().to_string()]);
         command.args(["--device", &self.job.device.choice.to_string()]);
         if self.job.settings.capture.reach == Reach::Anywhere {

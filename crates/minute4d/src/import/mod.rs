@@ -108,7 +108,6 @@ fn scene(
 ) -> Result<ImportReport, Error> {
     let job = Job {
         settings: Settings::fast(),
-        profile: STAGE.to_owned(),
         device: crate::device::DeviceRequest::default(),
         existing,
         observer,
@@ -131,6 +130,7 @@ fn scene(
     };
     let key = hash::of_parts(&[STAGE, env!("CARGO_PKG_VERSION"), &input.blake3, format.name()]);
     let record: RunRecord = Workspace::open(out, input, &job, Clock::start(&job.settings))?.finish(|run| {
+        run.record.profile = STAGE.to_owned();
         run.record.splats = Some(SplatCount {
             r#static: scene.splats.n_static(),
             dynamic: scene.splats.n_dynamic(),

@@ -127,7 +127,7 @@ pub fn reproduce(
         date: today(),
         suite,
         data: data.to_path_buf(),
-        profile: job.profile.clone(),
+        profile: job.settings.profile,
         threads: crate::threads(),
         tables,
         missing,

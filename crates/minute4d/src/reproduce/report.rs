@@ -3,6 +3,7 @@
 use super::published::{Published, caveat, published};
 use super::{SceneAblation, Suite, table};
 use crate::evaluate::{PoseTreatment, Protocol, Task};
+use crate::settings::Profile;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -23,7 +24,7 @@ pub struct ReproduceReport {
     /// The folder.
     pub data: PathBuf,
     /// Profile of the settings.
-    pub profile: String,
+    pub profile: Profile,
     /// Threads.
     pub threads: usize,
     /// One per protocol.

@@ -71,7 +71,6 @@ pub(super) fn make(
         protocol.name(),
         &source,
         &job.settings.to_toml()?,
-        &job.profile,
         &job.device.choice.to_string(),
         &format!("{:?} {} {:?}", options.factor, options.refine_poses, options.geometry),
     ]);
@@ -85,7 +84,6 @@ pub(super) fn make(
     }
     let job = Job {
         settings,
-        profile: job.profile.clone(),
         existing: Existing::Resume,
         ..*job
     };
@@ -175,7 +173,6 @@ fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error
     let [pictures, ..] = Split::Train.folders();
     let job = Job {
         settings,
-        profile: job.profile.clone(),
         existing: Existing::Resume,
         ..*job
     };

@@ -25,7 +25,7 @@ pub(super) fn markdown(report: &ReproduceReport) -> String {
         report.suite.title(),
         report.minute4d,
         report.date,
-        report.profile,
+        report.profile.name(),
         report.threads
     );
     for table in &report.tables {

@@ -3,8 +3,8 @@
 //! A layer is checked when it is laid: its error names the layer, the key and, where a key is not
 //! known, the nearest one that is.
 
+use super::{Profile, Settings};
 use m4_io::shortened;
-use serde::{Serialize, de::DeserializeOwned};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
 
@@ -63,6 +63,18 @@ pub enum SettingsError {
         /// What would work.
         reason: String,
     },
+    /// The layers were written for the other profile.
+    #[error(
+        "the settings file or --set names profile = {:?}, and {:?} was asked for; leave one of them out",
+        named.name(),
+        asked.name()
+    )]
+    OtherProfile {
+        /// The profile that the layers name.
+        named: Profile,
+        /// The profile of the settings under them.
+        asked: Profile,
+    },
     /// The built-in settings cannot be written as TOML, a bug of ours.
     #[error("the built-in settings cannot be written as TOML: {reason}")]
     Internal {
@@ -77,30 +89,13 @@ fn suggest(nearest: &Option<String>) -> String {
         .map_or_else(String::new, |key| format!("; did you mean {key:?}?"))
 }
 
-/// Settings with their layers so far.
-#[derive(Debug, Clone)]
-pub struct Layers<T> {
-    table: Table,
-    value: T,
-    /// What the layers over the first one named.
+/// What files and `--set` say, later ones over earlier ones; [`Self::over`] lays it over built-in settings.
+#[derive(Debug, Clone, Default)]
+pub struct Layers {
     named: Table,
 }
 
-impl<T: Serialize + DeserializeOwned> Layers<T> {
-    /// Starts from built-in settings.
-    ///
-    /// # Errors
-    ///
-    /// [`SettingsError::Internal`] if `base` cannot be written as TOML.
-    pub fn new(base: T) -> Result<Self, SettingsError> {
-        let table = Table::try_from(&base).map_err(|e| SettingsError::Internal { reason: e.to_string() })?;
-        Ok(Self {
-            table,
-            value: base,
-            named: Table::new(),
-        })
-    }
-
+impl Layers {
     /// Lays a TOML file over what is there.
     ///
     /// # Errors
@@ -147,10 +142,32 @@ impl<T: Serialize + DeserializeOwned> Layers<T> {
         }
     }
 
-    /// The settings with every layer laid.
+    /// The profile that a layer names.
     #[must_use]
-    pub fn finish(self) -> T {
-        self.value
+    pub fn profile(&self) -> Option<Profile> {
+        self.named.get("profile")?.clone().try_into().ok()
+    }
+
+    /// The settings `base` with every layer over them.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingsError::OtherProfile`] if the layers name another profile than `base` has.
+    pub fn over(&self, base: &Settings) -> Result<Settings, SettingsError> {
+        if let Some(named) = self.profile().filter(|named| *named != base.profile) {
+            let asked = base.profile;
+            return Err(SettingsError::OtherProfile { named, asked });
+        }
+        read(&self.table_over(base)?, "the settings")
+    }
+
+    /// The built-in settings of the profile that a layer names, else of the default one, with every layer over them.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingsError::Internal`] if they cannot be written as TOML.
+    pub fn finish(&self) -> Result<Settings, SettingsError> {
+        self.over(&Settings::of(self.profile().unwrap_or_default()))
     }
 
     /// Whether a file or a `--set` named the key, dotted, whatever value it gave it.
@@ -164,23 +181,32 @@ impl<T: Serialize + DeserializeOwned> Layers<T> {
     }
 
     fn lay(mut self, layer: Table, name: &str) -> Result<Self, SettingsError> {
-        merge(&mut self.named, layer.clone());
-        merge(&mut self.table, layer);
-        self.value = serde_path_to_error::deserialize(self.table.clone())
-            .map_err(|e| explain(&e.path().to_string(), e.inner().message(), &self.table, name))?;
+        merge(&mut self.named, layer);
+        let base = Settings::of(self.profile().unwrap_or_default());
+        read(&self.table_over(&base)?, name)?;
         Ok(self)
+    }
+
+    fn table_over(&self, base: &Settings) -> Result<Table, SettingsError> {
+        let mut table = Table::try_from(base).map_err(|e| SettingsError::Internal { reason: e.to_string() })?;
+        merge(&mut table, self.named.clone());
+        Ok(table)
     }
 }
 
-/// Tables are merged key by key; everything else is replaced. A choice between forms (a table with
-/// the name of the form as its only key) is replaced when another form is named.
+/// The settings in `table`, whose last layer is called `layer`. The seed of the training is that of geometry, too.
+fn read(table: &Table, layer: &str) -> Result<Settings, SettingsError> {
+    let mut settings: Settings = serde_path_to_error::deserialize(table.clone())
+        .map_err(|e| explain(&e.path().to_string(), e.inner().message(), table, layer))?;
+    settings.set_seed(settings.train.seed);
+    Ok(settings)
+}
+
+/// Tables are merged key by key; everything else is replaced.
 fn merge(base: &mut Table, layer: Table) {
-    let other_form = |inner: &Table, over: &Table| {
-        inner.len() == 1 && over.len() == 1 && inner.keys().ne(over.keys()) && inner.values().all(Value::is_table)
-    };
     for (key, value) in layer {
         match (base.get_mut(&key), value) {
-            (Some(Value::Table(inner)), Value::Table(over)) if !other_form(inner, &over) => merge(inner, over),
+            (Some(Value::Table(inner)), Value::Table(over)) => merge(inner, over),
             (_, value) => {
                 base.insert(key, value);
             }
@@ -263,136 +289,89 @@ fn elsewhere(key: &str, table: &Table) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::{Layers, SettingsError};
-    use serde::{Deserialize, Serialize};
+    use crate::settings::{Profile, Settings};
+    use std::path::PathBuf;
 
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[serde(default, deny_unknown_fields)]
-    struct Inner {
-        every: u32,
-        threshold: f32,
-        name: String,
+    fn set(given: &str) -> Result<Layers, SettingsError> {
+        Layers::default().set(given)
     }
 
-    impl Default for Inner {
-        fn default() -> Self {
-            Self {
-                every: 100,
-                threshold: 0.1,
-                name: "plain".to_owned(),
-            }
-        }
-    }
-
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[serde(rename_all = "snake_case")]
-    enum Form {
-        Even { step: u32 },
-        Random { count: u32, spread: f32 },
-        None,
-    }
-
-    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-    #[serde(default, deny_unknown_fields)]
-    struct Outer {
-        seed: u64,
-        limit: Option<u32>,
-        density: Inner,
-        form: Form,
-    }
-
-    impl Default for Outer {
-        fn default() -> Self {
-            Self {
-                seed: 0,
-                limit: None,
-                density: Inner::default(),
-                form: Form::Even { step: 2 },
-            }
-        }
-    }
-
-    fn layers() -> Layers<Outer> {
-        Layers::new(Outer::default()).unwrap()
+    fn refusal(given: &str) -> String {
+        set(given).unwrap_err().to_string()
     }
 
     #[test]
     fn later_layers_win_and_leave_the_rest() {
-        let dir = std::env::temp_dir().join(format!("minute4d-layers-{}", std::process::id()));
-        std::fs::write(&dir, "limit = 3\n[density]\nevery = 50\nthreshold = 1").unwrap();
-        let got = layers()
-            .file(&dir)
-            .unwrap()
-            .set("density.every=7")
-            .unwrap()
-            .set("density.name=a b")
-            .unwrap();
-        std::fs::remove_file(&dir).unwrap();
-        let want = Outer {
-            limit: Some(3),
-            density: Inner {
-                every: 7,
-                threshold: 1.0,
-                name: "a b".to_owned(),
-            },
-            ..Outer::default()
-        };
-        assert_eq!(got.finish(), want);
+        let file = std::env::temp_dir().join(format!("minute4d-layers-{}", std::process::id()));
+        std::fs::write(
+            &file,
+            "train.seed = 3\n[train.density]\nevery = 50\nerror_threshold = 1",
+        )
+        .unwrap();
+        let layers = Layers::default()
+            .file(&file)
+            .and_then(|layers| layers.set("train.density.every=7"))
+            .and_then(|layers| layers.set("video.ffmpeg=a b"));
+        std::fs::remove_file(&file).unwrap();
+        let mut want = Settings::fast();
+        want.set_seed(3);
+        want.train.density.every = 7;
+        want.train.density.error_threshold = 1.0;
+        want.video.ffmpeg = PathBuf::from("a b");
+        let layers = layers.unwrap();
+        assert_eq!(layers.finish().unwrap(), want);
+        assert!(layers.named("train.density.every") && layers.named("train.density") && !layers.named("train.batch"));
     }
 
     #[test]
-    fn another_form_replaces_the_one_before() {
-        let form = |sets: &[&str]| {
-            let laid = sets.iter().try_fold(layers(), |layers, given| layers.set(given));
-            laid.map(|l| l.finish().form)
-        };
-        assert_eq!(form(&["form.even.step=5"]).unwrap(), Form::Even { step: 5 });
-        let random = form(&["form={random={count=3, spread=1.5}}", "form.random.count=4"]).unwrap();
-        assert_eq!(random, Form::Random { count: 4, spread: 1.5 });
-        assert_eq!(form(&["form=none"]).unwrap(), Form::None);
+    fn a_profile_is_the_first_layer_wherever_it_is_named() {
+        let layers = set("train.seed=3").unwrap().set("profile=faithful").unwrap();
+        let mut want = Settings::faithful();
+        want.set_seed(3);
+        assert_eq!(layers.profile(), Some(Profile::Faithful));
+        assert_eq!(layers.finish().unwrap(), want);
+        let text = layers.over(&Settings::fast()).unwrap_err().to_string();
+        assert!(text.contains("\"faithful\"") && text.contains("\"fast\""), "{text}");
+        let text = refusal("profile=best");
         assert!(
-            form(&["form.random.count=3"])
-                .unwrap_err()
-                .to_string()
-                .contains("spread")
+            text.contains("profile = \"best\"") && text.contains("`faithful`"),
+            "{text}"
         );
-        assert!(form(&["form=neither"]).unwrap_err().to_string().contains("`even`"));
     }
 
     #[test]
     fn an_unknown_key_names_the_nearest() {
-        let error = layers().set("density.thresold=2").unwrap_err();
-        let text = error.to_string();
-        assert!(text.contains("there is no setting \"density.thresold\""), "{text}");
-        assert!(text.contains("did you mean \"density.threshold\"?"), "{text}");
-        let text = layers().set("threshold=2").unwrap_err().to_string();
-        assert!(text.contains("did you mean \"density.threshold\"?"), "{text}");
-        let text = layers().set("zzz=2").unwrap_err().to_string();
+        let text = refusal("train.density.evry=2");
+        assert!(text.contains("there is no setting \"train.density.evry\""), "{text}");
+        assert!(text.contains("did you mean \"train.density.every\"?"), "{text}");
+        let text = refusal("error_threshold=2");
         assert!(
-            !text.contains("did you mean") && text.contains("seed, limit, density, form"),
+            text.contains("did you mean \"train.density.error_threshold\"?"),
+            "{text}"
+        );
+        assert!(refusal("iterations=7").contains("did you mean \"train.iterations\"?"));
+        let text = refusal("zzz=2");
+        assert!(
+            !text.contains("did you mean") && text.contains("profile, video, capture"),
             "{text}"
         );
     }
 
     #[test]
     fn a_wrong_type_names_key_and_value() {
-        let text = layers().set("density.every=often").unwrap_err().to_string();
+        let text = refusal("train.density.every=often");
         assert!(
-            text.contains("density.every = \"often\"") && text.contains("u32"),
+            text.contains("train.density.every = \"often\"") && text.contains("usize"),
             "{text}"
         );
-        let text = layers().set("density.every=-1").unwrap_err().to_string();
-        assert!(text.contains("density.every = -1"), "{text}");
-        let text = layers().set("density=3").unwrap_err().to_string();
-        assert!(text.contains("density = 3"), "{text}");
+        assert!(refusal("train.density.every=-1").contains("train.density.every = -1"));
+        assert!(refusal("train.density=3").contains("train.density = 3"));
     }
 
     #[test]
     fn a_set_without_a_value_is_refused() {
-        for given in ["density.every", "=3", "density..every=3"] {
-            assert!(
-                matches!(layers().set(given), Err(SettingsError::Form { .. })),
-                "{given}"
-            );
+        for given in ["train.seed", "=3", "train..seed=3"] {
+            assert!(matches!(set(given), Err(SettingsError::Form { .. })), "{given}");
         }
     }
 }

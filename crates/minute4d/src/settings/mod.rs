@@ -1,12 +1,22 @@
 //! Every setting of the pipeline, and how layers of them are put together.
 
+mod init;
 mod layers;
+#[cfg(test)]
+mod page;
 mod preset;
+mod profile;
+mod train;
 mod without;
 
+pub use init::InitSettings;
 pub use layers::{Layers, SettingsError};
 pub use preset::Preset;
+pub use profile::Profile;
+pub use train::{ColourFitSettings, DensitySettings, LossSettings, RefinementSettings, TrainSettings};
 pub use without::Enhancement;
+
+use crate::Error;
 
 use crate::enhance::EnhanceConfig;
 use crate::geometry::GeometryOptions;
@@ -21,10 +31,12 @@ use m4_slam::sparse::SparseConfig;
 use m4_train::TrainConfig;
 use serde::{Deserialize, Serialize};
 
-/// Every setting of every stage; what `--print-config` shows and `--set` changes.
+/// Every setting of every stage; what `--print-config` shows and `--set` changes. `docs/settings.md` lists the keys.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(deny_unknown_fields)]
 pub struct Settings {
+    /// What decides everything that has no key; not to be changed once the others are those of another one.
+    pub profile: Profile,
     /// Which part of a video is read.
     pub video: VideoOptions,
     /// Limits on captures.
@@ -40,9 +52,9 @@ pub struct Settings {
     /// Masks over time, and points that are followed.
     pub enhance: EnhanceConfig,
     /// The first splats.
-    pub init: InitConfig,
+    pub init: InitSettings,
     /// Optimisation.
-    pub train: TrainConfig,
+    pub train: TrainSettings,
     /// How long a run may take; no part of the result where it suffices.
     pub limit: LimitConfig,
     /// When training is saved; no part of the result.
@@ -85,10 +97,11 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Minutes on a plain CPU.
+    /// The built-in settings of a profile.
     #[must_use]
-    pub fn fast() -> Self {
+    pub fn of(profile: Profile) -> Self {
         Self {
+            profile,
             video: VideoOptions::default(),
             capture: CaptureOptions::default(),
             geometry: GeometryOptions::default(),
@@ -96,8 +109,8 @@ impl Settings {
             dense: DenseConfig::default(),
             megasam: MegasamSettings::default(),
             enhance: EnhanceConfig::default(),
-            init: InitConfig::fast(),
-            train: TrainConfig::fast(),
+            init: InitSettings::of(profile),
+            train: TrainSettings::of(profile),
             limit: LimitConfig::default(),
             checkpoint: CheckpointConfig::default(),
             preview: PreviewConfig::default(),
@@ -105,14 +118,35 @@ impl Settings {
         }
     }
 
+    /// Minutes on a plain CPU.
+    #[must_use]
+    pub fn fast() -> Self {
+        Self::of(Profile::Fast)
+    }
+
     /// The paper to the letter, with documented choices where it is silent.
     #[must_use]
     pub fn faithful() -> Self {
-        Self {
-            init: InitConfig::faithful(),
-            train: TrainConfig::faithful(),
-            ..Self::fast()
-        }
+        Self::of(Profile::Faithful)
+    }
+
+    /// What the initialisation is given.
+    #[must_use]
+    pub fn init_config(&self) -> InitConfig {
+        self.init.config(self.profile)
+    }
+
+    /// What the trainer is given.
+    #[must_use]
+    pub fn train_config(&self) -> TrainConfig {
+        self.train.config(self.profile)
+    }
+
+    /// Refuses values that no run can use.
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        self.init_config().check()?;
+        self.train.check()?;
+        Ok(self.train_config().check()?)
     }
 
     /// Uses one seed for every random number.
@@ -138,7 +172,10 @@ pub(crate) fn part_to_toml(part: &impl Serialize) -> Result<String, SettingsErro
 
 #[cfg(test)]
 mod tests {
-    use super::{Layers, Settings};
+    use super::{Layers, Profile, Settings};
+    use m4_init::InitConfig;
+    use m4_train::TrainConfig;
+    use toml::{Table, Value};
 
     #[test]
     fn every_profile_survives_toml() {
@@ -149,32 +186,74 @@ mod tests {
     }
 
     #[test]
+    fn stages_are_given_what_their_profile_says() {
+        assert_eq!(Settings::default(), Settings::fast());
+        let given = |settings: Settings| (settings.init_config(), settings.train_config());
+        assert_eq!(given(Settings::fast()), (InitConfig::fast(), TrainConfig::fast()));
+        assert_eq!(
+            given(Settings::faithful()),
+            (InitConfig::faithful(), TrainConfig::faithful())
+        );
+        Settings::fast().check().unwrap();
+        Settings::faithful().check().unwrap();
+        let mut endless = Settings::fast();
+        endless.train.budget_s = f64::NAN;
+        assert!(endless.check().unwrap_err().to_string().contains("`budget_s` is NaN"));
+    }
+
+    #[test]
     fn settings_of_every_stage_can_be_changed() {
-        let layers = Layers::new(Settings::fast()).unwrap();
         let sets = [
             "train.iterations=7",
-            "init.opacity=0.2",
+            "init.keyframe_gaps=0.5",
             "video.max_frames=12",
             "sparse.fov_deg=60",
             "dense.working_side_px=200",
             "preview.swing.side_deg=5",
             "checkpoint.every_s=1",
         ];
-        let settings = sets
+        let layers = sets
             .iter()
-            .try_fold(layers, |layers, set| layers.set(set))
-            .unwrap()
-            .finish();
+            .try_fold(Layers::default(), |layers, set| layers.set(set))
+            .unwrap();
+        let settings = layers.over(&Settings::fast()).unwrap();
         assert_eq!((settings.train.iterations, settings.video.max_frames), (7, Some(12)));
         assert_eq!(
             (settings.sparse.fov_deg, settings.dense.working_side_px),
             (Some(60.0), 200)
         );
-        let text = Layers::new(Settings::fast())
-            .unwrap()
-            .set("iterations=7")
-            .unwrap_err()
-            .to_string();
-        assert!(text.contains("did you mean \"train.iterations\"?"), "{text}");
+    }
+
+    /// Every key of `table`, and a value that is another one.
+    fn changes(path: &str, table: &Table) -> Vec<(String, Value)> {
+        let other = |(name, value): (&String, &Value)| {
+            let key = format!("{path}.{name}");
+            match value {
+                Value::Table(inner) => changes(&key, inner),
+                Value::Integer(n) => vec![(key, Value::Integer(n + 1))],
+                Value::Float(x) => vec![(key, Value::Float(0.5 * x + 0.001))],
+                Value::Boolean(b) => vec![(key, Value::Boolean(!b))],
+                Value::Array(values) => vec![(key, Value::Array(vec![Value::Float(0.5); values.len()]))],
+                other => panic!("{key} = {other} has no other value here"),
+            }
+        };
+        table.iter().flat_map(other).collect()
+    }
+
+    #[test]
+    fn every_key_of_splats_and_training_reaches_its_stage() {
+        for profile in [Profile::Fast, Profile::Faithful] {
+            let base = Settings::of(profile);
+            let table: Table = base.to_toml().unwrap().parse().unwrap();
+            for section in ["init", "train"] {
+                for (key, value) in changes(section, table[section].as_table().unwrap()) {
+                    let layers = Layers::default().set(&format!("{key}={value}")).unwrap();
+                    let changed = layers.over(&base).unwrap();
+                    let same =
+                        (changed.init_config(), changed.train_config()) == (base.init_config(), base.train_config());
+                    assert_eq!(same, key == "train.budget_s", "{key} of {profile:?}");
+                }
+            }
+        }
     }
 }

@@ -3,7 +3,6 @@
 use super::Settings;
 use crate::enhance::Tracker;
 use crate::geometry::Segmenter;
-use m4_init::VelocityInit;
 use serde::{Deserialize, Serialize};
 
 /// A part of the method that works without: what ablations switch off (paper, table 3).
@@ -26,13 +25,7 @@ impl Settings {
             Enhancement::Tracking => {
                 self.geometry.tracker = Tracker::None;
                 self.dense.tracks = false;
-                self.init.carry_keyframes = 0;
-                self.init.tracked.enabled = false;
-                match &mut self.init.velocity {
-                    VelocityInit::Register { tracks, .. } => *tracks = false,
-                    velocity @ VelocityInit::Tracks { .. } => *velocity = VelocityInit::Zero,
-                    VelocityInit::Zero => {}
-                }
+                self.init.tracks = false;
             }
             Enhancement::Density => self.train.density.enabled = false,
         }

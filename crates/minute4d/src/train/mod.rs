@@ -8,7 +8,7 @@ use crate::device::OpenGpu;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::progress::Keeper;
 use crate::record::{Input, RunRecord, SplatCount};
-use crate::settings::part_to_toml;
+use crate::settings::{InitSettings, Profile, TrainSettings, part_to_toml};
 use crate::workspace::{Task, Workspace};
 use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
 use checkpoint::{Checkpoints, Patience};
@@ -28,8 +28,9 @@ pub const STAGE: &str = "train";
 /// The settings that this stage depends on.
 #[derive(Serialize)]
 struct Part<'a> {
-    init: &'a m4_init::InitConfig,
-    train: &'a m4_train::TrainConfig,
+    profile: Profile,
+    init: &'a InitSettings,
+    train: &'a TrainSettings,
 }
 
 /// Trains a scene on a capture and makes the preview, or goes on where that was stopped.
@@ -74,9 +75,11 @@ pub(crate) fn read(capture: &Path, settings: &Settings, observer: &dyn Observer)
 
 /// Trains within a run, unless that was done before.
 pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene, Error> {
+    let settings = &run.job.settings;
     let part = Part {
-        init: &run.job.settings.init,
-        train: &run.job.settings.train,
+        profile: settings.profile,
+        init: &settings.init,
+        train: &settings.train,
     };
     let (capture_hash, part) = (hash::of_capture(capture), part_to_toml(&part)?);
     let mut parts = vec![STAGE, env!("CARGO_PKG_VERSION"), &capture_hash, run.level.name(), &part];
@@ -118,7 +121,8 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
     run.record.stages.remove(viewer::STAGE);
     let end = run.clock.end_of_training();
     let mut checkpoints = Checkpoints::new(&run.folder, key, settings.checkpoint.keep);
-    let (mut trainer, mut log) = match checkpoints.latest(capture, &settings.train, run.level, keeper)? {
+    let mut config = settings.train_config();
+    let (mut trainer, mut log) = match checkpoints.latest(capture, &config, run.level, keeper)? {
         Some(trainer) => {
             let (done, total) = (trainer.iteration(), trainer.iterations());
             run.job.observer.stage(STAGE, StageEvent::Resumed { done, total });
@@ -128,13 +132,13 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
         None => {
             folder::remove_checkpoints(&run.folder)?;
             folder::remove_file(&run.path(METRICS_FILE))?;
-            let splats = m4_init::initialise(capture, &settings.init, keeper)?;
-            let mut config = settings.train.clone();
+            let splats = m4_init::initialise(capture, &settings.init_config(), keeper)?;
+            let budget_s = settings.train.budget_s;
             let left_s = end.map(|end| end.saturating_duration_since(Instant::now()).as_secs_f64());
-            if let Some(seconds) = affordable(config.budget_s, left_s) {
+            if let Some(seconds) = affordable(budget_s, left_s) {
                 let trial = run.gpu.as_ref().map(|_| &make as DeviceMaker<'_>);
                 let n = m4_train::affordable_iterations(capture, &splats, &config, run.level, trial, seconds)?;
-                if config.budget_s > 0.0 || n < config.iterations {
+                if budget_s > 0.0 || n < config.iterations {
                     config.iterations = n;
                     let note =
                         format!("{n} iterations fit into {seconds:.0} s here; --iterations {n} repeats this run");

@@ -1,8 +1,8 @@
 //! Shows the scene in the browser during training.
 
+use super::LiveConfig;
 use super::pack::pack;
 use super::source::{Source, event};
-use super::{LiveConfig, ViewerConfig};
 use crate::folder::VIEWER_FILE;
 use crate::{Error, Observer, StageEvent};
 use m4_kernels::SimdLevel;
@@ -153,10 +153,9 @@ impl<'a> Broadcast<'a> {
 
 /// Packs scene after scene until no more come.
 fn pack_all(scenes: &Receiver<Copied>, title: &str, hub: &Hub, pace: &Mutex<Pace>) {
-    let config = ViewerConfig::default();
     while let Ok(copied) = scenes.recv() {
         let start = Instant::now();
-        let (manifest, payload) = pack(&copied.scene, title, copied.median_depth, &config);
+        let (manifest, payload) = pack(&copied.scene, title, copied.median_depth);
         hub.show(manifest, payload.bytes);
         let waited = copied.waited;
         drop(copied);

@@ -1,7 +1,6 @@
 //! Settings of the page.
 
-use m4_viewer::payload::PayloadConfig;
-use m4_viewer::{FrameLimits, SafeConfig};
+use m4_viewer::FrameLimits;
 use serde::{Deserialize, Serialize};
 
 /// What goes into the page of a scene.
@@ -10,21 +9,15 @@ use serde::{Deserialize, Serialize};
 pub struct ViewerConfig {
     /// Write `viewer.html` at the end of a run.
     pub write: bool,
-    /// How finely the splats are kept.
-    pub splats: PayloadConfig,
     /// The frames of the source, shown beside the scene.
     pub frames: FrameLimits,
-    /// How far from the source cameras the scene is shown without a fade.
-    pub safe: SafeConfig,
 }
 
 impl Default for ViewerConfig {
     fn default() -> Self {
         Self {
             write: true,
-            splats: PayloadConfig::default(),
             frames: FrameLimits::default(),
-            safe: SafeConfig::default(),
         }
     }
 }

@@ -45,7 +45,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
 
 fn write(run: &Workspace<'_>, title: &str, capture: &Capture, scene: &Scene) -> Result<(), Error> {
     let config = &run.job.settings.viewer;
-    let (mut manifest, payload) = pack(scene, title, median_depth(scene, run.level), config);
+    let (mut manifest, payload) = pack(scene, title, median_depth(scene, run.level));
     let frames = frames(capture, scene, config)?;
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
     let parts = Parts {

@@ -10,13 +10,12 @@ use m4_viewer::{About, Frames, Manifest, encode_frames};
 
 /// The splats for the page, and their metadata. `median_depth`: of what the middle camera
 /// sees, world units.
-pub(super) fn pack(scene: &Scene, title: &str, median_depth: f64, config: &ViewerConfig) -> (Manifest, Payload) {
-    let payload = encode(scene, median_depth, &config.splats);
+pub(super) fn pack(scene: &Scene, title: &str, median_depth: f64) -> (Manifest, Payload) {
+    let payload = encode(scene, median_depth);
     let about = About {
         title,
         median_depth,
         fps: source_fps(scene),
-        safe: config.safe,
     };
     (Manifest::new(scene, &payload, &about), payload)
 }

@@ -129,8 +129,7 @@ impl Source {
     /// [`Error::ReadScene`] for a file that is no scene.
     pub fn load(&self, stamp: &Stamp, level: SimdLevel) -> Result<(Manifest, Vec<u8>, Scene), Error> {
         let scene = scene_file::read(&stamp.path)?.scene;
-        let config = ViewerConfig::default();
-        let (manifest, payload) = pack(&scene, &self.title(), median_depth(&scene, level), &config);
+        let (manifest, payload) = pack(&scene, &self.title(), median_depth(&scene, level));
         Ok((manifest, payload.bytes, scene))
     }
 

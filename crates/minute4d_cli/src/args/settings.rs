@@ -6,10 +6,10 @@ use std::path::PathBuf;
 /// Settings in layers: profile, preset, file, `--set`, then dedicated options.
 #[derive(Debug, Args)]
 pub struct SettingsArgs {
-    /// The built-in settings to start from
-    #[arg(long, value_enum, default_value = "fast")]
-    pub profile: Profile,
-    /// A TOML file of settings that override the profile; --print-config shows every key
+    /// The built-in settings to start from [default: that of --config, else fast]
+    #[arg(long, value_enum)]
+    pub profile: Option<Profile>,
+    /// A TOML file of settings that override the profile; docs/settings.md explains every key
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
     /// Override one setting, such as train.iterations=2000; may be repeated
@@ -50,6 +50,4 @@ pub enum Preset {
     Draft,
     /// Sixty seconds
     Default,
-    /// Five minutes
-    Quality,
 }

@@ -36,7 +36,7 @@ pub fn run(args: &Ablate, output: &Output) -> Result<(), Failure> {
         resume: true,
         force: false,
     };
-    let job = job(&args.settings, device, &existing, settings, output);
+    let job = job(device, &existing, settings, output);
     let report = ablate::ablate(&args.input, &args.out, &options, &job)?;
     if let Some(image) = &report.picture {
         output.note(&format!("{}: source, without tracking, full method", image.display()));

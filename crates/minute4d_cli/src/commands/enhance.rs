@@ -20,7 +20,7 @@ pub fn run(args: &Enhance, output: &Output) -> Result<(), Failure> {
         choice: args.device,
         max_vram_mb: None,
     };
-    let job = job(&args.settings, device, &args.existing, settings, output);
+    let job = job(device, &args.existing, settings, output);
     let report = minute4d::enhance::make(capture, out, &job)?;
     let share = |share: Option<f64>| share.map_or_else(|| "unknown".to_owned(), |s| format!("{:.1} %", 100.0 * s));
     output.note(&format!(

@@ -16,7 +16,6 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
     };
     let asked = settings.geometry.segmenter;
     let job = job(
-        &args.settings,
         DeviceRequest {
             choice: args.device,
             max_vram_mb: None,

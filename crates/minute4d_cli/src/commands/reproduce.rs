@@ -38,7 +38,7 @@ pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
         resume: true,
         force: false,
     };
-    let job = job(&args.settings, device, &existing, settings, output);
+    let job = job(device, &existing, settings, output);
     let report = reproduce(args.suite, &args.data, &args.out, &options, &job)?;
     output.note(&format!("tables written to {}", args.out.join(TABLE_FILE).display()));
     output.result(&report.to_markdown(), minute4d::plain_json(&report)?);

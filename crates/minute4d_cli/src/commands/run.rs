@@ -24,7 +24,7 @@ pub fn run(args: &Run, output: &Output) -> Result<(), Failure> {
     };
     let device = args.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = job(&args.settings, device, &args.existing, settings, observer);
+        let job = job(device, &args.existing, settings, observer);
         let done = minute4d::run(input, out, &job)?;
         if args.poster {
             minute4d::preview::poster(out, input, &job.settings)?;

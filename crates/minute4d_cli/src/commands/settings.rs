@@ -1,22 +1,22 @@
 //! Turns options into settings: profile, preset, file, `--set`, then dedicated options.
 
-use crate::args::{self, LengthArgs, OutArgs, Profile, SettingsArgs, VideoArgs};
+use crate::args::{self, LengthArgs, OutArgs, SettingsArgs, VideoArgs};
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::device::DeviceRequest;
 use minute4d::enhance::Tracker;
 use minute4d::geometry::Segmenter;
-use minute4d::settings::{Layers, Preset, Settings};
+use minute4d::settings::{Layers, Preset, Profile, Settings};
 use minute4d::{Existing, Job, Observer};
 
 const PRESET_OF_FAITHFUL: &str = "--preset applies to the fast profile only; for the faithful one use --iterations N, or a time budget in seconds with \
      --set train.budget_s=60";
 
-impl Profile {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Fast => "fast",
-            Self::Faithful => "faithful",
+impl From<args::Profile> for Profile {
+    fn from(given: args::Profile) -> Self {
+        match given {
+            args::Profile::Fast => Self::Fast,
+            args::Profile::Faithful => Self::Faithful,
         }
     }
 }
@@ -48,7 +48,6 @@ impl args::Preset {
         let preset = match self {
             Self::Draft => Preset::Draft,
             Self::Default => Preset::Default,
-            Self::Quality => Preset::Quality,
         };
         preset.apply(settings);
     }
@@ -60,26 +59,24 @@ pub fn settings(
     video: Option<&VideoArgs>,
     length: Option<&LengthArgs>,
 ) -> Result<Settings, Failure> {
-    let preset = length.and_then(|l| l.preset);
-    let base = match args.profile {
-        Profile::Fast => {
-            let mut settings = Settings::fast();
-            preset.unwrap_or(args::Preset::Default).apply(&mut settings);
-            settings
-        }
-        Profile::Faithful if preset.is_some() => return Err(Failure::usage(PRESET_OF_FAITHFUL)),
-        Profile::Faithful => Settings::faithful(),
-    };
-    let mut layers = Layers::new(base)?;
+    let mut layers = Layers::default();
     if let Some(path) = &args.config {
         layers = layers.file(path)?;
     }
     for given in &args.set {
         layers = layers.set(given)?;
     }
+    let profile = args.profile.map(Into::into).or_else(|| layers.profile());
+    let mut base = Settings::of(profile.unwrap_or_default());
+    let preset = length.and_then(|l| l.preset);
+    match base.profile {
+        Profile::Fast => preset.unwrap_or(args::Preset::Default).apply(&mut base),
+        Profile::Faithful if preset.is_some() => return Err(Failure::usage(PRESET_OF_FAITHFUL)),
+        Profile::Faithful => {}
+    }
+    let mut settings = layers.over(&base)?;
     // a number of iterations without a time budget switches the budget off
-    let iterations_only = layers.named("train.iterations") && !layers.named("train.budget_s");
-    let mut settings = layers.finish();
+    let counted = layers.named("train.iterations") && !layers.named("train.budget_s");
     let iterations = length.and_then(|l| l.iterations);
     if let Some(n) = iterations {
         settings.train.iterations = n as usize;
@@ -118,16 +115,9 @@ fn apply_video(settings: &mut Settings, args: &VideoArgs) {
 }
 
 /// Returns the job that the stages of a run work on.
-pub fn job<'a>(
-    args: &SettingsArgs,
-    device: DeviceRequest,
-    existing: &OutArgs,
-    settings: Settings,
-    observer: &'a dyn Observer,
-) -> Job<'a> {
+pub fn job<'a>(device: DeviceRequest, existing: &OutArgs, settings: Settings, observer: &'a dyn Observer) -> Job<'a> {
     Job {
         settings,
-        profile: args.profile.name().to_owned(),
         device,
         existing: match (existing.resume, existing.force) {
             (true, _) => Existing::Resume,

@@ -21,7 +21,7 @@ pub fn run(args: &Train, output: &Output) -> Result<(), Failure> {
     };
     let device = args.device.request()?;
     let work = |observer: &dyn Observer| {
-        let job = job(&args.settings, device, &args.existing, settings, observer);
+        let job = job(device, &args.existing, settings, observer);
         minute4d::train::make(capture, out, &job)
     };
     while_training(&args.page, (capture, out), output, work, |done| {

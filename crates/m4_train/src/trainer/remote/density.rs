@@ -17,7 +17,7 @@ impl Trainer<'_> {
 
     fn score_settings(&self) -> ScoreSettings {
         ScoreSettings {
-            lambda_ssim: self.config.loss.lambda_ssim,
+            lambda_ssim: self.config.lambda_ssim,
             threshold: self.config.density.error_threshold,
             range: self.config.density.error_range,
         }

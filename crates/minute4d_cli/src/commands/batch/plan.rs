@@ -4,7 +4,6 @@ use super::super::settings::{print_config, settings};
 use crate::args::BatchPlan;
 use crate::failure::Failure;
 use crate::output::{Output, duration};
-use clap::ValueEnum;
 use minute4d::Settings;
 use minute4d::batch::{Arguments, Plan, plan};
 use minute4d::io::atomic::AtomicFile;
@@ -68,27 +67,14 @@ fn arguments(args: &BatchPlan, settings: &Settings, manifest: &Path) -> Result<A
     file.write_all(text.as_bytes())
         .and_then(|()| file.sync())
         .map_err(failed)?;
-    let profile = args.settings.profile;
-    let base = match profile {
-        crate::args::Profile::Fast => Settings::fast(),
-        crate::args::Profile::Faithful => Settings::faithful(),
-    };
-    let again = Layers::new(base)?.file(file.temporary_path())?.finish();
+    let again = Layers::default().file(file.temporary_path())?.finish()?;
     if again != *settings {
         return Err(minute4d::Error::Internal {
             what: "the settings do not read back as they were written".to_owned(),
         }
         .into());
     }
-    let name = profile
-        .to_possible_value()
-        .map_or_else(String::new, |v| v.get_name().to_owned());
-    let mut arguments = vec![
-        "--profile".to_owned(),
-        name,
-        "--device".to_owned(),
-        args.device.device.to_string(),
-    ];
+    let mut arguments = vec!["--device".to_owned(), args.device.device.to_string()];
     if let Some(mb) = args.device.max_vram {
         arguments.extend(["--max-vram".to_owned(), mb.to_string()]);
     }

@@ -1,0 +1,170 @@
+//! The keys of the training.
+
+use super::Profile;
+use m4_train::{DensityConfig, RefineConfig, TrainConfig, TrainError};
+use serde::{Deserialize, Serialize};
+
+/// What users change of the training; the rest is the profile's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainSettings {
+    /// As [`TrainConfig::iterations`].
+    pub iterations: usize,
+    /// As [`TrainConfig::batch`].
+    pub batch: usize,
+    /// Seconds that the optimisation may take, 0 for as many as `iterations` need. Where it is above 0, `iterations` is
+    /// replaced by what [`m4_train::affordable_iterations`] finds before training starts.
+    pub budget_s: f64,
+    /// Key of every random draw, those of geometry included ([`super::Settings::set_seed`]).
+    pub seed: u64,
+    /// As [`TrainConfig::background`].
+    pub background: Option<[f32; 3]>,
+    /// As [`TrainConfig::metrics_every`].
+    pub metrics_every: usize,
+    /// As [`TrainConfig::target_cache_mb`].
+    pub target_cache_mb: usize,
+    /// Colours by least squares.
+    pub colour_fit: ColourFitSettings,
+    /// What is minimised.
+    pub loss: LossSettings,
+    /// Adding and removing splats.
+    pub density: DensitySettings,
+    /// Poses, focal length and exposure.
+    pub refine: RefinementSettings,
+}
+
+/// Colours by least squares after the last step.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ColourFitSettings {
+    /// As [`TrainConfig::colour_fit_rounds`].
+    pub rounds: usize,
+}
+
+/// What is minimised.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LossSettings {
+    /// As [`TrainConfig::lambda_ssim`].
+    pub lambda_ssim: f32,
+}
+
+/// Loss-guided density control; fields are those of [`DensityConfig`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DensitySettings {
+    /// Off: the number of splats stays as initialised.
+    pub enabled: bool,
+    /// Frames scored at each round.
+    pub frames: usize,
+    /// Normalised error above which a pixel counts, 0..1.
+    pub error_threshold: f32,
+    /// Score above which a splat is cloned or split.
+    pub densify_threshold: f32,
+    /// Normalised score above which a splat is pruned.
+    pub prune_threshold: f32,
+    /// First iteration.
+    pub from: usize,
+    /// Iterations between two rounds of densification.
+    pub every: usize,
+    /// Iterations between two rounds of pruning by score.
+    pub prune_every: usize,
+}
+
+/// What is corrected beside the splats; fields are those of [`RefineConfig`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RefinementSettings {
+    /// The pose of every frame but the first.
+    pub poses: bool,
+    /// One factor of all focal lengths.
+    pub focal: bool,
+    /// The colours of every frame.
+    pub exposure: bool,
+}
+
+impl TrainSettings {
+    /// Those of a profile.
+    #[must_use]
+    pub fn of(profile: Profile) -> Self {
+        let config = profile.train();
+        let (density, refine) = (config.density, config.refine);
+        Self {
+            iterations: config.iterations,
+            batch: config.batch,
+            budget_s: 0.0,
+            seed: config.seed,
+            background: config.background,
+            metrics_every: config.metrics_every,
+            target_cache_mb: config.target_cache_mb,
+            colour_fit: ColourFitSettings {
+                rounds: config.colour_fit_rounds,
+            },
+            loss: LossSettings {
+                lambda_ssim: config.lambda_ssim,
+            },
+            density: DensitySettings {
+                enabled: density.enabled,
+                frames: density.frames,
+                error_threshold: density.error_threshold,
+                densify_threshold: density.densify_threshold,
+                prune_threshold: density.prune_threshold,
+                from: density.from,
+                every: density.every,
+                prune_every: density.prune_every,
+            },
+            refine: RefinementSettings {
+                poses: refine.poses,
+                focal: refine.focal,
+                exposure: refine.exposure,
+            },
+        }
+    }
+
+    /// What the trainer is given; it knows iterations alone, and no seconds.
+    #[must_use]
+    pub fn config(&self, profile: Profile) -> TrainConfig {
+        let base = profile.train();
+        let (density, refine) = (&self.density, &self.refine);
+        TrainConfig {
+            iterations: self.iterations,
+            batch: self.batch,
+            seed: self.seed,
+            background: self.background,
+            metrics_every: self.metrics_every,
+            target_cache_mb: self.target_cache_mb,
+            colour_fit_rounds: self.colour_fit.rounds,
+            lambda_ssim: self.loss.lambda_ssim,
+            density: DensityConfig {
+                enabled: density.enabled,
+                frames: density.frames,
+                error_threshold: density.error_threshold,
+                densify_threshold: density.densify_threshold,
+                prune_threshold: density.prune_threshold,
+                from: density.from,
+                every: density.every,
+                prune_every: density.prune_every,
+                ..base.density
+            },
+            refine: RefineConfig {
+                poses: refine.poses,
+                focal: refine.focal,
+                exposure: refine.exposure,
+                ..base.refine
+            },
+            ..base
+        }
+    }
+
+    /// Refuses seconds that are no time.
+    pub(super) fn check(&self) -> Result<(), TrainError> {
+        if self.budget_s.is_finite() && self.budget_s >= 0.0 {
+            return Ok(());
+        }
+        Err(TrainError::BadSetting {
+            field: "budget_s",
+            value: self.budget_s.to_string(),
+            expected: "a number of at least 0",
+        })
+    }
+}
