@@ -76,7 +76,7 @@ pub fn settings(
     }
     let mut settings = layers.over(&base)?;
     // a number of iterations without a time budget switches the budget off
-    let counted = layers.named("train.iterations") && !layers.named("train.budget_s");
+    let iterations_only = layers.named("train.iterations") && !layers.named("train.budget_s");
     let iterations = length.and_then(|l| l.iterations);
     if let Some(n) = iterations {
         settings.train.iterations = n as usize;
