@@ -5,10 +5,10 @@ use crate::InitError;
 /// How large a voxel is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CellSize {
-    /// `k * median depth / focal` everywhere (Instant4D; section 2.2).
+    /// `k * median depth / focal` everywhere (Instant4D; docs/spec/optimiser.md 2.2).
     Constant,
     /// `k * distance to the nearest camera / focal`, in steps of a factor `sqrt(2)`: the same number
-    /// of pixels at every depth (section 2.2, our variant).
+    /// of pixels at every depth (docs/spec/optimiser.md 2.2, our variant).
     DepthProportional,
 }
 
@@ -16,7 +16,7 @@ pub enum CellSize {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TimeSpread {
     /// Standard deviation in gaps, the mean of those to both neighbouring keyframes, so that splats reach the next one where
-    /// frames are missing, too (section 2.4, our choice).
+    /// frames are missing, too (docs/spec/optimiser.md 2.4, our choice).
     KeyframeGaps {
         /// Standard deviations per gap. From 0.75 on the opacity of a surface changes by less than 3 % between keyframes
         /// that are evenly spaced; with 1 every splat is also seen, and its velocity trained, at the neighbouring keyframes.
@@ -24,7 +24,7 @@ pub enum TimeSpread {
     },
     /// Variance `D / (10 (B - 1))` in the reference's time units, that is a standard deviation of
     /// `sqrt((B - 1) / (10 D))` frames; standing points get variance `D`, that is
-    /// `(B - 1) / sqrt(D)` frames, about the time `D / 3` (Instant4D; section 2.4, decision D7).
+    /// `(B - 1) / sqrt(D)` frames, about the time `D / 3` (Instant4D; docs/spec/optimiser.md 2.4, decision D7).
     Reference {
         /// Length `D` of the reference's time axis: 3 for DyCheck and DAVIS, 1 for NVIDIA.
         time_range: f32,
@@ -37,7 +37,7 @@ pub enum VelocityInit {
     /// All 0: the optimiser finds them.
     Zero,
     /// Each keyframe's points are registered to those of the keyframes before and after: locally rigid
-    /// motions that bring similar colours together, refined by patches of the frames (section 2.6).
+    /// motions that bring similar colours together, refined by patches of the frames (docs/spec/optimiser.md 2.6).
     Register {
         /// Where the capture brings tracks, points near them go where they say, before the frames have their word (section
         /// 2.6; measured: 0.00 to +0.12 dB inside moving parts, +0.27 with true depth; docs/geometry.md).
@@ -45,7 +45,7 @@ pub enum VelocityInit {
     },
 }
 
-/// Points of tracks that the capture brings, added to those of the frames (paper Eq. 5: the completed cloud; section 2.6). Without
+/// Points of tracks that the capture brings, added to those of the frames (paper Eq. 5: the completed cloud; docs/spec/optimiser.md 2.6). Without
 /// tracks nothing is added. The default is [`InitConfig::fast`]'s.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TrackedInit {
@@ -87,11 +87,11 @@ pub struct InitConfig {
     /// and a moving pixel taken for wall stays on the wall (our rule).
     pub mask_margin_px: usize,
     /// Standing points that are nearer by more than this share than what several other frames see there are dropped: depth that
-    /// smears over edges (section 2.6 has 5 % for tracked points; measured on whole held-out views: +0.3 and +0.45 dB from frames at
+    /// smears over edges (docs/spec/optimiser.md 2.6 has 5 % for tracked points; measured on whole held-out views: +0.3 and +0.45 dB from frames at
     /// 1.5 %, less at 3 %, none lost with true depth). 0 for none.
     pub free_space: f32,
     /// Moving points that leave the picture or go behind something are carried on, with what is seen of
-    /// their body, into at most this many keyframes that cannot see them (section 2.6: occluded samples are kept).
+    /// their body, into at most this many keyframes that cannot see them (docs/spec/optimiser.md 2.6: occluded samples are kept).
     /// They come on top of `max_dynamic`. 0 for none.
     pub carry_keyframes: usize,
     /// Points of tracks.
@@ -102,17 +102,17 @@ pub struct InitConfig {
     /// Splats on a shell behind everything, coloured by what was seen in their direction (our rule). 0
     /// for none.
     pub shell_splats: usize,
-    /// One scale a splat and no rotation (the paper's choice, as Instant4D; section 1.5).
+    /// One scale a splat and no rotation (the paper's choice, as Instant4D; docs/spec/optimiser.md 1.5).
     pub isotropic: bool,
     /// Standing points become rows with time parameters that fade towards the ends, as in the
-    /// reference (section 2.4); else they have no time at all.
+    /// reference (docs/spec/optimiser.md 2.4); else they have no time at all.
     pub static_fade: bool,
-    /// Opacity at the start, 0..1. Reference 0.1; section 2.5 recommends 0.5; 0.97 with small splats is
+    /// Opacity at the start, 0..1. Reference 0.1; docs/spec/optimiser.md 2.5 recommends 0.5; 0.97 with small splats is
     /// sharper from the start (measured: +0.05 SSIM inside moving parts before training).
     pub opacity: f32,
     /// Standard deviation in units of that of the nearest neighbours along each axis of the surface; of an isotropic
     /// splat in units of the distance to the three nearest neighbours (root mean square). Reference 1;
-    /// section 2.5 recommends 0.75; 0.55 with opacity 0.97 (measured, as above).
+    /// docs/spec/optimiser.md 2.5 recommends 0.75; 0.55 with opacity 0.97 (measured, as above).
     pub scale_factor: f32,
     /// How long a dynamic splat lives.
     pub time_spread: TimeSpread,
@@ -127,7 +127,7 @@ impl Default for InitConfig {
 }
 
 impl InitConfig {
-    /// Static splats without time, dynamic ones in velocity form, anisotropic (section 9, D1).
+    /// Static splats without time, dynamic ones in velocity form, anisotropic (docs/spec/optimiser.md 9, D1).
     #[must_use]
     pub fn fast() -> Self {
         Self {
@@ -150,7 +150,7 @@ impl InitConfig {
         }
     }
 
-    /// The paper's letter, read as Instant4D (sections 1.5 and 2): isotropic, no velocity, every
+    /// The paper's letter, read as Instant4D (docs/spec/optimiser.md 1.5 and 2): isotropic, no velocity, every
     /// splat with a time span, opacity 0.1, constant voxels, scale of the plain 3-NN distance.
     #[must_use]
     pub fn faithful() -> Self {

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 const CAMERAS: usize = 32;
 /// Places that are trusted less than this are dropped where they lie outside the range of depths that frames see (our rule).
 const LEAST_CONFIDENCE: f32 = 0.5;
-/// Places in front of what the frame sees by more than this share of the depth are dropped (section 2.6: 5 %).
+/// Places in front of what the frame sees by more than this share of the depth are dropped (docs/spec/optimiser.md 2.6: 5 %).
 const FREE_SPACE: f32 = 0.05;
 /// Places that a track reaches or leaves by a step of more than this many times its median step are dropped (our rule).
 const JUMP: f32 = 8.0;

@@ -8,7 +8,7 @@
 //!     stage 2: every pixel's disparity, and u        (400 Adam steps)
 //! ```
 //!
-//! Section 1.7 of the front end's specification, after MegaSaM (Li et al. 2024, section 3.3 and the released program). A
+//! docs/spec/front-end.md 1.7, after MegaSaM (Li et al. 2024, section 3.3 and the released program). A
 //! pair of frames i, j with flow: pixel p of i lands at q = p + flow in j; d_i(p) and the poses say where it should land and
 //! how deep it should be there. The loss compares both, each times u_i(p), the pixel's certainty, which is learned
 //! along: `error u + 0.25 log(1/u)`. What moves gets a low u and keeps its initial shape.

@@ -1,6 +1,6 @@
 //! Settings and constants of consistent video depth, with their sources.
 
-/// Weights of the loss terms (section 1.7 of the front end's specification).
+/// Weights of the loss terms (docs/spec/front-end.md 1.7).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Weights {
     /// Ratio of reprojected and sampled disparity. MegaSaM: 1.

@@ -8,7 +8,7 @@
 //!   -> disparities substituted back               substitute
 //! ```
 //!
-//! Source: section 1.6 of the specification of the front end; DROID-SLAM (Teed and Deng 2021), section 3.3, and
+//! Source: docs/spec/front-end.md 1.6; DROID-SLAM (Teed and Deng 2021), section 3.3, and
 //! MegaSaM (Li et al. 2025), section 3.2.
 //!
 //! **Conventions, which differ from those of the rest of the library.** Poses map world to camera. The centre of

@@ -1,5 +1,5 @@
 //! What the motion of the camera can tell: whether the focal length may be free, and whether depth
-//! needs a prior (the "uncertainty-aware" gate of section 1.6).
+//! needs a prior (the "uncertainty-aware" gate of docs/spec/front-end.md 1.6).
 //!
 //! With weights of 1, `h_d` is the median over pixels of all source frames of `sum_edges |Jz|^2`, and `h_f` is
 //! `sum |Jf|^2 / (2 cx)^2` over everything. A camera that only turns has `h_d = 0` exactly.

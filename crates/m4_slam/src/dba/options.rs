@@ -28,7 +28,7 @@ impl Free {
     }
 }
 
-/// How a problem is adjusted. [`Default`] is the front end of section 1.5 of the specification.
+/// How a problem is adjusted. [`Default`] is the front end of docs/spec/front-end.md 1.5.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DbaOptions {
     /// What moves.

@@ -8,7 +8,7 @@ pub const SENSOR_KNOWN: f64 = 1e-8;
 /// Added to the curvature of every disparity, so that it can be inverted.
 pub const CURVATURE_FLOOR: f64 = 1e-7;
 
-/// `(added curvature, added gradient)` of one disparity (section 1.6 of the specification of the front end):
+/// `(added curvature, added gradient)` of one disparity (docs/spec/front-end.md 1.6):
 /// with `m = 1` where the sensor knows the depth, `C += m alpha + (1 - m) eta + 1e-7` and
 /// `b -= m alpha (d - d_sensor)`. `alpha = None` switches the prior off and leaves damping alone.
 #[must_use]

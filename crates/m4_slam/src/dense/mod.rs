@@ -19,7 +19,7 @@
 //! of the frames at the end, along the edges of the frames. Inside, depth is *disparity*, one over
 //! z-depth, in which both the noise of a stereo measurement and a plane are simple.
 //!
-//! Follows section 7.1 of the front-end specification: inverse search flow (Kroeger et al. 2016),
+//! Follows docs/spec/front-end.md 7.1: inverse search flow (Kroeger et al. 2016),
 //! plane sweep (Collins 1996) with census cost (Zabih and Woodfill 1994), semi-global aggregation
 //! (Hirschmueller 2008), and fast global smoothing (Min et al. 2014).
 

@@ -6,7 +6,7 @@
 //!          -> FactorGraph (active, retired and rejected edges; ages; renumbering when a keyframe goes)
 //! ```
 //!
-//! Source: section 1.5 of the specification of the front end; DROID-SLAM (Teed and Deng 2021), section 3.1. Indices are those
+//! Source: docs/spec/front-end.md 1.5; DROID-SLAM (Teed and Deng 2021), section 3.1. Indices are those
 //! of keyframes, poses map world to camera, positions are pixels of the grid (see [`crate::dba`]).
 mod distance;
 mod factor_graph;

@@ -11,7 +11,7 @@
 //! where they are in other frames ([`VideoSegmenter`]): a network with a memory, or [`FlowFollower`], which carries masks along optical flow
 //! and asks a segmenter of single pictures, if there is one, what they mean there.
 //!
-//! Source: the segmentation-tracking enhancement of Minute4D (section 2.4 of the specification of the front end: threshold 0.7, prompts
+//! Source: the segmentation-tracking enhancement of Minute4D (docs/spec/front-end.md 2.4: threshold 0.7, prompts
 //! from parts, guards, new prompts every B frames, both ways); prompts as in Kirillov et al., "Segment Anything" (2023), the state
 //! machine as in Ravi et al., "SAM 2: Segment Anything in Images and Videos" (2024).
 //!

@@ -14,7 +14,7 @@ use nalgebra::{Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Share of high pixels beyond which a map is doubted. Section 1.9 of the specification of the front end: 0.6.
+/// Share of high pixels beyond which a map is doubted. docs/spec/front-end.md 1.9: 0.6.
 const MOST_MOVING: f64 = 0.6;
 /// Flow of high pixels differs from the camera's by less than this share of that of low ones: they rest.
 const CALM: f64 = 0.8;

@@ -10,7 +10,7 @@
 //!   -> MegasamGeometry    in metres where the depth was
 //! ```
 //!
-//! Source: section 1 of the specification of the front end; Li et al. 2025, "MegaSaM: Accurate, Fast, and Robust Structure and
+//! Source: docs/spec/front-end.md 1; Li et al. 2025, "MegaSaM: Accurate, Fast, and Robust Structure and
 //! Motion from Casual Dynamic Videos", section 3. Networks are behind [`crate::tracker::Correspondence`] and [`PairFlow`], so that the
 //! same way can be gone with known flow.
 //!

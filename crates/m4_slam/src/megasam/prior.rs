@@ -1,4 +1,4 @@
-//! Depth from one picture as the tracker takes it: one disparity map a frame, one scale for the clip (stage B0, section 1.2).
+//! Depth from one image as the tracker takes it: one disparity map per frame, one scale for the clip (stage B0, docs/spec/front-end.md 1.2).
 
 use super::resample::{crop, resize_bilinear, resize_nearest};
 use super::size::CELL_PX;

@@ -11,13 +11,13 @@ pub const TAU_MOTION: f64 = 0.7;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MegasamSettings {
-    /// Pixels of the images that are tracked. `384 * 512`: MegaSaM (section 1.1). The cost is proportional. For callers in Rust.
+    /// Pixels of the images that are tracked. `384 * 512`: MegaSaM (docs/spec/front-end.md 1.1). The cost is proportional. For callers in Rust.
     #[serde(skip)]
     pub tracking_pixels: f64,
-    /// Of the tracker. Section 1.5. For callers in Rust.
+    /// Of the tracker. docs/spec/front-end.md 1.5. For callers in Rust.
     #[serde(skip)]
     pub tracker: TrackerSettings,
-    /// Of consistent video depth. Section 1.7. For callers in Rust.
+    /// Of consistent video depth. docs/spec/front-end.md 1.7. For callers in Rust.
     #[serde(skip)]
     pub cvd: CvdSettings,
     /// Iterations of a recurrent network of flow. 22: MegaSaM.

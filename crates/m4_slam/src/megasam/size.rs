@@ -9,7 +9,7 @@ use m4_scene::{Intrinsics, RgbImage};
 pub const CELL_PX: usize = 8;
 
 /// How pictures become smaller ones: to a fixed number of pixels, then cut to multiples of 8 at the right and at the bottom
-/// (section 1.1). Sizes are `(width, height)`.
+/// (docs/spec/front-end.md 1.1). Sizes are `(width, height)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct TrackingSize {
     /// Of the pictures.

@@ -13,7 +13,7 @@ const CAUCHY_DEVIATIONS: f64 = 2.385;
 pub(crate) struct Limits {
     /// Scale of the Cauchy loss of bundle adjustment, working pixels. 1 while the map grows.
     pub cauchy_px: f64,
-    /// Points whose rays meet at less than this are not triangulated, degrees. 1.5: section 7.1. In
+    /// Points whose rays meet at less than this are not triangulated, degrees. 1.5: docs/spec/front-end.md 7.1. In
     /// clips with so little parallax that this would leave few points, half the angle that the
     /// greatest median parallax stands for.
     pub min_angle_deg: f64,

@@ -5,7 +5,7 @@ use m4_scene::{Plane, RgbImage};
 /// Weights of red, green and blue in luma (ITU-R BT.601).
 const BT601: [f32; 3] = [0.299, 0.587, 0.114];
 
-/// Frames are shrunk so that their longest side is at most this, pixels. 640: section 7.1.
+/// Frames are shrunk so that their longest side is at most this, pixels. 640: docs/spec/front-end.md 7.1.
 pub(super) const LONGEST_SIDE_PX: usize = 640;
 
 /// How working pixels relate to those of the input.

@@ -9,15 +9,15 @@ use rayon::prelude::*;
 
 /// Median of the length of a residual whose two components have standard deviation 1 (Rayleigh).
 pub(super) const RAYLEIGH_MEDIAN: f64 = 1.177_41;
-/// Residuals above this many robust standard deviations disagree. 3: section 7.1.
+/// Residuals above this many robust standard deviations disagree. 3: docs/spec/front-end.md 7.1.
 const DEVIATIONS: f64 = 3.0;
-/// ... if they are also above this, working pixels. 1: section 7.1.
+/// ... if they are also above this, working pixels. 1: docs/spec/front-end.md 7.1.
 const MIN_RESIDUAL_PX: f64 = 1.0;
-/// A track is dynamic when at least this share of its observations disagrees. 0.3: section 7.1.
+/// A track is dynamic when at least this share of its observations disagrees. 0.3: docs/spec/front-end.md 7.1.
 const SHARE: f64 = 0.3;
 /// Tracks with fewer observations are not judged. 3: the first number with more than one equation to spare.
 const MIN_OBSERVATIONS: usize = 3;
-/// How often classification and bundle adjustment alternate. 2: section 7.1.
+/// How often classification and bundle adjustment alternate. 2: docs/spec/front-end.md 7.1.
 pub(super) const ROUNDS: usize = 2;
 
 /// Judges every track: the best resting point is fitted to all its observations, also to those of

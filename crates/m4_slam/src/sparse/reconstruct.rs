@@ -26,8 +26,8 @@ const DOUBTFUL: f64 = 5.0;
 /// Fewest tracks from one frame to the next.
 pub(super) const MIN_TRACKS: usize = 20;
 
-/// Cameras, tracks and points of a clip, from its pictures alone (section 7.1 of the specification of
-/// the front end, items 1 to 5).
+/// Cameras, tracks and points of a clip, from its images alone (docs/spec/front-end.md 7.1,
+/// items 1 to 5).
 ///
 /// The world is the camera of frame 0, scaled so that the median depth of all points is 1. One focal
 /// length is shared by all frames; the principal point is the image centre and pixels are square, unless

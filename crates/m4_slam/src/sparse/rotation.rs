@@ -6,14 +6,14 @@ use super::two_view::Match;
 use m4_math::nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
-/// Fields of view tried where none is given. 12: section 7.1.
+/// Fields of view tried where none is given. 12: docs/spec/front-end.md 7.1.
 const FOV_CANDIDATES: usize = 12;
-/// Least horizontal field of view tried, degrees. 35: section 7.1.
+/// Least horizontal field of view tried, degrees. 35: docs/spec/front-end.md 7.1.
 const MIN_FOV_DEG: f64 = 35.0;
-/// Greatest horizontal field of view tried, degrees. 100: section 7.1.
+/// Greatest horizontal field of view tried, degrees. 100: docs/spec/front-end.md 7.1.
 const MAX_FOV_DEG: f64 = 100.0;
 /// A frame becomes a keyframe when the median parallax to the last one, rotation taken out, exceeds this share of the image width.
-/// 0.015: section 7.1.
+/// 0.015: docs/spec/front-end.md 7.1.
 pub(super) const KEYFRAME_PARALLAX: f64 = 0.015;
 /// ... or when fewer than this share of the last keyframe's tracks are still seen.
 const KEYFRAME_SURVIVAL: f64 = 0.6;

@@ -7,14 +7,14 @@ use super::{SparseError, Work};
 use m4_scene::{Progress, RgbImage};
 use rayon::prelude::*;
 
-/// Reach of the patch that is followed, working pixels: 5 for a side of 11. Section 7.1 has a side of 21; 11 gave trajectories as good
+/// Reach of the patch that is followed, working pixels: 5 for a side of 11. docs/spec/front-end.md 7.1 has a side of 21; 11 gave trajectories as good
 /// or better, and is faster (docs/decisions/0001).
 const RADIUS: usize = 5;
-/// Levels of the pyramid, each half the size of the one below. 4: section 7.1.
+/// Levels of the pyramid, each half the size of the one below. 4: docs/spec/front-end.md 7.1.
 const LEVELS: usize = 4;
 /// Gauss-Newton steps per level.
 const ITERATIONS: usize = 12;
-/// A point followed to the next frame and back must return this close, working pixels. 0.7: section 7.1.
+/// A point followed to the next frame and back must return this close, working pixels. 0.7: docs/spec/front-end.md 7.1.
 const MAX_ROUND_TRIP_PX: f32 = 0.7;
 /// Least normalised cross-correlation of a patch with itself one frame later.
 const MIN_CORRELATION: f32 = 0.7;

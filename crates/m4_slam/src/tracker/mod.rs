@@ -9,7 +9,7 @@
 //!   -> Tracked    poses, disparities, lens, static confidence
 //! ```
 //!
-//! Source: sections 1.5 and 1.6 of the specification of the front end; MegaSaM (Li et al. 2025), section 3. What measures
+//! Source: docs/spec/front-end.md 1.5 and 1.6; MegaSaM (Li et al. 2025), section 3. What measures
 //! correspondences is behind the trait [`Correspondence`]: [`FlowCorrespondence`] takes flow that is computed once a
 //! pair, a network revises its answer from where the present geometry projects. Poses inside map world to
 //! camera and positions are pixels of the grid (see [`crate::dba`]); [`Tracked::c2w`] is the border.

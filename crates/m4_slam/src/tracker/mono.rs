@@ -1,5 +1,5 @@
-//! One scale and shift for a clip: relative disparity of one network, metric depth of another (stage B0 of the
-//! specification, section 1.2).
+//! One scale and shift for a clip: relative disparity of one network, metric depth of another (stage B0,
+//! docs/spec/front-end.md 1.2).
 
 use serde::{Deserialize, Serialize};
 

@@ -1,4 +1,4 @@
-//! Settings of the tracker; the defaults are those of section 1.5 of the specification. Values that no caller changes are constants of
+//! Settings of the tracker; the defaults are those of docs/spec/front-end.md 1.5. Values that no caller changes are constants of
 //! the files that use them.
 
 use crate::dba::{MIN_DEPTH, Robust};

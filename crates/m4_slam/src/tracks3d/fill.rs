@@ -21,8 +21,8 @@ const MOST_FRAMES: usize = 60;
 pub(super) const JOIN_DEPTH: f32 = 0.03;
 /// ... and where, some frames later, it is still within this many pixels of the prediction of its neighbours.
 const JOIN_PX: f32 = 3.0;
-/// A hidden point in front of the visible surface by more than this share of the depth is wrong (section 2.6 of the specification of
-/// the optimiser: 5 %).
+/// A hidden point in front of the visible surface by more than this share of the depth is wrong (docs/spec/optimiser.md 2.6:
+/// 5 %).
 const FREE_SPACE: f32 = 0.05;
 /// Frames in which something farther was seen in its place, after which a track is given up.
 const MOST_VIOLATIONS: usize = 2;

@@ -23,8 +23,8 @@ const MOST_PLACES: usize = 8_000_000;
 /// How chains become tracks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrackConfig {
-    /// Whether points are carried on where they are hidden, with the local rigid motion of their neighbours (section 3 of the
-    /// front-end specification, "cheaper substitute"); else a track ends where its chain ends.
+    /// Whether points are carried on where they are hidden, with the local rigid motion of their neighbours (docs/spec/front-end.md 3,
+    /// "cheaper substitute"); else a track ends where its chain ends.
     pub fill: bool,
     /// Time over which the depth of a track is smoothed, standard deviation in frames; 0 for none.
     pub smooth_frames: f32,
@@ -39,8 +39,8 @@ impl Default for TrackConfig {
     }
 }
 
-/// Chains along optical flow, lifted with depth, carried on where they are hidden (section 7.1, item 8, and the end of section 3 of
-/// the front-end specification).
+/// Chains along optical flow, lifted with depth, carried on where they are hidden (docs/spec/front-end.md 7.1, item 8, and
+/// the end of docs/spec/front-end.md 3).
 ///
 /// Frames are followed at the size that the clip has. Of each, flow and depth of what moves are kept; pictures are read a few at a time.
 pub struct FlowTracker<'a> {

@@ -4,7 +4,7 @@ use super::clip::read_checked;
 use super::{Followed, PosedClip, Query, TrackError};
 use m4_scene::Progress;
 
-/// Queries on a regular grid of pixels inside the masks (paper section 3.3; section 2.6 of the specification of the optimiser).
+/// Queries on a regular grid of pixels inside the masks (section 3.2 of the paper; docs/spec/optimiser.md 2.6).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QueryGrid {
     /// Points start in every n-th frame, and in the last.

@@ -7,8 +7,8 @@
 //!                 FlowTracker: strip (flow and depth of what moves) -> chain -> lift -> fill -> again where it comes back
 //! ```
 //!
-//! [`Tracker3d`] is the seam between the tracking enhancement of Minute4D (section 3.3 of the paper; sections 3 and 7.1, item 8, of the
-//! front-end specification) and whoever follows points: a network such as TAPIP3D, which takes the same queries (frame and
+//! [`Tracker3d`] is the seam between the tracking enhancement of Minute4D (section 3.2 of the paper; docs/spec/front-end.md 3; docs/spec/front-end.md 7.1, item 8)
+//! and a method that tracks points: a network such as TAPIP3D, which takes the same queries (frame and
 //! place in the world) and gives the same answers (a place and a probability of being seen in every frame), or
 //! [`FlowTracker`], which needs no weights. That one chains optical flow, lifts it with depth, and where a point is hidden
 //! carries it on with the local rigid motion of its neighbours (as rigid as possible: Sorkine and Alexa 2007), until it can be seen

@@ -1,12 +1,12 @@
-//! Settings of loss-guided density control (paper section 3.3, equations 6 to 10; section 4 of the
-//! specification).
+//! Settings of loss-guided density control (section 3.3 of the paper, equations 6 to 10;
+//! docs/spec/optimiser.md 4).
 
 /// How an error map is brought to 0..1 before it is compared with the threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum ErrorRange {
     /// Smallest to largest error of the frame (paper eq. 7).
     MinMax,
-    /// 0 to this quantile: one hot pixel does not hide all others (section 4.4).
+    /// 0 to this quantile: one hot pixel does not hide all others (docs/spec/optimiser.md 4.4).
     Quantile {
         /// 0..1.
         high: f32,
@@ -20,9 +20,9 @@ pub enum PruneRule {
     /// the letter).
     Literal,
     /// Those above the threshold whose opacity is also low; scores normalised over the splats that have one,
-    /// clipped at a quantile (section 4.4).
+    /// clipped at a quantile (docs/spec/optimiser.md 4.4).
     WithOpacity {
-        /// A splat above the threshold goes only when its opacity is below this. Section 4.4: 0.1; 0.005 here, which
+        /// A splat above the threshold goes only when its opacity is below this. docs/spec/optimiser.md 4.4: 0.1; 0.005 here, which
         /// leaves moving shadows alone.
         opacity: f32,
         /// Scores above this quantile count as it.
@@ -49,10 +49,10 @@ pub enum SplitSize {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SplitPlacement {
     /// Drawn from the splat's Gaussian, for dynamic splats in space and time, scales over 1.6, opacity kept (3DGS,
-    /// 4DGS; section 4.4).
+    /// 4DGS; docs/spec/optimiser.md 4.4).
     Sample,
     /// 0.6 standard deviations to both sides along the longest axis, 0.8 of its length: two Gaussians of
-    /// the parent's mean and covariance (section 4.4, alternative), which share the parent's opacity as
+    /// the parent's mean and covariance (docs/spec/optimiser.md 4.4, alternative), which share the parent's opacity as
     /// clones do. The picture hardly changes, where a random draw costs decibels for hundreds of steps.
     LongestAxis,
 }
@@ -86,16 +86,16 @@ pub struct DensityConfig {
     pub prune_rule: PruneRule,
     /// First iteration of density control. 500 (3DGS, Instant4D).
     pub from: usize,
-    /// Share of all iterations after which it ends. Section 4.4: 0.6; reference: 1.
+    /// Share of all iterations after which it ends. docs/spec/optimiser.md 4.4: 0.6; reference: 1.
     pub until: f32,
     /// Iterations between two rounds of densification. 100 (3DGS).
     pub every: usize,
-    /// Iterations between two rounds of score pruning. Section 4.4: 500; literal: 100.
+    /// Iterations between two rounds of score pruning. docs/spec/optimiser.md 4.4: 500; literal: 100.
     pub prune_every: usize,
     /// At most this share of all splats is cloned or split in a round, those of the highest scores
-    /// (section 4.4: 0.05); 1 for no limit. 0.02 here: the start is dense already.
+    /// (docs/spec/optimiser.md 4.4: 0.05); 1 for no limit. 0.02 here: the start is dense already.
     pub budget: f32,
-    /// At most this multiple of the first number of splats (section 4.4: 1.5). 1.02 here: the start is dense already,
+    /// At most this multiple of the first number of splats (docs/spec/optimiser.md 4.4: 1.5). 1.02 here: the start is dense already,
     /// and the splats of the highest scores are large: a tenth more of all splats doubles the time of a step, for the
     /// quality that the time lost costs (`docs/decisions/0005`).
     pub max_growth: f32,
@@ -107,7 +107,7 @@ pub struct DensityConfig {
     pub newborn_opacity: NewbornOpacity,
     /// Splats below this opacity are removed at every round. 0.005 (3DGS); 0.003 here, for moving shadows.
     pub min_opacity: f32,
-    /// Splats below this opacity are removed at the end. Section 4.4: 0.02; 0 for none. 0.005 here: a moving shadow is
+    /// Splats below this opacity are removed at the end. docs/spec/optimiser.md 4.4: 0.02; 0 for none. 0.005 here: a moving shadow is
     /// made of splats of opacity 0.01 to 0.1 (measured: 0.4 dB on whole held-out views).
     pub final_opacity: f32,
 }
@@ -119,7 +119,7 @@ impl Default for DensityConfig {
 }
 
 impl DensityConfig {
-    /// The recommended reading of section 4.4.
+    /// The recommended reading of docs/spec/optimiser.md 4.4.
     #[must_use]
     pub fn fast() -> Self {
         Self {

@@ -29,13 +29,13 @@ pub struct TrainConfig {
     pub lambda_ssim: f32,
     /// How fast parameters move.
     pub lr: RateConfig,
-    /// The optimiser (section 3). The bias of the moments is corrected by each splat's own number of steps, 0 for new ones.
+    /// The optimiser (docs/spec/optimiser.md 3). The bias of the moments is corrected by each splat's own number of steps, 0 for new ones.
     pub adam: AdamConfig,
     /// Adding and removing splats.
     pub density: DensityConfig,
     /// Poses, focal length and exposure.
     pub refine: RefineConfig,
-    /// Opacity-compensated 2D filter (section 1.6); false in the reference.
+    /// Opacity-compensated 2D filter (docs/spec/optimiser.md 1.6); false in the reference.
     pub mip: bool,
     /// Colour behind everything. `None`: the mean colour of pixels without a surface (depth 0) where at
     /// least one in a thousand has none, else black (reference: black).
@@ -64,7 +64,7 @@ impl Default for TrainConfig {
 }
 
 impl TrainConfig {
-    /// Our choices (section 9, D1): static splats without time, velocities, budgeted density control, colours by
+    /// Our choices (docs/spec/optimiser.md 9, D1): static splats without time, velocities, budgeted density control, colours by
     /// least squares at the end.
     #[must_use]
     pub fn fast() -> Self {
@@ -88,7 +88,7 @@ impl TrainConfig {
         }
     }
 
-    /// The paper's letter, read as Instant4D (section 3): photometric loss alone, frozen velocities,
+    /// The paper's letter, read as Instant4D (docs/spec/optimiser.md 3): photometric loss alone, frozen velocities,
     /// dense Adam, full size, literal scores.
     #[must_use]
     pub fn faithful() -> Self {

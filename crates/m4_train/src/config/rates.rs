@@ -1,6 +1,6 @@
 //! Learning rates, and what else is refined.
 
-/// Learning rates at the start of the run (section 3).
+/// Learning rates at the start of the run (docs/spec/optimiser.md 3).
 #[derive(Debug, Clone, PartialEq)]
 pub struct RateConfig {
     /// Of means, in units of [`crate::SceneScale::extent`]. 1.6e-4 (3DGS); 3e-4 here, as for colours.
@@ -20,13 +20,13 @@ pub struct RateConfig {
     /// Of quaternions. 0.001 (3DGS); 0.006 here, as for colours.
     pub rotation: f32,
     /// Of the middle of a life: the reference's `position * (frames - 1) / D` frames, with this D; 0 for a middle that stays.
-    /// Section 3 proposes 0.02 frames, but with a velocity the step moves the splat along its path, faster than `position`
+    /// docs/spec/optimiser.md 3 proposes 0.02 frames, but with a velocity the step moves the splat along its path, faster than `position`
     /// allows: 0 here.
     pub time_mean_reference: f32,
     /// Of the logarithm of the standard deviation in time. 0.005, as for scales (reference).
     pub time_sd: f32,
     /// Of velocities, in units of the extent over the first standard deviation in time. 1.6e-4
-    /// (section 3); it falls as that of positions does.
+    /// (docs/spec/optimiser.md 3); it falls as that of positions does.
     pub velocity: f32,
     /// All rates but those of position and velocity are multiplied by this at the end of the run
     /// (log-linearly). 1 in 3DGS; 0.05 here, since they start higher.
@@ -51,7 +51,7 @@ impl Default for RateConfig {
 }
 
 impl RateConfig {
-    /// Instant4D's rates: no velocity, no rotation, time as the reference (section 3; D7).
+    /// Instant4D's rates: no velocity, no rotation, time as the reference (docs/spec/optimiser.md 3; D7).
     #[must_use]
     pub fn faithful() -> Self {
         Self {
@@ -69,7 +69,7 @@ impl RateConfig {
     }
 }
 
-/// Per-frame corrections by their own gradients (section 8, item 4).
+/// Per-frame corrections by their own gradients (docs/spec/optimiser.md 8.4).
 #[derive(Debug, Clone, PartialEq)]
 pub struct RefineConfig {
     /// Correct the pose of every frame but the first, which fixes the world.

@@ -24,7 +24,7 @@ use remote::Remote;
 use std::time::Instant;
 
 /// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene units whatever the scale
-/// (section 1.6).
+/// (docs/spec/optimiser.md 1.6).
 const NEAR_SHARE: f32 = 0.05;
 
 /// How a run ended.

@@ -31,7 +31,7 @@ impl Tracker {
     }
 }
 
-/// Masks over time, and points followed in three dimensions (paper section 3.2).
+/// Masks over time, and points followed in three dimensions (section 3.2 of the paper).
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnhanceConfig {

@@ -4,7 +4,7 @@
 //! pair_list -> flow both ways (caller) -> halved -> consistency_mask -> PairStore -> PairSource
 //! ```
 //!
-//! Section 1.7 of the front end's specification. A million pixels of flow a second pass through here for every second of
+//! docs/spec/front-end.md 1.7. A million pixels of flow a second pass through here for every second of
 //! video, so a stored pixel has four bytes, and what exceeds a byte budget goes to a temporary file.
 
 mod compact;

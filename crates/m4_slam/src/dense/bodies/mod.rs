@@ -10,7 +10,7 @@
 //!             -> fall: what flies falls, all at one rate
 //! ```
 //!
-//! Section 7.1, item 7 of the specification of the front end, (a) contact and (b) rigid motion with unknown
+//! docs/spec/front-end.md 7.1, item 7, (a) contact and (b) rigid motion with unknown
 //! scale.
 
 mod edges;
