@@ -85,6 +85,8 @@ pub struct Skipped {
 /// If a test fails, or one was skipped for the lack of something that is required.
 pub fn run(root: &Path, tests: &Tests) -> Result<()> {
     let list = root.join("target/skipped-tests.tsv");
+    // Absent where CARGO_TARGET_DIR names another folder.
+    std::fs::create_dir_all(root.join("target")).context("cannot create target")?;
     if let Err(error) = std::fs::remove_file(&list)
         && error.kind() != std::io::ErrorKind::NotFound
     {

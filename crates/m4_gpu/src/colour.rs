@@ -31,7 +31,7 @@ impl Trainer {
         let (n, gpu) = (self.splats.n, self.gpu.clone());
         let kinds = if with_weight { 2 } else { 1 };
         let sums = Buffer::empty(&gpu.client, 3 * kinds * n);
-        bin::clear::launch(&gpu.client, cubes(3 * kinds * n, 256), units(), sums.arg());
+        tile_binning::clear::launch(&gpu.client, cubes(3 * kinds * n, 256), units(), sums.arg());
         let squares = Buffer::empty(&gpu.client, looks.len());
         let parts = Buffer::empty(&gpu.client, self.work.size.pixels().div_ceil(256));
         for (look, (frame, view)) in looks.iter().enumerate() {

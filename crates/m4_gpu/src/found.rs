@@ -54,13 +54,13 @@ pub struct Found {
 
 /// The sums on the device.
 #[derive(Debug)]
-pub(crate) struct Tally {
+pub(crate) struct StepSums {
     pub buffer: Buffer,
     /// Splats touched, one number per cube.
     parts: Buffer,
 }
 
-impl Tally {
+impl StepSums {
     /// Makes room for another number of splats.
     pub fn resize(&mut self, gpu: &Gpu, n: usize) {
         self.parts = Buffer::empty(&gpu.client, n.div_ceil(256));

@@ -12,14 +12,14 @@ pub(crate) const NOTHING: u32 = u32::MAX;
 
 /// What becomes of the splats: where each comes from, and those that are not what they were.
 #[derive(Debug, Clone, Copy)]
-pub struct Regrowth<'a> {
+pub struct DensifyPlan<'a> {
     /// Row `i` of the next splats is row `rows[i]` of those there are; static rows come from static ones, dynamic from
     /// dynamic.
     pub rows: &'a [u32],
     /// Of the next splats, how many are static.
     pub n_static: usize,
     /// Where the optimiser's state starts from nothing, one flag per row.
-    pub newborn: &'a [bool],
+    pub is_new: &'a [bool],
     /// Rows that are other than the row they come from, static ones first.
     pub changed: &'a [u32],
     /// What they are: as many splats as `changed`, in that order.
@@ -33,12 +33,12 @@ impl Trainer {
     ///
     /// [`GpuError::Shape`] if rows, flags and values are not as many, the values have other columns, or a row is not
     /// there: nothing is changed then. [`GpuError`] if it does not fit; the trainer is not to be used after that.
-    pub fn regrow(&mut self, next: &Regrowth<'_>) -> Result<(), GpuError> {
+    pub fn regrow(&mut self, next: &DensifyPlan<'_>) -> Result<(), GpuError> {
         let (n, n_static, values) = (next.rows.len(), next.n_static, next.values);
         self.check(next)?;
         let client = self.gpu.client.clone();
         let sources = Buffer::words(&client, next.rows);
-        let state = next.rows.iter().zip(next.newborn);
+        let state = next.rows.iter().zip(next.is_new);
         let state: Vec<u32> = state.map(|(&row, &new)| if new { NOTHING } else { row }).collect();
         gather_state(self, &Buffer::words(&client, &state), (n, n_static));
         let splats = gathered(&self.gpu, &self.splats, &sources, (n, n_static));
@@ -72,9 +72,9 @@ impl Trainer {
         self.make(Size { n, ..self.work.size })
     }
 
-    fn check(&self, next: &Regrowth<'_>) -> Result<(), GpuError> {
+    fn check(&self, next: &DensifyPlan<'_>) -> Result<(), GpuError> {
         let (n, n_static) = (next.rows.len(), next.n_static);
-        ShapeError::check("regrow: newborn", n, next.newborn.len())?;
+        ShapeError::check("regrow: is_new", n, next.is_new.len())?;
         ShapeError::check("regrow: values", next.changed.len(), next.values.n())?;
         ShapeError::check(
             "regrow: columns",

@@ -26,7 +26,6 @@
 mod adam;
 mod batch;
 mod bench;
-mod bin;
 mod blend;
 mod blend_backward;
 mod buffer;
@@ -60,6 +59,7 @@ mod sort;
 mod splats;
 mod step;
 mod stopwatch;
+mod tile_binning;
 mod trainer;
 mod vector;
 
@@ -67,11 +67,11 @@ mod work;
 
 pub use bench::{Bench, DeviceMemory, Drawing};
 pub use colour::ColourSums;
-pub use density::{DensityRound, GrowRule, Grown, PruneRule, SplitSize};
+pub use density::{DensifyStats, DensityRound, GrowRule, PruneRule, SplitSize};
 pub use device::{Adapter, AdapterKind, Choice, Gpu, Runtime, adapters, best, missing_for_cuda};
 pub use error::GpuError;
 pub use found::Found;
-pub use gather::Regrowth;
+pub use gather::DensifyPlan;
 pub use plan::{Part, Plan};
 pub use renderer::Renderer;
 pub use score::{ScoreRange, ScoreSettings, ScoreSums};

@@ -2,7 +2,7 @@
 
 use crate::Gpu;
 use crate::buffer::{Buffer, units};
-use crate::found::Tally;
+use crate::found::StepSums;
 use crate::frames::DeviceFrame;
 use crate::photo;
 use crate::work::Size;
@@ -34,7 +34,7 @@ impl Loss {
 
     /// Compares `image` with `frame` and adds what it finds to `tally`, the loss as that of look `index`. `lambda` is the share of
     /// SSIM.
-    pub fn compare(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, index: usize, lambda: f32, tally: &Tally) {
+    pub fn compare(&self, gpu: &Gpu, image: &Buffer, frame: &DeviceFrame, index: usize, lambda: f32, tally: &StepSums) {
         photo::similarity::launch(
             &gpu.client,
             self.cubes(),

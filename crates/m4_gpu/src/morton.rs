@@ -82,7 +82,7 @@ impl Trainer {
             keys: Buffer::empty(client, n),
             values: by_place.values.clone(),
         };
-        bin::gather::launch(
+        tile_binning::gather::launch(
             client,
             cubes(n, 256),
             units(),

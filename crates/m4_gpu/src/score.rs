@@ -7,7 +7,7 @@
 use crate::buffer::{Buffer, cubes, units};
 use crate::error_mask::Mask;
 use crate::eye::TIME;
-use crate::found::{LOSSES, Tally};
+use crate::found::{LOSSES, StepSums};
 use crate::slice::life;
 use crate::trainer::TRAINING;
 use crate::{GpuError, Trainer, bin};
@@ -65,9 +65,9 @@ impl Trainer {
     pub(crate) fn scores(&mut self, looks: &[(usize, View)], settings: &ScoreSettings) -> Result<Buffer, GpuError> {
         let n = self.splats.n;
         let gpu = self.gpu.clone();
-        let tally = Tally::new(&gpu, looks.len(), 0);
+        let tally = StepSums::new(&gpu, looks.len(), 0);
         let scores = Buffer::empty(&gpu.client, 2 * n);
-        bin::clear::launch(&gpu.client, cubes(2 * n, 256), units(), scores.arg());
+        tile_binning::clear::launch(&gpu.client, cubes(2 * n, 256), units(), scores.arg());
         let mask = Mask::new(&gpu, self.work.size.pixels(), settings.range);
         let share = 1.0 / looks.len().max(1) as f32;
         for (look, (frame, view)) in looks.iter().enumerate() {
@@ -82,7 +82,7 @@ impl Trainer {
         Ok(scores)
     }
 
-    fn add_scores(&self, mask: &Mask, tally: &Tally, look: usize, share: f32, scores: &Buffer) {
+    fn add_scores(&self, mask: &Mask, tally: &StepSums, look: usize, share: f32, scores: &Buffer) {
         let (client, work, n) = (&self.gpu.client, &self.work, self.splats.n);
         let (count, dim) = work.cubes_of_buckets();
         score_slots::launch(

@@ -2,7 +2,7 @@
 
 use crate::batch::Batch;
 use crate::buffer::Buffer;
-use crate::found::{Found, Tally};
+use crate::found::{Found, StepSums};
 use crate::frames::Frames;
 use crate::log::Log;
 use crate::loss::Loss;
@@ -28,7 +28,7 @@ pub struct Trainer {
     pub(crate) gradients: DeviceSplats,
     pub(crate) work: Work,
     pub(crate) loss: Loss,
-    pub(crate) tally: Tally,
+    pub(crate) tally: StepSums,
     /// Where a step has several frames.
     pub(crate) batch: Option<Batch>,
     pub(crate) cameras: Log<10>,
@@ -66,7 +66,7 @@ impl Trainer {
             training: true,
         };
         let splats = DeviceSplats::upload(&gpu, splats)?;
-        let tally = Tally::new(&gpu, 1, size.n);
+        let tally = StepSums::new(&gpu, 1, size.n);
         let mut work = Work::new(&gpu, size)?;
         work.peak = tally.buffer.clone();
         Ok(Self {

@@ -194,7 +194,7 @@ impl Work {
         self.stopwatch.lap(gpu, Kernel::Project);
         // an even number of passes: the order is back in `depth`
         self.by_depth.run(client, &self.depth, &self.all, 32);
-        bin::gather::launch(
+        tile_binning::gather::launch(
             client,
             cubes(n, 256),
             units(),
@@ -205,8 +205,8 @@ impl Work {
         );
         self.count.run(client, &self.sorted_counts, &self.offsets);
         let count = self.count.total();
-        bin::note_peak::launch(client, cubes(1, 1), CubeDim::new_1d(1), count.arg(), self.peak.arg());
-        bin::emit::launch(
+        tile_binning::note_peak::launch(client, cubes(1, 1), CubeDim::new_1d(1), count.arg(), self.peak.arg());
+        tile_binning::emit::launch(
             client,
             cubes(n, 256),
             units(),
@@ -222,7 +222,7 @@ impl Work {
             size.across() as u32,
         );
         let sorted = self.by_tile.run(client, &self.entries, count, size.tile_bits());
-        bin::pick::launch(
+        tile_binning::pick::launch(
             client,
             cubes(size.entries, 256),
             units(),
@@ -231,8 +231,8 @@ impl Work {
             count.arg(),
             self.splat_of_entry.arg(),
         );
-        bin::clear::launch(client, cubes(2 * tiles, 256), units(), self.ranges.arg());
-        bin::ranges::launch(
+        tile_binning::clear::launch(client, cubes(2 * tiles, 256), units(), self.ranges.arg());
+        tile_binning::ranges::launch(
             client,
             cubes(size.entries, 256),
             units(),

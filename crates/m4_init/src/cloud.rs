@@ -194,7 +194,7 @@ fn look_at(frame: &CaptureFrame, config: &InitConfig, want_standing: bool) -> Pa
     let camera = frame.camera.resized(w, h);
     part.focal_px = 0.5 * (camera.intrinsics.fx + camera.intrinsics.fy);
     let usable: Vec<bool> = (0..w * h)
-        .map(|i| is_depth(depth.data()[i]) && !hangs_in_air(depth, i % w, i / w))
+        .map(|i| is_depth(depth.data()[i]) && !is_depth_edge(depth, i % w, i / w))
         .collect();
     let sampled = (0..w * h).step_by(16).filter(|&i| usable[i]);
     part.depths = sampled.map(|i| depth.data()[i]).collect();
@@ -226,7 +226,7 @@ pub(crate) fn standing_pixels(
     for y in (0..h).step_by(step) {
         for x in (0..w).step_by(step) {
             let z = depth[(x, y)];
-            if !near_moving[y * w + x] && is_depth(z) && !hangs_in_air(depth, x, y) {
+            if !near_moving[y * w + x] && is_depth(z) && !is_depth_edge(depth, x, y) {
                 let colour = frame.rgb[((2 * x + 1) * rgb_w / (2 * w), (2 * y + 1) * rgb_h / (2 * h))];
                 visit(x, y, camera.unproject(x as f64, y as f64, f64::from(z)), colour);
             }
@@ -240,7 +240,7 @@ pub(crate) fn is_depth(z: f32) -> bool {
 
 /// True where the depth lies strictly between two opposite neighbours and is far from both: such
 /// pixels are blends of two surfaces. A clean step keeps both of its sides.
-fn hangs_in_air(depth: &DepthMap, x: usize, y: usize) -> bool {
+fn is_depth_edge(depth: &DepthMap, x: usize, y: usize) -> bool {
     let z = depth[(x, y)];
     let between = |a: f32, b: f32| {
         let (low, high) = (a.min(b), a.max(b));
@@ -285,15 +285,15 @@ pub(crate) fn dilate(mask: &[bool], w: usize, h: usize, radius: usize) -> Vec<bo
 
 #[cfg(test)]
 mod tests {
-    use super::{dilate, hangs_in_air};
+    use super::{dilate, is_depth_edge};
     use m4_scene::Plane;
 
     #[test]
     fn a_clean_step_stays_and_a_blended_pixel_goes() {
         let step = Plane::from_vec(4, 1, vec![2.0, 2.0, 5.0, 5.0]).unwrap();
-        assert!((0..4).all(|x| !hangs_in_air(&step, x, 0)));
+        assert!((0..4).all(|x| !is_depth_edge(&step, x, 0)));
         let blend = Plane::from_vec(5, 1, vec![2.0, 2.0, 3.3, 5.0, 5.0]).unwrap();
-        let dropped: Vec<bool> = (0..5).map(|x| hangs_in_air(&blend, x, 0)).collect();
+        let dropped: Vec<bool> = (0..5).map(|x| is_depth_edge(&blend, x, 0)).collect();
         assert_eq!(dropped, [false, false, true, false, false]);
     }
 

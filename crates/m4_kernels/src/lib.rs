@@ -24,7 +24,6 @@
 
 pub mod adam;
 pub mod bench;
-pub mod bin;
 pub mod blend;
 pub mod photo;
 pub mod project;
@@ -32,6 +31,7 @@ pub mod reference;
 pub mod score;
 pub mod shade;
 pub mod slice;
+pub mod tile_binning;
 
 mod frame;
 mod order;

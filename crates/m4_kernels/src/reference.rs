@@ -10,7 +10,6 @@ pub use exposure::{expose, expose_vjp};
 pub use types::{Geometry, SceneGradient, Setup, Splat, splats_of};
 
 use crate::{
-    bin::reference::depth_order,
     blend::{
         ALPHA_MIN,
         reference::{BlendGradient, CHANNELS, Cutoff, Ellipse, Image, blend, blend_vjp, blend_vjp_replay, walk},
@@ -22,6 +21,7 @@ use crate::{
         MARGINAL_MIN,
         reference::{Sliced, slice, slice_rotor, slice_rotor_vjp, slice_vjp},
     },
+    tile_binning::reference::depth_order,
 };
 use m4_math::{Real, nalgebra::Vector2};
 

@@ -2,10 +2,6 @@
 
 use crate::{
     CameraGradient, Frame, FrameGradient, Gradients, SimdLevel, View, Wanted,
-    bin::{
-        cpu::{BAND_ROWS, Band},
-        handover::Row,
-    },
     blend::{
         cpu::{self as blend, Sums, Used},
         planes::{BandGradient, BandPlace, BandPlanes},
@@ -14,6 +10,10 @@ use crate::{
     simd::dispatch,
     slice::cpu::Columns,
     stage::{CameraSums, Chunk, ChunkGradient},
+    tile_binning::{
+        cpu::{BAND_ROWS, Band},
+        handover::Row,
+    },
 };
 use m4_scene::Splats;
 use rayon::prelude::*;

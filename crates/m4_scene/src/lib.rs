@@ -12,6 +12,7 @@
 
 pub mod covariance4;
 
+mod cache;
 mod camera;
 mod capture;
 mod compact_depth;
@@ -21,12 +22,12 @@ mod error;
 mod plane;
 mod progress;
 mod scene;
-mod shelf;
 mod splats;
 mod state;
 mod tracks;
 mod video;
 
+pub use cache::{Cache, NoCache, ScopedCache, kept, load, store};
 pub use camera::{Camera, Intrinsics};
 pub use capture::{Capture, CaptureFrame};
 pub use compact_depth::CompactDepth;
@@ -36,7 +37,6 @@ pub use error::ShapeError;
 pub use plane::Plane;
 pub use progress::{Progress, Silent};
 pub use scene::{Exposure, Scene, SourceFrame};
-pub use shelf::{NoShelf, Shelf, ShelfPart, kept, load, store};
 pub use splats::{Column, SplatLayout, Splats};
 pub use state::{StateTensor, TrainState};
 pub use tracks::Tracks;

@@ -3,7 +3,7 @@
 
 use m4_math::nalgebra::{Matrix4, Vector4};
 use m4_math::{CounterRng, Se3};
-use m4_scene::{Camera, Intrinsics, NoShelf, Plane, Silent};
+use m4_scene::{Camera, Intrinsics, NoCache, Plane, Silent};
 use m4_slam::cvd::pairs::{FlowView, PairStore, pair_list};
 use m4_slam::cvd::{CvdInput, CvdSettings, optimise, uncertainty_of_static};
 use m4_testkit::shared;
@@ -146,7 +146,7 @@ fn spoiled_depth_is_mended() {
             uncertainty: &uncertainty,
             prior_confidence: None,
         };
-        let found = optimise(&input, &pairs, &CvdSettings::default(), &Silent, &NoShelf).unwrap();
+        let found = optimise(&input, &pairs, &CvdSettings::default(), &Silent, &NoCache).unwrap();
         let (before, after) = (abs_rel(&scene, &start), abs_rel(&scene, &found.disparity));
         eprintln!("{name}: AbsRel of what rests {before:.4} to {after:.4}");
         assert!(before > 0.07 && after < 0.2 * before, "{name}: {before} to {after}");

@@ -3,41 +3,42 @@
 
 use m4_math::Se3;
 use m4_math::nalgebra::Vector3;
-use m4_scene::{Camera, Intrinsics, Mask, NoShelf, Plane, Progress, RgbImage, Shelf, Silent};
+use m4_scene::{Cache, Camera, Intrinsics, Mask, NoCache, Plane, Progress, RgbImage, Silent};
 use m4_slam::cvd::CvdError;
 use m4_slam::dense::{
     DenseConfig, DenseError, DenseFrame, Given, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
     SegmentMask, SegmentPrompt, Segmenter, Sources,
 };
 use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
-use m4_testkit::{MemoryShelf, StopAtPoll};
+use m4_testkit::{MemoryCache, StopAtPoll};
 use std::borrow::Cow;
 use std::sync::Mutex;
 
 /// With classical flow and nothing given.
-fn densify(
+fn estimate_depth(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Vec<DenseFrame>, DenseError> {
-    keeping(frames, sparse, config, progress, &NoShelf)
+    keeping(frames, sparse, config, progress, &NoCache)
 }
 
-/// The same, with finished parts on a shelf.
+/// The same, with finished parts on a cache.
 fn keeping(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
     config: &DenseConfig,
     progress: &dyn Progress,
-    shelf: &dyn Shelf,
+    cache: &dyn Cache,
 ) -> Result<Vec<DenseFrame>, DenseError> {
     let flow = InverseSearch;
     let sources = Sources {
-        shelf,
+        cache,
         ..Sources::flow(&flow)
     };
-    m4_slam::dense::densify(frames, sparse, &sources, &Given::default(), config, progress).map(|dense| dense.frames)
+    m4_slam::dense::estimate_depth(frames, sparse, &sources, &Given::default(), config, progress)
+        .map(|dense| dense.frames)
 }
 
 const SIZE: (usize, usize) = (128, 96);
@@ -168,7 +169,7 @@ fn score(drawn: &Drawn, found: &[DenseFrame]) -> ([f64; 2], f64) {
 #[test]
 fn depth_and_masks_of_a_drawn_scene() {
     let drawn = draw(0.06);
-    let found = densify(
+    let found = estimate_depth(
         &references(&drawn),
         &sparse(&drawn, CameraMotion::Parallax),
         &DenseConfig::default(),
@@ -196,7 +197,7 @@ fn any_number_of_threads_gives_the_same_bits() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            densify(
+            estimate_depth(
                 &frames[..6],
                 &first(&reconstruction, 6),
                 &DenseConfig::default(),
@@ -216,22 +217,22 @@ fn what_was_stopped_goes_on_to_the_same_bits() {
     let sparse = first(&sparse(&drawn, CameraMotion::Parallax), FEW);
     let mut config = DenseConfig::default();
     config.cvd.steps = [3, 3];
-    let go = |progress: &dyn Progress, shelf: &dyn Shelf| keeping(frames, &sparse, &config, progress, shelf);
+    let go = |progress: &dyn Progress, cache: &dyn Cache| keeping(frames, &sparse, &config, progress, cache);
     let counter = StopAtPoll::after(usize::MAX);
-    let want = go(&counter, &NoShelf).unwrap();
+    let want = go(&counter, &NoCache).unwrap();
     let polls = counter.asked();
     let mut spared = Vec::new();
     // Once in each phase.
     for at in (0..polls).step_by(FEW) {
-        let shelf = MemoryShelf::default();
-        let stopped = go(&StopAtPoll::after(at), &shelf);
+        let cache = MemoryCache::default();
+        let stopped = go(&StopAtPoll::after(at), &cache);
         let stop = matches!(
             stopped,
             Err(DenseError::Cancelled { .. } | DenseError::Consistent(CvdError::Cancelled { .. }))
         );
         assert!(stop, "{stopped:?}");
         let rest = StopAtPoll::after(usize::MAX);
-        assert!(go(&rest, &shelf).unwrap() == want, "stopped at poll {at} of {polls}");
+        assert!(go(&rest, &cache).unwrap() == want, "stopped at poll {at} of {polls}");
         spared.push(polls - rest.asked());
     }
     // Of rounds, sharp masks and depth of what stands still, each spares more than the one before.
@@ -272,7 +273,7 @@ fn a_camera_that_stands_still_gives_masks_and_made_up_depth() {
     let drawn = draw(0.0);
     for camera_motion in [CameraMotion::Static, CameraMotion::RotationOnly] {
         let listener = Listener::default();
-        let found = densify(
+        let found = estimate_depth(
             &references(&drawn),
             &sparse(&drawn, camera_motion),
             &DenseConfig::default(),
@@ -305,12 +306,12 @@ fn one_frame_and_a_still_scene_are_no_trouble() {
     let drawn = draw(0.06);
     let frames = references(&drawn);
     let all = sparse(&drawn, CameraMotion::Parallax);
-    let one = densify(&frames[..1], &first(&all, 1), &DenseConfig::default(), &Silent).unwrap();
+    let one = estimate_depth(&frames[..1], &first(&all, 1), &DenseConfig::default(), &Silent).unwrap();
     assert!(one[0].depth.data().iter().all(|z| z.is_finite() && *z > 0.0));
     let grey: Vec<RgbImage> = (0..3).map(|_| Plane::filled(SIZE.0, SIZE.1, [90; 3])).collect();
     let mut blank = first(&all, 3);
     blank.tracks.clear();
-    let found = densify(
+    let found = estimate_depth(
         &grey.iter().collect::<Vec<_>>(),
         &blank,
         &DenseConfig::default(),
@@ -330,7 +331,7 @@ fn bad_input_is_named() {
     let good = sparse(&drawn, CameraMotion::Parallax);
     let config = DenseConfig::default();
     let fails = |frames: &[&RgbImage], sparse: &SparseReconstruction, config: &DenseConfig| {
-        densify(frames, sparse, config, &Silent).unwrap_err()
+        estimate_depth(frames, sparse, config, &Silent).unwrap_err()
     };
     assert!(matches!(fails(&[], &good, &config), DenseError::NoFrames));
     let count = fails(&frames[..5], &good, &config);
@@ -366,7 +367,7 @@ fn bad_input_is_named() {
         ..Listener::default()
     };
     assert!(matches!(
-        densify(&frames, &good, &config, &stop),
+        estimate_depth(&frames, &good, &config, &stop),
         Err(DenseError::Cancelled { .. })
     ));
 }
@@ -420,7 +421,7 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
                 ..Sources::flow(&flow)
             };
             let config = DenseConfig::default();
-            m4_slam::dense::densify(&frames, &good, &sources, &Given::default(), &config, &Silent)
+            m4_slam::dense::estimate_depth(&frames, &good, &sources, &Given::default(), &config, &Silent)
         };
         let plain = with(None).unwrap();
         let sharp = with(Some(&Oracle::Truth(&drawn))).unwrap();
@@ -468,7 +469,7 @@ fn what_moves_takes_its_depth_from_a_source_that_knows_it() {
     let masks = Given {
         masks: Some(&drawn.moving),
     };
-    let found = m4_slam::dense::densify(
+    let found = m4_slam::dense::estimate_depth(
         &frames,
         &sparse,
         &Sources {

@@ -4,7 +4,7 @@
 
 use m4_math::nalgebra::{Matrix4, Vector3, Vector4};
 use m4_math::{Se3, Sim3};
-use m4_scene::{Camera, Intrinsics, NoShelf, Plane, RgbImage, Silent};
+use m4_scene::{Camera, Intrinsics, NoCache, Plane, RgbImage, Silent};
 use m4_slam::cvd::pairs::{FlowField, FramePair};
 use m4_slam::graph::EdgeChanges;
 use m4_slam::megasam::{
@@ -331,7 +331,7 @@ fn true_flow_gives_true_cameras_and_depth() {
         focal_is_free: true,
         prior: Some(&prior),
     };
-    let found = reconstruct(&input, &mut truth, &mut flow, &settings, &Silent, &NoShelf).unwrap();
+    let found = reconstruct(&input, &mut truth, &mut flow, &settings, &Silent, &NoCache).unwrap();
     let (path, scale) = path_error(&found, &scene);
     let turn = turn_error_deg(&found, &scene);
     let focal = found.lens.fx / lens.fx - 1.0;

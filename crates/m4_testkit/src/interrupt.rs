@@ -1,15 +1,15 @@
 //! Interrupts and resumes work.
 
-use m4_scene::{Progress, Shelf};
+use m4_scene::{Cache, Progress};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// A cache in memory.
 #[derive(Debug, Default)]
-pub struct MemoryShelf(Mutex<HashMap<String, Vec<u8>>>);
+pub struct MemoryCache(Mutex<HashMap<String, Vec<u8>>>);
 
-impl MemoryShelf {
+impl MemoryCache {
     fn all(&self) -> MutexGuard<'_, HashMap<String, Vec<u8>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -20,7 +20,7 @@ impl MemoryShelf {
     }
 }
 
-impl Shelf for MemoryShelf {
+impl Cache for MemoryCache {
     fn get(&self, name: &str) -> Option<Vec<u8>> {
         self.all().get(name).cloned()
     }

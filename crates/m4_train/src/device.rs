@@ -103,7 +103,7 @@ pub struct DeviceRound<'a> {
 
 /// What a round of density control did on a device.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Grown {
+pub struct DensifyStats {
     /// Splats that were cloned.
     pub cloned: usize,
     /// Splats that were split.
@@ -116,7 +116,7 @@ pub struct Grown {
     pub n_dynamic: usize,
 }
 
-impl Grown {
+impl DensifyStats {
     /// True when the splats are what they were.
     #[must_use]
     pub fn changes_nothing(&self) -> bool {
@@ -126,14 +126,14 @@ impl Grown {
 
 /// What becomes of the splats on a device: where each row comes from, and those that are not what they were.
 #[derive(Debug, Clone, Copy)]
-pub struct Regrowth<'a> {
+pub struct DensifyPlan<'a> {
     /// Row `i` of the next splats is row `rows[i]` of those there are; static rows come from static ones, dynamic from
     /// dynamic.
     pub rows: &'a [u32],
     /// Of the next splats, how many are static.
     pub n_static: usize,
     /// Where the optimiser's state starts from nothing, one flag per row.
-    pub newborn: &'a [bool],
+    pub is_new: &'a [bool],
     /// Rows that are other than the row they come from, static ones first.
     pub changed: &'a [u32],
     /// What they are: as many splats as `changed`, in that order.
@@ -175,7 +175,7 @@ pub trait Device: std::fmt::Debug {
     /// # Errors
     ///
     /// [`DeviceError`].
-    fn regrow(&mut self, next: &Regrowth<'_>) -> Result<(), DeviceError>;
+    fn regrow(&mut self, next: &DensifyPlan<'_>) -> Result<(), DeviceError>;
 
     /// Lays splats and the optimiser's state out as [`m4_kernels::morton_order`] does, or nearly so.
     ///
@@ -226,7 +226,7 @@ pub trait Device: std::fmt::Debug {
     /// # Errors
     ///
     /// [`DeviceError`].
-    fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<Grown>, DeviceError>;
+    fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<DensifyStats>, DeviceError>;
 
     /// Sums for the fit of colours over some frames.
     ///

@@ -135,7 +135,7 @@ fn remote_trial(mut trainer: Trainer<'_>, make: DeviceMaker<'_>) -> Result<f64, 
     let mut steps = |count: usize| -> Result<f64, TrainError> {
         let start = Instant::now();
         for _ in 0..count {
-            trainer.remote_step()?;
+            trainer.gpu_step()?;
         }
         trainer.look_at_remote()?;
         Ok(start.elapsed().as_secs_f64())

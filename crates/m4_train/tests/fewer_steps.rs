@@ -190,7 +190,7 @@ fn fitted_colours_are_nearer_to_the_video_and_touch_nothing_else() {
 }
 
 #[test]
-fn a_newborn_moves_by_its_rate_at_first() {
+fn a_new_splat_moves_by_its_rate_at_first() {
     let (scene, capture) = video();
     // half of the run is over when the splats of a round are added
     let mut config = frozen(40);
@@ -211,18 +211,18 @@ fn a_newborn_moves_by_its_rate_at_first() {
     let opacity = |splats: &Splats| splats.column(Column::Opacity, 0).to_vec();
     trainer.run_until(20, &Silent, &mut |_| {}).unwrap();
     let before = opacity(trainer.splats());
-    let newborn: Vec<bool> = match &trainer.state()["adam/v/00"] {
+    let is_new: Vec<bool> = match &trainer.state()["adam/v/00"] {
         StateTensor::F32 { data, .. } => data.iter().map(|&v| v == 0.0).collect(),
         other => panic!("moments are f32, not {other:?}"),
     };
     trainer.run_until(21, &Silent, &mut |_| {}).unwrap();
     let after = opacity(trainer.splats());
-    let steps = before.iter().zip(&after).zip(&newborn);
+    let steps = before.iter().zip(&after).zip(&is_new);
     let steps = steps.filter(|&(_, &new)| new).map(|((a, b), _)| (b - a).abs());
     // what no frame sees has no moments either, and stays where it is
     let mut steps: Vec<f32> = steps.filter(|&step| step > 0.0).collect();
     steps.sort_by(f32::total_cmp);
-    assert!(steps.len() > 10, "{} newborns", steps.len());
+    assert!(steps.len() > 10, "{} new_splats", steps.len());
     let middle = steps[steps.len() / 2];
     assert!((middle - 0.01).abs() < 1e-4, "{middle}");
 }

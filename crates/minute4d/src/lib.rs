@@ -59,7 +59,7 @@ pub use folder::Existing;
 pub use hash::of_path as hash_of_path;
 pub use job::{Job, threads, with_threads};
 pub use pipeline::{is_capture, run};
-pub use progress::{Keeper, Observer, StageEvent};
+pub use progress::{Observer, RecordingObserver, StageEvent};
 pub use record::{plain_json, pretty_json};
 pub use settings::Settings;
 

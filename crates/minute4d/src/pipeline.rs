@@ -4,7 +4,7 @@ use crate::clock::Clock;
 use crate::device::DeviceRequest;
 use crate::folder::CAPTURE_FOLDER;
 use crate::geometry::GeometryOptions;
-use crate::progress::Keeper;
+use crate::progress::RecordingObserver;
 use crate::record::{Input, RunRecord, StageRecord};
 use crate::workspace::Workspace;
 use crate::{Error, Existing, Job, geometry, hash, train};
@@ -40,7 +40,7 @@ pub fn run(input: &Path, out: &Path, job: &Job<'_>) -> Result<RunRecord, Error> 
     };
     Workspace::open(out, source, job, clock)?.finish(|run| {
         let folder = run.path(CAPTURE_FOLDER);
-        let keeper = Keeper::new(job.observer).until(clock.end());
+        let keeper = RecordingObserver::new(job.observer).until(clock.end());
         let stage_job = Job {
             settings: job.settings.clone(),
             // The folder of the run was taken over; so is the capture in it.

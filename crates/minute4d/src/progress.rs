@@ -58,13 +58,13 @@ impl Observer for m4_scene::Silent {
 }
 
 /// Forwards everything to another observer, and keeps the warnings for the record.
-pub struct Keeper<'a> {
+pub struct RecordingObserver<'a> {
     observer: &'a dyn Observer,
     warnings: Mutex<Vec<String>>,
     until: Option<Instant>,
 }
 
-impl<'a> Keeper<'a> {
+impl<'a> RecordingObserver<'a> {
     /// Creates one that forwards to `observer`.
     #[must_use]
     pub fn new(observer: &'a dyn Observer) -> Self {
@@ -88,7 +88,7 @@ impl<'a> Keeper<'a> {
     }
 }
 
-impl Progress for Keeper<'_> {
+impl Progress for RecordingObserver<'_> {
     fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
         self.observer.update(phase, done, total, note);
     }
@@ -108,7 +108,7 @@ impl Progress for Keeper<'_> {
     }
 }
 
-impl Observer for Keeper<'_> {
+impl Observer for RecordingObserver<'_> {
     fn stage(&self, name: &str, event: StageEvent<'_>) {
         self.observer.stage(name, event);
     }
@@ -116,12 +116,12 @@ impl Observer for Keeper<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::Keeper;
+    use super::RecordingObserver;
     use m4_scene::{Progress, Silent};
 
     #[test]
     fn a_warning_is_kept_once() {
-        let keeper = Keeper::new(&Silent);
+        let keeper = RecordingObserver::new(&Silent);
         for message in ["dark", "blurred", "dark"] {
             keeper.warn(message);
         }

@@ -8,8 +8,8 @@
 
 use crate::Observer;
 use crate::folder;
-use crate::progress::Keeper;
-use m4_scene::{Shelf, ShelfPart};
+use crate::progress::RecordingObserver;
+use m4_scene::{Cache, ScopedCache};
 use serde::{Serialize, de::DeserializeOwned};
 use std::fs;
 use std::io::Write;
@@ -71,7 +71,7 @@ impl<'a> Steps<'a> {
             }
             return Ok(value);
         }
-        let keeper = Keeper::new(self.observer);
+        let keeper = RecordingObserver::new(self.observer);
         let value = work(&keeper)?;
         self.store(name, &(keeper.warnings(), &value));
         Ok(value)
@@ -93,8 +93,8 @@ impl<'a> Steps<'a> {
     }
 
     /// Returns the steps whose names begin with `prefix`, for repeated work.
-    pub fn part<'s>(&'s self, prefix: &'s str) -> ShelfPart<'s> {
-        ShelfPart { shelf: self, prefix }
+    pub fn part<'s>(&'s self, prefix: &'s str) -> ScopedCache<'s> {
+        ScopedCache { cache: self, prefix }
     }
 
     /// Removes all steps, when the stage is done or its key has changed.
@@ -142,7 +142,7 @@ impl<'a> Steps<'a> {
     }
 }
 
-impl Shelf for Steps<'_> {
+impl Cache for Steps<'_> {
     fn get(&self, name: &str) -> Option<Vec<u8>> {
         let mut file = fs::read(self.path(name)).ok()?;
         let bytes = file.get(MAGIC.len() + HASH..)?;
@@ -170,7 +170,7 @@ pub(crate) fn remove(folder: &Path) {
 mod tests {
     use super::Steps;
     use crate::{Observer, StageEvent};
-    use m4_scene::{Progress, Shelf};
+    use m4_scene::{Cache, Progress};
     use std::convert::Infallible;
     use std::fs;
     use std::sync::Mutex;

@@ -3,7 +3,7 @@
 use crate::clock::Clock;
 use crate::device::OpenGpu;
 use crate::folder::{self, Lock};
-use crate::progress::Keeper;
+use crate::progress::RecordingObserver;
 use crate::record::{Device, FileRecord, Input, RunRecord, StageRecord, Status, peak_memory_bytes};
 use crate::{Error, Job, StageEvent, hash};
 use m4_kernels::SimdLevel;
@@ -211,12 +211,12 @@ impl<'a> Workspace<'a> {
         key: String,
         task: (Option<&'static str>, f64),
         files: &[&str],
-        work: impl FnOnce(&mut Self, &Keeper<'_>) -> Result<R, Error>,
+        work: impl FnOnce(&mut Self, &RecordingObserver<'_>) -> Result<R, Error>,
     ) -> Result<R, Error> {
         let (because, seconds_before) = task;
         let observer = self.job.observer;
         observer.stage(name, StageEvent::Started { because });
-        let (start, keeper) = (Instant::now(), Keeper::new(observer).until(self.until));
+        let (start, keeper) = (Instant::now(), RecordingObserver::new(observer).until(self.until));
         let begun = StageRecord {
             key,
             done: false,

@@ -12,7 +12,7 @@ use m4_testkit::{MovingScene, Need, moving_scene, skip};
 use m4_train::config::PruneRule;
 use m4_train::density::Scores;
 use m4_train::device::{
-    ColourGradient, DeviceFound, DeviceLook, DeviceRound, DeviceStep, Grown, Regrowth, ScoreSettings,
+    ColourGradient, DensifyPlan, DensifyStats, DeviceFound, DeviceLook, DeviceRound, DeviceStep, ScoreSettings,
 };
 use m4_train::{DensityConfig, Device, DeviceError, TrainConfig, Trainer};
 use minute4d::device::{DeviceChoice, OpenGpu};
@@ -210,7 +210,7 @@ impl Device for WithoutRounds {
         self.0.upload(splats, adam)
     }
 
-    fn regrow(&mut self, next: &Regrowth<'_>) -> Result<(), DeviceError> {
+    fn regrow(&mut self, next: &DensifyPlan<'_>) -> Result<(), DeviceError> {
         self.0.regrow(next)
     }
 
@@ -238,7 +238,7 @@ impl Device for WithoutRounds {
         self.0.score(looks, settings)
     }
 
-    fn densify(&mut self, _: &DeviceRound<'_>) -> Result<Option<Grown>, DeviceError> {
+    fn densify(&mut self, _: &DeviceRound<'_>) -> Result<Option<DensifyStats>, DeviceError> {
         Ok(None)
     }
 

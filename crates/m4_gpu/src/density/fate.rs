@@ -1,6 +1,6 @@
 //! The outcome of density control for each splat: the rows that it keeps and adds, and their totals.
 
-use super::{DensityRound, Grown, PruneRule, SplitSize};
+use super::{DensifyStats, DensityRound, PruneRule, SplitSize};
 use crate::GpuError;
 use crate::buffer::{Buffer, cubes, units};
 use crate::scan::{Scan, scan_cube};
@@ -8,7 +8,7 @@ use crate::splats::DeviceSplats;
 use cubecl::prelude::*;
 
 /// Rows of the next splats: static that stay, new static, dynamic that stay, new dynamic.
-pub(super) struct Fates {
+pub(super) struct Outcomes {
     /// How many rows each splat leaves (0 or 1) and bears (0 to 2), `[2 n]` in that order.
     pub sizes: Buffer,
     /// Their positions.
@@ -17,7 +17,7 @@ pub(super) struct Fates {
     counts: Buffer,
 }
 
-impl Fates {
+impl Outcomes {
     /// `grows` are flags, `range` the scores that count as 0 and 1.
     pub fn new(
         client: &Client,
@@ -86,10 +86,10 @@ impl Fates {
     }
 
     /// Waits, and says how many were cloned, split and pruned, and how many splats there are to be.
-    pub fn read(&self, client: &Client, doing: &'static str) -> Result<(Grown, usize), GpuError> {
+    pub fn read(&self, client: &Client, doing: &'static str) -> Result<(DensifyStats, usize), GpuError> {
         let counts = self.counts.read_words(client, doing)?;
         let [cloned, split, pruned, next, n_static] = [0, 1, 2, 3, 4].map(|k: usize| counts[k] as usize);
-        let grown = Grown {
+        let grown = DensifyStats {
             cloned,
             split,
             pruned,

@@ -4,13 +4,13 @@
 //! |---|---|
 //! | `rank` | scores to the best that may grow, and the range that prune scores are measured in |
 //! | `fate` | the rows that each splat leaves and bears, and how many there are |
-//! | `newborn` | the next rows, and what clones and halves look like |
+//! | `new_splats` | the next rows, and what clones and halves look like |
 //!
 //! Rows are laid out by one exclusive sum: static splats that stay, then the new ones, then the same of dynamic splats. All
 //! that is read back is how many there are.
 
 mod fate;
-mod newborn;
+mod new_splats;
 mod rank;
 
 use crate::buffer::Buffer;
@@ -88,7 +88,7 @@ pub enum SplitSize<'a> {
 
 /// What a round did; nothing where all of the first three are 0.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Grown {
+pub struct DensifyStats {
     /// Splats that were cloned.
     pub cloned: usize,
     /// Splats that were split in two.
@@ -111,12 +111,12 @@ impl Trainer {
     ///
     /// [`GpuError`] if there is no such frame, if there is no room, or if the device failed; the trainer is not to be used
     /// after that.
-    pub fn densify(&mut self, round: &DensityRound<'_>) -> Result<Grown, GpuError> {
+    pub fn densify(&mut self, round: &DensityRound<'_>) -> Result<DensifyStats, GpuError> {
         let n = self.splats.n;
-        let unchanged = Grown {
+        let unchanged = DensifyStats {
             n_static: self.splats.n_static,
             n_dynamic: n - self.splats.n_static,
-            ..Grown::default()
+            ..DensifyStats::default()
         };
         if n == 0 {
             return Ok(unchanged);
@@ -128,7 +128,7 @@ impl Trainer {
         if nothing_changes || next == 0 {
             return Ok(unchanged);
         }
-        let rows = newborn::Rows::new(&client, &fates, (n, unchanged.n_static), next);
+        let rows = new_splats::Rows::new(&client, &fates, (n, unchanged.n_static), next);
         let shape = (next, grown.n_static);
         gather_state(self, &rows.states, shape);
         let splats = gathered(&self.gpu, &self.splats, &rows.sources, shape);
@@ -142,12 +142,19 @@ impl Trainer {
         Ok(grown)
     }
 
-    fn fates(&mut self, client: &Client, round: &DensityRound<'_>) -> Result<fate::Fates, GpuError> {
+    fn fates(&mut self, client: &Client, round: &DensityRound<'_>) -> Result<fate::Outcomes, GpuError> {
         let scores = self.scores_of_round(round)?;
         let rank = rank::Rank::new(client, self.splats.n);
         let grows = rank.best(client, round.grow, &scores);
         let range = rank.prune_range(client, round.prune, &scores);
-        Ok(fate::Fates::new(client, &self.splats, round, &grows, &scores, &range))
+        Ok(fate::Outcomes::new(
+            client,
+            &self.splats,
+            round,
+            &grows,
+            &scores,
+            &range,
+        ))
     }
 
     /// Scores `[2][n]` that choose the splats to densify and to prune; unspecified where neither happens.

@@ -34,7 +34,7 @@ impl Rank {
         let grows = Buffer::empty(client, self.n);
         let n = self.n as u32;
         let Some(rule) = rule.filter(|rule| rule.budget > 0) else {
-            bin::clear::launch(client, cubes(self.n, 256), units(), grows.arg());
+            tile_binning::clear::launch(client, cubes(self.n, 256), units(), grows.arg());
             return grows;
         };
         grow_keys::launch(

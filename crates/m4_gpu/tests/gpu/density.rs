@@ -3,8 +3,8 @@
 use crate::gpu;
 use crate::step::{LAMBDA, LAYOUT, columns, picture, start};
 use m4_gpu::{
-    DensityRound, Gpu, GrowRule, Grown, PruneRule, ScoreRange, ScoreSettings, ScoreSums, SplitSize, StepSettings,
-    Trainer,
+    DensifyStats, DensityRound, Gpu, GrowRule, PruneRule, ScoreRange, ScoreSettings, ScoreSums, SplitSize,
+    StepSettings, Trainer,
 };
 use m4_kernels::View;
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
@@ -84,7 +84,7 @@ fn pruned_by_score(rule: PruneRule, opacity: &[f32], scores: &[f32]) -> Vec<bool
 }
 
 /// The rows of the next splats, and what was done.
-fn planned(splats: &Splats, round: &DensityRound<'_>, scores: &ScoreSums) -> (Vec<(u32, Row)>, Grown) {
+fn planned(splats: &Splats, round: &DensityRound<'_>, scores: &ScoreSums) -> (Vec<(u32, Row)>, DensifyStats) {
     let (n, n_static) = (splats.n(), splats.n_static());
     let logits = splats.column(Column::Opacity, 0);
     let opacity: Vec<f32> = logits.iter().map(|&l| 1.0 / (1.0 + (-l).exp())).collect();
@@ -100,7 +100,7 @@ fn planned(splats: &Splats, round: &DensityRound<'_>, scores: &ScoreSums) -> (Ve
         None => vec![false; n],
     };
     let literal = matches!(round.prune, Some(PruneRule::Literal { .. }));
-    let (mut out, mut grown) = (Vec::new(), Grown::default());
+    let (mut out, mut grown) = (Vec::new(), DensifyStats::default());
     for range in [0..n_static, n_static..n] {
         let mut born = Vec::new();
         for i in range {
@@ -143,7 +143,7 @@ fn planned(splats: &Splats, round: &DensityRound<'_>, scores: &ScoreSums) -> (Ve
 }
 
 /// What a row becomes.
-fn become_newborn(splats: &mut Splats, row: usize, what: Row, share_opacity: bool) {
+fn become_new(splats: &mut Splats, row: usize, what: Row, share_opacity: bool) {
     if let Row::Half(sign) = what {
         let (s, isotropic) = (scale(splats, row), splats.layout().isotropic);
         let axis = (1..3).fold(0, |best, k| if s[k] > s[best] { k } else { best });
@@ -166,7 +166,7 @@ fn become_newborn(splats: &mut Splats, row: usize, what: Row, share_opacity: boo
 }
 
 /// Does a round, compares it with that of the processor, and says what it did.
-fn check(what: &str, trainer: &mut Trainer, round: &DensityRound<'_>) -> Grown {
+fn check(what: &str, trainer: &mut Trainer, round: &DensityRound<'_>) -> DensifyStats {
     let (splats, adam) = trainer.download().unwrap();
     let scores = trainer.score(round.looks, &round.scores).unwrap();
     let (rows, grown) = planned(&splats, round, &scores);
@@ -180,7 +180,7 @@ fn check(what: &str, trainer: &mut Trainer, round: &DensityRound<'_>) -> Grown {
         step: sources.iter().map(|&r| adam.step[r as usize]).collect(),
     };
     for (i, &(_, row)) in rows.iter().enumerate() {
-        become_newborn(&mut want, i, row, round.share_opacity);
+        become_new(&mut want, i, row, round.share_opacity);
         if matches!(row, Row::Clone | Row::Half(_)) {
             state.forget(i);
         }

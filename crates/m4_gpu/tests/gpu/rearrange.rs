@@ -2,7 +2,7 @@
 
 use crate::gpu;
 use crate::step::{LAMBDA, LAYOUT, columns, picture, start};
-use m4_gpu::{GpuError, Regrowth, StepSettings, Trainer};
+use m4_gpu::{DensifyPlan, GpuError, StepSettings, Trainer};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
 use m4_kernels::{View, morton_order};
 use m4_scene::Splats;
@@ -26,7 +26,7 @@ fn settings(rates: &[f32]) -> StepSettings<'_> {
 }
 
 #[test]
-fn survivors_keep_their_state_and_newborns_start_from_nothing() {
+fn survivors_keep_their_state_and_new_splats_start_from_nothing() {
     let Some(gpu) = gpu("rearranging") else { return };
     let (mut trainer, view) = trainer(gpu);
     let (splats, adam) = trainer.download().unwrap();
@@ -38,20 +38,20 @@ fn survivors_keep_their_state_and_newborns_start_from_nothing() {
         rows.extend(range.clone().rev().filter(|r| r % 3 != 0).map(|r| (r, false)));
         rows.extend(range.filter(|r| r % 7 == 0).map(|r| (r, true)));
     }
-    let (rows, newborn): (Vec<u32>, Vec<bool>) = rows.into_iter().unzip();
+    let (rows, is_new): (Vec<u32>, Vec<bool>) = rows.into_iter().unzip();
     let next = splats.gather(&rows).unwrap();
     let mut want = AdamState {
         m: adam.m.gather(&rows).unwrap(),
         v: adam.v.gather(&rows).unwrap(),
         step: rows.iter().map(|&r| adam.step[r as usize]).collect(),
     };
-    (0..rows.len()).filter(|&i| newborn[i]).for_each(|i| want.forget(i));
+    (0..rows.len()).filter(|&i| is_new[i]).for_each(|i| want.forget(i));
     assert!(want.step.contains(&2) && columns(&want.m).iter().any(|&v| v != 0.0));
 
     // new splats differ from their parents, and so does one that stays
     let mut next = next;
     let changed: Vec<u32> = (0..rows.len())
-        .filter(|&i| newborn[i] || i == 5)
+        .filter(|&i| is_new[i] || i == 5)
         .map(|i| i as u32)
         .collect();
     for column in next.columns_mut() {
@@ -65,10 +65,10 @@ fn survivors_keep_their_state_and_newborns_start_from_nothing() {
         }
     }
     let values = next.gather(&changed).unwrap();
-    let regrowth = Regrowth {
+    let regrowth = DensifyPlan {
         rows: &rows,
         n_static: next.n_static(),
-        newborn: &newborn,
+        is_new: &is_new,
         changed: &changed,
         values: &values,
     };
@@ -91,34 +91,34 @@ fn rows_that_do_not_fit_are_refused_and_nothing_changes() {
     let before = trainer.download().unwrap();
     let (splats, n) = (&before.0, before.0.n() as u32);
     let rows: Vec<u32> = (0..n).collect();
-    let newborn = vec![false; n as usize];
+    let is_new = vec![false; n as usize];
     let mut outside = rows.clone();
     outside[n as usize - 1] = n;
     let mut swapped = rows.clone();
     swapped.swap(0, n as usize - 1);
     let one = splats.gather(&[0]).unwrap();
     let wide = Splats::zeros(m4_scene::SplatLayout { sh_degree: 2, ..LAYOUT }, 1, 0);
-    let good = Regrowth {
+    let good = DensifyPlan {
         rows: &rows,
         n_static: splats.n_static(),
-        newborn: &newborn,
+        is_new: &is_new,
         changed: &[0],
         values: &one,
     };
     for bad in [
-        Regrowth {
-            newborn: &newborn[1..],
+        DensifyPlan {
+            is_new: &is_new[1..],
             ..good
         },
-        Regrowth { rows: &outside, ..good },
-        Regrowth { rows: &swapped, ..good },
-        Regrowth { values: &wide, ..good },
-        Regrowth { changed: &[], ..good },
-        Regrowth {
+        DensifyPlan { rows: &outside, ..good },
+        DensifyPlan { rows: &swapped, ..good },
+        DensifyPlan { values: &wide, ..good },
+        DensifyPlan { changed: &[], ..good },
+        DensifyPlan {
             changed: &[n - 1],
             ..good
         },
-        Regrowth { changed: &[n], ..good },
+        DensifyPlan { changed: &[n], ..good },
     ] {
         assert!(matches!(trainer.regrow(&bad), Err(GpuError::Shape(_))), "{bad:?}");
     }

@@ -2,13 +2,13 @@
 
 use crate::{
     View,
-    bin::{TILE, reference::grid},
     blend::{
         ALPHA_MIN,
         reference::{Ellipse, Hard, walk},
     },
     reference::{Setup, Splat, ellipses, splats_of},
     slice::MARGINAL_MIN,
+    tile_binning::{TILE, reference::grid},
 };
 use m4_scene::{Column, Splats};
 use rayon::prelude::*;

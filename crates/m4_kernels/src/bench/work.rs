@@ -12,7 +12,7 @@
 //! **Evaluations** are pairs of a pixel and a splat that changes it
 //! ([`useful_evaluations`](super::useful_evaluations)).
 
-use crate::bin::{TILE, handover::FIELDS};
+use crate::tile_binning::{TILE, handover::FIELDS};
 
 /// A kernel of the training step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

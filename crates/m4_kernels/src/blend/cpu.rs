@@ -14,12 +14,12 @@ pub(crate) use self::{backward::backward, forward::forward, score::score};
 
 use super::{ALPHA_MAX, ALPHA_MIN, T_MIN, planes::BandPlace};
 use crate::{
-    bin::{
+    simd::all,
+    tile_binning::{
         TILE,
         cpu::{BLOCK_TILES, Entry, Record},
         handover::Row,
     },
-    simd::all,
 };
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*, u32x16};
 

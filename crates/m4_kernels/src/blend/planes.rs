@@ -1,6 +1,6 @@
 //! The part of an image that a band covers, and its division into tiles.
 
-use crate::bin::{
+use crate::tile_binning::{
     TILE,
     cpu::{BLOCK_COLUMNS, BLOCK_TILES, BLOCK_WIDTH},
 };

@@ -2,15 +2,15 @@
 
 use super::{Chunk, Group, Part};
 use crate::{
-    bin::{
-        extent::Extent,
-        handover::{FIELDS, Row},
-    },
     blend::ALPHA_MIN,
     project::cpu::{self as project, Ellipse, Eye},
     shade::cpu::{self as shade, Sight},
     simd::{FETCH_ROWS, LANES, all, dot, each, load, log2, sigmoid, turn},
     slice::cpu::{self as slice, Columns},
+    tile_binning::{
+        extent::Extent,
+        handover::{FIELDS, Row},
+    },
 };
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use fearless_simd_macros::simd;

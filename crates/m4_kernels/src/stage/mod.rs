@@ -12,11 +12,11 @@ mod backward;
 mod forward;
 
 use crate::{
-    bin::handover::{Handover, Row},
     blend::cpu::Sums,
     project::cpu::Eye,
     simd::LANES,
     slice::cpu::Columns,
+    tile_binning::handover::{Handover, Row},
 };
 use fearless_simd::Simd;
 use std::ops::Range;

@@ -3,12 +3,12 @@
 
 use m4_kernels::{
     adam::{AdamParams, reference::step},
-    bin::{
+    blend::reference::{CHANNELS, Ellipse, Hard, blend, blend_vjp, walk},
+    score::reference::score,
+    tile_binning::{
         TILE,
         reference::{depth_order, tiles},
     },
-    blend::reference::{CHANNELS, Ellipse, Hard, blend, blend_vjp, walk},
-    score::reference::score,
 };
 use m4_math::nalgebra::{Matrix2, Vector2};
 

@@ -8,11 +8,11 @@ use m4_kernels::{
         cpu::{AdamConfig, AdamState, step},
         reference,
     },
-    bin::reference::tiles,
     photo::{
         cpu::{PhotoScratch, Target, error_map, loss},
         reference::photo,
     },
+    tile_binning::reference::tiles,
 };
 use m4_math::CounterRng;
 use m4_scene::{Camera, SplatLayout, Splats};

@@ -7,7 +7,7 @@
 //! ```
 
 use super::fast::{Descent, FrameState, Moves};
-use m4_scene::{Shelf, load, store};
+use m4_scene::{Cache, load, store};
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
 
@@ -30,8 +30,8 @@ pub(super) struct Course {
 }
 
 /// Where a descent is kept.
-pub(super) struct Keeper<'a> {
-    shelf: &'a dyn Shelf,
+pub(super) struct RecordingObserver<'a> {
+    cache: &'a dyn Cache,
     saved: Instant,
 }
 
@@ -43,21 +43,21 @@ fn state(slot: usize, frame: usize) -> String {
     format!("{COURSE}-{slot}-{frame:05}")
 }
 
-impl<'a> Keeper<'a> {
-    pub fn new(shelf: &'a dyn Shelf) -> Self {
+impl<'a> RecordingObserver<'a> {
+    pub fn new(cache: &'a dyn Cache) -> Self {
         Self {
-            shelf,
+            cache,
             saved: Instant::now(),
         }
     }
 
     /// How far the kept descent was, with `descent` brought there; `None` where none was kept whole.
     pub fn resume(&self, descent: &mut Descent<'_>, stages: &[Moves]) -> Option<Course> {
-        let course: Course = load(self.shelf, COURSE)?;
+        let course: Course = load(self.cache, COURSE)?;
         let moves = *stages.get(course.stage)?;
         let frames = 0..descent.frames();
-        let begun: Option<Vec<Vec<f32>>> = frames.clone().map(|i| load(self.shelf, &begun(i))).collect();
-        let states: Option<Vec<FrameState>> = frames.map(|i| load(self.shelf, &state(course.slot, i))).collect();
+        let begun: Option<Vec<Vec<f32>>> = frames.clone().map(|i| load(self.cache, &begun(i))).collect();
+        let states: Option<Vec<FrameState>> = frames.map(|i| load(self.cache, &state(course.slot, i))).collect();
         let begun = match moves {
             Moves::Affine => None,
             Moves::Pixels => Some(begun?),
@@ -68,7 +68,7 @@ impl<'a> Keeper<'a> {
     /// Keeps where the second stage begins.
     pub fn second_stage(&self, descent: &Descent<'_>) {
         for (i, disparity) in descent.raw_disparity().enumerate() {
-            store(self.shelf, &begun(i), disparity);
+            store(self.cache, &begun(i), disparity);
         }
     }
 
@@ -81,9 +81,9 @@ impl<'a> Keeper<'a> {
     pub fn save(&mut self, course: &mut Course, descent: &Descent<'_>) {
         course.slot = 1 - course.slot.min(1);
         for (i, frame) in descent.states().enumerate() {
-            store(self.shelf, &state(course.slot, i), &frame);
+            store(self.cache, &state(course.slot, i), &frame);
         }
-        store(self.shelf, COURSE, course);
+        store(self.cache, COURSE, course);
         self.saved = Instant::now();
     }
 }

@@ -1,13 +1,13 @@
 //! The two stages from the caller's side: checks, conventions, units.
 
-use super::course::{Course, Keeper};
+use super::course::{Course, RecordingObserver};
 use super::fast::{Descent, Moves, SimdLevel, Start};
 use super::pairs::PairSource;
 use super::reference::{DISPARITY, Lens, UNCERTAINTY};
 use super::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS, WORKING_PERCENTILE_98};
 use super::{CvdError, CvdInput, CvdSettings, PairError};
 use m4_math::Se3;
-use m4_scene::{Plane, Progress, Shelf};
+use m4_scene::{Cache, Plane, Progress};
 use std::collections::HashSet;
 
 /// Images below this have no 5x5 neighbourhood to reflect.
@@ -32,7 +32,7 @@ pub struct Consistent {
 ///
 /// Poses and intrinsics are held fixed, and the scale of the poses decides the scale of the result. See the module for the
 /// method and [`super::pairs::PairStore`] for the flow. The result is the same on any number of threads, and where it was
-/// interrupted and goes on from what `shelf` kept of the same input and settings.
+/// interrupted and goes on from what `cache` kept of the same input and settings.
 ///
 /// # Errors
 ///
@@ -43,7 +43,7 @@ pub fn optimise(
     pairs: &dyn PairSource,
     settings: &CvdSettings,
     progress: &dyn Progress,
-    shelf: &dyn Shelf,
+    cache: &dyn Cache,
 ) -> Result<Consistent, CvdError> {
     check(input, pairs)?;
     let k = &input.intrinsics;
@@ -80,7 +80,7 @@ pub fn optimise(
     let mut descent = Descent::new(SimdLevel::best(), lens, &w2c, pairs, &starts);
     drop(starts);
     drop(scaled);
-    run(&mut descent, pairs.pairs().len(), settings, progress, shelf).map(|course| {
+    run(&mut descent, pairs.pairs().len(), settings, progress, cache).map(|course| {
         let Course { affine, losses, .. } = course;
         let (width, height) = pairs.size();
         let plane = |data: Vec<f32>, factor: f64, limits: [f64; 2]| {
@@ -105,11 +105,11 @@ pub(super) fn run(
     pairs: usize,
     settings: &CvdSettings,
     progress: &dyn Progress,
-    shelf: &dyn Shelf,
+    cache: &dyn Cache,
 ) -> Result<Course, CvdError> {
     const MOVES: [Moves; 2] = [Moves::Affine, Moves::Pixels];
     let total = settings.steps[0] + settings.steps[1];
-    let mut keeper = Keeper::new(shelf);
+    let mut keeper = RecordingObserver::new(cache);
     let mut course = keeper.resume(descent, &MOVES).unwrap_or_default();
     for index in course.stage..MOVES.len() {
         let moves = MOVES[index];

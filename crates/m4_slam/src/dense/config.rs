@@ -4,7 +4,7 @@ use super::DenseError;
 use crate::cvd::CvdSettings;
 use serde::{Deserialize, Serialize};
 
-/// Settings of [`super::densify()`].
+/// Settings of [`super::estimate_depth()`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DenseConfig {

@@ -13,7 +13,7 @@ use super::shot::quantile;
 use crate::cvd::pairs::{FlowView, FramePair, PairSource, PairStore, consistency_mask, pair_list};
 use crate::cvd::{CvdError, CvdInput, CvdSettings, optimise, uncertainty_of_static};
 use m4_math::Se3;
-use m4_scene::{Camera, Plane, Progress, Shelf};
+use m4_scene::{Cache, Camera, Plane, Progress};
 
 /// What is known of the clip; planes are `[height][width]` by frame, at the working size.
 pub(super) struct Clip<'a> {
@@ -153,7 +153,7 @@ pub(super) fn factors(
     disparity: &[Vec<f32>],
     settings: &CvdSettings,
     progress: &dyn Progress,
-    shelf: &dyn Shelf,
+    cache: &dyn Cache,
 ) -> Result<Option<Vec<Vec<f32>>>, DenseError> {
     let (w, h) = (clip.width / 2, clip.height / 2);
     let (store, left_out) = pairs(clip, disparity, progress)?;
@@ -192,7 +192,7 @@ pub(super) fn factors(
         uncertainty: &u,
         prior_confidence: Some(&prior),
     };
-    let found = optimise(&input, &store, settings, progress, shelf)?;
+    let found = optimise(&input, &store, settings, progress, cache)?;
     let factors = (0..frames)
         .map(|i| {
             let ratio: Vec<f32> = found.disparity[i]
@@ -218,7 +218,7 @@ mod tests {
     use crate::cvd::CvdSettings;
     use m4_math::Se3;
     use m4_math::nalgebra::Vector6;
-    use m4_scene::{Camera, Intrinsics, NoShelf, Progress};
+    use m4_scene::{Camera, Intrinsics, NoCache, Progress};
     use std::sync::Mutex;
 
     const W: usize = 64;
@@ -274,7 +274,7 @@ mod tests {
             confidence: &vec![vec![0.6; W * H]; FRAMES],
         };
         let warnings = Warnings::default();
-        let found = factors(&clip, &disparity, &CvdSettings::default(), &warnings, &NoShelf).unwrap();
+        let found = factors(&clip, &disparity, &CvdSettings::default(), &warnings, &NoCache).unwrap();
         (found, warnings.0.into_inner().unwrap())
     }
 

@@ -1,6 +1,6 @@
 //! From the working size to the size of the frames, along the edges of the frames.
 
-use super::densify::DenseFrame;
+use super::estimate::DenseFrame;
 use super::working::WorkingFrame;
 use m4_scene::{Plane, RgbImage};
 

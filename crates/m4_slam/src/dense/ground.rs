@@ -1,8 +1,8 @@
 //! What is checked and said of a clip before anything is measured, and its frames and flows at the working size.
 
 use super::config::DenseConfig;
-use super::densify::each;
 use super::error::DenseError;
+use super::estimate::each;
 use super::flow::FlowPair;
 use super::given::Given;
 use super::sources::Sources;

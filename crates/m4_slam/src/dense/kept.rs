@@ -1,11 +1,11 @@
-//! Finished parts of a clip on a shelf: swept depth frame by frame, masks round by round, depth of what stands still, and in
+//! Finished parts of a clip on a cache: swept depth frame by frame, masks round by round, depth of what stands still, and in
 //! the end what was found of every frame.
 
-use super::apart::Masks;
-use super::densify::Stages;
 use super::error::DenseError;
+use super::estimate::Stages;
+use super::motion_segmentation::Masks;
 use super::static_depth::Measured;
-use m4_scene::{Shelf, load, store};
+use m4_scene::{Cache, load, store};
 
 /// What was found of a clip at the working size; lists are `[frames][height][width]`.
 pub(super) struct Placed {
@@ -23,14 +23,14 @@ fn name(i: usize) -> String {
 
 impl Placed {
     /// What was kept of `count` frames of `pixels` pixels, if it was of all.
-    pub fn kept(shelf: &dyn Shelf, count: usize, pixels: usize) -> Option<Self> {
+    pub fn kept(cache: &dyn Cache, count: usize, pixels: usize) -> Option<Self> {
         let mut all = Self {
             disparity: Vec::with_capacity(count),
             confidence: Vec::with_capacity(count),
             moving: Vec::with_capacity(count),
         };
         for i in 0..count {
-            let bytes = shelf.get(&name(i)).filter(|bytes| bytes.len() == 9 * pixels)?;
+            let bytes = cache.get(&name(i)).filter(|bytes| bytes.len() == 9 * pixels)?;
             let (disparity, rest) = bytes.split_at(4 * pixels);
             let (confidence, moving) = rest.split_at(4 * pixels);
             all.disparity.push(floats(disparity));
@@ -40,8 +40,8 @@ impl Placed {
         Some(all)
     }
 
-    /// What was found, put on the shelf, and the frames and flows that it was found in.
-    pub fn put(stages: &mut Stages, shelf: &dyn Shelf) -> Self {
+    /// What was found, put on the cache, and the frames and flows that it was found in.
+    pub fn put(stages: &mut Stages, cache: &dyn Cache) -> Self {
         let measured = std::mem::take(&mut stages.measured);
         let all = Self {
             disparity: std::mem::take(&mut stages.disparity),
@@ -54,38 +54,38 @@ impl Placed {
             let mut frame = bytes(disparity);
             frame.extend(bytes(confidence));
             frame.extend_from_slice(moving);
-            shelf.put(&name(i), &frame);
+            cache.put(&name(i), &frame);
         }
         all
     }
 }
 
 /// `count` numbers of this name: kept ones, else what `work` gives, which is kept then.
-pub(super) fn numbers(shelf: &dyn Shelf, name: &str, count: usize, work: impl FnOnce() -> Vec<f32>) -> Vec<f32> {
-    if let Some(kept) = shelf.get(name).filter(|bytes| bytes.len() == 4 * count) {
+pub(super) fn numbers(cache: &dyn Cache, name: &str, count: usize, work: impl FnOnce() -> Vec<f32>) -> Vec<f32> {
+    if let Some(kept) = cache.get(name).filter(|bytes| bytes.len() == 4 * count) {
         return floats(&kept);
     }
     let made = work();
-    shelf.put(name, &bytes(&made));
+    cache.put(name, &bytes(&made));
     made
 }
 
 /// Masks of all `count` frames under this name: kept ones, else what `work` gives, which are kept then.
 pub(super) fn masks(
-    shelf: &dyn Shelf,
+    cache: &dyn Cache,
     name: &str,
     count: usize,
     pixels: usize,
     work: impl FnOnce() -> Result<Masks, DenseError>,
 ) -> Result<Masks, DenseError> {
     let name = |i: usize| format!("{name}-{i:05}");
-    let get = |i: usize| shelf.get(&name(i)).filter(|mask| mask.len() == pixels);
+    let get = |i: usize| cache.get(&name(i)).filter(|mask| mask.len() == pixels);
     if let Some(kept) = (0..count).map(get).collect() {
         return Ok(kept);
     }
     let made = work()?;
     for (i, mask) in made.iter().enumerate() {
-        shelf.put(&name(i), mask);
+        cache.put(&name(i), mask);
     }
     Ok(made)
 }
@@ -95,14 +95,14 @@ type Still = (Vec<Measured>, Vec<Vec<f32>>);
 
 /// The same of depth of what stands still.
 pub(super) fn still(
-    shelf: &dyn Shelf,
+    cache: &dyn Cache,
     count: usize,
     pixels: usize,
     work: impl FnOnce() -> Result<Still, DenseError>,
 ) -> Result<Still, DenseError> {
     let name = |i: usize| format!("still-{i:05}");
     let get = |i: usize| {
-        let kept: (Measured, Vec<f32>) = load(shelf, &name(i))?;
+        let kept: (Measured, Vec<f32>) = load(cache, &name(i))?;
         let sizes = [kept.0.disparity.len(), kept.0.confidence.len(), kept.1.len()];
         (sizes == [pixels; 3]).then_some(kept)
     };
@@ -111,7 +111,7 @@ pub(super) fn still(
     }
     let made = work()?;
     for (i, frame) in made.0.iter().zip(&made.1).enumerate() {
-        store(shelf, &name(i), &frame);
+        store(cache, &name(i), &frame);
     }
     Ok(made)
 }

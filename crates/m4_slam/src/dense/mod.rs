@@ -24,15 +24,14 @@
 //! (Hirschmueller 2008), and fast global smoothing (Min et al. 2014).
 
 mod aggregate;
-mod apart;
 mod background;
 mod bodies;
 mod components;
 mod config;
 mod consistent;
-mod densify;
 mod enlarge;
 mod error;
+mod estimate;
 mod flow;
 mod given;
 mod ground;
@@ -40,6 +39,7 @@ mod kept;
 mod layers;
 mod mono;
 mod motion;
+mod motion_segmentation;
 mod moving_depth;
 mod pair;
 mod plate;
@@ -54,8 +54,8 @@ mod working;
 
 pub(crate) use components::Components;
 pub use config::DenseConfig;
-pub use densify::{Dense, DenseFrame, densify};
 pub use error::DenseError;
+pub use estimate::{Dense, DenseFrame, estimate_depth};
 pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
 pub(crate) use flow::{FlowPair, bilinear, round_trip_px};
 pub use given::Given;

@@ -53,7 +53,7 @@ pub(super) struct Verdict {
 }
 
 /// What is known of the clip as a whole.
-pub(super) struct Clues {
+pub(super) struct MotionCues {
     /// At the working size, one a frame.
     pub cameras: Vec<Camera>,
     /// By frame.
@@ -128,7 +128,7 @@ fn link(flows: &[FlowPair], cameras: &[Camera], i: usize, span: usize, later: bo
 /// flow against what depth and cameras predict, agreement of the partners, verdicts of tracks, and, where
 /// the camera stands still, the difference to the background.
 pub(super) fn evidence(
-    clues: &Clues,
+    clues: &MotionCues,
     shots: &[Shot],
     flows: &[FlowPair],
     i: usize,

@@ -3,7 +3,7 @@
 use super::flow::FlowSource;
 use super::mono::{MonoDepth, NoDepth};
 use super::segment::Segmenter;
-use m4_scene::{NoShelf, Shelf};
+use m4_scene::{Cache, NoCache};
 
 /// Who measures flow, who knows outlines, and who knows depth.
 #[derive(Clone, Copy)]
@@ -14,8 +14,8 @@ pub struct Sources<'a> {
     pub segmenter: Option<&'a dyn Segmenter>,
     /// Depth from one picture: [`NoDepth`] if there is none.
     pub mono: &'a dyn MonoDepth,
-    /// Keeps what is finished of each frame, and has what an earlier attempt finished: [`NoShelf`] if nobody does.
-    pub shelf: &'a dyn Shelf,
+    /// Keeps what is finished of each frame, and has what an earlier attempt finished: [`NoCache`] if nobody does.
+    pub cache: &'a dyn Cache,
 }
 
 impl<'a> Sources<'a> {
@@ -26,7 +26,7 @@ impl<'a> Sources<'a> {
             flow,
             segmenter: None,
             mono: &NoDepth,
-            shelf: &NoShelf,
+            cache: &NoCache,
         }
     }
 }

@@ -8,7 +8,7 @@ use crate::cvd::{Consistent, CvdInput, optimise, uncertainty_of_static};
 use crate::dba::Observability;
 use crate::tracker::{Clip, Correspondence, FrameInput, Tracked, track};
 use m4_math::Se3;
-use m4_scene::{Intrinsics, Plane, Progress, RgbImage, Shelf, kept};
+use m4_scene::{Cache, Intrinsics, Plane, Progress, RgbImage, kept};
 
 /// Disparity below which a pixel of the tracker's own counts as infinitely far, scene units.
 const LEAST_DISPARITY: f32 = 1e-3;
@@ -70,7 +70,7 @@ impl MegasamGeometry {
 /// Cameras, focal length, depth and what stands still, of a clip.
 ///
 /// `correspondence` and `flow` see pictures of [`TrackingSize::picture`]. Without a prior, depth starts as what the tracker
-/// found, and its unit is arbitrary. Finished parts go to `shelf`, which belongs to one clip with one set of settings: what is
+/// found, and its unit is arbitrary. Finished parts go to `cache`, which belongs to one clip with one set of settings: what is
 /// interrupted goes on after the last of them, to the same result.
 ///
 /// # Errors
@@ -82,7 +82,7 @@ pub fn reconstruct(
     flow: &mut dyn PairFlow,
     settings: &MegasamSettings,
     progress: &dyn Progress,
-    shelf: &dyn Shelf,
+    cache: &dyn Cache,
 ) -> Result<MegasamGeometry, MegasamError> {
     let size = check(input, settings)?;
     let frames = input.pictures.len();
@@ -105,7 +105,7 @@ pub fn reconstruct(
     };
     let mut tracker = settings.tracker;
     tracker.optimise_focal &= input.focal_is_free;
-    let tracked = kept(shelf, "tracked", || track(&clip, correspondence, &tracker, progress))?;
+    let tracked = kept(cache, "tracked", || track(&clip, correspondence, &tracker, progress))?;
     let lens = size.full_lens(&input.lens, &tracked.geometry.lens);
 
     let picture = |frame: usize| size.picture(input.pictures[frame]);
@@ -137,7 +137,7 @@ pub fn reconstruct(
         &pairs,
         &settings.cvd,
         progress,
-        shelf,
+        cache,
     )?;
     Ok(finish(input, size, lens, tracked, static_confidence, consistent))
 }

@@ -7,7 +7,7 @@ use super::{SparseConfig, SparseError, Work};
 use crate::reconstruction::CameraMotion;
 use m4_math::nalgebra::Vector3;
 use m4_math::{Sim3, log_so3};
-use m4_scene::{Camera, ShelfPart};
+use m4_scene::{Camera, ScopedCache};
 
 /// How many times as many tracks must agree with other poses.
 const TIMES: usize = 2;
@@ -44,8 +44,8 @@ impl Clip<'_> {
             limits: Limits::default(),
             config: &config,
             work: Work {
-                shelf: &ShelfPart {
-                    shelf: self.work.shelf,
+                cache: &ScopedCache {
+                    cache: self.work.cache,
                     prefix: "free",
                 },
                 ..self.work

@@ -10,7 +10,7 @@ use crate::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_math::nalgebra::Vector3;
 use m4_math::{CounterRng, Se3, Sim3, exp_so3, log_so3};
 use m4_scene::{Camera, Intrinsics, Plane, Silent};
-use m4_testkit::{MemoryShelf, StopAtPoll};
+use m4_testkit::{MemoryCache, StopAtPoll};
 
 const WIDTH: usize = 640;
 const HEIGHT: usize = 480;
@@ -138,16 +138,16 @@ fn what_is_interrupted_goes_on_to_the_same_bits() {
     assert!(polls > 50, "asked {polls} times only");
     let mut kept = 0;
     for at in (0..polls).step_by(polls / 16) {
-        let shelf = MemoryShelf::default();
+        let cache = MemoryCache::default();
         let stopped = go(&Work {
             progress: &StopAtPoll::after(at),
-            shelf: &shelf,
+            cache: &cache,
         });
         assert!(matches!(stopped, Err(SparseError::Cancelled)), "{stopped:?}");
         let rest = StopAtPoll::after(usize::MAX);
         let found = go(&Work {
             progress: &rest,
-            shelf: &shelf,
+            cache: &cache,
         });
         assert!(found.unwrap() == want, "stopped at poll {at} of {polls}");
         kept += usize::from(rest.asked() < polls);

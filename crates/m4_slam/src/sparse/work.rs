@@ -1,7 +1,7 @@
 //! Who hears how far it is, and where finished parts go.
 
 use super::SparseError;
-use m4_scene::{NoShelf, Progress, Shelf, kept};
+use m4_scene::{Cache, NoCache, Progress, kept};
 use serde::{Serialize, de::DeserializeOwned};
 
 /// What long work talks to.
@@ -11,7 +11,7 @@ pub struct Work<'a> {
     pub progress: &'a dyn Progress,
     /// Keeps finished parts: what is interrupted goes on after the last of them, to the same result. It belongs to one clip
     /// with one set of settings.
-    pub shelf: &'a dyn Shelf,
+    pub cache: &'a dyn Cache,
 }
 
 impl<'a> Work<'a> {
@@ -20,7 +20,7 @@ impl<'a> Work<'a> {
     pub fn new(progress: &'a dyn Progress) -> Self {
         Self {
             progress,
-            shelf: &NoShelf,
+            cache: &NoCache,
         }
     }
 
@@ -33,13 +33,13 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// A part from the shelf, or made and put there. What ends early because the user asked to stop is not kept.
+    /// A part from the cache, or made and put there. What ends early because the user asked to stop is not kept.
     pub(super) fn part<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,
         make: impl FnOnce() -> Result<T, SparseError>,
     ) -> Result<T, SparseError> {
-        kept(self.shelf, name, || {
+        kept(self.cache, name, || {
             self.stopped()?;
             let made = make()?;
             self.stopped()?;

@@ -59,7 +59,7 @@ pub enum SplitPlacement {
 
 /// The opacity of a clone and its parent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NewbornOpacity {
+pub enum CloneOpacity {
     /// Both keep it (3DGS).
     Keep,
     /// `1 - sqrt(1 - o)` each: together they let as much light pass as one did (3DGS-MCMC).
@@ -104,7 +104,7 @@ pub struct DensityConfig {
     /// Where children lie.
     pub split_placement: SplitPlacement,
     /// Opacity of clones.
-    pub newborn_opacity: NewbornOpacity,
+    pub clone_opacity: CloneOpacity,
     /// Splats below this opacity are removed at every round. 0.005 (3DGS); 0.003 here, for moving shadows.
     pub min_opacity: f32,
     /// Splats below this opacity are removed at the end. docs/spec/optimiser.md 4.4: 0.02; 0 for none. 0.005 here: a moving shadow is
@@ -141,7 +141,7 @@ impl DensityConfig {
             max_growth: 1.02,
             split_size: SplitSize::Pixels { pixels: 2.0 },
             split_placement: SplitPlacement::LongestAxis,
-            newborn_opacity: NewbornOpacity::Share,
+            clone_opacity: CloneOpacity::Share,
             min_opacity: 0.003,
             final_opacity: 0.005,
         }
@@ -161,7 +161,7 @@ impl DensityConfig {
             max_growth: 3.0,
             split_size: SplitSize::Extent { share: 0.01 },
             split_placement: SplitPlacement::Sample,
-            newborn_opacity: NewbornOpacity::Keep,
+            clone_opacity: CloneOpacity::Keep,
             min_opacity: 0.005,
             final_opacity: 0.0,
             ..Self::fast()

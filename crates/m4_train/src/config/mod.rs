@@ -3,7 +3,7 @@
 mod density;
 mod rates;
 
-pub use density::{DensityConfig, ErrorRange, NewbornOpacity, PruneRule, SplitPlacement, SplitSize};
+pub use density::{CloneOpacity, DensityConfig, ErrorRange, PruneRule, SplitPlacement, SplitSize};
 pub use m4_kernels::adam::cpu::AdamConfig;
 pub use rates::{RateConfig, RefineConfig};
 

@@ -56,7 +56,7 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
 
     let mut plan = Plan::default();
     for rows in [0..splats.n_static, splats.n_static..n] {
-        let mut newborns: Vec<(u32, Origin)> = Vec::new();
+        let mut new_splats: Vec<(u32, Origin)> = Vec::new();
         for row in rows {
             let hopeless = splats.opacity[row] < config.min_opacity;
             let mut add = |origin| {
@@ -66,10 +66,10 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
             if hopeless && !(grows[row] && splats.large[row]) {
                 plan.pruned += 1;
             } else if grows[row] && splats.large[row] {
-                newborns.extend([(row as u32, Origin::Child(0)), (row as u32, Origin::Child(1))]);
+                new_splats.extend([(row as u32, Origin::Child(0)), (row as u32, Origin::Child(1))]);
                 plan.split += 1;
             } else if grows[row] {
-                newborns.push((row as u32, Origin::Clone));
+                new_splats.push((row as u32, Origin::Clone));
                 plan.cloned += 1;
                 if literal && by_score[row] {
                     plan.pruned += 1;
@@ -82,7 +82,7 @@ pub fn decide(config: &DensityConfig, due: Decision, splats: SplatView<'_>, scor
                 add(Origin::Kept);
             }
         }
-        for (row, origin) in newborns {
+        for (row, origin) in new_splats {
             plan.rows.push(row);
             plan.origins.push(origin);
         }
@@ -171,7 +171,7 @@ mod tests {
         use Origin::{Child, Clone, Cloned, Kept};
         assert_eq!(plan.origins, [Cloned, Kept, Clone, Kept, Child(0), Child(1)]);
         assert_eq!((plan.cloned, plan.split, plan.pruned), (1, 1, 0));
-        assert_eq!(plan.newborn(), [false, false, true, false, true, true]);
+        assert_eq!(plan.is_new(), [false, false, true, false, true, true]);
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! | `rules` | what a round goes by |
 //! | `decide` | scores to who is cloned, split and pruned |
 //! | `plan` | decisions to rows: which splats the next set is made of |
-//! | `newborn` | what clones and children look like |
+//! | `new_splats` | what clones and children look like |
 //!
 //! Readings where the paper is open (docs/spec/optimiser.md 4.4): p(t) is the marginal with peak 1; a splat's
 //! footprint are the pixels that it is composited on; scores are raw sums of error. Both scores are
@@ -16,15 +16,15 @@
 
 mod decide;
 mod error_mask;
-mod newborn;
+mod new_splats;
 mod plan;
 mod rules;
 mod score;
 
 pub use decide::{Decision, SplatView, decide};
 pub use error_mask::masked_error;
-pub use newborn::apply;
-pub(crate) use newborn::{apply_to_splats, rearrange};
+pub use new_splats::apply;
+pub(crate) use new_splats::{apply_to_splats, rearrange};
 pub use plan::{Origin, Plan};
 pub use rules::Rules;
 pub(crate) use score::{ScoreInput, score};

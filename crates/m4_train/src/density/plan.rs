@@ -16,7 +16,7 @@ pub enum Origin {
 impl Origin {
     /// True for rows whose optimiser state starts from nothing.
     #[must_use]
-    pub fn is_newborn(self) -> bool {
+    pub fn is_new(self) -> bool {
         matches!(self, Self::Clone | Self::Child(_))
     }
 }
@@ -39,8 +39,8 @@ pub struct Plan {
 impl Plan {
     /// True where the row is new splat, `[rows]`.
     #[must_use]
-    pub fn newborn(&self) -> Vec<bool> {
-        self.origins.iter().map(|o| o.is_newborn()).collect()
+    pub fn is_new(&self) -> Vec<bool> {
+        self.origins.iter().map(|o| o.is_new()).collect()
     }
 
     /// True when the next set is the old one.

@@ -42,10 +42,10 @@ impl Trainer<'_> {
             min_opacity,
             scale: &scale,
         };
-        if self.remote.is_some() && self.densify_remotely(&rules)? {
+        if self.gpu.is_some() && self.densify_on_gpu(&rules)? {
             return Ok(());
         }
-        self.bring_splats()?;
+        self.download_splats()?;
         let scores = if due.densify || due.prune_by_score {
             self.scores()?
         } else {
@@ -64,8 +64,8 @@ impl Trainer<'_> {
         if plan.changes_nothing() || plan.rows.is_empty() {
             return Ok(());
         }
-        if self.remote.is_some() {
-            return self.carry_out_remotely(plan);
+        if self.gpu.is_some() {
+            return self.carry_out_on_gpu(plan);
         }
         apply(
             &self.config.density,
@@ -81,8 +81,8 @@ impl Trainer<'_> {
     /// Both scores, over one draw of frames.
     fn scores(&mut self) -> Result<Scores, TrainError> {
         let frames = self.frames_to_score();
-        if self.remote.is_some() {
-            return self.score_remotely(&frames);
+        if self.gpu.is_some() {
+            return self.score_on_gpu(&frames);
         }
         let mut input = ScoreInput {
             level: self.level,

@@ -2,7 +2,7 @@
 
 mod colour;
 mod density;
-mod remote;
+mod gpu;
 mod save;
 mod step;
 
@@ -16,11 +16,11 @@ use crate::scale::SceneScale;
 use crate::state::{Reader, read_adam, read_refinement};
 use crate::{MetricsEvent, TrainError};
 use cpu_time::ProcessTime;
+use gpu::GpuBackend;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::PhotoScratch;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, morton_order};
 use m4_scene::{Capture, Column, Progress, Splats, TrainState};
-use remote::Remote;
 use std::time::Instant;
 
 /// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene units whatever the scale
@@ -71,7 +71,7 @@ pub struct Trainer<'a> {
     seconds: f64,
     processor_seconds: f64,
     /// Where steps are taken, if not here.
-    remote: Option<Remote>,
+    gpu: Option<GpuBackend>,
 }
 
 impl<'a> Trainer<'a> {
@@ -192,7 +192,7 @@ impl<'a> Trainer<'a> {
             totals: Totals::default(),
             seconds: 0.0,
             processor_seconds: 0.0,
-            remote: None,
+            gpu: None,
             splats,
             adam,
             basis,
@@ -232,14 +232,14 @@ impl<'a> Trainer<'a> {
         let end = iteration.min(self.config.iterations);
         while self.iteration < end {
             if progress.cancelled() {
-                self.settle()?;
+                self.synchronize()?;
                 return Ok(Outcome::Stopped {
                     iteration: self.iteration,
                 });
             }
             let (started, processor) = (Instant::now(), ProcessTime::try_now());
-            let report = match self.remote {
-                Some(_) => self.remote_step().and_then(|()| {
+            let report = match self.gpu {
+                Some(_) => self.gpu_step().and_then(|()| {
                     // a device is asked when there is something to say, and not between
                     let due = self.event_is_due(end);
                     due.then(|| self.look_at_remote()).transpose()
@@ -263,7 +263,7 @@ impl<'a> Trainer<'a> {
                 progress.update("train", done, self.config.iterations, &note);
             }
         }
-        self.settle()?;
+        self.synchronize()?;
         Ok(Outcome::Finished)
     }
 

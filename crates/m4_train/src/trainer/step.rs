@@ -181,7 +181,7 @@ impl Trainer<'_> {
         let iteration = self.iteration;
         if let Some((good, splats)) = self.good.take() {
             // without the moments, which led here, and without a device that has others
-            self.remote = None;
+            self.gpu = None;
             self.adam = AdamState::new(&splats);
             (self.iteration, self.splats) = (good, splats);
         }

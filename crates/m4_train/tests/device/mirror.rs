@@ -6,7 +6,7 @@ use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted, mo
 use m4_scene::{Column, Exposure, SplatLayout, Splats};
 use m4_train::density::{Scores, apply, masked_error};
 use m4_train::device::{
-    ColourGradient, DeviceFound, DeviceLook, DeviceRound, DeviceStep, Grown, Regrowth, ScoreSettings,
+    ColourGradient, DensifyPlan, DensifyStats, DeviceFound, DeviceLook, DeviceRound, DeviceStep, ScoreSettings,
 };
 use m4_train::{Device, DeviceError};
 use std::sync::Arc;
@@ -158,7 +158,7 @@ impl Device for Mirror {
         Ok(())
     }
 
-    fn regrow(&mut self, next: &Regrowth<'_>) -> Result<(), DeviceError> {
+    fn regrow(&mut self, next: &DensifyPlan<'_>) -> Result<(), DeviceError> {
         let (all, values) = (next.rows.len() as u32, next.values);
         self.splats.rearrange(next.rows).unwrap();
         assert_eq!(self.splats.n_static(), next.n_static);
@@ -172,7 +172,7 @@ impl Device for Mirror {
             }
         }
         self.sort_state(next.rows);
-        for (row, _) in next.newborn.iter().enumerate().filter(|&(_, &new)| new) {
+        for (row, _) in next.is_new.iter().enumerate().filter(|&(_, &new)| new) {
             self.adam.forget(row);
         }
         Ok(())
@@ -286,12 +286,12 @@ impl Device for Mirror {
         Ok(out)
     }
 
-    fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<Grown>, DeviceError> {
+    fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<DensifyStats>, DeviceError> {
         let Some(rounds) = &self.rounds else { return Ok(None) };
         rounds.fetch_add(1, Ordering::Relaxed);
         let scores = self.score(round.looks, &round.scores)?;
         let plan = round.rules.plan(&self.splats, &scores);
-        let mut grown = Grown::default();
+        let mut grown = DensifyStats::default();
         if !plan.rows.is_empty() && !plan.changes_nothing() {
             // nothing is drawn at random
             apply(round.rules.config, &plan, &mut self.splats, &mut self.adam, 0, 0).unwrap();

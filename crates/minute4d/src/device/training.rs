@@ -5,10 +5,10 @@ use m4_kernels::View;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::Target;
 use m4_scene::{Exposure, SplatLayout, Splats};
-use m4_train::config::{ErrorRange, NewbornOpacity, PruneRule, SplitSize};
+use m4_train::config::{CloneOpacity, ErrorRange, PruneRule, SplitSize};
 use m4_train::density::{Rules, Scores};
 use m4_train::device::{
-    ColourGradient, DeviceFound, DeviceLook, DeviceRound, DeviceStep, Grown, Regrowth, ScoreSettings,
+    ColourGradient, DensifyPlan, DensifyStats, DeviceFound, DeviceLook, DeviceRound, DeviceStep, ScoreSettings,
 };
 use m4_train::{Device, DeviceError};
 
@@ -135,15 +135,15 @@ impl Device for GpuTraining {
         Ok(())
     }
 
-    fn regrow(&mut self, next: &Regrowth<'_>) -> Result<(), DeviceError> {
+    fn regrow(&mut self, next: &DensifyPlan<'_>) -> Result<(), DeviceError> {
         if let Some(shape) = &mut self.shape {
             shape.n_static = next.n_static;
             shape.n_dynamic = next.rows.len() - next.n_static;
         }
-        let next = m4_gpu::Regrowth {
+        let next = m4_gpu::DensifyPlan {
             rows: next.rows,
             n_static: next.n_static,
-            newborn: next.newborn,
+            is_new: next.is_new,
             changed: next.changed,
             values: next.values,
         };
@@ -205,7 +205,7 @@ impl Device for GpuTraining {
         })
     }
 
-    fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<Grown>, DeviceError> {
+    fn densify(&mut self, round: &DeviceRound<'_>) -> Result<Option<DensifyStats>, DeviceError> {
         let Rules {
             config,
             due,
@@ -238,13 +238,13 @@ impl Device for GpuTraining {
                     centres: &scale.centres,
                 },
             },
-            share_opacity: config.newborn_opacity == NewbornOpacity::Share,
+            share_opacity: config.clone_opacity == CloneOpacity::Share,
         };
         let grown = trainer.densify(&round).map_err(failed)?;
         if let Some(shape) = &mut self.shape {
             (shape.n_static, shape.n_dynamic) = (grown.n_static, grown.n_dynamic);
         }
-        Ok(Some(Grown {
+        Ok(Some(DensifyStats {
             cloned: grown.cloned,
             split: grown.split,
             pruned: grown.pruned,

@@ -5,7 +5,7 @@ use super::plan::{Before, Plan};
 use super::save;
 use crate::device::NetworkDevice;
 use crate::geometry::{self, UsedNetwork};
-use crate::progress::Keeper;
+use crate::progress::RecordingObserver;
 use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::steps::Steps;
 use crate::{Error, Job, StageEvent, hash};
@@ -69,7 +69,7 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         return Err(Error::NothingToEnhance);
     }
     let start = Instant::now();
-    let keeper = Keeper::new(job.observer);
+    let keeper = RecordingObserver::new(job.observer);
     // Read before the folder is made, so that a wrong path leaves nothing behind.
     let capture = crate::train::read(input, settings, &keeper)?;
     let part = Part {

@@ -16,7 +16,7 @@ use crate::steps::Steps;
 use crate::{Error, Observer, Settings, enhance};
 use m4_io::capture::Split;
 use m4_scene::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, RgbImage, Tracks, Video};
-use m4_slam::dense::{self, Dense, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, densify};
+use m4_slam::dense::{self, Dense, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, estimate_depth};
 use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_slam::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError, Work};
 use std::path::Path;
@@ -65,7 +65,7 @@ pub(super) fn compute(
         let (capture, found) = super::megasam::compute(clip, settings, plan, device, steps, observer)?;
         return finish(capture, found, folder, settings, enhance, device, steps, observer);
     }
-    let (capture, mut found) = by_corners(clip, settings, config, plan, segmenter, device, steps, observer)?;
+    let (capture, mut found) = classical(clip, settings, config, plan, segmenter, device, steps, observer)?;
     let capture = between.keep(capture, observer)?;
     found.frames = capture.frames.len();
     finish(capture, found, folder, settings, enhance, device, steps, observer)
@@ -105,7 +105,7 @@ fn finish(
 }
 
 /// Cameras from tracked corners.
-fn by_corners(
+fn classical(
     clip: Clip,
     settings: &Settings,
     mut config: SparseConfig,
@@ -128,12 +128,12 @@ fn by_corners(
     }
     let flow = KeptFlow {
         source: flow.as_ref(),
-        shelf: steps,
+        cache: steps,
     };
     let first = steps.part("first");
     let sources = Sources {
         segmenter: outlines.as_deref(),
-        shelf: &first,
+        cache: &first,
         ..Sources::flow(&flow)
     };
     let depth = Depth::of(&given, mono);
@@ -145,7 +145,7 @@ fn by_corners(
             steps.keep("cameras", |observer| {
                 let work = Work {
                     progress: observer,
-                    shelf: &steps.part("cameras"),
+                    cache: &steps.part("cameras"),
                 };
                 sparse::with_cameras(&pictures, cameras, &known, &config, &work)
             })?,
@@ -156,7 +156,7 @@ fn by_corners(
             let recovered = steps.keep("cameras", |observer| {
                 let work = Work {
                     progress: observer,
-                    shelf: &steps.part("cameras"),
+                    cache: &steps.part("cameras"),
                 };
                 followed.recover(&known, &config, &work)
             })?;
@@ -176,7 +176,7 @@ fn by_corners(
     )?;
     let mut rounds = 1;
     if let (Some(followed), None) = (followed, &given.masks)
-        && let Some(better) = once_more(
+        && let Some(better) = refine_with_masks(
             &followed,
             &recovered.sparse,
             &mut dense.frames,
@@ -187,7 +187,7 @@ fn by_corners(
     {
         let second = steps.part("second");
         let sources = Sources {
-            shelf: &second,
+            cache: &second,
             ..sources
         };
         drop(dense);
@@ -258,7 +258,7 @@ fn to_metres_by_networks(sparse: &mut SparseReconstruction, maps: &[DepthMap], o
 }
 
 /// Cameras found without what the masks cover, if they differ enough for depth and masks to be computed again.
-fn once_more(
+fn refine_with_masks(
     followed: &Followed,
     first: &SparseReconstruction,
     frames: &mut [DenseFrame],
@@ -275,8 +275,8 @@ fn once_more(
         // The warnings of the second pass repeat those of the first, or are given when its result is used.
         let second = steps.keep("second-cameras", |observer| {
             let work = Work {
-                progress: &Quiet(observer),
-                shelf: &steps.part("second-cameras"),
+                progress: &NoWarnings(observer),
+                cache: &steps.part("second-cameras"),
             };
             match followed.recover(&known, config, &work) {
                 Err(stop @ SparseError::Cancelled) => Err(stop),
@@ -294,9 +294,9 @@ fn once_more(
 }
 
 /// Passes on all but warnings.
-struct Quiet<'a>(&'a dyn Observer);
+struct NoWarnings<'a>(&'a dyn Observer);
 
-impl Progress for Quiet<'_> {
+impl Progress for NoWarnings<'_> {
     fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
         self.0.update(phase, done, total, note);
     }
@@ -369,7 +369,7 @@ fn dense_in_its_unit(
     };
     let sparse = scaled.as_ref().unwrap_or(sparse);
     let sources = Sources { mono, ..*sources };
-    let mut dense = densify(pictures, sparse, &sources, &known, &settings.dense, observer)?;
+    let mut dense = estimate_depth(pictures, sparse, &sources, &known, &settings.dense, observer)?;
     if unit != 1.0 {
         for z in dense.frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
             *z *= unit as f32;

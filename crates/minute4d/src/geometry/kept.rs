@@ -1,13 +1,13 @@
 //! Caches optical flow between two images in the finished steps.
 
-use m4_scene::Shelf;
+use m4_scene::Cache;
 use m4_slam::dense::{Flow, FlowError, FlowPicture, FlowSource};
 
 /// A source of flow and where its results are kept. A clip may ask for the same images again: after an interruption, and
 /// when depth is found again with better cameras.
 pub(super) struct KeptFlow<'a> {
     pub source: &'a dyn FlowSource,
-    pub shelf: &'a dyn Shelf,
+    pub cache: &'a dyn Cache,
 }
 
 impl FlowSource for KeptFlow<'_> {
@@ -18,13 +18,13 @@ impl FlowSource for KeptFlow<'_> {
     fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
         let name = self.name_of(a, b);
         let size = (a.width, a.height);
-        if let Some(both) = self.shelf.get(&name).and_then(|bytes| read(&bytes, size)) {
+        if let Some(both) = self.cache.get(&name).and_then(|bytes| read(&bytes, size)) {
             return Ok(both);
         }
         let both = self.source.both(a, b)?;
         // The caller refuses flow of another size.
         if [&both.0, &both.1].iter().all(|flow| (flow.width, flow.height) == size) {
-            self.shelf.put(&name, &written(&both));
+            self.cache.put(&name, &written(&both));
         }
         Ok(both)
     }
@@ -76,7 +76,7 @@ fn read(bytes: &[u8], (width, height): (usize, usize)) -> Option<(Flow, Flow)> {
 #[cfg(test)]
 mod tests {
     use super::KeptFlow;
-    use m4_scene::Shelf;
+    use m4_scene::Cache;
     use m4_slam::dense::{FlowPicture, FlowSource, InverseSearch};
     use std::collections::HashMap;
     use std::sync::Mutex;
@@ -84,7 +84,7 @@ mod tests {
     #[derive(Default)]
     struct Memory(Mutex<HashMap<String, Vec<u8>>>);
 
-    impl Shelf for Memory {
+    impl Cache for Memory {
         fn get(&self, name: &str) -> Option<Vec<u8>> {
             self.0.lock().unwrap().get(name).cloned()
         }
@@ -112,11 +112,11 @@ mod tests {
         let (search, memory) = (InverseSearch, Memory::default());
         let kept = KeptFlow {
             source: &search,
-            shelf: &memory,
+            cache: &memory,
         };
         let plain = search.both(&a, &b).unwrap();
         assert_eq!(kept.both(&a, &b).unwrap(), plain);
-        assert_eq!(kept.both(&a, &b).unwrap(), plain, "from the shelf");
+        assert_eq!(kept.both(&a, &b).unwrap(), plain, "from the cache");
         assert_ne!(kept.both(&b, &a).unwrap(), plain, "the other way round is another pair");
         assert_eq!(memory.0.lock().unwrap().len(), 2);
     }

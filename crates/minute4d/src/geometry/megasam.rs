@@ -70,7 +70,7 @@ pub(super) fn compute(
                 source = plan.flow(iterations, device)?;
                 kept = KeptFlow {
                     source: source.as_ref(),
-                    shelf: steps,
+                    cache: steps,
                 };
                 Box::new(SourceFlow(&kept))
             }

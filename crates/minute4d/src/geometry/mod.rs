@@ -38,7 +38,7 @@ use crate::folder::{self, Existing, Lock};
 use crate::record::{GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::settings::part_to_toml;
 use crate::steps::{self, Steps};
-use crate::{Error, Job, StageEvent, hash, progress::Keeper};
+use crate::{Error, Job, StageEvent, hash, progress::RecordingObserver};
 use compute::compute;
 use frontend::Cameras;
 use given::Sources;
@@ -161,7 +161,7 @@ pub fn make(input: &Path, capture: &Path, job: &Job<'_>) -> Result<GeometryRecor
     record.write(capture)?;
     clear_results(capture)?;
     job.observer.stage(STAGE, StageEvent::Started { because });
-    let (start, keeper) = (Instant::now(), Keeper::new(job.observer));
+    let (start, keeper) = (Instant::now(), RecordingObserver::new(job.observer));
     let steps = Steps::open(capture, &record.key, &keeper);
     for note in &plan.notes {
         keeper.warn(note);

@@ -3,7 +3,7 @@
 use super::checked::{Checked, checked};
 use super::{ImportError, ImportJob, ImportOptions, STAGE};
 use crate::evaluate::{COVISIBLE_FOLDER, adopt_covisible};
-use crate::progress::Keeper;
+use crate::progress::RecordingObserver;
 use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::{Error, Observer, Settings, StageEvent, folder, geometry, hash};
 use m4_import::formats::dycheck;
@@ -60,7 +60,7 @@ pub(super) fn make(
     observer: &dyn Observer,
 ) -> Result<CaptureReport, Error> {
     let start = Instant::now();
-    let keeper = Keeper::new(observer);
+    let keeper = RecordingObserver::new(observer);
     let options = ImportOptions {
         max_memory_bytes: Settings::fast().capture.max_memory_bytes,
         ..job.options.clone()
@@ -157,7 +157,12 @@ pub(crate) fn write(
 }
 
 /// Files of MegaSaM, whose map of motion may lie elsewhere.
-fn of_megasam(file: &Path, options: &ImportOptions, job: &ImportJob, keeper: &Keeper<'_>) -> Result<Imported, Error> {
+fn of_megasam(
+    file: &Path,
+    options: &ImportOptions,
+    job: &ImportJob,
+    keeper: &RecordingObserver<'_>,
+) -> Result<Imported, Error> {
     let beside = [
         ("--images", options.pictures.is_some()),
         ("--depth", options.depth.is_some()),

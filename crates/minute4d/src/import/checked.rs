@@ -2,7 +2,7 @@
 
 use super::{ImportError, STAGE};
 use crate::Error;
-use crate::progress::Keeper;
+use crate::progress::RecordingObserver;
 use m4_import::Imported;
 use m4_scene::Progress;
 use m4_slam::consistency::{self, Cause, Consistency, ConsistencyError, Verdict};
@@ -31,7 +31,11 @@ pub struct Repaired {
 
 /// Compares the training frames with their flow; with `fix` the causes that are found are put right in all frames, held-out views included, and
 /// the comparison is made again.
-pub(super) fn checked(mut imported: Imported, fix: bool, keeper: &Keeper<'_>) -> Result<(Checked, Imported), Error> {
+pub(super) fn checked(
+    mut imported: Imported,
+    fix: bool,
+    keeper: &RecordingObserver<'_>,
+) -> Result<(Checked, Imported), Error> {
     let check = |imported: &Imported| {
         let found = consistency::check(&imported.train, &InverseSearch, keeper);
         found.map_err(|error| match error {

@@ -8,7 +8,7 @@ mod sharpest;
 pub use poster::{POSTER_FILE, poster};
 
 use crate::folder::PREVIEW_FILE;
-use crate::progress::Keeper;
+use crate::progress::RecordingObserver;
 use crate::render::{Pictures, SwingConfig, source_fps, swing};
 use crate::settings::part_to_toml;
 use crate::workspace::{Task, Workspace};
@@ -75,7 +75,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture, scene: &Scene) -
     })
 }
 
-fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Keeper<'_>) -> Result<(), Error> {
+fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &RecordingObserver<'_>) -> Result<(), Error> {
     let config = &run.job.settings.preview;
     let Some(first) = scene.source.first() else {
         return Err(Error::Internal {

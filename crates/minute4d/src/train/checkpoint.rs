@@ -99,7 +99,7 @@ impl Checkpoints {
 
 /// Stops a trainer when it is time for a checkpoint, when a page requests the scene, or when the
 /// user says so.
-pub(super) struct Patience<'a> {
+pub(super) struct CheckpointTimer<'a> {
     inner: &'a dyn Progress,
     observer: &'a dyn Observer,
     until: Instant,
@@ -107,7 +107,7 @@ pub(super) struct Patience<'a> {
     asked: AtomicBool,
 }
 
-impl<'a> Patience<'a> {
+impl<'a> CheckpointTimer<'a> {
     /// Lasts for this many seconds.
     pub fn new(inner: &'a dyn Progress, observer: &'a dyn Observer, seconds: f64) -> Self {
         const LONGEST: Duration = Duration::from_secs(1 << 31);
@@ -142,7 +142,7 @@ impl<'a> Patience<'a> {
     }
 }
 
-impl Progress for Patience<'_> {
+impl Progress for CheckpointTimer<'_> {
     fn update(&self, phase: &str, done: usize, total: usize, note: &str) {
         self.inner.update(phase, done, total, note);
     }
@@ -159,17 +159,17 @@ impl Progress for Patience<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::Patience;
+    use super::CheckpointTimer;
     use m4_scene::{Progress, Silent};
 
     #[test]
     fn at_least_one_step_is_allowed_per_interval() {
-        let patience = Patience::new(&Silent, &Silent, 0.0);
+        let patience = CheckpointTimer::new(&Silent, &Silent, 0.0);
         assert!(!patience.cancelled());
         assert!(patience.cancelled() && !patience.stopped_by_user() && patience.is_over());
         patience.take_a_step();
         assert!(!patience.cancelled(), "one more");
-        let endless = Patience::new(&Silent, &Silent, f64::INFINITY);
+        let endless = CheckpointTimer::new(&Silent, &Silent, f64::INFINITY);
         assert!(!endless.cancelled() && !endless.cancelled());
     }
 }

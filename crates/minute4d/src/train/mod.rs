@@ -6,12 +6,12 @@ mod metrics;
 use crate::clock::Clock;
 use crate::device::OpenGpu;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
-use crate::progress::Keeper;
+use crate::progress::RecordingObserver;
 use crate::record::{Input, RunRecord, SplatCount};
 use crate::settings::{InitSettings, Profile, TrainSettings, part_to_toml};
 use crate::workspace::{Task, Workspace};
 use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
-use checkpoint::{Checkpoints, Patience};
+use checkpoint::{CheckpointTimer, Checkpoints};
 use m4_io::capture::Split;
 use m4_io::scene_file;
 use m4_scene::{Capture, Progress, Scene, Splats, TrainState};
@@ -107,7 +107,12 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene,
     Ok(scene)
 }
 
-fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<'_>) -> Result<Scene, Error> {
+fn train(
+    run: &mut Workspace<'_>,
+    capture: &Capture,
+    key: &str,
+    keeper: &RecordingObserver<'_>,
+) -> Result<Scene, Error> {
     let settings = &run.job.settings;
     let gpu = run.gpu.clone();
     let make = || match &gpu {
@@ -163,7 +168,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
     let observer = run.job.observer;
     let total = trainer.iterations();
     let every_s = settings.checkpoint.every_s;
-    let mut patience = Patience::new(keeper, observer, every_s).at_most(end);
+    let mut patience = CheckpointTimer::new(keeper, observer, every_s).at_most(end);
     loop {
         let mut note = |event: &MetricsEvent| {
             log.push(event);
@@ -200,7 +205,7 @@ fn train(run: &mut Workspace<'_>, capture: &Capture, key: &str, keeper: &Keeper<
                     saved: true,
                 });
             }
-            patience = Patience::new(keeper, observer, every_s).at_most(end);
+            patience = CheckpointTimer::new(keeper, observer, every_s).at_most(end);
         }
         patience.take_a_step();
     }

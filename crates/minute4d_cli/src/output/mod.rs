@@ -25,7 +25,7 @@ enum Mode {
     /// A line every ten seconds on stderr.
     Lines(Lines),
     /// Nowhere; warnings and errors still go to stderr.
-    Quiet,
+    NoWarnings,
 }
 
 /// The program's output; shared by the stages, the signal watcher and the end of `main`.
@@ -43,7 +43,7 @@ impl Output {
         let mode = if json {
             Mode::Json(Events::start())
         } else if quiet {
-            Mode::Quiet
+            Mode::NoWarnings
         } else if std::io::stderr().is_terminal() && !dumb {
             Mode::Bars(Bars::default())
         } else {
@@ -94,7 +94,7 @@ impl Output {
                 bars.clear();
                 print_result(text);
             }
-            Mode::Lines(_) | Mode::Quiet => print_result(text),
+            Mode::Lines(_) | Mode::NoWarnings => print_result(text),
         }
     }
 
@@ -103,7 +103,7 @@ impl Output {
         match &self.mode {
             Mode::Json(events) => events.end(code, reason),
             Mode::Bars(bars) => bars.clear(),
-            Mode::Lines(_) | Mode::Quiet => {}
+            Mode::Lines(_) | Mode::NoWarnings => {}
         }
         if code != 0 {
             self.say(&format!("minute4d: {reason}"));
@@ -128,7 +128,7 @@ impl Progress for Output {
                     to_stderr(&line);
                 }
             }
-            Mode::Quiet => {}
+            Mode::NoWarnings => {}
         }
     }
 

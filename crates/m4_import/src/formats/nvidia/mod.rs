@@ -42,7 +42,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let fps = clock::fps(options).map_err(|fault| fault.at(path))?;
     let folder = pictures(path, options)?;
     let inside = Inside::of(path, options);
-    let pictures = inside.files(as_many(&folder, PICTURES, "pictures", n)?)?;
+    let pictures = inside.files(as_many(&folder, PICTURES, "images", n)?)?;
     let optional = |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadSourceError> {
         let folder = path.join(name);
         let listed = || inside.files(as_many(&folder, extensions, what, n)?);

@@ -146,7 +146,7 @@ fn malformed_dycheck_is_rejected_with_file_and_reason() {
         "camera/0_00001.json",
         "[96, 72]",
         "[72, 96]",
-        &["0_00001.png", "turned"],
+        &["0_00001.png", "rotated"],
     );
     broken(
         "splits/train.json",

@@ -87,7 +87,7 @@ fn malformed_record3d_is_rejected_with_file_and_reason() {
     broken(
         r#""dw": 24, "dh": 18"#,
         r#""dw": 18, "dh": 24"#,
-        &["metadata", "turned"],
+        &["metadata", "rotated"],
     );
     broken(
         r#""dw": 24, "dh": 18"#,

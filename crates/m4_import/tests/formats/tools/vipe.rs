@@ -36,7 +36,7 @@ fn missing_and_unsupported_vipe_files_are_named() {
     std::fs::rename(here.join("rgb/dog.mp4"), here.join("rgb/cat.mp4")).unwrap();
     let message = refused(&here, Vipe, &plain);
     assert!(
-        message.contains("rgb/dog.mp4") && message.contains("pictures"),
+        message.contains("rgb/dog.mp4") && message.contains("images"),
         "{message}"
     );
     std::fs::rename(here.join("rgb/cat.mp4"), here.join("rgb/dog.mp4")).unwrap();

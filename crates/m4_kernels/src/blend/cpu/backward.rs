@@ -12,16 +12,16 @@
 
 use super::{BLOCK_TILES, CHUNK, COLUMN, Copies, Pixels, ROW, Sums, T_FLOOR, Used, alpha, copy, step};
 use crate::{
-    bin::{
-        TILE,
-        cpu::{BAND_ROWS, BLOCK_COLUMNS, BLOCK_WIDTH, Band, Record},
-        handover::Row,
-    },
     blend::{
         ALPHA_MAX,
         planes::{BandGradient, BandPlace, PIXELS},
     },
     simd::{all, all3},
+    tile_binning::{
+        TILE,
+        cpu::{BAND_ROWS, BLOCK_COLUMNS, BLOCK_WIDTH, Band, Record},
+        handover::Row,
+    },
 };
 use fearless_simd::{Simd, f32x16, f64x8, prelude::*};
 use fearless_simd_macros::simd;

@@ -2,15 +2,15 @@
 
 use super::{BATCH, CHUNK, Copies, Pixels, Shares, T_FLOOR, Used, alpha, copy, step};
 use crate::{
-    bin::{
-        cpu::{BLOCK_TILES, Band, Record},
-        handover::Row,
-    },
     blend::{
         T_MIN,
         planes::{BandPlace, BandPlanes},
     },
     simd::{all, all3},
+    tile_binning::{
+        cpu::{BLOCK_TILES, Band, Record},
+        handover::Row,
+    },
 };
 use fearless_simd::{Simd, f32x16, prelude::*};
 use fearless_simd_macros::simd;

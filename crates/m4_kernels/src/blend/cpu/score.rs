@@ -2,12 +2,12 @@
 
 use super::{CHUNK, Pixels, T_FLOOR, Used, alpha, copy, step};
 use crate::{
-    bin::{
+    blend::planes::BandPlace,
+    simd::{all, each},
+    tile_binning::{
         cpu::{BLOCK_TILES, Band, Record},
         handover::Row,
     },
-    blend::planes::BandPlace,
-    simd::{all, each},
 };
 use fearless_simd::{Simd, f32x16, prelude::*};
 use fearless_simd_macros::simd;

@@ -2,16 +2,16 @@
 
 use super::{BATCH, CHUNK, Sums, Used, backward, forward, score};
 use crate::{
-    bin::{
-        TILE,
-        cpu::{BAND_ROWS, BAND_TILES, Band, Record, span},
-        handover::tests::hand_over,
-    },
     blend::{
         ALPHA_MIN,
         planes::{BandGradient, BandPlace, BandPlanes},
     },
     simd::{SimdLevel, dispatch},
+    tile_binning::{
+        TILE,
+        cpu::{BAND_ROWS, BAND_TILES, Band, Record, span},
+        handover::tests::hand_over,
+    },
 };
 use m4_math::CounterRng;
 

@@ -4,8 +4,8 @@ use crate::cvd::pairs::{FlowView, FramePair, PairStore, pair_list};
 use crate::cvd::{Consistent, CvdError, CvdInput, CvdSettings, PairError, optimise, uncertainty_of_static};
 use m4_math::nalgebra::{Vector3, Vector6};
 use m4_math::{CounterRng, Se3};
-use m4_scene::{Intrinsics, NoShelf, Plane, Progress, Shelf, Silent};
-use m4_testkit::{MemoryShelf, StopAtPoll};
+use m4_scene::{Cache, Intrinsics, NoCache, Plane, Progress, Silent};
+use m4_testkit::{MemoryCache, StopAtPoll};
 
 const SIZE: (usize, usize) = (50, 38);
 const FRAMES: usize = 10;
@@ -126,7 +126,7 @@ fn abs_rel(clip: &Clip, disparity: &[Plane<f32>], keep: impl Fn(usize) -> bool) 
 }
 
 fn found(clip: &Clip, settings: &CvdSettings) -> Consistent {
-    optimise(&input(clip, &even()), &clip.pairs, settings, &Silent, &NoShelf).unwrap()
+    optimise(&input(clip, &even()), &clip.pairs, settings, &Silent, &NoCache).unwrap()
 }
 
 #[test]
@@ -204,8 +204,8 @@ fn confident_pixels_stay_where_they_are() {
         prior_confidence: Some(&confidence),
         ..input(&clip, &u)
     };
-    let held = optimise(&with, &clip.pairs, &settings(60, 150), &Silent, &NoShelf).unwrap();
-    let free = optimise(&input(&clip, &u), &clip.pairs, &settings(60, 150), &Silent, &NoShelf).unwrap();
+    let held = optimise(&with, &clip.pairs, &settings(60, 150), &Silent, &NoCache).unwrap();
+    let free = optimise(&input(&clip, &u), &clip.pairs, &settings(60, 150), &Silent, &NoCache).unwrap();
     let [held, free] = [held, free].map(|f| abs_rel(&clip, &f.disparity, left));
     assert!(held < 0.6 * free, "{held} held, {free} free");
 }
@@ -214,30 +214,30 @@ fn confident_pixels_stay_where_they_are() {
 fn it_stops_when_asked_and_goes_on_to_the_same_bits() {
     let clip = clip(1.0, |_| false);
     let u = even();
-    let go = |progress: &dyn Progress, shelf: &dyn Shelf| {
-        optimise(&input(&clip, &u), &clip.pairs, &settings(3, 5), progress, shelf)
+    let go = |progress: &dyn Progress, cache: &dyn Cache| {
+        optimise(&input(&clip, &u), &clip.pairs, &settings(3, 5), progress, cache)
     };
-    let want = go(&Silent, &NoShelf).unwrap();
+    let want = go(&Silent, &NoCache).unwrap();
     for polls in 0..7 {
-        let shelf = MemoryShelf::default();
-        let stopped = go(&StopAtPoll::after(polls), &shelf).unwrap_err();
+        let cache = MemoryCache::default();
+        let stopped = go(&StopAtPoll::after(polls), &cache).unwrap_err();
         let (stage, step) = if polls < 3 { (1, polls) } else { (2, polls - 3) };
         assert!(
             matches!(stopped, CvdError::Cancelled { stage: a, step: b } if (a, b) == (stage, step)),
             "{stopped}"
         );
         // once more in the middle of the rest, into the other slot
-        let _ = go(&StopAtPoll::after(1), &shelf);
+        let _ = go(&StopAtPoll::after(1), &cache);
         let rest = StopAtPoll::after(usize::MAX);
-        assert!(go(&rest, &shelf).unwrap() == want, "stopped after {polls} steps");
+        assert!(go(&rest, &cache).unwrap() == want, "stopped after {polls} steps");
         assert_eq!(rest.asked(), 8 - (polls + 1), "no step twice");
     }
     // a kept descent that is not whole is not used
     for missing in ["descent-0-00001", "descent-1-00001", "descent-begun-00001", "descent"] {
-        let shelf = MemoryShelf::default();
-        go(&StopAtPoll::after(5), &shelf).unwrap_err();
-        shelf.remove(missing);
-        assert!(go(&Silent, &shelf).unwrap() == want, "without {missing}");
+        let cache = MemoryCache::default();
+        go(&StopAtPoll::after(5), &cache).unwrap_err();
+        cache.remove(missing);
+        assert!(go(&Silent, &cache).unwrap() == want, "without {missing}");
     }
 }
 
@@ -247,7 +247,7 @@ fn broken_inputs_are_refused_with_a_reason() {
     let u = even();
     let good = input(&clip, &u);
     let message = |input: &CvdInput<'_>, pairs: &PairStore| {
-        optimise(input, pairs, &settings(1, 1), &Silent, &NoShelf)
+        optimise(input, pairs, &settings(1, 1), &Silent, &NoCache)
             .unwrap_err()
             .to_string()
     };

@@ -25,8 +25,8 @@ mod tracklet;
 #[cfg(test)]
 mod tests;
 
-use super::densify::each;
 use super::error::DenseError;
+use super::estimate::each;
 use super::flow::FlowPair;
 use super::smooth::Smoother;
 use m4_scene::{Camera, Progress};

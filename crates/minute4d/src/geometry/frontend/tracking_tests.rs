@@ -4,7 +4,7 @@ use super::{NetworkCorrespondence, memory};
 use m4_math::Se3;
 use m4_nets::droid::{MemoryOptions, Storage};
 use m4_nets::{DroidNet, cpu};
-use m4_scene::{NoShelf, Plane, RgbImage, Silent};
+use m4_scene::{NoCache, Plane, RgbImage, Silent};
 use m4_slam::dba::{DbaOptions, Factor, Geometry, Grid, Pinhole, Problem, adjust, project};
 use m4_slam::graph::{EdgeChanges, FactorGraph};
 use m4_slam::megasam::{MegasamInput, MegasamSettings, SourceFlow, TrackingSize, reconstruct};
@@ -185,7 +185,7 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
                 &mut SourceFlow(&search),
                 &settings,
                 &Silent,
-                &NoShelf,
+                &NoCache,
             )
             .unwrap()
         })

@@ -142,7 +142,7 @@ mod tests {
         assert_eq!((lens.fx, lens.fy, lens.cx, lens.cy), (500.0, 505.0, 310.0, 240.0));
         for (text, word) in [
             (r#"{"fl_x": 1000, "k1": 0.1}"#, "distortion"),
-            (r#"{"fl_x": 1000, "w": 480, "h": 640}"#, "shape"),
+            (r#"{"fl_x": 1000, "w": 480, "h": 640}"#, "aspect ratio"),
             (r#"{"cx": 3}"#, "fl_x is missing"),
             ("[]", "JSON"),
         ] {

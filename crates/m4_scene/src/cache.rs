@@ -6,7 +6,7 @@ use serde::{Serialize, de::DeserializeOwned};
 /// unique within one stage with one input and one set of settings: the same name is the same bytes.
 ///
 /// A cache that cannot store a value reports that itself; the work continues, and is repeated next time.
-pub trait Shelf: Sync {
+pub trait Cache: Sync {
     /// What was put under this name, whole; `None` where nothing was, or it was damaged.
     fn get(&self, name: &str) -> Option<Vec<u8>>;
 
@@ -16,28 +16,28 @@ pub trait Shelf: Sync {
 
 /// The entries of a cache whose names begin with `prefix`, under the names without it.
 #[derive(Clone, Copy)]
-pub struct ShelfPart<'a> {
+pub struct ScopedCache<'a> {
     /// Keeps them.
-    pub shelf: &'a dyn Shelf,
+    pub cache: &'a dyn Cache,
     /// What their names begin with; a hyphen follows.
     pub prefix: &'a str,
 }
 
-impl Shelf for ShelfPart<'_> {
+impl Cache for ScopedCache<'_> {
     fn get(&self, name: &str) -> Option<Vec<u8>> {
-        self.shelf.get(&format!("{}-{name}", self.prefix))
+        self.cache.get(&format!("{}-{name}", self.prefix))
     }
 
     fn put(&self, name: &str, bytes: &[u8]) {
-        self.shelf.put(&format!("{}-{name}", self.prefix), bytes);
+        self.cache.put(&format!("{}-{name}", self.prefix), bytes);
     }
 }
 
 /// Keeps nothing.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct NoShelf;
+pub struct NoCache;
 
-impl Shelf for NoShelf {
+impl Cache for NoCache {
     fn get(&self, _: &str) -> Option<Vec<u8>> {
         None
     }
@@ -51,41 +51,41 @@ impl Shelf for NoShelf {
 ///
 /// Those of `work`; nothing is kept then.
 pub fn kept<T: Serialize + DeserializeOwned, E>(
-    shelf: &dyn Shelf,
+    cache: &dyn Cache,
     name: &str,
     work: impl FnOnce() -> Result<T, E>,
 ) -> Result<T, E> {
-    if let Some(value) = load(shelf, name) {
+    if let Some(value) = load(cache, name) {
         return Ok(value);
     }
     let value = work()?;
-    store(shelf, name, &value);
+    store(cache, name, &value);
     Ok(value)
 }
 
 /// A value that was put there.
-pub fn load<T: DeserializeOwned>(shelf: &dyn Shelf, name: &str) -> Option<T> {
-    postcard::from_bytes(&shelf.get(name)?).ok()
+pub fn load<T: DeserializeOwned>(cache: &dyn Cache, name: &str) -> Option<T> {
+    postcard::from_bytes(&cache.get(name)?).ok()
 }
 
 /// Puts a value there.
-pub fn store<T: Serialize + ?Sized>(shelf: &dyn Shelf, name: &str, value: &T) {
+pub fn store<T: Serialize + ?Sized>(cache: &dyn Cache, name: &str, value: &T) {
     // One without a form in bytes is made again.
     if let Ok(bytes) = postcard::to_stdvec(value) {
-        shelf.put(name, &bytes);
+        cache.put(name, &bytes);
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{NoShelf, Shelf, ShelfPart, kept};
+    use super::{Cache, NoCache, ScopedCache, kept};
     use std::collections::HashMap;
     use std::sync::Mutex;
 
     #[derive(Default)]
     struct Memory(Mutex<HashMap<String, Vec<u8>>>);
 
-    impl Shelf for Memory {
+    impl Cache for Memory {
         fn get(&self, name: &str) -> Option<Vec<u8>> {
             self.0.lock().unwrap().get(name).cloned()
         }
@@ -97,23 +97,23 @@ mod tests {
 
     #[test]
     fn work_is_done_once_and_failures_are_not_kept() {
-        let shelf = Memory::default();
-        let failed: Result<f64, &str> = kept(&shelf, "a", || Err("stopped"));
+        let cache = Memory::default();
+        let failed: Result<f64, &str> = kept(&cache, "a", || Err("stopped"));
         assert_eq!(failed, Err("stopped"));
         let nan = f64::from_bits(0x7ff8_0000_dead_beef);
         for made in [nan, 2.0] {
-            let value: Result<f64, &str> = kept(&shelf, "a", || Ok(made));
+            let value: Result<f64, &str> = kept(&cache, "a", || Ok(made));
             assert_eq!(value.map(f64::to_bits), Ok(nan.to_bits()));
         }
         // bytes of something else
-        shelf.put("b", &[]);
-        assert_eq!(kept(&shelf, "b", || Ok::<_, ()>(3_u32)), Ok(3));
-        let part = ShelfPart {
-            shelf: &shelf,
+        cache.put("b", &[]);
+        assert_eq!(kept(&cache, "b", || Ok::<_, ()>(3_u32)), Ok(3));
+        let part = ScopedCache {
+            cache: &cache,
             prefix: "second",
         };
         part.put("b", b"12");
-        assert_eq!((part.get("a"), shelf.get("second-b")), (None, Some(b"12".to_vec())));
-        assert_eq!(kept(&NoShelf, "c", || Ok::<_, ()>(4_u32)), Ok(4));
+        assert_eq!((part.get("a"), cache.get("second-b")), (None, Some(b"12".to_vec())));
+        assert_eq!(kept(&NoCache, "c", || Ok::<_, ()>(4_u32)), Ok(4));
     }
 }

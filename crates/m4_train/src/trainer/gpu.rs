@@ -2,14 +2,14 @@
 //!
 //! Splats and optimiser state are on the device while it steps and grows and prunes; those here are as old as the last time
 //! the host needed them: the guard now and then, a checkpoint, density control where the device leaves it to the
-//! processor. `splats_are_old` and `adam_is_old` say so.
+//! processor. `host_stale` and `adam_stale` say so.
 
 mod density;
 
 use super::Trainer;
 use super::step::StepReport;
 use crate::colour_fit::ColourSums;
-use crate::device::{Device, DeviceError, DeviceFound, DeviceLook, DeviceStep, Regrowth};
+use crate::device::{DensifyPlan, Device, DeviceError, DeviceFound, DeviceLook, DeviceStep};
 use crate::rates::rates;
 use crate::{TrainError, schedule};
 use m4_kernels::View;
@@ -18,14 +18,14 @@ use std::time::{Duration, Instant};
 
 /// A device and how far it is from what the trainer holds.
 #[derive(Debug)]
-pub(super) struct Remote {
+pub(super) struct GpuBackend {
     device: Box<dyn Device>,
     /// It has the frames.
     has_frames: bool,
     /// It has the splats and the state of the trainer, or newer ones.
     has_splats: bool,
-    splats_are_old: bool,
-    adam_is_old: bool,
+    host_stale: bool,
+    adam_stale: bool,
     /// Static and dynamic splats there, where those here are old and another number.
     counts: Option<(usize, usize)>,
     /// When splats were kept to go back to.
@@ -34,14 +34,14 @@ pub(super) struct Remote {
     last: StepReport,
 }
 
-impl Remote {
+impl GpuBackend {
     fn new(device: Box<dyn Device>) -> Self {
         Self {
             device,
             has_frames: false,
             has_splats: false,
-            splats_are_old: false,
-            adam_is_old: false,
+            host_stale: false,
+            adam_stale: false,
             counts: None,
             kept: Instant::now(),
             last: StepReport::NONE,
@@ -54,7 +54,7 @@ impl Trainer<'_> {
     /// same bits, another one last digits of its own.
     /// With corrections of cameras or exposures every step waits for the device.
     pub fn use_device(&mut self, device: Box<dyn Device>) {
-        self.remote = Some(Remote::new(device));
+        self.gpu = Some(GpuBackend::new(device));
     }
 
     /// Waits for the device and brings everything back; nothing to do on the processor.
@@ -62,14 +62,14 @@ impl Trainer<'_> {
     /// # Errors
     ///
     /// [`TrainError::Device`] if it failed; the trainer then has the last splats that were looked at.
-    pub(super) fn settle(&mut self) -> Result<(), TrainError> {
-        self.bring_splats()?;
-        let Some(remote) = self.remote.as_mut().filter(|r| r.adam_is_old) else {
+    pub(super) fn synchronize(&mut self) -> Result<(), TrainError> {
+        self.download_splats()?;
+        let Some(gpu) = self.gpu.as_mut().filter(|r| r.adam_stale) else {
             return Ok(());
         };
-        match remote.device.adam() {
+        match gpu.device.adam() {
             Ok(adam) => {
-                remote.adam_is_old = false;
+                gpu.adam_stale = false;
                 self.adam = adam;
                 Ok(())
             }
@@ -78,7 +78,7 @@ impl Trainer<'_> {
     }
 
     /// One iteration on the device.
-    pub(crate) fn remote_step(&mut self) -> Result<(), TrainError> {
+    pub(crate) fn gpu_step(&mut self) -> Result<(), TrainError> {
         let (i, n) = (self.iteration, self.config.iterations);
         self.prepare_remote()?;
         let batch = self.config.batch;
@@ -106,9 +106,9 @@ impl Trainer<'_> {
             rates: &lr,
             adam: self.config.adam,
         };
-        self.remotely(|device| device.step(&looks, &settings))?;
-        if let Some(remote) = &mut self.remote {
-            (remote.splats_are_old, remote.adam_is_old) = (true, true);
+        self.on_gpu(|device| device.step(&looks, &settings))?;
+        if let Some(gpu) = &mut self.gpu {
+            (gpu.host_stale, gpu.adam_stale) = (true, true);
         }
         if camera || exposure {
             // they are corrected before they are used again
@@ -117,15 +117,15 @@ impl Trainer<'_> {
         self.iteration += 1;
 
         if self.guard_is_due() {
-            self.guard_remotely()?;
+            self.guard_on_gpu()?;
         }
         self.density_round()?;
         let reorder = self.config.reorder_every;
         if reorder > 0 && self.iteration.is_multiple_of(reorder) {
-            self.reorder_remotely()?;
+            self.reorder_on_gpu()?;
         }
         if self.colours_are_due() {
-            self.fit_colours_remotely()?;
+            self.fit_colours_on_gpu()?;
             self.guard()?;
         }
         Ok(())
@@ -133,32 +133,32 @@ impl Trainer<'_> {
 
     /// Static and dynamic splats, wherever they are.
     pub(super) fn counts(&self) -> (usize, usize) {
-        let there = self.remote.as_ref().and_then(|r| r.counts);
+        let there = self.gpu.as_ref().and_then(|r| r.counts);
         there.unwrap_or((self.splats.n_static(), self.splats.n_dynamic()))
     }
 
     /// The guard, on the device. What is gone back to comes here at the end, and else not more often than the settings
     /// say; which of the finite states that is changes nothing in a run that does not fail.
-    fn guard_remotely(&mut self) -> Result<(), TrainError> {
+    fn guard_on_gpu(&mut self) -> Result<(), TrainError> {
         self.look_at_remote()?;
         let pause = Duration::try_from_secs_f32(self.config.keep_every_s).unwrap_or(Duration::MAX);
         let last = self.iteration == self.config.iterations;
-        if !last && self.remote.as_ref().is_some_and(|r| r.kept.elapsed() < pause) {
+        if !last && self.gpu.as_ref().is_some_and(|r| r.kept.elapsed() < pause) {
             return Ok(());
         }
-        self.bring_splats()?;
+        self.download_splats()?;
         self.guard()?;
-        if let Some(remote) = &mut self.remote {
-            remote.kept = Instant::now();
+        if let Some(gpu) = &mut self.gpu {
+            gpu.kept = Instant::now();
         }
         Ok(())
     }
 
     /// Waits for the device, adds what it found to the totals, and returns loss and PSNR.
     pub(crate) fn look_at_remote(&mut self) -> Result<StepReport, TrainError> {
-        let found: DeviceFound = self.remotely(|device| device.found())?;
+        let found: DeviceFound = self.on_gpu(|device| device.found())?;
         if found.steps == 0 {
-            return Ok(self.remote.as_ref().map_or(StepReport::NONE, |r| r.last));
+            return Ok(self.gpu.as_ref().map_or(StepReport::NONE, |r| r.last));
         }
         let lambda = f64::from(self.config.lambda_ssim);
         let loss = (1.0 - lambda) * found.l1 + lambda * (1.0 - found.ssim);
@@ -185,8 +185,8 @@ impl Trainer<'_> {
                 .step(&self.config.refine, *frame, &drawn, gradient, median_depth);
         }
         let report = StepReport { loss, psnr: found.psnr };
-        if let Some(remote) = &mut self.remote {
-            remote.last = report;
+        if let Some(gpu) = &mut self.gpu {
+            gpu.last = report;
         }
         Ok(report)
     }
@@ -196,31 +196,31 @@ impl Trainer<'_> {
         if self.good.is_none() {
             self.good = Some((self.iteration, self.splats.clone()));
         }
-        let Some(remote) = &mut self.remote else { return Ok(()) };
+        let Some(gpu) = &mut self.gpu else { return Ok(()) };
         let mut done = Ok(());
-        if !remote.has_frames {
-            done = remote.device.set_frames(self.store.hand_over());
-            remote.has_frames = true;
+        if !gpu.has_frames {
+            done = gpu.device.set_frames(self.store.hand_over());
+            gpu.has_frames = true;
         }
-        if done.is_ok() && !remote.has_splats {
-            done = remote.device.upload(&self.splats, &self.adam);
-            remote.has_splats = true;
+        if done.is_ok() && !gpu.has_splats {
+            done = gpu.device.upload(&self.splats, &self.adam);
+            gpu.has_splats = true;
         }
         if done.is_ok() && self.config.refine.exposure {
             let exposures: Vec<Exposure> = self.fit.frames.iter().map(|f| f.exposure).collect();
-            done = remote.device.set_exposures(&exposures);
+            done = gpu.device.set_exposures(&exposures);
         }
         done.map_err(|error| self.device_failed(&error))
     }
 
     /// The splats here are those there.
-    pub(super) fn bring_splats(&mut self) -> Result<(), TrainError> {
-        let Some(remote) = self.remote.as_mut().filter(|r| r.splats_are_old) else {
+    pub(super) fn download_splats(&mut self) -> Result<(), TrainError> {
+        let Some(gpu) = self.gpu.as_mut().filter(|r| r.host_stale) else {
             return Ok(());
         };
-        match remote.device.splats() {
+        match gpu.device.splats() {
             Ok(splats) => {
-                (remote.splats_are_old, remote.counts) = (false, None);
+                (gpu.host_stale, gpu.counts) = (false, None);
                 self.splats = splats;
                 Ok(())
             }
@@ -229,32 +229,32 @@ impl Trainer<'_> {
     }
 
     /// Lays everything there out along a Morton curve; what is here has another order then.
-    fn reorder_remotely(&mut self) -> Result<(), TrainError> {
-        self.remotely(|device| device.reorder())?;
-        if let Some(remote) = &mut self.remote {
-            (remote.splats_are_old, remote.adam_is_old) = (true, true);
+    fn reorder_on_gpu(&mut self) -> Result<(), TrainError> {
+        self.on_gpu(|device| device.reorder())?;
+        if let Some(gpu) = &mut self.gpu {
+            (gpu.host_stale, gpu.adam_stale) = (true, true);
         }
         Ok(())
     }
 
     /// As `fit_colours`, with the sums made on the device.
-    fn fit_colours_remotely(&mut self) -> Result<(), TrainError> {
+    fn fit_colours_on_gpu(&mut self) -> Result<(), TrainError> {
         let looks: Vec<(usize, View)> = (0..self.times.len()).map(|frame| (frame, self.view(frame))).collect();
         self.prepare_remote()?;
-        self.bring_splats()?;
+        self.download_splats()?;
         let n = self.splats.n();
-        let (rows, newborn): (Vec<u32>, _) = ((0..n as u32).collect(), vec![false; n]);
+        let (rows, is_new): (Vec<u32>, _) = ((0..n as u32).collect(), vec![false; n]);
         let mut sums = ColourSums::new(n);
         for round in 0..self.config.colour_fit_rounds {
-            let found = self.remotely(|device| device.colour_gradient(&looks, round == 0))?;
+            let found = self.on_gpu(|device| device.colour_gradient(&looks, round == 0))?;
             sums.replace(found.residual, found.weight);
             sums.apply(&mut self.splats);
             let values = self.splats.clone();
-            self.remotely(|device| {
-                device.regrow(&Regrowth {
+            self.on_gpu(|device| {
+                device.regrow(&DensifyPlan {
                     rows: &rows,
                     n_static: values.n_static(),
-                    newborn: &newborn,
+                    is_new: &is_new,
                     changed: &rows,
                     values: &values,
                 })
@@ -264,12 +264,12 @@ impl Trainer<'_> {
     }
 
     /// Asks the device for something; where it fails the trainer goes back to its last good splats.
-    fn remotely<R>(&mut self, ask: impl FnOnce(&mut dyn Device) -> Result<R, DeviceError>) -> Result<R, TrainError> {
-        let Some(remote) = &mut self.remote else {
+    fn on_gpu<R>(&mut self, ask: impl FnOnce(&mut dyn Device) -> Result<R, DeviceError>) -> Result<R, TrainError> {
+        let Some(gpu) = &mut self.gpu else {
             // callers ask for a device before they come here
             return Err(self.device_failed(&DeviceError("there is no device".to_owned())));
         };
-        let answer = ask(remote.device.as_mut());
+        let answer = ask(gpu.device.as_mut());
         answer.map_err(|error| self.device_failed(&error))
     }
 

@@ -327,7 +327,7 @@ fn far_tiles(spans: &[u32; BAND_TILES], block: usize) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::{BAND_TILES, BLOCK_COLUMNS, Band, Record, span};
-    use crate::{bin::handover::tests::hand_over, simd::SimdLevel};
+    use crate::{simd::SimdLevel, tile_binning::handover::tests::hand_over};
     use m4_math::CounterRng;
 
     #[test]

@@ -1,6 +1,5 @@
 //! The dense half from end to end.
 
-use super::apart::{self, Apart};
 use super::background::Background;
 use super::bodies;
 use super::config::DenseConfig;
@@ -13,7 +12,8 @@ use super::ground::Ground;
 use super::kept::{Placed, numbers};
 use super::layers;
 use super::mono::Mono;
-use super::motion::{self, Clues};
+use super::motion::{self, MotionCues};
+use super::motion_segmentation::{self, MotionSegmentation};
 use super::moving_depth;
 use super::shot::{Shot, sparse_points};
 use super::sources::Sources;
@@ -37,7 +37,7 @@ pub struct DenseFrame {
     pub confidence: Plane<f32>,
 }
 
-/// What [`densify`] finds.
+/// What [`estimate_depth`] finds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dense {
     /// One a frame.
@@ -67,7 +67,7 @@ pub(super) struct Stages {
 /// # Errors
 ///
 /// [`DenseError`] if frames and cameras do not fit, a setting is out of range, a source fails, or the user stopped it.
-pub fn densify(
+pub fn estimate_depth(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
@@ -77,7 +77,7 @@ pub fn densify(
 ) -> Result<Dense, DenseError> {
     let ground = Ground::of(frames, sparse, sources, given, config, progress)?;
     let (w, h) = ground.size;
-    let (working, flows, placed) = match Placed::kept(sources.shelf, frames.len(), w * h) {
+    let (working, flows, placed) = match Placed::kept(sources.cache, frames.len(), w * h) {
         Some(placed) => {
             let working = ground.working(frames, sparse, progress)?;
             let flows = ground.flows(&working, sources, progress)?;
@@ -85,7 +85,7 @@ pub fn densify(
         }
         None => {
             let mut stages = estimate(&ground, frames, sparse, sources, given, config, progress)?;
-            let placed = Placed::put(&mut stages, sources.shelf);
+            let placed = Placed::put(&mut stages, sources.cache);
             let working = stages.shots.into_iter().map(|shot| shot.frame).collect();
             (working, stages.flows, placed)
         }
@@ -171,17 +171,17 @@ fn estimate(
     let swept = each(count, "sweeping depth", progress, |i| {
         let sweep = || static_depth::sweep(&shots, i).disparity;
         Swept {
-            disparity: numbers(sources.shelf, &format!("swept-{i:05}"), w * h, sweep),
+            disparity: numbers(sources.cache, &format!("swept-{i:05}"), w * h, sweep),
         }
     })?;
     let still = sparse.camera_motion == CameraMotion::Static && count >= LEAST_BACKGROUND;
-    let clues = Clues {
+    let clues = MotionCues {
         cameras: working.iter().map(|f| f.camera).collect(),
         verdicts: motion::verdicts(sparse, w, h),
         background: still.then(|| Background::new(&working)),
     };
     drop(working);
-    let clip = apart::Clip {
+    let clip = motion_segmentation::Clip {
         width: w,
         height: h,
         parallax,
@@ -195,11 +195,11 @@ fn estimate(
         progress,
     };
     let told = (0..count).map(|i| given.mask(i, w, h)).collect();
-    let Apart {
+    let MotionSegmentation {
         moving,
         measured,
         mut filled,
-    } = clip.apart(told)?;
+    } = clip.segment_motion(told)?;
     let large = w.min(h) >= LEAST_CONSISTENT;
     if parallax && one_lens && large && config.consistent && count > 1 {
         let confidence: Vec<Vec<f32>> = measured.iter().map(|m| m.confidence.clone()).collect();
@@ -211,7 +211,7 @@ fn estimate(
             moving: &moving,
             confidence: &confidence,
         };
-        let factors = consistent::factors(&input, &filled, &config.cvd, progress, sources.shelf)?;
+        let factors = consistent::factors(&input, &filled, &config.cvd, progress, sources.cache)?;
         for (filled, factors) in filled.iter_mut().zip(factors.into_iter().flatten()) {
             for (d, f) in filled.iter_mut().zip(factors) {
                 *d *= f;

@@ -1,6 +1,6 @@
 //! Writes the next rows, including clones and split halves.
 
-use super::fate::{Fates, birth_of, stay_of};
+use super::fate::{Outcomes, birth_of, stay_of};
 use crate::buffer::{Buffer, cubes, units};
 use crate::gather::NOTHING;
 use crate::slice::shape;
@@ -28,7 +28,7 @@ pub(super) struct Rows {
 
 impl Rows {
     /// Of `next` rows, from `n` splats of which `n_static` are static.
-    pub fn new(client: &Client, fates: &Fates, (n, n_static): (usize, usize), next: usize) -> Self {
+    pub fn new(client: &Client, fates: &Outcomes, (n, n_static): (usize, usize), next: usize) -> Self {
         let [sources, states, marks] = [(); 3].map(|()| Buffer::empty(client, next));
         place::launch(
             client,
@@ -47,7 +47,7 @@ impl Rows {
 
     /// Makes clones and halves of the copies of their `parents` that `splats` has.
     pub fn shape(&self, client: &Client, parents: &DeviceSplats, splats: &DeviceSplats, share_opacity: bool) {
-        shape_newborns::launch(
+        shape_new_splats::launch(
             client,
             cubes(splats.n, 256),
             units(),
@@ -99,7 +99,7 @@ fn place(
 }
 
 #[cube(launch)]
-fn shape_newborns(
+fn shape_new_splats(
     marks: &[u32],
     sources: &[u32],
     parents: &[f32],

@@ -135,8 +135,8 @@ impl<S: Simd> Reach<S> {
 pub(crate) mod tests {
     use super::{BAND_TILES, Handover, Reach, Row};
     use crate::{
-        bin::cpu::Record,
         simd::{LANES, SimdLevel, dispatch, each},
+        tile_binning::cpu::Record,
     };
     use fearless_simd::{Simd, prelude::*, u32x16};
 

@@ -1,13 +1,13 @@
 //! What moves and what stands still, told apart: motion spoils depth and depth shows motion, so one is found from the other
-//! in turn. Each turn is kept on the shelf, so that what was interrupted goes on there.
+//! in turn. Each turn is kept on the cache, so that what was interrupted goes on there.
 
-use super::densify::each;
 use super::error::DenseError;
+use super::estimate::each;
 use super::flow::FlowPair;
 use super::kept;
 use super::layers;
 use super::mono::Mono;
-use super::motion::{self, Clues, Seen};
+use super::motion::{self, MotionCues, Seen};
 use super::plate;
 use super::segment;
 use super::shot::Shot;
@@ -38,13 +38,13 @@ pub(super) struct Clip<'a> {
     pub swept: &'a [Swept],
     pub flows: &'a [FlowPair],
     pub mono: &'a Mono,
-    pub clues: &'a Clues,
+    pub clues: &'a MotionCues,
     pub sources: &'a Sources<'a>,
     pub progress: &'a dyn Progress,
 }
 
 /// What moves, and depth as if nothing did.
-pub(super) struct Apart {
+pub(super) struct MotionSegmentation {
     pub moving: Masks,
     pub measured: Vec<Measured>,
     /// Disparity of what stands still, behind what moves too.
@@ -62,17 +62,17 @@ impl Clip<'_> {
     /// # Errors
     ///
     /// [`DenseError`] if the segmenter fails or the user stopped it.
-    pub fn apart(&self, given: Option<Masks>) -> Result<Apart, DenseError> {
+    pub fn segment_motion(&self, given: Option<Masks>) -> Result<MotionSegmentation, DenseError> {
         let moving = match given {
             Some(given) => given,
             None => self.moving()?,
         };
-        let (measured, filled) = kept::still(self.sources.shelf, self.frames.len(), self.pixels(), || {
+        let (measured, filled) = kept::still(self.sources.cache, self.frames.len(), self.pixels(), || {
             let measured = self.measured(Some(&moving))?;
             let filled = self.filled(&measured, Some(&moving))?;
             Ok((measured, filled))
         })?;
-        Ok(Apart {
+        Ok(MotionSegmentation {
             moving,
             measured,
             filled,
@@ -115,7 +115,7 @@ impl Clip<'_> {
     }
 
     fn kept(&self, name: &str, work: impl FnOnce() -> Result<Masks, DenseError>) -> Result<Masks, DenseError> {
-        kept::masks(self.sources.shelf, name, self.frames.len(), self.pixels(), work)
+        kept::masks(self.sources.cache, name, self.frames.len(), self.pixels(), work)
     }
 
     /// The masks before the last round, if any, and after it.

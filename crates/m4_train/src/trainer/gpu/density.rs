@@ -3,16 +3,16 @@
 use crate::TrainError;
 use crate::config::SplitPlacement;
 use crate::density::{Origin, Plan, Rules, Scores, apply_to_splats};
-use crate::device::{DeviceRound, Regrowth, ScoreSettings};
+use crate::device::{DensifyPlan, DeviceRound, ScoreSettings};
 use crate::trainer::Trainer;
 use m4_kernels::View;
 
 impl Trainer<'_> {
     /// Scores of all splats on some frames.
-    pub(in crate::trainer) fn score_remotely(&mut self, looks: &[(usize, View)]) -> Result<Scores, TrainError> {
+    pub(in crate::trainer) fn score_on_gpu(&mut self, looks: &[(usize, View)]) -> Result<Scores, TrainError> {
         self.prepare_remote()?;
         let settings = self.score_settings();
-        self.remotely(|device| device.score(looks, &settings))
+        self.on_gpu(|device| device.score(looks, &settings))
     }
 
     fn score_settings(&self) -> ScoreSettings {
@@ -24,7 +24,7 @@ impl Trainer<'_> {
     }
 
     /// A round of density control on the device; false where that is left to the processor.
-    pub(in crate::trainer) fn densify_remotely(&mut self, rules: &Rules<'_>) -> Result<bool, TrainError> {
+    pub(in crate::trainer) fn densify_on_gpu(&mut self, rules: &Rules<'_>) -> Result<bool, TrainError> {
         let (config, due) = (rules.config, rules.due);
         if due.densify && config.split_placement == SplitPlacement::Sample {
             // random numbers are drawn here
@@ -40,20 +40,20 @@ impl Trainer<'_> {
             scores: self.score_settings(),
             rules: *rules,
         };
-        let Some(grown) = self.remotely(|device| device.densify(&round))? else {
+        let Some(grown) = self.on_gpu(|device| device.densify(&round))? else {
             return Ok(false);
         };
         if !grown.changes_nothing() {
-            if let Some(remote) = &mut self.remote {
-                remote.counts = Some((grown.n_static, grown.n_dynamic));
+            if let Some(gpu) = &mut self.gpu {
+                gpu.counts = Some((grown.n_static, grown.n_dynamic));
             }
-            self.reorder_remotely()?;
+            self.reorder_on_gpu()?;
         }
         Ok(true)
     }
 
     /// Carries a plan out here for the splats, there for the optimiser's state.
-    pub(in crate::trainer) fn carry_out_remotely(&mut self, plan: &Plan) -> Result<(), TrainError> {
+    pub(in crate::trainer) fn carry_out_on_gpu(&mut self, plan: &Plan) -> Result<(), TrainError> {
         apply_to_splats(
             &self.config.density,
             plan,
@@ -66,16 +66,16 @@ impl Trainer<'_> {
             .filter(|(_, origin)| **origin != Origin::Kept)
             .map(|(row, _)| row as u32)
             .collect();
-        let (n_static, newborn, values) = (self.splats.n_static(), plan.newborn(), self.splats.gather(&changed)?);
-        self.remotely(|device| {
-            device.regrow(&Regrowth {
+        let (n_static, is_new, values) = (self.splats.n_static(), plan.is_new(), self.splats.gather(&changed)?);
+        self.on_gpu(|device| {
+            device.regrow(&DensifyPlan {
                 rows: &plan.rows,
                 n_static,
-                newborn: &newborn,
+                is_new: &is_new,
                 changed: &changed,
                 values: &values,
             })
         })?;
-        self.reorder_remotely()
+        self.reorder_on_gpu()
     }
 }

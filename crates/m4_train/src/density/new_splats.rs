@@ -1,7 +1,7 @@
 //! The parameters of clones and children.
 
 use super::{Origin, Plan};
-use crate::config::{DensityConfig, NewbornOpacity, SplitPlacement};
+use crate::config::{CloneOpacity, DensityConfig, SplitPlacement};
 use crate::pick::purpose;
 use m4_kernels::adam::cpu::AdamState;
 use m4_math::CounterRng;
@@ -14,7 +14,7 @@ const SPLIT_FACTOR: f32 = 1.6;
 
 /// Carries a plan out: splats and optimiser state become the next ones, in place.
 ///
-/// Clones are copies; with [`NewbornOpacity::Share`] parent and clone pass together the light that the
+/// Clones are copies; with [`CloneOpacity::Share`] parent and clone pass together the light that the
 /// parent passed. Children of a split lie as [`SplitPlacement`] says; drawn ones are taken from the splat's Gaussian, in space and (dynamic
 /// splats) in time: `dt ~ N(0, w)`, `x = v dt + Q diag(s) e`; their scales, that in time included, are
 /// the parent's over 1.6. The draws depend on `seed`, `iteration` and the parent's row alone.
@@ -34,7 +34,7 @@ pub fn apply(
 ) -> Result<(), ShapeError> {
     apply_to_splats(config, plan, splats, seed, iteration)?;
     rearrange(adam, &plan.rows)?;
-    for (row, _) in plan.newborn().iter().enumerate().filter(|&(_, &new)| new) {
+    for (row, _) in plan.is_new().iter().enumerate().filter(|&(_, &new)| new) {
         adam.forget(row);
     }
     Ok(())
@@ -55,13 +55,13 @@ pub(crate) fn apply_to_splats(
         match plan.origins[row] {
             Origin::Kept => {}
             Origin::Cloned | Origin::Clone => {
-                if config.newborn_opacity == NewbornOpacity::Share {
+                if config.clone_opacity == CloneOpacity::Share {
                     share_opacity(out, row);
                 }
             }
             Origin::Child(k) if config.split_placement == SplitPlacement::LongestAxis => {
                 halve(out, row, if k == 0 { 1.0 } else { -1.0 });
-                if config.newborn_opacity == NewbornOpacity::Share {
+                if config.clone_opacity == CloneOpacity::Share {
                     share_opacity(out, row);
                 }
             }
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn survivors_keep_their_state_and_newborns_have_none() {
+    fn survivors_keep_their_state_and_new_splats_have_none() {
         let world = world();
         let (next, state) = applied(&DensityConfig::fast(), &world, 1, 700);
         let splats = &world.0;
