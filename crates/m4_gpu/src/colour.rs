@@ -4,7 +4,7 @@ use crate::buffer::{Buffer, cubes, units};
 use crate::frames::DeviceFrame;
 use crate::photo::{cube_sum, target_at};
 use crate::trainer::TRAINING;
-use crate::{GpuError, Trainer, bin};
+use crate::{GpuError, Trainer, tile_binning};
 use cubecl::prelude::*;
 use m4_kernels::View;
 

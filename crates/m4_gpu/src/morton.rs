@@ -4,7 +4,7 @@ use crate::buffer::{Buffer, cubes, units};
 use crate::gather::gather_state;
 use crate::sort::{Pairs, Sort};
 use crate::splats::parts;
-use crate::{GpuError, Trainer, bin};
+use crate::{GpuError, Trainer, tile_binning};
 use cubecl::prelude::*;
 use m4_scene::Column;
 

@@ -10,7 +10,7 @@ use crate::eye::TIME;
 use crate::found::{LOSSES, StepSums};
 use crate::slice::life;
 use crate::trainer::TRAINING;
-use crate::{GpuError, Trainer, bin};
+use crate::{GpuError, Trainer, tile_binning};
 use cubecl::prelude::*;
 use m4_kernels::View;
 

@@ -8,7 +8,7 @@ use crate::scan::Scan;
 use crate::sort::{Pairs, Sort};
 use crate::splats::DeviceSplats;
 use crate::stopwatch::Stopwatch;
-use crate::{Gpu, GpuError, bin, blend, blend_backward, pixels};
+use crate::{Gpu, GpuError, blend, blend_backward, pixels, tile_binning};
 use cubecl::prelude::{CubeCount, CubeDim};
 use m4_kernels::{View, bench::Kernel};
 

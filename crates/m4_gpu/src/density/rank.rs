@@ -1,11 +1,11 @@
 //! Ranks scores: the best that may be densified, and the range in which prune scores are measured.
 
 use super::{GrowRule, PruneRule};
-use crate::bin;
 use crate::buffer::{Buffer, cubes, units};
 use crate::found::is_finite;
 use crate::morton::{float_of, key_of};
 use crate::sort::{Pairs, Sort};
+use crate::tile_binning;
 use cubecl::prelude::*;
 
 /// In place of the key of a score that does not count; it comes last.

@@ -20,6 +20,10 @@ const KEYS: &str = include_str!("../../../../../fixtures/droid/keys.txt");
 /// The least that the network takes.
 const SIDE: usize = 128;
 const FRAMES: usize = 24;
+/// Keyframes before the first adjustment (docs/spec/front-end.md 1.5).
+const WARMUP: usize = 8;
+/// Updates after which an edge retires (docs/spec/front-end.md 1.5).
+const MAX_AGE: u32 = 25;
 
 fn network() -> DroidNet {
     let folder = tempfile::tempdir().unwrap();
@@ -119,17 +123,11 @@ fn the_tracker_runs_the_specified_number_of_updates() {
             Submitted::Waiting => keyframes += 1,
             Submitted::Initialised => {
                 keyframes += 1;
-                assert_eq!(keyframes, settings.warmup);
+                assert_eq!(keyframes, WARMUP);
                 // Two phases of poses alone, one of everything.
                 expected += 3 * settings.initial_updates;
                 // Sources before the last four of the warm-up retire.
-                assert!(
-                    frontend
-                        .graph
-                        .active
-                        .iter()
-                        .all(|e| e.factor.source >= settings.warmup - 4)
-                );
+                assert!(frontend.graph.active.iter().all(|e| e.factor.source >= WARMUP - 4));
             }
             Submitted::Tracked { dropped, .. } => {
                 keyframes += usize::from(dropped.is_none());
@@ -140,7 +138,7 @@ fn the_tracker_runs_the_specified_number_of_updates() {
         }
         assert_eq!(source.revisions, expected, "frame {frame}: {said:?}");
         assert_eq!(frontend.keyframes.len(), keyframes);
-        assert!(frontend.graph.active.iter().all(|e| e.age <= settings.max_age + 3));
+        assert!(frontend.graph.active.iter().all(|e| e.age <= MAX_AGE + 3));
     }
     assert!(
         frontend.is_initialised() && expected > 3 * settings.initial_updates,
