@@ -70,10 +70,10 @@ impl Between {
 /// Frames to read so that every step between two of `kept` frames has up to [`MOST_PER_STEP`] parts.
 fn to_read(kept: usize) -> usize {
     let per_step = (MOST_FRAMES / kept.max(1)).clamp(1, MOST_PER_STEP);
+    // At least one frame must be kept: the reader refuses 0.
     kept.saturating_sub(1)
         .saturating_mul(per_step)
-        .saturating_add(1)
-        .max(kept)
+        .saturating_add(kept.min(1))
 }
 
 #[cfg(test)]
