@@ -11,9 +11,9 @@ pub const ITEMS: [&str; 13] = [
     "sec. 3.3",
 ];
 
-/// What stands in front of an equation or a section of the paper in a marker.
+/// Prefix of an equation or a section of the paper in a marker.
 const PAPER: &str = "Minute4D ";
-/// What stands in front of the name of a specification in a citation.
+/// Prefix of the name of a specification in a citation.
 const SPECIFICATIONS: &str = "docs/spec/";
 
 /// For each row of the table: equation or section, and the files that it links to, relative to the root.

@@ -90,7 +90,7 @@ pub struct InitConfig {
     /// smears over edges (docs/spec/optimiser.md 2.6 has 5 % for tracked points; measured on whole held-out views: +0.3 and +0.45 dB from frames at
     /// 1.5 %, less at 3 %, none lost with true depth). 0 for none.
     pub free_space: f32,
-    /// Moving points that leave the picture or go behind something are carried on, with what is seen of
+    /// Moving points that leave the image or go behind something are carried on, with what is seen of
     /// their body, into at most this many keyframes that cannot see them (docs/spec/optimiser.md 2.6: occluded samples are kept).
     /// They come on top of `max_dynamic`. 0 for none.
     pub carry_keyframes: usize,

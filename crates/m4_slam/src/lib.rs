@@ -7,7 +7,7 @@
 //!
 //! The second line is the geometric core of MegaSaM: it needs somebody who says where the pixels of one frame are
 //! seen in another, behind [`tracker::Correspondence`]: optical flow, or a network. [`megasam`] goes all the way with it, from
-//! pictures to consistent depth.
+//! images to consistent depth.
 //!
 //! Whatever found what moves, [`instances`] tells it apart into things, outlines them and follows them through the clip.
 //! [`tracks3d`] follows points of what moves through a clip whose cameras and depth are known, seen or hidden.

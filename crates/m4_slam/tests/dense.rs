@@ -235,7 +235,7 @@ fn what_was_stopped_goes_on_to_the_same_bits() {
         assert!(go(&rest, &cache).unwrap() == want, "stopped at poll {at} of {polls}");
         spared.push(polls - rest.asked());
     }
-    // Of rounds, sharp masks and depth of what stands still, each spares more than the one before.
+    // Of rounds, sharp masks and depth of static regions, each spares more than the one before.
     spared.sort_unstable();
     spared.dedup();
     assert!(spared.len() >= 5, "{spared:?}");
@@ -430,7 +430,7 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
             after > 0.9 && after > before + 0.05,
             "{motion:?}: {before:.3} to {after:.3}"
         );
-        // The whole picture is not what moves.
+        // The whole image is not what moves.
         let same = with(Some(&Oracle::Everything)).unwrap();
         assert!(same.frames == plain.frames, "{motion:?}");
         let failed = with(Some(&Oracle::Fails)).unwrap_err();

@@ -94,7 +94,7 @@ fn sizes_are_those_of_the_published_program() {
 /// Frames that are taken of it, for the time that this takes.
 const FRAMES: usize = 48;
 
-/// A rendered scene: pictures, cameras in metres, z-depth and what moves.
+/// A rendered scene: images, cameras in metres, z-depth and what moves.
 struct Scene {
     pictures: Vec<RgbImage>,
     cameras: Vec<Camera>,
@@ -142,7 +142,7 @@ fn load(dir: &Path) -> Scene {
     scene
 }
 
-/// Where pixels of the pictures that are tracked are seen in other frames, by the truth.
+/// Where pixels of the images that are tracked are seen in other frames, by the truth.
 struct Truth<'a> {
     scene: &'a Scene,
     size: TrackingSize,
@@ -156,7 +156,7 @@ struct Seen {
 }
 
 impl Truth<'_> {
-    /// The full picture's pixel at pixel coordinates of the tracked ones.
+    /// The full image's pixel at pixel coordinates of the tracked ones.
     fn full(&self, at: f64, axis: usize) -> f64 {
         let (full, scaled) = match axis {
             0 => (self.size.full.0, self.size.scaled.0),
@@ -171,7 +171,7 @@ impl Truth<'_> {
         inside.then_some(((x + 0.5) as usize, (y + 0.5) as usize))
     }
 
-    /// Pixel `(x, y)` of the tracked picture of frame `i`, in frame `j`.
+    /// Pixel `(x, y)` of the tracked image of frame `i`, in frame `j`.
     fn seen(&self, i: usize, j: usize, x: f64, y: f64) -> Seen {
         let (u, v) = (self.full(x, 0), self.full(y, 1));
         let nowhere = Seen {
@@ -271,7 +271,7 @@ impl PairFlow for Truth<'_> {
     }
 }
 
-/// Depth of a network: a factor that waves by 8 % over the picture and the frames, metres.
+/// Depth of a network: a factor that waves by 8 % over the image and the frames, metres.
 fn one_picture_depth(scene: &Scene) -> Vec<Plane<f32>> {
     let frame = |(k, depth): (usize, &Plane<f32>)| {
         Plane::from_fn(depth.width(), depth.height(), |x, y| {

@@ -1,4 +1,4 @@
-//! The sparse half on rendered pictures, and on the shared benchmark where it is present.
+//! The sparse half on rendered images, and on the shared benchmark where it is present.
 
 use m4_math::nalgebra::Vector3;
 use m4_math::{Se3, Sim3, exp_so3};

@@ -86,7 +86,7 @@ fn pixels() -> impl Iterator<Item = (f64, f64)> {
     (0..GRID.len()).map(|n| ((n % GRID.width) as f64, (n / GRID.width) as f64))
 }
 
-/// True flow with noise; confidence 0 where the target is hidden or out of the picture.
+/// True flow with noise; confidence 0 where the target is hidden or out of the image.
 fn flow(i: usize, j: usize) -> Result<DenseFlow, Infallible> {
     let (from, to) = (camera(i), camera(j).inverse());
     let mut rng = CounterRng::new(5, i as u64, j as u64);

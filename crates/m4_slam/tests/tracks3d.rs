@@ -1,4 +1,4 @@
-//! Points of boxes followed behind a pillar and out of the picture, against the truth.
+//! Points of boxes followed behind a pillar and out of the image, against the truth.
 #![expect(clippy::print_stdout, reason = "figures that the documentation names")]
 
 use crate::track_support::score::Score;

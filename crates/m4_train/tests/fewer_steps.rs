@@ -222,7 +222,7 @@ fn a_new_splat_moves_by_its_rate_at_first() {
     // what no frame sees has no moments either, and stays where it is
     let mut steps: Vec<f32> = steps.filter(|&step| step > 0.0).collect();
     steps.sort_by(f32::total_cmp);
-    assert!(steps.len() > 10, "{} new_splats", steps.len());
+    assert!(steps.len() > 10, "{} new splats", steps.len());
     let middle = steps[steps.len() / 2];
     assert!((middle - 0.01).abs() < 1e-4, "{middle}");
 }

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 pub struct ImportOptions {
     /// Frames a second, above 0, where the files have no clock; `None` takes 30 and says so.
     pub fps: Option<f64>,
-    /// Folder or video of the pictures, where they lie elsewhere; `None` looks where the format has them.
+    /// Folder or video of the images, where they lie elsewhere; `None` looks where the format has them.
     pub pictures: Option<PathBuf>,
     /// Folder of depth maps, one a frame in the order of names (PNG of 16 bits, EXR, PFM, npy), or an npz file.
     pub depth: Option<PathBuf>,
@@ -27,11 +27,11 @@ pub struct ImportOptions {
     pub axes: Option<Axes>,
     /// From which probability of motion on a pixel moves. 0.7 is the paper's tau_motion.
     pub tau_motion: f64,
-    /// By what the pictures of a data set are shrunk (DyCheck: `rgb/2x`); `None` takes what the protocols use.
+    /// By what the images of a data set are shrunk (DyCheck: `rgb/2x`); `None` takes what the protocols use.
     pub factor: Option<u32>,
     /// Bytes that the decoded frames (8 a pixel) may take before reading is refused. Default 4 GiB, as of a capture.
     pub max_memory_bytes: u64,
-    /// Which pictures, maps and tracks are read: those in the folder of the source and in what the options above name, or
+    /// Which images, maps and tracks are read: those in the folder of the source and in what the options above name, or
     /// any. No setting of a file: who starts the program decides.
     #[serde(skip)]
     pub reach: Reach,

@@ -8,7 +8,7 @@
 //! zipped     members of a zip archive, or of the folder that it was unpacked to
 //! names      files of a folder in order, names below a folder
 //! inside     which files may be read: by their names and by links they may lead elsewhere
-//! pictures   a folder or a video as pictures of known size
+//! images   a folder or a video as images of known size
 //! lens       pinholes, and whether they fit images of a size
 //! pose       matrices and quaternions to camera to world
 //! clock      frames per second, times in frames

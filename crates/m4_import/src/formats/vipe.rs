@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! PATH                       the folder of the run, or its pose/NAME.npz where it has several clips
-//! rgb/NAME.mp4               the clip (or options.pictures)
+//! rgb/NAME.mp4               the clip (or options.images)
 //! pose/NAME.npz              data [n][4][4] camera to world, inds [n]: which frames of the clip they are of
 //! intrinsics/NAME.npz        data [n][4] fx fy cx cy, pixels, inds [n]; NAME_camera.txt: "0: PINHOLE", a line per frame
 //! depth/NAME.zip             00000.exr, ...: halves, channel Z, metres; not a number where unknown (optional)

@@ -31,7 +31,7 @@ impl Split {
         }
     }
 
-    /// Folders of the pictures, depth maps, masks, maps of motion and maps of instances that are written.
+    /// Folders of the images, depth maps, masks, maps of motion and maps of instances that are written.
     #[must_use]
     pub fn folders(self) -> [&'static str; 5] {
         match self {

@@ -23,7 +23,7 @@ pub struct VideoOptions {
     /// Bytes that the frames (3 a pixel, after shrinking) may take before reading is refused.
     /// Default 4 GiB: half of the memory of a small laptop.
     pub max_memory_bytes: u64,
-    /// Frames a second of a folder of pictures, which has no times of its own. Default 30.
+    /// Frames a second of a folder of images, which has no times of its own. Default 30.
     pub folder_fps: f64,
     /// The program that decodes what this one does not (all but 8-bit H.264 in MP4 and MOV files);
     /// `ffprobe` is expected beside it. Default `ffmpeg`, looked up on the PATH.

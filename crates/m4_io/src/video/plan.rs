@@ -158,7 +158,7 @@ impl Collector {
 
 /// The warning of a clip that was thinned.
 pub fn thinned(kept: usize, of: usize) -> Option<String> {
-    (kept < of).then(|| format!("read {kept} of {of} frames, evenly spaced (max_frames)"))
+    (kept < of).then(|| format!("read {kept} of {of} frames, evenly spaced"))
 }
 
 #[cfg(test)]

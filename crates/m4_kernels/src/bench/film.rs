@@ -5,7 +5,7 @@ use m4_math::{Se3, nalgebra::Vector3};
 use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Plane};
 use rayon::prelude::*;
 
-/// The first balls, which are the largest in the image, stand still: an eighth of the image moves.
+/// The first balls, which are the largest in the image, are static: an eighth of the image moves.
 const STILL: usize = 2;
 /// How far the camera walks to the side, metres.
 const WALK: f64 = 0.8;

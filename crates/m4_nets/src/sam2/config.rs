@@ -74,11 +74,11 @@ pub struct Config {
     pub heads: usize,
     /// Blocks of each stage.
     pub stages: [usize; 4],
-    /// Blocks that see the whole picture.
+    /// Blocks that see the whole image.
     pub global: [usize; 3],
     /// Sides of the windows that the other blocks of a stage see.
     pub windows: [usize; 4],
-    /// Side of the learned map of positions that is stretched over the picture.
+    /// Side of the learned map of positions that is stretched over the image.
     pub background: usize,
 }
 
@@ -91,7 +91,7 @@ pub struct BlockConfig {
     pub to: usize,
     /// Heads.
     pub heads: usize,
-    /// Side of its windows; `None` for the whole picture.
+    /// Side of its windows; `None` for the whole image.
     pub window: Option<usize>,
     /// Whether rows and columns are halved.
     pub halves: bool,

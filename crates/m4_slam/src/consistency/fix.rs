@@ -4,7 +4,7 @@ use super::reading::Reading;
 use super::report::Cause;
 use m4_scene::{Capture, CompactDepth, CompactMask, DepthMap};
 
-/// The capture with its causes of inconsistency put right: cameras, depth and masks; pictures as they are.
+/// The capture with its causes of inconsistency put right: cameras, depth and masks; images as they are.
 #[must_use]
 pub fn fixed(mut capture: Capture, causes: &[Cause]) -> Capture {
     let reading = causes.iter().fold(Reading::GIVEN, |reading, cause| match *cause {

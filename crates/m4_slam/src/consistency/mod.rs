@@ -1,4 +1,4 @@
-//! Whether cameras and depth fit the pictures: what an import is checked with.
+//! Whether cameras and depth fit the images: what an import is checked with.
 //!
 //! ```text
 //! Capture -> flow of some pairs of frames -> samples: static pixels, where they go, their depth
@@ -12,7 +12,7 @@
 //! of the first pixel. Two of them together are found, too.
 //!
 //! A shift of the principal point hardly changes where points are seen while the camera goes sideways; it shows where it turns or goes
-//! forward, and is told only where the samples determine it. Source: docs/spec/front-end.md 6.1, which asks for this
+//! forward, and is reported only where the samples determine it. Source: docs/spec/front-end.md 6.1, which asks for this
 //! report; the fit is Gauss-Newton with Huber's weights, and its standard deviations count a pair of frames as one measurement.
 
 mod causes;

@@ -10,9 +10,9 @@ use std::fmt;
 
 /// Fewest samples that say anything.
 const LEAST_SAMPLES: usize = 200;
-/// Flow shorter than this says nothing of poses, pixels of a picture 640 wide.
+/// Flow shorter than this says nothing of poses, pixels of an image 640 wide.
 const LEAST_FLOW_PX: f64 = 0.5;
-/// Up to here the error is what flow itself has; beyond the second the cameras do not belong to the pictures. Pixels of a picture 640 wide.
+/// Up to here the error is what flow itself has; beyond the second the cameras do not belong to the images. Pixels of an image 640 wide.
 const GOOD_PX: f64 = 1.0;
 const FAIR_PX: f64 = 3.0;
 /// The same for depth.
@@ -72,7 +72,7 @@ impl fmt::Display for Cause {
     }
 }
 
-/// How well cameras and depth fit the pictures.
+/// How well cameras and depth fit the images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
@@ -82,7 +82,7 @@ pub enum Verdict {
     Fair,
     /// Not.
     Bad,
-    /// The camera hardly moves, or too little of the pictures can be followed.
+    /// The camera hardly moves, or too little of the images can be followed.
     Unknown,
 }
 
@@ -106,9 +106,9 @@ pub struct Consistency {
     pub pairs: usize,
     /// Static pixels that were followed.
     pub samples: usize,
-    /// Their median way, pixels of the pictures.
+    /// Their median way, pixels of the images.
     pub flow_px: f64,
-    /// From where cameras and depth say a pixel goes to where flow says it goes, median, pixels of the pictures; without depth the distance from the
+    /// From where cameras and depth say a pixel goes to where flow says it goes, median, pixels of the images; without depth the distance from the
     /// epipolar line. `None` where most points lie behind a camera.
     pub error_px: Option<f64>,
     /// The same, what nine of ten are below.
@@ -123,7 +123,7 @@ pub struct Consistency {
     pub fixed: Option<[Option<f64>; 2]>,
 }
 
-/// Compares the cameras and depth of a capture with the flow of its pictures.
+/// Compares the cameras and depth of a capture with the flow of its images.
 ///
 /// # Errors
 ///

@@ -36,7 +36,7 @@ pub enum ConsistencyError {
     Cancelled,
 }
 
-/// A pixel of one frame and where it is in another; pixels of the pictures, measured from their corner.
+/// A pixel of one frame and where it is in another; pixels of the images, measured from their corner.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Sample {
     pub from_px: [f64; 2],
@@ -141,7 +141,7 @@ fn between(capture: &Capture, frames: [usize; 2], flow: &dyn FlowSource) -> Resu
     Ok([resting, moving].map(|samples| Pair { frames, samples }))
 }
 
-/// The pixel of a map of size `(w, h)` under a place in the picture.
+/// The pixel of a map of size `(w, h)` under a place in the image.
 fn pixel(frame: &CaptureFrame, [u, v]: [f64; 2], (w, h): (usize, usize)) -> (usize, usize) {
     let (pw, ph) = frame.rgb.size();
     let at = |p: f64, picture: usize, map: usize| ((p * map as f64 / picture as f64) as usize).min(map - 1);

@@ -3,7 +3,7 @@
 use m4_math::{Real, Se3};
 use serde::{Deserialize, Serialize};
 
-/// The size of every plane: the pictures divided by eight.
+/// The size of every plane: the images divided by eight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Grid {
     /// Columns.
@@ -41,9 +41,9 @@ pub struct Pinhole<T> {
 }
 
 impl Pinhole<f64> {
-    /// The same lens on a grid of blocks of `block` x `block` pixels, `self` being of the full picture with the
+    /// The same lens on a grid of blocks of `block` x `block` pixels, `self` being of the full image with the
     /// principal point measured from the corner (the convention of the library). Grid coordinates divide
-    /// the integer pixel coordinates of the picture by `block`, as the tracker does.
+    /// the integer pixel coordinates of the image by `block`, as the tracker does.
     #[must_use]
     pub fn of_picture(fx_px: f64, fy_px: f64, cx_px: f64, cy_px: f64, block: f64) -> Self {
         Self {

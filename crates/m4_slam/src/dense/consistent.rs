@@ -1,7 +1,7 @@
 //! Depth of what stands still, made to agree over time (consistent video depth, [`crate::cvd`]).
 //!
 //! Flow is asked what it adds: a pair whose flow does not lead to where depth that several frames agreed on leads is left out.
-//! A network's flow may be off by a pixel all over a picture, and chained over frames by more, which would spoil
+//! A network's flow may be off by a pixel all over an image, and chained over frames by more, which would spoil
 //! depth that was right.
 //!
 //! Works on planes of half the working size; what comes back is a factor a pixel, so the edges of the working size stay.

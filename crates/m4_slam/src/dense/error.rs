@@ -36,7 +36,7 @@ pub enum DenseError {
         /// Least side, pixels.
         minimum: usize,
     },
-    /// A camera that cannot take pictures.
+    /// A camera that cannot take images.
     #[error("the camera of frame {frame} has {what}; the reconstruction is damaged, make it again")]
     Camera {
         /// Which frame.

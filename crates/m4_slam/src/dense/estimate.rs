@@ -47,7 +47,7 @@ pub struct Dense {
     pub tracks: Option<Tracks>,
 }
 
-/// Sides below this, at the working size, have no neighbourhood of 5x5 pixels at half of it: long, thin pictures.
+/// Sides below this, at the working size, have no neighbourhood of 5x5 pixels at half of it: long, thin images.
 const LEAST_CONSISTENT: usize = 16;
 /// Fewer frames have no background that is seen most of the time.
 const LEAST_BACKGROUND: usize = 8;
@@ -61,7 +61,7 @@ pub(super) struct Stages {
     pub disparity: Vec<Vec<f32>>,
 }
 
-/// Depth, motion masks and confidence for every frame and tracks of what moves, given cameras and tracks; `sources` measure
+/// Depth, motion masks and confidence for every frame and tracks of dynamic objects, given cameras and tracks; `sources` measure
 /// flow, outline what moves, and know depth.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! Finished parts of a clip on a cache: swept depth frame by frame, masks round by round, depth of what stands still, and in
+//! Finished parts of a clip on a cache: swept depth frame by frame, masks round by round, depth of static regions, and in
 //! the end what was found of every frame.
 
 use super::error::DenseError;
@@ -93,7 +93,7 @@ pub(super) fn masks(
 /// What was measured of what stands still, and the same carried on everywhere.
 type Still = (Vec<Measured>, Vec<Vec<f32>>);
 
-/// The same of depth of what stands still.
+/// The same of depth of static regions.
 pub(super) fn still(
     cache: &dyn Cache,
     count: usize,

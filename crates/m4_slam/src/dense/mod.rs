@@ -11,8 +11,8 @@
 //!                                                     '-> tracks along the flow ([`crate::tracks3d`])
 //! ```
 //!
-//! What measures flow, what outlines the parts of the masks and what knows depth from one picture, if anything does, is the
-//! caller's choice ([`Sources`]). Depth from one picture (`MonoDepth`: a sensor, later a network) replaces what is measured
+//! What measures flow, what outlines the parts of the masks and what knows depth from one image, if anything does, is the
+//! caller's choice ([`Sources`]). Depth from one image (`MonoDepth`: a sensor, later a network) replaces what is measured
 //! where it is metric; else it is aligned to that, and stands where nothing was measured or something moves.
 //!
 //! Everything happens at a working size ([`DenseConfig::working_side_px`]) and is brought to the size

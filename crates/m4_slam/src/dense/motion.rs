@@ -165,7 +165,7 @@ pub(super) fn evidence(
     smoother.fill(&value, &weight, SMOOTH_LAMBDA).0
 }
 
-/// How clearly the picture says that a pixel is not where it would be if it stood still, 0..1: on a
+/// How clearly the image says that a pixel is not where it would be if it stood still, 0..1: on a
 /// flat wall flow is a guess, and a pixel that looks the same at its static place need not have moved.
 fn refuted(grey: &[f32], other: &[f32], link: &Link, disparity: &[f32]) -> Vec<f32> {
     let (w, h) = (link.there.width, link.there.height);

@@ -174,7 +174,7 @@ impl Clip<'_> {
         static_depth::fill(&self.shots[i], &self.smoother(i), measured, moving)
     }
 
-    /// `moving` with the outlines of the pictures, by what the other frames show behind it; depth is taken from what
+    /// `moving` with the outlines of the images, by what the other frames show behind it; depth is taken from what
     /// `before` leaves.
     fn sharpened(&self, before: Option<&[Vec<u8>]>, moving: &[Vec<u8>]) -> Result<Masks, DenseError> {
         let (width, height) = (self.width, self.height);

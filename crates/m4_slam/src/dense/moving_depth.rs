@@ -1,4 +1,4 @@
-//! Depth of what moves, which no stereo over time can measure: from where it touches the scene.
+//! Depth of dynamic regions, which no stereo over time can measure: from where it touches the scene.
 
 use super::components::Components;
 use super::flow::FlowPair;

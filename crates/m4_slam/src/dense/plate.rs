@@ -1,6 +1,6 @@
 //! Masks against the clean plate: what a pixel would show if nothing moved.
 //!
-//! Cameras and the depth of what stands still say where a pixel of the background is seen in other frames. Where
+//! Cameras and the depth of static regions say where a pixel of the background is seen in other frames. Where
 //! those frames agree on a colour and the frame at hand shows another, something stands in front of it; where it
 //! shows the same, the mask is too wide.
 

@@ -12,9 +12,9 @@ pub struct Sources<'a> {
     pub flow: &'a dyn FlowSource,
     /// Outlines what moves, if there is one; masks that are given stay as they are.
     pub segmenter: Option<&'a dyn Segmenter>,
-    /// Depth from one picture: [`NoDepth`] if there is none.
+    /// Depth from one image: [`NoDepth`] if there is none.
     pub mono: &'a dyn MonoDepth,
-    /// Keeps what is finished of each frame, and has what an earlier attempt finished: [`NoCache`] if nobody does.
+    /// Keeps what is finished of each frame, and has what an earlier attempt finished: [`NoCache`] if there is none.
     pub cache: &'a dyn Cache,
 }
 

@@ -7,7 +7,7 @@
 //!
 //! docs/spec/front-end.md 7.1, item 8 ("3D tracks by flow chaining + lifting"), which is the substitute of its
 //! section 3 for a network that tracks: [`crate::tracks3d`] with the flow and the depth that this stage has anyway. A chain ends where the
-//! flow does not lead back, where it leaves the picture and where it leaves the masks; with `fill` the point goes on with its
+//! flow does not lead back, where it leaves the image and where it leaves the masks; with `fill` the point goes on with its
 //! neighbours, else what went behind something comes out as another track.
 //!
 //! Pixels here are those of the working size, with the centre of the first one at 0, 0, as [`Camera::unproject`] has them.

@@ -77,7 +77,7 @@ fn overlap(cell: usize, n: usize, m: usize) -> Vec<(usize, f32)> {
         .collect()
 }
 
-/// The picture at another size, not larger, and its luma 0..255, not rounded.
+/// The image at another size, not larger, and its luma 0..255, not rounded.
 pub(crate) fn rgb_and_grey(image: &RgbImage, width: usize, height: usize) -> (Vec<[u8; 3]>, Vec<f32>) {
     let exact = shrink(image, width, height);
     let luma = |c: &[f32; 3]| 0.299 * c[0] + 0.587 * c[1] + 0.114 * c[2];

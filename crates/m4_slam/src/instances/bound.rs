@@ -74,7 +74,7 @@ mod tests {
         let block = |x0: usize, x1: usize| {
             CompactMask::from_fn(64, 48, move |x, y| (x0..x1).contains(&x) && (10..30).contains(&y))
         };
-        // it moves through three frames and out of the picture; the coarse masks miss it once
+        // it moves through three frames and out of the image; the coarse masks miss it once
         let nothing = block(0, 0);
         let mut coarse = vec![block(10, 20), nothing.clone(), block(30, 40)];
         coarse.resize(12, nothing);

@@ -1,14 +1,14 @@
-//! A clip whose pictures come one by one.
+//! A clip whose images come one by one.
 
 use m4_scene::RgbImage;
 use std::borrow::Cow;
 
-/// Why a picture could not be had.
+/// Why an image could not be had.
 pub type PictureError = Box<dyn std::error::Error + Send + Sync>;
 
 /// Frames by index. They are asked for as they are needed and not kept, so a clip may read them from disk.
 ///
-/// Called from several threads at once; the same frame must be the same picture every time.
+/// Called from several threads at once; the same frame must be the same image every time.
 pub trait Clip: Sync {
     /// How many frames there are.
     fn frames(&self) -> usize;
@@ -20,11 +20,11 @@ pub trait Clip: Sync {
     ///
     /// # Errors
     ///
-    /// Whatever keeps the picture from being read.
+    /// Whatever keeps the image from being read.
     fn picture(&self, frame: usize) -> Result<Cow<'_, RgbImage>, PictureError>;
 }
 
-/// Pictures in memory, all of the size of the first.
+/// Images in memory, all of the size of the first.
 #[derive(Debug, Clone, Copy)]
 pub struct Pictures<'a>(pub &'a [&'a RgbImage]);
 

@@ -9,7 +9,7 @@
 //!
 //! Motion says what moves, frame by frame and roughly; somebody who knows what things look like says where they end and
 //! where they are in other frames ([`VideoSegmenter`]): a network with a memory, or [`FlowFollower`], which carries masks along optical flow
-//! and asks a segmenter of single pictures, if there is one, what they mean there.
+//! and asks a segmenter of single images, if there is one, what they mean there.
 //!
 //! Source: the segmentation-tracking enhancement of Minute4D (docs/spec/front-end.md 2.4: threshold 0.7, prompts
 //! from parts, guards, new prompts every B frames, both ways); prompts as in Kirillov et al., "Segment Anything" (2023), the state

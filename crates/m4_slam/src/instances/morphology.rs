@@ -2,7 +2,7 @@
 
 use crate::dense::to_outside;
 
-/// Pixels of a mask (above 0) deeper than `radius_px`. The border of the picture is no edge.
+/// Pixels of a mask (above 0) deeper than `radius_px`. The border of the image is no edge.
 pub(super) fn eroded(width: usize, height: usize, mask: &[u8], radius_px: f32) -> Vec<u8> {
     let depth = to_outside(width, height, |p| mask[p] > 0);
     depth.iter().map(|&d| if d > radius_px { 255 } else { 0 }).collect()

@@ -1,7 +1,7 @@
 //! Are the maps of motion the right way round?
 //!
 //! MegaSaM's own file is high where things rest, others are high where they move, and nothing in a file says which. Three things
-//! tell: little of most clips moves; what moves is seldom along the border of the picture; and where something moves, flow differs from
+//! tell: little of most clips moves; what moves is seldom along the border of the image; and where something moves, flow differs from
 //! what the camera alone makes.
 
 use super::clip::Clip;
@@ -89,7 +89,7 @@ impl PolarityEvidence {
     ///
     /// # Errors
     ///
-    /// [`VideoError`] if pictures or flow cannot be had.
+    /// [`VideoError`] if images or flow cannot be had.
     pub(super) fn of(
         maps: &[&Plane<u8>],
         clip: &dyn Clip,
@@ -155,7 +155,7 @@ fn residuals(
     Ok(median(&mut high).zip(median(&mut low)).map(|(high, low)| [high, low]))
 }
 
-/// How far flow is from the affine motion that most of the picture follows, pixels; NaN where the way there and back does not close.
+/// How far flow is from the affine motion that most of the image follows, pixels; NaN where the way there and back does not close.
 fn off_camera(flow: &Flow, round_trip_px: &[f32]) -> Vec<f32> {
     let width = flow.width;
     let known: Vec<usize> = (0..flow.u.len())
@@ -206,7 +206,7 @@ impl Coarse<'_> {
     ///
     /// # Errors
     ///
-    /// [`VideoError`] if pictures or flow cannot be had.
+    /// [`VideoError`] if images or flow cannot be had.
     pub fn polarity(
         &self,
         clip: &dyn Clip,

@@ -32,7 +32,7 @@ pub struct InstanceRecord {
     pub last_frame: usize,
     /// How many frames show it.
     pub frames: usize,
-    /// Share of the picture that it covers, mean over the frames that show it.
+    /// Share of the image that it covers, mean over the frames that show it.
     pub mean_area_share: f64,
     /// The same, the largest.
     pub max_area_share: f64,
@@ -65,9 +65,9 @@ pub enum Rejection {
     },
     /// The segmenter sees nothing.
     Nothing,
-    /// The mask covers too much of the picture: background.
+    /// The mask covers too much of the image: background.
     TooLarge {
-        /// Share of the picture.
+        /// Share of the image.
         share: f32,
     },
     /// The mask is of something else.
@@ -94,7 +94,7 @@ pub enum Rejection {
 pub struct Rejected {
     /// The frame in which it was asked about.
     pub frame: usize,
-    /// Share of the picture that it covers.
+    /// Share of the image that it covers.
     pub area_share: f64,
     /// Column and row of its middle, pixels of the working size.
     pub centre_px: [f32; 2],

@@ -77,7 +77,7 @@ pub enum VideoError {
         /// What went wrong.
         reason: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// A picture could not be had.
+    /// An image could not be had.
     #[error("frame {frame} of the clip cannot be read: {reason}")]
     Picture {
         /// The frame.
@@ -85,7 +85,7 @@ pub enum VideoError {
         /// What went wrong.
         reason: PictureError,
     },
-    /// A picture has another size than the clip.
+    /// An image has another size than the clip.
     #[error("frame {frame} is {}x{} where {}x{} was expected; all frames must have one size", found.0, found.1, expected.0, expected.1)]
     PictureSize {
         /// The frame.
@@ -103,7 +103,7 @@ pub enum VideoError {
         /// What went wrong.
         source: FlowError,
     },
-    /// The segmenter of single pictures failed.
+    /// The segmenter of single images failed.
     #[error("no object masks in frame {frame}")]
     Segment {
         /// The frame.

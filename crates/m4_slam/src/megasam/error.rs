@@ -9,7 +9,7 @@ use crate::tracker::mono::MonoError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum MegasamError {
-    /// Pictures that cannot be tracked.
+    /// Images that cannot be tracked.
     #[error(
         "images of {}x{} pixels cannot be tracked at {pixels} pixels; fewer than 8 per side would be left, or the size is invalid",
         full.0, full.1
@@ -27,10 +27,10 @@ pub enum MegasamError {
         what: &'static str,
         /// Entries given.
         found: usize,
-        /// Pictures.
+        /// Images.
         expected: usize,
     },
-    /// A picture of another size.
+    /// An image of another size.
     #[error("image {frame} has {}x{} pixels where the first has {}x{}", found.0, found.1, expected.0, expected.1)]
     OtherSize {
         /// Its number.
@@ -40,7 +40,7 @@ pub enum MegasamError {
         /// Those of the first.
         expected: (usize, usize),
     },
-    /// Depth from one picture that is empty.
+    /// Depth from one image that is empty.
     #[error("the depth of image {frame} has no pixels; give a map of the shape of the image")]
     NoPixels {
         /// Its number.

@@ -23,7 +23,7 @@ pub trait PairFlow {
     /// For records and messages.
     fn name(&self) -> &str;
 
-    /// The flow of `pair` and that back, of the size of the pictures `a` (of the source) and `b`.
+    /// The flow of `pair` and that back, of the size of the images `a` (of the source) and `b`.
     ///
     /// # Errors
     ///
@@ -70,7 +70,7 @@ fn seen<'a>(image: &'a RgbImage, grey: &'a [f32]) -> FlowPicture<'a> {
 
 const PHASE: &str = "flow between frames";
 
-/// The flow of every pair at half the size of the pictures, with the pixels that return to where they started; `budget_bytes`
+/// The flow of every pair at half the size of the images, with the pixels that return to where they started; `budget_bytes`
 /// of it stay in memory.
 ///
 /// # Errors

@@ -1,9 +1,9 @@
 //! MegaSaM's way from a video to cameras, depth and a map of what stands still, with whoever measures correspondences, flow
-//! and depth from one picture.
+//! and depth from one image.
 //!
 //! ```text
-//! pictures --TrackingSize--> pictures of about 384 x 512 pixels
-//! depth from one picture --DepthPrior--> disparity of every frame, one scale for the clip
+//! images --TrackingSize--> images of about 384 x 512 pixels
+//! depth from one image --DepthPrior--> disparity of every frame, one scale for the clip
 //!   -> tracker::track     cameras, focal length, static confidence at 1/8     (Correspondence: a network)
 //!   -> flows              pairs 1, 2, 4, 8, 15 frames apart, both ways        (PairFlow: a network)
 //!   -> cvd::optimise      depth at half the size that agrees along the flow
@@ -14,7 +14,7 @@
 //! Motion from Casual Dynamic Videos", section 3. Networks are behind [`crate::tracker::Correspondence`] and [`PairFlow`], so that the
 //! same way can be gone with known flow.
 //!
-//! **Conventions.** The library's outside: camera to world, principal point from the corner of the picture, z-depth.
+//! **Conventions.** The library's outside: camera to world, principal point from the corner of the image, z-depth.
 //! A cell of the tracker's grid is the pixel at 8 times its column and row: there the features of a network that shrinks three
 //! times by two are. The published program takes blocks of 8 x 8 pixels for depth and for the map of what stands still
 //! instead, half a block off.

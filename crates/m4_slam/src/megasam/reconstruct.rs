@@ -16,15 +16,15 @@ const LEAST_DISPARITY: f32 = 1e-3;
 /// A clip.
 #[derive(Clone, Copy)]
 pub struct MegasamInput<'a> {
-    /// The pictures, all of one size.
+    /// The images, all of one size.
     pub pictures: &'a [&'a RgbImage],
     /// Instants, seconds, ascending.
     pub times_s: &'a [f64],
-    /// First guess of the lens of the pictures; the principal point stays.
+    /// First guess of the lens of the images; the principal point stays.
     pub lens: Intrinsics,
     /// False keeps the focal length of `lens` whatever can be seen.
     pub focal_is_free: bool,
-    /// Depth from one picture at the size of tracking; `None` where nobody knows any.
+    /// Depth from one image at the size of tracking; `None` where nobody knows any.
     pub prior: Option<&'a DepthPrior>,
 }
 
@@ -33,11 +33,11 @@ pub struct MegasamInput<'a> {
 pub struct MegasamGeometry {
     /// The size at which the clip was tracked.
     pub size: TrackingSize,
-    /// The lens of the pictures.
+    /// The lens of the images.
     pub lens: Intrinsics,
     /// Camera to world, in the unit of [`metric`](Self::metric).
     pub c2w: Vec<Se3<f64>>,
-    /// z-depth of the whole pictures, at the size before cutting ([`TrackingSize::scaled`]); what was cut has that of the edge.
+    /// z-depth of the whole images, at the size before cutting ([`TrackingSize::scaled`]); what was cut has that of the edge.
     pub depth: Vec<Plane<f32>>,
     /// How likely each cell of the tracker's grid is to stand still, 0..=1.
     pub static_confidence: Vec<Plane<f32>>,
@@ -53,14 +53,14 @@ pub struct MegasamGeometry {
     pub focal_adjusted: bool,
     /// Frames that were keyframes.
     pub keyframes: Vec<usize>,
-    /// Root mean square of the tracker's weighted residuals at the end, pixels of the pictures.
+    /// Root mean square of the tracker's weighted residuals at the end, pixels of the images.
     pub residual_px: f64,
     /// The loss of consistent depth before each step, of both its stages.
     pub losses: [Vec<f64>; 2],
 }
 
 impl MegasamGeometry {
-    /// How likely each pixel of a whole picture is to stand still, 0..=1, at `width` x `height` pixels.
+    /// How likely each pixel of a whole image is to stand still, 0..=1, at `width` x `height` pixels.
     #[must_use]
     pub fn static_at(&self, frame: usize, width: usize, height: usize) -> Plane<f32> {
         from_grid(&self.static_confidence[frame], width, height, self.size.scaled)
@@ -69,13 +69,13 @@ impl MegasamGeometry {
 
 /// Cameras, focal length, depth and what stands still, of a clip.
 ///
-/// `correspondence` and `flow` see pictures of [`TrackingSize::picture`]. Without a prior, depth starts as what the tracker
+/// `correspondence` and `flow` see images of [`TrackingSize::picture`]. Without a prior, depth starts as what the tracker
 /// found, and its unit is arbitrary. Finished parts go to `cache`, which belongs to one clip with one set of settings: what is
 /// interrupted goes on after the last of them, to the same result.
 ///
 /// # Errors
 ///
-/// [`MegasamError`] for pictures that do not fit together or are too few, where a source fails, or when the user stops.
+/// [`MegasamError`] for images that do not fit together or are too few, where a source fails, or when the user stops.
 pub fn reconstruct(
     input: &MegasamInput<'_>,
     correspondence: &mut dyn Correspondence,

@@ -1,4 +1,4 @@
-//! Pictures and planes at other sizes. Coordinates are measured from the corner.
+//! Images and planes at other sizes. Coordinates are measured from the corner.
 
 use super::size::CELL_PX;
 use m4_scene::{Plane, RgbImage};
@@ -23,7 +23,7 @@ fn shares(from: usize, to: usize) -> Vec<(usize, Vec<f32>)> {
     (0..to).map(one).collect()
 }
 
-/// The picture at `width` x `height` pixels (at least 1 each): each the mean of the area that it covers, rounded, halves up.
+/// The image at `width` x `height` pixels (at least 1 each): each the mean of the area that it covers, rounded, halves up.
 /// OpenCV's INTER_AREA within a count.
 #[must_use]
 pub fn resize_area(image: &RgbImage, width: usize, height: usize) -> RgbImage {
@@ -80,7 +80,7 @@ pub fn resize_bilinear(plane: &Plane<f32>, width: usize, height: usize) -> Plane
     })
 }
 
-/// A plane on the tracker's grid, whose cell `i` is pixel `8 i` of the pictures that are tracked, at `width` x `height` pixels
+/// A plane on the tracker's grid, whose cell `i` is pixel `8 i` of the images that are tracked, at `width` x `height` pixels
 /// that cover `covered` pixels of those from the upper left corner; constant beyond the outer cells.
 pub(super) fn from_grid(grid: &Plane<f32>, width: usize, height: usize, covered: (usize, usize)) -> Plane<f32> {
     let (sx, sy) = (covered.0 as f32 / width as f32, covered.1 as f32 / height as f32);

@@ -8,11 +8,11 @@ use m4_scene::{Intrinsics, RgbImage};
 /// Pixels of a cell of the grid, a side.
 pub const CELL_PX: usize = 8;
 
-/// How pictures become smaller ones: to a fixed number of pixels, then cut to multiples of 8 at the right and at the bottom
+/// How images become smaller ones: to a fixed number of pixels, then cut to multiples of 8 at the right and at the bottom
 /// (docs/spec/front-end.md 1.1). Sizes are `(width, height)`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct TrackingSize {
-    /// Of the pictures.
+    /// Of the images.
     pub full: (usize, usize),
     /// After shrinking.
     pub scaled: (usize, usize),
@@ -21,7 +21,7 @@ pub struct TrackingSize {
 }
 
 impl TrackingSize {
-    /// For pictures of a size and about `pixels` pixels at work: `384 * 512` in MegaSaM.
+    /// For images of a size and about `pixels` pixels at work: `384 * 512` in MegaSaM.
     ///
     /// # Errors
     ///
@@ -45,20 +45,20 @@ impl TrackingSize {
         }
     }
 
-    /// A picture at the size of tracking, by areas.
+    /// An image at the size of tracking, by areas.
     #[must_use]
     pub fn picture(&self, full: &RgbImage) -> RgbImage {
         crop(&resize_area(full, self.scaled.0, self.scaled.1), self.cropped)
     }
 
-    /// A lens of the full pictures as one of the grid.
+    /// A lens of the full images as one of the grid.
     #[must_use]
     pub fn grid_lens(&self, full: &Intrinsics) -> Pinhole<f64> {
         let k = full.resized(self.scaled.0, self.scaled.1);
         Pinhole::of_picture(k.fx, k.fy, k.cx, k.cy, CELL_PX as f64)
     }
 
-    /// The lens of the full pictures whose focal length on the grid is that of `grid`; the principal point is that of `full`.
+    /// The lens of the full images whose focal length on the grid is that of `grid`; the principal point is that of `full`.
     #[must_use]
     pub fn full_lens(&self, full: &Intrinsics, grid: &Pinhole<f64>) -> Intrinsics {
         let cell = CELL_PX as f64;
@@ -69,7 +69,7 @@ impl TrackingSize {
         }
     }
 
-    /// A lens of the full pictures as one of the cropped ones.
+    /// A lens of the full images as one of the cropped ones.
     #[must_use]
     pub fn cropped_lens(&self, full: &Intrinsics) -> Intrinsics {
         Intrinsics {
@@ -102,7 +102,7 @@ mod tests {
         let back = size.full_lens(&lens, &size.grid_lens(&lens));
         assert!((back.fx - 700.0).abs() < 1e-9 && (back.fy - 700.0).abs() < 1e-9);
         assert_eq!((back.cx, back.cy), (427.0, 240.0));
-        // The picture's middle, 295.5 from the corner, is column 295 of whole numbers.
+        // The image's middle, 295.5 from the corner, is column 295 of whole numbers.
         assert!((size.grid_lens(&lens).cx - 295.0 / 8.0).abs() < 1e-12);
     }
 }

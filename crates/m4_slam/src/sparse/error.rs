@@ -20,7 +20,7 @@ pub enum SparseError {
         /// Those of frame 0.
         expected: (usize, usize),
     },
-    /// Pictures too small to follow anything.
+    /// Images too small to follow anything.
     #[error("frames of {width}x{height} pixels are too small to track points; at least 64x64 are needed")]
     FrameTooSmall {
         /// Columns.
@@ -52,7 +52,7 @@ pub enum SparseError {
         /// Tracks needed.
         needed: usize,
     },
-    /// Two views could not be related although the picture moves.
+    /// Two views could not be related although the image moves.
     #[error(
         "no two frames agree on a static scene: the best pair has {inliers} of {matches} points on one rigid motion, \
          {needed} are needed (do moving objects fill the image?); pass --fov with the true field of view, \
@@ -104,7 +104,7 @@ pub enum SparseError {
         /// What is wrong.
         what: String,
     },
-    /// Given poses that contradict the pictures.
+    /// Given poses that contradict the images.
     #[error(
         "the given poses do not fit the images: only {points} of {tracks} tracks agree with them on a static scene, \
          {needed} are needed; check the order of the frames, the direction (camera to world) and the axes of the poses, and \

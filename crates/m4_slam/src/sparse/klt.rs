@@ -1,4 +1,4 @@
-//! One patch followed from one picture to another (Lucas and Kanade 1981; inverse compositional form
+//! One patch followed from one image to another (Lucas and Kanade 1981; inverse compositional form
 //! of Baker and Matthews 2004; pyramid of Bouguet 2001).
 
 use super::luma::{Pyramid, sample_square};
@@ -106,14 +106,14 @@ fn centre(values: &mut [f32]) -> f32 {
     sum.sqrt()
 }
 
-/// True when the patch of `radius` around `p` lies in the picture.
+/// True when the patch of `radius` around `p` lies in the image.
 pub(crate) fn inside(plane: &Plane<f32>, p: [f32; 2], radius: usize) -> bool {
     let r = radius as f32;
     p[0] >= r && p[1] >= r && p[0] <= plane.width() as f32 - 1.0 - r && p[1] <= plane.height() as f32 - 1.0 - r
 }
 
 /// Follows the patch around `p` of `from` into `to`, coarse to fine; the position and the correlation
-/// at the finest level. `None` when the patch shows nothing at some level or leaves the picture.
+/// at the finest level. `None` when the patch shows nothing at some level or leaves the image.
 pub(crate) fn follow(
     from: &Pyramid,
     to: &Pyramid,
@@ -154,7 +154,7 @@ mod tests {
     use crate::sparse::luma::Pyramid;
     use m4_scene::Plane;
 
-    /// A smooth picture, seen through `x -> (x - t) / s`, scaled and offset in brightness.
+    /// A smooth image, seen through `x -> (x - t) / s`, scaled and offset in brightness.
     fn picture(shift: [f32; 2], stretch: f32, gain: f32) -> Pyramid {
         let value = |x: f32, y: f32| {
             let wave = |a: f32, b: f32, c: f32| (a * x + b * y + c).sin();
@@ -192,7 +192,7 @@ mod tests {
         let edge = Plane::from_fn(64, 64, |x, _| if x < 32 { 0.0 } else { 200.0 });
         assert!(Template::new(&edge, [32.0, 32.0], 7).is_none());
         assert!(Template::new(&Plane::filled(64, 64, 9.0), [32.0, 32.0], 7).is_none());
-        // Where the picture went flat there is nothing that looks alike.
+        // Where the image went flat there is nothing that looks alike.
         let a = picture([0.0, 0.0], 1.0, 1.0);
         let flat = Pyramid::new(Plane::filled(160, 120, 128.0), 4);
         assert!(follow(&a, &flat, [80.0, 60.0], 7, 15).is_none_or(|(_, c)| c < 0.5));

@@ -1,4 +1,4 @@
-//! Grey pictures at working size, and pyramids of them.
+//! Grey images at working size, and pyramids of them.
 
 use m4_scene::{Plane, RgbImage};
 
@@ -50,7 +50,7 @@ impl WorkingSize {
         [0, 1].map(|k| self.to_corner(p)[k] / self.input[k])
     }
 
-    /// From pixels of the shrunk picture (centre of the first pixel: 0, 0) to working pixels from the
+    /// From pixels of the shrunk image (centre of the first pixel: 0, 0) to working pixels from the
     /// image centre. Rounding of the sides to whole pixels is undone: pixels come out square.
     pub fn centred(self, p: [f32; 2]) -> [f64; 2] {
         let side = [self.width as f64, self.height as f64];
@@ -92,7 +92,7 @@ fn shrink_rows(plane: &Plane<f32>, width: usize) -> Plane<f32> {
     })
 }
 
-/// Levels of halving size; level 0 is the picture itself. Coordinate `x` of level 0 is `x / 2^l` in
+/// Levels of halving size; level 0 is the image itself. Coordinate `x` of level 0 is `x / 2^l` in
 /// level `l` (pixel centres at integers).
 #[derive(Debug, Clone)]
 pub(crate) struct Pyramid {
@@ -132,7 +132,7 @@ fn halved(plane: &Plane<f32>) -> Plane<f32> {
 }
 
 /// The `side` x `side` samples whose first is at `(x, y)`, bilinear, one pixel apart; outside the
-/// picture the nearest pixel counts.
+/// image the nearest pixel counts.
 pub(crate) fn sample_square(plane: &Plane<f32>, x: f32, y: f32, side: usize, out: &mut [f32]) {
     let (w, h) = plane.size();
     let (fx, fy) = (x.floor(), y.floor());

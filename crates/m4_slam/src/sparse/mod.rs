@@ -12,7 +12,7 @@
 //! Where the cameras are known, [`with_cameras`] tracks, triangulates and tells what moves; cameras with which few tracks agree
 //! are compared with those of the clip itself (refuted).
 //!
-//! Inside, lengths in pictures are *working pixels*: those of the shrunk picture, measured from the
+//! Inside, lengths in images are *working pixels*: those of the shrunk image, measured from the
 //! image centre, which is the principal point: observations by a lens that is known to differ are moved there first
 //! (known). Poses inside are world to camera.
 

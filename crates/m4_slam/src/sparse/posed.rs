@@ -24,7 +24,7 @@ const STILL_RAD: f64 = 1e-4;
 ///
 /// # Errors
 ///
-/// [`SparseError`] as for [`super::recover`], and where cameras and frames do not fit or the poses contradict the pictures.
+/// [`SparseError`] as for [`super::recover`], and where cameras and frames do not fit or the poses contradict the images.
 pub fn with_cameras(
     frames: &[&RgbImage],
     cameras: &[Camera],
@@ -150,7 +150,7 @@ impl Clip<'_> {
             }
             CameraMotion::Parallax
         } else {
-            // Without points, the poses must at least explain the pictures as turns.
+            // Without points, the poses must at least explain the images as turns.
             let far = median_far_error(&map, &self.tracks).unwrap_or(f64::INFINITY);
             if far > INLIER_PX {
                 return Err(SparseError::PosesDoNotFit {

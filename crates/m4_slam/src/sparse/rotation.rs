@@ -93,7 +93,7 @@ pub(crate) fn focal_from_fov(width: usize, fov_deg: f64) -> f64 {
     0.5 * width as f64 / (0.5 * fov_deg.to_radians()).tan()
 }
 
-/// How much the picture moves over the clip.
+/// How much the image moves over the clip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Sway {
     /// Greatest over all pairs of frames of the 60th percentile of displacement, pixels.

@@ -13,7 +13,7 @@ use m4_math::{Se3, exp_so3, log_so3};
 use m4_scene::Intrinsics;
 
 /// Share of the resting tracks of a camera that moves which must rest for one that zooms. What is near tells a walk from a
-/// zoom, and may be a small part of the picture.
+/// zoom, and may be a small part of the image.
 const AS_MANY: f64 = 0.9;
 /// The median error may be this many times that of a camera that moves, and this many pixels more.
 const AS_GOOD: (f64, f64) = (2.0, 0.05);

@@ -41,7 +41,7 @@ fn step(strip: &Strip, frame: usize, at: [f32; 2], forward: bool) -> Option<(usi
     (is_inside(strip, to) && strip.moving.get(next)?.get(x, y).is_some()).then_some((next, to))
 }
 
-/// Whether a place is in the picture.
+/// Whether a place is in the image.
 pub(super) fn is_inside(strip: &Strip, at: [f32; 2]) -> bool {
     at[0] > -0.5 && at[1] > -0.5 && at[0] < strip.width as f32 - 0.5 && at[1] < strip.height as f32 - 0.5
 }

@@ -71,7 +71,7 @@ impl PosedClip for Vec<PosedFrame> {
     }
 }
 
-/// A capture as a clip: pictures, depth and masks at one size.
+/// A capture as a clip: images, depth and masks at one size.
 #[derive(Debug, Clone, Copy)]
 pub struct CaptureClip<'a> {
     capture: &'a Capture,
@@ -79,7 +79,7 @@ pub struct CaptureClip<'a> {
 }
 
 impl<'a> CaptureClip<'a> {
-    /// The frames of `capture` with their longest side at most `side_px`: pictures are shrunk by the mean of their pixels, depth and masks
+    /// The frames of `capture` with their longest side at most `side_px`: images are shrunk by the mean of their pixels, depth and masks
     /// read at the nearest. A frame without depth or mask has none of it, and is not followed through.
     #[must_use]
     pub fn new(capture: &'a Capture, side_px: usize) -> Self {

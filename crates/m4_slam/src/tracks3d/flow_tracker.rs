@@ -15,7 +15,7 @@ use crate::dense::FlowSource;
 use m4_scene::Progress;
 use rayon::prelude::*;
 
-/// Frames whose pictures are in memory at a time.
+/// Frames whose images are in memory at a time.
 const BATCH: usize = 8;
 /// Most places of all tracks together: a place takes 17 bytes while points are followed.
 const MOST_PLACES: usize = 8_000_000;
@@ -42,7 +42,7 @@ impl Default for TrackConfig {
 /// Chains along optical flow, lifted with depth, carried on where they are hidden (docs/spec/front-end.md 7.1, item 8, and
 /// the end of docs/spec/front-end.md 3).
 ///
-/// Frames are followed at the size that the clip has. Of each, flow and depth of what moves are kept; pictures are read a few at a time.
+/// Frames are followed at the size that the clip has. Of each, flow and depth of dynamic regions are kept; images are read a few at a time.
 pub struct FlowTracker<'a> {
     /// Measures flow between neighbouring frames.
     pub flow: &'a dyn FlowSource,
@@ -175,7 +175,7 @@ fn asked(strip: &Strip, query: &Query, config: &TrackConfig) -> Option<Lifted> {
     pieces.into_iter().find(holds)
 }
 
-/// Flow and depth of what moves in the whole clip.
+/// Flow and depth of dynamic regions in the whole clip.
 fn strip(clip: &dyn PosedClip, flow: &dyn FlowSource, progress: &dyn Progress) -> Result<Strip, TrackError> {
     const PHASE: &str = "computing flow of dynamic objects";
     let frames = clip.frames();

@@ -168,7 +168,7 @@ pub(crate) fn seed(
         .map(|(x, y)| [x as f32, y as f32])
 }
 
-/// The pixel that holds a place of the picture.
+/// The pixel that holds a place of the image.
 pub(crate) fn nearest(at: [f32; 2]) -> (usize, usize) {
     ((at[0] + 0.5).max(0.0) as usize, (at[1] + 0.5).max(0.0) as usize)
 }

@@ -4,7 +4,7 @@
 //! masks every n-th frame -> grid of queries ----------.
 //! PosedClip (a frame at a time) -> Tracker3d::follow --+--> Followed: places, visibility, confidence -> m4_scene::Tracks
 //!                                     |
-//!                 FlowTracker: strip (flow and depth of what moves) -> chain -> lift -> fill -> again where it comes back
+//!                 FlowTracker: strip (flow and depth of dynamic regions) -> chain -> lift -> fill -> again where it comes back
 //! ```
 //!
 //! [`Tracker3d`] is the seam between the tracking enhancement of Minute4D (section 3.2 of the paper; docs/spec/front-end.md 3; docs/spec/front-end.md 7.1, item 8)

@@ -4,7 +4,7 @@ use super::PosedFrame;
 use crate::dense::{Flow, FlowError, FlowPicture, FlowSource, round_trip_px};
 use m4_scene::Camera;
 
-/// Values of some pixels of a picture.
+/// Values of some pixels of an image.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Sparse<T> {
     /// Where each row starts among `columns`, and where the last ends.
@@ -35,7 +35,7 @@ impl<T: Copy> Sparse<T> {
         out
     }
 
-    /// The value at a pixel; `None` where there is none, and beyond the picture.
+    /// The value at a pixel; `None` where there is none, and beyond the image.
     pub fn get(&self, x: usize, y: usize) -> Option<T> {
         let (from, to) = (*self.rows.get(y)?, *self.rows.get(y + 1)?);
         let row = &self.columns[from as usize..to as usize];
@@ -50,7 +50,7 @@ pub(crate) struct Strip {
     pub height: usize,
     /// One a frame.
     pub cameras: Vec<Camera>,
-    /// One over the z-depth of what moves, one a frame.
+    /// One over the z-depth of dynamic regions, one a frame.
     pub moving: Vec<Sparse<f32>>,
     /// Flow of what moves and leads back, from each frame to the next.
     pub forward: Vec<Sparse<[f32; 2]>>,
@@ -58,7 +58,7 @@ pub(crate) struct Strip {
     pub backward: Vec<Sparse<[f32; 2]>>,
 }
 
-/// One over the depth of what moves.
+/// One over the depth of dynamic regions.
 pub(super) fn moving(frame: &PosedFrame) -> Sparse<f32> {
     let (w, h) = frame.rgb.size();
     let (depth, mask) = (frame.depth.data(), frame.moving.data());

@@ -4,7 +4,7 @@ use m4_scene::RgbImage;
 use m4_slam::dense::{Flow, FlowError, FlowPicture, FlowSource};
 use m4_testkit::BoxScene;
 
-/// True flow: pictures are known by their pixels.
+/// True flow: images are known by their pixels.
 pub struct TrueFlow<'a> {
     pub scene: &'a BoxScene,
     pub pictures: Vec<RgbImage>,

@@ -53,7 +53,7 @@ pub enum SplitPlacement {
     Sample,
     /// 0.6 standard deviations to both sides along the longest axis, 0.8 of its length: two Gaussians of
     /// the parent's mean and covariance (docs/spec/optimiser.md 4.4, alternative), which share the parent's opacity as
-    /// clones do. The picture hardly changes, where a random draw costs decibels for hundreds of steps.
+    /// clones do. The image hardly changes, where a random draw costs decibels for hundreds of steps.
     LongestAxis,
 }
 

@@ -9,7 +9,7 @@ pub struct PathOptions {
     /// Length of the video, seconds.
     pub seconds: Option<f64>,
     /// The moment of the source whose camera a path starts from; for the bullet, where time stands still;
-    /// for the source and its like, the one picture that is wanted.
+    /// for the source and its like, the one image that is wanted.
     pub at: Option<Moment>,
     /// Times the motion that the scene is good for; below 0 the other way round.
     pub amount: Option<f64>,
@@ -23,8 +23,8 @@ pub struct PathOptions {
     pub hold_s: Option<f64>,
 }
 
-/// Defaults of the camera paths. Lengths are shares of the median depth of what moves (of everything, where
-/// nothing does) in the picture of the camera where the path starts, so that they do not depend on the unit of the scene. Limits of
+/// Defaults of the camera paths. Lengths are shares of the median depth of dynamic regions (of everything, where
+/// nothing does) in the image of the camera where the path starts, so that they do not depend on the unit of the scene. Limits of
 /// turns are narrow, because what moves was seen from one side alone at each moment, wherever the camera was before and after:
 /// beyond 6 degrees the pinwheel of the examples begins to come apart (ours, judged by eye).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

@@ -17,7 +17,6 @@ pub use train::{ColourFitSettings, DensitySettings, LossSettings, RefinementSett
 pub use without::Enhancement;
 
 use crate::Error;
-
 use crate::enhance::EnhanceConfig;
 use crate::geometry::GeometryOptions;
 use crate::preview::PreviewConfig;
@@ -35,21 +34,21 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Settings {
-    /// What decides everything that has no key; not to be changed once the others are those of another one.
+    /// The built-in settings that the others start from; it decides everything that has no key. Set it with [`Self::of`], not alone.
     pub profile: Profile,
     /// Which part of a video is read.
     pub video: VideoOptions,
     /// Limits on captures.
     pub capture: CaptureOptions,
-    /// Who measures flow, and what is known of the clip.
+    /// Methods of geometry, and what the user knows of the clip.
     pub geometry: GeometryOptions,
     /// Cameras and tracks.
     pub sparse: SparseConfig,
     /// Depth and masks.
     pub dense: DenseConfig,
-    /// MegaSaM's way, where the front end is its own.
+    /// The front end of MegaSaM.
     pub megasam: MegasamSettings,
-    /// Masks over time, and points that are followed.
+    /// Segmentation and tracking through the clip.
     pub enhance: EnhanceConfig,
     /// The first splats.
     pub init: InitSettings,

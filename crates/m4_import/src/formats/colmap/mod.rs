@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! PATH/sparse/0, PATH/sparse or PATH   cameras, images, each .bin or .txt; rigs, frames and points3D are not needed
-//! PATH/images, or options.pictures     the pictures by the names of `images` (which may begin with `images/`)
+//! PATH/images, or options.images     the images by the names of `images` (which may begin with `images/`)
 //!
 //! files -> m4_formats::cameras::colmap::read_tables -> lenses, poses -> frames in the natural order of their names
 //! ```

@@ -20,7 +20,7 @@ pub struct Config {
 /// What a sample holds besides its slices.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SampleKind {
-    /// No other picture is predicted from this one.
+    /// No other image is predicted from this one.
     pub disposable: bool,
     /// A sequence parameter set for another size is inside.
     pub resizes: Option<(usize, usize)>,

@@ -1,6 +1,6 @@
 //! Which pixels of the masks belong to which thing, while things pass in front of one another.
 //!
-//! Two things whose pictures touch are one connected part of the mask. Those that were apart before are told apart by
+//! Two things whose images touch are one connected part of the mask. Those that were apart before are told apart by
 //! carrying their labels along the flow, those that will be by carrying labels back from then; a region is what has
 //! the same pair of labels.
 

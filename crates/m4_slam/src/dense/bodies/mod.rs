@@ -1,9 +1,9 @@
-//! Depth of what moves, part by part: each moving part is taken for a rigid body, whose motion relative to
+//! Depth of dynamic regions, part by part: each moving part is taken for a rigid body, whose motion relative to
 //! the camera reveals its shape and how its distance changes, but not its size; its size follows from what it
 //! hides, where it touches the ground, and how it moves.
 //!
 //! ```text
-//! masks, flow -> instances: what touches in the picture told apart by before and after
+//! masks, flow -> instances: what touches in the image told apart by before and after
 //!             -> tracklet: one part through time
 //!             -> rigid: dense bundle adjustment of camera against part (crate::dba), shape and distance up to scale
 //!             -> scale: the one number that is left
@@ -89,7 +89,7 @@ pub(super) fn place<'s>(
     if falling && let Some(ground) = ground::find(clip) {
         fall(clip, &ground, &bodies, &mut scales);
     }
-    // Part by part onto the pixels, along the edges of the picture.
+    // Part by part onto the pixels, along the edges of the image.
     let mut values: Vec<Vec<(u32, f32)>> = vec![Vec::new(); disparity.len()];
     for ((tracklet, shape, _), scale) in bodies.iter().zip(&scales) {
         for (k, scale) in scale.iter().enumerate() {

@@ -163,7 +163,7 @@ mod tests {
     const W: usize = 96;
     const H: usize = 72;
 
-    /// Waves of every length from 100 px down to 9 px, the longer the stronger, as pictures have.
+    /// Waves of every length from 100 px down to 9 px, the longer the stronger, as images have.
     fn texture(x: f32, y: f32) -> f32 {
         let wave = |k: u32| {
             let (length, turn) = (100.0 * 0.8f32.powi(k as i32), 2.4 * k as f32);

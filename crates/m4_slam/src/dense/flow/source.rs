@@ -3,7 +3,7 @@
 use super::pyramid::Pyramid;
 use super::{Flow, flow};
 
-/// One picture, as a source of flow sees it.
+/// One image, as a source of flow sees it.
 #[derive(Debug, Clone, Copy)]
 pub struct FlowPicture<'a> {
     /// Columns.
@@ -28,24 +28,24 @@ pub enum FlowError {
         /// What went wrong.
         reason: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// The source gave flow of another size than that of its pictures.
+    /// The source gave flow of another size than that of its images.
     #[error("the flow has {}x{} values where the images have {}x{}", found.0, found.1, expected.0, expected.1)]
     Size {
         /// Width and height of the flow.
         found: (usize, usize),
-        /// Width and height of the pictures.
+        /// Width and height of the images.
         expected: (usize, usize),
     },
 }
 
-/// Measures where the pixels of one picture are seen in another: classical search, a network, another program's result.
+/// Measures where the pixels of one image are seen in another: classical search, a network, another program's result.
 ///
-/// Called from several threads at once; the same pictures must give the same bits.
+/// Called from several threads at once; the same images must give the same bits.
 pub trait FlowSource: Sync {
     /// For records and messages, as `--frontend` names it.
     fn name(&self) -> &str;
 
-    /// The flow from `a` to `b` and that from `b` to `a`, of the size of the pictures, which is the same for both.
+    /// The flow from `a` to `b` and that from `b` to `a`, of the size of the images, which is the same for both.
     ///
     /// # Errors
     ///

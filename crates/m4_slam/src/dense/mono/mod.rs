@@ -1,4 +1,4 @@
-//! The seam between dense geometry and whatever knows depth from one picture: a sensor, a network, nothing.
+//! The seam between dense geometry and whatever knows depth from one image: a sensor, a network, nothing.
 //!
 //! ```text
 //! MonoDepth (source) --> a plane of disparities a frame, NaN where unknown (working)

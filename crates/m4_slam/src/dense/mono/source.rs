@@ -1,4 +1,4 @@
-//! What gives depth from one picture.
+//! What gives depth from one image.
 
 use m4_scene::{DepthMap, Plane, RgbImage};
 use std::borrow::Cow;
@@ -40,9 +40,9 @@ pub enum MonoError {
     Empty,
 }
 
-/// Knows depth from one picture: a sensor, a network, another program's result.
+/// Knows depth from one image: a sensor, a network, another program's result.
 ///
-/// Called from several threads at once; the same picture must give the same bits.
+/// Called from several threads at once; the same image must give the same bits.
 pub trait MonoDepth: Send + Sync {
     /// For records and messages.
     fn name(&self) -> &str;

@@ -18,7 +18,7 @@ struct Known {
     values: Vec<f32>,
 }
 
-/// Depth of all frames from one picture each, at the working size.
+/// Depth of all frames from one image each, at the working size.
 pub(in crate::dense) struct Mono {
     frames: Vec<Option<Known>>,
 }

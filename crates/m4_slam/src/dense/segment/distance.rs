@@ -1,7 +1,7 @@
 //! Exact Euclidean distances in a mask: Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled Functions" (2012).
 
 /// For each pixel of the set its distance to the nearest pixel outside of the set, in pixels; 0 outside. Where there is no
-/// outside, the distance is larger than the picture.
+/// outside, the distance is larger than the image.
 pub fn to_outside(width: usize, height: usize, inside: impl Fn(usize) -> bool) -> Vec<f32> {
     let far = ((width + height) * (width + height)) as f32;
     let mut squared: Vec<f32> = (0..width * height).map(|p| if inside(p) { far } else { 0.0 }).collect();

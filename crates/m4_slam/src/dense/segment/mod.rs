@@ -1,4 +1,4 @@
-//! Masks against what a picture shows: a segmenter is asked, part by part, what the coarse mask means.
+//! Masks against what an image shows: a segmenter is asked, part by part, what the coarse mask means.
 //!
 //! ```text
 //! coarse mask --parts--> prompt (box, points, belief) --Segmenter--> mask, quality --plausible?--> sharp mask

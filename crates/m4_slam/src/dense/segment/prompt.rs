@@ -39,7 +39,7 @@ fn bounds(width: usize, height: usize, part: impl Fn(usize) -> bool) -> Option<[
     ends.map(|ends| ends.map(|v| v as f32 + 0.5))
 }
 
-/// The place deepest inside (the picture's border counts as an edge), then again and again the one that is both deep and far from those
+/// The place deepest inside (the image's border counts as an edge), then again and again the one that is both deep and far from those
 /// before it; `inner` is the distance to what is outside.
 pub(crate) fn points_apart(width: usize, height: usize, inner: &[f32], count: usize) -> Vec<[f32; 2]> {
     let mut depth: Vec<f32> = (0..width * height)

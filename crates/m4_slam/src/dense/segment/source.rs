@@ -54,9 +54,9 @@ pub enum SegmentError {
     },
 }
 
-/// Finds the outline of what a prompt means in a picture.
+/// Finds the outline of what a prompt means in an image.
 ///
-/// Called from several threads at once; the same picture and prompts must give the same bits.
+/// Called from several threads at once; the same image and prompts must give the same bits.
 pub trait Segmenter: Sync {
     /// For records and messages, as `--segmenter` names it.
     fn name(&self) -> &str;

@@ -1,4 +1,4 @@
-//! What a segmenter of single pictures is asked, and when it is believed.
+//! What a segmenter of single images is asked, and when it is believed.
 
 use crate::dense::{
     LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY, POINTS, SegmentError, SegmentMask, SegmentPrompt, Segmenter, belief,

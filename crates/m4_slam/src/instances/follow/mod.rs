@@ -1,4 +1,4 @@
-//! Following by optical flow, with a segmenter of single pictures or without.
+//! Following by optical flow, with a segmenter of single images or without.
 //!
 //! ```text
 //! mask of frame t --flow, there and back--> carried to t + 1 --edges of t + 1--> carried mask
@@ -20,7 +20,7 @@ use super::clip::Clip;
 use super::source::{VideoError, VideoSegmenter, VideoSession};
 use crate::dense::{FlowSource, Segmenter};
 
-/// Carries masks along optical flow. Where there is a segmenter of single pictures, it says what they mean in each frame.
+/// Carries masks along optical flow. Where there is a segmenter of single images, it says what they mean in each frame.
 pub struct FlowFollower<'a> {
     flow: &'a dyn FlowSource,
     segmenter: Option<&'a dyn Segmenter>,

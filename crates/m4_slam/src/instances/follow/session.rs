@@ -53,7 +53,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Flow of steps from each of `frames` to the next of them, and the pictures they lead to at the size of masks.
+    /// Flow of steps from each of `frames` to the next of them, and the images they lead to at the size of masks.
     fn steps(&self, frames: &[usize]) -> Result<Vec<(Step, Picture)>, VideoError> {
         let flow_size = working_size(self.size.0, self.size.1, FLOW_SIDE_PX);
         let small: Vec<Picture> = frames
@@ -119,7 +119,7 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// A prompt as a segmenter of pictures takes it: it has a box and a belief, too.
+    /// A prompt as a segmenter of images takes it: it has a box and a belief, too.
     fn for_picture(&self, prompt: &ObjectPrompt) -> SegmentPrompt {
         let described = self.described(prompt);
         let (w, h) = self.size;

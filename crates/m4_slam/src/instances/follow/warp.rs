@@ -63,7 +63,7 @@ fn trust(miss_px: f32) -> f32 {
     if r < 2.0 { 1.0 / (1.0 + r.powi(4)) } else { 0.0 }
 }
 
-/// A coarse mask with its edge moved to an edge of the picture: pixels count the less the nearer they are to where the mask ends.
+/// A coarse mask with its edge moved to an edge of the image: pixels count the less the nearer they are to where the mask ends.
 pub fn snap(mask: &CompactMask, picture: &Picture) -> CompactMask {
     let (w, h) = mask.size();
     let inside = |p: usize| mask.at(p % w, p / w);
@@ -77,7 +77,7 @@ pub fn snap(mask: &CompactMask, picture: &Picture) -> CompactMask {
     CompactMask::from_fn(w, h, |x, y| found[y * w + x] > 0.0)
 }
 
-/// The mask in the other frame, whose picture is `onto`; `None` where too little of the thing arrives.
+/// The mask in the other frame, whose image is `onto`; `None` where too little of the thing arrives.
 pub fn carry(mask: &CompactMask, step: &Step, onto: &Picture) -> Option<CompactMask> {
     let (w, h) = mask.size();
     let (mut area, mut arrives) = (0.0f32, 0.0f32);

@@ -7,7 +7,7 @@ use m4_scene::{CompactMask, Plane, RgbImage};
 pub const SIZE: (usize, usize) = (160, 120);
 pub const FRAMES: usize = 30;
 
-/// From where on the coarse masks show the late thing, and from where on the pictures do.
+/// From where on the coarse masks show the late thing, and from where on the images do.
 pub const LATE_COARSE: usize = 9;
 pub const LATE_SEEN: usize = 5;
 /// The thing that rests is in the coarse masks of the first frames.
@@ -65,7 +65,7 @@ fn pattern(x: f32, y: f32) -> f32 {
     (0.5 + 0.025 * (0..7).map(wave).sum::<f32>()).clamp(0.0, 1.0)
 }
 
-/// The picture: each thing in a hue of its own and with a pattern that goes along.
+/// The image: each thing in a hue of its own and with a pattern that goes along.
 pub fn picture(i: usize) -> RgbImage {
     Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
         let with =

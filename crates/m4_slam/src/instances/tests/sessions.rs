@@ -9,7 +9,7 @@ use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::sync::Mutex;
 
-/// Makes its pictures when asked, and remembers which were.
+/// Makes its images when asked, and remembers which were.
 #[derive(Default)]
 struct Lazy(Mutex<Vec<usize>>);
 

@@ -28,7 +28,7 @@ pub const SECTIONS: &[Section] = &[
             (
                 "video.max_frames",
                 "frames",
-                "Most frames, evenly spread over the clip. As `--max-frames`.",
+                "Most frames to train on, evenly spread over the clip; geometry may use up to four times as many. As `--max-frames`.",
             ),
             (
                 "video.size",

@@ -85,7 +85,7 @@ pub(super) fn depths(
     Some(bodies.iter().zip(&flights).map(|(body, f)| along(body, f)).collect())
 }
 
-/// Whether a part keeps its size from flight to flight; two things whose pictures touch may not.
+/// Whether a part keeps its size from flight to flight; two things whose images touch may not.
 fn one_size(body: &Body<'_>, flights: &[Flight], ground: &Ground, g: f64) -> bool {
     let size = |flight: &Flight| {
         let mut all: Vec<f32> = (flight.first..flight.end)

@@ -19,7 +19,7 @@ pub(super) struct Sight {
     pub radius: f64,
     /// The same in pixels.
     pub radius_px: f64,
-    /// All of the part is in the picture and nothing is in front of it, as far as one can tell.
+    /// All of the part is in the image and nothing is in front of it, as far as one can tell.
     pub whole: bool,
 }
 
@@ -52,7 +52,7 @@ pub(super) fn sights(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Sight> {
 struct Outline {
     /// Pixel coordinates of its middle.
     middle: Vector2<f64>,
-    /// It touches neither the border of the picture nor, for long, another part.
+    /// It touches neither the border of the image nor, for long, another part.
     clear: bool,
 }
 
