@@ -1,0 +1,3 @@
+//! Does nothing: without it, cargo ignores the build dependencies (`Cargo.toml`).
+
+fn main() {}
