@@ -11,6 +11,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::{Mutex, PoisonError};
 
 /// What the tests of the default program leave out: GPUs and networks, and what only they need.
 const DEFAULT: [&str; 5] = ["--workspace", "--exclude", "m4_gpu", "--exclude", "m4_nets"];
@@ -27,6 +28,9 @@ const FULL: [&str; 10] = [
     "--features",
     "minute4d_cli/full,m4_nets/gpu",
 ];
+
+/// Programs of tests that run at a time: those of GPUs mostly wait for the one thread that compiles kernels.
+const AT_A_TIME: usize = 2;
 
 /// What to run, and what must not be missing.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -200,28 +204,57 @@ fn what_full_adds(root: &Path, list: &Path, more: &[String]) -> Result<()> {
         .into_iter()
         .flatten()
         .collect();
-    let mut failed = Vec::new();
+    let mut waiting = Vec::new();
     for program in programs(root, &FULL, more)? {
         let new: Vec<String> = names(&program)?
             .into_iter()
             .filter(|test| !before.contains(&(program.name.clone(), test.clone())))
             .collect();
-        if new.is_empty() {
-            continue;
-        }
-        eprintln!("     Running {} tests of {}", new.len(), program.name);
-        let mut command = Command::new(&program.path);
-        command.current_dir(&program.folder).arg("--exact").args(&new);
-        command
-            .env("CARGO_MANIFEST_DIR", &program.folder)
-            .env("MINUTE4D_SKIPPED", list);
-        if ended(command, &program.name).is_err() {
-            failed.push(program.name);
+        if !new.is_empty() {
+            waiting.push((program, new));
         }
     }
+    // The last is taken first.
+    waiting.sort_by_key(|(_, tests)| tests.len());
+    let waiting = Mutex::new(waiting);
+    let failed = Mutex::new(Vec::new());
+    let next = || waiting.lock().unwrap_or_else(PoisonError::into_inner).pop();
+    std::thread::scope(|scope| {
+        for _ in 0..AT_A_TIME {
+            scope.spawn(|| {
+                while let Some((program, tests)) = next() {
+                    if let Err(error) = run_alone(&program, &tests, list) {
+                        eprintln!("{error:#}");
+                        failed.lock().unwrap_or_else(PoisonError::into_inner).push(program.name);
+                    }
+                }
+            });
+        }
+    });
+    let failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
     match failed.is_empty() {
         true => Ok(()),
         false => bail!("tests failed in {}", failed.join(", ")),
+    }
+}
+
+/// Runs these tests of a program and prints its output when it ends, so that outputs of several programs do not mix.
+fn run_alone(program: &Program, tests: &[String], list: &Path) -> Result<()> {
+    eprintln!("     Running {} tests of {}", tests.len(), program.name);
+    let output = Command::new(&program.path)
+        .current_dir(&program.folder)
+        .arg("--exact")
+        .args(tests)
+        .env("CARGO_MANIFEST_DIR", &program.folder)
+        .env("MINUTE4D_SKIPPED", list)
+        .output()
+        .with_context(|| format!("cannot start {}", program.name))?;
+    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    eprintln!("     Ended: {}\n{}", program.name, text.concat());
+    if output.status.success() {
+        Ok(())
+    } else {
+        bail!("{} ended with {}", program.name, output.status)
     }
 }
 
