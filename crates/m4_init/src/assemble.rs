@@ -4,7 +4,8 @@ use crate::carry::{CARRY_MARGIN, CARRY_REACH_PIXELS, Carry, MOST_CARRIED, Moving
 use crate::change::changes;
 use crate::cloud::{Clouds, Pixels, clouds};
 use crate::error::stopped;
-use crate::motion::{Field, Fields, NODE_PIXELS, REACH_PIXELS, Registration, View, Ways, fields};
+use crate::motion::{Fields, NODE_PIXELS, REACH_PIXELS, Registration, View, Ways, fields};
+use crate::paths::Paths;
 use crate::shell::{Shell, shell};
 use crate::tracked::{self, Known};
 use crate::voxel::{Centroids, Grid, pixels_for};
@@ -94,7 +95,10 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
     stopped(progress)?;
     let tracked = tracked::tracked(&known, config);
     stopped(progress)?;
-    let velocities = velocities(&moving, &fields);
+    let centre = |i: usize| capture.frames[frames[i]].camera.centre();
+    let paths: Vec<Paths> = (0..moving.len())
+        .map(|i| Paths::of(&moving, &fields, i, &centre(i)))
+        .collect();
     stopped(progress)?;
     let tint_grid = grid(TINT_PIXELS);
     let tints: Vec<Tints> = frames
@@ -115,7 +119,7 @@ pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progres
         standing,
         shell,
         moving,
-        velocities,
+        paths,
         hidden,
         tracked,
         tints,
@@ -140,8 +144,8 @@ struct Parts {
     shell: Shell,
     /// Time and points, one per keyframe.
     moving: Vec<(f64, Centroids)>,
-    /// World units per frame, one per point of each keyframe.
-    velocities: Vec<Vec<[f32; 3]>>,
+    /// Motion of the points, one per keyframe.
+    paths: Vec<Paths>,
     /// Points that a keyframe cannot see.
     hidden: Vec<Moving>,
     /// Points of tracks that each keyframe lacks.
@@ -194,34 +198,6 @@ fn motions(
     }
 }
 
-/// Velocities of the points of every keyframe, world units per frame: half the displacement from the
-/// keyframe before to the one after; one side at the ends; 0 for a lone keyframe.
-fn velocities(moving: &[(f64, Centroids)], fields: &[Fields]) -> Vec<Vec<[f32; 3]>> {
-    (0..moving.len())
-        .map(|i| {
-            let (t, points) = &moving[i];
-            // a keyframe of the same instant, from another camera, says nothing of velocities
-            let side = |field: &Field, other: f64| -> Option<Vec<[f32; 3]>> {
-                let gap = (other - t) as f32;
-                let places = (gap != 0.0).then(|| field.places(&points.xyz))?;
-                let pairs = places.iter().zip(&points.xyz);
-                Some(pairs.map(|(q, p)| [0, 1, 2].map(|k| (q[k] - p[k]) / gap)).collect())
-            };
-            let before = i.checked_sub(1).and_then(|j| side(&fields[j].backward, moving[j].0));
-            let after = moving.get(i + 1).and_then(|next| side(&fields[i].forward, next.0));
-            match (before, after) {
-                (Some(a), Some(b)) => a
-                    .iter()
-                    .zip(&b)
-                    .map(|(a, b)| [0, 1, 2].map(|k| 0.5 * (a[k] + b[k])))
-                    .collect(),
-                (Some(v), None) | (None, Some(v)) => v,
-                (None, None) => vec![[0.0; 3]; points.xyz.len()],
-            }
-        })
-        .collect()
-}
-
 /// At most `count` indices below `n`, evenly spread.
 fn every_nth(n: usize, count: usize) -> impl Iterator<Item = usize> {
     (0..n).step_by(n.div_ceil(count).max(1))
@@ -259,7 +235,7 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
     for (i, (t, points)) in parts.moving.iter().enumerate() {
         let first = writer.row;
         writer.surface(points);
-        writer.velocity(first, &parts.velocities[i]);
+        writer.velocity(first, &parts.paths[i].velocity);
         for unseen in [&parts.hidden[i], &parts.tracked[i]] {
             let first = writer.row;
             writer.surface(&unseen.points);
@@ -268,6 +244,9 @@ fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
         writer.tint(&parts.tints[i].darker, DARK);
         writer.tint(&parts.tints[i].brighter, BRIGHT);
         writer.time(first, (*t as f32, log_time_sd(capture, config, &times, i)));
+        if let TimeSpread::KeyframeGaps { .. } = config.time_spread {
+            writer.shorten(first, &parts.paths[i].bend);
+        }
     }
     splats
 }

@@ -24,6 +24,7 @@ mod config;
 mod error;
 mod free_space;
 mod motion;
+mod paths;
 mod shell;
 mod spacing;
 mod tracked;

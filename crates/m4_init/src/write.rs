@@ -24,6 +24,8 @@ const DISC_NEIGHBOURS: usize = 9;
 const DISC_THICKNESS: f32 = 0.05;
 /// A disc is at most this much longer than a sphere would be wide.
 const MOST_STRETCHED: f32 = 3.0;
+/// Least share of a lifetime that is kept where the path bends: splats of neighbouring keyframes must cover the time between them.
+const SHORTEST: f32 = 0.5;
 /// Largest standard deviation, in voxel edges: an isolated point must not become a cloud (our rule).
 const MOST_EDGES: f32 = 3.0;
 
@@ -102,6 +104,21 @@ impl Writer<'_> {
         let rows = first - n_static..self.row - n_static;
         self.splats.column_mut(Column::TimeMean, 0)[rows.clone()].fill(mean);
         self.splats.column_mut(Column::LogTimeSd, 0)[rows].fill(log_sd);
+    }
+
+    /// Shortens the lifetime of the rows from `first` on: a splat follows a straight line, and within one standard deviation in time
+    /// it should leave its path, which bends away by `bend` until the next keyframe, by its own size at most. The deviation grows with
+    /// the square of time.
+    pub fn shorten(&mut self, first: usize, bend: &[f32]) {
+        let n_static = self.splats.n_static();
+        let axes = if self.splats.layout().isotropic { 1 } else { 3 };
+        for (row, &bend) in (first..).zip(bend) {
+            let log_size = (0..axes)
+                .map(|k| self.splats.column(Column::LogScale, k)[row])
+                .fold(f32::MIN, f32::max);
+            let share = (log_size.exp() / bend.max(f32::MIN_POSITIVE)).sqrt();
+            self.splats.column_mut(Column::LogTimeSd, 0)[row - n_static] += share.clamp(SHORTEST, 1.0).ln();
+        }
     }
 
     /// Velocities of the rows from `first` on.
