@@ -1,5 +1,6 @@
 //! The folder of a run: the names of its files, and which of them may be replaced.
 
+use crate::error::OutputError;
 use crate::record::{GEOMETRY_FILE, RUN_FILE, RunRecord, Status};
 use crate::{Error, geometry};
 use std::fs::{self, File, TryLockError};
@@ -37,8 +38,8 @@ pub enum Existing {
 ///
 /// # Errors
 ///
-/// [`Error::InTheWay`] for a file of that name, [`Error::Foreign`] for a folder with other things in
-/// it, [`Error::Exists`] for an unexpected earlier run, [`Error::Busy`] for one that is running,
+/// [`OutputError::InTheWay`] for a file of that name, [`OutputError::Foreign`] for a folder with other things in
+/// it, [`OutputError::Exists`] for an unexpected earlier run, [`OutputError::Busy`] for one that is running,
 /// [`Error::Write`] if the folder cannot be written.
 pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<RunRecord>), Error> {
     let filled = make(folder)?;
@@ -103,21 +104,23 @@ fn take_over(folder: &Path, existing: Existing) -> Result<Option<RunRecord>, Err
             clear(folder)?;
             Ok(None)
         }
-        (Some(record), Existing::Refuse) => Err(Error::Exists {
+        (Some(record), Existing::Refuse) => Err(OutputError::Exists {
             path: folder.to_path_buf(),
             what: match record.status {
                 Status::Finished => "a finished run",
                 _ => "an unfinished run",
             },
-        }),
+        }
+        .into()),
         (_, Existing::Force) => {
             clear(folder)?;
             Ok(None)
         }
-        (None, _) => Err(Error::Foreign {
+        (None, _) => Err(OutputError::Foreign {
             path: folder.to_path_buf(),
             missing: RUN_FILE,
-        }),
+        }
+        .into()),
     }
 }
 
@@ -139,9 +142,10 @@ impl Lock {
             return Ok(Self { _folder: None });
         };
         match handle.try_lock() {
-            Err(TryLockError::WouldBlock) => Err(Error::Busy {
+            Err(TryLockError::WouldBlock) => Err(OutputError::Busy {
                 path: folder.to_path_buf(),
-            }),
+            }
+            .into()),
             _ => Ok(Self { _folder: Some(handle) }),
         }
     }
@@ -154,9 +158,10 @@ pub(crate) fn make(folder: &Path) -> Result<bool, Error> {
         source,
     };
     match fs::metadata(folder) {
-        Ok(kind) if !kind.is_dir() => Err(Error::InTheWay {
+        Ok(kind) if !kind.is_dir() => Err(OutputError::InTheWay {
             path: folder.to_path_buf(),
-        }),
+        }
+        .into()),
         Ok(_) => {
             let torn = half_written(folder, &[RUN_FILE, GEOMETRY_FILE])?;
             Ok(fs::read_dir(folder).map_err(write)?.count() > torn.len())

@@ -54,7 +54,7 @@ mod progress;
 mod steps;
 mod workspace;
 
-pub use error::{BUILD_FULL, Category, Error};
+pub use error::{BUILD_FULL, Category, DataError, Error, NetworkError, NetworkMethod, OutputError};
 pub use folder::Existing;
 pub use hash::of_path as hash_of_path;
 pub use job::{Job, threads, with_threads};

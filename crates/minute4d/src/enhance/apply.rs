@@ -3,6 +3,8 @@
 use super::plan::{Plan, Points, Things};
 use super::{EnhanceConfig, EnhanceError, Follower, masks};
 use crate::device::NetworkDevice;
+#[cfg(feature = "nets")]
+use crate::error::{NetworkError, NetworkMethod};
 use crate::record::plain_json;
 use crate::steps::Steps;
 use crate::{Error, Settings};
@@ -110,7 +112,7 @@ fn things(
     progress: &dyn Progress,
 ) -> Result<(Capture, InstanceReport), Error> {
     match who {
-        Things::Nobody => Err(Error::NothingToEnhance),
+        Things::Nobody => Err(EnhanceError::NothingToDo.into()),
         Things::Flow(pictures) => {
             let follower = Follower::load(*pictures)?;
             masks(
@@ -123,8 +125,8 @@ fn things(
         }
         #[cfg(feature = "nets")]
         Things::Sam2(path) => {
-            let net = m4_nets::Sam2::load(path, &device.device).map_err(|source| Error::SegmenterLoad {
-                segmenter: crate::geometry::Segmenter::Sam2.name(),
+            let net = m4_nets::Sam2::load(path, &device.device).map_err(|source| NetworkError::Load {
+                method: NetworkMethod::Segmenter(crate::geometry::Segmenter::Sam2),
                 source: Box::new(source),
             })?;
             let follower = super::Sam2Follower::new(net);
@@ -149,8 +151,8 @@ fn tracker<'a>(
         }))),
         #[cfg(feature = "nets")]
         Points::Tapip3d(path) => {
-            let net = m4_nets::Tapip3d::load(path, &device.device).map_err(|source| Error::TrackerLoad {
-                tracker: super::Tracker::Tapip3d.name(),
+            let net = m4_nets::Tapip3d::load(path, &device.device).map_err(|source| NetworkError::Load {
+                method: NetworkMethod::Tracker(super::Tracker::Tapip3d),
                 source: Box::new(source),
             })?;
             let config = &settings.enhance.tapip3d;

@@ -8,6 +8,9 @@ use m4_slam::tracks3d::TrackError;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum EnhanceError {
+    /// No method was selected, or none is available.
+    #[error("there is nothing to do: --segmenter none and --tracker none leave a capture unchanged; omit one of them")]
+    NothingToDo,
     /// A frame without any word on the dynamic part.
     #[error(
         "frame {frame} ({name:?}) has neither a motion map nor a mask, so there is nothing to refine; create the capture with masks \
@@ -28,8 +31,11 @@ pub enum EnhanceError {
 }
 
 impl EnhanceError {
-    pub(crate) fn category(&self) -> Category {
+    /// Returns the category of the failure.
+    #[must_use]
+    pub fn category(&self) -> Category {
         match self {
+            Self::NothingToDo => Category::Usage,
             Self::Instances(InstanceError::Cancelled { .. }) | Self::Tracks(TrackError::Cancelled { .. }) => {
                 Category::Stopped
             }

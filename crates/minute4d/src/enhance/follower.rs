@@ -16,8 +16,7 @@ impl Follower {
     ///
     /// # Errors
     ///
-    /// [`Error::NoSegmenter`] if the build has no networks; with networks [`Error::SegmenterWeights`] if weights are missing and
-    /// [`Error::SegmenterLoad`] if they cannot be used.
+    /// [`Error::Network`] if the build has no networks, or the weights are missing or cannot be used.
     pub fn load(pictures: Segmenter) -> Result<Self, Error> {
         let resolved = geometry::resolve_segmenter(pictures)?;
         Ok(Self {

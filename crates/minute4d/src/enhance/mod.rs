@@ -99,7 +99,7 @@ pub fn masks(
 ///
 /// # Errors
 ///
-/// [`Error::WriteCapture`] or [`Error::Write`] if the file system refuses, or `progress` says to stop.
+/// [`Error::Data`] or [`Error::Write`] if the file system refuses, or `progress` says to stop.
 pub fn save(folder: &Path, capture: &Capture, report: &InstanceReport, progress: &dyn Progress) -> Result<(), Error> {
     m4_io::capture::write(folder, capture, Split::Train, progress)?;
     write_json(&folder.join(REPORT_FILE), report)

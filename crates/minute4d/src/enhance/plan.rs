@@ -2,6 +2,7 @@
 
 use super::Tracker;
 use crate::Error;
+use crate::error::{NetworkError, NetworkMethod};
 use crate::geometry::{Segmenter, UsedNetwork};
 #[cfg(feature = "nets")]
 use crate::weights::{self, State, Store, WeightsError};
@@ -98,15 +99,14 @@ impl Plan {
     ///
     /// # Errors
     ///
-    /// [`Error::SegmenterWeights`] or [`Error::TrackerWeights`] if weights are missing, [`Error::NoSegmenter`] or
-    /// [`Error::NoTracker`] if the build has no networks.
+    /// [`NetworkError::Weights`] if weights are missing, [`NetworkError::NotBuilt`] if the build has no networks.
     #[cfg(feature = "nets")]
     pub fn of(segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
         let mut used = Vec::new();
         let sam2 = || SAM2.iter().find_map(|name| here(name));
         let found = match segmenter {
-            Segmenter::Sam2 => Some(sam2().ok_or_else(|| Error::SegmenterWeights {
-                segmenter: Segmenter::Sam2.name(),
+            Segmenter::Sam2 => Some(sam2().ok_or_else(|| NetworkError::Weights {
+                method: NetworkMethod::Segmenter(Segmenter::Sam2),
                 source: missing(SAM2[0]),
             })?),
             Segmenter::Auto => sam2(),
@@ -123,10 +123,11 @@ impl Plan {
                     Things::Flow(Segmenter::Mobilesam)
                 }
                 None if segmenter == Segmenter::Mobilesam => {
-                    return Err(Error::SegmenterWeights {
-                        segmenter: segmenter.name(),
+                    return Err(NetworkError::Weights {
+                        method: NetworkMethod::Segmenter(segmenter),
                         source: missing(MOBILE_SAM),
-                    });
+                    }
+                    .into());
                 }
                 None => Things::Nobody,
             },
@@ -134,8 +135,8 @@ impl Plan {
         };
         let points = match (tracker, before) {
             (Tracker::Tapip3d, _) => {
-                let (entry, path) = here(TAPIP3D).ok_or_else(|| Error::TrackerWeights {
-                    tracker: tracker.name(),
+                let (entry, path) = here(TAPIP3D).ok_or_else(|| NetworkError::Weights {
+                    method: NetworkMethod::Tracker(tracker),
                     source: missing(TAPIP3D),
                 })?;
                 used.push(used_network(entry, &path)?);
@@ -151,19 +152,17 @@ impl Plan {
     ///
     /// # Errors
     ///
-    /// [`Error::NoSegmenter`] or [`Error::NoTracker`]: the build has no networks.
+    /// [`NetworkError::NotBuilt`]: the build has no networks.
     #[cfg(not(feature = "nets"))]
     pub fn of(segmenter: Segmenter, tracker: Tracker, before: Before) -> Result<Self, Error> {
         if matches!(segmenter, Segmenter::Mobilesam | Segmenter::Sam2) {
-            return Err(Error::NoSegmenter {
-                segmenter: segmenter.name(),
-            });
+            let method = NetworkMethod::Segmenter(segmenter);
+            return Err(NetworkError::NotBuilt { method }.into());
         }
         let points = match (tracker, before) {
             (Tracker::Tapip3d, _) => {
-                return Err(Error::NoTracker {
-                    tracker: tracker.name(),
-                });
+                let method = NetworkMethod::Tracker(tracker);
+                return Err(NetworkError::NotBuilt { method }.into());
             }
             (Tracker::Auto | Tracker::Flow, Before::Motion) => Points::Flow,
             _ => Points::Nobody,

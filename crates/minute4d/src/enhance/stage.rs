@@ -2,7 +2,7 @@
 
 use super::apply::apply;
 use super::plan::{Before, Plan};
-use super::save;
+use super::{EnhanceError, save};
 use crate::device::NetworkDevice;
 use crate::geometry::{self, UsedNetwork};
 use crate::progress::RecordingObserver;
@@ -66,7 +66,7 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
     let (segmenter, tracker) = (settings.geometry.segmenter, settings.geometry.tracker);
     let plan = Plan::of(segmenter, tracker, Before::Motion)?;
     if plan.nothing() {
-        return Err(Error::NothingToEnhance);
+        return Err(EnhanceError::NothingToDo.into());
     }
     let start = Instant::now();
     let keeper = RecordingObserver::new(job.observer);

@@ -1,8 +1,50 @@
-//! Errors of evaluation by a protocol.
+//! Errors of evaluation, with or without a protocol.
 
 use super::Protocol;
 use crate::Category;
+use m4_eval::geometry::{GeometryError, LlffError};
+use m4_eval::image::ImageError;
 use std::path::PathBuf;
+
+/// Why a scene or a capture cannot be scored.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum EvaluationError {
+    /// A protocol of evaluation.
+    #[error(transparent)]
+    Protocol(#[from] ProtocolError),
+    /// Scoring images.
+    #[error(transparent)]
+    Score(#[from] ImageError),
+    /// Scoring geometry.
+    #[error(transparent)]
+    ScoreGeometry(#[from] GeometryError),
+    /// Ground-truth cameras in the LLFF layout.
+    #[error("{}: {source}", path.display())]
+    Llff {
+        /// The file.
+        path: PathBuf,
+        /// The fault.
+        source: LlffError,
+    },
+    /// A capture without held-out views.
+    #[error("{} has no transforms_test.json, so there are no held-out views to compare with; give a capture that has some", path.display())]
+    NoTestList {
+        /// The capture.
+        path: PathBuf,
+    },
+}
+
+impl EvaluationError {
+    /// Returns the category of the failure.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::Protocol(e) => e.category(),
+            Self::Score(_) | Self::ScoreGeometry(_) | Self::Llff { .. } | Self::NoTestList { .. } => Category::BadInput,
+        }
+    }
+}
 
 /// Why a protocol cannot be followed.
 #[derive(Debug, thiserror::Error)]

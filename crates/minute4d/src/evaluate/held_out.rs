@@ -1,5 +1,6 @@
 //! A finished scene, and the held-out views of a capture placed in its world.
 
+use super::EvaluationError;
 use super::align::{self, Alignment};
 use crate::device::OpenGpu;
 use crate::folder::SCENE_FILE;
@@ -31,7 +32,7 @@ impl HeldOut {
     ///
     /// # Errors
     ///
-    /// [`Error::NoTestList`] without held-out views; else what could not be read.
+    /// [`EvaluationError::NoTestList`] without held-out views; else what could not be read.
     pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
         let path = out.join(SCENE_FILE);
         let scene = scene_file::read(&path)?.scene;
@@ -91,9 +92,10 @@ fn test_views(data: &Path, options: &CaptureOptions, observer: &dyn Observer) ->
         });
     }
     if data.is_dir() && !data.join(Split::Test.file_name()).is_file() {
-        return Err(Error::NoTestList {
+        return Err(EvaluationError::NoTestList {
             path: data.to_path_buf(),
-        });
+        }
+        .into());
     }
     Ok(m4_io::capture::read(data, Split::Test, options, observer)?)
 }

@@ -22,7 +22,7 @@ pub use align::Alignment;
 pub use choices::{Choices, FrameChoice, Headline, MaskChoice, PoseChoice, PoseTreatment, ResolutionChoice};
 pub(crate) use covisible::adopt as adopt_covisible;
 pub use covisible::{COVISIBLE_FOLDER, MaskSource};
-pub use error::ProtocolError;
+pub use error::{EvaluationError, ProtocolError};
 pub(crate) use held_out::HeldOut;
 pub use perceptual::LpipsChoice;
 pub use protocol::{FrameRule, Protocol, Task};
@@ -64,10 +64,11 @@ fn known(path: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Resu
     }
     if path.is_file() && holds_poses(path)? {
         let text = read_text(path)?;
-        return llff_truth(&text).map_err(|source| Error::Llff {
+        let truth = llff_truth(&text).map_err(|source| EvaluationError::Llff {
             path: path.to_path_buf(),
             source,
         });
+        return Ok(truth?);
     }
     Ok(m4_io::capture::read(path, Split::Train, options, observer)?)
 }

@@ -1,6 +1,7 @@
 //! Splits a capture of a whole video into training and test frames.
 
 use super::{FrameRule, Protocol, ProtocolError};
+use crate::error::OutputError;
 use crate::folder::{self, Existing, Lock};
 use crate::record::write_json;
 use crate::{Error, Observer, Settings, geometry, hash};
@@ -125,7 +126,7 @@ pub fn parts(capture: Capture, protocol: Protocol) -> Result<Parts, ProtocolErro
 ///
 /// # Errors
 ///
-/// As [`parts`]; [`Error::Exists`] or [`Error::Foreign`] for a folder that holds something; else what could not be read or written.
+/// As [`parts`]; [`Error::Output`] for a folder that holds something; else what could not be read or written.
 pub fn split(
     data: &Path,
     protocol: Protocol,
@@ -184,16 +185,18 @@ pub fn split(
             (Some(_), Existing::Resume | Existing::Force) => clear(out)?,
             (None, Existing::Force) => {}
             (Some(_), Existing::Refuse) => {
-                return Err(Error::Exists {
+                return Err(OutputError::Exists {
                     path: out.to_path_buf(),
                     what: "a split capture",
-                });
+                }
+                .into());
             }
             (None, _) => {
-                return Err(Error::Foreign {
+                return Err(OutputError::Foreign {
                     path: out.to_path_buf(),
                     missing: SPLIT_FILE,
-                });
+                }
+                .into());
             }
         }
     }
@@ -217,8 +220,8 @@ fn clear(out: &Path) -> Result<(), Error> {
 #[cfg(test)]
 mod tests {
     use super::{Parts, parts, split};
-    use crate::evaluate::{Protocol, ProtocolError};
-    use crate::{Error, Existing, Silent};
+    use crate::evaluate::{EvaluationError, Protocol, ProtocolError};
+    use crate::{Error, Existing, OutputError, Silent};
     use m4_io::capture::{self, CaptureOptions, Split};
     use m4_io::reach::Reach;
     use m4_math::Se3;
@@ -301,7 +304,10 @@ mod tests {
             assert!((frame.t / last - i / 23.0).abs() < 1e-12, "{} {i}", frame.t);
         }
         let again = |existing| split(&full, Protocol::Instant4d, &out, existing, Reach::Inside, &Silent);
-        assert!(matches!(again(Existing::Refuse), Err(Error::Exists { .. })));
+        assert!(matches!(
+            again(Existing::Refuse),
+            Err(Error::Output(OutputError::Exists { .. }))
+        ));
         assert_eq!(again(Existing::Resume).unwrap(), record);
         let other = split(&full, Protocol::Holdout, &out, Existing::Force, Reach::Inside, &Silent).unwrap();
         assert_eq!(other.held_out, [0, 8, 16]);
@@ -319,7 +325,12 @@ mod tests {
         );
         let foreign = split(&full, Protocol::Holdout, &full, Existing::Force, Reach::Inside, &Silent);
         assert!(
-            matches!(foreign, Err(Error::Protocol(ProtocolError::SameFolder(_)))),
+            matches!(
+                foreign,
+                Err(Error::Evaluation(EvaluationError::Protocol(ProtocolError::SameFolder(
+                    _
+                ))))
+            ),
             "{foreign:?}"
         );
     }

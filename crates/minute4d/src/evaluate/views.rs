@@ -88,7 +88,7 @@ pub struct EvalReport {
 ///
 /// # Errors
 ///
-/// [`Error::NoTestList`] without held-out views; else what could not be read, compared or written.
+/// [`Error::Evaluation`] without held-out views; else what could not be read, compared or written.
 pub fn views(
     out: &Path,
     data: &Path,
@@ -108,7 +108,7 @@ pub fn views(
 ///
 /// # Errors
 ///
-/// As [`views`]; [`Error::Protocol`] if the capture cannot be judged by the protocol.
+/// As [`views`]; [`Error::Evaluation`] if the capture cannot be judged by the protocol.
 pub fn views_by(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn Observer) -> Result<EvalReport, Error> {
     let start = Instant::now();
     let level = SimdLevel::detect()?;

@@ -1,6 +1,7 @@
 //! Exports a capture for other tools.
 
 use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
+use crate::error::OutputError;
 use crate::{Error, Observer, Settings};
 use m4_formats::captures::{self, WriteCaptureAsError};
 use m4_io::capture::{self, CaptureOptions, Split};
@@ -17,7 +18,7 @@ pub(super) fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Re
         None => input.parent().unwrap_or(Path::new("")).join(name),
     };
     if !job.replace && occupied(&out) {
-        return Err(Error::WouldReplace { path: out });
+        return Err(OutputError::WouldReplace { path: out }.into());
     }
     let options = CaptureOptions {
         reach: job.reach,

@@ -17,6 +17,7 @@ pub use error::ExportError;
 pub use format::{Format, Time};
 pub use report::{ExportReport, Losses};
 
+use crate::error::OutputError;
 use crate::folder::SCENE_FILE;
 use crate::render::{Moment, Span};
 use crate::{Error, Observer, is_capture};
@@ -97,7 +98,7 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
         None => folder.join(job.format.file_name()),
     };
     if !job.replace && occupied(&out) {
-        return Err(Error::WouldReplace { path: out });
+        return Err(OutputError::WouldReplace { path: out }.into());
     }
     let scene = scene_file::read(&file)?.scene;
     scene_to(&scene, &out, job, observer)

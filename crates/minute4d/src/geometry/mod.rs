@@ -15,6 +15,7 @@
 mod between;
 mod compute;
 mod confidence;
+mod error;
 mod frontend;
 mod given;
 mod iterate;
@@ -26,6 +27,7 @@ mod scale;
 mod segmenter;
 
 pub use confidence::{Confidence, Focal, Grade};
+pub use error::ReconstructionError;
 pub use frontend::{Frontend, Part as FrontendPart, UnknownFrontend, UsedNetwork};
 pub use given::GivenError;
 pub use options::GeometryOptions;
@@ -34,6 +36,7 @@ pub(crate) use segmenter::resolve as resolve_segmenter;
 
 use crate::device::NetworkDevice;
 use crate::enhance::{self, Before, EnhanceConfig, Tracker};
+use crate::error::OutputError;
 use crate::folder::{self, Existing, Lock};
 use crate::record::{GEOMETRY_FILE, GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::settings::part_to_toml;
@@ -242,14 +245,16 @@ fn take_over(capture: &Path, existing: Existing) -> Result<Option<GeometryRecord
         (_, Existing::Force) => Ok(None),
         // A failed attempt left nothing worth keeping.
         (Some(record), Existing::Refuse) if record.status == Status::Failed => Ok(None),
-        (Some(_), Existing::Refuse) => Err(Error::Exists {
+        (Some(_), Existing::Refuse) => Err(OutputError::Exists {
             path: capture.to_path_buf(),
             what: "a capture",
-        }),
-        (None, _) => Err(Error::Foreign {
+        }
+        .into()),
+        (None, _) => Err(OutputError::Foreign {
             path: capture.to_path_buf(),
             missing: GEOMETRY_FILE,
-        }),
+        }
+        .into()),
     }
 }
 

@@ -1,6 +1,8 @@
 //! The segmentation method: none, or a network.
 
 use crate::Error;
+#[cfg(not(feature = "nets"))]
+use crate::error::{NetworkError, NetworkMethod};
 use m4_slam::dense;
 use serde::{Deserialize, Serialize};
 
@@ -43,7 +45,7 @@ pub(crate) struct Resolved {
 ///
 /// # Errors
 ///
-/// [`Error::SegmenterWeights`] if weights are missing, [`Error::NoSegmenter`] if the build has no networks.
+/// [`Error::Network`] if weights are missing, [`Error::Read`] if they cannot be read.
 #[cfg(feature = "nets")]
 pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
     let weights = match asked {
@@ -59,14 +61,15 @@ pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
 ///
 /// # Errors
 ///
-/// [`Error::NoSegmenter`]: the build has no networks.
+/// [`Error::Network`]: the build has no networks.
 #[cfg(not(feature = "nets"))]
 pub(crate) fn resolve(asked: Segmenter) -> Result<Resolved, Error> {
     match asked {
         Segmenter::None | Segmenter::Auto => Ok(Resolved {}),
-        Segmenter::Mobilesam | Segmenter::Sam2 => Err(Error::NoSegmenter {
-            segmenter: asked.name(),
-        }),
+        Segmenter::Mobilesam | Segmenter::Sam2 => Err(NetworkError::NotBuilt {
+            method: NetworkMethod::Segmenter(asked),
+        }
+        .into()),
     }
 }
 
@@ -92,7 +95,7 @@ impl Resolved {
     ///
     /// # Errors
     ///
-    /// [`Error::SegmenterLoad`] if the weights cannot be used.
+    /// [`Error::Network`] if the weights cannot be used.
     pub(crate) fn load(&self) -> Result<Option<Box<dyn dense::Segmenter>>, Error> {
         #[cfg(feature = "nets")]
         if let Some(weights) = &self.weights {
@@ -107,6 +110,7 @@ mod network {
     //! MobileSAM as a segmenter.
 
     use super::Segmenter;
+    use crate::error::{NetworkError, NetworkMethod};
     use crate::weights::{self, State, Store, WeightsError};
     use crate::{Error, hash};
     use m4_nets::{MobileSam, PointPrompt, Prompt, SamError};
@@ -116,6 +120,7 @@ mod network {
 
     /// The name of the weights.
     const ENTRY: &str = "mobile-sam";
+    const METHOD: NetworkMethod = NetworkMethod::Segmenter(Segmenter::Mobilesam);
 
     /// Weights that are there.
     pub struct Weights {
@@ -124,10 +129,7 @@ mod network {
     }
 
     fn missing(source: WeightsError) -> Error {
-        Error::SegmenterWeights {
-            segmenter: Segmenter::Mobilesam.name(),
-            source,
-        }
+        Error::from(NetworkError::Weights { method: METHOD, source })
     }
 
     impl Weights {
@@ -152,8 +154,8 @@ mod network {
         }
 
         pub fn load(&self) -> Result<MobileSamSegmenter, Error> {
-            let net = MobileSam::load(&self.path, m4_nets::cpu()).map_err(|source| Error::SegmenterLoad {
-                segmenter: Segmenter::Mobilesam.name(),
+            let net = MobileSam::load(&self.path, m4_nets::cpu()).map_err(|source| NetworkError::Load {
+                method: METHOD,
                 source: Box::new(source),
             })?;
             Ok(MobileSamSegmenter { net })

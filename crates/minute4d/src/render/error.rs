@@ -1,5 +1,6 @@
 //! Errors of rendering along a camera path.
 
+use crate::Category;
 use std::path::PathBuf;
 
 /// Why a camera path cannot be rendered.
@@ -90,6 +91,17 @@ pub enum PathError {
         /// Longest side.
         limit: usize,
     },
+}
+
+impl PathError {
+    /// Returns the category of the failure.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::NoSource { .. } => Category::BadInput,
+            _ => Category::Usage,
+        }
+    }
 }
 
 fn takes(known: &[&str]) -> String {

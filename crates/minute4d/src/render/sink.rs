@@ -2,6 +2,7 @@
 
 use super::{PathError, Stop};
 use crate::Error;
+use crate::error::OutputError;
 use crate::folder::{self, remove_file};
 use m4_io::{image, video::Mp4Writer};
 use m4_scene::RgbImage;
@@ -35,9 +36,10 @@ impl Sink {
             .into());
         }
         if is_file(&extension) && out.exists() && !replace {
-            return Err(Error::WouldReplace {
+            return Err(OutputError::WouldReplace {
                 path: out.to_path_buf(),
-            });
+            }
+            .into());
         }
         Ok(())
     }
@@ -59,7 +61,7 @@ impl Sink {
         }
         if !is_file(&extension) {
             if folder::make(out)? && !replace {
-                return Err(Error::WouldReplace { path });
+                return Err(OutputError::WouldReplace { path }.into());
             }
             return Ok(Self::Folder { path, next: 0 });
         }

@@ -12,6 +12,7 @@
 use super::report::{SceneRow, pose_word};
 use super::suite::{FoundScene, Suite};
 use super::{GeometrySource, ReproduceError, ReproduceOptions};
+use crate::error::OutputError;
 use crate::evaluate::{self, EvalOptions, EvalReport, FrameRule, PoseTreatment, Protocol};
 use crate::folder::{self, EVAL_FILE, Existing};
 use crate::import;
@@ -200,10 +201,11 @@ fn whole_capture(
     }
     if folder::make(whole)? {
         if !file.is_file() {
-            return Err(Error::Foreign {
+            return Err(OutputError::Foreign {
                 path: whole.to_path_buf(),
                 missing: KEY_FILE,
-            });
+            }
+            .into());
         }
         // what an earlier import of other data left must not stay beside the new
         folder::remove_folder(whole)?;

@@ -1,5 +1,6 @@
 //! Every setting of the pipeline, and how layers of them are put together.
 
+mod error;
 mod init;
 mod layers;
 #[cfg(test)]
@@ -9,8 +10,9 @@ mod profile;
 mod train;
 mod without;
 
+pub use error::SettingsError;
 pub use init::InitSettings;
-pub use layers::{Layers, SettingsError};
+pub use layers::Layers;
 pub use preset::Preset;
 pub use profile::Profile;
 pub use train::{ColourFitSettings, DensitySettings, LossSettings, RefinementSettings, TrainSettings};

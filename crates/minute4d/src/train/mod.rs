@@ -5,6 +5,7 @@ mod metrics;
 
 use crate::clock::Clock;
 use crate::device::OpenGpu;
+use crate::error::OutputError;
 use crate::folder::{self, METRICS_FILE, SCENE_FILE, VIEWER_FILE};
 use crate::progress::RecordingObserver;
 use crate::record::{Input, RunRecord, SplatCount};
@@ -266,8 +267,9 @@ fn publish(path: &Path, scene: &Scene, state: &TrainState<'_>) -> Result<(), Err
         return Ok(());
     };
     folder::remove_file(path)?;
-    Err(Error::Verify {
+    Err(OutputError::Verify {
         path: path.to_path_buf(),
         what: differs.to_owned(),
-    })
+    }
+    .into())
 }

@@ -70,7 +70,7 @@ impl<'a> Broadcast<'a> {
     ///
     /// # Errors
     ///
-    /// [`Error::Serve`] if the port cannot be had, [`Error::Internal`] if there is no thread.
+    /// [`Error::Viewer`] if the port cannot be had, [`Error::Internal`] if there is no thread.
     pub fn start(inner: &'a dyn Observer, title: &str, port: u16, live: LiveConfig) -> Result<Self, Error> {
         let hub = Hub::waiting(title);
         let server = Server::start(Arc::clone(&hub), port)?;
@@ -107,7 +107,7 @@ impl<'a> Broadcast<'a> {
     ///
     /// # Errors
     ///
-    /// [`Error::Read`] or [`Error::Page`] if the page of the run cannot be read.
+    /// [`Error::Read`] or [`Error::Viewer`] if the page of the run cannot be read.
     pub fn finish(&mut self, out: &Path, ok: bool) -> Result<(), Error> {
         if let Some((send, thread)) = self.worker.take() {
             drop(send);

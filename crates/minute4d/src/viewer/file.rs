@@ -2,6 +2,7 @@
 
 use super::STAGE;
 use super::pack::{frames, median_depth, pack};
+use crate::error::OutputError;
 use crate::folder::{CAPTURE_FOLDER, SCENE_FILE, VIEWER_FILE};
 use crate::settings::part_to_toml;
 use crate::workspace::{Task, Workspace};
@@ -63,9 +64,11 @@ fn write(run: &Workspace<'_>, title: &str, capture: &Capture, scene: &Scene) -> 
     file.write_all(&html).map_err(failed)?;
     drop(html);
     file.sync().map_err(failed)?;
-    let differs = |what: &str| Error::Verify {
-        path: path.clone(),
-        what: what.to_owned(),
+    let differs = |what: &str| {
+        Error::from(OutputError::Verify {
+            path: path.clone(),
+            what: what.to_owned(),
+        })
     };
     let text = fs::read_to_string(file.temporary_path()).map_err(|source| Error::Read {
         path: path.clone(),

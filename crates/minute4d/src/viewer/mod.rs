@@ -5,6 +5,7 @@
 
 mod broadcast;
 mod config;
+mod error;
 mod file;
 mod pack;
 mod source;
@@ -12,6 +13,7 @@ mod view;
 
 pub use broadcast::Broadcast;
 pub use config::{LiveConfig, ViewerConfig};
+pub use error::ViewerError;
 pub(crate) use file::stage;
 pub use file::title;
 pub use view::{Viewing, view};

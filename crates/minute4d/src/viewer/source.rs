@@ -126,7 +126,7 @@ impl Source {
     ///
     /// # Errors
     ///
-    /// [`Error::ReadScene`] for a file that is no scene.
+    /// [`Error::Data`] for a file that is no scene.
     pub fn load(&self, stamp: &Stamp, level: SimdLevel) -> Result<(Manifest, Vec<u8>, Scene), Error> {
         let scene = scene_file::read(&stamp.path)?.scene;
         let (manifest, payload) = pack(&scene, &self.title(), median_depth(&scene, level));

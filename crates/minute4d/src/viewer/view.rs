@@ -35,8 +35,8 @@ pub struct Viewing {
 ///
 /// # Errors
 ///
-/// [`Error::Missing`] if there is no scene and no run, [`Error::ReadScene`] if the scene cannot be
-/// read, [`Error::Serve`] if the port cannot be had.
+/// [`Error::Missing`] if there is no scene and no run, [`Error::Data`] if the scene cannot be
+/// read, [`Error::Viewer`] if the port cannot be had.
 pub fn view(path: &Path, port: u16, observer: &dyn Observer) -> Result<Viewing, Error> {
     let level = SimdLevel::detect()?;
     let source = Source::new(path)?;

@@ -3,6 +3,7 @@
 use super::source::unusable;
 use super::{MonoClip, Part, Plan};
 use crate::Error;
+use crate::error::NetworkError;
 use crate::steps::Steps;
 use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeMap, MoGeOptions, UniDepth, cpu};
 use m4_scene::{Plane, Progress, RgbImage};
@@ -106,10 +107,10 @@ impl MonoClip {
             if progress.cancelled() {
                 return Err(MegasamError::Cancelled.into());
             }
-            let failed = |error: Box<dyn std::error::Error + Send + Sync>| Error::MonoDepth {
-                source_name: name.clone(),
+            let failed = |reason: Box<dyn std::error::Error + Send + Sync>| NetworkError::Depth {
+                networks: name.clone(),
                 frame,
-                reason: error,
+                reason,
             };
             let step = format!("depth-{frame:05}");
             let (measured, disparity) = match steps.load(&step) {

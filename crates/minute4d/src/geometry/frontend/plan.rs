@@ -3,6 +3,7 @@
 use super::{Frontend, Part};
 use crate::Error;
 use crate::device::DeviceChoice;
+use crate::error::{NetworkError, NetworkMethod};
 #[cfg(feature = "nets")]
 use crate::weights::{self, State, Store, WeightsError};
 use serde::{Deserialize, Serialize};
@@ -97,8 +98,7 @@ const DEPTHS: [&[Part]; 5] = [
 ///
 /// # Errors
 ///
-/// [`Error::FrontEndWeights`] if weights are missing, [`Error::NoNetworks`] if the build has no networks, [`Error::Gpu`] if a GPU is
-/// asked for and does not start.
+/// [`NetworkError::Weights`] if weights are missing, [`Error::Gpu`] if a GPU is asked for and does not start.
 #[cfg(feature = "nets")]
 pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
     let store = Store::of_user();
@@ -118,9 +118,11 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
     let (mut used, mut files) = (Vec::new(), Vec::new());
     for part in parts {
         let Some(first) = names(part).first() else { continue };
-        let missing = |source| Error::FrontEndWeights {
-            frontend: part.name(),
-            source,
+        let missing = |source| {
+            Error::from(NetworkError::Weights {
+                method: NetworkMethod::FrontEnd(part),
+                source,
+            })
         };
         let store = store.as_ref().map_err(|_| missing(WeightsError::NoFolder))?;
         let Some((entry, path)) = find(store, part) else {
@@ -154,12 +156,15 @@ pub fn plan(asked: &Frontend, device: DeviceChoice) -> Result<Plan, Error> {
 ///
 /// # Errors
 ///
-/// [`Error::NoNetworks`]: the build has no networks.
+/// [`NetworkError::NotBuilt`]: the build has no networks.
 #[cfg(not(feature = "nets"))]
 pub fn plan(asked: &Frontend, _: DeviceChoice) -> Result<Plan, Error> {
     let network = Part::ALL.into_iter().find(|&p| p != Part::Classical && asked.has(p));
     match network {
-        Some(part) => Err(Error::NoNetworks { frontend: part.name() }),
+        Some(part) => Err(NetworkError::NotBuilt {
+            method: NetworkMethod::FrontEnd(part),
+        }
+        .into()),
         None => Ok(Plan {
             frontend: Frontend {
                 parts: vec![Part::Classical],

@@ -12,7 +12,7 @@ impl Plan {
     ///
     /// # Errors
     ///
-    /// [`Error::FrontEndLoad`] if weights cannot be used.
+    /// [`Error::Network`] if weights cannot be used.
     pub fn flow(&self, iterations: usize, device: &NetworkDevice) -> Result<Box<dyn FlowSource>, Error> {
         #[cfg(feature = "nets")]
         if let Some(network) = self.flow_network(iterations, device)? {
@@ -53,14 +53,17 @@ mod networks {
     use super::super::flow::{RaftPairs, RaftSource};
     use super::super::{Part, Plan};
     use super::{Error, NetworkDevice};
+    use crate::error::{NetworkError, NetworkMethod};
     use m4_nets::{LoadError, Raft};
     use m4_slam::dense::FlowSource;
     use m4_slam::megasam::PairFlow;
 
     pub fn unusable(part: Part) -> impl Fn(LoadError) -> Error {
-        move |source| Error::FrontEndLoad {
-            frontend: part.name(),
-            source: Box::new(source),
+        move |source| {
+            Error::from(NetworkError::Load {
+                method: NetworkMethod::FrontEnd(part),
+                source: Box::new(source),
+            })
         }
     }
 
@@ -84,7 +87,7 @@ mod networks {
         ///
         /// # Errors
         ///
-        /// [`Error::FrontEndLoad`] if its weights cannot be used.
+        /// [`Error::Network`] if its weights cannot be used.
         pub fn raft_pairs(
             &self,
             iterations: usize,

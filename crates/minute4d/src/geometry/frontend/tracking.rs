@@ -24,7 +24,7 @@ impl<'a> NetworkCorrespondence<'a> {
     ///
     /// # Errors
     ///
-    /// [`Error::FrontEndLoad`] if its weights cannot be used.
+    /// [`Error::Network`] if its weights cannot be used.
     pub fn load(
         plan: &Plan,
         pictures: &'a [&'a RgbImage],

@@ -1,5 +1,7 @@
 //! Errors of geometry that the user provides.
 
+use crate::Category;
+use m4_io::ErrorKind;
 use std::io;
 use std::path::PathBuf;
 
@@ -90,4 +92,16 @@ pub enum GivenError {
         /// Points needed.
         needed: usize,
     },
+}
+
+impl GivenError {
+    /// Returns the category of the failure.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::Missing { .. } => Category::NoInput,
+            Self::Read { source, .. } => ErrorKind::of_read(source).into(),
+            _ => Category::BadInput,
+        }
+    }
 }

@@ -97,7 +97,7 @@ impl CameraPath {
     /// # Errors
     ///
     /// [`Error::Path`] for options that cannot work, [`Error::Time`] for moments outside the scene,
-    /// [`Error::ReadTrajectory`] for a file that cannot be used.
+    /// [`Error::Data`] for a file that cannot be used.
     pub fn plan(&self, scene: &Scene, painter: &mut Painter<'_>, job: &RenderJob) -> Result<Plan, Error> {
         job.options.check(self)?;
         let fps = job.fps.unwrap_or_else(|| self.own_fps(scene));

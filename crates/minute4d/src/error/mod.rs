@@ -1,0 +1,312 @@
+//! The error type of the library, and the category of each failure.
+//!
+//! [`Error`] has one variant for each operation; the type of an operation lies beside it (`evaluate/error.rs`), and those that
+//! several operations share lie here. Each says its own [`Category`].
+
+mod category;
+mod data;
+mod network;
+mod output;
+
+pub use category::Category;
+pub use data::DataError;
+pub use network::{NetworkError, NetworkMethod};
+pub use output::OutputError;
+
+use crate::enhance::EnhanceError;
+use crate::evaluate::{EvaluationError, ProtocolError};
+use crate::export::ExportError;
+use crate::geometry::{GivenError, ReconstructionError};
+use crate::import::ImportError;
+use crate::render::{PathError, TimeError};
+use crate::reproduce::ReproduceError;
+use crate::settings::SettingsError;
+use crate::viewer::ViewerError;
+use m4_eval::geometry::GeometryError;
+use m4_eval::image::ImageError;
+use m4_init::InitError;
+use m4_io::ErrorKind;
+use m4_io::capture::{ReadCaptureError, WriteCaptureError};
+use m4_io::image::{ReadImageError, WriteImageError};
+use m4_io::scene_file::{ReadSceneError, WriteSceneError};
+use m4_io::trajectory::ReadTrajectoryError;
+use m4_io::video::{ReadVideoError, WriteVideoError};
+use m4_kernels::SimdLevelError;
+use m4_slam::dense::DenseError;
+use m4_slam::megasam::MegasamError;
+use m4_slam::sparse::SparseError;
+use m4_train::TrainError;
+use m4_viewer::FramesError;
+use m4_viewer::page::PageError;
+use m4_viewer::server::ServeError;
+use std::io;
+use std::path::PathBuf;
+
+/// The command that builds the program with GPU support and networks, for messages about missing features.
+pub const BUILD_FULL: &str = "cargo build --release -p minute4d_cli --features full";
+
+/// Why a stage failed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file or folder could not be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The path.
+        path: PathBuf,
+        /// The error of the operating system.
+        source: io::Error,
+    },
+    /// A file or folder could not be written.
+    #[error("cannot write {}: {source}; check the permissions and the free space, or choose another folder", path.display())]
+    Write {
+        /// The path.
+        path: PathBuf,
+        /// The error of the operating system.
+        source: io::Error,
+    },
+    /// An input that does not exist.
+    #[error("there is no {what} at {}", path.display())]
+    Missing {
+        /// What was expected there.
+        what: &'static str,
+        /// Where.
+        path: PathBuf,
+    },
+    /// An output folder or file that cannot be used.
+    #[error(transparent)]
+    Output(#[from] OutputError),
+    /// Reading or writing videos, images, captures, scenes and cameras.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// The time limit was reached before there was a scene.
+    #[error(
+        "the time limit of {seconds:.0} s was reached in the stage {stage}; finished work is kept: the same command with \
+         --resume continues, and --time-limit changes the limit"
+    )]
+    TimeLimit {
+        /// The stage.
+        stage: &'static str,
+        /// The limit.
+        seconds: f64,
+    },
+    /// The caller asked to stop.
+    #[error("stopped during {stage}{}", if *saved { "; run the same command with --resume to continue" } else { "" })]
+    Stopped {
+        /// The stage that was running.
+        stage: &'static str,
+        /// True when there is something to resume from.
+        saved: bool,
+    },
+    /// A bug.
+    #[error("internal error: {what}; this is a bug in minute4d, please report it")]
+    Internal {
+        /// The observation.
+        what: String,
+    },
+    /// Settings.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// The instruction set that was asked for.
+    #[error(transparent)]
+    Simd(#[from] SimdLevelError),
+    /// The requested GPU is missing, does not start, or failed.
+    #[cfg(feature = "gpu")]
+    #[error(transparent)]
+    Gpu(#[from] m4_gpu::GpuError),
+    /// A GPU was requested in a build without GPU support.
+    #[error(
+        "this program was built without GPU support, which --device gpu needs: `{BUILD_FULL}` builds it with them; --device cpu works without"
+    )]
+    NoGpuSupport,
+    /// A method that needs a pretrained network.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
+    /// Pretrained weights.
+    #[cfg(feature = "nets")]
+    #[error(transparent)]
+    Weights(#[from] crate::weights::WeightsError),
+    /// Geometry that the user provided.
+    #[error(transparent)]
+    Given(#[from] GivenError),
+    /// Cameras, depth and masks from a video.
+    #[error(transparent)]
+    Reconstruction(#[from] ReconstructionError),
+    /// Refining masks or tracking points.
+    #[error(transparent)]
+    Enhance(#[from] EnhanceError),
+    /// The first splats.
+    #[error(transparent)]
+    Init(#[from] InitError),
+    /// Training.
+    #[error(transparent)]
+    Train(#[from] TrainError),
+    /// A time along a camera path.
+    #[error(transparent)]
+    Time(#[from] TimeError),
+    /// A camera path.
+    #[error(transparent)]
+    Path(#[from] PathError),
+    /// The page of a scene, and its server.
+    #[error(transparent)]
+    Viewer(#[from] ViewerError),
+    /// Exporting a scene.
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    /// Importing a file.
+    #[error(transparent)]
+    Import(#[from] ImportError),
+    /// Scoring a scene or a capture.
+    #[error(transparent)]
+    Evaluation(#[from] EvaluationError),
+    /// The table of a data set.
+    #[error(transparent)]
+    Reproduce(#[from] ReproduceError),
+    /// A row of an ablation failed.
+    #[error("the row {row} failed: {said}; its files are in {}", folder.display())]
+    Row {
+        /// Its name.
+        row: &'static str,
+        /// The folder of the row.
+        folder: PathBuf,
+        /// Its last messages.
+        said: String,
+    },
+}
+
+/// Lets `?` turn errors of other crates into [`Error`], through the type of the operation.
+macro_rules! from_parts_of {
+    ($($operation:ty: $($part:ty),+;)+) => {
+        $($(
+            impl From<$part> for Error {
+                fn from(error: $part) -> Self {
+                    <$operation>::from(error).into()
+                }
+            }
+        )+)+
+    };
+}
+
+from_parts_of! {
+    DataError: ReadVideoError, WriteVideoError, ReadImageError, WriteImageError, ReadCaptureError, WriteCaptureError,
+        ReadSceneError, WriteSceneError, ReadTrajectoryError;
+    ReconstructionError: SparseError, DenseError, MegasamError;
+    ViewerError: PageError, FramesError, ServeError;
+    EvaluationError: ProtocolError, ImageError, GeometryError;
+}
+
+impl Error {
+    /// Returns the category of the failure.
+    #[must_use]
+    pub fn category(&self) -> Category {
+        match self {
+            Self::Read { source, .. } => ErrorKind::of_read(source).into(),
+            Self::Write { .. } => Category::CannotWrite,
+            Self::Missing { .. } => Category::NoInput,
+            Self::Output(e) => e.category(),
+            Self::Data(e) => e.category(),
+            Self::TimeLimit { .. } => Category::TryAgain,
+            Self::Stopped { .. } => Category::Stopped,
+            Self::Internal { .. } => Category::Internal,
+            Self::Settings(e) => e.category(),
+            Self::Simd(_) | Self::NoGpuSupport => Category::NoDevice,
+            #[cfg(feature = "gpu")]
+            Self::Gpu(_) => Category::NoDevice,
+            Self::Network(e) => e.category(),
+            #[cfg(feature = "nets")]
+            Self::Weights(e) => e.category(),
+            Self::Given(e) => e.category(),
+            Self::Reconstruction(e) => e.category(),
+            Self::Enhance(e) => e.category(),
+            Self::Init(InitError::BadSetting { .. }) | Self::Train(TrainError::BadSetting { .. }) => {
+                Category::BadSettings
+            }
+            Self::Init(InitError::Stopped) => Category::Stopped,
+            Self::Train(TrainError::Device { .. }) => Category::NoDevice,
+            Self::Init(_) | Self::Train(_) => Category::BadInput,
+            Self::Time(_) => Category::Usage,
+            Self::Path(e) => e.category(),
+            Self::Viewer(e) => e.category(),
+            Self::Export(e) => e.category(),
+            Self::Import(e) => e.category(),
+            Self::Evaluation(e) => e.category(),
+            Self::Reproduce(e) => e.category(),
+            Self::Row { .. } => Category::BadInput,
+        }
+    }
+
+    /// Returns true if the same work may succeed later or on another machine, so that finished work is worth keeping.
+    #[must_use]
+    pub fn may_pass(&self) -> bool {
+        matches!(
+            self.category(),
+            Category::CannotWrite | Category::Io | Category::TryAgain | Category::NoDevice
+        )
+    }
+
+    /// True when the caller asked to stop.
+    #[must_use]
+    pub fn is_stop(&self) -> bool {
+        self.category() == Category::Stopped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Category, Error, OutputError, ReadVideoError, ServeError};
+    use m4_slam::cvd::CvdError;
+    use m4_slam::dense::DenseError;
+    use m4_slam::tracks3d::TrackError;
+    use std::error::Error as _;
+    use std::io;
+    use std::path::PathBuf;
+
+    #[test]
+    fn a_stop_is_no_fault_of_the_input_however_deep_it_was_noticed() {
+        let phase = "at work";
+        let stops = [
+            DenseError::Cancelled { phase },
+            DenseError::Consistent(CvdError::Cancelled { stage: 2, step: 39 }),
+            DenseError::Tracks(TrackError::Cancelled { phase }),
+        ];
+        for stop in stops {
+            assert_eq!(Error::from(stop).category(), Category::Stopped);
+        }
+    }
+
+    #[test]
+    fn the_type_of_an_operation_adds_nothing_to_the_message_nor_to_the_causes() {
+        let refused = || io::Error::from(io::ErrorKind::PermissionDenied);
+        let video = || ReadVideoError::Io {
+            path: PathBuf::from("clip.mp4"),
+            source: refused(),
+        };
+        let server = || ServeError::Listen {
+            port: 80,
+            source: refused(),
+        };
+        let expected = [
+            (
+                video().to_string(),
+                Error::from(video()),
+                Category::from(video().kind()),
+            ),
+            (server().to_string(), Error::from(server()), Category::TryAgain),
+        ];
+        for (message, error, category) in expected {
+            assert_eq!((error.to_string(), error.category()), (message, category));
+            let cause = error.source().map(ToString::to_string);
+            assert_eq!(cause, Some(refused().to_string()));
+            assert!(error.source().and_then(|cause| cause.source()).is_none());
+        }
+    }
+
+    #[test]
+    fn a_folder_in_use_may_be_free_later_and_other_outputs_cannot_be_written() {
+        let path = PathBuf::from("out");
+        let busy = Error::from(OutputError::Busy { path: path.clone() });
+        assert_eq!(busy.category(), Category::TryAgain);
+        let taken = Error::from(OutputError::WouldReplace { path });
+        assert_eq!(taken.category(), Category::CannotWrite);
+    }
+}
