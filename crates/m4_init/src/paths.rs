@@ -95,7 +95,10 @@ mod tests {
         let found = paths([at(-1.0), at(0.0), at(1.0)], [0.0, 4.0, 8.0]);
         assert!((found.bend[0] - 2.0 * 0.1 * 0.1 / 2.0).abs() < 1e-4, "{found:?}");
         let v = Vector3::from(found.velocity[0]);
-        assert!((v - Vector3::new(2.0 * 0.1f32.sin() / 4.0, 0.0, 0.0)).norm() < 1e-5, "{found:?}");
+        assert!(
+            (v - Vector3::new(2.0 * 0.1f32.sin() / 4.0, 0.0, 0.0)).norm() < 1e-5,
+            "{found:?}"
+        );
     }
 
     #[test]

@@ -4,7 +4,6 @@
 use m4_math::Se3;
 use m4_math::nalgebra::Vector3;
 use m4_scene::{Cache, Camera, Intrinsics, Mask, NoCache, Plane, Progress, RgbImage, Silent};
-use m4_slam::cvd::CvdError;
 use m4_slam::dense::{
     DenseConfig, DenseError, DenseFrame, Given, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
     SegmentMask, SegmentPrompt, Segmenter, Sources,
@@ -215,8 +214,7 @@ fn what_was_stopped_goes_on_to_the_same_bits() {
     let drawn = draw(0.06);
     let frames = &references(&drawn)[..FEW];
     let sparse = first(&sparse(&drawn, CameraMotion::Parallax), FEW);
-    let mut config = DenseConfig::default();
-    config.cvd.steps = [3, 3];
+    let config = DenseConfig::default();
     let go = |progress: &dyn Progress, cache: &dyn Cache| keeping(frames, &sparse, &config, progress, cache);
     let counter = StopAtPoll::after(usize::MAX);
     let want = go(&counter, &NoCache).unwrap();
@@ -226,10 +224,7 @@ fn what_was_stopped_goes_on_to_the_same_bits() {
     for at in (0..polls).step_by(FEW) {
         let cache = MemoryCache::default();
         let stopped = go(&StopAtPoll::after(at), &cache);
-        let stop = matches!(
-            stopped,
-            Err(DenseError::Cancelled { .. } | DenseError::Consistent(CvdError::Cancelled { .. }))
-        );
+        let stop = matches!(stopped, Err(DenseError::Cancelled { .. }));
         assert!(stop, "{stopped:?}");
         let rest = StopAtPoll::after(usize::MAX);
         assert!(go(&rest, &cache).unwrap() == want, "stopped at poll {at} of {polls}");

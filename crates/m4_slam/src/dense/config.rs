@@ -1,7 +1,6 @@
 //! Settings of the dense half. All other values are constants of the files that use them.
 
 use super::DenseError;
-use crate::cvd::CvdSettings;
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`super::estimate_depth()`].
@@ -14,13 +13,8 @@ pub struct DenseConfig {
     pub working_side_px: usize,
     /// Memory for the planes of all frames together, megabytes: long clips are processed at a smaller size. 4096: 240 frames at 480x360.
     pub memory_mb: usize,
-    /// Whether the depth of the static region is made consistent over time.
-    pub consistent: bool,
     /// Whether points of the dynamic region are tracked through the clip.
     pub tracks: bool,
-    /// How depth is made consistent: for callers in Rust.
-    #[serde(skip)]
-    pub cvd: CvdSettings,
 }
 
 impl Default for DenseConfig {
@@ -28,9 +22,7 @@ impl Default for DenseConfig {
         Self {
             working_side_px: 480,
             memory_mb: 4096,
-            consistent: true,
             tracks: true,
-            cvd: CvdSettings::default(),
         }
     }
 }

@@ -3,7 +3,6 @@
 use super::flow::FlowError;
 use super::mono::MonoError;
 use super::segment::SegmentError;
-use crate::cvd::CvdError;
 use crate::tracks3d::TrackError;
 
 /// Why no depth and masks could be made.
@@ -88,9 +87,6 @@ pub enum DenseError {
         /// What is allowed.
         range: &'static str,
     },
-    /// Depth could not be made consistent.
-    #[error("depth could not be made consistent over time")]
-    Consistent(#[from] CvdError),
     /// Points could not be followed.
     #[error("dynamic objects could not be tracked")]
     Tracks(#[from] TrackError),

@@ -3,7 +3,6 @@
 use super::background::Background;
 use super::bodies;
 use super::config::DenseConfig;
-use super::consistent;
 use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
 use super::flow::FlowPair;
@@ -47,8 +46,6 @@ pub struct Dense {
     pub tracks: Option<Tracks>,
 }
 
-/// Sides below this, at the working size, have no neighbourhood of 5x5 pixels at half of it: long, thin images.
-const LEAST_CONSISTENT: usize = 16;
 /// Fewer frames have no background that is seen most of the time.
 const LEAST_BACKGROUND: usize = 8;
 
@@ -84,7 +81,7 @@ pub fn estimate_depth(
             (working, flows, placed)
         }
         None => {
-            let mut stages = estimate(&ground, frames, sparse, sources, given, config, progress)?;
+            let mut stages = estimate(&ground, frames, sparse, sources, given, progress)?;
             let placed = Placed::put(&mut stages, sources.cache);
             let working = stages.shots.into_iter().map(|shot| shot.frame).collect();
             (working, stages.flows, placed)
@@ -153,7 +150,6 @@ fn estimate(
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
     given: &Given<'_>,
-    config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Stages, DenseError> {
     let (count, (w, h)) = (frames.len(), ground.size);
@@ -198,26 +194,8 @@ fn estimate(
     let MotionSegmentation {
         moving,
         measured,
-        mut filled,
+        filled,
     } = clip.segment_motion(told)?;
-    let large = w.min(h) >= LEAST_CONSISTENT;
-    if parallax && one_lens && large && config.consistent && count > 1 {
-        let confidence: Vec<Vec<f32>> = measured.iter().map(|m| m.confidence.clone()).collect();
-        let input = consistent::Clip {
-            width: w,
-            height: h,
-            cameras: &clues.cameras,
-            flows: &flows,
-            moving: &moving,
-            confidence: &confidence,
-        };
-        let factors = consistent::factors(&input, &filled, &config.cvd, progress, sources.cache)?;
-        for (filled, factors) in filled.iter_mut().zip(factors.into_iter().flatten()) {
-            for (d, f) in filled.iter_mut().zip(factors) {
-                *d *= f;
-            }
-        }
-    }
     let input = bodies::Clip {
         width: w,
         height: h,

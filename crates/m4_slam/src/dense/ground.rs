@@ -17,7 +17,7 @@ pub(super) struct Ground {
     /// Width and height at the working size.
     pub size: (usize, usize),
     pub parallax: bool,
-    /// Whether all frames were taken through the same lens, as bundle adjustment of bodies and consistent depth need it.
+    /// Whether all frames were taken through the same lens, as bundle adjustment of bodies needs it.
     pub one_lens: bool,
 }
 
@@ -58,10 +58,8 @@ impl Ground {
         let resized: Vec<Camera> = sparse.cameras.iter().map(|c| c.resized(size.0, size.1)).collect();
         let one_lens = one_lens(&resized);
         if parallax && !one_lens {
-            progress.warn(
-                "the focal length changes from frame to frame: depth is not made consistent over time, and dynamic objects get the depth \
-                 of what they touch",
-            );
+            progress
+                .warn("the focal length changes from frame to frame: dynamic objects get the depth of what they touch");
         }
         Ok(Self {
             size,
@@ -135,7 +133,7 @@ fn check(frames: &[&RgbImage], sparse: &SparseReconstruction) -> Result<(usize, 
     Ok(first)
 }
 
-/// Whether all frames were taken through the same lens, as bundle adjustment of bodies and consistent depth need it.
+/// Whether all frames were taken through the same lens, as bundle adjustment of bodies needs it.
 fn one_lens(cameras: &[Camera]) -> bool {
     cameras.windows(2).all(|pair| pair[0].intrinsics == pair[1].intrinsics)
 }

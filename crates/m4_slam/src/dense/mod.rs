@@ -28,7 +28,6 @@ mod background;
 mod bodies;
 mod components;
 mod config;
-mod consistent;
 mod enlarge;
 mod error;
 mod estimate;

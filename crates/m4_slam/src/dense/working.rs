@@ -27,8 +27,8 @@ pub(crate) fn working_size(width: usize, height: usize, side: usize) -> (usize, 
 }
 
 /// What a pixel of the working size takes in a frame while the clip is worked on, bytes: measured as 81 with the planes of
-/// this module, and 16 planes of half the size for consistent depth.
-const BYTES_PER_PIXEL: usize = 100;
+/// this module.
+const BYTES_PER_PIXEL: usize = 85;
 /// Sides below this show too little to work on.
 const LEAST_SIDE: usize = 160;
 

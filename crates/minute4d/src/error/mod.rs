@@ -254,7 +254,6 @@ impl Error {
 #[cfg(test)]
 mod tests {
     use super::{Category, Error, OutputError, ReadVideoError, ServeError};
-    use m4_slam::cvd::CvdError;
     use m4_slam::dense::DenseError;
     use m4_slam::tracks3d::TrackError;
     use std::error::Error as _;
@@ -266,7 +265,6 @@ mod tests {
         let phase = "at work";
         let stops = [
             DenseError::Cancelled { phase },
-            DenseError::Consistent(CvdError::Cancelled { stage: 2, step: 39 }),
             DenseError::Tracks(TrackError::Cancelled { phase }),
         ];
         for stop in stops {

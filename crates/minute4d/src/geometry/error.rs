@@ -1,7 +1,6 @@
 //! Errors of the reconstruction of cameras, depth and masks.
 
 use crate::Category;
-use m4_slam::cvd::CvdError;
 use m4_slam::dense::DenseError;
 use m4_slam::megasam::MegasamError;
 use m4_slam::sparse::SparseError;
@@ -31,11 +30,9 @@ impl ReconstructionError {
                 Category::BadSettings
             }
             Self::Sparse(SparseError::Cancelled)
-            | Self::Dense(
-                DenseError::Cancelled { .. }
-                | DenseError::Consistent(CvdError::Cancelled { .. })
-                | DenseError::Tracks(TrackError::Cancelled { .. }),
-            ) => Category::Stopped,
+            | Self::Dense(DenseError::Cancelled { .. } | DenseError::Tracks(TrackError::Cancelled { .. })) => {
+                Category::Stopped
+            }
             Self::Megasam(e) if e.is_stop() => Category::Stopped,
             Self::Sparse(_) | Self::Dense(_) | Self::Megasam(_) => Category::BadInput,
         }

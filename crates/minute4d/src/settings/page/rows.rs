@@ -148,11 +148,6 @@ pub const SECTIONS: &[Section] = &[
                 "Memory for the planes of all frames; longer clips are computed at a smaller size.",
             ),
             (
-                "dense.consistent",
-                "bool",
-                "Depth of the static background is optimised to agree over time (consistent video depth).",
-            ),
-            (
                 "dense.tracks",
                 "bool",
                 "Points of dynamic objects are tracked along the flow.",
