@@ -144,7 +144,6 @@ fn spoiled_depth_is_mended() {
             intrinsics: scene.cameras[0].intrinsics,
             disparity: &start,
             uncertainty: &uncertainty,
-            prior_confidence: None,
         };
         let found = optimise(&input, &pairs, &CvdSettings::default(), &Silent, &NoCache).unwrap();
         let (before, after) = (abs_rel(&scene, &start), abs_rel(&scene, &found.disparity));

@@ -14,9 +14,6 @@ pub struct CvdInput<'a> {
     pub disparity: &'a [Plane<f32>],
     /// u to start from, one plane a frame: [`uncertainty_of_static`] of how sure it is that a pixel rests.
     pub uncertainty: &'a [Plane<f32>],
-    /// Confidence of `disparity`, 0 or more, one plane a frame: holds confident pixels where they are. `None` gives the losses of
-    /// the paper.
-    pub prior_confidence: Option<&'a [Plane<f32>]>,
 }
 
 /// u to start from at a pixel that rests with confidence `m` in 0..1: `clamp(min(m, 0.5), 1e-3, 1)` (MegaSaM). What is not a

@@ -74,7 +74,6 @@ pub fn optimise(
         .map(|i| Start {
             disparity: &scaled[i],
             uncertainty: input.uncertainty[i].data(),
-            confidence: input.prior_confidence.map(|c| c[i].data()),
         })
         .collect();
     let mut descent = Descent::new(SimdLevel::best(), lens, &w2c, pairs, &starts);
@@ -162,11 +161,6 @@ fn check(input: &CvdInput<'_>, pairs: &dyn PairSource) -> Result<(), CvdError> {
     for (what, found, expected) in [
         ("disparity", input.disparity.len(), frames),
         ("uncertainty", input.uncertainty.len(), frames),
-        (
-            "prior confidence",
-            input.prior_confidence.map_or(frames, <[_]>::len),
-            frames,
-        ),
         ("a row of the intrinsics' image", k.width, width),
         ("a column of the intrinsics' image", k.height, height),
     ] {
@@ -233,19 +227,6 @@ fn check(input: &CvdInput<'_>, pairs: &dyn PairSource) -> Result<(), CvdError> {
             "above 0 and finite",
             positive,
         )?;
-        if let Some(confidence) = input.prior_confidence {
-            let valid = |v: f32| v >= 0.0 && v.is_finite();
-            let range = "0 or more and finite";
-            plane(
-                "prior confidence",
-                frame,
-                &confidence[frame],
-                width,
-                height,
-                range,
-                valid,
-            )?;
-        }
     }
     Ok(())
 }

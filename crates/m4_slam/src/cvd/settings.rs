@@ -13,9 +13,6 @@ pub struct Weights {
     pub gradient: f64,
     /// Angle between the normals of initial and current depth. MegaSaM: 4 in stage 1, 5 in stage 2.
     pub normal: f64,
-    /// Squared log ratio to the initial disparity, times its confidence. Ours, of no effect unless the caller gives
-    /// confidences. 10: at confidence 1 it pulls harder than a ratio error with u = 0.5 from 2.5 % on.
-    pub prior: f64,
 }
 
 impl Weights {
@@ -31,7 +28,6 @@ impl Weights {
         scale_invariant: 1.0,
         gradient: 2.0,
         normal: 5.0,
-        prior: 10.0,
     };
 }
 

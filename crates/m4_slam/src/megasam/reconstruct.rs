@@ -132,7 +132,6 @@ pub fn reconstruct(
             intrinsics: size.cropped_lens(&lens).resized(width, height),
             disparity: &disparity,
             uncertainty: &uncertainty,
-            prior_confidence: None,
         },
         &pairs,
         &settings.cvd,

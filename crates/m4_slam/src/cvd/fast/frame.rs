@@ -36,7 +36,6 @@ pub(super) struct Frame {
     /// Times the weight of the edges.
     initial_normals: [Vec<f32>; 3],
     edge_weight: Vec<f32>,
-    confidence: Option<Vec<f32>>,
 }
 
 /// What a descent goes on from: the variables of a frame and their moments.
@@ -100,7 +99,7 @@ const HIGH: f32 = DISPARITY[1] as f32;
 
 impl Frame {
     /// From planes of `[height][width]`.
-    pub fn new(shape: Shape, disparity: &[f32], uncertainty: &[f32], confidence: Option<&[f32]>) -> Self {
+    pub fn new(shape: Shape, disparity: &[f32], uncertainty: &[f32]) -> Self {
         let plain = || vec![0.0; shape.plain()];
         let weight: Vec<f32> = edge_weight(shape.width, shape.height, disparity);
         Self {
@@ -118,7 +117,6 @@ impl Frame {
             log_initial: plain(),
             initial_normals: std::array::from_fn(|_| plain()),
             edge_weight: shape.spread(&weight, 0.0),
-            confidence: confidence.map(|c| shape.spread(c, 0.0)),
         }
     }
 
@@ -183,11 +181,11 @@ impl Frame {
             total += sum(off);
         }
         let mean = (total / pixels) as f32;
-        let (by_variance, by_prior) = (2.0 * weights.scale_invariant / all, 2.0 * weights.prior / all);
-        let (mut variance, mut prior) = (0.0, 0.0);
+        let by_variance = 2.0 * weights.scale_invariant / all;
+        let mut variance = 0.0;
         for y in 0..h {
             let row = y * shape.stride..y * shape.stride + w;
-            let (off, pull) = (&scratch.off[row.clone()], &mut scratch.pull[row.clone()]);
+            let (off, pull) = (&scratch.off[row.clone()], &mut scratch.pull[row]);
             let (squares, rate) = (&mut scratch.other[..w], by_variance as f32);
             for x in 0..w {
                 let d = off[x] - mean;
@@ -195,16 +193,8 @@ impl Frame {
                 pull[x] = rate * d;
             }
             variance += sum(squares);
-            if let Some(confidence) = &self.confidence {
-                let (confidence, rate) = (&confidence[row], by_prior as f32);
-                for x in 0..w {
-                    squares[x] = confidence[x] * off[x] * off[x];
-                    pull[x] += rate * confidence[x] * off[x];
-                }
-                prior += sum(squares);
-            }
         }
-        let mut loss = (weights.scale_invariant * variance + weights.prior * prior) / all;
+        let mut loss = weights.scale_invariant * variance / all;
         if weights.gradient > 0.0 {
             loss += gradient_term(
                 shape,

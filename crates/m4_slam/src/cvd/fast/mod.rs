@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Sources of a round share no target, rounds follow one another, a frame is one task, and sums are added in order: the bits
-//! do not depend on the number of threads. Beside the flow, memory is 16 planes of f32 a frame (17 with confidences); nothing grows with the
+//! do not depend on the number of threads. Beside the flow, memory is 16 planes of f32 a frame; nothing grows with the
 //! number of pairs.
 
 mod adam;
@@ -68,7 +68,6 @@ impl Pool {
 pub(super) struct Start<'a> {
     pub disparity: &'a [f32],
     pub uncertainty: &'a [f32],
-    pub confidence: Option<&'a [f32]>,
 }
 
 /// Loss before a step and the number of pixels of pairs that counted.
@@ -89,7 +88,7 @@ impl<'a> Descent<'a> {
     ) -> Self {
         let (width, height) = pairs.size();
         let shape = Shape::new(width, height);
-        let frame = |s: &Start<'_>| Frame::new(shape, s.disparity, s.uncertainty, s.confidence);
+        let frame = |s: &Start<'_>| Frame::new(shape, s.disparity, s.uncertainty);
         Self {
             level,
             shape,

@@ -6,7 +6,6 @@ mod descent;
 mod gradient;
 mod normal;
 mod pair;
-mod prior;
 mod variance;
 
 pub(super) use descent::DECAY;
@@ -17,7 +16,6 @@ pub(super) use normal::{blur_weights, reflect};
 pub use normal::{edge_weight, normal_loss, normals};
 pub(super) use pair::{LOG_WEIGHT, relative};
 pub use pair::{Pair, pair_losses};
-pub use prior::prior_loss;
 pub use variance::scale_invariant_loss;
 
 use super::Weights;
@@ -60,8 +58,6 @@ pub struct Problem<T: Real> {
     pub initial: Vec<T>,
     /// `[frames][height][width]`: weight of the normal term, [`edge_weight`] of the very first disparity.
     pub edge_weight: Vec<T>,
-    /// `[frames][height][width]`: confidence of `initial`, 0 or more; absent as in the paper.
-    pub prior_confidence: Option<Vec<T>>,
 }
 
 /// A loss term and its gradients, `[frames][height][width]`.
@@ -113,9 +109,6 @@ impl<T: Real> Problem<T> {
         total.add(weights.scale_invariant, &scale_invariant_loss(self, disparity));
         total.add(weights.gradient, &gradient_loss(self, disparity));
         total.add(weights.normal, &normal_loss(self, disparity));
-        if self.prior_confidence.is_some() {
-            total.add(weights.prior, &prior_loss(self, disparity));
-        }
         total
     }
 }

@@ -7,7 +7,6 @@ use crate::cvd::optimise::run;
 use crate::cvd::pairs::{CompactFlow, FlowView, FramePair, MASKED, PairSource, PairStore};
 use crate::cvd::reference::{Problem, descend};
 use crate::cvd::{CvdSettings, Weights};
-use m4_math::CounterRng;
 use m4_scene::{NoCache, Silent};
 use m4_testkit::{Agreement, on_every_level};
 
@@ -57,12 +56,10 @@ fn descent<'a>(
     disparity: &[f32],
     uncertainty: &[f32],
 ) -> Descent<'a> {
-    let confidence = problem.prior_confidence.as_deref().map(f32s);
     let starts: Vec<Start<'_>> = (0..FRAMES)
         .map(|i| Start {
             disparity: &disparity[i * PIXELS..(i + 1) * PIXELS],
             uncertainty: &uncertainty[i * PIXELS..(i + 1) * PIXELS],
-            confidence: confidence.as_ref().map(|c| &c[i * PIXELS..(i + 1) * PIXELS]),
         })
         .collect();
     Descent::new(level, problem.lens, &problem.w2c, store, &starts)
@@ -78,11 +75,9 @@ const LEVELS: [&str; 3] = ["sse2", "avx2", "avx512"];
 /// away from the initial one first, or the shape terms would have no gradient.
 #[test]
 fn loss_and_gradients_are_those_of_the_definition() {
-    let (store, mut problem) = compacted(usize::MAX);
-    let mut rng = CounterRng::new(5, 5, 5);
-    problem.prior_confidence = Some((0..problem.initial.len()).map(|_| rng.uniform()).collect());
+    let (store, problem) = compacted(usize::MAX);
     let only = |k: usize| {
-        let mut w = [0.0; 6];
+        let mut w = [0.0; 5];
         w[k] = 1.0;
         Weights {
             ratio: w[0],
@@ -90,10 +85,9 @@ fn loss_and_gradients_are_those_of_the_definition() {
             scale_invariant: w[2],
             gradient: w[3],
             normal: w[4],
-            prior: w[5],
         }
     };
-    let names = ["ratio", "flow", "si", "grad", "normal", "prior"];
+    let names = ["ratio", "flow", "si", "grad", "normal"];
     on_every_level(&SimdLevel::available(), SimdLevel::name, &LEVELS, |level| {
         for (k, name) in names.into_iter().enumerate() {
             let u0 = f32s(&Tensors::open("losses.safetensors").get("uncertainty"));

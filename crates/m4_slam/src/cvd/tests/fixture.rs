@@ -76,6 +76,5 @@ pub fn problem<T: Real>(file: &Tensors) -> Problem<T> {
         pairs: (0..ii.len()).map(pair).collect(),
         initial: get("init_disp"),
         edge_weight: get("fg_alpha"),
-        prior_confidence: None,
     }
 }

@@ -99,7 +99,6 @@ fn input<'a>(clip: &'a Clip, uncertainty: &'a [Plane<f32>]) -> CvdInput<'a> {
         intrinsics: clip.intrinsics,
         disparity: &clip.start,
         uncertainty,
-        prior_confidence: None,
     }
 }
 
@@ -186,28 +185,6 @@ fn what_moves_gets_a_low_u_and_leaves_the_rest_alone() {
     );
     let rest = abs_rel(&clip, &found.disparity, |p| !moves(p));
     assert!(rest < 0.5 * abs_rel(&clip, &clip.start, |p| !moves(p)), "{rest}");
-}
-
-#[test]
-fn confident_pixels_stay_where_they_are() {
-    let mut clip = clip(1.0, |_| false);
-    // the truth is known on the left
-    for (start, truth) in clip.start.iter_mut().zip(&clip.truth) {
-        for (p, d) in start.data_mut().iter_mut().enumerate().filter(|(p, _)| p % SIZE.0 < 25) {
-            *d = truth[p] as f32;
-        }
-    }
-    let left = |p: usize| p % SIZE.0 < 25;
-    let confidence = vec![Plane::from_fn(SIZE.0, SIZE.1, |x, _| if x < 25 { 30.0 } else { 0.0 }); FRAMES];
-    let u = even();
-    let with = CvdInput {
-        prior_confidence: Some(&confidence),
-        ..input(&clip, &u)
-    };
-    let held = optimise(&with, &clip.pairs, &settings(60, 150), &Silent, &NoCache).unwrap();
-    let free = optimise(&input(&clip, &u), &clip.pairs, &settings(60, 150), &Silent, &NoCache).unwrap();
-    let [held, free] = [held, free].map(|f| abs_rel(&clip, &f.disparity, left));
-    assert!(held < 0.6 * free, "{held} held, {free} free");
 }
 
 #[test]

@@ -2,8 +2,7 @@
 
 use super::fixture::{FRAMES, SIZE, Tensors, problem};
 use crate::cvd::reference::{
-    Problem, Term, descend, edge_weight, gradient_loss, normal_loss, normals, pair_losses, prior_loss,
-    scale_invariant_loss,
+    Problem, Term, descend, edge_weight, gradient_loss, normal_loss, normals, pair_losses, scale_invariant_loss,
 };
 use crate::cvd::{CvdSettings, Weights};
 use m4_math::{CounterRng, Real};
@@ -127,17 +126,15 @@ fn eight_steps_of_both_stages_are_those_of_the_original() {
     }
 }
 
-/// Of the total with all terms, the prior too. The gradient term's weight is a constant by definition, so central
+/// Of the total with all terms. The gradient term's weight is a constant by definition, so central
 /// differences of it would be of another function: it has weight 0 here and the fixture above.
 #[test]
 fn gradients_are_central_differences() {
     let file = Tensors::open("losses.safetensors");
-    let mut p: Problem<f64> = problem(&file);
+    let p: Problem<f64> = problem(&file);
     let mut rng = CounterRng::new(3, 1, 4);
-    p.prior_confidence = Some((0..p.initial.len()).map(|_| rng.uniform()).collect());
     let weights = Weights {
         gradient: 0.0,
-        prior: 2.0,
         ..Weights::STAGE2
     };
     let (d, u) = (file.get("disp"), file.get("uncertainty"));
@@ -153,20 +150,4 @@ fn gradients_are_central_differences() {
     let by_u = central_differences(&at(&u), 1e-6, |x| p.total(&d, &moved(&u, x), &weights).value);
     assert_gradient("u", &at(&total.uncertainty), &by_u.gradient, 1e-5);
     assert_up_to_kinks("disparity", &at(&total.disparity), &by_d.gradient, 1e-5, 2);
-}
-
-#[test]
-fn the_prior_is_nothing_without_confidence_and_pulls_where_there_is_some() {
-    let file = Tensors::open("losses.safetensors");
-    let mut p: Problem<f64> = problem(&file);
-    let d = file.get("disp");
-    assert_eq!(prior_loss(&p, &d).value, 0.0);
-    let confidence: Vec<f64> = (0..d.len()).map(|i| f64::from(u8::from(i % 2 == 0))).collect();
-    p.prior_confidence = Some(confidence);
-    let term = prior_loss(&p, &d);
-    assert!(term.value > 0.0);
-    for i in 0..d.len() {
-        let toward = (d[i] - p.initial[i]) * term.disparity[i];
-        assert!(if i % 2 == 0 { toward > 0.0 } else { toward == 0.0 });
-    }
 }
