@@ -132,3 +132,40 @@ impl Writer<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Column, InitConfig, Splats, Writer};
+    use m4_scene::SplatLayout;
+
+    #[test]
+    fn a_lifetime_is_shortened_until_the_path_leaves_the_line_by_the_size_of_the_splat() {
+        let layout = SplatLayout {
+            isotropic: false,
+            sh_degree: 0,
+            time_degree: 0,
+        };
+        // one static splat before them; size 0.1, lifetime e^0.5
+        let mut splats = Splats::zeros(layout, 1, 6);
+        for k in 0..3 {
+            splats
+                .column_mut(Column::LogScale, k)
+                .fill([0.1f32, 0.05, 0.01][k].ln());
+        }
+        splats.column_mut(Column::LogTimeSd, 0).fill(0.5);
+        let mut writer = Writer {
+            splats: &mut splats,
+            config: &InitConfig::default(),
+            row: 7,
+        };
+        writer.shorten(1, &[0.0, 0.1, 0.2, 10.0, f32::NAN]);
+        let share: Vec<f32> = splats
+            .column(Column::LogTimeSd, 0)
+            .iter()
+            .map(|v| (v - 0.5).exp())
+            .collect();
+        for (got, want) in share.iter().zip([1.0, 1.0, 0.5f32.sqrt(), 0.5, 1.0, 1.0]) {
+            assert!((got - want).abs() < 1e-5, "{share:?}");
+        }
+    }
+}

@@ -283,10 +283,11 @@ fn decoders_that_take_too_much() {
         &["longer than the 1 s", "cpu_seconds"],
     );
     assert_eq!(how, DecoderEnd::Cpu { limit_s: 1 });
-    // Files: 1 MiB, no core dump.
+    // Files: 1 MiB, no core dump. A bare child runs before it is limited: it waits until it is.
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("filled");
-    let body = format!("ulimit -c >&2; exec head -c 9000000 /dev/zero >{}", file.display());
+    let limited = "until [ \"$(ulimit -f)\" != unlimited ]; do sleep 0.01; done";
+    let body = format!("{limited}; exec head -c 9000000 /dev/zero >{}", file.display());
     failure(with_fake(&body, DecoderLimits::default(), &Silent), &["pinwheel.mp4"]);
     assert_eq!(std::fs::metadata(&file).unwrap().len(), 1 << 20);
 }

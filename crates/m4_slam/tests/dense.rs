@@ -425,7 +425,7 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
             after > 0.9 && after > before + 0.05,
             "{motion:?}: {before:.3} to {after:.3}"
         );
-        // The whole image is not what moves.
+        // The whole image is not dynamic.
         let same = with(Some(&Oracle::Everything)).unwrap();
         assert!(same.frames == plain.frames, "{motion:?}");
         let failed = with(Some(&Oracle::Fails)).unwrap_err();

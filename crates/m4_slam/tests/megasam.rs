@@ -94,7 +94,7 @@ fn sizes_are_those_of_the_published_program() {
 /// Frames that are taken of it, for the time that this takes.
 const FRAMES: usize = 48;
 
-/// A rendered scene: images, cameras in metres, z-depth and what moves.
+/// A rendered scene: images, cameras in metres, z-depth and dynamic masks.
 struct Scene {
     pictures: Vec<RgbImage>,
     cameras: Vec<Camera>,

@@ -11,7 +11,7 @@ pub struct DenseConfig {
     /// The specification has "320-384"; 480 finds masks and thin parts that 320 misses and keeps 96 frames under a minute and a half
     /// on two cores.
     pub working_side_px: usize,
-    /// Memory for the planes of all frames together, megabytes: long clips are processed at a smaller size. 4096: 240 frames at 480x360.
+    /// Memory for the planes of all frames together, megabytes: long clips are processed at a smaller size. 4096: 270 frames at 480x360.
     pub memory_mb: usize,
     /// Whether points of the dynamic region are tracked through the clip.
     pub tracks: bool,

@@ -26,8 +26,8 @@ pub(crate) fn working_size(width: usize, height: usize, side: usize) -> (usize, 
     (scaled(width), scaled(height))
 }
 
-/// What a pixel of the working size takes in a frame while the clip is worked on, bytes: measured as 81 with the planes of
-/// this module.
+/// What a pixel of the working size takes in a frame while the clip is worked on, bytes: 81 were measured with the
+/// planes of this module (docs/geometry.md), rounded up.
 const BYTES_PER_PIXEL: usize = 85;
 /// Sides below this show too little to work on.
 const LEAST_SIDE: usize = 160;

@@ -1,7 +1,7 @@
 //! Are the maps of motion the right way round?
 //!
 //! MegaSaM's own file is high where things rest, others are high where they move, and nothing in a file says which. Three things
-//! tell: little of most clips moves; what moves is seldom along the border of the image; and where something moves, flow differs from
+//! tell: little of most clips is dynamic; dynamic regions are seldom along the border of the image; and inside them flow differs from
 //! what the camera alone makes.
 
 use super::clip::Clip;

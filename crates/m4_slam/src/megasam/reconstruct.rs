@@ -24,7 +24,7 @@ pub struct MegasamInput<'a> {
     pub lens: Intrinsics,
     /// False keeps the focal length of `lens` whatever can be seen.
     pub focal_is_free: bool,
-    /// Depth from one image at the size of tracking; `None` where nobody knows any.
+    /// Depth from one image at the size of tracking; `None` where there is none.
     pub prior: Option<&'a DepthPrior>,
 }
 
@@ -60,7 +60,7 @@ pub struct MegasamGeometry {
 }
 
 impl MegasamGeometry {
-    /// How likely each pixel of a whole image is to stand still, 0..=1, at `width` x `height` pixels.
+    /// How likely each pixel of a whole image is static, 0..=1, at `width` x `height` pixels.
     #[must_use]
     pub fn static_at(&self, frame: usize, width: usize, height: usize) -> Plane<f32> {
         from_grid(&self.static_confidence[frame], width, height, self.size.scaled)

@@ -19,7 +19,7 @@ use m4_scene::{Intrinsics, Progress, RgbImage};
 const MIN_PARALLAX: f64 = 0.004;
 /// Below this motion of 60 % of all tracks over the clip the camera counts as static, working pixels.
 const STATIC_MOTION_PX: f64 = 1.0;
-/// A camera declared to stand still is doubted when the image moves by this many times
+/// A camera declared static is doubted when the image moves by this many times
 /// [`STATIC_MOTION_PX`].
 const DOUBTFUL: f64 = 5.0;
 
