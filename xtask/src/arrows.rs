@@ -12,9 +12,9 @@ pub type Arrows = BTreeMap<String, BTreeSet<String>>;
 pub const TESTKIT: &str = "m4_testkit";
 
 /// Crates whose tests read real data and start from it ...
-const MEASURING: [&str; 2] = ["m4_slam", "m4_train"];
+const MEASURING: [&str; 2] = ["m4_geometry", "m4_train"];
 /// ... and the crates that they may use for that, beside their row of the table.
-const FOR_MEASURING: [&str; 2] = ["m4_io", "m4_init"];
+const FOR_MEASURING: [&str; 1] = ["m4_io"];
 
 /// Crates whose tests compare what they made with what our own renderer draws of it ...
 const DRAWING: [&str; 2] = ["m4_formats", "m4_viewer"];

@@ -6,7 +6,7 @@ use xtask::paper::{ITEMS, Rows, Sources, dangling, headings, markers, rows, viol
 const TABLE: &str = "
 | crate | one sentence |
 |---|---|
-| `m4_math` | Vectors. |
+| `m4_core` | Vectors. |
 
 | paper | what it is | computed in |
 |---|---|---|

@@ -1,9 +1,9 @@
 //! PSNR and SSIM against scikit-image, OpenCV and DyCheck's formulas (`oracles/image_metrics.py`).
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use m4_core::{Mask, Plane, RgbImage};
 use m4_eval::image::covisible::seen_by_flow;
 use m4_eval::image::{Metric, Picture, PsnrKind, SsimKind, psnr_db_of, ssim};
-use m4_scene::{Mask, Plane, RgbImage};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fs;

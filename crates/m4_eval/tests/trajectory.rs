@@ -1,8 +1,10 @@
 //! Errors of camera paths against evo's (`oracles/trajectory.py`).
 
+use m4_core::{
+    Se3,
+    nalgebra::{Matrix3, Vector3},
+};
 use m4_eval::geometry::{ErrorStatistics, PathAlignment, absolute_error, relative_error};
-use m4_math::Se3;
-use m4_math::nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fs;

@@ -1,6 +1,6 @@
 //! Checks that cameras of files can produce an image.
 
-use m4_scene::SourceFrame;
+use m4_core::SourceFrame;
 
 /// Longest side of an image, pixels, and farthest place, world units, that are believed.
 const MAX_SIDE_PX: usize = 16_384;

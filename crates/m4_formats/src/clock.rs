@@ -1,6 +1,6 @@
 //! Converts between frames and seconds.
 
-use m4_scene::Scene;
+use m4_core::Scene;
 
 /// Frames a second where a scene or a file does not say.
 pub const DEFAULT_FPS: f64 = 30.0;

@@ -1,6 +1,6 @@
 //! A scene at one instant: splats without time.
 
-use m4_scene::{Column, SplatLayout, Splats};
+use m4_core::{Column, SplatLayout, Splats};
 
 /// Opacities below this are not drawn at any place (the cut-off of the renderer, 1/255).
 const LEAST_OPACITY: f32 = 1.0 / 255.0;
@@ -92,7 +92,7 @@ struct Moment {
 #[cfg(test)]
 mod tests {
     use super::instant;
-    use m4_scene::{Column, SplatLayout, Splats};
+    use m4_core::{Column, SplatLayout, Splats};
 
     #[test]
     fn a_moving_splat_is_where_and_as_strong_as_its_time_says() {

@@ -1,6 +1,6 @@
 //! Splat and camera files for other viewers, and captures for other trainers: one folder per format.
 //!
-//! A writer takes a [`m4_scene::Scene`], writes the file whole or not at all, and returns what it
+//! A writer takes a [`m4_core::Scene`], writes the file whole or not at all, and returns what it
 //! wrote and what the format could not hold ([`Written`]). A format with one instant, or one per frame,
 //! is given splats without time by [`instant()`]. A reader takes untrusted bytes: whatever they are, it
 //! returns a scene ([`Imported`]) or an error that names the field, and allocates no more than a small

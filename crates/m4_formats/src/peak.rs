@@ -1,6 +1,6 @@
 //! Converts colours that change with time to constant ones.
 
-use m4_scene::{Column, SplatLayout, Splats};
+use m4_core::{Column, SplatLayout, Splats};
 use std::borrow::Cow;
 
 /// The splats without harmonics of time: every colour is that in the middle of the splat's life, where
@@ -41,7 +41,7 @@ pub fn at_peak(splats: &Splats) -> Cow<'_, Splats> {
 #[cfg(test)]
 mod tests {
     use super::at_peak;
-    use m4_scene::{Column, SplatLayout, Splats};
+    use m4_core::{Column, SplatLayout, Splats};
 
     #[test]
     fn harmonics_of_time_are_summed_up() {

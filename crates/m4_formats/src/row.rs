@@ -1,6 +1,6 @@
 //! Reads splats one at a time.
 
-use m4_scene::{Column, SplatLayout, Splats};
+use m4_core::{Column, SplatLayout, Splats};
 
 /// Standard deviations in time beyond this many clips count as: for ever.
 pub(crate) const FOREVER_CLIPS: f64 = 1000.0;

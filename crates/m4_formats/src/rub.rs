@@ -3,7 +3,7 @@
 //! Our worlds have the axes of an OpenCV camera (right, down, forward: RDF); glTF and SPZ expect
 //! y up (right, up, back: RUB). The turn `F = diag(1, -1, -1)` is its own inverse.
 
-use m4_scene::{Column, Splats};
+use m4_core::{Column, Splats};
 
 /// Sign that each real spherical harmonic of degree 0 to 3 takes when y and z change theirs: -1 where
 /// its polynomial has an odd number of factors y and z.
@@ -44,8 +44,11 @@ fn negate(column: &mut [f32]) {
 #[cfg(test)]
 mod tests {
     use super::{HARMONICS, turn_splats};
-    use m4_math::{nalgebra::Vector3, nalgebra::Vector4, quat};
-    use m4_scene::{Column, SplatLayout, Splats};
+    use m4_core::{
+        Column, SplatLayout, Splats,
+        nalgebra::{Vector3, Vector4},
+        quat,
+    };
 
     #[test]
     fn the_covariance_turns_with_the_world() {
@@ -62,12 +65,12 @@ mod tests {
         let covariance = |s: &Splats| {
             let q = Vector4::from_fn(|k, _| f64::from(s.column(Column::Quat, k)[0])).normalize();
             let r = quat::rotation(&q);
-            r * m4_math::nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0)) * r.transpose()
+            r * m4_core::nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, 4.0, 9.0)) * r.transpose()
         };
         let before = covariance(&splats);
         let mut turned = splats.clone();
         turn_splats(&mut turned);
-        let f = m4_math::nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+        let f = m4_core::nalgebra::Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
         assert!((covariance(&turned) - f * before * f).amax() < 1e-6);
         assert_eq!(turned.column(Column::Mean, 1), &[-2.0]);
         turn_splats(&mut turned);

@@ -1,6 +1,6 @@
 //! The reports of writers and readers.
 
-use m4_scene::Scene;
+use m4_core::Scene;
 use std::path::PathBuf;
 
 /// What a file holds differently from the scene that it was written from, or a scene from the file.

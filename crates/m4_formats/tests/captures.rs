@@ -1,10 +1,10 @@
 //! Captures for other tools, read back.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use m4_core::{Capture, CaptureFrame, CompactMask, Progress, Silent, Tracks};
 use m4_formats::cameras::colmap::read;
 use m4_formats::captures::{colmap, nerfstudio};
 use m4_io::image::{read_depth, read_mask, read_rgb};
-use m4_scene::{Capture, CaptureFrame, CompactMask, Progress, Silent, Tracks};
 use m4_testkit::BoxScene;
 
 const SIZE: [usize; 2] = [64, 48];

@@ -3,9 +3,8 @@
 //! The allocator counts for the whole process, so everything happens in one test.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use m4_core::{CounterRng, Scene, SplatLayout};
 use m4_formats::{fourdgs, ply};
-use m4_math::CounterRng;
-use m4_scene::{Scene, SplatLayout};
 use m4_testkit::{SceneSpec, harm, random_scene};
 use peak_alloc::PeakAlloc;
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -1,7 +1,7 @@
 //! Checks that the data returned by a reader are valid.
 
+use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, DepthMap, Scene, Splats, Tracks, Video};
 use m4_io::trajectory::{KeyPose, Trajectory};
-use m4_scene::{Camera, Capture, CaptureFrame, CompactDepth, DepthMap, Scene, Splats, Tracks, Video};
 
 /// More frames than any clip has: what goes through them would not end.
 const MAX_FRAMES: usize = 1_000_000;

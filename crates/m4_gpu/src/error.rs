@@ -40,7 +40,7 @@ pub enum GpuError {
     },
     /// Splats, rows or flags do not fit together.
     #[error("the inputs of the GPU are inconsistent: {0}")]
-    Shape(#[from] m4_scene::ShapeError),
+    Shape(#[from] m4_core::ShapeError),
     /// Training was given no frames.
     #[error("there are no frames to train on. Give at least one")]
     NoFrames,

@@ -4,7 +4,7 @@ use crate::buffer::{Buffer, cubes, units};
 use crate::log::write_parts;
 use crate::{Gpu, Trainer};
 use cubecl::prelude::*;
-use m4_scene::Exposure;
+use m4_core::Exposure;
 
 /// Of an exposure: rows of the matrix, each followed by its offset.
 pub(crate) const NUMBERS: usize = 12;

@@ -5,7 +5,7 @@ use crate::splats::{DeviceSplats, parts};
 use crate::work::Size;
 use crate::{Gpu, GpuError, Trainer};
 use cubecl::prelude::*;
-use m4_scene::{ShapeError, Splats};
+use m4_core::{ShapeError, Splats};
 
 /// In place of a row for splats that start from nothing.
 pub(crate) const NOTHING: u32 = u32::MAX;

@@ -6,7 +6,7 @@ use crate::sort::{Pairs, Sort};
 use crate::splats::parts;
 use crate::{GpuError, Trainer, tile_binning};
 use cubecl::prelude::*;
-use m4_scene::Column;
+use m4_core::Column;
 
 /// Bits of a place along the curve: ten an axis.
 const PLACE_BITS: u32 = 32;

@@ -7,7 +7,7 @@ use crate::sort::Sort;
 use crate::splats::parts;
 use crate::work::{CHECKPOINT, Size};
 use crate::{Gpu, GpuError, eye::EYE, found::LOSSES};
-use m4_scene::SplatLayout;
+use m4_core::SplatLayout;
 
 /// Entries of tiles that memory is first made for: this many a splat, and at least as many as [`LEAST_ENTRIES`]. Of a video
 /// most splats are missing at an instant; the first frame says how many entries it takes, and is drawn again.
@@ -274,7 +274,7 @@ fn work(size: &Size) -> Vec<Part> {
 mod tests {
     use super::Plan;
     use crate::GpuError;
-    use m4_scene::SplatLayout;
+    use m4_core::SplatLayout;
 
     const LAYOUT: SplatLayout = SplatLayout {
         isotropic: false,

@@ -4,8 +4,8 @@ use crate::buffer::Buffer;
 use crate::splats::{DeviceSplats, parts};
 use crate::work::{Size, Work};
 use crate::{Gpu, GpuError, Plan};
+use m4_core::Splats;
 use m4_kernels::{Frame, FrameGradient, Gradients, View};
-use m4_scene::Splats;
 
 /// Draws splats that stay on the device. The twin of [`m4_kernels::Renderer`].
 #[derive(Debug)]

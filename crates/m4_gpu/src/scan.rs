@@ -153,7 +153,7 @@ mod tests {
     use super::{BLOCK, IN_ONE, Scan};
     use crate::buffer::Buffer;
     use crate::device::tests::gpu;
-    use m4_math::CounterRng;
+    use m4_core::CounterRng;
 
     #[test]
     fn sums_are_those_of_a_loop() {

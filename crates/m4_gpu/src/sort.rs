@@ -189,7 +189,7 @@ mod tests {
     use super::{Pairs, Sort};
     use crate::buffer::Buffer;
     use crate::device::tests::gpu;
-    use m4_math::CounterRng;
+    use m4_core::CounterRng;
 
     #[test]
     fn keys_are_sorted_and_equal_ones_keep_their_order() {

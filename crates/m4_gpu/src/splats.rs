@@ -3,7 +3,7 @@
 use crate::buffer::Buffer;
 use crate::project::Spec;
 use crate::{Gpu, GpuError};
-use m4_scene::{Column, SplatLayout, Splats};
+use m4_core::{Column, SplatLayout, Splats};
 use std::ops::Range;
 
 /// Columns of splats, or numbers for each of them, in three buffers of whole columns one after the other: geometry with

@@ -3,8 +3,8 @@
 use crate::buffer::{Buffer, cubes, units};
 use crate::splats::parts;
 use crate::{GpuError, Trainer, adam};
+use m4_core::ShapeError;
 use m4_kernels::{View, adam::cpu::AdamConfig};
-use m4_scene::ShapeError;
 
 /// What a step depends on besides splats and frame.
 #[derive(Debug, Clone, Copy)]

@@ -9,8 +9,8 @@ use crate::loss::Loss;
 use crate::splats::DeviceSplats;
 use crate::work::{Size, Work};
 use crate::{Gpu, GpuError, Plan, exposure};
+use m4_core::{Exposure, ShapeError, Splats};
 use m4_kernels::{CameraGradient, Frame, View, adam::cpu::AdamState, photo::cpu::Target};
-use m4_scene::{Exposure, ShapeError, Splats};
 use std::borrow::Borrow;
 
 /// The operation named in errors.

@@ -1,9 +1,9 @@
-//! Readers and writers for the types of m4_scene: video, images, captures, scene files.
+//! Readers and writers for the types of m4_core: video, images, captures, scene files.
 //!
 //! Everything that comes from outside is checked here, once: counts in headers against the size of
 //! the file before anything is allocated, numbers for being numbers, sizes for agreeing. Axes and
 //! units are converted here too, so that the rest of the program knows one convention
-//! ([`m4_scene`]). Every error names the file, what is wrong with it and what to do next, and tells
+//! ([`m4_core`]). Every error names the file, what is wrong with it and what to do next, and tells
 //! its [`ErrorKind`]. What is written is written whole or not at all ([`atomic`]).
 #![forbid(unsafe_code)]
 

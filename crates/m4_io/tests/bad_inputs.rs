@@ -1,13 +1,12 @@
 //! Bad inputs: every message names the file, what is wrong, and what to do; nothing panics.
 
 use crate::common::pinwheel;
+use m4_core::{CounterRng, Plane, Progress, Silent};
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::image::{read_depth, read_rgb, write_depth, write_mask, write_rgb};
 use m4_io::video::{self, VideoOptions};
 use m4_io::{scene_file, trajectory};
-use m4_math::CounterRng;
-use m4_scene::{Plane, Progress, Silent};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;

@@ -1,9 +1,9 @@
 //! Captures: what is written comes back, and the benchmark scenes are read as they are meant.
 
+use m4_core::{
+    Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Progress, Se3, Silent, nalgebra::Vector6,
+};
 use m4_io::capture::{CaptureOptions, Split, read, write};
-use m4_math::Se3;
-use m4_math::nalgebra::Vector6;
-use m4_scene::{Camera, Capture, CaptureFrame, CompactIds, CompactMask, Intrinsics, Plane, Progress, Silent};
 use std::path::PathBuf;
 use std::sync::Mutex;
 

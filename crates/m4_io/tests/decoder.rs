@@ -3,12 +3,11 @@
 #[cfg(unix)]
 use crate::common::script;
 use crate::common::{ffmpeg, have_ffmpeg, pinwheel};
+use m4_core::{CounterRng, Plane, Progress, Silent, Video};
 use m4_io::ErrorKind;
 use m4_io::video::{
     DecoderEnd, DecoderLimits, DecoderProgram, Mp4Writer, ReadVideoError, VideoOptions, read, read_with,
 };
-use m4_math::CounterRng;
-use m4_scene::{Plane, Progress, Silent, Video};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};

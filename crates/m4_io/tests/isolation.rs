@@ -3,8 +3,8 @@
 #![cfg(target_os = "linux")]
 
 use crate::common::{pinwheel, script};
+use m4_core::{Progress, Silent};
 use m4_io::video::{DecoderProgram, ReadVideoError, VideoOptions, read_with};
-use m4_scene::{Progress, Silent};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;

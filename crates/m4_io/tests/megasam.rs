@@ -1,11 +1,9 @@
 //! Files of MegaSaM: those of numpy are read, damage is refused.
 
+use m4_core::{Capture, Intrinsics, Progress, Se3, Silent, exp_so3, nalgebra::Vector3};
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::megasam::{MegasamFault, MegasamOptions, ReadMegasamError, read};
-use m4_math::nalgebra::Vector3;
-use m4_math::{Se3, exp_so3};
-use m4_scene::{Capture, Intrinsics, Progress, Silent};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;

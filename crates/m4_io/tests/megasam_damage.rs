@@ -3,9 +3,8 @@
 //! The allocator counts for the whole process, so everything happens in one test.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use m4_core::{CounterRng, Silent};
 use m4_io::megasam::{MegasamOptions, read};
-use m4_math::CounterRng;
-use m4_scene::Silent;
 use peak_alloc::PeakAlloc;
 use std::fs;
 use std::io::{Cursor, Write};
@@ -35,7 +34,7 @@ fn refused(path: &Path, what: &str) -> bool {
     assert!(peak < MOST, "{what}: {peak} bytes");
     let read = ended.unwrap_or_else(|_| panic!("{what}: it panicked"));
     if let Ok(capture) = &read {
-        let sound = |f: &m4_scene::CaptureFrame| f.camera.c2w.matrix().iter().all(|v| v.is_finite());
+        let sound = |f: &m4_core::CaptureFrame| f.camera.c2w.matrix().iter().all(|v| v.is_finite());
         assert!(capture.frames.iter().all(sound), "{what}");
     }
     read.is_err()

@@ -1,9 +1,9 @@
 //! MP4 files that are written: they play elsewhere, read back here, and are whole or not there.
 
 use crate::common::{have_ffmpeg, pinwheel, psnr, times};
+use m4_core::{Plane, Silent, Video};
 use m4_io::ErrorKind;
 use m4_io::video::{Mp4Writer, VideoOptions, WriteVideoError, read};
-use m4_scene::{Plane, Silent, Video};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

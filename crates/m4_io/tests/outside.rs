@@ -1,11 +1,11 @@
 //! Captures that name files outside of their folder.
 
 use crate::bad_inputs::good;
+use m4_core::{Capture, Plane, Silent};
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, ReadCaptureError, Split};
 use m4_io::image::{write_mask, write_rgb};
 use m4_io::reach::Reach;
-use m4_scene::{Capture, Plane, Silent};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;

@@ -1,11 +1,10 @@
 //! Scene files: every bit comes back, and no damaged file is taken for a whole one.
 
-use m4_io::scene_file::{ReadSceneError, read, read_covariance4, write, write_covariance4};
-use m4_math::{CounterRng, Se3, nalgebra::Vector6};
-use m4_scene::covariance4::VelocityForm;
-use m4_scene::{
-    Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats, StateTensor, TrainState,
+use m4_core::{
+    Camera, Column, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats, StateTensor,
+    TrainState, covariance4::VelocityForm, nalgebra::Vector6,
 };
+use m4_io::scene_file::{ReadSceneError, read, read_covariance4, write, write_covariance4};
 use std::collections::BTreeMap;
 
 fn splats(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Splats {

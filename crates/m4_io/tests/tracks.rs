@@ -1,10 +1,9 @@
 //! Tracks: what is written comes back, and what is damaged is refused with a reason.
 
+use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Silent, Tracks};
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, ReadCaptureError, Split, TRACKS_FILE};
 use m4_io::tracks::{ReadTracksError, TracksFault, read, write};
-use m4_math::Se3;
-use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Silent, Tracks};
 use std::fs::{self, File};
 use std::io::{Cursor, Write};
 use std::path::Path;

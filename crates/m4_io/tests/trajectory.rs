@@ -1,8 +1,8 @@
 //! Camera paths of every layout, against numbers worked out by hand.
 
+use m4_core::nalgebra::{Matrix3, Vector3};
 use m4_io::ErrorKind;
 use m4_io::trajectory::{self, KeyPose, Keyed, Listed, ReadTrajectoryError, SceneTime, Trajectory};
-use m4_math::nalgebra::{Matrix3, Vector3};
 
 fn load(text: &str) -> Result<Trajectory, ReadTrajectoryError> {
     let dir = tempfile::tempdir().unwrap();

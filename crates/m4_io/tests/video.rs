@@ -1,8 +1,8 @@
 //! Clips: both decoders, times, sizes, orientation, colours.
 
 use crate::common::{ffmpeg, have_encoder, have_ffmpeg, pinwheel, psnr, times};
+use m4_core::{Plane, RgbImage, Silent, Video};
 use m4_io::video::{ReadVideoError, VideoOptions, read};
-use m4_scene::{Plane, RgbImage, Silent, Video};
 use std::path::{Path, PathBuf};
 
 fn all() -> VideoOptions {

@@ -1,6 +1,6 @@
 //! The inputs and outputs of one frame, shared by all versions of the kernels.
 
-use m4_scene::{Camera, Splats};
+use m4_core::{Camera, Splats};
 
 /// What to draw: a camera at an instant.
 #[derive(Debug, Clone, Copy, PartialEq)]

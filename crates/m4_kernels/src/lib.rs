@@ -20,7 +20,7 @@
 //! In each folder `mod.rs` is the contract, `reference.rs` the definition (generic over f32 and f64,
 //! slow on purpose, the oracle of the tests) and `cpu.rs` the SIMD twin that the product runs.
 //! [`Renderer`] strings the CPU twins together. Lengths are checked when data enters
-//! ([`m4_scene::Splats`], [`FrameGradient`]); inside, kernels index freely.
+//! ([`m4_core::Splats`], [`FrameGradient`]); inside, kernels index freely.
 
 pub mod adam;
 pub mod bench;

@@ -1,6 +1,6 @@
 //! The memory order of splats.
 
-use m4_scene::{Column, Splats};
+use m4_core::{Column, Splats};
 use rayon::prelude::*;
 
 /// Rows in the order that makes neighbours in the image neighbours in memory: static splats first,
@@ -63,8 +63,7 @@ fn spread(v: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::morton_order;
-    use m4_math::CounterRng;
-    use m4_scene::{Column, SplatLayout, Splats};
+    use m4_core::{Column, CounterRng, SplatLayout, Splats};
 
     #[test]
     fn neighbours_in_space_become_neighbours_in_memory() {

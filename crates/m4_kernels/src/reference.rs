@@ -23,7 +23,7 @@ use crate::{
     },
     tile_binning::reference::depth_order,
 };
-use m4_math::{Real, nalgebra::Vector2};
+use m4_core::{Real, nalgebra::Vector2};
 
 /// What was computed for one splat that is in the frame.
 #[derive(Debug, Clone)]

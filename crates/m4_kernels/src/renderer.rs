@@ -15,7 +15,7 @@ use crate::{
         handover::Row,
     },
 };
-use m4_scene::Splats;
+use m4_core::Splats;
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
 

@@ -4,7 +4,7 @@ use crate::load::{self, Shapes};
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, planes, tensor};
 use burn_core::tensor::{DType, Device, Tensor};
 use burn_store::{BurnToPyTorchAdapter, KeyRemapper, ModuleSnapshot};
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use m4_testkit::FormulaWeights;
 use safetensors::{Dtype, SafeTensors};
 use std::fs;

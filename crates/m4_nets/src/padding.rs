@@ -3,7 +3,7 @@
 use crate::ops::tensor;
 use crate::{Flow, FlowError};
 use burn_core::tensor::{Device, Tensor};
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 
 /// How an image lies within the padded one: in the middle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 //! the crate's own tests.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use m4_core::{Plane, RgbImage};
 use m4_nets::{BackboneSize, DepthAnything, DisparityError, LoadError, cpu};
-use m4_scene::{Plane, RgbImage};
 use m4_testkit::{FormulaWeights, write_formula_weights};
 use std::fs;
 use std::path::{Path, PathBuf};

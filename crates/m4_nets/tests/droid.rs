@@ -1,9 +1,9 @@
 //! MegaSaM's tracking network: its checkpoint and its images.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use m4_core::{Plane, RgbImage};
 use m4_nets::droid::{DroidMemory, MemoryOptions, Storage};
 use m4_nets::{DroidError, DroidNet, LoadError, cpu};
-use m4_scene::{Plane, RgbImage};
 use m4_testkit::{Need, skip, write_formula_weights};
 use std::fs;
 use std::path::Path;

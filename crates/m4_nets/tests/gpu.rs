@@ -5,6 +5,7 @@
 use crate::common::{fixtures, floats, picture};
 use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
 use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, try_init_setup};
+use m4_core::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
 use m4_nets::droid::{EdgeUpdate, MemoryOptions, Storage};
 use m4_nets::raft::LowFlow;
 use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoOptions, VideoPredictor};
@@ -13,7 +14,6 @@ use m4_nets::{
     Compute, DepthAnything, Device, DroidMemory, DroidNet, MoGe, MoGeOptions, MobileSam, PointPrompt, PointQuery,
     PosedClip, Prompt, Raft, Sam2, Tapip3d, Tapip3dOptions, UniDepth, cpu,
 };
-use m4_scene::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
 use m4_testkit::{FormulaWeights, Need, skip, write_formula_weights};
 use std::collections::BTreeMap;
 use std::fs;
@@ -351,7 +351,7 @@ impl PosedClip for Wall {
     fn camera(&self, _frame: usize) -> Result<Camera, ClipError> {
         Ok(Camera {
             intrinsics: Intrinsics::centred(288, 128, 240.0),
-            c2w: m4_math::Se3::identity(),
+            c2w: m4_core::Se3::identity(),
         })
     }
 }

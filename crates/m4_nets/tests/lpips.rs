@@ -2,8 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{fixtures, floats, picture, png, real_weights};
+use m4_core::{Mask, Plane};
 use m4_nets::{LoadError, Lpips, LpipsError, LpipsNet, LpipsPicture, LpipsScore, cpu};
-use m4_scene::{Mask, Plane};
 use m4_testkit::formula;
 use safetensors::{Dtype, SafeTensors};
 use std::fs;

@@ -2,8 +2,8 @@
 //! crate's own tests.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use m4_core::{Plane, RgbImage};
 use m4_nets::{BackboneSize, LoadError, MoGe, MoGeError, MoGeOptions, cpu};
-use m4_scene::{Plane, RgbImage};
 use m4_testkit::FormulaWeights;
 use std::fs;
 use std::path::{Path, PathBuf};

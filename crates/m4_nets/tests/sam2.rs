@@ -2,9 +2,9 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{fixtures, floats};
+use m4_core::{Plane, Progress, RgbImage, Silent};
 use m4_nets::sam2::{Clip, Direction, ObjectMask, VideoOptions, VideoPredictor};
 use m4_nets::{LoadError, PointPrompt, Prompt, Sam2, Sam2Error, Sam2Size, cpu};
-use m4_scene::{Plane, Progress, RgbImage, Silent};
 use m4_testkit::{FormulaWeights, write_formula_weights};
 use safetensors::SafeTensors;
 use std::collections::BTreeMap;

@@ -1,11 +1,9 @@
 //! TAPIP3D: its checkpoint, clips that do not fit, and what its answers depend on.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use m4_math::Se3;
-use m4_math::nalgebra::Vector3;
+use m4_core::{Camera, DepthMap, Intrinsics, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
 use m4_nets::tapip3d::ClipError;
 use m4_nets::{LoadError, PointQuery, PointTracks, PosedClip, Tapip3d, Tapip3dError, Tapip3dOptions, cpu};
-use m4_scene::{Camera, DepthMap, Intrinsics, Plane, Progress, RgbImage, Silent};
 use m4_testkit::FormulaWeights;
 use rayon::ThreadPoolBuilder;
 use std::path::Path;

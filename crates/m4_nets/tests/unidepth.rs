@@ -2,8 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{fixtures, floats, picture, real_weights};
+use m4_core::{Plane, RgbImage};
 use m4_nets::{BackboneSize, LoadError, UniDepth, UniDepthError, UniDepthMap, cpu};
-use m4_scene::{Plane, RgbImage};
 use m4_testkit::write_formula_weights;
 use std::fs;
 use std::path::{Path, PathBuf};

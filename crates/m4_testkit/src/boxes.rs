@@ -1,10 +1,9 @@
 //! A synthetic scene with ground truth: boxes that rotate and move behind a pillar and out of the image.
 
-use m4_math::{
-    Se3,
+use m4_core::{
+    Camera, DepthMap, Intrinsics, Mask, Plane, RgbImage, Se3,
     nalgebra::{Rotation3, Vector3},
 };
-use m4_scene::{Camera, DepthMap, Intrinsics, Mask, Plane, RgbImage};
 
 /// What a ray meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -214,7 +213,7 @@ fn texture(body: usize, p: &Vector3<f64>) -> [u8; 3] {
 #[cfg(test)]
 mod tests {
     use super::BoxScene;
-    use m4_math::nalgebra::Vector3;
+    use m4_core::nalgebra::Vector3;
 
     #[test]
     fn one_box_is_hidden_in_part_and_the_other_leaves() {

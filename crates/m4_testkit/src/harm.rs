@@ -1,6 +1,6 @@
 //! Random mutations of files.
 
-use m4_math::CounterRng;
+use m4_core::CounterRng;
 
 /// Does harm to a file in one of many ways: which. Nothing is left as it is.
 pub fn harm(bytes: &mut Vec<u8>, rng: &mut CounterRng) -> &'static str {

@@ -1,6 +1,6 @@
 //! Interrupts and resumes work.
 
-use m4_scene::{Cache, Progress};
+use m4_core::{Cache, Progress};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};

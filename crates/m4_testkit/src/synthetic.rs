@@ -1,10 +1,9 @@
 //! Small synthetic scenes with known results.
 
-use m4_math::{
-    CounterRng, Se3,
+use m4_core::{
+    Camera, Column, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats,
     nalgebra::{Matrix3, Vector3, Vector6},
 };
-use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
 
 /// What a random scene looks like.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -233,8 +232,7 @@ pub fn moving_scene(intrinsics: Intrinsics, frames: usize) -> MovingScene {
 #[cfg(test)]
 mod tests {
     use super::{SceneSpec, moving_scene, random_camera, random_splats};
-    use m4_math::nalgebra::Vector3;
-    use m4_scene::{Column, Intrinsics};
+    use m4_core::{Column, Intrinsics, nalgebra::Vector3};
 
     #[test]
     fn random_splats_are_in_front_of_the_camera() {

@@ -5,7 +5,7 @@
 //! simultaneous iterative reconstruction technique (Gilbert 1972), whose error never grows (docs/spec/optimiser.md 8, item 7). Both sums
 //! are what the renderer's backward pass returns, of the residual and of ones.
 
-use m4_scene::{Column, Splats};
+use m4_core::{Column, Splats};
 use rayon::prelude::*;
 
 /// Rows a task.
@@ -112,7 +112,7 @@ impl ColourSums {
 #[cfg(test)]
 mod tests {
     use super::{ColourSums, DAMPING_PX, DARKEST, Sum, Y00, frames_drawn};
-    use m4_scene::{Column, SplatLayout, Splats};
+    use m4_core::{Column, SplatLayout, Splats};
 
     #[test]
     fn a_fit_costs_its_rounds_and_half_a_round() {

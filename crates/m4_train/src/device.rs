@@ -5,12 +5,14 @@
 //! found is asked for now and then ([`Device::found`]), never in between. Who is densified and pruned a device may
 //! decide by itself ([`Device::densify`]); for one that does not the trainer does.
 
-use crate::config::ErrorRange;
-use crate::density::{Rules, Scores};
+use crate::{
+    config::ErrorRange,
+    density::{Rules, Scores},
+};
+use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
 use m4_kernels::photo::cpu::Target;
 use m4_kernels::{CameraGradient, View};
-use m4_scene::{Exposure, Splats};
 
 /// Why a device cannot continue, in its own words.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

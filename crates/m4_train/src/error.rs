@@ -1,6 +1,6 @@
 //! Errors of training.
 
-use m4_scene::ShapeError;
+use m4_core::ShapeError;
 
 /// What went wrong.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

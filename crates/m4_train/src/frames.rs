@@ -1,7 +1,7 @@
 //! The training frames in the form that the loss needs.
 
+use m4_core::{Capture, CaptureFrame};
 use m4_kernels::photo::cpu::Target;
-use m4_scene::{Capture, CaptureFrame};
 use rayon::prelude::*;
 
 /// A frame of the capture, and what the trainer keeps of it.
@@ -100,8 +100,7 @@ fn split(pixels: &[[u8; 3]], [red, green, blue]: [&mut [u8]; 3]) {
 #[cfg(test)]
 mod tests {
     use super::FrameStore;
-    use m4_math::Se3;
-    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3};
 
     #[test]
     fn frames_beyond_the_budget_are_prepared_anew() {

@@ -15,6 +15,7 @@
 pub mod config;
 pub mod density;
 pub mod device;
+pub mod init;
 
 mod batch;
 mod colour_fit;

@@ -1,13 +1,15 @@
 //! Estimates how many iterations fit into a time budget on this machine.
 
-use crate::TrainError;
-use crate::colour_fit::frames_drawn;
-use crate::config::{DensityConfig, RefineConfig, TrainConfig};
-use crate::device::{DeviceError, DeviceMaker};
-use crate::scale::SceneScale;
-use crate::trainer::Trainer;
+use crate::{
+    TrainError,
+    colour_fit::frames_drawn,
+    config::{DensityConfig, RefineConfig, TrainConfig},
+    device::{DeviceError, DeviceMaker},
+    scale::SceneScale,
+    trainer::Trainer,
+};
+use m4_core::{Capture, Column, Splats};
 use m4_kernels::SimdLevel;
-use m4_scene::{Capture, Column, Splats};
 use rayon::prelude::*;
 use std::time::Instant;
 
@@ -149,7 +151,7 @@ fn remote_trial(mut trainer: Trainer<'_>, make: DeviceMaker<'_>) -> Result<f64, 
 mod tests {
     use super::grown;
     use crate::TrainConfig;
-    use m4_scene::{Column, SplatLayout, Splats};
+    use m4_core::{Column, SplatLayout, Splats};
 
     #[test]
     fn trial_steps_have_as_many_splats_as_the_run_will() {

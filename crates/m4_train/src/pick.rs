@@ -1,6 +1,6 @@
 //! Chooses the frame of an iteration, as a function of seed and iteration.
 
-use m4_math::CounterRng;
+use m4_core::CounterRng;
 
 /// Purposes of random numbers in this crate: streams never overlap.
 pub(crate) mod purpose {

@@ -1,9 +1,7 @@
 //! One learning rate per column.
 
-use crate::config::RateConfig;
-use crate::scale::SceneScale;
-use crate::schedule::log_linear;
-use m4_scene::{Column, SplatLayout};
+use crate::{config::RateConfig, scale::SceneScale, schedule::log_linear};
+use m4_core::{Column, SplatLayout};
 
 /// What rates depend on beside the settings.
 #[derive(Debug, Clone, Copy)]
@@ -14,7 +12,7 @@ pub(crate) struct RateBasis {
     pub time_frames: usize,
 }
 
-/// The rates at `x` of the run (0..1), in the order of [`m4_scene::Splats::columns`].
+/// The rates at `x` of the run (0..1), in the order of [`m4_core::Splats::columns`].
 pub(crate) fn rates(
     config: &RateConfig,
     layout: SplatLayout,
@@ -54,9 +52,8 @@ pub(crate) fn rates(
 #[cfg(test)]
 mod tests {
     use super::{RateBasis, rates};
-    use crate::config::RateConfig;
-    use crate::scale::SceneScale;
-    use m4_scene::{Column, SplatLayout};
+    use crate::{config::RateConfig, scale::SceneScale};
+    use m4_core::{Column, SplatLayout};
 
     #[test]
     fn columns_get_their_rates() {

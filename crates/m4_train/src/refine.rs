@@ -1,9 +1,8 @@
 //! Refines poses, focal length and exposure of the frames with their own small Adam in f64.
 
 use crate::config::RefineConfig;
+use m4_core::{Camera, Exposure, nalgebra::Vector6};
 use m4_kernels::CameraGradient;
-use m4_math::nalgebra::Vector6;
-use m4_scene::{Camera, Exposure};
 
 /// Rate of the logarithm of the focal length (our choice).
 const FOCAL_LR: f32 = 1e-5;
@@ -177,8 +176,7 @@ pub(crate) fn expose(exposure: &Exposure, rgb: &[Vec<f32>; 3], out: &mut [Vec<f3
 mod tests {
     use super::{Refinement, expose};
     use crate::config::RefineConfig;
-    use m4_math::Se3;
-    use m4_scene::{Camera, Exposure, Intrinsics};
+    use m4_core::{Camera, Exposure, Intrinsics, Se3};
 
     #[test]
     fn exposure_finds_a_colour_cast() {

@@ -1,7 +1,6 @@
 //! The size of the scene, in the unit of its poses.
 
-use m4_math::nalgebra::Vector3;
-use m4_scene::Capture;
+use m4_core::{Capture, nalgebra::Vector3};
 
 /// Lengths that rates and thresholds are measured in.
 #[derive(Debug, Clone, PartialEq)]

@@ -16,10 +16,9 @@
 //! | `refine/steps` | u32 `[frames, 2]` | steps of pose and exposure |
 //! | `refine/focal` | f64 `[3]`, `refine/focal_step` u32 `[1]` | log factor, moments, steps |
 
-use crate::TrainError;
-use crate::refine::Refinement;
+use crate::{TrainError, refine::Refinement};
+use m4_core::{ShapeError, Splats, StateTensor, TrainState};
 use m4_kernels::adam::cpu::AdamState;
-use m4_scene::{ShapeError, Splats, StateTensor, TrainState};
 
 /// Reads tensors of the expected type and length.
 pub(crate) struct Reader<'a>(pub &'a TrainState<'a>);

@@ -2,8 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use crate::common::{disturbed, video};
+use m4_core::{Capture, Silent, Splats, StateTensor};
 use m4_kernels::SimdLevel;
-use m4_scene::{Capture, Silent, Splats, StateTensor};
 use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer};
 
 /// Every number of `splats` as bits.

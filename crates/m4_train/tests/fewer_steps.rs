@@ -2,9 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use crate::common::{FRAMES, disturbed, video};
+use m4_core::{Capture, Column, CounterRng, Silent, Splats, StateTensor, TrainState};
 use m4_kernels::SimdLevel;
-use m4_math::CounterRng;
-use m4_scene::{Capture, Column, Silent, Splats, StateTensor, TrainState};
 use m4_train::{DensityConfig, MetricsEvent, RateConfig, TrainConfig, Trainer};
 
 /// Nothing moves and nothing changes over the run.

@@ -4,4 +4,5 @@ mod common;
 mod determinism;
 mod device;
 mod fewer_steps;
+mod init;
 mod synthetic_video;

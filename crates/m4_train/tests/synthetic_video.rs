@@ -1,10 +1,12 @@
 //! A video of known motion is learned: image quality, motion, counts (docs/spec/optimiser.md 9, T8 and T9).
 
 use crate::common::{FRAMES, disturbed, video};
-use m4_init::{InitConfig, initialise};
+use m4_core::{Column, Progress, Silent, Splats};
 use m4_kernels::SimdLevel;
-use m4_scene::{Column, Progress, Silent, Splats};
-use m4_train::{DensityConfig, MetricsEvent, Outcome, TrainConfig, TrainError, Trainer};
+use m4_train::{
+    DensityConfig, MetricsEvent, Outcome, TrainConfig, TrainError, Trainer,
+    init::{InitConfig, initialise},
+};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Rates for a few hundred steps instead of thousands.

@@ -3,8 +3,8 @@
 use crate::manifest::FrameIndex;
 use image::codecs::jpeg::JpegEncoder;
 use image::{ExtendedColorType, ImageEncoder};
+use m4_core::RgbImage;
 use m4_io::image::resize_rgb;
-use m4_scene::RgbImage;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
@@ -156,8 +156,7 @@ fn append(
 #[cfg(test)]
 mod tests {
     use super::{FrameLimits, encode_frames};
-    use m4_math::CounterRng;
-    use m4_scene::{Plane, RgbImage};
+    use m4_core::{CounterRng, Plane, RgbImage};
 
     fn noise(index: u64) -> RgbImage {
         let mut rng = CounterRng::new(1, 2, index);

@@ -1,13 +1,13 @@
 //! The metadata of a scene that the page gets in addition to its splats.
 
 use crate::payload::Payload;
-use m4_scene::{Camera, Scene};
+use m4_core::{Camera, Scene};
 use serde::{Deserialize, Serialize};
 
 /// Version of the manifest; a page reads one.
 pub const MANIFEST_VERSION: u32 = 1;
 
-/// The JSON in the page. Axes, units and colours are those of [`m4_scene`].
+/// The JSON in the page. Axes, units and colours are those of [`m4_core`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// [`MANIFEST_VERSION`].

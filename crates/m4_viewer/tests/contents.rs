@@ -3,7 +3,7 @@
 use crate::common::{manifest_of, scene};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 use m4_viewer::page::{self, Effort, MARKER, PageError, Parts, TEMPLATE, compose};
 use m4_viewer::payload::{decode, encode};
 use m4_viewer::{FrameLimits, encode_frames};

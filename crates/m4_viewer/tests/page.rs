@@ -4,10 +4,11 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use base64::Engine;
+use m4_core::{
+    Camera, Exposure, Intrinsics, RgbImage, Scene, Se3, SourceFrame, SplatLayout,
+    nalgebra::{Matrix3, Vector3},
+};
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_math::Se3;
-use m4_math::nalgebra::{Matrix3, Vector3};
-use m4_scene::{Camera, Exposure, Intrinsics, RgbImage, Scene, SourceFrame, SplatLayout};
 use m4_testkit::{Chromium, SceneSpec, camera_looking_at, find_chromium, random_splats};
 use m4_viewer::page::{self, Effort, Parts, TEMPLATE};
 use m4_viewer::payload::{decode, encode};

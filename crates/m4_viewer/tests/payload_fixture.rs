@@ -3,7 +3,7 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use m4_scene::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
+use m4_core::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 use m4_viewer::payload::{decode, encode};
 use serde_json::{Value, json};

@@ -1,7 +1,7 @@
 //! Hashes of inputs and settings: the cache keys of finished stages.
 
 use crate::Error;
-use m4_scene::{Capture, CompactDepth, CompactMask, Plane};
+use m4_core::{Capture, CompactDepth, CompactMask, Plane};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 

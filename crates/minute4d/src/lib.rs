@@ -26,6 +26,7 @@
 #![forbid(unsafe_code)]
 
 pub mod ablate;
+pub mod batch;
 pub mod bench;
 pub mod device;
 pub mod enhance;
@@ -63,19 +64,16 @@ pub use progress::{Observer, RecordingObserver, StageEvent};
 pub use record::{plain_json, pretty_json};
 pub use settings::Settings;
 
-pub use m4_batch as batch;
+pub use m4_core as core;
+pub use m4_core::{Progress, Silent};
 pub use m4_eval as eval;
 pub use m4_formats as formats;
+pub use m4_geometry as reconstruction;
 #[cfg(feature = "gpu")]
 pub use m4_gpu as gpu;
-pub use m4_init as init;
 pub use m4_io as io;
 pub use m4_kernels as kernels;
-pub use m4_math as math;
 #[cfg(feature = "nets")]
 pub use m4_nets as nets;
-pub use m4_scene as scene;
-pub use m4_scene::{Progress, Silent};
-pub use m4_slam as slam;
 pub use m4_train as training;
 pub use m4_viewer as page;

@@ -1,6 +1,6 @@
 //! The events of a pipeline: stages, in addition to the steps within them.
 
-use m4_scene::{Progress, Scene};
+use m4_core::{Progress, Scene};
 use m4_train::MetricsEvent;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -53,7 +53,7 @@ pub trait Observer: Progress {
     }
 }
 
-impl Observer for m4_scene::Silent {
+impl Observer for m4_core::Silent {
     fn stage(&self, _name: &str, _event: StageEvent<'_>) {}
 }
 
@@ -117,7 +117,7 @@ impl Observer for RecordingObserver<'_> {
 #[cfg(test)]
 mod tests {
     use super::RecordingObserver;
-    use m4_scene::{Progress, Silent};
+    use m4_core::{Progress, Silent};
 
     #[test]
     fn a_warning_is_kept_once() {

@@ -9,7 +9,7 @@
 use crate::Observer;
 use crate::folder;
 use crate::progress::RecordingObserver;
-use m4_scene::{Cache, ScopedCache};
+use m4_core::{Cache, ScopedCache};
 use serde::{Serialize, de::DeserializeOwned};
 use std::fs;
 use std::io::Write;
@@ -79,12 +79,12 @@ impl<'a> Steps<'a> {
 
     /// Returns a stored value.
     pub fn load<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
-        m4_scene::load(self, name)
+        m4_core::load(self, name)
     }
 
     /// Stores a value.
     pub fn store(&self, name: &str, value: &impl Serialize) {
-        m4_scene::store(self, name, value);
+        m4_core::store(self, name, value);
     }
 
     /// Receives warnings.
@@ -170,7 +170,7 @@ pub(crate) fn remove(folder: &Path) {
 mod tests {
     use super::Steps;
     use crate::{Observer, StageEvent};
-    use m4_scene::{Cache, Progress};
+    use m4_core::{Cache, Progress};
     use std::convert::Infallible;
     use std::fs;
     use std::sync::Mutex;

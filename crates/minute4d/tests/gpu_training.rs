@@ -3,11 +3,10 @@
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
+use m4_core::{Capture, CaptureFrame, Column, CounterRng, Exposure, Intrinsics, Plane, Silent, SplatLayout, Splats};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::Target;
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_math::CounterRng;
-use m4_scene::{Capture, CaptureFrame, Column, Exposure, Intrinsics, Plane, Silent, SplatLayout, Splats};
 use m4_testkit::{MovingScene, Need, moving_scene, skip};
 use m4_train::config::PruneRule;
 use m4_train::density::Scores;

@@ -1,10 +1,10 @@
 //! How solid the dynamic layer of a trained run is, and how well the run re-renders its own frames.
 
 use crate::lifetimes::dynamic;
+use m4_core::{Scene, Silent};
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::scene_file;
 use m4_kernels::SimdLevel;
-use m4_scene::{Scene, Silent};
 use minute4d::render::Painter;
 use std::path::PathBuf;
 

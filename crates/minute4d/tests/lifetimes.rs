@@ -2,10 +2,9 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-use m4_init::{InitConfig, initialise};
+use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Se3, Silent, Splats};
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_math::Se3;
-use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Silent, Splats};
+use m4_train::init::{InitConfig, initialise};
 
 const SIZE: (usize, usize) = (96, 64);
 const WALL: f64 = 4.0;

@@ -4,10 +4,10 @@
 #![expect(clippy::print_stdout, reason = "figures are read by people")]
 
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
+use minute4d::core::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use minute4d::kernels::SimdLevel;
 use minute4d::page::payload::{bytes_per_splat, decode, encode};
 use minute4d::render::Painter;
-use minute4d::scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 
 const FRAMES: usize = 8;
 

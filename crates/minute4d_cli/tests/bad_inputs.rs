@@ -113,12 +113,12 @@ fn folders_of_images_that_are_not_a_clip() {
     bad_video(&dir, &dir.at("broken"), &[], 65, &["00001.png"]);
 
     write_images(&dir.path("sizes"), 2);
-    let small = minute4d::scene::Plane::filled(32, 32, [9; 3]);
+    let small = minute4d::core::Plane::filled(32, 32, [9; 3]);
     minute4d::io::image::write_rgb(&dir.path("sizes/00001.png"), &small).unwrap();
     bad_video(&dir, &dir.at("sizes"), &[], 65, &["00001.png", "32 x 32", "one size"]);
 
     for i in 0..4 {
-        let flat = minute4d::scene::Plane::filled(96, 96, [80; 3]);
+        let flat = minute4d::core::Plane::filled(96, 96, [80; 3]);
         minute4d::io::image::write_rgb(&dir.path(&format!("flat/{i}.png")), &flat).unwrap();
     }
     bad_video(
@@ -280,7 +280,7 @@ fn captures_that_contradict_themselves() {
     });
     spoil(65, &["00002.png", "depth"], &|list, folder| {
         let _ = list;
-        let flat = minute4d::scene::Plane::filled(64, 48, [9; 3]);
+        let flat = minute4d::core::Plane::filled(64, 48, [9; 3]);
         minute4d::io::image::write_rgb(&folder.join("depth/00002.png"), &flat).unwrap();
     });
     spoil(65, &["depth", "geometry"], &|list, _| {
@@ -289,7 +289,7 @@ fn captures_that_contradict_themselves() {
         }
     });
     spoil(65, &["no usable depth", "unit"], &|list, folder| {
-        let none = minute4d::scene::Plane::filled(64, 48, 0.0f32);
+        let none = minute4d::core::Plane::filled(64, 48, 0.0f32);
         for i in 0..list["frames"].as_array().unwrap().len() {
             minute4d::io::image::write_depth(&folder.join(format!("depth/{i:05}.png")), &none, 0.001).unwrap();
         }

@@ -4,8 +4,8 @@
 #[cfg(target_os = "linux")]
 use crate::common::Ended;
 use crate::common::{Scratch, program, refused, succeed};
+use minute4d::core::Plane;
 use minute4d::io::video::Mp4Writer;
-use minute4d::scene::Plane;
 use std::process::Stdio;
 
 #[test]

@@ -11,7 +11,7 @@ use serde_json::Value;
 use std::fs;
 use std::path::Path;
 
-fn read(path: &Path) -> minute4d::scene::Capture {
+fn read(path: &Path) -> minute4d::core::Capture {
     captures::read(path, Split::Train, &CaptureOptions::default(), &Silent).unwrap()
 }
 

@@ -5,8 +5,7 @@
 use crate::common::clips::{self, FOCAL_PX, SIZE, camera, frame_image};
 use crate::common::{Ended, Scratch, call, refused};
 use m4_testkit::{Need, skip};
-use minute4d::math::CounterRng;
-use minute4d::scene::{Plane, RgbImage};
+use minute4d::core::{CounterRng, Plane, RgbImage};
 use serde_json::Value;
 
 /// `geometry` of these images.

@@ -6,9 +6,9 @@ use crate::common::{Scratch, call, refused};
 #[cfg(feature = "nets")]
 use crate::common::{refused_with, text};
 use minute4d::Silent;
+use minute4d::core::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
 use minute4d::io::capture::{self, Split};
 use minute4d::io::image::{read_depth, read_mask, write_depth, write_mask};
-use minute4d::scene::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::fs;
@@ -169,10 +169,10 @@ fn a_lens_is_kept_with_its_principal_point() {
     // Where the middle is taken for it, the way is bent: poses of the true lens are nearer to the truth.
     let turn = |made: &Capture| {
         let (a, b) = (made.frames[0].camera.c2w, made.frames[FRAMES - 1].camera.c2w);
-        minute4d::math::log_so3(&a.rotation.tr_mul(&b.rotation))
+        minute4d::core::log_so3(&a.rotation.tr_mul(&b.rotation))
     };
     let cameras = walk(FRAMES);
-    let truth = minute4d::math::log_so3(&cameras[0].c2w.rotation.tr_mul(&cameras[FRAMES - 1].c2w.rotation));
+    let truth = minute4d::core::log_so3(&cameras[0].c2w.rotation.tr_mul(&cameras[FRAMES - 1].c2w.rotation));
     assert!((turn(&made) - truth).norm() < 0.01, "{} {}", turn(&made), truth);
     let args = [
         "geometry",

@@ -3,8 +3,8 @@
 
 use crate::common::{Scratch, refused, succeed};
 use m4_testkit::{SceneSpec, moving_scene, random_camera, random_splats};
+use minute4d::core::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use minute4d::io::scene_file;
-use minute4d::scene::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs;

@@ -3,8 +3,8 @@
 
 use crate::common::{Scratch, refused, succeed, train, write_capture};
 use minute4d::Silent;
+use minute4d::core::Capture;
 use minute4d::io::capture::{self, CaptureOptions, Split};
-use minute4d::scene::Capture;
 use std::fs;
 use std::path::Path;
 

@@ -4,11 +4,11 @@
 
 use crate::common::{Ended, Scratch, program};
 use m4_testkit::write_formula_weights;
+use minute4d::core::{Capture, Plane};
 use minute4d::device::{DeviceChoice, DeviceRequest};
 use minute4d::io::capture::{self, CaptureOptions, Split};
 use minute4d::io::image::write_rgb;
-use minute4d::scene::{Capture, Plane};
-use minute4d::slam::tracker::TrackerSettings;
+use minute4d::reconstruction::tracker::TrackerSettings;
 use minute4d::{Existing, Job, Settings, Silent, geometry};
 use serde_json::Value;
 use std::path::Path;

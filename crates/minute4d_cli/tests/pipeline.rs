@@ -5,9 +5,8 @@ use crate::common::{
     Ended, Scratch, capture, mean_image_psnr_db, program, refused, succeed, text, train, write_capture, write_images,
 };
 use minute4d::Silent;
+use minute4d::core::{Sim3, exp_so3, nalgebra::Vector3};
 use minute4d::io::capture::Split;
-use minute4d::math::nalgebra::Vector3;
-use minute4d::math::{Sim3, exp_so3};
 use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};

@@ -3,12 +3,13 @@
 
 use crate::common::{Scratch, train, write_clip};
 use m4_testkit::{Chromium, find_chromium};
+use minute4d::core::{
+    Camera, Intrinsics, RgbImage, Scene, Se3,
+    nalgebra::{Matrix3, Vector3},
+};
 use minute4d::io::scene_file;
 use minute4d::kernels::SimdLevel;
-use minute4d::math::Se3;
-use minute4d::math::nalgebra::{Matrix3, Vector3};
 use minute4d::render::Painter;
-use minute4d::scene::{Camera, Intrinsics, RgbImage, Scene};
 use serde_json::Value;
 
 /// Pixels of the clip, and of the window that it is played in: nothing is scaled.

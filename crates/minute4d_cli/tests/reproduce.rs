@@ -5,9 +5,9 @@ use crate::common::{
     SIZE, Scratch, capture, clips, mean_image_psnr_db, refused, seen_from, succeed, train, write_capture,
 };
 use minute4d::Silent;
+use minute4d::core::{Camera, Capture, CaptureFrame, Plane};
 use minute4d::io::capture::Split;
 use minute4d::io::image::{write_mask, write_rgb};
-use minute4d::scene::{Camera, Capture, CaptureFrame, Plane};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;

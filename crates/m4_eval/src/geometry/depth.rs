@@ -1,7 +1,7 @@
 //! Scores depth after one scale factor, and masks.
 
 use super::report::{DepthError, MaskScore, median_of_sorted};
-use m4_scene::{CaptureFrame, CompactDepth, CompactMask};
+use m4_core::{CaptureFrame, CompactDepth, CompactMask};
 
 /// Pixels used for the common factor and for the error: every one of these columns and rows.
 const STRIDE_PX: usize = 2;

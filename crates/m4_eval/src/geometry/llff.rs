@@ -1,8 +1,9 @@
 //! Ground-truth cameras in the LLFF layout: `poses` of 3x5 matrices.
 
-use m4_math::Se3;
-use m4_math::nalgebra::{Matrix3, Vector3};
-use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+use m4_core::{
+    Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3,
+    nalgebra::{Matrix3, Vector3},
+};
 use serde::Deserialize;
 
 /// Why an LLFF file could not be used as truth.
@@ -117,7 +118,7 @@ fn camera(index: usize, pose: &[[f64; 5]; 3]) -> Result<Camera, LlffError> {
 #[cfg(test)]
 mod tests {
     use super::{LlffError, llff_truth};
-    use m4_math::nalgebra::Vector3;
+    use m4_core::nalgebra::Vector3;
 
     #[test]
     fn a_camera_looks_along_minus_back() {

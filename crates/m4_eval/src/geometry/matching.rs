@@ -1,7 +1,7 @@
 //! Matches the frames of an estimate to those of the ground truth.
 
 use super::GeometryError;
-use m4_scene::CaptureFrame;
+use m4_core::CaptureFrame;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -28,7 +28,7 @@ fn stem(name: &str) -> &str {
 /// The training frames of one side.
 pub(super) struct Side<'a> {
     pub frames: Vec<&'a CaptureFrame>,
-    /// See [`m4_scene::Capture::time_frames`].
+    /// See [`m4_core::Capture::time_frames`].
     pub time_frames: usize,
 }
 
@@ -104,7 +104,7 @@ mod tests {
     use super::Matching;
     use crate::geometry::GeometryError;
     use crate::geometry::report::{tests::capture, training};
-    use m4_scene::Capture;
+    use m4_core::Capture;
 
     fn pair(a: &Capture, b: &Capture) -> Result<(Matching, Vec<(usize, usize)>), GeometryError> {
         super::pair(&training(a), &training(b))

@@ -6,8 +6,7 @@
 
 use super::GeometryError;
 use super::trajectory::has_extent;
-use m4_math::nalgebra::Vector3;
-use m4_math::{Se3, Sim3, log_so3};
+use m4_core::{Se3, Sim3, log_so3, nalgebra::Vector3};
 use serde::{Deserialize, Serialize};
 
 /// What is done to the estimated path before it is compared.
@@ -207,8 +206,7 @@ fn aligned(
 mod tests {
     use super::{PathAlignment, absolute_error, relative_error};
     use crate::geometry::GeometryError;
-    use m4_math::Se3;
-    use m4_math::nalgebra::Vector6;
+    use m4_core::{Se3, nalgebra::Vector6};
 
     fn path(n: usize) -> Vec<Se3<f64>> {
         let pose = |i: usize| {

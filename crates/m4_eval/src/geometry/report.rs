@@ -5,7 +5,7 @@ use super::{
     AbsoluteError, GeometryError, PathAlignment, RelativeError, RotationError, TrajectoryError, absolute_error, depth,
     relative_error, trajectory,
 };
-use m4_scene::{Camera, Capture, CaptureFrame};
+use m4_core::{Camera, Capture, CaptureFrame};
 use serde::{Deserialize, Serialize};
 
 /// Depth after one factor for the whole clip, over every second column and row of the truth.
@@ -193,9 +193,7 @@ pub(super) fn median_of_sorted(values: &[f64]) -> f64 {
 pub(super) mod tests {
     use super::{GeometryReport, Matching, evaluate};
     use crate::geometry::GeometryError;
-    use m4_math::Se3;
-    use m4_math::nalgebra::Vector6;
-    use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane};
+    use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Se3, nalgebra::Vector6};
 
     /// `n` frames on a curve, depth 2 everywhere but 4 in the moving left half; 16x12.
     pub(crate) fn capture(n: usize) -> Capture {

@@ -1,8 +1,9 @@
 //! Camera centres and axes after alignment.
 
-use m4_math::nalgebra::{Matrix3, Vector3};
-use m4_math::{Sim3, log_so3};
-use m4_scene::Camera;
+use m4_core::{
+    Camera, Sim3, log_so3,
+    nalgebra::{Matrix3, Vector3},
+};
 use serde::{Deserialize, Serialize};
 
 /// Distances between camera centres after the best similarity.
@@ -129,9 +130,10 @@ pub(super) fn rotation_error(estimate: &[Camera], truth: &[Camera]) -> Option<Ro
 #[cfg(test)]
 mod tests {
     use super::{align_cameras, rotation_error, trajectory_error};
-    use m4_math::nalgebra::{Vector3, Vector6};
-    use m4_math::{Se3, Sim3, exp_so3};
-    use m4_scene::{Camera, Intrinsics};
+    use m4_core::{
+        Camera, Intrinsics, Se3, Sim3, exp_so3,
+        nalgebra::{Vector3, Vector6},
+    };
 
     fn cameras(n: usize) -> Vec<Camera> {
         (0..n)

@@ -1,6 +1,6 @@
 //! Prepares masks for scoring.
 
-use m4_scene::{Mask, Plane};
+use m4_core::{Mask, Plane};
 
 /// The mask grown by `radius_px` in every direction (a square of side `2 radius + 1`).
 #[must_use]
@@ -18,7 +18,7 @@ pub fn dilated(mask: &Mask, radius_px: usize) -> Mask {
 #[cfg(test)]
 mod tests {
     use super::dilated;
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn dilation_grows_a_square() {

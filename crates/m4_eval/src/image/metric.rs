@@ -1,7 +1,7 @@
 //! Metrics by name.
 
 use super::{ImageError, Picture, PsnrKind, SsimKind, psnr_db_of, ssim};
-use m4_scene::Mask;
+use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 

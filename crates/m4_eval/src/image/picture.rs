@@ -1,6 +1,6 @@
 //! The pixels that the metrics read.
 
-use m4_scene::{RgbImage, ShapeError};
+use m4_core::{RgbImage, ShapeError};
 
 /// Why two images could not be compared.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -1,7 +1,7 @@
 //! Peak signal-to-noise ratio, in the variants of published tables.
 
 use super::{ImageError, Picture, same_size};
-use m4_scene::Mask;
+use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 
 /// What identical images score, dB: the true value is infinite, which no table can average.
@@ -96,7 +96,7 @@ fn eight_bit(v: f32) -> f64 {
 mod tests {
     use super::{MAX_PSNR_DB, Picture, PsnrKind, psnr_db, psnr_db_of};
     use crate::image::{ImageError, ssim_map};
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     fn flat(width: usize, height: usize, value: f32) -> Picture {
         let plane = vec![value; width * height];

@@ -1,7 +1,7 @@
 //! Scores of a set of views, with the protocol that made them.
 
 use super::{ImageError, Metric, Picture, SSIM_SIGMA_PX, SSIM_WINDOW_PX, dilated, psnr_db, same_size, ssim_map};
-use m4_scene::Mask;
+use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -266,7 +266,7 @@ impl ImageReport {
 mod tests {
     use super::ImageReport;
     use crate::image::{ImageError, Metric, Picture, PsnrKind};
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     fn flat(width: usize, height: usize, value: f32) -> Picture {
         let plane = vec![value; width * height];

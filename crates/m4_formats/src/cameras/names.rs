@@ -1,6 +1,6 @@
 //! Names of images in lists of cameras.
 
-use m4_scene::Scene;
+use m4_core::Scene;
 
 /// A list of names that does not fit a scene.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

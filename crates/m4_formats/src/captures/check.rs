@@ -2,7 +2,7 @@
 
 use super::WriteCaptureAsError;
 use crate::cameras_check::usable;
-use m4_scene::{Capture, Exposure, SourceFrame};
+use m4_core::{Capture, Exposure, SourceFrame};
 use std::path::Path;
 
 /// Refuses captures without frames, and cameras that are none.

@@ -13,7 +13,7 @@ use super::points::of_what_rests;
 use super::staging::Staging;
 use crate::cameras::colmap::{ColmapEncoding, ColmapPoint, Tables, write_tables};
 use crate::{Loss, Written, plural};
-use m4_scene::{Capture, Progress};
+use m4_core::{Capture, Progress};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

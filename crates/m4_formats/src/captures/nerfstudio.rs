@@ -18,9 +18,9 @@ use super::pictures::{self, Places};
 use super::points::{CapturePoint, of_what_rests};
 use super::staging::Staging;
 use crate::{Loss, WriteFileError, Written};
+use m4_core::{Capture, CaptureFrame, Progress};
 use m4_io::capture::{Axes, depth_unit};
 use m4_io::trajectory;
-use m4_scene::{Capture, CaptureFrame, Progress};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::fs;
@@ -162,7 +162,7 @@ fn read_back(
 ) -> Result<(), WriteFileError> {
     let verify = |reason: String| WriteFileError::verify(&out.join(LIST), reason);
     let back = trajectory::read(list, time_frames.max(2)).map_err(|e| verify(e.to_string()))?;
-    let same = |((camera, t), (frame, _)): (&(m4_scene::Camera, f64), &(&CaptureFrame, Places))| {
+    let same = |((camera, t), (frame, _)): (&(m4_core::Camera, f64), &(&CaptureFrame, Places))| {
         let off = (camera.c2w.matrix() - frame.camera.c2w.matrix()).amax();
         off <= POSE_WITHIN * (1.0 + frame.camera.c2w.translation.amax())
             && (t - frame.t).abs() < 1e-6

@@ -2,8 +2,8 @@
 
 use super::WriteCaptureAsError;
 use crate::WriteFileError;
+use m4_core::{CaptureFrame, Plane, Progress};
 use m4_io::image;
-use m4_scene::{CaptureFrame, Plane, Progress};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};

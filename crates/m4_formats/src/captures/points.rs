@@ -1,6 +1,6 @@
 //! Points of static regions, from depth.
 
-use m4_scene::Capture;
+use m4_core::Capture;
 
 /// A point with its colour.
 #[derive(Debug, Clone, Copy, PartialEq)]

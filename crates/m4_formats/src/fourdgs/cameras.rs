@@ -6,9 +6,10 @@ use crate::cameras_check::usable;
 use ::fourdgs::provenance::Provenance;
 use ::fourdgs::records::{POSE_TO_RIG, POSE_TO_SCENE, TRAJECTORY_LINEAR};
 use ::fourdgs::{Camera as View, CoordinateFrame, RigTrajectory, SensorCalibration};
-use m4_math::Se3;
-use m4_math::nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3};
-use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SourceFrame};
+use m4_core::{
+    Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame,
+    nalgebra::{Quaternion, Rotation3, UnitQuaternion, Vector3},
+};
 
 /// Name of the rig, its sensor and the frame of the world.
 const NAME: &str = "source";

@@ -5,7 +5,7 @@ use crate::row::{FOREVER_CLIPS, Life, Row, collect, logit, sigmoid, unit};
 use crate::{C0, plural};
 use ::fourdgs::GaussianSet;
 use ::fourdgs::quantization::{SH_QUANT_HI, SH_QUANT_LO, sh_coefficient, support_k};
-use m4_scene::{Column, Splats};
+use m4_core::{Column, Splats};
 
 /// Shortest standard deviation in time that is read, frames.
 const LEAST_TIME_SD: f64 = 1e-6;

@@ -1,7 +1,7 @@
 //! The properties of a scene without a field in the format, as our own metadata record.
 
 use ::fourdgs::Metadata;
-use m4_scene::Scene;
+use m4_core::Scene;
 use std::collections::BTreeMap;
 
 /// Name of the record.

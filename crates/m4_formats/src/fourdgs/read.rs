@@ -6,7 +6,7 @@ use super::{ReadFourdgsError, budget, cameras};
 use crate::{DEFAULT_FPS, Imported, Loss};
 use ::fourdgs::error::RefusalKind;
 use ::fourdgs::stream_reader::{ReadOptions, read_from};
-use m4_scene::Scene;
+use m4_core::Scene;
 use std::path::Path;
 
 /// Near plane where the file does not say, world units.

@@ -2,8 +2,10 @@
 
 use super::{FourdgsConfig, Precision, ReadFourdgsError, WriteFourdgsError, encode, parse};
 use crate::{Loss, at_peak};
-use m4_math::nalgebra::{Vector3, Vector4};
-use m4_scene::{Column, Scene, SplatLayout, Splats};
+use m4_core::{
+    Column, Scene, SplatLayout, Splats,
+    nalgebra::{Vector3, Vector4},
+};
 use m4_testkit::{SceneSpec, random_scene};
 use std::path::Path;
 

@@ -7,7 +7,7 @@ use crate::{DEFAULT_FPS, Loss, WriteFileError, Written, at_peak, plural};
 use ::fourdgs::quantization::{Bounds, Profile};
 use ::fourdgs::stream_reader::{ReadOptions, read_from};
 use ::fourdgs::{GaussianSet, SceneExtras, WriteOptions, write_to_vec};
-use m4_scene::Scene;
+use m4_core::Scene;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;

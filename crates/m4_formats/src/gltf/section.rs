@@ -3,7 +3,7 @@
 use super::{EXTENSION, FLOAT, UNSIGNED_BYTE, harmonic_names};
 use crate::C0;
 use crate::row::{sigmoid, unit};
-use m4_scene::{Column, Splats};
+use m4_core::{Column, Splats};
 use std::io::{self, Write};
 
 /// What an array holds of each splat.

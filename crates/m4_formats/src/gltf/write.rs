@@ -8,7 +8,7 @@ use crate::clock::Clock;
 use crate::rub::turn_splats;
 use crate::verified::VerifiedFile;
 use crate::{Loss, WriteFileError, Written, instant};
-use m4_scene::{Column, Scene, Splats};
+use m4_core::{Column, Scene, Splats};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::io::{self, Write};

@@ -5,7 +5,7 @@ use super::header::{BadHeader, Kind, parse as parse_header};
 use super::table::Table;
 use crate::row::{Life, Row, collect, unit};
 use crate::{C0, Imported, Loss};
-use m4_scene::Scene;
+use m4_core::Scene;
 use std::path::Path;
 
 /// Near plane of a file, which says nothing of it, world units.

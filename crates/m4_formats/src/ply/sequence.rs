@@ -3,7 +3,7 @@
 use super::WritePlyError;
 use super::write::{check, encode, seen, unheld};
 use crate::{Loss, WriteFileError, Written};
-use m4_scene::Scene;
+use m4_core::Scene;
 use std::fs;
 use std::path::Path;
 

@@ -3,7 +3,7 @@
 use super::{ReadPlyError, frame_name, parse, read, write, write_sequence};
 use crate::Loss;
 use crate::row::{Row, sigmoid};
-use m4_scene::{Column, Scene, SplatLayout};
+use m4_core::{Column, Scene, SplatLayout};
 use m4_testkit::{SceneSpec, random_scene};
 use serde::Deserialize;
 use std::collections::HashMap;

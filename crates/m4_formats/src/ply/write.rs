@@ -3,7 +3,7 @@
 use super::WritePlyError;
 use crate::row::Row;
 use crate::{Loss, WriteFileError, Written, instant, plural};
-use m4_scene::{Column, Scene, Splats};
+use m4_core::{Column, Scene, Splats};
 use std::fmt::Write;
 use std::path::Path;
 

@@ -1,6 +1,6 @@
 //! The JSON of a `.splatv` file.
 
-use m4_scene::{Camera, Scene, SourceFrame};
+use m4_core::{Camera, Scene, SourceFrame};
 use serde::Serialize;
 
 /// A part of the file; players read the first alone.

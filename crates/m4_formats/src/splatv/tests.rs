@@ -4,8 +4,7 @@ use super::{WriteSplatvError, write};
 use crate::Loss;
 use crate::row::{Life, Row, sigmoid};
 use half::f16;
-use m4_math::nalgebra::Vector4;
-use m4_scene::{Column, Scene, SplatLayout, Splats};
+use m4_core::{Column, Scene, SplatLayout, Splats, nalgebra::Vector4};
 use m4_testkit::{SceneSpec, random_scene};
 use serde_json::{Value, json};
 

@@ -5,7 +5,7 @@ use super::{MAGIC, SPLAT_BYTES, TEX_WIDTH, TEXEL_BYTES, WriteSplatvError};
 use crate::row::{Life, Row, sigmoid};
 use crate::{C0, Loss, WriteFileError, Written, at_peak, plural};
 use half::f16;
-use m4_scene::{Column, Scene, Splats};
+use m4_core::{Column, Scene, Splats};
 use std::f64::consts::SQRT_2;
 use std::path::Path;
 
@@ -147,7 +147,7 @@ fn losses(scene: &Scene, worst_shift: f64) -> Vec<Loss> {
             "the Mip filter for players (the header says that the scene wants it)".to_owned(),
         ));
     }
-    if scene.source.iter().any(|s| s.exposure != m4_scene::Exposure::IDENTITY) {
+    if scene.source.iter().any(|s| s.exposure != m4_core::Exposure::IDENTITY) {
         losses.push(Loss::Dropped("the exposure of every frame".to_owned()));
     }
     losses.push(Loss::Quantised("colours and opacities to bytes".to_owned()));

@@ -3,7 +3,7 @@
 use super::layout::{COLOUR_SCALE, FLAG_ANTIALIASED, Header, ROTATION_STEPS};
 use super::options::SpzOptions;
 use crate::row::{sigmoid, unit};
-use m4_scene::{Column, Splats};
+use m4_core::{Column, Splats};
 
 /// Steps of a coordinate on either side of 0.
 const POSITION_STEPS: f64 = ((1 << 23) - 1) as f64;

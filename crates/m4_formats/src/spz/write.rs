@@ -7,7 +7,7 @@ use crate::rub::turn_splats;
 use crate::verified::VerifiedFile;
 use crate::{Loss, WriteFileError, Written, instant};
 use flate2::{Compression, GzBuilder};
-use m4_scene::Scene;
+use m4_core::Scene;
 use std::io::Write;
 use std::path::Path;
 

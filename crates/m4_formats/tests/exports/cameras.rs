@@ -1,10 +1,12 @@
 //! COLMAP and nerfstudio: numbers worked out by hand, round trips, and files that are broken.
 
 use super::common::{self, Mutation, asymmetric_scene, mutations};
+use m4_core::{
+    Scene,
+    nalgebra::{Matrix3, Vector3},
+};
 use m4_formats::cameras::colmap::{self, ColmapEncoding, ColmapOptions};
 use m4_formats::cameras::nerfstudio::{self, NerfstudioOptions};
-use m4_math::nalgebra::{Matrix3, Vector3};
-use m4_scene::Scene;
 use std::path::Path;
 
 /// A camera at (1, 2, 3) that looks along x: right is -z, down is y.

@@ -1,8 +1,10 @@
 //! Scenes and broken files for the tests of this crate.
 
-use m4_math::nalgebra::{Matrix3, Vector3, Vector4, Vector6};
-use m4_math::{CounterRng, Se3, quat};
-use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
+use m4_core::{
+    Camera, Column, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats,
+    nalgebra::{Matrix3, Vector3, Vector4, Vector6},
+    quat,
+};
 
 /// One static and one moving splat, nothing symmetric, numbers that are easy by hand:
 ///

@@ -1,8 +1,8 @@
 //! glTF: bytes worked out by hand, and files taken apart.
 
 use super::common::{self, asymmetric_scene};
+use m4_core::Column;
 use m4_formats::gltf::{self, GltfOptions};
-use m4_scene::Column;
 use serde_json::Value;
 
 /// The JSON and the binary chunk.

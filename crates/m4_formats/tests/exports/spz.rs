@@ -1,8 +1,8 @@
 //! SPZ: bytes worked out by hand, and files taken apart.
 
 use super::common::{self, asymmetric_scene};
+use m4_core::{Column, SplatLayout, Splats};
 use m4_formats::spz::{self, SpzAxes, SpzOptions};
-use m4_scene::{Column, SplatLayout, Splats};
 use std::io::Read;
 
 fn unpacked(path: &std::path::Path) -> Vec<u8> {

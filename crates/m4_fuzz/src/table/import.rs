@@ -5,11 +5,11 @@ use crate::dress::Dress;
 use crate::fixture::{copy, fixture};
 use crate::reader::{Around, Outcome, Reader};
 use crate::sound;
+use m4_core::Silent;
 use m4_import::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
 use m4_import::{ImportOptions, formats::davis};
 use m4_io::reach::Reach;
 use m4_io::video::VideoOptions;
-use m4_scene::Silent;
 use std::path::Path;
 
 /// Reads a clip, and looks at what else it could be taken for.

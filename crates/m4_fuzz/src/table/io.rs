@@ -5,6 +5,7 @@ use crate::dress::Dress;
 use crate::fixture::fixture_bytes;
 use crate::reader::{Around, Outcome, Reader};
 use crate::sound;
+use m4_core::{Plane, Silent, SplatLayout};
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::megasam::{self, MegasamOptions};
 use m4_io::npy::{Array, ArrayFault, Npz};
@@ -12,7 +13,6 @@ use m4_io::scene_file::{self, ReadSceneError};
 use m4_io::trajectory;
 use m4_io::video::{self, Mp4Writer, VideoOptions};
 use m4_io::{image, tracks};
-use m4_scene::{Plane, Silent, SplatLayout};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 

@@ -1,11 +1,10 @@
 //! Valid files written by our own writers.
 
-use m4_io::capture::{self, Split};
-use m4_math::Se3;
-use m4_scene::{
-    Camera, Capture, CaptureFrame, CompactDepth, CompactIds, CompactMask, Intrinsics, Plane, Scene, Silent,
+use m4_core::{
+    Camera, Capture, CaptureFrame, CompactDepth, CompactIds, CompactMask, Intrinsics, Plane, Scene, Se3, Silent,
     SplatLayout, Tracks,
 };
+use m4_io::capture::{self, Split};
 use m4_testkit::{SceneSpec, random_scene};
 use std::path::Path;
 use std::{fmt, fs};

@@ -3,11 +3,11 @@
 use crate::gpu;
 use crate::looks::{CASTS, exposed, pulled_back};
 use crate::step::{picture, start};
+use m4_core::{Column, Exposure, Splats};
 use m4_gpu::Trainer;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::Target;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
-use m4_scene::{Column, Exposure, Splats};
 use m4_testkit::assert_gradient;
 
 /// Residual, weight, squares.

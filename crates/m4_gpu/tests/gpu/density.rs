@@ -2,14 +2,16 @@
 
 use crate::gpu;
 use crate::step::{LAMBDA, LAYOUT, columns, picture, start};
+use m4_core::{
+    Column, SplatLayout, Splats,
+    nalgebra::{Quaternion, UnitQuaternion, Vector3},
+};
 use m4_gpu::{
     DensifyStats, DensityRound, Gpu, GrowRule, PruneRule, ScoreRange, ScoreSettings, ScoreSums, SplitSize,
     StepSettings, Trainer,
 };
 use m4_kernels::View;
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
-use m4_math::nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use m4_scene::{Column, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, random_splats};
 
 const SCORES: ScoreSettings = ScoreSettings {

@@ -2,10 +2,9 @@
 
 use crate::gpu;
 use crate::twins::assert_same_gradients;
+use m4_core::{Camera, Column, Intrinsics, Se3, SplatLayout, Splats};
 use m4_gpu::Renderer as GpuRenderer;
 use m4_kernels::{Frame, FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
-use m4_math::Se3;
-use m4_scene::{Camera, Column, Intrinsics, SplatLayout, Splats};
 
 const LAYOUT: SplatLayout = SplatLayout {
     isotropic: false,

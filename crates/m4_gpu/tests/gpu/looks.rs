@@ -2,11 +2,11 @@
 
 use crate::gpu;
 use crate::step::{LAMBDA, LAYOUT, columns, picture, start};
+use m4_core::{Exposure, Splats};
 use m4_gpu::{GpuError, Look, StepSettings, Trainer};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState, step};
 use m4_kernels::photo::cpu::{PhotoScratch, Target, loss};
 use m4_kernels::{CameraGradient, FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
-use m4_scene::{Exposure, Splats};
 use m4_testkit::assert_gradient;
 
 /// Corrections of two frames.

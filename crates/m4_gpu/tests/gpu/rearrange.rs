@@ -2,10 +2,10 @@
 
 use crate::gpu;
 use crate::step::{LAMBDA, LAYOUT, columns, picture, start};
+use m4_core::Splats;
 use m4_gpu::{DensifyPlan, GpuError, StepSettings, Trainer};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
 use m4_kernels::{View, morton_order};
-use m4_scene::Splats;
 
 fn trainer(gpu: m4_gpu::Gpu) -> (Trainer, View) {
     let (splats, view) = start();
@@ -97,7 +97,7 @@ fn rows_that_do_not_fit_are_refused_and_nothing_changes() {
     let mut swapped = rows.clone();
     swapped.swap(0, n as usize - 1);
     let one = splats.gather(&[0]).unwrap();
-    let wide = Splats::zeros(m4_scene::SplatLayout { sh_degree: 2, ..LAYOUT }, 1, 0);
+    let wide = Splats::zeros(m4_core::SplatLayout { sh_degree: 2, ..LAYOUT }, 1, 0);
     let good = DensifyPlan {
         rows: &rows,
         n_static: splats.n_static(),

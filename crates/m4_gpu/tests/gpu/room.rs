@@ -2,10 +2,10 @@
 
 use crate::gpu;
 use crate::step::{LAMBDA, LAYOUT, SIZE, columns, picture, start};
+use m4_core::{Column, Splats};
 use m4_gpu::{StepSettings, Trainer};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_scene::{Column, Splats};
 
 /// Room that a trainer has at first for few splats.
 const FIRST: usize = 1 << 16;

@@ -3,11 +3,11 @@
 use crate::gpu;
 use crate::looks::{CASTS, exposed};
 use crate::step::{LAMBDA, picture, start};
+use m4_core::{Exposure, Splats};
 use m4_gpu::{ScoreRange, ScoreSettings, Trainer};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::{PhotoScratch, Target, error_map, loss};
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_scene::{Exposure, Splats};
 
 /// Errors at and below the cut become 0.
 fn mask(errors: &mut [f32], threshold: f32, range: ScoreRange) {

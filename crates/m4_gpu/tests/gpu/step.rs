@@ -1,13 +1,13 @@
 //! A whole step: loss, gradient, optimiser.
 
 use crate::gpu;
+use m4_core::{SplatLayout, Splats};
 use m4_gpu::{StepSettings, Trainer};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted,
     adam::cpu::{AdamConfig, AdamState, step},
     photo::cpu::{PhotoScratch, Target, loss},
 };
-use m4_scene::{SplatLayout, Splats};
 use m4_testkit::{SceneSpec, assert_gradient, random_camera, random_splats};
 
 pub const LAYOUT: SplatLayout = SplatLayout {

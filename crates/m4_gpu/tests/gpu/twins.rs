@@ -1,10 +1,9 @@
 //! Images and gradients.
 
 use crate::gpu;
+use m4_core::{CounterRng, SplatLayout, Splats};
 use m4_gpu::Renderer as GpuRenderer;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted};
-use m4_math::CounterRng;
-use m4_scene::{SplatLayout, Splats};
 use m4_testkit::{Flips, SceneSpec, assert_gradient, assert_image, random_camera, random_splats};
 
 /// Splats, half of them dynamic, before a random camera.

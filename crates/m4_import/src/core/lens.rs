@@ -1,7 +1,7 @@
 //! Camera models with distortion.
 
 use super::SourceFault;
-use m4_scene::Intrinsics;
+use m4_core::Intrinsics;
 
 /// How a lens bends rays, from normalised pinhole coordinates `(x, y) = (X / Z, Y / Z)` to those that the pixels have.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

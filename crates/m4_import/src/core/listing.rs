@@ -1,8 +1,7 @@
 //! The listing of a source: what a format knows before anything large is read.
 
 use super::{Lens, SourceFault};
-use m4_math::Se3;
-use m4_scene::{Capture, CompactDepth, CompactIds, CompactMask, Plane, RgbImage, Tracks};
+use m4_core::{Capture, CompactDepth, CompactIds, CompactMask, Plane, RgbImage, Se3, Tracks};
 use std::fmt;
 use std::sync::Mutex;
 

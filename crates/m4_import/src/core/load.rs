@@ -2,7 +2,7 @@
 
 use super::undistort::Undistort;
 use super::{ImportOptions, Imported, ListedFrame, Listing, ReadSourceError, SourceFault};
-use m4_scene::{Camera, Capture, CaptureFrame, CompactDepth, CompactIds, CompactMask, Progress, Tracks};
+use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactIds, CompactMask, Progress, Tracks};
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};

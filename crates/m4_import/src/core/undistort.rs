@@ -1,7 +1,7 @@
 //! Removes lens distortion from images, depth maps and masks.
 
 use super::{Distortion, Lens};
-use m4_scene::{Intrinsics, Plane, RgbImage};
+use m4_core::{Intrinsics, Plane, RgbImage};
 
 /// Farthest that the focal length is stretched so that no pixel looks past the stored image.
 const MAX_STRETCH: f64 = 8.0;
@@ -131,7 +131,7 @@ impl Undistort {
 mod tests {
     use super::Undistort;
     use crate::core::{Distortion, Lens};
-    use m4_scene::{Intrinsics, Plane};
+    use m4_core::{Intrinsics, Plane};
 
     fn lens(distortion: Distortion) -> Lens {
         Lens {

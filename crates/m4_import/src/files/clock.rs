@@ -1,7 +1,7 @@
 //! The times of frames.
 
 use crate::core::{ImportOptions, SourceFault};
-use m4_scene::Progress;
+use m4_core::Progress;
 
 /// Frames a second where nothing says it.
 pub(crate) const DEFAULT_FPS: f64 = 30.0;

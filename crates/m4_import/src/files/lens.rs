@@ -1,7 +1,7 @@
 //! Parses pinhole intrinsics, and checks that they fit the image size.
 
 use crate::core::SourceFault;
-use m4_scene::Intrinsics;
+use m4_core::Intrinsics;
 
 /// The pinhole `fx fy cx cy`, pixels, of images of that size.
 pub(crate) fn pinhole([fx, fy, cx, cy]: [f64; 4], (width, height): (usize, usize)) -> Intrinsics {

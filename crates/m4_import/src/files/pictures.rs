@@ -2,9 +2,9 @@
 
 use super::Inside;
 use crate::core::{FrameSource, ImportOptions, ReadSourceError, SourceFault};
+use m4_core::{Progress, RgbImage};
 use m4_io::image;
 use m4_io::video::{self, ReadVideoError, VideoOptions};
-use m4_scene::{Progress, RgbImage};
 use std::path::Path;
 
 /// Pixels that a byte of a packed image can stand for at most: deflate makes 1032 bytes of one, each of eight pixels of a bit; JPEG

@@ -1,9 +1,11 @@
 //! Converts matrices and quaternions to camera-to-world poses.
 
 use crate::core::SourceFault;
+use m4_core::{
+    Se3,
+    nalgebra::{Quaternion, UnitQuaternion, Vector3},
+};
 use m4_io::capture::Pose;
-use m4_math::Se3;
-use m4_math::nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 /// How far the length of a quaternion may be from 1: what printing with few digits and an optimiser leave.
 const UNIT_WITHIN: f64 = 1e-2;
@@ -62,7 +64,7 @@ mod tests {
         assert!((by_quaternion.matrix() - by_rows.matrix()).amax() < 1e-15);
         let printed = [[0.0004, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]];
         let r = of_rotation(printed, [0.0; 3]).unwrap().rotation;
-        assert!((r.transpose() * r - m4_math::nalgebra::Matrix3::identity()).amax() < 1e-12);
+        assert!((r.transpose() * r - m4_core::nalgebra::Matrix3::identity()).amax() < 1e-12);
         assert!((r - by_rows.rotation).amax() < 1e-3);
         let mirrored = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]];
         for bad in [

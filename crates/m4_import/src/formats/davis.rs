@@ -12,8 +12,8 @@ use crate::core::{ReadSourceError, SourceFault};
 use crate::files::pictures::{of_video, size_of};
 use crate::files::stem;
 use crate::side::mask::read_mask;
+use m4_core::{CompactIds, Progress, Video};
 use m4_io::video::{VideoOptions, pictures, read};
-use m4_scene::{CompactIds, Progress, Video};
 use std::path::{Path, PathBuf};
 
 /// Frames a second of all clips.

@@ -1,9 +1,9 @@
 //! Files of MegaSaM; see [`m4_io::megasam`] for their layout and what is converted.
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
+use m4_core::{Capture, Progress};
 use m4_io::megasam::{self, MegasamFault, MegasamOptions};
 use m4_io::npy::Npz;
-use m4_scene::{Capture, Progress};
 use std::path::Path;
 
 /// Whether it is a folder of reconstructions, or an archive with `cam_c2w`.

@@ -19,7 +19,7 @@ mod vipe;
 
 use crate::core::{ImportOptions, Imported, Listing, ReadSourceError, SourceFault, load};
 use crate::side;
-use m4_scene::Progress;
+use m4_core::Progress;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 

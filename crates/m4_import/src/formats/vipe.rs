@@ -20,8 +20,8 @@ use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSo
 use crate::files::arrays::Arrays;
 use crate::files::{Inside, Members, clock, lens, pictures, pose, text};
 use crate::side::depth::decode_exr;
+use m4_core::{CompactDepth, CompactIds, CompactMask, Progress};
 use m4_io::image;
-use m4_scene::{CompactDepth, CompactIds, CompactMask, Progress};
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -3,7 +3,7 @@
 use super::{depth, mask, tracks};
 use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::{Inside, listed};
-use m4_scene::{CompactDepth, CompactMask, Progress};
+use m4_core::{CompactDepth, CompactMask, Progress};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

@@ -5,8 +5,8 @@ use super::stack::Stack;
 use crate::core::SourceFault;
 use crate::files::first_bytes;
 use crate::files::pictures::size_of;
+use m4_core::{CompactIds, CompactMask, Progress};
 use m4_io::image;
-use m4_scene::{CompactIds, CompactMask, Progress};
 use std::path::Path;
 
 /// Extensions of masks that are read.

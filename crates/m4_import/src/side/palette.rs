@@ -2,7 +2,7 @@
 
 use crate::core::SourceFault;
 use crate::files::pictures::check_pixels;
-use m4_scene::Plane;
+use m4_core::Plane;
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
 use std::fs::File;
 use std::io::BufReader;

@@ -2,7 +2,7 @@
 
 use crate::core::{SourceFault, step};
 use crate::files::npy::{array_fault, array_of, is_float, open_npz, present};
-use m4_scene::Progress;
+use m4_core::Progress;
 use std::path::Path;
 
 /// What is known of a stack while its maps are read.

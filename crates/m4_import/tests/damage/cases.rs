@@ -1,12 +1,12 @@
 //! What is damaged, and how it is read.
 
 use crate::common::fixture;
+use m4_core::{Capture, Silent};
 use m4_import::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
 use m4_import::formats::davis;
 use m4_import::{ImportOptions, read};
 use m4_io::reach::Reach;
 use m4_io::video::VideoOptions;
-use m4_scene::{Capture, Silent};
 use std::path::Path;
 
 /// The captures of a source.

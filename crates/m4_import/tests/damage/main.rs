@@ -18,7 +18,7 @@ mod mutate;
 
 use cases::Case;
 use common::{copy, fixture};
-use m4_scene::Capture;
+use m4_core::Capture;
 use memory::measured;
 use std::fs::File;
 use std::io::Read as _;
@@ -74,7 +74,7 @@ fn replace(file: &Path, bytes: &[u8]) {
 /// What is wrong with a capture that was read, if something is.
 fn fault_of(capture: &Capture) -> Option<&'static str> {
     let last = capture.time_frames as f64 - 1.0;
-    let frame_fault = |frame: &m4_scene::CaptureFrame| {
+    let frame_fault = |frame: &m4_core::CaptureFrame| {
         let k = &frame.camera.intrinsics;
         let c2w = frame.camera.c2w.matrix();
         let rigid = c2w.iter().all(|v| v.is_finite()) && (c2w.determinant() - 1.0).abs() < 1e-2;

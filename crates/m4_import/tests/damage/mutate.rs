@@ -1,6 +1,6 @@
 //! Ways of doing harm to a file.
 
-use m4_math::CounterRng;
+use m4_core::CounterRng;
 use m4_testkit::harm;
 use std::io::{Cursor, Read as _, Write};
 use zip::write::SimpleFileOptions;

@@ -1,10 +1,10 @@
 //! Sources that name files outside of their folder, or lead to them by links.
 
 use crate::support::{copied, fixture, refused};
+use m4_core::Silent;
 use m4_import::SourceFormat::{self, Nerfstudio};
 use m4_import::{ImportOptions, read};
 use m4_io::reach::Reach;
-use m4_scene::Silent;
 use std::fs;
 use std::path::Path;
 

@@ -1,8 +1,8 @@
 //! Reading and changing sources.
 
 pub use crate::common::{copy, fixture};
+use m4_core::{Progress, Silent};
 use m4_import::{ImportOptions, SourceFormat, read};
-use m4_scene::{Progress, Silent};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use tempfile::TempDir;

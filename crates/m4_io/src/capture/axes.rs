@@ -1,6 +1,6 @@
 //! The axis convention of cameras in a file.
 
-use m4_math::Se3;
+use m4_core::Se3;
 use serde::{Deserialize, Serialize};
 
 /// Axes of a camera-to-world matrix.
@@ -30,7 +30,7 @@ impl Axes {
 #[cfg(test)]
 mod tests {
     use super::Axes;
-    use m4_math::{Se3, nalgebra::Vector3};
+    use m4_core::{Se3, nalgebra::Vector3};
 
     #[test]
     fn an_opengl_camera_looks_along_minus_z() {

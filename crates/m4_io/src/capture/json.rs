@@ -1,7 +1,7 @@
 //! The keys of `transforms*.json`.
 
 use super::{Axes, ReadCaptureError};
-use m4_scene::Intrinsics;
+use m4_core::Intrinsics;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io::Read;

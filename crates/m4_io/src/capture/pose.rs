@@ -1,6 +1,6 @@
 //! Checks that a 4x4 matrix from a file is a rigid motion.
 
-use m4_math::{Se3, nalgebra::Matrix3, nalgebra::Vector3};
+use m4_core::{Se3, nalgebra::Matrix3, nalgebra::Vector3};
 
 /// Largest entry of `R^T R - I` that is taken for rounding: matrices are often printed with few digits.
 const ORTHONORMAL_WITHIN: f64 = 2e-3;
@@ -109,7 +109,7 @@ fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
 #[cfg(test)]
 mod tests {
     use super::{Pose, PoseFault};
-    use m4_math::{Se3, nalgebra::Matrix3, nalgebra::Vector6};
+    use m4_core::{Se3, nalgebra::Matrix3, nalgebra::Vector6};
 
     fn rows(pose: &Se3<f64>) -> Vec<Vec<f64>> {
         let m = pose.matrix();

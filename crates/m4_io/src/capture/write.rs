@@ -3,7 +3,7 @@
 use super::json::{Frame, Lens, Transforms};
 use super::{Axes, Split, WriteCaptureError};
 use crate::{atomic, image, tracks};
-use m4_scene::{Capture, CaptureFrame, Progress};
+use m4_core::{Capture, CaptureFrame, Progress};
 use rayon::prelude::*;
 use std::fs;
 use std::path::Path;

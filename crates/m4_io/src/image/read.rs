@@ -2,7 +2,7 @@
 
 use super::{ReadImageError, exif};
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
-use m4_scene::{CompactDepth, CompactIds, CompactMask, Plane, RgbImage};
+use m4_core::{CompactDepth, CompactIds, CompactMask, Plane, RgbImage};
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Cursor};
 use std::path::Path;

@@ -3,7 +3,7 @@
 use fast_image_resize::images::{TypedImage, TypedImageRef};
 use fast_image_resize::pixels::U8x3;
 use fast_image_resize::{FilterType, ResizeAlg, ResizeOptions, Resizer};
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 
 /// The image at `width` x `height` pixels, filtered against aliasing: shrinking weighs every
 /// source pixel with a triangle two target pixels wide (both at least 1 pixel; `None` otherwise).
@@ -24,7 +24,7 @@ pub fn resize_rgb(image: &RgbImage, width: usize, height: usize) -> Option<RgbIm
 #[cfg(test)]
 mod tests {
     use super::resize_rgb;
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn a_fine_checkerboard_becomes_grey() {

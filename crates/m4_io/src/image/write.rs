@@ -5,7 +5,7 @@ use crate::atomic;
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
-use m4_scene::{CompactIds, DepthMap, Mask, Plane, RgbImage};
+use m4_core::{CompactIds, DepthMap, Mask, Plane, RgbImage};
 use std::path::Path;
 
 /// Quality of JPEG files, 1 to 100: at 95 the coding error is under that of 8-bit video.
@@ -125,7 +125,7 @@ pub fn write_grey(path: &Path, grey: &Plane<u8>) -> Result<(), WriteImageError> 
 mod tests {
     use super::{write_depth, write_ids, write_mask, write_rgb};
     use crate::image::{read_depth, read_ids, read_mask, read_rgb, size};
-    use m4_scene::{CompactIds, Plane};
+    use m4_core::{CompactIds, Plane};
 
     #[test]
     fn pictures_come_back_as_they_were() {

@@ -1,7 +1,7 @@
 //! Intrinsics in MegaSaM's files: the principal point is measured from the image's corner (see [the module](super)).
 
 use super::MegasamFault;
-use m4_scene::Intrinsics;
+use m4_core::Intrinsics;
 
 /// The pinhole of `[fx, fy, cx, cy]`, pixels of an image of `size`.
 pub(super) fn of_numbers(

@@ -1,4 +1,4 @@
-//! Files of MegaSaM, read as a [`Capture`](m4_scene::Capture).
+//! Files of MegaSaM, read as a [`Capture`](m4_core::Capture).
 //!
 //! ```text
 //! NAME_droid.npz         images u8 [n][h][w][3] RGB    depths f32 [n][h][w]    intrinsic f64 [3][3]    cam_c2w f32 [n][4][4]

@@ -1,7 +1,7 @@
 //! Converts `motion_prob` to masks.
 
 use super::{MegasamFault, MegasamOptions};
-use m4_scene::{CompactMask, Progress};
+use m4_core::{CompactMask, Progress};
 use std::path::{Path, PathBuf};
 
 /// Name of the file.

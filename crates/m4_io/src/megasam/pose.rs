@@ -2,8 +2,10 @@
 
 use super::MegasamFault;
 use crate::capture::Pose;
-use m4_math::Se3;
-use m4_math::nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use m4_core::{
+    Se3,
+    nalgebra::{Quaternion, UnitQuaternion, Vector3},
+};
 
 /// How far the length of a quaternion may be from 1: f32, and what a bundle adjustment leaves.
 const UNIT_WITHIN: f64 = 1e-2;
@@ -55,8 +57,8 @@ mod tests {
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let c2w = of_w2c(0, &[0.0, 0.0, 3.0, 0.0, half, 0.0, half]).unwrap();
         let w2c = c2w.inverse();
-        let x = w2c.transform(&m4_math::nalgebra::Vector3::new(0.0, 0.0, 1.0));
-        assert!((x - m4_math::nalgebra::Vector3::new(1.0, 0.0, 3.0)).norm() < 1e-12);
+        let x = w2c.transform(&m4_core::nalgebra::Vector3::new(0.0, 0.0, 1.0));
+        assert!((x - m4_core::nalgebra::Vector3::new(1.0, 0.0, 3.0)).norm() < 1e-12);
         assert!(of_w2c(3, &[0.0; 7]).unwrap_err().to_string().contains("frame 3"));
         assert!(of_w2c(0, &[f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]).is_err());
     }

@@ -4,8 +4,7 @@ use super::depth::{self, Stored};
 use super::input::{self, Input};
 use super::{MegasamFault, MegasamOptions, ReadMegasamError, lens, motion, pose};
 use crate::npy::{Array, Number};
-use m4_math::Se3;
-use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, Progress, RgbImage};
+use m4_core::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, Progress, RgbImage, Se3};
 use std::path::Path;
 
 /// Frames a second where nothing says it.

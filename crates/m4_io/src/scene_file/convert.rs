@@ -1,8 +1,10 @@
-//! Converts between a [`m4_scene::Scene`] and named arrays.
+//! Converts between a [`m4_core::Scene`] and named arrays.
 
 use super::tensor::Source;
-use m4_math::{Se3, nalgebra::Matrix3, nalgebra::Vector3};
-use m4_scene::{Camera, Column, Exposure, Intrinsics, SourceFrame, SplatLayout, Splats, StateTensor};
+use m4_core::{
+    Camera, Column, Exposure, Intrinsics, Se3, SourceFrame, SplatLayout, Splats, StateTensor,
+    nalgebra::{Matrix3, Vector3},
+};
 use std::collections::BTreeMap;
 
 /// Named arrays of a file.

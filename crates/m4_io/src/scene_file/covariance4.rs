@@ -5,9 +5,11 @@ use super::read::{fault_to_error, load};
 use super::tensor::Source;
 use super::write::save;
 use super::{ReadSceneError, WriteSceneError};
-use m4_math::nalgebra::Matrix4;
-use m4_scene::covariance4::{Covariance4, VelocityForm};
-use m4_scene::{SplatLayout, Splats, StateTensor};
+use m4_core::{
+    SplatLayout, Splats, StateTensor,
+    covariance4::{Covariance4, VelocityForm},
+    nalgebra::Matrix4,
+};
 use std::path::Path;
 
 /// Largest difference of mirrored entries of a full matrix, relative to its trace, that is rounding.

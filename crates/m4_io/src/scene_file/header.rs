@@ -1,7 +1,7 @@
 //! The metadata of a scene file.
 
 use super::convert::Sources;
-use m4_scene::SplatLayout;
+use m4_core::SplatLayout;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -3,7 +3,7 @@
 //! A safetensors file, so that any language reads the arrays:
 //!
 //! ```text
-//! splats.mean         f32 [n, 3]            static splats first; units as in m4_scene::Column
+//! splats.mean         f32 [n, 3]            static splats first; units as in m4_core::Column
 //! splats.log_scale    f32 [n, 3] or [n, 1]
 //! splats.quat         f32 [n, 4]            (w, x, y, z); absent for isotropic splats
 //! splats.opacity      f32 [n]               logit

@@ -5,14 +5,14 @@ use super::convert::{Arrays, Fault, arrays_to_source, arrays_to_splats};
 use super::header::{Header, KEY, VERSION, Version, checksum};
 use super::sound;
 use super::tensor::{self, Source};
-use m4_scene::{Scene, TrainState};
+use m4_core::{Scene, TrainState};
 use safetensors::tensor::Metadata;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
 
-/// Highest degrees that a layout may have; see [`m4_scene::SplatLayout`].
+/// Highest degrees that a layout may have; see [`m4_core::SplatLayout`].
 const MAX_DEGREES: (usize, usize) = (3, 2);
 
 /// What a scene file holds.

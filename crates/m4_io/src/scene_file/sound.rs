@@ -1,7 +1,6 @@
 //! Checks that the numbers of a scene are valid.
 
-use m4_math::nalgebra::Matrix3;
-use m4_scene::{Scene, SourceFrame};
+use m4_core::{Scene, SourceFrame, nalgebra::Matrix3};
 
 /// Longest side of an image of the source, pixels.
 const MAX_SIDE_PX: usize = 1 << 16;

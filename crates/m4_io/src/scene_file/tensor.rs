@@ -1,6 +1,6 @@
 //! Copies arrays between memory and safetensors files, little-endian, in pieces.
 
-use m4_scene::StateTensor;
+use m4_core::StateTensor;
 use safetensors::tensor::Dtype;
 use std::borrow::Cow;
 

@@ -6,7 +6,7 @@ use super::header::{Facts, Header, KEY, VERSION, checksum};
 use super::sound;
 use super::tensor::Source;
 use crate::atomic::AtomicFile;
-use m4_scene::{Scene, TrainState};
+use m4_core::{Scene, TrainState};
 use safetensors::tensor::{Metadata, TensorInfo};
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;

@@ -2,7 +2,7 @@
 
 use super::{ReadTracksError, TracksFault};
 use crate::npy::Header;
-use m4_scene::Tracks;
+use m4_core::Tracks;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -52,7 +52,7 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, TracksF
         (shape != [frames as u64, count]).then(|| format!("({frames} frames, {count} tracks)"))
     })?;
 
-    let wrong = |e: m4_scene::ShapeError| TracksFault::Archive(e.to_string());
+    let wrong = |e: m4_core::ShapeError| TracksFault::Archive(e.to_string());
     let visible = visible.bytes.iter().map(|&b| b != 0).collect();
     let mut made = Tracks::new(frames, tracks, xyz, visible).map_err(wrong)?;
     if let Some(confidence) = confidence {

@@ -2,7 +2,7 @@
 
 use crate::atomic;
 use crate::npy::Header;
-use m4_scene::Tracks;
+use m4_core::Tracks;
 use std::io::{self, Cursor, Write};
 use std::path::Path;
 use zip::write::SimpleFileOptions;

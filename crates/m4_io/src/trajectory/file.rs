@@ -1,7 +1,7 @@
 //! A camera path file of any layout.
 
 use super::{Keyed, ReadTrajectoryError, keyed, listed, nerfstudio, own};
-use m4_scene::Camera;
+use m4_core::Camera;
 use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use std::fs::File;

@@ -1,6 +1,6 @@
 //! Keyframes of a camera path.
 
-use m4_math::{Se3, nalgebra::Vector3};
+use m4_core::{Se3, nalgebra::Vector3};
 
 /// A camera path as the places that it goes through.
 #[derive(Debug, Clone, PartialEq)]

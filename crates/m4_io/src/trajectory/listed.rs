@@ -5,7 +5,7 @@ use super::file::Fault;
 use super::keyed::fov;
 use super::nerfstudio::{Header, side};
 use crate::capture::{Axes, Lens, Pose};
-use m4_scene::{Camera, Intrinsics};
+use m4_core::{Camera, Intrinsics};
 use serde::Deserialize;
 
 #[derive(Deserialize)]

@@ -7,7 +7,7 @@ use super::file::Fault;
 use super::keyed;
 use super::{KeyPose, Keyed, Keyframe, SceneTime};
 use crate::capture::{Axes, Pose};
-use m4_math::Se3;
+use m4_core::Se3;
 use serde::Deserialize;
 
 /// Largest side of an image to render, pixels.

@@ -3,7 +3,7 @@
 use super::plan::{self, Collector};
 use super::{ReadVideoError, VideoOptions};
 use crate::image;
-use m4_scene::{Progress, Video};
+use m4_core::{Progress, Video};
 use rayon::prelude::*;
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};

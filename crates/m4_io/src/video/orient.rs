@@ -1,6 +1,6 @@
 //! Rotates images upright: the eight ways in which a display matrix can rotate and mirror.
 
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 
 /// Where the stored image's columns and rows go on the display.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -66,7 +66,7 @@ impl Orientation {
 #[cfg(test)]
 mod tests {
     use super::Orientation;
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     const ONE: i32 = 65536;
 

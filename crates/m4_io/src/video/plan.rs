@@ -1,7 +1,7 @@
 //! Chooses the frames to keep and their size, and checks that they fit into memory.
 
 use super::{ReadVideoError, VideoOptions};
-use m4_scene::{RgbImage, Video, VideoFrame};
+use m4_core::{RgbImage, Video, VideoFrame};
 use std::path::Path;
 
 /// Slack when comparing times that went through text with microseconds.

@@ -3,7 +3,7 @@
 use super::decoder::{DecoderProgram, decoder_program};
 use super::mp4::{Movie, Mp4Error};
 use super::{ReadVideoError, VideoOptions, ffmpeg, folder, h264, mp4, plan};
-use m4_scene::{Progress, Video};
+use m4_core::{Progress, Video};
 use std::fs::File;
 use std::io::{ErrorKind, Read};
 use std::path::Path;

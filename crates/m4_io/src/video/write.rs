@@ -4,7 +4,7 @@ use super::colour::{Planes420, Range, YuvMatrix};
 use super::mp4::Movie;
 use super::{WriteVideoError, h264};
 use crate::atomic::AtomicFile;
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use muxide::api::{Muxer, MuxerBuilder, VideoCodec};
 use openh264::OpenH264API;
 use openh264::encoder::{

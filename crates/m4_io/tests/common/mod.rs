@@ -1,6 +1,6 @@
 //! What the tests of this crate share.
 
-use m4_scene::{RgbImage, Video};
+use m4_core::{RgbImage, Video};
 use m4_testkit::{Need, skip};
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -7,7 +7,7 @@ use crate::{
 };
 use fearless_simd::{Simd, f32x16, prelude::*, u32x16};
 use fearless_simd_macros::simd;
-use m4_scene::Splats;
+use m4_core::Splats;
 use rayon::prelude::*;
 
 /// The constants of Adam for a whole set of splats.

@@ -1,7 +1,7 @@
 //! The definition of one optimiser step.
 
 use super::AdamParams;
-use m4_math::Real;
+use m4_core::Real;
 
 /// One parameter: its new value, first and second moment.
 pub fn update<T: Real>(x: T, g: T, m: T, v: T, count: u32, rate: T, params: &AdamParams) -> (T, T, T) {

@@ -10,7 +10,7 @@ use crate::{
     slice::MARGINAL_MIN,
     tile_binning::{TILE, reference::grid},
 };
-use m4_scene::{Column, Splats};
+use m4_core::{Column, Splats};
 use rayon::prelude::*;
 
 /// Dynamic splats whose temporal marginal at `t` (frames) is above [`MARGINAL_MIN`].

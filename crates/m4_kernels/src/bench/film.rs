@@ -1,8 +1,7 @@
 //! A rendered sequence of the synthetic room: frames with poses, depth and masks, in the form that training reads.
 
 use super::scene::{FRAMES, camera, cast, colour, drift, is_ball};
-use m4_math::{Se3, nalgebra::Vector3};
-use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Plane};
+use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Plane, Se3, nalgebra::Vector3};
 use rayon::prelude::*;
 
 /// The first balls, which are the largest in the image, are static: an eighth of the image moves.

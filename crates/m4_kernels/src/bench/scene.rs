@@ -2,11 +2,10 @@
 //! occluded, as in a video.
 
 use crate::View;
-use m4_math::{
-    CounterRng,
+use m4_core::{
+    Camera, Column, CounterRng, Intrinsics, SplatLayout, Splats,
     nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3},
 };
-use m4_scene::{Camera, Column, Intrinsics, SplatLayout, Splats};
 
 /// Centre and radius, metres.
 const BALLS: [[f64; 4]; 6] = [
@@ -122,7 +121,7 @@ pub(super) fn camera(width: usize, height: usize) -> Camera {
     let focal_px = 0.5 * width as f64 / 30f64.to_radians().tan();
     Camera {
         intrinsics: Intrinsics::centred(width, height, focal_px),
-        c2w: m4_math::Se3::identity(),
+        c2w: m4_core::Se3::identity(),
     }
 }
 

@@ -7,7 +7,7 @@ use crate::{
     morton_order,
     photo::cpu::{self as photo, PhotoScratch, Target},
 };
-use m4_scene::{ShapeError, Splats};
+use m4_core::{ShapeError, Splats};
 use std::time::{Duration, Instant};
 
 /// Weight of SSIM beside L1 (3DGS).

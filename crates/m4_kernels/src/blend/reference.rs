@@ -5,7 +5,7 @@
 //! for a few entries however small the step. Tests of gradients therefore run with [`Smooth`].
 
 use super::{ALPHA_MAX, ALPHA_MIN, T_MIN};
-use m4_math::{
+use m4_core::{
     Real,
     nalgebra::{Matrix2, Vector2},
 };

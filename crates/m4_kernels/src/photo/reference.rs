@@ -1,7 +1,7 @@
 //! The definition of the photometric loss and its gradient.
 
 use super::{SSIM_C1, SSIM_C2, WINDOW, window};
-use m4_math::Real;
+use m4_core::Real;
 
 /// One pass of the window along rows (`step` 1) or columns (`step` = width), zero padded.
 fn blur_axis<T: Real>(x: &[T], width: usize, height: usize, along_rows: bool) -> Vec<T> {

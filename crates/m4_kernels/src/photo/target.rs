@@ -2,7 +2,7 @@
 
 use crate::simd::{LANES, all, each};
 use fearless_simd::{Simd, f32x16, prelude::*};
-use m4_scene::ShapeError;
+use m4_core::ShapeError;
 
 /// An image to compare with: one plane per channel, `[height][width]` each, 0..1.
 ///

@@ -16,7 +16,7 @@
 //!
 //! The camera's gradient is that of a left twist, `W <- exp([omega]) W`, `T <- exp([omega]) T + tau`.
 
-use m4_scene::Intrinsics;
+use m4_core::Intrinsics;
 
 pub(crate) mod cpu;
 pub mod reference;

@@ -2,11 +2,10 @@
 
 use super::{LOW_PASS, jacobian_limits};
 use crate::CameraGradient;
-use m4_math::{
-    Real, Se3,
+use m4_core::{
+    Camera, Real, Se3,
     nalgebra::{Matrix2, Matrix2x3, Matrix3, Vector2, Vector3, Vector4},
 };
-use m4_scene::Camera;
 
 /// A camera in the precision of the reference.
 #[derive(Debug, Clone, Copy, PartialEq)]

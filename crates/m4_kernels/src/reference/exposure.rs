@@ -1,7 +1,7 @@
 //! Colour correction of one frame, after compositing.
 
 use crate::blend::reference::CHANNELS;
-use m4_math::Real;
+use m4_core::Real;
 
 /// `c' = M c + b` for the colours of every pixel, `[M | b]` row by row (docs/spec/optimiser.md 8.4).
 pub fn expose<T: Real>(pixels: &[[T; CHANNELS]], exposure: &[[T; 4]; 3]) -> Vec<[T; 3]> {

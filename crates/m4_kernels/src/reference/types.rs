@@ -8,11 +8,10 @@ use crate::{
     },
     slice::reference::{Gaussian, Life, RotorGaussian, Shape},
 };
-use m4_math::{
-    Real,
+use m4_core::{
+    Column, Real, SplatLayout, Splats,
     nalgebra::{Vector2, Vector3, Vector4},
 };
-use m4_scene::{Column, SplatLayout, Splats};
 
 /// Where a splat is, in either form.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,7 @@
 //! The definition of the score in one frame: the sum over the footprint (Minute4D Eq. 9).
 
 use crate::blend::reference::{Ellipse, Hard, walk};
-use m4_math::Real;
+use m4_core::Real;
 
 /// The score of each of `splats`, which are in order of depth and have these temporal `marginals`.
 /// `weight` is `[height][width]`.

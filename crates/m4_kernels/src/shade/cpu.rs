@@ -6,7 +6,7 @@ use crate::{
     slice::cpu::Columns,
 };
 use fearless_simd::{Simd, f32x16, prelude::*};
-use m4_scene::Column;
+use m4_core::Column;
 
 /// From where and when sixteen splats are seen.
 #[derive(Debug, Clone, Copy)]

@@ -1,7 +1,7 @@
 //! The definition of the colour, forward and backward.
 
 use super::{C0, C1, C2, C3};
-use m4_math::{Real, nalgebra::Vector3};
+use m4_core::{Real, nalgebra::Vector3};
 
 /// Spatial harmonics of degree 3.
 pub const MAX_TERMS: usize = 16;

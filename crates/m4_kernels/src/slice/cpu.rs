@@ -3,7 +3,7 @@
 use super::MARGINAL_MIN;
 use crate::simd::{all, each, exp, load, store, touch};
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
-use m4_scene::{Column, SplatLayout, Splats};
+use m4_core::{Column, SplatLayout, Splats};
 
 /// The columns that every kernel of the splat stage reads.
 #[derive(Debug, Clone, Copy)]
@@ -226,7 +226,7 @@ pub(crate) fn backward<S: Simd, const DYNAMIC: bool, const ISO: bool>(
     }
 }
 
-/// As [`m4_math::quat::rotation_vjp`], with `R = I + scale B(q)`, `scale = 2 / |q|^2`: the derivative of
+/// As [`m4_core::quat::rotation_vjp`], with `R = I + scale B(q)`, `scale = 2 / |q|^2`: the derivative of
 /// the products less the part along `q`, which the scale takes off.
 #[inline(always)]
 fn quat_backward<S: Simd>(s: S, slice: &Slice<S>, g: &[[f32x16<S>; 3]; 3]) -> [f32x16<S>; 4] {

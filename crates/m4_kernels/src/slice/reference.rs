@@ -3,7 +3,7 @@
 //! Three models (docs/spec/optimiser.md 1.2 to 1.5): the velocity form with three scales and a quaternion, the
 //! same with one scale, and the rotor pair. A gradient has the type of what it is the gradient of.
 
-use m4_math::{
+use m4_core::{
     Real,
     nalgebra::{Matrix3, Matrix4, Vector3, Vector4},
     quat, rotor,

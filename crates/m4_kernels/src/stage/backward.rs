@@ -10,7 +10,7 @@ use crate::{
 };
 use fearless_simd::{Simd, f32x16, mask32x16, prelude::*};
 use fearless_simd_macros::simd;
-use m4_scene::Column;
+use m4_core::Column;
 
 #[simd]
 pub(super) fn chunk<S: Simd, const DYNAMIC: bool, const ISO: bool>(

@@ -328,7 +328,7 @@ fn far_tiles(spans: &[u32; BAND_TILES], block: usize) -> u32 {
 mod tests {
     use super::{BAND_TILES, BLOCK_COLUMNS, Band, Record, span};
     use crate::{simd::SimdLevel, tile_binning::handover::tests::hand_over};
-    use m4_math::CounterRng;
+    use m4_core::CounterRng;
 
     #[test]
     fn lists_hold_every_pair_once_near_to_far() {

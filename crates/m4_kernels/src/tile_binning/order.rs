@@ -112,7 +112,7 @@ fn insert(keys: &mut [u64]) {
 #[cfg(test)]
 mod tests {
     use super::Order;
-    use m4_math::CounterRng;
+    use m4_core::CounterRng;
 
     #[test]
     fn near_to_far_and_ties_as_they_came() {

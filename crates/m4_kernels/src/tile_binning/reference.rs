@@ -2,7 +2,7 @@
 
 use super::TILE;
 use crate::blend::reference::{Ellipse, Hard, reach};
-use m4_math::Real;
+use m4_core::Real;
 
 /// Columns and rows of tiles.
 #[must_use]

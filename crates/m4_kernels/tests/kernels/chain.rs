@@ -1,16 +1,15 @@
 //! The whole reference chain: gradients against differences, and what it must leave alone.
 
+use m4_core::{
+    Camera, Column, CounterRng, Intrinsics, SplatLayout, Splats,
+    nalgebra::{Vector3, Vector4, Vector6},
+};
 use m4_kernels::{
     View,
     blend::reference::{CHANNELS, Cutoff, Hard, Smooth},
     reference::{BackwardForm, Geometry, Setup, Splat, backward, render, splats_of},
     slice::reference::{Gaussian, Life, Shape},
 };
-use m4_math::{
-    CounterRng,
-    nalgebra::{Vector3, Vector4, Vector6},
-};
-use m4_scene::{Camera, Column, Intrinsics, SplatLayout, Splats};
 use m4_testkit::{
     SceneSpec, Side, assert_gradient, camera_looking_at, central_differences, random_camera, random_splats,
 };

@@ -1,6 +1,7 @@
 //! The small references against closed forms: optimiser, tile lists, score, and the steps of
 //! compositing.
 
+use m4_core::nalgebra::{Matrix2, Vector2};
 use m4_kernels::{
     adam::{AdamParams, reference::step},
     blend::reference::{CHANNELS, Ellipse, Hard, blend, blend_vjp, walk},
@@ -10,7 +11,6 @@ use m4_kernels::{
         reference::{depth_order, tiles},
     },
 };
-use m4_math::nalgebra::{Matrix2, Vector2};
 
 fn disc(x: f64, y: f64, sd: f64, opacity: f64) -> Ellipse<f64> {
     Ellipse {

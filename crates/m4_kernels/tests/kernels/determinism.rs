@@ -1,12 +1,11 @@
 //! Same bits on any number of threads.
 
 use crate::twin::{every_level, frame_gradient, view};
+use m4_core::{Column, CounterRng, SplatLayout, Splats};
 use m4_kernels::{
     Gradients, Renderer, SimdLevel, View, Wanted,
     adam::cpu::{AdamConfig, AdamState, step},
 };
-use m4_math::CounterRng;
-use m4_scene::{Column, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, random_camera, random_splats};
 
 /// Everything that a frame gives, as bits.

@@ -2,8 +2,8 @@
 //! are none.
 
 use crate::twin::{Expected, assert_frame, assert_gradients, compare, every_level, frame_gradient, view};
+use m4_core::{Camera, Column, Intrinsics, SplatLayout, Splats};
 use m4_kernels::{Gradients, Renderer, SimdLevel, View, Wanted};
-use m4_scene::{Camera, Column, Intrinsics, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, camera_looking_at, random_camera, random_splats};
 
 const LAYOUT: SplatLayout = SplatLayout {

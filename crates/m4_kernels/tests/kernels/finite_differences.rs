@@ -3,16 +3,16 @@
 //! The loss is a sum with random weights: a plain mean hides mistakes that cancel. Compositing runs
 //! with the smooth cut-off, since the hard one makes the image jump.
 
+use m4_core::{
+    CounterRng, Se3,
+    nalgebra::{Matrix2, Matrix3, Vector2, Vector3, Vector4, Vector6},
+};
 use m4_kernels::{
     blend::reference::{CHANNELS, Ellipse, Smooth, blend, blend_vjp, blend_vjp_replay},
     project::reference::{Pinhole, Projected, project, project_vjp},
     reference::{expose, expose_vjp},
     shade::reference::{Sight, shade, shade_vjp},
     slice::reference::{Gaussian, Life, RotorGaussian, Shape, Sliced, slice, slice_rotor, slice_rotor_vjp, slice_vjp},
-};
-use m4_math::{
-    CounterRng, Se3,
-    nalgebra::{Matrix2, Matrix3, Vector2, Vector3, Vector4, Vector6},
 };
 use m4_testkit::{assert_gradient, central_differences};
 

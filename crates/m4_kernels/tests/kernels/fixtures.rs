@@ -1,13 +1,13 @@
 //! The reference against the float64 oracle: `fixtures/gradients`, made by `oracles/check_4dgs_grads.py`.
 
 use crate::scenes::{Run, by_name, converted, run, setup, splat};
+use m4_core::Real;
 use m4_kernels::{
     blend::{self, reference::Hard},
     project,
     reference::{BackwardForm, Geometry, Setup, Splat, render},
     slice::reference::{Gaussian, Life, Shape},
 };
-use m4_math::Real;
 use m4_testkit::{GradientCase, assert_gradient, gradient_fixtures};
 
 #[test]

@@ -1,11 +1,11 @@
 //! The photometric loss: against a direct two-dimensional convolution, and its gradient against
 //! differences.
 
+use m4_core::CounterRng;
 use m4_kernels::photo::{
     SSIM_C1, SSIM_C2, WINDOW, WINDOW_SD,
     reference::{photo, ssim},
 };
-use m4_math::CounterRng;
 use m4_testkit::{assert_gradient, central_differences};
 
 fn plane(index: u64, n: usize) -> Vec<f64> {

@@ -1,5 +1,10 @@
 //! The scenes and the loss of the fixtures, in the types of the reference.
 
+use m4_core::{
+    Real, Se3,
+    covariance4::{Covariance4, VelocityForm},
+    nalgebra::{Matrix3, Vector3, Vector4},
+};
 use m4_kernels::{
     blend::reference::{CHANNELS, Cutoff},
     photo::reference::photo,
@@ -7,11 +12,6 @@ use m4_kernels::{
     reference::{BackwardForm, Geometry, SceneGradient, Setup, Splat, backward, expose, expose_vjp, render},
     slice::reference::{Gaussian, Life, RotorGaussian, Shape},
 };
-use m4_math::{
-    Real, Se3,
-    nalgebra::{Matrix3, Vector3, Vector4},
-};
-use m4_scene::covariance4::{Covariance4, VelocityForm};
 use m4_testkit::{FixtureSplat, GradientCase, GradientFixtures};
 
 /// Spatial harmonics in the fixtures: degree 3.
@@ -131,14 +131,14 @@ pub fn converted(splat: &FixtureSplat) -> VelocityForm<f64> {
 }
 
 /// The camera of a fixture as one of ours.
-pub fn camera(case: &GradientCase) -> m4_scene::Camera {
+pub fn camera(case: &GradientCase) -> m4_core::Camera {
     let [fx, fy, cx, cy] = case.camera.f;
     let w2c = Se3 {
         rotation: Matrix3::from_fn(|i, j| case.camera.rotation[i][j]),
         translation: Vector3::from(case.camera.translation),
     };
-    m4_scene::Camera {
-        intrinsics: m4_scene::Intrinsics {
+    m4_core::Camera {
+        intrinsics: m4_core::Intrinsics {
             width: case.width,
             height: case.height,
             fx,

@@ -1,6 +1,7 @@
 //! The CPU twins of photo, adam and bin against their references.
 
 use crate::twin::{every_level, view};
+use m4_core::{Camera, CounterRng, SplatLayout, Splats};
 use m4_kernels::{
     Gradients, Renderer,
     adam::{
@@ -14,8 +15,6 @@ use m4_kernels::{
     },
     tile_binning::reference::tiles,
 };
-use m4_math::CounterRng;
-use m4_scene::{Camera, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, assert_gradient, random_camera, random_splats};
 
 fn picture(index: u64, n: usize) -> [Vec<f32>; 3] {

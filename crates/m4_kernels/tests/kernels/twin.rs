@@ -1,12 +1,11 @@
 //! The CPU twin beside the reference.
 
+use m4_core::{Camera, Column, CounterRng, Splats};
 use m4_kernels::{
     Frame, FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted,
     blend::reference::{CHANNELS, Hard},
     reference::{BackwardForm, Rendered, SceneGradient, Setup, Splat, backward, render, score_splats, splats_of},
 };
-use m4_math::CounterRng;
-use m4_scene::{Camera, Column, Splats};
 use m4_testkit::{Flips, assert_gradient, assert_image};
 
 /// The levels that an x86-64 machine may have; on others the list of the machine is all there is.

@@ -2,10 +2,10 @@
 
 use crate::scenes::{Target, by_name};
 use crate::twin::{compare, every_level, means2d, parameter, view};
+use m4_core::{Column, SplatLayout, Splats};
 use m4_kernels::{
     FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted, blend::reference::CHANNELS, reference::splats_of,
 };
-use m4_scene::{Column, SplatLayout, Splats};
 use m4_testkit::{
     GradientCase, GradientFixtures, SceneSpec, assert_gradient, gradient_fixtures, moving_scene, random_camera,
     random_splats,
@@ -260,7 +260,7 @@ fn without_depth_the_colours_are_the_same() {
 
 #[test]
 fn a_moving_scene_at_every_frame() {
-    let scene = moving_scene(m4_scene::Intrinsics::centred(48, 36, 40.0), 6);
+    let scene = moving_scene(m4_core::Intrinsics::centred(48, 36, 40.0), 6);
     every_level(|level| {
         for (i, &camera) in scene.cameras.iter().enumerate() {
             let at = View {

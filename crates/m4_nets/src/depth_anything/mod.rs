@@ -27,7 +27,7 @@ use burn_core::module::Module;
 use burn_core::tensor::activation::relu;
 use burn_core::tensor::{DType, Device, Tensor};
 use head::DepthHead;
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 use picture::Sides;
 use std::path::Path;
 

@@ -4,7 +4,7 @@ use super::DisparityError;
 use crate::dinov2::PATCH;
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
 use burn_core::tensor::{Device, Tensor};
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 
 /// Pixels that the longer side has at most.
 const LONGEST: usize = 768;

@@ -74,7 +74,7 @@ fn learned_positions_stay_what_they_are() {
 #[test]
 fn a_batch_is_as_its_pictures() {
     let net = backbone(BackboneSize::Small, SMALL, 2);
-    let image = m4_scene::RgbImage::from_fn(14 * 26, 14 * 15, |x, y| [x as u8, y as u8, (x * y / 7) as u8]);
+    let image = m4_core::RgbImage::from_fn(14 * 26, 14 * 15, |x, y| [x as u8, y as u8, (x * y / 7) as u8]);
     let one = normalised(&image, &cpu());
     let flipped = one.clone().flip([3]);
     let both = burn_core::tensor::Tensor::cat(vec![flipped, one.clone()], 0);

@@ -40,7 +40,7 @@ use burn_core::tensor::activation::relu;
 use burn_core::tensor::{DType, Device, Tensor};
 use encoder::{Encoder, Norm};
 use gru::ArrangedGru;
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use std::path::Path;
 use update::Update;
 

@@ -3,7 +3,7 @@
 use super::DroidError;
 use crate::ops::tensor;
 use burn_core::tensor::{Device, Tensor};
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 
 /// Mean and standard deviation of red, green and blue that the weights were trained with (ImageNet's).
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];

@@ -3,7 +3,7 @@
 use super::*;
 use crate::cpu;
 use crate::ops::tensor;
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use m4_testkit::{formula_input, write_formula_weights};
 use safetensors::SafeTensors;
 use std::path::Path;

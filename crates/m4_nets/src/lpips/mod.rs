@@ -31,7 +31,7 @@ pub use score::LpipsScore;
 
 use crate::{Compute, LoadError};
 use burn_core::tensor::Device;
-use m4_scene::Mask;
+use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use trunk::Net;

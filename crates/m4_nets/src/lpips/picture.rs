@@ -3,7 +3,7 @@
 use super::LpipsError;
 use crate::ops::{planes, tensor};
 use burn_core::tensor::{Device, Tensor};
-use m4_scene::{Mask, RgbImage};
+use m4_core::{Mask, RgbImage};
 
 /// What upstream's scaling layer takes off red, green and blue from -1 to 1, and divides them by.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];

@@ -4,7 +4,7 @@ use super::LpipsError;
 use super::picture::same_size;
 use crate::ops::{Kernels, resampled};
 use burn_core::tensor::Tensor;
-use m4_scene::{Mask, Plane};
+use m4_core::{Mask, Plane};
 
 /// How different two images look.
 #[derive(Debug, Clone, PartialEq)]

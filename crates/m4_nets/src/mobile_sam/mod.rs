@@ -27,7 +27,7 @@ use burn_core as burn;
 use burn_core::module::Module;
 use burn_core::tensor::{Device, Tensor};
 use decoder::MaskDecoder;
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 use picture::{MASK_SIDE, Scale};
 use std::path::Path;
 use tiny_vit::TinyVit;

@@ -4,7 +4,7 @@ use super::SamError;
 use crate::ops::tensor;
 use crate::sam::{Filter, resized};
 use burn_core::tensor::{Device, Tensor};
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 
 /// Sides of the image that the network takes, of the embedding, and of the masks.
 pub const INPUT_SIDE: usize = 1024;
@@ -139,7 +139,7 @@ fn taps(from: usize, to: usize) -> Vec<(usize, usize, f32)> {
 #[cfg(test)]
 mod tests {
     use super::{MASK_SIDE, Scale};
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn a_mask_goes_to_the_square_and_comes_back() {

@@ -2,7 +2,7 @@
 
 use super::config::Remap;
 use super::{MoGeError, focal};
-use m4_scene::Plane;
+use m4_core::Plane;
 use rayon::prelude::*;
 
 /// How to look at an image.

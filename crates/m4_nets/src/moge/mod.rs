@@ -38,7 +38,7 @@ use burn_nn::Linear;
 use config::Config;
 use encoder::Encoder;
 use layout::Layout;
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use map::Said;
 use picture::Grid;
 use stack::Stack;

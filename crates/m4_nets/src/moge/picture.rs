@@ -4,7 +4,7 @@ use super::MoGeError;
 use crate::dinov2::PATCH;
 use crate::ops::{Kernels, planes, resampled, tensor};
 use burn_core::tensor::{DType, Device, Tensor, TensorData};
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 
 /// The most patches that an image may be cut into; the published networks were trained with up to 3600.
 pub const MOST_TOKENS: usize = 20_000;

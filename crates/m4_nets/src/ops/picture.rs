@@ -1,6 +1,6 @@
 //! Images as planes of numbers.
 
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 
 /// Mean of red, green and blue that most weights were trained with (ImageNet's).
 pub const IMAGENET_MEAN: [f32; 3] = [0.485, 0.456, 0.406];

@@ -30,7 +30,7 @@ use burn_core::module::Module;
 use burn_core::tensor::activation::{relu, tanh};
 use burn_core::tensor::{DType, Device, Tensor, TensorData};
 use encoder::{Encoder, Norm};
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use std::path::Path;
 use update::{FACTOR, UpdateBlock};
 

@@ -1,6 +1,6 @@
 //! What is asked for.
 
-use m4_scene::Plane;
+use m4_core::Plane;
 
 /// A place in an image, and whether it belongs to the object.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,7 +2,7 @@
 //! where images become smaller, along rows and then along columns, rounded to bytes after each. In whole numbers, as Pillow's, so
 //! that the bytes are the same.
 
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 use rayon::prelude::*;
 
 /// Binary digits of weights behind the point.
@@ -107,7 +107,7 @@ fn along_rows(image: &RgbImage, width: usize, filter: Filter) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::{Filter, resized};
-    use m4_scene::RgbImage;
+    use m4_core::RgbImage;
     use safetensors::SafeTensors;
 
     fn picture(file: &[u8], name: &str) -> RgbImage {

@@ -5,7 +5,7 @@ use super::mask::ObjectMask;
 use super::video::Direction;
 use super::{MEMORIES, Sam2Error, holes, plane};
 use burn_core::tensor::Tensor;
-use m4_scene::Plane;
+use m4_core::Plane;
 use std::collections::BTreeMap;
 
 /// Frames before another whose memories it is seen in the light of.

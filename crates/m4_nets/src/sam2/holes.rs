@@ -1,6 +1,6 @@
 //! Small holes of masks.
 
-use m4_scene::Plane;
+use m4_core::Plane;
 
 /// What fills a hole: just above the border.
 const FILLED: f32 = 0.1;
@@ -45,7 +45,7 @@ pub fn fill(logits: &mut Plane<f32>, most: usize) {
 #[cfg(test)]
 mod tests {
     use super::fill;
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     fn mask(rows: &[&str]) -> Plane<f32> {
         Plane::from_fn(rows[0].len(), rows.len(), |x, y| match rows[y].as_bytes()[x] {

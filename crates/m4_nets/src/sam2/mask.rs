@@ -1,7 +1,7 @@
 //! The mask of an object.
 
 use super::picture::stretched;
-use m4_scene::Plane;
+use m4_core::Plane;
 
 /// The mask of an object in an image.
 #[derive(Debug, Clone, PartialEq)]

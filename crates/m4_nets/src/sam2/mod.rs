@@ -54,7 +54,7 @@ use burn_nn::{Initializer, Linear};
 use config::Config;
 use decoder::{Decoded, MASKS, MaskDecoder};
 use hiera::{Hiera, PATCH};
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 use memory_attention::{MEMORY_WIDTH, MemoryAttention};
 use memory_encoder::MemoryEncoder;
 use neck::{ImageEncoder, Neck, Pointwise, repeated};

@@ -4,7 +4,7 @@ use super::Sam2Error;
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
 use crate::sam::{Filter, resized};
 use burn_core::tensor::{Device, Tensor};
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 
 /// Columns and rows that places are counted in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -5,7 +5,7 @@ use super::picture::Frame;
 use crate::ops::tensor;
 use crate::sam::{Prompt, PromptEncoder};
 use burn_core::tensor::{Device, Tensor};
-use m4_scene::Plane;
+use m4_core::Plane;
 
 /// Tokens `[n, 256]` of `prompt` in an image of the size `frame`: the box's corners, the points, and one that is no place; two of those
 /// where there are neither.

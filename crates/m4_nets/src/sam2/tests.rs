@@ -6,7 +6,7 @@ use super::*;
 use crate::cpu;
 use crate::fixture::{Fixture, assert_near, assert_same_tensors, every, relative_error};
 use crate::sam::PointPrompt;
-use m4_scene::Silent;
+use m4_core::Silent;
 use m4_testkit::{FormulaWeights, formula_input};
 use memory_attention::Memories;
 use std::sync::{Arc, LazyLock};

@@ -17,7 +17,7 @@ use super::{Features, Sam2, Sam2Error, prompts};
 use crate::ops::tensor;
 use crate::sam::Prompt;
 use burn_core::tensor::Tensor;
-use m4_scene::{Plane, Progress, RgbImage};
+use m4_core::{Plane, Progress, RgbImage};
 use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::fmt;

@@ -5,9 +5,7 @@
 //! `(size - 1) / (old size - 1)` as upstream does. The world is moved so that a point near the cameras is its origin: 32 bits then
 //! suffice wherever the scene lies.
 
-use m4_math::Se3;
-use m4_math::nalgebra::Vector3;
-use m4_scene::Camera;
+use m4_core::{Camera, Se3, nalgebra::Vector3};
 
 /// A camera over an image of the size that the network works with.
 #[derive(Debug, Clone, Copy)]

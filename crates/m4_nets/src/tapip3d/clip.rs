@@ -1,6 +1,6 @@
 //! What a tracker is given, and what it gives back.
 
-use m4_scene::{Camera, DepthMap, RgbImage, ShapeError, Tracks};
+use m4_core::{Camera, DepthMap, RgbImage, ShapeError, Tracks};
 use std::error::Error;
 
 /// What the source of a clip says when a frame cannot be had.

@@ -3,7 +3,7 @@
 use super::camera::Lens;
 use super::nearest_pixel::nearest_pixels;
 use crate::ops::{Kernels, resampled};
-use m4_scene::DepthMap;
+use m4_core::DepthMap;
 use rayon::prelude::*;
 
 /// Depth may vary by this share of itself among neighbours before it is an edge...
@@ -187,7 +187,7 @@ impl Histogram {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn quartiles_are_those_of_sorting() {

@@ -9,7 +9,7 @@ use crate::ops::{Kernels, resampled, tensor};
 use burn_core::tensor::module::avg_pool2d;
 use burn_core::tensor::ops::AvgPoolOptions;
 use burn_core::tensor::{DType, Device, Int, Tensor, TensorData};
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use rayon::prelude::*;
 
 /// Columns and rows of the maps of a frame of `size`: a quarter, and each the half of the one before.

@@ -54,7 +54,7 @@ use burn_core::tensor::{DType, Device, Tensor};
 use config::Config;
 use correlation::Correlation;
 use encoder::Encoder;
-use m4_scene::Progress;
+use m4_core::Progress;
 use sizes::Sizes;
 use std::path::Path;
 use updater::Updater;

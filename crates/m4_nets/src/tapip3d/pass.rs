@@ -6,7 +6,7 @@ use super::source::{Loaded, Source};
 use super::track::{Batch, Group, Known};
 use super::window::{State, Window};
 use super::{Tapip3dError, query};
-use m4_scene::Progress;
+use m4_core::Progress;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

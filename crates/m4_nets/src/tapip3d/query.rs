@@ -5,7 +5,7 @@ use super::frame::{Sides, map_sizes, rows_of, sampled};
 use super::neighbours::{Cloud, Search};
 use super::{Net, Tapip3dError};
 use burn_core::tensor::Tensor;
-use m4_math::nalgebra::Vector3;
+use m4_core::nalgebra::Vector3;
 use rayon::prelude::*;
 
 /// What the network knows of `queries`, which are points of the world in a frame with the features `maps` (of the encoder) and the

@@ -6,8 +6,7 @@ use super::depth::{Histogram, cleaned, resized};
 use super::frame::{Frame, Geometry, maps, picture};
 use super::{Tapip3d, Tapip3dError, Tapip3dOptions};
 use burn_core::tensor::Tensor;
-use m4_math::nalgebra::Vector3;
-use m4_scene::Progress;
+use m4_core::{Progress, nalgebra::Vector3};
 
 /// A clip, and how its frames are brought to what the network takes.
 pub struct Source<'a> {

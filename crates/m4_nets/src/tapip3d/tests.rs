@@ -10,9 +10,10 @@ use super::*;
 use crate::cpu;
 use crate::fixture::{Fixture, assert_near, relative_error};
 use crate::ops::tensor;
-use m4_math::Se3;
-use m4_math::nalgebra::{Matrix4, Vector3};
-use m4_scene::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
+use m4_core::{
+    Camera, DepthMap, Intrinsics, Plane, RgbImage, Se3, Silent,
+    nalgebra::{Matrix4, Vector3},
+};
 use m4_testkit::FormulaWeights;
 use std::sync::Arc;
 use tempfile::TempDir;

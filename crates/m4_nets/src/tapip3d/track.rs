@@ -5,7 +5,7 @@ use super::frame::{Sides, map_sizes};
 use super::pass::{Frames, Walker, Way, walk};
 use super::source::Source;
 use super::{Tapip3d, Tapip3dError};
-use m4_scene::Progress;
+use m4_core::Progress;
 use std::collections::BTreeMap;
 
 /// Queries of a group by their frames: their numbers, and where they are.

@@ -36,7 +36,7 @@ use burn_nn::{LayerNorm, Linear};
 use camera::{CameraHead, GlobalHead};
 use depth::{DepthHead, Scene};
 use layers::Adapters;
-use m4_scene::{Intrinsics, Plane, RgbImage};
+use m4_core::{Intrinsics, Plane, RgbImage};
 use picture::Patches;
 use rays::Rays;
 use std::path::Path;

@@ -4,7 +4,7 @@ use super::UniDepthError;
 use crate::dinov2::PATCH;
 use crate::ops::{IMAGENET_MEAN, IMAGENET_STD, Kernels, planes, resampled, tensor};
 use burn_core::tensor::{Device, Tensor};
-use m4_scene::{Intrinsics, Plane, RgbImage};
+use m4_core::{Intrinsics, Plane, RgbImage};
 
 /// The longer side may be this many times the shorter one: the network was trained up to 2.
 const LONGEST: f64 = 16.0;

@@ -2,7 +2,7 @@
 
 use crate::ops::{Kernels, resampled};
 use burn_core::tensor::{DType, Device, Tensor, TensorData};
-use m4_scene::Intrinsics;
+use m4_core::Intrinsics;
 use std::f32::consts::PI;
 
 /// Frequencies of each of the three components of a ray.

@@ -1,7 +1,7 @@
 //! Fixtures and real weights.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use m4_testkit::{Need, skip};
 use safetensors::{Dtype, SafeTensors};
 use std::path::{Path, PathBuf};

@@ -135,8 +135,10 @@ fn pruned_by_score(config: &DensityConfig, opacity: &[f32], scores: &[f32]) -> V
 #[cfg(test)]
 mod tests {
     use super::{Decision, SplatView, decide};
-    use crate::config::{DensityConfig, PruneRule};
-    use crate::density::{Origin, Scores};
+    use crate::{
+        config::{DensityConfig, PruneRule},
+        density::{Origin, Scores},
+    };
 
     const DUE: Decision = Decision {
         densify: true,

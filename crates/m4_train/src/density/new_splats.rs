@@ -1,13 +1,16 @@
 //! The parameters of clones and children.
 
 use super::{Origin, Plan};
-use crate::config::{CloneOpacity, DensityConfig, SplitPlacement};
-use crate::pick::purpose;
+use crate::{
+    config::{CloneOpacity, DensityConfig, SplitPlacement},
+    pick::purpose,
+};
+use m4_core::{
+    Column, CounterRng, ShapeError, Splats,
+    nalgebra::{Vector3, Vector4},
+    quat,
+};
 use m4_kernels::adam::cpu::AdamState;
-use m4_math::CounterRng;
-use m4_math::nalgebra::{Vector3, Vector4};
-use m4_math::quat;
-use m4_scene::{Column, ShapeError, Splats};
 
 /// Scales of drawn children are those of the parent over this (3DGS).
 const SPLIT_FACTOR: f32 = 1.6;
@@ -142,8 +145,8 @@ fn become_child(splats: &mut Splats, row: usize, mut rng: CounterRng) {
 mod tests {
     use super::{Origin, Plan, apply};
     use crate::config::{DensityConfig, SplitPlacement};
+    use m4_core::{Column, SplatLayout, Splats};
     use m4_kernels::adam::cpu::AdamState;
-    use m4_scene::{Column, SplatLayout, Splats};
 
     fn world() -> (Splats, AdamState) {
         let layout = SplatLayout {

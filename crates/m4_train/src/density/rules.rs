@@ -1,9 +1,11 @@
 //! The rules of one round, and the plan that follows from them.
 
 use super::{Decision, Plan, Scores, SplatView, decide};
-use crate::SceneScale;
-use crate::config::{DensityConfig, SplitSize};
-use m4_scene::{Column, Splats};
+use crate::{
+    SceneScale,
+    config::{DensityConfig, SplitSize},
+};
+use m4_core::{Column, Splats};
 
 /// What a round goes by.
 #[derive(Debug, Clone, Copy)]

@@ -2,12 +2,14 @@
 //! (Minute4D Eq. 10, which [`super::decide()`] normalises).
 
 use super::{Scores, masked_error};
-use crate::config::DensityConfig;
-use crate::frames::FrameStore;
-use crate::refine::{Refinement, expose};
+use crate::{
+    config::DensityConfig,
+    frames::FrameStore,
+    refine::{Refinement, expose},
+};
+use m4_core::Splats;
 use m4_kernels::photo::cpu::{PhotoScratch, error_map, loss};
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_scene::Splats;
 
 /// What scoring needs beside splats and frames.
 pub(crate) struct ScoreInput<'a, 'c> {

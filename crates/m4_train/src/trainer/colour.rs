@@ -1,10 +1,12 @@
 //! The colour fit after the last step.
 
 use super::Trainer;
-use crate::colour_fit::{ColourSums, Sum};
-use crate::refine::{expose, pull_back};
+use crate::{
+    colour_fit::{ColourSums, Sum},
+    refine::{expose, pull_back},
+};
+use m4_core::Column;
 use m4_kernels::Wanted;
-use m4_scene::Column;
 
 impl Trainer<'_> {
     /// Whether a fit belongs after the step just taken: the last.

@@ -1,11 +1,13 @@
 //! The schedule of density control and its inputs.
 
 use super::Trainer;
-use crate::TrainError;
-use crate::density::{Decision, Plan, Rules, ScoreInput, Scores, apply, score};
-use crate::pick::purpose;
+use crate::{
+    TrainError,
+    density::{Decision, Plan, Rules, ScoreInput, Scores, apply, score},
+    pick::purpose,
+};
+use m4_core::CounterRng;
 use m4_kernels::View;
-use m4_math::CounterRng;
 
 impl Trainer<'_> {
     /// Adds and removes splats if this iteration is due.

@@ -8,12 +8,15 @@ mod density;
 
 use super::Trainer;
 use super::step::StepReport;
-use crate::colour_fit::ColourSums;
-use crate::device::{DensifyPlan, Device, DeviceError, DeviceFound, DeviceLook, DeviceStep};
-use crate::rates::rates;
-use crate::{TrainError, schedule};
+use crate::{
+    TrainError,
+    colour_fit::ColourSums,
+    device::{DensifyPlan, Device, DeviceError, DeviceFound, DeviceLook, DeviceStep},
+    rates::rates,
+    schedule,
+};
+use m4_core::Exposure;
 use m4_kernels::View;
-use m4_scene::Exposure;
 use std::time::{Duration, Instant};
 
 /// A device and how far it is from what the trainer holds.

@@ -6,21 +6,23 @@ mod gpu;
 mod save;
 mod step;
 
-use crate::config::TrainConfig;
-use crate::frames::FrameStore;
-use crate::metrics::Totals;
-use crate::pick::Picker;
-use crate::rates::RateBasis;
-use crate::refine::Refinement;
-use crate::scale::SceneScale;
-use crate::state::{Reader, read_adam, read_refinement};
-use crate::{MetricsEvent, TrainError};
+use crate::{
+    MetricsEvent, TrainError,
+    config::TrainConfig,
+    frames::FrameStore,
+    metrics::Totals,
+    pick::Picker,
+    rates::RateBasis,
+    refine::Refinement,
+    scale::SceneScale,
+    state::{Reader, read_adam, read_refinement},
+};
 use cpu_time::ProcessTime;
 use gpu::GpuBackend;
+use m4_core::{Capture, Column, Progress, Splats, TrainState};
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::PhotoScratch;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, morton_order};
-use m4_scene::{Capture, Column, Progress, Splats, TrainState};
 use std::time::Instant;
 
 /// Splats nearer than this share of the median depth are not drawn. The reference has 0.2 scene units whatever the scale

@@ -2,7 +2,7 @@
 
 use super::Trainer;
 use crate::state::{write_adam, write_refinement};
-use m4_scene::{Scene, SourceFrame, Splats, StateTensor, TrainState};
+use m4_core::{Scene, SourceFrame, Splats, StateTensor, TrainState};
 
 impl Trainer<'_> {
     /// What a renderer needs, as a copy.

@@ -1,12 +1,9 @@
 //! One iteration.
 
 use super::Trainer;
-use crate::batch::add_touched;
-use crate::density::rearrange;
-use crate::metrics::psnr;
-use crate::rates::rates;
-use crate::refine::expose;
-use crate::{TrainError, schedule};
+use crate::{
+    TrainError, batch::add_touched, density::rearrange, metrics::psnr, rates::rates, refine::expose, schedule,
+};
 use m4_kernels::adam::cpu::{AdamState, step as adam_step};
 use m4_kernels::photo::cpu::loss;
 use m4_kernels::{Wanted, morton_order};

@@ -1,8 +1,7 @@
 //! A synthetic video whose splats, cameras and motion are known.
 
+use m4_core::{Capture, CaptureFrame, Column, CompactMask, CounterRng, Intrinsics, Plane, SplatLayout, Splats};
 use m4_kernels::{Renderer, SimdLevel, View};
-use m4_math::CounterRng;
-use m4_scene::{Capture, CaptureFrame, Column, CompactMask, Intrinsics, Plane, SplatLayout, Splats};
 use m4_testkit::{MovingScene, moving_scene};
 
 /// Frames of the video.

@@ -1,14 +1,16 @@
 //! A device that is the processor: its own kernels behind the interface.
 
+use m4_core::{Column, Exposure, SplatLayout, Splats};
 use m4_kernels::adam::cpu::{AdamState, step as adam_step};
 use m4_kernels::photo::cpu::{PhotoScratch, Target, error_map, loss};
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted, morton_order};
-use m4_scene::{Column, Exposure, SplatLayout, Splats};
-use m4_train::density::{Scores, apply, masked_error};
-use m4_train::device::{
-    ColourGradient, DensifyPlan, DensifyStats, DeviceFound, DeviceLook, DeviceRound, DeviceStep, ScoreSettings,
+use m4_train::{
+    Device, DeviceError,
+    density::{Scores, apply, masked_error},
+    device::{
+        ColourGradient, DensifyPlan, DensifyStats, DeviceFound, DeviceLook, DeviceRound, DeviceStep, ScoreSettings,
+    },
 };
-use m4_train::{Device, DeviceError};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

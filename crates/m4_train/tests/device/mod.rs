@@ -5,10 +5,9 @@
 mod mirror;
 
 use crate::common::{disturbed, video};
+use m4_core::Silent;
 use m4_kernels::SimdLevel;
-use m4_scene::Silent;
-use m4_train::config::SplitPlacement;
-use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer};
+use m4_train::{DensityConfig, TrainConfig, TrainError, Trainer, config::SplitPlacement};
 use mirror::Mirror;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};

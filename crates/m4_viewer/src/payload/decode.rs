@@ -2,7 +2,7 @@
 
 use super::codec::{Linear, Sinh, rotation_value};
 use super::{HEADER_BYTES, MAGIC, VERSION, bytes_per_splat};
-use m4_scene::{Column, SplatLayout, Splats};
+use m4_core::{Column, SplatLayout, Splats};
 
 /// Why bytes are not the splats of a page.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

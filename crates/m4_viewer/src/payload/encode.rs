@@ -2,7 +2,7 @@
 
 use super::codec::{Linear, Planes, Sinh, rotation_code};
 use super::{LIFE_SDS, MAGIC, MARGINAL_MIN, MIDDLE_16, VERSION, bytes_per_splat};
-use m4_scene::{Column, Scene, SplatLayout, Splats};
+use m4_core::{Column, Scene, SplatLayout, Splats};
 
 /// The splats of a scene as bytes, and what is in them.
 #[derive(Debug, Clone, PartialEq)]

@@ -38,7 +38,7 @@
 //! | time sd | 1 | 1 | dynamic | `exp(sd_low + sd_step q)`, frames |
 //! | velocity | 3 | 2 | dynamic | `velocity_spread sinh(velocity_step (q - 2^15))`, world units per frame |
 //!
-//! `terms = (sh_degree + 1)^2 (time_degree + 1)`, temporal index major, as in [`m4_scene::Column::Colour`].
+//! `terms = (sh_degree + 1)^2 (time_degree + 1)`, temporal index major, as in [`m4_core::Column::Colour`].
 //! Nothing follows the last plane.
 //!
 //! A rotation is a unit quaternion without its largest component, which is made positive: bits 30 and
@@ -63,7 +63,7 @@ mod tests;
 pub use decode::{PayloadError, decode};
 pub use encode::{Payload, encode};
 
-use m4_scene::SplatLayout;
+use m4_core::SplatLayout;
 
 /// Bytes before the first plane.
 pub const HEADER_BYTES: usize = 136;

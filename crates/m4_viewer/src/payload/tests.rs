@@ -1,7 +1,6 @@
 use super::codec::{Linear, Sinh, rotation_code, rotation_value};
 use super::{HEADER_BYTES, PayloadError, bytes_per_splat, decode, encode};
-use m4_math::CounterRng;
-use m4_scene::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
+use m4_core::{Column, CounterRng, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 
 const FRAMES: usize = 10;

@@ -1,6 +1,6 @@
 //! A small scene and its metadata for the page.
 
-use m4_scene::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
+use m4_core::{Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
 use m4_testkit::{SceneSpec, camera_looking_at, random_splats};
 use m4_viewer::payload::Payload;
 use m4_viewer::{About, Manifest};

@@ -18,11 +18,11 @@ use crate::evaluate::{self, EvalOptions, EvalReport, EvaluationError};
 use crate::folder::CAPTURE_FOLDER;
 use crate::record::{GeometryRecord, RunRecord, Status, write_json};
 use crate::{Error, Job, Settings, is_capture};
+use m4_core::{Capture, CompactMask};
+use m4_geometry::megasam::resize_bilinear;
 use m4_io::atomic;
 use m4_io::capture::Split;
 use m4_io::reach::Reach;
-use m4_scene::{Capture, CompactMask};
-use m4_slam::megasam::resize_bilinear;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -176,7 +176,7 @@ impl Bench<'_> {
         if folder.join(Split::Train.file_name()).is_file() {
             return Ok(Some(folder));
         }
-        let tau = m4_slam::megasam::TAU_MOTION as f32;
+        let tau = m4_geometry::megasam::TAU_MOTION as f32;
         for frame in &mut capture.frames {
             let Some(motion) = &frame.motion else { continue };
             let share = motion.map(|&m| f32::from(m) / 255.0);

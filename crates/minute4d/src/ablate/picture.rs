@@ -2,8 +2,8 @@
 
 use crate::evaluate::HeldOut;
 use crate::{Error, Job};
+use m4_core::{Plane, RgbImage};
 use m4_kernels::SimdLevel;
-use m4_scene::{Plane, RgbImage};
 use std::path::{Path, PathBuf};
 
 /// Side of the place that is shown, in parts of the shorter side of a view.
@@ -101,7 +101,7 @@ fn side_by_side(panels: &[RgbImage; 3]) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::{most_gained, side_by_side};
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn the_place_is_where_the_second_is_better() {

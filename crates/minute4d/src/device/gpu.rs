@@ -3,11 +3,11 @@
 use super::NetworkDevice;
 use super::training::GpuTraining;
 use crate::Error;
+use m4_core::Splats;
 #[cfg(feature = "nets")]
 use m4_gpu::Runtime;
 use m4_gpu::{Choice, Gpu, Renderer, adapters, best};
 use m4_kernels::{Frame, View};
-use m4_scene::Splats;
 use m4_train::{Device, DeviceError};
 
 /// A GPU that was started.

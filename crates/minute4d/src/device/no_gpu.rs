@@ -1,8 +1,8 @@
 //! Replaces the GPU in a build without GPU support; every request is an error.
 
 use crate::Error;
+use m4_core::Splats;
 use m4_kernels::{Frame, View};
-use m4_scene::Splats;
 use m4_train::{Device, DeviceError};
 
 /// A GPU that was started; there is none in this build.

@@ -1,10 +1,10 @@
 //! Training steps on a GPU, behind the trainer's interface.
 
+use m4_core::{Exposure, SplatLayout, Splats};
 use m4_gpu::{DensityRound, Gpu, GpuError, GrowRule, Look, Plan, ScoreRange, StepSettings, Trainer};
 use m4_kernels::View;
 use m4_kernels::adam::cpu::AdamState;
 use m4_kernels::photo::cpu::Target;
-use m4_scene::{Exposure, SplatLayout, Splats};
 use m4_train::config::{CloneOpacity, ErrorRange, PruneRule, SplitSize};
 use m4_train::density::{Rules, Scores};
 use m4_train::device::{

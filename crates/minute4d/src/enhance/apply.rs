@@ -8,10 +8,10 @@ use crate::error::{NetworkError, NetworkMethod};
 use crate::record::plain_json;
 use crate::steps::Steps;
 use crate::{Error, Settings};
-use m4_scene::{Capture, CompactIds, CompactMask, Mask, Plane, Progress};
-use m4_slam::dense::{FlowSource, InverseSearch};
-use m4_slam::instances::InstanceReport;
-use m4_slam::tracks3d::{CaptureClip, FlowTracker, QueryGrid, TrackConfig, Tracker3d};
+use m4_core::{Capture, CompactIds, CompactMask, Mask, Plane, Progress};
+use m4_geometry::dense::{FlowSource, InverseSearch};
+use m4_geometry::instances::InstanceReport;
+use m4_geometry::tracks3d::{CaptureClip, FlowTracker, QueryGrid, TrackConfig, Tracker3d};
 
 /// Refines masks, then follows points in them, each a step; returns the statistics of objects if a method tracked them.
 ///

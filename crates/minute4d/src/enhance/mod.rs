@@ -1,10 +1,10 @@
 //! Better masks for a capture (Minute4D sec. 3.2): dynamic objects are separated, segmented and tracked through the clip.
 //!
 //! ```text
-//! capture (motion maps, or masks) --m4_slam::instances, with an object tracker--> capture (masks, instances), report
+//! capture (motion maps, or masks) --m4_geometry::instances, with an object tracker--> capture (masks, instances), report
 //! ```
 //!
-//! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_slam::tracks3d`]); the geometry stage does the same to what its
+//! [`make`] is `minute4d enhance`, which also follows points in the new masks ([`m4_geometry::tracks3d`]); the geometry stage does the same to what its
 //! front ends find. [`masks`] does the first half on a capture in memory, with any [`VideoSegmenter`]; [`Follower`] is the one that needs no network
 //! with a memory; [`save`] writes the capture and [`REPORT_FILE`] beside its list of frames.
 
@@ -33,12 +33,12 @@ pub(crate) use plan::{Before, Plan};
 
 use crate::Error;
 use crate::record::write_json;
-use m4_io::capture::Split;
-use m4_scene::{Capture, CompactIds, CompactMask, Plane, Progress, RgbImage};
-use m4_slam::dense::FlowSource;
-use m4_slam::instances::{
+use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress, RgbImage};
+use m4_geometry::dense::FlowSource;
+use m4_geometry::instances::{
     Clip, Coarse, InstanceReport, PictureError, RefineInput, RefineSettings, RefinedFrame, VideoSegmenter, refine,
 };
+use m4_io::capture::Split;
 use std::borrow::Cow;
 use std::path::Path;
 
@@ -141,9 +141,9 @@ mod tests {
     use super::{Follower, REPORT_FILE, masks, save};
     use crate::geometry::Segmenter;
     use crate::{Category, Error};
+    use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Silent};
+    use m4_geometry::instances::{InstanceReport, RefineSettings};
     use m4_io::capture::{CaptureOptions, Split};
-    use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Silent};
-    use m4_slam::instances::{InstanceReport, RefineSettings};
 
     const SIZE: (usize, usize) = (96, 72);
 
@@ -168,7 +168,7 @@ mod tests {
                 name: format!("{i:05}"),
                 camera: Camera {
                     intrinsics: Intrinsics::centred(SIZE.0, SIZE.1, 90.0),
-                    c2w: m4_math::Se3::identity(),
+                    c2w: m4_core::Se3::identity(),
                 },
                 t: i as f64,
                 rgb,

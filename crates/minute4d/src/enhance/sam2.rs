@@ -1,9 +1,11 @@
 //! SAM 2 as an object tracker.
 
+use m4_core::{CompactMask, Plane, Progress};
+use m4_geometry::instances::{
+    Clip, ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSegmenter, VideoSession,
+};
 use m4_nets::sam2::{self, Clip as NetClip, Direction, Sam2Error, VideoOptions, VideoPredictor};
 use m4_nets::{PointPrompt, Prompt, Sam2, Sam2Size};
-use m4_scene::{CompactMask, Plane, Progress};
-use m4_slam::instances::{Clip, ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSegmenter, VideoSession};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::sync::Arc;

@@ -9,9 +9,9 @@ use crate::progress::RecordingObserver;
 use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::steps::Steps;
 use crate::{Error, Job, StageEvent, hash};
+use m4_core::CompactMask;
+use m4_geometry::dense::DenseConfig;
 use m4_io::capture::Split;
-use m4_scene::CompactMask;
-use m4_slam::dense::DenseConfig;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -146,12 +146,12 @@ pub fn make(input: &Path, out: &Path, job: &Job<'_>) -> Result<EnhanceReport, Er
         networks: plan.used,
         instances: found.map_or(0, |report| report.instances.len()),
         moving_share: [before, moving_share(&capture)],
-        tracks: capture.tracks.as_ref().map_or(0, m4_scene::Tracks::count),
+        tracks: capture.tracks.as_ref().map_or(0, m4_core::Tracks::count),
         seconds,
     })
 }
 
-fn moving_share(capture: &m4_scene::Capture) -> Option<f64> {
+fn moving_share(capture: &m4_core::Capture) -> Option<f64> {
     let masks = || capture.frames.iter().filter_map(|frame| frame.mask.as_ref());
     let pixels: usize = masks().map(|mask| mask.size().0 * mask.size().1).sum();
     let moving: usize = masks().map(CompactMask::count).sum();

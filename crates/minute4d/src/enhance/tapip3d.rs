@@ -1,9 +1,9 @@
 //! TAPIP3D as a point tracker.
 
+use m4_core::{Camera, DepthMap, Progress, RgbImage};
+use m4_geometry::tracks3d::{Followed, PosedClip, Query, TrackError, Tracker3d};
 use m4_nets::tapip3d::{self, ClipError};
 use m4_nets::{PointQuery, Tapip3d, Tapip3dError, Tapip3dOptions};
-use m4_scene::{Camera, DepthMap, Progress, RgbImage};
-use m4_slam::tracks3d::{Followed, PosedClip, Query, TrackError, Tracker3d};
 
 /// Points are seen where the network thinks that at least so likely: upstream's.
 const SEEN_FROM: f32 = 0.9;

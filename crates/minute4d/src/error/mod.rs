@@ -24,7 +24,9 @@ use crate::settings::SettingsError;
 use crate::viewer::ViewerError;
 use m4_eval::geometry::GeometryError;
 use m4_eval::image::ImageError;
-use m4_init::InitError;
+use m4_geometry::dense::DenseError;
+use m4_geometry::megasam::MegasamError;
+use m4_geometry::sparse::SparseError;
 use m4_io::ErrorKind;
 use m4_io::capture::{ReadCaptureError, WriteCaptureError};
 use m4_io::image::{ReadImageError, WriteImageError};
@@ -32,10 +34,8 @@ use m4_io::scene_file::{ReadSceneError, WriteSceneError};
 use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
 use m4_kernels::SimdLevelError;
-use m4_slam::dense::DenseError;
-use m4_slam::megasam::MegasamError;
-use m4_slam::sparse::SparseError;
 use m4_train::TrainError;
+use m4_train::init::InitError;
 use m4_viewer::FramesError;
 use m4_viewer::page::PageError;
 use m4_viewer::server::ServeError;
@@ -254,8 +254,8 @@ impl Error {
 #[cfg(test)]
 mod tests {
     use super::{Category, Error, OutputError, ReadVideoError, ServeError};
-    use m4_slam::dense::DenseError;
-    use m4_slam::tracks3d::TrackError;
+    use m4_geometry::dense::DenseError;
+    use m4_geometry::tracks3d::TrackError;
     use std::error::Error as _;
     use std::io;
     use std::path::PathBuf;

@@ -1,10 +1,11 @@
 //! Aligns held-out cameras with the world of a scene whose geometry was estimated from the video alone.
 
 use crate::{Error, Observer};
+use m4_core::{
+    Camera, Scene, Sim3,
+    nalgebra::{Matrix3, Vector3},
+};
 use m4_io::trajectory;
-use m4_math::Sim3;
-use m4_math::nalgebra::{Matrix3, Vector3};
-use m4_scene::{Camera, Scene};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -169,9 +170,10 @@ fn fit(pairs: &[(Camera, Camera)]) -> Option<Sim3> {
 #[cfg(test)]
 mod tests {
     use super::{Alignment, fit, same_world};
-    use m4_math::nalgebra::{Vector3, Vector6};
-    use m4_math::{Se3, Sim3, exp_so3};
-    use m4_scene::{Camera, Intrinsics};
+    use m4_core::{
+        Camera, Intrinsics, Se3, Sim3, exp_so3,
+        nalgebra::{Vector3, Vector6},
+    };
 
     fn camera(i: usize) -> Camera {
         let a = i as f64 * 0.1;

@@ -10,9 +10,9 @@ use super::views::EvalOptions;
 use super::{ProtocolError, SplitRecord};
 use crate::render::Pictures;
 use crate::{Error, Observer};
+use m4_core::{Camera, CompactMask};
 use m4_eval::image::{ImageReport, MeanScore, Metric, Picture, PsnrKind};
 use m4_kernels::{Frame, SimdLevel};
-use m4_scene::{Camera, CompactMask};
 use std::path::Path;
 use std::time::Instant;
 
@@ -247,7 +247,7 @@ fn raw(frame: &Frame) -> Result<Picture, Error> {
 
 /// The view's lens at the pose of the training frame that is nearest in time.
 fn nearest(held: &HeldOut, view: &Camera, t: f64) -> Camera {
-    let apart = |s: &&m4_scene::SourceFrame| (s.t - t).abs();
+    let apart = |s: &&m4_core::SourceFrame| (s.t - t).abs();
     let closest = held.scene.source.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
     closest.map_or(*view, |s| Camera {
         c2w: s.camera.c2w,

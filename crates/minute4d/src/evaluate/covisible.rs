@@ -8,10 +8,10 @@
 
 use super::ProtocolError;
 use crate::{Error, Observer, Settings};
+use m4_core::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
 use m4_eval::image::covisible::{CovisibleCounts, DEPTH_TOLERANCE, DepthView, seen_by_depth};
 use m4_io::image::{read_mask, write_mask};
 use m4_io::reach::Reach;
-use m4_scene::{Camera, Capture, CaptureFrame, DepthMap, Mask, Plane};
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -164,7 +164,7 @@ impl Training {
     }
 
     fn mask(&self, view: &CaptureFrame) -> Result<Mask, Error> {
-        let depth = match view.depth.as_ref().map(m4_scene::CompactDepth::to_map) {
+        let depth = match view.depth.as_ref().map(m4_core::CompactDepth::to_map) {
             Some(own) if own.size() == view.rgb.size() => own,
             _ => self.depth(view),
         };
@@ -263,9 +263,7 @@ pub(crate) fn adopt(capture: &Path, views: &Capture, from: impl Fn(&str) -> Path
 #[cfg(test)]
 mod tests {
     use super::{Masks, Training};
-    use m4_math::Se3;
-    use m4_math::nalgebra::Vector3;
-    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane};
+    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, nalgebra::Vector3};
 
     fn frame(x: f64, t: f64, depth: bool) -> CaptureFrame {
         let camera = Camera {

@@ -7,11 +7,11 @@ use crate::folder::SCENE_FILE;
 use crate::render::Pictures;
 use crate::settings::Settings;
 use crate::{Error, Observer};
+use m4_core::{Camera, Capture, CaptureFrame, Exposure, RgbImage, Scene};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::reach::Reach;
 use m4_io::scene_file;
 use m4_kernels::SimdLevel;
-use m4_scene::{Camera, Capture, CaptureFrame, Exposure, RgbImage, Scene};
 use std::path::{Path, PathBuf};
 
 /// A scene and the views that it is judged by.

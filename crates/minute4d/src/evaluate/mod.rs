@@ -32,10 +32,10 @@ pub use views::{EvalOptions, EvalReport, OtherMean, views, views_by};
 
 use crate::settings::Settings;
 use crate::{Error, Observer};
+use m4_core::Capture;
 use m4_eval::geometry::{GeometryReport, evaluate, llff_truth};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::reach::Reach;
-use m4_scene::Capture;
 use std::fs;
 use std::path::Path;
 

@@ -5,8 +5,8 @@ use super::ProtocolError;
 use super::protocol::LpipsRule;
 use crate::Error;
 use crate::device::DeviceChoice;
+use m4_core::Mask;
 use m4_eval::image::{ImageReport, Picture};
-use m4_scene::Mask;
 use serde::Serialize;
 
 /// What became of one network.

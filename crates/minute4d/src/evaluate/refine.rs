@@ -12,10 +12,9 @@
 use super::protocol::RefineRule;
 use crate::render::{Painter, view};
 use crate::{Error, Observer};
+use m4_core::{Camera, Scene, nalgebra::Vector6};
 use m4_eval::image::Picture;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, Wanted};
-use m4_math::nalgebra::Vector6;
-use m4_scene::{Camera, Scene};
 use serde::Serialize;
 
 const BETA1: f64 = 0.9;
@@ -140,10 +139,9 @@ mod tests {
     use crate::Silent;
     use crate::evaluate::protocol::{RefineRule, StartPose};
     use crate::render::Painter;
+    use m4_core::{Camera, nalgebra::Vector6};
     use m4_eval::image::Picture;
     use m4_kernels::SimdLevel;
-    use m4_math::nalgebra::Vector6;
-    use m4_scene::Camera;
     use m4_testkit::{SceneSpec, random_scene};
 
     #[test]

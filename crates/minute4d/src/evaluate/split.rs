@@ -5,9 +5,9 @@ use crate::error::OutputError;
 use crate::folder::{self, Existing, Lock};
 use crate::record::write_json;
 use crate::{Error, Observer, Settings, geometry, hash};
+use m4_core::Capture;
 use m4_io::capture::{Split, TRACKS_FILE};
 use m4_io::reach::Reach;
-use m4_scene::Capture;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -222,10 +222,9 @@ mod tests {
     use super::{Parts, parts, split};
     use crate::evaluate::{EvaluationError, Protocol, ProtocolError};
     use crate::{Error, Existing, OutputError, Silent};
+    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Tracks};
     use m4_io::capture::{self, CaptureOptions, Split};
     use m4_io::reach::Reach;
-    use m4_math::Se3;
-    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Tracks};
 
     fn clip(n: usize) -> Capture {
         let frame = |i: usize| CaptureFrame {

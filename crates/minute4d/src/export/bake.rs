@@ -1,10 +1,12 @@
 //! Bakes the Mip filter into opacities, for viewers without such a filter.
 
+use m4_core::{
+    Column, Scene,
+    nalgebra::{Matrix3, Vector3, Vector4},
+    quat,
+};
 use m4_formats::Loss;
 use m4_kernels::project::reference::{Pinhole, project};
-use m4_math::nalgebra::{Matrix3, Vector3, Vector4};
-use m4_math::quat;
-use m4_scene::{Column, Scene};
 use rayon::prelude::*;
 
 /// Cameras that a splat is looked at from.
@@ -57,7 +59,7 @@ struct View {
 }
 
 impl View {
-    fn new(frame: &m4_scene::SourceFrame) -> Self {
+    fn new(frame: &m4_core::SourceFrame) -> Self {
         let k = &frame.camera.intrinsics;
         Self {
             t: frame.t,
@@ -145,8 +147,7 @@ fn covariance(scene: &Scene, row: usize) -> Matrix3<f64> {
 #[cfg(test)]
 mod tests {
     use super::bake;
-    use m4_math::Se3;
-    use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
+    use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats};
 
     /// A splat of a pixel wide and one that lives while the camera is twice as near.
     fn scene() -> Scene {
@@ -164,7 +165,7 @@ mod tests {
             camera: Camera {
                 intrinsics: Intrinsics::centred(64, 48, 100.0),
                 c2w: Se3 {
-                    translation: m4_math::nalgebra::Vector3::new(0.0, 0.0, 5.0 * t),
+                    translation: m4_core::nalgebra::Vector3::new(0.0, 0.0, 5.0 * t),
                     ..Se3::identity()
                 },
             },

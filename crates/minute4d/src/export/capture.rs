@@ -3,9 +3,9 @@
 use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
 use crate::error::OutputError;
 use crate::{Error, Observer, Settings};
+use m4_core::Capture;
 use m4_formats::captures::{self, WriteCaptureAsError};
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_scene::Capture;
 use std::path::Path;
 use std::time::Instant;
 

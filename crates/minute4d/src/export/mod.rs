@@ -21,8 +21,8 @@ use crate::error::OutputError;
 use crate::folder::SCENE_FILE;
 use crate::render::{Moment, Span};
 use crate::{Error, Observer, is_capture};
+use m4_core::Scene;
 use m4_io::scene_file;
-use m4_scene::Scene;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 

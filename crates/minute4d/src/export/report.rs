@@ -1,8 +1,8 @@
 //! The report of an export.
 
 use super::{Comparison, Format, Time};
+use m4_core::Scene;
 use m4_formats::{Loss, Written};
-use m4_scene::Scene;
 use serde::Serialize;
 use std::fmt;
 use std::path::PathBuf;

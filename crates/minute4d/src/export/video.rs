@@ -3,10 +3,10 @@
 use super::ExportError;
 use crate::render::{Painter, source_fps};
 use crate::{Error, Observer};
+use m4_core::Scene;
 use m4_formats::{Loss, Written};
 use m4_io::video::Mp4Writer;
 use m4_kernels::SimdLevel;
-use m4_scene::Scene;
 use std::path::Path;
 
 /// Renders every camera of the source at its own moment, with its exposure, in the order of time.

@@ -5,8 +5,8 @@
 
 use super::frontend::{Cameras, Plan};
 use crate::{Error, Observer, Settings};
+use m4_core::Capture;
 use m4_io::video::{VideoOptions, evenly};
-use m4_scene::Capture;
 
 /// Steps of geometry per step from one kept frame to the next, at most.
 const MOST_PER_STEP: usize = 4;
@@ -80,9 +80,8 @@ fn to_read(kept: usize) -> usize {
 mod tests {
     use super::{Between, MOST_FRAMES, to_read};
     use crate::Silent;
+    use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Tracks};
     use m4_io::video::evenly;
-    use m4_math::Se3;
-    use m4_scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Tracks};
 
     #[test]
     fn steps_have_four_parts_while_memory_allows() {

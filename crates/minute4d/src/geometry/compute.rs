@@ -14,11 +14,11 @@ use crate::device::NetworkDevice;
 use crate::record::Found;
 use crate::steps::Steps;
 use crate::{Error, Observer, Settings, enhance};
+use m4_core::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, RgbImage, Tracks, Video};
+use m4_geometry::dense::{self, Dense, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, estimate_depth};
+use m4_geometry::reconstruction::{CameraMotion, SparseReconstruction};
+use m4_geometry::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError, Work};
 use m4_io::capture::Split;
-use m4_scene::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, RgbImage, Tracks, Video};
-use m4_slam::dense::{self, Dense, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, estimate_depth};
-use m4_slam::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_slam::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError, Work};
 use std::path::Path;
 
 /// Given poses and given depth whose units differ by more than this factor do not fit.

@@ -1,8 +1,8 @@
 //! The confidence of the geometry: numbers, a grade and one piece of advice.
 
-use m4_slam::dense::DenseFrame;
-use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction};
-use m4_slam::sparse::FocalSource;
+use m4_geometry::dense::DenseFrame;
+use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction};
+use m4_geometry::sparse::FocalSource;
 use serde::{Deserialize, Serialize};
 
 /// How good geometry is likely to be.
@@ -255,7 +255,7 @@ fn parallax_rad(sparse: &SparseReconstruction) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::{Circumstances, Confidence, Focal, Grade};
-    use m4_slam::reconstruction::CameraMotion;
+    use m4_geometry::reconstruction::CameraMotion;
 
     const FINE: Confidence = Confidence {
         grade: Grade::Good,

@@ -3,11 +3,9 @@
 //! The first cameras come from tracks of the whole image. With the masks, tracks in dynamic regions are excluded and the cameras are
 //! estimated again; if their projections change, depth and masks are computed again, too. Otherwise the first result is kept.
 
-use m4_math::Sim3;
-use m4_math::nalgebra::Vector3;
-use m4_scene::{Mask, Plane};
-use m4_slam::dense::DenseFrame;
-use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+use m4_core::{Mask, Plane, Sim3, nalgebra::Vector3};
+use m4_geometry::dense::DenseFrame;
+use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use std::collections::HashMap;
 
 /// Changes of what cameras see above this many pixels matter.
@@ -170,10 +168,8 @@ pub(super) fn put_back(frames: &mut [DenseFrame], masks: Vec<Mask>) {
 #[cfg(test)]
 mod tests {
     use super::{Change, within, worth};
-    use m4_math::nalgebra::Vector3;
-    use m4_math::{CounterRng, Se3, exp_so3};
-    use m4_scene::{Camera, Intrinsics, Plane};
-    use m4_slam::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
+    use m4_core::{Camera, CounterRng, Intrinsics, Plane, Se3, exp_so3, nalgebra::Vector3};
+    use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 
     /// A walk past points between 3 and 6 away, every tenth of which moves.
     fn clip() -> SparseReconstruction {

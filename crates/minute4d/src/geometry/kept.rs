@@ -1,7 +1,7 @@
 //! Caches optical flow between two images in the finished steps.
 
-use m4_scene::Cache;
-use m4_slam::dense::{Flow, FlowError, FlowPicture, FlowSource};
+use m4_core::Cache;
+use m4_geometry::dense::{Flow, FlowError, FlowPicture, FlowSource};
 
 /// A source of flow and where its results are kept. A clip may ask for the same images again: after an interruption, and
 /// when depth is found again with better cameras.
@@ -76,8 +76,8 @@ fn read(bytes: &[u8], (width, height): (usize, usize)) -> Option<(Flow, Flow)> {
 #[cfg(test)]
 mod tests {
     use super::KeptFlow;
-    use m4_scene::Cache;
-    use m4_slam::dense::{FlowPicture, FlowSource, InverseSearch};
+    use m4_core::Cache;
+    use m4_geometry::dense::{FlowPicture, FlowSource, InverseSearch};
     use std::collections::HashMap;
     use std::sync::Mutex;
 

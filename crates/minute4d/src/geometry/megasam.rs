@@ -8,8 +8,8 @@ use crate::device::NetworkDevice;
 use crate::record::Found;
 use crate::steps::Steps;
 use crate::{Error, Observer, Settings};
-use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, RgbImage, Video};
-use m4_slam::megasam::{
+use m4_core::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, RgbImage, Video};
+use m4_geometry::megasam::{
     DepthPrior, MegasamGeometry, MegasamInput, PairFlow, SourceFlow, TAU_MOTION, TrackingSize, reconstruct,
     resize_bilinear,
 };

@@ -45,8 +45,8 @@ use crate::{Error, Job, StageEvent, hash, progress::RecordingObserver};
 use compute::compute;
 use frontend::Cameras;
 use given::Sources;
+use m4_core::Progress;
 use m4_io::capture::{Split, TRACKS_FILE};
-use m4_scene::Progress;
 use serde::Serialize;
 use std::path::Path;
 use std::time::Instant;
@@ -58,8 +58,8 @@ pub const STAGE: &str = "geometry";
 #[derive(Serialize)]
 struct Part<'a> {
     video: &'a m4_io::video::VideoOptions,
-    sparse: &'a m4_slam::sparse::SparseConfig,
-    dense: &'a m4_slam::dense::DenseConfig,
+    sparse: &'a m4_geometry::sparse::SparseConfig,
+    dense: &'a m4_geometry::dense::DenseConfig,
     /// Of random samples.
     seed: u64,
     /// The requested value.
@@ -69,7 +69,7 @@ struct Part<'a> {
     weights: Vec<&'a str>,
     /// Where it has a way of its own.
     #[serde(skip_serializing_if = "Option::is_none")]
-    megasam: Option<&'a m4_slam::megasam::MegasamSettings>,
+    megasam: Option<&'a m4_geometry::megasam::MegasamSettings>,
     /// Where networks run: another device gives other last bits.
     device: &'a str,
     /// The same of what outlines the dynamic part.

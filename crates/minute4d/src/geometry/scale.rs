@@ -1,8 +1,8 @@
 //! The unit of length, which given depth determines.
 
 use super::GivenError;
-use m4_scene::DepthMap;
-use m4_slam::reconstruction::SparseReconstruction;
+use m4_core::DepthMap;
+use m4_geometry::reconstruction::SparseReconstruction;
 
 /// Fewest points whose depth must be given.
 const NEEDED: usize = 30;

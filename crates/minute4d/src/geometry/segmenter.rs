@@ -3,7 +3,7 @@
 use crate::Error;
 #[cfg(not(feature = "nets"))]
 use crate::error::{NetworkError, NetworkMethod};
-use m4_slam::dense;
+use m4_geometry::dense;
 use serde::{Deserialize, Serialize};
 
 /// The segmentation method.
@@ -113,9 +113,9 @@ mod network {
     use crate::error::{NetworkError, NetworkMethod};
     use crate::weights::{self, State, Store, WeightsError};
     use crate::{Error, hash};
+    use m4_core::{Plane, RgbImage};
+    use m4_geometry::dense::{self, SegmentError, SegmentMask, SegmentPrompt};
     use m4_nets::{MobileSam, PointPrompt, Prompt, SamError};
-    use m4_scene::{Plane, RgbImage};
-    use m4_slam::dense::{self, SegmentError, SegmentMask, SegmentPrompt};
     use std::path::PathBuf;
 
     /// The name of the weights.
@@ -232,8 +232,8 @@ mod network {
 #[cfg(all(test, feature = "nets"))]
 mod tests {
     use super::network::Weights;
-    use m4_scene::{Plane, RgbImage};
-    use m4_slam::dense::{SegmentPrompt, Segmenter};
+    use m4_core::{Plane, RgbImage};
+    use m4_geometry::dense::{SegmentPrompt, Segmenter};
 
     const FULL: (usize, usize) = (480, 270);
     const SMALL: (usize, usize) = (240, 135);

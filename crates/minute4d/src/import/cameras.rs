@@ -1,9 +1,10 @@
 //! Default cameras for an imported scene without any.
 
 use crate::render::{SwingConfig, swing};
-use m4_math::Se3;
-use m4_math::nalgebra::{Matrix3, Vector3};
-use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SourceFrame, Splats};
+use m4_core::{
+    Camera, Column, Exposure, Intrinsics, Scene, Se3, SourceFrame, Splats,
+    nalgebra::{Matrix3, Vector3},
+};
 
 /// Size of the images, pixels.
 const SIZE_PX: (usize, usize) = (640, 480);
@@ -78,8 +79,7 @@ fn extent(splats: &Splats) -> (Vector3<f64>, f64) {
 #[cfg(test)]
 mod tests {
     use super::default_cameras;
-    use m4_math::nalgebra::Vector3;
-    use m4_scene::{Column, Scene, SplatLayout, Splats};
+    use m4_core::{Column, Scene, SplatLayout, Splats, nalgebra::Vector3};
 
     fn scene(means: &[[f32; 3]]) -> Scene {
         let layout = SplatLayout {

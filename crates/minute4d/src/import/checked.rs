@@ -3,10 +3,10 @@
 use super::{ImportError, STAGE};
 use crate::Error;
 use crate::progress::RecordingObserver;
+use m4_core::Progress;
+use m4_geometry::consistency::{self, Cause, Consistency, ConsistencyError, Verdict};
+use m4_geometry::dense::InverseSearch;
 use m4_import::Imported;
-use m4_scene::Progress;
-use m4_slam::consistency::{self, Cause, Consistency, ConsistencyError, Verdict};
-use m4_slam::dense::InverseSearch;
 use serde::Serialize;
 use std::fmt;
 

@@ -3,9 +3,9 @@
 use crate::Category;
 use m4_formats::fourdgs::ReadFourdgsError;
 use m4_formats::ply::ReadPlyError;
+use m4_geometry::consistency::ConsistencyError;
 use m4_import::ReadSourceError;
 use m4_io::megasam::{MegasamFault, ReadMegasamError};
-use m4_slam::consistency::ConsistencyError;
 use std::path::PathBuf;
 
 /// Why an import failed.

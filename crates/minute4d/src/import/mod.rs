@@ -136,7 +136,7 @@ fn scene(
             dynamic: scene.splats.n_dynamic(),
         });
         run.stage(STAGE, key, (None, 0.0), &[SCENE_FILE], |run, keeper| {
-            use m4_scene::Progress;
+            use m4_core::Progress;
             for loss in &losses {
                 keeper.warn(&loss.to_string());
             }

@@ -1,6 +1,6 @@
 //! Draws text into an image, in a 5x7 font with the characters that the labels need.
 
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 
 /// Columns and rows of a letter.
 const SIZE: (usize, usize) = (5, 7);
@@ -57,7 +57,7 @@ pub(super) fn draw(picture: &mut RgbImage, x: usize, y: usize, text: &str) {
 #[cfg(test)]
 mod tests {
     use super::{draw, rows};
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn a_letter_is_drawn_and_cut_off_at_the_border() {

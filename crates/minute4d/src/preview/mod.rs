@@ -13,9 +13,9 @@ use crate::render::{Pictures, SwingConfig, source_fps, swing};
 use crate::settings::part_to_toml;
 use crate::workspace::{Task, Workspace};
 use crate::{Error, StageEvent, hash};
+use m4_core::{Camera, Capture, Exposure, Progress, Scene};
 use m4_io::image::resize_rgb;
 use m4_io::video::Mp4Writer;
-use m4_scene::{Camera, Capture, Exposure, Progress, Scene};
 use panels::Panels;
 use serde::{Deserialize, Serialize};
 

@@ -1,7 +1,7 @@
 //! Places three images side by side.
 
 use super::label;
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 
 /// Pixels between two panels.
 const GAP: usize = 4;
@@ -49,7 +49,7 @@ impl Panels {
 #[cfg(test)]
 mod tests {
     use super::Panels;
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn panels_stand_side_by_side() {

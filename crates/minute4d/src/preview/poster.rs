@@ -6,10 +6,10 @@ use crate::record::{FileRecord, RUN_FILE, RunRecord};
 use crate::render::Pictures;
 use crate::settings::Settings;
 use crate::{Error, hash, train};
+use m4_core::{Plane, Silent};
 use m4_io::image::{resize_rgb, write_rgb};
 use m4_io::scene_file;
 use m4_kernels::SimdLevel;
-use m4_scene::{Plane, Silent};
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,6 @@
 //! Chooses the time to freeze: the frame in which dynamic regions are sharpest.
 
-use m4_scene::{Capture, CaptureFrame};
+use m4_core::{Capture, CaptureFrame};
 
 /// Stride of the sampled pixels, columns and rows.
 const STEP: usize = 2;
@@ -60,8 +60,7 @@ fn look(frame: &CaptureFrame, masked: bool) -> Look {
 #[cfg(test)]
 mod tests {
     use super::sharpest;
-    use m4_math::Se3;
-    use m4_scene::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane};
+    use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Se3};
 
     #[test]
     fn the_frame_with_most_detail_where_it_moves_wins() {

@@ -1,7 +1,7 @@
 //! Renders one image of a scene.
 
+use m4_core::{Camera, Exposure, Plane, RgbImage, Scene};
 use m4_kernels::{Frame, Renderer, SimdLevel, View};
-use m4_scene::{Camera, Exposure, Plane, RgbImage, Scene};
 
 /// Draws images of one scene, one after the other.
 pub struct Painter<'a> {

@@ -3,8 +3,8 @@
 use super::draw::{Painter, to_rgb, view};
 use crate::Error;
 use crate::device::{GpuPainter, OpenGpu};
+use m4_core::{Camera, Exposure, RgbImage, Scene};
 use m4_kernels::{Frame, SimdLevel};
-use m4_scene::{Camera, Exposure, RgbImage, Scene};
 
 /// Draws a scene on a GPU where there is one, else on the processor.
 pub struct Pictures<'a> {

@@ -2,8 +2,7 @@
 
 use super::Painter;
 use super::Stop;
-use m4_math::nalgebra::Vector3;
-use m4_scene::{Column, Scene};
+use m4_core::{Column, Scene, nalgebra::Vector3};
 
 /// Share of the source cameras that counts as the reach of the source.
 const REACH_SHARE: f64 = 0.8;
@@ -95,8 +94,7 @@ fn reach(stop: &Stop, centres: &[Vector3<f64>]) -> f64 {
 mod tests {
     use super::moving_depth;
     use crate::render::Stop;
-    use m4_math::Se3;
-    use m4_scene::{Camera, Column, Exposure, Intrinsics, Scene, SplatLayout, Splats};
+    use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SplatLayout, Splats};
 
     #[test]
     fn the_depth_is_that_of_what_moves_now_and_is_seen() {

@@ -4,8 +4,8 @@ use super::{PathError, Stop};
 use crate::Error;
 use crate::error::OutputError;
 use crate::folder::{self, remove_file};
+use m4_core::RgbImage;
 use m4_io::{image, video::Mp4Writer};
-use m4_scene::RgbImage;
 use std::fs;
 use std::path::{Path, PathBuf};
 

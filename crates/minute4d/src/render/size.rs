@@ -1,7 +1,7 @@
 //! Cameras for images of another size.
 
 use super::PathError;
-use m4_scene::Intrinsics;
+use m4_core::Intrinsics;
 
 /// Longest side of an image, pixels.
 pub const MAX_SIDE_PX: usize = 16_384;
@@ -60,7 +60,7 @@ pub fn zoomed(k: &Intrinsics, factor: f64) -> Intrinsics {
 #[cfg(test)]
 mod tests {
     use super::{Fit, fitted};
-    use m4_scene::Intrinsics;
+    use m4_core::Intrinsics;
 
     const K: Intrinsics = Intrinsics {
         width: 480,

@@ -4,8 +4,10 @@
 //! neighbours, weighted by the times between them: a non-uniform Catmull-Rom spline. Rotations use the same construction
 //! with great arcs instead of straight lines (Shoemake, "Animating rotation with quaternion curves", 1985).
 
-use m4_math::Se3;
-use m4_math::nalgebra::{Rotation3, SVector, UnitQuaternion, Vector3};
+use m4_core::{
+    Se3,
+    nalgebra::{Rotation3, SVector, UnitQuaternion, Vector3},
+};
 
 /// A curve with continuous slope through points in `N` dimensions.
 #[derive(Debug, Clone)]
@@ -90,7 +92,7 @@ impl PoseSpline {
 }
 
 /// A rotation matrix as a quaternion.
-pub fn quaternion(rotation: &m4_math::nalgebra::Matrix3<f64>) -> UnitQuaternion<f64> {
+pub fn quaternion(rotation: &m4_core::nalgebra::Matrix3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation))
 }
 
@@ -132,8 +134,10 @@ fn slopes<const N: usize>(times: &[f64], steps: &[SVector<f64, N>]) -> Vec<SVect
 #[cfg(test)]
 mod tests {
     use super::{PoseSpline, Spline};
-    use m4_math::nalgebra::{Matrix3, Vector1, Vector3, Vector6};
-    use m4_math::{Se3, exp_so3, log_so3};
+    use m4_core::{
+        Se3, exp_so3, log_so3,
+        nalgebra::{Matrix3, Vector1, Vector3, Vector6},
+    };
 
     #[test]
     fn lines_and_parabolas_are_kept_inside() {

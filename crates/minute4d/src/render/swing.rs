@@ -1,8 +1,9 @@
 //! A camera that swings around the centre of its view.
 
-use m4_math::nalgebra::{Matrix3, Vector3};
-use m4_math::{Se3, exp_so3};
-use m4_scene::Camera;
+use m4_core::{
+    Camera, Se3, exp_so3,
+    nalgebra::{Matrix3, Vector3},
+};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
@@ -68,9 +69,10 @@ pub(super) fn orbit(camera: &Camera, pivot: &Vector3<f64>, side: f64, up: f64) -
 #[cfg(test)]
 mod tests {
     use super::{SwingConfig, swing};
-    use m4_math::Se3;
-    use m4_math::nalgebra::{Vector3, Vector6};
-    use m4_scene::{Camera, Intrinsics};
+    use m4_core::{
+        Camera, Intrinsics, Se3,
+        nalgebra::{Vector3, Vector6},
+    };
 
     #[test]
     fn every_camera_looks_at_the_pivot_from_the_same_distance() {

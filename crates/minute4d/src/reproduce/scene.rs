@@ -160,7 +160,7 @@ fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error
     let options = &settings.capture;
     let train = capture::read(imported, Split::Train, options, job.observer)?;
     let n = train.frames.len();
-    let even = |(i, frame): (usize, &m4_scene::CaptureFrame)| (frame.t - i as f64).abs() < 0.25;
+    let even = |(i, frame): (usize, &m4_core::CaptureFrame)| (frame.t - i as f64).abs() < 0.25;
     if train.time_frames != n || !train.frames.iter().enumerate().all(even) {
         return Err(ReproduceError::UnevenTimes {
             path: imported.to_path_buf(),

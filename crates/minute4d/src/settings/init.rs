@@ -1,7 +1,7 @@
 //! The keys of the first splats.
 
 use super::Profile;
-use m4_init::{InitConfig, TimeSpread, VelocityInit};
+use m4_train::init::{InitConfig, TimeSpread, VelocityInit};
 use serde::{Deserialize, Serialize};
 
 /// What users change of the first splats; the rest is the profile's.

@@ -23,13 +23,13 @@ use crate::enhance::EnhanceConfig;
 use crate::geometry::GeometryOptions;
 use crate::preview::PreviewConfig;
 use crate::viewer::ViewerConfig;
-use m4_init::InitConfig;
+use m4_geometry::dense::DenseConfig;
+use m4_geometry::megasam::MegasamSettings;
+use m4_geometry::sparse::SparseConfig;
 use m4_io::capture::CaptureOptions;
 use m4_io::video::VideoOptions;
-use m4_slam::dense::DenseConfig;
-use m4_slam::megasam::MegasamSettings;
-use m4_slam::sparse::SparseConfig;
 use m4_train::TrainConfig;
+use m4_train::init::InitConfig;
 use serde::{Deserialize, Serialize};
 
 /// Every setting of every stage; what `--print-config` shows and `--set` changes. `docs/settings.md` lists the keys.
@@ -174,8 +174,8 @@ pub(crate) fn part_to_toml(part: &impl Serialize) -> Result<String, SettingsErro
 #[cfg(test)]
 mod tests {
     use super::{Layers, Profile, Settings};
-    use m4_init::InitConfig;
     use m4_train::TrainConfig;
+    use m4_train::init::InitConfig;
     use toml::{Table, Value};
 
     #[test]

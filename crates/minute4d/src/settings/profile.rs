@@ -1,7 +1,7 @@
 //! The built-in settings that a run starts from.
 
-use m4_init::InitConfig;
 use m4_train::TrainConfig;
+use m4_train::init::InitConfig;
 use serde::{Deserialize, Serialize};
 
 /// The built-in settings that a run starts from. It also decides everything about the first splats and the training that has no

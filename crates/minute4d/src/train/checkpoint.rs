@@ -2,9 +2,9 @@
 
 use crate::folder;
 use crate::{Error, Observer};
+use m4_core::{Capture, Progress};
 use m4_io::scene_file::{self, SceneFile};
 use m4_kernels::SimdLevel;
-use m4_scene::{Capture, Progress};
 use m4_train::{TrainConfig, Trainer};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -160,7 +160,7 @@ impl Progress for CheckpointTimer<'_> {
 #[cfg(test)]
 mod tests {
     use super::CheckpointTimer;
-    use m4_scene::{Progress, Silent};
+    use m4_core::{Progress, Silent};
 
     #[test]
     fn at_least_one_step_is_allowed_per_interval() {

@@ -13,9 +13,9 @@ use crate::settings::{InitSettings, Profile, TrainSettings, part_to_toml};
 use crate::workspace::{Task, Workspace};
 use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
 use checkpoint::{CheckpointTimer, Checkpoints};
+use m4_core::{Capture, Progress, Scene, Splats, TrainState};
 use m4_io::capture::Split;
 use m4_io::scene_file;
-use m4_scene::{Capture, Progress, Scene, Splats, TrainState};
 use m4_train::{DeviceError, DeviceMaker, MetricsEvent, Outcome, TrainError, Trainer};
 use metrics::MetricsLog;
 use serde::Serialize;
@@ -138,7 +138,7 @@ fn train(
         None => {
             folder::remove_checkpoints(&run.folder)?;
             folder::remove_file(&run.path(METRICS_FILE))?;
-            let splats = m4_init::initialise(capture, &settings.init_config(), keeper)?;
+            let splats = m4_train::init::initialise(capture, &settings.init_config(), keeper)?;
             let budget_s = settings.train.budget_s;
             let left_s = end.map(|end| end.saturating_duration_since(Instant::now()).as_secs_f64());
             if let Some(seconds) = affordable(budget_s, left_s) {

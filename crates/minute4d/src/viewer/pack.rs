@@ -3,8 +3,8 @@
 use super::ViewerConfig;
 use crate::Error;
 use crate::render::{Painter, source_fps};
+use m4_core::{Capture, RgbImage, Scene};
 use m4_kernels::SimdLevel;
-use m4_scene::{Capture, RgbImage, Scene};
 use m4_viewer::payload::{Payload, encode};
 use m4_viewer::{About, Frames, Manifest, encode_frames};
 

@@ -2,7 +2,7 @@
 
 use super::partial::Partial;
 use super::{Condition, Entry, Origin, Package, Pip, Record, Store, WeightsError, archive};
-use m4_scene::Progress;
+use m4_core::Progress;
 use std::fs::File;
 use std::path::Path;
 

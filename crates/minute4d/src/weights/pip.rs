@@ -1,7 +1,7 @@
 //! Runs the user's `pip`.
 
 use super::{Entry, Package, WeightsError};
-use m4_scene::Progress;
+use m4_core::Progress;
 use std::ffi::{OsStr, OsString};
 use std::io::Read;
 use std::path::Path;

@@ -3,7 +3,7 @@
 use super::{Condition, Entry, Origin, Package, Pip, State, Store, WeightsError, add, fetch, find};
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use m4_scene::{Progress, Silent};
+use m4_core::{Progress, Silent};
 use std::fs::{self, File};
 use std::io::Write;
 use std::os::unix::fs::PermissionsExt;

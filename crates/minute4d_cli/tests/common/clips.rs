@@ -1,9 +1,10 @@
 //! Generated clips of a textured room, as folders of images.
 
+use minute4d::core::{
+    Camera, Intrinsics, Plane, RgbImage, Se3, exp_so3,
+    nalgebra::{Vector3, Vector6},
+};
 use minute4d::io::image::write_rgb;
-use minute4d::math::nalgebra::{Vector3, Vector6};
-use minute4d::math::{Se3, exp_so3};
-use minute4d::scene::{Camera, Intrinsics, Plane, RgbImage};
 use std::path::Path;
 
 /// Size of the images.

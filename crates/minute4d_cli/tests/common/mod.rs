@@ -4,12 +4,10 @@
 pub mod clips;
 
 use minute4d::Silent;
+use minute4d::core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage, Se3, nalgebra::Vector6};
 use minute4d::io::capture::{self, Split};
 use minute4d::io::image::write_rgb;
 use minute4d::io::video::Mp4Writer;
-use minute4d::math::Se3;
-use minute4d::math::nalgebra::Vector6;
-use minute4d::scene::{Camera, Capture, CaptureFrame, Intrinsics, Plane, RgbImage};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -1,7 +1,7 @@
 //! Co-visibility from depth and poses.
 
 use crate::image::{ImageError, same_size};
-use m4_scene::{Camera, DepthMap, Mask, Plane};
+use m4_core::{Camera, DepthMap, Mask, Plane};
 
 /// By how much of itself a depth may differ and still be of the same surface: 5 %. Depth that was estimated agrees between frames to
 /// some per cent; what hides something else is usually further in front of it.
@@ -58,9 +58,7 @@ pub fn seen_by_depth(test: DepthView<'_>, training: DepthView<'_>, tolerance: f6
 #[cfg(test)]
 mod tests {
     use super::{DEPTH_TOLERANCE, DepthView, seen_by_depth};
-    use m4_math::Se3;
-    use m4_math::nalgebra::Vector3;
-    use m4_scene::{Camera, Intrinsics, Plane};
+    use m4_core::{Camera, Intrinsics, Plane, Se3, nalgebra::Vector3};
 
     fn camera(x: f64) -> Camera {
         Camera {

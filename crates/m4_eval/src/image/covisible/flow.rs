@@ -1,7 +1,7 @@
 //! Co-visibility from forward-backward optical flow.
 
 use crate::image::{ImageError, same_size};
-use m4_scene::{Mask, Plane};
+use m4_core::{Mask, Plane};
 
 /// 255 where a pixel of the test image is seen in a training frame: `|f + b|^2 <= 0.01 (|f|^2 + |b|^2) + 0.5` for the flow `f` from the
 /// test image to the frame and the flow `b` back, read bilinearly where `f` leads (Brox et al., ECCV 2004; `compute_occ_brox` of
@@ -65,7 +65,7 @@ fn bilinear(flow: &Plane<[f32; 2]>, x: f64, y: f64) -> [f64; 2] {
 #[cfg(test)]
 mod tests {
     use super::seen_by_flow;
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn forward_backward_consistent_pixels_are_visible() {

@@ -17,7 +17,7 @@ pub use depth::{DEPTH_TOLERANCE, DepthView, seen_by_depth};
 pub use flow::seen_by_flow;
 
 use super::{ImageError, same_size};
-use m4_scene::{Mask, Plane};
+use m4_core::{Mask, Plane};
 
 /// How many training frames are not enough: a covisible pixel was seen by more. As `process_covisible.py` of DyCheck has it, though
 /// its paper and others write "at least".
@@ -80,7 +80,7 @@ impl CovisibleCounts {
 #[cfg(test)]
 mod tests {
     use super::{CovisibleCounts, too_few_frames};
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn a_tenth_of_the_frames_but_five_are_too_few() {

@@ -13,7 +13,7 @@ mod partial;
 mod window;
 
 use super::{ImageError, Picture, same_size};
-use m4_scene::{Mask, Plane};
+use m4_core::{Mask, Plane};
 use serde::{Deserialize, Serialize};
 use window::Window;
 
@@ -187,7 +187,7 @@ pub fn ssim(
 mod tests {
     use super::{SsimKind, ssim, ssim_map};
     use crate::image::{ImageError, Picture};
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     fn flat(width: usize, height: usize, value: f32) -> Picture {
         let plane = vec![value; width * height];

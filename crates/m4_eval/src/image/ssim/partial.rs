@@ -1,7 +1,7 @@
 //! The partial convolution of DyCheck's masked SSIM (`compute_ssim` of its `dycheck/core/metrics/image.py`).
 
 use super::window::Window;
-use m4_scene::Mask;
+use m4_core::Mask;
 
 /// Weighted means of those `values` `[height][width]` that are in `mask` (all of them without one), where the window lies wholly
 /// inside: along rows, then along columns. Each sum is multiplied by the number of taps over how many of them are in the mask,

@@ -1,8 +1,9 @@
 //! The contents of the three files, between bytes and scene.
 
-use m4_math::Se3;
-use m4_math::nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
-use m4_scene::{Camera, Intrinsics};
+use m4_core::{
+    Camera, Intrinsics, Se3,
+    nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3},
+};
 use std::collections::HashMap;
 
 /// Models without distortion.

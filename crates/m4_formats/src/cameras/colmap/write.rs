@@ -8,7 +8,7 @@ use crate::cameras_check::usable;
 use crate::row::sigmoid;
 use crate::verified::VerifiedFile;
 use crate::{C0, Loss, WriteFileError, Written, instant, plural};
-use m4_scene::{Camera, Column, Scene};
+use m4_core::{Camera, Column, Scene};
 use serde::{Deserialize, Serialize};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;

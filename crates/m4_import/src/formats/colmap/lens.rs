@@ -1,8 +1,8 @@
 //! COLMAP's camera models.
 
 use crate::core::{Distortion, Lens, SourceFault};
+use m4_core::Intrinsics;
 use m4_formats::cameras::colmap::ColmapCamera;
-use m4_scene::Intrinsics;
 
 /// Longest side of an image, pixels.
 const MAX_SIDE: u64 = 1 << 16;

@@ -19,9 +19,9 @@ mod lens;
 
 use crate::core::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::{Inside, below, clock, pictures};
+use m4_core::Progress;
 use m4_formats::cameras::colmap::{self, ColmapPose, ColmapTables, ReadColmapError};
 use m4_io::video::natural;
-use m4_scene::Progress;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 

@@ -2,8 +2,7 @@
 
 use crate::core::{Distortion, Lens, ReadSourceError, SourceFault};
 use crate::files::{json, pose};
-use m4_math::Se3;
-use m4_scene::Intrinsics;
+use m4_core::{Intrinsics, Se3};
 use serde::Deserialize;
 use std::path::Path;
 

@@ -2,7 +2,7 @@
 
 use crate::core::{ReadSourceError, SourceFault};
 use crate::files::json;
-use m4_scene::Progress;
+use m4_core::Progress;
 use serde::Deserialize;
 use std::collections::{HashMap, HashSet};
 use std::path::Path;

@@ -28,7 +28,7 @@ use crate::files::pictures::{Picture, of_file};
 use crate::files::{Inside, clock, json, lens};
 use crate::side::depth;
 use ids::{Id, Split};
-use m4_scene::Progress;
+use m4_core::Progress;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 

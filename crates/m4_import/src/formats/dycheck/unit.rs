@@ -4,7 +4,7 @@ use super::ids::Id;
 use crate::core::{ImportOptions, ReadSourceError, SourceFault};
 use crate::files::{Inside, json};
 use crate::side::depth::{self, read_depth};
-use m4_scene::Progress;
+use m4_core::Progress;
 use serde::Deserialize;
 use std::path::Path;
 

@@ -2,8 +2,8 @@
 
 use super::json::{Frame, Transforms};
 use crate::core::ImportOptions;
+use m4_core::Progress;
 use m4_io::capture::Axes;
-use m4_scene::Progress;
 
 /// The axes by the option, the file, or the keys that it has; see the module.
 pub fn tell(file: &Transforms, frames: &[Frame], options: &ImportOptions, progress: &dyn Progress) -> Axes {

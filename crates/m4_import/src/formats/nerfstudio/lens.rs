@@ -2,7 +2,7 @@
 
 use super::json::LensKeys;
 use crate::core::{Distortion, Lens, SourceFault};
-use m4_scene::Intrinsics;
+use m4_core::Intrinsics;
 
 const REMEDY: &str = "correct the intrinsics in the file";
 

@@ -5,12 +5,11 @@ use super::{axes, lens};
 use crate::core::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::{Inside, clock, json, pictures, pose};
 use crate::side::depth;
+use m4_core::{CompactMask, Progress, Se3};
 use m4_io::capture::Axes;
 use m4_io::image;
 use m4_io::tracks::{self, TracksFault};
 use m4_io::video::natural;
-use m4_math::Se3;
-use m4_scene::{CompactMask, Progress};
 use std::path::{Path, PathBuf};
 
 /// Whether it is `transforms*.json`, or a folder with one.
@@ -282,7 +281,7 @@ impl Split {
         self.inside.check(found?)
     }
 
-    fn tracks(&self, name: &str, frames: usize, options: &ImportOptions) -> Result<m4_scene::Tracks, ReadSourceError> {
+    fn tracks(&self, name: &str, frames: usize, options: &ImportOptions) -> Result<m4_core::Tracks, ReadSourceError> {
         let path = self.inside.check(self.folder.join(name));
         let path = path.map_err(|fault| fault.within(&self.path, "tracks_path"))?;
         tracks::read(&path, frames, options.max_memory_bytes).map_err(|e| match e.fault {

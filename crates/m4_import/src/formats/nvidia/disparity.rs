@@ -3,7 +3,7 @@
 use crate::core::SourceFault;
 use crate::files::npy::NpyFile;
 use crate::side::depth::known;
-use m4_scene::{CompactDepth, DepthMap, Plane};
+use m4_core::{CompactDepth, DepthMap, Plane};
 use std::path::Path;
 
 /// Largest map in memory.

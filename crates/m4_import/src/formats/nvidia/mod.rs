@@ -25,7 +25,7 @@ use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSo
 use crate::files::pictures::{Picture, of_file};
 use crate::files::{Inside, clock, lens, listed, stem};
 use crate::side::mask::read_mask;
-use m4_scene::Progress;
+use m4_core::Progress;
 use poses::Pose;
 use std::path::{Path, PathBuf};
 

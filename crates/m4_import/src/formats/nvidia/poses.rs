@@ -3,8 +3,7 @@
 use crate::core::{ReadSourceError, SourceFault};
 use crate::files::npy::NpyFile;
 use crate::files::pose;
-use m4_math::Se3;
-use m4_scene::Intrinsics;
+use m4_core::{Intrinsics, Se3};
 use std::path::Path;
 
 /// Numbers a camera.

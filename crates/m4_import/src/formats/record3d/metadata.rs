@@ -2,9 +2,8 @@
 
 use crate::core::{Lens, ReadSourceError, SourceFault};
 use crate::files::{Members, clock, lens, parse_json, pose};
+use m4_core::{Intrinsics, Se3};
 use m4_io::capture::Axes;
-use m4_math::Se3;
-use m4_scene::Intrinsics;
 use serde::Deserialize;
 use std::path::Path;
 

@@ -20,8 +20,8 @@ mod sensor;
 
 use crate::core::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
 use crate::files::{Inside, Members, clock, first_bytes, lens};
+use m4_core::{Progress, RgbImage};
 use m4_io::image;
-use m4_scene::{Progress, RgbImage};
 use metadata::Metadata;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

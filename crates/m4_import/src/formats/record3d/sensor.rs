@@ -4,7 +4,7 @@ use crate::core::SourceFault;
 use crate::files::Members;
 use crate::side::depth::{kept_where, known};
 use lzfse_rust::LzfseRingDecoder;
-use m4_scene::{CompactDepth, Plane};
+use m4_core::{CompactDepth, Plane};
 use std::io::Read;
 
 const REMEDY: &str = "export the recording again as .r3d";

@@ -5,7 +5,7 @@ use crate::core::SourceFault;
 use exr::meta::MetaData;
 use exr::meta::header::Header;
 use exr::prelude::{ReadChannels, ReadLayers, ReadSpecificChannel, read};
-use m4_scene::{DepthMap, Plane};
+use m4_core::{DepthMap, Plane};
 use std::io::Cursor;
 
 /// Channels that hold depth, the likeliest first; by their last part, so that `ViewLayer.Depth.Z` of Blender is one.

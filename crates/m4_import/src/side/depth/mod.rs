@@ -17,8 +17,8 @@ use super::stack::Stack;
 use crate::core::{FrameSource, ImportOptions, SourceFault};
 use crate::files::npy::{NpyFile, array_of, open_npz, present};
 use crate::files::{bytes, first_bytes, pictures};
+use m4_core::{CompactDepth, DepthMap, Plane, Progress};
 use m4_io::image;
-use m4_scene::{CompactDepth, DepthMap, Plane, Progress};
 use std::path::{Path, PathBuf};
 
 /// Extensions of maps that are read of a folder.

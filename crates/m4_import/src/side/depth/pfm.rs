@@ -3,7 +3,7 @@
 
 use super::known;
 use crate::core::SourceFault;
-use m4_scene::{DepthMap, Plane};
+use m4_core::{DepthMap, Plane};
 
 /// Longest token of the head.
 const MAX_TOKEN: usize = 32;

@@ -1,7 +1,7 @@
 //! Sensor depth with its confidence.
 
 use crate::core::SourceFault;
-use m4_scene::{CompactDepth, Plane};
+use m4_core::{CompactDepth, Plane};
 
 /// Depth where `confidence` of the same size is above 0, unknown elsewhere.
 pub(crate) fn kept_where(depth: &CompactDepth, confidence: &Plane<u8>) -> Result<CompactDepth, SourceFault> {

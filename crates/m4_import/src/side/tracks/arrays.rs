@@ -3,8 +3,8 @@
 use crate::core::SourceFault;
 use crate::files::npy::{array_fault, array_of, present};
 use crate::files::pose;
+use m4_core::Se3;
 use m4_io::npy::Npz;
-use m4_math::Se3;
 
 const REMEDY: &str = "give the tracks of this clip, one frame for each training frame";
 

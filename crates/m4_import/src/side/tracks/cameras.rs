@@ -1,9 +1,7 @@
 //! Transforms positions from a world with its own cameras to the world of a clip.
 
 use crate::core::ListedFrame;
-use m4_math::Se3;
-use m4_math::nalgebra::Vector3;
-use m4_scene::Progress;
+use m4_core::{Progress, Se3, nalgebra::Vector3};
 
 /// Ratio of scales that is taken for rounding.
 const SAME_SCALE_WITHIN: f64 = 1e-3;

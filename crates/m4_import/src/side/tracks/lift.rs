@@ -2,8 +2,7 @@
 
 use super::arrays::Numbers;
 use crate::core::{Distortion, Lens, ListedFrame, SourceFault, step};
-use m4_math::nalgebra::Vector3;
-use m4_scene::{CompactDepth, Progress};
+use m4_core::{CompactDepth, Progress, nalgebra::Vector3};
 
 /// Steps of the search for the ray of a distorted pixel, and how far from it the search may end, pixels of a focal length of 1.
 const STEPS: usize = 100;
@@ -83,7 +82,7 @@ fn ray(lens: &Lens, u: f64, v: f64) -> Option<[f64; 2]> {
 mod tests {
     use super::ray;
     use crate::core::{Distortion, Lens};
-    use m4_scene::Intrinsics;
+    use m4_core::Intrinsics;
 
     #[test]
     fn the_ray_of_a_pixel_comes_back_to_it() {

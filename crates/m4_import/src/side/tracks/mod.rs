@@ -7,7 +7,7 @@ mod lift;
 use crate::core::{ListedFrame, SourceFault};
 use crate::files::npy::open_npz;
 use arrays::Read;
-use m4_scene::{Progress, Tracks};
+use m4_core::{Progress, Tracks};
 use std::path::Path;
 
 /// From which number on a visibility that is no boolean counts as seen. TAPIP3D writes booleans that it compared with 0.9 itself.
@@ -75,7 +75,7 @@ pub fn read_tracks(
     };
     let xyz = xyz.as_chunks::<3>().0.iter().map(place).collect();
     let visible = seen.values.iter().map(|&v| v > SEEN).collect();
-    let wrong = |e: m4_scene::ShapeError| SourceFault::bad(e.to_string(), "save the tracks again");
+    let wrong = |e: m4_core::ShapeError| SourceFault::bad(e.to_string(), "save the tracks again");
     let tracks = Tracks::new(n, k, xyz, visible).map_err(wrong)?;
     match colours {
         Some(rgb) => tracks.with_colours(rgb).map_err(wrong),

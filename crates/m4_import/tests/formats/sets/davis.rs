@@ -2,9 +2,9 @@
 
 use super::truth::*;
 use crate::support::{copied, fixture};
+use m4_core::Silent;
 use m4_import::formats::davis::{detect, read_clip};
 use m4_io::video::VideoOptions;
-use m4_scene::Silent;
 
 #[test]
 fn davis_frames_are_read_with_their_instance_masks() {

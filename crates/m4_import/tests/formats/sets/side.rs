@@ -2,10 +2,10 @@
 
 use super::truth::*;
 use crate::support::{Heard, fixture};
+use m4_core::Silent;
 use m4_import::side::depth::read_depth;
 use m4_import::side::mask::read_mask;
 use m4_import::{ImportOptions, Imported, SourceFormat, read};
-use m4_scene::Silent;
 use std::fs::File;
 use std::path::PathBuf;
 

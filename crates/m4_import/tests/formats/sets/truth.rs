@@ -1,9 +1,9 @@
 //! What every fixture means, and how results are compared with it.
 
 use crate::support::fixture;
+use m4_core::{Capture, CaptureFrame, Silent};
 use m4_import::{ImportOptions, Imported, ReadSourceError, SourceFormat, detect, read};
 use m4_io::npy::Npz;
-use m4_scene::{Capture, CaptureFrame, Silent};
 use std::path::Path;
 
 pub const W: usize = 48;

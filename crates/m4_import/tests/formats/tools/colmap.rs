@@ -33,7 +33,7 @@ fn pictures_without_a_pose_leave_a_gap_in_time() {
     let at = lines.iter().position(|line| line.ends_with("00002.png")).unwrap();
     lines.drain(at..at + 2);
     std::fs::write(&path, lines.join("\n") + "\n").unwrap();
-    let got = m4_import::read(&here, Colmap, &with_pictures(), &m4_scene::Silent)
+    let got = m4_import::read(&here, Colmap, &with_pictures(), &m4_core::Silent)
         .unwrap()
         .train;
     let times: Vec<f64> = got.frames.iter().map(|f| f.t).collect();
@@ -48,7 +48,7 @@ fn names_may_begin_with_the_folder() {
     let path = dir.path().join("images.txt");
     let text = std::fs::read_to_string(&path).unwrap();
     std::fs::write(&path, text.replace(" 7 0000", " 7 images/0000")).unwrap();
-    let got = m4_import::read(dir.path(), Colmap, &ImportOptions::default(), &m4_scene::Silent)
+    let got = m4_import::read(dir.path(), Colmap, &ImportOptions::default(), &m4_core::Silent)
         .unwrap()
         .train;
     Truth::read().same_cameras(&got, (0, 0.0));

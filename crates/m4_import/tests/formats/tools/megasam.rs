@@ -2,10 +2,10 @@
 
 use super::truth::read;
 use crate::support::fixture;
+use m4_core::Silent;
 use m4_import::ImportOptions;
 use m4_import::SourceFormat::Megasam;
 use m4_io::megasam::{self, MegasamOptions};
-use m4_scene::Silent;
 
 #[test]
 fn all_three_layouts_are_as_their_reader_has_them() {

@@ -2,10 +2,10 @@
 
 use super::truth::{SIZE, Truth, beside, read};
 use crate::support::{Heard, copied, fixture, refused};
+use m4_core::Silent;
 use m4_import::SourceFormat::Nerfstudio;
 use m4_import::{ImportOptions, read as import};
 use m4_io::capture::{Axes, Split};
-use m4_scene::Silent;
 
 #[test]
 fn nerfstudio_with_what_it_applied() {

@@ -1,12 +1,10 @@
 //! What the clip is, from the files of the oracle alone.
 
 use crate::support::fixture;
+use m4_core::{Capture, CaptureFrame, RgbImage, Se3, Silent, nalgebra::Matrix4};
 use m4_import::{ImportOptions, Imported, ReadSourceError, SourceFormat};
 use m4_io::npy::Array;
 use m4_io::reach::Reach;
-use m4_math::Se3;
-use m4_math::nalgebra::Matrix4;
-use m4_scene::{Capture, CaptureFrame, RgbImage, Silent};
 use serde::Deserialize;
 
 pub const FRAMES: usize = 5;

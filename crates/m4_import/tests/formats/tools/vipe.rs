@@ -48,7 +48,7 @@ fn missing_and_unsupported_vipe_files_are_named() {
     // depth and masks may be missing
     std::fs::remove_dir_all(here.join("depth")).unwrap();
     std::fs::remove_dir_all(here.join("mask")).unwrap();
-    let got = m4_import::read(&here.join("pose/dog.npz"), Vipe, &plain, &m4_scene::Silent)
+    let got = m4_import::read(&here.join("pose/dog.npz"), Vipe, &plain, &m4_core::Silent)
         .unwrap()
         .train;
     assert!(got.frames.len() == 5 && got.frames.iter().all(|f| f.depth.is_none() && f.mask.is_none()));

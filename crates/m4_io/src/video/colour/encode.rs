@@ -1,7 +1,7 @@
 //! Converts sRGB to the planes of an encoder.
 
 use super::YuvMatrix;
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use rayon::prelude::*;
 
 /// Planes of an image in 4:2:0.
@@ -58,7 +58,7 @@ impl Planes420 {
 mod tests {
     use super::Planes420;
     use crate::video::colour::{Range, YuvMatrix};
-    use m4_scene::Plane;
+    use m4_core::Plane;
 
     #[test]
     fn a_smooth_picture_comes_back() {

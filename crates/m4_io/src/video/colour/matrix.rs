@@ -1,6 +1,6 @@
 //! Converts luma and chroma to red, green and blue.
 
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 use rayon::prelude::*;
 
 /// Which numbers stand for black and white.

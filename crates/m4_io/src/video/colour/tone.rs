@@ -1,6 +1,6 @@
 //! Converts high dynamic range (BT.2100 PQ and HLG) to sRGB.
 
-use m4_scene::{Plane, RgbImage};
+use m4_core::{Plane, RgbImage};
 
 /// Luminance that becomes 1.0 before the shoulder, cd/m2: "HDR reference white" of ITU-R BT.2408.
 const REFERENCE_WHITE: f64 = 203.0;

@@ -4,7 +4,7 @@ use super::end::DecoderEnd;
 use super::messages::{Messages, OnLine};
 use super::{Allowed, environment, rlimits};
 use crate::video::ReadVideoError;
-use m4_scene::Progress;
+use m4_core::Progress;
 use std::io::{self, Read, Write};
 use std::path::Path;
 use std::process::{Child as Process, ChildStdin, Command, ExitStatus, Stdio};

@@ -4,7 +4,7 @@ use super::child::{command, probe_beside, start};
 use crate::video::colour::Hdr;
 use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, NOT_STARTED, Work, is_of_data};
 use crate::video::{ReadVideoError, VideoOptions};
-use m4_scene::Progress;
+use m4_core::Progress;
 use serde::Deserialize;
 use std::path::Path;
 

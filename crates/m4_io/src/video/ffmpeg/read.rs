@@ -7,7 +7,7 @@ use crate::video::colour::ToneMap;
 use crate::video::decoder::{Child, DecoderEnd, DecoderProgram, Halt, Work, is_of_data, is_of_memory};
 use crate::video::plan::{self, Collector};
 use crate::video::{ReadVideoError, VideoOptions};
-use m4_scene::{Plane, Progress, RgbImage, Video};
+use m4_core::{Plane, Progress, RgbImage, Video};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};

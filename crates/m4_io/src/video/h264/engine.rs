@@ -4,7 +4,7 @@ use super::decode::{Frame, H264};
 use super::wire::{self, Setup, plane_bytes};
 use crate::video::colour::YuvMatrix;
 use crate::video::decoder::{Allowed, Child, DecoderEnd, DecoderProgram, Halt, Start};
-use m4_scene::{Progress, RgbImage};
+use m4_core::{Progress, RgbImage};
 use openh264::formats::YUVSource;
 use std::collections::VecDeque;
 use std::io;

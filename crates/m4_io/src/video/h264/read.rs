@@ -10,7 +10,7 @@ use crate::video::mp4::{Sample, SampleEntry, Track};
 use crate::video::orient::Orientation;
 use crate::video::plan::{self, Collector};
 use crate::video::{ReadVideoError, VideoOptions};
-use m4_scene::{Progress, Video};
+use m4_core::{Progress, Video};
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};

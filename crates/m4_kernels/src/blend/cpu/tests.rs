@@ -13,7 +13,7 @@ use crate::{
         handover::tests::hand_over,
     },
 };
-use m4_math::CounterRng;
+use m4_core::CounterRng;
 
 const PLACE: BandPlace = BandPlace {
     top: 32,

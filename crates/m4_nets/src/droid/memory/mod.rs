@@ -21,7 +21,7 @@ use super::{DroidError, DroidNet, WIDTH};
 use crate::correlation::{FeatureMap, Pyramid, scores};
 use crate::ops::tensor;
 use burn_core::tensor::{DType, Tensor};
-use m4_scene::RgbImage;
+use m4_core::RgbImage;
 use std::collections::HashMap;
 use std::error::Error;
 use std::fmt;

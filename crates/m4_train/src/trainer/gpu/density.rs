@@ -1,10 +1,12 @@
 //! Density control with a device: decided by the device, or scored there and decided on the host.
 
-use crate::TrainError;
-use crate::config::SplitPlacement;
-use crate::density::{Origin, Plan, Rules, Scores, apply_to_splats};
-use crate::device::{DensifyPlan, DeviceRound, ScoreSettings};
-use crate::trainer::Trainer;
+use crate::{
+    TrainError,
+    config::SplitPlacement,
+    density::{Origin, Plan, Rules, Scores, apply_to_splats},
+    device::{DensifyPlan, DeviceRound, ScoreSettings},
+    trainer::Trainer,
+};
 use m4_kernels::View;
 
 impl Trainer<'_> {

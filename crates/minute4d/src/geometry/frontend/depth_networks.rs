@@ -5,9 +5,9 @@ use super::{MonoClip, Part, Plan};
 use crate::Error;
 use crate::error::NetworkError;
 use crate::steps::Steps;
+use m4_core::{Plane, Progress, RgbImage};
+use m4_geometry::megasam::MegasamError;
 use m4_nets::{Compute, DepthAnything, LoadError, MoGe, MoGeError, MoGeMap, MoGeOptions, UniDepth, cpu};
-use m4_scene::{Plane, Progress, RgbImage};
-use m4_slam::megasam::MegasamError;
 use std::path::Path;
 
 /// Longer side of the maps that are kept, pixels: those of MegaSaM's metric depth.
@@ -33,7 +33,7 @@ fn kept(plane: Plane<f32>) -> Plane<f32> {
         return plane;
     }
     let side = |n: usize| (n * KEPT_SIDE / long).max(1);
-    m4_slam::megasam::resize_nearest(&plane, side(w), side(h))
+    m4_geometry::megasam::resize_nearest(&plane, side(w), side(h))
 }
 
 /// The image with its longer side at most `long`.

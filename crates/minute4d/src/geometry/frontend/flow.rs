@@ -1,10 +1,10 @@
 //! Networks for optical flow.
 
+use m4_core::{Plane, RgbImage};
+use m4_geometry::cvd::pairs::{FlowField, FramePair};
+use m4_geometry::dense::{Flow, FlowError, FlowPicture, FlowSource};
+use m4_geometry::megasam::{PairFlow, PairFlowError};
 use m4_nets::{Raft, raft::LowFlow};
-use m4_scene::{Plane, RgbImage};
-use m4_slam::cvd::pairs::{FlowField, FramePair};
-use m4_slam::dense::{Flow, FlowError, FlowPicture, FlowSource};
-use m4_slam::megasam::{PairFlow, PairFlowError};
 use std::collections::HashMap;
 
 const RAFT: &str = "raft";

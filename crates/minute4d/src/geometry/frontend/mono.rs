@@ -1,9 +1,9 @@
 //! Monocular depth of every frame.
 
-use m4_scene::{Plane, RgbImage};
-use m4_slam::dense::{MonoDepth, MonoError, MonoKind, MonoMap};
+use m4_core::{Plane, RgbImage};
+use m4_geometry::dense::{MonoDepth, MonoError, MonoKind, MonoMap};
 #[cfg(feature = "nets")]
-use m4_slam::megasam::{DepthPrior, MegasamError, TrackingSize};
+use m4_geometry::megasam::{DepthPrior, MegasamError, TrackingSize};
 use std::borrow::Cow;
 
 /// Depth of every frame of a clip; the maps may be smaller than the images.

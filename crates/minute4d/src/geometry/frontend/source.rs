@@ -4,8 +4,8 @@ use super::{MonoClip, Plan};
 use crate::Error;
 use crate::device::NetworkDevice;
 use crate::steps::Steps;
-use m4_scene::{Progress, RgbImage};
-use m4_slam::dense::{FlowSource, InverseSearch};
+use m4_core::{Progress, RgbImage};
+use m4_geometry::dense::{FlowSource, InverseSearch};
 
 impl Plan {
     /// The source of flow; a recurrent network takes `iterations`.
@@ -54,9 +54,9 @@ mod networks {
     use super::super::{Part, Plan};
     use super::{Error, NetworkDevice};
     use crate::error::{NetworkError, NetworkMethod};
+    use m4_geometry::dense::FlowSource;
+    use m4_geometry::megasam::PairFlow;
     use m4_nets::{LoadError, Raft};
-    use m4_slam::dense::FlowSource;
-    use m4_slam::megasam::PairFlow;
 
     pub fn unusable(part: Part) -> impl Fn(LoadError) -> Error {
         move |source| {

@@ -3,12 +3,12 @@
 use super::source::unusable;
 use super::{Part, Plan};
 use crate::Error;
+use m4_core::{Mask, Plane, RgbImage};
+use m4_geometry::graph::EdgeChanges;
+use m4_geometry::megasam::TrackingSize;
+use m4_geometry::tracker::{Correspondence, CorrespondenceError, Revision};
 use m4_nets::droid::{DroidMemory, DroidNet, EdgeUpdate, MemoryOptions, Storage};
 use m4_nets::{Compute, DroidError};
-use m4_scene::{Mask, Plane, RgbImage};
-use m4_slam::graph::EdgeChanges;
-use m4_slam::megasam::TrackingSize;
-use m4_slam::tracker::{Correspondence, CorrespondenceError, Revision};
 use std::sync::Arc;
 
 /// The network's memory of one clip.
@@ -55,7 +55,7 @@ impl<'a> NetworkCorrespondence<'a> {
         };
         let on_grid = |mask: &Mask| {
             let grid = size.grid();
-            let scaled = m4_slam::megasam::resize_nearest(mask, size.scaled.0, size.scaled.1);
+            let scaled = m4_geometry::megasam::resize_nearest(mask, size.scaled.0, size.scaled.1);
             let plane = Plane::from_fn(grid.width, grid.height, |x, y| scaled.row(8 * y)[8 * x] != 0);
             plane.into_vec()
         };

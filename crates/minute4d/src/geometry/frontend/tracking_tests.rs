@@ -1,17 +1,16 @@
 //! The tracker with the tracking network in it, synthetic weights: what it asks, how often, and the published loop.
 
 use super::{NetworkCorrespondence, memory};
-use m4_math::Se3;
-use m4_nets::droid::{MemoryOptions, Storage};
-use m4_nets::{DroidNet, cpu};
-use m4_scene::{NoCache, Plane, RgbImage, Silent};
-use m4_slam::dba::{DbaOptions, Factor, Geometry, Grid, Pinhole, Problem, adjust, project};
-use m4_slam::graph::{EdgeChanges, FactorGraph};
-use m4_slam::megasam::{MegasamInput, MegasamSettings, SourceFlow, TrackingSize, reconstruct};
-use m4_slam::tracker::{
+use m4_core::{NoCache, Plane, RgbImage, Se3, Silent};
+use m4_geometry::dba::{DbaOptions, Factor, Geometry, Grid, Pinhole, Problem, adjust, project};
+use m4_geometry::graph::{EdgeChanges, FactorGraph};
+use m4_geometry::megasam::{MegasamInput, MegasamSettings, SourceFlow, TrackingSize, reconstruct};
+use m4_geometry::tracker::{
     Correspondence, CorrespondenceError, EdgeRevision, FrameInput, Frontend, Revision, SourceRevision, Submitted,
     TrackerSettings,
 };
+use m4_nets::droid::{MemoryOptions, Storage};
+use m4_nets::{DroidNet, cpu};
 use m4_testkit::write_formula_weights;
 use safetensors::SafeTensors;
 use std::path::Path;
@@ -165,7 +164,7 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
     };
     settings.cvd.steps = [3, 4];
     let size = TrackingSize::new((SIDE, SIDE), settings.tracking_pixels).unwrap();
-    let search = m4_slam::dense::InverseSearch;
+    let search = m4_geometry::dense::InverseSearch;
     let run = |budget_mb: usize, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
@@ -173,7 +172,7 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
             let input = MegasamInput {
                 pictures: &pictures,
                 times_s: &times,
-                lens: m4_scene::Intrinsics::centred(SIDE, SIDE, 110.0),
+                lens: m4_core::Intrinsics::centred(SIDE, SIDE, 110.0),
                 focal_is_free: true,
                 prior: None,
             };

@@ -2,8 +2,8 @@
 
 use super::GivenError;
 use crate::Error;
+use m4_core::Video;
 use m4_io::video::pictures;
-use m4_scene::Video;
 use std::collections::HashMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,7 @@
 //! Parses intrinsics from the command line or a JSON file.
 
 use super::{GivenError, same_shape};
-use m4_scene::Intrinsics;
+use m4_core::Intrinsics;
 use serde::Deserialize;
 use std::fs;
 

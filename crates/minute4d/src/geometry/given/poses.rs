@@ -3,9 +3,8 @@
 use super::files::Clip;
 use super::{GivenError, same_shape};
 use crate::Error;
+use m4_core::{Camera, Intrinsics, Se3};
 use m4_io::trajectory;
-use m4_math::Se3;
-use m4_scene::{Camera, Intrinsics};
 use std::fs;
 use std::path::Path;
 
@@ -101,7 +100,7 @@ fn trajectory_lines(text: &str) -> Result<Vec<Se3<f64>>, (usize, String)> {
 #[cfg(test)]
 mod tests {
     use super::trajectory_lines;
-    use m4_math::nalgebra::Vector3;
+    use m4_core::nalgebra::Vector3;
 
     #[test]
     fn lines_are_poses_from_camera_to_world() {

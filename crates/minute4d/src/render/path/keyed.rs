@@ -4,9 +4,11 @@ use super::shapes::looking;
 use super::{SourcePath, Stop};
 use crate::render::spline::{PoseSpline, Spline};
 use crate::render::{Moment, Span, TimeError};
+use m4_core::{
+    Camera, Exposure, Intrinsics,
+    nalgebra::{Vector1, Vector3},
+};
 use m4_io::trajectory::{KeyPose, Keyed, Keyframe, SceneTime};
-use m4_math::nalgebra::{Vector1, Vector3};
-use m4_scene::{Camera, Exposure, Intrinsics};
 
 /// Nodes beyond the ends of a closed path, so that it has no corner there.
 const WRAPPED: usize = 2;
@@ -113,7 +115,7 @@ impl Way {
         Self::Poses(PoseSpline::new(times.to_vec(), poses.collect()))
     }
 
-    fn at(&self, time: f64) -> m4_math::Se3<f64> {
+    fn at(&self, time: f64) -> m4_core::Se3<f64> {
         match self {
             Self::Poses(poses) => poses.at(time),
             Self::Targets {

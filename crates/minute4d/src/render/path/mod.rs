@@ -12,8 +12,8 @@ use super::{Painter, PathConfig, PathError, PathOptions, Region, RenderJob, Span
 use crate::Error;
 use bullet::Bullet;
 use keyed::KeyedPath;
+use m4_core::{Camera, Exposure, Scene};
 use m4_io::trajectory::{self, Trajectory};
-use m4_scene::{Camera, Exposure, Scene};
 use stabilised::Smoothing;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -257,7 +257,7 @@ impl Maker<'_> {
     }
 }
 
-fn stop_of(frame: &m4_scene::SourceFrame) -> Stop {
+fn stop_of(frame: &m4_core::SourceFrame) -> Stop {
     Stop {
         camera: frame.camera,
         t: frame.t,

@@ -3,9 +3,10 @@
 use super::{PathConfig, PathOptions};
 use crate::render::Region;
 use crate::render::swing::{figure_of_eight, orbit};
-use m4_math::Se3;
-use m4_math::nalgebra::{Matrix3, Vector3};
-use m4_scene::Camera;
+use m4_core::{
+    Camera, Se3,
+    nalgebra::{Matrix3, Vector3},
+};
 use std::f64::consts::TAU;
 
 /// Greatest turn to either side that is good for the scene, radians, or what was asked for.

@@ -3,7 +3,7 @@
 use super::{PathError, Stop};
 use crate::render::DEFAULT_FPS;
 use crate::render::spline::PoseSpline;
-use m4_scene::{Camera, Exposure, Intrinsics, Scene, SourceFrame};
+use m4_core::{Camera, Exposure, Intrinsics, Scene, SourceFrame};
 
 /// The source camera at any moment.
 #[derive(Debug, Clone)]

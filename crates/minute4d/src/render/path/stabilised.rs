@@ -7,8 +7,10 @@
 
 use super::SourcePath;
 use crate::render::spline::{PoseSpline, quaternion};
-use m4_math::Se3;
-use m4_math::nalgebra::{UnitQuaternion, Vector3};
+use m4_core::{
+    Se3,
+    nalgebra::{UnitQuaternion, Vector3},
+};
 
 /// Samples a second that are smoothed.
 const RATE_HZ: f64 = 60.0;

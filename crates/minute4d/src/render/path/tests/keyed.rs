@@ -4,7 +4,7 @@ use super::{NONE, plan_of, scene};
 use crate::Error;
 use crate::render::RenderJob;
 use crate::render::path::{CameraPath, PathOptions, Plan};
-use m4_math::nalgebra::Vector3;
+use m4_core::nalgebra::Vector3;
 
 fn keyed(text: &str, job: &RenderJob) -> Result<Plan, Error> {
     let dir = tempfile::tempdir().unwrap();

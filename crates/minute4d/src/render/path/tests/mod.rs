@@ -7,10 +7,11 @@ use super::stabilised::{Smoothing, stabilised};
 use super::{CameraPath, PathConfig, PathError, PathOptions, Plan, SourcePath};
 use crate::Error;
 use crate::render::{Moment, Painter, RenderJob, Stop, TimePath};
+use m4_core::{
+    Camera, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats, log_so3,
+    nalgebra::{Vector3, Vector6},
+};
 use m4_kernels::SimdLevel;
-use m4_math::nalgebra::{Vector3, Vector6};
-use m4_math::{CounterRng, Se3, log_so3};
-use m4_scene::{Camera, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout, Splats};
 
 /// A clip of 3 s with a frame a tenth: a camera that goes sideways, turns, and is lit differently as it goes.
 fn scene(tremble: f64) -> Scene {
@@ -195,7 +196,7 @@ fn a_steady_source_is_left_alone() {
     for (i, frame) in scene.source.iter_mut().enumerate() {
         let k = i as f64 / 30.0;
         frame.camera.c2w = Se3 {
-            rotation: m4_math::exp_so3(&Vector3::new(0.0, 0.4 * k, 0.0)),
+            rotation: m4_core::exp_so3(&Vector3::new(0.0, 0.4 * k, 0.0)),
             translation: Vector3::new(k, 0.5 * k, 0.0),
         };
     }

@@ -1,0 +1,276 @@
+//! The fast path: the loss, its gradients and Adam in f32, fused, in vectors and threads.
+//!
+//! ```text
+//! step:  rounds of sources: pair (all pairs of a source)   -> gradients of the source, scattered gradients of targets
+//!        all frames:        frame (shape terms, sum, Adam) -> disparity and u, moved
+//! ```
+//!
+//! Sources of a round share no target, rounds follow one another, a frame is one task, and sums are added in order: the bits
+//! do not depend on the number of threads. Beside the flow, memory is 16 planes of f32 a frame; nothing grows with the
+//! number of pairs.
+
+mod adam;
+mod edges;
+mod elementary;
+mod frame;
+mod level;
+mod pair;
+mod schedule;
+mod shape;
+mod surface;
+
+pub(super) use frame::{FrameState, Moves};
+pub(super) use level::SimdLevel;
+
+use super::pairs::{CompactFlow, PairSource};
+use super::reference::Lens;
+use super::{PairError, Weights};
+use adam::Rate;
+use frame::{Frame, Scratch, Step};
+use level::dispatch;
+use m4_core::Se3;
+use pair::{Rows, Source, Sums, View};
+use rayon::prelude::*;
+use schedule::{Task, rounds};
+use shape::{Motion, Shape};
+use std::sync::{Mutex, PoisonError};
+
+/// The state of a descent.
+pub(super) struct Descent<'a> {
+    level: SimdLevel,
+    shape: Shape,
+    scratch: Pool,
+    pairs: &'a dyn PairSource,
+    motions: Vec<Motion>,
+    rounds: Vec<Vec<Task>>,
+    frames: Vec<Frame>,
+}
+
+/// What threads work in, made once: fresh memory costs more than the work in it.
+struct Pool {
+    shape: Shape,
+    lens: Lens<f64>,
+    free: Mutex<Vec<Scratch>>,
+}
+
+impl Pool {
+    fn lend<T>(&self, work: impl FnOnce(&mut Scratch) -> T) -> T {
+        let free = || self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let taken = free().pop();
+        let mut scratch = taken.unwrap_or_else(|| Scratch::new(self.shape, &self.lens));
+        let out = work(&mut scratch);
+        free().push(scratch);
+        out
+    }
+}
+
+/// What a frame starts from, planes of `[height][width]`.
+pub(super) struct Start<'a> {
+    pub disparity: &'a [f32],
+    pub uncertainty: &'a [f32],
+}
+
+/// Loss before a step and the number of pixels of pairs that counted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Report {
+    pub loss: f64,
+    pub count: f64,
+}
+
+impl<'a> Descent<'a> {
+    /// The caller has checked that everything fits together.
+    pub fn new(
+        level: SimdLevel,
+        lens: Lens<f64>,
+        w2c: &[Se3<f64>],
+        pairs: &'a dyn PairSource,
+        starts: &[Start<'_>],
+    ) -> Self {
+        let (width, height) = pairs.size();
+        let shape = Shape::new(width, height);
+        let frame = |s: &Start<'_>| Frame::new(shape, s.disparity, s.uncertainty);
+        Self {
+            level,
+            shape,
+            scratch: Pool {
+                shape,
+                lens,
+                free: Mutex::default(),
+            },
+            pairs,
+            motions: pairs.pairs().iter().map(|&p| Motion::new(&lens, w2c, p)).collect(),
+            rounds: rounds(w2c.len(), pairs.pairs()),
+            frames: starts.par_iter().map(frame).collect(),
+        }
+    }
+
+    /// Begins a stage at the disparity that the last one reached.
+    pub fn begin(&mut self) {
+        let (level, shape, scratch) = (self.level, self.shape, &self.scratch);
+        self.frames.par_iter_mut().for_each(|frame| {
+            scratch.lend(|scratch| dispatch!(level, _s => frame.begin(shape, scratch)));
+        });
+    }
+
+    /// How many frames there are.
+    pub fn frames(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// The disparity of each frame as it is kept inside.
+    pub fn raw_disparity(&self) -> impl Iterator<Item = &Vec<f32>> {
+        self.frames.iter().map(|frame| &frame.disparity)
+    }
+
+    /// What each frame goes on from.
+    pub fn states(&self) -> impl Iterator<Item = FrameState> {
+        self.frames.iter().map(Frame::state)
+    }
+
+    /// Begins a stage, at the disparity `begun` if that is given, and goes on from `states` in it; false where they are of
+    /// another clip, which leaves the descent unusable only if the sizes of some frames differ.
+    pub fn restore(&mut self, begun: Option<Vec<Vec<f32>>>, states: Vec<FrameState>, moves: Moves) -> bool {
+        let fits = |planes: &Vec<Vec<f32>>| {
+            planes.len() == self.frames.len() && planes.iter().all(|p| p.len() == self.shape.plain())
+        };
+        if states.len() != self.frames.len() || !begun.as_ref().is_none_or(fits) {
+            return false;
+        }
+        for (frame, disparity) in self.frames.iter_mut().zip(begun.into_iter().flatten()) {
+            frame.disparity = disparity;
+        }
+        self.begin();
+        let shape = self.shape;
+        let restored = self.frames.par_iter_mut().zip(states);
+        restored.all(|(frame, state)| frame.restore(state, shape, moves))
+    }
+
+    /// One step of Adam; `number` counts from 1 in each stage.
+    pub fn step(
+        &mut self,
+        moves: Moves,
+        weights: &Weights,
+        learning_rate: f64,
+        epsilon: f64,
+        number: usize,
+    ) -> Result<Report, PairError> {
+        let sums = self.pair_terms(weights)?;
+        let (level, shape, scratch) = (self.level, self.shape, &self.scratch);
+        let pair_scale = 1.0 / (sums.count + 1e-8);
+        let step = Step {
+            shape,
+            frames: self.frames.len(),
+            weights,
+            pair_scale,
+            moves,
+            rate: Rate::new(learning_rate, number, epsilon),
+        };
+        let losses: Vec<f64> = self
+            .frames
+            .par_iter_mut()
+            .map(|frame| scratch.lend(|scratch| dispatch!(level, _s => frame.step(&step, scratch))))
+            .collect();
+        Ok(Report {
+            loss: pair_scale * sums.loss + losses.iter().sum::<f64>(),
+            count: sums.count,
+        })
+    }
+
+    /// The terms of the pairs, round by round.
+    fn pair_terms(&mut self, weights: &Weights) -> Result<Sums, PairError> {
+        let Self { level, shape, .. } = *self;
+        let mut total = Sums::default();
+        for round in &self.rounds {
+            // each task owns what it writes to, and gives it back afterwards
+            let mut work: Vec<Work<'_>> = Vec::with_capacity(round.len());
+            for task in round {
+                let frame = &mut self.frames[task.source];
+                let own = [
+                    std::mem::take(&mut frame.by_disparity),
+                    std::mem::take(&mut frame.by_uncertainty),
+                ];
+                let target = |&k: &usize| std::mem::take(&mut self.frames[self.pairs.pairs()[k].target].scatter);
+                work.push(Work {
+                    task,
+                    own,
+                    targets: task.pairs.iter().map(target).collect(),
+                });
+            }
+            let (frames, motions, pairs) = (&self.frames, &self.motions, self.pairs);
+            let sums: Vec<Result<Sums, PairError>> = work
+                .par_iter_mut()
+                .map_init(
+                    || (Rows::default(), Vec::<CompactFlow>::new()),
+                    |(rows, buffers), work| {
+                        buffers.resize_with(work.task.pairs.len(), CompactFlow::default);
+                        let mut views = Vec::with_capacity(work.task.pairs.len());
+                        for ((&k, buffer), scatter) in work.task.pairs.iter().zip(buffers).zip(&mut work.targets) {
+                            views.push(View {
+                                flow: pairs.flow(k, buffer)?,
+                                motion: motions[k],
+                                seen: &frames[pairs.pairs()[k].target].seen,
+                                scatter,
+                            });
+                        }
+                        let frame = &frames[work.task.source];
+                        let [by_disparity, by_uncertainty] = &mut work.own;
+                        let source = Source {
+                            seen: &frame.seen,
+                            uncertainty: &frame.seen_uncertainty,
+                            by_disparity,
+                            by_uncertainty,
+                        };
+                        Ok(dispatch!(level, s => pair::source(s, shape, weights, source, &mut views, rows)))
+                    },
+                )
+                .collect();
+            for work in work {
+                let frame = &mut self.frames[work.task.source];
+                [frame.by_disparity, frame.by_uncertainty] = work.own;
+                for (&k, scatter) in work.task.pairs.iter().zip(work.targets) {
+                    self.frames[self.pairs.pairs()[k].target].scatter = scatter;
+                }
+            }
+            for sums in sums {
+                let Sums { loss, count } = sums?;
+                total.loss += loss;
+                total.count += count;
+            }
+        }
+        Ok(total)
+    }
+
+    /// Puts the disparity of all frames, `[frames][height][width]`, somewhere else than where the stage began.
+    #[cfg(test)]
+    pub fn place(&mut self, disparity: &[f32]) {
+        for (frame, d) in self.frames.iter_mut().zip(disparity.chunks_exact(self.shape.pixels())) {
+            frame.disparity = self.shape.spread(d, 1.0);
+            frame.look(self.shape, 1.0, 0.0);
+        }
+    }
+
+    /// Ends stage 1: scale and shift of each frame, which become part of its disparity.
+    pub fn settle(&mut self) -> Vec<(f64, f64)> {
+        self.frames.par_iter_mut().for_each(Frame::settle);
+        self.frames.iter().map(|f| (f.log_scale.exp(), f.shift)).collect()
+    }
+
+    /// The disparity of each frame, `[height][width]`, not clamped.
+    pub fn disparity(&self) -> Vec<Vec<f32>> {
+        self.frames.iter().map(|f| self.shape.gather(&f.disparity)).collect()
+    }
+
+    /// u of each frame, `[height][width]`, not clamped.
+    pub fn uncertainty(&self) -> Vec<Vec<f32>> {
+        self.frames.iter().map(|f| self.shape.gather(&f.uncertainty)).collect()
+    }
+}
+
+/// A task and what it writes to.
+struct Work<'a> {
+    task: &'a Task,
+    /// Gradients of the source with respect to disparity and uncertainty.
+    own: [Vec<f32>; 2],
+    /// Scattered gradients of the targets, one a pair.
+    targets: Vec<Vec<f32>>,
+}

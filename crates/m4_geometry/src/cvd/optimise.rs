@@ -1,0 +1,270 @@
+//! The two stages from the caller's side: checks, conventions, units.
+
+use super::course::{Course, RecordingObserver};
+use super::fast::{Descent, Moves, SimdLevel, Start};
+use super::pairs::PairSource;
+use super::reference::{DISPARITY, Lens, UNCERTAINTY};
+use super::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS, WORKING_PERCENTILE_98};
+use super::{CvdError, CvdInput, CvdSettings, PairError};
+use m4_core::{Cache, Plane, Progress, Se3};
+use std::collections::HashSet;
+
+/// Images below this have no 5x5 neighbourhood to reflect.
+const LEAST_SIDE_PX: usize = 8;
+
+/// Consistent disparities and how they came about.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Consistent {
+    /// One over z-depth, one plane a frame, in the unit of the input; positive.
+    pub disparity: Vec<Plane<f32>>,
+    /// u, one plane a frame: low where a pixel does not follow the camera's motion.
+    pub uncertainty: Vec<Plane<f32>>,
+    /// The factor that stage 1 gave each frame: its disparity entered stage 2 as `scale initial + shift`.
+    pub scale: Vec<f64>,
+    /// The summand of stage 1, one over the unit of the poses.
+    pub shift: Vec<f64>,
+    /// The loss before each step, of both stages.
+    pub losses: [Vec<f64>; 2],
+}
+
+/// Moves the disparity of every frame until the frames agree with one another along the flow.
+///
+/// Poses and intrinsics are held fixed, and the scale of the poses decides the scale of the result. See the module for the
+/// method and [`super::pairs::PairStore`] for the flow. The result is the same on any number of threads, and where it was
+/// interrupted and goes on from what `cache` kept of the same input and settings.
+///
+/// # Errors
+///
+/// [`CvdError`] if the inputs do not belong together or hold numbers that cannot be worked with, if no pixel of any pair
+/// counts, if pairs cannot be read, or if `progress` says to stop.
+pub fn optimise(
+    input: &CvdInput<'_>,
+    pairs: &dyn PairSource,
+    settings: &CvdSettings,
+    progress: &dyn Progress,
+    cache: &dyn Cache,
+) -> Result<Consistent, CvdError> {
+    check(input, pairs)?;
+    let k = &input.intrinsics;
+    let lens = Lens {
+        fx: k.fx,
+        fy: k.fy,
+        cx: k.cx - 0.5,
+        cy: k.cy - 0.5,
+        normal_shift_px: 0.0,
+    };
+    // disparities times this are worked on
+    let unit = WORKING_PERCENTILE_98 / percentile_98(input.disparity);
+    let w2c: Vec<Se3<f64>> = input
+        .c2w
+        .iter()
+        .map(|pose| {
+            let mut w2c = pose.inverse();
+            w2c.translation /= unit;
+            w2c
+        })
+        .collect();
+    let scaled: Vec<Vec<f32>> = input
+        .disparity
+        .iter()
+        .map(|plane| plane.data().iter().map(|&d| (f64::from(d) * unit) as f32).collect())
+        .collect();
+    let starts: Vec<Start<'_>> = (0..scaled.len())
+        .map(|i| Start {
+            disparity: &scaled[i],
+            uncertainty: input.uncertainty[i].data(),
+        })
+        .collect();
+    let mut descent = Descent::new(SimdLevel::best(), lens, &w2c, pairs, &starts);
+    drop(starts);
+    drop(scaled);
+    run(&mut descent, pairs.pairs().len(), settings, progress, cache).map(|course| {
+        let Course { affine, losses, .. } = course;
+        let (width, height) = pairs.size();
+        let plane = |data: Vec<f32>, factor: f64, limits: [f64; 2]| {
+            let at = |x: usize, y: usize| (f64::from(data[y * width + x]).clamp(limits[0], limits[1]) / factor) as f32;
+            Plane::from_fn(width, height, at)
+        };
+        let disparity = descent.disparity().into_iter().map(|d| plane(d, unit, DISPARITY));
+        let uncertainty = descent.uncertainty().into_iter().map(|u| plane(u, 1.0, UNCERTAINTY));
+        Consistent {
+            disparity: disparity.collect(),
+            uncertainty: uncertainty.collect(),
+            scale: affine.iter().map(|a| a.0).collect(),
+            shift: affine.iter().map(|a| a.1 / unit).collect(),
+            losses,
+        }
+    })
+}
+
+/// Both stages.
+pub(super) fn run(
+    descent: &mut Descent<'_>,
+    pairs: usize,
+    settings: &CvdSettings,
+    progress: &dyn Progress,
+    cache: &dyn Cache,
+) -> Result<Course, CvdError> {
+    const MOVES: [Moves; 2] = [Moves::Affine, Moves::Pixels];
+    let total = settings.steps[0] + settings.steps[1];
+    let mut keeper = RecordingObserver::new(cache);
+    let mut course = keeper.resume(descent, &MOVES).unwrap_or_default();
+    for index in course.stage..MOVES.len() {
+        let moves = MOVES[index];
+        course.stage = index;
+        if course.step == 0 {
+            descent.begin();
+            if moves == Moves::Pixels {
+                keeper.second_stage(descent);
+            }
+        }
+        while course.step < settings.steps[index] {
+            if progress.cancelled() {
+                keeper.save(&mut course, descent);
+                return Err(CvdError::Cancelled {
+                    stage: index + 1,
+                    step: course.step,
+                });
+            }
+            course.step += 1;
+            let (weights, rate) = (&WEIGHTS[index], LEARNING_RATE[index]);
+            let report = descent.step(moves, weights, rate, ADAM_EPSILON, course.step)?;
+            if index == 0 && course.step == 1 && report.count == 0.0 {
+                return Err(CvdError::NoFlow { pairs });
+            }
+            course.losses[index].push(report.loss);
+            let done = course.losses[0].len() + course.losses[1].len();
+            progress.update("consistent depth", done, total, &format!("loss {:.4}", report.loss));
+            if keeper.due() {
+                keeper.save(&mut course, descent);
+            }
+        }
+        if moves == Moves::Affine {
+            course.affine = descent.settle();
+        }
+        course.step = 0;
+    }
+    Ok(course)
+}
+
+fn check(input: &CvdInput<'_>, pairs: &dyn PairSource) -> Result<(), CvdError> {
+    let frames = input.c2w.len();
+    let (width, height) = pairs.size();
+    if width < LEAST_SIDE_PX || height < LEAST_SIDE_PX {
+        return Err(CvdError::Size {
+            size: (width, height),
+            minimum: LEAST_SIDE_PX,
+        });
+    }
+    let k = &input.intrinsics;
+    for (what, found, expected) in [
+        ("disparity", input.disparity.len(), frames),
+        ("uncertainty", input.uncertainty.len(), frames),
+        ("a row of the intrinsics' image", k.width, width),
+        ("a column of the intrinsics' image", k.height, height),
+    ] {
+        if found != expected {
+            return Err(CvdError::Count { what, found, expected });
+        }
+    }
+    let mut seen = HashSet::new();
+    for (pair, p) in pairs.pairs().iter().enumerate() {
+        if p.source >= frames || p.target >= frames {
+            return Err(CvdError::Frame {
+                pair,
+                source_frame: p.source,
+                target_frame: p.target,
+                frames,
+            });
+        }
+    }
+    if let Some(pair) = pairs.pairs().iter().find(|p| !seen.insert(**p)) {
+        return Err(CvdError::Pairs(PairError::Pair {
+            source_frame: pair.source,
+            target_frame: pair.target,
+            what: "there already",
+        }));
+    }
+    for frame in 0..frames {
+        let pose = &input.c2w[frame];
+        let lens = [
+            k.fx,
+            k.fy,
+            k.cx,
+            k.cy,
+            k.fx.recip(),
+            k.fy.recip(),
+            k.fx.sqrt(),
+            k.fy.sqrt(),
+        ];
+        let numbers = pose.rotation.iter().chain(pose.translation.iter()).chain(&lens);
+        if let Some(&value) = numbers.into_iter().find(|v| !v.is_finite()) {
+            let (what, range) = ("the camera", "finite, with focal lengths above 0");
+            return Err(CvdError::Value {
+                what,
+                frame,
+                value,
+                range,
+            });
+        }
+        let positive = |v: f32| v > 0.0 && v.is_finite();
+        plane(
+            "disparity",
+            frame,
+            &input.disparity[frame],
+            width,
+            height,
+            "above 0 and finite",
+            positive,
+        )?;
+        plane(
+            "uncertainty",
+            frame,
+            &input.uncertainty[frame],
+            width,
+            height,
+            "above 0 and finite",
+            positive,
+        )?;
+    }
+    Ok(())
+}
+
+fn plane(
+    what: &'static str,
+    frame: usize,
+    plane: &Plane<f32>,
+    width: usize,
+    height: usize,
+    range: &'static str,
+    valid: impl Fn(f32) -> bool,
+) -> Result<(), CvdError> {
+    if plane.size() != (width, height) {
+        return Err(CvdError::Count {
+            what,
+            found: plane.data().len(),
+            expected: width * height,
+        });
+    }
+    match plane.data().iter().find(|v| !valid(**v)) {
+        Some(&value) => Err(CvdError::Value {
+            what,
+            frame,
+            value: value.into(),
+            range,
+        }),
+        None => Ok(()),
+    }
+}
+
+/// Of all pixels of all frames, by linear interpolation between ranks as NumPy has it; 0 frames give 1.
+fn percentile_98(disparity: &[Plane<f32>]) -> f64 {
+    let mut values: Vec<f32> = disparity.iter().flat_map(|p| p.data()).copied().collect();
+    if values.is_empty() {
+        return 1.0;
+    }
+    let rank = 0.98 * (values.len() - 1) as f64;
+    let (_, &mut below, above) = values.select_nth_unstable_by(rank.floor() as usize, f32::total_cmp);
+    let next = above.iter().copied().min_by(f32::total_cmp).unwrap_or(below);
+    f64::from(below) + rank.fract() * f64::from(next - below)
+}

@@ -1,0 +1,210 @@
+//! A part as a rigid body: dense bundle adjustment of the camera against it.
+
+use super::edges::{Inside, factors};
+use super::{BLOCK_PX, Clip, Tracklet};
+use crate::dba::{DbaOptions, Free, Geometry, Grid, Pinhole, Problem, Robust, adjust};
+use m4_core::{Camera, Se3};
+use nalgebra::Vector3;
+
+/// Fewest adjusted pixels per frame.
+const LEAST_POINTS: usize = 12;
+/// Noise of the flow, pixels at the working size (scale of the Cauchy weight).
+const NOISE_PX: f32 = 0.6;
+/// Weight of the disparity that contact suggests.
+const PRIOR: f32 = 0.001;
+/// Share of the relief of a region that is kept, 0..1; the rest is drawn to a plane.
+const RELIEF: f32 = 0.5;
+/// Iterations with the shape held.
+const POSE_ITERATIONS: usize = 6;
+/// Iterations of all variables.
+const ITERATIONS: usize = 20;
+
+/// What adjustment made of a part, up to one factor.
+pub(super) struct Shape {
+    grid: Grid,
+    /// World to camera by frame of the tracklet, the world being fixed to the body.
+    pub poses: Vec<Se3<f64>>,
+    /// `[grid height][grid width]` by frame; 0 where nothing is known.
+    pub disparity: Vec<Vec<f32>>,
+}
+
+impl Shape {
+    /// The mean of all known points, in the frame of the body.
+    pub fn middle(&self, clip: &Clip<'_>) -> Option<Vector3<f64>> {
+        let camera = clip.cameras.first()?;
+        let (mut sum, mut count) = (Vector3::zeros(), 0.0);
+        for (k, pose) in self.poses.iter().enumerate() {
+            let (mut here, mut n) = (Vector3::zeros(), 0.0);
+            for (p, d) in self.known(clip, k) {
+                let (x, y) = (p as usize % clip.width, p as usize / clip.width);
+                here += ray(camera, x, y) / f64::from(d);
+                n += 1.0;
+            }
+            if n > 0.0 {
+                sum += pose.inverse().transform(&(here / n));
+                count += 1.0;
+            }
+        }
+        (count > 0.0).then(|| sum / count)
+    }
+
+    /// The pixels of a frame with a value, and the value.
+    pub fn known<'a>(&'a self, clip: &'a Clip<'_>, k: usize) -> impl Iterator<Item = (u32, f32)> + 'a {
+        self.disparity[k]
+            .iter()
+            .enumerate()
+            .filter(|(_, d)| **d > 0.0)
+            .map(move |(g, d)| {
+                let (x, y) = (g % self.grid.width * BLOCK_PX, g / self.grid.width * BLOCK_PX);
+                ((y * clip.width + x) as u32, *d)
+            })
+    }
+}
+
+/// The direction of a pixel in the camera, of z 1.
+fn ray(camera: &Camera, x: usize, y: usize) -> Vector3<f64> {
+    let k = &camera.intrinsics;
+    Vector3::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy, 1.0)
+}
+
+/// Adjusts one part; `before` is the disparity that it was believed to have.
+pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f32>]) -> Option<Shape> {
+    let (w, h) = (clip.width, clip.height);
+    let grid = Grid {
+        width: w.div_ceil(BLOCK_PX),
+        height: h.div_ceil(BLOCK_PX),
+    };
+    let inside = Inside::of(clip, tracklet);
+    let edges = factors(clip, tracklet, &inside, grid);
+    let frames = tracklet.parts.len();
+    let sensor: Vec<Vec<f32>> = (0..frames)
+        .map(|k| {
+            (0..grid.len())
+                .map(|g| {
+                    let (x, y) = (g % grid.width * BLOCK_PX, g / grid.width * BLOCK_PX);
+                    if inside.at(k, x as f32, y as f32, w, h) {
+                        before[tracklet.first + k][y * w + x]
+                    } else {
+                        0.0
+                    }
+                })
+                .collect()
+        })
+        .collect();
+    // Disparities count in units of the part's own, so that one prior fits near and far parts.
+    let known: Vec<f32> = sensor.iter().flatten().copied().filter(|d| *d > 0.0).collect();
+    let unit = known.iter().sum::<f32>() / known.len().max(1) as f32;
+    if unit <= 0.0 || known.len() < LEAST_POINTS * frames {
+        return None;
+    }
+    let scaled = |camera: &Camera| {
+        let mut pose = camera.w2c();
+        pose.translation *= f64::from(unit);
+        pose
+    };
+    let sensor: Vec<Vec<f32>> = sensor
+        .into_iter()
+        .map(|s| s.into_iter().map(|d| d / unit).collect())
+        .collect();
+    let k = clip.cameras[tracklet.first].intrinsics;
+    let mut geometry = Geometry {
+        grid,
+        lens: Pinhole::of_picture(k.fx, k.fy, k.cx, k.cy, BLOCK_PX as f64),
+        poses: clip.cameras[tracklet.first..tracklet.first + frames]
+            .iter()
+            .map(scaled)
+            .collect(),
+        disparity: sensor
+            .iter()
+            .map(|s| s.iter().map(|d| if *d > 0.0 { *d } else { 1.0 }).collect())
+            .collect(),
+        sensor,
+    };
+    let eta = vec![vec![1.0f32; grid.len()]; frames];
+    let refs: Vec<&_> = edges.iter().collect();
+    let problem = Problem {
+        edges: &refs,
+        eta: &eta,
+    };
+    let options = DbaOptions {
+        free: Free::Poses,
+        iterations: POSE_ITERATIONS,
+        lm: 1e-4,
+        ep: 1e-4,
+        prior_alpha: Some(f64::from(PRIOR)),
+        robust: Robust::Cauchy {
+            scale_px: f64::from(NOISE_PX) / BLOCK_PX as f64,
+        },
+        min_depth: 0.1,
+        #[cfg(test)]
+        python_twin: false,
+    };
+    adjust(&mut geometry, &problem, 1..frames, &options).ok()?;
+    let options = DbaOptions {
+        free: Free::PosesAndDepth,
+        iterations: ITERATIONS,
+        ..options
+    };
+    let report = adjust(&mut geometry, &problem, 1..frames, &options).ok()?;
+    if report.failed == report.iterations {
+        return None;
+    }
+    let mut disparity: Vec<Vec<f32>> = geometry
+        .disparity
+        .iter()
+        .zip(&geometry.sensor)
+        .map(|(d, s)| {
+            d.iter()
+                .zip(s)
+                .map(|(d, s)| if *s > 0.0 { d * unit } else { 0.0 })
+                .collect()
+        })
+        .collect();
+    for d in &mut disparity {
+        tilt(grid.width, d);
+    }
+    let mut poses = geometry.poses;
+    for pose in &mut poses {
+        pose.translation /= f64::from(unit);
+    }
+    Some(Shape { grid, poses, disparity })
+}
+
+/// Draws disparities towards the plane that fits them best (a plane of the scene is one of disparity); [`RELIEF`] of what lies off
+/// it stays.
+fn tilt(width: usize, disparity: &mut [f32]) {
+    use nalgebra::{Matrix3, Vector3};
+    let mut weights: Vec<f64> = disparity.iter().map(|d| if *d > 0.0 { 1.0 } else { 0.0 }).collect();
+    let mut plane = Vector3::zeros();
+    let row = |g: usize| Vector3::new((g % width) as f64, (g / width) as f64, 1.0);
+    for _ in 0..5 {
+        let (mut a, mut b) = (Matrix3::identity() * 1e-6, Vector3::zeros());
+        for (g, d) in disparity.iter().enumerate().filter(|(_, d)| **d > 0.0) {
+            let r = row(g);
+            a += r * r.transpose() * weights[g];
+            b += r * f64::from(*d) * weights[g];
+        }
+        let Some(inverse) = a.try_inverse() else { return };
+        plane = inverse * b;
+        let mut off: Vec<f32> = disparity
+            .iter()
+            .enumerate()
+            .filter(|(_, d)| **d > 0.0)
+            .map(|(g, d)| (f64::from(*d) - row(g).dot(&plane)).abs() as f32)
+            .collect();
+        let Some(scale) = super::super::shot::quantile(&mut off, 0.5) else {
+            return;
+        };
+        let scale = 2.0 * f64::from(scale).max(1e-9);
+        for (g, d) in disparity.iter().enumerate() {
+            let e = (f64::from(*d) - row(g).dot(&plane)) / scale;
+            weights[g] = 1.0 / (1.0 + e * e);
+        }
+    }
+    for (g, d) in disparity.iter_mut().enumerate().filter(|(_, d)| **d > 0.0) {
+        let flat = row(g).dot(&plane) as f32;
+        if flat > 0.0 {
+            *d = flat + RELIEF * (*d - flat);
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! What moves and what stands still, told apart: motion spoils depth and depth shows motion, so one is found from the other
+//! in turn. Each turn is kept on the cache, so that what was interrupted goes on there.
+
+use super::error::DenseError;
+use super::estimate::each;
+use super::flow::FlowPair;
+use super::kept;
+use super::layers;
+use super::mono::Mono;
+use super::motion::{self, MotionCues, Seen};
+use super::plate;
+use super::segment;
+use super::shot::Shot;
+use super::smooth::Smoother;
+use super::sources::Sources;
+use super::static_depth::{self, Measured, Swept};
+use m4_core::{Progress, RgbImage};
+
+/// How often depth and motion are estimated in turn: the second round knows the masks of the first.
+const ROUNDS: usize = 2;
+/// How often evidence of motion is averaged with that of the frames before and after, along the flow.
+const VOTES: usize = 16;
+/// Colour difference that stops the edge-aware fill of depth, 0..255 (Min et al. 2014, sigma).
+const FILL_SIGMA: f32 = 8.0;
+
+/// One a frame, above 0 where something moves.
+pub(super) type Masks = Vec<Vec<u8>>;
+
+/// A clip whose depth was swept. Lists are by frame, planes `[height][width]` at the working size.
+pub(super) struct Clip<'a> {
+    pub width: usize,
+    pub height: usize,
+    /// Whether depth can be measured at all.
+    pub parallax: bool,
+    /// At their own size.
+    pub frames: &'a [&'a RgbImage],
+    pub shots: &'a [Shot],
+    pub swept: &'a [Swept],
+    pub flows: &'a [FlowPair],
+    pub mono: &'a Mono,
+    pub clues: &'a MotionCues,
+    pub sources: &'a Sources<'a>,
+    pub progress: &'a dyn Progress,
+}
+
+/// What moves, and depth as if nothing did.
+pub(super) struct MotionSegmentation {
+    pub moving: Masks,
+    pub measured: Vec<Measured>,
+    /// Disparity of what stands still, behind what moves too.
+    pub filled: Vec<Vec<f32>>,
+}
+
+/// The mask of a frame, if there are any.
+fn of(masks: Option<&[Vec<u8>]>, i: usize) -> Option<&[u8]> {
+    masks.map(|masks| masks[i].as_slice())
+}
+
+impl Clip<'_> {
+    /// Tells apart what moves and what does not, or takes the masks that were given for the former.
+    ///
+    /// # Errors
+    ///
+    /// [`DenseError`] if the segmenter fails or the user stopped it.
+    pub fn segment_motion(&self, given: Option<Masks>) -> Result<MotionSegmentation, DenseError> {
+        let moving = match given {
+            Some(given) => given,
+            None => self.moving()?,
+        };
+        let (measured, filled) = kept::still(self.sources.cache, self.frames.len(), self.pixels(), || {
+            let measured = self.measured(Some(&moving))?;
+            let filled = self.filled(&measured, Some(&moving))?;
+            Ok((measured, filled))
+        })?;
+        Ok(MotionSegmentation {
+            moving,
+            measured,
+            filled,
+        })
+    }
+
+    fn pixels(&self) -> usize {
+        self.width * self.height
+    }
+
+    /// For every frame in parallel, with progress.
+    fn each<T: Send>(&self, phase: &'static str, f: impl Fn(usize) -> T + Sync) -> Result<Vec<T>, DenseError> {
+        each(self.frames.len(), phase, self.progress, f)
+    }
+
+    /// Made anew where needed: cheaper than keeping them.
+    pub fn smoother(&self, i: usize) -> Smoother {
+        Smoother::new(self.width, self.height, &self.shots[i].frame.rgb, FILL_SIGMA)
+    }
+
+    /// Masks of what moves, sharp.
+    fn moving(&self) -> Result<Masks, DenseError> {
+        self.kept("moving-sharp", || {
+            let (before, last) = self.rounds()?;
+            let mut moving = if self.parallax {
+                self.sharpened(before.as_deref(), &last)?
+            } else {
+                last
+            };
+            if let Some(segmenter) = self.sources.segmenter {
+                let size = (self.width, self.height);
+                let sharp = self.each("segmenting dynamic objects", |i| {
+                    segment::sharpen(segmenter, self.frames[i], size, &moving[i])
+                        .map_err(|source| DenseError::Segment { frame: i, source })
+                })?;
+                moving = sharp.into_iter().collect::<Result<_, _>>()?;
+            }
+            Ok(moving)
+        })
+    }
+
+    fn kept(&self, name: &str, work: impl FnOnce() -> Result<Masks, DenseError>) -> Result<Masks, DenseError> {
+        kept::masks(self.sources.cache, name, self.frames.len(), self.pixels(), work)
+    }
+
+    /// The masks before the last round, if any, and after it.
+    fn rounds(&self) -> Result<(Option<Masks>, Masks), DenseError> {
+        let mut before = None;
+        let mut last = self.kept("moving-0", || self.round(None))?;
+        for round in 1..ROUNDS {
+            let next = self.kept(&format!("moving-{round}"), || self.round(Some(&last)))?;
+            before = Some(std::mem::replace(&mut last, next));
+        }
+        Ok((before, last))
+    }
+
+    /// Masks, given those of the round before.
+    fn round(&self, before: Option<&[Vec<u8>]>) -> Result<Masks, DenseError> {
+        let (w, h) = (self.width, self.height);
+        let measured = self.measured(before)?;
+        let filled = self.filled(&measured, before)?;
+        let mut evidence = self.each("finding motion", |i| {
+            let seen = Seen {
+                frame: &self.shots[i].frame,
+                disparity: &filled[i],
+                confidence: &measured[i].confidence,
+            };
+            let smoother = self.smoother(i);
+            motion::evidence(self.clues, self.shots, self.flows, i, &seen, &smoother)
+        })?;
+        for _ in 0..VOTES {
+            evidence = self.each("voting on motion", |i| motion::vote(w, h, &evidence, self.flows, i))?;
+        }
+        self.each("cutting masks", |i| motion::mask(w, h, &evidence[i]))
+    }
+
+    /// Disparities that the neighbours confirm; what moves (above 0) confirms nothing.
+    fn measured(&self, moving: Option<&[Vec<u8>]>) -> Result<Vec<Measured>, DenseError> {
+        self.each("comparing depth", |i| {
+            let mut measured = static_depth::measure(self.shots, self.swept, moving, i);
+            self.mono.impose(i, &mut measured, of(moving, i));
+            measured
+        })
+    }
+
+    /// The same everywhere, carried on into what was not measured or moves.
+    fn filled(&self, measured: &[Measured], moving: Option<&[Vec<u8>]>) -> Result<Vec<Vec<f32>>, DenseError> {
+        self.each("filling depth", |i| {
+            if self.parallax {
+                let measured = self.mono.with_prior(i, &measured[i], of(moving, i));
+                self.fill(i, &measured, of(moving, i))
+            } else {
+                self.mono.without_parallax(i, layers::sphere(&self.clues.cameras[i]))
+            }
+        })
+    }
+
+    fn fill(&self, i: usize, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
+        static_depth::fill(&self.shots[i], &self.smoother(i), measured, moving)
+    }
+
+    /// `moving` with the outlines of the images, by what the other frames show behind it; depth is taken from what
+    /// `before` leaves.
+    fn sharpened(&self, before: Option<&[Vec<u8>]>, moving: &[Vec<u8>]) -> Result<Masks, DenseError> {
+        let (width, height) = (self.width, self.height);
+        let measured = self.measured(before)?;
+        let near = self.each("growing masks", |i| {
+            plate::grown(width, height, &moving[i], plate::GUARD_PX)
+        })?;
+        let background = self.each("filling depth", |i| {
+            let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));
+            for (c, near) in measured.confidence.iter_mut().zip(&near[i]) {
+                if *near > 0 {
+                    *c = 0.0;
+                }
+            }
+            self.fill(i, &measured, Some(&near[i]))
+        })?;
+        let scene = plate::Scene {
+            width,
+            height,
+            cameras: &self.clues.cameras,
+            shots: self.shots,
+            background: &background,
+            near: &near,
+        };
+        self.each("sharpening masks", |i| {
+            let smoother = self.smoother(i);
+            plate::sharpen(&scene, i, &moving[i], &smoother)
+        })
+    }
+}

@@ -1,0 +1,244 @@
+//! The masks of a segmenter in place of coarse ones, where they mean the same thing.
+
+use super::super::components::Components;
+use super::prompt::prompt;
+use super::source::{SegmentError, SegmentMask, Segmenter};
+use super::{LEAST_OVERLAP, LEAST_PART_PX, LEAST_QUALITY};
+use m4_core::RgbImage;
+
+/// The mask of a frame: each part of `coarse` (`[height][width]` of `size`, above 0 for moving) as the segmenter sees it in `image`. Parts
+/// that are small, and those of which the segmenter makes something else, stay as they are.
+///
+/// # Errors
+///
+/// [`SegmentError`] where the segmenter fails or its masks do not fit.
+pub fn sharpen(
+    segmenter: &dyn Segmenter,
+    image: &RgbImage,
+    size: (usize, usize),
+    coarse: &[u8],
+) -> Result<Vec<u8>, SegmentError> {
+    let (width, height) = size;
+    let parts = Components::of(width, height, coarse);
+    let large: Vec<usize> = (0..parts.pixels.len())
+        .filter(|&k| parts.pixels[k].len() >= LEAST_PART_PX)
+        .collect();
+    let of = |k: usize| prompt(width, height, |p| parts.label[p] as usize == k + 1);
+    let prompts: Vec<_> = large.iter().filter_map(|&k| of(k)).collect();
+    if prompts.is_empty() {
+        return Ok(coarse.to_vec());
+    }
+    let found = segmenter.masks(image, size, &prompts)?;
+    if found.len() != prompts.len() {
+        return Err(SegmentError::Count {
+            found: found.len(),
+            expected: prompts.len(),
+        });
+    }
+    if let Some(wrong) = found.iter().find(|mask| mask.logits.len() != width * height) {
+        return Err(SegmentError::Size {
+            found: wrong.logits.len(),
+            expected: size,
+        });
+    }
+    let taken: Vec<(usize, &SegmentMask)> = large
+        .into_iter()
+        .zip(&found)
+        .filter(|(k, mask)| means_the_same(mask, &parts.pixels[*k]))
+        .collect();
+    let mut out = coarse.to_vec();
+    for &(k, _) in &taken {
+        for &p in &parts.pixels[k] {
+            out[p as usize] = 0;
+        }
+    }
+    for (_, mask) in taken {
+        for (out, &logit) in out.iter_mut().zip(&mask.logits) {
+            if logit > 0.0 {
+                *out = 255;
+            }
+        }
+    }
+    Ok(out)
+}
+
+/// Whether a mask is trusted and covers about what the part (its pixels) does.
+fn means_the_same(mask: &SegmentMask, part: &[u32]) -> bool {
+    let area = mask.logits.iter().filter(|&&logit| logit > 0.0).count();
+    let both = part.iter().filter(|&&p| mask.logits[p as usize] > 0.0).count();
+    let overlap = both as f32 / (area + part.len() - both) as f32;
+    mask.quality >= LEAST_QUALITY && overlap >= LEAST_OVERLAP
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::source::{SegmentError, SegmentMask, SegmentPrompt, Segmenter};
+    use super::sharpen;
+    use m4_core::{Plane, RgbImage};
+    use rayon::ThreadPoolBuilder;
+    use rayon::prelude::*;
+
+    const SIZE: (usize, usize) = (64, 48);
+
+    /// Takes everything of the colour at the prompt's first point for the thing, at a quality of its red.
+    struct Colours;
+
+    impl Segmenter for Colours {
+        fn name(&self) -> &str {
+            "colours"
+        }
+
+        fn masks(
+            &self,
+            image: &RgbImage,
+            size: (usize, usize),
+            prompts: &[SegmentPrompt],
+        ) -> Result<Vec<SegmentMask>, SegmentError> {
+            assert_eq!(image.size(), size);
+            let of = |prompt: &SegmentPrompt| {
+                let [x, y] = prompt.points_px[0];
+                let colour = image[(x as usize, y as usize)];
+                SegmentMask {
+                    logits: image
+                        .data()
+                        .iter()
+                        .map(|c| if *c == colour { 3.0 } else { -3.0 })
+                        .collect(),
+                    quality: f32::from(colour[0]) / 255.0,
+                }
+            };
+            Ok(prompts.iter().map(of).collect())
+        }
+    }
+
+    struct Wrong(usize, usize);
+
+    impl Segmenter for Wrong {
+        fn name(&self) -> &str {
+            "wrong"
+        }
+
+        fn masks(
+            &self,
+            _: &RgbImage,
+            _: (usize, usize),
+            _: &[SegmentPrompt],
+        ) -> Result<Vec<SegmentMask>, SegmentError> {
+            let mask = SegmentMask {
+                logits: vec![0.0; self.1],
+                quality: 1.0,
+            };
+            Ok(vec![mask; self.0])
+        }
+    }
+
+    fn disc(x: usize, y: usize, at: (i32, i32), radius: i32) -> bool {
+        (x as i32 - at.0).pow(2) + (y as i32 - at.1).pow(2) <= radius * radius
+    }
+
+    const GOOD: (i32, i32) = (14, 14);
+    const LARGE: (i32, i32) = (45, 24);
+    const UNSURE: (i32, i32) = (14, 38);
+
+    /// Two discs, one of them dull; a large thing on the right; ground.
+    fn picture() -> RgbImage {
+        image(8, 90)
+    }
+
+    /// The same with other values of the radius of the good disc and the red of the dull one.
+    fn image(radius: i32, red: u8) -> RgbImage {
+        Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
+            if disc(x, y, GOOD, radius) {
+                [250, 0, 0]
+            } else if disc(x, y, UNSURE, 7) {
+                [red, 0, 0]
+            } else if x >= 30 {
+                [240, 9, 9]
+            } else {
+                [200, 80, 80]
+            }
+        })
+    }
+
+    /// The good disc moved by two pixels, a small part of the large thing, the dull disc smaller, and a speck.
+    fn coarse() -> Vec<u8> {
+        drawn(|x, y| {
+            disc(x, y, (GOOD.0 + 2, GOOD.1), 8) || disc(x, y, LARGE, 5) || disc(x, y, UNSURE, 5) || (x, y) == (60, 2)
+        })
+    }
+
+    fn drawn(covered: impl Fn(usize, usize) -> bool) -> Vec<u8> {
+        let pixel = |p: usize| if covered(p % SIZE.0, p / SIZE.0) { 255 } else { 0 };
+        (0..SIZE.0 * SIZE.1).map(pixel).collect()
+    }
+
+    #[test]
+    fn what_fits_is_taken_and_what_does_not_is_left() {
+        let found = sharpen(&Colours, &picture(), SIZE, &coarse()).unwrap();
+        for (p, &m) in found.iter().enumerate() {
+            let (x, y) = (p % SIZE.0, p / SIZE.0);
+            let wanted = disc(x, y, GOOD, 8) || disc(x, y, LARGE, 5) || disc(x, y, UNSURE, 5) || (x, y) == (60, 2);
+            assert_eq!(m, if wanted { 255 } else { 0 }, "column {x}, row {y}");
+        }
+        assert_ne!(found, coarse());
+    }
+
+    /// Whether `sharpen` takes the mask of the thing at `at` for a coarse mask that does not hold it.
+    fn taken(image: &RgbImage, coarse: &[u8], at: (usize, usize)) -> bool {
+        let p = at.1 * SIZE.0 + at.0;
+        assert_eq!(coarse[p], 0);
+        sharpen(&Colours, image, SIZE, coarse).unwrap()[p] > 0
+    }
+
+    #[test]
+    fn masks_of_low_overlap_are_refused() {
+        let left = (GOOD.0 as usize - 8, GOOD.1 as usize);
+        let shifted = |by: i32| drawn(|x, y| disc(x, y, (GOOD.0 + by, GOOD.1), 8));
+        // Intersection over union: about 0.7 and 0.5.
+        assert!(taken(&picture(), &shifted(2), left));
+        assert!(!taken(&picture(), &shifted(4), left));
+        // The large thing: 0.05, then 0.98.
+        let corner = (SIZE.0 - 1, SIZE.1 - 1);
+        assert!(!taken(&picture(), &drawn(|x, y| disc(x, y, LARGE, 5)), corner));
+        assert!(taken(&picture(), &drawn(|x, y| x >= 30 && y < SIZE.1 - 1), corner));
+    }
+
+    #[test]
+    fn masks_of_low_quality_are_refused() {
+        let left = (UNSURE.0 as usize - 7, UNSURE.1 as usize);
+        let coarse = drawn(|x, y| disc(x, y, UNSURE, 6));
+        // Red over 255: 0.71 and 0.69.
+        assert!(taken(&image(8, 181), &coarse, left));
+        assert!(!taken(&image(8, 176), &coarse, left));
+    }
+
+    #[test]
+    fn small_parts_are_left_as_they_are() {
+        // 81 and 49 pixels.
+        for (radius, asked) in [(5, true), (4, false)] {
+            let coarse = drawn(|x, y| disc(x, y, (GOOD.0 + 1, GOOD.1), radius));
+            let left = ((GOOD.0 - radius) as usize, GOOD.1 as usize);
+            assert_eq!(taken(&image(radius, 90), &coarse, left), asked, "radius {radius}");
+        }
+    }
+
+    #[test]
+    fn answers_that_do_not_fit_are_errors() {
+        let of = |wrong| sharpen(&wrong, &picture(), SIZE, &coarse()).unwrap_err();
+        assert!(matches!(
+            of(Wrong(2, 64 * 48)),
+            SegmentError::Count { found: 2, expected: 3 }
+        ));
+        assert!(matches!(of(Wrong(3, 5)), SegmentError::Size { found: 5, .. }));
+    }
+
+    #[test]
+    fn the_same_for_any_number_of_threads() {
+        let all = |threads: usize| {
+            let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let one = |_| sharpen(&Colours, &picture(), SIZE, &coarse()).unwrap();
+            pool.install(|| (0..6).into_par_iter().map(one).collect::<Vec<_>>())
+        };
+        assert_eq!(all(1), all(3));
+    }
+}

@@ -1,0 +1,62 @@
+//! A frame at the size of flow or masks.
+
+use super::super::clip::Clip;
+use super::super::source::VideoError;
+use crate::dense::{FlowPicture, rgb_and_grey};
+use m4_core::RgbImage;
+use std::borrow::Cow;
+
+/// Reads a frame and checks its size.
+pub fn read(clip: &dyn Clip, frame: usize) -> Result<Cow<'_, RgbImage>, VideoError> {
+    let frames = clip.frames();
+    if frame >= frames {
+        return Err(VideoError::Frame { frame, frames });
+    }
+    let picture = clip
+        .picture(frame)
+        .map_err(|reason| VideoError::Picture { frame, reason })?;
+    if picture.size() != clip.size() {
+        return Err(VideoError::PictureSize {
+            frame,
+            found: picture.size(),
+            expected: clip.size(),
+        });
+    }
+    Ok(picture)
+}
+
+/// A frame at another size, not larger than its own.
+pub struct Picture {
+    pub width: usize,
+    pub height: usize,
+    /// `[height][width][3]`
+    pub rgb: Vec<[u8; 3]>,
+    /// `[height][width]`: luma 0..255.
+    pub grey: Vec<f32>,
+}
+
+impl Picture {
+    pub fn of(clip: &dyn Clip, frame: usize, size: (usize, usize)) -> Result<Self, VideoError> {
+        let image = read(clip, frame)?;
+        Ok(Self::from_image(image.as_ref(), size))
+    }
+
+    pub fn from_image(image: &RgbImage, (width, height): (usize, usize)) -> Self {
+        let (rgb, grey) = rgb_and_grey(image, width, height);
+        Self {
+            width,
+            height,
+            rgb,
+            grey,
+        }
+    }
+
+    pub fn for_flow(&self) -> FlowPicture<'_> {
+        FlowPicture {
+            width: self.width,
+            height: self.height,
+            rgb: &self.rgb,
+            grey: &self.grey,
+        }
+    }
+}

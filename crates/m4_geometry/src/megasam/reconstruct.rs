@@ -1,0 +1,216 @@
+//! All stages, one after the other.
+
+use super::flows::measure;
+use super::resample::{from_grid, resize_bilinear};
+use super::size::CELL_PX;
+use super::{DepthPrior, MegasamError, MegasamSettings, PairFlow, PriorKind, TrackingSize};
+use crate::cvd::{Consistent, CvdInput, optimise, uncertainty_of_static};
+use crate::dba::Observability;
+use crate::tracker::{Clip, Correspondence, FrameInput, Tracked, track};
+use m4_core::{Cache, Intrinsics, Plane, Progress, RgbImage, Se3, kept};
+
+/// Disparity below which a pixel of the tracker's own counts as infinitely far, scene units.
+const LEAST_DISPARITY: f32 = 1e-3;
+
+/// A clip.
+#[derive(Clone, Copy)]
+pub struct MegasamInput<'a> {
+    /// The images, all of one size.
+    pub pictures: &'a [&'a RgbImage],
+    /// Instants, seconds, ascending.
+    pub times_s: &'a [f64],
+    /// First guess of the lens of the images; the principal point stays.
+    pub lens: Intrinsics,
+    /// False keeps the focal length of `lens` whatever can be seen.
+    pub focal_is_free: bool,
+    /// Depth from one image at the size of tracking; `None` where there is none.
+    pub prior: Option<&'a DepthPrior>,
+}
+
+/// What was found; lists are `[frames]`.
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+pub struct MegasamGeometry {
+    /// The size at which the clip was tracked.
+    pub size: TrackingSize,
+    /// The lens of the images.
+    pub lens: Intrinsics,
+    /// Camera to world, in the unit of [`metric`](Self::metric).
+    pub c2w: Vec<Se3<f64>>,
+    /// z-depth of the whole images, at the size before cutting ([`TrackingSize::scaled`]); what was cut has that of the edge.
+    pub depth: Vec<Plane<f32>>,
+    /// How likely each cell of the tracker's grid is to stand still, 0..=1.
+    pub static_confidence: Vec<Plane<f32>>,
+    /// How much each pixel followed the motion of the camera in the end (the learned certainty u), at half the cropped size.
+    pub certainty: Vec<Plane<f32>>,
+    /// True if lengths are metres.
+    pub metric: bool,
+    /// Scene units a unit of length: what tracker and published files work in.
+    pub norm: f64,
+    /// What the keyframes could tell about depth and focal length.
+    pub observability: Observability,
+    /// True if the focal length was adjusted.
+    pub focal_adjusted: bool,
+    /// Frames that were keyframes.
+    pub keyframes: Vec<usize>,
+    /// Root mean square of the tracker's weighted residuals at the end, pixels of the images.
+    pub residual_px: f64,
+    /// The loss of consistent depth before each step, of both its stages.
+    pub losses: [Vec<f64>; 2],
+}
+
+impl MegasamGeometry {
+    /// How likely each pixel of a whole image is static, 0..=1, at `width` x `height` pixels.
+    #[must_use]
+    pub fn static_at(&self, frame: usize, width: usize, height: usize) -> Plane<f32> {
+        from_grid(&self.static_confidence[frame], width, height, self.size.scaled)
+    }
+}
+
+/// Cameras, focal length, depth and what stands still, of a clip.
+///
+/// `correspondence` and `flow` see images of [`TrackingSize::picture`]. Without a prior, depth starts as what the tracker
+/// found, and its unit is arbitrary. Finished parts go to `cache`, which belongs to one clip with one set of settings: what is
+/// interrupted goes on after the last of them, to the same result.
+///
+/// # Errors
+///
+/// [`MegasamError`] for images that do not fit together or are too few, where a source fails, or when the user stops.
+pub fn reconstruct(
+    input: &MegasamInput<'_>,
+    correspondence: &mut dyn Correspondence,
+    flow: &mut dyn PairFlow,
+    settings: &MegasamSettings,
+    progress: &dyn Progress,
+    cache: &dyn Cache,
+) -> Result<MegasamGeometry, MegasamError> {
+    let size = check(input, settings)?;
+    let frames = input.pictures.len();
+    let grid = size.grid();
+    let sensor = |frame: usize| match input.prior {
+        Some(prior) => prior.sensor(frame),
+        None => vec![0.0; grid.len()],
+    };
+    let inputs: Vec<FrameInput> = (0..frames)
+        .map(|frame| FrameInput {
+            frame,
+            time_s: input.times_s[frame],
+            sensor: sensor(frame),
+        })
+        .collect();
+    let clip = Clip {
+        grid,
+        lens: size.grid_lens(&input.lens),
+        frames: &inputs,
+    };
+    let mut tracker = settings.tracker;
+    tracker.optimise_focal &= input.focal_is_free;
+    let tracked = kept(cache, "tracked", || track(&clip, correspondence, &tracker, progress))?;
+    let lens = size.full_lens(&input.lens, &tracked.geometry.lens);
+
+    let picture = |frame: usize| size.picture(input.pictures[frame]);
+    let budget_bytes = settings.flow_budget_mb.saturating_mul(1_000_000);
+    let pairs = measure(frames, &picture, size.cropped, flow, budget_bytes, progress)?;
+    let (width, height) = (size.cropped.0 / 2, size.cropped.1 / 2);
+    let on_grid = |values: &Vec<f32>| Plane::from_fn(grid.width, grid.height, |x, y| values[y * grid.width + x]);
+    let on_half = |plane: &Plane<f32>| -> Plane<f32> { from_grid(plane, width, height, size.cropped) };
+    let disparity: Vec<Plane<f32>> = (0..frames)
+        .map(|frame| match input.prior {
+            Some(prior) => prior.halved(frame),
+            None => on_half(&on_grid(&tracked.geometry.disparity[frame])).map(|&d| d.max(LEAST_DISPARITY)),
+        })
+        .collect();
+    let static_confidence: Vec<Plane<f32>> = tracked.static_confidence.iter().map(on_grid).collect();
+    let uncertainty: Vec<Plane<f32>> = static_confidence
+        .iter()
+        .map(|plane| on_half(plane).map(|&m| uncertainty_of_static(m)))
+        .collect();
+    let c2w = tracked.c2w();
+    let consistent = optimise(
+        &CvdInput {
+            c2w: &c2w,
+            intrinsics: size.cropped_lens(&lens).resized(width, height),
+            disparity: &disparity,
+            uncertainty: &uncertainty,
+        },
+        &pairs,
+        &settings.cvd,
+        progress,
+        cache,
+    )?;
+    Ok(finish(input, size, lens, tracked, static_confidence, consistent))
+}
+
+/// Back to the unit of the depth.
+fn finish(
+    input: &MegasamInput<'_>,
+    size: TrackingSize,
+    lens: Intrinsics,
+    tracked: Tracked,
+    static_confidence: Vec<Plane<f32>>,
+    consistent: Consistent,
+) -> MegasamGeometry {
+    let norm = input.prior.map_or(1.0, |prior| prior.norm);
+    let metric = input.prior.is_some_and(|prior| prior.kind == PriorKind::Metric);
+    // Relative depth has no unit worth going back to.
+    let unit = if metric { norm } else { 1.0 };
+    let c2w = tracked.c2w().into_iter().map(|mut pose| {
+        pose.translation /= unit;
+        pose
+    });
+    let depth = consistent.disparity.iter().map(|half| {
+        let cropped = resize_bilinear(half, size.cropped.0, size.cropped.1);
+        let z = |d: f32| (1.0 / (f64::from(d) * unit)) as f32;
+        let (right, bottom) = (size.cropped.0 - 1, size.cropped.1 - 1);
+        Plane::from_fn(size.scaled.0, size.scaled.1, |x, y| {
+            z(cropped.row(y.min(bottom))[x.min(right)])
+        })
+    });
+    MegasamGeometry {
+        size,
+        lens,
+        c2w: c2w.collect(),
+        depth: depth.collect(),
+        static_confidence,
+        certainty: consistent.uncertainty,
+        metric,
+        norm,
+        observability: tracked.observability,
+        focal_adjusted: tracked.focal_adjusted,
+        keyframes: tracked.keyframes,
+        residual_px: tracked.rms_px * CELL_PX as f64 * size.full.0 as f64 / size.scaled.0 as f64,
+        losses: consistent.losses,
+    }
+}
+
+fn check(input: &MegasamInput<'_>, settings: &MegasamSettings) -> Result<TrackingSize, MegasamError> {
+    let expected = input.pictures.len();
+    let full = input.pictures.first().map_or((0, 0), |p| p.size());
+    let other = input.pictures.iter().position(|p| p.size() != full);
+    if let Some(frame) = other {
+        let found = input.pictures[frame].size();
+        return Err(MegasamError::OtherSize {
+            frame,
+            found,
+            expected: full,
+        });
+    }
+    let lists = [
+        ("instants", input.times_s.len()),
+        ("depth maps", input.prior.map_or(expected, DepthPrior::frames)),
+    ];
+    for (what, found) in lists {
+        if found != expected {
+            return Err(MegasamError::Count { what, found, expected });
+        }
+    }
+    let size = TrackingSize::new(full, settings.tracking_pixels)?;
+    let maps = input.prior.filter(|prior| prior.frames() > 0);
+    match maps.map(|prior| prior.disparity(0).size()) {
+        Some(found) if found != size.cropped => Err(MegasamError::OtherSize {
+            frame: 0,
+            found,
+            expected: size.cropped,
+        }),
+        _ => Ok(size),
+    }
+}

@@ -1,0 +1,108 @@
+//! The size at which a clip is tracked.
+
+use super::MegasamError;
+use super::resample::{crop, resize_area};
+use crate::dba::{Grid, Pinhole};
+use m4_core::{Intrinsics, RgbImage};
+
+/// Pixels of a cell of the grid, a side.
+pub const CELL_PX: usize = 8;
+
+/// How images become smaller ones: to a fixed number of pixels, then cut to multiples of 8 at the right and at the bottom
+/// (docs/spec/front-end.md 1.1). Sizes are `(width, height)`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct TrackingSize {
+    /// Of the images.
+    pub full: (usize, usize),
+    /// After shrinking.
+    pub scaled: (usize, usize),
+    /// After cutting.
+    pub cropped: (usize, usize),
+}
+
+impl TrackingSize {
+    /// For images of a size and about `pixels` pixels at work: `384 * 512` in MegaSaM.
+    ///
+    /// # Errors
+    ///
+    /// [`MegasamError::Size`] if less than one cell a side would be left, or the numbers are no size.
+    pub fn new(full: (usize, usize), pixels: f64) -> Result<Self, MegasamError> {
+        let scale = (pixels / (full.0 as f64 * full.1 as f64)).sqrt();
+        let scaled = ((full.0 as f64 * scale) as usize, (full.1 as f64 * scale) as usize);
+        let cropped = (scaled.0 / CELL_PX * CELL_PX, scaled.1 / CELL_PX * CELL_PX);
+        if !(pixels.is_finite() && pixels <= 1e8) || cropped.0 == 0 || cropped.1 == 0 {
+            return Err(MegasamError::Size { full, pixels });
+        }
+        Ok(Self { full, scaled, cropped })
+    }
+
+    /// The tracker's grid.
+    #[must_use]
+    pub fn grid(&self) -> Grid {
+        Grid {
+            width: self.cropped.0 / CELL_PX,
+            height: self.cropped.1 / CELL_PX,
+        }
+    }
+
+    /// An image at the size of tracking, by areas.
+    #[must_use]
+    pub fn picture(&self, full: &RgbImage) -> RgbImage {
+        crop(&resize_area(full, self.scaled.0, self.scaled.1), self.cropped)
+    }
+
+    /// A lens of the full images as one of the grid.
+    #[must_use]
+    pub fn grid_lens(&self, full: &Intrinsics) -> Pinhole<f64> {
+        let k = full.resized(self.scaled.0, self.scaled.1);
+        Pinhole::of_picture(k.fx, k.fy, k.cx, k.cy, CELL_PX as f64)
+    }
+
+    /// The lens of the full images whose focal length on the grid is that of `grid`; the principal point is that of `full`.
+    #[must_use]
+    pub fn full_lens(&self, full: &Intrinsics, grid: &Pinhole<f64>) -> Intrinsics {
+        let cell = CELL_PX as f64;
+        Intrinsics {
+            fx: grid.fx * cell * self.full.0 as f64 / self.scaled.0 as f64,
+            fy: grid.fy * cell * self.full.1 as f64 / self.scaled.1 as f64,
+            ..*full
+        }
+    }
+
+    /// A lens of the full images as one of the cropped ones.
+    #[must_use]
+    pub fn cropped_lens(&self, full: &Intrinsics) -> Intrinsics {
+        Intrinsics {
+            width: self.cropped.0,
+            height: self.cropped.1,
+            ..full.resized(self.scaled.0, self.scaled.1)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TrackingSize;
+    use m4_core::Intrinsics;
+
+    #[test]
+    fn a_common_size() {
+        let size = TrackingSize::new((854, 480), 384.0 * 512.0).unwrap();
+        assert_eq!((size.scaled, size.cropped), ((591, 332), (584, 328)));
+        assert_eq!((size.grid().width, size.grid().height), (73, 41));
+        assert!(TrackingSize::new((854, 480), 40.0).is_err());
+        assert!(TrackingSize::new((0, 480), 4e5).is_err());
+        assert!(TrackingSize::new((4, 4), f64::INFINITY).is_err());
+    }
+
+    #[test]
+    fn a_lens_goes_there_and_back() {
+        let size = TrackingSize::new((854, 480), 384.0 * 512.0).unwrap();
+        let lens = Intrinsics::centred(854, 480, 700.0);
+        let back = size.full_lens(&lens, &size.grid_lens(&lens));
+        assert!((back.fx - 700.0).abs() < 1e-9 && (back.fy - 700.0).abs() < 1e-9);
+        assert_eq!((back.cx, back.cy), (427.0, 240.0));
+        // The image's middle, 295.5 from the corner, is column 295 of whole numbers.
+        assert!((size.grid_lens(&lens).cx - 295.0 / 8.0).abs() < 1e-12);
+    }
+}

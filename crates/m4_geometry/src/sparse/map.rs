@@ -1,0 +1,265 @@
+//! Cameras and points that grow from a pair of frames.
+
+use super::INLIER_PX;
+use super::bundle::{Bundle, BundleOptions, BundleReport, Observation};
+use super::limits::Limits;
+use super::resection::{Sighting, descend, error_px, resect};
+use super::rotation::spread;
+use super::tracking::RawTrack;
+use super::triangulate::{View, median, triangulate};
+use m4_core::{Progress, Se3, nalgebra::Vector3};
+use rayon::prelude::*;
+
+/// What is known so far.
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+pub(crate) struct Map {
+    /// Focal length, working pixels.
+    pub focal: f64,
+    /// World to camera, per frame.
+    pub poses: Vec<Option<Se3<f64>>>,
+    /// World position, per track.
+    pub points: Vec<Option<Vector3<f64>>>,
+}
+
+impl Map {
+    /// Sightings of known points in `frame`.
+    pub fn sightings(&self, tracks: &[RawTrack], frame: usize) -> Vec<Sighting> {
+        let known = tracks.iter().zip(&self.points);
+        known.filter_map(|(t, x)| Some(((*x)?, t.at(frame)?))).collect()
+    }
+
+    /// The rays of a track from cameras with a pose.
+    pub fn views(&self, track: &RawTrack) -> Vec<View> {
+        (track.first..track.end())
+            .filter_map(|frame| Some((self.poses[frame]?, track.at(frame)?)))
+            .collect()
+    }
+
+    /// Frames with a pose.
+    pub fn registered(&self) -> usize {
+        self.poses.iter().flatten().count()
+    }
+
+    /// How many of `frames` have a pose.
+    pub fn registered_among(&self, frames: &[usize]) -> usize {
+        frames.iter().filter(|&&i| self.poses[i].is_some()).count()
+    }
+
+    /// Triangulates every track that is `usable`, forgets the points of all others and of those whose
+    /// rays are too parallel or disagree.
+    pub fn triangulate(&mut self, tracks: &[RawTrack], usable: &[bool], limits: &Limits) {
+        let map = &*self;
+        let points: Vec<Option<Vector3<f64>>> = tracks
+            .par_iter()
+            .zip(usable)
+            .map(|(track, &usable)| {
+                let found = usable.then(|| triangulate(&map.views(track), map.focal, limits.cauchy_px))??;
+                let good = found.angle_rad >= limits.min_angle_deg.to_radians() && found.median_px <= INLIER_PX;
+                good.then_some(found.point)
+            })
+            .collect();
+        self.points = points;
+    }
+
+    /// Gives `frame` a pose, starting from that of the nearest frames that have one; false when too
+    /// few points agree.
+    pub fn register(&mut self, tracks: &[RawTrack], frame: usize) -> bool {
+        let sightings = self.sightings(tracks, frame);
+        let best = self
+            .starts(frame)
+            .iter()
+            .map(|start| resect(&sightings, self.focal, start, INLIER_PX))
+            .fold(None, |best: Option<super::resection::Resection>, r| match best {
+                Some(b) if b.inliers >= r.inliers => Some(b),
+                _ => Some(r),
+            });
+        match best {
+            Some(found) if found.inliers >= MIN_SIGHTINGS && 3 * found.inliers >= sightings.len() => {
+                self.poses[frame] = Some(found.pose);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Poses to start from: interpolated or carried on, and that of the nearest frame.
+    fn starts(&self, frame: usize) -> Vec<Se3<f64>> {
+        let before = (0..frame).rev().find_map(|i| Some((i, self.poses[i]?)));
+        let after = (frame + 1..self.poses.len()).find_map(|i| Some((i, self.poses[i]?)));
+        match (before, after) {
+            (Some((i, a)), Some((j, b))) => {
+                let near = if frame - i <= j - frame { a } else { b };
+                vec![interpolate(&a, &b, (frame - i) as f64 / (j - i) as f64), near]
+            }
+            (Some((_, a)), None) | (None, Some((_, a))) => vec![a],
+            (None, None) => Vec::new(),
+        }
+    }
+
+    /// Adjusts all poses and points, and the focal length if `free_focal`.
+    ///
+    /// Of a long clip every n-th frame is adjusted with the points; the frames between follow the points, and points that hardly
+    /// any of the adjusted frames sees are triangulated anew. All frames at once would take work that grows with the square of
+    /// the length of tracks.
+    ///
+    /// It ends early when the user asks to stop; what is found then is not to be used.
+    pub fn adjust(&mut self, tracks: &[RawTrack], options: &BundleOptions, progress: &dyn Progress) -> BundleReport {
+        let all: Vec<usize> = (0..self.poses.len()).filter(|&i| self.poses[i].is_some()).collect();
+        if all.len() <= MOST_FRAMES {
+            return self.adjust_frames(tracks, &all, options, progress);
+        }
+        let some: Vec<usize> = spread(all.len(), MOST_FRAMES).iter().map(|&k| all[k]).collect();
+        let mut adjusted = self.clone();
+        let inside = |t: &RawTrack| {
+            let from = some.partition_point(|&i| i < t.first);
+            some[from..].iter().take_while(|&&i| i < t.end()).count() >= LEAST_VIEWS
+        };
+        let held: Vec<bool> = tracks.iter().map(inside).collect();
+        for (point, held) in adjusted.points.iter_mut().zip(&held) {
+            *point = point.filter(|_| *held);
+        }
+        let report = adjusted.adjust_frames(tracks, &some, options, progress);
+        if options.free_poses {
+            adjusted.follow_points(tracks, &all, &some, options.cauchy_px);
+        }
+        let views = |i: usize| adjusted.views(&tracks[i]);
+        let anew: Vec<Option<Vector3<f64>>> = (0..tracks.len())
+            .into_par_iter()
+            .map(|i| match self.points[i] {
+                Some(_) if !held[i] => triangulate(&views(i), adjusted.focal, options.cauchy_px).map(|t| t.point),
+                _ => adjusted.points[i],
+            })
+            .collect();
+        adjusted.points = anew;
+        *self = adjusted;
+        report
+    }
+
+    /// Gives the frames of `all` that are not among `adjusted` the poses that the points ask for.
+    fn follow_points(&mut self, tracks: &[RawTrack], all: &[usize], adjusted: &[usize], cauchy_px: f64) {
+        let map = &*self;
+        let poses: Vec<(usize, Se3<f64>)> = all
+            .par_iter()
+            .filter(|i| adjusted.binary_search(i).is_err())
+            .filter_map(|&i| {
+                let sightings = map.sightings(tracks, i);
+                let start = map.poses[i].filter(|_| sightings.len() >= MIN_SIGHTINGS)?;
+                Some((i, descend(&sightings, map.focal, &start, cauchy_px)))
+            })
+            .collect();
+        for (i, pose) in poses {
+            self.poses[i] = Some(pose);
+        }
+    }
+
+    /// Adjusts `frames`, which have poses, and the points that they see.
+    fn adjust_frames(
+        &mut self,
+        tracks: &[RawTrack],
+        frames: &[usize],
+        options: &BundleOptions,
+        progress: &dyn Progress,
+    ) -> BundleReport {
+        let mut index = vec![usize::MAX; self.poses.len()];
+        for (k, &i) in frames.iter().enumerate() {
+            index[i] = k;
+        }
+        let used: Vec<usize> = (0..tracks.len()).filter(|&i| self.points[i].is_some()).collect();
+        let mut observations = Vec::new();
+        for (point, &i) in used.iter().enumerate() {
+            let t = &tracks[i];
+            for (frame, &at) in (t.first..t.end()).zip(&t.seen) {
+                if index[frame] != usize::MAX {
+                    observations.push(Observation {
+                        pose: index[frame],
+                        point,
+                        at,
+                    });
+                }
+            }
+        }
+        let mut bundle = Bundle {
+            poses: frames.iter().filter_map(|&i| self.poses[i]).collect(),
+            points: used.iter().filter_map(|&i| self.points[i]).collect(),
+            log_focal: self.focal.ln(),
+            observations,
+        };
+        let report = bundle.adjust(options, progress);
+        self.focal = bundle.focal();
+        for (&i, pose) in frames.iter().zip(&bundle.poses) {
+            self.poses[i] = Some(*pose);
+        }
+        for (&i, point) in used.iter().zip(&bundle.points) {
+            self.points[i] = Some(*point);
+        }
+        report
+    }
+
+    /// Reprojection errors of a point over the track's views; points behind a camera count as infinite.
+    pub fn errors(&self, track: &RawTrack, point: &Vector3<f64>) -> Vec<f64> {
+        let views = self.views(track);
+        let error = |(pose, at): &View| error_px(pose, point, self.focal, *at).unwrap_or(f64::INFINITY);
+        views.iter().map(error).collect()
+    }
+
+    /// Median reprojection error over all points and views, pixels.
+    pub fn median_error(&self, tracks: &[RawTrack]) -> Option<f64> {
+        let known = tracks.iter().zip(&self.points);
+        let mut all: Vec<f64> = known
+            .filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?)))
+            .flatten()
+            .collect();
+        median(&mut all)
+    }
+
+    /// Sum over all sightings by cameras with a pose of `1 - min(error / inlier_px, 1)^2`: how much
+    /// of what was seen is explained.
+    pub fn explained(&self, tracks: &[RawTrack], inlier_px: f64) -> f64 {
+        let known = tracks.iter().zip(&self.points);
+        known
+            .filter_map(|(t, x)| Some(self.errors(t, x.as_ref()?)))
+            .flatten()
+            .map(|e| (1.0 - (e / inlier_px).powi(2)).max(0.0))
+            .sum()
+    }
+}
+
+/// Most frames that are adjusted at once, and how many of them must see a point.
+const MOST_FRAMES: usize = 300;
+const LEAST_VIEWS: usize = 3;
+
+/// Fewest agreeing points that fix a pose.
+pub(crate) const MIN_SIGHTINGS: usize = 12;
+
+/// The pose at share `s` of the way from `a` to `b`: camera centres on a line, rotations on the
+/// shortest arc. Both world to camera.
+pub(crate) fn interpolate(a: &Se3<f64>, b: &Se3<f64>, s: f64) -> Se3<f64> {
+    let (ca, cb) = (a.inverse(), b.inverse());
+    let turn = m4_core::log_so3(&(cb.rotation * ca.rotation.transpose()));
+    Se3 {
+        rotation: m4_core::exp_so3(&(turn * s)) * ca.rotation,
+        translation: ca.translation * (1.0 - s) + cb.translation * s,
+    }
+    .inverse()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::interpolate;
+    use m4_core::{Se3, exp_so3, nalgebra::Vector3};
+
+    #[test]
+    fn interpolation_meets_both_ends_and_the_middle() {
+        let pose = |w: f64, x: f64| {
+            Se3 {
+                rotation: exp_so3(&Vector3::new(0.0, w, 0.0)),
+                translation: Vector3::new(x, 0.0, 1.0),
+            }
+            .inverse()
+        };
+        let (a, b) = (pose(0.2, 1.0), pose(0.6, 3.0));
+        for (s, want) in [(0.0, a), (1.0, b), (0.5, pose(0.4, 2.0))] {
+            assert!((interpolate(&a, &b, s).matrix() - want.matrix()).norm() < 1e-12);
+        }
+    }
+}

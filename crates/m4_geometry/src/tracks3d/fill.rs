@@ -1,0 +1,198 @@
+//! Tracks carried on where their points are hidden, and taken up again where they come back.
+//!
+//! A point that is lost goes on with the rigid motion that most of its neighbours follow: those that were seen with it last, from that
+//! frame on, so that nothing adds up; where none of them is left, those around it, frame by frame. As soon as the
+//! camera sees something that moves where the point should be, at its depth, and its surface has not turned away, a chain
+//! starts there: if that goes where the neighbours go, it is the point again.
+
+use super::board::{Board, State};
+use super::chain::{Chain, is_inside, one_way};
+use super::grid::nearest;
+use super::lift::{Lifted, around, lift};
+use super::predict::{Guess, Lost, Step, lose};
+use super::{Strip, TrackConfig, TrackError};
+use m4_core::{DepthMap, Progress, nalgebra::Vector3};
+use rayon::prelude::*;
+
+/// Most frames that a point is carried on from the last in which it was seen.
+const MOST_FRAMES: usize = 60;
+/// A point is visible again where the visible surface lies at its depth, to within this share ...
+pub(super) const JOIN_DEPTH: f32 = 0.03;
+/// ... and where, some frames later, it is still within this many pixels of the prediction of its neighbours.
+const JOIN_PX: f32 = 3.0;
+/// A hidden point in front of the visible surface by more than this share of the depth is wrong (docs/spec/optimiser.md 2.6:
+/// 5 %).
+const FREE_SPACE: f32 = 0.05;
+/// Frames in which something farther was seen in its place, after which a track is given up.
+const MOST_VIOLATIONS: usize = 2;
+/// Frames after which a track that came back is compared with its neighbours.
+const PROOF: usize = 8;
+
+/// The clip that tracks are carried through.
+pub(crate) struct Scene<'a> {
+    pub strip: &'a Strip,
+    /// z-depth of all that a frame sees; 0 or not a number where unknown.
+    pub surface: &'a (dyn Fn(usize) -> Result<DepthMap, TrackError> + Sync),
+    pub config: &'a TrackConfig,
+}
+
+/// What became of a lost point in one frame.
+struct Outcome {
+    guess: Guess,
+    violated: bool,
+    back: Option<Lifted>,
+}
+
+/// Carries every track of `board` on to both ends of the clip, as far as its places can be told.
+pub(crate) fn fill(scene: &Scene<'_>, board: &mut Board, progress: &dyn Progress) -> Result<(), TrackError> {
+    sweep(scene, board, true, progress)?;
+    sweep(scene, board, false, progress)
+}
+
+fn sweep(scene: &Scene<'_>, board: &mut Board, forward: bool, progress: &dyn Progress) -> Result<(), TrackError> {
+    const PHASE: &str = "carrying hidden points";
+    let n = board.frames;
+    let frame = |s: usize| if forward { s } else { n - 1 - s };
+    let mut lost: Vec<Option<Lost>> = vec![None; board.count];
+    for s in 1..n {
+        if progress.cancelled() {
+            return Err(TrackError::Cancelled { phase: PHASE });
+        }
+        let done = if forward { s } else { n + s };
+        progress.update(PHASE, done, 2 * n - 1, "");
+        let (before, now) = (frame(s - 1), frame(s));
+        let unknown = |board: &Board, k: usize| board.state[board.at(now, k)] == State::Unknown;
+        let new: Vec<usize> = board.seen_in(before).filter(|&k| unknown(board, k)).collect();
+        let memories = lose(board, &scene.strip.cameras[before], before, &new);
+        for (&k, memory) in new.iter().zip(memories) {
+            lost[k] = Some(memory);
+        }
+        let known = |k: usize| board.state[board.at(before, k)] != State::Unknown;
+        let open = |k: &usize| known(*k) && unknown(board, *k);
+        let open: Vec<(usize, &Lost)> = (0..board.count)
+            .filter(open)
+            .filter_map(|k| lost[k].as_ref().map(|l| (k, l)))
+            .filter(|(_, l)| now.abs_diff(l.since) <= MOST_FRAMES)
+            .collect();
+        if open.is_empty() {
+            continue;
+        }
+        let surface = (scene.surface)(now)?;
+        let step = Step::new(board, before, now);
+        let earlier = (s >= 2).then(|| frame(s - 2));
+        let outcome = |&(k, memory): &(usize, &Lost)| {
+            let guess = memory.guess(board, k, &step, earlier)?;
+            let outcome = look(scene, board, (k, memory), guess, now, forward, &surface);
+            Some((k, outcome))
+        };
+        let outcomes: Vec<Option<(usize, Outcome)>> = open.par_iter().map(outcome).collect();
+        for (k, outcome) in outcomes.into_iter().flatten() {
+            let Some(memory) = &mut lost[k] else { continue };
+            memory.learn(&outcome.guess);
+            memory.violations += usize::from(outcome.violated);
+            if memory.violations > MOST_VIOLATIONS {
+                lost[k] = None;
+                continue;
+            }
+            let confidence = if outcome.violated {
+                0.0
+            } else {
+                outcome.guess.confidence
+            };
+            let p = outcome.guess.place;
+            board.set(
+                now,
+                k,
+                [p.x as f32, p.y as f32, p.z as f32],
+                outcome.guess.state,
+                confidence,
+            );
+            if let Some(piece) = outcome.back {
+                board.put(k, &piece);
+            }
+        }
+    }
+    board.forget_blind((0..n).map(frame));
+    Ok(())
+}
+
+/// What the camera says of a place where a point should be.
+fn look(
+    scene: &Scene<'_>,
+    board: &Board,
+    (track, memory): (usize, &Lost),
+    guess: Guess,
+    now: usize,
+    forward: bool,
+    surface: &DepthMap,
+) -> Outcome {
+    let strip = scene.strip;
+    let camera = &strip.cameras[now];
+    let ([u, v], z) = camera.project(&guess.place);
+    let at = [u as f32, v as f32];
+    let mut out = Outcome {
+        guess,
+        violated: false,
+        back: None,
+    };
+    if !(z > 0.0 && is_inside(strip, at)) {
+        return out;
+    }
+    out.violated = z < f64::from(least(surface, at)) * (1.0 - f64::from(FREE_SPACE));
+    if memory.faces(&guess, &camera.centre()) {
+        out.back = again(scene, board, (track, memory), (now, at, z), forward);
+    }
+    out
+}
+
+/// The least depth that is known of 3x3 pixels; 0 where none is.
+fn least(surface: &DepthMap, at: [f32; 2]) -> f32 {
+    let (w, h) = surface.size();
+    let (x, y) = nearest(at);
+    let rows = y.saturating_sub(1)..(y + 2).min(h);
+    let pixels = rows.flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| (x, y)));
+    let known = pixels.map(|p| surface[p]).filter(|z| z.is_finite() && *z > 0.0);
+    known.min_by(f32::total_cmp).unwrap_or(0.0)
+}
+
+/// The piece of a track that begins where the point should be, if what is seen there may be it.
+fn again(
+    scene: &Scene<'_>,
+    board: &Board,
+    (track, memory): (usize, &Lost),
+    (now, at, z): (usize, [f32; 2], f64),
+    forward: bool,
+) -> Option<Lifted> {
+    let strip = scene.strip;
+    let (x, y) = nearest(at);
+    strip.moving[now].get(x, y)?;
+    let same_depth = |z: f64, surface: f64| (z / surface - 1.0).abs() <= f64::from(JOIN_DEPTH);
+    if !same_depth(z, 1.0 / f64::from(around(strip, now, at))) {
+        return None;
+    }
+    let mut seen = one_way(strip, now, at, forward);
+    let first = if forward { now } else { now - seen.len() };
+    seen.insert(0, at);
+    if !forward {
+        seen.reverse();
+    }
+    let pieces = lift(strip, &Chain { first, seen }, scene.config);
+    let piece = pieces
+        .into_iter()
+        .find(|p| (p.first..p.first + p.places.len()).contains(&now))?;
+    // A little later it must still be where its neighbours say.
+    let reach = (piece.places.len() - 1).min(PROOF - 1);
+    let then = if forward { now + reach } else { now - reach };
+    if let (Some(want), Some(found)) = (
+        memory.check(board, track, then),
+        then.checked_sub(piece.first).and_then(|i| piece.places.get(i)),
+    ) {
+        let found = Vector3::from(found.map(f64::from));
+        let (a, b) = (strip.cameras[then].project(&want), strip.cameras[then].project(&found));
+        let off = (a.0[0] - b.0[0]).hypot(a.0[1] - b.0[1]);
+        if !(off <= f64::from(JOIN_PX) && same_depth(a.1, b.1)) {
+            return None;
+        }
+    }
+    Some(piece)
+}

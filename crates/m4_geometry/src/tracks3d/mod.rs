@@ -1,0 +1,44 @@
+//! Points of moving parts followed through *all* frames of a posed clip, seen or hidden.
+//!
+//! ```text
+//! masks every n-th frame -> grid of queries ----------.
+//! PosedClip (a frame at a time) -> Tracker3d::follow --+--> Followed: places, visibility, confidence -> m4_core::Tracks
+//!                                     |
+//!                 FlowTracker: strip (flow and depth of dynamic regions) -> chain -> lift -> fill -> again where it comes back
+//! ```
+//!
+//! [`Tracker3d`] is the seam between the tracking enhancement of Minute4D (section 3.2 of the paper; docs/spec/front-end.md 3; docs/spec/front-end.md 7.1, item 8)
+//! and a method that tracks points: a network such as TAPIP3D, which takes the same queries (frame and
+//! place in the world) and gives the same answers (a place and a probability of being seen in every frame), or
+//! [`FlowTracker`], which needs no weights. That one chains optical flow, lifts it with depth, and where a point is hidden
+//! carries it on with the local rigid motion of its neighbours (as rigid as possible: Sorkine and Alexa 2007), until it can be seen
+//! where it is predicted.
+//!
+//! Pixels here have the centre of the first one at (0, 0), as [`m4_core::Camera::project`] has them; places are world units.
+
+mod board;
+mod chain;
+mod clip;
+mod error;
+mod fill;
+mod flow_tracker;
+mod grid;
+mod lift;
+mod predict;
+mod rigid;
+mod strip;
+mod tracker;
+
+pub use clip::{CaptureClip, PosedClip, PosedFrame};
+pub use error::TrackError;
+pub use flow_tracker::{FlowTracker, TrackConfig};
+pub use grid::QueryGrid;
+pub use tracker::{Followed, Query, Tracker3d};
+
+pub(crate) use board::Board;
+pub(crate) use chain::{Chain, chain};
+pub(crate) use fill::{Scene, fill};
+pub(crate) use flow_tracker::{board_of, followed, on_grid};
+pub(crate) use grid::seed;
+pub(crate) use lift::{Lifted, lift};
+pub(crate) use strip::{Sparse, Strip, way};

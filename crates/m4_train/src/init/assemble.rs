@@ -1,0 +1,290 @@
+//! Turns point clouds into splats.
+
+use crate::init::{
+    InitConfig, InitError, TimeSpread, VelocityInit,
+    carry::{CARRY_MARGIN, CARRY_REACH_PIXELS, Carry, MOST_CARRIED, Moving, hidden, is_seen},
+    change::changes,
+    cloud::{Clouds, Pixels, clouds},
+    error::stopped,
+    motion::{Fields, NODE_PIXELS, REACH_PIXELS, Registration, View, Ways, fields},
+    paths::Paths,
+    shell::{Shell, shell},
+    tracked::{self, Known},
+    voxel::{Centroids, Grid, pixels_for},
+    write::{BRIGHT, DARK, Writer},
+};
+use m4_core::{Capture, Progress, SplatLayout, Splats};
+use rayon::prelude::*;
+
+/// Voxels are never smaller than this, pixels at the median depth: splats finer than the pixels leave cracks in views from the
+/// side (measured: -0.4 dB inside moving parts at 0.5; docs/decisions/0004).
+const MIN_PIXELS: f32 = 1.25;
+/// Spacing of the splats that tint changed patches, pixels at the median depth (our rule).
+const TINT_PIXELS: f32 = 5.0;
+/// Radius of the shell, in units of the depth below which 99 of 100 pixels lie (our rule).
+const SHELL_RADIUS: f32 = 2.0;
+
+/// The first splats of a capture.
+///
+/// Frames without a mask stand still everywhere; frames without depth are skipped. Static splats
+/// come first; dynamic ones are in order of time.
+///
+/// # Errors
+///
+/// [`InitError`] if a setting is out of range, the capture has no frame or no usable depth, a camera
+/// is not finite, or `progress` asked to stop.
+pub fn initialise(capture: &Capture, config: &InitConfig, progress: &dyn Progress) -> Result<Splats, InitError> {
+    config.check()?;
+    if let Some(tracks) = capture.tracks.as_ref().filter(|t| t.frames() != capture.frames.len()) {
+        return Err(InitError::Tracks {
+            frames: capture.frames.len(),
+            tracks: tracks.frames(),
+        });
+    }
+    let clouds = clouds(capture, config, progress)?;
+    let (focal_px, median_depth) = (clouds.focal_px, clouds.median_depth);
+    let centres: Vec<[f32; 3]> = every_nth(capture.frames.len(), 16)
+        .map(|i| capture.frames[i].camera.centre())
+        .map(|c| [c.x as f32, c.y as f32, c.z as f32])
+        .collect();
+    let origin = centres[0];
+    let grid = |pixels| Grid::new(config.cells, pixels, focal_px, median_depth, &centres, origin);
+    let points = |pixels: &Pixels| pixels.cloud(capture);
+
+    let static_pixels = pixels_for(config.max_static, MIN_PIXELS, |p| {
+        grid(p).occupied_by(&clouds.standing, points)
+    });
+    let standing_grid = grid(static_pixels);
+    let standing = standing_grid.merge_all(&clouds.standing, points);
+    stopped(progress)?;
+    progress.update("voxels", 1, 3, &format!("{} static", standing.xyz.len()));
+
+    let count = |p| {
+        let grid = grid(p);
+        clouds.moving.par_iter().map(|k| grid.occupied(&points(k))).sum()
+    };
+    let moving_grid = grid(pixels_for(config.max_dynamic, MIN_PIXELS, count));
+    let moving: Vec<(f64, Centroids)> = clouds
+        .moving
+        .par_iter()
+        .map(|k| (capture.frames[k.frame].t, moving_grid.merge(&points(k))))
+        .collect();
+    stopped(progress)?;
+    progress.update("voxels", 2, 3, &format!("{} static", standing.xyz.len()));
+
+    let fields = motions(capture, config, &clouds, &moving, &grid, progress)?;
+    let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
+    let by = Carry {
+        keyframes: match config.velocity {
+            // What does not move is carried nowhere.
+            VelocityInit::Zero => 0,
+            VelocityInit::Register { .. } => config.carry_keyframes,
+        },
+        most: MOST_CARRIED,
+        margin: CARRY_MARGIN,
+        reach: (f64::from(CARRY_REACH_PIXELS) * median_depth / focal_px) as f32,
+    };
+    let hidden = hidden(capture, &frames, &moving, &fields, &moving_grid, by, progress)?;
+    let known = Known {
+        capture,
+        frames: &frames,
+        moving: &moving,
+        carried: &hidden,
+        grid: &moving_grid,
+        depth_range: [clouds.near_depth, clouds.far_depth],
+        median_depth,
+    };
+    stopped(progress)?;
+    let tracked = tracked::tracked(&known, config);
+    stopped(progress)?;
+    let centre = |i: usize| capture.frames[frames[i]].camera.centre();
+    let paths: Vec<Paths> = (0..moving.len())
+        .map(|i| Paths::of(&moving, &fields, i, &centre(i)))
+        .collect();
+    stopped(progress)?;
+    let tint_grid = grid(TINT_PIXELS);
+    let tints: Vec<Tints> = frames
+        .par_iter()
+        .map(|&frame| {
+            if config.change_threshold <= 0.0 {
+                return Tints::default();
+            }
+            let found = changes(&capture.frames[frame], config, &standing_grid, &standing);
+            Tints {
+                darker: tint_grid.merge(&found.darker),
+                brighter: tint_grid.merge(&found.brighter),
+            }
+        })
+        .collect();
+    let shell = shell(capture, config.shell_splats, SHELL_RADIUS * clouds.far_depth as f32);
+    let parts = Parts {
+        standing,
+        shell,
+        moving,
+        paths,
+        hidden,
+        tracked,
+        tints,
+    };
+    let splats = assemble(capture, config, &parts);
+    let note = format!("{} static, {} dynamic", splats.n_static(), splats.n_dynamic());
+    progress.update("voxels", 3, 3, &note);
+    Ok(splats)
+}
+
+/// Splats that darken or brighten what is behind them, at one keyframe; the colour of a centroid is the
+/// share of light that it takes away or adds.
+#[derive(Debug, Default)]
+struct Tints {
+    darker: Centroids,
+    brighter: Centroids,
+}
+
+/// Everything that splats are made of.
+struct Parts {
+    standing: Centroids,
+    shell: Shell,
+    /// Time and points, one per keyframe.
+    moving: Vec<(f64, Centroids)>,
+    /// Motion of the points, one per keyframe.
+    paths: Vec<Paths>,
+    /// Points that a keyframe cannot see.
+    hidden: Vec<Moving>,
+    /// Points of tracks that each keyframe lacks.
+    tracked: Vec<Moving>,
+    /// One per keyframe.
+    tints: Vec<Tints>,
+}
+
+/// A place behind the depth map by this share of the depth is not looked for in an image.
+const HIDDEN_BEHIND: f32 = 0.05;
+
+/// Motions between keyframes, found on a coarser grid; none where they are not asked for.
+fn motions(
+    capture: &Capture,
+    config: &InitConfig,
+    clouds: &Clouds,
+    moving: &[(f64, Centroids)],
+    grid: &impl Fn(f32) -> Grid,
+    progress: &dyn Progress,
+) -> Result<Vec<Fields>, InitError> {
+    match config.velocity {
+        VelocityInit::Zero => Ok(vec![Fields::default(); moving.len().saturating_sub(1)]),
+        VelocityInit::Register { tracks } => {
+            let coarse_grid = grid(NODE_PIXELS);
+            let coarse = clouds.moving.par_iter().map(|k| coarse_grid.merge(&k.cloud(capture)));
+            let coarse: Vec<Centroids> = coarse.collect();
+            let reach = f64::from(REACH_PIXELS) * clouds.median_depth / clouds.focal_px;
+            let by = Registration::with_reach(reach as f32);
+            let frames = || clouds.moving.iter().map(|k| &capture.frames[k.frame]);
+            let sees: Vec<_> = frames()
+                .map(|frame| move |p| is_seen(frame, p, HIDDEN_BEHIND))
+                .collect();
+            let keyframes: Vec<View<'_>> = frames()
+                .enumerate()
+                .map(|(i, frame)| View {
+                    nodes: &coarse[i],
+                    points: &moving[i].1,
+                    frame: Some(frame),
+                    sees: &sees[i],
+                })
+                .collect();
+            let frames: Vec<usize> = clouds.moving.iter().map(|k| k.frame).collect();
+            let ways = capture.tracks.as_ref().filter(|_| tracks).map(|tracks| Ways {
+                tracks,
+                frames: &frames,
+                reach: by.reach,
+            });
+            fields(&keyframes, ways, &by, progress)
+        }
+    }
+}
+
+/// At most `count` indices below `n`, evenly spread.
+fn every_nth(n: usize, count: usize) -> impl Iterator<Item = usize> {
+    (0..n).step_by(n.div_ceil(count).max(1))
+}
+
+fn assemble(capture: &Capture, config: &InitConfig, parts: &Parts) -> Splats {
+    let layout = SplatLayout {
+        isotropic: config.isotropic,
+        sh_degree: 0,
+        time_degree: 0,
+    };
+    let n_moving: usize = parts.moving.iter().map(|(_, c)| c.xyz.len()).sum();
+    let unseen = || parts.hidden.iter().chain(&parts.tracked);
+    let n_hidden: usize = unseen().map(|m| m.points.xyz.len()).sum();
+    let n_tints: usize = parts
+        .tints
+        .iter()
+        .map(|t| t.darker.xyz.len() + t.brighter.xyz.len())
+        .sum();
+    let n_standing = parts.standing.xyz.len() + parts.shell.xyz.len();
+    let n_static = if config.static_fade { 0 } else { n_standing };
+    let mut splats = Splats::zeros(layout, n_static, n_standing - n_static + n_moving + n_hidden + n_tints);
+
+    let mut writer = Writer {
+        splats: &mut splats,
+        config,
+        row: 0,
+    };
+    writer.surface(&parts.standing);
+    writer.shell(&parts.shell);
+    let times: Vec<f64> = parts.moving.iter().map(|(t, _)| *t).collect();
+    if config.static_fade {
+        writer.time(0, static_life(capture, config));
+    }
+    for (i, (t, points)) in parts.moving.iter().enumerate() {
+        let first = writer.row;
+        writer.surface(points);
+        writer.velocity(first, &parts.paths[i].velocity);
+        for unseen in [&parts.hidden[i], &parts.tracked[i]] {
+            let first = writer.row;
+            writer.surface(&unseen.points);
+            writer.velocity(first, &unseen.velocity);
+        }
+        writer.tint(&parts.tints[i].darker, DARK);
+        writer.tint(&parts.tints[i].brighter, BRIGHT);
+        writer.time(first, (*t as f32, log_time_sd(capture, config, &times, i)));
+        if let TimeSpread::KeyframeGaps { .. } = config.time_spread {
+            writer.shorten(first, &parts.paths[i].bend);
+        }
+    }
+    splats
+}
+
+/// Middle and logarithm of the standard deviation in time, frames, of static points that fade.
+fn static_life(capture: &Capture, config: &InitConfig) -> (f32, f32) {
+    let last = (capture.time_frames.max(2) - 1) as f32;
+    // without a reference time axis they fade as the reference's do at D = 3
+    let time_range = match config.time_spread {
+        TimeSpread::KeyframeGaps { .. } => 3.0,
+        TimeSpread::Reference { time_range } => time_range,
+    };
+    let middle = if time_range >= 2.0 { last / 3.0 } else { last / 2.0 };
+    (middle, (last / time_range.sqrt()).ln())
+}
+
+/// Logarithm of the standard deviation in time, frames, of the points of keyframe `i`; `times` are those of all
+/// keyframes, in order.
+fn log_time_sd(capture: &Capture, config: &InitConfig, times: &[f64], i: usize) -> f32 {
+    match config.time_spread {
+        TimeSpread::KeyframeGaps { factor } => (factor * gap(times, i) as f32).ln(),
+        TimeSpread::Reference { time_range } => {
+            let last = (capture.time_frames.max(2) - 1) as f32;
+            0.5 * (last / (10.0 * time_range)).ln()
+        }
+    }
+}
+
+/// Mean of the frames from keyframe `i` to its neighbours in time; 1 for a lone one. Keyframes of the same instant, from another
+/// camera, are no neighbours.
+fn gap(times: &[f64], i: usize) -> f64 {
+    let before = times[..i].iter().rev().map(|t| times[i] - t).find(|gap| *gap > 0.0);
+    let after = times[i..].iter().map(|t| t - times[i]).find(|gap| *gap > 0.0);
+    match (before, after) {
+        (Some(before), Some(after)) => 0.5 * (before + after),
+        (Some(gap), None) | (None, Some(gap)) => gap,
+        (None, None) => 1.0,
+    }
+}

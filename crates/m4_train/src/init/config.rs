@@ -1,0 +1,252 @@
+//! What differs between initialisations, each with its source; constants stand beside the code that uses them.
+
+use crate::init::InitError;
+
+/// How large a voxel is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CellSize {
+    /// `k * median depth / focal` everywhere (Instant4D; docs/spec/optimiser.md 2.2).
+    Constant,
+    /// `k * distance to the nearest camera / focal`, in steps of a factor `sqrt(2)`: the same number
+    /// of pixels at every depth (docs/spec/optimiser.md 2.2, our variant).
+    DepthProportional,
+}
+
+/// How long a dynamic splat lives at the start.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TimeSpread {
+    /// Standard deviation in gaps, the mean of those to both neighbouring keyframes, so that splats reach the next one where
+    /// frames are missing, too (docs/spec/optimiser.md 2.4, our choice).
+    KeyframeGaps {
+        /// Standard deviations per gap. From 0.75 on the opacity of a surface changes by less than 3 % between keyframes
+        /// that are evenly spaced; with 1 every splat is also seen, and its velocity trained, at the neighbouring keyframes.
+        factor: f32,
+    },
+    /// Variance `D / (10 (B - 1))` in the reference's time units, that is a standard deviation of
+    /// `sqrt((B - 1) / (10 D))` frames; standing points get variance `D`, that is
+    /// `(B - 1) / sqrt(D)` frames, about the time `D / 3` (Instant4D; docs/spec/optimiser.md 2.4, decision D7).
+    Reference {
+        /// Length `D` of the reference's time axis: 3 for DyCheck and DAVIS, 1 for NVIDIA.
+        time_range: f32,
+    },
+}
+
+/// Where the first velocities come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum VelocityInit {
+    /// All 0: the optimiser finds them.
+    Zero,
+    /// Each keyframe's points are registered to those of the keyframes before and after: locally rigid
+    /// motions that bring similar colours together, refined by patches of the frames (docs/spec/optimiser.md 2.6).
+    Register {
+        /// Where the capture brings tracks, points near them go where they say, before the frames have their word (section
+        /// 2.6; measured: 0.00 to +0.12 dB inside moving parts, +0.27 with true depth; docs/geometry.md).
+        tracks: bool,
+    },
+}
+
+/// Points of tracks that the capture brings, added to those of the frames (paper Eq. 5: the completed cloud; docs/spec/optimiser.md 2.6). Without
+/// tracks nothing is added. The default is [`InitConfig::fast`]'s.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TrackedInit {
+    /// Whether they are added: one a track and keyframe, hidden ones too. On by the paper's letter; off in [`InitConfig::fast`], since
+    /// points that are carried ([`InitConfig::carry_keyframes`]) lie closer together and do better (measured inside moving parts of
+    /// held-out views, before training, three scenes with true depth: carried 21.9, 24.4, 24.0 dB, tracked 21.2, 22.8, 23.4; both 21.3 in the first).
+    pub enabled: bool,
+    /// Also where the frame itself sees the place (the paper's letter); such points fill cells that the frame's own points leave
+    /// empty. Else only where it cannot.
+    pub seen: bool,
+    /// Most points, all keyframes together; more are thinned everywhere alike.
+    pub most: usize,
+}
+
+impl Default for TrackedInit {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            seen: false,
+            most: 300_000,
+        }
+    }
+}
+
+/// Settings of [`crate::init::initialise`]. Defaults are those of [`InitConfig::fast`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct InitConfig {
+    /// Most static splats to start with; the voxels' size is chosen to come close from below.
+    pub max_static: usize,
+    /// Most dynamic splats to start with, all keyframes together; a frame draws those of a few keyframes
+    /// alone, so they cost memory rather than time.
+    pub max_dynamic: usize,
+    /// Constant or depth-proportional voxels.
+    pub cells: CellSize,
+    /// Standing points are taken from at most this many frames, evenly spread. 24 frames of 480 x 360
+    /// are 4 million points, which is what 150 MB hold; twice as many bring nothing (measured).
+    pub static_frames: usize,
+    /// Standing points within this many pixels of a moving one are dropped: masks are never exact,
+    /// and a moving pixel taken for wall stays on the wall (our rule).
+    pub mask_margin_px: usize,
+    /// Standing points that are nearer by more than this share than what several other frames see there are dropped: depth that
+    /// smears over edges (docs/spec/optimiser.md 2.6 has 5 % for tracked points; measured on whole held-out views: +0.3 and +0.45 dB from frames at
+    /// 1.5 %, less at 3 %, none lost with true depth). 0 for none.
+    pub free_space: f32,
+    /// Moving points that leave the image or go behind something are carried on, with what is seen of
+    /// their body, into at most this many keyframes that cannot see them (docs/spec/optimiser.md 2.6: occluded samples are kept).
+    /// They come on top of `max_dynamic`. 0 for none.
+    pub carry_keyframes: usize,
+    /// Points of tracks.
+    pub tracked: TrackedInit,
+    /// A patch of standing surface whose brightness differs by more than this (0..1) from its mean over
+    /// all frames gets splats of its own for that time: moving shadows (our rule). 0 for none.
+    pub change_threshold: f32,
+    /// Splats on a shell behind everything, coloured by what was seen in their direction (our rule). 0
+    /// for none.
+    pub shell_splats: usize,
+    /// One scale a splat and no rotation (the paper's choice, as Instant4D; docs/spec/optimiser.md 1.5).
+    pub isotropic: bool,
+    /// Standing points become rows with time parameters that fade towards the ends, as in the
+    /// reference (docs/spec/optimiser.md 2.4); else they have no time at all.
+    pub static_fade: bool,
+    /// Opacity at the start, 0..1. Reference 0.1; docs/spec/optimiser.md 2.5 recommends 0.5; 0.97 with small splats is
+    /// sharper from the start (measured: +0.05 SSIM inside moving parts before training).
+    pub opacity: f32,
+    /// Standard deviation in units of that of the nearest neighbours along each axis of the surface; of an isotropic
+    /// splat in units of the distance to the three nearest neighbours (root mean square). Reference 1;
+    /// docs/spec/optimiser.md 2.5 recommends 0.75; 0.55 with opacity 0.97 (measured, as above).
+    pub scale_factor: f32,
+    /// How long a dynamic splat lives.
+    pub time_spread: TimeSpread,
+    /// First velocities.
+    pub velocity: VelocityInit,
+}
+
+impl Default for InitConfig {
+    fn default() -> Self {
+        Self::fast()
+    }
+}
+
+impl InitConfig {
+    /// Static splats without time, dynamic ones in velocity form, anisotropic (docs/spec/optimiser.md 9, D1).
+    #[must_use]
+    pub fn fast() -> Self {
+        Self {
+            max_static: 80_000,
+            max_dynamic: 600_000,
+            cells: CellSize::DepthProportional,
+            static_frames: 24,
+            mask_margin_px: 2,
+            free_space: 0.015,
+            carry_keyframes: 24,
+            tracked: TrackedInit::default(),
+            change_threshold: 0.05,
+            shell_splats: 2000,
+            isotropic: false,
+            static_fade: false,
+            opacity: 0.97,
+            scale_factor: 0.55,
+            time_spread: TimeSpread::KeyframeGaps { factor: 1.0 },
+            velocity: VelocityInit::Register { tracks: true },
+        }
+    }
+
+    /// The paper's letter, read as Instant4D (docs/spec/optimiser.md 1.5 and 2): isotropic, no velocity, every
+    /// splat with a time span, opacity 0.1, constant voxels, scale of the plain 3-NN distance.
+    #[must_use]
+    pub fn faithful() -> Self {
+        Self {
+            max_static: 60_000,
+            max_dynamic: 40_000,
+            cells: CellSize::Constant,
+            static_frames: 40,
+            mask_margin_px: 0,
+            free_space: 0.0,
+            carry_keyframes: 0,
+            tracked: TrackedInit {
+                enabled: true,
+                seen: true,
+                most: 40_000,
+            },
+            change_threshold: 0.0,
+            shell_splats: 0,
+            isotropic: true,
+            static_fade: true,
+            opacity: 0.1,
+            scale_factor: 1.0,
+            time_spread: TimeSpread::Reference { time_range: 3.0 },
+            velocity: VelocityInit::Zero,
+        }
+    }
+
+    /// Refuses values that no run can use.
+    ///
+    /// # Errors
+    ///
+    /// [`InitError::BadSetting`] naming the first field out of range.
+    pub fn check(&self) -> Result<(), InitError> {
+        let need = |ok: bool, field, value: &dyn ToString, expected| {
+            if ok {
+                return Ok(());
+            }
+            Err(InitError::BadSetting {
+                field,
+                value: value.to_string(),
+                expected,
+            })
+        };
+        let counts = [
+            ("max_static", self.max_static),
+            ("max_dynamic", self.max_dynamic),
+            ("static_frames", self.static_frames),
+        ];
+        for (field, value) in counts {
+            need(value >= 1, field, &value, "at least 1")?;
+        }
+        for (field, value) in [
+            ("free_space", self.free_space),
+            ("change_threshold", self.change_threshold),
+        ] {
+            need(
+                value.is_finite() && value >= 0.0,
+                field,
+                &value,
+                "a number of at least 0",
+            )?;
+        }
+        let (spread, gaps) = match self.time_spread {
+            TimeSpread::KeyframeGaps { factor } => ("keyframe_gaps", factor),
+            TimeSpread::Reference { time_range } => ("time_range", time_range),
+        };
+        for (field, value) in [("scale_factor", self.scale_factor), (spread, gaps)] {
+            need(value.is_finite() && value > 0.0, field, &value, "a number above 0")?;
+        }
+        let opacity = self.opacity;
+        need(
+            opacity > 0.0 && opacity < 1.0,
+            "opacity",
+            &opacity,
+            "between 0 and 1, both excluded",
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::InitConfig;
+
+    #[test]
+    fn the_profiles_are_valid_and_bad_values_are_named() {
+        InitConfig::fast().check().unwrap();
+        InitConfig::faithful().check().unwrap();
+        let broken = InitConfig {
+            opacity: 1.5,
+            ..InitConfig::fast()
+        };
+        assert!(broken.check().unwrap_err().to_string().contains("`opacity` is 1.5"));
+        let broken = InitConfig {
+            scale_factor: f32::NAN,
+            ..InitConfig::fast()
+        };
+        assert!(broken.check().is_err());
+    }
+}

@@ -1,0 +1,279 @@
+//! Motion fields between keyframes, which can be evaluated anywhere.
+
+use super::follow::Ways;
+use super::look::Look;
+use super::register::{Registration, View, register};
+
+use super::rigid::Rigid;
+use crate::init::{InitError, error::stopped};
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use m4_core::{
+    Progress,
+    nalgebra::{UnitQuaternion, Vector3},
+};
+use rayon::prelude::*;
+use std::num::NonZero;
+
+/// How points move from one keyframe to a neighbour: known around some places, asked for at others.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Field {
+    /// Places where the motion is known, world units.
+    pub nodes: Vec<[f32; 3]>,
+    /// The motion around each.
+    pub motion: Vec<Rigid>,
+}
+
+/// Motions to the next keyframe and, from there, back.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Fields {
+    pub forward: Field,
+    pub backward: Field,
+}
+
+/// Motions between every keyframe and the next; `ways` is what tracks know of them.
+///
+/// # Errors
+///
+/// [`InitError::Stopped`].
+pub(crate) fn fields(
+    keyframes: &[View<'_>],
+    ways: Option<Ways<'_>>,
+    by: &Registration,
+    progress: &dyn Progress,
+) -> Result<Vec<Fields>, InitError> {
+    let mut out: Vec<Fields> = Vec::new();
+    let look = |view: &View<'_>| view.frame.and_then(Look::new);
+    // two images at a time: all of them would be most of the memory of a run
+    let mut ahead = keyframes.first().and_then(look);
+    for (i, pair) in keyframes.windows(2).enumerate() {
+        stopped(progress)?;
+        progress.update("motions", i, keyframes.len() - 1, "");
+        let (a, b) = (&pair[0], &pair[1]);
+        let behind = std::mem::replace(&mut ahead, look(b));
+        let follow = |from, to| ways.and_then(|w| w.between(from, to));
+        let looks = behind.as_ref().zip(ahead.as_ref());
+        // What moved on goes on moving: the last motion is a good first guess.
+        let guess = match out.last() {
+            Some(last) => shifts(&a.nodes.xyz, &last.forward.onward(&a.nodes.xyz)),
+            None => shifts(&a.nodes.xyz, &a.nodes.xyz),
+        };
+        let forward = Field {
+            nodes: a.nodes.xyz.clone(),
+            motion: register(a, b, looks.map(|(a, b)| [a, b]), follow(i, i + 1), guess, by),
+        };
+        let guess = shifts(&b.nodes.xyz, &forward.inverse().places(&b.nodes.xyz));
+        let backward = Field {
+            nodes: b.nodes.xyz.clone(),
+            motion: register(b, a, looks.map(|(a, b)| [b, a]), follow(i + 1, i), guess, by),
+        };
+        out.push(Fields { forward, backward });
+    }
+    Ok(out)
+}
+
+fn shifts(from: &[[f32; 3]], to: &[[f32; 3]]) -> Vec<Rigid> {
+    from.iter().zip(to).map(|(p, q)| Rigid::shift(*p, *q)).collect()
+}
+
+impl Field {
+    /// The motion back, known where this one leads.
+    pub fn inverse(&self) -> Self {
+        Self {
+            nodes: self.nodes.iter().zip(&self.motion).map(|(p, m)| m.apply(*p)).collect(),
+            motion: self.motion.iter().map(Rigid::inverse).collect(),
+        }
+    }
+
+    /// The same displacement once more, at points of the keyframe that this motion leads to.
+    fn onward(&self, at: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        let back = self.inverse().places(at);
+        at.iter()
+            .zip(back)
+            .map(|(p, q)| [0, 1, 2].map(|k| 2.0 * p[k] - q[k]))
+            .collect()
+    }
+
+    /// Where points among the nodes go: by the motions of the three nearest nodes, weighted by the inverse
+    /// distance. Without nodes nothing moves.
+    pub fn places(&self, at: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        const THREE: NonZero<usize> = NonZero::new(3).unwrap();
+        let tree = match ImmutableKdTree::<f32, 3>::new_from_slice(&self.nodes) {
+            Ok(tree) if !self.nodes.is_empty() => tree,
+            _ => return at.to_vec(),
+        };
+        at.par_iter()
+            .map(|p| {
+                let (mut sum, mut total) = ([0.0f32; 3], 0.0f32);
+                for n in tree.query(p).nearest_n::<SquaredEuclidean<f32>>(THREE).execute() {
+                    let weight = 1.0 / n.distance.sqrt().max(1e-6);
+                    let q = self.motion[n.item as usize].apply(*p);
+                    (0..3).for_each(|k| sum[k] += weight * q[k]);
+                    total += weight;
+                }
+                sum.map(|s| s / total.max(1e-9))
+            })
+            .collect()
+    }
+
+    /// Where a point beside the nodes goes: with the one rigid motion that fits those of `nodes` (indices) best, the
+    /// nearer ones counting more: as far around it as it is away from them, at least `reach`. `None` without nodes.
+    pub fn place_beyond(&self, nodes: &[u32], p: [f32; 3], reach: f32) -> Option<[f32; 3]> {
+        let at = Vector3::from(p);
+        let square = |i: u32| (Vector3::from(self.nodes[i as usize]) - at).norm_squared();
+        let nearest = nodes.iter().map(|&i| square(i)).fold(f32::INFINITY, f32::min);
+        let scale = 0.5 / nearest.max(reach * reach);
+        // what weighs less than a thousandth of the nearest is left out
+        let pairs = nodes.iter().filter_map(|&i| {
+            let e = (square(i) - nearest) * scale;
+            let from = self.nodes[i as usize];
+            let to = || self.motion[i as usize].apply(from);
+            (e < 7.0).then(|| (Vector3::from(from), Vector3::from(to()), (-e).exp()))
+        });
+        let pairs: Vec<_> = pairs.collect();
+        Rigid::fit(pairs.into_iter(), UnitQuaternion::identity()).map(|m| m.apply(p))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Field, Fields, fields};
+    use crate::init::{
+        motion::rigid::Rigid,
+        motion::{Registration, View},
+        voxel::Centroids,
+    };
+    use m4_core::{
+        CounterRng, Silent,
+        nalgebra::{UnitQuaternion, Vector3},
+    };
+
+    const BY: Registration = Registration {
+        colour_scale: 0.1,
+        reach: 0.1,
+        neighbours: 16,
+        rounds: 15,
+        picture_rounds: 0,
+    };
+
+    /// Points of a unit cube, with colours that change smoothly over it.
+    fn cloud() -> Centroids {
+        let mut rng = CounterRng::new(5, 0, 0);
+        let mut still = Centroids::default();
+        for _ in 0..600 {
+            let p = [0, 1, 2].map(|_| rng.uniform() as f32);
+            still.xyz.push(p);
+            still
+                .rgb
+                .push([0, 1, 2].map(|k| 0.5 + 0.4 * (5.0 * p[k] + k as f32).sin()));
+            still.edge.push(0.05);
+        }
+        still
+    }
+
+    fn moved(still: &Centroids, by: impl Fn([f32; 3]) -> [f32; 3]) -> Centroids {
+        let mut out = still.clone();
+        out.xyz.iter_mut().for_each(|p| *p = by(*p));
+        out
+    }
+
+    fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
+        (Vector3::from(a) - Vector3::from(b)).norm()
+    }
+
+    fn between(clouds: &[Centroids], sees: &(dyn Fn([f32; 3]) -> bool + Sync)) -> Vec<Fields> {
+        let view = |c| View {
+            nodes: c,
+            points: c,
+            frame: None,
+            sees,
+        };
+        fields(&clouds.iter().map(view).collect::<Vec<_>>(), None, &BY, &Silent).unwrap()
+    }
+
+    fn turn(p: [f32; 3], rad: f32) -> [f32; 3] {
+        let centre = Vector3::new(0.5, 0.5, 0.5);
+        let about = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.3 * rad, rad));
+        (about * (Vector3::from(p) - centre) + centre).into()
+    }
+
+    #[test]
+    fn a_cloud_that_turns_and_drifts_is_followed_both_ways() {
+        let still = cloud();
+        let at = |t: f32| {
+            moved(&still, |p| {
+                let p = turn(p, 0.1 * t);
+                [p[0] + 0.03 * t, p[1] - 0.02 * t, p[2]]
+            })
+        };
+        let clouds: Vec<_> = (0..4).map(|t| at(t as f32)).collect();
+        let found = between(&clouds, &|_| true);
+        for (i, f) in found.iter().enumerate().skip(1) {
+            let ahead = f.forward.places(&clouds[i].xyz);
+            let good = ahead
+                .iter()
+                .zip(&clouds[i + 1].xyz)
+                .filter(|(a, b)| distance(**a, **b) < 0.01);
+            assert!(good.count() > 560, "forward from {i}");
+            let back = f.backward.places(&clouds[i + 1].xyz);
+            let good = back
+                .iter()
+                .zip(&clouds[i].xyz)
+                .filter(|(a, b)| distance(**a, **b) < 0.01);
+            assert!(good.count() > 560, "back to {i}");
+        }
+    }
+
+    /// Half of the cloud leaves the image: what is left must not be pulled back to the border.
+    #[test]
+    fn points_that_leave_the_image_follow_their_neighbours() {
+        let still = cloud();
+        let all = [0.0f32, 0.1, 0.2, 0.3].map(|x| moved(&still, |p| [p[0] + x, p[1], p[2]]));
+        let in_picture = |p: &[f32; 3]| p[0] < 0.9;
+        let clouds: Vec<Centroids> = all
+            .iter()
+            .map(|c| {
+                let keep: Vec<usize> = (0..600).filter(|&i| in_picture(&c.xyz[i])).collect();
+                Centroids {
+                    xyz: keep.iter().map(|&i| c.xyz[i]).collect(),
+                    rgb: keep.iter().map(|&i| c.rgb[i]).collect(),
+                    edge: vec![0.05; keep.len()],
+                    key: Vec::new(),
+                }
+            })
+            .collect();
+        let found = between(&clouds, &|p| in_picture(&p));
+        let field = &found[2].forward;
+        let leaving: Vec<[f32; 3]> = clouds[2].xyz.iter().copied().filter(|p| p[0] > 0.8).collect();
+        let places = field.places(&leaving);
+        let off: f32 = leaving
+            .iter()
+            .zip(&places)
+            .map(|(p, q)| distance([p[0] + 0.1, p[1], p[2]], *q))
+            .sum();
+        assert!(off / (leaving.len() as f32) < 0.02, "{}", off / leaving.len() as f32);
+        // and what is out already follows
+        let nodes: Vec<u32> = (0..field.nodes.len() as u32).collect();
+        let q = field.place_beyond(&nodes, [1.1, 0.5, 0.5], 0.2).unwrap();
+        assert!(distance(q, [1.2, 0.5, 0.5]) < 0.03, "{q:?}");
+    }
+
+    #[test]
+    fn a_turn_is_continued_beyond_what_is_known() {
+        let nodes = cloud().xyz;
+        let motion = nodes.iter().map(|p| Rigid::shift(*p, turn(*p, 0.2))).collect();
+        let field = Field { nodes, motion };
+        let all: Vec<u32> = (0..600).collect();
+        let q = field.place_beyond(&all, [2.5, 0.5, 0.5], 0.1).unwrap();
+        assert!(distance(q, turn([2.5, 0.5, 0.5], 0.2)) < 0.02);
+        assert_eq!(field.place_beyond(&[], [0.0; 3], 0.1), None);
+        assert_eq!(Field::default().places(&[[1.0; 3]]), [[1.0; 3]]);
+    }
+
+    #[test]
+    fn empty_keyframes_move_nothing() {
+        let found = between(&[cloud(), Centroids::default(), cloud()], &|_| true);
+        let places = found[0].forward.places(&[[0.5; 3]]);
+        assert!(distance(places[0], [0.5; 3]) < 1e-5);
+        assert!(found[1].forward.nodes.is_empty());
+    }
+}

@@ -1,0 +1,5 @@
+//! Initialisation, through its public functions.
+
+mod initialise;
+mod tracked;
+mod tracks;

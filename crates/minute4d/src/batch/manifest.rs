@@ -1,0 +1,254 @@
+//! The manifest: one JSON object per line, the first for all jobs, each other one for one job.
+
+use crate::batch::error::BatchError;
+use crate::batch::names;
+use m4_io::atomic;
+use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
+use std::fs;
+use std::path::Path;
+
+/// `format` of the first line.
+pub const FORMAT: &str = "minute4d-batch";
+/// Version of the manifest and of every record of a batch.
+pub const VERSION: u32 = 1;
+
+/// What every run of a batch is started with. It is kept as text, so that nothing that is edited later changes a
+/// job.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Arguments {
+    /// Every setting, as TOML: what `--config` of a run is given.
+    pub settings: String,
+    /// Further arguments of `minute4d run`, such as `--device cpu`.
+    pub arguments: Vec<String>,
+}
+
+impl Arguments {
+    /// BLAKE3 of settings and arguments, hexadecimal.
+    #[must_use]
+    pub fn blake3(&self) -> String {
+        let parts = std::iter::once(self.settings.as_str()).chain(self.arguments.iter().map(String::as_str));
+        of_parts(parts)
+    }
+}
+
+/// BLAKE3 of several texts; where one ends and the next begins matters.
+fn of_parts<'a>(parts: impl IntoIterator<Item = &'a str>) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for part in parts {
+        hasher.update(&(part.len() as u64).to_le_bytes());
+        hasher.update(part.as_bytes());
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+/// The first line.
+#[derive(Debug, Serialize, Deserialize)]
+struct Header {
+    format: String,
+    version: u32,
+    /// Release of the program that planned.
+    minute4d: String,
+    /// Where results go: a folder with its whole path.
+    results: String,
+    /// The number of following lines.
+    jobs: usize,
+    settings_blake3: String,
+    #[serde(flatten)]
+    run: Arguments,
+}
+
+/// One clip.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Job {
+    /// Name of the job and of its result; unique, safe as a file name.
+    pub id: String,
+    /// The clip, with its whole path.
+    pub input: String,
+    /// Its size; of all files of a folder together.
+    pub bytes: u64,
+    /// BLAKE3 of its bytes, hexadecimal; of a file or folder.
+    pub blake3: String,
+    /// The folder of the result.
+    pub output: String,
+}
+
+impl Job {
+    /// Hash of the input and the settings: a result with the same key need not be made again.
+    #[must_use]
+    pub fn key(&self, run: &Arguments) -> String {
+        of_parts([self.blake3.as_str(), &run.blake3()])
+    }
+}
+
+/// The jobs of a batch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Manifest {
+    /// Where results go: a folder with its whole path.
+    pub results: String,
+    /// What every run is started with.
+    pub run: Arguments,
+    /// The clips, in the order of their ids; the index of a job is its place here.
+    pub jobs: Vec<Job>,
+}
+
+impl Manifest {
+    /// Writes it, whole or not at all, and reads it back.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::Exists`] where there is one and not `force`; [`BatchError::Write`] where it cannot be written;
+    /// [`BatchError::Manifest`] where it does not read back as it was.
+    pub fn write(&self, path: &Path, force: bool) -> Result<(), BatchError> {
+        if !force && fs::symlink_metadata(path).is_ok() {
+            return Err(BatchError::Exists {
+                path: path.to_path_buf(),
+            });
+        }
+        let header = Header {
+            format: FORMAT.to_owned(),
+            version: VERSION,
+            minute4d: env!("CARGO_PKG_VERSION").to_owned(),
+            results: self.results.clone(),
+            jobs: self.jobs.len(),
+            settings_blake3: self.run.blake3(),
+            run: self.run.clone(),
+        };
+        let mut lines = vec![serde_json::to_string(&header)];
+        lines.extend(self.jobs.iter().map(serde_json::to_string));
+        let lines: Result<Vec<String>, _> = lines.into_iter().collect();
+        let text = lines.map_err(|e| bad(path, e.to_string()))?.join("\n") + "\n";
+        atomic::write(path, text.as_bytes()).map_err(BatchError::write(path))?;
+        if Self::read(path)? != *self {
+            let reason = "it does not read back as it was written; check the disk";
+            return Err(bad(path, reason.to_owned()));
+        }
+        Ok(())
+    }
+
+    /// Reads and checks one.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::Read`], or [`BatchError::Manifest`], which names the line.
+    pub fn read(path: &Path) -> Result<Self, BatchError> {
+        let text = fs::read(path).map_err(BatchError::read(path))?;
+        Self::parse(&text).map_err(|reason| bad(path, reason))
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let text = std::str::from_utf8(bytes).map_err(|e| format!("it is not text ({e})"))?;
+        let mut lines = text.lines().enumerate();
+        let first = lines.next().map_or("", |(_, line)| line);
+        let header: Header =
+            serde_json::from_str(first).map_err(|e| format!("line 1 is not the first line of a manifest ({e})"))?;
+        if header.format != FORMAT || header.version != VERSION {
+            let found = format!("{} {}", header.format, header.version);
+            return Err(format!("line 1 is of {found:?}, and {FORMAT} {VERSION} is read here"));
+        }
+        if header.run.blake3() != header.settings_blake3 {
+            return Err("line 1: settings or arguments were changed by hand".to_owned());
+        }
+        let (mut jobs, mut seen) = (Vec::new(), HashSet::new());
+        for (i, line) in lines.filter(|(_, line)| !line.trim().is_empty()) {
+            let line_number = i + 1;
+            let job: Job = serde_json::from_str(line).map_err(|e| format!("line {line_number} is not a job ({e})"))?;
+            if !names::is_safe(&job.id) {
+                return Err(format!(
+                    "line {line_number}: the id {:?} cannot be the name of a folder",
+                    job.id
+                ));
+            }
+            if !seen.insert(job.id.to_lowercase()) {
+                return Err(format!("line {line_number}: the id {:?} was given before", job.id));
+            }
+            jobs.push(job);
+        }
+        if jobs.len() != header.jobs {
+            return Err(format!("it lists {} jobs and should list {}", jobs.len(), header.jobs));
+        }
+        Ok(Self {
+            results: header.results,
+            run: header.run,
+            jobs,
+        })
+    }
+}
+
+fn bad(path: &Path, reason: String) -> BatchError {
+    BatchError::Manifest {
+        path: path.to_path_buf(),
+        reason,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Arguments, BatchError, Job, Manifest};
+    use std::fs;
+
+    fn manifest() -> Manifest {
+        let job = |id: &str| Job {
+            id: id.to_owned(),
+            input: format!("/clips/{id}.mp4"),
+            bytes: 7,
+            blake3: "00".to_owned(),
+            output: format!("/results/{id}"),
+        };
+        Manifest {
+            results: "/results".to_owned(),
+            run: Arguments {
+                settings: "a = 1\n[b]\nc = \"x\"\n".to_owned(),
+                arguments: vec!["--device".to_owned(), "cpu".to_owned()],
+            },
+            jobs: vec![job("a"), job("b")],
+        }
+    }
+
+    #[test]
+    fn a_manifest_reads_back_and_is_not_replaced_unasked() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("jobs.jsonl");
+        manifest().write(&path, false).unwrap();
+        assert_eq!(Manifest::read(&path).unwrap(), manifest());
+        let again = manifest().write(&path, false);
+        assert!(matches!(again, Err(BatchError::Exists { .. })), "{again:?}");
+        manifest().write(&path, true).unwrap();
+    }
+
+    #[test]
+    fn malformed_manifests_are_rejected_with_the_line() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("jobs.jsonl");
+        manifest().write(&path, false).unwrap();
+        let text = fs::read_to_string(&path).unwrap();
+        let (cut, _) = text.trim_end().rsplit_once('\n').unwrap();
+        let cases = [
+            (String::new(), "line 1"),
+            (text.replace("minute4d-batch", "other"), "line 1"),
+            (text.replace("a = 1", "a = 2"), "changed by hand"),
+            (text.replace("\"id\":\"b\"", "\"id\":\"../b\""), "line 3"),
+            (text.replace("\"id\":\"b\"", "\"id\":\"A\""), "given before"),
+            (text.replace("\"bytes\":7", "\"bytes\":-7"), "line 2"),
+            (text.replace("\"blake3\":\"00\",", ""), "missing field `blake3`"),
+            (cut.to_owned(), "lists 1 jobs and should list 2"),
+        ];
+        for (text, words) in cases {
+            fs::write(&path, &text).unwrap();
+            let said = Manifest::read(&path).unwrap_err().to_string();
+            assert!(said.contains(words), "{words}: {said}");
+        }
+    }
+
+    #[test]
+    fn the_key_follows_input_and_settings() {
+        let one = manifest();
+        let key = one.jobs[0].key(&one.run);
+        assert_eq!(key, one.jobs[1].key(&one.run), "the same bytes, whatever the name");
+        let mut other = one.clone();
+        other.run.arguments[1] = "gpu".to_owned();
+        assert_ne!(key, one.jobs[0].key(&other.run));
+        other.jobs[0].blake3 = "01".to_owned();
+        assert_ne!(key, other.jobs[0].key(&one.run));
+    }
+}

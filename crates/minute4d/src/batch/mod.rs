@@ -1,0 +1,28 @@
+//! Batches of clips: planning, running one job, and reporting the results.
+//!
+//! A [`Manifest`] lists the clips and holds the settings. A scheduler starts one process a job ([`run_job`]): it has a child process
+//! make the scene in a working folder, and publishes the whole result by one rename. Which machine does what, and what is started
+//! again, is the scheduler's business; [`slurm`] submits to one. All that is known afterwards ([`Report`]) is read from the results.
+
+pub mod slurm;
+
+mod child;
+mod credentials;
+mod error;
+mod job;
+mod layout;
+mod manifest;
+mod names;
+mod plan;
+mod publish;
+mod record;
+mod report;
+
+pub use child::Watch;
+pub use error::BatchError;
+pub use job::{INDEX_VARIABLES, JobEnd, Tools, index_of_environment, run_job};
+pub use layout::{Layout, POSTER_FILE, RESULT_FILE};
+pub use manifest::{Arguments, FORMAT, Job, Manifest, VERSION};
+pub use plan::{Plan, plan};
+pub use record::{JobRecord, Outcome};
+pub use report::{ClipReport, ClipState, Report, page};

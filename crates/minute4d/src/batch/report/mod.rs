@@ -1,0 +1,214 @@
+//! The report of a batch, read from the results alone.
+
+mod page;
+
+pub use page::page;
+
+use crate::batch::error::BatchError;
+use crate::batch::layout::{Layout, RUN_FILE};
+use crate::batch::manifest::{Job, Manifest};
+use crate::batch::publish::{Present, present};
+use crate::batch::record::{JobRecord, Outcome, read_json};
+use serde::Serialize;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+/// The state of a clip.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClipState {
+    /// Its result is published.
+    Done,
+    /// Nothing came of it yet; a scheduler knows whether it is at work.
+    Waiting,
+    /// Its last attempt ended without a result, and the next one may have one.
+    Retryable,
+    /// A permanent failure.
+    Failed,
+}
+
+impl ClipState {
+    /// All of them, in the order of a summary.
+    pub const ALL: [Self; 4] = [Self::Done, Self::Waiting, Self::Retryable, Self::Failed];
+
+    /// Its name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Done => "done",
+            Self::Waiting => "waiting",
+            Self::Retryable => "retryable",
+            Self::Failed => "failed",
+        }
+    }
+
+    /// Returns true for jobs that need attention.
+    #[must_use]
+    pub fn is_trouble(self) -> bool {
+        matches!(self, Self::Retryable | Self::Failed)
+    }
+}
+
+/// One clip.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ClipReport {
+    /// The job.
+    pub id: String,
+    /// The clip.
+    pub input: String,
+    /// The state.
+    pub state: ClipState,
+    /// Why it is not further, where something is known.
+    pub reason: Option<String>,
+    /// Exit code of its last run.
+    pub code: Option<i32>,
+    /// Wall-clock seconds of all stages.
+    pub seconds: Option<f64>,
+    /// Splats of its scene.
+    pub splats: Option<u64>,
+    /// PSNR of the training images at the end, dB.
+    pub psnr_db: Option<f64>,
+    /// Most memory that its run held, bytes.
+    pub peak_memory_bytes: Option<u64>,
+    /// The machine of its last attempt.
+    pub host: Option<String>,
+    /// Its result.
+    pub output: String,
+}
+
+/// A whole batch.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Report {
+    /// The number of clips.
+    pub jobs: usize,
+    /// How many are in each state; they add up to `jobs`.
+    pub counts: BTreeMap<&'static str, usize>,
+    /// Wall-clock seconds of all that is done.
+    pub seconds: f64,
+    /// The clips, as the manifest lists them.
+    pub clips: Vec<ClipReport>,
+}
+
+impl Report {
+    /// Reads how far every clip is.
+    ///
+    /// # Errors
+    ///
+    /// [`BatchError::Read`] for what is there and cannot be read.
+    pub fn read(manifest: &Manifest) -> Result<Self, BatchError> {
+        let layout = Layout::new(Path::new(&manifest.results));
+        let mut clips = Vec::with_capacity(manifest.jobs.len());
+        for job in &manifest.jobs {
+            clips.push(clip(&layout, job, &job.key(&manifest.run))?);
+        }
+        Ok(Self::of(clips))
+    }
+
+    fn of(clips: Vec<ClipReport>) -> Self {
+        let mut counts: BTreeMap<_, _> = ClipState::ALL.map(|state| (state.name(), 0)).into();
+        for clip in &clips {
+            *counts.entry(clip.state.name()).or_default() += 1;
+        }
+        Self {
+            jobs: clips.len(),
+            counts,
+            seconds: clips
+                .iter()
+                .filter(|c| c.state == ClipState::Done)
+                .filter_map(|c| c.seconds)
+                .sum(),
+            clips,
+        }
+    }
+
+    /// The table, for people: a line per clip, then the sums; `failed` for troubles alone.
+    #[must_use]
+    pub fn table(&self, failed: bool) -> String {
+        let width = self.clips.iter().map(|c| c.id.len()).max().unwrap_or(0).clamp(4, 40);
+        let mut text = format!(
+            "{:<width$}  {:<9} {:>8} {:>9} {:>8} {:>8}  host, reason\n",
+            "clip", "state", "seconds", "splats", "PSNR dB", "peak MB"
+        );
+        for clip in self.clips.iter().filter(|c| !failed || c.state.is_trouble()) {
+            let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
+            text += &format!(
+                "{:<width$}  {:<9} {:>8} {:>9} {:>8} {:>8}  {}\n",
+                clip.id,
+                clip.state.name(),
+                or_dash(clip.seconds.map(|s| format!("{s:.1}"))),
+                or_dash(clip.splats.map(|n| n.to_string())),
+                or_dash(clip.psnr_db.map(|p| format!("{p:.2}"))),
+                or_dash(clip.peak_memory_bytes.map(|b| (b / 1_000_000).to_string())),
+                [&clip.host, &clip.reason]
+                    .map(|text| text.as_deref().unwrap_or("-"))
+                    .join("  "),
+            );
+        }
+        text += &format!("\n{}\n", self.sums());
+        text
+    }
+
+    /// How many clips there are, and how many of them in each state.
+    fn sums(&self) -> String {
+        let counts = ClipState::ALL.map(|s| (s.name(), self.counts.get(s.name()).copied().unwrap_or(0)));
+        let counts = counts.iter().filter(|(_, n)| *n > 0);
+        let counts: Vec<String> = counts.map(|(name, n)| format!("{n} {name}")).collect();
+        format!("{} clips: {}", self.jobs, counts.join(", "))
+    }
+}
+
+fn clip(layout: &Layout, job: &Job, key: &str) -> Result<ClipReport, BatchError> {
+    let record = JobRecord::read(&layout.state(&job.id), key)?;
+    let result = layout.result(&job.id);
+    let here = present(&result, key)?;
+    let state = match (&here, record.as_ref().map(|r| r.outcome)) {
+        (Present::Same, _) => ClipState::Done,
+        (_, Some(Outcome::Failed)) => ClipState::Failed,
+        (_, Some(Outcome::Retryable)) => ClipState::Retryable,
+        // Published once, and not whole any more.
+        (_, Some(Outcome::Done) | None) => ClipState::Waiting,
+    };
+    let reason = match (state, &here) {
+        (ClipState::Done, _) => None,
+        (_, Present::Foreign) => Some("its folder exists and is not a result of `minute4d batch`".to_owned()),
+        (ClipState::Waiting, Present::Other) => Some("its result is of other settings, or damaged".to_owned()),
+        _ => record.as_ref().map(|r| r.reason.clone()),
+    };
+    let mut clip = ClipReport {
+        id: job.id.clone(),
+        input: job.input.clone(),
+        state,
+        reason,
+        code: record.as_ref().and_then(|r| r.code),
+        seconds: None,
+        splats: None,
+        psnr_db: None,
+        peak_memory_bytes: None,
+        host: record.as_ref().map(|r| r.host.clone()),
+        output: job.output.clone(),
+    };
+    if state == ClipState::Done {
+        if let Some(run) = read_json::<Value>(&result.join(RUN_FILE))? {
+            clip.seconds = run["seconds"].as_f64();
+            clip.peak_memory_bytes = run["peak_memory_bytes"].as_u64();
+            let count = |kind: &str| run["splats"][kind].as_u64();
+            clip.splats = count("static").zip(count("dynamic")).map(|(a, b)| a + b);
+        }
+        clip.psnr_db = last_psnr(&result.join("metrics.jsonl"));
+    } else {
+        clip.seconds = record.map(|r| r.seconds);
+    }
+    Ok(clip)
+}
+
+/// PSNR of the last event of training, dB.
+fn last_psnr(path: &Path) -> Option<f64> {
+    let text = fs::read_to_string(path).ok()?;
+    let last = text.lines().rfind(|l| !l.trim().is_empty())?;
+    serde_json::from_str::<Value>(last).ok()?["psnr"].as_f64()
+}
+
+#[cfg(test)]
+mod tests;
