@@ -1,6 +1,7 @@
 //! Plane sweep: what each disparity costs at each pixel.
 
 use super::pair::Pair;
+use fearless_simd::{Level, dispatch};
 
 /// Cost of a disparity that no partner can judge, in half bits: that of random signatures.
 const UNKNOWN: u8 = 22;
@@ -57,68 +58,99 @@ pub(super) fn cost_volume(
     partners: &[Partner<'_>],
     range: &Range,
 ) -> Vec<u8> {
-    let count = range.count;
-    let mut volume = vec![UNKNOWN; width * height * count];
-    let mut costs = vec![[u8::MAX; MAX_PARTNERS]; count];
+    let mut volume = vec![UNKNOWN; width * height * range.count];
     let partners = &partners[..partners.len().min(MAX_PARTNERS)];
-    for y in 0..height {
-        for x in 0..width {
-            let i = y * width + x;
-            let mine = census[i];
-            for (slot, partner) in partners.iter().enumerate() {
-                let [mut qx, mut qy, mut qz] = partner.pair.ray(x as f32, y as f32);
-                let b = partner.pair.b;
-                (qx, qy, qz) = (
-                    qx + range.least * b[0],
-                    qy + range.least * b[1],
-                    qz + range.least * b[2],
-                );
-                let (sx, sy, sz) = (range.step * b[0], range.step * b[1], range.step * b[2]);
-                for (k, cost) in costs.iter_mut().enumerate() {
-                    let k = k as f32;
-                    let z = 1.0 / (qz + k * sz);
-                    let (u, v) = ((qx + k * sx) * z + 0.5, (qy + k * sy) * z + 0.5);
-                    let inside = z > 0.0 && u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32;
-                    cost[slot] = if inside {
-                        (mine ^ partner.census[v as usize * width + u as usize]).count_ones() as u8
-                    } else {
-                        u8::MAX
-                    };
-                }
-            }
-            let out = &mut volume[i * count..(i + 1) * count];
-            for (out, cost) in out.iter_mut().zip(&costs) {
-                *out = better_half(cost, partners.len());
-            }
-        }
-    }
+    let size = [width, height];
+    // compiled for each set of vector instructions; the arithmetic is the same on all
+    dispatch!(Level::new(), _s => match partners.len() {
+        0 => (),
+        1 => fill::<1>(size, census, partners, range, &mut volume),
+        2 => fill::<2>(size, census, partners, range, &mut volume),
+        3 => fill::<3>(size, census, partners, range, &mut volume),
+        4 => fill::<4>(size, census, partners, range, &mut volume),
+        5 => fill::<5>(size, census, partners, range, &mut volume),
+        _ => fill::<MAX_PARTNERS>(size, census, partners, range, &mut volume),
+    });
     volume
 }
 
 /// Partners beyond these are not used.
 const MAX_PARTNERS: usize = 6;
 
-fn better_half(costs: &[u8; MAX_PARTNERS], count: usize) -> u8 {
-    let mut sorted = *costs;
-    for i in 1..count {
-        let mut j = i;
-        while j > 0 && sorted[j - 1] > sorted[j] {
-            sorted.swap(j - 1, j);
-            j -= 1;
+/// The costs of all pixels with `N` partners.
+#[inline(always)]
+fn fill<const N: usize>(
+    [width, height]: [usize; 2],
+    census: &[u32],
+    partners: &[Partner<'_>],
+    range: &Range,
+    volume: &mut [u8],
+) {
+    let count = range.count;
+    let mut costs: [Vec<u8>; N] = std::array::from_fn(|_| vec![u8::MAX; count]);
+    let steps: Vec<f32> = (0..count).map(|k| k as f32).collect();
+    // the pixel of each disparity in the partner, below 0 outside of it
+    let mut pixels = vec![0i32; count];
+    let (right, bottom, stride) = (width as f32, height as f32, width as i32);
+    for y in 0..height {
+        for x in 0..width {
+            let i = y * width + x;
+            let mine = census[i];
+            for (costs, partner) in costs.iter_mut().zip(partners) {
+                let b = partner.pair.b;
+                let [qx, qy, qz] = partner.pair.ray(x as f32, y as f32);
+                let (qx, qy, qz) = (
+                    qx + range.least * b[0],
+                    qy + range.least * b[1],
+                    qz + range.least * b[2],
+                );
+                let (sx, sy, sz) = (range.step * b[0], range.step * b[1], range.step * b[2]);
+                for (pixel, &k) in pixels.iter_mut().zip(&steps) {
+                    let z = 1.0 / (qz + k * sz);
+                    let (u, v) = ((qx + k * sx) * z + 0.5, (qy + k * sy) * z + 0.5);
+                    let inside = (z > 0.0) & (u >= 0.0) & (v >= 0.0) & (u < right) & (v < bottom);
+                    let at = (v as i32).wrapping_mul(stride).wrapping_add(u as i32);
+                    *pixel = if inside { at } else { -1 };
+                }
+                for (cost, &pixel) in costs.iter_mut().zip(&pixels) {
+                    let theirs = usize::try_from(pixel).ok().and_then(|p| partner.census.get(p));
+                    *cost = theirs.map_or(u8::MAX, |theirs| (mine ^ theirs).count_ones() as u8);
+                }
+            }
+            let out = &mut volume[i * count..(i + 1) * count];
+            let costs: [&[u8]; N] = std::array::from_fn(|n| &costs[n][..out.len()]);
+            for (k, out) in out.iter_mut().enumerate() {
+                *out = better_half::<N>(std::array::from_fn(|n| costs[n][k]));
+            }
         }
     }
-    let seen = sorted[..count].iter().filter(|&&c| c != u8::MAX).count();
-    if seen == 0 {
-        return UNKNOWN;
+}
+
+/// Twice the mean of the smaller half of `costs`, among those that are not `u8::MAX`; [`UNKNOWN`] if all are. Without branches.
+#[inline(always)]
+fn better_half<const N: usize>(mut costs: [u8; N]) -> u8 {
+    for i in 1..N {
+        for j in (1..=i).rev() {
+            let (a, b) = (costs[j - 1], costs[j]);
+            (costs[j - 1], costs[j]) = (a.min(b), a.max(b));
+        }
     }
-    let half = seen.div_ceil(2);
-    let sum: usize = sorted[..half].iter().map(|&c| usize::from(c)).sum();
-    (2 * sum / half) as u8
+    let seen: u8 = costs.iter().map(|&c| u8::from(c != u8::MAX)).sum();
+    let cost = |n: usize| costs.get(n).map_or(0, |&c| u16::from(c));
+    let one = cost(0);
+    let two = one + cost(1);
+    let three = two + cost(2);
+    // the half of 1 or 2, of 3 or 4, of 5 or 6 partners
+    let mean = if seen <= 2 { 2 * one } else { two };
+    let mean = if seen <= 4 { mean } else { 2 * three / 3 };
+    if seen == 0 { UNKNOWN } else { mean as u8 }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{MAX_PARTNERS, UNKNOWN, better_half, census};
+    use super::super::pair::Pair;
+    use super::{MAX_PARTNERS, Partner, Range, UNKNOWN, better_half, census, cost_volume};
+    use m4_core::CounterRng;
 
     #[test]
     fn a_signature_ignores_brightness_and_contrast() {
@@ -132,14 +164,68 @@ mod tests {
     }
 
     #[test]
-    fn what_is_hidden_from_some_partners_does_not_count() {
-        let costs = |v: [u8; 4]| {
-            let mut all = [u8::MAX; MAX_PARTNERS];
-            all[..4].copy_from_slice(&v);
-            better_half(&all, 4)
+    fn partners_that_do_not_see_a_point_do_not_count() {
+        const NONE: u8 = u8::MAX;
+        assert_eq!(better_half([2, 20, 4, 19]), 6);
+        assert_eq!(better_half([NONE, 20, 4, NONE]), 8);
+        assert_eq!(better_half([NONE; 4]), UNKNOWN);
+        assert_eq!(better_half([7]), 14);
+        assert_eq!(better_half([24, 5, 6, NONE, 7, 24]), 12);
+    }
+
+    /// What [`super::cost_volume`] says of one pixel and disparity, by its definition.
+    fn cost(size: [usize; 2], census: &[u32], partners: &[Partner<'_>], at: [usize; 2], disparity: f32) -> u8 {
+        let [w, h] = size;
+        let mut seen: Vec<u32> = partners
+            .iter()
+            .filter_map(|partner| {
+                let p = partner.pair.project(at[0] as f32, at[1] as f32, disparity);
+                let (u, v) = ((p.x + 0.5).floor(), (p.y + 0.5).floor());
+                let inside = p.disparity > 0.0 && u >= 0.0 && v >= 0.0 && u < w as f32 && v < h as f32;
+                inside.then(|| (census[at[1] * w + at[0]] ^ partner.census[v as usize * w + u as usize]).count_ones())
+            })
+            .collect();
+        seen.sort_unstable();
+        let half = seen.len().div_ceil(2);
+        if half == 0 {
+            UNKNOWN
+        } else {
+            (2 * seen[..half].iter().sum::<u32>() / half as u32) as u8
+        }
+    }
+
+    #[test]
+    fn costs_are_those_of_the_definition_for_every_number_of_partners() {
+        let (w, h) = (31, 17);
+        let mut rng = CounterRng::new(7, 0, 0);
+        let mut signatures = || -> Vec<u32> { (0..w * h).map(|_| rng.below(1 << 24) as u32).collect() };
+        let own = signatures();
+        let others: Vec<Vec<u32>> = (0..MAX_PARTNERS).map(|_| signatures()).collect();
+        // a shift of 3 and -2 pixels per unit of disparity, and a camera that also goes ahead
+        let pair = |n: usize| Pair {
+            a: [[1.0, 0.0, 0.2371], [0.0, 1.0, 0.3117], [0.0, 0.0, 1.0]],
+            b: [3.0 - n as f32, n as f32 - 2.0, if n % 2 == 0 { 0.0 } else { -0.2 }],
         };
-        assert_eq!(costs([2, 20, 4, 19]), 6);
-        assert_eq!(costs([u8::MAX, 20, 4, u8::MAX]), 8);
-        assert_eq!(costs([u8::MAX; 4]), UNKNOWN);
+        let partners: Vec<Partner<'_>> = others
+            .iter()
+            .enumerate()
+            .map(|(n, census)| Partner { pair: pair(n), census })
+            .collect();
+        let range = Range {
+            least: 0.5,
+            step: 0.5,
+            count: 19,
+        };
+        let mut unknown = 0;
+        for n in 0..=MAX_PARTNERS {
+            let volume = cost_volume(w, h, &own, &partners[..n], &range);
+            for (i, &found) in volume.iter().enumerate() {
+                let (k, p) = (i % range.count, i / range.count);
+                let wanted = cost([w, h], &own, &partners[..n], [p % w, p / w], range.at(k as f32));
+                assert_eq!(found, wanted, "{n} partners, pixel {p}, disparity {k}");
+                unknown += usize::from(n == MAX_PARTNERS && found == UNKNOWN);
+            }
+        }
+        assert!(unknown < w * h * range.count / 2, "{unknown}");
     }
 }
