@@ -444,8 +444,8 @@ impl MonoDepth for Network<'_> {
         "network"
     }
 
-    fn depth(&self, frame: usize, picture: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
-        assert_eq!(picture, &self.0.images[frame]);
+    fn depth(&self, frame: usize, image: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
+        assert_eq!(image, &self.0.images[frame]);
         let factor = 3.0 + 0.2 * frame as f32;
         Ok(Some(MonoMap {
             kind: MonoKind::AffineDisparity,

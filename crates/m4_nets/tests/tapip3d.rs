@@ -52,7 +52,7 @@ impl PosedClip for Wall {
         self.frames
     }
 
-    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
+    fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
         Ok(Plane::from_fn(144, 64, |x, y| {
             let (x, y) = (x as f32 + 1.5 * frame as f32, y as f32);
             [0.31, 0.17, 0.07].map(|f: f32| (127.0 + 90.0 * (x * f).sin() * (y * f * 0.7).cos()) as u8)

@@ -1,6 +1,6 @@
 //! Scores of a set of views, with the protocol that made them.
 
-use super::{ImageError, Metric, Picture, SSIM_SIGMA_PX, SSIM_WINDOW_PX, dilated, psnr_db, same_size, ssim_map};
+use super::{ImageError, Metric, PlanarImage, SSIM_SIGMA_PX, SSIM_WINDOW_PX, dilated, psnr_db, same_size, ssim_map};
 use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -122,8 +122,8 @@ impl ImageReport {
         name: impl Into<String>,
         t: f64,
         camera: Option<u32>,
-        image: &Picture,
-        reference: &Picture,
+        image: &PlanarImage,
+        reference: &PlanarImage,
         mask: Option<&Mask>,
     ) -> Result<&FrameScore, ImageError> {
         if !self.frames.is_empty() {
@@ -165,8 +165,8 @@ impl ImageReport {
     pub fn add_metric(
         &mut self,
         metric: Metric,
-        image: &Picture,
-        reference: &Picture,
+        image: &PlanarImage,
+        reference: &PlanarImage,
         mask: Option<&Mask>,
     ) -> Result<Option<f64>, ImageError> {
         let score = metric.score(image, reference, mask)?;
@@ -265,12 +265,12 @@ impl ImageReport {
 #[cfg(test)]
 mod tests {
     use super::ImageReport;
-    use crate::image::{ImageError, Metric, Picture, PsnrKind};
+    use crate::image::{ImageError, Metric, PlanarImage, PsnrKind};
     use m4_core::Plane;
 
-    fn flat(width: usize, height: usize, value: f32) -> Picture {
+    fn flat(width: usize, height: usize, value: f32) -> PlanarImage {
         let plane = vec![value; width * height];
-        Picture::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
+        PlanarImage::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
     }
 
     #[test]

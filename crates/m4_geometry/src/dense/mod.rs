@@ -55,7 +55,7 @@ pub(crate) use components::Components;
 pub use config::DenseConfig;
 pub use error::DenseError;
 pub use estimate::{Dense, DenseFrame, estimate_depth};
-pub use flow::{Flow, FlowError, FlowPicture, FlowSource, InverseSearch};
+pub use flow::{Flow, FlowError, FlowImage, FlowSource, InverseSearch};
 pub(crate) use flow::{FlowPair, bilinear, round_trip_px};
 pub use given::Given;
 pub use mono::{MonoDepth, MonoError, MonoKind, MonoMap, NoDepth, SensorDepth};

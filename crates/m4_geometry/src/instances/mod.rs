@@ -38,7 +38,7 @@ mod source;
 #[cfg(test)]
 mod tests;
 
-pub use clip::{Clip, PictureError, Pictures};
+pub use clip::{Clip, ImageClip, ImageError};
 pub use coarse::Coarse;
 pub use error::InstanceError;
 pub use follow::FlowFollower;

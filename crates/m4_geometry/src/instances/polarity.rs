@@ -6,7 +6,7 @@
 
 use super::clip::Clip;
 use super::coarse::Coarse;
-use super::follow::Picture;
+use super::follow::ScaledFrame;
 use super::source::VideoError;
 use crate::dense::{Flow, FlowPair, FlowSource, quantile, working_size};
 use m4_core::Plane;
@@ -138,8 +138,8 @@ fn residuals(
         .collect();
     firsts.dedup();
     for i in firsts {
-        let (a, b) = (Picture::of(clip, i, (w, h))?, Picture::of(clip, i + 1, (w, h))?);
-        let pair = FlowPair::between(&a.for_flow(), &b.for_flow(), source).map_err(|source| VideoError::Flow {
+        let (a, b) = (ScaledFrame::of(clip, i, (w, h))?, ScaledFrame::of(clip, i + 1, (w, h))?);
+        let pair = FlowPair::between(&a.flow_image(), &b.flow_image(), source).map_err(|source| VideoError::Flow {
             between: (i, i + 1),
             source,
         })?;

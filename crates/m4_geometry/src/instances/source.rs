@@ -1,6 +1,6 @@
 //! The seam between refinement and whatever follows outlined things through a clip.
 
-use super::clip::{Clip, PictureError};
+use super::clip::{Clip, ImageError};
 use crate::dense::{FlowError, SegmentError};
 use m4_core::{CompactMask, Progress};
 use serde::{Deserialize, Serialize};
@@ -79,15 +79,15 @@ pub enum VideoError {
     },
     /// An image could not be had.
     #[error("frame {frame} of the clip cannot be read: {reason}")]
-    Picture {
+    Image {
         /// The frame.
         frame: usize,
         /// What went wrong.
-        reason: PictureError,
+        reason: ImageError,
     },
     /// An image has another size than the clip.
     #[error("frame {frame} is {}x{} where {}x{} was expected; all frames must have one size", found.0, found.1, expected.0, expected.1)]
-    PictureSize {
+    ImageSize {
         /// The frame.
         frame: usize,
         /// Its width and height.

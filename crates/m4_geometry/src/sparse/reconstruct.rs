@@ -115,11 +115,11 @@ pub(super) fn check(
         return Err(SparseError::TooFewFrames { found: frames.len() });
     };
     let (width, height) = first.size();
-    for (frame, picture) in frames.iter().enumerate() {
-        if picture.size() != (width, height) {
+    for (frame, image) in frames.iter().enumerate() {
+        if image.size() != (width, height) {
             return Err(SparseError::FrameSize {
                 frame,
-                found: picture.size(),
+                found: image.size(),
                 expected: (width, height),
             });
         }

@@ -487,7 +487,7 @@ fn given_cameras_are_kept_and_points_found_in_their_unit() {
 }
 
 #[test]
-fn given_cameras_that_contradict_the_pictures_are_refused() {
+fn given_cameras_that_contradict_the_images_are_refused() {
     // World to camera where camera to world is meant, and turned about.
     let wrong: Vec<Camera> = room_cameras(ROOM.focal)
         .into_iter()

@@ -1,7 +1,7 @@
 //! What is kept of a clip while points are followed: flow and depth of the pixels that move, and nothing of the others.
 
 use super::PosedFrame;
-use crate::dense::{Flow, FlowError, FlowPicture, FlowSource, round_trip_px};
+use crate::dense::{Flow, FlowError, FlowImage, FlowSource, round_trip_px};
 use m4_core::Camera;
 
 /// Values of some pixels of an image.
@@ -90,13 +90,13 @@ pub(super) fn ways([a, b]: [&PosedFrame; 2], source: &dyn FlowSource) -> Result<
         let expected = size;
         return Err(FlowError::Size { found, expected });
     }
-    let [a_picture, b_picture] = [(a, &grey_a), (b, &grey_b)].map(|(f, grey)| FlowPicture {
+    let [a_image, b_image] = [(a, &grey_a), (b, &grey_b)].map(|(f, grey)| FlowImage {
         width: size.0,
         height: size.1,
         rgb: f.rgb.data(),
         grey,
     });
-    let (there, back) = source.both(&a_picture, &b_picture)?;
+    let (there, back) = source.both(&a_image, &b_image)?;
     for flow in [&there, &back] {
         let (found, n) = ((flow.width, flow.height), size.0 * size.1);
         if found != size || flow.u.len() != n || flow.v.len() != n {

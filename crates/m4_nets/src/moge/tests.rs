@@ -3,7 +3,7 @@
 use super::config::{Config, Remap};
 use super::focal::recovered;
 use super::layout::{Layout, Norm};
-use super::picture::Grid;
+use super::preprocess::Grid;
 use super::{MoGe, MoGeOptions, Net, RENAMES};
 use crate::dinov2::{BackboneSize, unneeded};
 use crate::fixture::{Fixture, assert_near, assert_same_tensors, relative_error, renamed};
@@ -49,19 +49,19 @@ fn the_small_one_agrees_with_the_module() {
         (BackboneSize::Small, (1200, 3600), true)
     );
     assert_eq!(net.parameters(), 36_948_526 - 384);
-    let image = fixture.picture("image");
+    let image = fixture.image("image");
     let grid = Grid::of(180, 140, 80).unwrap();
     assert_eq!((grid.across, grid.down), (10, 8));
-    let picture = grid.tensor(&image, &cpu());
-    assert_near(picture.clone(), &fixture, "image_resized", 1e-5);
+    let input = grid.tensor(&image, &cpu());
+    assert_near(input.clone(), &fixture, "image_resized", 1e-5);
     let taps = &net.config.taps;
     assert_eq!(taps, &[2, 5, 8, 11]);
-    let (map, class) = net.net.encoder.forward(picture.clone(), taps, [8, 10]);
+    let (map, class) = net.net.encoder.forward(input.clone(), taps, [8, 10]);
     assert_near(every(map, 4), &fixture, "encoder_strided", LIMIT);
     assert_near(class, &fixture, "cls", LIMIT);
     let places = grid.places(2, &cpu(), burn_core::tensor::DType::F32);
     assert_near(places.permute([0, 2, 3, 1]), &fixture, "uv_level2", 1e-5);
-    let (levels, _) = net.net.features(picture, taps, grid);
+    let (levels, _) = net.net.features(input, taps, grid);
     for (i, (level, step)) in levels.into_iter().zip([96, 32, 16, 16, 16]).enumerate() {
         assert_near(every(level, step), &fixture, &format!("neck{i}_strided"), LIMIT);
     }

@@ -28,7 +28,7 @@ mod mask;
 mod memory_attention;
 mod memory_encoder;
 mod neck;
-mod picture;
+mod preprocess;
 mod prompts;
 mod recall;
 mod rope;
@@ -40,7 +40,7 @@ mod windows;
 pub use config::Sam2Size;
 pub use error::Sam2Error;
 pub use mask::ObjectMask;
-pub use video::{Clip, Direction, Pictures, VideoOptions, VideoPredictor};
+pub use video::{Clip, Direction, ImageReader, VideoOptions, VideoPredictor};
 
 use crate::ops::{Kernels, linear, sine_positions, tensor, zeros};
 use crate::sam::{Mlp, Prompt, PromptEncoder, WIDTH};
@@ -58,7 +58,7 @@ use m4_core::{Plane, RgbImage};
 use memory_attention::{MEMORY_WIDTH, MemoryAttention};
 use memory_encoder::MemoryEncoder;
 use neck::{ImageEncoder, Neck, Pointwise, repeated};
-use picture::Frame;
+use preprocess::Frame;
 use rope::Rotations;
 use std::path::Path;
 
@@ -289,9 +289,9 @@ impl Sam2 {
     ///
     /// [`Sam2Error::NoPixels`] if it has none.
     pub fn encode(&self, image: &RgbImage) -> Result<Features, Sam2Error> {
-        let picture = picture::squared(image, self.side, &self.device)?.cast(self.dtype);
+        let input = preprocess::squared(image, self.side, &self.device)?.cast(self.dtype);
         let trunk = &self.net.image_encoder.trunk;
-        let stages = trunk.forward(picture, self.tables.trunk.clone());
+        let stages = trunk.forward(input, self.tables.trunk.clone());
         let [s0, s1, map, coarse] = self.level(stages);
         let n = self.tables.grid * self.tables.grid;
         Ok(Features {

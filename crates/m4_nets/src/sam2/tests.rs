@@ -339,12 +339,12 @@ fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
         height: 192,
     };
     let frames = Arc::clone(fixture);
-    let pictures = Box::new(move |i: usize| Ok(frame(&frames, i)));
-    let mut predictor = VideoPredictor::new(Arc::clone(&net), clip, pictures, VideoOptions::default()).unwrap();
+    let images = Box::new(move |i: usize| Ok(frame(&frames, i)));
+    let mut predictor = VideoPredictor::new(Arc::clone(&net), clip, images, VideoOptions::default()).unwrap();
 
     let features = predictor.features(0).unwrap();
     let stages = net.net.image_encoder.trunk.forward(
-        picture::squared(&frame(fixture, 0), 256, &cpu()).unwrap(),
+        preprocess::squared(&frame(fixture, 0), 256, &cpu()).unwrap(),
         net.tables.trunk.clone(),
     );
     for (i, stage) in stages.into_iter().enumerate() {
@@ -476,7 +476,7 @@ fn a_clip_without_its_objects_meets_its_fixture() {
 }
 
 #[test]
-fn a_picture_of_the_published_side_meets_its_fixture() {
+fn an_image_of_the_published_side_meets_its_fixture() {
     let fixture = Fixture::open("sam2/image_1024_tiny.safetensors");
     let net = loaded(&FormulaWeights::of_keys(TINY), 1024);
     let bytes = fixture.bytes("image_u8_128");

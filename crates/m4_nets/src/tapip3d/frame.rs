@@ -78,7 +78,13 @@ fn nearest_exact(from: usize, to: usize) -> Vec<usize> {
 }
 
 /// `image` in `size` as the encoder takes it, `[1, 3, h, w]`.
-pub fn picture(image: &RgbImage, size: (usize, usize), config: &Config, device: &Device, dtype: DType) -> Tensor<4> {
+pub fn image_tensor(
+    image: &RgbImage,
+    size: (usize, usize),
+    config: &Config,
+    device: &Device,
+    dtype: DType,
+) -> Tensor<4> {
     let (w, h) = image.size();
     let plane = |c: usize| image.data().iter().map(move |p| f32::from(p[c]));
     let mut planes: Vec<f32> = (0..3).flat_map(plane).collect();
@@ -99,8 +105,8 @@ pub fn picture(image: &RgbImage, size: (usize, usize), config: &Config, device: 
 }
 
 /// Features of an image `[1, 3, h, w]`: a map per level, `[pixels, channels]`.
-pub fn maps(net: &Net, picture: Tensor<4>, levels: usize) -> Vec<Tensor<2>> {
-    let mut map = net.encoder.forward(picture);
+pub fn maps(net: &Net, image: Tensor<4>, levels: usize) -> Vec<Tensor<2>> {
+    let mut map = net.encoder.forward(image);
     let flat = |x: &Tensor<4>| {
         let [_, c, h, w] = x.dims();
         x.clone().reshape([c, h * w]).transpose()

@@ -3,7 +3,7 @@
 use super::camera::Lens;
 use super::clip::PosedClip;
 use super::depth::{Histogram, cleaned, resized};
-use super::frame::{Frame, Geometry, maps, picture};
+use super::frame::{Frame, Geometry, image_tensor, maps};
 use super::{Tapip3d, Tapip3dError, Tapip3dOptions};
 use burn_core::tensor::Tensor;
 use m4_core::{Progress, nalgebra::Vector3};
@@ -120,14 +120,14 @@ impl<'a> Source<'a> {
         let (lens, z) = self.depth(frame)?;
         let image = self
             .clip
-            .picture(frame)
+            .image(frame)
             .map_err(|source| Tapip3dError::Frame { frame, source })?;
         if image.data().is_empty() {
             let reason = "its image has no pixels";
             return Err(Tapip3dError::BadFrame { frame, reason });
         }
         let (net, config) = (&self.net.net, &self.net.config);
-        let image = picture(&image, self.options.size, config, &self.net.device, net.encoder.dtype());
+        let image = image_tensor(&image, self.options.size, config, &self.net.device, net.encoder.dtype());
         Ok(Loaded {
             maps: maps(net, image, config.levels),
             geometry: Geometry::new(lens, &z, self.options.size, range, config.levels),

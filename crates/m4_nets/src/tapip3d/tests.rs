@@ -2,7 +2,7 @@
 
 use super::camera::Lens;
 use super::config::Config;
-use super::frame::{Frame, Geometry, Sides, map_sizes, maps, picture, sampled};
+use super::frame::{Frame, Geometry, Sides, image_tensor, map_sizes, maps, sampled};
 use super::query::sides;
 use super::track::track_within;
 use super::window::{State, Window};
@@ -63,7 +63,7 @@ impl PosedClip for Clip {
         FRAMES
     }
 
-    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
+    fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
         let bytes = self.0.bytes("frames_u8");
         let small = &bytes[frame * 40 * 56 * 3..];
         Ok(Plane::from_fn(224, 160, |x, y| {
@@ -114,8 +114,8 @@ impl Clip {
     }
 
     fn maps(&self, net: &Tapip3d, frame: usize) -> Vec<Tensor<2>> {
-        let image = self.picture(frame).unwrap();
-        let image = picture(&image, SIZE, &net.config, &net.device, DType::F32);
+        let image = self.image(frame).unwrap();
+        let image = image_tensor(&image, SIZE, &net.config, &net.device, DType::F32);
         maps(&net.net, image, 4)
     }
 
@@ -388,8 +388,8 @@ fn backward_is_forward_on_the_reversed_clip() {
         fn frames(&self) -> usize {
             FRAMES
         }
-        fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
-            self.0.picture(FRAMES - 1 - frame)
+        fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
+            self.0.image(FRAMES - 1 - frame)
         }
         fn depth(&self, frame: usize) -> Result<DepthMap, ClipError> {
             self.0.depth(FRAMES - 1 - frame)

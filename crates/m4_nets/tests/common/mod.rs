@@ -21,7 +21,7 @@ pub fn floats(file: &[u8], name: &str) -> Vec<f32> {
 }
 
 /// An image, `[h, w, 3]` or `[3, h, w]` bytes.
-pub fn picture(file: &[u8], name: &str) -> RgbImage {
+pub fn read_image(file: &[u8], name: &str) -> RgbImage {
     let tensors = SafeTensors::deserialize(file).unwrap();
     let tensor = tensors.tensor(name).unwrap();
     let bytes = tensor.data();

@@ -6,9 +6,9 @@
 //!
 //! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
 
-mod picture;
 mod report;
 mod row;
+mod tracking_effect;
 
 pub use report::{AblationReport, RowReport};
 pub use row::{Row, UnknownRow};
@@ -91,7 +91,7 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     let there = |row| made.iter().any(|r: &RowReport| r.row == row && r.skipped.is_none());
     let picture = if there(Row::NoTrack) {
         let folders = [Row::NoTrack, Row::Full].map(|row| out.join(row.name()));
-        picture::write(&folders, &data, &out.join("tracking.png"), job)?
+        tracking_effect::write(&folders, &data, &out.join("tracking.png"), job)?
     } else {
         None
     };

@@ -48,7 +48,7 @@ impl VideoSegmenter for Sam2Follower {
             width: size.0,
             height: size.1,
         };
-        let pictures = Box::new(move |frame| clip.picture(frame).map(std::borrow::Cow::into_owned));
+        let pictures = Box::new(move |frame| clip.image(frame).map(std::borrow::Cow::into_owned));
         let predictor = VideoPredictor::new(Arc::clone(&self.net), frames, pictures, options)
             .map_err(|error| failed(name, 0, error))?;
         Ok(Box::new(Session {
@@ -62,7 +62,7 @@ impl VideoSegmenter for Sam2Follower {
 
 fn failed(segmenter: &str, frame: usize, error: Sam2Error) -> VideoError {
     match error {
-        Sam2Error::Picture { frame, reason } => VideoError::Picture { frame, reason },
+        Sam2Error::Image { frame, reason } => VideoError::Image { frame, reason },
         Sam2Error::Cancelled => VideoError::Cancelled { frame },
         Sam2Error::UnknownObject(object) => VideoError::Unknown {
             object: ObjectId(object),

@@ -31,7 +31,7 @@ impl tapip3d::PosedClip for Frames<'_> {
         self.0.frames()
     }
 
-    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
+    fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
         Ok(self.0.read(frame)?.rgb)
     }
 

@@ -118,10 +118,10 @@ fn classical(
     let Clip { video, given, focal_px } = clip;
     let flow = plan.flow(settings.megasam.flow_iterations, device)?;
     let outlines = segmenter.load()?;
-    let pictures: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
+    let images: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
     let mono = match &given.depth {
         Some(_) => None,
-        None => plan.depth(&pictures, focal_px, device, steps, observer)?,
+        None => plan.depth(&images, focal_px, device, steps, observer)?,
     };
     if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
         config.default_fov_deg = fov_rad.to_degrees();
@@ -147,12 +147,12 @@ fn classical(
                     progress: observer,
                     cache: &steps.part("cameras"),
                 };
-                sparse::with_cameras(&pictures, cameras, &known, &config, &work)
+                sparse::with_cameras(&images, cameras, &known, &config, &work)
             })?,
             None,
         ),
         None => {
-            let followed = steps.keep("corners", |observer| sparse::follow(&pictures, &config, observer))?;
+            let followed = steps.keep("corners", |observer| sparse::follow(&images, &config, observer))?;
             let recovered = steps.keep("cameras", |observer| {
                 let work = Work {
                     progress: observer,
@@ -165,15 +165,7 @@ fn classical(
     };
     let posed = given.cameras.is_some();
     let mut metric = finish_sparse(&mut recovered.sparse, &depth, posed, observer)?;
-    let mut dense = dense_in_its_unit(
-        &pictures,
-        &recovered.sparse,
-        &sources,
-        &given,
-        &depth,
-        settings,
-        observer,
-    )?;
+    let mut dense = dense_in_its_unit(&images, &recovered.sparse, &sources, &given, &depth, settings, observer)?;
     let mut rounds = 1;
     if let (Some(followed), None) = (followed, &given.masks)
         && let Some(better) = refine_with_masks(
@@ -193,15 +185,7 @@ fn classical(
         drop(dense);
         recovered = better;
         metric = finish_sparse(&mut recovered.sparse, &depth, posed, observer)?;
-        dense = dense_in_its_unit(
-            &pictures,
-            &recovered.sparse,
-            &sources,
-            &given,
-            &depth,
-            settings,
-            observer,
-        )?;
+        dense = dense_in_its_unit(&images, &recovered.sparse, &sources, &given, &depth, settings, observer)?;
         rounds = 2;
     }
     let sparse = recovered.sparse;
@@ -217,7 +201,7 @@ fn classical(
         observer.warn(&format!("geometry is {}: {advice}", confidence.grade.name()));
     }
     let found = summary(&sparse, &dense, plan, segmenter.name(), &given, rounds, confidence);
-    drop(pictures);
+    drop(images);
     Ok((assemble(video, &sparse, dense, metric), found))
 }
 
@@ -338,7 +322,7 @@ fn to_metres(
 
 /// Depth, masks and tracks, computed in a unit in which the scene is about 1 away, as its settings expect.
 fn dense_in_its_unit(
-    pictures: &[&RgbImage],
+    images: &[&RgbImage],
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
     given: &Given,
@@ -369,7 +353,7 @@ fn dense_in_its_unit(
     };
     let sparse = scaled.as_ref().unwrap_or(sparse);
     let sources = Sources { mono, ..*sources };
-    let mut dense = estimate_depth(pictures, sparse, &sources, &known, &settings.dense, observer)?;
+    let mut dense = estimate_depth(images, sparse, &sources, &known, &settings.dense, observer)?;
     if unit != 1.0 {
         for z in dense.frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
             *z *= unit as f32;

@@ -29,7 +29,7 @@ impl<'a> Painter<'a> {
     }
 
     /// The same as an 8-bit image with an exposure.
-    pub fn picture(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> RgbImage {
+    pub fn image(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> RgbImage {
         to_rgb(self.frame(camera, t, false), exposure)
     }
 

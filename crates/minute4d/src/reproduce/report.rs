@@ -154,7 +154,7 @@ impl TableReport {
 
     /// Name of its image.
     #[must_use]
-    pub fn picture(&self) -> String {
+    pub fn plot_file(&self) -> String {
         format!("reproduce-{}.svg", self.protocol)
     }
 

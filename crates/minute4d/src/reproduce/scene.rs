@@ -171,13 +171,13 @@ fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error
         settings.video.folder_fps = (n - 1) as f64 / duration_s;
     }
     drop(train);
-    let [pictures, ..] = Split::Train.folders();
+    let [images, ..] = Split::Train.folders();
     let job = Job {
         settings,
         existing: Existing::Resume,
         ..*job
     };
-    Ok(geometry::make(&imported.join(pictures), out, &job)?.seconds)
+    Ok(geometry::make(&imported.join(images), out, &job)?.seconds)
 }
 
 /// The capture of a scene with all its frames, made if it is missing; seconds of its geometry where that was estimated.

@@ -32,6 +32,6 @@ pub(super) fn frames(capture: &Capture, scene: &Scene, config: &ViewerConfig) ->
     if capture.frames.len() != scene.source.len() {
         return Ok(None);
     }
-    let pictures: Vec<&RgbImage> = capture.frames.iter().map(|f| &f.rgb).collect();
-    Ok(encode_frames(&pictures, &config.frames)?)
+    let images: Vec<&RgbImage> = capture.frames.iter().map(|f| &f.rgb).collect();
+    Ok(encode_frames(&images, &config.frames)?)
 }

@@ -52,12 +52,12 @@ pub trait MonoDepth: Send + Sync {
         None
     }
 
-    /// Depth of frame `frame`, which is `picture`; `None` where nothing is known of it. All maps of a clip are of one kind.
+    /// Depth of frame `frame`, which is `image`; `None` where nothing is known of it. All maps of a clip are of one kind.
     ///
     /// # Errors
     ///
     /// [`MonoError`] where the source fails.
-    fn depth(&self, frame: usize, picture: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError>;
+    fn depth(&self, frame: usize, image: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError>;
 }
 
 /// Knows nothing.

@@ -43,12 +43,8 @@ impl MonoDepth for Synthetic {
 }
 
 fn mono(source: &dyn MonoDepth) -> Mono {
-    let picture = Plane::filled(2 * W, 2 * H, [0; 3]);
-    Mono::of(
-        (0..2)
-            .map(|i| Mono::read(source, i, &picture, (W, H)).unwrap())
-            .collect(),
-    )
+    let image = Plane::filled(2 * W, 2 * H, [0; 3]);
+    Mono::of((0..2).map(|i| Mono::read(source, i, &image, (W, H)).unwrap()).collect())
 }
 
 fn moving() -> Vec<u8> {

@@ -28,10 +28,10 @@ impl Mono {
     pub fn read(
         source: &dyn MonoDepth,
         frame: usize,
-        picture: &RgbImage,
+        image: &RgbImage,
         (width, height): (usize, usize),
     ) -> Result<Read, MonoError> {
-        let Some(map) = source.depth(frame, picture)? else {
+        let Some(map) = source.depth(frame, image)? else {
             return Ok(Read(None));
         };
         let (w, h) = map.values.size();

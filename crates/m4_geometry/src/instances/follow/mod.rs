@@ -10,11 +10,11 @@
 //! flow is old; the rule when to believe a segmenter is that of `dense::segment`.
 
 mod ask;
-mod picture;
+mod scaled_frame;
 mod session;
 mod warp;
 
-pub(super) use picture::Picture;
+pub(super) use scaled_frame::ScaledFrame;
 
 use super::clip::Clip;
 use super::source::{VideoError, VideoSegmenter, VideoSession};

@@ -4,7 +4,7 @@ use super::super::clip::Clip;
 use super::super::source::{ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSession};
 use super::FlowFollower;
 use super::ask::{self, Trusted};
-use super::picture::{Picture, read};
+use super::scaled_frame::{ScaledFrame, read};
 use super::warp::{Step, carry, snap};
 use crate::dense::{FlowPair, SegmentPrompt, working_size};
 use m4_core::{CompactMask, Progress};
@@ -54,19 +54,19 @@ impl<'a> Session<'a> {
     }
 
     /// Flow of steps from each of `frames` to the next of them, and the images they lead to at the size of masks.
-    fn steps(&self, frames: &[usize]) -> Result<Vec<(Step, Picture)>, VideoError> {
+    fn steps(&self, frames: &[usize]) -> Result<Vec<(Step, ScaledFrame)>, VideoError> {
         let flow_size = working_size(self.size.0, self.size.1, FLOW_SIDE_PX);
-        let small: Vec<Picture> = frames
+        let small: Vec<ScaledFrame> = frames
             .par_iter()
-            .map(|&frame| Picture::of(self.clip, frame, flow_size))
+            .map(|&frame| ScaledFrame::of(self.clip, frame, flow_size))
             .collect::<Result<_, _>>()?;
         let one = |k: usize| {
-            let pair = FlowPair::between(&small[k].for_flow(), &small[k + 1].for_flow(), self.follower.flow);
+            let pair = FlowPair::between(&small[k].flow_image(), &small[k + 1].flow_image(), self.follower.flow);
             let pair = pair.map_err(|source| VideoError::Flow {
                 between: (frames[k], frames[k + 1]),
                 source,
             })?;
-            let onto = Picture::of(self.clip, frames[k + 1], self.size)?;
+            let onto = ScaledFrame::of(self.clip, frames[k + 1], self.size)?;
             Ok((Step::new(pair, self.size), onto))
         };
         (0..frames.len().saturating_sub(1)).into_par_iter().map(one).collect()
@@ -78,7 +78,7 @@ impl<'a> Session<'a> {
         masks: &[Option<CompactMask>],
         frame: usize,
         step: &Step,
-        onto: &Picture,
+        onto: &ScaledFrame,
     ) -> Result<Vec<Option<Trusted>>, VideoError> {
         let carried: Vec<Option<CompactMask>> =
             masks.par_iter().map(|mask| carry(mask.as_ref()?, step, onto)).collect();
@@ -120,7 +120,7 @@ impl<'a> Session<'a> {
     }
 
     /// A prompt as a segmenter of images takes it: it has a box and a belief, too.
-    fn for_picture(&self, prompt: &ObjectPrompt) -> SegmentPrompt {
+    fn for_image(&self, prompt: &ObjectPrompt) -> SegmentPrompt {
         let described = self.described(prompt);
         let (w, h) = self.size;
         let somewhere = if described.count() > 0 {
@@ -152,16 +152,16 @@ impl VideoSession for Session<'_> {
         let image = read(self.clip, frame)?;
         let answers: Vec<(CompactMask, Option<f32>)> = match self.follower.segmenter {
             Some(segmenter) => {
-                let asked: Vec<SegmentPrompt> = prompts.par_iter().map(|p| self.for_picture(p)).collect();
+                let asked: Vec<SegmentPrompt> = prompts.par_iter().map(|p| self.for_image(p)).collect();
                 let found = ask::masks(segmenter, &image, self.size, &asked)
                     .map_err(|source| VideoError::Segment { frame, source })?;
                 let mask = |m: &crate::dense::SegmentMask| (ask::above(&m.logits, self.size), Some(m.quality));
                 found.iter().map(mask).collect()
             }
             None => {
-                let picture = Picture::from_image(image.as_ref(), self.size);
+                let scaled = ScaledFrame::from_image(image.as_ref(), self.size);
                 let of = |p: &ObjectPrompt| match p.belief {
-                    Some(_) => (snap(&self.described(p), &picture), None),
+                    Some(_) => (snap(&self.described(p), &scaled), None),
                     None => (self.described(p), None),
                 };
                 prompts.par_iter().map(of).collect()

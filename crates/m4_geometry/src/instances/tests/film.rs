@@ -66,7 +66,7 @@ fn pattern(x: f32, y: f32) -> f32 {
 }
 
 /// The image: each thing in a hue of its own and with a pattern that goes along.
-pub fn picture(i: usize) -> RgbImage {
+pub fn image(i: usize) -> RgbImage {
     Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
         let with =
             |at: (f32, f32)| (60.0 + 90.0 * pattern(1.4 * (x as f32 - at.0) + 300.0, 1.4 * (y as f32 - at.1))) as u8;
@@ -83,8 +83,8 @@ pub fn picture(i: usize) -> RgbImage {
     })
 }
 
-pub fn pictures() -> Vec<RgbImage> {
-    (0..FRAMES).map(picture).collect()
+pub fn images() -> Vec<RgbImage> {
+    (0..FRAMES).map(image).collect()
 }
 
 pub fn truth(i: usize) -> CompactMask {

@@ -26,12 +26,12 @@ fn run_with(
     settings: &RefineSettings,
     progress: &dyn Progress,
 ) -> Result<Refined, InstanceError> {
-    let pictures = film::pictures();
-    let clip: Vec<&RgbImage> = pictures.iter().collect();
+    let images = film::images();
+    let clip: Vec<&RgbImage> = images.iter().collect();
     let flow = InverseSearch;
     let follower = FlowFollower::new(&flow, segmenter);
     let input = RefineInput {
-        clip: &Pictures(&clip),
+        clip: &ImageClip(&clip),
         coarse,
         flow: Some(&flow),
     };

@@ -1,8 +1,8 @@
 //! What a session promises to any caller.
 
-use super::film::{FRAMES, SIZE, picture, thing_at};
+use super::film::{FRAMES, SIZE, image, thing_at};
 use crate::dense::InverseSearch;
-use crate::instances::{Clip, FlowFollower, ObjectId, ObjectMask, ObjectPrompt, PictureError, Sight};
+use crate::instances::{Clip, FlowFollower, ImageError, ObjectId, ObjectMask, ObjectPrompt, Sight};
 use crate::instances::{VideoError, VideoSegmenter, VideoSession};
 use m4_core::{CompactMask, RgbImage, Silent};
 use std::borrow::Cow;
@@ -22,9 +22,9 @@ impl Clip for Lazy {
         SIZE
     }
 
-    fn picture(&self, frame: usize) -> Result<Cow<'_, RgbImage>, PictureError> {
+    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError> {
         self.0.lock().unwrap().push(frame);
-        Ok(Cow::Owned(picture(frame)))
+        Ok(Cow::Owned(image(frame)))
     }
 }
 

@@ -15,9 +15,9 @@ fn options(budget_bytes: usize, storage: Storage) -> MemoryOptions {
 
 /// A memory of the images of the fixture, which are added when they are needed.
 fn memory(options: MemoryOptions) -> DroidMemory<'static> {
-    let pictures = Fixture::open("encoders.safetensors").pictures();
-    let pictures = move |frame: usize| pictures.get(frame).cloned().ok_or_else(|| "no such frame".into());
-    DroidMemory::new(Arc::new(network()), options, Box::new(pictures))
+    let images = Fixture::open("encoders.safetensors").images();
+    let images = move |frame: usize| images.get(frame).cloned().ok_or_else(|| "no such frame".into());
+    DroidMemory::new(Arc::new(network()), options, Box::new(images))
 }
 
 /// Planes of an edge.
@@ -217,7 +217,7 @@ fn requests_that_make_no_sense_are_refused() {
         "{error}"
     );
     let error = attempt(0, &[2], N);
-    assert!(matches!(error, DroidError::Picture { frame: 7, .. }), "{error}");
+    assert!(matches!(error, DroidError::Image { frame: 7, .. }), "{error}");
     memory.leave(0);
     assert!(memory.revise_source(0, &mut []).is_err());
 }

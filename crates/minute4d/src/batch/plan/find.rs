@@ -10,7 +10,7 @@ const VIDEOS: [&str; 15] = [
     "mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "wmv", "flv", "ogv",
 ];
 /// Extensions of images: a folder of these is a clip.
-const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
+const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Lists of posed frames: a folder with one is a capture, and so a clip.
 const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
 
@@ -86,7 +86,7 @@ fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<()
 
 /// The clips in a folder, or the folder itself where it is one.
 fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, BatchError> {
-    let (mut videos, mut folders, mut pictures) = (Vec::new(), Vec::new(), false);
+    let (mut videos, mut folders, mut images) = (Vec::new(), Vec::new(), false);
     for entry in fs::read_dir(folder).map_err(BatchError::read(folder))? {
         let path = entry.map_err(BatchError::read(folder))?.path();
         let name = path
@@ -104,10 +104,10 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, BatchError> 
         } else if extension.as_deref().is_some_and(|e| VIDEOS.contains(&e)) {
             videos.push(fs::canonicalize(&path).map_err(BatchError::read(&path))?);
         } else {
-            pictures |= extension.as_deref().is_some_and(|e| PICTURES.contains(&e));
+            images |= extension.as_deref().is_some_and(|e| IMAGE_EXTENSIONS.contains(&e));
         }
     }
-    if videos.is_empty() && pictures {
+    if videos.is_empty() && images {
         return Ok(vec![folder.to_path_buf()]);
     }
     if recursive {

@@ -124,7 +124,7 @@ fn the_source_goes_through_its_cameras_at_their_times() {
 }
 
 #[test]
-fn one_moment_is_one_picture() {
+fn one_time_gives_one_image() {
     let scene = scene(0.0);
     for path in [CameraPath::Train, CameraPath::Source, CameraPath::Stabilised] {
         let at = PathOptions {

@@ -7,13 +7,13 @@ use m4_core::{Camera, Exposure, RgbImage, Scene};
 use m4_kernels::{Frame, SimdLevel};
 
 /// Draws a scene on a GPU where there is one, else on the processor.
-pub struct Pictures<'a> {
+pub struct SceneRenderer<'a> {
     scene: &'a Scene,
     painter: Painter<'a>,
     on_gpu: Option<GpuPainter>,
 }
 
-impl<'a> Pictures<'a> {
+impl<'a> SceneRenderer<'a> {
     /// Copies the splats to the GPU, if there is one.
     ///
     /// # Errors
@@ -49,10 +49,10 @@ impl<'a> Pictures<'a> {
     /// # Errors
     ///
     /// [`Error::Gpu`] if it does not fit or the device fails.
-    pub fn picture(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> Result<RgbImage, Error> {
+    pub fn image(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> Result<RgbImage, Error> {
         match &mut self.on_gpu {
             Some(gpu) => Ok(to_rgb(&gpu.frame(&view(self.scene, camera, t))?, exposure)),
-            None => Ok(self.painter.picture(camera, t, exposure)),
+            None => Ok(self.painter.image(camera, t, exposure)),
         }
     }
 }

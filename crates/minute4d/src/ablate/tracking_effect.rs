@@ -34,8 +34,8 @@ pub fn write(folders: &[PathBuf; 2], data: &Path, path: &Path, job: &Job<'_>) ->
         HeldOut::read(with, data, job.settings.capture.reach, job.observer)?,
     );
     let (mut draw_without, mut draw_with) = (
-        without.pictures(level, gpu.as_ref())?,
-        with.pictures(level, gpu.as_ref())?,
+        without.renderer(level, gpu.as_ref())?,
+        with.renderer(level, gpu.as_ref())?,
     );
     let mut best: Option<Place> = None;
     for frame in &with.test.frames {
