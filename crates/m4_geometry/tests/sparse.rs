@@ -114,7 +114,7 @@ fn a_rendered_room_is_reconstructed() {
 }
 
 #[test]
-fn a_still_camera_and_a_turning_one_are_told_apart() {
+fn static_and_turning_cameras_are_distinguished() {
     let still = render_all(&cameras(0.0, 0.0));
     let found = reconstruct(&still.iter().collect::<Vec<_>>(), &SparseConfig::default(), &Silent).expect("a pose");
     assert_eq!(found.camera_motion, CameraMotion::Static);

@@ -2,6 +2,7 @@
 //! the crate's own tests.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use crate::common::test_image;
 use m4_core::{Plane, RgbImage};
 use m4_nets::{BackboneSize, DepthAnything, DisparityError, LoadError, cpu};
 use m4_testkit::{FormulaWeights, write_formula_weights};
@@ -29,16 +30,9 @@ fn network() -> DepthAnything {
     DepthAnything::load(&formula_weights(), cpu()).unwrap()
 }
 
-fn test_image(w: usize, h: usize) -> RgbImage {
-    Plane::from_fn(w, h, |x, y| {
-        let (x, y) = (x as f32 / w as f32, y as f32 / h as f32);
-        [x, y, (9.0 * x).sin() * (7.0 * y).cos() * 0.5 + 0.5].map(|v| (v * 255.0) as u8)
-    })
-}
-
 /// A name says nothing about what a file holds: this one says L.
 #[test]
-fn the_size_is_the_one_that_the_checkpoint_holds() {
+fn size_is_read_from_the_checkpoint() {
     let net = network();
     assert_eq!(net.size(), BackboneSize::Small);
     // the checkpoint's 24,785,089 numbers without the token that training needed

@@ -166,7 +166,7 @@ fn droid(path: &std::path::Path, on: impl Into<Compute>) -> (f64, Vec<Vec<f32>>)
 }
 
 #[test]
-fn the_tracking_network_says_the_same_as_on_the_processor() {
+fn tracking_network_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
@@ -235,7 +235,7 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
 }
 
 #[test]
-fn unidepth_says_the_same_as_on_the_processor() {
+fn unidepth_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
@@ -248,7 +248,7 @@ fn unidepth_says_the_same_as_on_the_processor() {
 }
 
 #[test]
-fn mobile_sam_says_the_same_as_on_the_processor() {
+fn mobile_sam_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
@@ -302,7 +302,7 @@ fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f3
 }
 
 #[test]
-fn sam2_says_the_same_as_on_the_processor() {
+fn sam2_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };

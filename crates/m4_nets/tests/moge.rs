@@ -2,6 +2,7 @@
 //! crate's own tests.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use crate::common::test_image;
 use m4_core::{Plane, RgbImage};
 use m4_nets::{BackboneSize, LoadError, MoGe, MoGeError, MoGeOptions, cpu};
 use m4_testkit::FormulaWeights;
@@ -30,13 +31,6 @@ fn formula_weights() -> PathBuf {
 
 fn network() -> MoGe {
     MoGe::load(&formula_weights(), cpu()).unwrap()
-}
-
-fn test_image(w: usize, h: usize) -> RgbImage {
-    Plane::from_fn(w, h, |x, y| {
-        let (x, y) = (x as f32 / w as f32, y as f32 / h as f32);
-        [x, y, (9.0 * x).sin() * (7.0 * y).cos() * 0.5 + 0.5].map(|v| (v * 255.0) as u8)
-    })
 }
 
 fn few(tokens: usize) -> MoGeOptions {
@@ -77,7 +71,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
-fn a_known_focal_length_is_kept() {
+fn known_focal_length_is_used() {
     let net = network();
     let image = test_image(60, 40);
     let options = MoGeOptions {
@@ -184,7 +178,7 @@ fn a_checkpoint_is_read_strictly() {
 
 /// Without the head for normals, the rest is as it was.
 #[test]
-fn a_checkpoint_without_normals_is_one_too() {
+fn checkpoint_without_normals_is_accepted() {
     let net = network();
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("model.safetensors");

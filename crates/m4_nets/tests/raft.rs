@@ -97,7 +97,7 @@ fn a_warm_start_uses_the_given_flow() {
 
 /// Real weights find what GMFlow's module found, within what two good networks differ by.
 #[test]
-fn real_weights_see_what_another_network_sees() {
+fn real_weights_match_another_network() {
     let Some(path) = real_weights("raft-things", "raft-things.pth") else {
         return;
     };

@@ -136,7 +136,7 @@ fn a_checkpoint_is_read_strictly() {
 }
 
 #[test]
-fn real_weights_are_those_that_are_expected() {
+fn real_weights_have_the_expected_tensors() {
     let Some(path) = real_weights("unidepth-v2-l", "model.safetensors") else {
         return;
     };

@@ -8,7 +8,7 @@ use m4_io::image::resize_rgb;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-/// How large the frames may be.
+/// Limits on the size of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FrameLimits {

@@ -55,7 +55,7 @@ fn scene() -> Scene {
     }
 }
 
-/// What our own renderer draws, 8 bits per channel.
+/// Renders with our own renderer, 8 bits per channel.
 fn drawn(scene: &Scene, camera: &Camera, t: f64) -> RgbImage {
     let view = View {
         camera: *camera,
@@ -158,7 +158,7 @@ const QUANTISED_DB: f64 = 45.0;
 const TIMES: [f64; 3] = [0.0, 4.25, 9.0];
 
 #[test]
-fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
+fn page_matches_the_renderer_from_file_and_server() {
     let Some(program) = find_chromium() else { return };
     let scene = scene();
     let folder = tempfile::tempdir().unwrap();
@@ -195,7 +195,7 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
         );
     }
     let others = "performance.getEntriesByType('resource').map(e => e.name).filter(n => !/^(data|blob|file):/.test(n))";
-    assert_eq!(page.eval(others), json!([]), "the page asks nobody for anything");
+    assert_eq!(page.eval(others), json!([]), "the page sends no request");
     drop(page);
 
     // the server starts with another scene: the page has to hear of this one and take it

@@ -28,7 +28,7 @@ impl Metric {
         Self::Ssim(SsimKind::DycheckMasked),
     ];
 
-    /// What `image` scores against `reference`, whole or inside `mask`; `None` if the mask leaves nothing.
+    /// Scores `image` against `reference`, whole or inside `mask`; `None` if the mask leaves nothing.
     ///
     /// # Errors
     ///

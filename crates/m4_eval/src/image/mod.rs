@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! image, photograph, mask --Metric--> a number;  many --ImageReport--> rows, means, the protocol's name
-//! flow or depth of the training frames --covisible--> the mask of what they saw
+//! flow or depth of the training frames --covisible--> the mask of pixels that they saw
 //! ```
 //!
 //! Colours are sRGB values in `[0, 1]`; both sides are clamped to it first unless a protocol says otherwise

@@ -26,7 +26,7 @@ pub enum ImageError {
         found.0, found.1, expected.0, expected.1
     )]
     Size {
-        /// What differs from the reference.
+        /// The image that differs from the reference.
         what: &'static str,
         /// Width and height of the reference.
         expected: (usize, usize),
@@ -88,7 +88,7 @@ impl PlanarImage {
         Ok(image)
     }
 
-    /// The same without clamping, for the protocols that score what a renderer gave as it is.
+    /// The same without clamping, for protocols that score unclamped renders.
     ///
     /// # Errors
     ///
@@ -152,4 +152,11 @@ impl From<&RgbImage> for PlanarImage {
             planes: [plane(0), plane(1), plane(2)],
         }
     }
+}
+
+/// An image of one value, for tests.
+#[cfg(test)]
+pub(super) fn flat(width: usize, height: usize, value: f32) -> PlanarImage {
+    let plane = vec![value; width * height];
+    PlanarImage::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
 }

@@ -4,7 +4,7 @@ use super::{ImageError, PlanarImage, same_size};
 use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 
-/// What identical images score, dB: the true value is infinite, which no table can average.
+/// Score of identical images, dB: the true value is infinite, which no table can average.
 pub const MAX_PSNR_DB: f64 = 100.0;
 
 /// Over what the mean squared error is made, and of which numbers.
@@ -95,13 +95,9 @@ fn eight_bit(v: f32) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::{MAX_PSNR_DB, PlanarImage, PsnrKind, psnr_db, psnr_db_of};
+    use crate::image::planar::flat;
     use crate::image::{ImageError, ssim_map};
     use m4_core::Plane;
-
-    fn flat(width: usize, height: usize, value: f32) -> PlanarImage {
-        let plane = vec![value; width * height];
-        PlanarImage::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
-    }
 
     #[test]
     fn psnr_of_a_constant_offset_is_its_logarithm() {

@@ -1,4 +1,4 @@
-//! Pixels that stand still, and where flow says they go.
+//! Static pixels and their flow.
 
 use crate::dense::{FlowError, FlowImage, FlowPair, FlowSource, rgb_and_grey, working_size};
 use m4_core::{Capture, CaptureFrame, CompactDepth, Progress};

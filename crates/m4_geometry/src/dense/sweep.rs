@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_hidden_from_some_partners_does_not_count() {
+    fn occluded_partners_are_ignored() {
         let costs = |v: [u8; 4]| {
             let mut all = [u8::MAX; MAX_PARTNERS];
             all[..4].copy_from_slice(&v);

@@ -4,7 +4,7 @@ use super::flows::measure;
 use super::resample::{from_grid, resize_bilinear};
 use super::size::CELL_PX;
 use super::{DepthPrior, MegasamError, MegasamSettings, PairFlow, PriorKind, TrackingSize};
-use crate::cvd::{Consistent, CvdInput, optimise, uncertainty_of_static};
+use crate::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
 use crate::dba::Observability;
 use crate::tracker::{Clip, Correspondence, FrameInput, Tracked, track};
 use m4_core::{Cache, Intrinsics, Plane, Progress, RgbImage, Se3, kept};
@@ -38,7 +38,7 @@ pub struct MegasamGeometry {
     pub c2w: Vec<Se3<f64>>,
     /// z-depth of the whole images, at the size before cutting ([`TrackingSize::scaled`]); what was cut has that of the edge.
     pub depth: Vec<Plane<f32>>,
-    /// How likely each cell of the tracker's grid is to stand still, 0..=1.
+    /// Probability that each cell of the tracker's grid is static, 0..=1.
     pub static_confidence: Vec<Plane<f32>>,
     /// How much each pixel followed the motion of the camera in the end (the learned certainty u), at half the cropped size.
     pub certainty: Vec<Plane<f32>>,
@@ -66,7 +66,7 @@ impl MegasamGeometry {
     }
 }
 
-/// Cameras, focal length, depth and what stands still, of a clip.
+/// Cameras, focal length, depth and static map of a clip.
 ///
 /// `correspondence` and `flow` see images of [`TrackingSize::resized`]. Without a prior, depth starts as what the tracker
 /// found, and its unit is arbitrary. Finished parts go to `cache`, which belongs to one clip with one set of settings: what is
@@ -147,7 +147,7 @@ fn finish(
     lens: Intrinsics,
     tracked: Tracked,
     static_confidence: Vec<Plane<f32>>,
-    consistent: Consistent,
+    consistent: ConsistentDepth,
 ) -> MegasamGeometry {
     let norm = input.prior.map_or(1.0, |prior| prior.norm);
     let metric = input.prior.is_some_and(|prior| prior.kind == PriorKind::Metric);

@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lens_goes_there_and_back() {
+    fn grid_intrinsics_round_trip() {
         let size = TrackingSize::new((854, 480), 384.0 * 512.0).unwrap();
         let lens = Intrinsics::centred(854, 480, 700.0);
         let back = size.full_lens(&lens, &size.grid_lens(&lens));

@@ -53,13 +53,13 @@ fn check(size: BackboneSize, keys: &str, depth: usize, fixture: &Fixture) {
 }
 
 #[test]
-fn the_small_one_agrees_with_the_module() {
+fn small_model_matches_the_module() {
     let fixture = Fixture::open("depth_anything_v1/vits.safetensors");
     check(BackboneSize::Small, SMALL, 12, &fixture);
 }
 
 #[test]
-fn the_large_one_with_five_blocks_agrees_with_the_module() {
+fn large_model_with_five_blocks_matches_the_module() {
     let fixture = Fixture::open("depth_anything_v1/vitl_5blocks.safetensors");
     check(BackboneSize::Large, LARGE, 5, &fixture);
 }

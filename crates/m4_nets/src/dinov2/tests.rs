@@ -48,20 +48,20 @@ fn check(net: &DinoV2, fixture: &Fixture, step: usize) {
 }
 
 #[test]
-fn a_small_one_agrees_with_the_module() {
+fn small_model_matches_the_module() {
     let net = backbone(BackboneSize::Small, SMALL, 12);
     check(&net, &Fixture::open("depth_anything_v1/vits.safetensors"), 4);
 }
 
 #[test]
-fn five_blocks_of_a_large_one_agree_with_the_module() {
+fn five_blocks_of_the_large_model_match_the_module() {
     let net = backbone(BackboneSize::Large, LARGE, 5);
     check(&net, &Fixture::open("depth_anything_v1/vitl_5blocks.safetensors"), 16);
 }
 
 /// Where the grid is the one that was learned, nothing is resampled.
 #[test]
-fn learned_positions_stay_what_they_are() {
+fn position_embeddings_of_the_trained_size_are_unchanged() {
     let net = backbone(BackboneSize::Small, SMALL, 1);
     let learned: Vec<f32> = net.pos_embed.val().try_into_vec_as().unwrap();
     let same: Vec<f32> = positions::resized(net.pos_embed.val(), 37, 37, positions::OFFSET)

@@ -39,7 +39,7 @@ use config::Config;
 use encoder::Encoder;
 use layout::Layout;
 use m4_core::RgbImage;
-use map::Said;
+use map::RawOutput;
 use preprocess::Grid;
 use stack::Stack;
 use std::path::Path;
@@ -237,11 +237,11 @@ impl MoGe {
     ///
     /// [`MoGeError`] if the image has no pixels, an option is out of range, the network finds no depth, or the device fails.
     pub fn infer(&self, image: &RgbImage, options: &MoGeOptions) -> Result<MoGeMap, MoGeError> {
-        self.said(image, options)?.geometry(options.known_focal_px)
+        self.raw_output(image, options)?.geometry(options.known_focal_px)
     }
 
     /// What the network says of `image`.
-    fn said(&self, image: &RgbImage, options: &MoGeOptions) -> Result<Said, MoGeError> {
+    fn raw_output(&self, image: &RgbImage, options: &MoGeOptions) -> Result<RawOutput, MoGeError> {
         let tokens = options.tokens.unwrap_or(self.config.tokens.1);
         let grid = Grid::of(image.width(), image.height(), tokens)?;
         let out = self
@@ -255,7 +255,7 @@ impl MoGe {
         let mask = planes(out.mask)?;
         let normal = out.normal.map(planes).transpose()?;
         let log_scale = numbers(out.log_scale)?.first().copied().unwrap_or(f32::NAN);
-        Ok(Said::of_planes(
+        Ok(RawOutput::of_planes(
             image.size(),
             &points,
             &mask,

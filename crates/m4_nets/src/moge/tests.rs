@@ -41,7 +41,7 @@ fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
 }
 
 #[test]
-fn the_small_one_agrees_with_the_module() {
+fn small_model_matches_the_module() {
     let fixture = Fixture::open("moge2/vits_assumed.safetensors");
     let net = network();
     assert_eq!(
@@ -69,22 +69,22 @@ fn the_small_one_agrees_with_the_module() {
         tokens: Some(80),
         known_focal_px: None,
     };
-    let said = net.said(&image, &options).unwrap();
+    let raw = net.raw_output(&image, &options).unwrap();
     let near = |got: &[f32], name: &str, limit: f64| {
         let error = relative_error(got, &fixture.floats(name).0);
         println!("{name}: {error:.1e}");
         assert!(error < limit, "{name}: {error:e}");
     };
-    near(said.points.as_flattened(), "points", LIMIT);
-    near(&said.mask, "mask", LIMIT);
-    near(&[said.metric_scale], "metric_scale", LIMIT);
+    near(raw.points.as_flattened(), "points", LIMIT);
+    near(&raw.mask, "mask", LIMIT);
+    near(&[raw.metric_scale], "metric_scale", LIMIT);
     let unit = |n: &[f32; 3]| n.map(|x| x / n.iter().map(|x| x * x).sum::<f32>().sqrt());
-    let normal: Vec<[f32; 3]> = said.normal.as_ref().unwrap().iter().map(unit).collect();
+    let normal: Vec<[f32; 3]> = raw.normal.as_ref().unwrap().iter().map(unit).collect();
     near(normal.as_flattened(), "normal", LIMIT_NORMAL);
 
     // points of no scene: where the search ends is decided by its rules alone
-    let likely = |i: usize| said.mask[i] > 0.5;
-    let found = recovered(&said.points, likely, (180, 140), None).unwrap();
+    let likely = |i: usize| raw.mask[i] > 0.5;
+    let found = recovered(&raw.points, likely, (180, 140), None).unwrap();
     let wanted = |name: &str| f64::from(fixture.floats(name).0[0]);
     assert!((found.focal / wanted("focal") - 1.0).abs() < 1e-4);
     assert!((found.shift / wanted("shift") - 1.0).abs() < 1e-4);
@@ -145,7 +145,7 @@ fn each_model_has_exactly_the_tensors_of_its_checkpoint() {
 
 /// A file as PyTorch writes the official ones, with other settings than were published: `model_config` beside `model`.
 #[test]
-fn an_official_file_says_what_its_tensors_cannot() {
+fn official_file_holds_the_configuration() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/moge2/config.pt");
     let shapes = load::shapes("MoGe-2", &path, &RENAMES).unwrap();
     let names: Vec<&str> = shapes.keys().map(String::as_str).collect();

@@ -322,20 +322,20 @@ impl Sam2 {
     ///
     /// [`Sam2Error`] if the prompt is empty or wrong, or the device fails.
     pub fn masks(&self, features: &Features, prompt: &Prompt) -> Result<Vec<ObjectMask>, Sam2Error> {
-        let said = self.said(features, features.frame, prompt)?;
-        let score = numbers(said.score)?.first().copied().unwrap_or(f32::NAN);
-        let iou = numbers(said.iou)?;
+        let decoded = self.decode(features, features.frame, prompt)?;
+        let score = numbers(decoded.score)?.first().copied().unwrap_or(f32::NAN);
+        let iou = numbers(decoded.iou)?;
         let first = if prompt.is_ambiguous() {
             1..MASKS
         } else {
-            let stability = numbers(answer::stability(&said.masks.clone().cast(DType::F32)))?;
+            let stability = numbers(answer::stability(&decoded.masks.clone().cast(DType::F32)))?;
             let one = answer::chosen(&iou, false, stability.first().copied().unwrap_or(f32::NAN));
             one..one + 1
         };
         let candidates = iou.get(first.clone()).unwrap_or_default();
         first
             .map(|i| {
-                let logits = said.masks.clone().narrow(1, i, 1).squeeze_dim::<3>(1);
+                let logits = decoded.masks.clone().narrow(1, i, 1).squeeze_dim::<3>(1);
                 Ok(ObjectMask {
                     logits: plane(logits.cast(DType::F32))?,
                     iou: iou[i],
@@ -347,7 +347,7 @@ impl Sam2 {
     }
 
     /// What the decoder says of a prompt that has no memory.
-    fn said(&self, features: &Features, frame: Frame, prompt: &Prompt) -> Result<Decoded, Sam2Error> {
+    fn decode(&self, features: &Features, frame: Frame, prompt: &Prompt) -> Result<Decoded, Sam2Error> {
         prompts::check(prompt)?;
         let map = features.map.clone() + self.net.no_mem_embed.val();
         let tokens = prompts::tokens(&self.net.prompt_encoder, prompt, frame, self.side)?;

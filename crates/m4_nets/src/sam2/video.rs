@@ -205,8 +205,8 @@ impl<'a> VideoPredictor<'a> {
             Some(recall) => net.recalled(net.begun(&features), &[recall], self.clip.frames),
             None => net.unremembered(&features),
         };
-        let said = net.decoded(map, &features, tokens.unsqueeze_dim(0), mask);
-        let answers = net.answers(said, prompt.is_ambiguous())?;
+        let decoded = net.decoded(map, &features, tokens.unsqueeze_dim(0), mask);
+        let answers = net.answers(decoded, prompt.is_ambiguous())?;
         self.pend(frame, object, answers, first)
     }
 

@@ -1,7 +1,7 @@
 //! A frame as the network works with it: maps of features and of points, from fine to coarse.
 
 use super::Net;
-use super::camera::Lens;
+use super::camera::PosedPinhole;
 use super::config::Config;
 use super::encoder::STRIDE;
 use super::moments::Moments;
@@ -23,7 +23,7 @@ pub fn map_sizes(size: (usize, usize), levels: usize) -> Vec<(usize, usize)> {
 /// Where the pixels of a frame are.
 #[derive(Debug)]
 pub struct Geometry {
-    pub lens: Lens,
+    pub lens: PosedPinhole,
     /// A map per level, `[h][w]`. A pixel without depth is at the camera's centre, as upstream has it.
     pub points: Vec<Vec<[f32; 3]>>,
     /// Of all pixels whose depth counts.
@@ -32,7 +32,7 @@ pub struct Geometry {
 
 impl Geometry {
     /// Of depth `z` `[h][w]` in `size` seen through `lens`; depths within `range` count.
-    pub fn new(lens: Lens, z: &[f32], size: (usize, usize), range: [f32; 2], levels: usize) -> Self {
+    pub fn new(lens: PosedPinhole, z: &[f32], size: (usize, usize), range: [f32; 2], levels: usize) -> Self {
         let (w, h) = size;
         let centre = lens.unproject([0.0; 2], 0.0);
         let about = [centre.x, centre.y, centre.z];

@@ -1,6 +1,6 @@
 //! The network against its fixture: weights by the formula, damped where a random network would be chaotic.
 
-use super::camera::Lens;
+use super::camera::PosedPinhole;
 use super::config::Config;
 use super::frame::{Frame, Geometry, Sides, image_tensor, map_sizes, maps, sampled};
 use super::query::sides;
@@ -102,7 +102,7 @@ impl Clip {
     }
 
     fn geometry(&self, frame: usize) -> Geometry {
-        let lens = Lens::new(&self.camera(frame).unwrap(), SIZE, &Vector3::zeros()).unwrap();
+        let lens = PosedPinhole::new(&self.camera(frame).unwrap(), SIZE, &Vector3::zeros()).unwrap();
         Geometry::new(lens, &self.depth_of(frame), SIZE, self.range(), 4)
     }
 
@@ -348,7 +348,7 @@ fn fixture_options() -> Tapip3dOptions {
 }
 
 #[test]
-fn the_whole_clip() {
+fn whole_clip_matches_the_reference() {
     let clip = clip();
     let net = network(&clip.0);
     let queries = fixture_queries(&clip);
@@ -443,7 +443,7 @@ fn edges_of_depth_are_replaced() {
         c2w: Se3::identity(),
     };
     let size = (shape[1], shape[0]);
-    let lens = Lens::new(&camera, size, &Vector3::zeros()).unwrap();
+    let lens = PosedPinhole::new(&camera, size, &Vector3::zeros()).unwrap();
     let got = depth::cleaned(&z, size, &lens);
     let want = fixture.floats("filtered").0;
     let changed = want.iter().zip(&z).filter(|(a, b)| a != b).count();

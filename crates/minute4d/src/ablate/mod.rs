@@ -166,7 +166,7 @@ impl Bench<'_> {
         })
     }
 
-    /// The input with masks of what is likelier than not to move by its maps, as they come; `None` where it has no maps.
+    /// The input with masks of pixels that are more likely dynamic than static by its maps, unrefined; `None` where it has no maps.
     fn coarse(&self) -> Result<Option<PathBuf>, Error> {
         let folder = self.out.join("coarse");
         let mut capture: Capture = crate::train::read(self.input, &self.job.settings, self.job.observer)?;
@@ -230,7 +230,7 @@ impl Bench<'_> {
         Err(Error::Row {
             row: row.name(),
             folder: folder.to_path_buf(),
-            said: String::from_utf8_lossy(&ended.stderr).trim().to_owned(),
+            message: String::from_utf8_lossy(&ended.stderr).trim().to_owned(),
         })
     }
 

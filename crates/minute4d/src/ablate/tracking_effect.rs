@@ -19,8 +19,8 @@ struct Place {
     panels: [RgbImage; 3],
 }
 
-/// Writes to `path` the true image of that place, and how the scenes in `folders` (without, with) draw it, side by side; gives
-/// nothing where neither does better anywhere.
+/// Writes the ground truth of that region and the renders of the scenes in `folders` (without, with) side by side to `path`;
+/// `None` if tracking improves no region.
 ///
 /// # Errors
 ///

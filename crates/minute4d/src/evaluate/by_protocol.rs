@@ -23,7 +23,7 @@ const SAME_MOMENT: f64 = 1e-3;
 const RENDER: &str = "32-bit colours of the renderer without exposure, not rounded to 8 bits; clamped to 0..1 unless a metric says otherwise";
 const UNCLAMPED: &str = "psnr_per_channel_unclamped";
 
-/// What a protocol made of a scene.
+/// Scores of a scene by a protocol.
 pub(super) struct Scored {
     pub images: ImageReport,
     pub choices: Choices,
@@ -194,7 +194,7 @@ pub(super) fn score(
     };
     let frames = FrameChoice {
         rule: rules.frames,
-        words: rules.frames.words(),
+        words: rules.frames.description(),
         scored: views.iter().map(|v| v.name.clone()).collect(),
         of_frames: split.as_ref().map(|s| s.frames),
         indices: split.map(|s| s.held_out),
@@ -212,7 +212,7 @@ pub(super) fn score(
         },
         mask: MaskChoice {
             source: masks.source(),
-            words: masks.words(),
+            words: masks.description(),
             share: masked.then(|| share / views.len().max(1) as f64),
         },
         render: RENDER.to_owned(),
@@ -291,7 +291,7 @@ fn pose_words(rules: &Rules, given: String, refined: bool) -> String {
     }
 }
 
-/// What each score of the report stands for.
+/// Meaning of each score of the report.
 fn metrics(images: &ImageReport) -> std::collections::BTreeMap<String, String> {
     let p = &images.protocol;
     let mut out = p.others.clone();

@@ -22,7 +22,7 @@ pub struct HeldOut {
     pub scene: Scene,
     /// The views.
     pub test: Capture,
-    /// How the held-out cameras were placed, where the scene has a world of its own.
+    /// Alignment of the held-out cameras, if the scene has a world of its own.
     pub alignment: Option<Alignment>,
     stretch: f64,
 }
@@ -57,7 +57,7 @@ impl HeldOut {
         frame.t * self.stretch
     }
 
-    /// What draws the scene.
+    /// Creates a renderer of the scene.
     ///
     /// # Errors
     ///

@@ -9,7 +9,7 @@ use m4_core::Mask;
 use m4_eval::image::{ImageReport, PlanarImage};
 use serde::Serialize;
 
-/// What became of one network.
+/// State of one network.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LpipsChoice {
     /// The network whose features are compared.

@@ -22,7 +22,7 @@ const BETA2: f64 = 0.999;
 /// Small beside any gradient: a step is as long as the rate whatever the loss is divided by.
 const EPSILON: f64 = 1e-15;
 
-/// How far a pose went.
+/// Correction of a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Moved {
     /// Angle between the orientations before and after, degrees.
@@ -145,7 +145,7 @@ mod tests {
     use m4_testkit::{SceneSpec, random_scene};
 
     #[test]
-    fn a_pose_that_is_off_is_found_again() {
+    fn perturbed_pose_is_recovered() {
         let scene = random_scene(&SceneSpec::default());
         let level = SimdLevel::detect().unwrap();
         let (truth, t) = (scene.source[4].camera, 4.0);

@@ -24,11 +24,11 @@ use std::time::Instant;
 pub struct OtherMean {
     /// The mean.
     pub mean: f64,
-    /// How many views have it.
+    /// Number of views with it.
     pub views: usize,
 }
 
-/// How views are scored.
+/// Options of scoring.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EvalOptions {
     /// Masks of dynamic regions are grown by this many pixels first.
@@ -56,7 +56,7 @@ pub struct EvalReport {
     pub scene_blake3: String,
     /// The capture whose held-out views were used.
     pub data: PathBuf,
-    /// How the held-out cameras were placed, where the scene has a world of its own.
+    /// Alignment of the held-out cameras, if the scene has a world of its own.
     pub alignment: Option<Alignment>,
     /// Splats of the scene.
     pub splats: usize,
@@ -72,7 +72,7 @@ pub struct EvalReport {
     pub choices: Option<Choices>,
     /// Images a second while drawing, one after the other, each copied to the host.
     pub frames_per_s: Option<f64>,
-    /// What drew: `cpu`, or the GPU's name.
+    /// Rendering device: `cpu`, or the GPU's name.
     pub device: String,
     /// Seconds it took.
     pub seconds: f64,

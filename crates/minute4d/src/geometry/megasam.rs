@@ -5,7 +5,7 @@ use super::frontend::{MonoClip, NetworkCorrespondence, Plan};
 use super::given::{Given, GivenError};
 use super::kept::KeptFlow;
 use crate::device::NetworkDevice;
-use crate::record::Found;
+use crate::record::GeometrySummary;
 use crate::steps::Steps;
 use crate::{Error, Observer, Settings};
 use m4_core::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, RgbImage, Video};
@@ -25,7 +25,7 @@ pub(super) fn compute(
     device: &NetworkDevice,
     steps: &Steps<'_>,
     observer: &dyn Observer,
-) -> Result<(Capture, Found), Error> {
+) -> Result<(Capture, GeometrySummary), Error> {
     let Clip { video, given, focal_px } = clip;
     if given.cameras.is_some() {
         return Err(GivenError::CamerasTwice.into());
@@ -147,12 +147,12 @@ fn mask(motion: &Plane<f32>, (width, height): (usize, usize)) -> CompactMask {
     CompactMask::from_fn(width, height, |x, y| f64::from(full.row(y)[x]) > TAU_MOTION)
 }
 
-fn summary(capture: &Capture, geometry: &MegasamGeometry, plan: &Plan, given: &Given) -> Found {
+fn summary(capture: &Capture, geometry: &MegasamGeometry, plan: &Plan, given: &Given) -> GeometrySummary {
     let lens = geometry.lens;
     let pixels = lens.width * lens.height * capture.frames.len();
     let masks = capture.frames.iter().filter_map(|f| f.mask.as_ref());
     let moving: usize = masks.map(CompactMask::count).sum();
-    Found {
+    GeometrySummary {
         frames: capture.frames.len(),
         size: [lens.width, lens.height],
         focal_px: lens.fx,

@@ -51,11 +51,11 @@ pub struct RenderJob {
     pub fps: Option<f64>,
     /// Columns and rows of the images; `None` for those of the cameras.
     pub size: Option<(usize, usize)>,
-    /// What happens where that is another shape.
+    /// Treatment of a different aspect ratio.
     pub fit: Fit,
     /// Times the focal length.
     pub zoom: f64,
-    /// Replace what is there.
+    /// Replace existing files.
     pub replace: bool,
     /// The device that renders.
     pub device: DeviceChoice,

@@ -6,7 +6,7 @@ use crate::device::{GpuPainter, OpenGpu};
 use m4_core::{Camera, Exposure, RgbImage, Scene};
 use m4_kernels::{Frame, SimdLevel};
 
-/// Draws a scene on a GPU where there is one, else on the processor.
+/// Renders a scene on a GPU if there is one, else on the CPU.
 pub struct SceneRenderer<'a> {
     scene: &'a Scene,
     painter: Painter<'a>,
@@ -27,12 +27,12 @@ impl<'a> SceneRenderer<'a> {
         })
     }
 
-    /// What plans look at: always on the processor.
+    /// The CPU painter, for planning paths.
     pub fn painter(&mut self) -> &mut Painter<'a> {
         &mut self.painter
     }
 
-    /// What a camera sees at a moment (frames), as the kernels give it: not exposed, clamped or rounded.
+    /// Renders a camera at a time (frames) as the kernels give it: without exposure, clamping or rounding.
     ///
     /// # Errors
     ///
@@ -44,7 +44,7 @@ impl<'a> SceneRenderer<'a> {
         }
     }
 
-    /// What a camera sees at a moment (frames), eight bits per channel, with an exposure.
+    /// Renders a camera at a time (frames) to eight bits per channel, with an exposure.
     ///
     /// # Errors
     ///

@@ -53,7 +53,7 @@ fn one(table: &TableReport) -> String {
         table.protocol,
         rules.title,
         table.task.title(),
-        rules.frames.words(),
+        rules.frames.description(),
         sentence(rules.note)
     );
     out += &aligned(&ours(table));

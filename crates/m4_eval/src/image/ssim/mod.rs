@@ -22,7 +22,7 @@ pub use window::{SSIM_SIGMA_PX, SSIM_WINDOW_PX};
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// How the structural similarity is made.
+/// Variants of structural similarity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SsimKind {
@@ -75,7 +75,7 @@ impl SsimKind {
 pub struct SsimMap {
     /// Entry `(x, y)` belongs to pixel `(x + border_px, y + border_px)`.
     pub map: Plane<f64>,
-    /// How many pixels at each border of the images have no entry.
+    /// Number of border pixels without an entry, per side.
     pub border_px: usize,
 }
 
@@ -186,13 +186,9 @@ pub fn ssim(
 #[cfg(test)]
 mod tests {
     use super::{SsimKind, ssim, ssim_map};
+    use crate::image::planar::flat;
     use crate::image::{ImageError, PlanarImage};
     use m4_core::Plane;
-
-    fn flat(width: usize, height: usize, value: f32) -> PlanarImage {
-        let plane = vec![value; width * height];
-        PlanarImage::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
-    }
 
     #[test]
     fn ssim_of_flat_images_is_the_luminance_term() {

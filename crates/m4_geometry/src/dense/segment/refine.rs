@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_is_taken_and_what_does_not_is_left() {
+    fn fitting_masks_are_taken_and_others_ignored() {
         let found = sharpen(&Colours, &two_discs(), SIZE, &coarse()).unwrap();
         for (p, &m) in found.iter().enumerate() {
             let (x, y) = (p % SIZE.0, p / SIZE.0);

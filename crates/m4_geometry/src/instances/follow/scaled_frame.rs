@@ -1,13 +1,13 @@
 //! A frame at the size of flow or masks.
 
-use super::super::clip::Clip;
+use super::super::frame_source::FrameSource;
 use super::super::source::VideoError;
 use crate::dense::{FlowImage, rgb_and_grey};
 use m4_core::RgbImage;
 use std::borrow::Cow;
 
 /// Reads a frame and checks its size.
-pub fn read(clip: &dyn Clip, frame: usize) -> Result<Cow<'_, RgbImage>, VideoError> {
+pub fn read(clip: &dyn FrameSource, frame: usize) -> Result<Cow<'_, RgbImage>, VideoError> {
     let frames = clip.frames();
     if frame >= frames {
         return Err(VideoError::Frame { frame, frames });
@@ -36,7 +36,7 @@ pub struct ScaledFrame {
 }
 
 impl ScaledFrame {
-    pub fn of(clip: &dyn Clip, frame: usize, size: (usize, usize)) -> Result<Self, VideoError> {
+    pub fn of(clip: &dyn FrameSource, frame: usize, size: (usize, usize)) -> Result<Self, VideoError> {
         let image = read(clip, frame)?;
         Ok(Self::from_image(image.as_ref(), size))
     }

@@ -1,7 +1,7 @@
 //! The state of one clip.
 
-use super::super::clip::Clip;
-use super::super::source::{ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSession};
+use super::super::frame_source::FrameSource;
+use super::super::source::{ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSession, Visibility};
 use super::FlowFollower;
 use super::ask::{self, Trusted};
 use super::scaled_frame::{ScaledFrame, read};
@@ -17,18 +17,18 @@ const FLOW_SIDE_PX: usize = 480;
 /// Steps whose flow is measured at once.
 const AHEAD: usize = 8;
 
-/// What is known of a thing: where it was pointed at, and how far it was followed either way. `None` in place of a mask: lost there.
+/// The prompts of an object, and how far it was tracked in either direction. `None` in place of a mask: lost there.
 #[derive(Default)]
-struct Known {
-    told: BTreeMap<usize, CompactMask>,
+struct MaskHistory {
+    prompted: BTreeMap<usize, CompactMask>,
     forward: Option<(usize, Option<CompactMask>)>,
     backward: Option<(usize, Option<CompactMask>)>,
 }
 
-impl Known {
+impl MaskHistory {
     fn at(&self, frame: usize, later: bool) -> Option<Option<CompactMask>> {
         let reached = if later { &self.forward } else { &self.backward };
-        match (self.told.get(&frame), reached) {
+        match (self.prompted.get(&frame), reached) {
             (Some(mask), _) => Some(Some(mask.clone())),
             (None, Some((at, mask))) if *at == frame => Some(mask.clone()),
             _ => None,
@@ -38,13 +38,13 @@ impl Known {
 
 pub struct Session<'a> {
     follower: &'a FlowFollower<'a>,
-    clip: &'a dyn Clip,
+    clip: &'a dyn FrameSource,
     size: (usize, usize),
-    known: BTreeMap<ObjectId, Known>,
+    known: BTreeMap<ObjectId, MaskHistory>,
 }
 
 impl<'a> Session<'a> {
-    pub fn new(follower: &'a FlowFollower<'a>, clip: &'a dyn Clip, size: (usize, usize)) -> Self {
+    pub fn new(follower: &'a FlowFollower<'a>, clip: &'a dyn FrameSource, size: (usize, usize)) -> Self {
         Self {
             follower,
             clip,
@@ -112,7 +112,7 @@ impl<'a> Session<'a> {
                 let (x, y) = (x as f32 + 0.5, y as f32 + 0.5);
                 x >= x0 && x <= x1 && y >= y0 && y <= y1
             }),
-            // A point is a thing of a pixel: which thing, nobody here can tell.
+            // A point is a thing of a pixel: which thing, is unknown here.
             (None, None) => CompactMask::from_fn(w, h, |x, y| {
                 prompt.on_px.iter().any(|p| p[0] as usize == x && p[1] as usize == y)
             }),
@@ -170,10 +170,14 @@ impl VideoSession for Session<'_> {
         let mut out = Vec::with_capacity(prompts.len());
         for (prompt, (mask, quality)) in prompts.iter().zip(answers) {
             let known = self.known.entry(prompt.object).or_default();
-            known.told.insert(frame, mask.clone());
+            known.prompted.insert(frame, mask.clone());
             out.push(ObjectMask {
                 object: prompt.object,
-                sight: if mask.count() > 0 { Sight::Seen } else { Sight::Hidden },
+                visibility: if mask.count() > 0 {
+                    Visibility::Visible
+                } else {
+                    Visibility::Occluded
+                },
                 mask,
                 quality,
             });
@@ -193,7 +197,11 @@ impl VideoSession for Session<'_> {
                 expected: self.size,
             });
         }
-        self.known.entry(object).or_default().told.insert(frame, mask.clone());
+        self.known
+            .entry(object)
+            .or_default()
+            .prompted
+            .insert(frame, mask.clone());
         Ok(())
     }
 
@@ -236,11 +244,11 @@ impl VideoSession for Session<'_> {
             }
             // Nobody is left: every frame gets empty masks, without flow.
             let part = &way[k..way.len().min(k + AHEAD + 1)];
-            let told = |object: &ObjectId| {
-                let told = self.known.get(object).map(|known| &known.told);
-                told.is_some_and(|told| part.iter().any(|frame| told.contains_key(frame)))
+            let prompted = |object: &ObjectId| {
+                let prompted = self.known.get(object).map(|known| &known.prompted);
+                prompted.is_some_and(|prompted| part.iter().any(|frame| prompted.contains_key(frame)))
             };
-            let gone = masks.iter().all(Option::is_none) && !objects.iter().any(told);
+            let gone = masks.iter().all(Option::is_none) && !objects.iter().any(prompted);
             let steps = if gone { Vec::new() } else { self.steps(part)? };
             for (j, &frame) in part.iter().enumerate().skip(1) {
                 if progress.cancelled() {
@@ -250,13 +258,13 @@ impl VideoSession for Session<'_> {
                     Some((step, onto)) => self.stepped(&masks, frame, step, onto)?,
                     None => vec![None; masks.len()],
                 };
-                let (told, size) = (&self.known, self.size);
+                let (prompted, size) = (&self.known, self.size);
                 let found: Vec<Option<Trusted>> = found
                     .into_iter()
                     .zip(objects)
                     // What was said of a frame outranks what is found there.
                     .map(
-                        |(found, object)| match told.get(object).and_then(|k| k.told.get(&frame)) {
+                        |(found, object)| match prompted.get(object).and_then(|k| k.prompted.get(&frame)) {
                             Some(mask) => Some((mask.clone(), None)),
                             None => found,
                         },
@@ -268,9 +276,9 @@ impl VideoSession for Session<'_> {
                         object,
                         mask,
                         quality,
-                        sight: Sight::Seen,
+                        visibility: Visibility::Visible,
                     },
-                    None => ObjectMask::unseen(object, size, Sight::Lost),
+                    None => ObjectMask::unseen(object, size, Visibility::Lost),
                 });
                 at = frame;
                 if sink(frame, shown.collect()).is_break() {

@@ -53,7 +53,7 @@ impl Step {
     }
 }
 
-/// Weight of what nobody vouches for: its neighbours of the same colour decide.
+/// Weight of pixels without support: its neighbours of the same colour decide.
 const UNKNOWN: f32 = 1e-6;
 
 /// Share of 0 to 1 by which a pixel counts whose way there and back misses by `miss_px`. It falls fast: what comes out from behind a thing fetches

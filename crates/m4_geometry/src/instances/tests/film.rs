@@ -10,7 +10,7 @@ pub const FRAMES: usize = 30;
 /// From where on the coarse masks show the late thing, and from where on the images do.
 pub const LATE_COARSE: usize = 9;
 pub const LATE_SEEN: usize = 5;
-/// The thing that rests is in the coarse masks of the first frames.
+/// The static thing is in the coarse masks of the first frames.
 pub const REST_COARSE: usize = 1;
 /// What is in the coarse mask of this frame only.
 pub const FLICKER: usize = 20;
@@ -40,7 +40,7 @@ fn block(x: usize, y: usize, at: (f32, f32), half: f32) -> bool {
     (x as f32 - at.0).abs() < half && (y as f32 - at.1).abs() < half
 }
 
-/// 1 the walker, 2 what comes late, 3 what leaves, 4 what rests, 0 the background.
+/// 1 the walker, 2 what comes late, 3 what leaves, 4 the static thing, 0 the background.
 pub fn thing_at(x: usize, y: usize, i: usize) -> u8 {
     if disc(x, y, walker(i), 14.0) {
         1
@@ -91,7 +91,7 @@ pub fn truth(i: usize) -> CompactMask {
     CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| (1..=3).contains(&thing_at(x, y, i)))
 }
 
-/// Whether the coarse mask has the pixel: things too wide and shifted, what rests for a moment, and a ghost.
+/// Whether the coarse mask has the pixel: things too wide and shifted, the static thing for a moment, and a ghost.
 fn coarse_at(x: usize, y: usize, i: usize) -> bool {
     let moved = |at: (f32, f32)| (at.0 + 3.0, at.1 + 2.0);
     disc(x, y, moved(walker(i)), 16.0)

@@ -157,7 +157,7 @@ fn half_precision_changes_little() {
 }
 
 #[test]
-fn motion_is_one_update_at_rest() {
+fn motion_equals_one_update_from_rest() {
     let mut memory = memory(options(1 << 30, Storage::F32));
     let got = memory.motion_px(1, 2).unwrap();
     // by its parts
@@ -245,7 +245,7 @@ fn non_finite_positions_do_not_panic() {
 }
 
 #[test]
-fn a_store_gives_what_was_put_in() {
+fn store_round_trips() {
     let mut store = Store::new(1000, Storage::F32, std::env::temp_dir());
     let mut map = HashMap::new();
     let mut dice = formula("store", 6000).map(|u| ((u + 1.0) * 5e5) as u64);
@@ -273,7 +273,7 @@ fn a_store_gives_what_was_put_in() {
 }
 
 #[test]
-fn a_folder_that_is_not_there_is_told() {
+fn missing_folder_is_reported() {
     let mut options = options(10, Storage::F16);
     options.scratch = std::env::temp_dir().join("no such folder/at all");
     let error = memory(options).motion_px(0, 1).unwrap_err();

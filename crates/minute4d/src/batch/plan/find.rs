@@ -159,7 +159,7 @@ mod tests {
         assert_eq!(
             found(&[at("v/notes.txt")], false),
             ["v/notes.txt"],
-            "who names a file means it"
+            "a named file is always a clip"
         );
         fs::write(
             root.join("list"),
@@ -168,15 +168,15 @@ mod tests {
         .unwrap();
         assert_eq!(found(&[format!("@{}", at("list"))], false), ["v/b.mp4", "v/in/d.mkv"]);
 
-        let said = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();
-        assert!(said(&at("none.mp4")).contains("there is no"));
+        let message = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();
+        assert!(message(&at("none.mp4")).contains("there is no"));
         fs::create_dir(root.join("empty")).unwrap();
-        assert!(said(&at("empty")).contains("--recursive"));
+        assert!(message(&at("empty")).contains("--recursive"));
     }
 
     #[test]
     fn urls_are_refused_as_inputs() {
-        let said = inputs(&["s3://bucket/a.mp4".to_owned()], false).unwrap_err();
-        assert!(said.to_string().contains("mount the store"), "{said}");
+        let message = inputs(&["s3://bucket/a.mp4".to_owned()], false).unwrap_err();
+        assert!(message.to_string().contains("mount the store"), "{message}");
     }
 }

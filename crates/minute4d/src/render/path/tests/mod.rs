@@ -191,7 +191,7 @@ fn the_stabilised_source_trembles_a_hundred_times_less_and_stays_near() {
 }
 
 #[test]
-fn a_steady_source_is_left_alone() {
+fn steady_source_is_unchanged() {
     let mut scene = scene(0.0);
     for (i, frame) in scene.source.iter_mut().enumerate() {
         let k = i as f64 / 30.0;
