@@ -70,7 +70,7 @@ mod tests {
     use super::{Curve, time_to_quality};
 
     #[test]
-    fn curves_become_a_picture_and_nothing_is_refused() {
+    fn curves_are_plotted_and_an_empty_table_is_rejected() {
         let path = std::env::temp_dir().join(format!("minute4d-plot-{}.svg", std::process::id()));
         let curve = Curve {
             name: "fast".to_owned(),

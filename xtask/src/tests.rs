@@ -1,9 +1,9 @@
-//! `cargo xtask test`: the tests, and at their end what could not run.
+//! `cargo xtask test`: runs the tests and lists the skipped ones.
 //!
 //! Tests that lack something on this machine return early and add a line to the file that `MINUTE4D_SKIPPED` names
 //! (`m4_testkit::skip`). The harness hides what they print; this program prints the lines when everything has run.
 
-#![expect(clippy::print_stderr, reason = "what was not tested is said")]
+#![expect(clippy::print_stderr, reason = "skipped tests are listed")]
 
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
@@ -73,7 +73,7 @@ pub struct Skipped {
     /// The missing requirement.
     pub need: String,
     /// How to install it.
-    pub remedy: String,
+    pub hint: String,
     /// The test.
     pub test: String,
     /// File and line.
@@ -82,7 +82,7 @@ pub struct Skipped {
     pub why: String,
 }
 
-/// Runs the tests and prints what could not run.
+/// Runs the tests and prints the skipped ones.
 ///
 /// # Errors
 ///
@@ -122,9 +122,9 @@ pub fn parse(text: &str) -> Result<Vec<Skipped>> {
     let lines: Result<BTreeSet<Skipped>> = text
         .lines()
         .map(|line| match line.split('\t').collect::<Vec<_>>()[..] {
-            [need, remedy, test, place, why] => Ok(Skipped {
+            [need, hint, test, place, why] => Ok(Skipped {
                 need: need.to_owned(),
-                remedy: remedy.to_owned(),
+                hint: hint.to_owned(),
                 test: test.to_owned(),
                 place: place.to_owned(),
                 why: why.to_owned(),
@@ -135,7 +135,7 @@ pub fn parse(text: &str) -> Result<Vec<Skipped>> {
     Ok(lines?.into_iter().collect())
 }
 
-/// What could not run, by what it lacked; the last words of a run of tests.
+/// The skipped tests by missing requirement; the end of a run of tests.
 #[must_use]
 pub fn summary(skipped: &[Skipped]) -> String {
     if skipped.is_empty() {
@@ -151,9 +151,9 @@ pub fn summary(skipped: &[Skipped]) -> String {
         names.len()
     );
     for (need, tests) in needs {
-        let remedy = tests.first().map_or("", |s| s.remedy.as_str());
+        let hint = tests.first().map_or("", |s| s.hint.as_str());
         // Writing to a string does not fail.
-        let _ = writeln!(out, "  for want of {need}: {remedy}");
+        let _ = writeln!(out, "  for want of {need}: {hint}");
         for test in tests {
             let _ = writeln!(out, "    {} ({}): {}", test.test, test.place, test.why);
         }
@@ -295,7 +295,7 @@ fn programs(root: &Path, selection: &[&str], more: &[String]) -> Result<Vec<Prog
 
 /// The names of a program's tests that are not ignored.
 fn names(program: &Program) -> Result<Vec<String>> {
-    let said = |ignored: bool| -> Result<BTreeSet<String>> {
+    let listed = |ignored: bool| -> Result<BTreeSet<String>> {
         let mut command = Command::new(&program.path);
         command.args(["--list", "--format", "terse"]);
         if ignored {
@@ -315,7 +315,7 @@ fn names(program: &Program) -> Result<Vec<String>> {
             .map(str::to_owned)
             .collect())
     };
-    Ok(said(false)?.difference(&said(true)?).cloned().collect())
+    Ok(listed(false)?.difference(&listed(true)?).cloned().collect())
 }
 
 fn cargo(root: &Path, arguments: &[&str]) -> Command {

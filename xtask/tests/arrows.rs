@@ -80,7 +80,7 @@ fn an_arrow_that_points_back_is_found() {
 }
 
 #[test]
-fn what_measures_may_read_data_in_its_tests_alone() {
+fn only_tests_of_measuring_crates_may_read_data() {
     let may = arrows(&[("m4_train", &[]), ("m4_core", &[])]);
     let with = |normal: &[&str], dev: &[&str], from: &str| {
         let mut actual = Actual {

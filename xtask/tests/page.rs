@@ -4,7 +4,7 @@ use m4_testkit::{Need, find_chromium, skip};
 use xtask::page::{Outcome, compare};
 
 #[test]
-fn the_page_is_what_its_sources_build_to() {
+fn committed_page_matches_its_sources() {
     // Without one nothing is clicked: listed, and the rest continues.
     let _ = find_chromium();
     let root = xtask::root();

@@ -8,7 +8,7 @@ const LINES: &str = "ffmpeg\tinstall ffmpeg\tvideo::plays\tcrates/m4_io/tests/vi
                      ffmpeg\tinstall ffmpeg\tvideo::plays\tcrates/m4_io/tests/video.rs:7\tit is not on the PATH\n";
 
 #[test]
-fn what_was_skipped_is_listed_once_with_its_remedy() {
+fn skipped_tests_are_listed_once_with_a_hint() {
     let skipped = parse(LINES).unwrap();
     assert_eq!(skipped.len(), 2);
     let words = summary(&skipped);
@@ -26,7 +26,7 @@ fn what_was_skipped_is_listed_once_with_its_remedy() {
 }
 
 #[test]
-fn what_must_be_there_fails_the_run_where_it_is_not() {
+fn missing_requirements_fail_the_run() {
     let skipped = parse(LINES).unwrap();
     let required = |names: &[&str]| names.iter().map(|&n| n.to_owned()).collect::<BTreeSet<_>>();
     assert!(lacking(&skipped, &required(&[])).is_ok());

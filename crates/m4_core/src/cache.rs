@@ -1,4 +1,4 @@
-//! Where long work puts what it finished.
+//! A cache for the finished parts of a long computation.
 
 use serde::{Serialize, de::DeserializeOwned};
 
@@ -7,7 +7,7 @@ use serde::{Serialize, de::DeserializeOwned};
 ///
 /// A cache that cannot store a value reports that itself; the work continues, and is repeated next time.
 pub trait Cache: Sync {
-    /// What was put under this name, whole; `None` where nothing was, or it was damaged.
+    /// The bytes stored under this name; `None` if missing or damaged.
     fn get(&self, name: &str) -> Option<Vec<u8>>;
 
     /// Keeps these bytes.
@@ -19,7 +19,7 @@ pub trait Cache: Sync {
 pub struct ScopedCache<'a> {
     /// Keeps them.
     pub cache: &'a dyn Cache,
-    /// What their names begin with; a hyphen follows.
+    /// Prefix of the names; a hyphen follows.
     pub prefix: &'a str,
 }
 
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn work_is_done_once_and_failures_are_not_kept() {
+    fn results_are_cached_and_failures_are_not() {
         let cache = Memory::default();
         let failed: Result<f64, &str> = kept(&cache, "a", || Err("stopped"));
         assert_eq!(failed, Err("stopped"));

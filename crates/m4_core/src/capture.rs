@@ -17,7 +17,7 @@ pub struct CaptureFrame {
     pub depth: Option<CompactDepth>,
     /// The dynamic part; the size may differ from that of `rgb`.
     pub mask: Option<CompactMask>,
-    /// How likely each pixel is to move, 255 = certainly; `None` if not estimated; the size may differ from that of `rgb`.
+    /// Probability that each pixel is dynamic, 255 = certain; `None` if not estimated; the size may differ from that of `rgb`.
     pub motion: Option<Plane<u8>>,
     /// Which thing each pixel shows, the same number in all frames, 0 for none; `None` if objects were not segmented; the size may differ
     /// from that of `rgb`.
@@ -33,7 +33,7 @@ pub struct Capture {
     pub frames: Vec<CaptureFrame>,
     /// Number of frames that the unit of time refers to: `t` runs from 0 to `time_frames - 1`.
     pub time_frames: usize,
-    /// How long the video lasts from first to last frame, seconds, where that is known.
+    /// Duration of the video from first to last frame, seconds, if known.
     pub duration_s: Option<f64>,
     /// True when depth and poses are metres; false when their scale is arbitrary.
     pub metric: bool,

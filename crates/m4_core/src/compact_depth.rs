@@ -58,7 +58,7 @@ impl CompactDepth {
         }
     }
 
-    /// What the map takes, bytes.
+    /// Size in memory, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         match &self.0 {
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn floats_keep_what_no_step_can_say() {
+    fn unquantisable_depth_is_stored_as_floats() {
         let map = Plane::from_vec(2, 1, vec![f32::NAN, -1.5e-20]).unwrap();
         let held = CompactDepth::from(map);
         assert!(held.at(0, 0).is_nan() && held.to_map()[(1, 0)] == -1.5e-20);

@@ -55,7 +55,7 @@ impl CompactIds {
         CompactMask::from_fn(self.width, self.height, |x, y| plane[(x, y)] != 0)
     }
 
-    /// What the map takes, bytes.
+    /// Size in memory, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         size_of_val(self.runs.as_slice())

@@ -64,7 +64,7 @@ impl CompactMask {
         Plane::from_fn(self.width, self.height, |x, y| if self.at(x, y) { 255 } else { 0 })
     }
 
-    /// What the mask takes, bytes.
+    /// Size in memory, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         size_of_val(self.words.as_slice())

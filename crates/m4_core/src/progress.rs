@@ -1,4 +1,4 @@
-//! How long work tells its caller where it is, and learns that it should stop.
+//! Progress reports and cancellation of long work.
 
 /// Receives the progress of one stage. Implementations must be cheap: stages call them often.
 pub trait Progress: Sync {

@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn seven_numbers_go_there_and_back() {
+    fn seven_numbers_round_trip() {
         let g = Se3::<f64>::exp(&Vector6::new(0.1, 2.0, -0.4, 2.3, -0.2, 0.9));
         let back = Se3::from_translation_quaternion(&g.to_translation_quaternion());
         assert!((back.matrix() - g.matrix()).norm() < 1e-12);

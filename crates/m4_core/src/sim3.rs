@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mirror_image_still_gives_a_rotation() {
+    fn reflections_give_a_rotation() {
         let source = cloud();
         let target: Vec<_> = source.iter().map(|x| Vector3::new(-x.x, x.y, x.z)).collect();
         let got = Sim3::umeyama(&source, &target).expect("points with extent");

@@ -195,13 +195,13 @@ impl Splats {
         self.n_static + self.n_dynamic
     }
 
-    /// How many have no time parameters: rows `0..n_static` of the shared columns.
+    /// Number of splats without time parameters: rows `0..n_static` of the shared columns.
     #[must_use]
     pub fn n_static(&self) -> usize {
         self.n_static
     }
 
-    /// How many have time parameters: row `i` of a time column is row `n_static + i` of the others.
+    /// Number of splats with time parameters: row `i` of a time column is row `n_static + i` of the others.
     #[must_use]
     pub fn n_dynamic(&self) -> usize {
         self.n_dynamic
@@ -269,7 +269,7 @@ impl Splats {
         Ok(())
     }
 
-    /// How many of the rows named are static and dynamic.
+    /// Number of static and of dynamic rows among those named.
     fn check_rows(&self, rows: &[u32]) -> Result<(usize, usize), ShapeError> {
         let n_static = rows.iter().take_while(|&&r| (r as usize) < self.n_static).count();
         for &r in &rows[n_static..] {

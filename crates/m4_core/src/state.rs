@@ -119,7 +119,7 @@ impl<'a> StateTensor<'a> {
         }
     }
 
-    /// How many numbers it holds.
+    /// Number of values.
     #[must_use]
     pub fn len(&self) -> usize {
         match self {

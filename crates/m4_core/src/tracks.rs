@@ -83,7 +83,7 @@ impl Tracks {
         Ok(Self { rgb: Some(rgb), ..self })
     }
 
-    /// The same with how far each place is to be trusted, 0..1, `[frames][count]`, kept in steps of 1/255; what is not a number counts as 0.
+    /// The same with the confidence of each position, 0..1, `[frames][count]`, stored in steps of 1/255; NaN counts as 0.
     ///
     /// # Errors
     ///
@@ -93,7 +93,7 @@ impl Tracks {
         self.with_confidence_steps(confidence.iter().map(|c| (255.0 * c).round() as u8).collect())
     }
 
-    /// The same with how far each place is to be trusted, `[frames][count]`, 0 to 255.
+    /// The same with the confidence of each position, `[frames][count]`, 0 to 255.
     ///
     /// # Errors
     ///
@@ -136,7 +136,7 @@ impl Tracks {
         self.rgb.as_deref()
     }
 
-    /// How far the place of a track in a frame is to be trusted, 0..1; where the tracker did not say, 1 where the point was seen and
+    /// Confidence of the position of a track in a frame, 0..1; without confidence from the tracker, 1 where the point was visible and
     /// else 0.
     #[must_use]
     pub fn confidence(&self, frame: usize, track: usize) -> f32 {
@@ -150,13 +150,13 @@ impl Tracks {
         }
     }
 
-    /// How far each place is to be trusted, `[frames][count]`, 0 to 255, where the tracker said so.
+    /// Confidence of each position, `[frames][count]`, 0 to 255, if the tracker gave it.
     #[must_use]
     pub fn confidence_steps(&self) -> Option<&[u8]> {
         self.confidence.as_deref()
     }
 
-    /// Where a track is in a frame; `None` where that is not known, or beyond the last frame or track.
+    /// Position of a track in a frame; `None` where it is unknown, or beyond the last frame or track.
     #[must_use]
     pub fn place(&self, frame: usize, track: usize) -> Option<[f32; 3]> {
         if frame >= self.frames || track >= self.count {
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_that_is_not_known_was_not_seen() {
+    fn unknown_positions_are_not_visible() {
         let tracks = made();
         assert_eq!(tracks.visible(), [true, false, false, true]);
         assert_eq!(tracks.place(0, 0), Some([1.0, 2.0, 3.0]));
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn trust_is_what_was_seen_unless_the_tracker_says_otherwise() {
+    fn confidence_defaults_to_visibility() {
         let tracks = made();
         assert_eq!([tracks.confidence(0, 0), tracks.confidence(1, 0)], [1.0, 0.0]);
         let told = tracks.with_confidence(&[0.8, f32::NAN, 0.4, 7.0]).unwrap();

@@ -16,7 +16,7 @@ pub struct VideoFrame {
 pub struct Video {
     /// At least one, in order of time, all of one size.
     pub frames: Vec<VideoFrame>,
-    /// What the reader wants the user to know: damaged frames, tone mapping, sub-sampling.
+    /// Notes of the reader for the user: damaged frames, tone mapping, sub-sampling.
     pub warnings: Vec<String>,
     /// Focal length in pixels of these frames, where the file states it.
     pub focal_px: Option<f64>,

@@ -3,7 +3,7 @@
 
 use m4_core::{Mask, Plane, RgbImage};
 use m4_eval::image::covisible::seen_by_flow;
-use m4_eval::image::{Metric, Picture, PsnrKind, SsimKind, psnr_db_of, ssim};
+use m4_eval::image::{Metric, PlanarImage, PsnrKind, SsimKind, psnr_db_of, ssim};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fs;
@@ -40,10 +40,10 @@ fn fixture() -> Fixture {
     serde_json::from_slice(&fs::read(folder().join("image.json")).unwrap()).unwrap()
 }
 
-fn picture(name: &str) -> Picture {
+fn read_image(name: &str) -> PlanarImage {
     let image = image::open(folder().join(name)).unwrap().to_rgb8();
     let (w, h) = (image.width() as usize, image.height() as usize);
-    Picture::from(&RgbImage::from_vec(w, h, image.pixels().map(|p| p.0).collect()).unwrap())
+    PlanarImage::from(&RgbImage::from_vec(w, h, image.pixels().map(|p| p.0).collect()).unwrap())
 }
 
 fn mask(name: &str) -> Mask {
@@ -61,7 +61,7 @@ fn near(what: &str, got: f64, want: f64) {
 #[test]
 fn agrees_with_scikit_image_and_opencv() {
     let fixture = fixture();
-    let (image, reference) = (picture("image.png"), picture("reference.png"));
+    let (image, reference) = (read_image("image.png"), read_image("reference.png"));
     for (&kind, &want) in &fixture.psnr {
         let got = Metric::Psnr(kind).score(&image, &reference, None).unwrap().unwrap();
         near(&format!("{kind:?}"), got, want);
@@ -76,12 +76,12 @@ fn agrees_with_scikit_image_and_opencv() {
 #[test]
 fn unclamped_psnr_uses_values_outside_0_to_1() {
     let fixture = fixture();
-    let reference = picture("reference.png");
+    let reference = read_image("reference.png");
     let (w, h) = reference.size();
     let planes = [0, 1, 2].map(|c| fixture.raw.iter().skip(c).step_by(3).copied().collect::<Vec<f32>>());
     let planes = planes.each_ref().map(|p| &p[..]);
-    let raw = Picture::from_planes_unclamped(w, h, planes).unwrap();
-    let clamped = Picture::from_planes(w, h, planes).unwrap();
+    let raw = PlanarImage::from_planes_unclamped(w, h, planes).unwrap();
+    let clamped = PlanarImage::from_planes(w, h, planes).unwrap();
     assert_eq!(fixture.psnr_unclamped.len(), 3);
     for (&kind, &want) in &fixture.psnr_unclamped {
         let score = |image| psnr_db_of(kind, image, &reference, None).unwrap().unwrap();
@@ -94,7 +94,7 @@ fn unclamped_psnr_uses_values_outside_0_to_1() {
 #[test]
 fn agrees_with_dycheck_inside_masks() {
     let fixture = fixture();
-    let (image, reference) = (picture("image.png"), picture("reference.png"));
+    let (image, reference) = (read_image("image.png"), read_image("reference.png"));
     assert_eq!(fixture.masked.len(), 3);
     let mut scores = 0;
     for (name, want) in &fixture.masked {

@@ -5,12 +5,12 @@
 //! frames, dense correspondences -> tracker (graph, dba) -> poses, focal length, depth, static map
 //! ```
 //!
-//! The second line is the geometric core of MegaSaM: it needs somebody who says where the pixels of one frame are
+//! The second line is the geometric core of MegaSaM: it needs a source of correspondences that finds where the pixels of one frame are
 //! seen in another, behind [`tracker::Correspondence`]: optical flow, or a network. [`megasam`] goes all the way with it, from
 //! images to consistent depth.
 //!
-//! Whatever found what moves, [`instances`] tells it apart into things, outlines them and follows them through the clip.
-//! [`tracks3d`] follows points of what moves through a clip whose cameras and depth are known, seen or hidden.
+//! [`instances`] splits dynamic regions of any source into objects, segments them and tracks them through the clip.
+//! [`tracks3d`] tracks dynamic points through a clip whose cameras and depth are known, visible or occluded.
 //!
 //! `sparse` and `dense` meet in the types of [`reconstruction`] alone, so either can be replaced.
 #![forbid(unsafe_code)]

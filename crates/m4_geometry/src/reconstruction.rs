@@ -44,14 +44,14 @@ pub enum CameraMotion {
     Parallax,
     /// The camera turns without moving: rotations only, depth is made up.
     RotationOnly,
-    /// The camera stands still: one pose, depth is made up.
+    /// The camera is static: one pose, depth is a placeholder.
     Static,
 }
 
 /// Cameras, tracks and points of a clip.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct SparseReconstruction {
-    /// One camera a frame, sharing intrinsics; world units are arbitrary (median point depth about 1).
+    /// One camera per frame, sharing intrinsics; world units are arbitrary (median point depth about 1).
     pub cameras: Vec<Camera>,
     /// Every track, static and dynamic.
     pub tracks: Vec<Track>,

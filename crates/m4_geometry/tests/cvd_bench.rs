@@ -1,4 +1,4 @@
-//! Consistent video depth on rendered scenes: true poses, true flow of what rests, and a disparity that was spoiled.
+//! Consistent video depth on rendered scenes: true poses, true flow of static regions, and a disparity that was spoiled.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use m4_core::{
@@ -59,7 +59,7 @@ fn load(dir: &Path) -> Scene {
     scene
 }
 
-/// True flow where the surface rests and is seen in both frames.
+/// True flow where the surface is static and visible in both frames.
 fn flows(scene: &Scene) -> PairStore {
     // some of it spills
     let mut store = PairStore::new(WIDTH, HEIGHT, 2 << 20);
@@ -95,7 +95,7 @@ fn flows(scene: &Scene) -> PairStore {
     store
 }
 
-/// Mean of |depth - truth| / truth over what rests, in metres, without alignment.
+/// Mean of |depth - truth| / truth over static regions, in metres, without alignment.
 fn abs_rel(scene: &Scene, disparity: &[Plane<f32>]) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     for i in 0..FRAMES {
@@ -148,7 +148,7 @@ fn spoiled_depth_is_mended() {
         };
         let found = optimise(&input, &pairs, &CvdSettings::default(), &Silent, &NoCache).unwrap();
         let (before, after) = (abs_rel(&scene, &start), abs_rel(&scene, &found.disparity));
-        eprintln!("{name}: AbsRel of what rests {before:.4} to {after:.4}");
+        eprintln!("{name}: AbsRel of static regions {before:.4} to {after:.4}");
         assert!(before > 0.07 && after < 0.2 * before, "{name}: {before} to {after}");
         scenes += 1;
     }

@@ -3,8 +3,8 @@
 
 use m4_core::{Cache, Camera, Intrinsics, Mask, NoCache, Plane, Progress, RgbImage, Se3, Silent, nalgebra::Vector3};
 use m4_geometry::dense::{
-    DenseConfig, DenseError, DenseFrame, Given, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
-    SegmentMask, SegmentPrompt, Segmenter, Sources,
+    DenseConfig, DenseError, DenseFrame, InverseSearch, MonoDepth, MonoError, MonoKind, MonoMap, SegmentError,
+    SegmentMask, SegmentPrompt, Segmenter, Sources, UserMasks,
 };
 use m4_geometry::reconstruction::{CameraMotion, Motion, SparseReconstruction, Track};
 use m4_testkit::{MemoryCache, StopAtPoll};
@@ -34,7 +34,7 @@ fn keeping(
         cache,
         ..Sources::flow(&flow)
     };
-    m4_geometry::dense::estimate_depth(frames, sparse, &sources, &Given::default(), config, progress)
+    m4_geometry::dense::estimate_depth(frames, sparse, &sources, &UserMasks::default(), config, progress)
         .map(|dense| dense.frames)
 }
 
@@ -56,7 +56,7 @@ fn texture(x: f64, y: f64, seed: f64) -> [u8; 3] {
     [channel(0.0), channel(2.0), channel(4.0)]
 }
 
-/// The camera steps to the right by `step` a frame; the moving box rises.
+/// The camera steps to the right by `step` per frame; the moving box rises.
 fn draw(step: f64) -> Drawn {
     let intrinsics = Intrinsics::centred(SIZE.0, SIZE.1, 110.0);
     let mut out = Drawn {
@@ -74,7 +74,7 @@ fn draw(step: f64) -> Drawn {
                 ..Se3::identity()
             },
         };
-        // Left, right, top, bottom, depth, what moves, and the shift of the texture with the box.
+        // Left, right, top, bottom, depth, whether dynamic, and the shift of the texture with the box.
         let lift = 0.05 * t;
         let boxes = [
             (-0.75, -0.2, 0.0, 0.6, 2.2, false, 0.0),
@@ -207,7 +207,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
-fn what_was_stopped_goes_on_to_the_same_bits() {
+fn stopped_depth_resumes_to_identical_bits() {
     const FEW: usize = 6;
     let drawn = draw(0.06);
     let frames = &references(&drawn)[..FEW];
@@ -262,7 +262,7 @@ impl Progress for Listener {
 }
 
 #[test]
-fn a_camera_that_stands_still_gives_masks_and_made_up_depth() {
+fn static_camera_gives_masks_and_placeholder_depth() {
     let drawn = draw(0.0);
     for camera_motion in [CameraMotion::Static, CameraMotion::RotationOnly] {
         let listener = Listener::default();
@@ -295,7 +295,7 @@ fn a_camera_that_stands_still_gives_masks_and_made_up_depth() {
 }
 
 #[test]
-fn one_frame_and_a_still_scene_are_no_trouble() {
+fn single_frame_and_static_scene_succeed() {
     let drawn = draw(0.06);
     let frames = references(&drawn);
     let all = sparse(&drawn, CameraMotion::Parallax);
@@ -414,7 +414,7 @@ fn a_segmenter_is_believed_where_it_means_the_same() {
                 ..Sources::flow(&flow)
             };
             let config = DenseConfig::default();
-            m4_geometry::dense::estimate_depth(&frames, &good, &sources, &Given::default(), &config, &Silent)
+            m4_geometry::dense::estimate_depth(&frames, &good, &sources, &UserMasks::default(), &config, &Silent)
         };
         let plain = with(None).unwrap();
         let sharp = with(Some(&Oracle::Truth(&drawn))).unwrap();
@@ -444,8 +444,8 @@ impl MonoDepth for Network<'_> {
         "network"
     }
 
-    fn depth(&self, frame: usize, picture: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
-        assert_eq!(picture, &self.0.images[frame]);
+    fn depth(&self, frame: usize, image: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError> {
+        assert_eq!(image, &self.0.images[frame]);
         let factor = 3.0 + 0.2 * frame as f32;
         Ok(Some(MonoMap {
             kind: MonoKind::AffineDisparity,
@@ -455,11 +455,11 @@ impl MonoDepth for Network<'_> {
 }
 
 #[test]
-fn what_moves_takes_its_depth_from_a_source_that_knows_it() {
+fn dynamic_regions_take_depth_from_a_sensor() {
     let drawn = draw(0.08);
     let frames: Vec<&RgbImage> = drawn.images.iter().collect();
     let sparse = sparse(&drawn, CameraMotion::Parallax);
-    let masks = Given {
+    let masks = UserMasks {
         masks: Some(&drawn.moving),
     };
     let found = m4_geometry::dense::estimate_depth(

@@ -34,7 +34,7 @@ fn plane(file: &[u8], name: &str) -> Plane<f32> {
     Plane::from_vec(tensor.shape()[1], tensor.shape()[0], values.collect()).unwrap()
 }
 
-fn picture(file: &[u8], name: &str) -> RgbImage {
+fn read_image(file: &[u8], name: &str) -> RgbImage {
     let all = SafeTensors::deserialize(file).unwrap();
     let tensor = all.tensor(name).unwrap();
     let pixels = tensor.data().as_chunks::<3>().0.to_vec();
@@ -44,9 +44,9 @@ fn picture(file: &[u8], name: &str) -> RgbImage {
 #[test]
 fn resampling_is_that_of_opencv_and_pytorch() {
     let file = fixture("resize.safetensors");
-    let image = picture(&file, "image_u8");
+    let image = read_image(&file, "image_u8");
     for name in ["cv2_area_u8_down", "cv2_area_u8_half", "cv2_area_u8_up"] {
-        let want = picture(&file, name);
+        let want = read_image(&file, name);
         let got = resize_area(&image, want.width(), want.height());
         let pairs = got.data().iter().flatten().zip(want.data().iter().flatten());
         let off = pairs.map(|(a, b)| a.abs_diff(*b)).max().unwrap();
@@ -97,7 +97,7 @@ const FRAMES: usize = 48;
 
 /// A rendered scene: images, cameras in metres, z-depth and dynamic masks.
 struct Scene {
-    pictures: Vec<RgbImage>,
+    images: Vec<RgbImage>,
     cameras: Vec<Camera>,
     /// Metres; 0 where there is no surface.
     depth: Vec<Plane<f32>>,
@@ -117,7 +117,7 @@ fn load(dir: &Path) -> Scene {
         cy: number("cy"),
     };
     let mut scene = Scene {
-        pictures: Vec::new(),
+        images: Vec::new(),
         cameras: Vec::new(),
         depth: Vec::new(),
         moving: Vec::new(),
@@ -130,7 +130,7 @@ fn load(dir: &Path) -> Scene {
         let metres = |x, y| f32::from(depth.get_pixel(x as u32, y as u32).0[0]) / 1000.0;
         let moves = |x, y| mask.get_pixel(x as u32, y as u32).0[0] != 0;
         let pixel = |x, y| rgb.get_pixel(x as u32, y as u32).0;
-        scene.pictures.push(Plane::from_fn(w, h, pixel));
+        scene.images.push(Plane::from_fn(w, h, pixel));
         scene.depth.push(Plane::from_fn(w, h, metres));
         scene.moving.push(Plane::from_fn(w, h, moves));
         let m = Matrix4::from_fn(|r, c| frame["transform_matrix"][r][c].as_f64().unwrap());
@@ -273,7 +273,7 @@ impl PairFlow for Truth<'_> {
 }
 
 /// Depth of a network: a factor that waves by 8 % over the image and the frames, metres.
-fn one_picture_depth(scene: &Scene) -> Vec<Plane<f32>> {
+fn monocular_depth(scene: &Scene) -> Vec<Plane<f32>> {
     let frame = |(k, depth): (usize, &Plane<f32>)| {
         Plane::from_fn(depth.width(), depth.height(), |x, y| {
             let wave = (0.013 * x as f32 + 0.4 * k as f32).sin() * (0.017 * y as f32 - 0.3 * k as f32).cos();
@@ -313,15 +313,15 @@ fn true_flow_gives_true_cameras_and_depth() {
     let Some(path) = shared("bench/quad-1") else { return };
     let scene = load(&path);
     let settings = MegasamSettings::default();
-    let size = TrackingSize::new(scene.pictures[0].size(), settings.tracking_pixels).unwrap();
-    let prior = DepthPrior::metric(&one_picture_depth(&scene), &size).unwrap();
+    let size = TrackingSize::new(scene.images[0].size(), settings.tracking_pixels).unwrap();
+    let prior = DepthPrior::metric(&monocular_depth(&scene), &size).unwrap();
     let mut truth = Truth { scene: &scene, size };
     let mut flow = Truth { scene: &scene, size };
     let lens = scene.cameras[0].intrinsics;
-    let times: Vec<f64> = (0..scene.pictures.len()).map(|k| k as f64 / 30.0).collect();
-    let pictures: Vec<&RgbImage> = scene.pictures.iter().collect();
+    let times: Vec<f64> = (0..scene.images.len()).map(|k| k as f64 / 30.0).collect();
+    let images: Vec<&RgbImage> = scene.images.iter().collect();
     let input = MegasamInput {
-        pictures: &pictures,
+        images: &images,
         times_s: &times,
         // A guess that is off by an eighth.
         lens: Intrinsics {

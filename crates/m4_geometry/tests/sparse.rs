@@ -61,16 +61,16 @@ fn cameras(move_by: f64, turn_by: f64) -> Vec<Camera> {
         .collect()
 }
 
-fn pictures(cameras: &[Camera]) -> Vec<RgbImage> {
+fn render_all(cameras: &[Camera]) -> Vec<RgbImage> {
     (0..).zip(cameras).map(|(i, c)| render(c, f64::from(i))).collect()
 }
 
 #[test]
 fn a_rendered_room_is_reconstructed() {
     let truth = cameras(0.06, 0.008);
-    let pictures = pictures(&truth);
+    let images = render_all(&truth);
     let found =
-        reconstruct(&pictures.iter().collect::<Vec<_>>(), &SparseConfig::default(), &Silent).expect("a reconstruction");
+        reconstruct(&images.iter().collect::<Vec<_>>(), &SparseConfig::default(), &Silent).expect("a reconstruction");
     assert_eq!(found.camera_motion, CameraMotion::Parallax, "{:?}", found.warnings);
     let centres = |cameras: &[Camera]| cameras.iter().map(Camera::centre).collect::<Vec<_>>();
     let (ours, want) = (centres(&found.cameras), centres(&truth));
@@ -114,11 +114,11 @@ fn a_rendered_room_is_reconstructed() {
 }
 
 #[test]
-fn a_still_camera_and_a_turning_one_are_told_apart() {
-    let still = pictures(&cameras(0.0, 0.0));
+fn static_and_turning_cameras_are_distinguished() {
+    let still = render_all(&cameras(0.0, 0.0));
     let found = reconstruct(&still.iter().collect::<Vec<_>>(), &SparseConfig::default(), &Silent).expect("a pose");
     assert_eq!(found.camera_motion, CameraMotion::Static);
-    let turning = pictures(&cameras(0.0, 0.01));
+    let turning = render_all(&cameras(0.0, 0.01));
     let found = reconstruct(&turning.iter().collect::<Vec<_>>(), &SparseConfig::default(), &Silent).expect("rotations");
     assert_eq!(found.camera_motion, CameraMotion::RotationOnly, "{:?}", found.warnings);
     assert!(!found.warnings.is_empty());
@@ -126,8 +126,8 @@ fn a_still_camera_and_a_turning_one_are_told_apart() {
 
 #[test]
 fn bad_input_is_refused() {
-    let run = |pictures: &[RgbImage]| {
-        let all: Vec<&RgbImage> = pictures.iter().collect();
+    let run = |images: &[RgbImage]| {
+        let all: Vec<&RgbImage> = images.iter().collect();
         reconstruct(&all, &SparseConfig::default(), &Silent).map(|_| ())
     };
     let plain = |w, h| Plane::filled(w, h, [90_u8; 3]);

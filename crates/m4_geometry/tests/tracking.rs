@@ -273,7 +273,7 @@ fn a_camera_on_a_tripod_stays_where_it_is() {
 }
 
 #[test]
-fn a_clip_of_one_frame_and_frames_out_of_order_are_refused() {
+fn single_frames_and_unordered_frames_are_rejected() {
     let mut frames = inputs(sensor);
     let mut source = FlowCorrespondence::new(GRID, 0.005, still);
     let settings = TrackerSettings::for_flow();

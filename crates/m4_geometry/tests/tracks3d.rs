@@ -6,7 +6,7 @@ use crate::track_support::{TrueFlow, clip, score};
 use m4_core::{Progress, Silent};
 use m4_geometry::dense::InverseSearch;
 use m4_geometry::tracks3d::{
-    FlowTracker, Followed, PosedClip, PosedFrame, Query, QueryGrid, TrackConfig, TrackError, Tracker3d,
+    FlowTracker, PosedClip, PosedFrame, Query, QueryGrid, TrackConfig, TrackError, TrackedPoints, Tracker3d,
 };
 use m4_testkit::BoxScene;
 
@@ -24,7 +24,7 @@ fn config(fill: bool) -> TrackConfig {
     }
 }
 
-fn measured(scene: &BoxScene, fill: bool) -> Result<(Followed, Score), TrackError> {
+fn measured(scene: &BoxScene, fill: bool) -> Result<(TrackedPoints, Score), TrackError> {
     let flow = TrueFlow::new(scene);
     let tracker = FlowTracker {
         flow: &flow,
@@ -37,7 +37,7 @@ fn measured(scene: &BoxScene, fill: bool) -> Result<(Followed, Score), TrackErro
 }
 
 #[test]
-fn hidden_points_go_on_with_their_bodies() {
+fn occluded_points_move_with_their_object() {
     let scene = scene();
     let (_, chains) = measured(&scene, false).unwrap();
     let (_, filled) = measured(&scene, true).unwrap();
@@ -107,7 +107,7 @@ fn a_query_is_answered_in_its_place_of_the_list() {
         assert_eq!(followed.tracks.place(q.frame, k), Some(q.xyz));
         assert_eq!(followed.tracks.confidence(q.frame, k), 1.0);
     }
-    let moving = Followed::new(
+    let moving = TrackedPoints::new(
         FRAMES,
         queries[..80].to_vec(),
         (0..FRAMES * 80)
@@ -142,7 +142,7 @@ fn the_number_of_threads_does_not_matter() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| measured(&scene, true).unwrap().0)
     };
-    let bits = |f: &Followed| -> Vec<u32> {
+    let bits = |f: &TrackedPoints| -> Vec<u32> {
         let places = f.tracks.xyz().as_flattened().iter().map(|v| v.to_bits());
         let trust = (0..f.tracks.frames()).flat_map(|t| (0..f.tracks.count()).map(move |k| (t, k)));
         places
@@ -163,15 +163,15 @@ impl Tracker3d for Still {
         "still"
     }
 
-    fn follow(&self, clip: &dyn PosedClip, queries: &[Query], _: &dyn Progress) -> Result<Followed, TrackError> {
+    fn follow(&self, clip: &dyn PosedClip, queries: &[Query], _: &dyn Progress) -> Result<TrackedPoints, TrackError> {
         let frames = clip.frames();
         let xyz = (0..frames).flat_map(|_| queries.iter().map(|q| q.xyz)).collect();
-        Followed::from_probabilities(frames, queries.to_vec(), xyz, vec![0.95; frames * queries.len()], 0.9)
+        TrackedPoints::from_probabilities(frames, queries.to_vec(), xyz, vec![0.95; frames * queries.len()], 0.9)
     }
 }
 
 #[test]
-fn queries_lie_in_the_masks_and_spare_what_is_followed_already() {
+fn queries_lie_in_the_masks_and_avoid_tracked_points() {
     let scene = BoxScene::new(96, 72, 11);
     let clip = clip(&scene);
     let ask = |grid: QueryGrid| Still.follow_grid(&clip, &grid, &Silent).unwrap();
@@ -220,7 +220,7 @@ impl Progress for Stop {
 }
 
 #[test]
-fn what_cannot_be_followed_is_said_and_nothing_moving_is_no_error() {
+fn untrackable_input_is_reported_and_static_scene_is_not_an_error() {
     let scene = BoxScene::new(64, 48, 4);
     let flow = TrueFlow::new(&scene);
     let tracker = FlowTracker {

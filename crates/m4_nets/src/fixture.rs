@@ -75,7 +75,7 @@ impl Fixture {
     }
 
     /// An image of `[3, h, w]` bytes.
-    pub fn picture(&self, name: &str) -> RgbImage {
+    pub fn image(&self, name: &str) -> RgbImage {
         let (_, _, shape) = self.tensor(name);
         let [3, h, w] = shape[..] else {
             panic!("{name} is not an image");

@@ -45,7 +45,7 @@ pub use dinov2::BackboneSize;
 pub use droid::{DroidError, DroidMemory, DroidNet};
 pub use flow::{Flow, FlowError};
 pub use load::LoadError;
-pub use lpips::{Lpips, LpipsError, LpipsNet, LpipsPicture, LpipsScore};
+pub use lpips::{Lpips, LpipsError, LpipsImage, LpipsNet, LpipsScore};
 pub use mobile_sam::{MaskPrediction, MobileSam, PointPrompt, Prompt, SamError};
 pub use moge::{MoGe, MoGeError, MoGeMap, MoGeOptions};
 pub use raft::Raft;

@@ -2,6 +2,7 @@
 //! the crate's own tests.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use crate::common::test_image;
 use m4_core::{Plane, RgbImage};
 use m4_nets::{BackboneSize, DepthAnything, DisparityError, LoadError, cpu};
 use m4_testkit::{FormulaWeights, write_formula_weights};
@@ -29,16 +30,9 @@ fn network() -> DepthAnything {
     DepthAnything::load(&formula_weights(), cpu()).unwrap()
 }
 
-fn picture(w: usize, h: usize) -> RgbImage {
-    Plane::from_fn(w, h, |x, y| {
-        let (x, y) = (x as f32 / w as f32, y as f32 / h as f32);
-        [x, y, (9.0 * x).sin() * (7.0 * y).cos() * 0.5 + 0.5].map(|v| (v * 255.0) as u8)
-    })
-}
-
 /// A name says nothing about what a file holds: this one says L.
 #[test]
-fn the_size_is_the_one_that_the_checkpoint_holds() {
+fn size_is_read_from_the_checkpoint() {
     let net = network();
     assert_eq!(net.size(), BackboneSize::Small);
     // the checkpoint's 24,785,089 numbers without the token that training needed
@@ -46,9 +40,9 @@ fn the_size_is_the_one_that_the_checkpoint_holds() {
 }
 
 #[test]
-fn disparity_has_the_size_of_the_picture_and_the_same_bits_for_any_number_of_threads() {
+fn disparity_has_the_size_of_the_image_and_is_independent_of_threads() {
     let net = network();
-    let image = picture(301, 43);
+    let image = test_image(301, 43);
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| net.disparity(&image).unwrap())
@@ -72,10 +66,10 @@ fn disparity_has_the_size_of_the_picture_and_the_same_bits_for_any_number_of_thr
 }
 
 #[test]
-fn odd_pictures_have_a_disparity_too() {
+fn images_of_odd_sizes_have_a_disparity() {
     let net = network();
     for (w, h) in [(1, 40), (700, 1), (15, 200)] {
-        let disparity = net.disparity(&picture(w, h)).unwrap();
+        let disparity = net.disparity(&test_image(w, h)).unwrap();
         assert_eq!(disparity.size(), (w, h));
         assert!(disparity.data().iter().all(|d| d.is_finite()));
     }

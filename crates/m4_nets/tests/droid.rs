@@ -29,7 +29,7 @@ fn load(folder: &Path, keys: &str) -> Result<DroidNet, LoadError> {
     DroidNet::load(&path, cpu())
 }
 
-fn picture(w: usize, h: usize, moved: f32) -> RgbImage {
+fn test_image(w: usize, h: usize, moved: f32) -> RgbImage {
     Plane::from_fn(w, h, |x, y| {
         let (x, y) = (x as f32 + moved, y as f32);
         [0.31, 0.17, 0.07].map(|f: f32| (127.0 + 90.0 * (x * f).sin() * (y * f * 0.7).cos()) as u8)
@@ -42,8 +42,8 @@ fn memory(net: DroidNet) -> DroidMemory<'static> {
         storage: Storage::F16,
         scratch: std::env::temp_dir(),
     };
-    let pictures = |frame: usize| Ok(picture(136, 128, frame as f32));
-    DroidMemory::new(Arc::new(net), options, Box::new(pictures))
+    let images = |frame: usize| Ok(test_image(136, 128, frame as f32));
+    DroidMemory::new(Arc::new(net), options, Box::new(images))
 }
 
 #[test]
@@ -110,20 +110,20 @@ fn takes_prefix_and_third_rows() {
 }
 
 #[test]
-fn refuses_pictures_that_do_not_fit() {
+fn images_of_wrong_size_are_refused() {
     let folder = TempDir::new().unwrap();
     let mut memory = memory(load(folder.path(), KEYS).unwrap());
     for (w, h) in [(0, 0), (120, 200), (200, 120), (132, 128), (128, 129)] {
-        let error = memory.add_frame(0, &picture(w, h, 0.0)).unwrap_err();
+        let error = memory.add_frame(0, &test_image(w, h, 0.0)).unwrap_err();
         assert!(
             matches!(error, DroidError::Size { width, height } if (width, height) == (w, h)),
             "{error}"
         );
     }
     assert_eq!(memory.grid(), None);
-    memory.add_frame(0, &picture(136, 128, 0.0)).unwrap();
+    memory.add_frame(0, &test_image(136, 128, 0.0)).unwrap();
     assert_eq!(memory.grid(), Some((17, 16)));
-    let error = memory.add_frame(1, &picture(128, 128, 0.0)).unwrap_err();
+    let error = memory.add_frame(1, &test_image(128, 128, 0.0)).unwrap_err();
     assert!(matches!(error, DroidError::OtherSize { frame: 1, .. }), "{error}");
 }
 

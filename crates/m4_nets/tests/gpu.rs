@@ -2,7 +2,7 @@
 #![cfg(feature = "gpu")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, picture};
+use crate::common::{fixtures, floats, read_image};
 use cubecl::device::{WgpuBackend, WgpuDevice, WgpuDeviceKind};
 use cubecl::wgpu::{AutoGraphicsApi, RuntimeOptions, try_init_setup};
 use m4_core::{Camera, DepthMap, Intrinsics, Plane, RgbImage, Silent};
@@ -91,7 +91,7 @@ fn raft_meets_its_fixture() {
     let (_folder, path) = checkpoint(RAFT);
     let net = Raft::load(&path, &gpu).unwrap();
     let file = fs::read(fixtures().join("raft/flow.safetensors")).unwrap();
-    let [a, b] = ["image1", "image2"].map(|name| net.encode(&picture(&file, name)).unwrap());
+    let [a, b] = ["image1", "image2"].map(|name| net.encode(&read_image(&file, name)).unwrap());
     // one iteration reaches every kernel
     let [there, _] = net.flow_both(&a, &b, 1, None).unwrap();
     let LowFlow(low) = &there.low;
@@ -114,7 +114,7 @@ fn raft_in_half_precision_is_near() {
     let (_folder, path) = checkpoint(RAFT);
     let net = Raft::load(&path, compute).unwrap();
     let file = fs::read(fixtures().join("raft/flow.safetensors")).unwrap();
-    let [a, b] = ["image1", "image2"].map(|name| net.encode(&picture(&file, name)).unwrap());
+    let [a, b] = ["image1", "image2"].map(|name| net.encode(&read_image(&file, name)).unwrap());
     let [there, _] = net.flow_both(&a, &b, 1, None).unwrap();
     let got = [there.flow.u.clone(), there.flow.v.clone()].concat();
     assert_near("flow_up_1", &got, &floats(&file, "flow_up_1"), 2e-2);
@@ -166,7 +166,7 @@ fn droid(path: &std::path::Path, on: impl Into<Compute>) -> (f64, Vec<Vec<f32>>)
 }
 
 #[test]
-fn the_tracking_network_says_the_same_as_on_the_processor() {
+fn tracking_network_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
@@ -235,7 +235,7 @@ fn networks_of_depth_say_the_same_as_on_the_processor() {
 }
 
 #[test]
-fn unidepth_says_the_same_as_on_the_processor() {
+fn unidepth_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
@@ -248,7 +248,7 @@ fn unidepth_says_the_same_as_on_the_processor() {
 }
 
 #[test]
-fn mobile_sam_says_the_same_as_on_the_processor() {
+fn mobile_sam_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
@@ -289,8 +289,8 @@ fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f3
         width: 128,
         height: 96,
     };
-    let pictures = Box::new(|i: usize| Ok(pattern(128, 96, 2.0 * i as f32)));
-    let mut predictor = VideoPredictor::new(net, clip, pictures, VideoOptions::default()).unwrap();
+    let images = Box::new(|i: usize| Ok(pattern(128, 96, 2.0 * i as f32)));
+    let mut predictor = VideoPredictor::new(net, clip, images, VideoOptions::default()).unwrap();
     predictor.show(0, 1, &one).unwrap();
     predictor.show(0, 2, &two).unwrap();
     let mut frames = Vec::new();
@@ -302,7 +302,7 @@ fn sam2(path: &std::path::Path, on: impl Into<Compute>) -> (Vec<f32>, Vec<Vec<f3
 }
 
 #[test]
-fn sam2_says_the_same_as_on_the_processor() {
+fn sam2_matches_the_cpu() {
     let Some(gpu) = gpu() else {
         return;
     };
@@ -339,7 +339,7 @@ impl PosedClip for Wall {
         3
     }
 
-    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
+    fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
         Ok(pattern(288, 128, 2.0 * frame as f32))
     }
 

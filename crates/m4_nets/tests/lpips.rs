@@ -1,9 +1,9 @@
 //! LPIPS against the networks stated again in PyTorch: with synthetic weights always, with the published ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, picture, png, real_weights};
+use crate::common::{fixtures, floats, png, read_image, real_weights};
 use m4_core::{Mask, Plane};
-use m4_nets::{LoadError, Lpips, LpipsError, LpipsNet, LpipsPicture, LpipsScore, cpu};
+use m4_nets::{LoadError, Lpips, LpipsError, LpipsImage, LpipsNet, LpipsScore, cpu};
 use m4_testkit::formula;
 use safetensors::{Dtype, SafeTensors};
 use std::fs;
@@ -138,14 +138,14 @@ fn doubles(file: &[u8], name: &str) -> Vec<f64> {
 
 struct Case {
     file: Vec<u8>,
-    image: LpipsPicture,
-    reference: LpipsPicture,
+    image: LpipsImage,
+    reference: LpipsImage,
     mask: Mask,
 }
 
 fn case() -> Case {
     let file = fs::read(fixtures().join("lpips/formula.safetensors")).unwrap();
-    let read = |name| LpipsPicture::from(&picture(&file, name));
+    let read = |name| LpipsImage::from(&read_image(&file, name));
     let (image, reference) = (read("image"), read("reference"));
     let (w, h) = image.size();
     let mask = {
@@ -215,7 +215,7 @@ fn agrees_with_pytorch_by_formula() {
 #[test]
 fn agrees_with_the_published_distances() {
     let file = fs::read(fixtures().join("lpips/published.safetensors")).unwrap();
-    let read = |name: &str| LpipsPicture::from(&png(&format!("lpips/ex_{name}.png")));
+    let read = |name: &str| LpipsImage::from(&png(&format!("lpips/ex_{name}.png")));
     let reference = read("ref");
     let case = case();
     let published = [
@@ -268,7 +268,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 
 #[test]
 fn images_of_different_or_too_small_size_are_refused() {
-    let flat = |w, h, v| LpipsPicture::from_planes(w, h, [&vec![v; w * h]; 3].map(|p| &p[..])).unwrap();
+    let flat = |w, h, v| LpipsImage::from_planes(w, h, [&vec![v; w * h]; 3].map(|p| &p[..])).unwrap();
     for (net, _) in NETS {
         let lpips = network(net);
         let least = net.min_side_px();
@@ -288,7 +288,7 @@ fn images_of_different_or_too_small_size_are_refused() {
         assert_eq!(none, Ok(None));
     }
     let (good, short, bad) = ([0.5f32; 6], [0.5f32; 5], [0.1, 0.2, f32::NAN, 0.0, 0.0, 0.0]);
-    let length = LpipsPicture::from_planes(3, 2, [&good, &short, &good]);
+    let length = LpipsImage::from_planes(3, 2, [&good, &short, &good]);
     assert!(matches!(
         length,
         Err(LpipsError::Length {
@@ -297,7 +297,7 @@ fn images_of_different_or_too_small_size_are_refused() {
             ..
         })
     ));
-    let nan = LpipsPicture::from_planes(3, 2, [&good, &good, &bad]);
+    let nan = LpipsImage::from_planes(3, 2, [&good, &good, &bad]);
     assert!(matches!(
         nan,
         Err(LpipsError::NotFinite {

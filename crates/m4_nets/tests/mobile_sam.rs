@@ -1,7 +1,7 @@
 //! MobileSAM against its authors' module: with synthetic weights always, with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, picture, png, real_weights};
+use crate::common::{fixtures, floats, png, read_image, real_weights};
 use m4_core::{Plane, RgbImage};
 use m4_nets::{LoadError, MaskPrediction, MobileSam, PointPrompt, Prompt, SamError, cpu};
 use m4_testkit::write_formula_weights;
@@ -107,7 +107,7 @@ fn compare(net: &MobileSam, image: &RgbImage, file: &[u8], limits: &Limits) {
         let masks = net.masks(&embedding, &prompt).unwrap();
         let logits: Vec<f32> = masks.iter().flat_map(|mask| every(&mask.logits, STEP)).collect();
         close(&format!("{name}/logits"), &logits, limits.masks);
-        let whole = masks[1].picture_logits();
+        let whole = masks[1].image_logits();
         assert_eq!(whole.size(), image.size());
         close(&format!("{name}/picture_logits"), &every(&whole, STEP), limits.masks);
         let iou: Vec<f32> = masks.iter().map(|mask| mask.iou).collect();
@@ -118,9 +118,9 @@ fn compare(net: &MobileSam, image: &RgbImage, file: &[u8], limits: &Limits) {
     }
 }
 
-fn formula_picture() -> (Vec<u8>, RgbImage) {
+fn synthetic_image() -> (Vec<u8>, RgbImage) {
     let file = fs::read(fixtures().join("mobile_sam/formula.safetensors")).unwrap();
-    let image = picture(&file, "image");
+    let image = read_image(&file, "image");
     (file, image)
 }
 
@@ -129,7 +129,7 @@ fn formula_picture() -> (Vec<u8>, RgbImage) {
 fn agrees_with_the_module_by_formula() {
     let net = network();
     assert_eq!(net.parameters(), NUMBERS);
-    let (file, image) = formula_picture();
+    let (file, image) = synthetic_image();
     let limits = Limits {
         embedding: 1e-4,
         masks: 2e-4,
@@ -157,7 +157,7 @@ fn agrees_with_the_module_on_real_weights() {
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
     let net = network();
-    let (_, image) = formula_picture();
+    let (_, image) = synthetic_image();
     let [(_, point), ..] = prompts(image.width(), image.height());
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -206,7 +206,7 @@ fn invalid_images_and_prompts_are_refused() {
     assert_eq!(ask(&boxed(8.5, 9.5)).unwrap().len(), 4);
     let masks = ask(&at(0.5)).unwrap();
     assert_eq!(masks.len(), 4);
-    assert_eq!(masks[0].picture_logits().size(), (1, 2048));
+    assert_eq!(masks[0].image_logits().size(), (1, 2048));
     let mut mask = at(0.5);
     mask.mask_logits = Some(Plane::filled(256, 255, 0.0));
     let error = ask(&mask).unwrap_err();

@@ -2,6 +2,7 @@
 //! crate's own tests.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
+use crate::common::test_image;
 use m4_core::{Plane, RgbImage};
 use m4_nets::{BackboneSize, LoadError, MoGe, MoGeError, MoGeOptions, cpu};
 use m4_testkit::FormulaWeights;
@@ -32,13 +33,6 @@ fn network() -> MoGe {
     MoGe::load(&formula_weights(), cpu()).unwrap()
 }
 
-fn picture(w: usize, h: usize) -> RgbImage {
-    Plane::from_fn(w, h, |x, y| {
-        let (x, y) = (x as f32 / w as f32, y as f32 / h as f32);
-        [x, y, (9.0 * x).sin() * (7.0 * y).cos() * 0.5 + 0.5].map(|v| (v * 255.0) as u8)
-    })
-}
-
 fn few(tokens: usize) -> MoGeOptions {
     MoGeOptions {
         tokens: Some(tokens),
@@ -49,7 +43,7 @@ fn few(tokens: usize) -> MoGeOptions {
 #[test]
 fn any_number_of_threads_gives_the_same_bits() {
     let net = network();
-    let image = picture(201, 99);
+    let image = test_image(201, 99);
     let with = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| net.infer(&image, &few(150)).unwrap())
@@ -77,9 +71,9 @@ fn any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
-fn a_known_focal_length_is_kept() {
+fn known_focal_length_is_used() {
     let net = network();
-    let image = picture(60, 40);
+    let image = test_image(60, 40);
     let options = MoGeOptions {
         known_focal_px: Some(70.0),
         ..few(24)
@@ -105,29 +99,32 @@ fn a_known_focal_length_is_kept() {
 }
 
 #[test]
-fn odd_pictures_and_options() {
+fn odd_sizes_and_options() {
     let net = network();
     for (w, h) in [(1, 1), (1, 90), (400, 3)] {
         // an image of few pixels need not have a focal length
-        match net.infer(&picture(w, h), &few(20)) {
+        match net.infer(&test_image(w, h), &few(20)) {
             Ok(map) => assert_eq!(map.depth_m.size(), (w, h)),
             Err(error) => assert!(matches!(error, MoGeError::NoFocal | MoGeError::NothingValid), "{error}"),
         }
     }
     let none: RgbImage = Plane::filled(4, 0, [9, 9, 9]);
     assert!(matches!(net.infer(&none, &few(20)), Err(MoGeError::Empty)));
-    assert!(matches!(net.infer(&picture(9, 9), &few(0)), Err(MoGeError::Tokens(0))));
+    assert!(matches!(
+        net.infer(&test_image(9, 9), &few(0)),
+        Err(MoGeError::Tokens(0))
+    ));
 }
 
 /// A mask that is empty everywhere: nothing can be said of the image.
 #[test]
-fn a_picture_without_depth_is_an_error() {
+fn an_image_without_depth_is_an_error() {
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("model.safetensors");
     weights().with("mask_head.output_blocks.4.bias", &[-50.0]).write(&path);
     let net = MoGe::load(&path, cpu()).unwrap();
     assert!(matches!(
-        net.infer(&picture(40, 30), &few(12)),
+        net.infer(&test_image(40, 30), &few(12)),
         Err(MoGeError::NothingValid)
     ));
 }
@@ -181,7 +178,7 @@ fn a_checkpoint_is_read_strictly() {
 
 /// Without the head for normals, the rest is as it was.
 #[test]
-fn a_checkpoint_without_normals_is_one_too() {
+fn checkpoint_without_normals_is_accepted() {
     let net = network();
     let folder = TempDir::new().unwrap();
     let path = folder.path().join("model.safetensors");
@@ -199,7 +196,7 @@ fn a_checkpoint_without_normals_is_one_too() {
         (other.size(), other.has_normals(), net.has_normals()),
         (BackboneSize::Small, false, true)
     );
-    let image = picture(50, 40);
+    let image = test_image(50, 40);
     let (a, b) = (
         net.infer(&image, &few(20)).unwrap(),
         other.infer(&image, &few(20)).unwrap(),

@@ -1,7 +1,7 @@
 //! RAFT against its authors' module, with synthetic weights, and with the real ones where they are.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, picture, png, real_weights};
+use crate::common::{fixtures, floats, png, read_image, real_weights};
 use m4_core::{Plane, RgbImage};
 use m4_nets::raft::{LowFlow, Raft, RaftFlow};
 use m4_nets::{Flow, FlowError, LoadError, cpu};
@@ -30,7 +30,7 @@ fn network() -> Raft {
 
 fn pair() -> (Vec<u8>, RgbImage, RgbImage) {
     let file = fs::read(fixtures().join("raft/flow.safetensors")).unwrap();
-    let (a, b) = (picture(&file, "image1"), picture(&file, "image2"));
+    let (a, b) = (read_image(&file, "image1"), read_image(&file, "image2"));
     (file, a, b)
 }
 
@@ -97,7 +97,7 @@ fn a_warm_start_uses_the_given_flow() {
 
 /// Real weights find what GMFlow's module found, within what two good networks differ by.
 #[test]
-fn real_weights_see_what_another_network_sees() {
+fn real_weights_match_another_network() {
     let Some(path) = real_weights("raft-things", "raft-things.pth") else {
         return;
     };

@@ -123,8 +123,8 @@ fn passages(net: Arc<Sam2>, file: &[u8], options: VideoOptions) -> [Vec<f32>; 3]
         width: 320,
         height: 192,
     };
-    let pictures = Box::new(move |i: usize| Ok(frames[i].clone()));
-    let mut predictor = VideoPredictor::new(net, clip, pictures, options).unwrap();
+    let images = Box::new(move |i: usize| Ok(frames[i].clone()));
+    let mut predictor = VideoPredictor::new(net, clip, images, options).unwrap();
     let three = floats(file, "prompt_obj2");
     let (box_px, place) = (floats(file, "prompt_box3"), floats(file, "prompt_obj3_point"));
     let one = points(vec![point(&floats(file, "prompt_obj1"), true)]);
@@ -206,8 +206,8 @@ const CLIP: Clip = Clip {
 };
 
 fn clip(options: VideoOptions) -> VideoPredictor<'static> {
-    let pictures = Box::new(|frame: usize| Ok(moving(90, 50, frame)));
-    VideoPredictor::new(smallest(), CLIP, pictures, options).unwrap()
+    let images = Box::new(|frame: usize| Ok(moving(90, 50, frame)));
+    VideoPredictor::new(smallest(), CLIP, images, options).unwrap()
 }
 
 fn here() -> Prompt {
@@ -243,13 +243,13 @@ fn memories_older_than_the_history_are_dropped() {
 }
 
 #[test]
-fn pictures_are_asked_for_once_whatever_the_number_of_objects() {
+fn frames_are_read_once_for_any_number_of_objects() {
     let asked = AtomicUsize::new(0);
-    let pictures = Box::new(|frame: usize| {
+    let images = Box::new(|frame: usize| {
         asked.fetch_add(1, Ordering::Relaxed);
         Ok(moving(33, 20, frame))
     });
-    let mut predictor = VideoPredictor::new(smallest(), CLIP, pictures, VideoOptions::default()).unwrap();
+    let mut predictor = VideoPredictor::new(smallest(), CLIP, images, VideoOptions::default()).unwrap();
     for object in [3, 1, 2, 9, 8] {
         let prompt = points(vec![point(&[8.0 * object as f32, 25.0], true)]);
         predictor.show(0, object, &prompt).unwrap();
@@ -372,18 +372,18 @@ fn the_user_can_stop() {
 
 #[test]
 fn invalid_clips_and_prompts_are_refused() {
-    let pictures = |size: (usize, usize)| Box::new(move |_: usize| Ok(moving(size.0, size.1, 0)));
+    let images = |size: (usize, usize)| Box::new(move |_: usize| Ok(moving(size.0, size.1, 0)));
     let clip_of = |frames, width, height| Clip { frames, width, height };
     let options = VideoOptions::default;
     let no = |clip| {
-        VideoPredictor::new(smallest(), clip, pictures((9, 9)), options())
+        VideoPredictor::new(smallest(), clip, images((9, 9)), options())
             .map(drop)
             .unwrap_err()
     };
     assert!(matches!(no(clip_of(0, 9, 9)), Sam2Error::NoFrames));
     assert!(matches!(no(clip_of(4, 0, 9)), Sam2Error::NoPixels { .. }));
 
-    let mut empty = VideoPredictor::new(smallest(), CLIP, pictures((0, 9)), options()).unwrap();
+    let mut empty = VideoPredictor::new(smallest(), CLIP, images((0, 9)), options()).unwrap();
     assert!(matches!(empty.show(0, 1, &here()), Err(Sam2Error::NoPixels { .. })));
     let broken = Box::new(|_: usize| Err("no such file".into()));
     let mut broken = VideoPredictor::new(smallest(), CLIP, broken, options()).unwrap();
@@ -463,13 +463,13 @@ fn invalid_clips_and_prompts_are_refused() {
 
 #[test]
 fn a_clip_of_one_frame_can_be_corrected() {
-    let pictures = Box::new(|_: usize| Ok(moving(64, 64, 0)));
+    let images = Box::new(|_: usize| Ok(moving(64, 64, 0)));
     let clip = Clip {
         frames: 1,
         width: 64,
         height: 64,
     };
-    let mut predictor = VideoPredictor::new(smallest(), clip, pictures, VideoOptions::default()).unwrap();
+    let mut predictor = VideoPredictor::new(smallest(), clip, images, VideoOptions::default()).unwrap();
     predictor.show(0, 1, &points(vec![point(&[12.0, 30.0], true)])).unwrap();
     predictor.follow(0..=0, Direction::Forward, &Silent, |_, _| ()).unwrap();
     let corrected = predictor
@@ -484,7 +484,7 @@ fn a_clip_of_one_frame_can_be_corrected() {
 }
 
 #[test]
-fn a_picture_has_three_masks_or_one() {
+fn an_image_has_three_masks_or_one() {
     let net = smallest();
     assert!(matches!(net.encode(&moving(0, 0, 0)), Err(Sam2Error::NoPixels { .. })));
     let features = net.encode(&moving(300, 7, 0)).unwrap();

@@ -52,7 +52,7 @@ impl PosedClip for Wall {
         self.frames
     }
 
-    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
+    fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
         Ok(Plane::from_fn(144, 64, |x, y| {
             let (x, y) = (x as f32 + 1.5 * frame as f32, y as f32);
             [0.31, 0.17, 0.07].map(|f: f32| (127.0 + 90.0 * (x * f).sin() * (y * f * 0.7).cos()) as u8)
@@ -176,7 +176,7 @@ fn the_same_bits_on_any_number_of_threads() {
 
 /// Groups are followed as if each were asked for alone: the setting for memory decides on nothing but the groups.
 #[test]
-fn groups_are_followed_as_if_alone() {
+fn groups_are_tracked_independently() {
     let net = load();
     let frames: Vec<usize> = (0..65).map(|i| i % 5).collect();
     let queries = queries(&frames);
@@ -204,7 +204,7 @@ fn groups_are_followed_as_if_alone() {
 }
 
 #[test]
-fn frames_before_a_query_are_followed_on_the_way_back_alone() {
+fn frames_before_a_query_are_tracked_in_the_backward_pass() {
     let net = load();
     let queries = queries(&[6]);
     let only_forward = Tapip3dOptions {
@@ -262,7 +262,7 @@ fn clips_that_do_not_fit() {
 
 /// One frame, and depth that is no number, are followed.
 #[test]
-fn clips_that_are_odd() {
+fn unusual_clips_are_tracked_or_rejected() {
     let net = load();
     for (frames, hole) in [
         (1, 2.0),
@@ -286,7 +286,7 @@ fn clips_that_are_odd() {
 }
 
 #[test]
-fn stops_when_it_is_told_to() {
+fn tracking_stops_on_request() {
     /// Stops after some reports.
     struct Impatient {
         reports: AtomicUsize,

@@ -1,7 +1,7 @@
 //! `UniDepth` V2 against upstream's code, with synthetic weights: a small backbone of five blocks and heads of 128 channels.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{fixtures, floats, picture, real_weights};
+use crate::common::{fixtures, floats, read_image, real_weights};
 use m4_core::{Plane, RgbImage};
 use m4_nets::{BackboneSize, LoadError, UniDepth, UniDepthError, UniDepthMap, cpu};
 use m4_testkit::write_formula_weights;
@@ -31,7 +31,7 @@ fn network() -> UniDepth {
 
 fn fixture() -> (Vec<u8>, RgbImage) {
     let file = fs::read(fixtures().join("unidepth_v2/formula.safetensors")).unwrap();
-    let image = picture(&file, "image");
+    let image = read_image(&file, "image");
     (file, image)
 }
 
@@ -73,7 +73,7 @@ fn any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
-fn takes_pictures_of_any_size_and_refuses_what_is_no_picture() {
+fn images_of_any_size_are_accepted_and_empty_ones_refused() {
     let net = network();
     let depth = |w: usize, h: usize, patches: usize| {
         let image: RgbImage = Plane::from_fn(w, h, |x, y| [x as u8, y as u8, 90]);
@@ -136,7 +136,7 @@ fn a_checkpoint_is_read_strictly() {
 }
 
 #[test]
-fn real_weights_are_those_that_are_expected() {
+fn real_weights_have_the_expected_tensors() {
     let Some(path) = real_weights("unidepth-v2-l", "model.safetensors") else {
         return;
     };

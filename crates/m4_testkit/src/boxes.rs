@@ -5,7 +5,7 @@ use m4_core::{
     nalgebra::{Rotation3, Vector3},
 };
 
-/// What a ray meets.
+/// Intersection of a ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Hit {
     /// 0 the wall, 1 the pillar, 2 the box that passes behind it, 3 the box that leaves the image.
@@ -86,7 +86,7 @@ impl BoxScene {
         }
     }
 
-    /// What the camera of frame `t` sees at pixel coordinates `(u, v)` (centre of the first pixel: 0, 0).
+    /// Casts a ray from the camera of frame `t` through pixel coordinates `(u, v)` (centre of the first pixel: 0, 0).
     #[must_use]
     pub fn cast(&self, t: usize, u: f64, v: f64) -> Hit {
         let camera = &self.cameras[t];
@@ -113,7 +113,7 @@ impl BoxScene {
         nearest.expect("the wall fills the view")
     }
 
-    /// What is seen at a pixel of frame `t`.
+    /// Casts a ray through a pixel of frame `t`.
     #[must_use]
     pub fn hit(&self, t: usize, x: usize, y: usize) -> Hit {
         self.hits[t][y * self.cameras[t].intrinsics.width + x]
@@ -131,7 +131,7 @@ impl BoxScene {
         self.pose(body, t).inverse().transform(place)
     }
 
-    /// How far a place is from the surface of a body in frame `t`, inside or outside, world units.
+    /// Distance of a point from the surface of a box in frame `t`, inside or outside, world units.
     #[must_use]
     pub fn surface_distance(&self, body: usize, place: &Vector3<f64>, t: usize) -> f64 {
         let local = self.local(body, place, t);

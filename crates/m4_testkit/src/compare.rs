@@ -1,6 +1,6 @@
 //! Comparisons with bounds that a zero gradient cannot satisfy.
 
-/// How two vectors of numbers agree.
+/// Agreement of two vectors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Agreement {
     /// Largest difference over the largest component of `want`.
@@ -75,7 +75,7 @@ pub fn assert_gradient(what: &str, got: &[f64], want: &[f64], tolerance: f64) {
     );
 }
 
-/// What an image may differ by where the model has a step.
+/// Tolerances for an image of a model with steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Flips {
     /// Largest difference of a value that is not at a step.

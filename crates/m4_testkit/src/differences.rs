@@ -1,6 +1,6 @@
 //! Central differences of functions with discontinuities.
 
-/// What one evaluation gives.
+/// Result of one evaluation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Side {
     /// The loss.

@@ -138,7 +138,7 @@ mod tests {
     use super::gradient_fixtures;
 
     #[test]
-    fn the_gradient_fixtures_are_what_the_readme_says() {
+    fn gradient_fixtures_match_the_readme() {
         let fixtures = gradient_fixtures();
         assert_eq!(fixtures.cases.len(), 6);
         for case in &fixtures.cases {

@@ -47,7 +47,7 @@ impl StopAtPoll {
         }
     }
 
-    /// How often it was asked.
+    /// Number of polls.
     pub fn asked(&self) -> usize {
         self.asked.load(Ordering::Relaxed)
     }

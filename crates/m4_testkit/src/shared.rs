@@ -3,7 +3,7 @@
 use crate::{Need, skip};
 use std::path::PathBuf;
 
-/// What `shared` holds under `name` (such as `bench/quad-1`), beside the repository's root; `None` where this machine does
+/// Path of `name` in `shared` (such as `bench/quad-1`), beside the repository's root; `None` where this machine does
 /// not have it, and the test is listed as skipped.
 #[must_use]
 #[track_caller]

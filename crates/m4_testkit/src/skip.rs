@@ -5,11 +5,11 @@ use std::fs::OpenOptions;
 use std::io::Write;
 use std::panic::Location;
 
-/// The file to which every skipped test is added, a line each: need, remedy, test, where, why, separated by tabs.
+/// The file to which every skipped test is added, a line each: need, hint, test, where, why, separated by tabs.
 /// `cargo xtask test` sets it, and prints the lines when the tests are done.
 pub const SKIPPED_VARIABLE: &str = "MINUTE4D_SKIPPED";
 
-/// What a test may need that a machine may not have.
+/// Requirement of a test that a machine may lack.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Need {
@@ -50,9 +50,9 @@ impl Need {
         }
     }
 
-    /// How to install it.
+    /// Hint for installing it.
     #[must_use]
-    pub fn remedy(self) -> &'static str {
+    pub fn hint(self) -> &'static str {
         match self {
             Self::Ffmpeg => "install ffmpeg (apt-get install ffmpeg)",
             Self::Chromium => "install Chromium (apt-get install chromium), or name one in MINUTE4D_CHROMIUM",
@@ -99,7 +99,7 @@ pub fn skip(need: Need, why: &str) {
 }
 
 fn line(need: Need, test: &str, place: &str, why: &str) -> String {
-    let fields = [need.name(), need.remedy(), test, place, why];
+    let fields = [need.name(), need.hint(), test, place, why];
     let fields = fields.map(|field| field.split_whitespace().collect::<Vec<_>>().join(" "));
     fields.join("\t") + "\n"
 }
@@ -114,7 +114,7 @@ mod tests {
         let fields: Vec<&str> = line.trim_end_matches('\n').split('\t').collect();
         let expected = [
             "ffmpeg",
-            Need::Ffmpeg.remedy(),
+            Need::Ffmpeg.hint(),
             "video::plays",
             "tests/video.rs:7",
             "not found anywhere",

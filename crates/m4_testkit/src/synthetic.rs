@@ -5,7 +5,7 @@ use m4_core::{
     nalgebra::{Matrix3, Vector3, Vector6},
 };
 
-/// What a random scene looks like.
+/// Parameters of a random scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SceneSpec {
     /// Which columns.
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ball_starts_where_it_says() {
+    fn ball_starts_at_its_position() {
         let scene = moving_scene(Intrinsics::centred(64, 48, 60.0), 8);
         assert_eq!(scene.cameras.len(), 8);
         let (mut x, n) = (0.0, scene.splats.n_dynamic());

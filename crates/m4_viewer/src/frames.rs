@@ -8,7 +8,7 @@ use m4_io::image::resize_rgb;
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 
-/// How large the frames may be.
+/// Limits on the size of the frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct FrameLimits {
@@ -75,26 +75,26 @@ const SAMPLES: usize = 8;
 /// # Errors
 ///
 /// [`FramesError`] naming the frame.
-pub fn encode_frames(pictures: &[&RgbImage], limits: &FrameLimits) -> Result<Option<Frames>, FramesError> {
-    for (index, picture) in pictures.iter().enumerate() {
-        let (width, height) = picture.size();
+pub fn encode_frames(images: &[&RgbImage], limits: &FrameLimits) -> Result<Option<Frames>, FramesError> {
+    for (index, image) in images.iter().enumerate() {
+        let (width, height) = image.size();
         if width == 0 || height == 0 {
             return Err(FramesError::Empty { index, width, height });
         }
     }
-    let Some(first) = pictures.first() else { return Ok(None) };
+    let Some(first) = images.first() else { return Ok(None) };
     let mut side = limits.side_px.max(LEAST_SIDE_PX);
     let mut quality = QUALITY;
     // a few frames tell how large all will be
-    let step = pictures.len().div_ceil(SAMPLES);
+    let step = images.len().div_ceil(SAMPLES);
     loop {
         let size = fit(first.size(), side);
         let mut sampled = Vec::new();
-        for index in (0..pictures.len()).step_by(step) {
-            append(&mut sampled, pictures, index, size, quality)?;
+        for index in (0..images.len()).step_by(step) {
+            append(&mut sampled, images, index, size, quality)?;
         }
-        let samples = pictures.len().div_ceil(step);
-        let expected = sampled.len() as f64 / samples as f64 * pictures.len() as f64;
+        let samples = images.len().div_ceil(step);
+        let expected = sampled.len() as f64 / samples as f64 * images.len() as f64;
         if expected <= limits.bytes as f64 || side <= LEAST_SIDE_PX {
             break;
         }
@@ -106,8 +106,8 @@ pub fn encode_frames(pictures: &[&RgbImage], limits: &FrameLimits) -> Result<Opt
     }
     let size = fit(first.size(), side);
     let (mut bytes, mut offsets) = (Vec::new(), vec![0]);
-    for index in 0..pictures.len() {
-        append(&mut bytes, pictures, index, size, quality)?;
+    for index in 0..images.len() {
+        append(&mut bytes, images, index, size, quality)?;
         offsets.push(bytes.len());
     }
     let index = FrameIndex {
@@ -127,7 +127,7 @@ fn fit((width, height): (usize, usize), side: usize) -> (usize, usize) {
 
 fn append(
     out: &mut Vec<u8>,
-    pictures: &[&RgbImage],
+    images: &[&RgbImage],
     index: usize,
     (width, height): (usize, usize),
     quality: u8,
@@ -136,11 +136,11 @@ fn append(
         index,
         reason: reason.to_string(),
     };
-    let picture = pictures[index];
-    let small = if picture.size() == (width, height) {
-        Cow::Borrowed(picture)
+    let image = images[index];
+    let small = if image.size() == (width, height) {
+        Cow::Borrowed(image)
     } else {
-        Cow::Owned(resize_rgb(picture, width, height).ok_or_else(|| failed(&"it cannot be made smaller"))?)
+        Cow::Owned(resize_rgb(image, width, height).ok_or_else(|| failed(&"it cannot be made smaller"))?)
     };
     let side = |n: usize| u32::try_from(n).map_err(|e| failed(&e));
     JpegEncoder::new_with_quality(out, quality)
@@ -166,8 +166,8 @@ mod tests {
     #[test]
     fn frames_come_back_at_their_offsets() {
         let grey = |v: u8| Plane::filled(200, 100, [v; 3]);
-        let pictures: Vec<RgbImage> = [10, 120, 250].map(grey).into();
-        let frames = encode_frames(&pictures.iter().collect::<Vec<_>>(), &FrameLimits::default())
+        let images: Vec<RgbImage> = [10, 120, 250].map(grey).into();
+        let frames = encode_frames(&images.iter().collect::<Vec<_>>(), &FrameLimits::default())
             .unwrap()
             .unwrap();
         assert_eq!((frames.index.width, frames.index.height), (200, 100));
@@ -175,23 +175,23 @@ mod tests {
         assert_eq!(frames.index.offsets[3], frames.bytes.len());
         for (i, value) in [10u8, 120, 250].into_iter().enumerate() {
             let jpeg = &frames.bytes[frames.index.offsets[i]..frames.index.offsets[i + 1]];
-            let picture = image::load_from_memory(jpeg).unwrap().to_rgb8();
-            assert_eq!(picture.dimensions(), (200, 100));
-            assert!(picture.as_raw().iter().all(|v| v.abs_diff(value) <= 2), "frame {i}");
+            let image = image::load_from_memory(jpeg).unwrap().to_rgb8();
+            assert_eq!(image.dimensions(), (200, 100));
+            assert!(image.as_raw().iter().all(|v| v.abs_diff(value) <= 2), "frame {i}");
         }
     }
 
     #[test]
     fn too_many_bytes_cost_quality_and_size() {
-        let pictures: Vec<RgbImage> = (0..20).map(noise).collect();
-        let pictures: Vec<&RgbImage> = pictures.iter().collect();
-        let whole = encode_frames(&pictures, &FrameLimits::default()).unwrap().unwrap();
+        let images: Vec<RgbImage> = (0..20).map(noise).collect();
+        let images: Vec<&RgbImage> = images.iter().collect();
+        let whole = encode_frames(&images, &FrameLimits::default()).unwrap().unwrap();
         assert_eq!((whole.index.width, whole.index.height), (480, 270));
         let limits = FrameLimits {
             bytes: whole.bytes.len() / 6,
             ..FrameLimits::default()
         };
-        let tight = encode_frames(&pictures, &limits).unwrap().unwrap();
+        let tight = encode_frames(&images, &limits).unwrap().unwrap();
         assert!(
             tight.bytes.len() < limits.bytes * 11 / 10,
             "{} bytes",

@@ -14,7 +14,7 @@ pub struct Manifest {
     pub version: u32,
     /// For the title of the page.
     pub title: String,
-    /// What the payload holds.
+    /// Contents of the payload.
     pub splats: SplatFacts,
     /// Colour behind everything, 0..1.
     pub background: [f32; 3],
@@ -34,7 +34,7 @@ pub struct Manifest {
     pub cameras: Vec<SourceCamera>,
     /// The point at the median depth on the axis of the middle camera: what an orbit goes about.
     pub centre: [f64; 3],
-    /// How far from the source cameras the scene can be looked at.
+    /// Range of cameras from which the scene looks right.
     pub safe: SafeOrbit,
     /// The frames of the source in the page, one per camera.
     pub frames: Option<FrameIndex>,
@@ -42,7 +42,7 @@ pub struct Manifest {
     pub live: Option<Live>,
 }
 
-/// How many splats of which kind.
+/// Number of splats by kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SplatFacts {
     /// Splats without time parameters.
@@ -110,7 +110,7 @@ impl SourceCamera {
     }
 }
 
-/// How far a camera may go before the page begins to fade.
+/// Camera distance at which the page begins to fade.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SafeOrbit {
     /// From the nearest source camera, world units.
@@ -135,11 +135,11 @@ pub struct Live {
     pub events: String,
     /// Address of the newest scene, see [`crate::live`].
     pub scene: String,
-    /// What every request must carry.
+    /// Token that every request must carry.
     pub token: String,
 }
 
-/// What a scene does not say of itself.
+/// Metadata that a scene does not contain.
 #[derive(Debug, Clone, PartialEq)]
 pub struct About<'a> {
     /// For the title of the page.

@@ -24,7 +24,7 @@ use std::io::{Read, Write};
 
 /// The page without a scene, as `crates/m4_viewer/page` builds it.
 pub const TEMPLATE: &str = include_str!("../page.html");
-/// What the scene takes the place of.
+/// Placeholder of the scene.
 pub const MARKER: &str = "<!--minute4d-data-->";
 
 const MANIFEST: (&str, &str) = ("application/json", "m4-manifest");
@@ -32,7 +32,7 @@ const SPLATS: (&str, &str) = ("text/plain", "m4-splats");
 const FRAMES: (&str, &str) = ("text/plain", "m4-frames");
 const END: &str = "</script>";
 
-/// How hard gzip tries.
+/// Level of gzip.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
     /// For a page that goes no further than this machine.
@@ -57,7 +57,7 @@ pub enum PageError {
     /// The template has no single marker.
     #[error("the page has {found} places for a scene where it must have one; build crates/m4_viewer/page again")]
     Marker {
-        /// How many.
+        /// Their number.
         found: usize,
     },
     /// The manifest cannot be written or read as JSON.
@@ -104,7 +104,7 @@ pub enum PageError {
     },
 }
 
-/// What a page is made of.
+/// Contents of a page.
 #[derive(Debug, Clone, Copy)]
 pub struct Parts<'a> {
     /// Its metadata.
@@ -166,7 +166,7 @@ fn element(out: &mut Vec<u8>, name: (&str, &str), text: &str) {
     out.extend_from_slice(END.as_bytes());
 }
 
-/// What a page holds.
+/// Contents read back from a page.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Contents {
     /// Its metadata.

@@ -19,10 +19,10 @@ fn a_scene_comes_back_out_of_the_page() {
     let payload = encode(&scene, 4.0);
     let mut manifest = manifest_of(&scene, &payload);
     manifest.title = "</script><script>alert(1)</script> \"ä\"".to_owned();
-    let pictures: Vec<RgbImage> = (0..scene.source.len())
+    let images: Vec<RgbImage> = (0..scene.source.len())
         .map(|i| Plane::filled(60, 40, [20 * i as u8; 3]))
         .collect();
-    let frames = encode_frames(&pictures.iter().collect::<Vec<_>>(), &FrameLimits::default()).unwrap();
+    let frames = encode_frames(&images.iter().collect::<Vec<_>>(), &FrameLimits::default()).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
     let parts = Parts {
         manifest: &manifest,

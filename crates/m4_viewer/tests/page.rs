@@ -55,7 +55,7 @@ fn scene() -> Scene {
     }
 }
 
-/// What our own renderer draws, 8 bits per channel.
+/// Renders with our own renderer, 8 bits per channel.
 fn drawn(scene: &Scene, camera: &Camera, t: f64) -> RgbImage {
     let view = View {
         camera: *camera,
@@ -94,9 +94,9 @@ fn told(scene: &Scene) -> (Manifest, Vec<u8>) {
 /// The page of a scene as a file.
 fn written(scene: &Scene, folder: &Path) -> String {
     let (mut manifest, payload) = told(scene);
-    let pictures: Vec<RgbImage> = scene.source.iter().map(|s| drawn(scene, &s.camera, s.t)).collect();
-    let pictures: Vec<&RgbImage> = pictures.iter().collect();
-    let frames = encode_frames(&pictures, &FrameLimits::default()).unwrap();
+    let images: Vec<RgbImage> = scene.source.iter().map(|s| drawn(scene, &s.camera, s.t)).collect();
+    let images: Vec<&RgbImage> = images.iter().collect();
+    let frames = encode_frames(&images, &FrameLimits::default()).unwrap();
     manifest.frames = frames.as_ref().map(|f| f.index.clone());
     let parts = Parts {
         manifest: &manifest,
@@ -116,9 +116,9 @@ fn capture(page: &mut Chromium) -> Vec<u8> {
 }
 
 fn decoded(png: &[u8]) -> RgbImage {
-    let picture = image::load_from_memory(png).unwrap().to_rgb8();
-    let (w, h) = (picture.width(), picture.height());
-    RgbImage::from_fn(w as usize, h as usize, |x, y| picture.get_pixel(x as u32, y as u32).0)
+    let image = image::load_from_memory(png).unwrap().to_rgb8();
+    let (w, h) = (image.width(), image.height());
+    RgbImage::from_fn(w as usize, h as usize, |x, y| image.get_pixel(x as u32, y as u32).0)
 }
 
 fn stand(page: &mut Chromium, camera: &Camera, t: f64) {
@@ -158,7 +158,7 @@ const QUANTISED_DB: f64 = 45.0;
 const TIMES: [f64; 3] = [0.0, 4.25, 9.0];
 
 #[test]
-fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
+fn page_matches_the_renderer_from_file_and_server() {
     let Some(program) = find_chromium() else { return };
     let scene = scene();
     let folder = tempfile::tempdir().unwrap();
@@ -176,18 +176,18 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
         first == look(&mut page),
         "the settled image of a time is the same, bit for bit"
     );
-    let pictures: Vec<RgbImage> = first.iter().map(|png| decoded(png)).collect();
+    let images: Vec<RgbImage> = first.iter().map(|png| decoded(png)).collect();
     for i in 0..3 {
-        let db = psnr_db(&pictures[i], &pictures[(i + 1) % 3]);
+        let db = psnr_db(&images[i], &images[(i + 1) % 3]);
         assert!(db < 30.0, "times {i} and {} look alike: {db:.1} dB", (i + 1) % 3);
     }
     let given = Scene {
         splats: decode(&told(&scene).1).unwrap(),
         ..scene.clone()
     };
-    for (picture, t) in pictures.iter().zip(TIMES) {
-        let same = psnr_db(picture, &drawn(&given, &camera, t));
-        let quantised = psnr_db(picture, &drawn(&scene, &camera, t));
+    for (image, t) in images.iter().zip(TIMES) {
+        let same = psnr_db(image, &drawn(&given, &camera, t));
+        let quantised = psnr_db(image, &drawn(&scene, &camera, t));
         eprintln!("t = {t}: {same:.2} dB from our renderer, {quantised:.2} dB with the quantisation of the page");
         assert!(
             same > SAME_SPLATS_DB && quantised > QUANTISED_DB,
@@ -195,7 +195,7 @@ fn it_draws_what_our_renderer_draws_from_a_file_and_from_the_server() {
         );
     }
     let others = "performance.getEntriesByType('resource').map(e => e.name).filter(n => !/^(data|blob|file):/.test(n))";
-    assert_eq!(page.eval(others), json!([]), "the page asks nobody for anything");
+    assert_eq!(page.eval(others), json!([]), "the page sends no request");
     drop(page);
 
     // the server starts with another scene: the page has to hear of this one and take it

@@ -116,7 +116,7 @@ fn write_fixtures() {
 }
 
 #[test]
-fn fixtures_are_what_is_written_and_hold_the_splats() {
+fn payload_fixtures_match_the_writer() {
     for (name, layout) in layouts() {
         let kept: Value = serde_json::from_slice(&std::fs::read(path(name)).unwrap()).unwrap();
         let bytes = STANDARD.decode(kept["payload"].as_str().unwrap()).unwrap();

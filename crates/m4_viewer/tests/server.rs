@@ -1,4 +1,4 @@
-//! The server from outside: who gets what, and what a page hears.
+//! The server from outside: responses and events.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
@@ -120,7 +120,7 @@ fn only_the_right_token_and_host_get_in() {
 }
 
 #[test]
-fn nothing_but_the_page_and_the_scene_is_there() {
+fn server_serves_only_page_and_scene() {
     let (hub, _server, place) = serve();
     let (manifest, payload) = shown(20);
     hub.show(manifest, payload);
@@ -143,7 +143,7 @@ fn nothing_but_the_page_and_the_scene_is_there() {
 }
 
 #[test]
-fn the_page_holds_the_newest_scene_and_says_where_the_next_will_be() {
+fn served_page_holds_the_newest_scene_and_the_event_address() {
     let (hub, server, place) = serve();
     assert_eq!(place.status(&place.with_token("/scene")), 404, "there is none yet");
     let (_, _, html) = place.ask("GET", &place.with_token("/"), &place.host());
@@ -193,7 +193,7 @@ fn pages_hear_of_scenes_metrics_and_the_end() {
     };
     hub.metrics(&metrics(50));
     let mut early = place.listen(0);
-    assert_eq!(next_event(&mut early)["iteration"], 50, "what was before is told");
+    assert_eq!(next_event(&mut early)["iteration"], 50, "earlier state is sent");
     assert_eq!(hub.listeners(), 1);
     for splats in [5, 6] {
         let (manifest, payload) = shown(splats);

@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_limit_there_is_time() {
+    fn no_limit_never_expires() {
         for none in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             let clock = clock(none);
             assert!(clock.end().is_none() && clock.end_of_training().is_none() && !clock.is_over());
@@ -82,7 +82,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_that_nobody_asked_for_is_the_limit() {
+    fn stop_without_a_request_is_the_time_limit() {
         let stop = || Error::Stopped {
             stage: "geometry",
             saved: true,

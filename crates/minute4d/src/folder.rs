@@ -38,7 +38,7 @@ pub enum Existing {
 ///
 /// # Errors
 ///
-/// [`OutputError::InTheWay`] for a file of that name, [`OutputError::Foreign`] for a folder with other things in
+/// [`OutputError::InTheWay`] for a file of that name, [`OutputError::NotOurs`] for a folder with other things in
 /// it, [`OutputError::Exists`] for an unexpected earlier run, [`OutputError::Busy`] for one that is running,
 /// [`Error::Write`] if the folder cannot be written.
 pub(crate) fn open(folder: &Path, existing: Existing) -> Result<(Lock, Option<RunRecord>), Error> {
@@ -116,7 +116,7 @@ fn take_over(folder: &Path, existing: Existing) -> Result<Option<RunRecord>, Err
             clear(folder)?;
             Ok(None)
         }
-        (None, _) => Err(OutputError::Foreign {
+        (None, _) => Err(OutputError::NotOurs {
             path: folder.to_path_buf(),
             missing: RUN_FILE,
         }

@@ -135,7 +135,7 @@ mod tests {
     use std::fs;
 
     #[test]
-    fn a_folder_is_known_by_names_and_bytes() {
+    fn folder_hash_covers_names_and_bytes() {
         let dir = tempfile::tempdir().unwrap();
         let write = |name: &str, text: &str| fs::write(dir.path().join(name), text).unwrap();
         fs::create_dir(dir.path().join("in")).unwrap();

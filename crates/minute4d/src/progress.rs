@@ -120,7 +120,7 @@ mod tests {
     use m4_core::{Progress, Silent};
 
     #[test]
-    fn a_warning_is_kept_once() {
+    fn repeated_warnings_are_recorded_once() {
         let keeper = RecordingObserver::new(&Silent);
         for message in ["dark", "blurred", "dark"] {
             keeper.warn(message);

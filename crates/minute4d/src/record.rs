@@ -221,7 +221,7 @@ pub struct GeometryRecord {
     /// Every setting of the stage.
     pub settings: Value,
     /// The findings.
-    pub found: Option<Found>,
+    pub found: Option<GeometrySummary>,
     /// Wall-clock seconds.
     pub seconds: f64,
     /// Peak memory of the process, bytes; `None` if the system does not report it.
@@ -232,7 +232,7 @@ pub struct GeometryRecord {
 
 /// The results of the geometry stage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Found {
+pub struct GeometrySummary {
     /// Frames of the capture.
     pub frames: usize,
     /// Their size, pixels.

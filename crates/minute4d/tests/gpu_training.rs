@@ -162,7 +162,7 @@ fn psnr(splats: &Splats, scene: &MovingScene, capture: &Capture) -> f64 {
 }
 
 #[test]
-fn a_gpu_learns_what_the_processor_learns() {
+fn gpu_training_matches_cpu_training() {
     let Some(gpu) = gpu() else {
         return;
     };
@@ -277,7 +277,7 @@ fn a_gpu_densifies_and_prunes_as_the_processor_does() {
 }
 
 #[test]
-fn the_same_gpu_gives_the_same_bits_and_a_saved_run_goes_on() {
+fn gpu_training_is_deterministic_and_resumes() {
     let Some(gpu) = gpu() else {
         return;
     };

@@ -45,7 +45,7 @@ fn own_frames_of_a_run() {
             (Mean::default(), Mean::default(), Mean::default(), Mean::default());
         for (frame, source) in capture.frames.iter().zip(&scene.source) {
             let (w, h) = frame.rgb.size();
-            let image = all.picture(&source.camera, source.t, &source.exposure);
+            let image = all.image(&source.camera, source.t, &source.exposure);
             let behind = alone.frame(&source.camera, source.t, false).transmittance.clone();
             let masked: Vec<bool> = (0..w * h)
                 .map(|p| frame.mask.as_ref().is_some_and(|m| m.at(p % w, p / w)))

@@ -37,7 +37,7 @@ pub fn last_report() -> String {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn a_panic_in_any_thread_becomes_a_report() {
+    fn panic_in_any_thread_is_reported() {
         super::report_instead_of_abort();
         let caught = std::panic::catch_unwind(|| {
             let thread = std::thread::spawn(|| panic!("the promise is broken"));

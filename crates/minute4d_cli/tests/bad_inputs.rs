@@ -34,7 +34,7 @@ fn bad_video(dir: &Scratch, input: &str, more: &[&str], code: i32, words: &[&str
 }
 
 #[test]
-fn videos_that_are_none() {
+fn files_that_are_not_videos_are_rejected() {
     let dir = Scratch::new();
     bad_video(
         &dir,
@@ -52,7 +52,7 @@ fn videos_that_are_none() {
 }
 
 #[test]
-fn videos_that_are_damaged() {
+fn damaged_videos_are_rejected() {
     let dir = Scratch::new();
     write_video(&dir.path("good.mp4"), 8);
     let bytes = fs::read(dir.path("good.mp4")).unwrap();
@@ -67,7 +67,7 @@ fn videos_that_are_damaged() {
 }
 
 #[test]
-fn a_codec_that_needs_ffmpeg_where_there_is_none() {
+fn codec_without_a_decoder_names_ffmpeg() {
     let dir = Scratch::new();
     write_video(&dir.path("good.mp4"), 8);
     let mut bytes = fs::read(dir.path("good.mp4")).unwrap();
@@ -89,7 +89,7 @@ fn a_codec_that_needs_ffmpeg_where_there_is_none() {
 }
 
 #[test]
-fn sound_without_video() {
+fn audio_without_video_is_rejected() {
     let dir = Scratch::new();
     let path = dir.path("sound.mp4");
     let source = ["-f", "lavfi", "-i", "sine=duration=0.3", "-c:a", "aac"];
@@ -102,7 +102,7 @@ fn sound_without_video() {
 }
 
 #[test]
-fn folders_of_images_that_are_not_a_clip() {
+fn folders_of_images_that_are_not_a_clip_are_rejected() {
     let dir = Scratch::new();
     write_images(&dir.path("one"), 2);
     fs::remove_file(dir.path("one/00001.png")).unwrap();
@@ -131,7 +131,7 @@ fn folders_of_images_that_are_not_a_clip() {
 }
 
 #[test]
-fn settings_that_do_not_exist_or_do_not_fit() {
+fn unknown_and_invalid_settings_are_rejected() {
     let dir = Scratch::new();
     let set = |given: &str, words: &[&str]| refused(&["train", "--print-config", "--set", given], 78, words);
     set(
@@ -190,7 +190,7 @@ fn settings_that_do_not_exist_or_do_not_fit() {
 }
 
 #[test]
-fn arguments_without_meaning() {
+fn conflicting_arguments_are_rejected() {
     refused(&["frobnicate"], 2, &["frobnicate"]);
     refused(&["run", "a", "-o", "b", "--iterations", "0"], 2, &["0", "--iterations"]);
     refused(&["run", "a", "-o", "b", "--threads", "0"], 2, &["0", "--threads"]);
@@ -210,7 +210,7 @@ fn arguments_without_meaning() {
 }
 
 #[test]
-fn outputs_that_cannot_be() {
+fn impossible_outputs_are_rejected() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let data = dir.at("capture");
@@ -238,7 +238,7 @@ fn outputs_that_cannot_be() {
 }
 
 #[test]
-fn captures_that_contradict_themselves() {
+fn inconsistent_captures_are_rejected() {
     let spoil = |code: i32, words: &[&str], edit: &dyn Fn(&mut Value, &Path)| {
         let dir = Scratch::new();
         write_capture(&dir.path("capture"), false);
@@ -297,7 +297,7 @@ fn captures_that_contradict_themselves() {
 }
 
 #[test]
-fn captures_that_are_none() {
+fn folders_that_are_not_captures_are_rejected() {
     let dir = Scratch::new();
     fs::create_dir(dir.path("empty")).unwrap();
     let out = dir.at("never");
@@ -322,7 +322,7 @@ fn captures_that_are_none() {
 }
 
 #[test]
-fn scenes_that_are_damaged() {
+fn damaged_scenes_are_rejected() {
     let dir = Scratch::new();
     let good = fs::read(finished_run().join("scene.safetensors")).unwrap();
     let out = dir.at("never");
@@ -349,7 +349,7 @@ fn scenes_that_are_damaged() {
 }
 
 #[test]
-fn views_that_cannot_be_rendered() {
+fn impossible_views_are_rejected() {
     let dir = Scratch::new();
     let (run, out) = (text(finished_run()), dir.at("never"));
     let time = |given: &str, words: &[&str]| refused(&["render", run, "-o", &out, "--time", given], 2, words);
@@ -380,7 +380,7 @@ fn views_that_cannot_be_rendered() {
 }
 
 #[test]
-fn scores_without_something_to_compare() {
+fn eval_without_ground_truth_is_rejected() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let (run, data) = (text(finished_run()), dir.at("capture"));

@@ -1,11 +1,13 @@
-//! Many clips: planned, run job by job, killed, gone on with, looked at.
+//! Many clips: planned, run job by job, killed, resumed, reported.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Ended, Scratch, call, capture, mean_image_psnr_db, program, refused, succeed, write_capture};
+use crate::common::{
+    Ended, Running, Scratch, call, capture, mean_image_psnr_db, program, refused, succeed, write_capture,
+};
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
 
@@ -53,17 +55,6 @@ fn clip<'a>(report: &'a Value, id: &str) -> &'a Value {
         .unwrap_or_else(|| panic!("no {id} in {report}"))
 }
 
-/// A process that is killed and reaped when a test ends early.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // It may have ended long ago.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 fn start(mut command: Command) -> Running {
     Running(command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
 }
@@ -101,7 +92,7 @@ fn write_corrupt(dir: &Scratch, name: &str) {
 }
 
 #[test]
-fn good_clips_are_done_and_a_corrupt_one_fails_permanently() {
+fn corrupt_clip_fails_permanently_and_others_finish() {
     let dir = Scratch::new();
     write_clips(&dir, 2);
     write_corrupt(&dir, "clips/bad.mp4");
@@ -162,16 +153,16 @@ fn good_clips_are_done_and_a_corrupt_one_fails_permanently() {
             .modified()
             .unwrap()
     };
-    let said = || fs::read_to_string(dir.path("results/.log/bad.txt")).unwrap().len();
-    let (before, log) = ((made("clip1"), made("clip2")), said());
+    let log_length = || fs::read_to_string(dir.path("results/.log/bad.txt")).unwrap().len();
+    let (before, log) = ((made("clip1"), made("clip2")), log_length());
     assert_eq!([0, 1, 2, 3].map(|index| code(&manifest, index)), [65, 0, 0, 66]);
     assert_eq!(
         (before, log),
-        ((made("clip1"), made("clip2")), said()),
+        ((made("clip1"), made("clip2")), log_length()),
         "nothing was touched"
     );
     assert_eq!(ended(job(&manifest, &["--retry-failed", "--index", "0"])).code, 65);
-    assert!(said() > log, "it was run again because that was asked for");
+    assert!(log_length() > log, "it was run again because that was asked for");
     let which = ended(job(&manifest, &[]));
     assert!(
         which.code == 2 && which.stderr.contains("--index from 0 to 2"),
@@ -188,7 +179,7 @@ fn good_clips_are_done_and_a_corrupt_one_fails_permanently() {
 }
 
 #[test]
-fn two_processes_with_one_job_make_one_result() {
+fn concurrent_processes_of_one_job_make_one_result() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
     let manifest = plan(&dir, &["--iterations", "40"]);
@@ -212,7 +203,7 @@ fn two_processes_with_one_job_make_one_result() {
 
 #[cfg(unix)]
 #[test]
-fn a_job_that_was_killed_is_gone_on_with_and_ends_with_the_same_bits() {
+fn killed_job_resumes_to_identical_bits() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
     let settings = ["--iterations", "1200", "--set", "checkpoint.every_s=0.02"];
@@ -238,7 +229,7 @@ fn a_job_that_was_killed_is_gone_on_with_and_ends_with_the_same_bits() {
 
 #[cfg(unix)]
 #[test]
-fn a_job_that_is_told_to_stop_saves_and_may_be_run_again() {
+fn stopped_job_saves_and_can_be_rerun() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
     let manifest = plan(&dir, &["--iterations", "3000", "--set", "checkpoint.every_s=0.02"]);
@@ -264,7 +255,7 @@ fn install(dir: &Scratch, name: &str, body: &str) {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn faults_of_a_machine_are_not_charged_to_the_clip() {
+fn machine_failures_are_not_counted_against_the_clip() {
     let dir = Scratch::new();
     fs::create_dir_all(dir.path("clips")).unwrap();
     // A Matroska file: ffmpeg must decode it.
@@ -315,7 +306,7 @@ fn faults_of_a_machine_are_not_charged_to_the_clip() {
 
 #[cfg(unix)]
 #[test]
-fn a_run_that_was_killed_for_want_of_memory_may_be_run_again() {
+fn out_of_memory_job_can_be_rerun() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
     let manifest = plan(&dir, &["--iterations", "3000", "--set", "checkpoint.every_s=0.02"]);
@@ -338,7 +329,7 @@ fn a_run_that_was_killed_for_want_of_memory_may_be_run_again() {
 }
 
 #[test]
-fn plans_that_cannot_be_made_and_inputs_that_changed() {
+fn invalid_plans_and_changed_inputs_are_rejected() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
     let (clips, out, manifest) = (dir.at("clips"), dir.at("results"), dir.at("jobs.jsonl"));
@@ -391,7 +382,7 @@ fn environment_of_run(folder: &str, job: &mut Running) -> String {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn the_run_of_a_job_is_not_told_credentials() {
+fn jobs_do_not_inherit_credentials() {
     let dir = Scratch::new();
     write_clips(&dir, 1);
     let manifest = plan(&dir, &["--iterations", "200", "--no-viewer"]);
@@ -410,7 +401,7 @@ fn the_run_of_a_job_is_not_told_credentials() {
 }
 
 #[test]
-fn links_out_of_a_capture_are_allowed_by_who_plans() {
+fn outside_links_need_permission_of_the_plan() {
     let dir = Scratch::new();
     let manifest = {
         write_clips(&dir, 1);

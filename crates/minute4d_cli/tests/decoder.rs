@@ -21,7 +21,7 @@ fn limits_are_settings() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_decoder_over_its_limits_is_killed_and_reported() {
+fn decoder_over_its_limits_is_killed_and_reported() {
     let dir = Scratch::new();
     let clip = dir.path("large.mp4");
     let mut writer = Mp4Writer::create(&clip, 3840, 2160, 24.0).unwrap();
@@ -41,7 +41,7 @@ fn a_decoder_over_its_limits_is_killed_and_reported() {
 }
 
 #[test]
-fn the_decode_command_is_hidden_and_fails_without_a_parent() {
+fn decode_command_is_hidden_and_fails_without_a_parent() {
     for arguments in [&["__decode-h264"][..], &["__decode-h264", "1000000000", "20"]] {
         let mut command = program();
         let output = command.args(arguments).stdin(Stdio::null()).output().unwrap();
@@ -80,7 +80,7 @@ printf 'abcdefghijklabcdefghijkl'";
 
 #[cfg(target_os = "linux")]
 #[test]
-fn an_ffmpeg_on_the_path_gets_no_secret_and_no_privilege() {
+fn ffmpeg_gets_no_secrets_and_no_privileges() {
     let dir = Scratch::new();
     note_takers(&dir);
     let path = format!("{}:{}", dir.at("bin"), std::env::var("PATH").unwrap());

@@ -16,7 +16,7 @@ fn read(path: &Path) -> minute4d::core::Capture {
 }
 
 #[test]
-fn points_are_followed_without_weights() {
+fn points_are_tracked_without_weights() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let (from, to) = (dir.at("capture"), dir.at("better"));
@@ -49,7 +49,7 @@ fn points_are_followed_without_weights() {
 }
 
 #[test]
-fn impossible_enhancements_are_refused_with_a_reason() {
+fn impossible_enhancements_are_rejected_with_a_reason() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let from = dir.at("capture");
@@ -130,7 +130,7 @@ fn ablate_writes_a_table_of_every_row() {
     refused(&["ablate", &bare, "-o", &dir.at("none")], 65, &["transforms_test.json"]);
 }
 
-/// Networks with synthetic weights: what they find is worthless, that they are asked and answer is not.
+/// Networks with synthetic weights: only that they run and return is tested.
 #[cfg(feature = "nets")]
 #[test]
 fn networks_enhance_a_capture() {

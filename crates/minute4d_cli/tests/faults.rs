@@ -53,7 +53,7 @@ fn steps(out: &Path) -> Vec<String> {
 }
 
 #[test]
-fn geometry_that_was_killed_goes_on_after_its_last_step() {
+fn killed_geometry_resumes_after_its_last_step() {
     let dir = Scratch::new();
     write_walk(&dir.path("walk"));
     let (input, calm, killed) = (dir.at("walk"), dir.at("calm"), dir.at("killed"));
@@ -114,7 +114,7 @@ fn partial_files_of_a_killed_process_do_not_block_the_next_run() {
 }
 
 #[test]
-fn a_time_limit_ends_with_a_scene_or_with_what_goes_on() {
+fn time_limit_ends_with_a_scene_or_a_resumable_state() {
     let dir = Scratch::new();
     write_walk(&dir.path("walk"));
     let (input, out) = (dir.at("walk"), dir.at("out"));
@@ -170,7 +170,7 @@ fn with_files_of(kilobytes: usize, args: &[&str]) -> Ended {
 
 #[cfg(unix)]
 #[test]
-fn a_full_disk_is_said_and_recorded_and_the_run_goes_on_when_there_is_room() {
+fn full_disk_is_reported_and_the_run_resumes_when_there_is_space() {
     let dir = Scratch::new();
     write_walk(&dir.path("walk"));
     let (input, calm, full) = (dir.at("walk"), dir.at("calm"), dir.at("full"));

@@ -7,7 +7,7 @@ use minute4d::BUILD_FULL;
 
 #[cfg(not(feature = "gpu"))]
 #[test]
-fn a_gpu_is_refused_with_the_command_that_builds_it_in() {
+fn gpu_request_without_the_feature_names_the_build_command() {
     let words = ["without GPU support", BUILD_FULL, "--device cpu"];
     let clip = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4");
     let out = crate::common::Scratch::new().at("out");
@@ -21,7 +21,7 @@ fn a_gpu_is_refused_with_the_command_that_builds_it_in() {
 
 #[cfg(not(feature = "nets"))]
 #[test]
-fn networks_are_refused_with_the_command_that_builds_them_in() {
+fn networks_without_the_feature_name_the_build_command() {
     let clip = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4");
     let dir = crate::common::Scratch::new();
     // a folder each: what one command leaves is not the next one's

@@ -41,7 +41,7 @@ fn noisy(image: &RgbImage, frame: u64) -> RgbImage {
 }
 
 #[test]
-fn a_walk_for_comparison() {
+fn translating_camera_is_reconstructed() {
     let cameras = clips::walk(24);
     let (found, warnings) = found(cameras.iter().map(frame_image).collect(), &[]);
     assert_eq!(found["camera_motion"], "parallax", "{found} {warnings}");
@@ -52,7 +52,7 @@ fn a_walk_for_comparison() {
 }
 
 #[test]
-fn a_camera_that_only_turns() {
+fn turning_camera_is_reported() {
     let turns = (0..20).map(|i| frame_image(&camera(0.0, 0.02 * f64::from(i) - 0.2, FOCAL_PX)));
     let (found, warnings) = found(turns.collect(), &[]);
     assert_eq!(found["camera_motion"], "rotation_only", "{found}");
@@ -72,7 +72,7 @@ fn a_tripod() {
 }
 
 #[test]
-fn the_same_frame_again_and_again() {
+fn identical_frames_are_reported_as_static() {
     let still = frame_image(&camera(0.0, 0.0, FOCAL_PX));
     let (found, warnings) = found(vec![still; 8], &[]);
     assert_eq!(found["camera_motion"], "static", "{found}");
@@ -81,7 +81,7 @@ fn the_same_frame_again_and_again() {
 }
 
 #[test]
-fn a_zoom_without_a_step() {
+fn zoom_without_translation_is_reported() {
     // The focal length doubles; the camera stays.
     let zoom = (0..16).map(|i| frame_image(&camera(0.0, 0.0, FOCAL_PX * 2.0_f64.powf(f64::from(i) / 15.0))));
     let dir = Scratch::new();
@@ -103,7 +103,7 @@ fn a_zoom_without_a_step() {
 }
 
 #[test]
-fn a_walk_straight_ahead_is_no_zoom() {
+fn forward_motion_is_not_a_zoom() {
     let ahead = |i: i32| {
         let mut camera = camera(0.0, 0.0, FOCAL_PX);
         camera.c2w.translation.z = 0.08 * f64::from(i);
@@ -166,7 +166,7 @@ fn fifteen_hundred_frames() {
         );
         return;
     };
-    // docs/geometry.md has what is kept a frame.
+    // docs/geometry.md has the memory per frame.
     let a_pixel = (many - few) / (1200.0 * (SIZE.0 * SIZE.1) as f64);
     eprintln!("{a_pixel:.0} bytes per pixel and frame");
     assert!(a_pixel < 120.0, "{a_pixel}");

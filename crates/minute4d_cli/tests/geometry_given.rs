@@ -92,7 +92,7 @@ fn poses_differ(made: &Capture, cameras: &[Camera]) -> f64 {
 }
 
 #[test]
-fn poses_of_either_format_are_kept_and_measure_depth_in_their_unit() {
+fn given_poses_are_used_and_set_the_unit_of_depth() {
     let (dir, cameras) = known();
     let lens = format!("{FOCAL_PX},{FOCAL_PX},{},{}", SIZE.0 / 2, SIZE.1 / 2);
     let (txt, json) = (dir.at("poses.txt"), dir.at("poses.json"));
@@ -107,7 +107,7 @@ fn poses_of_either_format_are_kept_and_measure_depth_in_their_unit() {
 }
 
 #[test]
-fn poses_without_a_lens_or_of_another_clip_are_refused() {
+fn poses_without_intrinsics_or_of_another_clip_are_rejected() {
     let (dir, _) = known();
     let (clip, out) = (dir.at("clip"), dir.at("out"));
     let refuse = |more: &[&str], code, words: &[&str]| {
@@ -147,7 +147,7 @@ fn poses_without_a_lens_or_of_another_clip_are_refused() {
 }
 
 #[test]
-fn a_lens_is_kept_with_its_principal_point() {
+fn given_intrinsics_are_used_with_their_principal_point() {
     let (dir, _) = known();
     // Images cut off at the left: the principal point is no longer in the middle.
     let cut = 24;
@@ -189,7 +189,7 @@ fn a_lens_is_kept_with_its_principal_point() {
 }
 
 #[test]
-fn masks_are_taken_as_they_are() {
+fn given_masks_are_used_unchanged() {
     let (dir, _) = known();
     let masks = dir.at("masks");
     let (record, _) = geometry(&dir, &["--masks", &masks]);
@@ -222,7 +222,7 @@ fn masks_are_taken_as_they_are() {
 }
 
 #[test]
-fn depth_decides_the_unit() {
+fn given_depth_sets_the_unit() {
     let (dir, cameras) = known();
     // Every other pixel column unknown: what is measured there must have the same unit.
     for i in 0..FRAMES {
@@ -256,7 +256,7 @@ fn depth_decides_the_unit() {
 
 #[cfg(feature = "nets")]
 #[test]
-fn a_front_end_without_weights_says_how_to_get_them_and_what_works_without() {
+fn front_end_without_weights_names_the_download_and_the_alternative() {
     let (dir, _) = known();
     fs::create_dir(dir.path("weights")).unwrap();
     let store = dir.path("weights");
@@ -273,7 +273,7 @@ fn a_front_end_without_weights_says_how_to_get_them_and_what_works_without() {
 
 #[cfg(feature = "nets")]
 #[test]
-fn a_segmenter_without_weights_says_how_to_get_them_and_auto_does_without() {
+fn segmenter_without_weights_names_the_download_and_auto_falls_back() {
     let (dir, _) = known();
     fs::create_dir(dir.path("weights")).unwrap();
     let store = dir.path("weights");
@@ -293,7 +293,7 @@ fn a_segmenter_without_weights_says_how_to_get_them_and_auto_does_without() {
 }
 
 #[test]
-fn another_mask_is_another_result() {
+fn changed_masks_invalidate_the_result() {
     let (dir, _) = known();
     let masks = dir.at("masks");
     let (first, _) = geometry(&dir, &["--masks", &masks]);

@@ -23,7 +23,7 @@ fn is_there() -> bool {
 }
 
 #[test]
-fn a_gpu_is_timed_by_the_same_columns() {
+fn gpu_bench_reports_the_same_columns() {
     if !is_there() {
         return;
     }
@@ -54,7 +54,7 @@ fn a_gpu_is_timed_by_the_same_columns() {
 }
 
 #[test]
-fn too_large_a_gpu_bench_is_refused_with_its_parts() {
+fn oversized_gpu_bench_is_rejected_with_its_parts() {
     if !is_there() {
         return;
     }

@@ -13,7 +13,7 @@ fn fixture(name: &str) -> String {
 
 /// Fixtures whose folder says what they are.
 #[test]
-fn sources_are_told_apart_and_become_captures() {
+fn source_formats_are_detected_and_imported() {
     let dir = Scratch::new();
     for (name, format, held_out) in [
         ("colmap_text", "colmap", 0),
@@ -60,7 +60,7 @@ fn sources_are_told_apart_and_become_captures() {
 }
 
 #[test]
-fn wrong_requests_are_refused_with_advice() {
+fn invalid_requests_are_rejected_with_a_hint() {
     let dir = Scratch::new();
     let out = dir.at("out");
     fs::create_dir_all(dir.path("empty")).unwrap();
@@ -99,7 +99,7 @@ fn bench() -> Option<PathBuf> {
 
 /// A scene whose cameras are labelled with the wrong axis convention.
 #[test]
-fn axes_that_are_wrong_are_found_and_put_right() {
+fn wrong_axes_are_detected_and_corrected() {
     let Some(scene) = bench() else { return };
     let dir = Scratch::new();
     let source = scene.display().to_string();
@@ -185,7 +185,7 @@ fn exported_captures_import_to_the_same_capture() {
 }
 
 #[test]
-fn data_sets_that_name_private_files_need_leave() {
+fn data_sets_that_name_outside_files_need_permission() {
     let dir = Scratch::new();
     let (source, out) = (fixture("blender"), dir.at("out"));
     let args = ["import", &source, "-o", &out, "--no-check"];

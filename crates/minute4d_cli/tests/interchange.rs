@@ -42,7 +42,7 @@ fn number(value: &Value) -> f64 {
 }
 
 #[test]
-fn every_format_shows_the_scene_that_it_was_made_of() {
+fn every_format_renders_like_its_source_scene() {
     let dir = Scratch::new();
     write_scene(&dir, false);
     let out = dir.at("out");
@@ -107,7 +107,7 @@ fn every_format_shows_the_scene_that_it_was_made_of() {
 }
 
 #[test]
-fn the_mip_filter_is_baked_for_players_that_lack_it_or_counted() {
+fn mip_filter_is_baked_or_reported_as_a_loss() {
     let dir = Scratch::new();
     write_scene(&dir, true);
     let out = dir.at("out");
@@ -152,7 +152,7 @@ fn the_mip_filter_is_baked_for_players_that_lack_it_or_counted() {
 }
 
 #[test]
-fn what_was_exported_is_imported_rendered_and_exported_again() {
+fn exports_round_trip_through_import() {
     let dir = Scratch::new();
     write_scene(&dir, false);
     let out = dir.at("out");
@@ -183,7 +183,7 @@ fn what_was_exported_is_imported_rendered_and_exported_again() {
 }
 
 #[test]
-fn a_still_ply_of_another_program_gets_cameras() {
+fn static_ply_of_another_program_gets_cameras() {
     let dir = Scratch::new();
     let spec = SceneSpec {
         layout: SplatLayout {
@@ -237,7 +237,7 @@ fn a_still_ply_of_another_program_gets_cameras() {
 }
 
 #[test]
-fn wrong_requests_are_refused_with_advice() {
+fn invalid_requests_are_rejected_with_a_hint() {
     let dir = Scratch::new();
     write_scene(&dir, false);
     let out = dir.at("out");

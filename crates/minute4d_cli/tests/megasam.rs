@@ -17,7 +17,7 @@ fn fixture(name: &str) -> String {
 }
 
 #[test]
-fn every_layout_becomes_a_capture_that_is_trained() {
+fn every_layout_is_imported_and_trained() {
     let dir = Scratch::new();
     for (source, name) in [
         ("reconstructions/dog", "folder"),
@@ -57,7 +57,7 @@ fn every_layout_becomes_a_capture_that_is_trained() {
 }
 
 #[test]
-fn files_of_numpy_become_captures() {
+fn numpy_files_are_imported() {
     let dir = Scratch::new();
     let out = dir.at("out");
     let ended = succeed(&["import", &fixture("outputs_cvd/dog_sgd_cvd_hr.npz"), "-o", &out]);
@@ -75,7 +75,7 @@ fn files_of_numpy_become_captures() {
 }
 
 #[test]
-fn wrong_requests_are_refused_with_advice() {
+fn invalid_requests_are_rejected_with_a_hint() {
     let dir = Scratch::new();
     let given = dir.at("capture");
     write_capture(&dir.path("capture"), false);

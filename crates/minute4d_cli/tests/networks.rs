@@ -1,4 +1,4 @@
-//! A front end of networks from outside, synthetic weights: what is found is worthless, how it is found is not.
+//! A front end of networks with synthetic weights: the plumbing is tested, not the results.
 #![cfg(feature = "nets")]
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
@@ -69,7 +69,7 @@ fn few() -> Settings {
     settings
 }
 
-/// What the process of [`one_capture_by_a_caller_in_rust`] reads.
+/// What the process of [`library_caller_makes_a_capture`] reads.
 const CLIP: &str = "MINUTE4D_TEST_CLIP";
 const OUT: &str = "MINUTE4D_TEST_OUT";
 const FRONTEND: &str = "MINUTE4D_TEST_FRONTEND";
@@ -78,7 +78,7 @@ const THREADS: &str = "MINUTE4D_TEST_THREADS";
 /// The process that makes a capture: the store of weights is that of its environment.
 #[test]
 #[ignore = "a process that the other tests start with its arguments in the environment"]
-fn one_capture_by_a_caller_in_rust() {
+fn library_caller_makes_a_capture() {
     let clip = env::var(CLIP).unwrap();
     let mut settings = few();
     settings.geometry.frontend = env::var(FRONTEND).unwrap().parse().unwrap();
@@ -102,7 +102,7 @@ fn made(clip: &Path, out: &Path, store: &Path, frontend: &str, threads: Option<u
     command
         .args([
             "--exact",
-            "networks::one_capture_by_a_caller_in_rust",
+            "networks::library_caller_makes_a_capture",
             "--ignored",
             "--nocapture",
         ])
@@ -136,7 +136,7 @@ fn read(out: &Path) -> Capture {
 }
 
 #[test]
-fn megasam_makes_a_capture_and_names_its_networks() {
+fn megasam_front_end_makes_a_capture_and_records_its_networks() {
     let dir = Scratch::new();
     let (clip, store) = (dir.path("clip"), dir.path("weights"));
     write_clip(&clip);
@@ -177,7 +177,7 @@ fn megasam_makes_a_capture_and_names_its_networks() {
 }
 
 #[test]
-fn incompatible_or_missing_front_end_parts_are_refused() {
+fn incompatible_or_missing_front_end_parts_are_rejected() {
     let dir = Scratch::new();
     let (clip, store, out) = (dir.path("clip"), dir.path("weights"), dir.path("out"));
     write_clip(&clip);

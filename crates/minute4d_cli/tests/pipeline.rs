@@ -2,7 +2,8 @@
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 use crate::common::{
-    Ended, Scratch, capture, mean_image_psnr_db, program, refused, succeed, text, train, write_capture, write_images,
+    Ended, Running, Scratch, capture, mean_image_psnr_db, program, refused, succeed, text, train, write_capture,
+    write_images,
 };
 use minute4d::Silent;
 use minute4d::core::{Sim3, exp_so3, nalgebra::Vector3};
@@ -11,7 +12,7 @@ use serde_json::Value;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{ChildStdout, Command, Stdio};
 
 fn read_json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
@@ -67,7 +68,7 @@ fn train_render_eval_inspect() {
 }
 
 #[test]
-fn held_out_views_are_found_in_a_world_of_its_own() {
+fn held_out_views_are_aligned_to_an_own_world() {
     let dir = Scratch::new();
     write_capture(&dir.path("truth"), true);
     let mut own = capture(6, false);
@@ -108,7 +109,7 @@ fn held_out_views_are_found_in_a_world_of_its_own() {
 }
 
 #[test]
-fn the_scene_does_not_depend_on_the_number_of_threads() {
+fn scene_is_independent_of_the_number_of_threads() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let scene = |threads: &str| {
@@ -127,17 +128,6 @@ fn the_scene_does_not_depend_on_the_number_of_threads() {
     };
     let (one, two, three) = (scene("1"), scene("2"), scene("3"));
     assert!(one == two && two == three, "the files differ");
-}
-
-/// A program at work; killed and reaped when a test ends early.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // It may have ended long ago.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 /// Starts training and waits for its first steps; gives the rest of its events.
@@ -176,7 +166,7 @@ fn signal(running: &Running, name: &str) {
 
 #[cfg(unix)]
 #[test]
-fn a_signal_saves_and_resume_gives_the_same_bits() {
+fn signal_saves_and_resume_gives_identical_bits() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let (data, whole, parts) = (dir.at("capture"), dir.at("whole"), dir.at("parts"));
@@ -214,7 +204,7 @@ fn a_signal_saves_and_resume_gives_the_same_bits() {
 
 #[cfg(unix)]
 #[test]
-fn a_killed_run_goes_on_from_its_last_checkpoint() {
+fn killed_run_resumes_from_its_last_checkpoint() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let (data, whole, parts) = (dir.at("capture"), dir.at("whole"), dir.at("parts"));
@@ -347,7 +337,7 @@ fn printed_settings_are_a_settings_file() {
 }
 
 #[test]
-fn a_closed_stdout_pipe_is_no_failure() {
+fn closed_stdout_pipe_is_not_a_failure() {
     let mut child = program()
         .args(["train", "--print-config"])
         .stdout(Stdio::piped())
@@ -358,7 +348,7 @@ fn a_closed_stdout_pipe_is_no_failure() {
 }
 
 #[test]
-fn doctor_and_bench_tell_what_is_here() {
+fn doctor_and_bench_report_the_machine() {
     let machine = succeed(&["doctor", "--json"]).result();
     assert!(machine["threads"].as_u64().unwrap() >= 1 && machine["simd"].is_string());
     let levels = machine["simd_available"].as_array().unwrap();
@@ -399,7 +389,7 @@ fn doctor_and_bench_tell_what_is_here() {
 }
 
 #[test]
-fn frames_of_a_static_camera_become_a_scene() {
+fn static_camera_gives_a_scene() {
     let dir = Scratch::new();
     write_images(&dir.path("images"), 6);
     let (input, out) = (dir.at("images"), dir.at("out"));
@@ -423,7 +413,7 @@ fn frames_of_a_static_camera_become_a_scene() {
     }
     assert!(
         !record["warnings"].as_array().unwrap().is_empty(),
-        "made-up depth is said"
+        "placeholder depth is reported"
     );
     for file in [
         "scene.safetensors",
@@ -443,7 +433,7 @@ fn frames_of_a_static_camera_become_a_scene() {
 
 /// A time for training is a number of iterations: asked for by that number, the run ends with the same bits.
 #[test]
-fn a_timed_run_is_repeated_by_its_iterations() {
+fn timed_run_is_reproduced_by_its_iterations() {
     let dir = Scratch::new();
     write_capture(&dir.path("data"), true);
     let (data, timed, counted) = (dir.at("data"), dir.at("timed"), dir.at("counted"));

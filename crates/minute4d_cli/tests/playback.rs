@@ -27,7 +27,7 @@ const SHOT: &str = "(() => { const view = document.querySelector('#view'); \
     const context = new OffscreenCanvas(view.width, view.height).getContext('2d'); context.drawImage(view, 0, 0); \
     return { ...minute4d.state(), rgba: [...context.getImageData(0, 0, view.width, view.height).data] }; })()";
 
-/// An image of the page, and what the page said of it.
+/// An image of the page, and its metadata.
 struct Shot {
     t: f64,
     camera: Camera,
@@ -117,7 +117,7 @@ const SCRIPTS: [(&str, &str); 3] = [
 const SHOTS: usize = 6;
 
 #[test]
-fn every_image_of_playback_is_the_one_of_its_instant() {
+fn playback_images_match_their_time() {
     let Some(chromium) = find_chromium() else { return };
     let dir = Scratch::new();
     write_clip(&dir.path("capture"), SIZE, FRAMES, FPS);

@@ -116,7 +116,7 @@ fn every_path_is_rendered_at_an_odd_size() {
 }
 
 #[test]
-fn one_image_is_that_of_the_video() {
+fn single_image_equals_the_video_frame() {
     let dir = Scratch::new();
     let one = dir.at("one.png");
     succeed(&["render", run(), "--path", "source", "--at", "0.3s", "-o", &one]);
@@ -150,7 +150,7 @@ fn one_image_is_that_of_the_video() {
 }
 
 #[test]
-fn files_of_cameras_and_keyframes() {
+fn camera_and_keyframe_files_are_rendered() {
     let dir = Scratch::new();
     // The first camera of the video stands in the origin and looks along z with 54 degrees.
     let own = dir.write(
@@ -195,7 +195,7 @@ fn files_of_cameras_and_keyframes() {
 }
 
 #[test]
-fn impossible_renders_are_refused_before_anything_is_written() {
+fn impossible_renders_are_rejected_before_writing() {
     let dir = Scratch::new();
     let out = dir.at("never");
     let path = |path: &str, more: &[&str], code: i32, words: &[&str]| {

@@ -163,7 +163,7 @@ fn write_nvidia(root: &Path, n: usize) {
 }
 
 #[test]
-fn eval_by_a_protocol_names_every_choice() {
+fn eval_by_protocol_reports_every_choice() {
     let dir = Scratch::new();
     let whole: Capture = capture(24, false);
     minute4d::io::capture::write(&dir.path("whole"), &whole, Split::Train, &Silent).unwrap();
@@ -296,7 +296,7 @@ fn eval_by_a_protocol_names_every_choice() {
 }
 
 #[test]
-fn dycheck_is_reproduced_from_its_layout() {
+fn dycheck_layout_is_reproduced() {
     let dir = Scratch::new();
     for (scene, masks) in [("apple", true), ("teddy", true)] {
         write_dycheck(&dir.path(&format!("data/iphone/{scene}")), 14, masks);
@@ -410,7 +410,7 @@ fn dycheck_is_reproduced_from_its_layout() {
 }
 
 #[test]
-fn nvidia_is_reproduced_from_its_layout() {
+fn nvidia_layout_is_reproduced() {
     let dir = Scratch::new();
     write_nvidia(&dir.path("data/Balloon1"), 12);
     let (data, out) = (dir.at("data"), dir.at("out"));
@@ -499,7 +499,7 @@ fn room(cameras: &[Camera]) -> Capture {
 }
 
 #[test]
-fn scenes_are_made_without_each_part_and_with_geometry_of_their_own() {
+fn reproduce_runs_ablations_and_estimated_geometry() {
     let dir = Scratch::new();
     let views: Vec<Camera> = (0..24)
         .map(|i| clips::camera(0.02 * f64::from(i), 0.1, clips::FOCAL_PX))
@@ -555,7 +555,7 @@ fn scenes_are_made_without_each_part_and_with_geometry_of_their_own() {
 }
 
 #[test]
-fn published_masks_come_along_with_an_import() {
+fn import_copies_published_masks() {
     let dir = Scratch::new();
     write_dycheck(&dir.path("apple"), 14, true);
     let (source, out) = (dir.at("apple"), dir.at("capture"));

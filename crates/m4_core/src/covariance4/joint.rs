@@ -34,7 +34,7 @@ pub struct Covariance4<T: Real> {
     pub colour: Vec<[T; 3]>,
 }
 
-/// What an instant sees of a splat.
+/// The slice of a splat at an instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slice3<T: Real> {
     /// Conditional mean, world units.
@@ -55,7 +55,7 @@ pub enum Covariance4Error {
         /// The value in the file.
         variance: f64,
     },
-    /// What an instant sees has a direction without extent.
+    /// The slice at an instant has a direction without extent.
     #[error("the covariance at an instant has the eigenvalue {eigenvalue}; it must be above 0 in every direction")]
     Space {
         /// The smallest one.
@@ -110,7 +110,7 @@ impl<T: Real> Covariance4<T> {
         (space, cross / w, w)
     }
 
-    /// What time `t`, frames, sees.
+    /// Slices the splat at time `t`, frames.
     #[must_use]
     pub fn slice(&self, t: T) -> Slice3<T> {
         let (covariance, velocity, w) = self.conditional();

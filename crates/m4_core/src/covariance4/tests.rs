@@ -52,7 +52,7 @@ fn a_slice_is_the_conditional_of_the_joint_density() {
 }
 
 #[test]
-fn equal_rotors_stand_still() {
+fn equal_rotors_have_zero_velocity() {
     let q = Vector4::new(0.3, -0.4, 0.5, 0.6);
     let log_scale = Vector4::<f64>::new(-1.0, -0.5, -2.0, 0.7);
     let form = Covariance4::from_rotor([0.0; 4], &log_scale, &q, &q, 0.0, Vec::new());

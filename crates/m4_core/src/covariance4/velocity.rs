@@ -49,7 +49,7 @@ impl<T: Real> VelocityForm<T> {
         axes * axes.transpose()
     }
 
-    /// What time `t`, frames, sees.
+    /// Slices the splat at time `t`, frames.
     #[must_use]
     pub fn slice(&self, t: T) -> Slice3<T> {
         let dt = t - self.time_mean;

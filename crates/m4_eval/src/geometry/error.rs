@@ -27,7 +27,7 @@ pub enum GeometryError {
         truth_name: String,
         /// The frame whose time is worst.
         unpaired_name: String,
-        /// How far it is from the nearest true frame, in frames of the truth.
+        /// Distance to the nearest true frame, in frames of the truth.
         distance_frames: f64,
     },
     /// A pose, focal length or depth that is no number.

@@ -5,7 +5,7 @@ use m4_core::CaptureFrame;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How frames were matched.
+/// Method of matching frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Matching {

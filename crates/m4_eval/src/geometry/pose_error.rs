@@ -9,7 +9,7 @@ use super::trajectory::has_extent;
 use m4_core::{Se3, Sim3, log_so3, nalgebra::Vector3};
 use serde::{Deserialize, Serialize};
 
-/// What is done to the estimated path before it is compared.
+/// Alignment of the estimated path before comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PathAlignment {
@@ -73,7 +73,7 @@ pub struct AbsoluteError {
 /// Errors of the motions between frames.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RelativeError {
-    /// What was done before; its scale is all that matters here.
+    /// The alignment; only its scale matters here.
     pub alignment: PathAlignment,
     /// Frames from the first to the second of a pair; the next pair begins where one ends.
     pub delta_frames: usize,
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn one_pose_apart_is_counted_in_two_motions() {
+    fn one_outlier_pose_counts_in_two_relative_motions() {
         let truth = path(9);
         let mut estimate = truth.clone();
         estimate[4] = estimate[4].retract(&Vector6::new(0.0, 0.0, 0.0, 0.0, 0.0, 0.1));

@@ -29,7 +29,7 @@ pub struct DepthError {
     pub moving_coverage: Option<f64>,
 }
 
-/// How well motion masks agree.
+/// Agreement of motion masks.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct MaskScore {
     /// Frames with a mask on both sides.
@@ -44,12 +44,12 @@ pub struct MaskScore {
     pub recall: f64,
 }
 
-/// How close an estimate is to the truth. What cannot be compared is `None` and explained in `notes`.
+/// Errors of an estimate against ground truth. Parts that cannot be compared are `None` and explained in `notes`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GeometryReport {
     /// Pairs of frames compared.
     pub frames: usize,
-    /// How they were matched.
+    /// Method of matching.
     pub matching: Matching,
     /// True if lengths are in metres (those of the truth).
     pub metric: bool,
@@ -70,7 +70,7 @@ pub struct GeometryReport {
     pub depth: Option<DepthError>,
     /// Motion masks, where both sides have them.
     pub mask: Option<MaskScore>,
-    /// What could not be compared and why, one sentence each.
+    /// Parts that could not be compared and why, one sentence each.
     pub notes: Vec<String>,
 }
 
@@ -224,7 +224,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn the_truth_itself_is_perfect() {
+    fn ground_truth_scores_perfectly() {
         let report = evaluate(&capture(5), &capture(5)).unwrap();
         assert_eq!((report.frames, report.matching), (5, Matching::Name));
         assert!(report.trajectory.unwrap().rmse < 1e-9 && report.focal_error_percent.abs() < 1e-12);
@@ -292,7 +292,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_part_paired_with_a_whole_by_name_is_doubted() {
+    fn partial_match_by_name_warns() {
         let doubted = |estimate, truth| {
             let report = evaluate(&capture(estimate), &capture(truth)).unwrap();
             report.notes.iter().any(|note| note.contains("numbered anew"))

@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn centres_off_a_line_by_a_known_amount() {
+    fn trajectory_error_matches_a_known_offset() {
         // Truth on the x axis at 0, 1, 2, 3; the estimate alternates by +-h in y. The best similarity
         // of points (x, +-h) onto (x, 0): by symmetry the mean is kept and the residual is computed
         // from the covariance; for the pattern +,-,-,+ the cross terms vanish, so the rotation is none,
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_stands_still_has_no_trajectory_error() {
+    fn static_camera_has_no_trajectory_error() {
         let still = vec![cameras(1)[0]; 5];
         assert!(trajectory_error(&still, &cameras(5)).is_none());
         assert!(align_cameras(&still, &cameras(5)).is_none());

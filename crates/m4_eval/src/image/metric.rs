@@ -1,6 +1,6 @@
 //! Metrics by name.
 
-use super::{ImageError, Picture, PsnrKind, SsimKind, psnr_db_of, ssim};
+use super::{ImageError, PlanarImage, PsnrKind, SsimKind, psnr_db_of, ssim};
 use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -28,12 +28,17 @@ impl Metric {
         Self::Ssim(SsimKind::DycheckMasked),
     ];
 
-    /// What `image` scores against `reference`, whole or inside `mask`; `None` if the mask leaves nothing.
+    /// Scores `image` against `reference`, whole or inside `mask`; `None` if the mask leaves nothing.
     ///
     /// # Errors
     ///
     /// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window of SSIM fits.
-    pub fn score(self, image: &Picture, reference: &Picture, mask: Option<&Mask>) -> Result<Option<f64>, ImageError> {
+    pub fn score(
+        self,
+        image: &PlanarImage,
+        reference: &PlanarImage,
+        mask: Option<&Mask>,
+    ) -> Result<Option<f64>, ImageError> {
         match self {
             Self::Psnr(kind) => psnr_db_of(kind, image, reference, mask),
             Self::Ssim(kind) => ssim(kind, image, reference, mask),

@@ -2,11 +2,11 @@
 //!
 //! ```text
 //! image, photograph, mask --Metric--> a number;  many --ImageReport--> rows, means, the protocol's name
-//! flow or depth of the training frames --covisible--> the mask of what they saw
+//! flow or depth of the training frames --covisible--> the mask of pixels that they saw
 //! ```
 //!
 //! Colours are sRGB values in `[0, 1]`; both sides are clamped to it first unless a protocol says otherwise
-//! ([`Picture::from_planes_unclamped`]). What this crate reports by default is PSNR joint over channels and SSIM over an 11x11
+//! ([`PlanarImage::from_planes_unclamped`]). What this crate reports by default is PSNR joint over channels and SSIM over an 11x11
 //! Gaussian window in the valid region ([`PsnrKind::Joint`], [`SsimKind::GaussianValid`]); inside a mask, PSNR takes the pixels of
 //! the mask and SSIM averages the map over those of its pixels that lie in the valid region. The other flavours are named by
 //! [`PsnrKind`] and [`SsimKind`], and a report says which it holds. LPIPS is `m4_nets::lpips`: it needs a network.
@@ -14,16 +14,16 @@
 pub mod covisible;
 mod mask;
 mod metric;
-mod picture;
+mod planar;
 mod psnr;
 mod report;
 mod ssim;
 
 pub use mask::dilated;
 pub use metric::Metric;
-pub use picture::{ImageError, Picture};
+pub use planar::{ImageError, PlanarImage};
 pub use psnr::{MAX_PSNR_DB, PsnrKind, psnr_db, psnr_db_of};
 pub use report::{FrameScore, ImageProtocol, ImageReport, MaskedScore, MeanScore};
 pub use ssim::{SSIM_SIGMA_PX, SSIM_WINDOW_PX, SsimKind, SsimMap, ssim, ssim_map, ssim_map_of};
 
-use picture::same_size;
+use planar::same_size;

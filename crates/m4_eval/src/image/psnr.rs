@@ -1,10 +1,10 @@
 //! Peak signal-to-noise ratio, in the variants of published tables.
 
-use super::{ImageError, Picture, same_size};
+use super::{ImageError, PlanarImage, same_size};
 use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 
-/// What identical images score, dB: the true value is infinite, which no table can average.
+/// Score of identical images, dB: the true value is infinite, which no table can average.
 pub const MAX_PSNR_DB: f64 = 100.0;
 
 /// Over what the mean squared error is made, and of which numbers.
@@ -16,7 +16,7 @@ pub enum PsnrKind {
     Joint,
     /// The mean of the PSNR of red, green and blue, as Instant4D and other programs that took it from 3D Gaussian Splatting have
     /// it: a mean of logarithms, never below [`Self::Joint`]. They do not clamp what they rendered: make the images with
-    /// [`Picture::from_planes_unclamped`].
+    /// [`PlanarImage::from_planes_unclamped`].
     PerChannel,
     /// Of whole numbers from 0 to 255, `20 log10 (255 / sqrt mean)`: `cv2.PSNR` of images in 8 bits (RoDynRF's protocol on NVIDIA
     /// Dynamic). Colours are rounded to the nearest step, halves to the even one as NumPy and OpenCV
@@ -43,7 +43,7 @@ impl PsnrKind {
 /// # Errors
 ///
 /// [`ImageError::Size`] if the sizes differ.
-pub fn psnr_db(image: &Picture, reference: &Picture, mask: Option<&Mask>) -> Result<Option<f64>, ImageError> {
+pub fn psnr_db(image: &PlanarImage, reference: &PlanarImage, mask: Option<&Mask>) -> Result<Option<f64>, ImageError> {
     psnr_db_of(PsnrKind::Joint, image, reference, mask)
 }
 
@@ -54,8 +54,8 @@ pub fn psnr_db(image: &Picture, reference: &Picture, mask: Option<&Mask>) -> Res
 /// [`ImageError::Size`] if the sizes differ.
 pub fn psnr_db_of(
     kind: PsnrKind,
-    image: &Picture,
-    reference: &Picture,
+    image: &PlanarImage,
+    reference: &PlanarImage,
     mask: Option<&Mask>,
 ) -> Result<Option<f64>, ImageError> {
     same_size("the image", reference.size(), image.size())?;
@@ -94,14 +94,10 @@ fn eight_bit(v: f32) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{MAX_PSNR_DB, Picture, PsnrKind, psnr_db, psnr_db_of};
+    use super::{MAX_PSNR_DB, PlanarImage, PsnrKind, psnr_db, psnr_db_of};
+    use crate::image::planar::flat;
     use crate::image::{ImageError, ssim_map};
     use m4_core::Plane;
-
-    fn flat(width: usize, height: usize, value: f32) -> Picture {
-        let plane = vec![value; width * height];
-        Picture::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
-    }
 
     #[test]
     fn psnr_of_a_constant_offset_is_its_logarithm() {
@@ -116,8 +112,8 @@ mod tests {
         // One channel off by 0.3, another above the range: mean squared error 0.09 / 3.
         let (zero, one, over) = (vec![0.0; 4], vec![1.0; 4], vec![7.0; 4]);
         let third = vec![0.3; 4];
-        let a = Picture::from_planes(2, 2, [&third, &over, &zero]).unwrap();
-        let b = Picture::from_planes(2, 2, [&zero, &one, &zero]).unwrap();
+        let a = PlanarImage::from_planes(2, 2, [&third, &over, &zero]).unwrap();
+        let b = PlanarImage::from_planes(2, 2, [&zero, &one, &zero]).unwrap();
         let got = psnr_db(&a, &b, None).unwrap().unwrap();
         assert!((got + 10.0 * 0.03f64.log10()).abs() < 1e-5, "{got}");
     }
@@ -126,7 +122,7 @@ mod tests {
     fn a_mask_selects_pixels() {
         let reference = flat(20, 20, 0.5);
         let plane: Vec<f32> = (0..400).map(|i| if i % 20 < 10 { 0.6 } else { 0.5 }).collect();
-        let image = Picture::from_planes(20, 20, [&plane, &plane, &plane]).unwrap();
+        let image = PlanarImage::from_planes(20, 20, [&plane, &plane, &plane]).unwrap();
         let left = Plane::from_fn(20, 20, |x, _| if x < 10 { 255 } else { 0 });
         let right = left.map(|&m| 255 - m);
         let db = |mask| psnr_db(&image, &reference, Some(mask)).unwrap();
@@ -145,8 +141,8 @@ mod tests {
     #[test]
     fn kinds_differ_where_channels_do_and_where_nothing_is_clamped() {
         let (zero, tenth, over) = (vec![0.0; 4], vec![0.1; 4], vec![1.01; 4]);
-        let a = Picture::from_planes_unclamped(2, 2, [&tenth, &over, &tenth]).unwrap();
-        let b = Picture::from_planes(2, 2, [&zero, &over, &zero]).unwrap();
+        let a = PlanarImage::from_planes_unclamped(2, 2, [&tenth, &over, &tenth]).unwrap();
+        let b = PlanarImage::from_planes(2, 2, [&zero, &over, &zero]).unwrap();
         let db = |kind| psnr_db_of(kind, &a, &b, None).unwrap().unwrap();
         // squared errors 0.01, 0.0001 and 0.01
         assert!((db(PsnrKind::Joint) + 10.0 * (0.0201f64 / 3.0).log10()).abs() < 1e-4);

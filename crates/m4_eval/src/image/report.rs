@@ -1,12 +1,12 @@
 //! Scores of a set of views, with the protocol that made them.
 
-use super::{ImageError, Metric, Picture, SSIM_SIGMA_PX, SSIM_WINDOW_PX, dilated, psnr_db, same_size, ssim_map};
+use super::{ImageError, Metric, PlanarImage, SSIM_SIGMA_PX, SSIM_WINDOW_PX, dilated, psnr_db, same_size, ssim_map};
 use m4_core::Mask;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// How scores were made: two reports compare only if these agree.
+/// Method of scoring: two reports compare only if these agree.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ImageProtocol {
     /// Which views were scored, such as `"mill-1 held-out"`.
@@ -25,9 +25,9 @@ pub struct ImageProtocol {
     pub ssim_region: String,
     /// Channels share one mean squared error; colours are clamped to 0..1 first.
     pub psnr: String,
-    /// How the mean line was made: `"mean over frames"`, of dB values for PSNR.
+    /// Method of the mean line: `"mean over frames"`, of dB values for PSNR.
     pub mean: String,
-    /// What the names in [`FrameScore::others`] stand for.
+    /// Meaning of the names in [`FrameScore::others`].
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub others: BTreeMap<String, String>,
 }
@@ -83,7 +83,7 @@ pub struct MeanScore {
 /// The scores of a set of views of one size.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ImageReport {
-    /// How the scores were made.
+    /// Method of scoring.
     pub protocol: ImageProtocol,
     /// One row per view, in the order added.
     pub frames: Vec<FrameScore>,
@@ -122,8 +122,8 @@ impl ImageReport {
         name: impl Into<String>,
         t: f64,
         camera: Option<u32>,
-        image: &Picture,
-        reference: &Picture,
+        image: &PlanarImage,
+        reference: &PlanarImage,
         mask: Option<&Mask>,
     ) -> Result<&FrameScore, ImageError> {
         if !self.frames.is_empty() {
@@ -165,8 +165,8 @@ impl ImageReport {
     pub fn add_metric(
         &mut self,
         metric: Metric,
-        image: &Picture,
-        reference: &Picture,
+        image: &PlanarImage,
+        reference: &PlanarImage,
         mask: Option<&Mask>,
     ) -> Result<Option<f64>, ImageError> {
         let score = metric.score(image, reference, mask)?;
@@ -265,13 +265,9 @@ impl ImageReport {
 #[cfg(test)]
 mod tests {
     use super::ImageReport;
-    use crate::image::{ImageError, Metric, Picture, PsnrKind};
+    use crate::image::planar::flat;
+    use crate::image::{ImageError, Metric, PsnrKind};
     use m4_core::Plane;
-
-    fn flat(width: usize, height: usize, value: f32) -> Picture {
-        let plane = vec![value; width * height];
-        Picture::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
-    }
 
     #[test]
     fn means_are_over_frames_and_over_masked_frames() {
@@ -307,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn other_metrics_are_kept_by_name_with_their_means() {
+    fn extra_metrics_are_reported_by_name_with_means() {
         let mut report = ImageReport::new("unit", 0);
         let per_channel = Metric::Psnr(PsnrKind::PerChannel);
         let reference = flat(16, 16, 0.5);

@@ -8,7 +8,7 @@ use m4_core::{
 
 /// How far a point goes by the translation alone for its depth to be told, pixels.
 const PARALLAX_PX: f64 = 2.0;
-/// Fewest samples by which a scale is told.
+/// Fewest samples from which a scale is estimated.
 const LEAST_SAMPLES: usize = 50;
 
 /// One way to read the files.
@@ -100,7 +100,7 @@ impl Between {
         ([ax, ay], [bx, by])
     }
 
-    /// One over the depth with which the point comes nearest to where flow took it, and whether it is told.
+    /// One over the depth with which the point comes nearest to where flow took it, and whether it is determined.
     pub fn disparity(&self, s: &Sample) -> (f64, bool) {
         let ([ax, ay], [bx, by]) = self.parts(s);
         let square = bx * bx + by * by;

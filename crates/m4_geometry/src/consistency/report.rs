@@ -24,7 +24,7 @@ const FAIR_DEPTH: f64 = 0.15;
 #[serde(rename_all = "kebab-case", tag = "cause")]
 #[non_exhaustive]
 pub enum Cause {
-    /// The masks are turned round: what they say moves rests.
+    /// The masks are inverted: static regions are marked as dynamic.
     Masks,
     /// The poses are world to camera.
     Inverted,

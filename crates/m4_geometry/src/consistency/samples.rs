@@ -1,6 +1,6 @@
-//! Pixels that stand still, and where flow says they go.
+//! Static pixels and their flow.
 
-use crate::dense::{FlowError, FlowPair, FlowPicture, FlowSource, rgb_and_grey, working_size};
+use crate::dense::{FlowError, FlowImage, FlowPair, FlowSource, rgb_and_grey, working_size};
 use m4_core::{Capture, CaptureFrame, CompactDepth, Progress};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -103,8 +103,8 @@ fn between(capture: &Capture, frames: [usize; 2], flow: &dyn FlowSource) -> Resu
     let [a, b] = frames.map(|i| &capture.frames[i]);
     let (w, h) = a.rgb.size();
     let (fw, fh) = working_size(w, h, SIDE_PX);
-    let pictures = [a, b].map(|f| rgb_and_grey(&f.rgb, fw, fh));
-    let [first, second] = pictures.each_ref().map(|(rgb, grey)| FlowPicture {
+    let images = [a, b].map(|f| rgb_and_grey(&f.rgb, fw, fh));
+    let [first, second] = images.each_ref().map(|(rgb, grey)| FlowImage {
         width: fw,
         height: fh,
         rgb,
@@ -144,7 +144,7 @@ fn between(capture: &Capture, frames: [usize; 2], flow: &dyn FlowSource) -> Resu
 /// The pixel of a map of size `(w, h)` under a place in the image.
 fn pixel(frame: &CaptureFrame, [u, v]: [f64; 2], (w, h): (usize, usize)) -> (usize, usize) {
     let (pw, ph) = frame.rgb.size();
-    let at = |p: f64, picture: usize, map: usize| ((p * map as f64 / picture as f64) as usize).min(map - 1);
+    let at = |p: f64, image: usize, map: usize| ((p * map as f64 / image as f64) as usize).min(map - 1);
     (at(u, pw, w), at(v, ph, h))
 }
 

@@ -1,10 +1,10 @@
-//! Consistent video depth: one disparity map a frame, moved by gradient descent until the frames agree.
+//! Consistent video depth: one disparity map per frame, moved by gradient descent until the frames agree.
 //!
 //! ```text
 //! pair_list -> flow both ways (caller) -> consistency_mask -> PairStore
 //!                                                               |
 //! poses, intrinsics, initial disparity, static confidence ------+-> optimise -> disparity, uncertainty
-//!     stage 1: a scale and a shift a frame, and u    (100 Adam steps)
+//!     stage 1: a scale and a shift per frame, and u    (100 Adam steps)
 //!     stage 2: every pixel's disparity, and u        (400 Adam steps)
 //! ```
 //!
@@ -20,10 +20,10 @@
 //! **Conventions.** The outside of this module is the library's: poses are `c2w`, the principal point is measured from the
 //! corner of the image. Inside, as in the source, poses are `w2c` and pixel (0, 0) has its centre at (0, 0): [`optimise()`]
 //! converts. The source computes normals half a pixel off its own reprojection; here both use the same rays, and
-//! [`reference::Lens::normal_shift_px`] keeps the source's behaviour for comparisons.
+//! [`reference::Pinhole::normal_shift_px`] keeps the source's behaviour for comparisons.
 //!
 //! **Unit.** Disparities and poses come and go in the caller's unit (metres, if they are metres): nothing is normalised
-//! away. Stage 1 fits a scale and a shift to each frame, which [`Consistent`] reports.
+//! away. Stage 1 fits a scale and a shift to each frame, which [`ConsistentDepth`] reports.
 
 mod course;
 mod error;
@@ -36,7 +36,7 @@ mod settings;
 
 pub use error::{CvdError, PairError};
 pub use input::{CvdInput, uncertainty_of_static};
-pub use optimise::{Consistent, optimise};
+pub use optimise::{ConsistentDepth, optimise};
 pub use settings::{CvdSettings, Weights};
 
 #[cfg(test)]

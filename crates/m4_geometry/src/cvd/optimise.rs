@@ -3,7 +3,7 @@
 use super::course::{Course, RecordingObserver};
 use super::fast::{Descent, Moves, SimdLevel, Start};
 use super::pairs::PairSource;
-use super::reference::{DISPARITY, Lens, UNCERTAINTY};
+use super::reference::{DISPARITY, Pinhole, UNCERTAINTY};
 use super::settings::{ADAM_EPSILON, LEARNING_RATE, WEIGHTS, WORKING_PERCENTILE_98};
 use super::{CvdError, CvdInput, CvdSettings, PairError};
 use m4_core::{Cache, Plane, Progress, Se3};
@@ -14,10 +14,10 @@ const LEAST_SIDE_PX: usize = 8;
 
 /// Consistent disparities and how they came about.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Consistent {
-    /// One over z-depth, one plane a frame, in the unit of the input; positive.
+pub struct ConsistentDepth {
+    /// One over z-depth, one plane per frame, in the unit of the input; positive.
     pub disparity: Vec<Plane<f32>>,
-    /// u, one plane a frame: low where a pixel does not follow the camera's motion.
+    /// u, one plane per frame: low where a pixel does not follow the camera's motion.
     pub uncertainty: Vec<Plane<f32>>,
     /// The factor that stage 1 gave each frame: its disparity entered stage 2 as `scale initial + shift`.
     pub scale: Vec<f64>,
@@ -43,10 +43,10 @@ pub fn optimise(
     settings: &CvdSettings,
     progress: &dyn Progress,
     cache: &dyn Cache,
-) -> Result<Consistent, CvdError> {
+) -> Result<ConsistentDepth, CvdError> {
     check(input, pairs)?;
     let k = &input.intrinsics;
-    let lens = Lens {
+    let lens = Pinhole {
         fx: k.fx,
         fy: k.fy,
         cx: k.cx - 0.5,
@@ -87,7 +87,7 @@ pub fn optimise(
         };
         let disparity = descent.disparity().into_iter().map(|d| plane(d, unit, DISPARITY));
         let uncertainty = descent.uncertainty().into_iter().map(|u| plane(u, 1.0, UNCERTAINTY));
-        Consistent {
+        ConsistentDepth {
             disparity: disparity.collect(),
             uncertainty: uncertainty.collect(),
             scale: affine.iter().map(|a| a.0).collect(),

@@ -15,7 +15,7 @@
 //! pixel (0, 0) of the grid is at (0, 0). `G_ij = G_j G_i^-1` acts as `R X + d t` on the homogeneous point
 //! `((u - cx)/fx, (v - cy)/fy, 1, d)`, `d` being the disparity (inverse z-depth). Twists are translation first;
 //! a step is `exp(xi) G`. Residuals are `target - projection`, weighted by `0.001 x confidence`. The
-//! conversion to the library's conventions is [`Pinhole::of_picture`] and the inverse of a pose.
+//! conversion to the library's conventions is [`Pinhole::of_image`] and the inverse of a pose.
 //!
 //! **Two implementations.** [`adjust()`] is the product's: f32 planes, sums of blocks in f32 and everything above in
 //! f64, rayon over source frames. Its result does not depend on the number of threads. [`adjust_reference`] is

@@ -45,7 +45,7 @@ impl Pinhole<f64> {
     /// principal point measured from the corner (the convention of the library). Grid coordinates divide
     /// the integer pixel coordinates of the image by `block`, as the tracker does.
     #[must_use]
-    pub fn of_picture(fx_px: f64, fy_px: f64, cx_px: f64, cy_px: f64, block: f64) -> Self {
+    pub fn of_image(fx_px: f64, fy_px: f64, cx_px: f64, cy_px: f64, block: f64) -> Self {
         Self {
             fx: fx_px / block,
             fy: fy_px / block,

@@ -21,7 +21,7 @@ pub const MIN_DEPTH: f64 = 0.25;
 pub struct Projected<T: Real> {
     /// Position, pixels of the grid.
     pub pixel: Vector2<T>,
-    /// Depth in the target times the disparity in the source: 1 for a camera that stands still.
+    /// Depth in the target times the disparity in the source: 1 for a static camera.
     pub z: T,
     /// With respect to the left twist of the target's pose.
     pub by_target: Matrix2x6<T>,

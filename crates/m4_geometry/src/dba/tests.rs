@@ -247,7 +247,7 @@ fn jacobians_match_central_differences() {
 }
 
 #[test]
-fn a_system_that_is_not_positive_definite_moves_nothing_and_is_reported() {
+fn indefinite_system_changes_nothing_and_is_reported() {
     let start = narrow_geometry(&geometry());
     let factors = narrow_factors(&factors(&geometry()));
     let edges: Vec<&Factor<f32>> = factors.iter().collect();
@@ -266,7 +266,7 @@ fn a_system_that_is_not_positive_definite_moves_nothing_and_is_reported() {
 }
 
 #[test]
-fn what_does_not_fit_is_refused() {
+fn mismatched_input_is_rejected() {
     let mut start = narrow_geometry(&geometry());
     let mut factors = narrow_factors(&factors(&geometry()));
     let eta = vec![vec![0.01; start.grid.len()]; 7];

@@ -1,4 +1,4 @@
-//! What a camera that stands still sees most of the time.
+//! The usual colour of each pixel of a static camera.
 
 use super::motion::{STATIC_VOTE, THRESHOLD};
 use super::working::WorkingFrame;
@@ -66,7 +66,7 @@ mod tests {
     use m4_core::{Camera, Intrinsics, Plane, Se3};
 
     #[test]
-    fn what_passes_by_stands_out() {
+    fn passing_objects_differ_from_the_background() {
         let camera = Camera {
             intrinsics: Intrinsics::centred(40, 32, 50.0),
             c2w: Se3::identity(),

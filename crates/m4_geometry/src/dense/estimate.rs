@@ -1,23 +1,23 @@
 //! The dense half from end to end.
 
 use super::background::Background;
-use super::bodies;
+use super::cached::{CachedDepth, numbers};
 use super::config::DenseConfig;
 use super::enlarge::{Small, enlarge};
 use super::error::DenseError;
 use super::flow::FlowPair;
-use super::given::Given;
 use super::ground::Ground;
-use super::kept::{Placed, numbers};
 use super::layers;
 use super::mono::Mono;
 use super::motion::{self, MotionCues};
 use super::motion_segmentation::{self, MotionSegmentation};
 use super::moving_depth;
+use super::rigid_objects;
 use super::shot::{Shot, sparse_points};
 use super::sources::Sources;
 use super::static_depth::{self, Measured, Swept};
 use super::tracks;
+use super::user_masks::UserMasks;
 use super::working::WorkingFrame;
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
 use crate::tracks3d::{QueryGrid, TrackConfig};
@@ -39,18 +39,18 @@ pub struct DenseFrame {
 /// What [`estimate_depth`] finds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dense {
-    /// One a frame.
+    /// One per frame.
     pub frames: Vec<DenseFrame>,
-    /// Points of what moves, followed through the clip, in the unit of the cameras; `None` where nothing could be followed
-    /// or nobody asked.
+    /// Dynamic points, tracked through the clip, in the unit of the cameras; `None` where nothing could be tracked
+    /// or tracks are disabled.
     pub tracks: Option<Tracks>,
 }
 
 /// Fewer frames have no background that is seen most of the time.
 const LEAST_BACKGROUND: usize = 8;
 
-/// Everything but the enlargement.
-pub(super) struct Stages {
+/// The result at the working size, before enlargement.
+pub(super) struct WorkingResult {
     pub shots: Vec<Shot>,
     pub flows: Vec<FlowPair>,
     pub measured: Vec<Measured>,
@@ -59,7 +59,7 @@ pub(super) struct Stages {
 }
 
 /// Depth, motion masks and confidence for every frame and tracks of dynamic objects, given cameras and tracks; `sources` measure
-/// flow, outline what moves, and know depth.
+/// flow, segment dynamic regions, and provide depth.
 ///
 /// # Errors
 ///
@@ -68,13 +68,13 @@ pub fn estimate_depth(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
-    given: &Given<'_>,
+    given: &UserMasks<'_>,
     config: &DenseConfig,
     progress: &dyn Progress,
 ) -> Result<Dense, DenseError> {
     let ground = Ground::of(frames, sparse, sources, given, config, progress)?;
     let (w, h) = ground.size;
-    let (working, flows, placed) = match Placed::kept(sources.cache, frames.len(), w * h) {
+    let (working, flows, placed) = match CachedDepth::load(sources.cache, frames.len(), w * h) {
         Some(placed) => {
             let working = ground.working(frames, sparse, progress)?;
             let flows = ground.flows(&working, sources, progress)?;
@@ -82,7 +82,7 @@ pub fn estimate_depth(
         }
         None => {
             let mut stages = estimate(&ground, frames, sparse, sources, given, progress)?;
-            let placed = Placed::put(&mut stages, sources.cache);
+            let placed = CachedDepth::store(&mut stages, sources.cache);
             let working = stages.shots.into_iter().map(|shot| shot.frame).collect();
             (working, stages.flows, placed)
         }
@@ -104,12 +104,12 @@ pub fn estimate_depth(
     Ok(Dense { frames, tracks })
 }
 
-/// Tracks of what moves.
+/// Tracks of dynamic points.
 fn followed(
     ground: &Ground,
     working: &[WorkingFrame],
     flows: &[FlowPair],
-    placed: &Placed,
+    placed: &CachedDepth,
     progress: &dyn Progress,
 ) -> Result<Option<Tracks>, DenseError> {
     let cameras: Vec<Camera> = working.iter().map(|frame| frame.camera).collect();
@@ -149,9 +149,9 @@ fn estimate(
     frames: &[&RgbImage],
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
-    given: &Given<'_>,
+    given: &UserMasks<'_>,
     progress: &dyn Progress,
-) -> Result<Stages, DenseError> {
+) -> Result<WorkingResult, DenseError> {
     let (count, (w, h)) = (frames.len(), ground.size);
     let (parallax, one_lens) = (ground.parallax, ground.one_lens);
     let mono = each(count, "reading depth", progress, |i| {
@@ -196,7 +196,7 @@ fn estimate(
         measured,
         filled,
     } = clip.segment_motion(told)?;
-    let input = bodies::Clip {
+    let input = rigid_objects::Clip {
         width: w,
         height: h,
         cameras: &clues.cameras,
@@ -210,7 +210,7 @@ fn estimate(
         layers::place(&input, &shots)
     };
     if parallax && one_lens {
-        bodies::place(&input, |i| clip.smoother(i), true, &mut disparity, progress)?;
+        rigid_objects::place(&input, |i| clip.smoother(i), true, &mut disparity, progress)?;
     }
     for i in 0..count {
         if parallax {
@@ -218,7 +218,7 @@ fn estimate(
         }
         mono.overrule(i, &mut disparity[i]);
     }
-    Ok(Stages {
+    Ok(WorkingResult {
         shots,
         flows,
         measured,

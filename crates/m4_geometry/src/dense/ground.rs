@@ -4,8 +4,8 @@ use super::config::DenseConfig;
 use super::error::DenseError;
 use super::estimate::each;
 use super::flow::FlowPair;
-use super::given::Given;
 use super::sources::Sources;
+use super::user_masks::UserMasks;
 use super::working::{WorkingFrame, fitting_side, working_size};
 use crate::reconstruction::{CameraMotion, SparseReconstruction};
 use m4_core::{Camera, Progress, RgbImage};
@@ -27,7 +27,7 @@ impl Ground {
         frames: &[&RgbImage],
         sparse: &SparseReconstruction,
         sources: &Sources<'_>,
-        given: &Given<'_>,
+        given: &UserMasks<'_>,
         config: &DenseConfig,
         progress: &dyn Progress,
     ) -> Result<Self, DenseError> {

@@ -54,18 +54,18 @@ pub(super) struct Verdict {
 
 /// What is known of the clip as a whole.
 pub(super) struct MotionCues {
-    /// At the working size, one a frame.
+    /// At the working size, one per frame.
     pub cameras: Vec<Camera>,
     /// By frame.
     pub verdicts: Vec<Vec<Verdict>>,
-    /// Where the camera stands still.
+    /// For a static camera.
     pub background: Option<Background>,
 }
 
-/// What is known of one frame.
-pub(super) struct Seen<'a> {
+/// The disparity of one frame.
+pub(super) struct FrameDisparity<'a> {
     pub frame: &'a WorkingFrame,
-    /// `[height][width]`: of everything as if it stood still.
+    /// `[height][width]`: of all pixels, assumed static.
     pub disparity: &'a [f32],
     /// `[height][width]`: share of the partners that agree on it.
     pub confidence: &'a [f32],
@@ -126,13 +126,13 @@ fn link(flows: &[FlowPair], cameras: &[Camera], i: usize, span: usize, later: bo
 
 /// Evidence of one frame, below 0 for static and above for moving, smoothed along the edges of the frame:
 /// flow against what depth and cameras predict, agreement of the partners, verdicts of tracks, and, where
-/// the camera stands still, the difference to the background.
+/// the camera is static, the difference to the background.
 pub(super) fn evidence(
     clues: &MotionCues,
     shots: &[Shot],
     flows: &[FlowPair],
     i: usize,
-    seen: &Seen<'_>,
+    seen: &FrameDisparity<'_>,
     smoother: &Smoother,
 ) -> Vec<f32> {
     let (w, h) = (seen.frame.width, seen.frame.height);
@@ -196,7 +196,7 @@ fn add_link(link: &Link, disparity: &[f32], refuted: &[f32], value: &mut [f32], 
             }
         })
         .collect();
-    // Most of a frame stands still, so what half of it exceeds is error of the cameras.
+    // Most of a frame is static, so what half of it exceeds is error of the cameras.
     let mut known: Vec<f32> = residual.iter().copied().filter(|r| r.is_finite()).collect();
     let floor = FLOW_NOISE_PX.max(quantile(&mut known, 0.5).unwrap_or(0.0));
     for i in (0..disparity.len()).filter(|&i| residual[i].is_finite()) {

@@ -1,14 +1,14 @@
-//! What moves and what stands still, told apart: motion spoils depth and depth shows motion, so one is found from the other
+//! Segments static and dynamic regions: motion spoils depth and depth shows motion, so one is found from the other
 //! in turn. Each turn is kept on the cache, so that what was interrupted goes on there.
 
+use super::background_model;
+use super::cached;
 use super::error::DenseError;
 use super::estimate::each;
 use super::flow::FlowPair;
-use super::kept;
 use super::layers;
 use super::mono::Mono;
-use super::motion::{self, MotionCues, Seen};
-use super::plate;
+use super::motion::{self, FrameDisparity, MotionCues};
 use super::segment;
 use super::shot::Shot;
 use super::smooth::Smoother;
@@ -23,7 +23,7 @@ const VOTES: usize = 16;
 /// Colour difference that stops the edge-aware fill of depth, 0..255 (Min et al. 2014, sigma).
 const FILL_SIGMA: f32 = 8.0;
 
-/// One a frame, above 0 where something moves.
+/// One per frame, above 0 in dynamic regions.
 pub(super) type Masks = Vec<Vec<u8>>;
 
 /// A clip whose depth was swept. Lists are by frame, planes `[height][width]` at the working size.
@@ -47,7 +47,7 @@ pub(super) struct Clip<'a> {
 pub(super) struct MotionSegmentation {
     pub moving: Masks,
     pub measured: Vec<Measured>,
-    /// Disparity of what stands still, behind what moves too.
+    /// Disparity of static regions, also behind dynamic ones.
     pub filled: Vec<Vec<f32>>,
 }
 
@@ -57,7 +57,7 @@ fn of(masks: Option<&[Vec<u8>]>, i: usize) -> Option<&[u8]> {
 }
 
 impl Clip<'_> {
-    /// Tells apart what moves and what does not, or takes the masks that were given for the former.
+    /// Segments dynamic regions, or takes the masks of the user.
     ///
     /// # Errors
     ///
@@ -67,7 +67,7 @@ impl Clip<'_> {
             Some(given) => given,
             None => self.moving()?,
         };
-        let (measured, filled) = kept::still(self.sources.cache, self.frames.len(), self.pixels(), || {
+        let (measured, filled) = cached::still(self.sources.cache, self.frames.len(), self.pixels(), || {
             let measured = self.measured(Some(&moving))?;
             let filled = self.filled(&measured, Some(&moving))?;
             Ok((measured, filled))
@@ -93,7 +93,7 @@ impl Clip<'_> {
         Smoother::new(self.width, self.height, &self.shots[i].frame.rgb, FILL_SIGMA)
     }
 
-    /// Masks of what moves, sharp.
+    /// Sharp masks of dynamic regions.
     fn moving(&self) -> Result<Masks, DenseError> {
         self.kept("moving-sharp", || {
             let (before, last) = self.rounds()?;
@@ -115,7 +115,7 @@ impl Clip<'_> {
     }
 
     fn kept(&self, name: &str, work: impl FnOnce() -> Result<Masks, DenseError>) -> Result<Masks, DenseError> {
-        kept::masks(self.sources.cache, name, self.frames.len(), self.pixels(), work)
+        cached::masks(self.sources.cache, name, self.frames.len(), self.pixels(), work)
     }
 
     /// The masks before the last round, if any, and after it.
@@ -135,7 +135,7 @@ impl Clip<'_> {
         let measured = self.measured(before)?;
         let filled = self.filled(&measured, before)?;
         let mut evidence = self.each("finding motion", |i| {
-            let seen = Seen {
+            let seen = FrameDisparity {
                 frame: &self.shots[i].frame,
                 disparity: &filled[i],
                 confidence: &measured[i].confidence,
@@ -149,7 +149,7 @@ impl Clip<'_> {
         self.each("cutting masks", |i| motion::mask(w, h, &evidence[i]))
     }
 
-    /// Disparities that the neighbours confirm; what moves (above 0) confirms nothing.
+    /// Disparities that the neighbours confirm; dynamic pixels (above 0) confirm nothing.
     fn measured(&self, moving: Option<&[Vec<u8>]>) -> Result<Vec<Measured>, DenseError> {
         self.each("comparing depth", |i| {
             let mut measured = static_depth::measure(self.shots, self.swept, moving, i);
@@ -180,7 +180,7 @@ impl Clip<'_> {
         let (width, height) = (self.width, self.height);
         let measured = self.measured(before)?;
         let near = self.each("growing masks", |i| {
-            plate::grown(width, height, &moving[i], plate::GUARD_PX)
+            background_model::grown(width, height, &moving[i], background_model::GUARD_PX)
         })?;
         let background = self.each("filling depth", |i| {
             let mut measured = self.mono.with_prior(i, &measured[i], Some(&near[i]));
@@ -191,7 +191,7 @@ impl Clip<'_> {
             }
             self.fill(i, &measured, Some(&near[i]))
         })?;
-        let scene = plate::Scene {
+        let scene = background_model::Scene {
             width,
             height,
             cameras: &self.clues.cameras,
@@ -201,7 +201,7 @@ impl Clip<'_> {
         };
         self.each("sharpening masks", |i| {
             let smoother = self.smoother(i);
-            plate::sharpen(&scene, i, &moving[i], &smoother)
+            background_model::sharpen(&scene, i, &moving[i], &smoother)
         })
     }
 }

@@ -19,7 +19,7 @@ pub(super) const BELOW_PX: usize = 3;
 /// Share of the background behind a region that the region must be in front of.
 pub(super) const HIDDEN_QUANTILE: f64 = 0.98;
 
-/// Disparity of every pixel of every frame: `background`, and in front of it what moves.
+/// Disparity of every pixel of every frame: `background`, and in front of it the dynamic regions.
 pub(super) fn place(
     width: usize,
     height: usize,
@@ -81,7 +81,7 @@ struct Running {
     weight: Vec<f32>,
 }
 
-/// Everything that the running mean of a frame depends on but the frame before.
+/// Input of the running mean of a frame besides the previous frame.
 struct Clip<'a> {
     width: usize,
     height: usize,
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_on_the_ground_is_as_near_as_the_ground_under_it() {
+    fn objects_on_the_ground_have_the_depth_of_their_contact() {
         let out = place(W, H, &[block(6)], &[ground()], &[]);
         let inside = out[0][6 * W + 8];
         // The lowest row is 13; the ground is read 3 rows below.
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_in_one_frame_is_spread_over_time_and_nothing_sinks_into_the_background() {
+    fn depth_jumps_are_smoothed_in_time_in_front_of_the_background() {
         let moving: Vec<Vec<u8>> = (0..5).map(|k| block(4 + 2 * k)).collect();
         let mut background = vec![ground(); 5];
         for d in &mut background[2] {

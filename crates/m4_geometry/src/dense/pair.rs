@@ -14,7 +14,7 @@ pub(super) struct Pair {
 
 /// A pixel with a disparity, seen from the other camera.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Seen {
+pub(super) struct Reprojected {
     pub x: f32,
     pub y: f32,
     /// Of the same point in the other camera; not above 0 when it lies behind that camera.
@@ -48,10 +48,10 @@ impl Pair {
         self.a.map(|row| row[0] * x + row[1] * y + row[2])
     }
 
-    pub fn project(&self, x: f32, y: f32, disparity: f32) -> Seen {
+    pub fn project(&self, x: f32, y: f32, disparity: f32) -> Reprojected {
         let r = self.ray(x, y);
         let z = 1.0 / (r[2] + disparity * self.b[2]);
-        Seen {
+        Reprojected {
             x: (r[0] + disparity * self.b[0]) * z,
             y: (r[1] + disparity * self.b[1]) * z,
             disparity: disparity * z,

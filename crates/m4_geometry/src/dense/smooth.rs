@@ -144,7 +144,7 @@ mod tests {
     use super::Smoother;
 
     #[test]
-    fn a_constant_stays_and_the_mean_is_kept() {
+    fn smoothing_preserves_constants_and_the_mean() {
         let (w, h) = (13, 9);
         let guide: Vec<[u8; 3]> = (0..w * h).map(|i| [(i * 37 % 101) as u8; 3]).collect();
         let smoother = Smoother::new(w, h, &guide, 20.0);

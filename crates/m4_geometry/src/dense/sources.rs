@@ -5,12 +5,12 @@ use super::mono::{MonoDepth, NoDepth};
 use super::segment::Segmenter;
 use m4_core::{Cache, NoCache};
 
-/// Who measures flow, who knows outlines, and who knows depth.
+/// Sources of flow, masks and depth.
 #[derive(Clone, Copy)]
 pub struct Sources<'a> {
     /// Measures flow between neighbouring frames.
     pub flow: &'a dyn FlowSource,
-    /// Outlines what moves, if there is one; masks that are given stay as they are.
+    /// Segments dynamic regions, if present; masks of the user stay as they are.
     pub segmenter: Option<&'a dyn Segmenter>,
     /// Depth from one image: [`NoDepth`] if there is none.
     pub mono: &'a dyn MonoDepth,

@@ -140,7 +140,7 @@ fn despeckle(width: usize, height: usize, measured: &mut Measured, step: f32) {
 /// A disparity for every pixel: measurements and sparse points where there are any, and between them
 /// what the image's edges let through.
 ///
-/// Points within `moving` (above 0) are not believed: nothing there stands still.
+/// Points within `moving` (above 0) are not used: nothing there is static.
 pub(super) fn fill(shot: &Shot, smoother: &Smoother, measured: &Measured, moving: Option<&[u8]>) -> Vec<f32> {
     /// Weight of the surroundings against a pixel on which all partners agree.
     const SURROUNDINGS: f32 = 0.15;

@@ -15,7 +15,7 @@
 use super::DenseError;
 use super::flow::FlowPair;
 use crate::tracks3d::{
-    QueryGrid, Scene, Sparse, Strip, TrackConfig, TrackError, board_of, fill, followed, on_grid, way,
+    QueryGrid, Scene, Sparse, Strip, TrackConfig, TrackError, board_of, fill, followed, on_grid, sparse_flow,
 };
 use m4_core::{Camera, Plane, Progress, Tracks};
 
@@ -74,10 +74,10 @@ fn strip(clip: &Clip<'_>) -> Strip {
         cameras: clip.cameras.to_vec(),
         moving: (0..clip.moving.len()).map(moving).collect(),
         forward: pairs()
-            .map(|(t, pair)| way(&pair.forward, &pair.forward_round_trip, |i| moves(t, i)))
+            .map(|(t, pair)| sparse_flow(&pair.forward, &pair.forward_round_trip, |i| moves(t, i)))
             .collect(),
         backward: pairs()
-            .map(|(t, pair)| way(&pair.backward, &pair.backward_round_trip, |i| moves(t + 1, i)))
+            .map(|(t, pair)| sparse_flow(&pair.backward, &pair.backward_round_trip, |i| moves(t + 1, i)))
             .collect(),
     }
 }

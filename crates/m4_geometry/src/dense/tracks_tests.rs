@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 const W: usize = 96;
 const H: usize = 64;
 const FRAMES: usize = 16;
-/// World units a frame.
+/// World units per frame.
 const VELOCITY: [f64; 3] = [0.03, -0.012, 0.025];
 
 struct Made {
@@ -48,7 +48,7 @@ fn depth(t: usize) -> f64 {
     2.0 + VELOCITY[2] * t as f64
 }
 
-/// A square of side 0.7, its disparity off by `noise` of itself, a factor a frame.
+/// A square of side 0.7, its disparity off by `noise` of itself, a factor per frame.
 fn made(noise: f64) -> Made {
     let mut rng = CounterRng::new(7, 1, 0);
     let mut cameras = Vec::new();
@@ -186,7 +186,7 @@ fn a_jump_of_depth_cuts_a_track() {
 }
 
 #[test]
-fn what_is_not_there_has_no_tracks_and_too_many_are_thinned() {
+fn empty_masks_have_no_tracks_and_dense_ones_are_thinned() {
     let config = chains();
     let mut still = made(0.0);
     still.moving.iter_mut().for_each(|m| m.fill(0));

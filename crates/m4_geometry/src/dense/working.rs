@@ -1,6 +1,6 @@
 //! Frames at the working size.
 
-use super::flow::FlowPicture;
+use super::flow::FlowImage;
 use m4_core::{Camera, Plane, RgbImage};
 
 /// One frame at the working size.
@@ -53,8 +53,8 @@ impl WorkingFrame {
         }
     }
 
-    pub fn picture(&self) -> FlowPicture<'_> {
-        FlowPicture {
+    pub fn flow_image(&self) -> FlowImage<'_> {
+        FlowImage {
             width: self.width,
             height: self.height,
             rgb: &self.rgb,

@@ -38,7 +38,7 @@ pub struct GraphEdge {
     pub factor: Factor<f32>,
     /// Iterations since it was added.
     pub age: u32,
-    /// How likely each pixel is to stand still, in 0..=1, `[height * width]`; 1 until first measured.
+    /// Probability that each pixel is static, 0..=1, `[height * width]`; 1 until first measured.
     pub static_confidence: Vec<f32>,
 }
 

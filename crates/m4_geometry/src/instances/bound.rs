@@ -1,8 +1,8 @@
-//! Masks held near what moves.
+//! Bounds masks to the neighbourhood of moving pixels.
 
-use super::coarse::Rough;
+use super::coarse::CoarseMasks;
 use super::error::InstanceError;
-use super::ledger::Thing;
+use super::ledger::TrackedObject;
 use super::morphology::dilated;
 use super::outline::Outline;
 use m4_core::{CompactMask, Progress};
@@ -19,12 +19,12 @@ const BRIDGE: usize = 5;
 /// Cuts the masks of all things to what lies within `share` of the longest side around coarse pixels of the same frame. Where too little
 /// of one is left, it stays as it was followed in frames near one where enough is, and is dropped farther away.
 pub(super) fn bounded(
-    rough: &Rough<'_>,
-    things: Vec<Thing>,
+    rough: &CoarseMasks<'_>,
+    things: Vec<TrackedObject>,
     frames: usize,
     share: f32,
     progress: &dyn Progress,
-) -> Result<Vec<Thing>, InstanceError> {
+) -> Result<Vec<TrackedObject>, InstanceError> {
     let (w, h) = rough.size;
     let radius_px = share * w.max(h) as f32;
     let of_frame = |frame: usize| {
@@ -43,7 +43,7 @@ pub(super) fn bounded(
         Ok(shown.into_iter().map(|outline| within(outline?)).collect())
     };
     let mut cut: Vec<Vec<Option<Outline>>> = (0..frames).into_par_iter().map(of_frame).collect::<Result<_, _>>()?;
-    let held = |(k, mut thing): (usize, Thing)| {
+    let held = |(k, mut thing): (usize, TrackedObject)| {
         let backed: Vec<bool> = cut.iter().map(|frame| frame[k].is_some()).collect();
         thing.masks.retain(|&frame, _| {
             let near = frame.saturating_sub(BRIDGE)..(frame + BRIDGE + 1).min(frames);
@@ -62,14 +62,14 @@ pub(super) fn bounded(
 #[cfg(test)]
 mod tests {
     use super::bounded;
-    use crate::instances::coarse::{Coarse, Rough};
-    use crate::instances::ledger::Thing;
+    use crate::instances::coarse::{Coarse, CoarseMasks};
+    use crate::instances::ledger::TrackedObject;
     use crate::instances::outline::Outline;
     use crate::instances::{ObjectId, RefineSettings};
     use m4_core::{CompactMask, Silent};
 
     #[test]
-    fn what_spreads_is_cut_back_and_what_stuck_elsewhere_is_dropped() {
+    fn spreading_masks_are_cut_and_stray_ones_dropped() {
         let size = (64, 48);
         let block = |x0: usize, x1: usize| {
             CompactMask::from_fn(64, 48, move |x, y| (x0..x1).contains(&x) && (10..30).contains(&y))
@@ -80,7 +80,7 @@ mod tests {
         coarse.resize(12, nothing);
         let coarse = Coarse::Masks(coarse.iter().collect());
         let settings = RefineSettings::default();
-        let rough = Rough {
+        let rough = CoarseMasks {
             coarse: &coarse,
             size,
             settings: &settings,
@@ -89,7 +89,7 @@ mod tests {
         let mut masks = vec![block(10, 20), block(20, 30), block(30, 55)];
         masks.resize(12, block(45, 55));
         let masks = masks.iter().map(Outline::of).map(Option::unwrap).enumerate().collect();
-        let thing = Thing {
+        let thing = TrackedObject {
             object: ObjectId(7),
             prompted: 0,
             overlap: 1.0,

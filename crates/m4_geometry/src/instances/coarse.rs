@@ -14,7 +14,7 @@ const OPEN_SHARE: f32 = 2.0 / 480.0;
 /// Least area of a coarse part, share of the image. Specification: 0.001 to 0.002.
 const LEAST_AREA: f32 = 0.0015;
 
-/// What a front end found to move, one a frame, of any size with the shape of the frames.
+/// Coarse motion masks of a front end, one per frame, of any size with the aspect of the frames.
 #[derive(Debug, Clone)]
 pub enum Coarse<'a> {
     /// How likely each pixel is to move, 255 = certainly.
@@ -65,14 +65,14 @@ impl Coarse<'_> {
 }
 
 /// The coarse masks of a clip at the working size, made when they are asked for.
-pub(super) struct Rough<'a> {
+pub(super) struct CoarseMasks<'a> {
     pub coarse: &'a Coarse<'a>,
     pub size: (usize, usize),
     pub settings: &'a RefineSettings,
 }
 
 /// What is known of one frame.
-pub(super) struct RoughFrame {
+pub(super) struct CoarseFrame {
     /// `[height][width]`, 255 where something moves: as given, without opening and without small parts left out.
     pub raw: Vec<u8>,
     /// The same opened, parts of less than the least area taken out.
@@ -81,8 +81,8 @@ pub(super) struct RoughFrame {
     pub still: Vec<bool>,
 }
 
-impl Rough<'_> {
-    pub fn at(&self, frame: usize) -> RoughFrame {
+impl CoarseMasks<'_> {
+    pub fn at(&self, frame: usize) -> CoarseFrame {
         let (w, h) = self.size;
         let (raw, still): (Vec<u8>, Vec<bool>) = match self.coarse {
             Coarse::Motion(maps) => {
@@ -111,7 +111,7 @@ impl Rough<'_> {
                 }
             }
         }
-        RoughFrame { raw, moving, still }
+        CoarseFrame { raw, moving, still }
     }
 
     /// The least area of a part, pixels.

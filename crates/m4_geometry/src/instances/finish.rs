@@ -1,9 +1,9 @@
 //! What was followed, to masks and a report.
 
 use super::bound::bounded;
-use super::coarse::{Coarse, Rough};
+use super::coarse::{Coarse, CoarseMasks};
 use super::error::InstanceError;
-use super::ledger::Thing;
+use super::ledger::TrackedObject;
 use super::outline::Outline;
 use super::paint;
 use super::polarity::PolarityEvidence;
@@ -28,10 +28,10 @@ const PHASE: &str = "painting instances";
 
 /// `segmenter`: its name, and how far from coarse pixels its masks may reach.
 pub(super) fn finish(
-    rough: &Rough<'_>,
+    rough: &CoarseMasks<'_>,
     frames: usize,
     (segmenter, bound): (&str, Option<f32>),
-    things: BTreeMap<ObjectId, Thing>,
+    things: BTreeMap<ObjectId, TrackedObject>,
     mut refused: Vec<Refusal>,
     polarity: Option<PolarityEvidence>,
     progress: &dyn Progress,
@@ -43,7 +43,7 @@ pub(super) fn finish(
         Some(share) => bounded(rough, things, frames, share, progress)?,
         None => things,
     };
-    let mut kept: Vec<(u16, &Thing, f64)> = Vec::new();
+    let mut kept: Vec<(u16, &TrackedObject, f64)> = Vec::new();
     let mut ids: BTreeMap<ObjectId, u16> = BTreeMap::new();
     for (thing, &share) in things.iter().zip(&support) {
         if share < f64::from(LEAST_SUPPORT) || thing.masks.is_empty() {
@@ -85,7 +85,7 @@ pub(super) fn finish(
     let pixels = w * h;
     let share =
         |of: &dyn Fn(&Painted) -> usize| painted.iter().map(of).sum::<usize>() as f64 / (pixels * frames).max(1) as f64;
-    let record = |&(id, thing, supported): &(u16, &Thing, f64)| thing.record(id, supported, pixels, frames);
+    let record = |&(id, thing, supported): &(u16, &TrackedObject, f64)| thing.record(id, supported, pixels, frames);
     let report = InstanceReport {
         segmenter: segmenter.to_owned(),
         coarse: rough.coarse.name().to_owned(),
@@ -106,8 +106,11 @@ pub(super) fn finish(
 }
 
 /// Things that are one, made one, in the order in which they were found; and what became of those that were taken in.
-fn merged(things: BTreeMap<ObjectId, Thing>, size: (usize, usize)) -> (Vec<Thing>, BTreeMap<ObjectId, ObjectId>) {
-    let mut out: Vec<Thing> = Vec::new();
+fn merged(
+    things: BTreeMap<ObjectId, TrackedObject>,
+    size: (usize, usize),
+) -> (Vec<TrackedObject>, BTreeMap<ObjectId, ObjectId>) {
+    let mut out: Vec<TrackedObject> = Vec::new();
     let mut now = BTreeMap::new();
     for thing in things.into_values() {
         match out.iter_mut().find(|other| other.is_also(&thing, MERGE_OVERLAP)) {
@@ -123,8 +126,8 @@ fn merged(things: BTreeMap<ObjectId, Thing>, size: (usize, usize)) -> (Vec<Thing
 
 /// For each thing the share of its frames in which it has coarse pixels.
 fn support(
-    rough: &Rough<'_>,
-    things: &[Thing],
+    rough: &CoarseMasks<'_>,
+    things: &[TrackedObject],
     frames: usize,
     progress: &dyn Progress,
 ) -> Result<Vec<f64>, InstanceError> {
@@ -145,7 +148,7 @@ fn support(
         Ok(shown.into_iter().map(|outline| outline.is_some_and(backed)).collect())
     };
     let by_frame: Vec<Vec<bool>> = (0..frames).into_par_iter().map(of_frame).collect::<Result<_, _>>()?;
-    let share = |(k, thing): (usize, &Thing)| {
+    let share = |(k, thing): (usize, &TrackedObject)| {
         let backed = by_frame.iter().filter(|frame| frame[k]).count();
         backed as f64 / thing.masks.len().max(1) as f64
     };
@@ -158,7 +161,7 @@ struct Painted {
     unexplained_px: usize,
 }
 
-fn paint_frame(rough: &Rough<'_>, frame: usize, frames: usize, shown: &[(u16, &Outline)]) -> Painted {
+fn paint_frame(rough: &CoarseMasks<'_>, frame: usize, frames: usize, shown: &[(u16, &Outline)]) -> Painted {
     let (w, h) = rough.size;
     let mut ids = paint::ids(shown, rough.size);
     paint::fill_holes(&mut ids, (HOLE_SHARE * (w * h) as f32) as usize);

@@ -2,14 +2,14 @@
 
 use super::outline::Outline;
 use super::report::{Ending, InstanceRecord};
-use super::source::{ObjectId, ObjectMask, Sight};
+use super::source::{ObjectId, ObjectMask, Visibility};
 use std::collections::BTreeMap;
 
 /// A mask that grows by more than this from one frame to the next and covers too much has become background.
 const LEAP: usize = 2;
 
-/// One thing.
-pub(super) struct Thing {
+/// One object.
+pub(super) struct TrackedObject {
     pub object: ObjectId,
     pub prompted: usize,
     pub overlap: f32,
@@ -26,10 +26,10 @@ pub(super) struct Thing {
     pub found_again: Vec<usize>,
 }
 
-impl Thing {
+impl TrackedObject {
     /// Notes how it is seen in a frame, going on in a direction; `most_px` is the area beyond which a sudden growth is background.
     pub fn note(&mut self, frame: usize, found: &ObjectMask, later: bool, most_px: usize) {
-        if found.sight == Sight::Lost {
+        if found.visibility == Visibility::Lost {
             self.lost[usize::from(!later)] = true;
         }
         let Some(outline) = Outline::of(&found.mask) else {

@@ -7,7 +7,7 @@
 //!   follow the new ones backwards --> masks of every object --> numbers a pixel, union, report
 //! ```
 //!
-//! Motion says what moves, frame by frame and roughly; somebody who knows what things look like says where they end and
+//! Motion gives rough dynamic regions per frame; a segmentation network refines their outlines and
 //! where they are in other frames ([`VideoSegmenter`]): a network with a memory, or [`FlowFollower`], which carries masks along optical flow
 //! and asks a segmenter of single images, if there is one, what they mean there.
 //!
@@ -19,11 +19,11 @@
 //! of the first pixel is (0.5, 0.5). Frames count from 0, numbers of instances from 1.
 
 mod bound;
-mod clip;
 mod coarse;
 mod error;
 mod finish;
 mod follow;
+mod frame_source;
 mod ledger;
 mod morphology;
 mod outline;
@@ -38,12 +38,12 @@ mod source;
 #[cfg(test)]
 mod tests;
 
-pub use clip::{Clip, PictureError, Pictures};
 pub use coarse::Coarse;
 pub use error::InstanceError;
 pub use follow::FlowFollower;
+pub use frame_source::{FrameSource, ImageError, ImageList};
 pub use polarity::{Polarity, PolarityEvidence};
 pub use refine::{RefineInput, Refined, RefinedFrame, refine};
 pub use report::{Ending, InstanceRecord, InstanceReport, Rejected, Rejection};
 pub use settings::RefineSettings;
-pub use source::{ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSegmenter, VideoSession};
+pub use source::{ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSegmenter, VideoSession, Visibility};

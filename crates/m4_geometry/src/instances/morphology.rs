@@ -36,7 +36,7 @@ mod tests {
     }
 
     #[test]
-    fn opening_takes_threads_and_leaves_what_is_wide() {
+    fn opening_removes_thin_parts_only() {
         let square = |x: usize, y: usize| (5..25).contains(&x) && (5..20).contains(&y);
         let thread = |x: usize, y: usize| y == 25 && x > 3 || x == 30;
         let mask: Vec<u8> = (0..W * H)

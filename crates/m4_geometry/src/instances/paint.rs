@@ -1,4 +1,4 @@
-//! Things to one map of numbers a frame.
+//! Paints objects into one map of numbers per frame.
 
 use super::outline::Outline;
 use crate::dense::Components;

@@ -4,9 +4,9 @@
 //! tell: little of most clips is dynamic; dynamic regions are seldom along the border of the image; and inside them flow differs from
 //! what the camera alone makes.
 
-use super::clip::Clip;
 use super::coarse::Coarse;
-use super::follow::Picture;
+use super::follow::ScaledFrame;
+use super::frame_source::FrameSource;
 use super::source::VideoError;
 use crate::dense::{Flow, FlowPair, FlowSource, quantile, working_size};
 use m4_core::Plane;
@@ -32,7 +32,7 @@ pub struct PolarityEvidence {
     pub high_share: f64,
     /// Share of the pixels along the borders above the threshold.
     pub border_high_share: f64,
-    /// By how much flow differs from one affine motion a frame, medians over high and over low pixels, pixels at a longest side of 320;
+    /// By how much flow differs from one affine motion per frame, medians over high and over low pixels, pixels at a longest side of 320;
     /// `None` where there is no flow, or nothing high or nothing low.
     pub residual_px: Option<[f64; 2]>,
 }
@@ -92,7 +92,7 @@ impl PolarityEvidence {
     /// [`VideoError`] if images or flow cannot be had.
     pub(super) fn of(
         maps: &[&Plane<u8>],
-        clip: &dyn Clip,
+        clip: &dyn FrameSource,
         flow: Option<&dyn FlowSource>,
         tau: f32,
     ) -> Result<Self, VideoError> {
@@ -124,7 +124,7 @@ impl PolarityEvidence {
 /// Medians of what flow leaves of one affine motion, over high and over low pixels.
 fn residuals(
     maps: &[&Plane<u8>],
-    clip: &dyn Clip,
+    clip: &dyn FrameSource,
     source: &dyn FlowSource,
     tau: f32,
 ) -> Result<Option<[f64; 2]>, VideoError> {
@@ -138,8 +138,8 @@ fn residuals(
         .collect();
     firsts.dedup();
     for i in firsts {
-        let (a, b) = (Picture::of(clip, i, (w, h))?, Picture::of(clip, i + 1, (w, h))?);
-        let pair = FlowPair::between(&a.for_flow(), &b.for_flow(), source).map_err(|source| VideoError::Flow {
+        let (a, b) = (ScaledFrame::of(clip, i, (w, h))?, ScaledFrame::of(clip, i + 1, (w, h))?);
+        let pair = FlowPair::between(&a.flow_image(), &b.flow_image(), source).map_err(|source| VideoError::Flow {
             between: (i, i + 1),
             source,
         })?;
@@ -209,7 +209,7 @@ impl Coarse<'_> {
     /// [`VideoError`] if images or flow cannot be had.
     pub fn polarity(
         &self,
-        clip: &dyn Clip,
+        clip: &dyn FrameSource,
         flow: Option<&dyn FlowSource>,
         tau: f32,
     ) -> Result<Option<PolarityEvidence>, VideoError> {

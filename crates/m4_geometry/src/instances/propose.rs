@@ -1,6 +1,6 @@
-//! Coarse parts that ask to become things, and what a segmenter is told of them.
+//! Proposes coarse parts as objects, and the prompts for a segmenter.
 
-use super::coarse::{Rough, RoughFrame};
+use super::coarse::{CoarseFrame, CoarseMasks};
 use super::morphology::{dilated, opened};
 use super::outline::Outline;
 use super::source::{ObjectId, ObjectPrompt};
@@ -30,14 +30,14 @@ pub(super) struct Proposal {
 /// Coarse masks of the frames around one.
 pub(super) struct Around {
     /// The frame itself.
-    pub here: RoughFrame,
+    pub here: CoarseFrame,
     /// Its neighbours', as far as the clip goes; the frame itself is not among them.
-    pub others: Vec<RoughFrame>,
+    pub others: Vec<CoarseFrame>,
 }
 
 impl Around {
     /// Three frames: the one before and the one after, or at an end of the clip the next two.
-    pub fn of(rough: &Rough<'_>, frame: usize, frames: usize) -> Self {
+    pub fn of(rough: &CoarseMasks<'_>, frame: usize, frames: usize) -> Self {
         let first = frame.saturating_sub(1).min(frames.saturating_sub(3));
         let others = (first..(first + 3).min(frames)).filter(|&i| i != frame);
         Self {
@@ -49,7 +49,7 @@ impl Around {
 
 /// The parts that things, whose pixels in this frame are `covered`, leave, the largest first. A clip of fewer frames than three
 /// counts each as seen where there is none.
-pub(super) fn proposals(rough: &Rough<'_>, around: &Around, covered: &[u8]) -> Vec<Proposal> {
+pub(super) fn proposals(rough: &CoarseMasks<'_>, around: &Around, covered: &[u8]) -> Vec<Proposal> {
     let (w, h) = rough.size;
     let reach_px = COVER_SHARE * w.max(h) as f32;
     let covered = dilated(w, h, covered, reach_px);
@@ -93,8 +93,8 @@ pub(super) fn proposals(rough: &Rough<'_>, around: &Around, covered: &[u8]) -> V
     out
 }
 
-/// What a segmenter is told of a part.
-pub(super) fn prompt(object: ObjectId, part: &Outline, here: &RoughFrame, (w, h): (usize, usize)) -> ObjectPrompt {
+/// The prompt of a part for a segmenter.
+pub(super) fn prompt(object: ObjectId, part: &Outline, here: &CoarseFrame, (w, h): (usize, usize)) -> ObjectPrompt {
     let mut inside = vec![false; w * h];
     let mut ends = [usize::MAX, usize::MAX, 0, 0];
     for (x, y) in part.pixels() {
@@ -112,8 +112,8 @@ pub(super) fn prompt(object: ObjectId, part: &Outline, here: &RoughFrame, (w, h)
     }
 }
 
-/// Places near the part that surely rest: deep in what rests, then the farthest from those before. `outer` is the distance to the part.
-fn points_off(part: &Outline, here: &RoughFrame, outer: &[f32], (w, h): (usize, usize)) -> Vec<[f32; 2]> {
+/// Points near the part that are surely static: deep in static regions, then the farthest from those before. `outer` is the distance to the part.
+fn points_off(part: &Outline, here: &CoarseFrame, outer: &[f32], (w, h): (usize, usize)) -> Vec<[f32; 2]> {
     let gap_px = (0.15 * (part.area() as f32).sqrt()).max(4.0);
     let clear = to_outside(w, h, |p| here.still[p] && here.raw[p] == 0);
     let good: Vec<usize> = (0..w * h)

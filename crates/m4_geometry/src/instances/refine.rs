@@ -1,10 +1,10 @@
 //! From coarse masks to things over time.
 
-use super::clip::Clip;
-use super::coarse::{Coarse, Rough};
+use super::coarse::{Coarse, CoarseMasks};
 use super::error::InstanceError;
 use super::finish::finish;
-use super::ledger::Thing;
+use super::frame_source::FrameSource;
+use super::ledger::TrackedObject;
 use super::outline::Outline;
 use super::polarity::{Polarity, PolarityEvidence};
 use super::propose::{Around, PERSISTENT_IN, Proposal, prompt, proposals};
@@ -34,7 +34,7 @@ const PHASE: &str = "tracking objects";
 /// What is refined.
 pub struct RefineInput<'a> {
     /// The frames.
-    pub clip: &'a dyn Clip,
+    pub clip: &'a dyn FrameSource,
     /// What moves in them, roughly.
     pub coarse: &'a Coarse<'a>,
     /// Flow by which the reading of maps of motion is checked besides their looks.
@@ -53,7 +53,7 @@ pub struct RefinedFrame {
 /// Masks over time.
 #[derive(Debug, Clone)]
 pub struct Refined {
-    /// One a frame.
+    /// One per frame.
     pub frames: Vec<RefinedFrame>,
     /// What was found.
     pub report: InstanceReport,
@@ -83,7 +83,7 @@ pub fn refine(
     let polarity = polarity(input, settings, progress)?;
     let size = working_size(full.0, full.1, settings.side_px);
     let mut search = Search {
-        rough: Rough {
+        rough: CoarseMasks {
             coarse: input.coarse,
             size,
             settings,
@@ -163,11 +163,11 @@ impl Refusal {
 }
 
 struct Search<'a> {
-    rough: Rough<'a>,
+    rough: CoarseMasks<'a>,
     frames: usize,
     session: Box<dyn VideoSession + 'a>,
     segmenter: &'a str,
-    things: BTreeMap<ObjectId, Thing>,
+    things: BTreeMap<ObjectId, TrackedObject>,
     rejected: Vec<Refusal>,
     next: u32,
     progress: &'a dyn Progress,
@@ -209,7 +209,7 @@ impl Search<'_> {
             return Err(InstanceError::Cancelled { phase: PHASE });
         }
         let later = to > from;
-        let known = |thing: &&Thing| {
+        let known = |thing: &&TrackedObject| {
             let there = if later {
                 thing.prompted <= from
             } else {
@@ -360,7 +360,7 @@ impl Search<'_> {
             let mask = CompactMask::from_fn(w, h, |x, y| outline.at(x, y));
             self.session.set_mask(frame, object, &mask)?;
         }
-        let thing = Thing {
+        let thing = TrackedObject {
             object,
             prompted: frame,
             overlap,

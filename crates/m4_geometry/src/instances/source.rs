@@ -1,6 +1,6 @@
 //! The seam between refinement and whatever follows outlined things through a clip.
 
-use super::clip::{Clip, PictureError};
+use super::frame_source::{FrameSource, ImageError};
 use crate::dense::{FlowError, SegmentError};
 use m4_core::{CompactMask, Progress};
 use serde::{Deserialize, Serialize};
@@ -26,39 +26,39 @@ pub struct ObjectPrompt {
     pub belief: Option<Vec<f32>>,
 }
 
-/// How a thing is seen in a frame.
+/// Visibility of an object in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Sight {
+pub enum Visibility {
     /// The mask shows it.
-    Seen,
-    /// It is not to be seen, but may come back: the mask is empty.
-    Hidden,
+    Visible,
+    /// Occluded or out of view, but may come back: the mask is empty.
+    Occluded,
     /// It will not be found again by going on: the mask is empty, and it need not be asked for further on.
     Lost,
 }
 
-/// Where a thing is in a frame.
+/// Mask of an object in a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObjectMask {
     /// The thing.
     pub object: ObjectId,
     /// Its pixels, at the size of the session.
     pub mask: CompactMask,
-    /// How far the mask is trusted: its expected intersection over union with the true one; `None` where nobody knows.
+    /// How far the mask is trusted: its expected intersection over union with the true one; `None` where unknown.
     pub quality: Option<f32>,
     /// How it is seen.
-    pub sight: Sight,
+    pub visibility: Visibility,
 }
 
 impl ObjectMask {
     /// A thing that is not to be seen, of a session of `size`.
     #[must_use]
-    pub fn unseen(object: ObjectId, size: (usize, usize), sight: Sight) -> Self {
+    pub fn unseen(object: ObjectId, size: (usize, usize), visibility: Visibility) -> Self {
         Self {
             object,
             mask: CompactMask::from_fn(size.0, size.1, |_, _| false),
             quality: None,
-            sight,
+            visibility,
         }
     }
 }
@@ -77,17 +77,17 @@ pub enum VideoError {
         /// What went wrong.
         reason: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// An image could not be had.
+    /// An image cannot be read.
     #[error("frame {frame} of the clip cannot be read: {reason}")]
-    Picture {
+    Image {
         /// The frame.
         frame: usize,
         /// What went wrong.
-        reason: PictureError,
+        reason: ImageError,
     },
     /// An image has another size than the clip.
     #[error("frame {frame} is {}x{} where {}x{} was expected; all frames must have one size", found.0, found.1, expected.0, expected.1)]
-    PictureSize {
+    ImageSize {
         /// The frame.
         frame: usize,
         /// Its width and height.
@@ -182,7 +182,11 @@ pub trait VideoSegmenter: Sync {
     /// # Errors
     ///
     /// [`VideoError`] where the segmenter cannot work on such a clip.
-    fn open<'a>(&'a self, clip: &'a dyn Clip, size: (usize, usize)) -> Result<Box<dyn VideoSession + 'a>, VideoError>;
+    fn open<'a>(
+        &'a self,
+        clip: &'a dyn FrameSource,
+        size: (usize, usize),
+    ) -> Result<Box<dyn VideoSession + 'a>, VideoError>;
 }
 
 /// A clip in which things are followed. The same calls in the same order give the same bits, for any number of threads.

@@ -2,7 +2,7 @@
 
 use super::MegasamError;
 use crate::cvd::pairs::{FlowField, FramePair, PairStore, consistency_mask, pair_list};
-use crate::dense::{Flow, FlowPicture, FlowSource};
+use crate::dense::{Flow, FlowImage, FlowSource};
 use m4_core::{Progress, RgbImage};
 
 /// Why a pair has no flow.
@@ -59,8 +59,8 @@ impl PairFlow for SourceFlow<'_> {
     }
 }
 
-fn seen<'a>(image: &'a RgbImage, grey: &'a [f32]) -> FlowPicture<'a> {
-    FlowPicture {
+fn seen<'a>(image: &'a RgbImage, grey: &'a [f32]) -> FlowImage<'a> {
+    FlowImage {
         width: image.width(),
         height: image.height(),
         rgb: image.data(),
@@ -78,7 +78,7 @@ const PHASE: &str = "flow between frames";
 /// [`MegasamError`] where flow cannot be had or kept, or the user stops.
 pub(super) fn measure(
     frames: usize,
-    picture: &dyn Fn(usize) -> RgbImage,
+    image_of: &dyn Fn(usize) -> RgbImage,
     size: (usize, usize),
     flow: &mut dyn PairFlow,
     budget_bytes: usize,
@@ -94,9 +94,9 @@ pub(super) fn measure(
         }
         let a = match last.take() {
             Some((frame, image)) if frame == pair.source => image,
-            _ => picture(pair.source),
+            _ => image_of(pair.source),
         };
-        let b = picture(pair.target);
+        let b = image_of(pair.target);
         let [there, back] = flow.both(pair, &a, &b)?;
         let (there, back) = (there.view().halved(), back.view().halved());
         let mask = consistency_mask(there.view(), back.view());

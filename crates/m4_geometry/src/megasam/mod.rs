@@ -1,4 +1,4 @@
-//! MegaSaM's way from a video to cameras, depth and a map of what stands still, with whoever measures correspondences, flow
+//! MegaSaM's path from a video to cameras, depth and a map of static regions, with any source of correspondences, flow
 //! and depth from one image.
 //!
 //! ```text
@@ -16,7 +16,7 @@
 //!
 //! **Conventions.** The library's outside: camera to world, principal point from the corner of the image, z-depth.
 //! A cell of the tracker's grid is the pixel at 8 times its column and row: there the features of a network that shrinks three
-//! times by two are. The published program takes blocks of 8 x 8 pixels for depth and for the map of what stands still
+//! times by two are. The published program takes blocks of 8 x 8 pixels for depth and for the map of static regions
 //! instead, half a block off.
 //!
 //! **Unit.** The tracker works on disparities whose 98th percentile is 2; what comes out is back in the unit of the depth.

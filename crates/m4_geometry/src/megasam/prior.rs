@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_known_is_an_error() {
+    fn prior_without_depth_is_an_error() {
         let nothing = [Plane::filled(8, 6, 0.0)];
         assert!(DepthPrior::metric(&nothing, &size()).is_err());
         assert!(DepthPrior::metric(&[], &size()).is_err());

@@ -4,7 +4,7 @@ use super::flows::measure;
 use super::resample::{from_grid, resize_bilinear};
 use super::size::CELL_PX;
 use super::{DepthPrior, MegasamError, MegasamSettings, PairFlow, PriorKind, TrackingSize};
-use crate::cvd::{Consistent, CvdInput, optimise, uncertainty_of_static};
+use crate::cvd::{ConsistentDepth, CvdInput, optimise, uncertainty_of_static};
 use crate::dba::Observability;
 use crate::tracker::{Clip, Correspondence, FrameInput, Tracked, track};
 use m4_core::{Cache, Intrinsics, Plane, Progress, RgbImage, Se3, kept};
@@ -16,7 +16,7 @@ const LEAST_DISPARITY: f32 = 1e-3;
 #[derive(Clone, Copy)]
 pub struct MegasamInput<'a> {
     /// The images, all of one size.
-    pub pictures: &'a [&'a RgbImage],
+    pub images: &'a [&'a RgbImage],
     /// Instants, seconds, ascending.
     pub times_s: &'a [f64],
     /// First guess of the lens of the images; the principal point stays.
@@ -38,7 +38,7 @@ pub struct MegasamGeometry {
     pub c2w: Vec<Se3<f64>>,
     /// z-depth of the whole images, at the size before cutting ([`TrackingSize::scaled`]); what was cut has that of the edge.
     pub depth: Vec<Plane<f32>>,
-    /// How likely each cell of the tracker's grid is to stand still, 0..=1.
+    /// Probability that each cell of the tracker's grid is static, 0..=1.
     pub static_confidence: Vec<Plane<f32>>,
     /// How much each pixel followed the motion of the camera in the end (the learned certainty u), at half the cropped size.
     pub certainty: Vec<Plane<f32>>,
@@ -66,9 +66,9 @@ impl MegasamGeometry {
     }
 }
 
-/// Cameras, focal length, depth and what stands still, of a clip.
+/// Cameras, focal length, depth and static map of a clip.
 ///
-/// `correspondence` and `flow` see images of [`TrackingSize::picture`]. Without a prior, depth starts as what the tracker
+/// `correspondence` and `flow` see images of [`TrackingSize::resized`]. Without a prior, depth starts as what the tracker
 /// found, and its unit is arbitrary. Finished parts go to `cache`, which belongs to one clip with one set of settings: what is
 /// interrupted goes on after the last of them, to the same result.
 ///
@@ -84,7 +84,7 @@ pub fn reconstruct(
     cache: &dyn Cache,
 ) -> Result<MegasamGeometry, MegasamError> {
     let size = check(input, settings)?;
-    let frames = input.pictures.len();
+    let frames = input.images.len();
     let grid = size.grid();
     let sensor = |frame: usize| match input.prior {
         Some(prior) => prior.sensor(frame),
@@ -107,9 +107,9 @@ pub fn reconstruct(
     let tracked = kept(cache, "tracked", || track(&clip, correspondence, &tracker, progress))?;
     let lens = size.full_lens(&input.lens, &tracked.geometry.lens);
 
-    let picture = |frame: usize| size.picture(input.pictures[frame]);
+    let image_of = |frame: usize| size.resized(input.images[frame]);
     let budget_bytes = settings.flow_budget_mb.saturating_mul(1_000_000);
-    let pairs = measure(frames, &picture, size.cropped, flow, budget_bytes, progress)?;
+    let pairs = measure(frames, &image_of, size.cropped, flow, budget_bytes, progress)?;
     let (width, height) = (size.cropped.0 / 2, size.cropped.1 / 2);
     let on_grid = |values: &Vec<f32>| Plane::from_fn(grid.width, grid.height, |x, y| values[y * grid.width + x]);
     let on_half = |plane: &Plane<f32>| -> Plane<f32> { from_grid(plane, width, height, size.cropped) };
@@ -147,7 +147,7 @@ fn finish(
     lens: Intrinsics,
     tracked: Tracked,
     static_confidence: Vec<Plane<f32>>,
-    consistent: Consistent,
+    consistent: ConsistentDepth,
 ) -> MegasamGeometry {
     let norm = input.prior.map_or(1.0, |prior| prior.norm);
     let metric = input.prior.is_some_and(|prior| prior.kind == PriorKind::Metric);
@@ -183,11 +183,11 @@ fn finish(
 }
 
 fn check(input: &MegasamInput<'_>, settings: &MegasamSettings) -> Result<TrackingSize, MegasamError> {
-    let expected = input.pictures.len();
-    let full = input.pictures.first().map_or((0, 0), |p| p.size());
-    let other = input.pictures.iter().position(|p| p.size() != full);
+    let expected = input.images.len();
+    let full = input.images.first().map_or((0, 0), |p| p.size());
+    let other = input.images.iter().position(|p| p.size() != full);
     if let Some(frame) = other {
-        let found = input.pictures[frame].size();
+        let found = input.images[frame].size();
         return Err(MegasamError::OtherSize {
             frame,
             found,

@@ -47,7 +47,7 @@ impl TrackingSize {
 
     /// An image at the size of tracking, by areas.
     #[must_use]
-    pub fn picture(&self, full: &RgbImage) -> RgbImage {
+    pub fn resized(&self, full: &RgbImage) -> RgbImage {
         crop(&resize_area(full, self.scaled.0, self.scaled.1), self.cropped)
     }
 
@@ -55,7 +55,7 @@ impl TrackingSize {
     #[must_use]
     pub fn grid_lens(&self, full: &Intrinsics) -> Pinhole<f64> {
         let k = full.resized(self.scaled.0, self.scaled.1);
-        Pinhole::of_picture(k.fx, k.fy, k.cx, k.cy, CELL_PX as f64)
+        Pinhole::of_image(k.fx, k.fy, k.cx, k.cy, CELL_PX as f64)
     }
 
     /// The lens of the full images whose focal length on the grid is that of `grid`; the principal point is that of `full`.
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lens_goes_there_and_back() {
+    fn grid_intrinsics_round_trip() {
         let size = TrackingSize::new((854, 480), 384.0 * 512.0).unwrap();
         let lens = Intrinsics::centred(854, 480, 700.0);
         let back = size.full_lens(&lens, &size.grid_lens(&lens));

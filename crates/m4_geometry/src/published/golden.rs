@@ -73,7 +73,7 @@ impl Golden {
         }
     }
 
-    /// `[frames][height][width]` as one plane a frame.
+    /// `[frames][height][width]` as one plane per frame.
     pub fn planes(&self, name: &str) -> (Grid, Vec<Vec<f64>>) {
         let (shape, values) = self.tensor(name);
         let grid = Grid {

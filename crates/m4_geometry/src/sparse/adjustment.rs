@@ -3,10 +3,10 @@
 use super::SparseError;
 use super::bundle::{BundleOptions, BundleReport};
 use super::growth::{MIN_MATCHES, scan, start_pairs};
-use super::known::{FocalSource, Recovered};
 use super::limits::Limits;
 use super::map::Map;
 use super::motion::{ROUNDS, classify};
+use super::priors::{FocalSource, Recovered};
 use super::reconstruct::Clip;
 use super::rotation::keyframes;
 use super::selection::{Selected, select};

@@ -1,4 +1,4 @@
-//! Cameras that stand still or only turn: rotations alone, no points.
+//! Static or only turning cameras: rotations alone, no points.
 
 use super::map::Map;
 use super::motion::median_far_error;

@@ -80,7 +80,7 @@ pub enum SparseError {
         /// Points needed.
         needed: usize,
     },
-    /// There is one mask a frame.
+    /// The number of masks differs from the number of frames.
     #[error("there are {masks} masks for {frames} frames; give one per frame")]
     MaskCount {
         /// Masks given.
@@ -88,7 +88,7 @@ pub enum SparseError {
         /// Frames given.
         frames: usize,
     },
-    /// There is one camera a frame.
+    /// The number of cameras differs from the number of frames.
     #[error("there are {cameras} cameras for {frames} frames; give one per frame")]
     CameraCount {
         /// Cameras given.

@@ -155,7 +155,7 @@ mod tests {
     use m4_core::Plane;
 
     /// A smooth image, seen through `x -> (x - t) / s`, scaled and offset in brightness.
-    fn picture(shift: [f32; 2], stretch: f32, gain: f32) -> Pyramid {
+    fn pattern(shift: [f32; 2], stretch: f32, gain: f32) -> Pyramid {
         let value = |x: f32, y: f32| {
             let wave = |a: f32, b: f32, c: f32| (a * x + b * y + c).sin();
             128.0 + 30.0 * wave(0.31, 0.12, 0.3) + 25.0 * wave(-0.11, 0.27, 1.0) + 20.0 * wave(0.05, -0.07, 2.0)
@@ -169,7 +169,7 @@ mod tests {
 
     #[test]
     fn a_shift_is_measured_to_a_fiftieth_of_a_pixel() {
-        let (a, b) = (picture([0.0, 0.0], 1.0, 1.0), picture([6.3, -4.8], 1.0, 1.0));
+        let (a, b) = (pattern([0.0, 0.0], 1.0, 1.0), pattern([6.3, -4.8], 1.0, 1.0));
         let (p, likeness) = follow(&a, &b, [70.0, 60.0], 7, 15).expect("texture");
         assert!((p[0] - 76.3).abs() < 0.02 && (p[1] - 55.2).abs() < 0.02, "{p:?}");
         assert!(likeness > 0.999);
@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn a_change_of_scale_and_brightness_leaves_the_centre_in_place() {
-        let (a, b) = (picture([0.0, 0.0], 1.0, 1.0), picture([2.0, 1.0], 1.03, 0.97));
+        let (a, b) = (pattern([0.0, 0.0], 1.0, 1.0), pattern([2.0, 1.0], 1.03, 0.97));
         let (p, _) = follow(&a, &b, [90.0, 50.0], 7, 15).expect("texture");
         // u + 80 - 2 = 90 at x = 80 + 1.03 * 12, likewise y.
         let want = [80.0 + 1.03 * 12.0, 60.0 + 1.03 * -9.0];
@@ -193,7 +193,7 @@ mod tests {
         assert!(Template::new(&edge, [32.0, 32.0], 7).is_none());
         assert!(Template::new(&Plane::filled(64, 64, 9.0), [32.0, 32.0], 7).is_none());
         // Where the image went flat there is nothing that looks alike.
-        let a = picture([0.0, 0.0], 1.0, 1.0);
+        let a = pattern([0.0, 0.0], 1.0, 1.0);
         let flat = Pyramid::new(Plane::filled(160, 120, 128.0), 4);
         assert!(follow(&a, &flat, [80.0, 60.0], 7, 15).is_none_or(|(_, c)| c < 0.5));
     }

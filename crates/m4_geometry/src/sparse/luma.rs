@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn positions_survive_the_way_to_working_size_and_back() {
+    fn positions_round_trip_through_the_working_size() {
         let size = WorkingSize::new(1280, 720, 640);
         let p = size.to_input(size.centred([100.0, 50.0]));
         assert!((p[0] - 200.5).abs() < 1e-4 && (p[1] - 100.5).abs() < 1e-4);

@@ -9,7 +9,7 @@
 //!        -> all frames, bundle adjustment and motion classification in turn (map, bundle, motion)
 //! ```
 //!
-//! Where the cameras are known, [`with_cameras`] tracks, triangulates and tells what moves; cameras with which few tracks agree
+//! Where the cameras are known, [`with_cameras`] tracks, triangulates and finds dynamic points; cameras with which few tracks agree
 //! are compared with those of the clip itself (refuted).
 //!
 //! Inside, lengths in images are *working pixels*: those of the shrunk image, measured from the
@@ -22,17 +22,17 @@ mod config;
 mod corners;
 mod degenerate;
 mod error;
+mod feature_tracks;
 mod five_point;
-mod followed;
 mod growth;
 mod klt;
-mod known;
 mod limits;
 mod luma;
 mod map;
 mod motion;
 mod outcome;
 mod posed;
+mod priors;
 mod reconstruct;
 mod refuted;
 mod resection;
@@ -50,9 +50,9 @@ mod tests;
 
 pub use config::SparseConfig;
 pub use error::SparseError;
-pub use followed::{Followed, follow};
-pub use known::{FocalSource, Known, Recovered};
+pub use feature_tracks::{FeatureTracks, track_features};
 pub use posed::with_cameras;
+pub use priors::{FocalSource, Priors, Recovered};
 pub use reconstruct::{reconstruct, recover};
 pub use work::Work;
 

@@ -2,11 +2,11 @@
 
 use super::adjustment::MIN_POINTS;
 use super::bundle::BundleReport;
-use super::known::{FocalSource, Known, Lenses, Recovered};
 use super::limits::Limits;
 use super::luma::{LONGEST_SIDE_PX, WorkingSize};
 use super::map::Map;
 use super::motion::{ROUNDS, classify, median_far_error};
+use super::priors::{FocalSource, Lenses, Priors, Recovered};
 use super::reconstruct::{Clip, MIN_TRACKS, check};
 use super::rotation::sway;
 use super::tracking::{RawTrack, track};
@@ -16,7 +16,7 @@ use m4_core::{Camera, RgbImage};
 
 /// Share of the tracks that must agree with given poses; below, they are doubted.
 const DOUBTFUL_SHARE: f64 = 0.5;
-/// Cameras that turn less than this, radians, and do not move stand still.
+/// Cameras that turn less than this, radians, and do not move are static.
 const STILL_RAD: f64 = 1e-4;
 
 /// Tracks and points of a clip whose cameras are known, each with its own lens. Cameras, their world and their unit are
@@ -28,7 +28,7 @@ const STILL_RAD: f64 = 1e-4;
 pub fn with_cameras(
     frames: &[&RgbImage],
     cameras: &[Camera],
-    known: &Known<'_>,
+    known: &Priors<'_>,
     config: &SparseConfig,
     work: &Work<'_>,
 ) -> Result<Recovered, SparseError> {
@@ -53,7 +53,7 @@ pub(super) fn posed_tracks(
     cameras: &[Camera],
     [width, height]: [usize; 2],
     size: WorkingSize,
-    known: &Known<'_>,
+    known: &Priors<'_>,
     config: &SparseConfig,
     work: &Work<'_>,
 ) -> Result<Recovered, SparseError> {
@@ -180,7 +180,7 @@ impl Clip<'_> {
     }
 }
 
-/// Whether cameras without parallax turn or stand still.
+/// Whether cameras without parallax turn or are static.
 fn motionless(cameras: &[Camera]) -> CameraMotion {
     let turns = |c: &Camera| {
         let turn = cameras[0].c2w.rotation.tr_mul(&c.c2w.rotation);

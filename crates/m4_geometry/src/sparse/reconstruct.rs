@@ -3,11 +3,11 @@
 use super::SparseError;
 use super::config::SparseConfig;
 use super::degenerate::{standing, turning};
-use super::known::{FocalSource, Known, Lenses, Recovered};
 use super::limits::Limits;
 use super::luma::{LONGEST_SIDE_PX, WorkingSize};
 use super::map::Map;
 use super::motion::classify;
+use super::priors::{FocalSource, Lenses, Priors, Recovered};
 use super::rotation::{KEYFRAME_PARALLAX, Sway, focal_candidates, focal_from_fov, matches, sway};
 use super::tracking::{RawTrack, track};
 use super::work::Work;
@@ -33,7 +33,7 @@ pub(super) const MIN_TRACKS: usize = 20;
 /// length is shared by all frames; the principal point is the image centre and pixels are square, unless
 /// [`SparseConfig::intrinsics`] says otherwise.
 ///
-/// Cameras that stand still or only turn are no error: [`SparseReconstruction::camera_motion`] and the
+/// Static or only turning cameras are not an error: [`SparseReconstruction::camera_motion`] and the
 /// warnings say so.
 ///
 /// # Errors
@@ -45,7 +45,7 @@ pub fn reconstruct(
     config: &SparseConfig,
     progress: &dyn Progress,
 ) -> Result<SparseReconstruction, SparseError> {
-    recover(frames, &Known::default(), config, &Work::new(progress)).map(|r| r.sparse)
+    recover(frames, &Priors::default(), config, &Work::new(progress)).map(|r| r.sparse)
 }
 
 /// As [`reconstruct`], with what else is known, and with how far the focal length is known afterwards.
@@ -55,7 +55,7 @@ pub fn reconstruct(
 /// As [`reconstruct`], and for masks of another number than that of the frames.
 pub fn recover(
     frames: &[&RgbImage],
-    known: &Known<'_>,
+    known: &Priors<'_>,
     config: &SparseConfig,
     work: &Work<'_>,
 ) -> Result<Recovered, SparseError> {
@@ -71,7 +71,7 @@ pub(super) fn from_tracks(
     frames: usize,
     [width, height]: [usize; 2],
     size: WorkingSize,
-    known: &Known<'_>,
+    known: &Priors<'_>,
     config: &SparseConfig,
     work: &Work<'_>,
 ) -> Result<Recovered, SparseError> {
@@ -108,18 +108,18 @@ pub(super) fn from_tracks(
 
 pub(super) fn check(
     frames: &[&RgbImage],
-    known: &Known<'_>,
+    known: &Priors<'_>,
     config: &SparseConfig,
 ) -> Result<(usize, usize), SparseError> {
     let Some(first) = frames.first().filter(|_| frames.len() >= 2) else {
         return Err(SparseError::TooFewFrames { found: frames.len() });
     };
     let (width, height) = first.size();
-    for (frame, picture) in frames.iter().enumerate() {
-        if picture.size() != (width, height) {
+    for (frame, image) in frames.iter().enumerate() {
+        if image.size() != (width, height) {
             return Err(SparseError::FrameSize {
                 frame,
-                found: picture.size(),
+                found: image.size(),
                 expected: (width, height),
             });
         }
@@ -144,7 +144,7 @@ pub(super) fn check(
 }
 
 /// Rejects masks of another clip.
-pub(super) fn check_masks(known: &Known<'_>, frames: usize) -> Result<(), SparseError> {
+pub(super) fn check_masks(known: &Priors<'_>, frames: usize) -> Result<(), SparseError> {
     match known.masks.map(<[_]>::len).filter(|&n| n != frames) {
         Some(masks) => Err(SparseError::MaskCount { masks, frames }),
         None => Ok(()),

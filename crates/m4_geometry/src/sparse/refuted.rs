@@ -1,7 +1,7 @@
 //! Given poses against those that the clip itself suggests.
 
-use super::known::Lenses;
 use super::limits::Limits;
+use super::priors::Lenses;
 use super::reconstruct::Clip;
 use super::{SparseConfig, SparseError, Work};
 use crate::reconstruction::CameraMotion;

@@ -30,7 +30,7 @@ pub(crate) fn matches(tracks: &[RawTrack], a: usize, b: usize) -> Vec<Match> {
 pub(crate) struct Turn {
     /// First camera to second camera.
     pub rotation: Matrix3<f64>,
-    /// Median distance that is left, pixels: parallax, where the scene stands still.
+    /// Median distance that is left, pixels: parallax, where the scene is static.
     pub parallax_px: f64,
 }
 
@@ -192,7 +192,7 @@ mod tests {
     use crate::sparse::tracking::RawTrack;
     use m4_core::{CounterRng, exp_so3, nalgebra::Vector3};
 
-    /// Tracks of a camera that turns by `turn` and moves by `step` a frame.
+    /// Tracks of a camera that turns by `turn` and moves by `step` per frame.
     fn tracks(frames: usize, turn: f64, step: f64, focal: f64) -> Vec<RawTrack> {
         let mut rng = CounterRng::new(9, 0, 0);
         (0..200)
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn sway_tells_turning_from_moving_and_finds_the_focal_length_of_a_turn() {
+    fn sway_separates_rotation_from_translation_and_gives_focal_length() {
         let focals = focal_candidates(480);
         let turning = sway(&tracks(20, 0.02, 0.0, 400.0), 20, &focals, 20).expect("sway");
         assert!(turning.parallax_px < 2.5 && turning.motion_px > 20.0, "{turning:?}");

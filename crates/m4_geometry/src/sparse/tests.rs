@@ -1,8 +1,8 @@
 //! From synthetic tracks to reconstructions with known answers.
 
-use super::known::Known;
 use super::luma::WorkingSize;
 use super::posed::posed_tracks;
+use super::priors::Priors;
 use super::reconstruct::from_tracks;
 use super::tracking::RawTrack;
 use super::{SparseConfig, SparseError, Work};
@@ -19,11 +19,11 @@ struct Scene {
     frames: usize,
     points: usize,
     focal: f64,
-    /// Units a frame; the room is some 10 units deep.
+    /// Units per frame; the room is some 10 units deep.
     step: f64,
     /// Which way it goes.
     way: [f64; 3],
-    /// Radians a frame.
+    /// Radians per frame.
     turn: f64,
     /// Focal length of the last frame over that of the first.
     zoom: f64,
@@ -104,7 +104,7 @@ fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<
         frames,
         [WIDTH, HEIGHT],
         size,
-        &Known::default(),
+        &Priors::default(),
         config,
         &Work::new(&Silent),
     )
@@ -112,13 +112,13 @@ fn solve(tracks: Vec<RawTrack>, frames: usize, config: &SparseConfig) -> Result<
 }
 
 #[test]
-fn what_is_interrupted_goes_on_to_the_same_bits() {
+fn interrupted_work_resumes_to_identical_bits() {
     let scene = Scene { frames: 12, ..ROOM };
     let (tracks, _) = scene.tracks();
     let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
     let config = SparseConfig::default();
     let go = |work: &Work<'_>| {
-        let known = Known::default();
+        let known = Priors::default();
         from_tracks(
             tracks.clone(),
             scene.frames,
@@ -232,7 +232,7 @@ fn a_wide_and_a_long_lens_are_found() {
 }
 
 #[test]
-fn a_given_focal_length_is_kept() {
+fn given_focal_length_is_used() {
     let config = SparseConfig {
         focal_px: Some(530.0),
         fov_deg: Some(40.0),
@@ -244,7 +244,7 @@ fn a_given_focal_length_is_kept() {
 }
 
 #[test]
-fn a_turning_camera_gives_rotations_and_says_so() {
+fn turning_camera_gives_rotations_and_is_reported() {
     let scene = Scene {
         step: 0.0,
         turn: 0.012,
@@ -269,7 +269,7 @@ fn a_turning_camera_gives_rotations_and_says_so() {
 }
 
 #[test]
-fn a_zoom_gives_rotations_and_a_lens_a_frame_and_says_so() {
+fn zoom_gives_rotations_and_intrinsics_per_frame() {
     let scene = Scene {
         step: 0.0,
         zoom: 1.8,
@@ -361,7 +361,7 @@ fn a_camera_on_a_tripod_gives_one_pose() {
 }
 
 #[test]
-fn static_camera_overrules_what_is_seen() {
+fn static_camera_option_overrides_detection() {
     let config = SparseConfig {
         static_camera: true,
         fov_deg: Some(60.0),
@@ -437,7 +437,7 @@ fn the_number_of_threads_changes_nothing() {
 fn posed(cameras: &[Camera]) -> Result<SparseReconstruction, SparseError> {
     let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
     let config = SparseConfig::default();
-    let known = Known::default();
+    let known = Priors::default();
     posed_tracks(
         ROOM.tracks().0,
         cameras,
@@ -459,7 +459,7 @@ fn room_cameras(focal: f64) -> Vec<Camera> {
 }
 
 #[test]
-fn given_cameras_are_kept_and_points_found_in_their_unit() {
+fn given_cameras_are_used_and_points_are_in_their_unit() {
     let cameras = room_cameras(ROOM.focal);
     let found = posed(&cameras).expect("a reconstruction");
     assert_eq!(found.cameras, cameras);
@@ -487,7 +487,7 @@ fn given_cameras_are_kept_and_points_found_in_their_unit() {
 }
 
 #[test]
-fn given_cameras_that_contradict_the_pictures_are_refused() {
+fn given_cameras_that_contradict_the_images_are_rejected() {
     // World to camera where camera to world is meant, and turned about.
     let wrong: Vec<Camera> = room_cameras(ROOM.focal)
         .into_iter()
@@ -501,7 +501,7 @@ fn given_cameras_that_contradict_the_pictures_are_refused() {
 }
 
 #[test]
-fn given_cameras_that_explain_far_less_than_others_are_refused() {
+fn given_cameras_that_explain_far_less_than_others_are_rejected() {
     // The last two thirds of the way are walked backwards.
     let right = room_cameras(ROOM.focal);
     let wrong: Vec<Camera> = (0..ROOM.frames)
@@ -516,12 +516,12 @@ fn given_cameras_that_explain_far_less_than_others_are_refused() {
 }
 
 #[test]
-fn tracks_in_given_masks_move_and_do_not_count() {
+fn tracks_in_given_masks_are_dynamic_and_excluded() {
     let (tracks, _) = ROOM.tracks();
     let left = Plane::from_fn(64, 48, |x, _| u8::from(x < 16));
     let masks = vec![left; ROOM.frames];
     let size = WorkingSize::new(WIDTH, HEIGHT, WIDTH);
-    let known = Known { masks: Some(&masks) };
+    let known = Priors { masks: Some(&masks) };
     let config = SparseConfig::default();
     let count = tracks.len();
     let found = from_tracks(
@@ -543,7 +543,7 @@ fn tracks_in_given_masks_move_and_do_not_count() {
 }
 
 #[test]
-fn a_known_lens_with_its_centre_elsewhere_gives_the_same_cameras() {
+fn off_centre_principal_point_gives_the_same_cameras() {
     // The same rays as a lens with another centre, and pixels that are not square, has them.
     let (mut tracks, _) = ROOM.tracks();
     let [fx, fy, cx, cy] = [500.0, 540.0, 350.0, 230.0];

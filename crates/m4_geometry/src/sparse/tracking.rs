@@ -28,7 +28,7 @@ const MAX_DRIFT_PX: f32 = 1.0;
 pub(crate) struct RawTrack {
     /// Frame of the first observation.
     pub first: usize,
-    /// Working pixels from the image centre, one entry a frame.
+    /// Working pixels from the image centre, one entry per frame.
     pub seen: Vec<[f64; 2]>,
 }
 

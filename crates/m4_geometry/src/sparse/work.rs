@@ -4,10 +4,10 @@ use super::SparseError;
 use m4_core::{Cache, NoCache, Progress, kept};
 use serde::{Serialize, de::DeserializeOwned};
 
-/// What long work talks to.
+/// Progress and cache of a long computation.
 #[derive(Clone, Copy)]
 pub struct Work<'a> {
-    /// Hears how far it is, and says when to stop.
+    /// Receives progress, and may cancel.
     pub progress: &'a dyn Progress,
     /// Keeps finished parts: what is interrupted goes on after the last of them, to the same result. It belongs to one clip
     /// with one set of settings.
@@ -15,7 +15,7 @@ pub struct Work<'a> {
 }
 
 impl<'a> Work<'a> {
-    /// Work that keeps nothing.
+    /// Work without a cache.
     #[must_use]
     pub fn new(progress: &'a dyn Progress) -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! A lens that zooms while the camera rests or turns: a rotation and a focal length a frame, no points.
+//! Estimates a zoom of a static or turning camera: a rotation and a focal length per frame, no points.
 //!
 //! Frames are then related by infinite homographies `K_t R_t K_0^-1` (Hartley and Zisserman 2004, section 8.4), whatever the
 //! scene. Something flat towards which the camera walks looks the same, a scene with depth does not: what is near grows
@@ -27,7 +27,7 @@ pub(crate) struct Aim {
 /// A camera that stays in place and zooms.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(crate) struct Zooming {
-    /// One a frame; the world is the camera of frame 0.
+    /// One per frame; the world is the camera of frame 0.
     pub aims: Vec<Aim>,
     /// False where the turn says so little about the focal length of frame 0 that the assumed one was kept.
     pub focal_observed: bool,
@@ -54,7 +54,7 @@ pub(crate) fn zooming(
     min_matches: usize,
     cauchy_px: f64,
 ) -> Option<Zooming> {
-    // A glance refuses most clips: what moves ahead or aside leaves parallax somewhere.
+    // A quick test rejects most clips: a camera that translates leaves parallax somewhere.
     let few = glanced(tracks, frames);
     let tried = focals.par_iter().chain(rayon::iter::once(&assumed));
     if !tried.any(|&focal| glance(&few, focal, min_matches).is_some()) {
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn a_walk_ahead_is_no_zoom_where_there_is_depth() {
+    fn forward_motion_with_parallax_is_not_a_zoom() {
         assert!(zooming(&tracks(0.1, 1.0, 1.5, false), FRAMES, &FOCALS, 400.0, 20, 1.0).is_none());
         // Something flat grows as if by a zoom.
         assert!(zooming(&tracks(0.0, 1.0, 1.5, true), FRAMES, &FOCALS, 400.0, 20, 1.0).is_some());

@@ -1,9 +1,9 @@
-//! What comes of a clip whose lens zooms while the camera stays in place: rotations and a lens a frame.
+//! Assembles the result for a zooming, not translating camera: a rotation and intrinsics per frame.
 
 use super::SparseError;
-use super::known::{FocalSource, Lenses, Recovered};
 use super::map::Map;
 use super::motion::{classify, median_far_error};
+use super::priors::{FocalSource, Lenses, Recovered};
 use super::reconstruct::{Clip, MIN_TRACKS};
 use super::tracking::RawTrack;
 use super::zoom::{Aim, MOST_PX, Zooming, range, zooming};
@@ -80,7 +80,7 @@ impl Clip<'_> {
         }))
     }
 
-    /// Rotations and a lens a frame.
+    /// A rotation and intrinsics per frame.
     pub(super) fn zoomed(&mut self, zoom: Zoom) -> Recovered {
         let Zoom {
             found,

@@ -107,7 +107,7 @@ impl Backend {
         Ok(observability(&keyframes.geometry, &problem, &options)?)
     }
 
-    /// How likely each pixel of each keyframe is to stand still, `[keyframes][height * width]`: the mean over the edges that
+    /// Probability that each pixel of each keyframe is static, `[keyframes][height * width]`: the mean over the edges that
     /// start there, at the last update; 1 for a frame without edges.
     #[must_use]
     pub fn static_confidence(&self, keyframes: &Keyframes) -> Vec<Vec<f32>> {

@@ -35,7 +35,7 @@ pub struct EdgeRevision<'a> {
     pub target_px: &'a mut [Vec<f32>; 2],
     /// To be written: confidence of each component, 0 or more (a network's are in 0..=1).
     pub weight: &'a mut [Vec<f32>; 2],
-    /// To be written: how likely the pixel is to stand still, in 0..=1. Multiplied into the weight by the caller.
+    /// Output: the probability that the pixel is static, 0..=1. Multiplied into the weight by the caller.
     pub static_confidence: &'a mut Vec<f32>,
 }
 

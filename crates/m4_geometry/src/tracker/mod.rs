@@ -1,4 +1,4 @@
-//! From frames to cameras, depth and a map of what stands still.
+//! From frames to cameras, depth and a map of static regions.
 //!
 //! ```text
 //! frames + sensor disparity

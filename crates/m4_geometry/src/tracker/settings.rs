@@ -45,7 +45,7 @@ pub struct TrackerSettings {
 }
 
 impl TrackerSettings {
-    /// For correspondences that do not know what moves, such as plain optical flow: residuals are judged instead.
+    /// For correspondences that do not detect motion, such as plain optical flow: residuals are judged instead.
     /// The front end takes Cauchy's weight at half a pixel of the grid, the back end that of Geman and McClure at one,
     /// whose tail lets go of moving things altogether; `docs/geometry.md` has the comparison. Where there is no parallax the
     /// prior is that of the front end: the noise of flow looks like parallax to a weak one.

@@ -1,4 +1,4 @@
-//! What stands still, judged by how well pixels follow the motion of the camera.
+//! Finds static pixels by how well they follow the motion of the camera.
 
 use crate::dba::{Geometry, Robust, project};
 use crate::graph::GraphEdge;

@@ -31,7 +31,7 @@ pub struct Tracked {
     /// World to camera, disparities and lens, in the tracker's conventions ([`crate::dba`]). The first camera is the
     /// origin.
     pub geometry: Geometry<f32>,
-    /// How likely each pixel is to stand still, `[frames][height * width]`, 0..=1.
+    /// Probability that each pixel is static, `[frames][height * width]`, 0..=1.
     pub static_confidence: Vec<Vec<f32>>,
     /// What the keyframes could tell.
     pub observability: Observability,

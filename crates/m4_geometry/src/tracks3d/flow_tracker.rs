@@ -6,10 +6,10 @@ use super::clip::{frame_error, read_checked};
 use super::fill::JOIN_DEPTH;
 use super::grid::{nearest, thinned};
 use super::lift::{SHORTEST, around};
-use super::strip::{Strip, moving, ways};
+use super::strip::{Strip, moving, sparse_flow_pair};
 use super::{
-    Board, Chain, Followed, Lifted, PosedClip, PosedFrame, Query, QueryGrid, Scene, TrackError, Tracker3d, chain, fill,
-    lift, seed,
+    Board, Chain, Lifted, PosedClip, PosedFrame, Query, QueryGrid, Scene, TrackError, TrackedPoints, Tracker3d, chain,
+    fill, lift, seed,
 };
 use crate::dense::FlowSource;
 use m4_core::Progress;
@@ -55,7 +55,12 @@ impl Tracker3d for FlowTracker<'_> {
         "flow"
     }
 
-    fn follow(&self, clip: &dyn PosedClip, queries: &[Query], progress: &dyn Progress) -> Result<Followed, TrackError> {
+    fn follow(
+        &self,
+        clip: &dyn PosedClip,
+        queries: &[Query],
+        progress: &dyn Progress,
+    ) -> Result<TrackedPoints, TrackError> {
         let frames = clip.frames();
         Query::check_all(queries, frames)?;
         let strip = strip(clip, self.flow, progress)?;
@@ -76,7 +81,7 @@ impl Tracker3d for FlowTracker<'_> {
         clip: &dyn PosedClip,
         grid: &QueryGrid,
         progress: &dyn Progress,
-    ) -> Result<Followed, TrackError> {
+    ) -> Result<TrackedPoints, TrackError> {
         grid.check()?;
         let strip = strip(clip, self.flow, progress)?;
         let pieces = on_grid(&strip, grid, &self.config);
@@ -93,7 +98,7 @@ fn finish(
     queries: Vec<Query>,
     config: &TrackConfig,
     progress: &dyn Progress,
-) -> Result<Followed, TrackError> {
+) -> Result<TrackedPoints, TrackError> {
     let surface = |i: usize| Ok(read_checked(clip, i)?.depth);
     let scene = Scene {
         strip,
@@ -107,9 +112,9 @@ fn finish(
 }
 
 /// The board as an answer.
-pub(crate) fn followed(board: Board, queries: Vec<Query>) -> Result<Followed, TrackError> {
+pub(crate) fn followed(board: Board, queries: Vec<Query>) -> Result<TrackedPoints, TrackError> {
     let visible = board.state.iter().map(|s| *s == State::Seen).collect();
-    Followed::new(board.frames, queries, board.places, visible, board.confidence)
+    TrackedPoints::new(board.frames, queries, board.places, visible, board.confidence)
 }
 
 /// Pieces as tracks, and their first places as queries.
@@ -127,7 +132,7 @@ pub(crate) fn board_of(frames: usize, pieces: &[Lifted]) -> (Board, Vec<Query>) 
     (board, pieces.iter().filter_map(query).collect())
 }
 
-/// Chains from every so many frames, each from the cells of a grid that no chain passes, in the world.
+/// Chains that start at regular intervals of frames, each from the cells of a grid that no chain passes, in the world.
 pub(crate) fn on_grid(strip: &Strip, grid: &QueryGrid, config: &TrackConfig) -> Vec<Lifted> {
     let cell = grid.spacing_px.max(1);
     let columns = strip.width.div_ceil(cell);
@@ -216,7 +221,7 @@ fn strip(clip: &dyn PosedClip, flow: &dyn FlowSource, progress: &dyn Progress) -
             .par_windows(2)
             .enumerate()
             .map(|(i, pair)| {
-                ways([&pair[0], &pair[1]], flow).map_err(|source| TrackError::Flow {
+                sparse_flow_pair([&pair[0], &pair[1]], flow).map_err(|source| TrackError::Flow {
                     frame: first + i,
                     source,
                 })

@@ -1,7 +1,7 @@
 //! Where points start.
 
 use super::clip::read_checked;
-use super::{Followed, PosedClip, Query, TrackError};
+use super::{PosedClip, Query, TrackError, TrackedPoints};
 use m4_core::Progress;
 
 /// Queries on a regular grid of pixels inside the masks (section 3.2 of the paper; docs/spec/optimiser.md 2.6).
@@ -40,7 +40,7 @@ impl QueryGrid {
         }
     }
 
-    /// Refuses values that nobody can use.
+    /// Rejects unusable values.
     ///
     /// # Errors
     ///
@@ -73,13 +73,13 @@ impl QueryGrid {
         &self,
         clip: &dyn PosedClip,
         index: usize,
-        followed: Option<&Followed>,
+        followed: Option<&TrackedPoints>,
     ) -> Result<Vec<Query>, TrackError> {
         let frame = read_checked(clip, index)?;
         let (w, h) = frame.rgb.size();
         let columns = w.div_ceil(self.spacing_px);
         let mut taken = vec![false; columns * h.div_ceil(self.spacing_px)];
-        if let Some(Followed { tracks, .. }) = followed {
+        if let Some(TrackedPoints { tracks, .. }) = followed {
             let seen = (0..tracks.count()).filter(|k| tracks.visible()[index * tracks.count() + k]);
             for p in seen.filter_map(|k| tracks.place(index, k)) {
                 let ([u, v], z) = frame.camera.project(&p.map(f64::from).into());
@@ -108,12 +108,12 @@ impl QueryGrid {
         tracker: &str,
         clip: &dyn PosedClip,
         progress: &dyn Progress,
-        follow: &dyn Fn(&[Query]) -> Result<Followed, TrackError>,
-    ) -> Result<Followed, TrackError> {
+        follow: &dyn Fn(&[Query]) -> Result<TrackedPoints, TrackError>,
+    ) -> Result<TrackedPoints, TrackError> {
         self.check()?;
         let starts: Vec<usize> = self.starts(clip.frames()).collect();
         let rounds = self.rounds.min(starts.len()).max(1);
-        let mut followed: Option<Followed> = None;
+        let mut followed: Option<TrackedPoints> = None;
         let mut left = self.most;
         for round in 0..rounds {
             let mut queries = Vec::new();

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! masks every n-th frame -> grid of queries ----------.
-//! PosedClip (a frame at a time) -> Tracker3d::follow --+--> Followed: places, visibility, confidence -> m4_core::Tracks
+//! PosedClip (a frame at a time) -> Tracker3d::follow --+--> TrackedPoints: places, visibility, confidence -> m4_core::Tracks
 //!                                     |
 //!                 FlowTracker: strip (flow and depth of dynamic regions) -> chain -> lift -> fill -> again where it comes back
 //! ```
@@ -33,7 +33,7 @@ pub use clip::{CaptureClip, PosedClip, PosedFrame};
 pub use error::TrackError;
 pub use flow_tracker::{FlowTracker, TrackConfig};
 pub use grid::QueryGrid;
-pub use tracker::{Followed, Query, Tracker3d};
+pub use tracker::{Query, TrackedPoints, Tracker3d};
 
 pub(crate) use board::Board;
 pub(crate) use chain::{Chain, chain};
@@ -41,4 +41,4 @@ pub(crate) use fill::{Scene, fill};
 pub(crate) use flow_tracker::{board_of, followed, on_grid};
 pub(crate) use grid::seed;
 pub(crate) use lift::{Lifted, lift};
-pub(crate) use strip::{Sparse, Strip, way};
+pub(crate) use strip::{Sparse, Strip, sparse_flow};

@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn what_neighbours_do_not_say_stays_as_it_was() {
+    fn unconstrained_directions_stay_unchanged() {
         let prior = Rotation3::from_scaled_axis(Vector3::new(0.3, 0.0, 0.0));
         let shift = Vector3::new(0.0, 1.0, 0.0);
         let one = Anchor {

@@ -1,7 +1,7 @@
 //! What is kept of a clip while points are followed: flow and depth of the pixels that move, and nothing of the others.
 
 use super::PosedFrame;
-use crate::dense::{Flow, FlowError, FlowPicture, FlowSource, round_trip_px};
+use crate::dense::{Flow, FlowError, FlowImage, FlowSource, round_trip_px};
 use m4_core::Camera;
 
 /// Values of some pixels of an image.
@@ -48,11 +48,11 @@ impl<T: Copy> Sparse<T> {
 pub(crate) struct Strip {
     pub width: usize,
     pub height: usize,
-    /// One a frame.
+    /// One per frame.
     pub cameras: Vec<Camera>,
-    /// One over the z-depth of dynamic regions, one a frame.
+    /// One over the z-depth of dynamic regions, one per frame.
     pub moving: Vec<Sparse<f32>>,
-    /// Flow of what moves and leads back, from each frame to the next.
+    /// Consistent flow of dynamic pixels, from each frame to the next.
     pub forward: Vec<Sparse<[f32; 2]>>,
     /// And from there back.
     pub backward: Vec<Sparse<[f32; 2]>>,
@@ -71,14 +71,17 @@ pub(super) fn moving(frame: &PosedFrame) -> Sparse<f32> {
 const ROUND_TRIP_PX: f32 = 1.0;
 
 /// Flow of pixels that `moves` and whose round trip is at most [`ROUND_TRIP_PX`].
-pub(crate) fn way(flow: &Flow, trip: &[f32], moves: impl Fn(usize) -> bool) -> Sparse<[f32; 2]> {
+pub(crate) fn sparse_flow(flow: &Flow, trip: &[f32], moves: impl Fn(usize) -> bool) -> Sparse<[f32; 2]> {
     Sparse::new(flow.width, flow.height, |i| {
         (moves(i) && trip[i] <= ROUND_TRIP_PX).then(|| [flow.u[i], flow.v[i]])
     })
 }
 
-/// Flow there and back between two frames, of what moves in each.
-pub(super) fn ways([a, b]: [&PosedFrame; 2], source: &dyn FlowSource) -> Result<[Sparse<[f32; 2]>; 2], FlowError> {
+/// Forward and backward flow between two frames, of the dynamic pixels of each.
+pub(super) fn sparse_flow_pair(
+    [a, b]: [&PosedFrame; 2],
+    source: &dyn FlowSource,
+) -> Result<[Sparse<[f32; 2]>; 2], FlowError> {
     let size = a.rgb.size();
     let grey = |f: &PosedFrame| -> Vec<f32> {
         let luma = |c: &[u8; 3]| 0.299 * f32::from(c[0]) + 0.587 * f32::from(c[1]) + 0.114 * f32::from(c[2]);
@@ -90,13 +93,13 @@ pub(super) fn ways([a, b]: [&PosedFrame; 2], source: &dyn FlowSource) -> Result<
         let expected = size;
         return Err(FlowError::Size { found, expected });
     }
-    let [a_picture, b_picture] = [(a, &grey_a), (b, &grey_b)].map(|(f, grey)| FlowPicture {
+    let [a_image, b_image] = [(a, &grey_a), (b, &grey_b)].map(|(f, grey)| FlowImage {
         width: size.0,
         height: size.1,
         rgb: f.rgb.data(),
         grey,
     });
-    let (there, back) = source.both(&a_picture, &b_picture)?;
+    let (there, back) = source.both(&a_image, &b_image)?;
     for flow in [&there, &back] {
         let (found, n) = ((flow.width, flow.height), size.0 * size.1);
         if found != size || flow.u.len() != n || flow.v.len() != n {
@@ -106,8 +109,8 @@ pub(super) fn ways([a, b]: [&PosedFrame; 2], source: &dyn FlowSource) -> Result<
     }
     let moves = |f: &PosedFrame, i: usize| f.moving.data()[i] > 0;
     Ok([
-        way(&there, &round_trip_px(&there, &back), |i| moves(a, i)),
-        way(&back, &round_trip_px(&back, &there), |i| moves(b, i)),
+        sparse_flow(&there, &round_trip_px(&there, &back), |i| moves(a, i)),
+        sparse_flow(&back, &round_trip_px(&back, &there), |i| moves(b, i)),
     ])
 }
 
@@ -116,7 +119,7 @@ mod tests {
     use super::Sparse;
 
     #[test]
-    fn what_is_there_is_found_and_nothing_else() {
+    fn sparse_planes_return_the_stored_values() {
         let known = |i: usize| (i % 3 == 1 && i != 7).then_some(i * 10);
         let sparse = Sparse::new(4, 3, known);
         for y in 0..4 {

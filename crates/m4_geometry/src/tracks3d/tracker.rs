@@ -1,4 +1,4 @@
-//! The seam between whoever follows points and whoever needs them followed.
+//! The interface of point trackers.
 
 use super::{PosedClip, QueryGrid, TrackError};
 use m4_core::{Camera, Progress, Tracks};
@@ -42,17 +42,17 @@ impl Query {
     }
 }
 
-/// Points that were followed.
+/// Tracked points.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Followed {
-    /// One a track, in their order.
+pub struct TrackedPoints {
+    /// One per track, in their order.
     pub queries: Vec<Query>,
     /// Places, visibility and confidence of each in every frame; NaN where unknown.
     pub tracks: Tracks,
 }
 
-impl Followed {
-    /// What a network says: places and probabilities of being seen, both `[frames][queries]`. A point is visible from `threshold` on
+impl TrackedPoints {
+    /// Converts the output of a network: positions and visibility probabilities, both `[frames][queries]`. A point is visible from `threshold` on
     /// (TAPIP3D: 0.9), and its probability is its confidence.
     ///
     /// # Errors
@@ -129,19 +129,24 @@ pub trait Tracker3d: Sync {
     /// # Errors
     ///
     /// [`TrackError`] where a frame cannot be read, a query asks about no place, the tracker fails, or the user stopped it.
-    fn follow(&self, clip: &dyn PosedClip, queries: &[Query], progress: &dyn Progress) -> Result<Followed, TrackError>;
+    fn follow(
+        &self,
+        clip: &dyn PosedClip,
+        queries: &[Query],
+        progress: &dyn Progress,
+    ) -> Result<TrackedPoints, TrackError>;
 
     /// Tracks of everything that moves: queries on a grid in the masks, in several rounds where `grid` says so.
     ///
     /// # Errors
     ///
-    /// As [`follow`](Self::follow); [`TrackError::Setting`] for a grid that nobody can use.
+    /// As [`follow`](Self::follow); [`TrackError::Setting`] for an unusable grid.
     fn follow_grid(
         &self,
         clip: &dyn PosedClip,
         grid: &QueryGrid,
         progress: &dyn Progress,
-    ) -> Result<Followed, TrackError> {
+    ) -> Result<TrackedPoints, TrackError> {
         grid.follow_in_rounds(self.name(), clip, progress, &|queries| {
             self.follow(clip, queries, progress)
         })

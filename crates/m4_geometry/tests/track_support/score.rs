@@ -1,7 +1,7 @@
 //! How far tracks are from the truth.
 
 use m4_core::nalgebra::Vector3;
-use m4_geometry::tracks3d::{Followed, PosedFrame};
+use m4_geometry::tracks3d::{PosedFrame, TrackedPoints};
 use m4_testkit::BoxScene;
 use std::fmt;
 
@@ -21,7 +21,7 @@ pub fn clip(scene: &BoxScene) -> Vec<PosedFrame> {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Score {
     pub tracks: usize,
-    /// Median distance to the truth where a point is said to be seen, and where not, in per cent of its depth.
+    /// Median distance to the truth where a point is reported visible, and where not, in per cent of its depth.
     pub seen_percent: f64,
     pub hidden_percent: f64,
     /// Share of all frames of all tracks in which the place is known and right: within 5 % of the depth and 10 px.
@@ -57,7 +57,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 }
 
 /// Compares with the truth; the point of a track is the one that its query shows.
-pub fn score(scene: &BoxScene, followed: &Followed) -> Score {
+pub fn score(scene: &BoxScene, followed: &TrackedPoints) -> Score {
     let tracks = &followed.tracks;
     let (mut seen_errors, mut hidden_errors) = (Vec::new(), Vec::new());
     let (mut all, mut right, mut hidden, mut recovered, mut said, mut wrong) = (0u32, 0u32, 0u32, 0u32, 0u32, 0u32);

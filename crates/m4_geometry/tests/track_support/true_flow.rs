@@ -1,19 +1,19 @@
 //! The flow of boxes, as it is.
 
 use m4_core::RgbImage;
-use m4_geometry::dense::{Flow, FlowError, FlowPicture, FlowSource};
+use m4_geometry::dense::{Flow, FlowError, FlowImage, FlowSource};
 use m4_testkit::BoxScene;
 
 /// True flow: images are known by their pixels.
 pub struct TrueFlow<'a> {
     pub scene: &'a BoxScene,
-    pub pictures: Vec<RgbImage>,
+    pub images: Vec<RgbImage>,
 }
 
 impl<'a> TrueFlow<'a> {
     pub fn new(scene: &'a BoxScene) -> Self {
-        let pictures = (0..scene.frames()).map(|t| scene.rgb(t)).collect();
-        Self { scene, pictures }
+        let images = (0..scene.frames()).map(|t| scene.rgb(t)).collect();
+        Self { scene, images }
     }
 }
 
@@ -22,9 +22,9 @@ impl FlowSource for TrueFlow<'_> {
         "true"
     }
 
-    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
-        let index = |p: &FlowPicture<'_>| {
-            let at = self.pictures.iter().position(|q| q.data() == p.rgb);
+    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
+        let index = |p: &FlowImage<'_>| {
+            let at = self.images.iter().position(|q| q.data() == p.rgb);
             at.ok_or_else(|| FlowError::Source {
                 source_name: "true".to_owned(),
                 reason: "an unknown image".into(),

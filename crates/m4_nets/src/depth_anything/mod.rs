@@ -16,7 +16,7 @@
 //! this network and gives wrong depth here.
 
 mod head;
-mod picture;
+mod preprocess;
 #[cfg(test)]
 mod tests;
 
@@ -28,7 +28,7 @@ use burn_core::tensor::activation::relu;
 use burn_core::tensor::{DType, Device, Tensor};
 use head::DepthHead;
 use m4_core::{Plane, RgbImage};
-use picture::Sides;
+use preprocess::Sides;
 use std::path::Path;
 
 /// What it is called in messages.
@@ -71,12 +71,12 @@ impl Net {
     }
 
     /// Of images `[b, 3, 14 h, 14 w]`: what the head says, `[b, 1, 14 h, 14 w]`; below 0 it means 0.
-    fn logits(&self, pictures: Tensor<4>) -> Tensor<4> {
-        let [_, _, height, width] = pictures.dims();
+    fn logits(&self, images: Tensor<4>) -> Tensor<4> {
+        let [_, _, height, width] = images.dims();
         let grid = [height / dinov2::PATCH, width / dinov2::PATCH];
         let depth = self.pretrained.depth();
         let taps: [usize; 4] = std::array::from_fn(|i| depth - 4 + i);
-        let maps = self.pretrained.taps(pictures, taps);
+        let maps = self.pretrained.taps(images, taps);
         self.depth_head.forward(maps, grid)
     }
 }
@@ -125,6 +125,6 @@ impl DepthAnything {
         let logits = self.net.logits(sides.tensor(image, &self.device));
         let disparity = relu(logits).cast(DType::F32).try_into_vec_as();
         let disparity: Vec<f32> = disparity.map_err(|error| DisparityError::Device(error.to_string()))?;
-        Ok(sides.to_picture(&disparity))
+        Ok(sides.to_image(&disparity))
     }
 }

@@ -39,7 +39,7 @@ fn check(size: BackboneSize, keys: &str, depth: usize, fixture: &Fixture) {
     let weights = FormulaWeights::of_keys(&of_first_blocks(keys, depth));
     let weights = weights.with("depth_head.scratch.output_conv2.2.bias", &[1.4]);
     fill_by_formula(&mut net, &weights, &RENAMES, unneeded);
-    let image = normalised(&fixture.picture("image"), &cpu());
+    let image = normalised(&fixture.image("image"), &cpu());
     let taps: [usize; 4] = std::array::from_fn(|i| depth - 4 + i);
     let maps = net.pretrained.taps(image.clone(), taps);
     let [path4, path3] = net.depth_head.coarse_paths(maps, GRID);
@@ -53,13 +53,13 @@ fn check(size: BackboneSize, keys: &str, depth: usize, fixture: &Fixture) {
 }
 
 #[test]
-fn the_small_one_agrees_with_the_module() {
+fn small_model_matches_the_module() {
     let fixture = Fixture::open("depth_anything_v1/vits.safetensors");
     check(BackboneSize::Small, SMALL, 12, &fixture);
 }
 
 #[test]
-fn the_large_one_with_five_blocks_agrees_with_the_module() {
+fn large_model_with_five_blocks_matches_the_module() {
     let fixture = Fixture::open("depth_anything_v1/vitl_5blocks.safetensors");
     check(BackboneSize::Large, LARGE, 5, &fixture);
 }

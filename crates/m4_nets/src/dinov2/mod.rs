@@ -101,8 +101,8 @@ impl DinoV2 {
 
     /// What the blocks `taps` (counted from 0, ascending) give away of images `[b, 3, 14 h, 14 w]` that are normalised (ImageNet's mean and
     /// standard deviation). Blocks after the last of them are not run.
-    pub fn taps<const N: usize>(&self, pictures: Tensor<4>, taps: [usize; N]) -> [Tap; N] {
-        let mut run = self.run(pictures);
+    pub fn taps<const N: usize>(&self, images: Tensor<4>, taps: [usize; N]) -> [Tap; N] {
+        let mut run = self.run(images);
         taps.map(|block| {
             run.through(block);
             run.tap()
@@ -110,18 +110,18 @@ impl DinoV2 {
     }
 
     /// The same step by step.
-    pub fn run(&self, pictures: Tensor<4>) -> Run<'_> {
+    pub fn run(&self, images: Tensor<4>) -> Run<'_> {
         Run {
             net: self,
-            x: self.tokens(pictures),
+            x: self.tokens(images),
             done: 0,
         }
     }
 
     /// Tokens as the first block takes them.
-    fn tokens(&self, pictures: Tensor<4>) -> Tensor<3> {
-        let pictures = pictures.cast(self.patch_embed.proj.weight.val().dtype());
-        let maps = self.patch_embed.proj.forward(pictures);
+    fn tokens(&self, images: Tensor<4>) -> Tensor<3> {
+        let images = images.cast(self.patch_embed.proj.weight.val().dtype());
+        let maps = self.patch_embed.proj.forward(images);
         let [b, c, h, w] = maps.dims();
         let patches = maps.reshape([b, c, h * w]).swap_dims(1, 2);
         let class = self.cls_token.val().expand([b, 1, c]);

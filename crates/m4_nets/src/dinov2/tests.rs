@@ -33,7 +33,7 @@ fn backbone(size: BackboneSize, keys: &str, depth: usize) -> DinoV2 {
 
 /// The last four blocks, the positions and the first block; `step` channels apart in the fixture.
 fn check(net: &DinoV2, fixture: &Fixture, step: usize) {
-    let image = normalised(&fixture.picture("image"), &cpu());
+    let image = normalised(&fixture.image("image"), &cpu());
     let positions = positions::resized(net.pos_embed.val(), 9, 12, positions::OFFSET).squeeze_dim(0);
     assert_near(every(positions, step), fixture, "pos_embed_resized_strided", LIMIT);
     let first = net.blocks[0].forward(net.tokens(image.clone())).squeeze_dim(0);
@@ -48,20 +48,20 @@ fn check(net: &DinoV2, fixture: &Fixture, step: usize) {
 }
 
 #[test]
-fn a_small_one_agrees_with_the_module() {
+fn small_model_matches_the_module() {
     let net = backbone(BackboneSize::Small, SMALL, 12);
     check(&net, &Fixture::open("depth_anything_v1/vits.safetensors"), 4);
 }
 
 #[test]
-fn five_blocks_of_a_large_one_agree_with_the_module() {
+fn five_blocks_of_the_large_model_match_the_module() {
     let net = backbone(BackboneSize::Large, LARGE, 5);
     check(&net, &Fixture::open("depth_anything_v1/vitl_5blocks.safetensors"), 16);
 }
 
 /// Where the grid is the one that was learned, nothing is resampled.
 #[test]
-fn learned_positions_stay_what_they_are() {
+fn position_embeddings_of_the_trained_size_are_unchanged() {
     let net = backbone(BackboneSize::Small, SMALL, 1);
     let learned: Vec<f32> = net.pos_embed.val().try_into_vec_as().unwrap();
     let same: Vec<f32> = positions::resized(net.pos_embed.val(), 37, 37, positions::OFFSET)
@@ -72,7 +72,7 @@ fn learned_positions_stay_what_they_are() {
 
 /// Many queries are answered some at a time: an image of 390 patches and the same as half of a batch.
 #[test]
-fn a_batch_is_as_its_pictures() {
+fn a_batch_equals_its_images() {
     let net = backbone(BackboneSize::Small, SMALL, 2);
     let image = m4_core::RgbImage::from_fn(14 * 26, 14 * 15, |x, y| [x as u8, y as u8, (x * y / 7) as u8]);
     let one = normalised(&image, &cpu());

@@ -72,7 +72,7 @@ pub enum DroidError {
     },
     /// An image could not be had again.
     #[error("the image of frame {frame} is not available: {reason}")]
-    Picture {
+    Image {
         /// The frame.
         frame: usize,
         /// What its source says.

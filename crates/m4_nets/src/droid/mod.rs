@@ -23,14 +23,14 @@ mod error;
 mod gru;
 mod memory;
 mod motion;
-mod picture;
+mod preprocess;
 #[cfg(test)]
 mod tests;
 mod update;
 mod upsampling;
 
 pub use error::DroidError;
-pub use memory::{DroidMemory, EdgeUpdate, MemoryOptions, Pictures, SourceUpdate, Storage};
+pub use memory::{DroidMemory, EdgeUpdate, ImageReader, MemoryOptions, SourceUpdate, Storage};
 
 use crate::ops::tanh;
 use crate::{Compute, LoadError, load};
@@ -144,13 +144,13 @@ impl DroidNet {
 
     /// Features of `image` for correlation, `[1, 128, h / 8, w / 8]`.
     fn features(&self, image: &RgbImage) -> Result<Tensor<4>, DroidError> {
-        let image = picture::normalised(image, &self.device)?.cast(self.dtype());
+        let image = preprocess::normalised(image, &self.device)?.cast(self.dtype());
         Ok(self.net.fnet.forward(image, Norm::Instance))
     }
 
     /// The hidden state that edges from `image` start with, and its context, `[1, 128, h / 8, w / 8]` each.
     fn state(&self, image: &RgbImage) -> Result<[Tensor<4>; 2], DroidError> {
-        let image = picture::normalised(image, &self.device)?.cast(self.dtype());
+        let image = preprocess::normalised(image, &self.device)?.cast(self.dtype());
         let both = self.net.cnet.forward(image, Norm::None);
         let half = |k: usize| both.clone().narrow(1, k * WIDTH, WIDTH);
         Ok([tanh(half(0)), relu(half(1))])

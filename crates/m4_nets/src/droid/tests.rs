@@ -55,13 +55,13 @@ impl Fixture {
     }
 
     /// Images of blue, green and red planes.
-    pub fn pictures(&self) -> Vec<RgbImage> {
+    pub fn images(&self) -> Vec<RgbImage> {
         let (w, h) = (8 * W, 8 * H);
-        let picture = |planes: &[u8]| {
+        let image = |planes: &[u8]| {
             let pixel = |i: usize| [2, 1, 0].map(|c: usize| planes[c * w * h + i]);
             RgbImage::from_vec(w, h, (0..w * h).map(pixel).collect()).unwrap()
         };
-        self.bytes("images_bgr_u8").chunks(3 * w * h).map(picture).collect()
+        self.bytes("images_bgr_u8").chunks(3 * w * h).map(image).collect()
     }
 }
 
@@ -92,7 +92,7 @@ fn components_last(values: &[f32], c: usize) -> Vec<f32> {
 fn encoders_agree_with_the_module() {
     let (net, file) = (network(), Fixture::open("encoders.safetensors"));
     let (fmap, hidden, context) = (file.floats("fmap"), file.floats("hidden"), file.floats("context"));
-    for (i, image) in file.pictures().iter().enumerate() {
+    for (i, image) in file.images().iter().enumerate() {
         let part = |all: &[f32]| all[i * WIDTH * N..][..WIDTH * N].to_vec();
         agree("fmap", &values(net.features(image).unwrap()), &part(&fmap), 3e-5);
         let [h, c] = net.state(image).unwrap();

@@ -19,14 +19,14 @@
 //! map of AlexNet over the rest: [`Lpips::compare_inside`].
 
 mod checkpoint;
+mod image;
 mod pickle;
-mod picture;
 mod score;
 #[cfg(test)]
 mod tests;
 mod trunk;
 
-pub use picture::LpipsPicture;
+pub use image::LpipsImage;
 pub use score::LpipsScore;
 
 use crate::{Compute, LoadError};
@@ -168,8 +168,8 @@ impl Lpips {
     /// # Errors
     ///
     /// [`LpipsError`] if the sizes differ or are too small, or the device fails.
-    pub fn compare(&self, image: &LpipsPicture, reference: &LpipsPicture) -> Result<LpipsScore, LpipsError> {
-        picture::same_size("the image", reference.size(), image.size())?;
+    pub fn compare(&self, image: &LpipsImage, reference: &LpipsImage) -> Result<LpipsScore, LpipsError> {
+        image::same_size("the image", reference.size(), image.size())?;
         let (width, height) = reference.size();
         let least = self.net.min_side_px();
         if width.min(height) < least {
@@ -181,7 +181,7 @@ impl Lpips {
                 height,
             });
         }
-        let [image, reference] = [image, reference].map(|picture| picture.tensor(&self.device));
+        let [image, reference] = [image, reference].map(|image| image.tensor(&self.device));
         let layers = self.layers.differences(self.net, image, reference);
         LpipsScore::of(layers, (width, height))
     }
@@ -194,12 +194,12 @@ impl Lpips {
     /// [`LpipsError`] as [`Self::compare`], or if the mask has another size.
     pub fn compare_inside(
         &self,
-        image: &LpipsPicture,
-        reference: &LpipsPicture,
+        image: &LpipsImage,
+        reference: &LpipsImage,
         mask: &Mask,
     ) -> Result<Option<f64>, LpipsError> {
-        picture::same_size("the image", reference.size(), image.size())?;
-        picture::same_size("the mask", reference.size(), mask.size())?;
+        image::same_size("the image", reference.size(), image.size())?;
+        image::same_size("the mask", reference.size(), mask.size())?;
         self.compare(&image.inside(mask), &reference.inside(mask))?
             .mean_inside(mask)
     }

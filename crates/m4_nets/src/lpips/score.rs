@@ -1,7 +1,7 @@
 //! The result of a comparison.
 
 use super::LpipsError;
-use super::picture::same_size;
+use super::image::same_size;
 use crate::ops::{Kernels, resampled};
 use burn_core::tensor::Tensor;
 use m4_core::{Mask, Plane};

@@ -26,7 +26,7 @@ fn is_sound(file: &[u8]) -> bool {
 }
 
 #[test]
-fn reads_what_numpy_writes() {
+fn numpy_files_are_read() {
     let file = fixture("arrays.pickle");
     let found = arrays(&file).unwrap();
     let wanted: [(&str, &str, &[usize]); 4] = [

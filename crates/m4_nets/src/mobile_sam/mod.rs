@@ -15,7 +15,7 @@
 mod attention;
 mod decoder;
 mod layers;
-mod picture;
+mod preprocess;
 mod prompt;
 mod tiny_vit;
 
@@ -28,7 +28,7 @@ use burn_core::module::Module;
 use burn_core::tensor::{Device, Tensor};
 use decoder::MaskDecoder;
 use m4_core::{Plane, RgbImage};
-use picture::{MASK_SIDE, Scale};
+use preprocess::{MASK_SIDE, Scale};
 use std::path::Path;
 use tiny_vit::TinyVit;
 
@@ -116,14 +116,14 @@ pub struct MaskPrediction {
 impl MaskPrediction {
     /// The logits at the image's size, bilinear: above 0 where the object is.
     #[must_use]
-    pub fn picture_logits(&self) -> Plane<f32> {
+    pub fn image_logits(&self) -> Plane<f32> {
         self.logits_at(self.scale.size())
     }
 
     /// The same at another size, columns and rows.
     #[must_use]
     pub fn logits_at(&self, size: (usize, usize)) -> Plane<f32> {
-        self.scale.to_picture(&self.logits, size)
+        self.scale.to_image(&self.logits, size)
     }
 }
 

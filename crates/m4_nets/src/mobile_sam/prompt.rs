@@ -1,7 +1,7 @@
 //! Prompts and their encoding: points and boxes as tokens, an earlier mask as a map.
 
 use super::SamError;
-use super::picture::{EMBEDDING_SIDE, INPUT_SIDE, MASK_SIDE, Scale};
+use super::preprocess::{EMBEDDING_SIDE, INPUT_SIDE, MASK_SIDE, Scale};
 use crate::ops::tensor;
 use crate::sam::{Prompt, PromptEncoder};
 use burn_core::tensor::{Device, Tensor};

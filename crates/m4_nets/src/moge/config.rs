@@ -52,7 +52,7 @@ pub struct Config {
     norms: Vec<(String, [Norm; 2])>,
 }
 
-/// What normalisations are where nothing else is said.
+/// Default normalisations.
 const NORMS: [Norm; 2] = [Norm::Layer, Norm::Group];
 
 impl Config {
@@ -78,34 +78,34 @@ impl Config {
             return Ok(config);
         }
         // a file without that key is a plain list of tensors; one that cannot be read fails when its tensors are
-        if let Ok(said) = PytorchReader::read_pickle_data(path, Some("model_config")) {
+        if let Ok(stored) = PytorchReader::read_pickle_data(path, Some("model_config")) {
             config
-                .read(&said)
+                .read(&stored)
                 .map_err(|reason| format!("of its model_config, {reason}"))?;
         }
         Ok(config)
     }
 
-    /// Takes over what `said` has.
-    pub(super) fn read(&mut self, said: &PickleValue) -> Result<(), String> {
-        if let Some(layers) = entry(said, "encoder").and_then(|encoder| entry(encoder, "intermediate_layers")) {
+    /// Takes over what `stored` has.
+    pub(super) fn read(&mut self, stored: &PickleValue) -> Result<(), String> {
+        if let Some(layers) = entry(stored, "encoder").and_then(|encoder| entry(encoder, "intermediate_layers")) {
             self.taps = match layers {
                 PickleValue::List(_) => numbers(layers).ok_or("intermediate_layers are not block numbers")?,
                 _ => return Err("intermediate_layers are no list of blocks".into()),
             };
         }
-        if let Some(range) = entry(said, "num_tokens_range") {
+        if let Some(range) = entry(stored, "num_tokens_range") {
             let range = numbers(range).filter(|r| r.len() == 2 && 0 < r[0] && r[0] <= r[1]);
             let range = range.ok_or("num_tokens_range is not two rising numbers")?;
             self.tokens = (range[0], range[1]);
         }
-        if let Some(remap) = entry(said, "remap_output") {
+        if let Some(remap) = entry(stored, "remap_output") {
             let name = text(remap).unwrap_or_default();
             self.remap = Remap::named(name).ok_or_else(|| format!("remap_output = {remap:?} is not known"))?;
         }
         for stack in ["neck", "points_head", "mask_head", "normal_head"] {
-            if let Some(said) = entry(said, stack) {
-                let norms = stack_norms(said).map_err(|reason| format!("{stack}: {reason}"))?;
+            if let Some(stored) = entry(stored, stack) {
+                let norms = stack_norms(stored).map_err(|reason| format!("{stack}: {reason}"))?;
                 self.norms.push((stack.to_owned(), norms));
             }
         }
@@ -114,16 +114,16 @@ impl Config {
 
     /// The normalisations of the stack `name`, where it has any.
     pub fn norms(&self, name: &str) -> [Norm; 2] {
-        let said = self.norms.iter().find(|(stack, _)| stack == name);
-        said.map_or(NORMS, |(_, norms)| *norms)
+        let found = self.norms.iter().find(|(stack, _)| stack == name);
+        found.map_or(NORMS, |(_, norms)| *norms)
     }
 }
 
-fn stack_norms(said: &PickleValue) -> Result<[Norm; 2], String> {
-    if let Some(activation) = entry(said, "activation").filter(|&name| text(name) != Some("relu")) {
+fn stack_norms(stored: &PickleValue) -> Result<[Norm; 2], String> {
+    if let Some(activation) = entry(stored, "activation").filter(|&name| text(name) != Some("relu")) {
         return Err(format!("activation = {activation:?} is not known"));
     }
-    let ups = match entry(said, "resamplers") {
+    let ups = match entry(stored, "resamplers") {
         Some(PickleValue::List(ups)) => ups.as_slice(),
         Some(one) => std::slice::from_ref(one),
         None => &[],
@@ -134,7 +134,7 @@ fn stack_norms(said: &PickleValue) -> Result<[Norm; 2], String> {
     }
     let mut norms = NORMS;
     for (norm, key) in norms.iter_mut().zip(["res_block_in_norm", "res_block_hidden_norm"]) {
-        *norm = match entry(said, key).map(|name| (name, text(name))) {
+        *norm = match entry(stored, key).map(|name| (name, text(name))) {
             // without one there is no tensor of it, and its kind is never asked for
             None | Some((_, Some("none"))) => *norm,
             Some((_, Some("layer_norm"))) => Norm::Layer,

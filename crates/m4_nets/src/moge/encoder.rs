@@ -30,10 +30,10 @@ impl Encoder {
     }
 
     /// Of images `[b, 3, 14 h, 14 w]` from 0 to 1: the map `[b, c, h, w]`, and the class token of the last tap, `[b, c']`.
-    pub fn forward(&self, pictures: Tensor<4>, taps: &[usize], [h, w]: [usize; 2]) -> (Tensor<4>, Tensor<2>) {
+    pub fn forward(&self, images: Tensor<4>, taps: &[usize], [h, w]: [usize; 2]) -> (Tensor<4>, Tensor<2>) {
         let (mean, std) = (self.image_mean.val(), self.image_std.val());
-        let pictures = (pictures.cast(mean.dtype()) - mean) / std;
-        let mut run = self.backbone.run(pictures);
+        let images = (images.cast(mean.dtype()) - mean) / std;
+        let mut run = self.backbone.run(images);
         let mut sum: Option<Tensor<4>> = None;
         let mut tap = run.tap();
         for (&block, single) in taps.iter().zip(&self.output_projections) {

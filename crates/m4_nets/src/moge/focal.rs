@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn points_that_are_none_are_left_out_and_too_few_are_an_error() {
+    fn nan_points_are_ignored_and_too_few_are_an_error() {
         let mut points = leaning(1.2, 0.5);
         for i in (0..points.len()).step_by(7) {
             points[i] = [f32::NAN, 1.0, f32::INFINITY];

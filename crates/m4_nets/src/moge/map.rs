@@ -47,7 +47,7 @@ impl MoGeMap {
 
 /// What the network says of an image of `width` by `height` pixels.
 #[derive(Debug, Clone)]
-pub struct Said {
+pub struct RawOutput {
     pub width: usize,
     pub height: usize,
     /// `[height][width]`, right up to a scale and an offset of their depth.
@@ -62,7 +62,7 @@ pub struct Said {
 /// Depth counts where the network thinks it likelier than not.
 const LIKELY: f32 = 0.5;
 
-impl Said {
+impl RawOutput {
     /// Points and masks out of planes `[n][height][width]` of raw numbers: three for points, one for the mask (a logit), three for
     /// normals.
     pub fn of_planes(

@@ -20,7 +20,7 @@ mod encoder;
 mod focal;
 mod layout;
 mod map;
-mod picture;
+mod preprocess;
 mod stack;
 #[cfg(test)]
 mod tests;
@@ -39,8 +39,8 @@ use config::Config;
 use encoder::Encoder;
 use layout::Layout;
 use m4_core::RgbImage;
-use map::Said;
-use picture::Grid;
+use map::RawOutput;
+use preprocess::Grid;
 use stack::Stack;
 use std::path::Path;
 
@@ -55,7 +55,7 @@ pub enum MoGeError {
     #[error("depth needs an image with pixels")]
     Empty,
     /// That many patches cannot be.
-    #[error("an image can be cut into 1 to {most} patches, not {0}", most = picture::MOST_TOKENS)]
+    #[error("an image can be cut into 1 to {most} patches, not {0}", most = preprocess::MOST_TOKENS)]
     Tokens(usize),
     /// The focal length that was given is none.
     #[error("a focal length is a positive number of pixels, not {0}")]
@@ -148,8 +148,8 @@ impl Net {
     }
 
     /// What the neck makes of an image `[1, 3, 14 h, 14 w]`, from small to large, and the class token.
-    fn features(&self, picture: Tensor<4>, taps: &[usize], grid: Grid) -> (Vec<Tensor<4>>, Tensor<2>) {
-        let (map, class) = self.encoder.forward(picture, taps, [grid.down, grid.across]);
+    fn features(&self, image: Tensor<4>, taps: &[usize], grid: Grid) -> (Vec<Tensor<4>>, Tensor<2>) {
+        let (map, class) = self.encoder.forward(image, taps, [grid.down, grid.across]);
         let (device, dtype) = (map.device(), map.dtype());
         let places = (0..self.neck.levels()).map(|level| grid.places(level, &device, dtype));
         let mut inputs: Vec<Tensor<4>> = places.collect();
@@ -159,8 +159,8 @@ impl Net {
         (self.neck.forward(&inputs), class)
     }
 
-    fn forward(&self, picture: Tensor<4>, taps: &[usize], grid: Grid) -> Outputs {
-        let (features, class) = self.features(picture, taps, grid);
+    fn forward(&self, image: Tensor<4>, taps: &[usize], grid: Grid) -> Outputs {
+        let (features, class) = self.features(image, taps, grid);
         Outputs {
             points: self.points_head.last(&features),
             mask: self.mask_head.last(&features),
@@ -237,11 +237,11 @@ impl MoGe {
     ///
     /// [`MoGeError`] if the image has no pixels, an option is out of range, the network finds no depth, or the device fails.
     pub fn infer(&self, image: &RgbImage, options: &MoGeOptions) -> Result<MoGeMap, MoGeError> {
-        self.said(image, options)?.geometry(options.known_focal_px)
+        self.raw_output(image, options)?.geometry(options.known_focal_px)
     }
 
     /// What the network says of `image`.
-    fn said(&self, image: &RgbImage, options: &MoGeOptions) -> Result<Said, MoGeError> {
+    fn raw_output(&self, image: &RgbImage, options: &MoGeOptions) -> Result<RawOutput, MoGeError> {
         let tokens = options.tokens.unwrap_or(self.config.tokens.1);
         let grid = Grid::of(image.width(), image.height(), tokens)?;
         let out = self
@@ -249,13 +249,13 @@ impl MoGe {
             .forward(grid.tensor(image, &self.device), &self.config.taps, grid);
         let planes = |x: Tensor<4>| {
             let [_, _, h, w] = x.dims();
-            numbers(x).map(|values| grid.to_picture(&values, w, h))
+            numbers(x).map(|values| grid.to_image(&values, w, h))
         };
         let points = planes(out.points)?;
         let mask = planes(out.mask)?;
         let normal = out.normal.map(planes).transpose()?;
         let log_scale = numbers(out.log_scale)?.first().copied().unwrap_or(f32::NAN);
-        Ok(Said::of_planes(
+        Ok(RawOutput::of_planes(
             image.size(),
             &points,
             &mask,

@@ -3,7 +3,7 @@
 use super::config::{Config, Remap};
 use super::focal::recovered;
 use super::layout::{Layout, Norm};
-use super::picture::Grid;
+use super::preprocess::Grid;
 use super::{MoGe, MoGeOptions, Net, RENAMES};
 use crate::dinov2::{BackboneSize, unneeded};
 use crate::fixture::{Fixture, assert_near, assert_same_tensors, relative_error, renamed};
@@ -41,7 +41,7 @@ fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
 }
 
 #[test]
-fn the_small_one_agrees_with_the_module() {
+fn small_model_matches_the_module() {
     let fixture = Fixture::open("moge2/vits_assumed.safetensors");
     let net = network();
     assert_eq!(
@@ -49,19 +49,19 @@ fn the_small_one_agrees_with_the_module() {
         (BackboneSize::Small, (1200, 3600), true)
     );
     assert_eq!(net.parameters(), 36_948_526 - 384);
-    let image = fixture.picture("image");
+    let image = fixture.image("image");
     let grid = Grid::of(180, 140, 80).unwrap();
     assert_eq!((grid.across, grid.down), (10, 8));
-    let picture = grid.tensor(&image, &cpu());
-    assert_near(picture.clone(), &fixture, "image_resized", 1e-5);
+    let input = grid.tensor(&image, &cpu());
+    assert_near(input.clone(), &fixture, "image_resized", 1e-5);
     let taps = &net.config.taps;
     assert_eq!(taps, &[2, 5, 8, 11]);
-    let (map, class) = net.net.encoder.forward(picture.clone(), taps, [8, 10]);
+    let (map, class) = net.net.encoder.forward(input.clone(), taps, [8, 10]);
     assert_near(every(map, 4), &fixture, "encoder_strided", LIMIT);
     assert_near(class, &fixture, "cls", LIMIT);
     let places = grid.places(2, &cpu(), burn_core::tensor::DType::F32);
     assert_near(places.permute([0, 2, 3, 1]), &fixture, "uv_level2", 1e-5);
-    let (levels, _) = net.net.features(picture, taps, grid);
+    let (levels, _) = net.net.features(input, taps, grid);
     for (i, (level, step)) in levels.into_iter().zip([96, 32, 16, 16, 16]).enumerate() {
         assert_near(every(level, step), &fixture, &format!("neck{i}_strided"), LIMIT);
     }
@@ -69,22 +69,22 @@ fn the_small_one_agrees_with_the_module() {
         tokens: Some(80),
         known_focal_px: None,
     };
-    let said = net.said(&image, &options).unwrap();
+    let raw = net.raw_output(&image, &options).unwrap();
     let near = |got: &[f32], name: &str, limit: f64| {
         let error = relative_error(got, &fixture.floats(name).0);
         println!("{name}: {error:.1e}");
         assert!(error < limit, "{name}: {error:e}");
     };
-    near(said.points.as_flattened(), "points", LIMIT);
-    near(&said.mask, "mask", LIMIT);
-    near(&[said.metric_scale], "metric_scale", LIMIT);
+    near(raw.points.as_flattened(), "points", LIMIT);
+    near(&raw.mask, "mask", LIMIT);
+    near(&[raw.metric_scale], "metric_scale", LIMIT);
     let unit = |n: &[f32; 3]| n.map(|x| x / n.iter().map(|x| x * x).sum::<f32>().sqrt());
-    let normal: Vec<[f32; 3]> = said.normal.as_ref().unwrap().iter().map(unit).collect();
+    let normal: Vec<[f32; 3]> = raw.normal.as_ref().unwrap().iter().map(unit).collect();
     near(normal.as_flattened(), "normal", LIMIT_NORMAL);
 
     // points of no scene: where the search ends is decided by its rules alone
-    let likely = |i: usize| said.mask[i] > 0.5;
-    let found = recovered(&said.points, likely, (180, 140), None).unwrap();
+    let likely = |i: usize| raw.mask[i] > 0.5;
+    let found = recovered(&raw.points, likely, (180, 140), None).unwrap();
     let wanted = |name: &str| f64::from(fixture.floats(name).0[0]);
     assert!((found.focal / wanted("focal") - 1.0).abs() < 1e-4);
     assert!((found.shift / wanted("shift") - 1.0).abs() < 1e-4);
@@ -145,7 +145,7 @@ fn each_model_has_exactly_the_tensors_of_its_checkpoint() {
 
 /// A file as PyTorch writes the official ones, with other settings than were published: `model_config` beside `model`.
 #[test]
-fn an_official_file_says_what_its_tensors_cannot() {
+fn official_file_holds_the_configuration() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/moge2/config.pt");
     let shapes = load::shapes("MoGe-2", &path, &RENAMES).unwrap();
     let names: Vec<&str> = shapes.keys().map(String::as_str).collect();

@@ -29,7 +29,7 @@ mod tests {
     use m4_testkit::formula_input;
 
     #[test]
-    fn parts_are_as_the_whole() {
+    fn chunked_attention_equals_the_whole() {
         for [b, heads, n, m, c, d] in [[2, 3, 70, 50, 16, 16], [1, 1, 900, 5000, 8, 4]] {
             let input = |key: &str, shape: [usize; 4]| -> Tensor<4> {
                 tensor(formula_input(key, 0.0, 2.0, shape.iter().product()), shape, &cpu())

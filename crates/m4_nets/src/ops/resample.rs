@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_are_resampled_one_by_one_and_matrices_say_the_same() {
+    fn resampling_matches_the_matrix_form() {
         let (w, h) = (5, 4);
         let plane: Vec<f32> = (0..20).map(|i| ((i * i * 7) % 19) as f32).collect();
         let other: Vec<f32> = plane.iter().map(|x| 3.0 - x).collect();

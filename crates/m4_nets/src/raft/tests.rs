@@ -27,7 +27,7 @@ fn every(x: Tensor<4>, step: usize) -> Tensor<4> {
 fn parts_agree_with_the_published_module() {
     let (net, fixture) = (network(), Fixture::open("raft/flow.safetensors"));
     let input = |name: &str| {
-        let image = fixture.picture(name);
+        let image = fixture.image(name);
         let padding = Padding::of(image.width(), image.height(), FACTOR, LEAST).unwrap();
         padding.tensor(&image, |x, _| 2.0 * x - 1.0, &net.device)
     };
@@ -92,7 +92,7 @@ fn the_published_checkpoint_fits() {
 fn half_precision_stays_near() {
     let net = network();
     let fixture = Fixture::open("raft/flow.safetensors");
-    let images = ["image1", "image2"].map(|name| fixture.picture(name));
+    let images = ["image1", "image2"].map(|name| fixture.image(name));
     let half = Raft {
         net: halved(net.net.clone()),
         device: net.device.clone(),

@@ -110,7 +110,7 @@ mod tests {
     use m4_core::RgbImage;
     use safetensors::SafeTensors;
 
-    fn picture(file: &[u8], name: &str) -> RgbImage {
+    fn read_image(file: &[u8], name: &str) -> RgbImage {
         let tensors = SafeTensors::deserialize(file).unwrap();
         let tensor = tensors.tensor(name).unwrap();
         let [h, w, 3] = tensor.shape() else {
@@ -130,15 +130,15 @@ mod tests {
     #[test]
     fn agrees_with_pillow() {
         let file = include_bytes!("../../../../fixtures/mobile_sam/resize.safetensors");
-        let image = picture(file, "image");
+        let image = read_image(file, "image");
         for (w, h) in [(150, 97), (40, 26), (97, 20), (13, 63)] {
-            let want = picture(file, &format!("{w}x{h}"));
+            let want = read_image(file, &format!("{w}x{h}"));
             assert_same(&resized(&image, w, h, Filter::Triangle), &want);
         }
         let file = include_bytes!("../../../../fixtures/ops/resize.safetensors");
-        let cubic = picture(file, "image_u8");
+        let cubic = read_image(file, "image_u8");
         for size in ["down", "half", "up"] {
-            let want = picture(file, &format!("pil_bicubic_u8_{size}"));
+            let want = read_image(file, &format!("pil_bicubic_u8_{size}"));
             let (w, h) = want.size();
             assert_same(&resized(&cubic, w, h, Filter::Cubic), &want);
         }

@@ -31,11 +31,11 @@ impl Sam2 {
     /// # Errors
     ///
     /// [`Sam2Error::Device`] if the device fails.
-    pub(super) fn answers(&self, said: Decoded, ambiguous: bool) -> Result<Vec<Answer>, Sam2Error> {
-        let [b, _, rows, columns] = said.masks.dims();
-        let masks = said.masks.cast(DType::F32);
-        let iou = numbers(said.iou)?;
-        let scores = numbers(said.score)?;
+    pub(super) fn answers(&self, decoded: Decoded, ambiguous: bool) -> Result<Vec<Answer>, Sam2Error> {
+        let [b, _, rows, columns] = decoded.masks.dims();
+        let masks = decoded.masks.cast(DType::F32);
+        let iou = numbers(decoded.iou)?;
+        let scores = numbers(decoded.score)?;
         let stability = if ambiguous {
             vec![1.0; b]
         } else {
@@ -45,7 +45,7 @@ impl Sam2 {
         for (i, iou) in iou.chunks_exact(MASKS).enumerate() {
             let chosen = chosen(iou, ambiguous, stability[i]);
             let token = if ambiguous { chosen } else { 0 };
-            let token = said.tokens.clone().narrow(0, i, 1).narrow(1, token, 1);
+            let token = decoded.tokens.clone().narrow(0, i, 1).narrow(1, token, 1);
             let there = scores[i] > 0.0;
             answers.push(Answer {
                 logits: if there {

@@ -69,7 +69,7 @@ pub enum Sam2Error {
     },
     /// A frame's image could not be had.
     #[error("the image of frame {frame} is not available: {reason}")]
-    Picture {
+    Image {
         /// The frame.
         frame: usize,
         /// What its source says.

@@ -71,8 +71,8 @@ impl Hiera {
 
     /// Of an image `[1, 3, 4 h, 4 w]` and its `positions` `[1, h, w, c]`: what each stage ends with, `[1, h, w, c]`, then half the rows and
     /// columns and twice the channels per stage.
-    pub fn forward(&self, picture: Tensor<4>, positions: Tensor<4>) -> Vec<Tensor<4>> {
-        let mut x = self.patch_embed.proj.forward(picture).permute([0, 2, 3, 1]) + positions;
+    pub fn forward(&self, image: Tensor<4>, positions: Tensor<4>) -> Vec<Tensor<4>> {
+        let mut x = self.patch_embed.proj.forward(image).permute([0, 2, 3, 1]) + positions;
         let mut stages = Vec::new();
         for block in &self.blocks {
             x = block.forward(x);

@@ -1,6 +1,6 @@
 //! The mask of an object.
 
-use super::picture::stretched;
+use super::preprocess::stretched;
 use m4_core::Plane;
 
 /// The mask of an object in an image.

@@ -28,7 +28,7 @@ mod mask;
 mod memory_attention;
 mod memory_encoder;
 mod neck;
-mod picture;
+mod preprocess;
 mod prompts;
 mod recall;
 mod rope;
@@ -40,7 +40,7 @@ mod windows;
 pub use config::Sam2Size;
 pub use error::Sam2Error;
 pub use mask::ObjectMask;
-pub use video::{Clip, Direction, Pictures, VideoOptions, VideoPredictor};
+pub use video::{Clip, Direction, ImageReader, VideoOptions, VideoPredictor};
 
 use crate::ops::{Kernels, linear, sine_positions, tensor, zeros};
 use crate::sam::{Mlp, Prompt, PromptEncoder, WIDTH};
@@ -58,7 +58,7 @@ use m4_core::{Plane, RgbImage};
 use memory_attention::{MEMORY_WIDTH, MemoryAttention};
 use memory_encoder::MemoryEncoder;
 use neck::{ImageEncoder, Neck, Pointwise, repeated};
-use picture::Frame;
+use preprocess::Frame;
 use rope::Rotations;
 use std::path::Path;
 
@@ -289,9 +289,9 @@ impl Sam2 {
     ///
     /// [`Sam2Error::NoPixels`] if it has none.
     pub fn encode(&self, image: &RgbImage) -> Result<Features, Sam2Error> {
-        let picture = picture::squared(image, self.side, &self.device)?.cast(self.dtype);
+        let input = preprocess::squared(image, self.side, &self.device)?.cast(self.dtype);
         let trunk = &self.net.image_encoder.trunk;
-        let stages = trunk.forward(picture, self.tables.trunk.clone());
+        let stages = trunk.forward(input, self.tables.trunk.clone());
         let [s0, s1, map, coarse] = self.level(stages);
         let n = self.tables.grid * self.tables.grid;
         Ok(Features {
@@ -322,20 +322,20 @@ impl Sam2 {
     ///
     /// [`Sam2Error`] if the prompt is empty or wrong, or the device fails.
     pub fn masks(&self, features: &Features, prompt: &Prompt) -> Result<Vec<ObjectMask>, Sam2Error> {
-        let said = self.said(features, features.frame, prompt)?;
-        let score = numbers(said.score)?.first().copied().unwrap_or(f32::NAN);
-        let iou = numbers(said.iou)?;
+        let decoded = self.decode(features, features.frame, prompt)?;
+        let score = numbers(decoded.score)?.first().copied().unwrap_or(f32::NAN);
+        let iou = numbers(decoded.iou)?;
         let first = if prompt.is_ambiguous() {
             1..MASKS
         } else {
-            let stability = numbers(answer::stability(&said.masks.clone().cast(DType::F32)))?;
+            let stability = numbers(answer::stability(&decoded.masks.clone().cast(DType::F32)))?;
             let one = answer::chosen(&iou, false, stability.first().copied().unwrap_or(f32::NAN));
             one..one + 1
         };
         let candidates = iou.get(first.clone()).unwrap_or_default();
         first
             .map(|i| {
-                let logits = said.masks.clone().narrow(1, i, 1).squeeze_dim::<3>(1);
+                let logits = decoded.masks.clone().narrow(1, i, 1).squeeze_dim::<3>(1);
                 Ok(ObjectMask {
                     logits: plane(logits.cast(DType::F32))?,
                     iou: iou[i],
@@ -347,7 +347,7 @@ impl Sam2 {
     }
 
     /// What the decoder says of a prompt that has no memory.
-    fn said(&self, features: &Features, frame: Frame, prompt: &Prompt) -> Result<Decoded, Sam2Error> {
+    fn decode(&self, features: &Features, frame: Frame, prompt: &Prompt) -> Result<Decoded, Sam2Error> {
         prompts::check(prompt)?;
         let map = features.map.clone() + self.net.no_mem_embed.val();
         let tokens = prompts::tokens(&self.net.prompt_encoder, prompt, frame, self.side)?;

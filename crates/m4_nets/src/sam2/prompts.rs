@@ -1,7 +1,7 @@
 //! What is asked for, checked and encoded.
 
 use super::Sam2Error;
-use super::picture::Frame;
+use super::preprocess::Frame;
 use crate::ops::tensor;
 use crate::sam::{Prompt, PromptEncoder};
 use burn_core::tensor::{Device, Tensor};

@@ -87,8 +87,8 @@ impl Sam2 {
             let nowhere = self.net.prompt_encoder.nowhere();
             let tokens = Tensor::cat(vec![nowhere.clone(), nowhere], 0).unsqueeze_dim(0);
             let mask = mask.cast(burn_core::tensor::DType::F32);
-            let said = self.decoded(features.map.clone(), features, tokens, Some(mask));
-            let mut answers = self.answers(said, false)?;
+            let decoded = self.decoded(features.map.clone(), features, tokens, Some(mask));
+            let mut answers = self.answers(decoded, false)?;
             answers.pop().map(|answer| answer.pointer)
         } else {
             None

@@ -167,30 +167,30 @@ fn the_decoder_meets_its_fixture() {
         map: map.clone(),
         fine,
     };
-    let said = net.decoded(map, &features, prompts, None);
+    let decoded = net.decoded(map, &features, prompts, None);
     let steps = |x: Tensor<4>, step: usize| {
         let [b, n, h, w] = x.dims();
         let rows = x.reshape([b, n, h / step, step, w]).narrow(3, 0, 1);
         let both = rows.reshape([b, n, h / step, w / step, step]).narrow(4, 0, 1);
         both.reshape([b, n, h / step, w / step])
     };
-    assert_near(steps(said.masks.clone(), 4), &fixture, "all4_masks_strided", LIMIT);
-    assert_near(said.iou.clone(), &fixture, "all4_iou", LIMIT);
-    let three = said.masks.clone().narrow(1, 1, 3);
+    assert_near(steps(decoded.masks.clone(), 4), &fixture, "all4_masks_strided", LIMIT);
+    assert_near(decoded.iou.clone(), &fixture, "all4_iou", LIMIT);
+    let three = decoded.masks.clone().narrow(1, 1, 3);
     assert_near(steps(three, 2), &fixture, "multi_masks", LIMIT);
-    assert_near(said.iou.clone().narrow(1, 1, 3), &fixture, "multi_iou", LIMIT);
-    assert_near(said.tokens.clone().narrow(1, 1, 3), &fixture, "multi_tokens", LIMIT);
-    assert_near(said.tokens.clone().narrow(1, 0, 1), &fixture, "single_tokens", LIMIT);
+    assert_near(decoded.iou.clone().narrow(1, 1, 3), &fixture, "multi_iou", LIMIT);
+    assert_near(decoded.tokens.clone().narrow(1, 1, 3), &fixture, "multi_tokens", LIMIT);
+    assert_near(decoded.tokens.clone().narrow(1, 0, 1), &fixture, "single_tokens", LIMIT);
     for name in ["multi_object_score", "single_object_score"] {
-        assert_near(said.score.clone(), &fixture, name, LIMIT);
+        assert_near(decoded.score.clone(), &fixture, name, LIMIT);
     }
-    let stability = numbers(answer::stability(&said.masks)).unwrap();
+    let stability = numbers(answer::stability(&decoded.masks)).unwrap();
     assert_numbers(&stability, &fixture, "stability_single");
-    let iou = numbers(said.iou).unwrap();
+    let iou = numbers(decoded.iou).unwrap();
     let chosen: Vec<usize> = (0..2)
         .map(|i| answer::chosen(&iou[4 * i..][..4], false, stability[i]))
         .collect();
-    let one = |i: usize| said.masks.clone().narrow(0, i, 1).narrow(1, chosen[i], 1);
+    let one = |i: usize| decoded.masks.clone().narrow(0, i, 1).narrow(1, chosen[i], 1);
     assert_near(Tensor::cat(vec![one(0), one(1)], 0), &fixture, "single_masks", LIMIT);
     let single: Vec<f32> = (0..2).map(|i| iou[4 * i + chosen[i]]).collect();
     assert_numbers(&single, &fixture, "single_iou");
@@ -240,7 +240,7 @@ fn memory_attention_meets_its_fixture() {
 }
 
 #[test]
-fn objects_together_are_as_alone() {
+fn objects_in_one_batch_equal_single_objects() {
     let net = tiny();
     let rotations = &net.tables.rotations;
     let attention = &net.net.memory_attention;
@@ -339,12 +339,12 @@ fn passage_a(fixture: &Arc<Fixture>, bias: f32) -> VideoPredictor<'static> {
         height: 192,
     };
     let frames = Arc::clone(fixture);
-    let pictures = Box::new(move |i: usize| Ok(frame(&frames, i)));
-    let mut predictor = VideoPredictor::new(Arc::clone(&net), clip, pictures, VideoOptions::default()).unwrap();
+    let images = Box::new(move |i: usize| Ok(frame(&frames, i)));
+    let mut predictor = VideoPredictor::new(Arc::clone(&net), clip, images, VideoOptions::default()).unwrap();
 
     let features = predictor.features(0).unwrap();
     let stages = net.net.image_encoder.trunk.forward(
-        picture::squared(&frame(fixture, 0), 256, &cpu()).unwrap(),
+        preprocess::squared(&frame(fixture, 0), 256, &cpu()).unwrap(),
         net.tables.trunk.clone(),
     );
     for (i, stage) in stages.into_iter().enumerate() {
@@ -476,7 +476,7 @@ fn a_clip_without_its_objects_meets_its_fixture() {
 }
 
 #[test]
-fn a_picture_of_the_published_side_meets_its_fixture() {
+fn an_image_of_the_published_side_meets_its_fixture() {
     let fixture = Fixture::open("sam2/image_1024_tiny.safetensors");
     let net = loaded(&FormulaWeights::of_keys(TINY), 1024);
     let bytes = fixture.bytes("image_u8_128");
@@ -499,9 +499,9 @@ fn a_picture_of_the_published_side_meets_its_fixture() {
         points: vec![point(&[at[0] as f32, at[1] as f32], true)],
         ..Prompt::default()
     };
-    let said = net.said(&features, features.frame, &prompt).unwrap();
+    let decoded = net.decode(&features, features.frame, &prompt).unwrap();
     let strided = |i: usize| -> Vec<f32> {
-        let values = numbers(said.masks.clone().narrow(1, i, 1)).unwrap();
+        let values = numbers(decoded.masks.clone().narrow(1, i, 1)).unwrap();
         (0..32 * 32).map(|k| values[k / 32 * 8 * 256 + k % 32 * 8]).collect()
     };
     let near = |got: &[f32], name: &str| {
@@ -509,11 +509,11 @@ fn a_picture_of_the_published_side_meets_its_fixture() {
         println!("{name}: {error:.1e}");
         assert!(error < 1e-3, "{name}: {error:e}");
     };
-    let iou = numbers(said.iou.clone()).unwrap();
+    let iou = numbers(decoded.iou.clone()).unwrap();
     let three: Vec<f32> = (1..4).flat_map(strided).collect();
     near(&three, "multi_low_strided");
     near(&iou[1..], "multi_iou");
-    let stability = numbers(answer::stability(&said.masks)).unwrap()[0];
+    let stability = numbers(answer::stability(&decoded.masks)).unwrap()[0];
     let chosen = answer::chosen(&iou, false, stability);
     near(&strided(chosen), "single_low_strided");
     near(&[iou[chosen]], "single_iou");

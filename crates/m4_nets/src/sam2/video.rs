@@ -12,7 +12,7 @@
 use super::answer::Answer;
 use super::bank::{Entry, Object, Recall};
 use super::mask::ObjectMask;
-use super::picture::{Frame, squared_mask};
+use super::preprocess::{Frame, squared_mask};
 use super::{Features, Sam2, Sam2Error, prompts};
 use crate::ops::tensor;
 use crate::sam::Prompt;
@@ -25,7 +25,7 @@ use std::ops::{ControlFlow, RangeInclusive};
 use std::sync::Arc;
 
 /// Gives the image of a frame, by its number in the clip. Images may be of any size: all are squeezed to the network's square.
-pub type Pictures<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
+pub type ImageReader<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
 
 /// Which way objects are followed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,7 +100,7 @@ pub struct VideoPredictor<'a> {
     pub(super) net: Arc<Sam2>,
     clip: Clip,
     frame: Frame,
-    pictures: Pictures<'a>,
+    images: ImageReader<'a>,
     options: VideoOptions,
     pub(super) objects: BTreeMap<u32, Object>,
     /// The last ones last.
@@ -123,7 +123,7 @@ impl<'a> VideoPredictor<'a> {
     /// # Errors
     ///
     /// [`Sam2Error`] if the clip has no frames or no pixels.
-    pub fn new(net: Arc<Sam2>, clip: Clip, pictures: Pictures<'a>, options: VideoOptions) -> Result<Self, Sam2Error> {
+    pub fn new(net: Arc<Sam2>, clip: Clip, images: ImageReader<'a>, options: VideoOptions) -> Result<Self, Sam2Error> {
         if clip.frames == 0 {
             return Err(Sam2Error::NoFrames);
         }
@@ -131,7 +131,7 @@ impl<'a> VideoPredictor<'a> {
             net,
             clip,
             frame: Frame::of("a clip", (clip.width, clip.height))?,
-            pictures,
+            images,
             options,
             objects: BTreeMap::new(),
             features: Vec::new(),
@@ -205,8 +205,8 @@ impl<'a> VideoPredictor<'a> {
             Some(recall) => net.recalled(net.begun(&features), &[recall], self.clip.frames),
             None => net.unremembered(&features),
         };
-        let said = net.decoded(map, &features, tokens.unsqueeze_dim(0), mask);
-        let answers = net.answers(said, prompt.is_ambiguous())?;
+        let decoded = net.decoded(map, &features, tokens.unsqueeze_dim(0), mask);
+        let answers = net.answers(decoded, prompt.is_ambiguous())?;
         self.pend(frame, object, answers, first)
     }
 
@@ -401,8 +401,8 @@ impl<'a> VideoPredictor<'a> {
             self.features.push(kept);
             return Ok(features);
         }
-        let picture = (self.pictures)(frame).map_err(|reason| Sam2Error::Picture { frame, reason })?;
-        let features = Arc::new(self.net.encode(&picture)?);
+        let image = (self.images)(frame).map_err(|reason| Sam2Error::Image { frame, reason })?;
+        let features = Arc::new(self.net.encode(&image)?);
         if self.features.len() >= FEATURES {
             self.features.remove(0);
         }

@@ -9,13 +9,13 @@ use m4_core::{Camera, Se3, nalgebra::Vector3};
 
 /// A camera over an image of the size that the network works with.
 #[derive(Debug, Clone, Copy)]
-pub struct Lens {
+pub struct PosedPinhole {
     focal: [f64; 2],
     centre: [f64; 2],
     c2w: Se3<f64>,
 }
 
-impl Lens {
+impl PosedPinhole {
     /// `camera` over an image of `size`, in a world whose origin is at `origin`; `None` if its numbers are none.
     pub fn new(camera: &Camera, size: (usize, usize), origin: &Vector3<f64>) -> Option<Self> {
         let k = &camera.intrinsics;

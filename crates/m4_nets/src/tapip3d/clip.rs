@@ -16,7 +16,7 @@ pub trait PosedClip {
     /// # Errors
     ///
     /// What hinders it.
-    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError>;
+    fn image(&self, frame: usize) -> Result<RgbImage, ClipError>;
 
     /// z-depth of `frame` in the unit of the poses, in any size that shows what the image shows. 0, less, or not finite where
     /// it is not known.

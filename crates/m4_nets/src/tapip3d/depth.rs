@@ -1,6 +1,6 @@
 //! Depth as the network takes it: in its size, with edges of objects taken from beside them, and the range that counts.
 
-use super::camera::Lens;
+use super::camera::PosedPinhole;
 use super::nearest_pixel::nearest_pixels;
 use crate::ops::{Kernels, resampled};
 use m4_core::DepthMap;
@@ -57,7 +57,7 @@ fn window(x: usize, y: usize, w: usize, h: usize) -> impl Iterator<Item = usize>
 }
 
 /// `z` `[h][w]` with depth at edges replaced by that of the nearest pixel that is known and no edge.
-pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &Lens) -> Vec<f32> {
+pub fn cleaned(z: &[f32], (w, h): (usize, usize), lens: &PosedPinhole) -> Vec<f32> {
     let steps = map(w, h, |x, y| {
         let at = y * w + x;
         let near = || window(x, y, w, h).map(|i| z[i]).filter(|&z| z > 0.0);
@@ -103,7 +103,7 @@ fn map<T: Send>(w: usize, h: usize, f: impl Fn(usize, usize) -> T + Sync) -> Vec
 }
 
 /// The normal at a pixel, the mean of those of its four corners, and whether one of these is known.
-fn normal(z: &[f32], w: usize, h: usize, lens: &Lens, x: usize, y: usize) -> (Vec3, bool) {
+fn normal(z: &[f32], w: usize, h: usize, lens: &PosedPinhole, x: usize, y: usize) -> (Vec3, bool) {
     let point = |dx: isize, dy: isize| -> Option<Vec3> {
         let (x, y) = (x.checked_add_signed(dx)?, y.checked_add_signed(dy)?);
         let depth = (x < w && y < h).then(|| z[y * w + x]).filter(|&z| z > 0.0)?;
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_depth_does_not_bleed_into_what_is_known() {
+    fn unknown_depth_does_not_bleed_into_known_pixels() {
         let depth = Plane::from_fn(8, 6, |x, _| if x < 4 { 2.0 } else { f32::NAN });
         let z = resized(&depth, (16, 12));
         for (i, z) in z.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! A frame as the network works with it: maps of features and of points, from fine to coarse.
 
 use super::Net;
-use super::camera::Lens;
+use super::camera::PosedPinhole;
 use super::config::Config;
 use super::encoder::STRIDE;
 use super::moments::Moments;
@@ -23,7 +23,7 @@ pub fn map_sizes(size: (usize, usize), levels: usize) -> Vec<(usize, usize)> {
 /// Where the pixels of a frame are.
 #[derive(Debug)]
 pub struct Geometry {
-    pub lens: Lens,
+    pub lens: PosedPinhole,
     /// A map per level, `[h][w]`. A pixel without depth is at the camera's centre, as upstream has it.
     pub points: Vec<Vec<[f32; 3]>>,
     /// Of all pixels whose depth counts.
@@ -32,7 +32,7 @@ pub struct Geometry {
 
 impl Geometry {
     /// Of depth `z` `[h][w]` in `size` seen through `lens`; depths within `range` count.
-    pub fn new(lens: Lens, z: &[f32], size: (usize, usize), range: [f32; 2], levels: usize) -> Self {
+    pub fn new(lens: PosedPinhole, z: &[f32], size: (usize, usize), range: [f32; 2], levels: usize) -> Self {
         let (w, h) = size;
         let centre = lens.unproject([0.0; 2], 0.0);
         let about = [centre.x, centre.y, centre.z];
@@ -78,7 +78,13 @@ fn nearest_exact(from: usize, to: usize) -> Vec<usize> {
 }
 
 /// `image` in `size` as the encoder takes it, `[1, 3, h, w]`.
-pub fn picture(image: &RgbImage, size: (usize, usize), config: &Config, device: &Device, dtype: DType) -> Tensor<4> {
+pub fn image_tensor(
+    image: &RgbImage,
+    size: (usize, usize),
+    config: &Config,
+    device: &Device,
+    dtype: DType,
+) -> Tensor<4> {
     let (w, h) = image.size();
     let plane = |c: usize| image.data().iter().map(move |p| f32::from(p[c]));
     let mut planes: Vec<f32> = (0..3).flat_map(plane).collect();
@@ -99,8 +105,8 @@ pub fn picture(image: &RgbImage, size: (usize, usize), config: &Config, device: 
 }
 
 /// Features of an image `[1, 3, h, w]`: a map per level, `[pixels, channels]`.
-pub fn maps(net: &Net, picture: Tensor<4>, levels: usize) -> Vec<Tensor<2>> {
-    let mut map = net.encoder.forward(picture);
+pub fn maps(net: &Net, image: Tensor<4>, levels: usize) -> Vec<Tensor<2>> {
+    let mut map = net.encoder.forward(image);
     let flat = |x: &Tensor<4>| {
         let [_, c, h, w] = x.dims();
         x.clone().reshape([c, h * w]).transpose()

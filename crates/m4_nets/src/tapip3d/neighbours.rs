@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn finds_what_sorting_finds() {
+    fn neighbours_match_sorting() {
         let u: Vec<f32> = formula("points", 3 * 2000).map(|u| u as f32).collect();
         let surface: Vec<[f32; 3]> = (0..2000)
             .map(|i| {

@@ -1,9 +1,9 @@
-//! One way through a clip, forward or backward.
+//! One pass over a clip, forward or backward.
 
 use super::frame::{Frame, Sides};
 use super::query::grid;
 use super::source::{Loaded, Source};
-use super::track::{Batch, Group, Known};
+use super::track::{Batch, Group, TrackState};
 use super::window::{State, Window};
 use super::{Tapip3dError, query};
 use m4_core::Progress;
@@ -12,14 +12,14 @@ use std::sync::Arc;
 
 /// The order in which frames are gone through: times count from 0 in that order, and beyond its end it is static.
 #[derive(Debug, Clone, Copy)]
-pub struct Way {
+pub struct FrameOrder {
     pub frames: usize,
     pub backward: bool,
     /// Frames of a window.
     pub window: usize,
 }
 
-impl Way {
+impl FrameOrder {
     /// The frame at a time.
     pub fn frame(self, time: usize) -> usize {
         let time = time.min(self.frames - 1);
@@ -42,9 +42,9 @@ impl Way {
     }
 }
 
-/// A point on its way.
+/// A point and its track so far.
 #[derive(Debug, Clone)]
-pub struct Walker {
+pub struct TrackedPoint {
     /// The query that it is of; none for those of the grid.
     pub query: Option<usize>,
     time: usize,
@@ -55,7 +55,7 @@ pub struct Walker {
     pub logits: Vec<f32>,
 }
 
-impl Walker {
+impl TrackedPoint {
     fn new(query: Option<usize>, time: usize, start: [f32; 3], times: usize) -> Self {
         Self {
             query,
@@ -92,11 +92,11 @@ impl Frames {
         Self { held, most }
     }
 
-    /// Lets go of frames that are not in `needed`, those first that the way back needs last.
-    fn shrink(&mut self, needed: &[usize], way: Way) {
+    /// Lets go of frames that are not in `needed`, those first that the backward pass needs last.
+    fn shrink(&mut self, needed: &[usize], order: FrameOrder) {
         while self.held.len() >= self.most {
             let mut free = self.held.keys().copied().filter(|frame| !needed.contains(frame));
-            let Some(frame) = (if way.backward { free.next_back() } else { free.next() }) else {
+            let Some(frame) = (if order.backward { free.next_back() } else { free.next() }) else {
                 return;
             };
             self.held.remove(&frame);
@@ -104,47 +104,48 @@ impl Frames {
     }
 }
 
-/// Takes all `groups` along `way`. What is `known` of queries grows on the way forward, which comes first.
+/// Takes all `groups` in `order`. What is `known` of queries grows in the forward pass, which comes first.
 ///
 /// # Errors
 ///
 /// [`Tapip3dError`] if a frame cannot be had or used, the device fails, or `progress` is cancelled.
 pub fn walk(
     source: &Source<'_>,
-    way: Way,
+    order: FrameOrder,
     range: [f32; 2],
-    known: &mut Known,
+    known: &mut TrackState,
     groups: &[Group],
     frames: &mut Frames,
     mut report: impl FnMut(),
     progress: &dyn Progress,
-) -> Result<Vec<Vec<Walker>>, Tapip3dError> {
+) -> Result<Vec<Vec<TrackedPoint>>, Tapip3dError> {
     let (net, config) = (&source.net.net, &source.net.config);
-    let mut walkers: Vec<Vec<Walker>> = vec![Vec::new(); groups.len()];
+    let mut walkers: Vec<Vec<TrackedPoint>> = vec![Vec::new(); groups.len()];
     let mut entered = 0;
-    for first in way.starts() {
-        let needed: Vec<usize> = (first..first + way.window).map(|time| way.frame(time)).collect();
-        let mut window = Vec::with_capacity(way.window);
+    for first in order.starts() {
+        let needed: Vec<usize> = (first..first + order.window).map(|time| order.frame(time)).collect();
+        let mut window = Vec::with_capacity(order.window);
         for &frame in &needed {
             if progress.cancelled() {
                 return Err(Tapip3dError::Stopped);
             }
             if !frames.held.contains_key(&frame) {
-                frames.shrink(&needed, way);
+                frames.shrink(&needed, order);
                 let loaded = source.load(frame, range)?;
-                if !way.backward {
+                if !order.backward {
                     known.learn(source, frame, &loaded, groups);
                 }
                 frames.held.insert(frame, Arc::new(loaded.frame(source.net)));
             }
             window.extend(frames.held.get(&frame).cloned());
         }
-        let end = (first + way.window).min(way.frames);
+        let end = (first + order.window).min(order.frames);
         for time in entered..end {
             for (group, walkers) in known.groups.iter().zip(&mut walkers) {
-                for batch in known.batches_at(group, way, time) {
+                for batch in known.batches_at(group, order, time) {
                     let some = batch.points.iter().enumerate();
-                    let some = some.map(|(i, &p)| Walker::new(batch.queries.get(i).copied(), time, p, way.times()));
+                    let some =
+                        some.map(|(i, &p)| TrackedPoint::new(batch.queries.get(i).copied(), time, p, order.times()));
                     walkers.extend(some);
                 }
             }
@@ -161,10 +162,10 @@ pub fn walk(
                 report();
                 continue;
             }
-            let batches = (0..end).flat_map(|time| known.batches_at(group, way, time));
+            let batches = (0..end).flat_map(|time| known.batches_at(group, order, time));
             let batches: Vec<&Sides> = batches.map(|batch| &batch.sides).collect();
             let sides = window.query_sides(net, &Sides::together(&batches)?);
-            let mut state = State::before(walkers, first, way.window, &window);
+            let mut state = State::before(walkers, first, order.window, &window);
             for _ in 0..source.options.iterations {
                 if progress.cancelled() {
                     return Err(Tapip3dError::Stopped);
@@ -186,7 +187,7 @@ pub fn walk(
 
 impl State {
     /// Where `walkers` are taken to be in the window that begins at time `first`.
-    fn before(walkers: &[Walker], first: usize, frames: usize, window: &Window) -> Self {
+    fn before(walkers: &[TrackedPoint], first: usize, frames: usize, window: &Window) -> Self {
         let all = (0..frames).flat_map(|j| walkers.iter().map(move |walker| walker.before(first, j, frames)));
         let (at, logits) = all.map(|(at, logit)| (window.space.enter(at), logit)).unzip();
         Self { at, logits }
@@ -197,7 +198,7 @@ impl State {
     }
 
     /// Gives `walkers` what was found.
-    fn enter(&self, walkers: &mut [Walker], first: usize, window: &Window) {
+    fn enter(&self, walkers: &mut [TrackedPoint], first: usize, window: &Window) {
         let n = walkers.len();
         for (k, (&at, &logit)) in self.at.iter().zip(&self.logits).enumerate() {
             let (time, walker) = (first + k / n, &mut walkers[k % n]);
@@ -207,7 +208,7 @@ impl State {
     }
 }
 
-impl Known {
+impl TrackState {
     /// Takes in what `loaded`, which is `frame`, shows of the queries in it, and the grid of points if it is an end of the clip.
     fn learn(&mut self, source: &Source<'_>, frame: usize, loaded: &Loaded, groups: &[Group]) {
         let side = |points: &[[f32; 3]]| {

@@ -1,6 +1,6 @@
 //! Points that are asked for: what is around them in their frame, and the grid of points beside them.
 
-use super::camera::Lens;
+use super::camera::PosedPinhole;
 use super::frame::{Sides, map_sizes, rows_of, sampled};
 use super::neighbours::{Cloud, Search};
 use super::{Net, Tapip3dError};
@@ -14,7 +14,7 @@ pub fn sides(
     net: &Net,
     maps: &[Tensor<2>],
     points: &[Vec<[f32; 3]>],
-    lens: &Lens,
+    lens: &PosedPinhole,
     size: (usize, usize),
     queries: &[[f32; 3]],
     neighbours: usize,
@@ -53,7 +53,7 @@ pub fn sides(
 }
 
 /// Where a point is seen; as far out as two images.
-fn seen(lens: &Lens, (w, h): (usize, usize), q: [f32; 3]) -> [f64; 2] {
+fn seen(lens: &PosedPinhole, (w, h): (usize, usize), q: [f32; 3]) -> [f64; 2] {
     let q = Vector3::from(q.map(f64::from));
     let [x, y] = lens.project(&q);
     let bound = |x: f64, n: usize| x.clamp(-2.0 * n as f64, 2.0 * n as f64);
@@ -77,7 +77,7 @@ impl Sides {
 }
 
 /// `side` rows and columns of points that are spread over an image whose depth is `z` `[h][w]`, where that is known.
-pub fn grid(side: usize, z: &[f32], (w, h): (usize, usize), lens: &Lens) -> Vec<[f32; 3]> {
+pub fn grid(side: usize, z: &[f32], (w, h): (usize, usize), lens: &PosedPinhole) -> Vec<[f32; 3]> {
     let margin = w as f64 / 64.0;
     let along = |n: usize, i: usize| {
         if side == 1 {

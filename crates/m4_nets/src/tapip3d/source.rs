@@ -1,9 +1,9 @@
 //! Frames of a clip as the network takes them.
 
-use super::camera::Lens;
+use super::camera::PosedPinhole;
 use super::clip::PosedClip;
 use super::depth::{Histogram, cleaned, resized};
-use super::frame::{Frame, Geometry, maps, picture};
+use super::frame::{Frame, Geometry, image_tensor, maps};
 use super::{Tapip3d, Tapip3dError, Tapip3dOptions};
 use burn_core::tensor::Tensor;
 use m4_core::{Progress, nalgebra::Vector3};
@@ -60,19 +60,19 @@ impl<'a> Source<'a> {
         Ok(source)
     }
 
-    fn lens(&self, frame: usize) -> Result<Lens, Tapip3dError> {
+    fn lens(&self, frame: usize) -> Result<PosedPinhole, Tapip3dError> {
         let camera = self
             .clip
             .camera(frame)
             .map_err(|source| Tapip3dError::Frame { frame, source })?;
-        Lens::new(&camera, self.options.size, &self.origin).ok_or(Tapip3dError::BadFrame {
+        PosedPinhole::new(&camera, self.options.size, &self.origin).ok_or(Tapip3dError::BadFrame {
             frame,
             reason: "its camera has no positive focal lengths, or numbers that are not finite",
         })
     }
 
     /// Depth of `frame` in the network's size, and its camera.
-    fn depth(&self, frame: usize) -> Result<(Lens, Vec<f32>), Tapip3dError> {
+    fn depth(&self, frame: usize) -> Result<(PosedPinhole, Vec<f32>), Tapip3dError> {
         let lens = self.lens(frame)?;
         let depth = self
             .clip
@@ -120,14 +120,14 @@ impl<'a> Source<'a> {
         let (lens, z) = self.depth(frame)?;
         let image = self
             .clip
-            .picture(frame)
+            .image(frame)
             .map_err(|source| Tapip3dError::Frame { frame, source })?;
         if image.data().is_empty() {
             let reason = "its image has no pixels";
             return Err(Tapip3dError::BadFrame { frame, reason });
         }
         let (net, config) = (&self.net.net, &self.net.config);
-        let image = picture(&image, self.options.size, config, &self.net.device, net.encoder.dtype());
+        let image = image_tensor(&image, self.options.size, config, &self.net.device, net.encoder.dtype());
         Ok(Loaded {
             maps: maps(net, image, config.levels),
             geometry: Geometry::new(lens, &z, self.options.size, range, config.levels),

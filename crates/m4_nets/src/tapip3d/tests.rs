@@ -1,8 +1,8 @@
 //! The network against its fixture: weights by the formula, damped where a random network would be chaotic.
 
-use super::camera::Lens;
+use super::camera::PosedPinhole;
 use super::config::Config;
-use super::frame::{Frame, Geometry, Sides, map_sizes, maps, picture, sampled};
+use super::frame::{Frame, Geometry, Sides, image_tensor, map_sizes, maps, sampled};
 use super::query::sides;
 use super::track::track_within;
 use super::window::{State, Window};
@@ -63,7 +63,7 @@ impl PosedClip for Clip {
         FRAMES
     }
 
-    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
+    fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
         let bytes = self.0.bytes("frames_u8");
         let small = &bytes[frame * 40 * 56 * 3..];
         Ok(Plane::from_fn(224, 160, |x, y| {
@@ -102,7 +102,7 @@ impl Clip {
     }
 
     fn geometry(&self, frame: usize) -> Geometry {
-        let lens = Lens::new(&self.camera(frame).unwrap(), SIZE, &Vector3::zeros()).unwrap();
+        let lens = PosedPinhole::new(&self.camera(frame).unwrap(), SIZE, &Vector3::zeros()).unwrap();
         Geometry::new(lens, &self.depth_of(frame), SIZE, self.range(), 4)
     }
 
@@ -114,8 +114,8 @@ impl Clip {
     }
 
     fn maps(&self, net: &Tapip3d, frame: usize) -> Vec<Tensor<2>> {
-        let image = self.picture(frame).unwrap();
-        let image = picture(&image, SIZE, &net.config, &net.device, DType::F32);
+        let image = self.image(frame).unwrap();
+        let image = image_tensor(&image, SIZE, &net.config, &net.device, DType::F32);
         maps(&net.net, image, 4)
     }
 
@@ -348,7 +348,7 @@ fn fixture_options() -> Tapip3dOptions {
 }
 
 #[test]
-fn the_whole_clip() {
+fn whole_clip_matches_the_reference() {
     let clip = clip();
     let net = network(&clip.0);
     let queries = fixture_queries(&clip);
@@ -388,8 +388,8 @@ fn backward_is_forward_on_the_reversed_clip() {
         fn frames(&self) -> usize {
             FRAMES
         }
-        fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
-            self.0.picture(FRAMES - 1 - frame)
+        fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
+            self.0.image(FRAMES - 1 - frame)
         }
         fn depth(&self, frame: usize) -> Result<DepthMap, ClipError> {
             self.0.depth(FRAMES - 1 - frame)
@@ -443,7 +443,7 @@ fn edges_of_depth_are_replaced() {
         c2w: Se3::identity(),
     };
     let size = (shape[1], shape[0]);
-    let lens = Lens::new(&camera, size, &Vector3::zeros()).unwrap();
+    let lens = PosedPinhole::new(&camera, size, &Vector3::zeros()).unwrap();
     let got = depth::cleaned(&z, size, &lens);
     let want = fixture.floats("filtered").0;
     let changed = want.iter().zip(&z).filter(|(a, b)| a != b).count();

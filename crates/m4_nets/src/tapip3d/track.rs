@@ -2,7 +2,7 @@
 
 use super::clip::{PointQuery, PointTracks, PosedClip, Tapip3dOptions};
 use super::frame::{Sides, map_sizes};
-use super::pass::{Frames, Walker, Way, walk};
+use super::pass::{FrameOrder, Frames, TrackedPoint, walk};
 use super::source::Source;
 use super::{Tapip3d, Tapip3dError};
 use m4_core::Progress;
@@ -27,25 +27,25 @@ pub struct Batch {
 
 /// What is known of all points.
 #[derive(Debug)]
-pub struct Known {
+pub struct TrackState {
     /// Frames of the clip.
     pub frames: usize,
     /// A group's own, by frames.
     pub groups: Vec<BTreeMap<usize, Batch>>,
-    /// The grids of the first and the last frame, for the way forward and the way back.
+    /// The grids of the first and the last frame, for the forward and the backward pass.
     pub grids: [Option<Batch>; 2],
 }
 
-impl Known {
+impl TrackState {
     /// Those of a group that begin at a time.
     pub fn batches_at<'a>(
         &'a self,
         group: &'a BTreeMap<usize, Batch>,
-        way: Way,
+        order: FrameOrder,
         time: usize,
     ) -> impl Iterator<Item = &'a Batch> {
-        let grid = self.grids[usize::from(way.backward)].as_ref().filter(|_| time == 0);
-        grid.into_iter().chain(group.get(&way.frame(time)))
+        let grid = self.grids[usize::from(order.backward)].as_ref().filter(|_| time == 0);
+        grid.into_iter().chain(group.get(&order.frame(time)))
     }
 }
 
@@ -85,20 +85,20 @@ pub fn track_within(
         None => source.range(progress)?,
     };
     let groups = grouped(queries, &points, together(&source));
-    let mut known = Known {
+    let mut known = TrackState {
         frames,
         groups: vec![BTreeMap::new(); groups.len()],
         grids: [None, None],
     };
     let most = options.memory_bytes / 2 / source.frame_bytes().max(1);
     let mut held = Frames::new(most.max(net.config.window));
-    let way = |backward| Way {
+    let order = |backward| FrameOrder {
         frames,
         backward,
         window: net.config.window,
     };
     let back = options.backward && queries.iter().any(|q| q.frame > 0);
-    let total = way(false).starts().count() * groups.len() * (1 + usize::from(back));
+    let total = order(false).starts().count() * groups.len() * (1 + usize::from(back));
     let mut done = 0;
     let mut tracks = PointTracks {
         frames,
@@ -115,7 +115,7 @@ pub fn track_within(
         };
         let walkers = walk(
             &source,
-            way(backward),
+            order(backward),
             range,
             &mut known,
             &groups,
@@ -124,7 +124,7 @@ pub fn track_within(
             progress,
         )?;
         for walker in walkers.iter().flatten() {
-            enter(&mut tracks, walker, queries, way(backward));
+            enter(&mut tracks, walker, queries, order(backward));
         }
     }
     for p in &mut tracks.world {
@@ -133,13 +133,17 @@ pub fn track_within(
     Ok(tracks)
 }
 
-/// Gives `tracks` what a way found of a point: forward from its frame on, backward before it.
-fn enter(tracks: &mut PointTracks, walker: &Walker, queries: &[PointQuery], way: Way) {
+/// Gives `tracks` what a pass found of a point: forward from its frame on, backward before it.
+fn enter(tracks: &mut PointTracks, walker: &TrackedPoint, queries: &[PointQuery], order: FrameOrder) {
     let Some(query) = walker.query else { return };
     let begins = queries[query].frame;
-    let frames = if way.backward { 0..begins } else { begins..way.frames };
+    let frames = if order.backward {
+        0..begins
+    } else {
+        begins..order.frames
+    };
     for frame in frames {
-        let (to, time) = (query * way.frames + frame, way.time(frame));
+        let (to, time) = (query * order.frames + frame, order.time(frame));
         tracks.world[to] = walker.at[time];
         tracks.visibility[to] = 1.0 / (1.0 + (-walker.logits[time]).exp());
     }

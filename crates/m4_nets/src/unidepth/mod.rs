@@ -19,7 +19,7 @@
 mod camera;
 mod depth;
 mod layers;
-mod picture;
+mod preprocess;
 mod rays;
 #[cfg(test)]
 mod tests;
@@ -37,7 +37,7 @@ use camera::{CameraHead, GlobalHead};
 use depth::{DepthHead, Scene};
 use layers::Adapters;
 use m4_core::{Intrinsics, Plane, RgbImage};
-use picture::Patches;
+use preprocess::Patches;
 use rays::Rays;
 use std::path::Path;
 
@@ -173,13 +173,13 @@ impl Net {
     }
 
     /// Of an image `[1, 3, 14 h, 14 w]`.
-    fn heads(&self, picture: Tensor<4>, patches: Patches) -> Result<Heads, UniDepthError> {
+    fn heads(&self, image: Tensor<4>, patches: Patches) -> Result<Heads, UniDepthError> {
         let decoder = &self.pixel_decoder;
         let dtype = decoder.level_embeds.dtype();
-        let device = picture.device();
+        let device = image.device();
         let blocks = self.pixel_encoder.depth();
         let taps = self.pixel_encoder.taps(
-            picture.cast(dtype),
+            image.cast(dtype),
             std::array::from_fn::<_, TAPS, _>(|i| blocks - TAPS + i),
         );
         let levels = taps.iter().map(|tap| tap.patches.clone().squeeze_dim(0)).collect();
@@ -302,7 +302,7 @@ impl UniDepth {
         let logarithms: Vec<f32> = logarithms.map_err(|error| UniDepthError::Device(error.to_string()))?;
         Ok(UniDepthMap {
             depth_m: patches.depth(&logarithms, heads.log_scale, heads.offset),
-            camera: patches.camera_of_picture(&heads.camera),
+            camera: patches.camera_of_image(&heads.camera),
         })
     }
 }

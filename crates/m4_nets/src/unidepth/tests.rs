@@ -27,11 +27,11 @@ fn thinned(x: Tensor<2>, rows: usize, columns: usize) -> Tensor<2> {
 #[test]
 fn parts_agree_with_upstream() {
     let (net, fixture) = (network(), Fixture::open("unidepth_v2/formula.safetensors"));
-    let image = fixture.picture("image");
+    let image = fixture.image("image");
     let patches = Patches::of(image.width(), image.height(), 48).unwrap();
     assert_eq!(patches.grid, [6, 9]);
-    let picture = patches.tensor(&image, &cpu());
-    let channels = (0..3).map(|c| thinned(picture.clone().slice([0..1, c..c + 1]).reshape([84, 126]), 4, 4));
+    let input = patches.tensor(&image, &cpu());
+    let channels = (0..3).map(|c| thinned(input.clone().slice([0..1, c..c + 1]).reshape([84, 126]), 4, 4));
     assert_near(
         Tensor::stack::<3>(channels.collect(), 0),
         &fixture,
@@ -39,14 +39,14 @@ fn parts_agree_with_upstream() {
         LIMIT,
     );
 
-    let taps = net.pixel_encoder.taps(picture.clone(), [1, 2, 3, 4]);
+    let taps = net.pixel_encoder.taps(input.clone(), [1, 2, 3, 4]);
     let last: Tensor<2> = taps[3].patches.clone().squeeze_dim(0);
     assert_near(every(last, 4), &fixture, "feature_last_strided", LIMIT);
 
     let decoder = &net.pixel_decoder;
     let levels = taps.iter().map(|tap| tap.patches.clone().squeeze_dim(0)).collect();
     let levels = decoder.input_adapter.forward(levels);
-    let heads = net.heads(picture, patches).unwrap();
+    let heads = net.heads(input, patches).unwrap();
     let rays = Rays::of(&heads.camera);
     let scene = Scene {
         levels: &levels,
@@ -66,7 +66,7 @@ fn parts_agree_with_upstream() {
     let error = |got: f64, want: f32| (got / f64::from(want) - 1.0).abs();
     assert!(error(heads.log_scale.exp(), global[0]) < 1e-5, "{heads:?}");
     assert!(error(heads.offset, global[1]) < 1e-5, "{heads:?}");
-    let camera = patches.camera_of_picture(&heads.camera);
+    let camera = patches.camera_of_image(&heads.camera);
     let (want, _) = fixture.floats("intrinsics");
     for (got, want) in [camera.fx, camera.fy, camera.cx, camera.cy].into_iter().zip(want) {
         assert!(error(got, want) < 1e-5, "{got} px where {want} were expected");
@@ -92,7 +92,7 @@ fn the_published_checkpoint_fits() {
 }
 
 #[test]
-fn patches_have_the_shape_of_the_picture() {
+fn patches_have_the_aspect_of_the_image() {
     let grid = |w, h, n| Patches::of(w, h, n).unwrap().grid;
     // as published
     assert_eq!(grid(640, 360, 2400), [37, 66]);
@@ -106,7 +106,7 @@ fn patches_have_the_shape_of_the_picture() {
 #[test]
 fn half_precision_stays_near() {
     let net = network();
-    let image = Fixture::open("unidepth_v2/formula.safetensors").picture("image");
+    let image = Fixture::open("unidepth_v2/formula.safetensors").image("image");
     let patches = Patches::of(image.width(), image.height(), 48).unwrap();
     let [whole, half] = [net.clone(), halved(net)].map(|net| {
         let heads = net.heads(patches.tensor(&image, &cpu()), patches).unwrap();

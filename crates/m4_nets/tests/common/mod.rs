@@ -1,7 +1,7 @@
 //! Fixtures and real weights.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
-use m4_core::RgbImage;
+use m4_core::{Plane, RgbImage};
 use m4_testkit::{Need, skip};
 use safetensors::{Dtype, SafeTensors};
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ pub fn floats(file: &[u8], name: &str) -> Vec<f32> {
 }
 
 /// An image, `[h, w, 3]` or `[3, h, w]` bytes.
-pub fn picture(file: &[u8], name: &str) -> RgbImage {
+pub fn read_image(file: &[u8], name: &str) -> RgbImage {
     let tensors = SafeTensors::deserialize(file).unwrap();
     let tensor = tensors.tensor(name).unwrap();
     let bytes = tensor.data();
@@ -34,6 +34,14 @@ pub fn picture(file: &[u8], name: &str) -> RgbImage {
         _ => panic!("{name} is not an image"),
     };
     RgbImage::from_vec(w, h, pixels).unwrap()
+}
+
+/// A smooth image of any size.
+pub fn test_image(w: usize, h: usize) -> RgbImage {
+    Plane::from_fn(w, h, |x, y| {
+        let (x, y) = (x as f32 / w as f32, y as f32 / h as f32);
+        [x, y, (9.0 * x).sin() * (7.0 * y).cos() * 0.5 + 0.5].map(|v| (v * 255.0) as u8)
+    })
 }
 
 /// An image from a PNG file of the fixtures.

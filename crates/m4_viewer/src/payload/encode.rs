@@ -34,8 +34,8 @@ const EVEN_SHARE: f64 = 0.1;
 const ALPHA_MIN: f64 = 1.0 / 255.0;
 
 /// The splats that can be seen. Those whose opacity never exceeds 1/255 in the time of the scene, or
-/// that have a parameter which is no finite number, are left out. `median_depth` is that of what the
-/// source cameras see, world units: it sets what a pixel is.
+/// that have a NaN or infinite parameter, are left out. `median_depth` is that of what the
+/// source cameras see, world units: it sets the size of a pixel.
 #[must_use]
 pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     let splats = &scene.splats;
@@ -108,7 +108,7 @@ pub fn encode(scene: &Scene, median_depth: f64) -> Payload {
     }
 }
 
-/// How every parameter of a scene is written.
+/// Codecs of the parameters of a scene.
 struct Codes {
     mean: [Sinh; 3],
     scale: Linear,
@@ -128,7 +128,7 @@ impl Codes {
         };
         let middle = scene.source.get(scene.source.len() / 2).map(|s| s.camera);
         let centre = middle.map_or([0.0; 3], |c| c.centre().into());
-        // where no camera says what a pixel is: that of a phone's video at 480 pixels
+        // without a camera, the pixel of a phone's video at 480 pixels
         let focal_px = middle.map_or(400.0, |c| c.intrinsics.fx).max(1.0);
         let step = 1.0 / (focal_px * POSITION_STEPS_PER_PX);
         let scales = splats.layout().range(Column::LogScale).len();

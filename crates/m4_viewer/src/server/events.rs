@@ -12,10 +12,10 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch::Receiver;
 
-/// How often a silent stream says that it is there; also how soon a page that went away is noticed.
+/// Interval of keep-alive messages; also the delay until a closed page is noticed.
 const BREATH: Duration = Duration::from_secs(5);
 
-/// What one page has heard.
+/// Events that one page has received.
 struct Listener {
     hub: Arc<Hub>,
     pulse: Receiver<Pulse>,

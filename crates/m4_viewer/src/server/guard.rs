@@ -16,7 +16,7 @@ const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline' blob: data:
                       style-src 'unsafe-inline'; img-src data: blob:; font-src data:; connect-src 'self' data: blob:; \
                       worker-src blob: data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// What a request must name.
+/// Host and token that a request must name.
 #[derive(Debug)]
 pub(super) struct Guard {
     token: String,

@@ -7,14 +7,14 @@ use serde::Serialize;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
-/// How training continues.
+/// Metrics of training.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Metrics {
     /// Steps taken.
     pub iteration: usize,
     /// Steps of the whole run.
     pub iterations: usize,
-    /// What is minimised.
+    /// The loss.
     pub loss: f64,
     /// Of the last frame, dB.
     pub psnr: f64,
@@ -22,7 +22,7 @@ pub struct Metrics {
     pub splats: usize,
 }
 
-/// What happened so far, as numbers that only grow.
+/// Counters of events.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Pulse {
     /// Scenes shown.
@@ -41,7 +41,7 @@ struct Shown {
     version: u64,
 }
 
-/// The newest scene, and everybody who waits for the next.
+/// The newest scene and the clients that wait for the next.
 #[derive(Debug)]
 pub struct Hub {
     shown: Mutex<Shown>,
@@ -109,7 +109,7 @@ impl Hub {
         };
         self.pulse.send_modify(|pulse| {
             pulse.logged = logged;
-            // a run that ended goes on, or another one has begun
+            // a stopped run resumed, or another began
             pulse.end = None;
         });
     }
@@ -119,7 +119,7 @@ impl Hub {
         self.pulse.send_if_modified(|pulse| pulse.end.replace(ok) != Some(ok));
     }
 
-    /// How many pages listen.
+    /// Number of listening pages.
     #[must_use]
     pub fn listeners(&self) -> usize {
         self.pulse.receiver_count()
@@ -133,7 +133,7 @@ impl Hub {
         lock(&self.log).get(index).cloned()
     }
 
-    /// What a page is made of right now; its manifest says where to hear of more.
+    /// Current contents of a page; its manifest holds the address of events.
     pub(super) fn with_parts<R>(&self, token: &str, make: impl FnOnce(&Parts<'_>) -> R) -> R {
         let (mut manifest, payload, frames, version) = {
             let shown = lock(&self.shown);

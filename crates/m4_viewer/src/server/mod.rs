@@ -143,7 +143,7 @@ impl Drop for Server {
     }
 }
 
-/// What every request sees.
+/// State shared by all requests.
 #[derive(Debug, Clone)]
 struct Shared {
     hub: Arc<Hub>,

@@ -6,9 +6,9 @@
 //!
 //! Rows share the geometry, except for the row without segmentation, which has its own. All rows take as many steps as the full one.
 
-mod picture;
 mod report;
 mod row;
+mod tracking_effect;
 
 pub use report::{AblationReport, RowReport};
 pub use row::{Row, UnknownRow};
@@ -91,7 +91,7 @@ pub fn ablate(input: &Path, out: &Path, options: &AblateOptions, job: &Job<'_>) 
     let there = |row| made.iter().any(|r: &RowReport| r.row == row && r.skipped.is_none());
     let picture = if there(Row::NoTrack) {
         let folders = [Row::NoTrack, Row::Full].map(|row| out.join(row.name()));
-        picture::write(&folders, &data, &out.join("tracking.png"), job)?
+        tracking_effect::write(&folders, &data, &out.join("tracking.png"), job)?
     } else {
         None
     };
@@ -166,7 +166,7 @@ impl Bench<'_> {
         })
     }
 
-    /// The input with masks of what is likelier than not to move by its maps, as they come; `None` where it has no maps.
+    /// The input with masks of pixels that are more likely dynamic than static by its maps, unrefined; `None` where it has no maps.
     fn coarse(&self) -> Result<Option<PathBuf>, Error> {
         let folder = self.out.join("coarse");
         let mut capture: Capture = crate::train::read(self.input, &self.job.settings, self.job.observer)?;
@@ -230,7 +230,7 @@ impl Bench<'_> {
         Err(Error::Row {
             row: row.name(),
             folder: folder.to_path_buf(),
-            said: String::from_utf8_lossy(&ended.stderr).trim().to_owned(),
+            message: String::from_utf8_lossy(&ended.stderr).trim().to_owned(),
         })
     }
 

@@ -29,7 +29,7 @@ pub trait Watch: Sync {
 pub(crate) struct Ended {
     /// Its exit code; `None` where a signal ended it.
     pub code: Option<i32>,
-    /// Its last words, or the signal.
+    /// Its last message, or the signal.
     pub reason: String,
     /// True when it was asked to stop.
     pub asked: bool,
@@ -48,9 +48,9 @@ pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Res
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
     let mut child = command.spawn()?;
     let (mut hold, events) = (child.stdin.take(), child.stdout.take());
-    let last_words = Mutex::new(None);
+    let last_messages = Mutex::new(None);
     thread::scope(|scope| {
-        let reader = scope.spawn(|| read_events(events, watch, &last_words, stages));
+        let reader = scope.spawn(|| read_events(events, watch, &last_messages, stages));
         let mut asked: Option<Instant> = None;
         let status = loop {
             if let Some(status) = child.try_wait()? {
@@ -67,12 +67,12 @@ pub(crate) fn run(mut command: Command, log: File, watch: &dyn Watch) -> io::Res
         };
         drop(hold);
         let _ = reader.join();
-        let said = last_words.lock().map(|said| said.clone()).unwrap_or_default();
+        let message = last_messages.lock().map(|message| message.clone()).unwrap_or_default();
         Ok(Ended {
             code: status.code(),
-            reason: said
+            reason: message
                 .filter(|_| status.code().is_some())
-                .unwrap_or_else(|| words(status)),
+                .unwrap_or_else(|| exit_message(status)),
             asked: asked.is_some(),
         })
     })
@@ -86,7 +86,7 @@ fn end(child: &mut Child) {
 }
 
 #[cfg(unix)]
-fn words(status: ExitStatus) -> String {
+fn exit_message(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match status.signal() {
         Some(9) => "killed by signal 9; unless it was sent by hand, the machine was out of memory".to_owned(),
@@ -97,12 +97,17 @@ fn words(status: ExitStatus) -> String {
 }
 
 #[cfg(not(unix))]
-fn words(status: ExitStatus) -> String {
+fn exit_message(status: ExitStatus) -> String {
     format!("ended without a message ({status})")
 }
 
 /// Passes progress on, notes stages, and keeps the reason of the last event.
-fn read_events(events: Option<ChildStdout>, watch: &dyn Watch, last_words: &Mutex<Option<String>>, mut stages: File) {
+fn read_events(
+    events: Option<ChildStdout>,
+    watch: &dyn Watch,
+    last_messages: &Mutex<Option<String>>,
+    mut stages: File,
+) {
     let Some(events) = events else { return };
     for line in BufReader::new(events).lines() {
         let Ok(line) = line else { return };
@@ -118,8 +123,8 @@ fn read_events(events: Option<ChildStdout>, watch: &dyn Watch, last_words: &Mute
                 let _ = stages.write_all(format!("{line}\n").as_bytes());
             }
             "end" => {
-                if let Ok(mut said) = last_words.lock() {
-                    *said = Some(text("reason").to_owned());
+                if let Ok(mut message) = last_messages.lock() {
+                    *message = Some(text("reason").to_owned());
                 }
             }
             _ => {}
@@ -167,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_child_that_is_asked_to_stop_sees_the_end_of_its_input() {
+    fn stop_request_closes_the_input_of_the_child() {
         let event = r#"{"event":"progress","phase":"train","done":3,"total":9,"note":""}"#;
         let ended = shell(&format!("echo '{event}'; cat >/dev/null; exit 143"));
         assert_eq!((ended.code, ended.asked), (Some(143), true));

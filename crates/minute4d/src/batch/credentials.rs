@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn credentials_are_told_by_their_names_and_by_passwords_in_addresses() {
+    fn credentials_are_detected_by_name_and_by_passwords_in_urls() {
         for name in [
             "AWS_SECRET_ACCESS_KEY",
             "AWS_PROFILE",

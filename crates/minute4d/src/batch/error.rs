@@ -52,9 +52,9 @@ pub enum BatchError {
         /// What is wrong with it, and what to do.
         reason: &'static str,
     },
-    /// Something of another kind is where a result is to be.
+    /// The place of a result holds something else.
     #[error("{} exists and was not created by `minute4d batch`; choose another folder with --out, or move it away", path.display())]
-    Foreign {
+    NotOurs {
         /// The folder.
         path: PathBuf,
     },
@@ -93,12 +93,12 @@ pub enum BatchError {
         source: io::Error,
     },
     /// A program of Slurm refused.
-    #[error("{program} refused: {said}; the script is {}", script.display())]
+    #[error("{program} refused: {message}; the script is {}", script.display())]
     Refused {
         /// The program.
         program: &'static str,
         /// Its message.
-        said: String,
+        message: String,
         /// The script.
         script: PathBuf,
     },
@@ -122,7 +122,7 @@ impl BatchError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Read { source, .. } => ErrorKind::of_read(source),
-            Self::Write { .. } | Self::Exists { .. } | Self::Foreign { .. } => ErrorKind::CannotWrite,
+            Self::Write { .. } | Self::Exists { .. } | Self::NotOurs { .. } => ErrorKind::CannotWrite,
             Self::Manifest { .. } | Self::Input { .. } | Self::Text { .. } => ErrorKind::BadData,
             Self::Missing { .. } | Self::NoSuchJob { .. } | Self::Index { .. } | Self::Start { .. } => {
                 ErrorKind::NotFound

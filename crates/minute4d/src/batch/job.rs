@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 pub const INDEX_VARIABLES: [&str; 2] = ["SLURM_ARRAY_TASK_ID", "JOB_COMPLETION_INDEX"];
 /// Exit code of a run whose input is bad.
 const BAD_INPUT: i32 = 65;
-/// How long to wait for another process with the same job, or for what a killed one left running.
+/// Time to wait for another process with the same job, or for the children of a killed one.
 const LET_GO: Duration = Duration::from_secs(120);
 
 /// The environment of a job.
@@ -91,9 +91,9 @@ pub fn run_job(
     // Before anything is written: where disks are not mounted, their folders must stay empty.
     let states = attempt.layout.states();
     if !states.is_dir() {
-        let said =
+        let message =
             "the folder of results is not mounted here, or was removed; `minute4d batch plan --force` makes it again";
-        return Ok(again(&format!("there is no {}: {said}", states.display())));
+        return Ok(again(&format!("there is no {}: {message}", states.display())));
     }
     if let Some(end) = attempt.ended_before(retry_failed)? {
         return Ok(end);
@@ -174,13 +174,13 @@ impl Attempt<'_> {
     /// Runs and publishes; with the exit code of the run, where it had one.
     fn make(&self) -> Result<(JobEnd, Option<i32>), BatchError> {
         let (id, work) = (&self.job.id, self.layout.work(&self.job.id));
-        if present(&self.layout.result(id), &self.key)? == Present::Foreign {
+        if present(&self.layout.result(id), &self.key)? == Present::NotOurs {
             return Ok((again(&self.in_the_way()), None));
         }
         recover(&self.layout, id)?;
         if !free(&work, self.watch).map_err(BatchError::write(&work))? {
-            let said = format!("another run is using {}, or this one was asked to stop", work.display());
-            return Ok((again(&said), None));
+            let message = format!("another run is using {}, or this one was asked to stop", work.display());
+            return Ok((again(&message), None));
         }
         let mut fresh = !work.exists();
         loop {
@@ -191,8 +191,8 @@ impl Attempt<'_> {
                         outcome: Outcome::Done,
                         ..again("")
                     },
-                    Published::Bad(said) => again(&format!("the result was not published: {said}")),
-                    Published::Foreign => again(&self.in_the_way()),
+                    Published::Bad(message) => again(&format!("the result was not published: {message}")),
+                    Published::NotOurs => again(&self.in_the_way()),
                 },
                 _ if asked => again("it was asked to stop"),
                 Some(BAD_INPUT) if !fresh => {
@@ -245,7 +245,7 @@ impl Attempt<'_> {
     /// The message for a folder that is not ours where a result should go.
     fn in_the_way(&self) -> String {
         let path = self.layout.result(&self.job.id);
-        BatchError::Foreign { path }.to_string()
+        BatchError::NotOurs { path }.to_string()
     }
 
     /// The input must be what was planned: results are kept under its hash. What is missing here, or is another, is so on this

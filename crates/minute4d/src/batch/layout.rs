@@ -61,7 +61,7 @@ impl Layout {
         self.states().join(format!("{id}.json"))
     }
 
-    /// What the runs of a clip said.
+    /// Log of the runs of a clip.
     #[must_use]
     pub fn log(&self, id: &str) -> PathBuf {
         self.root.join(".log").join(format!("{id}.txt"))

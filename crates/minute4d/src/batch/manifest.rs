@@ -235,8 +235,8 @@ mod tests {
         ];
         for (text, words) in cases {
             fs::write(&path, &text).unwrap();
-            let said = Manifest::read(&path).unwrap_err().to_string();
-            assert!(said.contains(words), "{words}: {said}");
+            let message = Manifest::read(&path).unwrap_err().to_string();
+            assert!(message.contains(words), "{words}: {message}");
         }
     }
 

@@ -53,7 +53,7 @@ pub(crate) enum Published {
     /// What was made is not what its record says; it was removed.
     Bad(String),
     /// Something that is no result of a batch is where it should go.
-    Foreign,
+    NotOurs,
 }
 
 /// What is where a result should be.
@@ -66,16 +66,16 @@ pub(crate) enum Present {
     /// A result of other input or settings, or one that lacks files.
     Other,
     /// A folder that is not a result of a batch.
-    Foreign,
+    NotOurs,
 }
 
-/// Looks at what is published. File sizes are compared, not hashes: those were when it was published.
+/// Checks the published result. File sizes are compared, not hashes: those were when it was published.
 pub(crate) fn present(folder: &Path, key: &str) -> Result<Present, BatchError> {
     if fs::symlink_metadata(folder).is_err_and(|e| e.kind() == ErrorKind::NotFound) {
         return Ok(Present::None);
     }
     let Some(mark) = read_json::<ResultMark>(&folder.join(RESULT_FILE))?.filter(|m| m.format == FORMAT) else {
-        return Ok(Present::Foreign);
+        return Ok(Present::NotOurs);
     };
     let same = mark.version == VERSION && mark.key == key;
     Ok(if same && check(folder, false)?.is_ok() {
@@ -122,7 +122,7 @@ fn hash(path: &Path) -> io::Result<String> {
 pub(crate) fn publish(layout: &Layout, id: &str, key: &str, host: &str) -> Result<Published, BatchError> {
     let (work, target) = (layout.work(id), layout.result(id));
     match present(&target, key)? {
-        Present::Foreign => return Ok(Published::Foreign),
+        Present::NotOurs => return Ok(Published::NotOurs),
         Present::Same => {
             remove(&work)?;
             return Ok(Published::Yes);
@@ -161,7 +161,7 @@ fn mark(folder: &Path, id: &str, key: &str, host: &str) -> Result<(), BatchError
     write_json(&folder.join(RESULT_FILE), &mark)
 }
 
-/// Puts what is incoming where the result belongs, and an older result out of the way before.
+/// Moves the incoming result into place, after moving an older one away.
 fn swap(layout: &Layout, id: &str, key: &str, nonce: &str) -> Result<(), BatchError> {
     let (target, old) = (layout.result(id), layout.outgoing(id).join(nonce));
     let replaces = target.exists();

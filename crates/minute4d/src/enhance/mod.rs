@@ -36,7 +36,7 @@ use crate::record::write_json;
 use m4_core::{Capture, CompactIds, CompactMask, Plane, Progress, RgbImage};
 use m4_geometry::dense::FlowSource;
 use m4_geometry::instances::{
-    Clip, Coarse, InstanceReport, PictureError, RefineInput, RefineSettings, RefinedFrame, VideoSegmenter, refine,
+    Coarse, FrameSource, ImageError, InstanceReport, RefineInput, RefineSettings, RefinedFrame, VideoSegmenter, refine,
 };
 use m4_io::capture::Split;
 use std::borrow::Cow;
@@ -48,7 +48,7 @@ pub const REPORT_FILE: &str = "instances.json";
 /// The frames of a capture.
 struct Frames<'a>(&'a Capture);
 
-impl Clip for Frames<'_> {
+impl FrameSource for Frames<'_> {
     fn frames(&self) -> usize {
         self.0.frames.len()
     }
@@ -57,7 +57,7 @@ impl Clip for Frames<'_> {
         self.0.frames.first().map_or((0, 0), |frame| frame.rgb.size())
     }
 
-    fn picture(&self, frame: usize) -> Result<Cow<'_, RgbImage>, PictureError> {
+    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError> {
         match self.0.frames.get(frame) {
             Some(frame) => Ok(Cow::Borrowed(&frame.rgb)),
             None => Err(format!("the capture has {} frames", self.0.frames.len()).into()),

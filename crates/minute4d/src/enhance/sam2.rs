@@ -2,7 +2,7 @@
 
 use m4_core::{CompactMask, Plane, Progress};
 use m4_geometry::instances::{
-    Clip, ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSegmenter, VideoSession,
+    FrameSource, ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSegmenter, VideoSession, Visibility,
 };
 use m4_nets::sam2::{self, Clip as NetClip, Direction, Sam2Error, VideoOptions, VideoPredictor};
 use m4_nets::{PointPrompt, Prompt, Sam2, Sam2Size};
@@ -37,7 +37,11 @@ impl VideoSegmenter for Sam2Follower {
         }
     }
 
-    fn open<'a>(&'a self, clip: &'a dyn Clip, size: (usize, usize)) -> Result<Box<dyn VideoSession + 'a>, VideoError> {
+    fn open<'a>(
+        &'a self,
+        clip: &'a dyn FrameSource,
+        size: (usize, usize),
+    ) -> Result<Box<dyn VideoSession + 'a>, VideoError> {
         let name = self.name();
         let options = VideoOptions {
             fill_holes_px: HOLES_PX,
@@ -48,7 +52,7 @@ impl VideoSegmenter for Sam2Follower {
             width: size.0,
             height: size.1,
         };
-        let pictures = Box::new(move |frame| clip.picture(frame).map(std::borrow::Cow::into_owned));
+        let pictures = Box::new(move |frame| clip.image(frame).map(std::borrow::Cow::into_owned));
         let predictor = VideoPredictor::new(Arc::clone(&self.net), frames, pictures, options)
             .map_err(|error| failed(name, 0, error))?;
         Ok(Box::new(Session {
@@ -62,7 +66,7 @@ impl VideoSegmenter for Sam2Follower {
 
 fn failed(segmenter: &str, frame: usize, error: Sam2Error) -> VideoError {
     match error {
-        Sam2Error::Picture { frame, reason } => VideoError::Picture { frame, reason },
+        Sam2Error::Image { frame, reason } => VideoError::Image { frame, reason },
         Sam2Error::Cancelled => VideoError::Cancelled { frame },
         Sam2Error::UnknownObject(object) => VideoError::Unknown {
             object: ObjectId(object),
@@ -173,7 +177,7 @@ impl VideoSession for Session<'_> {
             at = frame;
             let ours = objects.iter().map(|&object| match found.get(&object.0) {
                 Some(mask) => converted(object, mask, size),
-                None => ObjectMask::unseen(object, size, Sight::Hidden),
+                None => ObjectMask::unseen(object, size, Visibility::Occluded),
             });
             sink(frame, ours.collect())
         };
@@ -185,16 +189,16 @@ impl VideoSession for Session<'_> {
 /// A mask of the network at the size of the images.
 fn converted(object: ObjectId, mask: &sam2::ObjectMask, size: (usize, usize)) -> ObjectMask {
     if !mask.is_there() {
-        return ObjectMask::unseen(object, size, Sight::Hidden);
+        return ObjectMask::unseen(object, size, Visibility::Occluded);
     }
     let found = mask.mask_at(size);
     let mask_px = CompactMask::from_fn(size.0, size.1, |x, y| found[(x, y)]);
     ObjectMask {
         object,
-        sight: if mask_px.count() > 0 {
-            Sight::Seen
+        visibility: if mask_px.count() > 0 {
+            Visibility::Visible
         } else {
-            Sight::Hidden
+            Visibility::Occluded
         },
         mask: mask_px,
         quality: Some(mask.iou),

@@ -1,7 +1,7 @@
 //! TAPIP3D as a point tracker.
 
 use m4_core::{Camera, DepthMap, Progress, RgbImage};
-use m4_geometry::tracks3d::{Followed, PosedClip, Query, TrackError, Tracker3d};
+use m4_geometry::tracks3d::{PosedClip, Query, TrackError, TrackedPoints, Tracker3d};
 use m4_nets::tapip3d::{self, ClipError};
 use m4_nets::{PointQuery, Tapip3d, Tapip3dError, Tapip3dOptions};
 
@@ -31,7 +31,7 @@ impl tapip3d::PosedClip for Frames<'_> {
         self.0.frames()
     }
 
-    fn picture(&self, frame: usize) -> Result<RgbImage, ClipError> {
+    fn image(&self, frame: usize) -> Result<RgbImage, ClipError> {
         Ok(self.0.read(frame)?.rgb)
     }
 
@@ -49,7 +49,12 @@ impl Tracker3d for Tapip3dTracker {
         NAME
     }
 
-    fn follow(&self, clip: &dyn PosedClip, queries: &[Query], progress: &dyn Progress) -> Result<Followed, TrackError> {
+    fn follow(
+        &self,
+        clip: &dyn PosedClip,
+        queries: &[Query],
+        progress: &dyn Progress,
+    ) -> Result<TrackedPoints, TrackError> {
         let frames = clip.frames();
         Query::check_all(queries, frames)?;
         let asked: Vec<PointQuery> = queries
@@ -74,6 +79,6 @@ impl Tracker3d for Tapip3dTracker {
         let at = |i: usize| i % count.max(1) * frames + i / count.max(1);
         let turned = |i: usize| (found.world()[at(i)], found.visibility()[at(i)]);
         let (xyz, visibility) = (0..frames * count).map(turned).unzip();
-        Followed::from_probabilities(frames, queries.to_vec(), xyz, visibility, SEEN_FROM)
+        TrackedPoints::from_probabilities(frames, queries.to_vec(), xyz, visibility, SEEN_FROM)
     }
 }

@@ -163,14 +163,14 @@ pub enum Error {
     #[error(transparent)]
     Reproduce(#[from] ReproduceError),
     /// A row of an ablation failed.
-    #[error("the row {row} failed: {said}; its files are in {}", folder.display())]
+    #[error("the row {row} failed: {message}; its files are in {}", folder.display())]
     Row {
         /// Its name.
         row: &'static str,
         /// The folder of the row.
         folder: PathBuf,
         /// Its last messages.
-        said: String,
+        message: String,
     },
 }
 

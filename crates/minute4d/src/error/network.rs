@@ -121,7 +121,7 @@ mod tests {
     ];
 
     #[test]
-    fn a_build_without_networks_names_the_method_the_command_and_the_way_out() {
+    fn build_without_networks_names_method_command_and_alternative() {
         for (method, name, without) in METHODS {
             let error = Error::from(NetworkError::NotBuilt { method });
             let expected = format!(
@@ -141,14 +141,14 @@ mod tests {
 
         for (method, name, without) in METHODS {
             let source = WeightsError::NoFolder;
-            let (said, category) = (source.to_string(), source.category());
+            let (message, category) = (source.to_string(), source.category());
             let error = Error::from(NetworkError::Weights { method, source });
             assert_eq!(
                 error.to_string(),
-                format!("the {name} cannot be used: {said}; {without} works without")
+                format!("the {name} cannot be used: {message}; {without} works without")
             );
             assert_eq!(error.category(), category);
-            assert_eq!(error.source().map(ToString::to_string), Some(said));
+            assert_eq!(error.source().map(ToString::to_string), Some(message));
         }
     }
 }

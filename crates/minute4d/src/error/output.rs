@@ -15,7 +15,7 @@ pub enum OutputError {
     },
     /// A folder with other files in it.
     #[error("the folder {} is not empty and not made by minute4d (it has no usable {missing}); choose another folder, or --force to write into it anyway", path.display())]
-    Foreign {
+    NotOurs {
         /// The folder.
         path: PathBuf,
         /// The record that it lacks.

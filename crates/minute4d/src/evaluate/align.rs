@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn one_world_is_recognised_and_a_still_camera_cannot_be_aligned() {
+    fn common_world_is_detected_and_static_camera_cannot_be_aligned() {
         let same: Vec<(Camera, Camera)> = (0..4).map(|i| (camera(i), camera(i))).collect();
         assert!(same_world(&same));
         let still: Vec<(Camera, Camera)> = (0..4).map(|i| (camera(0), camera(i))).collect();

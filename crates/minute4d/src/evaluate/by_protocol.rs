@@ -8,10 +8,10 @@ use super::protocol::{FrameRule, Protocol, Rules, StartPose};
 use super::refine::{Moved, Refiner};
 use super::views::EvalOptions;
 use super::{ProtocolError, SplitRecord};
-use crate::render::Pictures;
+use crate::render::SceneRenderer;
 use crate::{Error, Observer};
 use m4_core::{Camera, CompactMask};
-use m4_eval::image::{ImageReport, MeanScore, Metric, Picture, PsnrKind};
+use m4_eval::image::{ImageReport, MeanScore, Metric, PlanarImage, PsnrKind};
 use m4_kernels::{Frame, SimdLevel};
 use std::path::Path;
 use std::time::Instant;
@@ -23,7 +23,7 @@ const SAME_MOMENT: f64 = 1e-3;
 const RENDER: &str = "32-bit colours of the renderer without exposure, not rounded to 8 bits; clamped to 0..1 unless a metric says otherwise";
 const UNCLAMPED: &str = "psnr_per_channel_unclamped";
 
-/// What a protocol made of a scene.
+/// Scores of a scene by a protocol.
 pub(super) struct Scored {
     pub images: ImageReport,
     pub choices: Choices,
@@ -78,7 +78,7 @@ pub(super) fn score(
     protocol: Protocol,
     split: Option<SplitRecord>,
     options: &EvalOptions,
-    (level, pictures): (SimdLevel, &mut Pictures<'_>),
+    (level, renderer): (SimdLevel, &mut SceneRenderer<'_>),
     observer: &dyn Observer,
 ) -> Result<Scored, Error> {
     let rules = protocol.rules();
@@ -125,12 +125,12 @@ pub(super) fn score(
                 saved: false,
             });
         }
-        let (t, reference) = (held.moment(view), Picture::from(&view.rgb));
+        let (t, reference) = (held.moment(view), PlanarImage::from(&view.rgb));
         let moving = view.mask.as_ref().map(CompactMask::to_mask);
         let given = held.camera(view);
         let mut camera = given;
         if let (Some(refiner), Some(rule)) = (&mut refiner, &rules.refine) {
-            let frame = pictures.frame(&given, t)?;
+            let frame = renderer.frame(&given, t)?;
             unrefined.add(
                 &view.name,
                 t,
@@ -148,7 +148,7 @@ pub(super) fn score(
             moved.push(went);
         }
         let begin = Instant::now();
-        let frame = pictures.frame(&camera, t)?;
+        let frame = renderer.frame(&camera, t)?;
         drawing_s += begin.elapsed().as_secs_f64();
         let image = clamped(&frame)?;
         let score = images.add(&view.name, t, view.camera_index, &image, &reference, moving.as_ref())?;
@@ -194,7 +194,7 @@ pub(super) fn score(
     };
     let frames = FrameChoice {
         rule: rules.frames,
-        words: rules.frames.words(),
+        words: rules.frames.description(),
         scored: views.iter().map(|v| v.name.clone()).collect(),
         of_frames: split.as_ref().map(|s| s.frames),
         indices: split.map(|s| s.held_out),
@@ -212,7 +212,7 @@ pub(super) fn score(
         },
         mask: MaskChoice {
             source: masks.source(),
-            words: masks.words(),
+            words: masks.description(),
             share: masked.then(|| share / views.len().max(1) as f64),
         },
         render: RENDER.to_owned(),
@@ -233,12 +233,12 @@ fn planes(frame: &Frame) -> [&[f32]; 3] {
     frame.rgb.each_ref().map(Vec::as_slice)
 }
 
-fn clamped(frame: &Frame) -> Result<Picture, Error> {
-    Ok(Picture::from_planes(frame.width, frame.height, planes(frame))?)
+fn clamped(frame: &Frame) -> Result<PlanarImage, Error> {
+    Ok(PlanarImage::from_planes(frame.width, frame.height, planes(frame))?)
 }
 
-fn raw(frame: &Frame) -> Result<Picture, Error> {
-    Ok(Picture::from_planes_unclamped(
+fn raw(frame: &Frame) -> Result<PlanarImage, Error> {
+    Ok(PlanarImage::from_planes_unclamped(
         frame.width,
         frame.height,
         planes(frame),
@@ -291,7 +291,7 @@ fn pose_words(rules: &Rules, given: String, refined: bool) -> String {
     }
 }
 
-/// What each score of the report stands for.
+/// Meaning of each score of the report.
 fn metrics(images: &ImageReport) -> std::collections::BTreeMap<String, String> {
     let p = &images.protocol;
     let mut out = p.others.clone();

@@ -16,7 +16,7 @@ pub struct Choices {
     pub protocol: Protocol,
     /// In words.
     pub title: &'static str,
-    /// What it asks; scores of two tasks never compare.
+    /// The task; scores of two tasks never compare.
     pub task: Task,
     /// Which frames are held out, and which were scored.
     pub frames: FrameChoice,
@@ -24,17 +24,17 @@ pub struct Choices {
     pub resolution: ResolutionChoice,
     /// Where scores count.
     pub mask: MaskChoice,
-    /// What of the renderer was scored.
+    /// The output of the renderer that was scored.
     pub render: String,
     /// Each score by its name in `images.frames[]`, with what it stands for: window, region, clamping.
     pub metrics: BTreeMap<String, String>,
     /// LPIPS, network by network.
     pub lpips: Vec<LpipsChoice>,
-    /// How test images got their poses.
+    /// Source of the poses of test images.
     pub poses: PoseChoice,
     /// The score that stands for the protocol in tables.
     pub headline: Headline,
-    /// What to know before comparing results.
+    /// Caveats for comparisons.
     pub note: &'static str,
 }
 
@@ -82,7 +82,7 @@ pub struct MaskChoice {
     pub share: Option<f64>,
 }
 
-/// How test images got their poses.
+/// Source of the poses of test images.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PoseChoice {
     /// How.
@@ -93,7 +93,7 @@ pub struct PoseChoice {
     pub geometry_saw_held_out: Option<bool>,
     /// What the protocol's peers do at test time, where they do; `treatment` says whether it was done here.
     pub refinement_of_protocol: Option<RefineRule>,
-    /// How far refined poses went, view by view.
+    /// Corrections by pose refinement, view by view.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub moved: Vec<Moved>,
     /// Means without refinement, where there was one.
@@ -101,7 +101,7 @@ pub struct PoseChoice {
     pub mean_unrefined: Option<MeanScore>,
 }
 
-/// How test images got their poses.
+/// Source of the poses of test images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum PoseTreatment {

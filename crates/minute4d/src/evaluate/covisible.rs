@@ -42,13 +42,13 @@ pub(super) enum Masks {
     Computed(Box<Training>),
 }
 
-/// What training frames saw.
+/// The training views.
 pub(super) struct Training {
-    frames: Vec<Seen>,
+    frames: Vec<TrainingView>,
     of: usize,
 }
 
-struct Seen {
+struct TrainingView {
     camera: Camera,
     t: f64,
     depth: DepthMap,
@@ -98,8 +98,8 @@ impl Masks {
         }
     }
 
-    /// What a report says of them.
-    pub fn words(&self) -> String {
+    /// Description for reports.
+    pub fn description(&self) -> String {
         match self {
             Self::None => "none: whole images".to_owned(),
             Self::Files(folder) => format!("the files of {}", folder.display()),
@@ -142,14 +142,14 @@ impl Training {
         let step = of.div_ceil(MOST_FRAMES).max(1);
         let seen = |frame: CaptureFrame| {
             let depth = frame.depth?.to_map();
-            (depth.size() == frame.rgb.size()).then(|| Seen {
+            (depth.size() == frame.rgb.size()).then(|| TrainingView {
                 camera: frame.camera,
                 t: frame.t,
                 depth,
                 moves: frame.mask.map(|m| m.to_mask()),
             })
         };
-        let frames: Vec<Seen> = capture.frames.into_iter().step_by(step).filter_map(seen).collect();
+        let frames: Vec<TrainingView> = capture.frames.into_iter().step_by(step).filter_map(seen).collect();
         if frames.is_empty() {
             return Err("its training frames have no depth".to_owned());
         }
@@ -189,7 +189,7 @@ impl Training {
         let camera = &view.camera;
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let mut out: DepthMap = Plane::filled(width, height, f32::INFINITY);
-        let apart = |s: &Seen| (s.t - view.t).abs();
+        let apart = |s: &TrainingView| (s.t - view.t).abs();
         let nearest = self.frames.iter().map(apart).fold(f64::INFINITY, f64::min);
         for seen in &self.frames {
             let with_motion = apart(seen) <= nearest;
@@ -308,7 +308,11 @@ mod tests {
                 assert!(seen == (x < 26) || x == 26 || x == 25, "{x} {y}: {seen}");
             }
         }
-        assert!(masks.words().contains("8 of 8 training frames"), "{}", masks.words());
+        assert!(
+            masks.description().contains("8 of 8 training frames"),
+            "{}",
+            masks.description()
+        );
     }
 
     #[test]

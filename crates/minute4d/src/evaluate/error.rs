@@ -114,7 +114,7 @@ pub enum ProtocolError {
     NoCovisibility {
         /// The capture.
         path: PathBuf,
-        /// What is lacking.
+        /// The missing part.
         why: String,
     },
     /// A mask has another size than its view.
@@ -147,7 +147,7 @@ pub enum ProtocolError {
 }
 
 impl ProtocolError {
-    /// What sort of failure this is.
+    /// Category of the failure.
     #[must_use]
     pub fn category(&self) -> Category {
         match self {

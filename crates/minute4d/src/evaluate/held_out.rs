@@ -4,7 +4,7 @@ use super::EvaluationError;
 use super::align::{self, Alignment};
 use crate::device::OpenGpu;
 use crate::folder::SCENE_FILE;
-use crate::render::Pictures;
+use crate::render::SceneRenderer;
 use crate::settings::Settings;
 use crate::{Error, Observer};
 use m4_core::{Camera, Capture, CaptureFrame, Exposure, RgbImage, Scene};
@@ -22,7 +22,7 @@ pub struct HeldOut {
     pub scene: Scene,
     /// The views.
     pub test: Capture,
-    /// How the held-out cameras were placed, where the scene has a world of its own.
+    /// Alignment of the held-out cameras, if the scene has a world of its own.
     pub alignment: Option<Alignment>,
     stretch: f64,
 }
@@ -57,13 +57,13 @@ impl HeldOut {
         frame.t * self.stretch
     }
 
-    /// What draws the scene.
+    /// Creates a renderer of the scene.
     ///
     /// # Errors
     ///
     /// [`Error::Gpu`] if it does not fit.
-    pub fn pictures(&self, level: SimdLevel, gpu: Option<&OpenGpu>) -> Result<Pictures<'_>, Error> {
-        Pictures::new(&self.scene, level, gpu)
+    pub fn renderer(&self, level: SimdLevel, gpu: Option<&OpenGpu>) -> Result<SceneRenderer<'_>, Error> {
+        SceneRenderer::new(&self.scene, level, gpu)
     }
 
     /// The scene as a view's camera sees it.
@@ -71,8 +71,8 @@ impl HeldOut {
     /// # Errors
     ///
     /// [`Error::Gpu`] if the device fails.
-    pub fn draw(&self, pictures: &mut Pictures<'_>, frame: &CaptureFrame) -> Result<RgbImage, Error> {
-        pictures.picture(&self.camera(frame), self.moment(frame), &Exposure::IDENTITY)
+    pub fn draw(&self, renderer: &mut SceneRenderer<'_>, frame: &CaptureFrame) -> Result<RgbImage, Error> {
+        renderer.image(&self.camera(frame), self.moment(frame), &Exposure::IDENTITY)
     }
 
     /// A view's camera in the world of the scene.

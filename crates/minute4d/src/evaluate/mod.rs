@@ -39,7 +39,7 @@ use m4_io::reach::Reach;
 use std::fs;
 use std::path::Path;
 
-/// Compares the cameras, depth and masks of a capture with what is known of the same video: another
+/// Compares the cameras, depth and masks of a capture with a reference for the same video: another
 /// capture, or a JSON file of LLFF poses. `reach` is which files both may name.
 ///
 /// # Errors

@@ -6,10 +6,10 @@ use super::protocol::LpipsRule;
 use crate::Error;
 use crate::device::DeviceChoice;
 use m4_core::Mask;
-use m4_eval::image::{ImageReport, Picture};
+use m4_eval::image::{ImageReport, PlanarImage};
 use serde::Serialize;
 
-/// What became of one network.
+/// State of one network.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LpipsChoice {
     /// The network whose features are compared.
@@ -55,9 +55,9 @@ pub(super) struct Perceptual {
 
 #[cfg(feature = "nets")]
 mod with_nets {
-    use super::{DeviceChoice, Error, ImageReport, LpipsRule, Mask, Perceptual, Picture, ProtocolError, choice};
+    use super::{DeviceChoice, Error, ImageReport, LpipsRule, Mask, Perceptual, PlanarImage, ProtocolError, choice};
     use crate::weights::{Store, find};
-    use m4_nets::lpips::{Lpips, LpipsNet, LpipsPicture};
+    use m4_nets::lpips::{Lpips, LpipsImage, LpipsNet};
 
     impl LpipsRule {
         fn net(self) -> LpipsNet {
@@ -121,8 +121,8 @@ mod with_nets {
             &self,
             report: &mut ImageReport,
             name: &str,
-            image: &Picture,
-            reference: &Picture,
+            image: &PlanarImage,
+            reference: &PlanarImage,
             mask: Option<&Mask>,
         ) -> Result<(), Error> {
             let failed = |e: m4_nets::lpips::LpipsError| ProtocolError::Lpips {
@@ -132,9 +132,9 @@ mod with_nets {
             if self.nets.is_empty() {
                 return Ok(());
             }
-            let of = |picture: &Picture| {
-                let planes = picture.planes().each_ref().map(Vec::as_slice);
-                LpipsPicture::from_planes(picture.width(), picture.height(), planes).map_err(failed)
+            let of = |planar: &PlanarImage| {
+                let planes = planar.planes().each_ref().map(Vec::as_slice);
+                LpipsImage::from_planes(planar.width(), planar.height(), planes).map_err(failed)
             };
             let (image, reference) = (of(image)?, of(reference)?);
             for (rule, net) in &self.nets {
@@ -173,7 +173,14 @@ impl Perceptual {
         })
     }
 
-    pub fn score(&self, _: &mut ImageReport, _: &str, _: &Picture, _: &Picture, _: Option<&Mask>) -> Result<(), Error> {
+    pub fn score(
+        &self,
+        _: &mut ImageReport,
+        _: &str,
+        _: &PlanarImage,
+        _: &PlanarImage,
+        _: Option<&Mask>,
+    ) -> Result<(), Error> {
         Ok(())
     }
 }

@@ -13,7 +13,7 @@ use super::protocol::RefineRule;
 use crate::render::{Painter, view};
 use crate::{Error, Observer};
 use m4_core::{Camera, Scene, nalgebra::Vector6};
-use m4_eval::image::Picture;
+use m4_eval::image::PlanarImage;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, Wanted};
 use serde::Serialize;
 
@@ -22,7 +22,7 @@ const BETA2: f64 = 0.999;
 /// Small beside any gradient: a step is as long as the rate whatever the loss is divided by.
 const EPSILON: f64 = 1e-15;
 
-/// How far a pose went.
+/// Correction of a pose.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Moved {
     /// Angle between the orientations before and after, degrees.
@@ -63,7 +63,7 @@ impl<'a> Refiner<'a> {
         &mut self,
         start: &Camera,
         t: f64,
-        reference: &Picture,
+        reference: &PlanarImage,
         rule: &RefineRule,
         observer: &dyn Observer,
     ) -> Result<(Camera, Moved), Error> {
@@ -102,7 +102,7 @@ impl<'a> Refiner<'a> {
     }
 
     /// Mean squared error of what `camera` sees, and its gradient with respect to the twist (translation, then rotation).
-    fn gradient(&mut self, camera: &Camera, t: f64, reference: &Picture) -> (f64, [f64; 6]) {
+    fn gradient(&mut self, camera: &Camera, t: f64, reference: &PlanarImage) -> (f64, [f64; 6]) {
         let splats = &self.scene.splats;
         let frame = self.renderer.render(splats, &view(self.scene, camera, t));
         let share = 1.0 / (3 * reference.width() * reference.height()).max(1) as f64;
@@ -140,12 +140,12 @@ mod tests {
     use crate::evaluate::protocol::{RefineRule, StartPose};
     use crate::render::Painter;
     use m4_core::{Camera, nalgebra::Vector6};
-    use m4_eval::image::Picture;
+    use m4_eval::image::PlanarImage;
     use m4_kernels::SimdLevel;
     use m4_testkit::{SceneSpec, random_scene};
 
     #[test]
-    fn a_pose_that_is_off_is_found_again() {
+    fn perturbed_pose_is_recovered() {
         let scene = random_scene(&SceneSpec::default());
         let level = SimdLevel::detect().unwrap();
         let (truth, t) = (scene.source[4].camera, 4.0);
@@ -153,7 +153,7 @@ mod tests {
         let unit = painter.median_depth(&truth, t).unwrap();
         let frame = painter.frame(&truth, t, false).clone();
         let planes = [0, 1, 2].map(|k| frame.rgb[k].as_slice());
-        let reference = Picture::from_planes_unclamped(frame.width, frame.height, planes).unwrap();
+        let reference = PlanarImage::from_planes_unclamped(frame.width, frame.height, planes).unwrap();
         let off = Vector6::new(0.01 * unit, -0.008 * unit, 0.01 * unit, 0.006, -0.01, 0.008);
         let start = Camera {
             c2w: truth.w2c().retract(&off).inverse(),

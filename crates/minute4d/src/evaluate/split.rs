@@ -39,7 +39,7 @@ pub struct SplitRecord {
     pub held_out: Vec<usize>,
     /// Their names in the source.
     pub held_out_names: Vec<String>,
-    /// The poses, depth and masks are those of the source: whatever made them saw the held-out frames.
+    /// The poses, depth and masks are those of the source: their estimation saw the held-out frames.
     pub geometry_saw_held_out: bool,
 }
 
@@ -192,7 +192,7 @@ pub fn split(
                 .into());
             }
             (None, _) => {
-                return Err(OutputError::Foreign {
+                return Err(OutputError::NotOurs {
                     path: out.to_path_buf(),
                     missing: SPLIT_FILE,
                 }

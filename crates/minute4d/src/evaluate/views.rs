@@ -8,10 +8,10 @@ use super::protocol::Protocol;
 use crate::device::DeviceChoice;
 use crate::folder::EVAL_FILE;
 use crate::record::write_json;
-use crate::render::Pictures;
+use crate::render::SceneRenderer;
 use crate::{Error, Observer, hash};
 use m4_core::CompactMask;
-use m4_eval::image::{ImageReport, MeanScore, Picture};
+use m4_eval::image::{ImageReport, MeanScore, PlanarImage};
 use m4_io::reach::Reach;
 use m4_kernels::SimdLevel;
 use serde::Serialize;
@@ -24,11 +24,11 @@ use std::time::Instant;
 pub struct OtherMean {
     /// The mean.
     pub mean: f64,
-    /// How many views have it.
+    /// Number of views with it.
     pub views: usize,
 }
 
-/// How views are scored.
+/// Options of scoring.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct EvalOptions {
     /// Masks of dynamic regions are grown by this many pixels first.
@@ -56,7 +56,7 @@ pub struct EvalReport {
     pub scene_blake3: String,
     /// The capture whose held-out views were used.
     pub data: PathBuf,
-    /// How the held-out cameras were placed, where the scene has a world of its own.
+    /// Alignment of the held-out cameras, if the scene has a world of its own.
     pub alignment: Option<Alignment>,
     /// Splats of the scene.
     pub splats: usize,
@@ -72,7 +72,7 @@ pub struct EvalReport {
     pub choices: Option<Choices>,
     /// Images a second while drawing, one after the other, each copied to the host.
     pub frames_per_s: Option<f64>,
-    /// What drew: `cpu`, or the GPU's name.
+    /// Rendering device: `cpu`, or the GPU's name.
     pub device: String,
     /// Seconds it took.
     pub seconds: f64,
@@ -119,14 +119,14 @@ pub fn views_by(out: &Path, data: &Path, options: &EvalOptions, observer: &dyn O
     };
     let held = HeldOut::read(out, data, options.reach, observer)?;
     let gpu = options.device.open()?;
-    let mut pictures = held.pictures(level, gpu.as_ref())?;
+    let mut renderer = held.renderer(level, gpu.as_ref())?;
     let (images, choices, drawing_s) = match options.protocol {
         None => {
-            let (images, drawing_s) = plain(&held, data, options.grow_mask, &mut pictures, observer)?;
+            let (images, drawing_s) = plain(&held, data, options.grow_mask, &mut renderer, observer)?;
             (images, None, drawing_s)
         }
         Some(protocol) => {
-            let scored = by_protocol::score(&held, data, protocol, split, options, (level, &mut pictures), observer)?;
+            let scored = by_protocol::score(&held, data, protocol, split, options, (level, &mut renderer), observer)?;
             (scored.images, Some(scored.choices), scored.drawing_s)
         }
     };
@@ -157,7 +157,7 @@ fn plain(
     held: &HeldOut,
     data: &Path,
     grow_mask: usize,
-    pictures: &mut Pictures<'_>,
+    renderer: &mut SceneRenderer<'_>,
     observer: &dyn Observer,
 ) -> Result<(ImageReport, f64), Error> {
     let views = &held.test.frames;
@@ -172,9 +172,9 @@ fn plain(
         }
         let t = held.moment(frame);
         let begin = Instant::now();
-        let drawn = held.draw(pictures, frame)?;
+        let drawn = held.draw(renderer, frame)?;
         drawing_s += begin.elapsed().as_secs_f64();
-        let (image, reference) = (Picture::from(&drawn), Picture::from(&frame.rgb));
+        let (image, reference) = (PlanarImage::from(&drawn), PlanarImage::from(&frame.rgb));
         let index = frame.camera_index;
         let mask = frame.mask.as_ref().map(CompactMask::to_mask);
         let score = images.add(&frame.name, t, index, &image, &reference, mask.as_ref())?;

@@ -5,7 +5,7 @@ use crate::import::read_back;
 use crate::render::Painter;
 use crate::{Error, Observer};
 use m4_core::{Camera, Scene};
-use m4_eval::image::{Picture, psnr_db};
+use m4_eval::image::{PlanarImage, psnr_db};
 use m4_kernels::SimdLevel;
 use serde::Serialize;
 use std::path::Path;
@@ -78,9 +78,9 @@ pub(super) fn compare(
             last = Some((look.moment, back));
         }
         let Some((_, back)) = &mut last else { continue };
-        let reference = picture(&mut painter, look)?;
+        let reference = rendered(&mut painter, look)?;
         let score = |back: &Scene| -> Result<f64, Error> {
-            let drawn = picture(&mut Painter::new(back, level), look)?;
+            let drawn = rendered(&mut Painter::new(back, level), look)?;
             Ok(psnr_db(&drawn, &reference, None)?.unwrap_or(f64::NAN))
         };
         with.push(score(back)?);
@@ -101,10 +101,10 @@ pub(super) fn compare(
     }))
 }
 
-fn picture(painter: &mut Painter<'_>, look: &Look) -> Result<Picture, Error> {
+fn rendered(painter: &mut Painter<'_>, look: &Look) -> Result<PlanarImage, Error> {
     let frame = painter.frame(&look.camera, look.t, false);
     let planes = [&frame.rgb[0][..], &frame.rgb[1][..], &frame.rgb[2][..]];
-    Ok(Picture::from_planes(frame.width, frame.height, planes)?)
+    Ok(PlanarImage::from_planes(frame.width, frame.height, planes)?)
 }
 
 /// Cameras of the source, evenly spread: at their own moments, or at those of the file.

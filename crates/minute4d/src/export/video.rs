@@ -26,7 +26,7 @@ pub(super) fn write(out: &Path, scene: &Scene, fps: Option<f64>, observer: &dyn 
             });
         }
         let camera = frame.camera.resized(size.width, size.height);
-        writer.push(&painter.picture(&camera, frame.t, &frame.exposure))?;
+        writer.push(&painter.image(&camera, frame.t, &frame.exposure))?;
         observer.update("export", i + 1, scene.source.len(), "");
     }
     writer.finish()?;

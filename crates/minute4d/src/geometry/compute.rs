@@ -11,13 +11,13 @@ use super::kept::KeptFlow;
 use super::scale::{depth_ratio, rescale, typical_depth};
 use super::segmenter;
 use crate::device::NetworkDevice;
-use crate::record::Found;
+use crate::record::GeometrySummary;
 use crate::steps::Steps;
 use crate::{Error, Observer, Settings, enhance};
 use m4_core::{Capture, CaptureFrame, CompactMask, DepthMap, Progress, RgbImage, Tracks, Video};
 use m4_geometry::dense::{self, Dense, DenseFrame, MonoDepth, NoDepth, SensorDepth, Sources, estimate_depth};
 use m4_geometry::reconstruction::{CameraMotion, SparseReconstruction};
-use m4_geometry::sparse::{self, Followed, Known, Recovered, SparseConfig, SparseError, Work};
+use m4_geometry::sparse::{self, FeatureTracks, Priors, Recovered, SparseConfig, SparseError, Work};
 use m4_io::capture::Split;
 use std::path::Path;
 
@@ -43,7 +43,7 @@ pub(super) fn compute(
     device: &NetworkDevice,
     steps: &Steps<'_>,
     observer: &dyn Observer,
-) -> Result<Found, Error> {
+) -> Result<GeometrySummary, Error> {
     let between = between::Between::of(settings, plan);
     let video = m4_io::video::read(input, &between.to_read(&settings.video), observer)?;
     for warning in &video.warnings {
@@ -74,14 +74,14 @@ pub(super) fn compute(
 /// Refines masks and follows points as planned, and writes the capture.
 fn finish(
     capture: Capture,
-    mut found: Found,
+    mut found: GeometrySummary,
     folder: &Path,
     settings: &Settings,
     plan: &enhance::Plan,
     device: &NetworkDevice,
     steps: &Steps<'_>,
     observer: &dyn Observer,
-) -> Result<Found, Error> {
+) -> Result<GeometrySummary, Error> {
     if plan.nothing() {
         m4_io::capture::write(folder, &capture, Split::Train, observer)?;
         return Ok(found);
@@ -114,14 +114,14 @@ fn classical(
     device: &NetworkDevice,
     steps: &Steps<'_>,
     observer: &dyn Observer,
-) -> Result<(Capture, Found), Error> {
+) -> Result<(Capture, GeometrySummary), Error> {
     let Clip { video, given, focal_px } = clip;
     let flow = plan.flow(settings.megasam.flow_iterations, device)?;
     let outlines = segmenter.load()?;
-    let pictures: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
+    let images: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
     let mono = match &given.depth {
         Some(_) => None,
-        None => plan.depth(&pictures, focal_px, device, steps, observer)?,
+        None => plan.depth(&images, focal_px, device, steps, observer)?,
     };
     if let Some(fov_rad) = mono.as_ref().and_then(|mono| mono.fov_rad) {
         config.default_fov_deg = fov_rad.to_degrees();
@@ -137,7 +137,7 @@ fn classical(
         ..Sources::flow(&flow)
     };
     let depth = Depth::of(&given, mono);
-    let known = Known {
+    let known = Priors {
         masks: given.masks.as_deref(),
     };
     let (mut recovered, followed) = match &given.cameras {
@@ -147,12 +147,12 @@ fn classical(
                     progress: observer,
                     cache: &steps.part("cameras"),
                 };
-                sparse::with_cameras(&pictures, cameras, &known, &config, &work)
+                sparse::with_cameras(&images, cameras, &known, &config, &work)
             })?,
             None,
         ),
         None => {
-            let followed = steps.keep("corners", |observer| sparse::follow(&pictures, &config, observer))?;
+            let followed = steps.keep("corners", |observer| sparse::track_features(&images, &config, observer))?;
             let recovered = steps.keep("cameras", |observer| {
                 let work = Work {
                     progress: observer,
@@ -165,15 +165,7 @@ fn classical(
     };
     let posed = given.cameras.is_some();
     let mut metric = finish_sparse(&mut recovered.sparse, &depth, posed, observer)?;
-    let mut dense = dense_in_its_unit(
-        &pictures,
-        &recovered.sparse,
-        &sources,
-        &given,
-        &depth,
-        settings,
-        observer,
-    )?;
+    let mut dense = dense_in_its_unit(&images, &recovered.sparse, &sources, &given, &depth, settings, observer)?;
     let mut rounds = 1;
     if let (Some(followed), None) = (followed, &given.masks)
         && let Some(better) = refine_with_masks(
@@ -193,15 +185,7 @@ fn classical(
         drop(dense);
         recovered = better;
         metric = finish_sparse(&mut recovered.sparse, &depth, posed, observer)?;
-        dense = dense_in_its_unit(
-            &pictures,
-            &recovered.sparse,
-            &sources,
-            &given,
-            &depth,
-            settings,
-            observer,
-        )?;
+        dense = dense_in_its_unit(&images, &recovered.sparse, &sources, &given, &depth, settings, observer)?;
         rounds = 2;
     }
     let sparse = recovered.sparse;
@@ -217,7 +201,7 @@ fn classical(
         observer.warn(&format!("geometry is {}: {advice}", confidence.grade.name()));
     }
     let found = summary(&sparse, &dense, plan, segmenter.name(), &given, rounds, confidence);
-    drop(pictures);
+    drop(images);
     Ok((assemble(video, &sparse, dense, metric), found))
 }
 
@@ -259,7 +243,7 @@ fn to_metres_by_networks(sparse: &mut SparseReconstruction, maps: &[DepthMap], o
 
 /// Cameras found without what the masks cover, if they differ enough for depth and masks to be computed again.
 fn refine_with_masks(
-    followed: &Followed,
+    followed: &FeatureTracks,
     first: &SparseReconstruction,
     frames: &mut [DenseFrame],
     config: &SparseConfig,
@@ -271,7 +255,7 @@ fn refine_with_masks(
     let mut found = None;
     if iterate::worth(first, &masks) {
         observer.update(PHASE, 0, 1, "");
-        let known = Known { masks: Some(&masks) };
+        let known = Priors { masks: Some(&masks) };
         // The warnings of the second pass repeat those of the first, or are given when its result is used.
         let second = steps.keep("second-cameras", |observer| {
             let work = Work {
@@ -286,7 +270,12 @@ fn refine_with_masks(
         let change = second
             .as_ref()
             .map(|second| Change::between(first, &second.sparse, |track| iterate::within(&masks, track)));
-        observer.update(PHASE, 1, 1, &change.map_or_else(String::new, |change| change.words()));
+        observer.update(
+            PHASE,
+            1,
+            1,
+            &change.map_or_else(String::new, |change| change.description()),
+        );
         found = second.filter(|_| change.is_some_and(|change| change.matters()));
     }
     iterate::put_back(frames, masks);
@@ -338,7 +327,7 @@ fn to_metres(
 
 /// Depth, masks and tracks, computed in a unit in which the scene is about 1 away, as its settings expect.
 fn dense_in_its_unit(
-    pictures: &[&RgbImage],
+    images: &[&RgbImage],
     sparse: &SparseReconstruction,
     sources: &Sources<'_>,
     given: &Given,
@@ -364,12 +353,12 @@ fn dense_in_its_unit(
         Depth::Network(mono) => mono,
         Depth::Unknown => &NoDepth,
     };
-    let known = dense::Given {
+    let known = dense::UserMasks {
         masks: given.masks.as_deref(),
     };
     let sparse = scaled.as_ref().unwrap_or(sparse);
     let sources = Sources { mono, ..*sources };
-    let mut dense = estimate_depth(pictures, sparse, &sources, &known, &settings.dense, observer)?;
+    let mut dense = estimate_depth(images, sparse, &sources, &known, &settings.dense, observer)?;
     if unit != 1.0 {
         for z in dense.frames.iter_mut().flat_map(|f| f.depth.data_mut()) {
             *z *= unit as f32;
@@ -473,7 +462,7 @@ fn summary(
     given: &Given,
     rounds: usize,
     confidence: Confidence,
-) -> Found {
+) -> GeometrySummary {
     let lens = sparse.cameras.first().map(|c| c.intrinsics);
     let pixels: usize = dense.frames.iter().map(|d| d.mask.data().len()).sum();
     let moving = dense
@@ -482,7 +471,7 @@ fn summary(
         .flat_map(|d| d.mask.data())
         .filter(|&&m| m != 0)
         .count();
-    Found {
+    GeometrySummary {
         frames: sparse.cameras.len(),
         size: lens.map_or([0, 0], |k| [k.width, k.height]),
         focal_px: lens.map_or(0.0, |k| k.fx),

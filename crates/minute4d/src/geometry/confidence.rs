@@ -205,7 +205,7 @@ impl Confidence {
 
     /// Returns a one-line summary.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn description(&self) -> String {
         let focal = match (self.focal, self.focal_sigma_percent) {
             (Focal::Given, _) => "focal length given".to_owned(),
             (Focal::Estimated, Some(sigma)) => format!("focal length within {sigma:.1} %"),

@@ -38,7 +38,7 @@ impl Change {
     }
 
     /// Returns a short description.
-    pub fn words(&self) -> String {
+    pub fn description(&self) -> String {
         format!(
             "projections differ by {:.2} px, {:.1} % of tracks are classified differently",
             self.shift_px,

@@ -1,7 +1,7 @@
 //! Caches optical flow between two images in the finished steps.
 
 use m4_core::Cache;
-use m4_geometry::dense::{Flow, FlowError, FlowPicture, FlowSource};
+use m4_geometry::dense::{Flow, FlowError, FlowImage, FlowSource};
 
 /// A source of flow and where its results are kept. A clip may ask for the same images again: after an interruption, and
 /// when depth is found again with better cameras.
@@ -15,7 +15,7 @@ impl FlowSource for KeptFlow<'_> {
         self.source.name()
     }
 
-    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
+    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
         let name = self.name_of(a, b);
         let size = (a.width, a.height);
         if let Some(both) = self.cache.get(&name).and_then(|bytes| read(&bytes, size)) {
@@ -31,13 +31,13 @@ impl FlowSource for KeptFlow<'_> {
 }
 
 impl KeptFlow<'_> {
-    fn name_of(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> String {
+    fn name_of(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(self.source.name().as_bytes());
-        for picture in [a, b] {
-            hasher.update(&(picture.width as u64).to_le_bytes());
-            hasher.update(picture.rgb.as_flattened());
-            for luma in picture.grey {
+        for image in [a, b] {
+            hasher.update(&(image.width as u64).to_le_bytes());
+            hasher.update(image.rgb.as_flattened());
+            for luma in image.grey {
                 hasher.update(&luma.to_le_bytes());
             }
         }
@@ -77,7 +77,7 @@ fn read(bytes: &[u8], (width, height): (usize, usize)) -> Option<(Flow, Flow)> {
 mod tests {
     use super::KeptFlow;
     use m4_core::Cache;
-    use m4_geometry::dense::{FlowPicture, FlowSource, InverseSearch};
+    use m4_geometry::dense::{FlowImage, FlowSource, InverseSearch};
     use std::collections::HashMap;
     use std::sync::Mutex;
 
@@ -96,14 +96,14 @@ mod tests {
     }
 
     #[test]
-    fn the_same_pictures_are_measured_once() {
+    fn flow_of_equal_images_is_computed_once() {
         let (w, h) = (48, 40);
         let pixels = |shift: usize| -> (Vec<[u8; 3]>, Vec<f32>) {
             let value = |i: usize| ((i % w + shift) * 37 % 211) as u8;
             (0..w * h).map(|i| ([value(i); 3], f32::from(value(i)))).unzip()
         };
         let pixels = [pixels(0), pixels(1)];
-        let [a, b] = pixels.each_ref().map(|(rgb, grey)| FlowPicture {
+        let [a, b] = pixels.each_ref().map(|(rgb, grey)| FlowImage {
             width: w,
             height: h,
             rgb,

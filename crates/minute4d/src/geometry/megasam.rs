@@ -5,7 +5,7 @@ use super::frontend::{MonoClip, NetworkCorrespondence, Plan};
 use super::given::{Given, GivenError};
 use super::kept::KeptFlow;
 use crate::device::NetworkDevice;
-use crate::record::Found;
+use crate::record::GeometrySummary;
 use crate::steps::Steps;
 use crate::{Error, Observer, Settings};
 use m4_core::{Camera, Capture, CaptureFrame, CompactMask, DepthMap, Intrinsics, Plane, RgbImage, Video};
@@ -25,18 +25,18 @@ pub(super) fn compute(
     device: &NetworkDevice,
     steps: &Steps<'_>,
     observer: &dyn Observer,
-) -> Result<(Capture, Found), Error> {
+) -> Result<(Capture, GeometrySummary), Error> {
     let Clip { video, given, focal_px } = clip;
     if given.cameras.is_some() {
         return Err(GivenError::CamerasTwice.into());
     }
-    let pictures: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
-    let full = pictures.first().map_or((0, 0), |p| p.size());
+    let images: Vec<&RgbImage> = video.frames.iter().map(|f| &f.rgb).collect();
+    let full = images.first().map_or((0, 0), |p| p.size());
     let size = TrackingSize::new(full, settings.megasam.tracking_pixels)?;
     let known_focal_px = given.lens.map(|lens| lens.fx).or(focal_px);
     let mono = match &given.depth {
         Some(_) => None,
-        None => plan.depth(&pictures, known_focal_px, device, steps, observer)?,
+        None => plan.depth(&images, known_focal_px, device, steps, observer)?,
     };
     let prior = match (&given.depth, &mono) {
         (Some(maps), _) => Some(DepthPrior::metric(maps, &size)?),
@@ -54,14 +54,14 @@ pub(super) fn compute(
     let masks = given.masks.as_deref();
     let budget_mb = settings.megasam.memory_budget_mb;
     let input = MegasamInput {
-        pictures: &pictures,
+        images: &images,
         times_s: &times_s,
         lens,
         focal_is_free: known_focal_px.is_none(),
         prior: prior.as_ref(),
     };
     let geometry = steps.keep("megasam", |observer| -> Result<_, Error> {
-        let mut network = NetworkCorrespondence::load(plan, &pictures, masks, size, budget_mb, &device.device)?;
+        let mut network = NetworkCorrespondence::load(plan, &images, masks, size, budget_mb, &device.device)?;
         let iterations = settings.megasam.flow_iterations;
         let (source, kept);
         let mut flow: Box<dyn PairFlow + '_> = match plan.raft_pairs(iterations, device)? {
@@ -86,7 +86,7 @@ pub(super) fn compute(
     })?;
     drop(prior);
     warn(&geometry, known_focal_px.is_some() || fov_rad.is_some(), observer);
-    drop(pictures);
+    drop(images);
     let capture = assemble(video, &geometry, &given);
     let found = summary(&capture, &geometry, plan, &given);
     if found.moving_share > TOO_MUCH_MOTION {
@@ -147,12 +147,12 @@ fn mask(motion: &Plane<f32>, (width, height): (usize, usize)) -> CompactMask {
     CompactMask::from_fn(width, height, |x, y| f64::from(full.row(y)[x]) > TAU_MOTION)
 }
 
-fn summary(capture: &Capture, geometry: &MegasamGeometry, plan: &Plan, given: &Given) -> Found {
+fn summary(capture: &Capture, geometry: &MegasamGeometry, plan: &Plan, given: &Given) -> GeometrySummary {
     let lens = geometry.lens;
     let pixels = lens.width * lens.height * capture.frames.len();
     let masks = capture.frames.iter().filter_map(|f| f.mask.as_ref());
     let moving: usize = masks.map(CompactMask::count).sum();
-    Found {
+    GeometrySummary {
         frames: capture.frames.len(),
         size: [lens.width, lens.height],
         focal_px: lens.fx,

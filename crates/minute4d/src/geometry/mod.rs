@@ -250,7 +250,7 @@ fn take_over(capture: &Path, existing: Existing) -> Result<Option<GeometryRecord
             what: "a capture",
         }
         .into()),
-        (None, _) => Err(OutputError::Foreign {
+        (None, _) => Err(OutputError::NotOurs {
             path: capture.to_path_buf(),
             missing: GEOMETRY_FILE,
         }

@@ -243,7 +243,7 @@ mod tests {
         (x - 0.45).hypot(y - 0.3) < 0.13
     }
 
-    fn picture() -> RgbImage {
+    fn colour_image() -> RgbImage {
         Plane::from_fn(FULL.0, FULL.1, |x, y| {
             let (x, y) = ((x as f32 + 0.5) / FULL.0 as f32, (y as f32 + 0.5) / FULL.0 as f32);
             if on_disc(x, y) {
@@ -275,7 +275,11 @@ mod tests {
             box_px: edges.map(|v| v * SMALL.0 as f32),
             belief: coarse.iter().map(|&c| if c { 2.0 } else { -2.0 }).collect(),
         };
-        let found = weights.load().unwrap().masks(&picture(), SMALL, &[prompt]).unwrap();
+        let found = weights
+            .load()
+            .unwrap()
+            .masks(&colour_image(), SMALL, &[prompt])
+            .unwrap();
         let found: Vec<bool> = found[0].logits.iter().map(|&logit| logit > 0.0).collect();
         let overlap = |mask: &[bool]| {
             let count = |f: &dyn Fn(bool, bool) -> bool| mask.iter().zip(&truth).filter(|(a, b)| f(**a, **b)).count();

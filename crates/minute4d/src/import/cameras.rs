@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn the_middle_of_the_scene_is_in_the_middle_of_every_picture() {
+    fn the_centre_of_the_scene_projects_to_the_centre_of_every_image() {
         for up in [None, Some([0.0, 1.0, 0.0]), Some([0.0, 0.0, 1.0])] {
             let mut scene = scene(&[
                 [4.0, 1.0, 0.0],

@@ -30,13 +30,13 @@ fn rows(letter: char) -> Option<[u8; 7]> {
 
 /// Writes `text` in white on a darkened strip whose top left corner is at `(x, y)`; what does not fit
 /// is cut off.
-pub(super) fn draw(picture: &mut RgbImage, x: usize, y: usize, text: &str) {
+pub(super) fn draw(image: &mut RgbImage, x: usize, y: usize, text: &str) {
     let advance = (SIZE.0 + 1) * DOT;
     let strip = (text.chars().count() * advance + 2 * DOT, (SIZE.1 + 2) * DOT);
-    let (width, height) = picture.size();
+    let (width, height) = image.size();
     for v in y..(y + strip.1).min(height) {
         for u in x..(x + strip.0).min(width) {
-            picture[(u, v)] = picture[(u, v)].map(|c| c / 3);
+            image[(u, v)] = image[(u, v)].map(|c| c / 3);
         }
     }
     for (i, letter) in text.chars().enumerate() {
@@ -46,7 +46,7 @@ pub(super) fn draw(picture: &mut RgbImage, x: usize, y: usize, text: &str) {
                 let (left, top) = (x + DOT + i * advance + c * DOT, y + DOT + r * DOT);
                 for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
                     if left + dx < width && top + dy < height {
-                        picture[(left + dx, top + dy)] = [255; 3];
+                        image[(left + dx, top + dy)] = [255; 3];
                     }
                 }
             }
@@ -61,14 +61,14 @@ mod tests {
 
     #[test]
     fn a_letter_is_drawn_and_cut_off_at_the_border() {
-        let mut picture = Plane::filled(40, 30, [90; 3]);
-        draw(&mut picture, 0, 0, "T");
+        let mut image = Plane::filled(40, 30, [90; 3]);
+        draw(&mut image, 0, 0, "T");
         assert_eq!(
-            (picture[(2, 2)], picture[(2, 10)], picture[(6, 10)]),
+            (image[(2, 2)], image[(2, 10)], image[(6, 10)]),
             ([255; 3], [30; 3], [255; 3])
         );
-        assert_eq!(picture[(39, 29)], [90; 3]);
-        draw(&mut picture, 36, 26, "FROZEN TIME");
+        assert_eq!(image[(39, 29)], [90; 3]);
+        draw(&mut image, 36, 26, "FROZEN TIME");
     }
 
     #[test]

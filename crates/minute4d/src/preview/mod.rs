@@ -9,7 +9,7 @@ pub use poster::{POSTER_FILE, poster};
 
 use crate::folder::PREVIEW_FILE;
 use crate::progress::RecordingObserver;
-use crate::render::{Pictures, SwingConfig, source_fps, swing};
+use crate::render::{SceneRenderer, SwingConfig, source_fps, swing};
 use crate::settings::part_to_toml;
 use crate::workspace::{Task, Workspace};
 use crate::{Error, StageEvent, hash};
@@ -89,8 +89,8 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
 
     let frozen = sharpest::sharpest(capture).min(scene.source.len() - 1);
     let still = &scene.source[frozen];
-    let mut pictures = Pictures::new(scene, run.level, run.gpu.as_ref())?;
-    let distance = pictures.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);
+    let mut renderer = SceneRenderer::new(scene, run.level, run.gpu.as_ref())?;
+    let distance = renderer.painter().median_depth(&still.camera, still.t).unwrap_or(1.0);
     let n = scene.source.len();
     let rounds = ((config.min_seconds * fps / n as f64).ceil() as usize).clamp(1, 100);
     let total = n * rounds;
@@ -115,8 +115,8 @@ fn draw(run: &Workspace<'_>, capture: &Capture, scene: &Scene, keeper: &Recordin
             .frames
             .get(i % n)
             .and_then(|f| resize_rgb(&f.rgb, size.0, size.1));
-        let again = pictures.picture(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
-        let swung = pictures.picture(camera, still.t, &Exposure::IDENTITY)?;
+        let again = renderer.image(&source.camera.resized(size.0, size.1), source.t, &source.exposure)?;
+        let swung = renderer.image(camera, still.t, &Exposure::IDENTITY)?;
         writer.push(&panels.compose([photo.as_ref(), Some(&again), Some(&swung)]))?;
         keeper.update(STAGE, i + 1, total, "");
     }

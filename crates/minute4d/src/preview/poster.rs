@@ -3,7 +3,7 @@
 use super::{panel_size, sharpest};
 use crate::folder::{CAPTURE_FOLDER, SCENE_FILE};
 use crate::record::{FileRecord, RUN_FILE, RunRecord};
-use crate::render::Pictures;
+use crate::render::SceneRenderer;
 use crate::settings::Settings;
 use crate::{Error, hash, train};
 use m4_core::{Plane, Silent};
@@ -42,8 +42,8 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     };
     let (width, height) = panel_size(&source.camera, SIDE_PX);
     let photo = resize_rgb(&photo.rgb, width, height);
-    let mut pictures = Pictures::new(&scene, SimdLevel::detect()?, None)?;
-    let again = pictures.picture(&source.camera.resized(width, height), source.t, &source.exposure)?;
+    let mut renderer = SceneRenderer::new(&scene, SimdLevel::detect()?, None)?;
+    let again = renderer.image(&source.camera.resized(width, height), source.t, &source.exposure)?;
     let mut both = Plane::filled(2 * width, height, [0; 3]);
     for y in 0..height {
         let row = both.row_mut(y);

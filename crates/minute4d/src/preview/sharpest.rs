@@ -5,9 +5,9 @@ use m4_core::{Capture, CaptureFrame};
 /// Stride of the sampled pixels, columns and rows.
 const STEP: usize = 2;
 
-/// What a frame shows of the dynamic regions.
+/// Area and sharpness of the dynamic regions of a frame.
 #[derive(Debug, Clone, Copy)]
-struct Look {
+struct RegionDetail {
     /// Pixels of the dynamic regions; all where there is no mask.
     count: usize,
     /// Mean squared brightness gradient over them.
@@ -32,11 +32,11 @@ pub(super) fn sharpest(capture: &Capture) -> usize {
     best.map_or(0, |(&i, _)| i)
 }
 
-fn looks(capture: &Capture, frames: &[usize], masked: bool) -> Vec<Look> {
+fn looks(capture: &Capture, frames: &[usize], masked: bool) -> Vec<RegionDetail> {
     frames.iter().map(|&i| look(&capture.frames[i], masked)).collect()
 }
 
-fn look(frame: &CaptureFrame, masked: bool) -> Look {
+fn look(frame: &CaptureFrame, masked: bool) -> RegionDetail {
     let (w, h) = frame.rgb.size();
     let brightness = |x: usize, y: usize| frame.rgb[(x, y)].iter().map(|&c| f64::from(c)).sum::<f64>();
     let counts = |x: usize, y: usize| match frame.mask.as_ref().filter(|_| masked) {
@@ -54,7 +54,7 @@ fn look(frame: &CaptureFrame, masked: bool) -> Look {
         }
     }
     let sharpness = sum / count.max(1) as f64;
-    Look { count, sharpness }
+    RegionDetail { count, sharpness }
 }
 
 #[cfg(test)]
@@ -63,7 +63,7 @@ mod tests {
     use m4_core::{Camera, Capture, CaptureFrame, CompactMask, Intrinsics, Plane, Se3};
 
     #[test]
-    fn the_frame_with_most_detail_where_it_moves_wins() {
+    fn frame_with_most_dynamic_detail_wins() {
         let frame = |i: usize| CaptureFrame {
             name: i.to_string(),
             camera: Camera {

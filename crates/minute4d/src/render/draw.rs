@@ -19,7 +19,7 @@ impl<'a> Painter<'a> {
         }
     }
 
-    /// What a camera sees at a moment (frames), before any exposure.
+    /// Renders a camera at a time (frames), before exposure.
     pub fn frame(&mut self, camera: &Camera, t: f64, with_depth: bool) -> &Frame {
         let view = View {
             with_depth,
@@ -28,12 +28,12 @@ impl<'a> Painter<'a> {
         self.renderer.render(&self.scene.splats, &view)
     }
 
-    /// The same as an 8-bit image with an exposure.
-    pub fn picture(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> RgbImage {
+    /// Renders an 8-bit image with an exposure.
+    pub fn image(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> RgbImage {
         to_rgb(self.frame(camera, t, false), exposure)
     }
 
-    /// Median z-depth of what a camera sees at a moment, world units; `None` where it sees nothing.
+    /// Median z-depth of a view at a time (frames), world units; `None` for an empty view.
     pub fn median_depth(&mut self, camera: &Camera, t: f64) -> Option<f64> {
         let frame = self.frame(camera, t, true);
         let depth = frame.depth.iter().zip(&frame.transmittance);

@@ -67,7 +67,7 @@ pub enum PathError {
     },
     /// Many images into one file.
     #[error("{} is one image, but the path has {frames}; name a folder or an .mp4 file, or choose one time with --path source --at T", path.display())]
-    OnePicture {
+    OneImage {
         /// The file.
         path: PathBuf,
         /// Images of the path.

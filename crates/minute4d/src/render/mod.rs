@@ -4,8 +4,8 @@ mod draw;
 mod error;
 mod options;
 mod path;
-mod pictures;
 mod region;
+mod renderer;
 mod sink;
 mod size;
 mod spline;
@@ -16,8 +16,8 @@ pub use draw::{Painter, to_rgb, view};
 pub use error::PathError;
 pub use options::{PathConfig, PathOptions};
 pub use path::{CameraPath, Plan, SourcePath, Stop};
-pub use pictures::Pictures;
 pub use region::Region;
+pub use renderer::SceneRenderer;
 pub use size::{Fit, fitted, zoomed};
 pub use spline::{PoseSpline, Spline};
 pub use swing::{SwingConfig, swing};
@@ -51,11 +51,11 @@ pub struct RenderJob {
     pub fps: Option<f64>,
     /// Columns and rows of the images; `None` for those of the cameras.
     pub size: Option<(usize, usize)>,
-    /// What happens where that is another shape.
+    /// Treatment of a different aspect ratio.
     pub fit: Fit,
     /// Times the focal length.
     pub zoom: f64,
-    /// Replace what is there.
+    /// Replace existing files.
     pub replace: bool,
     /// The device that renders.
     pub device: DeviceChoice,
@@ -135,8 +135,8 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     };
     let scene = scene_file::read(&file)?.scene;
     let gpu = job.device.open()?;
-    let mut pictures = Pictures::new(&scene, level, gpu.as_ref())?;
-    let plan = job.plan(&scene, pictures.painter())?;
+    let mut renderer = SceneRenderer::new(&scene, level, gpu.as_ref())?;
+    let plan = job.plan(&scene, renderer.painter())?;
     for remark in &plan.remarks {
         observer.warn(remark);
     }
@@ -149,8 +149,8 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
                 saved: false,
             });
         }
-        let picture = pictures.picture(&stop.camera, stop.t, &stop.exposure)?;
-        sink.push(&picture)?;
+        let image = renderer.image(&stop.camera, stop.t, &stop.exposure)?;
+        sink.push(&image)?;
         observer.update("render", i + 1, stops.len(), "");
     }
     sink.finish()?;

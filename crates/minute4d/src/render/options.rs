@@ -1,14 +1,14 @@
-//! What can be asked of a camera path, and what happens where nothing is asked.
+//! Options of a camera path, and their defaults.
 
 use super::{CameraPath, Moment, PathError, SwingConfig};
 use serde::{Deserialize, Serialize};
 
-/// What was asked for; `None` leaves it to [`PathConfig`] and the scene.
+/// Options of the user; `None` leaves the choice to [`PathConfig`] and the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct PathOptions {
     /// Length of the video, seconds.
     pub seconds: Option<f64>,
-    /// The moment of the source whose camera a path starts from; for the bullet, where time stands still;
+    /// The moment of the source whose camera a path starts from; for the bullet, where time is frozen;
     /// for the source and its like, the one image that is wanted.
     pub at: Option<Moment>,
     /// Times the motion that the scene is good for; below 0 the other way round.
@@ -19,13 +19,13 @@ pub struct PathOptions {
     pub smooth_s: Option<f64>,
     /// From 0, the source, to 1, all of the smoothing.
     pub strength: Option<f64>,
-    /// Seconds for which time stands still.
+    /// Seconds for which time is frozen.
     pub hold_s: Option<f64>,
 }
 
 /// Defaults of the camera paths. Lengths are shares of the median depth of dynamic regions (of everything, where
 /// nothing does) in the image of the camera where the path starts, so that they do not depend on the unit of the scene. Limits of
-/// turns are narrow, because what moves was seen from one side alone at each moment, wherever the camera was before and after:
+/// turns are narrow, because dynamic regions were seen from one side alone at each moment, wherever the camera was before and after:
 /// beyond 6 degrees the pinwheel of the examples begins to come apart (ours, judged by eye).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -38,7 +38,7 @@ pub struct PathConfig {
     pub side_deg: [f64; 2],
     /// Turn of a bullet up and down, as a share of the turn to the side.
     pub up_share: f64,
-    /// Seconds for which a bullet stands still in time.
+    /// Seconds for which a bullet path freezes time.
     pub hold_s: f64,
     /// Seconds in which time slows down before, and speeds up after.
     pub ease_s: f64,
@@ -132,7 +132,7 @@ mod tests {
     use crate::render::PathError;
 
     #[test]
-    fn nothing_that_is_given_is_left_out_in_silence() {
+    fn unused_options_are_rejected() {
         let held = PathOptions {
             hold_s: Some(3.0),
             ..PathOptions::default()

@@ -18,7 +18,7 @@ pub struct Region {
     pub stop: Stop,
     /// Median z-depth of dynamic regions in the image, or of the whole image where nothing does; world units.
     pub distance: f64,
-    /// How far the source cameras are to the side, world units.
+    /// Sideways distance of the source cameras, world units.
     pub reach: f64,
 }
 
@@ -97,7 +97,7 @@ mod tests {
     use m4_core::{Camera, Column, Exposure, Intrinsics, Scene, Se3, SplatLayout, Splats};
 
     #[test]
-    fn the_depth_is_that_of_what_moves_now_and_is_seen() {
+    fn depth_is_that_of_visible_dynamic_splats() {
         let layout = SplatLayout {
             isotropic: true,
             sh_degree: 0,

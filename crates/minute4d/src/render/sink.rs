@@ -12,14 +12,14 @@ use std::path::{Path, PathBuf};
 /// Video files that are not written, and would otherwise become folders.
 const OTHER_VIDEOS: [&str; 8] = ["mov", "avi", "mkv", "webm", "m4v", "gif", "webp", "apng"];
 /// Files for one image.
-const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
+const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 
 /// The destination of images.
 pub(super) enum Sink {
     /// `00000.png` and so on.
     Folder { path: PathBuf, next: usize },
     /// One image.
-    Picture(PathBuf),
+    Image(PathBuf),
     /// A clip.
     Video(Box<Mp4Writer>),
 }
@@ -49,15 +49,15 @@ impl Sink {
         Self::check(out, replace)?;
         let path = out.to_path_buf();
         let extension = extension(out);
-        if PICTURES.contains(&extension.as_str()) {
+        if IMAGE_EXTENSIONS.contains(&extension.as_str()) {
             if stops.len() != 1 {
-                return Err(PathError::OnePicture {
+                return Err(PathError::OneImage {
                     path,
                     frames: stops.len(),
                 }
                 .into());
             }
-            return Ok(Self::Picture(path));
+            return Ok(Self::Image(path));
         }
         if !is_file(&extension) {
             if folder::make(out)? && !replace {
@@ -72,14 +72,14 @@ impl Sink {
     }
 
     /// The next image.
-    pub fn push(&mut self, picture: &RgbImage) -> Result<(), Error> {
+    pub fn push(&mut self, rgb: &RgbImage) -> Result<(), Error> {
         match self {
             Self::Folder { path, next } => {
-                image::write_rgb(&numbered(path, *next), picture)?;
+                image::write_rgb(&numbered(path, *next), rgb)?;
                 *next += 1;
             }
-            Self::Picture(path) => image::write_rgb(path, picture)?,
-            Self::Video(writer) => writer.push(picture)?,
+            Self::Image(path) => image::write_rgb(path, rgb)?,
+            Self::Video(writer) => writer.push(rgb)?,
         }
         Ok(())
     }
@@ -88,7 +88,7 @@ impl Sink {
     pub fn finish(self) -> Result<(), Error> {
         match self {
             Self::Folder { path, next } => remove_from(&path, next),
-            Self::Picture(_) => Ok(()),
+            Self::Image(_) => Ok(()),
             Self::Video(writer) => Ok(writer.finish()?),
         }
     }
@@ -100,7 +100,7 @@ fn extension(out: &Path) -> String {
 }
 
 fn is_file(extension: &str) -> bool {
-    extension == "mp4" || PICTURES.contains(&extension)
+    extension == "mp4" || IMAGE_EXTENSIONS.contains(&extension)
 }
 
 fn numbered(folder: &Path, i: usize) -> PathBuf {

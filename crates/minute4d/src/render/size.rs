@@ -6,7 +6,7 @@ use m4_core::Intrinsics;
 /// Longest side of an image, pixels.
 pub const MAX_SIDE_PX: usize = 16_384;
 
-/// What happens where the shape of the image is another one.
+/// Treatment of a different aspect ratio.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Fit {
     /// The middle of the view fills the image; the rest is cut off.

@@ -140,7 +140,7 @@ mod tests {
     };
 
     #[test]
-    fn lines_and_parabolas_are_kept_inside() {
+    fn splines_reproduce_lines_and_parabolas() {
         let times = vec![0.0, 1.0, 1.5, 4.0, 5.0];
         let square = |t: f64| Vector1::new(t * t - 3.0 * t);
         let spline = Spline::new(times.clone(), times.iter().map(|t| square(*t)).collect());

@@ -12,7 +12,7 @@ pub enum Moment {
     Seconds(f64),
 }
 
-/// How time continues along a camera path.
+/// Time along a camera path.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TimePath {
     /// `source`: every camera at its own moment.
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_moment_stands_alone() {
+    fn single_times_are_parsed() {
         assert_eq!("1.5s".parse(), Ok(Moment::Seconds(1.5)));
         assert_eq!(" 7 ".parse(), Ok(Moment::Frames(7.0)));
         for bad in ["", "s", "inf", "1..2", "freeze@2"] {

@@ -1,6 +1,6 @@
 //! Trains a scene again without each part of the method.
 
-use super::scene::Made;
+use super::scene::SceneResult;
 use crate::ablate::{self, AblateOptions, AblationReport, Row};
 use crate::{Error, Job};
 use serde::Serialize;
@@ -19,7 +19,7 @@ pub struct SceneAblation {
 }
 
 /// Makes the rows in the folder of the scene; finished ones are not made again.
-pub(super) fn of(made: &Made, program: &Path, job: &Job<'_>) -> Result<SceneAblation, Error> {
+pub(super) fn of(made: &SceneResult, program: &Path, job: &Job<'_>) -> Result<SceneAblation, Error> {
     let options = AblateOptions {
         program: program.to_path_buf(),
         rows: Row::ALL.to_vec(),

@@ -33,14 +33,14 @@ pub enum ReproduceError {
         known: String,
     },
     /// A scene lacks its held-out views.
-    #[error("{} has no held-out views, which the protocol {protocol} scores; {remedy}", path.display())]
+    #[error("{} has no held-out views, which the protocol {protocol} scores; {hint}", path.display())]
     NoViews {
         /// The scene.
         path: PathBuf,
         /// The protocol.
         protocol: Protocol,
         /// How to fix it.
-        remedy: &'static str,
+        hint: &'static str,
     },
     /// Training images that are not one step of time apart each.
     #[error("the training images of {} are not evenly spaced in time, as geometry from images alone assumes; omit --geometry own", path.display())]

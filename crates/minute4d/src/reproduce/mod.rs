@@ -133,7 +133,7 @@ pub fn reproduce(
         missing,
     };
     for table in &report.tables {
-        plot::write(&out.join(table.picture()), table)?;
+        plot::write(&out.join(table.plot_file()), table)?;
     }
     write_json(&out.join(REPORT_FILE), &report)?;
     let path = out.join(TABLE_FILE);

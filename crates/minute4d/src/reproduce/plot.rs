@@ -53,26 +53,27 @@ pub(super) fn write(path: &Path, table: &TableReport) -> Result<(), ReproduceErr
 }
 
 fn draw(path: &Path, table: &TableReport, bars: &[Bar]) -> Result<(), String> {
-    let said = |e: &dyn std::fmt::Display| e.to_string();
+    let message = |e: &dyn std::fmt::Display| e.to_string();
     let height = TOP + ROW * bars.len() as i32 + 24;
     let root = SVGBackend::new(path, (WIDTH as u32, height as u32)).into_drawing_area();
-    root.fill(&WHITE).map_err(|e| said(&e))?;
+    root.fill(&WHITE).map_err(|e| message(&e))?;
     let text = |words: String, at: (i32, i32), size: i32| Text::new(words, at, ("sans-serif", size).into_font());
     let title = format!("{}: {}", table.suite.title(), table.protocol.rules().title);
-    root.draw(&text(title, (16, 12), 18)).map_err(|e| said(&e))?;
+    root.draw(&text(title, (16, 12), 18)).map_err(|e| message(&e))?;
     let unit = format!("{} of {}, dB; bars begin at 10 dB", table.headline, table.task.title());
-    root.draw(&text(unit, (16, 36), 14)).map_err(|e| said(&e))?;
+    root.draw(&text(unit, (16, 36), 14)).map_err(|e| message(&e))?;
     let most = bars.iter().map(|b| b.psnr_db).fold(20.0, f64::max);
     for (i, bar) in bars.iter().enumerate() {
         let top = TOP + ROW * i as i32;
         let share = ((bar.psnr_db - 10.0) / (most - 10.0)).clamp(0.0, 1.0);
         let end = FROM + (share * f64::from(TO - FROM)).round() as i32;
         root.draw(&text(bar.name.clone(), (16, top + 4), 15))
-            .map_err(|e| said(&e))?;
+            .map_err(|e| message(&e))?;
         let rectangle = Rectangle::new([(FROM, top + 3), (end, top + ROW - 5)], bar.colour.filled());
-        root.draw(&rectangle).map_err(|e| said(&e))?;
+        root.draw(&rectangle).map_err(|e| message(&e))?;
         let value = format!("{:.2}", bar.psnr_db);
-        root.draw(&text(value, (end + 6, top + 4), 15)).map_err(|e| said(&e))?;
+        root.draw(&text(value, (end + 6, top + 4), 15))
+            .map_err(|e| message(&e))?;
     }
-    root.present().map_err(|e| said(&e))
+    root.present().map_err(|e| message(&e))
 }

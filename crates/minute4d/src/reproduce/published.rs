@@ -222,7 +222,7 @@ pub fn published(protocol: Protocol) -> &'static [Published] {
     }
 }
 
-/// What must be said beside the published numbers of a protocol.
+/// The caveat to the published numbers of a protocol.
 pub(super) fn caveat(protocol: Protocol) -> &'static str {
     match protocol {
         Protocol::Instant4d | Protocol::Rodygs => {

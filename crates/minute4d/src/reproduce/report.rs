@@ -64,7 +64,7 @@ pub struct TableReport {
     pub ablations: Vec<SceneAblation>,
     /// Published numbers of the same task.
     pub published: Vec<Published>,
-    /// What must be said beside them.
+    /// Their caveat.
     pub caveat: &'static str,
 }
 
@@ -152,9 +152,9 @@ impl TableReport {
         }
     }
 
-    /// Name of its image.
+    /// File name of its plot.
     #[must_use]
-    pub fn picture(&self) -> String {
+    pub fn plot_file(&self) -> String {
         format!("reproduce-{}.svg", self.protocol)
     }
 

@@ -30,11 +30,11 @@ const ROW_FILE: &str = "row.json";
 const KEY_FILE: &str = "import.json";
 /// Frames a second of the clips of DAVIS.
 const DAVIS_FPS: f64 = 24.0;
-const REMEDY: &str = "also download the images that results are compared with";
+const HINT: &str = "also download the images that results are compared with";
 
 /// `row.json`.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct CachedRow {
     key: String,
     row: SceneRow,
 }
@@ -45,8 +45,8 @@ struct Imported {
     key: String,
 }
 
-/// A scene by a protocol, and of what it was made.
-pub(super) struct Made {
+/// A scene by a protocol, with its folders.
+pub(super) struct SceneResult {
     pub row: SceneRow,
     /// `OUT/PROTOCOL/SCENE`.
     pub folder: PathBuf,
@@ -64,7 +64,7 @@ pub(super) fn make(
     out: &Path,
     options: &ReproduceOptions,
     job: &Job<'_>,
-) -> Result<Made, Error> {
+) -> Result<SceneResult, Error> {
     let folder = out.join(protocol.name()).join(&scene.name);
     let source = fingerprint(&scene.path)?;
     let key = hash::of_parts(&[
@@ -102,13 +102,13 @@ pub(super) fn make(
     } else {
         (trained.clone(), whole.clone())
     };
-    let made = |row| Made {
+    let made = |row| SceneResult {
         row,
         folder: folder.clone(),
         capture: data.clone(),
         views: views.clone(),
     };
-    if let Some(kept) = read::<Kept>(&file)
+    if let Some(kept) = read::<CachedRow>(&file)
         && kept.key == key
         && run.join(EVAL_FILE).is_file()
     {
@@ -132,7 +132,7 @@ pub(super) fn make(
         return Err(ReproduceError::NoViews {
             path: scene.path.clone(),
             protocol,
-            remedy: REMEDY,
+            hint: HINT,
         }
         .into());
     }
@@ -150,7 +150,7 @@ pub(super) fn make(
         return Err(ReproduceError::NotAligned { path }.into());
     }
     let row = row(scene, &report, &record, geometry_s)?;
-    write_json(&file, &Kept { key, row: row.clone() })?;
+    write_json(&file, &CachedRow { key, row: row.clone() })?;
     Ok(made(row))
 }
 
@@ -171,13 +171,13 @@ fn own_geometry(imported: &Path, out: &Path, job: &Job<'_>) -> Result<f64, Error
         settings.video.folder_fps = (n - 1) as f64 / duration_s;
     }
     drop(train);
-    let [pictures, ..] = Split::Train.folders();
+    let [images, ..] = Split::Train.folders();
     let job = Job {
         settings,
         existing: Existing::Resume,
         ..*job
     };
-    Ok(geometry::make(&imported.join(pictures), out, &job)?.seconds)
+    Ok(geometry::make(&imported.join(images), out, &job)?.seconds)
 }
 
 /// The capture of a scene with all its frames, made if it is missing; seconds of its geometry where that was estimated.
@@ -201,7 +201,7 @@ fn whole_capture(
     }
     if folder::make(whole)? {
         if !file.is_file() {
-            return Err(OutputError::Foreign {
+            return Err(OutputError::NotOurs {
                 path: whole.to_path_buf(),
                 missing: KEY_FILE,
             }

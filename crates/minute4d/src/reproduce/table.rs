@@ -53,7 +53,7 @@ fn one(table: &TableReport) -> String {
         table.protocol,
         rules.title,
         table.task.title(),
-        rules.frames.words(),
+        rules.frames.description(),
         sentence(rules.note)
     );
     out += &aligned(&ours(table));
@@ -75,7 +75,7 @@ fn one(table: &TableReport) -> String {
         ": the two do not compare yet.\n\n"
     };
     out += &aligned(&beside(table));
-    out += &format!("\n{}\n\n![{}]({})\n", table.caveat, table.protocol, table.picture());
+    out += &format!("\n{}\n\n![{}]({})\n", table.caveat, table.protocol, table.plot_file());
     out
 }
 
@@ -91,7 +91,7 @@ fn ours(table: &TableReport) -> Vec<Vec<String>> {
     let scores: Vec<_> = SCORES.into_iter().filter(|(name, ..)| has(name)).collect();
     let mut head: Vec<String> = ["scene", "views", "PSNR dB", "SSIM"].map(String::from).to_vec();
     head.extend(scores.iter().map(|(_, title, _)| (*title).to_owned()));
-    head.extend(["poses", "training s", "steps", "splats", "pictures/s", "device"].map(String::from));
+    head.extend(["poses", "training s", "steps", "splats", "images/s", "device"].map(String::from));
     let mut lines = vec![head];
     for row in &table.rows {
         let mut line = vec![
@@ -144,7 +144,7 @@ fn beside(table: &TableReport) -> Vec<Vec<String>> {
         "LPIPS Alex",
         "poses",
         "training",
-        "pictures/s",
+        "images/s",
         "scenes",
         "source",
     ];

@@ -14,7 +14,7 @@ pub enum SettingsError {
     Read {
         /// The file given.
         path: PathBuf,
-        /// What the system said.
+        /// Message of the system.
         source: std::io::Error,
     },
     /// The file is not TOML.
@@ -75,7 +75,7 @@ pub enum SettingsError {
     /// The built-in settings cannot be written as TOML, a bug of ours.
     #[error("the built-in settings cannot be written as TOML: {reason}")]
     Internal {
-        /// What the serialiser said.
+        /// Message of the serialiser.
         reason: String,
     },
 }

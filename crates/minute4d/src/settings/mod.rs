@@ -42,7 +42,7 @@ pub struct Settings {
     pub video: VideoOptions,
     /// Limits on captures.
     pub capture: CaptureOptions,
-    /// Methods of geometry, and what the user knows of the clip.
+    /// Methods of geometry, and priors of the user.
     pub geometry: GeometryOptions,
     /// Cameras and tracks.
     pub sparse: SparseConfig,
@@ -71,7 +71,7 @@ pub struct Settings {
 #[serde(default, deny_unknown_fields)]
 pub struct LimitConfig {
     /// Seconds from start to end; 0 for as long as it takes. Training is planned to end in time, and ended where it would
-    /// not. Geometry that takes longer is saved and goes on with the next attempt.
+    /// not. Geometry that takes longer is saved and resumes with the next attempt.
     pub time_s: f64,
 }
 
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn stages_are_given_what_their_profile_says() {
+    fn profiles_set_stage_settings() {
         assert_eq!(Settings::default(), Settings::fast());
         let given = |settings: Settings| (settings.init_config(), settings.train_config());
         assert_eq!(given(Settings::fast()), (InitConfig::fast(), TrainConfig::fast()));

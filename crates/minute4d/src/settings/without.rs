@@ -13,7 +13,7 @@ pub enum Enhancement {
     Segmentation,
     /// Points followed through the clip: parts that a frame hides are filled from others, and first velocities.
     Tracking,
-    /// Splats born and removed by what the frames' errors say.
+    /// Density control: splats added and pruned by the errors of frames.
     Density,
 }
 

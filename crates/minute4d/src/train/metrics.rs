@@ -70,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resumed_log_forgets_what_was_not_saved() {
+    fn resumed_log_drops_unsaved_entries() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("metrics.jsonl");
         let mut log = MetricsLog::new(&path);

@@ -34,7 +34,7 @@ struct Part<'a> {
     train: &'a TrainSettings,
 }
 
-/// Trains a scene on a capture and makes the preview, or goes on where that was stopped.
+/// Trains a scene on a capture and makes the preview, or resumes a stopped run.
 ///
 /// # Errors
 ///
@@ -153,7 +153,7 @@ fn train(
             }
             let mut trainer = Trainer::new(capture, splats, config, run.level)?;
             let mut log = MetricsLog::new(&run.path(METRICS_FILE));
-            // The number of iterations may have been measured: who goes on after a kill takes that one.
+            // The number of iterations may have been measured: a run resumed after a kill uses the same.
             save(run, &mut trainer, &mut checkpoints, &mut log)?;
             (trainer, log)
         }

@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// How long an ended run waits for pages to fetch its last scene.
+/// Time for which an ended run waits for pages to fetch its last scene.
 const LINGER: Duration = Duration::from_secs(3);
 
 /// An observer that passes everything on, and shows scenes and metrics to the pages of a server.
@@ -37,7 +37,7 @@ pub struct Broadcast<'a> {
 struct Copied {
     scene: Scene,
     median_depth: f64,
-    /// How long training waited for the copy.
+    /// Time for which training waited for the copy.
     waited: Duration,
 }
 

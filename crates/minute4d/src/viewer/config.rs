@@ -3,7 +3,7 @@
 use m4_viewer::FrameLimits;
 use serde::{Deserialize, Serialize};
 
-/// What goes into the page of a scene.
+/// Contents of the page of a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ViewerConfig {
@@ -22,7 +22,7 @@ impl Default for ViewerConfig {
     }
 }
 
-/// How often a page that is open is shown how training goes on; no part of the result.
+/// Update interval of an open page during training; not part of the result.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LiveConfig {
     /// Least seconds between two scenes. 2: a person does not follow more.

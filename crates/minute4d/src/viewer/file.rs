@@ -85,7 +85,7 @@ fn write(run: &Workspace<'_>, title: &str, capture: &Capture, scene: &Scene) -> 
     file.commit().map_err(failed)
 }
 
-/// What the page is called: as the clip, or as the run where that says more.
+/// Title of the page: the name of the clip, or of the run where that is more telling.
 #[must_use]
 pub fn title(folder: &Path, input: &str) -> String {
     let stem = Path::new(input).file_stem().and_then(|s| s.to_str());

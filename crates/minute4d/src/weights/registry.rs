@@ -17,7 +17,7 @@ pub struct Entry {
     pub licence: &'static str,
     /// False where the licence forbids commercial use.
     pub commercial: bool,
-    /// What the program does with it.
+    /// Its purpose.
     pub used_for: &'static str,
     /// The source.
     pub origin: Origin,
@@ -307,7 +307,7 @@ pub fn find(name: &str) -> Result<&'static Entry, WeightsError> {
 impl Origin {
     /// Returns a description of the source.
     #[must_use]
-    pub fn words(&self) -> String {
+    pub fn description(&self) -> String {
         match self {
             Self::Authors { page } => (*page).to_owned(),
             Self::Hub { repository, file } => format!("{file} of the Hugging Face repository {repository}"),

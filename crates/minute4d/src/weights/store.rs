@@ -9,7 +9,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempDir};
 
-/// What is written beside a file of weights.
+/// Record beside a file of weights.
 const RECORD: &str = "record.json";
 
 /// The folder that weights lie in, a folder for each name.
@@ -20,7 +20,7 @@ pub struct Store {
     hub: Option<PathBuf>,
 }
 
-/// What is known of a file of weights that is here.
+/// State of an installed file of weights.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
     /// The entry's name.
@@ -50,7 +50,7 @@ pub enum State {
     InHub(PathBuf),
 }
 
-/// What [`Store::verify`] found.
+/// Result of [`Store::verify`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Condition {
     /// The file is not here.
@@ -141,7 +141,7 @@ impl Store {
                 name: entry.name,
                 how: match entry.origin {
                     Origin::Pip(_) => format!("`{}` gets them", entry.command()),
-                    _ => format!("get {} and run `{}`", entry.origin.words(), entry.command()),
+                    _ => format!("get {} and run `{}`", entry.origin.description(), entry.command()),
                 },
                 without: entry.without(),
             }),
@@ -160,7 +160,7 @@ impl Store {
         files.max_by_key(|path| (fs::metadata(path).and_then(|m| m.modified()).ok(), path.clone()))
     }
 
-    /// What was recorded of `entry`; `None` where nothing was, or not in a form that can be read.
+    /// The record of `entry`; `None` if missing or unreadable.
     #[must_use]
     pub fn record(&self, entry: &Entry) -> Option<Record> {
         let text = fs::read(self.root.join(entry.name).join(RECORD)).ok()?;

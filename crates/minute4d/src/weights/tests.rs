@@ -112,7 +112,7 @@ impl Place {
 }
 
 #[test]
-fn a_member_of_a_wheel_or_a_source_distribution_is_kept() {
+fn members_of_wheels_and_source_distributions_are_installed() {
     for wheel in [true, false] {
         let place = Place::new();
         let archive = match wheel {
@@ -199,7 +199,7 @@ fn damaged_archives_are_refused() {
 }
 
 #[test]
-fn a_download_that_fails_says_why() {
+fn failed_download_names_the_reason() {
     let place = Place::new();
     let pip = place.pip("echo 'WARNING: retrying' >&2; echo 'ERROR: No matching distribution found.' >&2; exit 1");
     let error = place.refused(&entry(true), &pip).to_string();

@@ -11,7 +11,7 @@ mod export;
 mod geometry;
 mod import;
 mod inspect;
-mod known;
+mod methods;
 mod reach;
 mod render;
 mod reproduce;
@@ -40,10 +40,10 @@ pub use export::{Export, PrecisionArg};
 pub use geometry::Geometry;
 pub use import::Import;
 pub use inspect::Inspect;
-pub use known::{KnownArgs, Segmenter, Tracker};
+pub use methods::{MethodArgs, Segmenter, Tracker};
 pub use reach::ReachArgs;
 pub use render::{FitArg, Render};
-pub use reproduce::{Reproduce, WhoseGeometry};
+pub use reproduce::{GeometryArg, Reproduce};
 pub use run::Run;
 pub use settings::{LengthArgs, Preset, Profile, SettingsArgs};
 pub use split::Split;
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_checked_where_they_are_given() {
+    fn numeric_arguments_are_validated_when_parsed() {
         let bad = [
             "run a -o b --iterations 0",
             "run a -o b --threads 0",

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 /// The source of poses and depth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum WhoseGeometry {
+pub enum GeometryArg {
     /// Those of the data set.
     Given,
     /// Estimated from the training images alone.
@@ -43,7 +43,7 @@ pub struct Reproduce {
     /// Poses and depth to train with: given (those of the data set) or own (estimated from the training images; views of other cameras are
     /// then placed by alignment) [davis: always own]
     #[arg(long, value_name = "WHOSE", default_value = "given", value_enum)]
-    pub geometry: WhoseGeometry,
+    pub geometry: GeometryArg,
     /// Also run every scene without segmentation, without tracking, and without density control
     #[arg(long)]
     pub ablations: bool,

@@ -1,6 +1,6 @@
 //! The part of a video that is read.
 
-use super::KnownArgs;
+use super::MethodArgs;
 use super::values::{degrees, seconds};
 use clap::Args;
 
@@ -27,7 +27,7 @@ pub struct VideoArgs {
     pub static_camera: bool,
     /// Methods, and geometry that the user provides.
     #[command(flatten)]
-    pub known: KnownArgs,
+    pub methods: MethodArgs,
     /// Refuse a video with damaged frames instead of dropping these frames
     #[arg(long)]
     pub strict_video: bool,

@@ -36,7 +36,7 @@ pub fn run(args: &Geometry, output: &Output) -> Result<(), Failure> {
             found.residual_px
         ));
         if let Some(confidence) = &found.confidence {
-            output.note(&confidence.words());
+            output.note(&confidence.description());
         }
         if cfg!(feature = "nets")
             && asked == Segmenter::Auto

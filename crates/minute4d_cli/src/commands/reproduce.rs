@@ -1,7 +1,7 @@
 //! `minute4d reproduce`: computes the published tables of a data set.
 
 use super::settings::{job, print_config, settings};
-use crate::args::{OutArgs, Reproduce, WhoseGeometry};
+use crate::args::{GeometryArg, OutArgs, Reproduce};
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::Error;
@@ -18,8 +18,8 @@ pub fn run(args: &Reproduce, output: &Output) -> Result<(), Failure> {
     let ablations = args.ablations.then(std::env::current_exe).transpose();
     let options = ReproduceOptions {
         geometry: match args.geometry {
-            WhoseGeometry::Given => GeometrySource::Given,
-            WhoseGeometry::Own => GeometrySource::Own,
+            GeometryArg::Given => GeometrySource::Given,
+            GeometryArg::Own => GeometrySource::Own,
         },
         ablations: ablations.map_err(|source| Error::Read {
             path: PathBuf::from("the program itself"),

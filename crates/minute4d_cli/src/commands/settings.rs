@@ -102,16 +102,16 @@ fn apply_video(settings: &mut Settings, args: &VideoArgs) {
     video.strict |= args.strict_video;
     settings.sparse.fov_deg = args.fov.or(settings.sparse.fov_deg);
     settings.sparse.static_camera |= args.static_camera;
-    let (geometry, known) = (&mut settings.geometry, &args.known);
-    if let Some(frontend) = &known.frontend {
+    let (geometry, methods) = (&mut settings.geometry, &args.methods);
+    if let Some(frontend) = &methods.frontend {
         geometry.frontend.clone_from(frontend);
     }
-    geometry.segmenter = known.segmenter.map_or(geometry.segmenter, Into::into);
-    geometry.tracker = known.tracker.map_or(geometry.tracker, Into::into);
-    geometry.intrinsics = known.intrinsics.clone().or(geometry.intrinsics.take());
-    geometry.poses = known.poses.clone().or(geometry.poses.take());
-    geometry.masks = known.masks.clone().or(geometry.masks.take());
-    geometry.depth = known.depth.clone().or(geometry.depth.take());
+    geometry.segmenter = methods.segmenter.map_or(geometry.segmenter, Into::into);
+    geometry.tracker = methods.tracker.map_or(geometry.tracker, Into::into);
+    geometry.intrinsics = methods.intrinsics.clone().or(geometry.intrinsics.take());
+    geometry.poses = methods.poses.clone().or(geometry.poses.take());
+    geometry.masks = methods.masks.clone().or(geometry.masks.take());
+    geometry.depth = methods.depth.clone().or(geometry.depth.take());
 }
 
 /// Returns the job that the stages of a run work on.

@@ -13,7 +13,7 @@ pub fn run(args: &Split, output: &Output) -> Result<(), Failure> {
         "{} of {} frames are held out: {}",
         record.held_out.len(),
         record.frames,
-        record.frame_rule.words()
+        record.frame_rule.description()
     ));
     output.result(&args.out.display().to_string(), minute4d::plain_json(&record)?);
     Ok(())

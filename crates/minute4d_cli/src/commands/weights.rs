@@ -15,7 +15,7 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
         WeightsAction::Fetch { names, accept_license } => {
             let mut records = Vec::new();
             for name in names {
-                let entry = known(name)?;
+                let entry = find_entry(name)?;
                 let record = weights::fetch(entry, &store, None, *accept_license, output);
                 records.push(record.map_err(minute4d::Error::from)?);
             }
@@ -26,7 +26,8 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
             file,
             accept_license,
         } => {
-            let record = weights::add(known(name)?, &store, file, *accept_license).map_err(minute4d::Error::from)?;
+            let record =
+                weights::add(find_entry(name)?, &store, file, *accept_license).map_err(minute4d::Error::from)?;
             if !record.published {
                 output.warn(&format!(
                     "no published checksum for {name}; the SHA-256 of the file is {}",
@@ -39,7 +40,7 @@ pub fn run(args: &Weights, output: &Output) -> Result<(), Failure> {
     }
 }
 
-fn known(name: &str) -> Result<&'static Entry, Failure> {
+fn find_entry(name: &str) -> Result<&'static Entry, Failure> {
     Ok(weights::find(name).map_err(minute4d::Error::from)?)
 }
 
@@ -79,7 +80,7 @@ fn list(store: &Store, output: &Output) -> Result<(), Failure> {
         },
         command: entry.command(),
         without: entry.without(),
-        origin: entry.origin.words(),
+        origin: entry.origin.description(),
         path: match store.state(entry) {
             State::Absent => None,
             State::Stored(path) | State::InHub(path) => Some(path),
@@ -144,7 +145,7 @@ fn report_installed(store: &Store, records: &[Record], output: &Output) -> Resul
 
 /// The verification result of one file.
 #[derive(Debug, Serialize)]
-struct Found {
+struct CheckedFile {
     name: &'static str,
     /// `published`, `as added`, `unknown`, `damaged` or `absent`.
     condition: &'static str,
@@ -157,7 +158,7 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
             .iter()
             .filter(|entry| store.state(entry) != State::Absent)
             .collect(),
-        names => names.iter().map(|name| known(name)).collect::<Result<_, _>>()?,
+        names => names.iter().map(|name| find_entry(name)).collect::<Result<_, _>>()?,
     };
     let mut found = Vec::new();
     for entry in entries {
@@ -170,13 +171,13 @@ fn verify(store: &Store, names: &[String], output: &Output) -> Result<(), Failur
                 return Err(minute4d::Error::from(store.require(entry).err().unwrap_or(WeightsError::NoFolder)).into());
             }
         };
-        found.push(Found {
+        found.push(CheckedFile {
             name: entry.name,
             condition,
             reason,
         });
     }
-    let line = |f: &Found| match &f.reason {
+    let line = |f: &CheckedFile| match &f.reason {
         Some(reason) => format!("{}: {}: {reason}\n", f.name, f.condition),
         None => format!("{}: {}\n", f.name, f.condition),
     };

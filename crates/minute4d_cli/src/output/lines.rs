@@ -69,7 +69,7 @@ mod tests {
     use std::time::{Duration, Instant};
 
     #[test]
-    fn a_line_every_ten_seconds_with_the_time_left() {
+    fn progress_prints_every_ten_seconds_with_the_remaining_time() {
         let (lines, start) = (Lines::default(), Instant::now());
         let at = |s: u64, done| lines.at(start + Duration::from_secs(s), "train", done, 100, "loss 0.1");
         assert_eq!(at(0, 0), None);
@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn many_short_phases_do_not_flood() {
+    fn short_phases_do_not_flood_the_log() {
         let (lines, start) = (Lines::default(), Instant::now());
         let printed = (0..100u64).filter(|&s| {
             let phase = format!("phase {s}");

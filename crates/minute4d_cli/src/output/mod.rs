@@ -212,7 +212,7 @@ mod tests {
     use super::duration;
 
     #[test]
-    fn durations_are_short() {
+    fn durations_are_formatted_briefly() {
         assert_eq!(duration(8.26), "8.3 s");
         assert_eq!(duration(125.4), "2m05s");
         assert_eq!(duration(3720.0), "1h02m");

@@ -127,7 +127,7 @@ mod tests {
     use super::{Answer, StopSignal};
 
     #[test]
-    fn the_end_of_the_input_and_a_signal_are_one_request() {
+    fn end_of_input_and_a_signal_count_once() {
         let stop = StopSignal::default();
         assert_eq!(stop.code(), None);
         stop.ask(143);
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn an_engine_may_send_sigterm_twice() {
+    fn second_sigterm_of_an_engine_is_ignored() {
         let stop = StopSignal::default();
         assert_eq!((stop.request(143), stop.request(143)), (Answer::Save, Answer::End));
         let stop = StopSignal::default();

@@ -1,4 +1,4 @@
-//! The program from outside: what it is given, how it ends, what it says.
+//! The program from outside: arguments, exit codes, messages.
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on should stop")]
 
 pub mod clips;
@@ -10,7 +10,7 @@ use minute4d::io::image::write_rgb;
 use minute4d::io::video::Mp4Writer;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 use tempfile::TempDir;
 
 /// Size of the images of every test.
@@ -118,6 +118,17 @@ pub fn refused_with(args: &[&str], env: &[(&str, &str)], code: i32, words: &[&st
 /// The path as an argument.
 pub fn text(path: &Path) -> &str {
     path.to_str().unwrap()
+}
+
+/// A process; killed and reaped when a test ends early.
+pub struct Running(pub Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It may have ended long ago.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }
 
 /// A folder that is removed with the test, and paths in it.

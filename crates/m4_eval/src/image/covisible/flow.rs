@@ -21,7 +21,7 @@ pub fn seen_by_flow(forward: &Plane<[f32; 2]>, backward: &Plane<[f32; 2]>) -> Re
         let f = forward[(x, y)].map(f64::from);
         let b = bilinear(backward, x as f64 + f[0], y as f64 + f[1]);
         let apart = square([f[0] + b[0], f[1] + b[1]]);
-        // false for what is no number
+        // false for NaN
         if apart <= 0.01 * (square(f) + square(b)) + 0.5 {
             255
         } else {

@@ -26,7 +26,7 @@ pub fn too_few_frames(training_frames: usize) -> usize {
     (training_frames / 10).max(5)
 }
 
-/// How many training frames saw each pixel of a test image.
+/// Number of training frames that saw each pixel of a test image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CovisibleCounts {
     counts: Plane<u32>,
@@ -63,7 +63,7 @@ impl CovisibleCounts {
         self.frames
     }
 
-    /// How many saw each pixel, `[height][width]`.
+    /// Number of frames that saw each pixel, `[height][width]`.
     #[must_use]
     pub fn counts(&self) -> &Plane<u32> {
         &self.counts

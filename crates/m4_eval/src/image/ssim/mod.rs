@@ -12,7 +12,7 @@
 mod partial;
 mod window;
 
-use super::{ImageError, Picture, same_size};
+use super::{ImageError, PlanarImage, same_size};
 use m4_core::{Mask, Plane};
 use serde::{Deserialize, Serialize};
 use window::Window;
@@ -22,7 +22,7 @@ pub use window::{SSIM_SIGMA_PX, SSIM_WINDOW_PX};
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// How the structural similarity is made.
+/// Variants of structural similarity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SsimKind {
@@ -75,7 +75,7 @@ impl SsimKind {
 pub struct SsimMap {
     /// Entry `(x, y)` belongs to pixel `(x + border_px, y + border_px)`.
     pub map: Plane<f64>,
-    /// How many pixels at each border of the images have no entry.
+    /// Number of border pixels without an entry, per side.
     pub border_px: usize,
 }
 
@@ -108,7 +108,7 @@ impl SsimMap {
 /// # Errors
 ///
 /// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window fits.
-pub fn ssim_map(image: &Picture, reference: &Picture) -> Result<SsimMap, ImageError> {
+pub fn ssim_map(image: &PlanarImage, reference: &PlanarImage) -> Result<SsimMap, ImageError> {
     ssim_map_of(SsimKind::GaussianValid, image, reference, None)
 }
 
@@ -120,8 +120,8 @@ pub fn ssim_map(image: &Picture, reference: &Picture) -> Result<SsimMap, ImageEr
 /// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window fits.
 pub fn ssim_map_of(
     kind: SsimKind,
-    image: &Picture,
-    reference: &Picture,
+    image: &PlanarImage,
+    reference: &PlanarImage,
     mask: Option<&Mask>,
 ) -> Result<SsimMap, ImageError> {
     same_size("the image", reference.size(), image.size())?;
@@ -171,8 +171,8 @@ pub fn ssim_map_of(
 /// [`ImageError::Size`] if the sizes differ, [`ImageError::TooSmall`] if no window fits.
 pub fn ssim(
     kind: SsimKind,
-    image: &Picture,
-    reference: &Picture,
+    image: &PlanarImage,
+    reference: &PlanarImage,
     mask: Option<&Mask>,
 ) -> Result<Option<f64>, ImageError> {
     let map = ssim_map_of(kind, image, reference, mask)?;
@@ -186,16 +186,12 @@ pub fn ssim(
 #[cfg(test)]
 mod tests {
     use super::{SsimKind, ssim, ssim_map};
-    use crate::image::{ImageError, Picture};
+    use crate::image::planar::flat;
+    use crate::image::{ImageError, PlanarImage};
     use m4_core::Plane;
 
-    fn flat(width: usize, height: usize, value: f32) -> Picture {
-        let plane = vec![value; width * height];
-        Picture::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
-    }
-
     #[test]
-    fn ssim_of_flat_pictures_is_the_luminance_term() {
+    fn ssim_of_flat_images_is_the_luminance_term() {
         let (a, b) = (flat(15, 13, 0.2), flat(15, 13, 0.6));
         let map = ssim_map(&a, &b).unwrap();
         assert_eq!(map.map.size(), (5, 3));
@@ -217,8 +213,8 @@ mod tests {
             .collect();
         let b: Vec<f32> = a.iter().map(|v| 1.0 - v).collect();
         let (a, b) = (
-            Picture::from_planes(20, 20, [&a, &a, &a]).unwrap(),
-            Picture::from_planes(20, 20, [&b, &b, &b]).unwrap(),
+            PlanarImage::from_planes(20, 20, [&a, &a, &a]).unwrap(),
+            PlanarImage::from_planes(20, 20, [&b, &b, &b]).unwrap(),
         );
         // Alternating Gaussian sum of an 11 tap window with sd 1.5, squared: below 1e-4, so e is nothing.
         let got = ssim_map(&a, &b).unwrap().mean();
@@ -235,7 +231,7 @@ mod tests {
             Err(ImageError::TooSmall { .. })
         ));
         let (good, bad, short) = (vec![0.0; 4], vec![0.0, f32::NAN, 0.0, 0.0], vec![0.0; 3]);
-        let nan = Picture::from_planes(2, 2, [&good, &bad, &good]);
+        let nan = PlanarImage::from_planes(2, 2, [&good, &bad, &good]);
         assert!(matches!(
             nan,
             Err(ImageError::NotFinite {
@@ -246,7 +242,7 @@ mod tests {
             })
         ));
         assert!(matches!(
-            Picture::from_planes(2, 2, [&good, &good, &short]),
+            PlanarImage::from_planes(2, 2, [&good, &good, &short]),
             Err(ImageError::Length {
                 channel: 2,
                 found: 3,
@@ -260,8 +256,8 @@ mod tests {
         let a: Vec<f32> = (0..400).map(|i| (i * 7 % 23) as f32 / 23.0).collect();
         let b: Vec<f32> = (0..400).map(|i| (i * 5 % 19) as f32 / 19.0).collect();
         let (a, b) = (
-            Picture::from_planes(20, 20, [&a, &b, &a]).unwrap(),
-            Picture::from_planes(20, 20, [&b, &b, &a]).unwrap(),
+            PlanarImage::from_planes(20, 20, [&a, &b, &a]).unwrap(),
+            PlanarImage::from_planes(20, 20, [&b, &b, &a]).unwrap(),
         );
         let (all, none) = (Plane::filled(20, 20, 1), Plane::filled(20, 20, 0));
         let kinds = [

@@ -66,7 +66,7 @@ impl Window {
         &self.taps
     }
 
-    /// What variances are multiplied by.
+    /// Factor of variances.
     pub fn unbias(&self) -> f64 {
         self.unbias
     }

@@ -1,4 +1,4 @@
-//! On a made-up room, and on a benchmark scene where it is present: every misreading is told, and the truth is not accused.
+//! On a made-up room, and on a benchmark scene where it is present: every convention error is reported, and correct data is not.
 
 mod room;
 
@@ -23,7 +23,7 @@ fn misread(mut capture: Capture, wrong: &dyn Fn(&mut m4_core::Camera)) -> Captur
 }
 
 #[test]
-fn every_usual_misreading_is_told() {
+fn common_convention_errors_are_detected() {
     for (name, truth) in scenes() {
         println!("{name}");
         tell_all(truth);
@@ -131,7 +131,7 @@ fn tell_without_depth(mut truth: Capture) {
 }
 
 #[test]
-fn a_camera_that_rests_says_nothing() {
+fn static_camera_gives_no_verdict() {
     let mut still = room::room();
     still.frames = vec![still.frames[0].clone(); 8];
     let report = check(&still, &InverseSearch, &Silent).unwrap();

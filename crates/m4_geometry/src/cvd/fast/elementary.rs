@@ -47,7 +47,7 @@ mod tests {
     use super::{exp, ln};
 
     #[test]
-    fn they_are_those_of_the_standard_library() {
+    fn elementary_functions_match_the_standard_library() {
         for k in 0..200_000 {
             let x = 1e-4 * 1.000_12f64.powi(k % 150_000) as f32;
             let want = f64::from(x).ln();

@@ -6,7 +6,7 @@ use super::elementary::ln;
 use super::shape::Shape;
 use super::surface::{self, sum};
 use crate::cvd::Weights;
-use crate::cvd::reference::{DISPARITY, Lens, UNCERTAINTY, edge_weight};
+use crate::cvd::reference::{DISPARITY, Pinhole, UNCERTAINTY, edge_weight};
 
 /// The variables of a frame, their moments, and what the terms compare with. Planes are plain unless it says bordered.
 #[derive(Debug)]
@@ -52,7 +52,7 @@ pub(in crate::cvd) struct FrameState {
 /// Which variables move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::cvd) enum Moves {
-    /// A scale and a shift a frame.
+    /// A scale and a shift per frame.
     Affine,
     /// Every pixel.
     Pixels,
@@ -82,7 +82,7 @@ pub(super) struct Scratch {
 }
 
 impl Scratch {
-    pub fn new(shape: Shape, lens: &Lens<f64>) -> Self {
+    pub fn new(shape: Shape, lens: &Pinhole<f64>) -> Self {
         Self {
             surface: surface::Scratch::new(shape, lens),
             edges: edges::Scratch::default(),

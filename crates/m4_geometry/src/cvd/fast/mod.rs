@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Sources of a round share no target, rounds follow one another, a frame is one task, and sums are added in order: the bits
-//! do not depend on the number of threads. Beside the flow, memory is 16 planes of f32 a frame; nothing grows with the
+//! do not depend on the number of threads. Beside the flow, memory is 16 planes of f32 per frame; nothing grows with the
 //! number of pairs.
 
 mod adam;
@@ -23,7 +23,7 @@ pub(super) use frame::{FrameState, Moves};
 pub(super) use level::SimdLevel;
 
 use super::pairs::{CompactFlow, PairSource};
-use super::reference::Lens;
+use super::reference::Pinhole;
 use super::{PairError, Weights};
 use adam::Rate;
 use frame::{Frame, Scratch, Step};
@@ -49,7 +49,7 @@ pub(super) struct Descent<'a> {
 /// What threads work in, made once: fresh memory costs more than the work in it.
 struct Pool {
     shape: Shape,
-    lens: Lens<f64>,
+    lens: Pinhole<f64>,
     free: Mutex<Vec<Scratch>>,
 }
 
@@ -81,7 +81,7 @@ impl<'a> Descent<'a> {
     /// The caller has checked that everything fits together.
     pub fn new(
         level: SimdLevel,
-        lens: Lens<f64>,
+        lens: Pinhole<f64>,
         w2c: &[Se3<f64>],
         pairs: &'a dyn PairSource,
         starts: &[Start<'_>],

@@ -1,7 +1,7 @@
 //! How planes lie in memory.
 
 use crate::cvd::pairs::FramePair;
-use crate::cvd::reference::{Lens, relative};
+use crate::cvd::reference::{Pinhole, relative};
 use m4_core::{Se3, nalgebra::Matrix3};
 
 /// Columns left of the image in a bordered plane; what is right of it is at least as wide.
@@ -79,7 +79,7 @@ pub(super) struct Motion {
 }
 
 impl Motion {
-    pub fn new(lens: &Lens<f64>, w2c: &[Se3<f64>], pair: FramePair) -> Self {
+    pub fn new(lens: &Pinhole<f64>, w2c: &[Se3<f64>], pair: FramePair) -> Self {
         let step = relative(&w2c[pair.source], &w2c[pair.target]);
         let k = Matrix3::new(lens.fx, 0.0, lens.cx, 0.0, lens.fy, lens.cy, 0.0, 0.0, 1.0);
         let (x, y) = (1.0 / lens.fx, 1.0 / lens.fy);

@@ -2,7 +2,7 @@
 
 use super::shape::Shape;
 use crate::cvd::pairs::LANES;
-use crate::cvd::reference::{Lens, blur_weights, reflect};
+use crate::cvd::reference::{Pinhole, blur_weights, reflect};
 
 /// Planes and rows of one frame, used again and again.
 #[derive(Debug, Default)]
@@ -29,7 +29,7 @@ fn rays(n: usize, focal: f64, centre: f64, shift: f64) -> impl Iterator<Item = f
 }
 
 impl Scratch {
-    pub fn new(shape: Shape, lens: &Lens<f64>) -> Self {
+    pub fn new(shape: Shape, lens: &Pinhole<f64>) -> Self {
         let (w, h) = (shape.width, shape.height);
         Self {
             smooth: vec![0.0; shape.plain()],

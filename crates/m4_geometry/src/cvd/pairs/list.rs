@@ -41,7 +41,7 @@ mod tests {
     }
 
     #[test]
-    fn short_clips_have_the_pairs_that_there_are() {
+    fn short_clips_have_fewer_pairs() {
         assert!(pair_list(0).is_empty() && pair_list(1).is_empty());
         assert_eq!(pair_list(2), [FramePair { source: 0, target: 1 }]);
         // 2 of step 1, 1 of step 2

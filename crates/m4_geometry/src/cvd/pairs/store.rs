@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn what_exceeds_the_budget_is_in_the_file_and_the_same() {
+    fn pairs_beyond_the_budget_are_read_from_the_file() {
         let (all, some) = (fill(usize::MAX), fill(2 * fill(0).pair_bytes() + 7));
         assert_eq!((all.spilled_pairs(), some.spilled_pairs()), (0, 3));
         assert_eq!(some.memory_bytes(), 2 * some.pair_bytes());

@@ -50,9 +50,9 @@ impl<T: Real> Adam<T> {
 /// Where the descent went.
 #[derive(Debug, Clone)]
 pub struct Trajectory<T> {
-    /// Of the first stage, one a frame.
+    /// Of the first stage, one per frame.
     pub log_scale: Vec<T>,
-    /// Of the first stage, one a frame.
+    /// Of the first stage, one per frame.
     pub shift: Vec<T>,
     /// `[frames][height][width]`.
     pub disparity: Vec<T>,

@@ -28,7 +28,7 @@ pub const UNCERTAINTY: [f64; 2] = [1e-4, 1e3];
 
 /// A pinhole with whole pixel centres.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Lens<T> {
+pub struct Pinhole<T> {
     /// Horizontal focal length, pixels.
     pub fx: T,
     /// Vertical focal length, pixels.
@@ -49,8 +49,8 @@ pub struct Problem<T: Real> {
     /// Rows.
     pub height: usize,
     /// The camera at this size.
-    pub lens: Lens<T>,
-    /// World to camera, one a frame.
+    pub lens: Pinhole<T>,
+    /// World to camera, one per frame.
     pub w2c: Vec<Se3<T>>,
     /// Flow between frames.
     pub pairs: Vec<Pair<T>>,

@@ -1,6 +1,6 @@
 //! The term that keeps surfaces facing the way they did.
 
-use super::{DISPARITY, Lens, Problem, Term, clamp, within};
+use super::{DISPARITY, Pinhole, Problem, Term, clamp, within};
 use m4_core::{Real, nalgebra::Vector3};
 
 /// Of the Gaussian that smooths depth, pixels. MegaSaM: a 5x5 kernel of standard deviation 2.
@@ -48,7 +48,7 @@ struct Surface<T: Real> {
     normals: Vec<Vector3<T>>,
 }
 
-fn surface<T: Real>(width: usize, height: usize, lens: &Lens<T>, disparity: &[T]) -> Surface<T> {
+fn surface<T: Real>(width: usize, height: usize, lens: &Pinhole<T>, disparity: &[T]) -> Surface<T> {
     let n = width * height;
     let depth: Vec<T> = disparity.iter().map(|&d| T::one() / clamp(d, DISPARITY)).collect();
     let smooth = blur(width, height, &depth);
@@ -93,7 +93,7 @@ fn length<T: Real>(v: &Vector3<T>) -> T {
 
 /// Unit normals of one frame, `[height][width]`: cross products of the Sobel gradients of the smoothed depth's points.
 #[must_use]
-pub fn normals<T: Real>(width: usize, height: usize, lens: &Lens<T>, disparity: &[T]) -> Vec<Vector3<T>> {
+pub fn normals<T: Real>(width: usize, height: usize, lens: &Pinhole<T>, disparity: &[T]) -> Vec<Vector3<T>> {
     let normals = surface(width, height, lens, disparity).normals;
     normals.iter().map(|v| v / length(v)).collect()
 }

@@ -58,7 +58,7 @@ fn halved_flows_and_masks_are_those_of_the_original() {
 }
 
 #[test]
-fn what_is_not_a_number_does_not_count() {
+fn nan_pixels_are_ignored() {
     let mut there = FlowField {
         width: 4,
         height: 3,

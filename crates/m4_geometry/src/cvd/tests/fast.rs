@@ -169,7 +169,7 @@ fn eight_steps_of_both_stages_are_those_of_the_original() {
 }
 
 #[test]
-fn a_whole_descent_ends_where_the_definition_ends() {
+fn fast_descent_matches_the_reference() {
     let (store, problem) = compacted(usize::MAX);
     let u0 = Tensors::open("losses.safetensors").get("uncertainty");
     let settings = CvdSettings { steps: [30, 60] };
@@ -202,7 +202,7 @@ fn bits(threads: usize, budget: usize) -> Vec<u32> {
 }
 
 #[test]
-fn the_bits_do_not_depend_on_threads_or_on_where_the_flow_is_kept() {
+fn bits_are_independent_of_threads_and_flow_storage() {
     let want = bits(1, usize::MAX);
     for threads in [2, 3, 7] {
         assert!(bits(threads, usize::MAX) == want, "{threads} threads");

@@ -1,6 +1,6 @@
 //! `fixtures/cvd`, as the library has it.
 
-use crate::cvd::reference::{Lens, Pair, Problem};
+use crate::cvd::reference::{Pair, Pinhole, Problem};
 use m4_core::{
     Real, Se3,
     nalgebra::{Quaternion, UnitQuaternion, Vector3},
@@ -67,7 +67,7 @@ pub fn problem<T: Real>(file: &Tensors) -> Problem<T> {
     Problem {
         width: SIZE.0,
         height: SIZE.1,
-        lens: Lens {
+        lens: Pinhole {
             fx: T::of(k[0]),
             fy: T::of(k[4]),
             cx: T::of(k[2]),

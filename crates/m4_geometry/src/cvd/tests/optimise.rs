@@ -1,7 +1,7 @@
 //! The whole thing on a drawn scene: a wavy wall two metres away, seen by a camera that walks past.
 
 use crate::cvd::pairs::{FlowView, FramePair, PairStore, pair_list};
-use crate::cvd::{Consistent, CvdError, CvdInput, CvdSettings, PairError, optimise, uncertainty_of_static};
+use crate::cvd::{ConsistentDepth, CvdError, CvdInput, CvdSettings, PairError, optimise, uncertainty_of_static};
 use m4_core::{
     Cache, CounterRng, Intrinsics, NoCache, Plane, Progress, Se3, Silent,
     nalgebra::{Vector3, Vector6},
@@ -125,7 +125,7 @@ fn abs_rel(clip: &Clip, disparity: &[Plane<f32>], keep: impl Fn(usize) -> bool) 
     sum / count
 }
 
-fn found(clip: &Clip, settings: &CvdSettings) -> Consistent {
+fn found(clip: &Clip, settings: &CvdSettings) -> ConsistentDepth {
     optimise(&input(clip, &even()), &clip.pairs, settings, &Silent, &NoCache).unwrap()
 }
 
@@ -166,7 +166,7 @@ fn another_unit_of_length_changes_nothing_but_the_unit() {
 }
 
 #[test]
-fn what_moves_gets_a_low_u_and_leaves_the_rest_alone() {
+fn dynamic_pixels_get_low_u_and_static_depth_is_unchanged() {
     let moves = |p: usize| (18..32).contains(&(p % SIZE.0)) && (12..26).contains(&(p / SIZE.0));
     let clip = clip(1.0, moves);
     let found = found(&clip, &settings(100, 300));
@@ -182,14 +182,14 @@ fn what_moves_gets_a_low_u_and_leaves_the_rest_alone() {
     let (moving, still) = (mean(&moves), mean(&|p| !moves(p)));
     assert!(
         moving < 0.5 * still,
-        "u {moving} where it moves, {still} where it rests"
+        "u {moving} where it moves, {still} where it is static"
     );
     let rest = abs_rel(&clip, &found.disparity, |p| !moves(p));
     assert!(rest < 0.5 * abs_rel(&clip, &clip.start, |p| !moves(p)), "{rest}");
 }
 
 #[test]
-fn it_stops_when_asked_and_goes_on_to_the_same_bits() {
+fn optimisation_stops_and_resumes_to_identical_bits() {
     let clip = clip(1.0, |_| false);
     let u = even();
     let go = |progress: &dyn Progress, cache: &dyn Cache| {
@@ -266,7 +266,7 @@ fn broken_inputs_are_refused_with_a_reason() {
 }
 
 #[test]
-fn u_starts_low_where_something_moves() {
+fn u_starts_low_in_dynamic_regions() {
     let at = [1.0, 0.5, 0.2, 1e-9, 0.0, f32::NAN].map(uncertainty_of_static);
     assert_eq!(at, [0.5, 0.5, 0.2, 1e-3, 1e-3, 1e-3]);
 }

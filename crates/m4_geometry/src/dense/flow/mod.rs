@@ -7,7 +7,7 @@ mod variational;
 
 use super::working::WorkingFrame;
 use pyramid::Pyramid;
-pub use source::{FlowError, FlowPicture, FlowSource, InverseSearch};
+pub use source::{FlowError, FlowImage, FlowSource, InverseSearch};
 
 /// Displacement a pixel, pixels.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -99,10 +99,10 @@ impl FlowPair {
         b: &WorkingFrame,
         source: &dyn FlowSource,
     ) -> Result<Self, FlowError> {
-        Self::between(&a.picture(), &b.picture(), source)
+        Self::between(&a.flow_image(), &b.flow_image(), source)
     }
 
-    pub fn between(a: &FlowPicture<'_>, b: &FlowPicture<'_>, source: &dyn FlowSource) -> Result<Self, FlowError> {
+    pub fn between(a: &FlowImage<'_>, b: &FlowImage<'_>, source: &dyn FlowSource) -> Result<Self, FlowError> {
         let (forward, backward) = source.both(a, b)?;
         let expected = (a.width, a.height);
         for flow in [&forward, &backward] {
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_pictures_do_not_move() {
+    fn flow_of_flat_images_is_zero() {
         let flat = Pyramid::new(W, H, &vec![77.0; W * H]);
         let found = flow(&flat, &flat);
         assert!(found.u.iter().chain(&found.v).all(|v| v.abs() < 1e-3));

@@ -5,7 +5,7 @@ use super::{Flow, flow};
 
 /// One image, as a source of flow sees it.
 #[derive(Debug, Clone, Copy)]
-pub struct FlowPicture<'a> {
+pub struct FlowImage<'a> {
     /// Columns.
     pub width: usize,
     /// Rows.
@@ -50,7 +50,7 @@ pub trait FlowSource: Sync {
     /// # Errors
     ///
     /// [`FlowError`] where the source fails.
-    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError>;
+    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError>;
 }
 
 /// Inverse search with variational refinement (Kroeger et al. 2016): no weights, and the default.
@@ -62,8 +62,8 @@ impl FlowSource for InverseSearch {
         "classical"
     }
 
-    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
-        let pyramid = |p: &FlowPicture<'_>| Pyramid::new(p.width, p.height, p.grey);
+    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
+        let pyramid = |p: &FlowImage<'_>| Pyramid::new(p.width, p.height, p.grey);
         let (a, b) = (pyramid(a), pyramid(b));
         Ok((flow(&a, &b), flow(&b, &a)))
     }

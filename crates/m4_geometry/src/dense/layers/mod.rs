@@ -6,7 +6,7 @@
 //! it surely occludes by [`STEP`] more, and static occluders lie in front of all of them.
 //!
 //! ```text
-//! masks, flow -> bodies::tracklet: regions through time
+//! masks, flow -> rigid_objects::tracklet: regions through time
 //!             -> order: which of two regions that touch is in front
 //!             -> occluders: static pixels in front of dynamic regions
 //! ```
@@ -17,8 +17,8 @@ mod order;
 #[cfg(test)]
 mod tests;
 
-use super::bodies::{Clip, Tracklet, follow};
 use super::components::Components;
+use super::rigid_objects::{Clip, Tracklet, follow};
 use super::shot::Shot;
 use m4_core::Camera;
 use occluders::Occluders;
@@ -46,7 +46,7 @@ pub(super) fn sphere(camera: &Camera) -> Vec<f32> {
 }
 
 /// Disparity of every pixel of every frame, `[height][width]` each. `clip.background` is [`sphere`] of each camera, `shots` have the
-/// colours, and a flow whose round trip misses by more than [`super::bodies::ROUND_TRIP_PX`] saw an occlusion.
+/// colours, and a flow whose round trip misses by more than [`super::rigid_objects::ROUND_TRIP_PX`] saw an occlusion.
 pub(super) fn place(clip: &Clip<'_>, shots: &[Shot]) -> Vec<Vec<f32>> {
     let (w, h) = (clip.width, clip.height);
     let tracklets = follow(clip);

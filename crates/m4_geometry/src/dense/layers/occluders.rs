@@ -1,19 +1,19 @@
 //! Static pixels that occlude dynamic regions: where a mask ends at the same place for many frames while what is inside it moves
 //! across that edge, it is cut off by something static in front of it.
 
-use super::super::bodies::{Clip, ROUND_TRIP_PX};
 use super::super::pair::Pair;
+use super::super::rigid_objects::{Clip, ROUND_TRIP_PX};
 use super::super::shot::Shot;
 use super::super::smooth::Smoother;
 use m4_core::{Camera, Intrinsics};
 
 /// Frames that the colours of the canvas are the median of, spread over the clip.
 const SAMPLES: usize = 25;
-/// Least motion across an edge that counts, pixels a frame: above the noise of the flow.
+/// Least motion across an edge that counts, pixels per frame: above the noise of the flow.
 const LEAST_STEP_PX: f32 = 0.5;
 /// Most motion that one frame may contribute, pixels: one frame with a wrong flow is no evidence.
 const MOST_STEP_PX: f32 = 2.0;
-/// Motion across an edge, all frames together, from which on it cuts off what moves, in image widths.
+/// Motion across an edge, all frames together, from which on it cuts off a dynamic region, in image widths.
 const LEAST_TRAVEL: f32 = 0.02;
 /// How deep inside a mask the flow is read: at its very edge it is a mixture.
 const DEPTH_PX: isize = 3;

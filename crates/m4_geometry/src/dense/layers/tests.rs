@@ -1,7 +1,7 @@
-//! Two blocks that pass each other behind a pole, before a wall, seen by a camera that stands still or pans.
+//! Two blocks that pass each other behind a pole, before a wall, seen by a static or panning camera.
 
-use super::super::bodies::Clip;
 use super::super::flow::{Flow, FlowPair};
+use super::super::rigid_objects::Clip;
 use super::super::shot::{Shot, quantile};
 use super::super::sweep::Range;
 use super::super::working::WorkingFrame;
@@ -38,7 +38,7 @@ fn thing(x: isize, y: usize, t: usize) -> Thing {
     }
 }
 
-/// Columns that a thing moves in a frame.
+/// Columns that a thing moves per frame.
 fn velocity(thing: Thing) -> isize {
     match thing {
         Thing::Wall | Thing::Pole => 0,
@@ -170,7 +170,7 @@ fn layers_follow_occlusion() {
 }
 
 #[test]
-fn the_background_is_one_surface_for_a_camera_that_turns() {
+fn turning_camera_sees_one_background_surface() {
     let camera = Camera {
         intrinsics: Intrinsics::centred(W, H, 90.0),
         c2w: Se3::identity(),

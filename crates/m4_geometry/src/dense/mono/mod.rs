@@ -1,7 +1,7 @@
 //! The seam between dense geometry and whatever knows depth from one image: a sensor, a network, nothing.
 //!
 //! ```text
-//! MonoDepth (source) --> a plane of disparities a frame, NaN where unknown (working)
+//! MonoDepth (source) --> a plane of disparities per frame, NaN where unknown (working)
 //!    metric: taken as it is, and as what was measured
 //!    else:   aligned to what stereo over time measured (align) --> where nothing was measured, and where something moves
 //! ```

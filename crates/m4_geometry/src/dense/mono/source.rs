@@ -8,9 +8,9 @@ use std::borrow::Cow;
 pub enum MonoKind {
     /// z-depth in the unit of the cameras; 0, or not finite, where unknown.
     Metric,
-    /// z-depth up to one factor a frame; 0, or not finite, where unknown.
+    /// z-depth up to one factor per frame; 0, or not finite, where unknown.
     UpToScale,
-    /// One over z-depth up to a factor above 0 and a shift a frame; not finite where unknown.
+    /// One over z-depth up to a factor above 0 and a shift per frame; not finite where unknown.
     AffineDisparity,
 }
 
@@ -52,12 +52,12 @@ pub trait MonoDepth: Send + Sync {
         None
     }
 
-    /// Depth of frame `frame`, which is `picture`; `None` where nothing is known of it. All maps of a clip are of one kind.
+    /// Depth of frame `frame`, which is `image`; `None` where it is unknown. All maps of a clip are of one kind.
     ///
     /// # Errors
     ///
     /// [`MonoError`] where the source fails.
-    fn depth(&self, frame: usize, picture: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError>;
+    fn depth(&self, frame: usize, image: &RgbImage) -> Result<Option<MonoMap<'_>>, MonoError>;
 }
 
 /// Knows nothing.
@@ -74,10 +74,10 @@ impl MonoDepth for NoDepth {
     }
 }
 
-/// What a sensor measured: a plane a frame, z-depth in the unit of the cameras, 0 where unknown.
+/// What a sensor measured: a plane per frame, z-depth in the unit of the cameras, 0 where unknown.
 #[derive(Debug, Clone)]
 pub struct SensorDepth {
-    /// One a frame.
+    /// One per frame.
     pub maps: Vec<DepthMap>,
 }
 

@@ -43,12 +43,8 @@ impl MonoDepth for Synthetic {
 }
 
 fn mono(source: &dyn MonoDepth) -> Mono {
-    let picture = Plane::filled(2 * W, 2 * H, [0; 3]);
-    Mono::of(
-        (0..2)
-            .map(|i| Mono::read(source, i, &picture, (W, H)).unwrap())
-            .collect(),
-    )
+    let image = Plane::filled(2 * W, 2 * H, [0; 3]);
+    Mono::of((0..2).map(|i| Mono::read(source, i, &image, (W, H)).unwrap()).collect())
 }
 
 fn moving() -> Vec<u8> {
@@ -140,7 +136,7 @@ fn metric_depth_is_taken_as_it_is() {
 }
 
 #[test]
-fn where_nothing_can_be_measured_relief_is_kept_at_distance_one() {
+fn without_parallax_relief_is_kept_at_distance_one() {
     let out = mono(&Synthetic(MonoKind::UpToScale)).without_parallax(1, vec![1.0; W * H]);
     let (a, b) = (5 * W + 7, 25 * W + 7);
     assert!((out[b] / out[a] / (disparity(b) / disparity(a)) - 1.0).abs() < 1e-5);
@@ -153,7 +149,7 @@ fn where_nothing_can_be_measured_relief_is_kept_at_distance_one() {
 }
 
 #[test]
-fn relief_that_is_inside_out_is_not_used() {
+fn inverted_relief_is_not_used() {
     struct Sloped(f32);
     impl MonoDepth for Sloped {
         fn name(&self) -> &'static str {

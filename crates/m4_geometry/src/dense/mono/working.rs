@@ -2,8 +2,8 @@
 
 use super::align::Fit;
 use super::{MonoDepth, MonoError, MonoKind};
-use crate::dense::given::nearest;
 use crate::dense::static_depth::Measured;
+use crate::dense::user_masks::nearest;
 use m4_core::RgbImage;
 
 /// What stands for an aligned disparity against one on which all partners agree, where nothing was measured.
@@ -11,8 +11,8 @@ const PRIOR_WEIGHT: f32 = 0.3;
 /// Confidence from which on a measured disparity takes part in an alignment.
 const SURE: f32 = 0.5;
 
-/// One frame.
-struct Known {
+/// Monocular depth of one frame.
+struct FrameDepth {
     kind: MonoKind,
     /// `[height][width]`: one over depth for the kinds of depth, else as given; NaN where unknown.
     values: Vec<f32>,
@@ -20,7 +20,7 @@ struct Known {
 
 /// Depth of all frames from one image each, at the working size.
 pub(in crate::dense) struct Mono {
-    frames: Vec<Option<Known>>,
+    frames: Vec<Option<FrameDepth>>,
 }
 
 impl Mono {
@@ -28,10 +28,10 @@ impl Mono {
     pub fn read(
         source: &dyn MonoDepth,
         frame: usize,
-        picture: &RgbImage,
+        image: &RgbImage,
         (width, height): (usize, usize),
     ) -> Result<Read, MonoError> {
-        let Some(map) = source.depth(frame, picture)? else {
+        let Some(map) = source.depth(frame, image)? else {
             return Ok(Read(None));
         };
         let (w, h) = map.values.size();
@@ -47,7 +47,7 @@ impl Mono {
                 _ => f32::NAN,
             }
         };
-        Ok(Read(Some(Known {
+        Ok(Read(Some(FrameDepth {
             kind: map.kind,
             values: (0..width * height).map(value).collect(),
         })))
@@ -121,7 +121,7 @@ impl Mono {
         out
     }
 
-    /// Gives what moves its own depth, in front of what is behind it.
+    /// Gives dynamic regions their own depth, in front of the background.
     pub fn place_moving(
         &self,
         i: usize,
@@ -163,4 +163,4 @@ impl Mono {
 }
 
 /// A frame's map, read.
-pub(in crate::dense) struct Read(Option<Known>);
+pub(in crate::dense) struct Read(Option<FrameDepth>);

@@ -4,7 +4,7 @@
 //! coarse mask --parts--> prompt (box, points, belief) --Segmenter--> mask, quality --plausible?--> sharp mask
 //! ```
 //!
-//! Motion finds what moves but not its outline: flow is smooth across edges, a plate is of the colours of its neighbours, and what lies
+//! Motion finds dynamic regions but not their outline: flow is smooth across edges, a background model has the colours of the neighbours, and what lies
 //! still between two legs looks like the legs. A network that knows what things look like has the outline but does not know
 //! what moves. Prompts as in Kirillov et al., "Segment Anything" (2023): a box, points and the logits of an earlier mask.
 //! What prompts contain and which answers are taken was measured with MobileSAM: docs/geometry.md.

@@ -74,7 +74,7 @@ mod tests {
     use super::prompt;
 
     #[test]
-    fn a_prompt_says_where_the_part_is_and_where_it_is_sure() {
+    fn prompts_hold_the_box_and_confident_points() {
         let (w, h) = (40, 30);
         // A bar of 24 x 6 pixels.
         let part = |p: usize| (8..32).contains(&(p % w)) && (10..16).contains(&(p / w));

@@ -141,7 +141,7 @@ mod tests {
     const UNSURE: (i32, i32) = (14, 38);
 
     /// Two discs, one of them dull; a large thing on the right; ground.
-    fn picture() -> RgbImage {
+    fn two_discs() -> RgbImage {
         image(8, 90)
     }
 
@@ -173,8 +173,8 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_is_taken_and_what_does_not_is_left() {
-        let found = sharpen(&Colours, &picture(), SIZE, &coarse()).unwrap();
+    fn fitting_masks_are_taken_and_others_ignored() {
+        let found = sharpen(&Colours, &two_discs(), SIZE, &coarse()).unwrap();
         for (p, &m) in found.iter().enumerate() {
             let (x, y) = (p % SIZE.0, p / SIZE.0);
             let wanted = disc(x, y, GOOD, 8) || disc(x, y, LARGE, 5) || disc(x, y, UNSURE, 5) || (x, y) == (60, 2);
@@ -195,12 +195,12 @@ mod tests {
         let left = (GOOD.0 as usize - 8, GOOD.1 as usize);
         let shifted = |by: i32| drawn(|x, y| disc(x, y, (GOOD.0 + by, GOOD.1), 8));
         // Intersection over union: about 0.7 and 0.5.
-        assert!(taken(&picture(), &shifted(2), left));
-        assert!(!taken(&picture(), &shifted(4), left));
+        assert!(taken(&two_discs(), &shifted(2), left));
+        assert!(!taken(&two_discs(), &shifted(4), left));
         // The large thing: 0.05, then 0.98.
         let corner = (SIZE.0 - 1, SIZE.1 - 1);
-        assert!(!taken(&picture(), &drawn(|x, y| disc(x, y, LARGE, 5)), corner));
-        assert!(taken(&picture(), &drawn(|x, y| x >= 30 && y < SIZE.1 - 1), corner));
+        assert!(!taken(&two_discs(), &drawn(|x, y| disc(x, y, LARGE, 5)), corner));
+        assert!(taken(&two_discs(), &drawn(|x, y| x >= 30 && y < SIZE.1 - 1), corner));
     }
 
     #[test]
@@ -224,7 +224,7 @@ mod tests {
 
     #[test]
     fn answers_that_do_not_fit_are_errors() {
-        let of = |wrong| sharpen(&wrong, &picture(), SIZE, &coarse()).unwrap_err();
+        let of = |wrong| sharpen(&wrong, &two_discs(), SIZE, &coarse()).unwrap_err();
         assert!(matches!(
             of(Wrong(2, 64 * 48)),
             SegmentError::Count { found: 2, expected: 3 }
@@ -236,7 +236,7 @@ mod tests {
     fn the_same_for_any_number_of_threads() {
         let all = |threads: usize| {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let one = |_| sharpen(&Colours, &picture(), SIZE, &coarse()).unwrap();
+            let one = |_| sharpen(&Colours, &two_discs(), SIZE, &coarse()).unwrap();
             pool.install(|| (0..6).into_par_iter().map(one).collect::<Vec<_>>())
         };
         assert_eq!(all(1), all(3));

@@ -10,13 +10,13 @@
 //! flow is old; the rule when to believe a segmenter is that of `dense::segment`.
 
 mod ask;
-mod picture;
+mod scaled_frame;
 mod session;
 mod warp;
 
-pub(super) use picture::Picture;
+pub(super) use scaled_frame::ScaledFrame;
 
-use super::clip::Clip;
+use super::frame_source::FrameSource;
 use super::source::{VideoError, VideoSegmenter, VideoSession};
 use crate::dense::{FlowSource, Segmenter};
 
@@ -48,7 +48,11 @@ impl VideoSegmenter for FlowFollower<'_> {
         false
     }
 
-    fn open<'b>(&'b self, clip: &'b dyn Clip, size: (usize, usize)) -> Result<Box<dyn VideoSession + 'b>, VideoError> {
+    fn open<'b>(
+        &'b self,
+        clip: &'b dyn FrameSource,
+        size: (usize, usize),
+    ) -> Result<Box<dyn VideoSession + 'b>, VideoError> {
         Ok(Box::new(session::Session::new(self, clip, size)))
     }
 }

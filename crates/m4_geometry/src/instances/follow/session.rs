@@ -1,10 +1,10 @@
 //! The state of one clip.
 
-use super::super::clip::Clip;
-use super::super::source::{ObjectId, ObjectMask, ObjectPrompt, Sight, VideoError, VideoSession};
+use super::super::frame_source::FrameSource;
+use super::super::source::{ObjectId, ObjectMask, ObjectPrompt, VideoError, VideoSession, Visibility};
 use super::FlowFollower;
 use super::ask::{self, Trusted};
-use super::picture::{Picture, read};
+use super::scaled_frame::{ScaledFrame, read};
 use super::warp::{Step, carry, snap};
 use crate::dense::{FlowPair, SegmentPrompt, working_size};
 use m4_core::{CompactMask, Progress};
@@ -17,18 +17,18 @@ const FLOW_SIDE_PX: usize = 480;
 /// Steps whose flow is measured at once.
 const AHEAD: usize = 8;
 
-/// What is known of a thing: where it was pointed at, and how far it was followed either way. `None` in place of a mask: lost there.
+/// The prompts of an object, and how far it was tracked in either direction. `None` in place of a mask: lost there.
 #[derive(Default)]
-struct Known {
-    told: BTreeMap<usize, CompactMask>,
+struct MaskHistory {
+    prompted: BTreeMap<usize, CompactMask>,
     forward: Option<(usize, Option<CompactMask>)>,
     backward: Option<(usize, Option<CompactMask>)>,
 }
 
-impl Known {
+impl MaskHistory {
     fn at(&self, frame: usize, later: bool) -> Option<Option<CompactMask>> {
         let reached = if later { &self.forward } else { &self.backward };
-        match (self.told.get(&frame), reached) {
+        match (self.prompted.get(&frame), reached) {
             (Some(mask), _) => Some(Some(mask.clone())),
             (None, Some((at, mask))) if *at == frame => Some(mask.clone()),
             _ => None,
@@ -38,13 +38,13 @@ impl Known {
 
 pub struct Session<'a> {
     follower: &'a FlowFollower<'a>,
-    clip: &'a dyn Clip,
+    clip: &'a dyn FrameSource,
     size: (usize, usize),
-    known: BTreeMap<ObjectId, Known>,
+    known: BTreeMap<ObjectId, MaskHistory>,
 }
 
 impl<'a> Session<'a> {
-    pub fn new(follower: &'a FlowFollower<'a>, clip: &'a dyn Clip, size: (usize, usize)) -> Self {
+    pub fn new(follower: &'a FlowFollower<'a>, clip: &'a dyn FrameSource, size: (usize, usize)) -> Self {
         Self {
             follower,
             clip,
@@ -54,19 +54,19 @@ impl<'a> Session<'a> {
     }
 
     /// Flow of steps from each of `frames` to the next of them, and the images they lead to at the size of masks.
-    fn steps(&self, frames: &[usize]) -> Result<Vec<(Step, Picture)>, VideoError> {
+    fn steps(&self, frames: &[usize]) -> Result<Vec<(Step, ScaledFrame)>, VideoError> {
         let flow_size = working_size(self.size.0, self.size.1, FLOW_SIDE_PX);
-        let small: Vec<Picture> = frames
+        let small: Vec<ScaledFrame> = frames
             .par_iter()
-            .map(|&frame| Picture::of(self.clip, frame, flow_size))
+            .map(|&frame| ScaledFrame::of(self.clip, frame, flow_size))
             .collect::<Result<_, _>>()?;
         let one = |k: usize| {
-            let pair = FlowPair::between(&small[k].for_flow(), &small[k + 1].for_flow(), self.follower.flow);
+            let pair = FlowPair::between(&small[k].flow_image(), &small[k + 1].flow_image(), self.follower.flow);
             let pair = pair.map_err(|source| VideoError::Flow {
                 between: (frames[k], frames[k + 1]),
                 source,
             })?;
-            let onto = Picture::of(self.clip, frames[k + 1], self.size)?;
+            let onto = ScaledFrame::of(self.clip, frames[k + 1], self.size)?;
             Ok((Step::new(pair, self.size), onto))
         };
         (0..frames.len().saturating_sub(1)).into_par_iter().map(one).collect()
@@ -78,7 +78,7 @@ impl<'a> Session<'a> {
         masks: &[Option<CompactMask>],
         frame: usize,
         step: &Step,
-        onto: &Picture,
+        onto: &ScaledFrame,
     ) -> Result<Vec<Option<Trusted>>, VideoError> {
         let carried: Vec<Option<CompactMask>> =
             masks.par_iter().map(|mask| carry(mask.as_ref()?, step, onto)).collect();
@@ -112,7 +112,7 @@ impl<'a> Session<'a> {
                 let (x, y) = (x as f32 + 0.5, y as f32 + 0.5);
                 x >= x0 && x <= x1 && y >= y0 && y <= y1
             }),
-            // A point is a thing of a pixel: which thing, nobody here can tell.
+            // A point is a thing of a pixel: which thing, is unknown here.
             (None, None) => CompactMask::from_fn(w, h, |x, y| {
                 prompt.on_px.iter().any(|p| p[0] as usize == x && p[1] as usize == y)
             }),
@@ -120,7 +120,7 @@ impl<'a> Session<'a> {
     }
 
     /// A prompt as a segmenter of images takes it: it has a box and a belief, too.
-    fn for_picture(&self, prompt: &ObjectPrompt) -> SegmentPrompt {
+    fn for_image(&self, prompt: &ObjectPrompt) -> SegmentPrompt {
         let described = self.described(prompt);
         let (w, h) = self.size;
         let somewhere = if described.count() > 0 {
@@ -152,16 +152,16 @@ impl VideoSession for Session<'_> {
         let image = read(self.clip, frame)?;
         let answers: Vec<(CompactMask, Option<f32>)> = match self.follower.segmenter {
             Some(segmenter) => {
-                let asked: Vec<SegmentPrompt> = prompts.par_iter().map(|p| self.for_picture(p)).collect();
+                let asked: Vec<SegmentPrompt> = prompts.par_iter().map(|p| self.for_image(p)).collect();
                 let found = ask::masks(segmenter, &image, self.size, &asked)
                     .map_err(|source| VideoError::Segment { frame, source })?;
                 let mask = |m: &crate::dense::SegmentMask| (ask::above(&m.logits, self.size), Some(m.quality));
                 found.iter().map(mask).collect()
             }
             None => {
-                let picture = Picture::from_image(image.as_ref(), self.size);
+                let scaled = ScaledFrame::from_image(image.as_ref(), self.size);
                 let of = |p: &ObjectPrompt| match p.belief {
-                    Some(_) => (snap(&self.described(p), &picture), None),
+                    Some(_) => (snap(&self.described(p), &scaled), None),
                     None => (self.described(p), None),
                 };
                 prompts.par_iter().map(of).collect()
@@ -170,10 +170,14 @@ impl VideoSession for Session<'_> {
         let mut out = Vec::with_capacity(prompts.len());
         for (prompt, (mask, quality)) in prompts.iter().zip(answers) {
             let known = self.known.entry(prompt.object).or_default();
-            known.told.insert(frame, mask.clone());
+            known.prompted.insert(frame, mask.clone());
             out.push(ObjectMask {
                 object: prompt.object,
-                sight: if mask.count() > 0 { Sight::Seen } else { Sight::Hidden },
+                visibility: if mask.count() > 0 {
+                    Visibility::Visible
+                } else {
+                    Visibility::Occluded
+                },
                 mask,
                 quality,
             });
@@ -193,7 +197,11 @@ impl VideoSession for Session<'_> {
                 expected: self.size,
             });
         }
-        self.known.entry(object).or_default().told.insert(frame, mask.clone());
+        self.known
+            .entry(object)
+            .or_default()
+            .prompted
+            .insert(frame, mask.clone());
         Ok(())
     }
 
@@ -236,11 +244,11 @@ impl VideoSession for Session<'_> {
             }
             // Nobody is left: every frame gets empty masks, without flow.
             let part = &way[k..way.len().min(k + AHEAD + 1)];
-            let told = |object: &ObjectId| {
-                let told = self.known.get(object).map(|known| &known.told);
-                told.is_some_and(|told| part.iter().any(|frame| told.contains_key(frame)))
+            let prompted = |object: &ObjectId| {
+                let prompted = self.known.get(object).map(|known| &known.prompted);
+                prompted.is_some_and(|prompted| part.iter().any(|frame| prompted.contains_key(frame)))
             };
-            let gone = masks.iter().all(Option::is_none) && !objects.iter().any(told);
+            let gone = masks.iter().all(Option::is_none) && !objects.iter().any(prompted);
             let steps = if gone { Vec::new() } else { self.steps(part)? };
             for (j, &frame) in part.iter().enumerate().skip(1) {
                 if progress.cancelled() {
@@ -250,13 +258,13 @@ impl VideoSession for Session<'_> {
                     Some((step, onto)) => self.stepped(&masks, frame, step, onto)?,
                     None => vec![None; masks.len()],
                 };
-                let (told, size) = (&self.known, self.size);
+                let (prompted, size) = (&self.known, self.size);
                 let found: Vec<Option<Trusted>> = found
                     .into_iter()
                     .zip(objects)
                     // What was said of a frame outranks what is found there.
                     .map(
-                        |(found, object)| match told.get(object).and_then(|k| k.told.get(&frame)) {
+                        |(found, object)| match prompted.get(object).and_then(|k| k.prompted.get(&frame)) {
                             Some(mask) => Some((mask.clone(), None)),
                             None => found,
                         },
@@ -268,9 +276,9 @@ impl VideoSession for Session<'_> {
                         object,
                         mask,
                         quality,
-                        sight: Sight::Seen,
+                        visibility: Visibility::Visible,
                     },
-                    None => ObjectMask::unseen(object, size, Sight::Lost),
+                    None => ObjectMask::unseen(object, size, Visibility::Lost),
                 });
                 at = frame;
                 if sink(frame, shown.collect()).is_break() {

@@ -1,6 +1,6 @@
 //! A mask carried to the next frame along the flow, and sharpened there along the edges of the frame.
 
-use super::picture::Picture;
+use super::scaled_frame::ScaledFrame;
 use crate::dense::{Flow, FlowPair, Smoother, bilinear, round_trip_px, to_outside};
 use m4_core::CompactMask;
 
@@ -53,7 +53,7 @@ impl Step {
     }
 }
 
-/// Weight of what nobody vouches for: its neighbours of the same colour decide.
+/// Weight of pixels without support: its neighbours of the same colour decide.
 const UNKNOWN: f32 = 1e-6;
 
 /// Share of 0 to 1 by which a pixel counts whose way there and back misses by `miss_px`. It falls fast: what comes out from behind a thing fetches
@@ -64,7 +64,7 @@ fn trust(miss_px: f32) -> f32 {
 }
 
 /// A coarse mask with its edge moved to an edge of the image: pixels count the less the nearer they are to where the mask ends.
-pub fn snap(mask: &CompactMask, picture: &Picture) -> CompactMask {
+pub fn snap(mask: &CompactMask, image: &ScaledFrame) -> CompactMask {
     let (w, h) = mask.size();
     let inside = |p: usize| mask.at(p % w, p / w);
     let inner = to_outside(w, h, inside);
@@ -72,13 +72,13 @@ pub fn snap(mask: &CompactMask, picture: &Picture) -> CompactMask {
     let value: Vec<f32> = (0..w * h).map(|p| if inside(p) { 1.0 } else { -1.0 }).collect();
     let sure = |(i, o): (&f32, &f32)| (i.max(*o) / RIM_PX).min(1.0).powi(2).max(UNKNOWN);
     let weight: Vec<f32> = inner.iter().zip(&outer).map(sure).collect();
-    let smoother = Smoother::new(w, h, &picture.rgb, EDGE_SIGMA);
+    let smoother = Smoother::new(w, h, &image.rgb, EDGE_SIGMA);
     let found = smoother.fill(&value, &weight, SMOOTH_LAMBDA).0;
     CompactMask::from_fn(w, h, |x, y| found[y * w + x] > 0.0)
 }
 
 /// The mask in the other frame, whose image is `onto`; `None` where too little of the thing arrives.
-pub fn carry(mask: &CompactMask, step: &Step, onto: &Picture) -> Option<CompactMask> {
+pub fn carry(mask: &CompactMask, step: &Step, onto: &ScaledFrame) -> Option<CompactMask> {
     let (w, h) = mask.size();
     let (mut area, mut arrives) = (0.0f32, 0.0f32);
     let mut ends: Option<[usize; 4]> = None;

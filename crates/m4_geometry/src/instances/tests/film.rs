@@ -10,7 +10,7 @@ pub const FRAMES: usize = 30;
 /// From where on the coarse masks show the late thing, and from where on the images do.
 pub const LATE_COARSE: usize = 9;
 pub const LATE_SEEN: usize = 5;
-/// The thing that rests is in the coarse masks of the first frames.
+/// The static thing is in the coarse masks of the first frames.
 pub const REST_COARSE: usize = 1;
 /// What is in the coarse mask of this frame only.
 pub const FLICKER: usize = 20;
@@ -40,7 +40,7 @@ fn block(x: usize, y: usize, at: (f32, f32), half: f32) -> bool {
     (x as f32 - at.0).abs() < half && (y as f32 - at.1).abs() < half
 }
 
-/// 1 the walker, 2 what comes late, 3 what leaves, 4 what rests, 0 the background.
+/// 1 the walker, 2 what comes late, 3 what leaves, 4 the static thing, 0 the background.
 pub fn thing_at(x: usize, y: usize, i: usize) -> u8 {
     if disc(x, y, walker(i), 14.0) {
         1
@@ -66,7 +66,7 @@ fn pattern(x: f32, y: f32) -> f32 {
 }
 
 /// The image: each thing in a hue of its own and with a pattern that goes along.
-pub fn picture(i: usize) -> RgbImage {
+pub fn image(i: usize) -> RgbImage {
     Plane::from_fn(SIZE.0, SIZE.1, |x, y| {
         let with =
             |at: (f32, f32)| (60.0 + 90.0 * pattern(1.4 * (x as f32 - at.0) + 300.0, 1.4 * (y as f32 - at.1))) as u8;
@@ -83,15 +83,15 @@ pub fn picture(i: usize) -> RgbImage {
     })
 }
 
-pub fn pictures() -> Vec<RgbImage> {
-    (0..FRAMES).map(picture).collect()
+pub fn images() -> Vec<RgbImage> {
+    (0..FRAMES).map(image).collect()
 }
 
 pub fn truth(i: usize) -> CompactMask {
     CompactMask::from_fn(SIZE.0, SIZE.1, |x, y| (1..=3).contains(&thing_at(x, y, i)))
 }
 
-/// Whether the coarse mask has the pixel: things too wide and shifted, what rests for a moment, and a ghost.
+/// Whether the coarse mask has the pixel: things too wide and shifted, the static thing for a moment, and a ghost.
 fn coarse_at(x: usize, y: usize, i: usize) -> bool {
     let moved = |at: (f32, f32)| (at.0 + 3.0, at.1 + 2.0);
     disc(x, y, moved(walker(i)), 16.0)

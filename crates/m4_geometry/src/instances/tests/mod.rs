@@ -26,12 +26,12 @@ fn run_with(
     settings: &RefineSettings,
     progress: &dyn Progress,
 ) -> Result<Refined, InstanceError> {
-    let pictures = film::pictures();
-    let clip: Vec<&RgbImage> = pictures.iter().collect();
+    let images = film::images();
+    let clip: Vec<&RgbImage> = images.iter().collect();
     let flow = InverseSearch;
     let follower = FlowFollower::new(&flow, segmenter);
     let input = RefineInput {
-        clip: &Pictures(&clip),
+        clip: &ImageList(&clip),
         coarse,
         flow: Some(&flow),
     };
@@ -76,7 +76,7 @@ fn check_things(found: &Refined, better_than: f64) {
         panic!("{:#?}", record(leaver));
     };
     assert!((10..17).contains(&frame), "{frame}");
-    // What rests was taken for moving at first, the ghost for a moment.
+    // The static thing was taken for dynamic at first, the ghost for a moment.
     let reasons: Vec<&Rejection> = found.report.rejected.iter().map(|r| &r.reason).collect();
     assert!(
         reasons
@@ -109,7 +109,7 @@ fn things_are_outlined_and_followed_by_a_segmenter_and_flow() {
     );
 }
 
-/// Flow alone finds no better outlines than it starts with, and what it drags along grows; but it knows who is who.
+/// Flow alone finds no better outlines than it starts with, and what it drags along grows; but identities are right.
 #[test]
 fn flow_alone_follows_them_too() {
     let masks = coarse_masks();
@@ -190,7 +190,7 @@ impl Progress for Watch {
 }
 
 #[test]
-fn maps_that_are_turned_round_are_refused() {
+fn inverted_maps_are_rejected() {
     let maps = motion_maps();
     let turned: Vec<Plane<u8>> = maps.iter().map(|map| map.map(|&m| 255 - m)).collect();
     let error = run_with(&as_motion(&turned), Some(&Hues), &settings(), &Silent).unwrap_err();
@@ -247,7 +247,7 @@ fn stopping_stops() {
 }
 
 #[test]
-fn what_does_not_fit_is_an_error() {
+fn mismatched_input_is_an_error() {
     let mut maps = motion_maps();
     maps.pop();
     let error = run_with(&as_motion(&maps), None, &settings(), &Silent).unwrap_err();

@@ -1,8 +1,8 @@
 //! What a session promises to any caller.
 
-use super::film::{FRAMES, SIZE, picture, thing_at};
+use super::film::{FRAMES, SIZE, image, thing_at};
 use crate::dense::InverseSearch;
-use crate::instances::{Clip, FlowFollower, ObjectId, ObjectMask, ObjectPrompt, PictureError, Sight};
+use crate::instances::{FlowFollower, FrameSource, ImageError, ObjectId, ObjectMask, ObjectPrompt, Visibility};
 use crate::instances::{VideoError, VideoSegmenter, VideoSession};
 use m4_core::{CompactMask, RgbImage, Silent};
 use std::borrow::Cow;
@@ -13,7 +13,7 @@ use std::sync::Mutex;
 #[derive(Default)]
 struct Lazy(Mutex<Vec<usize>>);
 
-impl Clip for Lazy {
+impl FrameSource for Lazy {
     fn frames(&self) -> usize {
         FRAMES
     }
@@ -22,9 +22,9 @@ impl Clip for Lazy {
         SIZE
     }
 
-    fn picture(&self, frame: usize) -> Result<Cow<'_, RgbImage>, PictureError> {
+    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError> {
         self.0.lock().unwrap().push(frame);
-        Ok(Cow::Owned(picture(frame)))
+        Ok(Cow::Owned(image(frame)))
     }
 }
 
@@ -55,7 +55,7 @@ const WALKER: ObjectId = ObjectId(4);
 const LATE: ObjectId = ObjectId(2);
 
 #[test]
-fn things_are_followed_both_ways_in_one_pass_each() {
+fn objects_are_tracked_in_one_pass_per_direction() {
     let (flow, clip) = (InverseSearch, Lazy::default());
     let follower = FlowFollower::new(&flow, None);
     let mut session = follower.open(&clip, SIZE).unwrap();
@@ -71,7 +71,7 @@ fn things_are_followed_both_ways_in_one_pass_each() {
             for (mask, thing) in masks.iter().zip([2, 1]) {
                 let score = overlap(&mask.mask, &exactly(thing, frame));
                 assert!(
-                    mask.sight == Sight::Seen && score > 0.85,
+                    mask.visibility == Visibility::Visible && score > 0.85,
                     "thing {thing}, frame {frame}: {score}"
                 );
             }
@@ -89,7 +89,7 @@ fn things_are_followed_both_ways_in_one_pass_each() {
 }
 
 #[test]
-fn what_is_said_of_a_frame_holds_there() {
+fn prompts_are_kept_at_their_frame() {
     let (flow, clip) = (InverseSearch, Lazy::default());
     let follower = FlowFollower::new(&flow, None);
     let mut session = follower.open(&clip, SIZE).unwrap();
@@ -119,7 +119,7 @@ fn what_is_said_of_a_frame_holds_there() {
 }
 
 #[test]
-fn what_cannot_be_is_an_error() {
+fn impossible_requests_are_errors() {
     let (flow, clip) = (InverseSearch, Lazy::default());
     let follower = FlowFollower::new(&flow, None);
     let mut session = follower.open(&clip, SIZE).unwrap();

@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_held_stays_and_the_cost_never_rises() {
+    fn fixed_parameters_stay_and_cost_never_rises() {
         let mut bundle = scene();
         bundle.log_focal += 0.05;
         let before = bundle.cost(&options(false)) / bundle.observations.len() as f64;

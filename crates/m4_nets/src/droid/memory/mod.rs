@@ -31,7 +31,7 @@ use std::sync::Arc;
 use store::Store;
 
 /// Gives the image of a frame, by its number in the clip, in the size that the network works with.
-pub type Pictures<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
+pub type ImageReader<'a> = Box<dyn Fn(usize) -> Result<RgbImage, Box<dyn Error + Send + Sync>> + Send + 'a>;
 
 /// How a memory keeps what it keeps.
 #[derive(Debug, Clone)]
@@ -67,7 +67,7 @@ struct Edge {
 pub struct DroidMemory<'a> {
     net: Arc<DroidNet>,
     store: Store<Key>,
-    pictures: Pictures<'a>,
+    images: ImageReader<'a>,
     edges: HashMap<u64, Edge>,
     /// Columns and rows of the images, once one was seen.
     size: Option<(usize, usize)>,
@@ -84,14 +84,14 @@ impl fmt::Debug for DroidMemory<'_> {
 }
 
 impl<'a> DroidMemory<'a> {
-    /// An empty memory. `pictures` is asked for a frame whose first state is needed (that is when it becomes a source), and for
+    /// An empty memory. `images` is asked for a frame whose first state is needed (that is when it becomes a source), and for
     /// one that was not added.
     #[must_use]
-    pub fn new(net: Arc<DroidNet>, options: MemoryOptions, pictures: Pictures<'a>) -> Self {
+    pub fn new(net: Arc<DroidNet>, options: MemoryOptions, images: ImageReader<'a>) -> Self {
         Self {
             net,
             store: Store::new(options.budget_bytes, options.storage, options.scratch),
-            pictures,
+            images,
             edges: HashMap::new(),
             size: None,
         }
@@ -173,7 +173,7 @@ impl<'a> DroidMemory<'a> {
     /// Features of `frame`, `[h, w, 128]`.
     fn features(&mut self, frame: usize) -> Result<Tensor<3>, DroidError> {
         if !self.store.contains(Key::Features(frame)) {
-            let image = self.picture(frame)?;
+            let image = self.image(frame)?;
             self.add_frame(frame, &image)?;
         }
         let values = self.kept(Key::Features(frame))?;
@@ -185,7 +185,7 @@ impl<'a> DroidMemory<'a> {
     fn first_state(&mut self, frame: usize) -> Result<[Tensor<4>; 2], DroidError> {
         let keys = [Key::First(frame), Key::Context(frame)];
         if !keys.iter().all(|&key| self.store.contains(key)) {
-            let image = self.picture(frame)?;
+            let image = self.image(frame)?;
             let parts = self.net.state(&image)?;
             for (key, part) in keys.into_iter().zip(parts) {
                 self.keep(key, part)?;
@@ -203,15 +203,15 @@ impl<'a> DroidMemory<'a> {
         Ok(found.permute([2, 0, 1]).unsqueeze())
     }
 
-    fn picture(&mut self, frame: usize) -> Result<RgbImage, DroidError> {
-        let image = (self.pictures)(frame).map_err(|reason| DroidError::Picture { frame, reason })?;
+    fn image(&mut self, frame: usize) -> Result<RgbImage, DroidError> {
+        let image = (self.images)(frame).map_err(|reason| DroidError::Image { frame, reason })?;
         self.check_size(frame, &image)?;
         Ok(image)
     }
 
     fn check_size(&mut self, frame: usize, image: &RgbImage) -> Result<(), DroidError> {
         let got = image.size();
-        super::picture::check(got)?;
+        super::preprocess::check(got)?;
         let expected = *self.size.get_or_insert(got);
         if got == expected {
             return Ok(());

@@ -15,9 +15,9 @@ fn options(budget_bytes: usize, storage: Storage) -> MemoryOptions {
 
 /// A memory of the images of the fixture, which are added when they are needed.
 fn memory(options: MemoryOptions) -> DroidMemory<'static> {
-    let pictures = Fixture::open("encoders.safetensors").pictures();
-    let pictures = move |frame: usize| pictures.get(frame).cloned().ok_or_else(|| "no such frame".into());
-    DroidMemory::new(Arc::new(network()), options, Box::new(pictures))
+    let images = Fixture::open("encoders.safetensors").images();
+    let images = move |frame: usize| images.get(frame).cloned().ok_or_else(|| "no such frame".into());
+    DroidMemory::new(Arc::new(network()), options, Box::new(images))
 }
 
 /// Planes of an edge.
@@ -157,7 +157,7 @@ fn half_precision_changes_little() {
 }
 
 #[test]
-fn motion_is_one_update_at_rest() {
+fn motion_equals_one_update_from_rest() {
     let mut memory = memory(options(1 << 30, Storage::F32));
     let got = memory.motion_px(1, 2).unwrap();
     // by its parts
@@ -217,7 +217,7 @@ fn requests_that_make_no_sense_are_refused() {
         "{error}"
     );
     let error = attempt(0, &[2], N);
-    assert!(matches!(error, DroidError::Picture { frame: 7, .. }), "{error}");
+    assert!(matches!(error, DroidError::Image { frame: 7, .. }), "{error}");
     memory.leave(0);
     assert!(memory.revise_source(0, &mut []).is_err());
 }
@@ -245,7 +245,7 @@ fn non_finite_positions_do_not_panic() {
 }
 
 #[test]
-fn a_store_gives_what_was_put_in() {
+fn store_round_trips() {
     let mut store = Store::new(1000, Storage::F32, std::env::temp_dir());
     let mut map = HashMap::new();
     let mut dice = formula("store", 6000).map(|u| ((u + 1.0) * 5e5) as u64);
@@ -273,7 +273,7 @@ fn a_store_gives_what_was_put_in() {
 }
 
 #[test]
-fn a_folder_that_is_not_there_is_told() {
+fn missing_folder_is_reported() {
     let mut options = options(10, Storage::F16);
     options.scratch = std::env::temp_dir().join("no such folder/at all");
     let error = memory(options).motion_px(0, 1).unwrap_err();

@@ -131,8 +131,8 @@ fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filt
     let mut out = vec![0.0; n * filter.out * h * w];
     for (batch, out) in out.chunks_mut(together * filter.out * h * w).enumerate() {
         let count = out.len() / (filter.out * h * w);
-        let pictures = batch * together..batch * together + count;
-        let planes: Vec<&[f32]> = pictures
+        let images = batch * together..batch * together + count;
+        let planes: Vec<&[f32]> = images
             .flat_map(|i| {
                 parts.iter().flat_map(move |part| {
                     let size = part.len() / n;
@@ -153,25 +153,25 @@ fn with_level(level: Level, parts: &[&[f32]], n: usize, [h, w]: [usize; 2], filt
         let tasks = sums[..count * groups * outputs * GROUP].par_chunks_mut(outputs * GROUP);
         tasks.enumerate().for_each(|(task, sums)| {
             sums.fill(0.0);
-            let picture = Padded {
+            let image = Padded {
                 values: &padded[task / groups * room..][..room],
                 plane,
                 taps: &taps,
             };
             let (from, c) = (task % groups * GROUP, filter.channels);
             dispatch!(level, s => match shape {
-                Shape::Wide => group::<_, 8, 3>(s, &picture, from, &packed, c, depth, sums),
-                Shape::Middle => group::<_, 6, 1>(s, &picture, from, &packed, c, depth, sums),
-                Shape::Narrow => group::<_, 3, 1>(s, &picture, from, &packed, c, depth, sums),
+                Shape::Wide => group::<_, 8, 3>(s, &image, from, &packed, c, depth, sums),
+                Shape::Middle => group::<_, 6, 1>(s, &image, from, &packed, c, depth, sums),
+                Shape::Narrow => group::<_, 3, 1>(s, &image, from, &packed, c, depth, sums),
             });
         });
         out.par_chunks_exact_mut(h * w).enumerate().for_each(|(map, out)| {
-            let (picture, o) = (map / filter.out, map % filter.out);
+            let (image, o) = (map / filter.out, map % filter.out);
             let bias = filter.bias.map_or(0.0, |bias| bias[o]);
             for (y, row) in out.chunks_exact_mut(w).enumerate() {
                 let (mut at, mut row) = (y * wide, row);
                 while !row.is_empty() {
-                    let (g, inside) = (picture * groups + at / GROUP, at % GROUP);
+                    let (g, inside) = (image * groups + at / GROUP, at % GROUP);
                     let len = row.len().min(GROUP - inside);
                     let (now, later) = row.split_at_mut(len);
                     let sums = &sums[(g * outputs + o) * GROUP + inside..][..len];
@@ -211,7 +211,7 @@ fn pack(filter: &Filter<'_>, depth: usize, block: usize) -> Vec<f32> {
 #[inline(always)]
 fn group<S: Simd, const OUT: usize, const VECTORS: usize>(
     s: S,
-    picture: &Padded<'_>,
+    image: &Padded<'_>,
     from: usize,
     packed: &[f32],
     channels: usize,
@@ -219,17 +219,17 @@ fn group<S: Simd, const OUT: usize, const VECTORS: usize>(
     sums: &mut [f32],
 ) {
     let outputs = sums.len() / GROUP;
-    let taps = picture.taps.len();
+    let taps = image.taps.len();
     let mut packed = packed;
     for first in (0..channels).step_by(depth) {
         let deep = depth.min(channels - first);
         let (block, rest) = packed.split_at(outputs * deep * taps);
         packed = rest;
         for tile in (0..GROUP).step_by(VECTORS * LANES) {
-            let values = &picture.values[first * picture.plane + from + tile..];
+            let values = &image.values[first * image.plane + from + tile..];
             let panels = block.chunks_exact(OUT * deep * taps);
             for (panel, sums) in panels.zip(sums.chunks_exact_mut(OUT * GROUP)) {
-                tile_sums::<S, OUT, VECTORS>(s, picture, values, panel, tile, sums);
+                tile_sums::<S, OUT, VECTORS>(s, image, values, panel, tile, sums);
             }
         }
     }
@@ -239,16 +239,16 @@ fn group<S: Simd, const OUT: usize, const VECTORS: usize>(
 #[inline(always)]
 fn tile_sums<S: Simd, const OUT: usize, const VECTORS: usize>(
     s: S,
-    picture: &Padded<'_>,
+    image: &Padded<'_>,
     values: &[f32],
     panel: &[f32],
     tile: usize,
     sums: &mut [f32],
 ) {
-    let taps = picture.taps;
+    let taps = image.taps;
     let mut acc = [[f32x16::splat(s, 0.0); VECTORS]; OUT];
     for (c, panel) in panel.chunks_exact(taps.len() * OUT).enumerate() {
-        let plane = &values[c * picture.plane..];
+        let plane = &values[c * image.plane..];
         for (weights, &tap) in panel.as_chunks::<OUT>().0.iter().zip(taps) {
             let pixels = plane[tap..][..VECTORS * LANES].as_chunks::<LANES>().0;
             let mut x = [f32x16::splat(s, 0.0); VECTORS];

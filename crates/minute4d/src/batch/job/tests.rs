@@ -194,7 +194,7 @@ fn bad_input_needs_a_run_that_used_nothing_older_and_the_bytes_that_were_planned
 }
 
 #[test]
-fn disks_that_cannot_be_used_and_folders_in_the_way_are_no_fault_of_the_clip() {
+fn disk_failures_and_foreign_folders_are_not_counted_against_the_clip() {
     let batch = Batch::new();
     fs::create_dir_all(batch.path("results/clip")).unwrap();
     let end = batch.run("finish");
@@ -214,7 +214,7 @@ fn disks_that_cannot_be_used_and_folders_in_the_way_are_no_fault_of_the_clip() {
 }
 
 #[test]
-fn of_two_processes_with_one_job_the_second_finds_it_done() {
+fn second_process_of_a_job_finds_it_done() {
     let batch = Batch::new();
     batch.program("sleep 0.5; finish");
     let run = || batch.again(false);
@@ -224,10 +224,10 @@ fn of_two_processes_with_one_job_the_second_finds_it_done() {
 }
 
 #[test]
-fn the_first_variable_that_is_set_counts() {
+fn first_set_variable_counts() {
     let kubernetes = |name: &str| (name == "JOB_COMPLETION_INDEX").then(|| "7".to_owned());
     assert_eq!(index_of_environment(kubernetes).unwrap(), Some(7));
     assert_eq!(index_of_environment(|_| None).unwrap(), None);
-    let said = index_of_environment(|_| Some("x".to_owned())).unwrap_err().to_string();
-    assert!(said.contains("SLURM_ARRAY_TASK_ID"), "{said}");
+    let message = index_of_environment(|_| Some("x".to_owned())).unwrap_err().to_string();
+    assert!(message.contains("SLURM_ARRAY_TASK_ID"), "{message}");
 }

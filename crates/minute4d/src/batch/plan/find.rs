@@ -10,7 +10,7 @@ const VIDEOS: [&str; 15] = [
     "mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts", "ts", "3gp", "wmv", "flv", "ogv",
 ];
 /// Extensions of images: a folder of these is a clip.
-const PICTURES: [&str; 3] = ["png", "jpg", "jpeg"];
+const IMAGE_EXTENSIONS: [&str; 3] = ["png", "jpg", "jpeg"];
 /// Lists of posed frames: a folder with one is a capture, and so a clip.
 const CAPTURES: [&str; 2] = ["transforms_train.json", "transforms.json"];
 
@@ -86,7 +86,7 @@ fn add(path: &Path, recursive: bool, found: &mut BTreeSet<PathBuf>) -> Result<()
 
 /// The clips in a folder, or the folder itself where it is one.
 fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, BatchError> {
-    let (mut videos, mut folders, mut pictures) = (Vec::new(), Vec::new(), false);
+    let (mut videos, mut folders, mut images) = (Vec::new(), Vec::new(), false);
     for entry in fs::read_dir(folder).map_err(BatchError::read(folder))? {
         let path = entry.map_err(BatchError::read(folder))?.path();
         let name = path
@@ -104,10 +104,10 @@ fn clips_of(folder: &Path, recursive: bool) -> Result<Vec<PathBuf>, BatchError> 
         } else if extension.as_deref().is_some_and(|e| VIDEOS.contains(&e)) {
             videos.push(fs::canonicalize(&path).map_err(BatchError::read(&path))?);
         } else {
-            pictures |= extension.as_deref().is_some_and(|e| PICTURES.contains(&e));
+            images |= extension.as_deref().is_some_and(|e| IMAGE_EXTENSIONS.contains(&e));
         }
     }
-    if videos.is_empty() && pictures {
+    if videos.is_empty() && images {
         return Ok(vec![folder.to_path_buf()]);
     }
     if recursive {
@@ -159,7 +159,7 @@ mod tests {
         assert_eq!(
             found(&[at("v/notes.txt")], false),
             ["v/notes.txt"],
-            "who names a file means it"
+            "a named file is always a clip"
         );
         fs::write(
             root.join("list"),
@@ -168,15 +168,15 @@ mod tests {
         .unwrap();
         assert_eq!(found(&[format!("@{}", at("list"))], false), ["v/b.mp4", "v/in/d.mkv"]);
 
-        let said = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();
-        assert!(said(&at("none.mp4")).contains("there is no"));
+        let message = |given: &str| inputs(&[given.to_owned()], false).unwrap_err().to_string();
+        assert!(message(&at("none.mp4")).contains("there is no"));
         fs::create_dir(root.join("empty")).unwrap();
-        assert!(said(&at("empty")).contains("--recursive"));
+        assert!(message(&at("empty")).contains("--recursive"));
     }
 
     #[test]
     fn urls_are_refused_as_inputs() {
-        let said = inputs(&["s3://bucket/a.mp4".to_owned()], false).unwrap_err();
-        assert!(said.to_string().contains("mount the store"), "{said}");
+        let message = inputs(&["s3://bucket/a.mp4".to_owned()], false).unwrap_err();
+        assert!(message.to_string().contains("mount the store"), "{message}");
     }
 }

@@ -42,8 +42,8 @@ pub fn plan(plan: &Plan<'_>) -> Result<Manifest, BatchError> {
     let layout = Layout::new(plan.results);
     for id in &ids {
         let result = layout.result(id);
-        if present(&result, "")? == Present::Foreign {
-            return Err(BatchError::Foreign { path: result });
+        if present(&result, "")? == Present::NotOurs {
+            return Err(BatchError::NotOurs { path: result });
         }
     }
     let mut jobs = Vec::with_capacity(named.len());

@@ -62,7 +62,7 @@ fn only_finished_and_complete_results_are_published() {
         spoil();
         let got = publish(&layout, "a", "k", "here").unwrap();
         assert!(
-            matches!(&got, Published::Bad(said) if said.contains(words)),
+            matches!(&got, Published::Bad(message) if message.contains(words)),
             "{words}: {got:?}"
         );
         assert!(!layout.result("a").exists() && !work.exists() && is_calm(dir.path()));
@@ -79,7 +79,7 @@ fn only_finished_and_complete_results_are_published() {
     write_run(&work, "scene", "finished");
     fs::create_dir(layout.result("a")).unwrap();
     fs::write(layout.result("a").join("thesis.tex"), "mine").unwrap();
-    assert_eq!(publish(&layout, "a", "k", "here").unwrap(), Published::Foreign);
+    assert_eq!(publish(&layout, "a", "k", "here").unwrap(), Published::NotOurs);
     assert!(layout.result("a").join("thesis.tex").is_file());
 }
 
@@ -116,7 +116,7 @@ fn an_interrupted_publication_is_completed() {
 }
 
 #[test]
-fn of_two_that_publish_at_once_one_result_is_there() {
+fn concurrent_publishing_leaves_one_result() {
     let dir = tempfile::tempdir().unwrap();
     let layout = Layout::new(dir.path());
     for round in 0..20 {

@@ -172,7 +172,7 @@ fn clip(layout: &Layout, job: &Job, key: &str) -> Result<ClipReport, BatchError>
     };
     let reason = match (state, &here) {
         (ClipState::Done, _) => None,
-        (_, Present::Foreign) => Some("its folder exists and is not a result of `minute4d batch`".to_owned()),
+        (_, Present::NotOurs) => Some("its folder exists and is not a result of `minute4d batch`".to_owned()),
         (ClipState::Waiting, Present::Other) => Some("its result is of other settings, or damaged".to_owned()),
         _ => record.as_ref().map(|r| r.reason.clone()),
     };

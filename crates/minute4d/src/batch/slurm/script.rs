@@ -15,7 +15,7 @@ pub struct Script<'a> {
     pub program: &'a Path,
     /// The manifest.
     pub manifest: &'a Path,
-    /// Where each task writes what it says.
+    /// Log file of each task.
     pub logs: &'a Path,
     /// Jobs of the manifest.
     pub jobs: usize,
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn directives_are_as_asked_and_each_job_is_in_one_array() {
+    fn directives_match_options_and_each_job_is_in_one_array() {
         let options = ["--gres=gpu:1", "--time=02:00:00"].map(str::to_owned);
         let program = Path::new("/opt/minute4d");
         let large = script(&options, program, 2003);
@@ -273,7 +273,7 @@ mod tests {
             "enough is enough"
         );
         let cancelled = drive_in("CANCELLED", "exit 75", "0", false);
-        assert_eq!(cancelled, (Some(75), String::new()), "who cancels means it");
+        assert_eq!(cancelled, (Some(75), String::new()), "a cancelled job is not requeued");
     }
 
     #[cfg(unix)]

@@ -46,19 +46,19 @@ pub fn submit(script: &Path, first: usize, tasks: &str) -> Result<String, BatchE
     let answer = call("sbatch", &arguments, script)?;
     // The cluster's name follows where there are several.
     let id = answer.trim().split(';').next().unwrap_or_default().to_owned();
-    let refused = |program, said| BatchError::Refused {
+    let refused = |program, message| BatchError::Refused {
         program,
-        said,
+        message,
         script: script.to_path_buf(),
     };
     if id.is_empty() || !id.chars().all(|c| c.is_ascii_digit()) {
-        let said = format!("it answered {answer:?}, which is not a job id");
-        return Err(refused("sbatch", said));
+        let message = format!("it answered {answer:?}, which is not a job id");
+        return Err(refused("sbatch", message));
     }
     let known = call("scontrol", &["show".as_ref(), "job".as_ref(), id.as_ref()], script)?;
     if !known.contains(&format!("={id}")) {
-        let said = format!("it does not know job {id} although sbatch took it");
-        return Err(refused("scontrol", said));
+        let message = format!("it does not know job {id} although sbatch took it");
+        return Err(refused("scontrol", message));
     }
     Ok(id)
 }
@@ -69,7 +69,7 @@ fn call(program: &'static str, args: &[&OsStr], script: &Path) -> Result<String,
     if !output.status.success() {
         return Err(BatchError::Refused {
             program,
-            said: String::from_utf8_lossy(&output.stderr).trim().to_owned(),
+            message: String::from_utf8_lossy(&output.stderr).trim().to_owned(),
             script: script.to_path_buf(),
         });
     }

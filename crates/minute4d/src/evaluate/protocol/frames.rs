@@ -48,9 +48,9 @@ impl FrameRule {
         }
     }
 
-    /// In words.
+    /// Description for reports.
     #[must_use]
-    pub fn words(self) -> String {
+    pub fn description(self) -> String {
         match self {
             Self::Every { every, offset: 0 } => format!("frame i of the training video where i mod {every} = 0"),
             Self::Every { every, offset } => {
@@ -114,7 +114,7 @@ mod tests {
         assert_eq!(held_out(Protocol::Holdout, 17), [0, 8, 16]);
         assert_eq!(held_out(Protocol::Davis, 12), [2, 6, 10]);
         assert_eq!(Protocol::Dycheck.rules().frames.held_out(24), None);
-        let words = Protocol::Rodygs.rules().frames.words();
+        let words = Protocol::Rodygs.rules().frames.description();
         assert!(words.contains("(i + 4) mod 8 = 0"), "{words}");
         let json = serde_json::to_string(&Protocol::Instant4d.rules().frames).unwrap();
         assert_eq!(json, r#"{"rule":"linspace","train_share":0.85}"#);

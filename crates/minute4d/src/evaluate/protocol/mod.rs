@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
-/// What a protocol asks of a scene.
+/// Task of a protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Task {
@@ -29,7 +29,7 @@ pub enum Task {
 }
 
 impl Task {
-    /// What a table calls it.
+    /// Title in tables.
     #[must_use]
     pub fn title(self) -> &'static str {
         match self {
@@ -76,7 +76,7 @@ impl Protocol {
         self.rules().name
     }
 
-    /// What it fixes.
+    /// Rules of the protocol.
     #[must_use]
     pub fn rules(self) -> &'static Rules {
         rules::of(self)

@@ -17,7 +17,7 @@ pub enum StartPose {
     NearestTraining,
 }
 
-/// How the pose of a test image is looked for when the scene is finished: Adam on the squared error of the image.
+/// Refinement of the pose of a test image against the finished scene: Adam on the squared error of the image.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RefineRule {
     /// Steps of Adam.
@@ -38,7 +38,7 @@ pub enum LpipsRule {
     Vgg,
 }
 
-/// What a protocol fixes.
+/// Rules of a protocol.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rules {
     /// The name of the weights.
@@ -64,9 +64,9 @@ pub struct Rules {
     /// Name of the score that stands for the protocol in tables, of [`m4_eval::image::FrameScore::others`]; `None` for the joint PSNR of
     /// the whole image.
     pub headline: Option<&'static str>,
-    /// How peers refine the poses of test images, where they do.
+    /// Refinement of test poses in published methods, if any.
     pub refine: Option<RefineRule>,
-    /// What to know before comparing results.
+    /// Caveats for comparisons.
     pub note: &'static str,
 }
 

@@ -37,10 +37,10 @@ fn kept(plane: Plane<f32>) -> Plane<f32> {
 }
 
 /// The image with its longer side at most `long`.
-fn at_most(picture: &RgbImage, long: usize) -> Result<RgbImage, Box<dyn std::error::Error + Send + Sync>> {
-    let (w, h) = picture.size();
+fn at_most(image: &RgbImage, long: usize) -> Result<RgbImage, Box<dyn std::error::Error + Send + Sync>> {
+    let (w, h) = image.size();
     let side = |n: usize| (n * long.min(w.max(h)) / w.max(h).max(1)).max(1);
-    m4_io::image::resize_rgb(picture, side(w), side(h)).ok_or_else(|| "the image is empty".into())
+    m4_io::image::resize_rgb(image, side(w), side(h)).ok_or_else(|| "the image is empty".into())
 }
 
 fn load<T>(
@@ -56,12 +56,12 @@ fn load<T>(
 /// What MoGe-2 says: z-depth in metres, 0 where unknown, and the field of view. All sky, or no points of a camera: nothing is known.
 fn of_moge(
     found: Result<MoGeMap, MoGeError>,
-    picture: &RgbImage,
+    image: &RgbImage,
 ) -> Result<(Plane<f32>, Option<f64>), Box<dyn std::error::Error + Send + Sync>> {
     match found {
         Ok(map) => Ok((map.depth_m, Some(map.fov_x_rad))),
         Err(MoGeError::NothingValid | MoGeError::NoFocal) => {
-            Ok((Plane::filled(picture.width(), picture.height(), 0.0), None))
+            Ok((Plane::filled(image.width(), image.height(), 0.0), None))
         }
         Err(error) => Err(error.into()),
     }
@@ -76,7 +76,7 @@ impl MonoClip {
     /// [`Error`] where a network cannot be loaded or fails, or the user stops.
     pub fn measure(
         plan: &Plan,
-        pictures: &[&RgbImage],
+        images: &[&RgbImage],
         focal_px: Option<f64>,
         device: &Compute,
         steps: &Steps<'_>,
@@ -103,7 +103,7 @@ impl MonoClip {
             .collect();
         let name = name.join("+");
         let (mut metric_m, mut relative, mut fovs) = (Vec::new(), Vec::new(), Vec::new());
-        for (frame, picture) in pictures.iter().enumerate() {
+        for (frame, image) in images.iter().enumerate() {
             if progress.cancelled() {
                 return Err(MegasamError::Cancelled.into());
             }
@@ -116,9 +116,9 @@ impl MonoClip {
             let (measured, disparity) = match steps.load(&step) {
                 Some(made) => made,
                 None => {
-                    let measured = networks.metric.as_ref().map(|n| n.depth(picture, focal_px, device));
+                    let measured = networks.metric.as_ref().map(|n| n.depth(image, focal_px, device));
                     let measured = measured.transpose().map_err(failed)?;
-                    let disparity = networks.relative.as_ref().map(|n| n.disparity(picture));
+                    let disparity = networks.relative.as_ref().map(|n| n.disparity(image));
                     let disparity = disparity.transpose().map_err(|e| failed(Box::new(e)))?;
                     let made = (
                         measured.map(|(depth_m, fov_rad)| (kept(depth_m), fov_rad)),
@@ -133,13 +133,13 @@ impl MonoClip {
                 fovs.extend::<Option<f64>>(fov_rad);
             }
             relative.extend(disparity);
-            progress.update(PHASE, frame + 1, pictures.len(), &name);
+            progress.update(PHASE, frame + 1, images.len(), &name);
         }
         let blind = metric_m.len() - fovs.len();
         if blind > 0 {
             progress.warn(&format!(
                 "{name} sees no depth in {blind} of {} frames (sky alone, or nothing that a camera explains)",
-                pictures.len()
+                images.len()
             ));
         }
         fovs.sort_unstable_by(f64::total_cmp);
@@ -156,7 +156,7 @@ impl Metric {
     /// z-depth in metres, 0 where unknown, and the horizontal field of view, radians.
     fn depth(
         &self,
-        picture: &RgbImage,
+        image: &RgbImage,
         focal_px: Option<f64>,
         device: &Compute,
     ) -> Result<(Plane<f32>, Option<f64>), Box<dyn std::error::Error + Send + Sync>> {
@@ -165,10 +165,10 @@ impl Metric {
             known_focal_px: focal_px,
         };
         match self {
-            Self::MoGe(net) => of_moge(net.infer(picture, &moge), picture),
+            Self::MoGe(net) => of_moge(net.infer(image, &moge), image),
             Self::UniDepth(net) => {
                 // MegaSaM hands it images of this size.
-                let small = at_most(picture, KEPT_SIDE)?;
+                let small = at_most(image, KEPT_SIDE)?;
                 let map = net.depth(&small)?;
                 Ok((map.depth_m, Some(map.camera.horizontal_fov_rad())))
             }

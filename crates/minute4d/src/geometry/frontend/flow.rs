@@ -2,7 +2,7 @@
 
 use m4_core::{Plane, RgbImage};
 use m4_geometry::cvd::pairs::{FlowField, FramePair};
-use m4_geometry::dense::{Flow, FlowError, FlowPicture, FlowSource};
+use m4_geometry::dense::{Flow, FlowError, FlowImage, FlowSource};
 use m4_geometry::megasam::{PairFlow, PairFlowError};
 use m4_nets::{Raft, raft::LowFlow};
 use std::collections::HashMap;
@@ -11,8 +11,8 @@ const RAFT: &str = "raft";
 
 type Pair = (m4_nets::Flow, m4_nets::Flow);
 
-fn image(picture: &FlowPicture<'_>) -> RgbImage {
-    Plane::from_fn(picture.width, picture.height, |x, y| picture.rgb[y * picture.width + x])
+fn image(image: &FlowImage<'_>) -> RgbImage {
+    Plane::from_fn(image.width, image.height, |x, y| image.rgb[y * image.width + x])
 }
 
 fn ours(flow: m4_nets::Flow) -> Flow {
@@ -49,7 +49,7 @@ impl RaftSource {
 
 fn both(
     name: &'static str,
-    [a, b]: [&FlowPicture<'_>; 2],
+    [a, b]: [&FlowImage<'_>; 2],
     measure: impl Fn(&RgbImage, &RgbImage) -> Result<Pair, m4_nets::FlowError>,
 ) -> Result<(Flow, Flow), FlowError> {
     let (there, back) = measure(&image(a), &image(b)).map_err(|error| FlowError::Source {
@@ -64,7 +64,7 @@ impl FlowSource for RaftSource {
         RAFT
     }
 
-    fn both(&self, a: &FlowPicture<'_>, b: &FlowPicture<'_>) -> Result<(Flow, Flow), FlowError> {
+    fn both(&self, a: &FlowImage<'_>, b: &FlowImage<'_>) -> Result<(Flow, Flow), FlowError> {
         both(RAFT, [a, b], |a, b| self.measure(a, b))
     }
 }

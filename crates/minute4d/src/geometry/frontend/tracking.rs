@@ -27,7 +27,7 @@ impl<'a> NetworkCorrespondence<'a> {
     /// [`Error::Network`] if its weights cannot be used.
     pub fn load(
         plan: &Plan,
-        pictures: &'a [&'a RgbImage],
+        images: &'a [&'a RgbImage],
         masks: Option<&[Mask]>,
         size: TrackingSize,
         budget_mb: usize,
@@ -38,20 +38,20 @@ impl<'a> NetworkCorrespondence<'a> {
             return Err(Error::Internal { what });
         };
         let net = DroidNet::load(path, device).map_err(unusable(Part::Megasam))?;
-        Ok(Self::new(net, pictures, masks, size, memory(budget_mb)))
+        Ok(Self::new(net, images, masks, size, memory(budget_mb)))
     }
 
     /// The same of a network that is loaded.
     pub fn new(
         net: DroidNet,
-        pictures: &'a [&'a RgbImage],
+        images: &'a [&'a RgbImage],
         masks: Option<&[Mask]>,
         size: TrackingSize,
         options: MemoryOptions,
     ) -> Self {
-        let picture = move |frame: usize| match pictures.get(frame) {
-            Some(full) => Ok(size.picture(full)),
-            None => Err(format!("the clip has {} frames", pictures.len()).into()),
+        let image = move |frame: usize| match images.get(frame) {
+            Some(full) => Ok(size.resized(full)),
+            None => Err(format!("the clip has {} frames", images.len()).into()),
         };
         let on_grid = |mask: &Mask| {
             let grid = size.grid();
@@ -60,7 +60,7 @@ impl<'a> NetworkCorrespondence<'a> {
             plane.into_vec()
         };
         Self {
-            memory: DroidMemory::new(Arc::new(net), options, Box::new(picture)),
+            memory: DroidMemory::new(Arc::new(net), options, Box::new(image)),
             moving: masks.map(|masks| masks.iter().map(on_grid).collect()),
         }
     }

@@ -92,10 +92,10 @@ impl Correspondence for Counted<'_> {
 #[test]
 fn the_tracker_runs_the_specified_number_of_updates() {
     let (frames, settings) = (clip(), few());
-    let pictures: Vec<&RgbImage> = frames.iter().collect();
+    let images: Vec<&RgbImage> = frames.iter().collect();
     let size = TrackingSize::new((SIDE, SIDE), (SIDE * SIDE) as f64).unwrap();
     let mut source = Counted {
-        network: NetworkCorrespondence::new(network(), &pictures, None, size, memory(100)),
+        network: NetworkCorrespondence::new(network(), &images, None, size, memory(100)),
         revisions: 0,
         edges: 0,
         entered: 0,
@@ -155,7 +155,7 @@ fn the_tracker_runs_the_specified_number_of_updates() {
 #[test]
 fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
     let frames = clip();
-    let pictures: Vec<&RgbImage> = frames.iter().collect();
+    let images: Vec<&RgbImage> = frames.iter().collect();
     let times: Vec<f64> = (0..FRAMES).map(|k| k as f64 / 30.0).collect();
     let mut settings = MegasamSettings {
         tracking_pixels: (SIDE * SIDE) as f64,
@@ -168,9 +168,9 @@ fn a_clip_goes_all_the_way_and_gives_the_same_bits_again() {
     let run = |budget_mb: usize, threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let mut network = NetworkCorrespondence::new(network(), &pictures, None, size, memory(budget_mb));
+            let mut network = NetworkCorrespondence::new(network(), &images, None, size, memory(budget_mb));
             let input = MegasamInput {
-                pictures: &pictures,
+                images: &images,
                 times_s: &times,
                 lens: m4_core::Intrinsics::centred(SIDE, SIDE, 110.0),
                 focal_is_free: true,
@@ -237,8 +237,8 @@ fn the_published_loop_of_network_and_adjustment_is_met() {
             .map(|b| i64::from_le_bytes(*b) as usize)
             .collect()
     };
-    let pictures = pictures(&all);
-    let references: Vec<&RgbImage> = pictures.iter().collect();
+    let images = images(&all);
+    let references: Vec<&RgbImage> = images.iter().collect();
     let size = TrackingSize {
         full: (192, 128),
         scaled: (192, 128),
@@ -344,7 +344,7 @@ fn assert_close(got: &[f32], want: &[f32], limit: f32, what: &str) {
 }
 
 /// The images of a fixture, `[n][3][h][w]` in the order blue, green, red.
-fn pictures(all: &SafeTensors<'_>) -> Vec<RgbImage> {
+fn images(all: &SafeTensors<'_>) -> Vec<RgbImage> {
     let tensor = all.tensor("images_bgr_u8").unwrap();
     let [n, 3, h, w] = *tensor.shape() else {
         panic!("no images");

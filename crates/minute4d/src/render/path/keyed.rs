@@ -20,7 +20,7 @@ pub struct KeyedPath {
     pub seconds: f64,
     /// Whether the path is closed.
     pub closed: bool,
-    way: Way,
+    way: Interpolation,
     /// Natural logarithm of the focal length in image heights.
     zoom: Spline<1>,
     /// Times of the path and moments of the scene (frames), straight between.
@@ -29,7 +29,7 @@ pub struct KeyedPath {
     size: (usize, usize),
 }
 
-enum Way {
+enum Interpolation {
     /// Position and direction apart.
     Poses(PoseSpline),
     /// Every keyframe looks at a point: so does every camera between.
@@ -65,7 +65,7 @@ impl KeyedPath {
             start_s: first.time_s,
             seconds,
             closed: back_s.is_some(),
-            way: Way::new(keys, &order, &times, &mean_down(source)),
+            way: Interpolation::new(keys, &order, &times, &mean_down(source)),
             zoom: Spline::new(times, zoom),
             clock: clock(keys, back_s.map(|_| seconds), source.frames_per_s, span)?,
             last_frame: span.time_frames.saturating_sub(1) as f64,
@@ -89,7 +89,7 @@ impl KeyedPath {
     }
 }
 
-impl Way {
+impl Interpolation {
     fn new(keys: &[Keyframe], order: &[usize], times: &[f64], down: &Vector3<f64>) -> Self {
         let looks: Option<Vec<[Vector3<f64>; 3]>> = order
             .iter()

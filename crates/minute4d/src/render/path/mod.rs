@@ -74,7 +74,7 @@ pub struct Plan {
     pub stops: Vec<Stop>,
     /// Images a second.
     pub fps: f64,
-    /// What had no effect, for people.
+    /// Options without effect, as messages.
     pub remarks: Vec<String>,
 }
 

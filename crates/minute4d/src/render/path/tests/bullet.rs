@@ -6,7 +6,7 @@ use crate::render::path::{CameraPath, PathConfig, PathError, PathOptions};
 use crate::render::{Moment, Stop};
 
 #[test]
-fn a_bullet_stands_still_in_time_while_the_camera_goes_round() {
+fn bullet_path_freezes_time_while_the_camera_orbits() {
     let scene = scene(0.0);
     let at = PathOptions {
         at: Some(Moment::Seconds(1.2)),
@@ -37,7 +37,7 @@ fn a_bullet_stands_still_in_time_while_the_camera_goes_round() {
 }
 
 #[test]
-fn a_bullet_has_the_length_that_is_asked_for() {
+fn bullet_path_has_the_requested_length() {
     let config = PathConfig::default();
     let of = |seconds: f64, hold_s: Option<f64>| {
         let options = PathOptions {

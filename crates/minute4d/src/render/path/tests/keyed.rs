@@ -18,7 +18,7 @@ fn keyed(text: &str, job: &RenderJob) -> Result<Plan, Error> {
 }
 
 #[test]
-fn keyframes_are_met_and_what_they_look_at_stays_in_the_middle() {
+fn keyed_path_meets_keyframes_and_keeps_targets_centred() {
     let text = r#"{"format": "minute4d-path", "version": 1, "width": 64, "height": 48, "fps": 10, "keyframes": [
         {"time_s": 1, "position": [0, 0, 0], "look_at": [0, 0, 2], "fov_y_deg": 60, "scene_s": 1, "speed": 0},
         {"time_s": 2, "position": [1, 0, 0], "look_at": [0, 0, 2], "fov_y_deg": 30, "speed": 0.5},

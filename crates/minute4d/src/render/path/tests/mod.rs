@@ -124,7 +124,7 @@ fn the_source_goes_through_its_cameras_at_their_times() {
 }
 
 #[test]
-fn one_moment_is_one_picture() {
+fn one_time_gives_one_image() {
     let scene = scene(0.0);
     for path in [CameraPath::Train, CameraPath::Source, CameraPath::Stabilised] {
         let at = PathOptions {
@@ -191,7 +191,7 @@ fn the_stabilised_source_trembles_a_hundred_times_less_and_stays_near() {
 }
 
 #[test]
-fn a_steady_source_is_left_alone() {
+fn steady_source_is_unchanged() {
     let mut scene = scene(0.0);
     for (i, frame) in scene.source.iter_mut().enumerate() {
         let k = i as f64 / 30.0;

@@ -19,8 +19,8 @@ struct Place {
     panels: [RgbImage; 3],
 }
 
-/// Writes to `path` the true image of that place, and how the scenes in `folders` (without, with) draw it, side by side; gives
-/// nothing where neither does better anywhere.
+/// Writes the ground truth of that region and the renders of the scenes in `folders` (without, with) side by side to `path`;
+/// `None` if tracking improves no region.
 ///
 /// # Errors
 ///
@@ -34,8 +34,8 @@ pub fn write(folders: &[PathBuf; 2], data: &Path, path: &Path, job: &Job<'_>) ->
         HeldOut::read(with, data, job.settings.capture.reach, job.observer)?,
     );
     let (mut draw_without, mut draw_with) = (
-        without.pictures(level, gpu.as_ref())?,
-        with.pictures(level, gpu.as_ref())?,
+        without.renderer(level, gpu.as_ref())?,
+        with.renderer(level, gpu.as_ref())?,
     );
     let mut best: Option<Place> = None;
     for frame in &with.test.frames {

@@ -1,7 +1,7 @@
 //! The flights of a part: stretches of frames on one parabola.
 
 use super::super::ground::Ground;
-use super::Body;
+use super::RigidObject;
 use super::parabola::Parabola;
 use rayon::prelude::*;
 
@@ -20,40 +20,45 @@ const START: f64 = 10.0;
 /// The depth of a flight is certain to this share of it, one standard deviation.
 const DOUBT: f64 = 0.12;
 
-/// A body on a parabola.
+/// An object on a parabola.
 pub(super) struct Flight {
-    /// Its frames, counted from the body's first.
+    /// Its frames, counted from the object's first.
     pub first: usize,
     pub end: usize,
     pub parabola: Parabola,
 }
 
 impl Flight {
-    /// How many frames it takes.
+    /// Number of frames.
     pub fn frames(&self) -> usize {
         self.end - self.first
     }
 }
 
-/// The flights of every body at the acceleration `g`.
-pub(super) fn find(bodies: &[Body<'_>], ground: &Ground, g: f64) -> Vec<Vec<Flight>> {
-    bodies.par_iter().map(|body| of_one(body, ground, g)).collect()
+/// The flights of every object at the acceleration `g`.
+pub(super) fn find(objects: &[RigidObject<'_>], ground: &Ground, g: f64) -> Vec<Vec<Flight>> {
+    objects.par_iter().map(|object| of_one(object, ground, g)).collect()
 }
 
-/// Cuts the frames of a body so that what lies off parabolas, what is on none, and the number of parabolas cost least.
-fn of_one(body: &Body<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
-    let n = body.depth.len();
+/// Cuts the frames of an object so that what lies off parabolas, what is on none, and the number of parabolas cost least.
+fn of_one(object: &RigidObject<'_>, ground: &Ground, g: f64) -> Vec<Flight> {
+    let n = object.depth.len();
     let noise = |first: usize, end: usize| {
-        let radius = body.sights[first..end].iter().map(|s| s.radius_px).sum::<f64>() / (end - first) as f64;
+        let radius = object.observations[first..end].iter().map(|s| s.radius_px).sum::<f64>() / (end - first) as f64;
         NOISE_PX + NOISE_SHARE * radius
     };
     // By frame: the least cost of all frames before it, and the flight that ends there.
     let mut cost = vec![0.0f64; n + 1];
     let mut last: Vec<Option<(usize, Parabola)>> = vec![None; n + 1];
     for end in 1..=n {
-        cost[end] = cost[end - 1] + if body.sights[end - 1].whole { AFOOT } else { UNSEEN };
+        cost[end] = cost[end - 1]
+            + if object.observations[end - 1].whole {
+                AFOOT
+            } else {
+                UNSEEN
+            };
         for first in end.saturating_sub(LONGEST)..(end + 1).saturating_sub(SHORTEST) {
-            let Some(parabola) = Parabola::fit(body, (first, end), ground, g) else {
+            let Some(parabola) = Parabola::fit(object, (first, end), ground, g) else {
                 continue;
             };
             let noise = noise(first, end);

@@ -1,15 +1,15 @@
-//! What the caller knows of a clip, and what is said about the focal length.
+//! Prior knowledge about a clip, and the source of its focal length.
 
 use super::luma::WorkingSize;
 use super::tracking::RawTrack;
 use crate::reconstruction::SparseReconstruction;
 use m4_core::{Camera, Intrinsics, Mask};
 
-/// What the caller knows of a clip besides its settings.
+/// Prior knowledge about a clip besides the settings.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Known<'a> {
-    /// One a frame: above 0 where something moves, of any size, read at the nearest pixel. Tracks that mostly lie there
-    /// are handed out as moving and say nothing about the camera.
+pub struct Priors<'a> {
+    /// One per frame: above 0 in dynamic regions, of any size, read at the nearest pixel. Tracks that mostly lie there
+    /// are returned as dynamic and do not constrain the camera.
     pub masks: Option<&'a [Mask]>,
 }
 
@@ -37,10 +37,10 @@ pub struct Recovered {
     pub focal: FocalSource,
 }
 
-/// Share of its observations within masks from which on a track belongs to what moves.
+/// Share of its observations within masks from which on a track counts as dynamic.
 const MASKED_SHARE: f64 = 0.5;
 
-impl Known<'_> {
+impl Priors<'_> {
     /// Parts the tracks that count from those that lie in masks.
     pub(super) fn part(&self, tracks: Vec<RawTrack>, size: WorkingSize) -> (Vec<RawTrack>, Vec<RawTrack>) {
         let Some(masks) = self.masks else {
@@ -70,9 +70,9 @@ pub(super) enum Lenses<'a> {
     Centred,
     /// One known lens.
     Shared(Intrinsics),
-    /// A known lens a frame.
+    /// Known intrinsics per frame.
     PerFrame(&'a [Camera]),
-    /// A lens that was seen to zoom: one a frame.
+    /// Intrinsics of a detected zoom, one per frame.
     Zooming(Vec<Intrinsics>),
 }
 
@@ -113,13 +113,13 @@ impl Lenses<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Known, Lenses};
+    use super::{Lenses, Priors};
     use crate::sparse::luma::WorkingSize;
     use crate::sparse::tracking::RawTrack;
     use m4_core::{Intrinsics, Plane};
 
     #[test]
-    fn tracks_within_masks_are_told_apart() {
+    fn tracks_within_masks_are_separated() {
         let size = WorkingSize::new(200, 100, 100);
         let track = |x: f64| RawTrack {
             first: 1,
@@ -128,10 +128,10 @@ mod tests {
         // the right half of frames 1 and 2, nothing in frame 3
         let half = Plane::from_fn(20, 10, |x, _| u8::from(x >= 10));
         let masks = [Plane::filled(20, 10, 255), half.clone(), half, Plane::filled(20, 10, 0)];
-        let known = Known { masks: Some(&masks) };
+        let known = Priors { masks: Some(&masks) };
         let (kept, masked) = known.part(vec![track(-20.0), track(20.0)], size);
         assert_eq!((kept, masked), (vec![track(-20.0)], vec![track(20.0)]));
-        let (kept, masked) = Known::default().part(vec![track(20.0)], size);
+        let (kept, masked) = Priors::default().part(vec![track(20.0)], size);
         assert_eq!((kept.len(), masked.len()), (1, 0));
     }
 

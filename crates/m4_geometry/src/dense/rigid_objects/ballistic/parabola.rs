@@ -1,28 +1,28 @@
-//! The parabola through the rays to a body, for a given acceleration.
+//! The parabola through the rays to an object, for a given acceleration.
 
 use super::super::ground::Ground;
-use super::Body;
+use super::RigidObject;
 use m4_core::Camera;
 use nalgebra::{Matrix6, Vector3, Vector6};
 
-/// Fewest frames in which the whole body is seen.
+/// Fewest frames in which the whole object is seen.
 const LEAST: usize = 6;
 /// Solutions, each weighted by the depths of the one before.
 const SOLUTIONS: usize = 4;
-/// Depths that differ from what the body seems to have by more than this factor are a failure.
+/// Depths that differ from what the object seems to have by more than this factor are a failure.
 const RANGE: f64 = 20.0;
 
-/// The way of a body, affine in the acceleration.
+/// The trajectory of an object, affine in the acceleration.
 #[derive(Debug, Clone)]
 pub(super) struct Parabola {
-    /// The frame, counted from the body's first, where it is at its place with its velocity.
+    /// The frame, counted from the object's first, where it is at its place with its velocity.
     middle: f64,
     /// Place and velocity a frame without acceleration, and what an acceleration of 1 adds to them.
     still: Vector6<f64>,
     fall: Vector6<f64>,
     /// Root mean square distance of the middles from it, pixels at the working size.
     pub miss_px: f64,
-    /// Frames in which the whole body is seen.
+    /// Frames in which the whole object is seen.
     pub seen: usize,
     /// Standard deviation of the depth for a pixel of noise, as a share of it.
     pub doubt: f64,
@@ -33,15 +33,15 @@ pub(super) struct Parabola {
 
 impl Parabola {
     /// Fits the parabola of frames `first..end` at the acceleration `g`; `None` if too little is seen.
-    pub fn fit(body: &Body<'_>, (first, end): (usize, usize), ground: &Ground, g: f64) -> Option<Self> {
+    pub fn fit(object: &RigidObject<'_>, (first, end): (usize, usize), ground: &Ground, g: f64) -> Option<Self> {
         let middle = (first + end - 1) as f64 / 2.0;
-        let usual = body.depth[first..end].iter().sum::<f64>() / (end - first) as f64;
+        let usual = object.depth[first..end].iter().sum::<f64>() / (end - first) as f64;
         let mut z = vec![usual; end - first];
         let mut out = None;
         for _ in 0..SOLUTIONS {
-            let parabola = Self::solve(body, (first, middle), &z, ground, g)?;
+            let parabola = Self::solve(object, (first, middle), &z, ground, g)?;
             for (k, z) in (first..end).zip(&mut z) {
-                *z = parabola.depth(&body.cameras[k], k, ground, g);
+                *z = parabola.depth(&object.cameras[k], k, ground, g);
                 if !(*z > usual / RANGE && *z < usual * RANGE) {
                     return None;
                 }
@@ -52,14 +52,24 @@ impl Parabola {
     }
 
     /// One solution, `z` being the depths by frame from `first` on.
-    fn solve(body: &Body<'_>, (first, middle): (usize, f64), z: &[f64], ground: &Ground, g: f64) -> Option<Self> {
+    fn solve(
+        object: &RigidObject<'_>,
+        (first, middle): (usize, f64),
+        z: &[f64],
+        ground: &Ground,
+        g: f64,
+    ) -> Option<Self> {
         let (mut a, mut still, mut fall) = (Matrix6::zeros(), Vector6::zeros(), Vector6::zeros());
         let mut rows = Vec::new();
-        for (i, z) in z.iter().enumerate().filter(|(i, _)| body.sights[first + i].whole) {
+        for (i, z) in z
+            .iter()
+            .enumerate()
+            .filter(|(i, _)| object.observations[first + i].whole)
+        {
             let k = first + i;
             let t = k as f64 - middle;
-            let c = body.cameras[k].centre();
-            for across in &body.sights[k].across {
+            let c = object.cameras[k].centre();
+            for across in &object.observations[k].across {
                 let e = across / *z;
                 let mut row = Vector6::zeros();
                 row.fixed_rows_mut::<3>(0).copy_from(&e);
@@ -84,7 +94,7 @@ impl Parabola {
             sharp += rg * rg;
         }
         let at = z.len() / 2;
-        let ahead = (body.cameras[first + at].c2w.rotation * Vector3::z()) / z[at];
+        let ahead = (object.cameras[first + at].c2w.rotation * Vector3::z()) / z[at];
         let place = solver.inverse().fixed_view::<3, 3>(0, 0).into_owned();
         Some(Self {
             middle,
@@ -98,7 +108,7 @@ impl Parabola {
         })
     }
 
-    /// The middle of the body in frame `k` at the acceleration `g`.
+    /// The middle of the object in frame `k` at the acceleration `g`.
     pub fn at(&self, k: usize, ground: &Ground, g: f64) -> Vector3<f64> {
         let t = k as f64 - self.middle;
         let x = self.still + self.fall * g;

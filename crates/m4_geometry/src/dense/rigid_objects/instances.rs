@@ -1,6 +1,6 @@
 //! Which pixels of the masks belong to which thing, while things pass in front of one another.
 //!
-//! Two things whose images touch are one connected part of the mask. Those that were apart before are told apart by
+//! Two things whose images touch are one connected part of the mask. Those that were separate before are separated by
 //! carrying their labels along the flow, those that will be by carrying labels back from then; a region is what has
 //! the same pair of labels.
 

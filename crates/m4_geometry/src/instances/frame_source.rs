@@ -3,13 +3,13 @@
 use m4_core::RgbImage;
 use std::borrow::Cow;
 
-/// Why an image could not be had.
-pub type PictureError = Box<dyn std::error::Error + Send + Sync>;
+/// The error of an image that cannot be read.
+pub type ImageError = Box<dyn std::error::Error + Send + Sync>;
 
-/// Frames by index. They are asked for as they are needed and not kept, so a clip may read them from disk.
+/// Frames by index. They are requested when needed and not cached, so a clip may read them from disk.
 ///
 /// Called from several threads at once; the same frame must be the same image every time.
-pub trait Clip: Sync {
+pub trait FrameSource: Sync {
     /// How many frames there are.
     fn frames(&self) -> usize;
 
@@ -20,26 +20,26 @@ pub trait Clip: Sync {
     ///
     /// # Errors
     ///
-    /// Whatever keeps the image from being read.
-    fn picture(&self, frame: usize) -> Result<Cow<'_, RgbImage>, PictureError>;
+    /// An image that cannot be read.
+    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError>;
 }
 
 /// Images in memory, all of the size of the first.
 #[derive(Debug, Clone, Copy)]
-pub struct Pictures<'a>(pub &'a [&'a RgbImage]);
+pub struct ImageList<'a>(pub &'a [&'a RgbImage]);
 
-impl Clip for Pictures<'_> {
+impl FrameSource for ImageList<'_> {
     fn frames(&self) -> usize {
         self.0.len()
     }
 
     fn size(&self) -> (usize, usize) {
-        self.0.first().map_or((0, 0), |picture| picture.size())
+        self.0.first().map_or((0, 0), |image| image.size())
     }
 
-    fn picture(&self, frame: usize) -> Result<Cow<'_, RgbImage>, PictureError> {
+    fn image(&self, frame: usize) -> Result<Cow<'_, RgbImage>, ImageError> {
         match self.0.get(frame) {
-            Some(picture) => Ok(Cow::Borrowed(picture)),
+            Some(image) => Ok(Cow::Borrowed(image)),
             None => Err(format!("there are {} frames", self.0.len()).into()),
         }
     }

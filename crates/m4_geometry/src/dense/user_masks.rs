@@ -3,15 +3,15 @@
 use super::DenseError;
 use m4_core::Mask;
 
-/// Masks that are taken as they are. Of any size; they are read at the nearest pixel. Depth that is known has a source of its
+/// Masks of the user, taken as they are. Of any size; they are read at the nearest pixel. Known depth has a source of its
 /// own: [`super::SensorDepth`].
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Given<'a> {
-    /// One a frame: above 0 where something moves. No motion is looked for then.
+pub struct UserMasks<'a> {
+    /// One per frame: above 0 in dynamic regions. Motion segmentation is skipped then.
     pub masks: Option<&'a [Mask]>,
 }
 
-impl Given<'_> {
+impl UserMasks<'_> {
     /// Rejects what does not fit the clip.
     pub(super) fn check(&self, frames: usize) -> Result<(), DenseError> {
         if let Some(found) = self.masks.map(<[_]>::len).filter(|&n| n != frames) {

@@ -1,4 +1,4 @@
-//! Masks against the clean plate: what a pixel would show if nothing moved.
+//! Masks against the clean background: what a pixel would show if nothing moved.
 //!
 //! Cameras and the depth of static regions say where a pixel of the background is seen in other frames. Where
 //! those frames agree on a colour and the frame at hand shows another, something stands in front of it; where it
@@ -10,7 +10,7 @@ use super::shot::Shot;
 use super::smooth::{Smoother, box_blur};
 use m4_core::Camera;
 
-/// Distances in time of the frames that a plate is made of, each both ways.
+/// Distances in time of the frames that a background is made of, each both ways.
 const REACHES: [usize; 5] = [2, 5, 9, 14, 20];
 /// Fewest frames that must have seen a pixel of the background.
 const LEAST_FRAMES: usize = 2;
@@ -26,7 +26,7 @@ const STEP_OUTSIDE: f32 = 32.0;
 const LEAST_GAIN: f32 = 0.4;
 /// Cost of explaining a difference by a shadow, 0..255 for full darkness.
 const GAIN_COST: f32 = 20.0;
-/// Weight of the previous mask; a pixel of the plate has 1.
+/// Weight of the previous mask; a pixel of the background has 1.
 const PRIOR: f32 = 0.3;
 /// Strength of the edge-aware smoothing, pixels squared (Min et al. 2014, lambda).
 const SMOOTH_LAMBDA: f32 = 10.0;
@@ -37,7 +37,7 @@ pub(super) struct Scene<'a> {
     pub height: usize,
     pub cameras: &'a [Camera],
     pub shots: &'a [Shot],
-    /// `[height][width]` by frame: disparity of what stands still, continued behind what moves.
+    /// `[height][width]` by frame: disparity of static regions, continued behind dynamic ones.
     pub background: &'a [Vec<f32>],
     /// `[height][width]` by frame: above 0 for what may move, generously.
     pub near: &'a [Vec<u8>],
@@ -68,7 +68,7 @@ pub(super) fn grown(width: usize, height: usize, mask: &[u8], reach: usize) -> V
 }
 
 /// The colour of every pixel of `zone` (above 0) if nothing moved, `[height][width]`; `None` where too few frames saw it.
-fn plate(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<[f32; 3]>> {
+fn background_colours(scene: &Scene<'_>, i: usize, zone: &[u8]) -> Vec<Option<[f32; 3]>> {
     let (w, h) = (scene.width, scene.height);
     let mut partners = Vec::new();
     for reach in REACHES {
@@ -108,19 +108,19 @@ fn median(values: impl Iterator<Item = f32>) -> f32 {
 fn evidence(scene: &Scene<'_>, i: usize, before: &[u8]) -> (Vec<f32>, Vec<f32>) {
     let (w, h) = (scene.width, scene.height);
     let zone = grown(w, h, &scene.near[i], MARGIN_PX);
-    let plate = plate(scene, i, &zone);
+    let background = background_colours(scene, i, &zone);
     let frame = &scene.shots[i].frame;
-    // Shadows keep the pattern of what they fall on: the plate may be darker by one factor around a pixel.
+    // Shadows keep the pattern of what they fall on: the background may be darker by one factor around a pixel.
     let level = |rgb: [f32; 3]| rgb[0] + rgb[1] + rgb[2];
     let mut here: Vec<f32> = (0..w * h)
-        .map(|p| plate[p].map_or(0.0, |_| level(frame.rgb[p].map(f32::from))))
+        .map(|p| background[p].map_or(0.0, |_| level(frame.rgb[p].map(f32::from))))
         .collect();
-    let mut there: Vec<f32> = (0..w * h).map(|p| plate[p].map_or(0.0, level)).collect();
+    let mut there: Vec<f32> = (0..w * h).map(|p| background[p].map_or(0.0, level)).collect();
     box_blur(w, h, &mut here);
     box_blur(w, h, &mut there);
     let (mut value, mut weight) = (vec![0.0; w * h], vec![0.0; w * h]);
     for p in 0..w * h {
-        let Some(still) = plate[p] else { continue };
+        let Some(still) = background[p] else { continue };
         let rgb = frame.rgb[p].map(f32::from);
         let gain = (here[p] / there[p].max(1.0)).clamp(LEAST_GAIN, 1.0);
         let off = |g: f32| (0..3).map(|c| (rgb[c] - g * still[c]).abs()).fold(0.0, f32::max);
@@ -141,7 +141,7 @@ fn evidence(scene: &Scene<'_>, i: usize, before: &[u8]) -> (Vec<f32>, Vec<f32>) 
     (value, weight)
 }
 
-/// The mask of a frame, from `before` (its mask so far) and the plate.
+/// The mask of a frame, from `before` (its mask so far) and the background.
 pub(super) fn sharpen(scene: &Scene<'_>, i: usize, before: &[u8], smoother: &Smoother) -> Vec<u8> {
     let (mut value, mut weight) = evidence(scene, i, before);
     for p in 0..value.len() {
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wide_mask_shrinks_to_what_moves_and_leaves_its_shadow() {
+    fn wide_mask_shrinks_to_the_object_without_its_shadow() {
         let cameras: Vec<Camera> = (0..FRAMES).map(camera).collect();
         let truth: Vec<Vec<u8>> = (0..FRAMES)
             .map(|t| {

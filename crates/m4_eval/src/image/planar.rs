@@ -26,7 +26,7 @@ pub enum ImageError {
         found.0, found.1, expected.0, expected.1
     )]
     Size {
-        /// What differs from the reference.
+        /// The image that differs from the reference.
         what: &'static str,
         /// Width and height of the reference.
         expected: (usize, usize),
@@ -67,13 +67,13 @@ pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (us
 
 /// A colour image in three planes, `[height][width]` each, sRGB values in `[0, 1]`, or beyond where a protocol does not clamp.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Picture {
+pub struct PlanarImage {
     width: usize,
     height: usize,
     planes: [Vec<f32>; 3],
 }
 
-impl Picture {
+impl PlanarImage {
     /// Takes planar colours, `[3][height][width]`, and clamps them to `[0, 1]`.
     ///
     /// # Errors
@@ -81,14 +81,14 @@ impl Picture {
     /// [`ImageError::Length`] if a plane does not hold `width * height` values,
     /// [`ImageError::NotFinite`] if a value is NaN or infinite.
     pub fn from_planes(width: usize, height: usize, planes: [&[f32]; 3]) -> Result<Self, ImageError> {
-        let mut picture = Self::from_planes_unclamped(width, height, planes)?;
-        for value in picture.planes.iter_mut().flatten() {
+        let mut image = Self::from_planes_unclamped(width, height, planes)?;
+        for value in image.planes.iter_mut().flatten() {
             *value = value.clamp(0.0, 1.0);
         }
-        Ok(picture)
+        Ok(image)
     }
 
-    /// The same without clamping, for the protocols that score what a renderer gave as it is.
+    /// The same without clamping, for protocols that score unclamped renders.
     ///
     /// # Errors
     ///
@@ -143,7 +143,7 @@ impl Picture {
     }
 }
 
-impl From<&RgbImage> for Picture {
+impl From<&RgbImage> for PlanarImage {
     fn from(image: &RgbImage) -> Self {
         let plane = |c: usize| image.data().iter().map(|rgb| f32::from(rgb[c]) / 255.0).collect();
         Self {
@@ -152,4 +152,11 @@ impl From<&RgbImage> for Picture {
             planes: [plane(0), plane(1), plane(2)],
         }
     }
+}
+
+/// An image of one value, for tests.
+#[cfg(test)]
+pub(super) fn flat(width: usize, height: usize, value: f32) -> PlanarImage {
+    let plane = vec![value; width * height];
+    PlanarImage::from_planes(width, height, [&plane, &plane, &plane]).unwrap()
 }

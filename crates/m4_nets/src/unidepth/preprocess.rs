@@ -75,7 +75,7 @@ impl Patches {
     }
 
     /// The same camera in pixels of the image. As published, both axes shrink by the ratio of the heights.
-    pub fn camera_of_picture(self, camera: &Intrinsics) -> Intrinsics {
+    pub fn camera_of_image(self, camera: &Intrinsics) -> Intrinsics {
         let ratio = camera.height as f64 / self.height as f64;
         Intrinsics {
             width: self.width,

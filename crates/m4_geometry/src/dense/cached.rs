@@ -1,19 +1,19 @@
-//! Finished parts of a clip on a cache: swept depth frame by frame, masks round by round, depth of static regions, and in
-//! the end what was found of every frame.
+//! Intermediate results of a clip in a cache: swept depth frame by frame, masks round by round, depth of static regions, and in
+//! the end the result of every frame.
 
 use super::error::DenseError;
-use super::estimate::Stages;
+use super::estimate::WorkingResult;
 use super::motion_segmentation::Masks;
 use super::static_depth::Measured;
 use m4_core::{Cache, load, store};
 
-/// What was found of a clip at the working size; lists are `[frames][height][width]`.
-pub(super) struct Placed {
+/// The result of a clip at the working size; lists are `[frames][height][width]`.
+pub(super) struct CachedDepth {
     /// One over z-depth.
     pub disparity: Vec<Vec<f32>>,
     /// How far the depth was measured, 0..1.
     pub confidence: Vec<Vec<f32>>,
-    /// Above 0 where something moves.
+    /// Above 0 in dynamic regions.
     pub moving: Vec<Vec<u8>>,
 }
 
@@ -21,9 +21,9 @@ fn name(i: usize) -> String {
     format!("placed-{i:05}")
 }
 
-impl Placed {
-    /// What was kept of `count` frames of `pixels` pixels, if it was of all.
-    pub fn kept(cache: &dyn Cache, count: usize, pixels: usize) -> Option<Self> {
+impl CachedDepth {
+    /// Reads `count` frames of `pixels` pixels from the cache; `None` unless all are there.
+    pub fn load(cache: &dyn Cache, count: usize, pixels: usize) -> Option<Self> {
         let mut all = Self {
             disparity: Vec::with_capacity(count),
             confidence: Vec::with_capacity(count),
@@ -40,8 +40,8 @@ impl Placed {
         Some(all)
     }
 
-    /// What was found, put on the cache, and the frames and flows that it was found in.
-    pub fn put(stages: &mut Stages, cache: &dyn Cache) -> Self {
+    /// Takes the result out of `stages` and writes it to the cache.
+    pub fn store(stages: &mut WorkingResult, cache: &dyn Cache) -> Self {
         let measured = std::mem::take(&mut stages.measured);
         let all = Self {
             disparity: std::mem::take(&mut stages.disparity),
@@ -60,7 +60,7 @@ impl Placed {
     }
 }
 
-/// `count` numbers of this name: kept ones, else what `work` gives, which is kept then.
+/// Returns the `count` cached numbers of this name, else computes and caches them.
 pub(super) fn numbers(cache: &dyn Cache, name: &str, count: usize, work: impl FnOnce() -> Vec<f32>) -> Vec<f32> {
     if let Some(kept) = cache.get(name).filter(|bytes| bytes.len() == 4 * count) {
         return floats(&kept);
@@ -90,7 +90,7 @@ pub(super) fn masks(
     Ok(made)
 }
 
-/// What was measured of what stands still, and the same carried on everywhere.
+/// Depth of static regions, and the same filled in everywhere.
 type Still = (Vec<Measured>, Vec<Vec<f32>>);
 
 /// The same of depth of static regions.

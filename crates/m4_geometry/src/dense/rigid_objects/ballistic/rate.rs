@@ -2,7 +2,7 @@
 
 use super::super::super::shot::quantile;
 use super::super::ground::Ground;
-use super::Body;
+use super::RigidObject;
 use super::flight::Flight;
 use super::parabola::Parabola;
 
@@ -21,12 +21,12 @@ const CERTAIN: f64 = 0.06;
 
 /// The rate at which parabolas over a few frames are as far away as the parts seem to be: the most common one. `None` if
 /// hardly any part moves along a parabola that bends.
-pub(super) fn first(bodies: &[Body<'_>], ground: &Ground) -> Option<f64> {
-    let mut all: Vec<f64> = bodies
+pub(super) fn first(objects: &[RigidObject<'_>], ground: &Ground) -> Option<f64> {
+    let mut all: Vec<f64> = objects
         .iter()
-        .flat_map(|body| {
-            let starts = 0..(body.depth.len() + 1).saturating_sub(WINDOW);
-            starts.filter_map(|first| reading(body, first, ground))
+        .flat_map(|object| {
+            let starts = 0..(object.depth.len() + 1).saturating_sub(WINDOW);
+            starts.filter_map(|first| reading(object, first, ground))
         })
         .collect();
     if all.len() < READINGS {
@@ -40,43 +40,43 @@ pub(super) fn first(bodies: &[Body<'_>], ground: &Ground) -> Option<f64> {
     Some(all[best + third / 2])
 }
 
-fn reading(body: &Body<'_>, first: usize, ground: &Ground) -> Option<f64> {
+fn reading(object: &RigidObject<'_>, first: usize, ground: &Ground) -> Option<f64> {
     let end = first + WINDOW;
-    let z = body.depth[first..end].iter().sum::<f64>() / WINDOW as f64;
+    let z = object.depth[first..end].iter().sum::<f64>() / WINDOW as f64;
     let (mid, frames) = ((first + end) / 2, WINDOW as f64);
     let mut g = 0.2 * z / (frames * frames);
     let mut miss_px = f64::INFINITY;
     // The depth is nearly affine in the rate.
     for _ in 0..STEPS {
-        let parabola = Parabola::fit(body, (first, end), ground, g)?;
-        let depth = |g: f64| parabola.depth(&body.cameras[mid], mid, ground, g);
+        let parabola = Parabola::fit(object, (first, end), ground, g)?;
+        let depth = |g: f64| parabola.depth(&object.cameras[mid], mid, ground, g);
         g *= (z - depth(0.0)) / (depth(g) - depth(0.0));
         if !(g > 0.0 && g.is_finite()) {
             return None;
         }
         miss_px = parabola.miss_px;
     }
-    let bend_px = body.cameras[mid].intrinsics.fy * g * frames * frames / (8.0 * z);
+    let bend_px = object.cameras[mid].intrinsics.fy * g * frames * frames / (8.0 * z);
     (miss_px < MISS_PX && bend_px > BEND_PX).then_some(g)
 }
 
 /// One rate for all flights.
 ///
-/// A way that is seen from a camera which moves evenly fits any rate, a body that is larger and farther falling faster; so
+/// A way that is seen from a camera which moves evenly fits any rate, an object that is larger and farther falling faster; so
 /// there are two readings. Where the camera did not move evenly one rate fits best, a little too low, for noise draws
 /// everything towards the camera. And nothing falls through the ground: what nearly all flights allow is reached by those
 /// that end on it, and a little too high, for they end between two frames. The truth is between them; without the first, the second stands.
-pub(super) fn settle(bodies: &[Body<'_>], flights: &[Vec<Flight>], ground: &Ground) -> Option<f64> {
+pub(super) fn settle(objects: &[RigidObject<'_>], flights: &[Vec<Flight>], ground: &Ground) -> Option<f64> {
     let (mut sum, mut sharp) = (0.0, 0.0);
     for flight in flights.iter().flatten() {
         sum += flight.parabola.best * flight.parabola.sharp;
         sharp += flight.parabola.sharp;
     }
     let (best, sigma) = (sum / sharp, NOISE_PX / sharp.sqrt());
-    let mut most: Vec<f32> = bodies
+    let mut most: Vec<f32> = objects
         .iter()
         .zip(flights)
-        .flat_map(|(body, flights)| flights.iter().map(|f| allowed(body, f, ground) as f32))
+        .flat_map(|(object, flights)| flights.iter().map(|f| allowed(object, f, ground) as f32))
         .collect();
     let allowed = f64::from(quantile(&mut most, 0.1)?);
     let certain = sigma < CERTAIN * best;
@@ -89,14 +89,14 @@ pub(super) fn settle(bodies: &[Body<'_>], flights: &[Vec<Flight>], ground: &Grou
 }
 
 /// The largest rate for which a flight stays above the ground.
-fn allowed(body: &Body<'_>, flight: &Flight, ground: &Ground) -> f64 {
+fn allowed(object: &RigidObject<'_>, flight: &Flight, ground: &Ground) -> f64 {
     let mut most = f64::INFINITY;
-    for k in (flight.first..flight.end).filter(|&k| body.sights[k].whole) {
-        // How far the body is above the ground, less its own radius: affine in the rate, as its depth is.
+    for k in (flight.first..flight.end).filter(|&k| object.observations[k].whole) {
+        // How far the object is above the ground, less its own radius: affine in the rate, as its depth is.
         let parabola = &flight.parabola;
         let above = |g: f64| {
             ground.height(&parabola.at(k, ground, g))
-                - body.sights[k].radius * parabola.depth(&body.cameras[k], k, ground, g)
+                - object.observations[k].radius * parabola.depth(&object.cameras[k], k, ground, g)
         };
         let (still, slope) = (above(0.0), above(1.0) - above(0.0));
         if still > 0.0 && slope < 0.0 {

@@ -1,32 +1,32 @@
 //! A frame at the size of flow or masks.
 
-use super::super::clip::Clip;
+use super::super::frame_source::FrameSource;
 use super::super::source::VideoError;
-use crate::dense::{FlowPicture, rgb_and_grey};
+use crate::dense::{FlowImage, rgb_and_grey};
 use m4_core::RgbImage;
 use std::borrow::Cow;
 
 /// Reads a frame and checks its size.
-pub fn read(clip: &dyn Clip, frame: usize) -> Result<Cow<'_, RgbImage>, VideoError> {
+pub fn read(clip: &dyn FrameSource, frame: usize) -> Result<Cow<'_, RgbImage>, VideoError> {
     let frames = clip.frames();
     if frame >= frames {
         return Err(VideoError::Frame { frame, frames });
     }
-    let picture = clip
-        .picture(frame)
-        .map_err(|reason| VideoError::Picture { frame, reason })?;
-    if picture.size() != clip.size() {
-        return Err(VideoError::PictureSize {
+    let image = clip
+        .image(frame)
+        .map_err(|reason| VideoError::Image { frame, reason })?;
+    if image.size() != clip.size() {
+        return Err(VideoError::ImageSize {
             frame,
-            found: picture.size(),
+            found: image.size(),
             expected: clip.size(),
         });
     }
-    Ok(picture)
+    Ok(image)
 }
 
 /// A frame at another size, not larger than its own.
-pub struct Picture {
+pub struct ScaledFrame {
     pub width: usize,
     pub height: usize,
     /// `[height][width][3]`
@@ -35,8 +35,8 @@ pub struct Picture {
     pub grey: Vec<f32>,
 }
 
-impl Picture {
-    pub fn of(clip: &dyn Clip, frame: usize, size: (usize, usize)) -> Result<Self, VideoError> {
+impl ScaledFrame {
+    pub fn of(clip: &dyn FrameSource, frame: usize, size: (usize, usize)) -> Result<Self, VideoError> {
         let image = read(clip, frame)?;
         Ok(Self::from_image(image.as_ref(), size))
     }
@@ -51,8 +51,8 @@ impl Picture {
         }
     }
 
-    pub fn for_flow(&self) -> FlowPicture<'_> {
-        FlowPicture {
+    pub fn flow_image(&self) -> FlowImage<'_> {
+        FlowImage {
             width: self.width,
             height: self.height,
             rgb: &self.rgb,

@@ -106,7 +106,7 @@ impl Scale {
 
     /// A mask of the square, `[256][256]`, as one of the image with `size` columns and rows: bilinear to the square's, without what lies
     /// beside the image, bilinear to that.
-    pub fn to_picture(self, mask: &Plane<f32>, size: (usize, usize)) -> Plane<f32> {
+    pub fn to_image(self, mask: &Plane<f32>, size: (usize, usize)) -> Plane<f32> {
         let (width, height) = self.inside();
         let square = bilinear(mask, (INPUT_SIDE, INPUT_SIDE));
         let inside = Plane::from_fn(width, height, |x, y| square[(x, y)]);
@@ -151,7 +151,7 @@ mod tests {
         let least = mask[(0, 179)];
         assert_eq!((square[(3, 150)], square[(255, 255)]), (least, least));
         assert!((square[(128, 72)] - (0.05 * 160.125 - 0.1 * 90.125 + 2.0)).abs() < 1e-3);
-        let back = scale.to_picture(&square, (320, 180));
+        let back = scale.to_image(&square, (320, 180));
         for (x, y) in [(5, 5), (160, 90), (300, 170), (20, 150)] {
             let (got, want) = (back[(x, y)], mask[(x, y)]);
             assert!((got - want).abs() < 1e-3, "{x}, {y}: {got} for {want}");

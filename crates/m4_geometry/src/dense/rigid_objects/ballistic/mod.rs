@@ -1,29 +1,29 @@
-//! What flies falls: between two touches the middle of a body moves along a parabola, with one acceleration for all
-//! bodies.
+//! Ballistic prior: between two contacts the centre of an object moves along a parabola, with one acceleration for all
+//! objects.
 //!
 //! ```text
-//! tracklets -> sight: where the middle of a part is seen, and in which frames all of the part is
-//!           -> rate: how fast things fall, first from how far away the parts seem to be
+//! tracklets -> observation: where the middle of a part is seen, and in which frames all of the part is
+//!           -> rate: the acceleration, first from the estimated depth of the parts
 //!           -> flight: stretches of frames on one parabola (parabola: the fit)  <-.
 //!           -> rate: from how the camera moved, and from the ground that nothing falls through --'
 //!           -> depth by frame
 //! ```
 //!
-//! The rays to a body on a parabola `p + u t + g t^2 / 2` say where it is once `g` is known: every frame gives two
+//! The rays to an object on a parabola `p + u t + g t^2 / 2` say where it is once `g` is known: every frame gives two
 //! linear equations for the six unknowns of `p` and `u`. Down is the normal of the ground; how fast things fall, in the
 //! unit of the cameras, is one number for the whole clip. Needs no size and no shape, but a ground, and a way that bends.
 
 mod flight;
+mod observation;
 mod parabola;
 mod rate;
-mod sight;
 
 use super::super::shot::quantile;
 use super::ground::Ground;
 use super::{Clip, Tracklet};
 use flight::Flight;
 use m4_core::Camera;
-use sight::Sight;
+use observation::Observation;
 
 /// Frames in flight that make a clip one in which things fall.
 const EVIDENCE: usize = 16;
@@ -31,14 +31,14 @@ const EVIDENCE: usize = 16;
 const ROUNDS: usize = 3;
 /// Flights of one part may differ by this factor in its size.
 const RESIZED: f32 = 1.3;
-/// The mean depth of what is seen of a body is nearer than its middle by this share of its radius: two thirds for a ball.
+/// The mean depth of what is seen of an object is nearer than its middle by this share of its radius: two thirds for a ball.
 const BULGE: f64 = 0.6;
 
-/// A part that may fly.
-struct Body<'a> {
+/// An object that may be in flight.
+struct RigidObject<'a> {
     /// Of its frames.
     cameras: &'a [Camera],
-    sights: Vec<Sight>,
+    observations: Vec<Observation>,
     /// z-depth that it seems to have, by frame.
     depth: &'a [f64],
 }
@@ -52,45 +52,51 @@ pub(super) fn depths(
     tracklets: &[&Tracklet],
     depth: &[Vec<f64>],
 ) -> Option<Vec<Vec<Option<f64>>>> {
-    let bodies: Vec<Body<'_>> = tracklets
+    let objects: Vec<RigidObject<'_>> = tracklets
         .iter()
         .zip(depth)
-        .map(|(t, depth)| Body {
+        .map(|(t, depth)| RigidObject {
             cameras: &clip.cameras[t.first..t.first + t.parts.len()],
-            sights: sight::sights(clip, t),
+            observations: observation::observations(clip, t),
             depth,
         })
         .collect();
-    let mut g = rate::first(&bodies, ground)?;
+    let mut g = rate::first(&objects, ground)?;
     let mut flights = Vec::new();
     for _ in 0..ROUNDS {
-        flights = flight::find(&bodies, ground, g);
+        flights = flight::find(&objects, ground, g);
         if flights.iter().flatten().map(Flight::frames).sum::<usize>() < EVIDENCE {
             return None;
         }
-        g = rate::settle(&bodies, &flights, ground)?;
+        g = rate::settle(&objects, &flights, ground)?;
     }
-    let along = |body: &Body<'_>, flights: &[Flight]| {
-        let mut out = vec![None; body.depth.len()];
-        if one_size(body, flights, ground, g) {
+    let along = |object: &RigidObject<'_>, flights: &[Flight]| {
+        let mut out = vec![None; object.depth.len()];
+        if one_size(object, flights, ground, g) {
             for flight in flights {
                 for (k, out) in out.iter_mut().enumerate().take(flight.end).skip(flight.first) {
-                    let z = flight.parabola.depth(&body.cameras[k], k, ground, g);
-                    *out = Some(z * (1.0 - BULGE * body.sights[k].radius));
+                    let z = flight.parabola.depth(&object.cameras[k], k, ground, g);
+                    *out = Some(z * (1.0 - BULGE * object.observations[k].radius));
                 }
             }
         }
         out
     };
-    Some(bodies.iter().zip(&flights).map(|(body, f)| along(body, f)).collect())
+    Some(
+        objects
+            .iter()
+            .zip(&flights)
+            .map(|(object, f)| along(object, f))
+            .collect(),
+    )
 }
 
 /// Whether a part keeps its size from flight to flight; two things whose images touch may not.
-fn one_size(body: &Body<'_>, flights: &[Flight], ground: &Ground, g: f64) -> bool {
+fn one_size(object: &RigidObject<'_>, flights: &[Flight], ground: &Ground, g: f64) -> bool {
     let size = |flight: &Flight| {
         let mut all: Vec<f32> = (flight.first..flight.end)
-            .filter(|&k| body.sights[k].whole)
-            .map(|k| (body.sights[k].radius * flight.parabola.depth(&body.cameras[k], k, ground, g)) as f32)
+            .filter(|&k| object.observations[k].whole)
+            .map(|k| (object.observations[k].radius * flight.parabola.depth(&object.cameras[k], k, ground, g)) as f32)
             .collect();
         quantile(&mut all, 0.5)
     };

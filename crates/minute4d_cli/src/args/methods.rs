@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 /// Methods of the geometry stage, and geometry that the user provides.
 #[derive(Debug, Args)]
-pub struct KnownArgs {
+pub struct MethodArgs {
     /// Front end, the methods for camera poses, optical flow and monocular depth: `auto`, or parts joined by `+`: `megasam` (poses, by a
     /// network), `classical`, `raft` (flow), `moge`, `unidepth`, `depth-anything` (depth); all but `classical` need weights (`minute4d
     /// weights list`) [default: auto]

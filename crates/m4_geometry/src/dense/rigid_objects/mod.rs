@@ -3,18 +3,18 @@
 //! hides, where it touches the ground, and how it moves.
 //!
 //! ```text
-//! masks, flow -> instances: what touches in the image told apart by before and after
+//! masks, flow -> instances: objects that touch in the image, separated by other frames
 //!             -> tracklet: one part through time
 //!             -> rigid: dense bundle adjustment of camera against part (crate::dba), shape and distance up to scale
 //!             -> scale: the one number that is left
-//!             -> fall: what flies falls, all at one rate
+//!             -> ballistic: objects in flight share one acceleration
 //! ```
 //!
 //! docs/spec/front-end.md 7.1, item 7, (a) contact and (b) rigid motion with unknown
 //! scale.
 
+mod ballistic;
 mod edges;
-mod fall;
 mod ground;
 mod instances;
 mod path;
@@ -44,15 +44,15 @@ pub(super) const ROUND_TRIP_PX: f32 = 1.5;
 /// Strength of the edge-aware spreading, pixels squared (Min et al. 2014, lambda).
 const FILL_LAMBDA: f32 = 100.0;
 
-/// What is known of the clip.
+/// Input: cameras, masks, background and flow of a clip.
 pub(super) struct Clip<'a> {
     pub width: usize,
     pub height: usize,
     /// By frame, at the working size.
     pub cameras: &'a [Camera],
-    /// `[height][width]` by frame: above 0 where something moves.
+    /// `[height][width]` by frame: above 0 in dynamic regions.
     pub moving: &'a [Vec<u8>],
-    /// `[height][width]` by frame: disparity of what stands still, continued behind what moves.
+    /// `[height][width]` by frame: disparity of static regions, continued behind dynamic ones.
     pub background: &'a [Vec<f32>],
     /// Between neighbouring frames.
     pub flows: &'a [FlowPair],
@@ -127,7 +127,7 @@ fn fall(
         })
         .collect();
     let tracklets: Vec<&Tracklet> = bodies.iter().map(|(t, _, _)| *t).collect();
-    let Some(flying) = fall::depths(clip, ground, &tracklets, &depth) else {
+    let Some(flying) = ballistic::depths(clip, ground, &tracklets, &depth) else {
         return;
     };
     for (((tracklet, shape, _), flying), scales) in bodies.iter().zip(&flying).zip(scales) {

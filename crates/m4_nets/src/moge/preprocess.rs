@@ -68,7 +68,7 @@ impl Grid {
     }
 
     /// Planes `[n][h][w]` of a map in the image's size, bilinear.
-    pub fn to_picture(self, planes: &[f32], w: usize, h: usize) -> Vec<f32> {
+    pub fn to_image(self, planes: &[f32], w: usize, h: usize) -> Vec<f32> {
         resampled(
             planes,
             w,
@@ -86,7 +86,7 @@ mod tests {
     use burn_core::tensor::DType;
 
     #[test]
-    fn patches_follow_the_shape_of_the_picture() {
+    fn patches_have_the_aspect_of_the_image() {
         let grid = |w, h, tokens| {
             let grid = Grid::of(w, h, tokens).unwrap();
             (grid.across, grid.down)
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn places_are_symmetric_and_end_within_the_picture() {
+    fn places_are_symmetric_and_end_within_the_image() {
         let grid = Grid::of(300, 400, 12).unwrap();
         let places: Vec<f32> = grid.places(1, &cpu(), DType::F32).try_into_vec_as().unwrap();
         let (w, h) = (2 * grid.across, 2 * grid.down);

@@ -11,7 +11,7 @@ const AROUND: usize = 4;
 const SHARED: f64 = 0.08;
 
 /// What one frame shows of a part.
-pub(super) struct Sight {
+pub(super) struct Observation {
     /// Two directions in the world, across the ray to the middle: their product with what leads from the camera to a
     /// point of depth 1 is how far the point is seen from the middle, pixels at the working size.
     pub across: [Vector3<f64>; 2],
@@ -24,7 +24,7 @@ pub(super) struct Sight {
 }
 
 /// By frame of the tracklet.
-pub(super) fn sights(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Sight> {
+pub(super) fn observations(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Observation> {
     let area: Vec<f64> = tracklet.parts.iter().map(|p| p.len() as f64).collect();
     let mut own = vec![false; clip.width * clip.height];
     (0..area.len())
@@ -36,7 +36,7 @@ pub(super) fn sights(clip: &Clip<'_>, tracklet: &Tracklet) -> Vec<Sight> {
             let usual = around.iter().copied().fold(0.0, f64::max);
             let radius_px = (area[k] / std::f64::consts::PI).sqrt();
             let [u, v] = [outline.middle.x + 0.5, outline.middle.y + 0.5];
-            Sight {
+            Observation {
                 across: [
                     camera.c2w.rotation * Vector3::new(lens.fx, 0.0, lens.cx - u),
                     camera.c2w.rotation * Vector3::new(0.0, lens.fy, lens.cy - v),

@@ -6,14 +6,14 @@ use crate::device::{GpuPainter, OpenGpu};
 use m4_core::{Camera, Exposure, RgbImage, Scene};
 use m4_kernels::{Frame, SimdLevel};
 
-/// Draws a scene on a GPU where there is one, else on the processor.
-pub struct Pictures<'a> {
+/// Renders a scene on a GPU if there is one, else on the CPU.
+pub struct SceneRenderer<'a> {
     scene: &'a Scene,
     painter: Painter<'a>,
     on_gpu: Option<GpuPainter>,
 }
 
-impl<'a> Pictures<'a> {
+impl<'a> SceneRenderer<'a> {
     /// Copies the splats to the GPU, if there is one.
     ///
     /// # Errors
@@ -27,12 +27,12 @@ impl<'a> Pictures<'a> {
         })
     }
 
-    /// What plans look at: always on the processor.
+    /// The CPU painter, for planning paths.
     pub fn painter(&mut self) -> &mut Painter<'a> {
         &mut self.painter
     }
 
-    /// What a camera sees at a moment (frames), as the kernels give it: not exposed, clamped or rounded.
+    /// Renders a camera at a time (frames) as the kernels give it: without exposure, clamping or rounding.
     ///
     /// # Errors
     ///
@@ -44,15 +44,15 @@ impl<'a> Pictures<'a> {
         }
     }
 
-    /// What a camera sees at a moment (frames), eight bits per channel, with an exposure.
+    /// Renders a camera at a time (frames) to eight bits per channel, with an exposure.
     ///
     /// # Errors
     ///
     /// [`Error::Gpu`] if it does not fit or the device fails.
-    pub fn picture(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> Result<RgbImage, Error> {
+    pub fn image(&mut self, camera: &Camera, t: f64, exposure: &Exposure) -> Result<RgbImage, Error> {
         match &mut self.on_gpu {
             Some(gpu) => Ok(to_rgb(&gpu.frame(&view(self.scene, camera, t))?, exposure)),
-            None => Ok(self.painter.picture(camera, t, exposure)),
+            None => Ok(self.painter.image(camera, t, exposure)),
         }
     }
 }

@@ -11,7 +11,7 @@ const SCALE: [f32; 3] = [0.458, 0.448, 0.450];
 
 /// An image of sRGB values from 0 to 1.
 #[derive(Debug, Clone, PartialEq)]
-pub struct LpipsPicture {
+pub struct LpipsImage {
     width: usize,
     height: usize,
     /// `[3][height][width]`.
@@ -26,7 +26,7 @@ pub(super) fn same_size(what: &'static str, expected: (usize, usize), found: (us
     }
 }
 
-impl LpipsPicture {
+impl LpipsImage {
     /// Of planes of red, green and blue, `[3][height][width]`. Values beyond 0 to 1 are kept.
     ///
     /// # Errors
@@ -77,7 +77,7 @@ impl LpipsPicture {
     }
 }
 
-impl From<&RgbImage> for LpipsPicture {
+impl From<&RgbImage> for LpipsImage {
     fn from(image: &RgbImage) -> Self {
         Self {
             width: image.width(),

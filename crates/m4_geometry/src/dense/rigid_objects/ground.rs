@@ -83,7 +83,7 @@ fn oriented(normal: Vector3<f64>, through: &Vector3<f64>, axis: &Vector3<f64>) -
     })
 }
 
-/// Points of what rests, and their z-depths.
+/// Static points and their z-depths.
 fn samples(clip: &Clip<'_>) -> Vec<(Vector3<f64>, f64)> {
     let mut out = Vec::new();
     for t in (0..clip.cameras.len()).step_by(FRAMES) {

@@ -57,7 +57,7 @@ impl Sides {
     }
 
     /// Disparity of the sides [`Sides::inside`] in those of the image.
-    pub fn to_picture(self, disparity: &[f32]) -> Plane<f32> {
+    pub fn to_image(self, disparity: &[f32]) -> Plane<f32> {
         let (width, height) = self.inside();
         let columns = Kernels::linear(width, self.width);
         let rows = Kernels::linear(height, self.height);
@@ -94,11 +94,11 @@ mod tests {
 
     /// A constant stays one, and a slope goes to the image's size and keeps its ends.
     #[test]
-    fn disparity_comes_back_in_the_size_of_the_picture() {
+    fn disparity_is_resized_to_the_image() {
         let sides = Sides::of(300, 200).unwrap();
         let (w, h) = sides.inside();
         let slope: Vec<f32> = (0..w * h).map(|i| (i % w) as f32 + 0.5).collect();
-        let back = sides.to_picture(&slope);
+        let back = sides.to_image(&slope);
         assert_eq!(back.size(), (300, 200));
         let want = 150.5 * w as f32 / 300.0;
         assert!((back[(150, 70)] - want).abs() < 1e-3, "{} for {want}", back[(150, 70)]);

@@ -109,7 +109,7 @@ pub(super) fn reconstruct(clip: &Clip<'_>, tracklet: &Tracklet, before: &[Vec<f3
     let k = clip.cameras[tracklet.first].intrinsics;
     let mut geometry = Geometry {
         grid,
-        lens: Pinhole::of_picture(k.fx, k.fy, k.cx, k.cy, BLOCK_PX as f64),
+        lens: Pinhole::of_image(k.fx, k.fy, k.cx, k.cy, BLOCK_PX as f64),
         poses: clip.cameras[tracklet.first..tracklet.first + frames]
             .iter()
             .map(scaled)

@@ -1,30 +1,34 @@
 //! Tracks of a clip, kept so that cameras can be found more than once.
 
-use super::known::{Known, Recovered};
 use super::luma::{LONGEST_SIDE_PX, WorkingSize};
+use super::priors::{Priors, Recovered};
 use super::reconstruct::{check, check_masks, from_tracks};
 use super::tracking::{RawTrack, track};
 use super::{SparseConfig, SparseError, Work};
 use m4_core::{Progress, RgbImage};
 
-/// What was followed through a clip. Following takes most of the time of a reconstruction.
+/// Feature tracks of a clip. Tracking takes most of the time of a reconstruction.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
-pub struct Followed {
+pub struct FeatureTracks {
     tracks: Vec<RawTrack>,
     frames: usize,
     size: [usize; 2],
     working: WorkingSize,
 }
 
-/// Follows corners through a clip.
+/// Tracks corners through a clip.
 ///
 /// # Errors
 ///
 /// As [`super::recover`], but for what concerns cameras.
-pub fn follow(frames: &[&RgbImage], config: &SparseConfig, progress: &dyn Progress) -> Result<Followed, SparseError> {
-    let (width, height) = check(frames, &Known::default(), config)?;
+pub fn track_features(
+    frames: &[&RgbImage],
+    config: &SparseConfig,
+    progress: &dyn Progress,
+) -> Result<FeatureTracks, SparseError> {
+    let (width, height) = check(frames, &Priors::default(), config)?;
     let working = WorkingSize::new(width, height, LONGEST_SIDE_PX);
-    Ok(Followed {
+    Ok(FeatureTracks {
         tracks: track(frames, working, progress)?,
         frames: frames.len(),
         size: [width, height],
@@ -32,13 +36,18 @@ pub fn follow(frames: &[&RgbImage], config: &SparseConfig, progress: &dyn Progre
     })
 }
 
-impl Followed {
+impl FeatureTracks {
     /// As [`super::recover`] of the same frames with the same settings.
     ///
     /// # Errors
     ///
     /// As [`super::recover`].
-    pub fn recover(&self, known: &Known<'_>, config: &SparseConfig, work: &Work<'_>) -> Result<Recovered, SparseError> {
+    pub fn recover(
+        &self,
+        known: &Priors<'_>,
+        config: &SparseConfig,
+        work: &Work<'_>,
+    ) -> Result<Recovered, SparseError> {
         check_masks(known, self.frames)?;
         from_tracks(
             self.tracks.clone(),

@@ -165,7 +165,7 @@ fn errors_with(disc: &Disc, guess: impl Fn(usize) -> f32, falling: bool) -> (f32
 }
 
 #[test]
-fn a_wheel_in_the_air_stays_in_place_at_its_true_distance_alone() {
+fn spinning_wheel_stays_in_place_only_at_its_true_depth() {
     let disc = Disc {
         ball: false,
         radius: 0.5,
@@ -177,7 +177,7 @@ fn a_wheel_in_the_air_stays_in_place_at_its_true_distance_alone() {
 }
 
 #[test]
-fn what_rolls_on_the_ground_is_where_it_touches_it() {
+fn rolling_object_has_the_depth_of_its_contact() {
     let disc = Disc {
         ball: false,
         radius: 0.4,
