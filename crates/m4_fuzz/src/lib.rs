@@ -1,7 +1,7 @@
 //! All readers of files, as called by the fuzzer and by the replay of its findings.
 //!
 //! ```text
-//! table     all readers of m4_io, m4_formats, m4_import and of the program itself: a name, a file among others, sound contents, the call
+//! table     all readers of m4_io and of the program itself: a name, a file among others, sound contents, the call
 //! reader    one of them: its folder, the bytes put where they belong, what came of it
 //! dress     what bytes are wrapped in so that harm goes deeper than a checksum: chunks of PNG, gzip, members of archives
 //! sound     what is wrong with what was read, if something is

@@ -1,4 +1,4 @@
-//! Readers and writers for the types of m4_core: video, images, captures, scene files.
+//! Readers and writers for the types of m4_core: video, images, captures, data sets of other tools, scene files.
 //!
 //! Everything that comes from outside is checked here, once: counts in headers against the size of
 //! the file before anything is allocated, numbers for being numbers, sizes for agreeing. Axes and
@@ -8,12 +8,15 @@
 #![forbid(unsafe_code)]
 
 pub mod atomic;
+pub mod cameras;
 pub mod capture;
+pub mod captures;
+pub mod dataset;
 pub mod image;
 pub mod megasam;
 pub mod npy;
 pub mod reach;
-pub mod scene_file;
+pub mod scene;
 pub mod tracks;
 pub mod trajectory;
 pub mod video;

@@ -5,8 +5,9 @@ use m4_core::{CounterRng, Plane, Progress, Silent};
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::image::{read_depth, read_rgb, write_depth, write_mask, write_rgb};
+use m4_io::scene::safetensors;
+use m4_io::trajectory;
 use m4_io::video::{self, VideoOptions};
-use m4_io::{scene_file, trajectory};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -544,10 +545,10 @@ fn a_capture_that_does_not_fit_in_memory() {
 fn scenes_that_are_none() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.safetensors");
-    assert_eq!(scene_file::read(&path).unwrap_err().kind(), ErrorKind::NotFound);
+    assert_eq!(safetensors::read(&path).unwrap_err().kind(), ErrorKind::NotFound);
     let text = |bytes: &[u8]| {
         std::fs::write(&path, bytes).unwrap();
-        let error = scene_file::read(&path).unwrap_err();
+        let error = safetensors::read(&path).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::BadData);
         error.to_string()
     };

@@ -5,9 +5,15 @@ mod bad_inputs;
 #[cfg(test)]
 mod capture;
 #[cfg(test)]
+mod captures;
+#[cfg(test)]
 mod common;
 #[cfg(test)]
+mod dataset;
+#[cfg(test)]
 mod decoder;
+#[cfg(test)]
+mod exports;
 #[cfg(test)]
 mod isolation;
 #[cfg(test)]

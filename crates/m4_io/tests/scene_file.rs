@@ -4,7 +4,7 @@ use m4_core::{
     Camera, Column, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats, StateTensor,
     TrainState, covariance4::VelocityForm, nalgebra::Vector6,
 };
-use m4_io::scene_file::{ReadSceneError, read, read_covariance4, write, write_covariance4};
+use m4_io::scene::safetensors::{ReadSceneError, read, read_covariance4, write, write_covariance4};
 use std::collections::BTreeMap;
 
 fn splats(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Splats {

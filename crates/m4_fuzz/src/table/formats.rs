@@ -1,12 +1,12 @@
-//! Readers of `m4_formats`.
+//! Readers of scene files and camera files of other tools.
 
 use super::{alone, made};
 use crate::dress::Dress;
 use crate::reader::{Around, Outcome, Reader};
 use crate::sound;
-use m4_formats::cameras::colmap::{self, ColmapEncoding, ColmapOptions};
-use m4_formats::cameras::nerfstudio::{self, NerfstudioOptions};
-use m4_formats::{fourdgs, ply};
+use m4_io::cameras::colmap::{self, ColmapEncoding, ColmapOptions};
+use m4_io::cameras::nerfstudio::{self, NerfstudioOptions};
+use m4_io::scene::{fourdgs, ply};
 use std::path::Path;
 
 pub fn rows() -> Vec<Reader> {

@@ -1,4 +1,4 @@
-//! Readers of `m4_import`: one row for each file that a format parses, in an otherwise valid clip.
+//! Readers of data sets: one row for each file that a format parses, in an otherwise valid clip.
 
 use super::{among, within};
 use crate::dress::Dress;
@@ -6,16 +6,16 @@ use crate::fixture::{copy, fixture};
 use crate::reader::{Around, Outcome, Reader};
 use crate::sound;
 use m4_core::Silent;
-use m4_import::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
-use m4_import::{ImportOptions, formats::davis};
+use m4_io::dataset::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
+use m4_io::dataset::{ImportOptions, davis};
 use m4_io::reach::Reach;
 use m4_io::video::VideoOptions;
 use std::path::Path;
 
 /// Reads a clip, and looks at what else it could be taken for.
 pub fn clip(path: &Path, format: SourceFormat, options: &ImportOptions) -> Outcome {
-    let _ = m4_import::detect(path);
-    Outcome::of(m4_import::read(path, format, options, &Silent), |found| {
+    let _ = m4_io::dataset::detect(path);
+    Outcome::of(m4_io::dataset::read(path, format, options, &Silent), |found| {
         sound::capture(&found.train).or_else(|| found.test.as_ref().and_then(sound::capture))
     })
 }

@@ -9,7 +9,7 @@ use m4_core::{Plane, Silent, SplatLayout};
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::megasam::{self, MegasamOptions};
 use m4_io::npy::{Array, ArrayFault, Npz};
-use m4_io::scene_file::{self, ReadSceneError};
+use m4_io::scene::safetensors::{self, ReadSceneError};
 use m4_io::trajectory;
 use m4_io::video::{self, Mp4Writer, VideoOptions};
 use m4_io::{image, tracks};
@@ -248,7 +248,7 @@ fn scenes() -> Vec<Reader> {
     let seeds = || {
         let write = |degree| {
             let pairs = BTreeMap::from([("a".to_owned(), "b".to_owned())]);
-            made::written("s", |p| scene_file::write(p, &made::scene(degree), None, &pairs))
+            made::written("s", |p| safetensors::write(p, &made::scene(degree), None, &pairs))
         };
         vec![write(0), write(2)]
     };
@@ -264,7 +264,7 @@ fn scenes() -> Vec<Reader> {
                 ..m4_testkit::SceneSpec::default()
             },
         );
-        vec![made::written("s", |p| scene_file::write_covariance4(p, &scene.splats))]
+        vec![made::written("s", |p| safetensors::write_covariance4(p, &scene.splats))]
     };
     let layout = SplatLayout {
         isotropic: false,
@@ -274,21 +274,21 @@ fn scenes() -> Vec<Reader> {
     vec![
         alone("io-scene-file", "scene.safetensors", seeds, sealed_scene),
         alone("io-scene-covariance", "c.safetensors", covariance, move |p| {
-            Outcome::of(scene_file::read_covariance4(p, layout), sound::splats)
+            Outcome::of(safetensors::read_covariance4(p, layout), sound::splats)
         }),
     ]
 }
 
 /// Reads a scene file; where only its checksum is wrong, once more with the right one.
 fn sealed_scene(path: &Path) -> Outcome {
-    let read = scene_file::read(path);
+    let read = safetensors::read(path);
     if let Err(ReadSceneError::Checksum { expected, found, .. }) = &read {
         let mut bytes = std::fs::read(path).unwrap_or_default();
         let at = bytes.windows(expected.len()).position(|w| w == expected.as_bytes());
         if let Some(at) = at.filter(|_| expected.len() == found.len()) {
             bytes[at..at + found.len()].copy_from_slice(found.as_bytes());
             if std::fs::write(path, bytes).is_ok() {
-                return Outcome::of(scene_file::read(path), |file| sound::scene(&file.scene));
+                return Outcome::of(safetensors::read(path), |file| sound::scene(&file.scene));
             }
         }
     }

@@ -6,9 +6,9 @@ use crate::dress::Dress;
 use crate::fixture::{fixture, fixture_bytes};
 use crate::reader::{Outcome, Reader};
 use crate::sound;
-use m4_import::side::depth::{decode_exr, decode_pfm, read_depth};
-use m4_import::side::mask::read_mask;
-use m4_import::{ImportOptions, SourceFormat};
+use m4_io::dataset::side::depth::{decode_exr, decode_pfm, read_depth};
+use m4_io::dataset::side::mask::read_mask;
+use m4_io::dataset::{ImportOptions, SourceFormat};
 use std::path::{Path, PathBuf};
 
 /// A sound clip with side files.

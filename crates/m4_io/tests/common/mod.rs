@@ -1,5 +1,7 @@
 //! What the tests of this crate share.
 
+pub mod fixtures;
+
 use m4_core::{RgbImage, Video};
 use m4_testkit::{Need, skip};
 use std::path::{Path, PathBuf};

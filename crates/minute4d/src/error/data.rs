@@ -3,7 +3,7 @@
 use super::Category;
 use m4_io::capture::{ReadCaptureError, WriteCaptureError};
 use m4_io::image::{ReadImageError, WriteImageError};
-use m4_io::scene_file::{ReadSceneError, WriteSceneError};
+use m4_io::scene::safetensors::{ReadSceneError, WriteSceneError};
 use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
 

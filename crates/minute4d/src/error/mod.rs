@@ -30,7 +30,7 @@ use m4_geometry::sparse::SparseError;
 use m4_io::ErrorKind;
 use m4_io::capture::{ReadCaptureError, WriteCaptureError};
 use m4_io::image::{ReadImageError, WriteImageError};
-use m4_io::scene_file::{ReadSceneError, WriteSceneError};
+use m4_io::scene::safetensors::{ReadSceneError, WriteSceneError};
 use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
 use m4_kernels::SimdLevelError;

@@ -4,8 +4,8 @@ use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
 use crate::error::OutputError;
 use crate::{Error, Observer, Settings};
 use m4_core::Capture;
-use m4_formats::captures::{self, WriteCaptureAsError};
 use m4_io::capture::{self, CaptureOptions, Split};
+use m4_io::captures::{self, WriteCaptureAsError};
 use std::path::Path;
 use std::time::Instant;
 

@@ -2,14 +2,14 @@
 
 use super::Format;
 use crate::Category;
-use m4_formats::cameras::colmap::WriteColmapError;
-use m4_formats::cameras::nerfstudio::WriteNerfstudioError;
-use m4_formats::captures::WriteCaptureAsError;
-use m4_formats::fourdgs::WriteFourdgsError;
-use m4_formats::gltf::WriteGltfError;
-use m4_formats::ply::WritePlyError;
-use m4_formats::splatv::WriteSplatvError;
-use m4_formats::spz::WriteSpzError;
+use m4_io::cameras::colmap::WriteColmapError;
+use m4_io::cameras::nerfstudio::WriteNerfstudioError;
+use m4_io::captures::WriteCaptureAsError;
+use m4_io::scene::fourdgs::WriteFourdgsError;
+use m4_io::scene::gltf::WriteGltfError;
+use m4_io::scene::ply::WritePlyError;
+use m4_io::scene::splatv::WriteSplatvError;
+use m4_io::scene::spz::WriteSpzError;
 use std::path::PathBuf;
 
 /// Why an export failed.

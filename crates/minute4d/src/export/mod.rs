@@ -22,7 +22,7 @@ use crate::folder::SCENE_FILE;
 use crate::render::{Moment, Span};
 use crate::{Error, Observer, is_capture};
 use m4_core::Scene;
-use m4_io::scene_file;
+use m4_io::scene::safetensors;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -47,7 +47,7 @@ pub struct ExportJob {
     /// Which files a capture may name.
     pub reach: m4_io::reach::Reach,
     /// Settings of single formats.
-    pub fourdgs: m4_formats::fourdgs::FourdgsConfig,
+    pub fourdgs: m4_io::scene::fourdgs::FourdgsConfig,
 }
 
 impl ExportJob {
@@ -63,7 +63,7 @@ impl ExportJob {
             compare: true,
             keep_mip: false,
             reach: m4_io::reach::Reach::Inside,
-            fourdgs: m4_formats::fourdgs::FourdgsConfig::default(),
+            fourdgs: m4_io::scene::fourdgs::FourdgsConfig::default(),
         }
     }
 }
@@ -100,7 +100,7 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     if !job.replace && occupied(&out) {
         return Err(OutputError::WouldReplace { path: out }.into());
     }
-    let scene = scene_file::read(&file)?.scene;
+    let scene = safetensors::read(&file)?.scene;
     scene_to(&scene, &out, job, observer)
 }
 

@@ -2,7 +2,7 @@
 
 use super::{Comparison, Format, Time};
 use m4_core::Scene;
-use m4_formats::{Loss, Written};
+use m4_io::scene::{Loss, Written};
 use serde::Serialize;
 use std::fmt;
 use std::path::PathBuf;

@@ -3,8 +3,8 @@
 use super::{ExportError, ExportJob, Format, video};
 use crate::{Error, Observer};
 use m4_core::Scene;
-use m4_formats::cameras::{colmap, nerfstudio};
-use m4_formats::{Written, fourdgs, gltf, ply, splatv, spz};
+use m4_io::cameras::{colmap, nerfstudio};
+use m4_io::scene::{Written, fourdgs, gltf, ply, splatv, spz};
 use std::path::Path;
 
 /// Writes `scene` to `out`; `moments` are those of [`ExportJob::moments`].

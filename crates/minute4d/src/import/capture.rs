@@ -7,9 +7,9 @@ use crate::progress::RecordingObserver;
 use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::{Error, Observer, Settings, StageEvent, folder, geometry, hash};
 use m4_core::{Capture, CompactMask};
-use m4_import::formats::dycheck;
-use m4_import::{Imported, ReadSourceError, SourceFault, SourceFormat};
 use m4_io::capture::{self, Split};
+use m4_io::dataset::dycheck;
+use m4_io::dataset::{Imported, ReadSourceError, SourceFault, SourceFormat};
 use m4_io::megasam::{self, MegasamFault, MegasamOptions, ReadMegasamError};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -69,7 +69,7 @@ pub(super) fn make(
     observer.stage(STAGE, StageEvent::Started { because: None });
     let mut imported = match format {
         SourceFormat::Megasam => of_megasam(file, &options, job, &keeper)?,
-        source => m4_import::read(file, source, &options, &keeper).map_err(source_stopped)?,
+        source => m4_io::dataset::read(file, source, &options, &keeper).map_err(source_stopped)?,
     };
     let check = if job.check || job.fix {
         let (found, fixed) = checked(imported, job.fix, &keeper)?;

@@ -1,11 +1,11 @@
 //! Errors of an import.
 
 use crate::Category;
-use m4_formats::fourdgs::ReadFourdgsError;
-use m4_formats::ply::ReadPlyError;
 use m4_geometry::consistency::ConsistencyError;
-use m4_import::ReadSourceError;
+use m4_io::dataset::ReadSourceError;
 use m4_io::megasam::{MegasamFault, ReadMegasamError};
+use m4_io::scene::fourdgs::ReadFourdgsError;
+use m4_io::scene::ply::ReadPlyError;
 use std::path::PathBuf;
 
 /// Why an import failed.

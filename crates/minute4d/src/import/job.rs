@@ -2,7 +2,7 @@
 
 use super::ImportFormat;
 use crate::folder::Existing;
-use m4_import::ImportOptions;
+use m4_io::dataset::ImportOptions;
 use std::path::PathBuf;
 
 /// What to import, and what its files do not say.
