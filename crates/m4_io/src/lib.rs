@@ -3,17 +3,14 @@
 //! Everything that comes from outside is checked here, once: counts in headers against the size of
 //! the file before anything is allocated, numbers for being numbers, sizes for agreeing. Axes and
 //! units are converted here too, so that the rest of the program knows one convention
-//! ([`m4_core`]). Every error names the file, what is wrong with it and what to do next, and tells
-//! its [`ErrorKind`]. What is written is written whole or not at all ([`atomic`]).
+//! ([`m4_core`]). Every error names the file, what is wrong with it and what to do next, and has
+//! its [`ErrorKind`]. Files are written atomically ([`atomic`]).
 #![forbid(unsafe_code)]
 
 pub mod atomic;
-pub mod cameras;
 pub mod capture;
-pub mod captures;
 pub mod dataset;
 pub mod image;
-pub mod megasam;
 pub mod npy;
 pub mod reach;
 pub mod scene;

@@ -5,8 +5,6 @@ mod bad_inputs;
 #[cfg(test)]
 mod capture;
 #[cfg(test)]
-mod captures;
-#[cfg(test)]
 mod common;
 #[cfg(test)]
 mod dataset;
@@ -16,8 +14,6 @@ mod decoder;
 mod exports;
 #[cfg(test)]
 mod isolation;
-#[cfg(test)]
-mod megasam;
 #[cfg(test)]
 mod mp4_writer;
 #[cfg(test)]

@@ -70,10 +70,8 @@ fn every_format_shows_the_scene_that_it_was_made_of() {
         }
         refused(&["export", &out, "--format", format], 73, &["--force"]);
     }
-    for (format, file) in [("colmap", "colmap/sparse/0"), ("nerfstudio", "transforms.json")] {
-        let report = succeed(&["export", &out, "--format", format, "--json"]).result();
-        assert_eq!(report["path"], dir.at(&format!("out/{file}")));
-        assert!(number(&report["bytes"]) > 1000.0 && report["comparison"].is_null());
+    for format in ["colmap", "nerfstudio"] {
+        refused(&["export", &out, "--format", format], 65, &[format, "stores captures"]);
     }
     // 17 numbers per splat, besides the header
     let still = succeed(&["export", &out, "--format", "ply", "--force", "--no-compare", "--json"]).result();

@@ -96,7 +96,7 @@ fn wrong_requests_are_refused_with_advice() {
         (
             vec!["import", &empty, "-o", &out, "--format", "megasam"],
             65,
-            "no array `images`",
+            "the array `images` is missing",
         ),
         (
             vec!["import", &ply, "-o", &out, "--fps", "3"],

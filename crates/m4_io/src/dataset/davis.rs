@@ -2,29 +2,29 @@
 //!
 //! ```text
 //! JPEGImages/480p/NAME/00000.jpg      the video, 24 frames per second
-//! Annotations/480p/NAME/00000.png     a palette image: the number of the thing that each pixel shows, 0 for none
+//! Annotations/480p/NAME/00000.png     a palette image: the number of the object that each pixel shows, 0 for none
 //! ```
 //!
 //! A [`Listing`](crate::dataset::Listing) is of posed frames, which these are not: [`read_clip`] gives what the estimation of geometry starts
-//! from, a video, and the maps of things for its frames. Source: the README of davischallenge/davis-2017.
+//! from, a video, and its masks of objects. Source: the README of davischallenge/davis-2017.
 
-use crate::dataset::files::pictures::{of_video, size_of};
+use crate::dataset::files::images::{of_video, size_of};
 use crate::dataset::files::stem;
 use crate::dataset::side::mask::read_mask;
-use crate::dataset::{ReadSourceError, SourceFault};
-use crate::video::{VideoOptions, pictures, read};
+use crate::dataset::{ReadSourceError, SourceErrorCause};
+use crate::video::{VideoOptions, image_files, read};
 use m4_core::{CompactIds, Progress, Video};
 use std::path::{Path, PathBuf};
 
-/// Frames a second of all clips.
+/// Frames per second of all clips.
 const FPS: f64 = 24.0;
 
-/// A clip and what was outlined in it.
+/// A clip and its annotated objects.
 #[derive(Debug, Clone)]
 pub struct DavisClip {
     /// The images.
     pub video: Video,
-    /// Which thing each pixel shows, for each frame of `video`, of the size of the files; `None` for frames without annotation (test
+    /// The object that each pixel shows, for each frame of `video`, of the size of the files; `None` for frames without annotation (test
     /// sets have the first alone, or none).
     pub instances: Vec<Option<CompactIds>>,
 }
@@ -37,7 +37,7 @@ pub fn detect(path: &Path) -> bool {
 }
 
 /// Reads the clip whose images lie in `path`, `ROOT/JPEGImages/RESOLUTION/NAME`; the maps lie in `ROOT/Annotations/RESOLUTION/NAME`.
-/// `options` choose frames and size as for any video; its `folder_fps` is passed over.
+/// `options` choose frames and size as for any video; its `folder_fps` is ignored.
 ///
 /// # Errors
 ///
@@ -48,21 +48,17 @@ pub fn read_clip(path: &Path, options: &VideoOptions, progress: &dyn Progress) -
         folder_fps: FPS,
         ..options.clone()
     };
-    let files = pictures(path).map_err(|e| of_video(path, e))?;
+    let files = image_files(path).map_err(|e| of_video(path, e))?;
     let video = read(path, &options, progress).map_err(|e| of_video(path, e))?;
     let mut instances = Vec::with_capacity(video.frames.len());
     for frame in &video.frames {
         let index = (frame.time_s * FPS).round() as usize;
-        let Some(picture) = files.get(index) else {
+        let Some(image) = files.get(index) else {
             let what = format!("frame {index} is not among the {} images", files.len());
-            return Err(SourceFault::bad(what, "do not change files while they are read").at(path));
+            return Err(SourceErrorCause::bad(what, "do not change files while they are read").at(path));
         };
-        let file = annotations.join(format!("{}.png", stem(picture)));
-        instances.push(if file.is_file() {
-            Some(map(&file, picture)?)
-        } else {
-            None
-        });
+        let file = annotations.join(format!("{}.png", stem(image)));
+        instances.push(if file.is_file() { Some(map(&file, image)?) } else { None });
     }
     Ok(DavisClip { video, instances })
 }
@@ -76,22 +72,22 @@ fn annotations(path: &Path) -> Result<PathBuf, ReadSourceError> {
         }
         _ => {
             let what = "it is not a folder ROOT/JPEGImages/RESOLUTION/NAME";
-            Err(SourceFault::bad(what, "give the folder of the clip's images").at(path))
+            Err(SourceErrorCause::bad(what, "give the folder of the clip's images").at(path))
         }
     }
 }
 
-fn map(file: &Path, picture: &Path) -> Result<CompactIds, ReadSourceError> {
-    let read = read_mask(file, false).map_err(|fault| fault.at(file))?;
+fn map(file: &Path, image: &Path) -> Result<CompactIds, ReadSourceError> {
+    let read = read_mask(file, false).map_err(|e| e.at(file))?;
     let Some(ids) = read.instances else {
         let what = "it has no palette, so it does not distinguish objects";
-        return Err(SourceFault::bad(what, "give the annotations as they were published").at(file));
+        return Err(SourceErrorCause::bad(what, "give the annotations as they were published").at(file));
     };
-    let size = size_of(picture).map_err(|fault| fault.at(picture))?;
+    let size = size_of(image).map_err(|e| e.at(image))?;
     if ids.size() != size {
         let ((w, h), (pw, ph)) = (ids.size(), size);
         let what = format!("it is {w} x {h} pixels but its image is {pw} x {ph}");
-        return Err(SourceFault::bad(what, "give images and annotations of one resolution").at(file));
+        return Err(SourceErrorCause::bad(what, "give images and annotations of one resolution").at(file));
     }
     Ok(ids)
 }

@@ -9,10 +9,10 @@ use std::path::{Path, PathBuf};
 /// Why a source could not be read: the file, the place in it, and what to do.
 #[derive(Debug, thiserror::Error)]
 #[error(
-    "cannot import {}{}: {}",
+    "cannot read {}{}: {}",
     shortened(path.display()),
     place.as_ref().map(|p| format!(", {}", shortened(p))).unwrap_or_default(),
-    shortened(fault)
+    shortened(cause)
 )]
 #[non_exhaustive]
 pub struct ReadSourceError {
@@ -21,39 +21,39 @@ pub struct ReadSourceError {
     /// The field, line or frame.
     pub place: Option<String>,
     /// The fault.
-    pub fault: SourceFault,
+    pub cause: SourceErrorCause,
 }
 
 /// What is wrong with a source.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum SourceFault {
+pub enum SourceErrorCause {
     /// The system could not read it.
     #[error("{0}")]
     Io(#[from] io::Error),
     /// Something that the format needs is missing.
-    #[error("{what} is missing; {remedy}")]
+    #[error("{what} is missing; {hint}")]
     Missing {
         /// What.
         what: String,
         /// How to fix it.
-        remedy: String,
+        hint: String,
     },
     /// A value cannot be, or does not fit the others.
-    #[error("{what}; {remedy}")]
+    #[error("{what}; {hint}")]
     Bad {
         /// What it holds and what was expected.
         what: String,
         /// How to fix it.
-        remedy: String,
+        hint: String,
     },
     /// It is in order but is not read here.
-    #[error("{what}; {remedy}")]
+    #[error("{what}; {hint}")]
     Unsupported {
         /// What.
         what: String,
         /// How to fix it.
-        remedy: String,
+        hint: String,
     },
     /// It would not fit into memory.
     #[error(
@@ -80,40 +80,45 @@ pub enum SourceFault {
     Cancelled,
 }
 
-impl SourceFault {
+impl SourceErrorCause {
     /// Something is missing.
-    pub fn missing(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+    pub fn missing(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::Missing {
             what: what.into(),
-            remedy: remedy.into(),
+            hint: hint.into(),
         }
     }
 
     /// A value cannot be.
-    pub fn bad(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+    pub fn bad(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::Bad {
             what: what.into(),
-            remedy: remedy.into(),
+            hint: hint.into(),
         }
     }
 
     /// Something is not read here.
-    pub fn unsupported(what: impl Into<String>, remedy: impl Into<String>) -> Self {
+    pub fn unsupported(what: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::Unsupported {
             what: what.into(),
-            remedy: remedy.into(),
+            hint: hint.into(),
         }
     }
 
     /// The same with the name of a file beside the source, where the message does not have it.
     #[must_use]
     pub fn of_file(self, file: &Path) -> Self {
-        let of = |what: String| format!("{}: {what}", file.display());
+        self.prefixed(&file.display().to_string())
+    }
+
+    /// The same with its place before the message.
+    pub(crate) fn prefixed(self, place: &str) -> Self {
+        let of = |what: String| format!("{place}: {what}");
         match self {
             Self::Io(e) => Self::Io(io::Error::new(e.kind(), of(e.to_string()))),
-            Self::Missing { what, remedy } => Self::Missing { what: of(what), remedy },
-            Self::Bad { what, remedy } => Self::Bad { what: of(what), remedy },
-            Self::Unsupported { what, remedy } => Self::Unsupported { what: of(what), remedy },
+            Self::Missing { what, hint } => Self::Missing { what: of(what), hint },
+            Self::Bad { what, hint } => Self::Bad { what: of(what), hint },
+            Self::Unsupported { what, hint } => Self::Unsupported { what: of(what), hint },
             Self::TooLarge {
                 what,
                 needed_bytes,
@@ -133,7 +138,7 @@ impl SourceFault {
         ReadSourceError {
             path: path.to_path_buf(),
             place: None,
-            fault: self,
+            cause: self,
         }
     }
 
@@ -143,7 +148,7 @@ impl SourceFault {
         ReadSourceError {
             path: path.to_path_buf(),
             place: Some(place.into()),
-            fault: self,
+            cause: self,
         }
     }
 }
@@ -152,28 +157,31 @@ impl ReadSourceError {
     /// The sort of this failure.
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
-        match &self.fault {
-            SourceFault::Io(source) => ErrorKind::of_read(source),
-            SourceFault::Missing { .. } | SourceFault::Bad { .. } | SourceFault::Outside(_) => ErrorKind::BadData,
-            SourceFault::Unsupported { .. } | SourceFault::TooLarge { .. } => ErrorKind::Unsupported,
-            SourceFault::Image(source) => source.kind(),
-            SourceFault::Cancelled => ErrorKind::Cancelled,
+        match &self.cause {
+            SourceErrorCause::Io(source) => ErrorKind::of_read(source),
+            SourceErrorCause::Missing { .. } | SourceErrorCause::Bad { .. } | SourceErrorCause::Outside(_) => {
+                ErrorKind::BadData
+            }
+            SourceErrorCause::Unsupported { .. } | SourceErrorCause::TooLarge { .. } => ErrorKind::Unsupported,
+            SourceErrorCause::Image(source) => source.kind(),
+            SourceErrorCause::Cancelled => ErrorKind::Cancelled,
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::SourceFault;
+    use super::SourceErrorCause;
     use std::path::Path;
 
     #[test]
     fn long_quotes_are_shortened_and_keep_the_advice() {
-        let fault = SourceFault::bad(format!("{:?} is not a number", "9ü".repeat(100_000)), "correct it");
-        let said = fault.within(Path::new("a.txt"), "line 7").to_string();
+        let cause = SourceErrorCause::bad(format!("{:?} is not a number", "9ü".repeat(100_000)), "correct it");
+        let message = cause.within(Path::new("a.txt"), "line 7").to_string();
         assert!(
-            said.starts_with("cannot import a.txt, line 7: \"9ü9ü") && said.ends_with("is not a number; correct it")
+            message.starts_with("cannot read a.txt, line 7: \"9ü9ü")
+                && message.ends_with("is not a number; correct it")
         );
-        assert!(said.chars().count() < 600, "{said}");
+        assert!(message.chars().count() < 600, "{message}");
     }
 }

@@ -1,6 +1,6 @@
 //! Camera models with distortion.
 
-use super::SourceFault;
+use super::SourceErrorCause;
 use m4_core::Intrinsics;
 
 /// How a lens bends rays, from normalised pinhole coordinates `(x, y) = (X / Z, Y / Z)` to those that the pixels have.
@@ -117,7 +117,7 @@ impl Lens {
     }
 
     /// Refuses an image of another size.
-    pub(crate) fn check_size(&self, (width, height): (usize, usize)) -> Result<(), SourceFault> {
+    pub(crate) fn check_size(&self, (width, height): (usize, usize)) -> Result<(), SourceErrorCause> {
         let k = &self.intrinsics;
         if (k.width, k.height) == (width, height) {
             return Ok(());
@@ -126,7 +126,7 @@ impl Lens {
             "its image is {width} x {height} but its camera is of {} x {} pixels",
             k.width, k.height
         );
-        Err(SourceFault::bad(
+        Err(SourceErrorCause::bad(
             what,
             "use the images that the cameras were computed from",
         ))

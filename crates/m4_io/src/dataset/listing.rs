@@ -1,16 +1,16 @@
 //! The listing of a source: what a format knows before anything large is read.
 
-use super::{Lens, SourceFault};
+use super::{Lens, SourceErrorCause};
 use m4_core::{Capture, CompactDepth, CompactIds, CompactMask, Plane, RgbImage, Se3, Tracks};
 use std::fmt;
 use std::sync::Mutex;
 
 /// How to get one image, map or mask when its turn comes; called from several threads, once.
-pub struct FrameSource<T>(Box<dyn Fn() -> Result<T, SourceFault> + Send + Sync>);
+pub struct FrameSource<T>(Box<dyn Fn() -> Result<T, SourceErrorCause> + Send + Sync>);
 
 impl<T> FrameSource<T> {
     /// Creates a loader from a function.
-    pub fn new(get: impl Fn() -> Result<T, SourceFault> + Send + Sync + 'static) -> Self {
+    pub fn new(get: impl Fn() -> Result<T, SourceErrorCause> + Send + Sync + 'static) -> Self {
         Self(Box::new(get))
     }
 
@@ -22,7 +22,7 @@ impl<T> FrameSource<T> {
         let held = Mutex::new(Some(value));
         Self::new(move || {
             let taken = held.lock().ok().and_then(|mut held| held.take());
-            taken.ok_or_else(|| SourceFault::bad("an image or map was asked for twice", "list the source again"))
+            taken.ok_or_else(|| SourceErrorCause::bad("an image or map was asked for twice", "list the source again"))
         })
     }
 
@@ -30,8 +30,8 @@ impl<T> FrameSource<T> {
     ///
     /// # Errors
     ///
-    /// [`SourceFault`].
-    pub fn get(&self) -> Result<T, SourceFault> {
+    /// [`SourceErrorCause`].
+    pub fn get(&self) -> Result<T, SourceErrorCause> {
         (self.0)()
     }
 }
@@ -61,7 +61,7 @@ pub struct ListedFrame {
     pub mask: Option<FrameSource<CompactMask>>,
     /// How likely each pixel is to move, 255 = certainly.
     pub motion: Option<FrameSource<Plane<u8>>>,
-    /// Which thing each pixel shows.
+    /// The object that each pixel shows.
     pub instances: Option<FrameSource<CompactIds>>,
     /// Which held-out camera took it; `None` for training frames.
     pub camera_index: Option<u32>,

@@ -1,14 +1,14 @@
 //! Loads a [`Listing`] as a capture: everything decoded, in parallel, within a memory limit.
 
 use super::undistort::Undistort;
-use super::{ImportOptions, Imported, ListedFrame, Listing, ReadSourceError, SourceFault};
+use super::{ImportOptions, Imported, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
 use m4_core::{Camera, Capture, CaptureFrame, CompactDepth, CompactIds, CompactMask, Progress, Tracks};
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Bytes a pixel: colour and depth, and room for a mask.
-const BYTES_A_PIXEL: u64 = 8;
+/// Bytes of eight pixels: colour, depth of 32 bits, and room for a mask.
+const BYTES_PER_8_PIXELS: u64 = 64;
 
 /// Decodes what `listing` names; `path` is the source, for messages.
 ///
@@ -21,6 +21,17 @@ pub fn load(
     options: &ImportOptions,
     progress: &dyn Progress,
 ) -> Result<Imported, ReadSourceError> {
+    load_of(path, listing, BYTES_PER_8_PIXELS, options, progress)
+}
+
+/// As [`load`], where eight pixels take `bytes_per_8_pixels`.
+pub(crate) fn load_of(
+    path: &Path,
+    listing: Listing,
+    bytes_per_8_pixels: u64,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Imported, ReadSourceError> {
     let Listing {
         train,
         test,
@@ -30,7 +41,9 @@ pub fn load(
         tracks,
     } = listing;
     if train.is_empty() {
-        return Err(SourceFault::missing("every frame of the training video", "give a source with frames").at(path));
+        return Err(
+            SourceErrorCause::missing("every frame of the training video", "give a source with frames").at(path),
+        );
     }
     if let Some(tracks) = tracks.as_ref().filter(|t| t.frames() != train.len()) {
         let what = format!(
@@ -38,9 +51,9 @@ pub fn load(
             tracks.frames(),
             train.len()
         );
-        return Err(SourceFault::bad(what, "give tracks of the same clip").at(path));
+        return Err(SourceErrorCause::bad(what, "give tracks of the same clip").at(path));
     }
-    check_memory(&train, &test, options).map_err(|fault| fault.at(path))?;
+    check_memory(&train, &test, bytes_per_8_pixels, options).map_err(|e| e.at(path))?;
     let capture = |frames: Vec<ListedFrame>, phase, tracks: Option<Tracks>| -> Result<Capture, ReadSourceError> {
         Ok(Capture {
             frames: decode(path, &frames, time_frames, phase, progress)?,
@@ -60,14 +73,19 @@ pub fn load(
     })
 }
 
-fn check_memory(train: &[ListedFrame], test: &[ListedFrame], options: &ImportOptions) -> Result<(), SourceFault> {
+fn check_memory(
+    train: &[ListedFrame],
+    test: &[ListedFrame],
+    bytes_per_8_pixels: u64,
+    options: &ImportOptions,
+) -> Result<(), SourceErrorCause> {
     let pixels = |f: &ListedFrame| (f.lens.intrinsics.width as u64).saturating_mul(f.lens.intrinsics.height as u64);
     let total = train.iter().chain(test).map(pixels).fold(0u64, u64::saturating_add);
-    let needed_bytes = total.saturating_mul(BYTES_A_PIXEL);
+    let needed_bytes = total.saturating_mul(bytes_per_8_pixels).div_ceil(8);
     if needed_bytes <= options.max_memory_bytes {
         return Ok(());
     }
-    Err(SourceFault::TooLarge {
+    Err(SourceErrorCause::TooLarge {
         what: format!("a clip of {} frames", train.len() + test.len()),
         needed_bytes,
         limit_bytes: options.max_memory_bytes,
@@ -87,10 +105,9 @@ fn decode(
         .enumerate()
         .map(|(i, frame)| {
             if progress.cancelled() {
-                return Err(SourceFault::Cancelled.at(path));
+                return Err(SourceErrorCause::Cancelled.at(path));
             }
-            let out =
-                one(frame, time_frames).map_err(|fault| fault.within(path, format!("frame {i} ({})", frame.name)));
+            let out = one(frame, time_frames).map_err(|e| e.within(path, format!("frame {i} ({})", frame.name)));
             progress.update(phase, done.fetch_add(1, Ordering::Relaxed) + 1, frames.len(), "");
             out
         })
@@ -98,23 +115,23 @@ fn decode(
     decoded.into_iter().collect()
 }
 
-fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, SourceFault> {
+fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, SourceErrorCause> {
     frame
         .lens
         .check()
-        .map_err(|what| SourceFault::bad(what, "correct the camera in the source"))?;
+        .map_err(|what| SourceErrorCause::bad(what, "correct the camera in the source"))?;
     let last = time_frames.max(1) as f64 - 1.0;
     if !(0.0..=last).contains(&frame.t) {
         let what = format!("its time is {}; 0 to {last} frames were expected", frame.t);
-        return Err(SourceFault::bad(what, "correct the times in the source"));
+        return Err(SourceErrorCause::bad(what, "correct the times in the source"));
     }
     if !frame.c2w.matrix().iter().all(|v| v.is_finite()) {
-        return Err(SourceFault::bad(
-            "its pose holds a value that is not a number",
+        return Err(SourceErrorCause::bad(
+            "its pose holds a NaN or infinite value",
             "correct the pose in the source",
         ));
     }
-    let get = |e: String| SourceFault::unsupported(e, "undistort the images with the tool that made them");
+    let get = |e: String| SourceErrorCause::unsupported(e, "undistort the images with the tool that made them");
     let undistort = Undistort::new(&frame.lens).map_err(get)?;
     let rgb = frame.rgb.get()?;
     frame.lens.check_size(rgb.size())?;
@@ -146,14 +163,14 @@ fn one(frame: &ListedFrame, time_frames: usize) -> Result<CaptureFrame, SourceFa
 }
 
 /// Says that the `i`th of `n` steps of a loop begins, or stops it.
-pub(crate) fn step(phase: &str, i: usize, n: usize, progress: &dyn Progress) -> Result<(), SourceFault> {
+pub(crate) fn step(phase: &str, i: usize, n: usize, progress: &dyn Progress) -> Result<(), SourceErrorCause> {
     if progress.cancelled() {
-        return Err(SourceFault::Cancelled);
+        return Err(SourceErrorCause::Cancelled);
     }
     progress.update(phase, i + 1, n, "");
     Ok(())
 }
 
-fn got<T>(source: &Option<super::FrameSource<T>>) -> Result<Option<T>, SourceFault> {
+fn got<T>(source: &Option<super::FrameSource<T>>) -> Result<Option<T>, SourceErrorCause> {
     source.as_ref().map(super::FrameSource::get).transpose()
 }

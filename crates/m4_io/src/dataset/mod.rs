@@ -16,11 +16,13 @@
 //!
 //! Files are not trusted: counts are compared with the size of the file before memory is taken.
 
-mod colmap;
+pub mod colmap;
 pub mod davis;
 pub mod dycheck;
-mod megasam;
-mod nerfstudio;
+pub mod export;
+pub mod llff;
+pub mod megasam;
+pub mod nerfstudio;
 mod nvidia;
 mod record3d;
 pub mod side;
@@ -34,11 +36,11 @@ mod load;
 mod options;
 mod undistort;
 
-pub use error::{ReadSourceError, SourceFault};
+pub use error::{ReadSourceError, SourceErrorCause};
 pub use lens::{Distortion, Lens};
 pub use listing::{FrameSource, Imported, ListedFrame, Listing};
 pub use load::load;
-pub(crate) use load::step;
+pub(crate) use load::{load_of, step};
 pub use options::ImportOptions;
 
 use m4_core::Progress;
@@ -70,7 +72,7 @@ pub enum SourceFormat {
 struct Row {
     format: SourceFormat,
     name: &'static str,
-    /// Whether a file or folder is of it: looks at names and first bytes alone.
+    /// Detects a file or folder of the format by names and first bytes.
     detect: fn(&Path) -> bool,
     list: fn(&Path, &ImportOptions, &dyn Progress) -> Result<Listing, ReadSourceError>,
 }
@@ -157,6 +159,6 @@ pub fn read(
             side::attach(&mut listing, options, progress)?;
             load(path, listing, options, progress)
         }
-        None => Err(SourceFault::unsupported("no reader has this format", "name another").at(path)),
+        None => Err(SourceErrorCause::unsupported("no reader has this format", "name another").at(path)),
     }
 }

@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_distorted_camera_saw_is_where_a_pinhole_sees_it() {
+    fn undistortion_matches_pinhole_projection() {
         for distortion in [
             Distortion::brown(-0.25, 0.06, 0.0, 0.002, -0.003),
             Distortion::brown(0.6, 0.2, 0.0, 0.0, 0.0),
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pinhole_stays_and_a_lens_that_folds_is_refused() {
+    fn pinholes_need_no_undistortion_and_folding_lenses_are_refused() {
         assert!(Undistort::new(&lens(Distortion::None)).unwrap().is_none());
         let folds = Undistort::new(&lens(Distortion::brown(-40.0, 0.0, 0.0, 0.0, 0.0)));
         assert!(folds.is_err() || folds.unwrap().unwrap().to.fx > 300.0);

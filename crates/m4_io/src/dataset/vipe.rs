@@ -5,21 +5,21 @@
 //! rgb/NAME.mp4               the clip (or options.images)
 //! pose/NAME.npz              data [n][4][4] camera to world, inds [n]: which frames of the clip they are of
 //! intrinsics/NAME.npz        data [n][4] fx fy cx cy, pixels, inds [n]; NAME_camera.txt: "0: PINHOLE", a line per frame
-//! depth/NAME.zip             00000.exr, ...: halves, channel Z, metres; not a number where unknown (optional)
+//! depth/NAME.zip             00000.exr, ...: halves, channel Z, metres; NaN where unknown (optional)
 //! mask/NAME.zip, NAME.txt    00000.png, ...: which instance a pixel shows, 0 = none; "1: person", what each is (optional)
 //! flow, vipe                 are not read
 //! ```
 //!
 //! **What is converted.** Poses are OpenCV's and depth is z-depth: nothing is turned. Principal points are taken as they are, from the
-//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see [`crate::megasam`]). The dynamic part is what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
+//! image's corner: ViPE starts from half of the width and counts pixels from their centres, as MegaSaM does (see [`super::megasam`]). The dynamic part is what ViPE was told to look for (people, animals, vehicles, ...): every instance but those whose
 //! phrase is `sky`. Metric, as ViPE's depth is. Frames of the clip without a pose are left out and keep their place in time.
 //!
 //! Source: `vipe/utils/io.py` of NVIDIA's repository (Apache-2.0).
 
 use crate::dataset::files::arrays::Arrays;
-use crate::dataset::files::{Inside, Members, clock, lens, pictures, pose, text};
+use crate::dataset::files::{Inside, Members, clock, images, lens, pose, text};
 use crate::dataset::side::depth::decode_exr;
-use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
 use crate::image;
 use m4_core::{CompactDepth, CompactIds, CompactMask, Progress};
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -57,7 +57,7 @@ fn names(run: &Path) -> Vec<String> {
 }
 
 pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    clock::fps(options).map_err(|fault| fault.at(path))?;
+    clock::fps(options).map_err(|e| e.at(path))?;
     let (run, name) = match run_of(path) {
         Some(found) => found,
         None => {
@@ -65,12 +65,12 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             match names.as_slice() {
                 [one] => (path.to_path_buf(), one.clone()),
                 [] => {
-                    let remedy = "give the folder of a run, with pose, intrinsics and rgb";
-                    return Err(SourceFault::missing("pose/NAME.npz with its intrinsics/NAME.npz", remedy).at(path));
+                    let hint = "give the folder of a run, with pose, intrinsics and rgb";
+                    return Err(SourceErrorCause::missing("pose/NAME.npz with its intrinsics/NAME.npz", hint).at(path));
                 }
                 several => {
                     let what = format!("the run has {} clips: {}", several.len(), several.join(", "));
-                    return Err(SourceFault::unsupported(what, "give pose/NAME.npz of one of them").at(path));
+                    return Err(SourceErrorCause::unsupported(what, "give pose/NAME.npz of one of them").at(path));
                 }
             }
         }
@@ -81,14 +81,14 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let (lens_file, lenses) = indexed(&part("intrinsics", &format!("{name}.npz")), 4)?;
     pinholes(&part("intrinsics", &format!("{name}_camera.txt")))?;
     let clip = options
-        .pictures
+        .images
         .clone()
         .unwrap_or_else(|| part("rgb", &format!("{name}.mp4")));
     if !clip.exists() {
-        let remedy = "give the clip or the folder of its images (images)";
-        return Err(SourceFault::missing("the clip", remedy).at(&clip));
+        let hint = "give the clip or the folder of its images (images)";
+        return Err(SourceErrorCause::missing("the clip", hint).at(&clip));
     }
-    let pictures = pictures::read(&clip, &inside, options, progress)?;
+    let images = images::read(&clip, &inside, options, progress)?;
     let zipped = |folder: &str| -> Result<Option<Arc<Zipped>>, ReadSourceError> {
         let file = inside.file(part(folder, &format!("{name}.zip")))?;
         let open = file.is_file().then(|| Zipped::open(&file, &inside));
@@ -96,21 +96,21 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     };
     let (depths, masks) = (zipped("depth")?, zipped("mask")?);
     let still = Arc::new(sky(&part("mask", &format!("{name}.txt")))?);
-    let time_frames = pictures.all.len();
+    let time_frames = images.all.len();
     if let Some((&last, _)) = poses.last_key_value().filter(|(last, _)| **last >= time_frames) {
         let what = format!("it has a pose of frame {last}, but the clip has {time_frames}");
-        return Err(SourceFault::bad(what, "give the clip of this run").at(&pose_file));
+        return Err(SourceErrorCause::bad(what, "give the clip of this run").at(&pose_file));
     }
-    let last_s = pictures.times_s.and_then(|times| times.last().copied());
+    let last_s = images.times_s.and_then(|times| times.last().copied());
     let duration_s = clock::duration_of(last_s, time_frames, options, progress);
     let mut train = Vec::with_capacity(poses.len());
-    for (i, picture) in pictures.all.into_iter().enumerate() {
+    for (i, image) in images.all.into_iter().enumerate() {
         let Some(matrix) = poses.get(&i) else { continue };
         let c2w = pose::of_matrix("the matrix", matrix)
-            .map_err(|fault| fault.within(&pose_file, format!("array `data`, frame {i}")))?;
+            .map_err(|e| e.within(&pose_file, format!("array `data`, frame {i}")))?;
         let k = lenses.get(&i).ok_or_else(|| {
-            let remedy = "give the files of one run";
-            SourceFault::missing(format!("the line of frame {i}"), remedy).within(&lens_file, "array `inds`")
+            let hint = "give the files of one run";
+            SourceErrorCause::missing(format!("the line of frame {i}"), hint).within(&lens_file, "array `inds`")
         })?;
         let member = |zip: &Option<Arc<Zipped>>, extension: &str| -> Result<Option<Member>, ReadSourceError> {
             let name = format!("{i:05}.{extension}");
@@ -120,7 +120,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             }
         };
         let (depth, mask) = (member(&depths, "exr")?, member(&masks, "png")?);
-        let k = lens::pinhole([k[0], k[1], k[2], k[3]], picture.size);
+        let k = lens::pinhole([k[0], k[1], k[2], k[3]], image.size);
         train.push(ListedFrame {
             depth: depth.map(|member| FrameSource::new(move || member.depth())),
             mask: mask.clone().map(|member| {
@@ -134,7 +134,7 @@ pub(super) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
                 })
             }),
             instances: mask.map(|member| FrameSource::new(move || member.ids())),
-            ..ListedFrame::new(format!("{i:05}"), Lens::pinhole(k), c2w, i as f64, picture.rgb)
+            ..ListedFrame::new(format!("{i:05}"), Lens::pinhole(k), c2w, i as f64, image.rgb)
         });
     }
     Ok(Listing {
@@ -155,15 +155,15 @@ fn indexed(file: &Path, width: usize) -> Result<(PathBuf, BTreeMap<usize, Vec<f6
             "data has shape {shape:?} and there are {} inds; {width} numbers for each were expected",
             inds.len()
         );
-        let remedy = "other camera models have more; run ViPE with a pinhole camera";
-        return Err(SourceFault::bad(what, remedy).at(file));
+        let hint = "other camera models have more; run ViPE with a pinhole camera";
+        return Err(SourceErrorCause::bad(what, hint).at(file));
     }
     let mut all = BTreeMap::new();
     for (index, numbers) in inds.iter().zip(data.chunks_exact(width)) {
         let whole = *index >= 0.0 && index.fract() == 0.0 && *index < f64::from(u32::MAX);
         if !whole || all.insert(*index as usize, numbers.to_vec()).is_some() {
             let what = format!("it holds {index}, no frame or one that was there before");
-            return Err(SourceFault::bad(what, "give the file that ViPE wrote").within(file, "array `inds`"));
+            return Err(SourceErrorCause::bad(what, "give the file that ViPE wrote").within(file, "array `inds`"));
         }
     }
     Ok((file.to_path_buf(), all))
@@ -178,8 +178,8 @@ fn pinholes(path: &Path) -> Result<(), ReadSourceError> {
         let kind = line.split_once(':').map_or("", |(_, kind)| kind.trim());
         if !(line.trim().is_empty() || kind == "PINHOLE") {
             let what = format!("the camera is {line:?}; only PINHOLE is read");
-            let remedy = "run ViPE with a pinhole camera (`pipeline=default`)";
-            return Err(SourceFault::unsupported(what, remedy).within(path, format!("line {}", i + 1)));
+            let hint = "run ViPE with a pinhole camera (`pipeline=default`)";
+            return Err(SourceErrorCause::unsupported(what, hint).within(path, format!("line {}", i + 1)));
         }
     }
     Ok(())
@@ -197,7 +197,7 @@ fn sky(path: &Path) -> Result<HashSet<u16>, ReadSourceError> {
             .and_then(|(id, phrase)| Some((id.trim().parse().ok()?, phrase)));
         let (id, phrase) = parsed.ok_or_else(|| {
             let what = format!("{line:?} is not a number with a phrase, such as `1: person`");
-            SourceFault::bad(what, "give the file that ViPE wrote").within(path, format!("line {}", i + 1))
+            SourceErrorCause::bad(what, "give the file that ViPE wrote").within(path, format!("line {}", i + 1))
         })?;
         phrases.insert(id, phrase.trim().to_ascii_lowercase());
     }
@@ -218,13 +218,13 @@ impl Zipped {
     fn open(path: &Path, inside: &Inside) -> Result<Self, ReadSourceError> {
         Ok(Self {
             path: path.to_path_buf(),
-            members: Members::open(path, inside.clone()).map_err(|fault| fault.at(path))?,
+            members: Members::open(path, inside.clone()).map_err(|e| e.at(path))?,
         })
     }
 
     /// The map of that name, if it is there.
     fn member(self: &Arc<Self>, name: String) -> Result<Option<Member>, ReadSourceError> {
-        let has = self.members.has(&name).map_err(|fault| fault.at(&self.path))?;
+        let has = self.members.has(&name).map_err(|e| e.at(&self.path))?;
         Ok(has.then(|| Member {
             zip: Arc::clone(self),
             name,
@@ -244,18 +244,18 @@ impl Member {
         self.zip.path.join(&self.name)
     }
 
-    fn bytes(&self) -> Result<Vec<u8>, SourceFault> {
+    fn bytes(&self) -> Result<Vec<u8>, SourceErrorCause> {
         let bytes = self.zip.members.read(&self.name, MAX_MEMBER_BYTES)?;
-        bytes.ok_or_else(|| SourceFault::missing(&self.name, "copy the archive again"))
+        bytes.ok_or_else(|| SourceErrorCause::missing(&self.name, "copy the archive again"))
     }
 
-    fn depth(&self) -> Result<CompactDepth, SourceFault> {
+    fn depth(&self) -> Result<CompactDepth, SourceErrorCause> {
         let decoded = self.bytes().and_then(|bytes| decode_exr(&bytes));
-        Ok(decoded.map_err(|fault| fault.of_file(&self.path()))?.into())
+        Ok(decoded.map_err(|e| e.of_file(&self.path()))?.into())
     }
 
-    fn ids(&self) -> Result<CompactIds, SourceFault> {
-        let bytes = self.bytes().map_err(|fault| fault.of_file(&self.zip.path))?;
+    fn ids(&self) -> Result<CompactIds, SourceErrorCause> {
+        let bytes = self.bytes().map_err(|e| e.of_file(&self.zip.path))?;
         Ok(image::ids_of_bytes(&self.path(), &bytes)?)
     }
 }

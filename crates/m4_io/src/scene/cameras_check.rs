@@ -2,7 +2,7 @@
 
 use m4_core::SourceFrame;
 
-/// Longest side of an image, pixels, and farthest place, world units, that are believed.
+/// Longest side of an image, pixels, and farthest position, world units, of a valid camera.
 const MAX_SIDE_PX: usize = 16_384;
 const MAX_PLACE: f64 = 1e12;
 

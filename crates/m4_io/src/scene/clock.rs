@@ -2,7 +2,7 @@
 
 use m4_core::Scene;
 
-/// Frames a second where a scene or a file does not say.
+/// Frames per second where a scene or a file does not say.
 pub const DEFAULT_FPS: f64 = 30.0;
 
 /// How long a frame of a scene lasts.

@@ -17,7 +17,7 @@ pub(crate) fn load(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Writes `bytes` to `path`, whole or not at all, and reads them back first.
+/// Writes `bytes` to `path`, atomically, and reads them back first.
 pub(crate) fn publish(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = VerifiedFile::create(path)?;
     file.write_all(bytes)?;

@@ -4,7 +4,7 @@ use crate::ErrorKind;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a file did not get to the disk as it was made.
+/// Why a file of another tool could not be written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum WriteFileError {
@@ -22,6 +22,22 @@ pub enum WriteFileError {
         /// The file or folder.
         path: PathBuf,
         /// The findings.
+        reason: String,
+    },
+    /// The scene has values that the format cannot hold, or an option is out of range.
+    #[error("the scene cannot be written as {format}: {what}")]
+    BadScene {
+        /// The format.
+        format: &'static str,
+        /// The fault, where it is, and how to fix it.
+        what: String,
+    },
+    /// The bytes that were made do not decode to the scene within the declared bounds.
+    #[error("the written {format} file does not decode to the scene: {reason}; this is a bug, please report it")]
+    Decode {
+        /// The format.
+        format: &'static str,
+        /// What differs, and by how much.
         reason: String,
     },
 }
@@ -43,9 +59,20 @@ impl WriteFileError {
         }
     }
 
+    /// The scene does not fit the format.
+    pub(crate) fn bad(format: &'static str, what: impl Into<String>) -> Self {
+        Self::BadScene {
+            format,
+            what: what.into(),
+        }
+    }
+
     /// The sort of this failure.
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
-        ErrorKind::CannotWrite
+        match self {
+            Self::BadScene { .. } => ErrorKind::BadData,
+            Self::Io { .. } | Self::Verify { .. } | Self::Decode { .. } => ErrorKind::CannotWrite,
+        }
     }
 }

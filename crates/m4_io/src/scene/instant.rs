@@ -95,7 +95,7 @@ mod tests {
     use m4_core::{Column, SplatLayout, Splats};
 
     #[test]
-    fn a_moving_splat_is_where_and_as_strong_as_its_time_says() {
+    fn instants_evaluate_motion_and_temporal_weight() {
         let layout = SplatLayout {
             isotropic: true,
             sh_degree: 0,

@@ -1,10 +1,11 @@
-//! Splat and camera files for other viewers, and captures for other trainers: one folder per format.
+//! Scene files: `scene.safetensors` and those of other viewers, one folder per format.
 //!
-//! A writer takes a [`m4_core::Scene`], writes the file whole or not at all, and returns what it
+//! A writer takes a [`m4_core::Scene`], writes the file atomically, and returns what it
 //! wrote and what the format could not hold ([`Written`]). A format with one instant, or one per frame,
 //! is given splats without time by [`instant()`]. A reader takes untrusted bytes: whatever they are, it
 //! returns a scene ([`Imported`]) or an error that names the field, and allocates no more than a small
 //! multiple of the file.
+
 pub mod fourdgs;
 pub mod gltf;
 pub mod ply;
@@ -14,13 +15,13 @@ pub mod spz;
 
 pub(crate) mod cameras_check;
 mod clock;
-pub(crate) mod file;
+mod file;
 mod file_error;
 mod instant;
 mod peak;
-pub(crate) mod row;
+mod row;
 mod rub;
-pub(crate) mod verified;
+mod verified;
 mod words;
 mod written;
 

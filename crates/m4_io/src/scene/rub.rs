@@ -51,7 +51,7 @@ mod tests {
     };
 
     #[test]
-    fn the_covariance_turns_with_the_world() {
+    fn rotating_splats_rotates_covariance() {
         let layout = SplatLayout {
             isotropic: false,
             sh_degree: 3,

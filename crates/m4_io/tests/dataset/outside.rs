@@ -15,9 +15,9 @@ fn anywhere() -> ImportOptions {
     }
 }
 
-fn says(said: &str, words: &[&str]) {
+fn says(message: &str, words: &[&str]) {
     for word in words {
-        assert!(said.contains(word), "{word:?} is not in: {said}");
+        assert!(message.contains(word), "{word:?} is not in: {message}");
     }
 }
 
@@ -32,14 +32,14 @@ fn a_list_that_names_private_files_is_refused() {
         ("masks/2.png", "private-mask.png"),
     ] {
         fs::copy(here.join(from), dir.path().join(private)).unwrap();
-        let whole = dir.path().join(private).display().to_string();
-        for name in [format!("../{private}"), format!("images/../../{private}"), whole] {
+        let original = dir.path().join(private).display().to_string();
+        for name in [format!("../{private}"), format!("images/../../{private}"), original] {
             let quoted = format!("\"{from}\"");
             assert!(text.contains(&quoted));
             fs::write(&file, text.replace(&quoted, &format!("{name:?}"))).unwrap();
-            let said = refused(&here, Nerfstudio, &ImportOptions::default());
+            let message = refused(&here, Nerfstudio, &ImportOptions::default());
             says(
-                &said,
+                &message,
                 &["transforms.json", "frame ", private, "outside of", "--allow-outside"],
             );
             read(&here, Nerfstudio, &anywhere(), &Silent).unwrap();
@@ -64,8 +64,12 @@ fn paths_within_the_folder_may_be_written_in_any_way() {
     let (_dir, here) = copied("import/nerfstudio");
     let file = here.join("transforms.json");
     let text = fs::read_to_string(&file).unwrap();
-    let whole = here.join("images/frame_3.jpg").display().to_string();
-    for name in ["./images/frame_3.jpg", "images/../images/frame_3.jpg", whole.as_str()] {
+    let original = here.join("images/frame_3.jpg").display().to_string();
+    for name in [
+        "./images/frame_3.jpg",
+        "images/../images/frame_3.jpg",
+        original.as_str(),
+    ] {
         fs::write(&file, text.replace("images/frame_3.jpg", name)).unwrap();
         read(&here, Nerfstudio, &ImportOptions::default(), &Silent).unwrap();
     }
@@ -74,12 +78,12 @@ fn paths_within_the_folder_may_be_written_in_any_way() {
 #[test]
 fn folders_that_the_options_name_may_be_read() {
     let options = ImportOptions {
-        pictures: Some(fixture("import/clip")),
+        images: Some(fixture("import/clip")),
         ..ImportOptions::default()
     };
     read(&fixture("import/blender"), Nerfstudio, &options, &Silent).unwrap();
-    let said = refused(&fixture("import/blender"), Nerfstudio, &ImportOptions::default());
-    says(&said, &["transforms_train.json", "clip/images", "--allow-outside"]);
+    let message = refused(&fixture("import/blender"), Nerfstudio, &ImportOptions::default());
+    says(&message, &["transforms_train.json", "clip/images", "--allow-outside"]);
 }
 
 #[cfg(unix)]
@@ -113,8 +117,11 @@ fn links_out_of_a_source_are_not_followed() {
         for file in files {
             let (dir, here) = copied(&format!("import/{name}"));
             link(&here.join(file), dir.path());
-            let said = refused(&here, format, &ImportOptions::default());
-            says(&said, &[file.rsplit('/').next().unwrap(), "private", "--allow-outside"]);
+            let message = refused(&here, format, &ImportOptions::default());
+            says(
+                &message,
+                &[file.rsplit('/').next().unwrap(), "private", "--allow-outside"],
+            );
             if let Err(e) = read(&here, format, &anywhere(), &Silent) {
                 panic!("{name}, {file}: {e}");
             }
@@ -142,7 +149,7 @@ fn links_out_of_folders_that_the_options_name_are_not_followed() {
     };
     let (dir, here) = copied("import/side/depth_png");
     link(&here.join("frame9.png"), dir.path());
-    let said = refused(&clip, SourceFormat::Record3d, &of(Reach::Inside, &here));
-    says(&said, &["frame9.png", "--allow-outside"]);
+    let message = refused(&clip, SourceFormat::Record3d, &of(Reach::Inside, &here));
+    says(&message, &["frame9.png", "--allow-outside"]);
     read(&clip, SourceFormat::Record3d, &of(Reach::Anywhere, &here), &Silent).unwrap();
 }

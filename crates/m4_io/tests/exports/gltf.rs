@@ -2,7 +2,7 @@
 
 use super::common::{self, asymmetric_scene};
 use m4_core::Column;
-use m4_io::scene::gltf::{self, GltfOptions};
+use m4_io::scene::gltf;
 use serde_json::Value;
 
 /// The JSON and the binary chunk.
@@ -32,7 +32,7 @@ fn attribute(json: &Value, bin: &[u8], name: &str, width: usize) -> Vec<Vec<f32>
 fn the_numbers_of_two_splats() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("two.glb");
-    let written = gltf::write(&path, &asymmetric_scene(1), &GltfOptions { t: 4.0 }).unwrap();
+    let written = gltf::write(&path, &asymmetric_scene(1), 4.0).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     assert_eq!((written.splats, written.bytes), (2, bytes.len() as u64));
     let (json, bin) = parts(&bytes);
@@ -72,7 +72,7 @@ fn the_numbers_of_two_splats() {
     for (term, value) in [(1, 0.1), (2, 0.2), (3, 0.3)] {
         scene.splats.column_mut(Column::Colour, 3 * term)[0] = value;
     }
-    gltf::write(&path, &scene, &GltfOptions { t: 4.0 }).unwrap();
+    gltf::write(&path, &scene, 4.0).unwrap();
     let bytes = std::fs::read(&path).unwrap();
     let (json, bin) = parts(&bytes);
     for (n, expected) in [-0.1, -0.2, 0.3].into_iter().enumerate() {
@@ -89,7 +89,7 @@ fn gltf_holds_the_parameters_of_the_scene() {
     let path = dir.path().join("scene.glb");
     for degree in 0..=3 {
         let scene = common::random_scene(degree, 100, 150);
-        let written = gltf::write(&path, &scene, &GltfOptions { t: 7.5 }).unwrap();
+        let written = gltf::write(&path, &scene, 7.5).unwrap();
         let expected = m4_io::scene::instant(&scene.splats, 7.5, scene.time_frames as f64);
         assert_eq!(written.splats, expected.n());
         let bytes = std::fs::read(&path).unwrap();
@@ -118,19 +118,15 @@ fn gltf_holds_the_parameters_of_the_scene() {
 }
 
 #[test]
-fn an_instant_that_sees_nothing_has_no_file() {
+fn gltf_refuses_instants_without_splats() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("nothing.glb");
     let mut scene = asymmetric_scene(0);
     scene.splats = scene.splats.gather(&[1]).unwrap();
-    let error = gltf::write(&path, &scene, &GltfOptions { t: 900.0 })
-        .unwrap_err()
-        .to_string();
+    let error = gltf::write(&path, &scene, 900.0).unwrap_err().to_string();
     assert!(error.contains("no splat is seen at frame 900"), "{error}");
     scene.splats.column_mut(Column::Velocity, 1)[0] = f32::INFINITY;
-    let error = gltf::write(&path, &scene, &GltfOptions { t: 4.0 })
-        .unwrap_err()
-        .to_string();
-    assert!(error.contains("splat 0 holds a value that is not a number"), "{error}");
+    let error = gltf::write(&path, &scene, 4.0).unwrap_err().to_string();
+    assert!(error.contains("splat 0 holds a NaN or infinite value"), "{error}");
     assert!(!path.exists());
 }

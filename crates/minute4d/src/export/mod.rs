@@ -1,7 +1,7 @@
 //! Exports a scene for other tools, and reports bytes, seconds, and the loss in decibels against our own rendering.
 //!
 //! Adding a format: a variant of [`Format`] with its row in `format.rs`, an arm in `write.rs`, and, where
-//! there is a reader, one in `crate::import`. Formats that can hold a capture also have an arm in `capture.rs`.
+//! there is a reader, one in `crate::import`. Formats of captures have an arm in `capture.rs` instead.
 
 mod bake;
 mod capture;
@@ -68,7 +68,7 @@ impl ExportJob {
     }
 }
 
-/// Exports a scene (a file, or the folder of a run) or, for a format that holds one, a capture; of the folder of a run the scene.
+/// Exports a scene (a file, or the folder of a run) or, in a format of captures, a capture.
 ///
 /// # Errors
 ///
@@ -77,8 +77,11 @@ impl ExportJob {
 pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
     job.check()?;
     let lone_capture = is_capture(input) && !input.join(SCENE_FILE).is_file();
-    if lone_capture && job.format.takes_capture() {
-        return capture::make(input, job, observer);
+    if job.format.takes_capture() {
+        if is_capture(input) {
+            return capture::make(input, job, observer);
+        }
+        return Err(ExportError::NeedsCapture { format: job.format }.into());
     }
     if lone_capture {
         return Err(ExportError::NeedsScene {
@@ -113,7 +116,7 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
     job.check()?;
     let moments = job.moments(scene)?;
     let start = Instant::now();
-    let has_splats = !matches!(job.format.time(), Time::Video | Time::Cameras);
+    let has_splats = job.format.time() != Time::Video;
     let baked = if has_splats && !job.keep_mip {
         bake::bake(scene)
     } else {
@@ -165,7 +168,7 @@ impl ExportJob {
                 let count = (last / step + 1e-9).floor() as usize + 1;
                 Ok((0..count).map(|i| (i as f64 * step).min(last)).collect())
             }
-            Time::Clip | Time::Video | Time::Cameras => Ok(Vec::new()),
+            Time::Clip | Time::Video | Time::Capture => Ok(Vec::new()),
         }
     }
 }

@@ -73,7 +73,7 @@ impl ExportReport {
             Time::Instant => written.splats,
             _ => scene.splats.n(),
         };
-        let has_splats = !matches!(format.time(), Time::Video | Time::Cameras);
+        let has_splats = format.time() != Time::Video;
         let has_time = matches!(format.time(), Time::Clip | Time::Sequence | Time::Video);
         Self {
             format,

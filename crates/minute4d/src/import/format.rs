@@ -2,8 +2,7 @@
 
 use super::ImportError;
 use crate::export::Format;
-use m4_io::dataset::SourceFormat;
-use m4_io::megasam;
+use m4_io::dataset::{SourceFormat, megasam};
 use m4_io::scene::ply::frame_name;
 use std::path::Path;
 use std::str::FromStr;
@@ -51,7 +50,7 @@ impl ImportFormat {
             return Ok(Self::Source(source));
         }
         // by its name alone: its reader says what is wrong with it
-        if megasam::detect(path).is_some() {
+        if megasam::detect_name(path) {
             return Ok(Self::Source(SourceFormat::Megasam));
         }
         if path.is_dir() {

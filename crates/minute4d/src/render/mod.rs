@@ -137,9 +137,6 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     let gpu = job.device.open()?;
     let mut pictures = Pictures::new(&scene, level, gpu.as_ref())?;
     let plan = job.plan(&scene, pictures.painter())?;
-    for remark in &plan.remarks {
-        observer.warn(remark);
-    }
     let stops = &plan.stops;
     let mut sink = Sink::open(out, stops, plan.fps, job.replace)?;
     for (i, stop) in stops.iter().enumerate() {

@@ -1,14 +1,14 @@
 //! COLMAP's camera models.
 
-use crate::cameras::colmap::ColmapCamera;
-use crate::dataset::{Distortion, Lens, SourceFault};
+use crate::dataset::colmap::ColmapCamera;
+use crate::dataset::{Distortion, Lens, SourceErrorCause};
 use m4_core::Intrinsics;
 
 /// Longest side of an image, pixels.
 const MAX_SIDE: u64 = 1 << 16;
 
 /// The lens of a camera.
-pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, SourceFault> {
+pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, SourceErrorCause> {
     let fisheye = |k: [f64; 4]| Distortion::Fisheye { k };
     let radial = |k1, k2| Distortion::brown(k1, k2, 0.0, 0.0, 0.0);
     let ([fx, fy, cx, cy], distortion) = match (camera.model.as_str(), camera.parameters.as_slice()) {
@@ -32,15 +32,15 @@ pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, SourceFault> {
         ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => ([fx, fy, cx, cy], fisheye([k1, k2, k3, k4])),
         (model, parameters) => {
             let what = format!("its lens is of the model {model} with {} parameters", parameters.len());
-            let remedy = "models of pinholes, RADIAL, OPENCV and their fisheyes are read; undistort the images \
+            let hint = "models of pinholes, RADIAL, OPENCV and their fisheyes are read; undistort the images \
                           (`colmap image_undistorter`)";
-            return Err(SourceFault::unsupported(what, remedy));
+            return Err(SourceErrorCause::unsupported(what, hint));
         }
     };
     let side = |px: u64| (1..=MAX_SIDE).contains(&px);
     if !(side(camera.width) && side(camera.height)) {
         let what = format!("its images are {} x {} pixels", camera.width, camera.height);
-        return Err(SourceFault::bad(what, "export the model again"));
+        return Err(SourceErrorCause::bad(what, "export the model again"));
     }
     let lens = Lens {
         intrinsics: Intrinsics {
@@ -54,15 +54,15 @@ pub(super) fn of(camera: &ColmapCamera) -> Result<Lens, SourceFault> {
         distortion,
     };
     lens.check()
-        .map_err(|what| SourceFault::bad(what, "export the model again"))?;
+        .map_err(|what| SourceErrorCause::bad(what, "export the model again"))?;
     Ok(lens)
 }
 
 #[cfg(test)]
 mod tests {
     use super::of;
-    use crate::cameras::colmap::ColmapCamera;
     use crate::dataset::Distortion;
+    use crate::dataset::colmap::ColmapCamera;
     use serde::Deserialize;
 
     #[derive(Deserialize)]
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn every_model_bends_rays_as_pycolmap_and_opencv_do() {
+    fn lens_models_match_pycolmap_and_opencv() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fixtures/import/clip/lenses.json");
         let fixture: Fixture = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
         assert_eq!(fixture.models.len(), 11);

@@ -1,12 +1,12 @@
 //! `camera/ID.json`.
 
 use crate::dataset::files::{json, pose};
-use crate::dataset::{Distortion, Lens, ReadSourceError, SourceFault};
+use crate::dataset::{Distortion, Lens, ReadSourceError, SourceErrorCause};
 use m4_core::{Intrinsics, Se3};
 use serde::Deserialize;
 use std::path::Path;
 
-const REMEDY: &str = "correct the camera, or export it again";
+const HINT: &str = "correct the camera, or export it again";
 
 #[derive(Deserialize)]
 struct File {
@@ -43,7 +43,7 @@ pub(super) fn read(path: &Path) -> Result<Camera, ReadSourceError> {
             "skew is {}; only cameras whose pixels are rectangles are read",
             file.skew
         );
-        return Err(SourceFault::unsupported(what, "undistort the images").at(path));
+        return Err(SourceErrorCause::unsupported(what, "undistort the images").at(path));
     }
     let whole = |v: f64| (v.fract() == 0.0 && (1.0..=65536.0).contains(&v)).then_some(v as usize);
     let [Some(width), Some(height)] = file.image_size.map(whole) else {
@@ -51,7 +51,7 @@ pub(super) fn read(path: &Path) -> Result<Camera, ReadSourceError> {
             "image_size is {:?}; [width, height] in pixels was expected",
             file.image_size
         );
-        return Err(SourceFault::bad(what, REMEDY).at(path));
+        return Err(SourceErrorCause::bad(what, HINT).at(path));
     };
     let [k1, k2, k3] = file.radial_distortion;
     let [p1, p2] = file.tangential_distortion;
@@ -66,11 +66,11 @@ pub(super) fn read(path: &Path) -> Result<Camera, ReadSourceError> {
         },
         distortion: Distortion::brown(k1, k2, k3, p1, p2),
     };
-    lens.check().map_err(|what| SourceFault::bad(what, REMEDY).at(path))?;
+    lens.check()
+        .map_err(|what| SourceErrorCause::bad(what, HINT).at(path))?;
     // orientation is world to camera: its transpose turns camera to world
     let o = file.orientation;
     let turned = [0, 1, 2].map(|i| [o[0][i], o[1][i], o[2][i]]);
-    let c2w =
-        pose::of_rotation(turned, file.position).map_err(|fault| fault.within(path, "orientation and position"))?;
+    let c2w = pose::of_rotation(turned, file.position).map_err(|e| e.within(path, "orientation and position"))?;
     Ok(Camera { lens, c2w })
 }

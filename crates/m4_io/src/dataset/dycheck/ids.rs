@@ -1,7 +1,7 @@
 //! The frames of a scene, and its training split.
 
 use crate::dataset::files::json;
-use crate::dataset::{ReadSourceError, SourceFault};
+use crate::dataset::{ReadSourceError, SourceErrorCause};
 use m4_core::Progress;
 use serde::Deserialize;
 use std::collections::{HashMap, HashSet};
@@ -64,14 +64,14 @@ pub(super) fn read(root: &Path, progress: &dyn Progress) -> Result<Split, ReadSo
         if !(1..=MAX_NAME).contains(&id.name.len()) || id.name.contains(['/', '\\']) || id.name.contains("..") {
             let short: String = id.name.chars().take(MAX_NAME).collect();
             let what = format!("{short:?} is not the name of a frame");
-            return Err(SourceFault::bad(what, "correct the list of frames").at(&file));
+            return Err(SourceErrorCause::bad(what, "correct the list of frames").at(&file));
         }
     }
     let all = train.len();
     train.retain(|id| id.camera == 0);
     if train.is_empty() {
         let what = format!("a frame of camera 0 among the {all} of the train split");
-        return Err(SourceFault::missing(what, "give a scene with training frames").at(&file));
+        return Err(SourceErrorCause::missing(what, "give a scene with training frames").at(&file));
     }
     if train.len() < all {
         progress.warn(&format!(
@@ -83,12 +83,12 @@ pub(super) fn read(root: &Path, progress: &dyn Progress) -> Result<Split, ReadSo
     train.sort_by(|a, b| a.time.total_cmp(&b.time));
     if let Some(pair) = train.windows(2).find(|pair| pair[0].time == pair[1].time) {
         let what = format!("{} and {} are of one moment and one camera", pair[0].name, pair[1].name);
-        return Err(SourceFault::bad(what, "give each training frame a moment of its own").at(&file));
+        return Err(SourceErrorCause::bad(what, "give each training frame a moment of its own").at(&file));
     }
     let trains: HashSet<&str> = train.iter().map(|id| id.name.as_str()).collect();
     if let Some(both) = test.iter().find(|id| trains.contains(id.name.as_str())) {
         let what = format!("{} is in both splits", both.name);
-        return Err(SourceFault::bad(what, "hold out views that do not train").at(&file));
+        return Err(SourceErrorCause::bad(what, "hold out views that do not train").at(&file));
     }
     Ok(Split { train, test })
 }
@@ -99,7 +99,7 @@ fn of_split(file: &Path) -> Result<Vec<Id>, ReadSourceError> {
     if names.camera_ids.len() != n || names.time_ids.len() != n {
         let (c, t) = (names.camera_ids.len(), names.time_ids.len());
         let what = format!("{n} frame_names, {c} camera_ids and {t} time_ids; as many of each were expected");
-        return Err(SourceFault::bad(what, "export the split again").at(file));
+        return Err(SourceErrorCause::bad(what, "export the split again").at(file));
     }
     let ids = names.frame_names.into_iter().zip(names.camera_ids).zip(names.time_ids);
     Ok(ids
@@ -122,7 +122,7 @@ fn of_dataset(root: &Path) -> Result<(Vec<Id>, Vec<Id>), ReadSourceError> {
             let Some((meta, time)) = found.zip(time) else {
                 let short: String = name.chars().take(MAX_NAME).collect();
                 let what = format!("warp_id of {short} in metadata.json");
-                return Err(SourceFault::missing(what, "give the moment of each frame").at(&file));
+                return Err(SourceErrorCause::missing(what, "give the moment of each frame").at(&file));
             };
             Ok(Id {
                 camera: meta.camera_id,

@@ -14,7 +14,7 @@
 //! Source: `dycheck/geometry/camera.py`, `dycheck/datasets/{nerfies,iphone}.py` of KAIR-BAIR/dycheck.
 //!
 //! The training video is what camera 0 took of the train split, in order of time; the test views are all of the val split within
-//! its time. Axes are OpenCV's there too; `orientation` is turned round. World units stay those of `position`: neither `center`
+//! its time. Axes are OpenCV's there too; `orientation` is inverted. World units stay those of `position`: neither `center`
 //! nor `scale` is applied. Intrinsics are of factor 1 and shrink with the images. Depth may be in millimetres while places are in metres
 //! (the authors' page says so, their code takes both as equal): the unit is the one that puts the median of depth between `near` and
 //! `far`.
@@ -23,10 +23,10 @@ mod camera;
 mod ids;
 mod unit;
 
-use crate::dataset::files::pictures::{Picture, of_file};
+use crate::dataset::files::images::{StoredImage, of_file};
 use crate::dataset::files::{Inside, clock, json, lens};
 use crate::dataset::side::depth;
-use crate::dataset::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::dataset::{ImportOptions, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
 use ids::{Id, Split};
 use m4_core::Progress;
 use serde::Deserialize;
@@ -35,7 +35,7 @@ use std::path::{Path, PathBuf};
 /// By what images are shrunk: 2 in the tables of the papers.
 const DEFAULT_FACTOR: u32 = 2;
 
-/// Whether a folder is of it.
+/// Detects a folder of the format.
 pub(crate) fn detect(path: &Path) -> bool {
     path.join("dataset.json").is_file() && path.join("camera").is_dir() && path.join("rgb").is_dir()
 }
@@ -58,8 +58,8 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let factor = options.factor.unwrap_or(DEFAULT_FACTOR);
     let folder = path.join(format!("rgb/{factor}x"));
     if !folder.is_dir() {
-        let remedy = "choose a factor whose images exist (the option factor)";
-        return Err(SourceFault::missing(format!("rgb/{factor}x"), remedy).at(path));
+        let hint = "choose a factor whose images exist (the option factor)";
+        return Err(SourceErrorCause::missing(format!("rgb/{factor}x"), hint).at(path));
     }
     let Split { train, test } = ids::read(path, progress)?;
     let (first, last) = (train[0].time, train[train.len() - 1].time);
@@ -103,7 +103,7 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
 
 fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<f64, ReadSourceError> {
     let file = path.join("extra.json");
-    let given = clock::fps(options).map_err(|fault| fault.at(path))?;
+    let given = clock::fps(options).map_err(|e| e.at(path))?;
     let own = if file.is_file() {
         json::<Extra>(&file)?.fps
     } else {
@@ -120,7 +120,7 @@ fn fps(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<
         return Ok(fps);
     }
     let what = format!("fps is {fps}; frames per second, above 0, were expected");
-    Err(SourceFault::bad(what, "correct it").at(&file))
+    Err(SourceErrorCause::bad(what, "correct it").at(&file))
 }
 
 struct Reader<'a> {
@@ -139,11 +139,11 @@ impl Reader<'_> {
     fn frame(&self, id: &Id, camera_index: Option<u32>) -> Result<ListedFrame, ReadSourceError> {
         let file = self.root.join(format!("camera/{}.json", id.name));
         let camera = camera::read(&file)?;
-        let picture = self.root.join(format!("rgb/{}x/{}.png", self.factor, id.name));
-        let picture = self.inside.file(picture)?;
-        let Picture { size, rgb, .. } = of_file(&picture).map_err(|fault| fault.at(&picture))?;
+        let image = self.root.join(format!("rgb/{}x/{}.png", self.factor, id.name));
+        let image = self.inside.file(image)?;
+        let StoredImage { size, rgb, .. } = of_file(&image).map_err(|e| e.at(&image))?;
         let mut lens = camera.lens;
-        lens.intrinsics = lens::resized(&lens.intrinsics, size).map_err(|fault| fault.at(&picture))?;
+        lens.intrinsics = lens::resized(&lens.intrinsics, size).map_err(|e| e.at(&image))?;
         let depth = self.root.join(format!("depth/{}x/{}.npy", self.factor, id.name));
         let depth = self.inside.file(depth)?;
         let unit = self.unit.filter(|_| depth.is_file());

@@ -3,12 +3,12 @@
 use super::ids::Id;
 use crate::dataset::files::{Inside, json};
 use crate::dataset::side::depth::{self, read_depth};
-use crate::dataset::{ImportOptions, ReadSourceError, SourceFault};
+use crate::dataset::{ImportOptions, ReadSourceError, SourceErrorCause};
 use m4_core::Progress;
 use serde::Deserialize;
 use std::path::Path;
 
-/// Maps that are looked at.
+/// Maps that are examined.
 const MAPS: usize = 5;
 /// Of these each this many-th pixel.
 const STRIDE: usize = 7;
@@ -20,7 +20,7 @@ const MILLI: f64 = 1e-3;
 /// The unit of depth maps.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Unit {
-    /// Scene units a step of the maps.
+    /// Scene units per step of the maps.
     pub scene_units: f64,
     /// Whether a scene unit is a metre: what the sensor of a phone saw.
     pub metric: bool,
@@ -47,7 +47,7 @@ pub(super) fn of_depth(
     for id in train.iter().step_by(step) {
         let file = inside.file(folder.join(format!("{}.npy", id.name)))?;
         if file.is_file() {
-            let map = read_depth(&file, 1.0).map_err(|fault| fault.at(&file))?;
+            let map = read_depth(&file, 1.0).map_err(|e| e.at(&file))?;
             seen.extend(map.every(STRIDE).filter(|&z| z > 0.0));
         }
     }
@@ -57,7 +57,7 @@ pub(super) fn of_depth(
     let middle = seen.len() / 2;
     let median = f64::from(*seen.select_nth_unstable_by(middle, f32::total_cmp).1);
     if options.depth_unit.is_some() {
-        let unit = depth::unit(options, 1.0).map_err(|fault| fault.at(root))?;
+        let unit = depth::unit(options, 1.0).map_err(|e| e.at(root))?;
         let metric = median * unit < NO_METRES;
         return Ok(Some(Unit {
             scene_units: unit,
@@ -74,7 +74,7 @@ pub(super) fn of_depth(
                 "scale {}, near {} and far {}; numbers above 0 were expected",
                 scene.scale, scene.near, scene.far
             );
-            return Err(SourceFault::bad(what, "correct them").at(&file));
+            return Err(SourceErrorCause::bad(what, "correct them").at(&file));
         }
         let off = |unit: f64| (median * unit / middle).ln().abs();
         off(MILLI) < off(1.0)

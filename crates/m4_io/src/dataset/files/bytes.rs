@@ -1,6 +1,6 @@
 //! Reads whole files.
 
-use crate::dataset::{ReadSourceError, SourceFault};
+use crate::dataset::{ReadSourceError, SourceErrorCause};
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
@@ -9,14 +9,14 @@ use std::path::Path;
 const MAX_TEXT_BYTES: u64 = 256 << 20;
 
 /// The bytes of a regular file of at most `limit_bytes`: devices and pipes, which may never end, are refused.
-pub(crate) fn bytes(path: &Path, limit_bytes: u64) -> Result<Vec<u8>, SourceFault> {
+pub(crate) fn bytes(path: &Path, limit_bytes: u64) -> Result<Vec<u8>, SourceErrorCause> {
     let file = File::open(path)?;
     let facts = file.metadata()?;
     if !facts.is_file() {
         return Err(io::Error::new(io::ErrorKind::InvalidData, "it is not a regular file").into());
     }
     if facts.len() > limit_bytes {
-        return Err(SourceFault::TooLarge {
+        return Err(SourceErrorCause::TooLarge {
             what: "the file".into(),
             needed_bytes: facts.len(),
             limit_bytes,
@@ -29,9 +29,9 @@ pub(crate) fn bytes(path: &Path, limit_bytes: u64) -> Result<Vec<u8>, SourceFaul
 
 /// A text file.
 pub(crate) fn text(path: &Path) -> Result<String, ReadSourceError> {
-    let bytes = bytes(path, MAX_TEXT_BYTES).map_err(|fault| fault.at(path))?;
+    let bytes = bytes(path, MAX_TEXT_BYTES).map_err(|e| e.at(path))?;
     String::from_utf8(bytes).map_err(|e| {
         let place = format!("byte {}", e.utf8_error().valid_up_to());
-        SourceFault::bad("it is not text (UTF-8)", "give the text file that the tool wrote").within(path, place)
+        SourceErrorCause::bad("it is not text (UTF-8)", "give the text file that the tool wrote").within(path, place)
     })
 }

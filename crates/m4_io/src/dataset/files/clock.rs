@@ -1,17 +1,17 @@
 //! The times of frames.
 
-use crate::dataset::{ImportOptions, SourceFault};
+use crate::dataset::{ImportOptions, SourceErrorCause};
 use m4_core::Progress;
 
-/// Frames a second where nothing says it.
+/// Frames per second where nothing says it.
 pub(crate) const DEFAULT_FPS: f64 = 30.0;
 
-/// Frames a second of the options, checked.
-pub(crate) fn fps(options: &ImportOptions) -> Result<Option<f64>, SourceFault> {
+/// Frames per second of the options, checked.
+pub(crate) fn fps(options: &ImportOptions) -> Result<Option<f64>, SourceErrorCause> {
     match options.fps {
         Some(fps) if !(fps.is_finite() && fps > 0.0) => {
             let what = format!("the option fps is {fps}; frames per second, above 0, were expected");
-            Err(SourceFault::bad(what, "give another"))
+            Err(SourceErrorCause::bad(what, "give another"))
         }
         fps => Ok(fps),
     }

@@ -1,6 +1,6 @@
 //! Checks that a source reads only files in its folder, and in those that the options name.
 
-use crate::dataset::{ImportOptions, ReadSourceError, SourceFault};
+use crate::dataset::{ImportOptions, ReadSourceError, SourceErrorCause};
 use crate::reach::Bounds;
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ pub(crate) struct Inside(Bounds);
 impl Inside {
     /// Of the source in `folder` whose images may lie where the options say.
     pub(crate) fn of(folder: &Path, options: &ImportOptions) -> Self {
-        Self(Bounds::new(options.reach, folder, options.pictures.as_deref()))
+        Self(Bounds::new(options.reach, folder, options.images.as_deref()))
     }
 
     /// Of what the user named beside the source: files in the folder `named`, or that file.
@@ -20,7 +20,7 @@ impl Inside {
     }
 
     /// The file, if it may be read or is missing.
-    pub(crate) fn check<P: AsRef<Path>>(&self, file: P) -> Result<P, SourceFault> {
+    pub(crate) fn check<P: AsRef<Path>>(&self, file: P) -> Result<P, SourceErrorCause> {
         self.0.check(file.as_ref())?;
         Ok(file)
     }
@@ -29,7 +29,7 @@ impl Inside {
     pub(crate) fn file(&self, file: PathBuf) -> Result<PathBuf, ReadSourceError> {
         match self.0.check(&file) {
             Ok(()) => Ok(file),
-            Err(outside) => Err(SourceFault::Outside(outside).at(&file)),
+            Err(outside) => Err(SourceErrorCause::Outside(outside).at(&file)),
         }
     }
 

@@ -8,19 +8,19 @@
 //! zipped     members of a zip archive, or of the folder that it was unpacked to
 //! names      files of a folder in order, names below a folder
 //! inside     which files may be read: by their names and by links they may lead elsewhere
-//! images   a folder or a video as images of known size
+//! images     a folder or a video as images of known size
 //! lens       pinholes, and whether they fit images of a size
 //! pose       matrices and quaternions to camera to world
 //! clock      frames per second, times in frames
 //! ```
 //!
-//! Faults of a file beside the source are named by [`SourceFault::of_file`](crate::dataset::SourceFault::of_file).
+//! Faults of a file beside the source are named by [`SourceErrorCause::of_file`](crate::dataset::SourceErrorCause::of_file).
 
 pub(crate) mod arrays;
 pub(crate) mod clock;
+pub(crate) mod images;
 pub(crate) mod lens;
 pub(crate) mod npy;
-pub(crate) mod pictures;
 pub(crate) mod pose;
 
 mod bytes;

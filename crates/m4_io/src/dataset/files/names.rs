@@ -1,6 +1,6 @@
 //! Names of files: in order, below a folder, and what they begin with.
 
-use crate::dataset::{ReadSourceError, SourceFault};
+use crate::dataset::{ReadSourceError, SourceErrorCause};
 use crate::video::natural;
 use std::fs::File;
 use std::io::Read;
@@ -9,7 +9,7 @@ use std::path::{Component, Path, PathBuf};
 /// The files of a folder whose extension is one of `extensions` (small letters), in natural order: `2.png` before `10.png`.
 /// Hidden files are passed over; an empty list is no error.
 pub(crate) fn listed(folder: &Path, extensions: &[&str]) -> Result<Vec<PathBuf>, ReadSourceError> {
-    let io = |source| SourceFault::Io(source).at(folder);
+    let io = |source| SourceErrorCause::Io(source).at(folder);
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(io)? {
         let file = entry.map_err(io)?.path();
@@ -31,11 +31,11 @@ pub(crate) fn stem(path: &Path) -> String {
 }
 
 /// `name`, as a file lists it, below `folder`; names that lead out of it are refused.
-pub(crate) fn below(folder: &Path, name: &str) -> Result<PathBuf, SourceFault> {
+pub(crate) fn below(folder: &Path, name: &str) -> Result<PathBuf, SourceErrorCause> {
     let inside = |part: Component<'_>| matches!(part, Component::Normal(_) | Component::CurDir);
     if name.is_empty() || !Path::new(name).components().all(inside) {
         let what = format!("the name {name:?} is not below the folder of the images");
-        return Err(SourceFault::bad(what, "write names relative to that folder"));
+        return Err(SourceErrorCause::bad(what, "write names relative to that folder"));
     }
     Ok(folder.join(name))
 }

@@ -1,7 +1,7 @@
 //! Reads files within a zip archive, or in the folder that it was unpacked to.
 
 use super::Inside;
-use crate::dataset::SourceFault;
+use crate::dataset::SourceErrorCause;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ pub(crate) enum Members {
 
 impl Members {
     /// Opens it; the directory of an archive is read here. Of a folder files are read that are `inside`.
-    pub(crate) fn open(path: &Path, inside: Inside) -> Result<Self, SourceFault> {
+    pub(crate) fn open(path: &Path, inside: Inside) -> Result<Self, SourceErrorCause> {
         if path.is_dir() {
             let root = path.to_path_buf();
             return Ok(Self::Folder { root, inside });
@@ -26,13 +26,13 @@ impl Members {
         let archive = ZipArchive::new(BufReader::new(File::open(path)?));
         let archive = archive.map_err(|e| {
             let what = format!("it is not a zip archive, or a damaged one ({e})");
-            SourceFault::bad(what, "copy it again")
+            SourceErrorCause::bad(what, "copy it again")
         })?;
         Ok(Self::Zip(Mutex::new(archive)))
     }
 
     /// Names of the files in `folder` (one level), without it.
-    pub(crate) fn names(&self, folder: &str) -> Result<Vec<String>, SourceFault> {
+    pub(crate) fn names(&self, folder: &str) -> Result<Vec<String>, SourceErrorCause> {
         match self {
             Self::Folder { root, .. } => {
                 let inner = root.join(folder);
@@ -55,7 +55,7 @@ impl Members {
     }
 
     /// Whether there is a file of that name.
-    pub(crate) fn has(&self, name: &str) -> Result<bool, SourceFault> {
+    pub(crate) fn has(&self, name: &str) -> Result<bool, SourceErrorCause> {
         match self {
             Self::Folder { root, .. } => Ok(root.join(name).is_file()),
             Self::Zip(archive) => Ok(archive.lock().map_err(|_| poisoned())?.index_for_name(name).is_some()),
@@ -63,8 +63,8 @@ impl Members {
     }
 
     /// All bytes of one, `limit_bytes` at most; `None` if it is missing.
-    pub(crate) fn read(&self, name: &str, limit_bytes: u64) -> Result<Option<Vec<u8>>, SourceFault> {
-        let too_large = |needed_bytes| SourceFault::TooLarge {
+    pub(crate) fn read(&self, name: &str, limit_bytes: u64) -> Result<Option<Vec<u8>>, SourceErrorCause> {
+        let too_large = |needed_bytes| SourceErrorCause::TooLarge {
             what: name.to_owned(),
             needed_bytes,
             limit_bytes,
@@ -80,8 +80,9 @@ impl Members {
             }
             Self::Zip(archive) => {
                 let mut archive = archive.lock().map_err(|_| poisoned())?;
-                let unpacked =
-                    |e: String| SourceFault::bad(format!("{name} cannot be unpacked ({e})"), "copy the archive again");
+                let unpacked = |e: String| {
+                    SourceErrorCause::bad(format!("{name} cannot be unpacked ({e})"), "copy the archive again")
+                };
                 let mut member = match archive.by_name(name) {
                     Ok(member) => member,
                     Err(ZipError::FileNotFound) => return Ok(None),
@@ -103,6 +104,6 @@ impl Members {
     }
 }
 
-fn poisoned() -> SourceFault {
-    SourceFault::bad("another thread failed while it read the archive", "read it again")
+fn poisoned() -> SourceErrorCause {
+    SourceErrorCause::bad("another thread failed while it read the archive", "read it again")
 }

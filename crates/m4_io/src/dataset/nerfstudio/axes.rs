@@ -6,7 +6,7 @@ use crate::dataset::ImportOptions;
 use m4_core::Progress;
 
 /// The axes by the option, the file, or the keys that it has; see the module.
-pub fn tell(file: &Transforms, frames: &[Frame], options: &ImportOptions, progress: &dyn Progress) -> Axes {
+pub fn tell(file: &Transforms, frames: &[(usize, Frame)], options: &ImportOptions, progress: &dyn Progress) -> Axes {
     if let Some(axes) = options.axes.or(file.axes) {
         return axes;
     }
@@ -19,8 +19,8 @@ pub fn tell(file: &Transforms, frames: &[Frame], options: &ImportOptions, progre
         || file.ply_file_path.is_some()
         || frames
             .iter()
-            .any(|frame| frame.lens.camera_angle_x.is_some() || frame.lens.camera_model.is_some());
-    if of_opengl || !frames.iter().all(|frame| frame.time.is_some()) {
+            .any(|(_, frame)| frame.lens.camera_angle_x.is_some() || frame.lens.camera_model.is_some());
+    if of_opengl || !frames.iter().all(|(_, frame)| frame.time.is_some()) {
         return Axes::OpenGl;
     }
     progress.warn(

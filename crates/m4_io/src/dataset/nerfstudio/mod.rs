@@ -13,6 +13,7 @@
 //! lens     lens of a frame
 //! axes     which way the cameras look
 //! list     entries -> frames
+//! write    a capture -> the folder of a data set
 //! ```
 //!
 //! **What is converted.**
@@ -36,7 +37,12 @@
 
 mod axes;
 mod json;
-mod lens;
+pub(crate) mod lens;
 mod list;
+mod write;
 
+pub use write::write;
+
+pub(crate) use json::{Frame, LensKeys, Transforms, rows};
+pub(crate) use list::list_capture;
 pub(super) use list::{detect, list};

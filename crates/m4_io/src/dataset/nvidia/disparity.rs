@@ -1,6 +1,6 @@
 //! Converts relative disparity of a network to depth, with the bounds of a view.
 
-use crate::dataset::SourceFault;
+use crate::dataset::SourceErrorCause;
 use crate::dataset::files::npy::NpyFile;
 use crate::dataset::side::depth::known;
 use m4_core::{CompactDepth, DepthMap, Plane};
@@ -14,7 +14,7 @@ const QUANTILES: [f64; 2] = [0.001, 0.999];
 const FARTHEST: f64 = 4.0;
 
 /// z-depth of a map `[h][w]` of disparity up to scale and shift.
-pub(super) fn depth(path: &Path, near: f64, far: f64) -> Result<CompactDepth, SourceFault> {
+pub(super) fn depth(path: &Path, near: f64, far: f64) -> Result<CompactDepth, SourceErrorCause> {
     let array = NpyFile::read(path, MAX_BYTES)?;
     let (h, w) = array.map_size()?;
     let mut sorted: Vec<f64> = array.values.iter().copied().filter(|v| v.is_finite()).collect();
@@ -23,7 +23,7 @@ pub(super) fn depth(path: &Path, near: f64, far: f64) -> Result<CompactDepth, So
     let differs = high > low;
     if !differs {
         let what = "its disparity is the same everywhere";
-        return Err(SourceFault::bad(
+        return Err(SourceErrorCause::bad(
             what,
             "give maps of a network, or leave the folder disp away",
         ));

@@ -18,31 +18,30 @@
 //! `v000_t000` is the view of the first training image: results compare only if both or neither count it.
 
 mod disparity;
-mod poses;
 mod views;
 
-use crate::dataset::files::pictures::{Picture, of_file};
+use crate::dataset::files::images::{StoredImage, of_file};
 use crate::dataset::files::{Inside, clock, lens, listed, stem};
+use crate::dataset::llff::{self, Pose};
 use crate::dataset::side::mask::read_mask;
-use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
 use m4_core::Progress;
-use poses::Pose;
 use std::path::{Path, PathBuf};
 
-const PICTURES: &[&str] = &["png", "jpg", "jpeg"];
+const EXTENSIONS: &[&str] = &["png", "jpg", "jpeg"];
 
-/// Whether a folder is of it.
+/// Detects a folder of the format.
 pub(crate) fn detect(path: &Path) -> bool {
     path.join("poses_bounds.npy").is_file() && (path.join("images").is_dir() || path.join("images_2").is_dir())
 }
 
 pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    let poses = poses::read(&path.join("poses_bounds.npy"))?;
+    let poses = llff::read_bounds(&path.join("poses_bounds.npy"))?;
     let n = poses.len();
-    let fps = clock::fps(options).map_err(|fault| fault.at(path))?;
-    let folder = pictures(path, options)?;
+    let fps = clock::fps(options).map_err(|e| e.at(path))?;
+    let folder = image_folder(path, options)?;
     let inside = Inside::of(path, options);
-    let pictures = inside.files(as_many(&folder, PICTURES, "images", n)?)?;
+    let images = inside.files(as_many(&folder, EXTENSIONS, "images", n)?)?;
     let optional = |name: &str, extensions: &[&str], what: &str| -> Result<Option<Vec<PathBuf>>, ReadSourceError> {
         let folder = path.join(name);
         let listed = || inside.files(as_many(&folder, extensions, what, n)?);
@@ -56,8 +55,8 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
             path.display()
         ));
     }
-    let train = pictures.iter().zip(&poses).enumerate().map(|(i, (picture, pose))| {
-        let mut frame = frame(picture, pose, i as f64, None)?;
+    let train = images.iter().zip(&poses).enumerate().map(|(i, (image, pose))| {
+        let mut frame = frame(image, pose, i as f64, None)?;
         if let Some(file) = masks.as_ref().map(|masks| masks[i].clone()) {
             frame.mask = Some(FrameSource::new(move || {
                 Ok(read_mask(&file, false).map_err(|e| e.of_file(&file))?.mask)
@@ -88,8 +87,8 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
 }
 
 /// The folder of images.
-fn pictures(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadSourceError> {
-    let named = match (&options.pictures, options.factor) {
+fn image_folder(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadSourceError> {
+    let named = match (&options.images, options.factor) {
         (Some(folder), _) => vec![folder.clone()],
         (None, Some(0 | 1)) => vec![path.join("images")],
         (None, Some(factor)) => vec![path.join(format!("images_{factor}"))],
@@ -97,7 +96,7 @@ fn pictures(path: &Path, options: &ImportOptions) -> Result<PathBuf, ReadSourceE
     };
     named.iter().find(|p| p.is_dir()).cloned().ok_or_else(|| {
         let what = named[0].display().to_string();
-        SourceFault::missing(what, "choose a factor whose images exist (the option factor)").at(path)
+        SourceErrorCause::missing(what, "choose a factor whose images exist (the option factor)").at(path)
     })
 }
 
@@ -107,14 +106,14 @@ fn as_many(folder: &Path, extensions: &[&str], what: &str, n: usize) -> Result<V
         return Ok(files);
     }
     let what = format!("{} {what} for {n} poses of poses_bounds.npy", files.len());
-    Err(SourceFault::bad(what, "give one for each pose").at(folder))
+    Err(SourceErrorCause::bad(what, "give one for each pose").at(folder))
 }
 
-fn frame(picture: &Path, pose: &Pose, t: f64, camera_index: Option<u32>) -> Result<ListedFrame, ReadSourceError> {
-    let Picture { size, rgb, .. } = of_file(picture).map_err(|fault| fault.at(picture))?;
-    let k = lens::resized(&pose.intrinsics, size).map_err(|fault| fault.at(picture))?;
+fn frame(image: &Path, pose: &Pose, t: f64, camera_index: Option<u32>) -> Result<ListedFrame, ReadSourceError> {
+    let StoredImage { size, rgb, .. } = of_file(image).map_err(|e| e.at(image))?;
+    let k = lens::resized(&pose.camera.intrinsics, size).map_err(|e| e.at(image))?;
     Ok(ListedFrame {
         camera_index,
-        ..ListedFrame::new(stem(picture), Lens::pinhole(k), pose.c2w, t, rgb)
+        ..ListedFrame::new(stem(image), Lens::pinhole(k), pose.camera.c2w, t, rgb)
     })
 }

@@ -1,8 +1,8 @@
 //! Held-out views by the names of their files.
 
-use super::PICTURES;
+use super::EXTENSIONS;
 use crate::dataset::files::{listed, stem};
-use crate::dataset::{ReadSourceError, SourceFault};
+use crate::dataset::{ReadSourceError, SourceErrorCause};
 use std::path::{Path, PathBuf};
 
 pub(super) struct View {
@@ -15,7 +15,7 @@ pub(super) struct View {
 pub(super) fn read(root: &Path, n: usize) -> Result<Vec<View>, ReadSourceError> {
     let flat = ["gt", "test"].map(|name| root.join(name));
     if let Some(folder) = flat.iter().find(|p| p.is_dir()) {
-        let files = listed(folder, PICTURES)?;
+        let files = listed(folder, EXTENSIONS)?;
         let views = files.into_iter().filter_map(|file| {
             let (camera, time) = by_name(&stem(&file))?;
             Some(checked(View { file, camera, time }, n))
@@ -27,8 +27,8 @@ pub(super) fn read(root: &Path, n: usize) -> Result<Vec<View>, ReadSourceError> 
         return Ok(Vec::new());
     }
     let mut moments = Vec::new();
-    for entry in std::fs::read_dir(&folder).map_err(|e| SourceFault::Io(e).at(&folder))? {
-        let path = entry.map_err(|e| SourceFault::Io(e).at(&folder))?.path();
+    for entry in std::fs::read_dir(&folder).map_err(|e| SourceErrorCause::Io(e).at(&folder))? {
+        let path = entry.map_err(|e| SourceErrorCause::Io(e).at(&folder))?.path();
         if let (true, Ok(time)) = (path.is_dir(), stem(&path).parse::<usize>()) {
             moments.push((time, path));
         }
@@ -36,14 +36,14 @@ pub(super) fn read(root: &Path, n: usize) -> Result<Vec<View>, ReadSourceError> 
     moments.sort();
     let mut views = Vec::new();
     for (time, moment) in moments {
-        let files = listed(&moment, PICTURES)?;
+        let files = listed(&moment, EXTENSIONS)?;
         // of the cameras around, in turn, one took the training image
         let cameras = files.len().max(1);
         for file in files {
             let number = stem(&file).strip_prefix("cam").and_then(|n| n.parse::<usize>().ok());
             let Some(camera) = number.and_then(|n| n.checked_sub(1)) else {
                 let what = "its name is not camNN, the number of a camera from 1";
-                return Err(SourceFault::bad(what, "name the views as NSFF does").at(&file));
+                return Err(SourceErrorCause::bad(what, "name the views as NSFF does").at(&file));
             };
             if camera != time % cameras {
                 views.push(checked(View { file, camera, time }, n)?);
@@ -67,5 +67,5 @@ fn checked(view: View, n: usize) -> Result<View, ReadSourceError> {
         "camera {} at time {} where there are {n} cameras and moments",
         view.camera, view.time
     );
-    Err(SourceFault::bad(what, "give views of the cameras in poses_bounds.npy").at(&view.file))
+    Err(SourceErrorCause::bad(what, "give views of the cameras in poses_bounds.npy").at(&view.file))
 }

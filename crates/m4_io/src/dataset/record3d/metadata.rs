@@ -2,7 +2,7 @@
 
 use crate::capture::Axes;
 use crate::dataset::files::{Members, clock, lens, parse_json, pose};
-use crate::dataset::{Lens, ReadSourceError, SourceFault};
+use crate::dataset::{Lens, ReadSourceError, SourceErrorCause};
 use m4_core::{Intrinsics, Se3};
 use serde::Deserialize;
 use std::path::Path;
@@ -13,7 +13,7 @@ const MAX_BYTES: u64 = 64 << 20;
 const SENSOR: (usize, usize) = (256, 192);
 /// Longest side of depth maps, pixels; sensors have 640 at most.
 const MAX_SENSOR_SIDE: usize = 4096;
-const REMEDY: &str = "export the recording again as .r3d";
+const HINT: &str = "export the recording again as .r3d";
 
 #[derive(Deserialize)]
 pub(super) struct Metadata {
@@ -40,9 +40,9 @@ pub(super) struct Clock {
 
 impl Metadata {
     pub(super) fn read(members: &Members, path: &Path) -> Result<Self, ReadSourceError> {
-        let bytes = members.read("metadata", MAX_BYTES).map_err(|fault| fault.at(path))?;
-        let bytes = bytes.ok_or_else(|| SourceFault::missing("metadata", REMEDY).at(path))?;
-        let bad = |what: String| SourceFault::bad(what, REMEDY).within(path, "metadata");
+        let bytes = members.read("metadata", MAX_BYTES).map_err(|e| e.at(path))?;
+        let bytes = bytes.ok_or_else(|| SourceErrorCause::missing("metadata", HINT).at(path))?;
+        let bad = |what: String| SourceErrorCause::bad(what, HINT).within(path, "metadata");
         let text = std::str::from_utf8(&bytes).map_err(|e| bad(format!("it is not text ({e})")))?;
         let metadata: Self = parse_json(text, &path.join("metadata"))?;
         let n = metadata.poses.len();
@@ -85,20 +85,20 @@ impl Metadata {
     }
 
     /// Of images of `w x h`.
-    pub(super) fn intrinsics(&self, n: usize) -> Result<Intrinsics, SourceFault> {
+    pub(super) fn intrinsics(&self, n: usize) -> Result<Intrinsics, SourceErrorCause> {
         let own = self.coefficients.as_ref().and_then(|c| c.get(n));
         let numbers = own.copied().unwrap_or([self.k[0], self.k[4], self.k[6], self.k[7]]);
         let k = lens::pinhole(numbers, (self.w, self.h));
         Lens::pinhole(k)
             .check()
-            .map_err(|what| SourceFault::bad(what, REMEDY))?;
+            .map_err(|what| SourceErrorCause::bad(what, HINT))?;
         Ok(k)
     }
 
     /// The pose of frame `n`, which there is.
-    pub(super) fn c2w(&self, n: usize) -> Result<Se3<f64>, SourceFault> {
+    pub(super) fn c2w(&self, n: usize) -> Result<Se3<f64>, SourceErrorCause> {
         let Some(&[qx, qy, qz, qw, x, y, z]) = self.poses.get(n) else {
-            return Err(SourceFault::missing("the pose", REMEDY));
+            return Err(SourceErrorCause::missing("the pose", HINT));
         };
         let arkit = pose::of_quaternion([x, y, z], [qw, qx, qy, qz])?;
         Ok(Axes::OpenGl.to_opencv(&arkit))
@@ -106,7 +106,7 @@ impl Metadata {
 
     /// When `frames` were taken: by their time stamps, else evenly.
     pub(super) fn clock(&self, frames: &[usize], fps: Option<f64>, path: &Path) -> Result<Clock, ReadSourceError> {
-        let bad = |what: String| Err(SourceFault::bad(what, REMEDY).within(path, "metadata"));
+        let bad = |what: String| Err(SourceErrorCause::bad(what, HINT).within(path, "metadata"));
         let steps = (frames.len() - 1) as f64;
         if let Some(fps) = fps.filter(|v| !(v.is_finite() && *v > 0.0)) {
             return bad(format!("fps is {fps}; frames per second, above 0, were expected"));

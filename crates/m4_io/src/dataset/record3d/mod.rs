@@ -19,7 +19,7 @@ mod metadata;
 mod sensor;
 
 use crate::dataset::files::{Inside, Members, clock, first_bytes, lens};
-use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::dataset::{FrameSource, ImportOptions, Lens, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
 use crate::image;
 use m4_core::{Progress, RgbImage};
 use metadata::Metadata;
@@ -27,10 +27,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Largest image file and what a decoded one may have.
-const MAX_PICTURE_BYTES: u64 = 64 << 20;
+const MAX_IMAGE_BYTES: u64 = 64 << 20;
 const MAX_PIXELS: u64 = 64 << 20;
 
-/// Whether a file or folder is of it.
+/// Detects a file or folder of the format.
 pub(crate) fn detect(path: &Path) -> bool {
     if path.is_dir() {
         return path.join("metadata").is_file() && path.join("rgbd").is_dir();
@@ -40,37 +40,37 @@ pub(crate) fn detect(path: &Path) -> bool {
 }
 
 pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress) -> Result<Listing, ReadSourceError> {
-    let members = Arc::new(Members::open(path, Inside::of(path, options)).map_err(|fault| fault.at(path))?);
+    let members = Arc::new(Members::open(path, Inside::of(path, options)).map_err(|e| e.at(path))?);
     let metadata = Metadata::read(&members, path)?;
-    let pictures = pictures(&members).map_err(|fault| fault.at(path))?;
+    let numbers = image_numbers(&members).map_err(|e| e.at(path))?;
     let poses = metadata.poses.len();
-    let Some(&last) = pictures.last() else {
-        return Err(SourceFault::missing("every rgbd/N.jpg", "export the recording again as .r3d").at(path));
+    let Some(&last) = numbers.last() else {
+        return Err(SourceErrorCause::missing("every rgbd/N.jpg", "export the recording again as .r3d").at(path));
     };
     if last >= poses {
         let what = format!("the image rgbd/{last}.jpg has no pose: metadata has {poses}");
-        return Err(SourceFault::bad(what, "export the recording again as .r3d").at(path));
+        return Err(SourceErrorCause::bad(what, "export the recording again as .r3d").at(path));
     }
-    if pictures.len() < poses {
+    if numbers.len() < poses {
         progress.warn(&format!(
             "{} of {poses} poses of {} have no image and are ignored",
-            poses - pictures.len(),
+            poses - numbers.len(),
             path.display()
         ));
     }
     // of the first image; `load` compares the others
-    let size = picture(&members, pictures[0]).map_err(|fault| fault.at(path))?.size();
-    let given = clock::fps(options).map_err(|fault| fault.at(path))?;
+    let size = image(&members, numbers[0]).map_err(|e| e.at(path))?.size();
+    let given = clock::fps(options).map_err(|e| e.at(path))?;
     let fps = metadata.fps.or(given);
-    let taken = metadata.clock(&pictures, fps, path)?;
-    let frames = pictures.iter().zip(&taken.t).map(|(&n, &t)| {
-        let place = |fault: SourceFault| fault.within(path, format!("frame {n}"));
+    let taken = metadata.clock(&numbers, fps, path)?;
+    let frames = numbers.iter().zip(&taken.t).map(|(&n, &t)| {
+        let place = |cause: SourceErrorCause| cause.within(path, format!("frame {n}"));
         let k = metadata.intrinsics(n).map_err(place)?;
         let intrinsics = lens::resized(&k, size).map_err(place)?;
         let (for_rgb, for_depth) = (Arc::clone(&members), Arc::clone(&members));
         let (dw, dh) = metadata.depth_size();
         let c2w = metadata.c2w(n).map_err(place)?;
-        let rgb = FrameSource::new(move || picture(&for_rgb, n));
+        let rgb = FrameSource::new(move || image(&for_rgb, n));
         Ok(ListedFrame {
             depth: members
                 .has(&format!("rgbd/{n}.depth"))
@@ -82,12 +82,12 @@ pub(crate) fn list(path: &Path, options: &ImportOptions, progress: &dyn Progress
     let train = frames.collect::<Result<_, _>>()?;
     Ok(Listing {
         metric: true,
-        ..Listing::of_video(train, pictures.len(), taken.duration_s)
+        ..Listing::of_video(train, numbers.len(), taken.duration_s)
     })
 }
 
 /// The numbers of the images, in order.
-fn pictures(members: &Members) -> Result<Vec<usize>, SourceFault> {
+fn image_numbers(members: &Members) -> Result<Vec<usize>, SourceErrorCause> {
     let names = members.names("rgbd")?;
     let mut numbers: Vec<usize> = names
         .iter()
@@ -99,10 +99,10 @@ fn pictures(members: &Members) -> Result<Vec<usize>, SourceFault> {
     Ok(numbers)
 }
 
-fn picture(members: &Members, n: usize) -> Result<RgbImage, SourceFault> {
+fn image(members: &Members, n: usize) -> Result<RgbImage, SourceErrorCause> {
     let name = format!("rgbd/{n}.jpg");
-    let bytes = members.read(&name, MAX_PICTURE_BYTES)?;
-    let bytes = bytes.ok_or_else(|| SourceFault::missing(&name, "export the recording again as .r3d"))?;
+    let bytes = members.read(&name, MAX_IMAGE_BYTES)?;
+    let bytes = bytes.ok_or_else(|| SourceErrorCause::missing(&name, "export the recording again as .r3d"))?;
     // a JPEG makes some 400 pixels of a byte at most
     let most = MAX_PIXELS.min((1 << 20) + 1032 * bytes.len() as u64);
     Ok(image::decode_rgb(&bytes, &PathBuf::from(name), most)?)

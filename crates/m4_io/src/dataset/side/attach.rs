@@ -2,7 +2,7 @@
 
 use super::{depth, mask, tracks};
 use crate::dataset::files::{Inside, listed};
-use crate::dataset::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceFault};
+use crate::dataset::{FrameSource, ImportOptions, ListedFrame, Listing, ReadSourceError, SourceErrorCause};
 use m4_core::{CompactDepth, CompactMask, Progress};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 /// [`ReadSourceError`], which names the folder or file: it cannot be read, or does not hold one map for each frame.
 pub fn attach(listing: &mut Listing, options: &ImportOptions, progress: &dyn Progress) -> Result<(), ReadSourceError> {
     if let Some(path) = &options.depth {
-        let unit = depth::unit(options, depth::DEFAULT_UNIT).map_err(|fault| fault.at(path))?;
+        let unit = depth::unit(options, depth::DEFAULT_UNIT).map_err(|e| e.at(path))?;
         attach_depth(&mut listing.train, path, unit, options, progress)?;
     }
     if let Some(path) = &options.masks {
@@ -22,7 +22,7 @@ pub fn attach(listing: &mut Listing, options: &ImportOptions, progress: &dyn Pro
     }
     if let Some(path) = &options.tracks {
         let read = tracks::read_tracks(path, &listing.train, options.max_memory_bytes, progress);
-        listing.tracks = Some(read.map_err(|fault| fault.at(path))?);
+        listing.tracks = Some(read.map_err(|e| e.at(path))?);
     }
     Ok(())
 }
@@ -43,7 +43,7 @@ fn attach_depth(
         return Ok(());
     }
     let stack = depth::read_stack(path, frames.len(), unit, options.max_memory_bytes, progress);
-    let stack = stack.map_err(|fault| fault.at(path))?;
+    let stack = stack.map_err(|e| e.at(path))?;
     let stack: Arc<Vec<CompactDepth>> = Arc::new(stack);
     for (i, frame) in frames.iter_mut().enumerate() {
         let stack = Arc::clone(&stack);
@@ -67,13 +67,13 @@ fn attach_masks(
             frame.mask = Some(FrameSource::new(move || {
                 Ok(named(&file, mask::read_mask(&file, invert))?.mask)
             }));
-            let with_palette = mask::tells_apart(&of_things) && !invert;
+            let with_palette = mask::has_objects(&of_things) && !invert;
             frame.instances = with_palette.then(|| {
                 FrameSource::new(move || {
                     let read = named(&of_things, mask::read_mask(&of_things, false))?;
                     read.instances.ok_or_else(|| {
                         let what = format!("{} lost its palette", of_things.display());
-                        SourceFault::bad(what, "do not change files while they are read")
+                        SourceErrorCause::bad(what, "do not change files while they are read")
                     })
                 })
             });
@@ -81,7 +81,7 @@ fn attach_masks(
         return Ok(());
     }
     let stack = mask::read_stack(path, frames.len(), invert, options.max_memory_bytes, progress);
-    let stack: Arc<Vec<CompactMask>> = Arc::new(stack.map_err(|fault| fault.at(path))?);
+    let stack: Arc<Vec<CompactMask>> = Arc::new(stack.map_err(|e| e.at(path))?);
     for (i, frame) in frames.iter_mut().enumerate() {
         let stack = Arc::clone(&stack);
         frame.mask = Some(FrameSource::new(move || Ok(stack[i].clone())));
@@ -113,10 +113,10 @@ pub(crate) fn one_a_frame(
         _ => format!(" (names that end in .{})", extensions.join(", .")),
     };
     let what = format!("{} {what}{end} for {frames} training frames", files.len());
-    Err(SourceFault::bad(what, "give one for each training frame, in the order of their names").at(folder))
+    Err(SourceErrorCause::bad(what, "give one for each training frame, in the order of their names").at(folder))
 }
 
 /// With the file's name in the message, for faults that do not have it.
-fn named<T>(file: &Path, read: Result<T, SourceFault>) -> Result<T, SourceFault> {
-    read.map_err(|fault| fault.of_file(file))
+fn named<T>(file: &Path, read: Result<T, SourceErrorCause>) -> Result<T, SourceErrorCause> {
+    read.map_err(|e| e.of_file(file))
 }

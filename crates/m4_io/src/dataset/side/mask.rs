@@ -2,9 +2,9 @@
 
 use super::palette::read_numbers;
 use super::stack::Stack;
-use crate::dataset::SourceFault;
+use crate::dataset::SourceErrorCause;
 use crate::dataset::files::first_bytes;
-use crate::dataset::files::pictures::size_of;
+use crate::dataset::files::images::size_of;
 use crate::image;
 use m4_core::{CompactIds, CompactMask, Progress};
 use std::path::Path;
@@ -14,7 +14,7 @@ pub(crate) const EXTENSIONS: &[&str] = &["png", "jpg", "jpeg"];
 /// Names under which archives hold masks.
 const KEYS: &[&str] = &["masks", "mask", "dyn_masks", "arr_0"];
 
-/// A mask and, where its file tells things apart, which thing each pixel shows.
+/// A mask and, if its file distinguishes objects, the object of each pixel.
 #[derive(Debug, Clone)]
 pub struct ReadMask {
     /// Set where something moves.
@@ -28,8 +28,8 @@ pub struct ReadMask {
 ///
 /// # Errors
 ///
-/// [`SourceFault`]: it cannot be read or is damaged.
-pub fn read_mask(path: &Path, invert: bool) -> Result<ReadMask, SourceFault> {
+/// [`SourceErrorCause`]: it cannot be read or is damaged.
+pub fn read_mask(path: &Path, invert: bool) -> Result<ReadMask, SourceErrorCause> {
     if !first_bytes::<4>(path).starts_with(b"\x89PNG") {
         size_of(path)?;
         let grey = image::read_grey(path)?;
@@ -48,7 +48,7 @@ pub fn read_mask(path: &Path, invert: bool) -> Result<ReadMask, SourceFault> {
 }
 
 /// Whether a file is a PNG with a palette, by its head: the type of colour is byte 25 (PNG specification, 11.2.2).
-pub(crate) fn tells_apart(path: &Path) -> bool {
+pub(crate) fn has_objects(path: &Path) -> bool {
     let start = first_bytes::<26>(path);
     start.starts_with(b"\x89PNG") && start.get(12..16) == Some(b"IHDR") && start.get(25) == Some(&3)
 }
@@ -60,7 +60,7 @@ pub(crate) fn read_stack(
     invert: bool,
     limit_bytes: u64,
     progress: &dyn Progress,
-) -> Result<Vec<CompactMask>, SourceFault> {
+) -> Result<Vec<CompactMask>, SourceErrorCause> {
     Stack::open(path, KEYS, frames, limit_bytes, progress, |stack, values| {
         let from = if stack.whole_numbers { 0.0 } else { 0.5 };
         let w = stack.width;

@@ -1,7 +1,7 @@
 //! The numbers of PNG images as they are stored: of a palette its indices, which other readers turn into colours.
 
-use crate::dataset::SourceFault;
-use crate::dataset::files::pictures::check_pixels;
+use crate::dataset::SourceErrorCause;
+use crate::dataset::files::images::check_pixels;
 use m4_core::Plane;
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
 use std::fs::File;
@@ -24,9 +24,9 @@ pub(crate) struct Numbers {
 }
 
 /// Reads one.
-pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
+pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceErrorCause> {
     let damaged =
-        |e: png::DecodingError| SourceFault::bad(format!("the PNG file cannot be read ({e})"), "export it again");
+        |e: png::DecodingError| SourceErrorCause::bad(format!("the PNG file cannot be read ({e})"), "export it again");
     let file = File::open(path)?;
     let file_bytes = file.metadata()?.len();
     let mut decoder = Decoder::new_with_limits(BufReader::new(file), Limits { bytes: MAX_BYTES });
@@ -35,20 +35,20 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
     let (width, height) = reader.info().size();
     if width > MAX_SIDE || height > MAX_SIDE {
         let what = format!("an image of {width} x {height} pixels");
-        return Err(SourceFault::unsupported(what, "resize it"));
+        return Err(SourceErrorCause::unsupported(what, "resize it"));
     }
     let (w, h) = (width as usize, height as usize);
     check_pixels(w, h, file_bytes)?;
     let bytes = reader.output_buffer_size().filter(|&n| n <= MAX_BYTES);
     let Some(bytes) = bytes else {
-        return Err(SourceFault::unsupported(
+        return Err(SourceErrorCause::unsupported(
             format!("an image of {w} x {h} pixels"),
             "resize it",
         ));
     };
     if bytes as u64 > file_bytes.saturating_mul(MAX_RATIO).max(FREE_BYTES) {
         let what = format!("{w} x {h} pixels are claimed by {file_bytes} bytes");
-        return Err(SourceFault::bad(what, "the file is damaged; export it again"));
+        return Err(SourceErrorCause::bad(what, "the file is damaged; export it again"));
     }
     let mut data = vec![0; bytes];
     let frame = reader.next_frame(&mut data).map_err(damaged)?;
@@ -59,11 +59,11 @@ pub(crate) fn read_numbers(path: &Path) -> Result<Numbers, SourceFault> {
             "a frame of {} x {} pixels in an image of {w} x {h}",
             frame.width, frame.height
         );
-        return Err(SourceFault::bad(what, "export it again"));
+        return Err(SourceErrorCause::bad(what, "export it again"));
     }
     let (bits, channels) = (frame.bit_depth as usize, frame.color_type.samples());
     if line * 8 < w * bits * channels {
-        return Err(SourceFault::bad("its rows are too short", "export it again"));
+        return Err(SourceErrorCause::bad("its rows are too short", "export it again"));
     }
     // sample c of pixel x of row y
     let sample = |x: usize, y: usize, c: usize| -> u16 {

@@ -1,7 +1,7 @@
 //! Maps of all frames in one array of an npz archive.
 
-use crate::dataset::files::npy::{array_fault, array_of, is_float, open_npz, present};
-use crate::dataset::{SourceFault, step};
+use crate::dataset::files::npy::{array_error, array_of, is_float, open_npz, present};
+use crate::dataset::{SourceErrorCause, step};
 use m4_core::Progress;
 use std::path::Path;
 
@@ -21,12 +21,12 @@ impl Stack {
         frames: usize,
         limit_bytes: u64,
         progress: &dyn Progress,
-        one: impl Fn(&Self, Vec<f64>) -> Result<T, SourceFault>,
-    ) -> Result<Vec<T>, SourceFault> {
+        one: impl Fn(&Self, Vec<f64>) -> Result<T, SourceErrorCause>,
+    ) -> Result<Vec<T>, SourceErrorCause> {
         let mut npz = open_npz(path)?;
         let Some(key) = present(&npz, keys) else {
             let what = format!("an array named {} (there are: {})", keys.join(" or "), npz.names());
-            return Err(SourceFault::missing(what, "save the maps under such a name"));
+            return Err(SourceErrorCause::missing(what, "save the maps under such a name"));
         };
         // both a map and its copy in the capture
         let mut array = array_of(&mut npz, key, limit_bytes / 4)?;
@@ -37,15 +37,15 @@ impl Stack {
                     "{key} has shape {:?}; [frames, height, width] was expected",
                     array.shape
                 );
-                return Err(SourceFault::bad(what, "save one map per frame"));
+                return Err(SourceErrorCause::bad(what, "save one map per frame"));
             }
         };
         if n != frames {
             let what = format!("{key} has {n} maps for {frames} training frames");
-            return Err(SourceFault::bad(what, "give one map for each training frame"));
+            return Err(SourceErrorCause::bad(what, "give one map for each training frame"));
         }
         if width == 0 || height == 0 {
-            return Err(SourceFault::bad(
+            return Err(SourceErrorCause::bad(
                 format!("{key} has maps of {width} x {height} pixels"),
                 "save them again",
             ));
@@ -58,10 +58,10 @@ impl Stack {
         let mut maps = Vec::new();
         for i in 0..n {
             step("read maps", i, n, progress)?;
-            let values = array.next_f64(width * height).map_err(|e| array_fault(key, e))?;
+            let values = array.next_f64(width * height).map_err(|e| array_error(key, e))?;
             maps.push(one(&stack, values)?);
         }
-        array.end().map_err(|e| array_fault(key, e))?;
+        array.end().map_err(|e| array_error(key, e))?;
         Ok(maps)
     }
 }

@@ -15,7 +15,7 @@ const LEAST_SCALE: f32 = 1e-30;
 /// A clip: how frames and seconds go together.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Clip {
-    /// Seconds a frame.
+    /// Seconds per frame.
     pub step_s: f64,
     /// Frames.
     pub frames: usize,

@@ -1,7 +1,6 @@
-//! Errors of reading and writing `.4dgs` files.
+//! Errors of reading `.4dgs` files.
 
 use crate::ErrorKind;
-use crate::scene::WriteFileError;
 use crate::shortened;
 use std::io;
 use std::path::PathBuf;
@@ -68,39 +67,6 @@ impl ReadFourdgsError {
             Self::Io { source, .. } => ErrorKind::of_read(source),
             Self::Unsupported { .. } => ErrorKind::Unsupported,
             Self::Damaged { .. } | Self::TooLarge { .. } | Self::BadValue { .. } => ErrorKind::BadData,
-        }
-    }
-}
-
-/// Why a `.4dgs` file could not be written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum WriteFourdgsError {
-    /// The file did not get to the disk as it was made.
-    #[error(transparent)]
-    File(#[from] WriteFileError),
-    /// The scene has values that no file can hold.
-    #[error("the scene cannot be written as .4dgs: {reason}")]
-    BadScene {
-        /// The fault.
-        reason: String,
-    },
-    /// The bytes that were made do not decode to the scene within the declared bounds.
-    #[error("the written .4dgs file does not decode to the scene: {reason}; this is a bug, please report it")]
-    Verify {
-        /// What differs, and by how much.
-        reason: String,
-    },
-}
-
-impl WriteFourdgsError {
-    /// What sort of failure this is.
-    #[must_use]
-    pub fn kind(&self) -> ErrorKind {
-        match self {
-            Self::File(e) => e.kind(),
-            Self::Verify { .. } => ErrorKind::CannotWrite,
-            Self::BadScene { .. } => ErrorKind::BadData,
         }
     }
 }

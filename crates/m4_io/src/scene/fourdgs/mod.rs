@@ -27,6 +27,6 @@ mod write;
 #[cfg(test)]
 mod tests;
 
-pub use error::{ReadFourdgsError, WriteFourdgsError};
+pub use error::ReadFourdgsError;
 pub use read::{parse, read};
 pub use write::{FourdgsConfig, Precision, encode, write};

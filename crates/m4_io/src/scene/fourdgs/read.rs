@@ -29,7 +29,7 @@ pub fn read(path: &Path) -> Result<Imported, ReadFourdgsError> {
 ///
 /// # Errors
 ///
-/// As [`read`]. Decoding allocates no more than 48 MiB and 96 bytes a byte of the file.
+/// As [`read`]. Decoding allocates no more than 48 MiB and 96 bytes per byte of the file.
 pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadFourdgsError> {
     budget::check(bytes).map_err(|over| ReadFourdgsError::TooLarge {
         path: path.to_path_buf(),
@@ -105,7 +105,7 @@ pub fn parse(path: &Path, bytes: &[u8]) -> Result<Imported, ReadFourdgsError> {
     })
 }
 
-/// Frames and their length: those of our own writer, else 30 a second.
+/// Frames and their length: those of our own writer, else 30 per second.
 fn clip(duration_s: f64, facts: &notes::Notes) -> Option<Clip> {
     if !(duration_s.is_finite() && duration_s >= 0.0) {
         return None;

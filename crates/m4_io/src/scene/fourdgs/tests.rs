@@ -1,7 +1,7 @@
 //! A scene to the bytes of a file and back.
 
-use super::{FourdgsConfig, Precision, ReadFourdgsError, WriteFourdgsError, encode, parse};
-use crate::scene::{Loss, at_peak};
+use super::{FourdgsConfig, Precision, ReadFourdgsError, encode, parse};
+use crate::scene::{Loss, WriteFileError, at_peak};
 use m4_core::{
     Column, Scene, SplatLayout, Splats,
     nalgebra::{Vector3, Vector4},
@@ -44,7 +44,7 @@ fn matched(want: &Splats, found: &Splats) -> Vec<usize> {
 }
 
 #[test]
-fn every_parameter_comes_back_within_its_bound() {
+fn fourdgs_round_trips_within_bounds() {
     for (sh_degree, time_degree, isotropic) in [(0, 0, false), (3, 1, false), (1, 0, true)] {
         let scene = scene(sh_degree, time_degree, isotropic);
         let (bytes, _) = encode(&scene, &FourdgsConfig::default()).unwrap();
@@ -128,7 +128,7 @@ fn extra_metadata_round_trips() {
 }
 
 #[test]
-fn a_scene_without_a_clock_gets_thirty_frames_a_second() {
+fn scenes_without_duration_use_30_frames_per_second() {
     let mut scene = scene(0, 2, false);
     scene.duration_s = None;
     scene.source[3].exposure.offset = [0.1; 3];
@@ -148,7 +148,7 @@ fn a_scene_without_a_clock_gets_thirty_frames_a_second() {
 }
 
 #[test]
-fn every_precision_is_checked_and_a_finer_one_takes_more_bytes() {
+fn finer_precision_takes_more_bytes() {
     let scene = scene(0, 0, false);
     let sizes: Vec<usize> = [Precision::Fine, Precision::Normal, Precision::Coarse]
         .into_iter()
@@ -164,7 +164,7 @@ fn every_precision_is_checked_and_a_finer_one_takes_more_bytes() {
 }
 
 #[test]
-fn a_file_with_another_value_is_caught() {
+fn changed_values_fail_verification() {
     use ::fourdgs::quantization::{Bounds, Profile};
     let scene = scene(1, 0, false);
     let (bytes, _) = encode(&scene, &FourdgsConfig::default()).unwrap();
@@ -196,7 +196,7 @@ fn a_file_with_another_value_is_caught() {
 }
 
 #[test]
-fn no_splats_make_a_file_too() {
+fn empty_scenes_are_written() {
     let mut scene = scene(0, 0, false);
     scene.splats = Splats::zeros(scene.splats.layout(), 0, 0);
     let (bytes, _) = encode(&scene, &FourdgsConfig::default()).unwrap();
@@ -205,7 +205,7 @@ fn no_splats_make_a_file_too() {
     scene.splats.column_mut(Column::Mean, 0)[0] = f32::NAN;
     assert!(matches!(
         encode(&scene, &FourdgsConfig::default()),
-        Err(WriteFourdgsError::BadScene { .. })
+        Err(WriteFileError::BadScene { .. })
     ));
 }
 
@@ -232,7 +232,7 @@ fn foreign(change: impl FnOnce(&mut ::fourdgs::GaussianSet)) -> Vec<u8> {
 }
 
 #[test]
-fn files_of_others_get_a_clock_and_keep_their_windows_apart() {
+fn fourdgs_of_other_tools_gets_a_clock() {
     let plain = parse(name(), &foreign(|_| {})).unwrap();
     let scene = &plain.scene;
     assert_eq!((scene.time_frames, scene.splats.n_static()), (60, 1));
@@ -292,7 +292,7 @@ fn a_small_file_cannot_ask_for_much_memory() {
 }
 
 #[test]
-fn refusals_say_what_to_do() {
+fn import_errors_name_a_remedy() {
     let (bytes, _) = encode(&scene(0, 0, false), &FourdgsConfig::default()).unwrap();
     let cut = parse(name(), &bytes[..bytes.len() / 2]).unwrap_err();
     assert!(matches!(cut, ReadFourdgsError::Damaged { .. }), "{cut}");

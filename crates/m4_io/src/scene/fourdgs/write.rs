@@ -1,7 +1,7 @@
 //! Writes a scene as a `.4dgs` file.
 
 use super::convert::{Clip, to_set};
-use super::{WriteFourdgsError, cameras, notes, verify};
+use super::{cameras, notes, verify};
 use crate::scene::clock::Clock;
 use crate::scene::{DEFAULT_FPS, Loss, WriteFileError, Written, at_peak, plural};
 use ::fourdgs::quantization::{Bounds, Profile};
@@ -54,13 +54,13 @@ impl Precision {
     }
 }
 
-/// Writes a scene, whole or not at all. The bytes are decoded and compared before the file takes its name.
+/// Writes a scene, atomically. The bytes are decoded and compared before the file takes its name.
 ///
 /// # Errors
 ///
-/// [`WriteFourdgsError`] when the scene has values that are not finite, the file system refuses, or the
+/// [`WriteFileError`] when the scene has values that are not finite, the file system refuses, or the
 /// bytes do not decode to the scene.
-pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Written, WriteFourdgsError> {
+pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Written, WriteFileError> {
     let (bytes, losses) = encode(scene, config)?;
     crate::scene::file::publish(path, &bytes).map_err(|e| WriteFileError::io(path, e))?;
     Ok(Written {
@@ -76,11 +76,12 @@ pub fn write(path: &Path, scene: &Scene, config: &FourdgsConfig) -> Result<Writt
 /// # Errors
 ///
 /// As [`write()`].
-pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Loss>), WriteFourdgsError> {
+pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Loss>), WriteFileError> {
     if !scene.splats.is_finite() {
-        return Err(WriteFourdgsError::BadScene {
-            reason: "a parameter of a splat is not a finite number".to_owned(),
-        });
+        return Err(WriteFileError::bad(
+            ".4dgs",
+            "a parameter of a splat is not a finite number",
+        ));
     }
     let clock = Clock::of(scene);
     let clip = Clip {
@@ -105,7 +106,7 @@ pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Los
         metadata: BTreeMap::from([("color_space".to_owned(), "srgb-rec709-display".to_owned())]),
         ..WriteOptions::default()
     };
-    let bad = |e: ::fourdgs::Error| WriteFourdgsError::BadScene { reason: e.to_string() };
+    let bad = |e: ::fourdgs::Error| WriteFileError::bad(".4dgs", e.to_string());
     let bytes = write_to_vec(&set, f64::from(clip.duration_s()), &options, &extras).map_err(bad)?;
     let bounds = Bounds::for_profile(options.profile, median(&set));
     decodes_to(&bytes, &set, &bounds)?;
@@ -132,12 +133,15 @@ pub fn encode(scene: &Scene, config: &FourdgsConfig) -> Result<(Vec<u8>, Vec<Los
     Ok((bytes, losses))
 }
 
-fn decodes_to(bytes: &[u8], set: &GaussianSet, bounds: &Bounds) -> Result<(), WriteFourdgsError> {
+fn decodes_to(bytes: &[u8], set: &GaussianSet, bounds: &Bounds) -> Result<(), WriteFileError> {
     let options = ReadOptions {
         recover_truncated: false,
         ..ReadOptions::default()
     };
-    let verify = |reason: String| WriteFourdgsError::Verify { reason };
+    let verify = |reason: String| WriteFileError::Decode {
+        format: ".4dgs",
+        reason,
+    };
     let file = read_from(bytes, &options).map_err(|e| verify(e.to_string()))?;
     verify::check(set, bounds, &file).map_err(verify)
 }

@@ -20,12 +20,10 @@
 //! Source: `extensions/2.0/Khronos/KHR_gaussian_splatting` of `KhronosGroup/glTF`.
 
 mod document;
-mod error;
 mod section;
 mod write;
 
-pub use error::WriteGltfError;
-pub use write::{GltfOptions, write};
+pub use write::write;
 
 /// How far the extension is on its way to a standard, said in the file too.
 pub const EXTENSION_STATUS: &str = "KHR_gaussian_splatting, Release Candidate (specification of July 2026)";

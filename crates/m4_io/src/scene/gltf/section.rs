@@ -62,7 +62,7 @@ impl Section {
         }
     }
 
-    /// Bytes a splat: a multiple of 4, so that every array is aligned.
+    /// Bytes per splat: a multiple of 4, so that every array is aligned.
     pub fn width(&self) -> u64 {
         match self.content {
             Content::Rotation => 16,

@@ -1,7 +1,6 @@
 //! Writes one instant of a scene as binary glTF.
 
 use super::document::{Accessor, Buffer, BufferView, Document, Mesh, Node, Primitive};
-use super::error::WriteGltfError;
 use super::section::Section;
 use super::{BIN_CHUNK, EXTENSION, EXTENSION_STATUS, JSON_CHUNK, MAGIC};
 use crate::scene::clock::Clock;
@@ -9,7 +8,6 @@ use crate::scene::rub::turn_splats;
 use crate::scene::verified::VerifiedFile;
 use crate::scene::{Loss, WriteFileError, Written, instant};
 use m4_core::{Column, Scene, Splats};
-use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::io::{self, Write};
 use std::path::Path;
@@ -17,44 +15,32 @@ use std::path::Path;
 /// glTF's number for a buffer of vertices.
 const ARRAY_BUFFER: u32 = 34_962;
 
-/// Settings of [`write()`].
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct GltfOptions {
-    /// The instant, frames. Default 0.
-    pub t: f64,
-}
-
-/// Writes the splats that the instant [`GltfOptions::t`] sees; the bytes on the disk are compared before the
+/// Writes the splats that the instant `t` (frames) sees; the bytes on the disk are compared before the
 /// file gets its name.
 ///
 /// # Errors
 ///
-/// [`WriteGltfError`]; what was at `path` is then still there.
-pub fn write(path: &Path, scene: &Scene, options: &GltfOptions) -> Result<Written, WriteGltfError> {
-    let io = |e| WriteGltfError::File(WriteFileError::io(path, e));
-    let bad = |what: String| WriteGltfError::BadScene {
-        path: path.to_path_buf(),
-        what,
-    };
-    if !options.t.is_finite() {
-        return Err(bad(format!("t = {}; a number of frames was expected", options.t)));
+/// [`WriteFileError`]; what was at `path` is then still there.
+pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteFileError> {
+    let io = |e| WriteFileError::io(path, e);
+    let bad = |what: String| WriteFileError::bad("glTF", what);
+    if !t.is_finite() {
+        return Err(bad(format!("t = {t}; a number of frames was expected")));
     }
-    let mut splats = instant(&scene.splats, options.t, scene.time_frames as f64);
+    let mut splats = instant(&scene.splats, t, scene.time_frames as f64);
     turn_splats(&mut splats);
     if splats.n() == 0 {
         return Err(bad(format!(
-            "no splat is seen at frame {}, and glTF has no empty arrays; choose another instant",
-            options.t
+            "no splat is seen at frame {t}, and glTF has no empty arrays; choose another instant"
         )));
     }
     if let Some(column) = splats.columns().iter().find(|c| !c.iter().all(|v| v.is_finite())) {
         let splat = column.iter().position(|v| !v.is_finite()).unwrap_or(0);
-        return Err(bad(format!("splat {splat} holds a value that is not a number")));
+        return Err(bad(format!("splat {splat} holds a NaN or infinite value")));
     }
     let sections = Section::all(splats.layout().sh_degree);
     let count = splats.n();
-    let document = document(scene, options.t, &splats, &sections);
+    let document = document(scene, t, &splats, &sections);
     let mut json = serde_json::to_vec(&document).map_err(|e| io(e.into()))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let bin = document.buffers[0].byte_length;
@@ -76,10 +62,9 @@ pub fn write(path: &Path, scene: &Scene, options: &GltfOptions) -> Result<Writte
     };
     all().map_err(io)?;
     drop(splats);
-    file.verify()
-        .map_err(|e| WriteGltfError::File(WriteFileError::verify(path, e)))?;
+    file.verify().map_err(|e| WriteFileError::verify(path, e))?;
     let mut losses = vec![
-        Loss::Baked(format!("everything, at frame {}", options.t)),
+        Loss::Baked(format!("everything, at frame {t}")),
         Loss::Dropped("motion, the background and the colour corrections of the frames".into()),
     ];
     losses.extend(Loss::of_mip(scene));

@@ -1,7 +1,6 @@
-//! Errors of reading and writing PLY files.
+//! Errors of reading PLY files.
 
 use crate::ErrorKind;
-use crate::scene::WriteFileError;
 use crate::shortened;
 use std::io;
 use std::path::PathBuf;
@@ -64,32 +63,6 @@ impl ReadPlyError {
             Self::Io { source, .. } => ErrorKind::of_read(source),
             Self::Unsupported { .. } => ErrorKind::Unsupported,
             Self::NotPly { .. } | Self::Damaged { .. } | Self::BadValue { .. } => ErrorKind::BadData,
-        }
-    }
-}
-
-/// Why a PLY file or a folder of them could not be written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum WritePlyError {
-    /// The file did not get to the disk as it was made.
-    #[error(transparent)]
-    File(#[from] WriteFileError),
-    /// The scene has values that would not render.
-    #[error("the scene cannot be written as PLY: {reason}")]
-    BadScene {
-        /// The fault.
-        reason: String,
-    },
-}
-
-impl WritePlyError {
-    /// What sort of failure this is.
-    #[must_use]
-    pub fn kind(&self) -> ErrorKind {
-        match self {
-            Self::File(e) => e.kind(),
-            Self::BadScene { .. } => ErrorKind::BadData,
         }
     }
 }

@@ -23,7 +23,7 @@ mod write;
 #[cfg(test)]
 mod tests;
 
-pub use error::{ReadPlyError, WritePlyError};
+pub use error::ReadPlyError;
 pub use read::{parse, read};
 pub use sequence::{frame_name, write_sequence};
 pub use write::write;

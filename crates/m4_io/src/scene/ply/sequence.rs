@@ -1,6 +1,5 @@
 //! Writes a folder with one PLY file per frame.
 
-use super::WritePlyError;
 use super::write::{check, encode, seen, unheld};
 use crate::scene::{Loss, WriteFileError, Written};
 use m4_core::Scene;
@@ -13,19 +12,19 @@ pub fn frame_name(i: usize) -> String {
     format!("frame_{i:05}.ply")
 }
 
-/// Writes a file for each of `times` (frames) into `folder`, each whole or not at all. Files of a longer
+/// Writes a file for each of `times` (frames) into `folder`, each atomically. Files of a longer
 /// sequence that was there before are removed. `each` is called after every file, and may stop the work by
 /// returning false; the files written until then stay.
 ///
 /// # Errors
 ///
-/// [`WritePlyError`] when the scene has values that are not finite, or the file system refuses.
+/// [`WriteFileError`] when the scene has values that are not finite, or the file system refuses.
 pub fn write_sequence(
     folder: &Path,
     scene: &Scene,
     times: &[f64],
     mut each: impl FnMut(usize) -> bool,
-) -> Result<Written, WritePlyError> {
+) -> Result<Written, WriteFileError> {
     check(scene)?;
     let io = WriteFileError::io;
     fs::create_dir_all(folder).map_err(|e| io(folder, e))?;

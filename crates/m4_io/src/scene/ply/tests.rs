@@ -31,7 +31,7 @@ fn scene(sh_degree: usize) -> Scene {
 }
 
 #[test]
-fn an_instant_comes_back_bit_by_bit() {
+fn ply_instants_round_trip_exactly() {
     let dir = tempfile::tempdir().unwrap();
     for sh_degree in 0..=3 {
         let scene = scene(sh_degree);
@@ -67,7 +67,7 @@ fn an_instant_comes_back_bit_by_bit() {
 
 /// The same file through a reader that is not ours.
 #[test]
-fn another_reader_finds_the_properties_by_their_names() {
+fn serde_ply_reads_written_properties() {
     #[derive(Deserialize)]
     struct File {
         vertex: Vec<HashMap<String, f32>>,
@@ -93,7 +93,7 @@ fn another_reader_finds_the_properties_by_their_names() {
 }
 
 #[test]
-fn a_sequence_has_a_file_a_frame_and_leaves_no_old_ones() {
+fn sequences_write_one_file_per_frame_and_remove_old_ones() {
     let dir = tempfile::tempdir().unwrap();
     let scene = scene(0);
     write_sequence(dir.path(), &scene, &[0.0, 5.0, 10.0], |_| true).unwrap();
@@ -112,7 +112,7 @@ fn a_sequence_has_a_file_a_frame_and_leaves_no_old_ones() {
 }
 
 #[test]
-fn other_orders_and_types_are_read() {
+fn ply_property_orders_and_types_are_read() {
     let at = Path::new("other.ply");
     // text, other order, one scale, bytes for colours
     let text = "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 2\nproperty float opacity\nproperty double z\n\

@@ -1,18 +1,17 @@
 //! Writes one instant of a scene as a PLY file.
 
-use super::WritePlyError;
 use crate::scene::row::Row;
 use crate::scene::{Loss, WriteFileError, Written, instant, plural};
 use m4_core::{Column, Scene, Splats};
 use std::fmt::Write;
 use std::path::Path;
 
-/// Writes the splats that time `t` (frames) sees, whole or not at all.
+/// Writes the splats that time `t` (frames) sees, atomically.
 ///
 /// # Errors
 ///
-/// [`WritePlyError`] when the scene has values that are not finite, or the file system refuses.
-pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WritePlyError> {
+/// [`WriteFileError`] when the scene has values that are not finite, or the file system refuses.
+pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteFileError> {
     check(scene)?;
     let splats = seen(scene, t);
     let bytes = encode(&splats, t);
@@ -38,13 +37,14 @@ pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WritePlyErro
 }
 
 /// Refuses what would not render.
-pub(super) fn check(scene: &Scene) -> Result<(), WritePlyError> {
+pub(super) fn check(scene: &Scene) -> Result<(), WriteFileError> {
     if scene.splats.is_finite() {
         return Ok(());
     }
-    Err(WritePlyError::BadScene {
-        reason: "a parameter of a splat is not a finite number".to_owned(),
-    })
+    Err(WriteFileError::bad(
+        "PLY",
+        "a parameter of a splat is not a finite number",
+    ))
 }
 
 /// The splats of an instant, frames.

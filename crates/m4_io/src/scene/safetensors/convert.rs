@@ -14,7 +14,7 @@ pub type Sources<'a> = BTreeMap<String, Source<'a>>;
 
 /// An array that is missing or has another type or shape.
 #[derive(Debug)]
-pub enum Fault {
+pub enum Mismatch {
     Missing(String),
     Other {
         name: String,
@@ -73,7 +73,7 @@ pub fn arrays_to_splats(
     layout: SplatLayout,
     n_static: usize,
     n_dynamic: usize,
-) -> Result<Splats, Fault> {
+) -> Result<Splats, Mismatch> {
     let mut columns = Vec::with_capacity(layout.columns());
     let total = n_static.saturating_add(n_dynamic);
     for (column, name) in COLUMNS {
@@ -87,7 +87,7 @@ pub fn arrays_to_splats(
         arrays.remove(name);
     }
     // Every length was compared above, so this cannot fail.
-    Splats::from_columns(layout, n_static, n_dynamic, columns).map_err(|e| Fault::Other {
+    Splats::from_columns(layout, n_static, n_dynamic, columns).map_err(|e| Mismatch::Other {
         name: "splats".into(),
         found: e.to_string(),
         expected: "columns that agree".into(),
@@ -145,7 +145,7 @@ pub fn source_to_arrays(source: &[SourceFrame], arrays: &mut Sources<'_>) {
 }
 
 /// The training cameras of arrays.
-pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Fault> {
+pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Mismatch> {
     let n = arrays.get("source.t").map_or(0, StateTensor::len);
     let t = f64_array(arrays, "source.t", &[n])?;
     let lens = f64_array(arrays, "source.intrinsics", &[n, 6])?.as_chunks::<6>().0;
@@ -180,8 +180,8 @@ pub fn arrays_to_source(arrays: &Arrays) -> Result<Vec<SourceFrame>, Fault> {
     Ok((0..n).map(frame).collect())
 }
 
-fn other(name: &str, found: &StateTensor<'_>, kind: &str, shape: &[usize]) -> Fault {
-    Fault::Other {
+fn other(name: &str, found: &StateTensor<'_>, kind: &str, shape: &[usize]) -> Mismatch {
+    Mismatch::Other {
         name: name.to_owned(),
         found: Source::Array(found.view()).describe(),
         expected: format!("{kind} {shape:?}"),
@@ -189,18 +189,18 @@ fn other(name: &str, found: &StateTensor<'_>, kind: &str, shape: &[usize]) -> Fa
 }
 
 /// The values of an array that must have a type and shape.
-pub fn f32_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f32], Fault> {
+pub fn f32_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f32], Mismatch> {
     match arrays.get(name) {
         Some(StateTensor::F32 { shape: found, data }) if found == shape => Ok(data),
         Some(found) => Err(other(name, found, "f32", shape)),
-        None => Err(Fault::Missing(name.to_owned())),
+        None => Err(Mismatch::Missing(name.to_owned())),
     }
 }
 
-fn f64_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f64], Fault> {
+fn f64_array<'a>(arrays: &'a Arrays, name: &str, shape: &[usize]) -> Result<&'a [f64], Mismatch> {
     match arrays.get(name) {
         Some(StateTensor::F64 { shape: found, data }) if found == shape => Ok(data),
         Some(found) => Err(other(name, found, "f64", shape)),
-        None => Err(Fault::Missing(name.to_owned())),
+        None => Err(Mismatch::Missing(name.to_owned())),
     }
 }

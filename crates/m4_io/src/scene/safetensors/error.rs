@@ -73,20 +73,6 @@ pub enum ReadSceneError {
         /// Type and shape that it should have.
         expected: String,
     },
-    /// A number that no scene holds.
-    #[error("splat {splat} of {} has {name} = {value}; {expected}", path.display(), value = shortened(value), expected = shortened(expected))]
-    BadValue {
-        /// The file.
-        path: PathBuf,
-        /// Row of the array.
-        splat: usize,
-        /// The array.
-        name: &'static str,
-        /// Its contents.
-        value: String,
-        /// What was expected.
-        expected: String,
-    },
 }
 
 impl ReadSceneError {
@@ -100,8 +86,7 @@ impl ReadSceneError {
             | Self::Damaged { .. }
             | Self::Checksum { .. }
             | Self::MissingArray { .. }
-            | Self::BadArray { .. }
-            | Self::BadValue { .. } => ErrorKind::BadData,
+            | Self::BadArray { .. } => ErrorKind::BadData,
         }
     }
 }

@@ -23,15 +23,13 @@
 //! it, which is compared on every read.
 
 mod convert;
-mod covariance4;
 mod error;
 mod header;
 mod read;
-mod sound;
 mod tensor;
+mod valid;
 mod write;
 
-pub use covariance4::{read_covariance4, write_covariance4};
 pub use error::{ReadSceneError, WriteSceneError};
 pub use read::{SceneFile, read};
 pub use write::write;

@@ -1,10 +1,10 @@
 //! Reads a scene file.
 
 use super::ReadSceneError;
-use super::convert::{Arrays, Fault, arrays_to_source, arrays_to_splats};
+use super::convert::{Arrays, Mismatch, arrays_to_source, arrays_to_splats};
 use super::header::{Header, KEY, VERSION, Version, checksum};
-use super::sound;
 use super::tensor::{self, Source};
+use super::valid;
 use m4_core::{Scene, TrainState};
 use safetensors::tensor::Metadata;
 use std::collections::BTreeMap;
@@ -141,10 +141,10 @@ fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, R
             ),
         });
     }
-    let fault = |fault| fault_to_error(path, fault);
+    let cause = |cause| mismatch_error(path, cause);
     let splats =
-        arrays_to_splats(&mut arrays, facts.layout(), facts.splats_static, facts.splats_dynamic).map_err(fault)?;
-    let source = arrays_to_source(&arrays).map_err(fault)?;
+        arrays_to_splats(&mut arrays, facts.layout(), facts.splats_static, facts.splats_dynamic).map_err(cause)?;
+    let source = arrays_to_source(&arrays).map_err(cause)?;
     let state = facts.has_state.then(|| {
         let named: Vec<String> = arrays.keys().filter(|n| n.starts_with("state.")).cloned().collect();
         let take = |name: String| Some((name["state.".len()..].to_owned(), arrays.remove(&name)?));
@@ -159,7 +159,7 @@ fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, R
         near: facts.near,
         source,
     };
-    if let Some(reason) = sound::fault(&scene) {
+    if let Some(reason) = valid::cause(&scene) {
         let path = path.to_path_buf();
         return Err(ReadSceneError::Damaged { path, reason });
     }
@@ -171,11 +171,11 @@ fn scene(path: &Path, header: Header, mut arrays: Arrays) -> Result<SceneFile, R
 }
 
 /// A fault of arrays with the name of the file.
-pub fn fault_to_error(path: &Path, fault: Fault) -> ReadSceneError {
+pub fn mismatch_error(path: &Path, cause: Mismatch) -> ReadSceneError {
     let path = path.to_path_buf();
-    match fault {
-        Fault::Missing(name) => ReadSceneError::MissingArray { path, name },
-        Fault::Other { name, found, expected } => ReadSceneError::BadArray {
+    match cause {
+        Mismatch::Missing(name) => ReadSceneError::MissingArray { path, name },
+        Mismatch::Other { name, found, expected } => ReadSceneError::BadArray {
             path,
             name,
             found,

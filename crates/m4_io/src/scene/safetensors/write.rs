@@ -3,8 +3,8 @@
 use super::WriteSceneError;
 use super::convert::{Sources, source_to_arrays, splats_to_arrays};
 use super::header::{Facts, Header, KEY, VERSION, checksum};
-use super::sound;
 use super::tensor::Source;
+use super::valid;
 use crate::atomic::AtomicFile;
 use m4_core::{Scene, TrainState};
 use safetensors::tensor::{Metadata, TensorInfo};
@@ -73,7 +73,7 @@ fn check(path: &Path, scene: &Scene, state: Option<&TrainState<'_>>) -> Result<(
             "a parameter of a splat is not a finite number; lower the learning rates".into(),
         ));
     }
-    if let Some(what) = sound::fault(scene) {
+    if let Some(what) = valid::cause(scene) {
         return Err(bad(what));
     }
     for (name, array) in state.into_iter().flatten() {

@@ -9,7 +9,7 @@
 //! word 0..3    mean at the middle of its life, 3 x f32, world units
 //! word 3, 4    rotation (w, x, y, z), halves           word 5, 6    scales, 3 halves, world units
 //! word 7       red, green, blue, opacity, a byte each
-//! word 8..13   motion: 3 linear, 3 quadratic, 3 cubic coefficients, halves, world units a clip^n
+//! word 8..13   motion: 3 linear, 3 quadratic, 3 cubic coefficients, halves, world units per clip^n
 //! word 13, 14  change of the rotation, 4 halves per clip  word 15      middle of its life, its length s
 //! ```
 //!
@@ -18,14 +18,12 @@
 //! The tail of the last row of the texture is zeros. A camera is written as in the `cameras.json` of
 //! 3DGS, with `cx`, `cy` and `time` besides; what else a scene knows is under the key `minute4d`.
 
-mod error;
 mod header;
 mod write;
 
 #[cfg(test)]
 mod tests;
 
-pub use error::WriteSplatvError;
 pub use write::write;
 
 /// First word of a file.

@@ -1,7 +1,8 @@
 //! Bytes of a scene as the player reads them.
 
-use super::{WriteSplatvError, write};
+use super::write;
 use crate::scene::Loss;
+use crate::scene::WriteFileError;
 use crate::scene::row::{Life, Row, sigmoid};
 use half::f16;
 use m4_core::{Column, Scene, SplatLayout, Splats, nalgebra::Vector4};
@@ -35,7 +36,7 @@ fn halves(word: u32) -> [f64; 2] {
 }
 
 #[test]
-fn every_parameter_is_there_to_eleven_bits() {
+fn splatv_parameters_have_half_precision() {
     let scene = scene();
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.splatv");
@@ -110,7 +111,7 @@ fn values_out_of_range_of_f16_are_refused() {
     scene.splats.column_mut(Column::Velocity, 0)[3] = 5000.0;
     let dir = tempfile::tempdir().unwrap();
     let error = write(&dir.path().join("a.splatv"), &scene).unwrap_err();
-    assert!(matches!(error, WriteSplatvError::BadScene { .. }));
+    assert!(matches!(error, WriteFileError::BadScene { .. }));
     assert!(error.to_string().contains("motion of splat 303"), "{error}");
     let layout = SplatLayout {
         isotropic: true,

@@ -1,7 +1,7 @@
 //! Writes a scene as a `.splatv` file.
 
 use super::header::{Facts, Part, views};
-use super::{MAGIC, SPLAT_BYTES, TEX_WIDTH, TEXEL_BYTES, WriteSplatvError};
+use super::{MAGIC, SPLAT_BYTES, TEX_WIDTH, TEXEL_BYTES};
 use crate::scene::row::{Life, Row, sigmoid};
 use crate::scene::{C0, Loss, WriteFileError, Written, at_peak, plural};
 use half::f16;
@@ -12,18 +12,19 @@ use std::path::Path;
 /// The longest life that is written, clips; a static splat has it.
 const LONGEST_LIFE: f64 = 60_000.0;
 
-/// Writes a scene, whole or not at all. Colours become those in the middle of each splat's life, seen from
+/// Writes a scene, atomically. Colours become those in the middle of each splat's life, seen from
 /// all sides alike.
 ///
 /// # Errors
 ///
-/// [`WriteSplatvError`] when the scene has values that are not finite or too large for a half, or the file
+/// [`WriteFileError`] when the scene has values that are not finite or too large for a half, or the file
 /// system refuses.
-pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteSplatvError> {
+pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteFileError> {
     if !scene.splats.is_finite() {
-        return Err(WriteSplatvError::BadScene {
-            reason: "a parameter of a splat is not a finite number".to_owned(),
-        });
+        return Err(WriteFileError::bad(
+            ".splatv",
+            "a parameter of a splat is not a finite number",
+        ));
     }
     let n = scene.splats.n();
     let last = scene.time_frames.saturating_sub(1).max(1) as f64;
@@ -39,10 +40,9 @@ pub fn write(path: &Path, scene: &Scene) -> Result<Written, WriteSplatvError> {
         cameras: views(scene, last),
         minute4d: Facts::of(scene),
     };
-    let json = serde_json::to_vec(&[part]).map_err(|e| WriteSplatvError::BadScene { reason: e.to_string() })?;
-    let length = u32::try_from(json.len()).map_err(|_| WriteSplatvError::BadScene {
-        reason: format!("its cameras take {} bytes", json.len()),
-    })?;
+    let json = serde_json::to_vec(&[part]).map_err(|e| WriteFileError::bad(".splatv", e.to_string()))?;
+    let length = u32::try_from(json.len())
+        .map_err(|_| WriteFileError::bad(".splatv", format!("its cameras take {} bytes", json.len())))?;
     let mut bytes = Vec::with_capacity(8 + json.len() + texture);
     bytes.extend(MAGIC.to_le_bytes());
     bytes.extend(length.to_le_bytes());
@@ -69,16 +69,17 @@ fn pair(low: f16, high: f16) -> u32 {
 }
 
 /// The words of splat `i`, and how far the middle of its life moved by rounding, clips.
-fn words(splats: &Splats, i: usize, last: f64) -> Result<([u32; 16], f64), WriteSplatvError> {
+fn words(splats: &Splats, i: usize, last: f64) -> Result<([u32; 16], f64), WriteFileError> {
     let row = Row::of(splats, i);
     let half = |what: &str, value: f64| {
         let rounded = f16::from_f64(value);
         if rounded.is_finite() {
             Ok(rounded)
         } else {
-            Err(WriteSplatvError::BadScene {
-                reason: format!("{what} of splat {i} is {value:.3e}, and a half holds 65504 at most"),
-            })
+            Err(WriteFileError::bad(
+                ".splatv",
+                format!("{what} of splat {i} is {value:.3e}, and a half holds 65504 at most"),
+            ))
         }
     };
     // A half below the smallest one would be a splat without extent.

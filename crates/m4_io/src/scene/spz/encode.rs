@@ -1,16 +1,18 @@
 //! Encodes splats of one instant as the bytes inside the gzip stream.
 
 use super::layout::{COLOUR_SCALE, FLAG_ANTIALIASED, Header, ROTATION_STEPS};
-use super::options::SpzOptions;
 use crate::scene::row::{sigmoid, unit};
 use m4_core::{Column, Splats};
 
 /// Steps of a coordinate on either side of 0.
 const POSITION_STEPS: f64 = ((1 << 23) - 1) as f64;
 /// Most fractional bits that are used: steps of a four-millionth of a unit.
-pub const MAX_FRACTIONAL_BITS: u8 = 22;
+const MAX_FRACTIONAL_BITS: u8 = 22;
+/// Bits that are kept of a harmonic of degree 1, and of degrees 2 and 3: those of the reference encoder.
+pub const SH1_BITS: u8 = 5;
+pub const SH_REST_BITS: u8 = 4;
 /// Step of an ln scale: 1/16.
-const SCALES_A_STEP: f32 = 16.0;
+const SCALES_PER_STEP: f32 = 16.0;
 
 /// The packed bytes and what did not fit.
 pub struct Encoded {
@@ -24,14 +26,14 @@ pub struct Encoded {
     pub clipped_harmonics: usize,
 }
 
-/// Packs static splats with three scales and quaternions. Fails with the row of a position that is no
-/// number or beyond the reach of the format.
-pub fn encode(splats: &Splats, mip: bool, options: &SpzOptions) -> Result<Encoded, String> {
+/// Packs static splats with three scales and quaternions. Fails with the row of a position that is NaN or
+/// beyond the range of the format.
+pub fn encode(splats: &Splats, mip: bool) -> Result<Encoded, String> {
     let n = splats.n();
     let header = Header {
         splats: u32::try_from(n).map_err(|_| format!("it has {n} splats; the format counts up to 2^32 - 1"))?,
         sh_degree: splats.layout().sh_degree as u8,
-        fractional_bits: fractional_bits(splats, options.fractional_bits)?,
+        fractional_bits: fractional_bits(splats)?,
         flags: if mip { FLAG_ANTIALIASED } else { 0 },
     };
     let mut out = Encoded {
@@ -43,11 +45,11 @@ pub fn encode(splats: &Splats, mip: bool, options: &SpzOptions) -> Result<Encode
     };
     out.bytes.extend(header.to_bytes());
     let columns = |column, len: usize| -> Vec<&[f32]> { (0..len).map(|k| splats.column(column, k)).collect() };
-    let steps_a_unit = f64::from(1u32 << header.fractional_bits);
+    let steps_per_unit = f64::from(1u32 << header.fractional_bits);
     let (mean, opacity) = (columns(Column::Mean, 3), splats.column(Column::Opacity, 0));
     for i in 0..n {
         for column in &mean {
-            let steps = (f64::from(column[i]) * steps_a_unit).round() as i32;
+            let steps = (f64::from(column[i]) * steps_per_unit).round() as i32;
             out.bytes.extend_from_slice(&steps.to_le_bytes()[..3]);
         }
     }
@@ -64,7 +66,7 @@ pub fn encode(splats: &Splats, mip: bool, options: &SpzOptions) -> Result<Encode
     let scale = columns(Column::LogScale, 3);
     for i in 0..n {
         for column in &scale {
-            let steps = ((column[i] + 10.0) * SCALES_A_STEP).round();
+            let steps = ((column[i] + 10.0) * SCALES_PER_STEP).round();
             out.clipped_scales += usize::from(!(0.0..=255.0).contains(&steps));
             out.bytes.push(steps as u8);
         }
@@ -77,7 +79,7 @@ pub fn encode(splats: &Splats, mip: bool, options: &SpzOptions) -> Result<Encode
     let harmonics = columns(Column::Colour, 3 * splats.layout().sh_terms());
     for i in 0..n {
         for (c, column) in harmonics.iter().enumerate().skip(3) {
-            let bits = if c < 12 { options.sh1_bits } else { options.sh_rest_bits };
+            let bits = if c < 12 { SH1_BITS } else { SH_REST_BITS };
             let (byte, clipped) = harmonic(column[i], bits);
             out.clipped_harmonics += usize::from(clipped);
             out.bytes.push(byte);
@@ -86,29 +88,21 @@ pub fn encode(splats: &Splats, mip: bool, options: &SpzOptions) -> Result<Encode
     Ok(out)
 }
 
-/// Those asked for, or as many as the farthest splat leaves.
-fn fractional_bits(splats: &Splats, asked: Option<u8>) -> Result<u8, String> {
-    let bits_of = |v: f64| {
-        (0..=MAX_FRACTIONAL_BITS)
-            .rev()
-            .find(|&b| v * f64::from(1u32 << b) <= POSITION_STEPS)
-    };
-    let mut bits = asked.unwrap_or(MAX_FRACTIONAL_BITS);
+/// Bits behind the point of a coordinate: as many as the farthest splat leaves.
+fn fractional_bits(splats: &Splats) -> Result<u8, String> {
+    let mut bits = MAX_FRACTIONAL_BITS;
     for k in 0..3 {
         for (row, v) in splats.column(Column::Mean, k).iter().enumerate() {
             let v = f64::from(*v).abs();
-            let fit = bits_of(v).filter(|&b| asked.is_none_or(|asked| b >= asked));
-            let Some(fit) = fit else {
-                let reach = POSITION_STEPS / f64::from(1u32 << asked.unwrap_or(0));
-                return Err(format!("splat {row} lies at {v} along axis {k}; up to {reach} fits"));
-            };
-            bits = bits.min(fit);
+            let fits = |b: &u8| v * f64::from(1u32 << b) <= POSITION_STEPS;
+            let fit = (0..=bits).rev().find(fits);
+            bits = fit.ok_or_else(|| format!("splat {row} lies at {v} along axis {k}; up to {POSITION_STEPS} fits"))?;
         }
     }
     Ok(bits)
 }
 
-/// A quaternion `(w, x, y, z)` of any length in 32 bits; 0 or no number is no rotation.
+/// A quaternion `(w, x, y, z)` of any length in 32 bits; 0 or NaN is no rotation.
 fn smallest_three(q: [f32; 4]) -> u32 {
     let [w, x, y, z] = unit(q);
     let q = [x, y, z, w];
@@ -137,7 +131,7 @@ mod tests {
     use super::{harmonic, smallest_three};
 
     #[test]
-    fn a_quaternion_worked_out_by_hand() {
+    fn packed_quaternion_matches_hand_computation() {
         // half a turn about x: x is the largest (index 0), the rest is 0
         let packed = smallest_three([0.0, 2.0, 0.0, 0.0]);
         assert_eq!(packed, 0);

@@ -29,7 +29,7 @@ impl Header {
         side * side - 1
     }
 
-    /// Bytes a splat of positions, alphas, colours, scales, rotations, harmonics.
+    /// Bytes per splat of positions, alphas, colours, scales, rotations, harmonics.
     fn widths(&self) -> [usize; 6] {
         [9, 1, 3, 3, 4, 3 * self.rest_terms()]
     }

@@ -14,17 +14,13 @@
 //! ```
 //!
 //! Flag 1 says that splats were trained with the opacity-compensated filter. By convention worlds are
-//! right, up, back (RUB); many files in the wild hold the axes of their PLY instead ([`SpzAxes`]).
+//! right, up, back (RUB); `splat-transform` 3.7 expects the axes of a PLY instead.
 //! Version 4 (streams of zstd) is not written: fewer players know it.
 //!
 //! Source: the README of `nianticlabs/spz`.
 
 mod encode;
-mod error;
 mod layout;
-mod options;
 mod write;
 
-pub use error::WriteSpzError;
-pub use options::{SpzAxes, SpzOptions};
 pub use write::write;

@@ -1,8 +1,6 @@
 //! Writes one instant of a scene as an SPZ file.
 
-use super::encode::{Encoded, MAX_FRACTIONAL_BITS, encode};
-use super::error::WriteSpzError;
-use super::options::{SpzAxes, SpzOptions};
+use super::encode::{Encoded, SH_REST_BITS, SH1_BITS, encode};
 use crate::scene::rub::turn_splats;
 use crate::scene::verified::VerifiedFile;
 use crate::scene::{Loss, WriteFileError, Written, instant};
@@ -11,78 +9,48 @@ use m4_core::Scene;
 use std::io::Write;
 use std::path::Path;
 
-/// Writes the splats that the instant [`SpzOptions::t`] sees; the bytes on the disk are compared before the
+/// Effort of gzip: that of zlib.
+const GZIP_LEVEL: u32 = 6;
+
+/// Writes the splats that the instant `t` (frames) sees; the bytes on the disk are compared before the
 /// file gets its name.
 ///
 /// # Errors
 ///
-/// [`WriteSpzError`]; what was at `path` is then still there.
-pub fn write(path: &Path, scene: &Scene, options: &SpzOptions) -> Result<Written, WriteSpzError> {
-    check(path, options)?;
-    let io = |e| WriteSpzError::File(WriteFileError::io(path, e));
-    let mut splats = instant(&scene.splats, options.t, scene.time_frames as f64);
-    if options.axes == SpzAxes::Rub {
-        turn_splats(&mut splats);
+/// [`WriteFileError`]; what was at `path` is then still there.
+pub fn write(path: &Path, scene: &Scene, t: f64) -> Result<Written, WriteFileError> {
+    if !t.is_finite() {
+        let what = format!("t = {t}; a number of frames was expected");
+        return Err(WriteFileError::bad("SPZ", what));
     }
-    let encoded = encode(&splats, scene.mip, options).map_err(|what| WriteSpzError::BadScene {
-        path: path.to_path_buf(),
-        what,
-    })?;
+    let io = |e| WriteFileError::io(path, e);
+    let mut splats = instant(&scene.splats, t, scene.time_frames as f64);
+    turn_splats(&mut splats);
+    let encoded = encode(&splats, scene.mip).map_err(|what| WriteFileError::bad("SPZ", what))?;
     let count = splats.n();
     drop(splats);
     let mut file = VerifiedFile::create(path).map_err(io)?;
     // neither name nor time of day: the same scene gives the same bytes
-    let mut stream = GzBuilder::new()
-        .mtime(0)
-        .write(&mut file, Compression::new(options.gzip_level));
+    let mut stream = GzBuilder::new().mtime(0).write(&mut file, Compression::new(GZIP_LEVEL));
     stream.write_all(&encoded.bytes).map_err(io)?;
     stream.finish().map_err(io)?;
-    file.verify()
-        .map_err(|e| WriteSpzError::File(WriteFileError::verify(path, e)))?;
+    file.verify().map_err(|e| WriteFileError::verify(path, e))?;
     let bytes = file.commit().map_err(io)?;
     Ok(Written {
         path: path.to_path_buf(),
         bytes,
         splats: count,
-        losses: losses(scene, options, &encoded),
+        losses: losses(scene, t, &encoded),
     })
 }
 
-fn check(path: &Path, options: &SpzOptions) -> Result<(), WriteSpzError> {
-    let bad = |setting, value: String, expected| {
-        Err(WriteSpzError::BadOption {
-            path: path.to_path_buf(),
-            setting,
-            value,
-            expected,
-        })
-    };
-    if !options.t.is_finite() {
-        return bad("t", options.t.to_string(), "a number of frames");
-    }
-    for (setting, bits) in [("sh1_bits", options.sh1_bits), ("sh_rest_bits", options.sh_rest_bits)] {
-        if !(1..=8).contains(&bits) {
-            return bad(setting, bits.to_string(), "1 to 8");
-        }
-    }
-    if let Some(bits) = options.fractional_bits
-        && bits > MAX_FRACTIONAL_BITS
-    {
-        return bad("fractional_bits", bits.to_string(), "0 to 22");
-    }
-    if options.gzip_level > 9 {
-        return bad("gzip_level", options.gzip_level.to_string(), "0 to 9");
-    }
-    Ok(())
-}
-
-fn losses(scene: &Scene, options: &SpzOptions, encoded: &Encoded) -> Vec<Loss> {
+fn losses(scene: &Scene, t: f64, encoded: &Encoded) -> Vec<Loss> {
     let clipped = |n: usize, range: &str| match n {
         0 => String::new(),
         n => format!(" ({n} outside of {range} were clipped)"),
     };
     let mut losses = vec![
-        Loss::Baked(format!("everything, at frame {}", options.t)),
+        Loss::Baked(format!("everything, at frame {t}")),
         Loss::Dropped("motion, the background and the colour corrections of the frames".into()),
         Loss::Quantised(format!(
             "positions to steps of 2^-{} units",
@@ -99,9 +67,7 @@ fn losses(scene: &Scene, options: &SpzOptions, encoded: &Encoded) -> Vec<Loss> {
     ];
     if scene.splats.layout().sh_degree > 0 {
         losses.push(Loss::Quantised(format!(
-            "harmonics to {} bits (degree 1) and {} bits{}",
-            options.sh1_bits,
-            options.sh_rest_bits,
+            "harmonics to {SH1_BITS} bits (degree 1) and {SH_REST_BITS} bits{}",
             clipped(encoded.clipped_harmonics, "-1 to 1")
         )));
     }

@@ -17,7 +17,7 @@ fn dycheck_matches_the_clip_it_was_written_from() {
     let train = &clip.train;
     assert_poses(train, "c2w");
     assert_true_lens(train);
-    assert_pictures(train, &truth("rgb"), 0.0, 0.0);
+    assert_images(train, &truth("rgb"), 0.0, 0.0);
     let depth = truth("depth");
     for i in 0..5 {
         assert_depth(train, i, &depth[i * W * H..(i + 1) * W * H], 1e-6, |x, y| {
@@ -31,7 +31,7 @@ fn dycheck_matches_the_clip_it_was_written_from() {
 
     let test = clip.test.unwrap();
     assert_poses(&test, "test_c2w");
-    assert_pictures(&test, &truth("test_rgb"), 0.0, 0.0);
+    assert_images(&test, &truth("test_rgb"), 0.0, 0.0);
     assert_near(&times(&test), &[1.0, 3.0], 0.0);
     let cameras: Vec<_> = test.frames.iter().map(|f| f.camera_index).collect();
     assert_eq!(cameras, [Some(1), Some(2)]);
@@ -43,7 +43,7 @@ fn dycheck_matches_the_clip_it_was_written_from() {
 }
 
 #[test]
-fn without_splits_the_lists_of_the_data_set_say_the_same() {
+fn dycheck_without_splits_uses_dataset_lists() {
     let (_dir, path) = copied("import/dycheck");
     std::fs::remove_dir_all(path.join("splits")).unwrap();
     std::fs::remove_file(path.join("extra.json")).unwrap();
@@ -67,7 +67,7 @@ fn without_splits_the_lists_of_the_data_set_say_the_same() {
 }
 
 #[test]
-fn the_unit_of_depth_is_that_which_fits_the_scene() {
+fn depth_unit_fits_the_scene() {
     let depth = |path: &std::path::Path, options: &ImportOptions| {
         let clip = import(path, FORMAT, options).unwrap();
         let depth = clip.train.frames[1].depth.clone().unwrap();
@@ -95,7 +95,7 @@ fn the_unit_of_depth_is_that_which_fits_the_scene() {
 }
 
 #[test]
-fn lenses_are_distorted_stretched_or_refused() {
+fn nerfstudio_lens_keys_are_parsed_or_refused() {
     let (_dir, path) = copied("import/dycheck");
     for i in 0..5 {
         let file = path.join(format!("camera/0_{i:05}.json"));

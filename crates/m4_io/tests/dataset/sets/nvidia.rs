@@ -17,7 +17,7 @@ fn nvidia_matches_the_clip_it_was_written_from() {
     assert!(heard.all().contains("disp"), "{}", heard.all());
     let train = &clip.train;
     assert_poses(train, "c2w");
-    assert_pictures(train, &own("rgb"), 0.0, 0.0);
+    assert_images(train, &own("rgb"), 0.0, 0.0);
     let mask = truth_mask();
     for (i, frame) in train.frames.iter().enumerate() {
         assert_lens(frame, [50.0, 50.0, 24.0, 18.0]);
@@ -38,7 +38,7 @@ fn nvidia_matches_the_clip_it_was_written_from() {
     assert!(!train.metric && train.duration_s.is_none());
 
     let test = clip.test.unwrap();
-    assert_pictures(&test, &own("gt"), 0.0, 0.0);
+    assert_images(&test, &own("gt"), 0.0, 0.0);
     assert_near(&times(&test), &[0.0, 1.0, 2.0, 3.0, 4.0], 0.0);
     let first = train.frames[0].camera;
     assert!(
@@ -57,7 +57,7 @@ fn truth_mask() -> Vec<usize> {
 }
 
 #[test]
-fn views_of_many_cameras_are_held_out_but_for_those_that_train() {
+fn nvidia_holds_out_views_of_other_cameras() {
     let (_dir, path) = copied("import/nvidia");
     std::fs::remove_dir_all(path.join("gt")).unwrap();
     let clip = import(&path, FORMAT, &ImportOptions::default()).unwrap();

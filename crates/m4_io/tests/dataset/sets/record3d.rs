@@ -14,8 +14,8 @@ fn check(path: &Path) {
     let train = clip.train;
     assert_poses(&train, "c2w");
     assert_true_lens(&train);
-    assert_pictures(&train, &truth("rgb"), 24.0, 1.5);
-    // the first is not a number
+    assert_images(&train, &truth("rgb"), 24.0, 1.5);
+    // the first is NaN
     assert_sensed(&train, 1e-6, |x, y| (x, y) == (0, 0));
     assert_near(&times(&train), &[0.0, 1.0, 2.0, 3.0, 4.0], 1e-9);
     assert!((train.duration_s.unwrap() - 0.4).abs() < 1e-9 && train.metric);
@@ -57,7 +57,7 @@ fn an_unpacked_record3d_folder_gives_the_same_clip() {
 }
 
 #[test]
-fn without_time_stamps_and_own_lenses_frames_are_even_and_k_holds() {
+fn record3d_without_timestamps_is_evenly_spaced() {
     let (_dir, path) = unpacked();
     edit(&path.join("metadata"), "frameTimestamps", "other");
     edit(&path.join("metadata"), "perFrameIntrinsicCoeffs", "another");

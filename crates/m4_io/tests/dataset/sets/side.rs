@@ -21,7 +21,7 @@ fn side(name: &str) -> Option<PathBuf> {
 }
 
 #[test]
-fn depth_of_every_kind_is_that_which_was_written() {
+fn every_depth_format_matches_its_source() {
     let small = truth("small");
     let n = 24 * 18;
     for (name, within) in [
@@ -36,7 +36,7 @@ fn depth_of_every_kind_is_that_which_was_written() {
         });
         let train = clip.unwrap().train;
         for i in 0..5 {
-            // not a number, infinite, below 0, 0, not a number
+            // NaN, infinite, below 0, 0, NaN
             let known = |x: usize, y: usize| (x, y) != (3, 2);
             assert_depth(&train, i, &small[i * n..(i + 1) * n], within[i], known);
         }
@@ -61,7 +61,7 @@ fn depth_of_exr_files_with_parts_is_found_and_of_cropped_ones_refused() {
 }
 
 #[test]
-fn masks_of_every_kind_are_those_that_were_written() {
+fn every_mask_format_matches_its_source() {
     let mask = truth("mask");
     for name in ["masks_png", "masks_palette", "masks.npz"] {
         for invert in [false, true] {
@@ -85,7 +85,7 @@ fn masks_of_every_kind_are_those_that_were_written() {
 }
 
 #[test]
-fn tracks_of_every_kind_are_those_that_were_written() {
+fn every_track_format_matches_its_source() {
     let (places, seen) = (truth("places"), truth("seen"));
     for (name, depth) in [
         ("world.npz", false),
@@ -131,7 +131,7 @@ fn tracks_of_every_kind_are_those_that_were_written() {
 }
 
 #[test]
-fn points_where_depth_is_unknown_are_not_placed() {
+fn tracks_without_depth_are_nan() {
     // the sensor's own depth has holes
     let tracks = with(|o| o.tracks = side("cotracker.npz"))
         .unwrap()
@@ -196,7 +196,7 @@ fn malformed_side_files_are_rejected_with_file_and_reason() {
 }
 
 #[test]
-fn a_large_mask_of_one_bit_in_which_nothing_moves_is_taken() {
+fn large_static_one_bit_mask_is_accepted() {
     let dir = tempfile::tempdir().unwrap();
     let (w, h) = (4096, 2304);
     for moves in [false, true] {

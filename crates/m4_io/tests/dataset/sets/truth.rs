@@ -58,7 +58,7 @@ pub fn assert_true_lens(capture: &Capture) {
 }
 
 /// Images of `want`, `[frames][H][W][3]`, to `most` steps at worst and `mean` on average.
-pub fn assert_pictures(capture: &Capture, want: &[f64], most: f64, mean: f64) {
+pub fn assert_images(capture: &Capture, want: &[f64], most: f64, mean: f64) {
     assert_eq!(capture.frames.len() * W * H * 3, want.len());
     for (frame, want) in capture.frames.iter().zip(want.chunks_exact(W * H * 3)) {
         let off: Vec<f64> = frame

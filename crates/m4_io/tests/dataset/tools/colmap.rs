@@ -1,19 +1,19 @@
 //! COLMAP, as pycolmap 4.2 writes it.
 
-use super::truth::{Truth, read, with_pictures};
+use super::truth::{Truth, read, with_images};
 use crate::dataset::support::{copied, copy, fixture, refused};
 use m4_io::dataset::ImportOptions;
 use m4_io::dataset::SourceFormat::Colmap;
 
 #[test]
-fn text_and_binary_are_the_same_clip() {
+fn colmap_text_and_binary_models_agree() {
     let truth = Truth::read();
     for name in [
         "import/colmap_text",
         "import/colmap_binary",
         "import/colmap_binary/sparse/0",
     ] {
-        let got = read(name, Colmap, &with_pictures()).unwrap();
+        let got = read(name, Colmap, &with_images()).unwrap();
         truth.same_cameras(&got.train, (0, 0.0));
         assert!(got.test.is_none() && !got.train.metric);
         assert_eq!(got.train.time_frames, 5);
@@ -24,7 +24,7 @@ fn text_and_binary_are_the_same_clip() {
 }
 
 #[test]
-fn pictures_without_a_pose_leave_a_gap_in_time() {
+fn images_without_a_pose_leave_a_gap_in_time() {
     let (_dir, here) = copied("import/colmap_text");
     let path = here.join("sparse/0/images.txt");
     let text = std::fs::read_to_string(&path).unwrap();
@@ -33,7 +33,7 @@ fn pictures_without_a_pose_leave_a_gap_in_time() {
     let at = lines.iter().position(|line| line.ends_with("00002.png")).unwrap();
     lines.drain(at..at + 2);
     std::fs::write(&path, lines.join("\n") + "\n").unwrap();
-    let got = m4_io::dataset::read(&here, Colmap, &with_pictures(), &m4_core::Silent)
+    let got = m4_io::dataset::read(&here, Colmap, &with_images(), &m4_core::Silent)
         .unwrap()
         .train;
     let times: Vec<f64> = got.frames.iter().map(|f| f.t).collect();
@@ -41,7 +41,7 @@ fn pictures_without_a_pose_leave_a_gap_in_time() {
 }
 
 #[test]
-fn names_may_begin_with_the_folder() {
+fn colmap_names_may_include_the_images_folder() {
     let dir = tempfile::tempdir().unwrap();
     copy(&fixture("import/colmap_text/sparse/0"), dir.path());
     copy(&fixture("import/clip/images"), &dir.path().join("images"));
@@ -69,7 +69,7 @@ fn missing_and_unsupported_colmap_files_are_named() {
         let text = std::fs::read_to_string(&path).unwrap();
         assert!(text.contains(from), "{text}");
         std::fs::write(&path, text.replace(from, to)).unwrap();
-        let message = refused(&here, Colmap, &with_pictures());
+        let message = refused(&here, Colmap, &with_images());
         std::fs::write(&path, text).unwrap();
         message
     };
@@ -91,7 +91,7 @@ fn missing_and_unsupported_colmap_files_are_named() {
     assert!(message.contains("48 x 36") && message.contains("48 x 37"), "{message}");
     let small = ImportOptions {
         max_memory_bytes: 48 * 36 * 8 * 5 - 1,
-        ..with_pictures()
+        ..with_images()
     };
     assert!(refused(&here, Colmap, &small).contains("max_memory_bytes"));
 }

@@ -4,7 +4,7 @@ use super::truth::{SIZE, Truth, beside, colour, read};
 use m4_io::dataset::SourceFormat::{Colmap, Nerfstudio};
 
 #[test]
-fn pictures_through_lenses_are_as_a_pinhole_sees_them() {
+fn images_through_lenses_are_as_a_pinhole_sees_them() {
     let truth = Truth::read();
     for (name, format) in [
         ("import/colmap_opencv", Colmap),

@@ -8,7 +8,7 @@ use m4_io::dataset::SourceFormat::Nerfstudio;
 use m4_io::dataset::{ImportOptions, read as import};
 
 #[test]
-fn nerfstudio_with_what_it_applied() {
+fn applied_transform_and_scale_are_undone() {
     let truth = Truth::read();
     let got = read("import/nerfstudio", Nerfstudio, &ImportOptions::default()).unwrap();
     // images are JPEG
@@ -21,7 +21,7 @@ fn nerfstudio_with_what_it_applied() {
 }
 
 #[test]
-fn masks_and_depth_as_the_options_say() {
+fn mask_and_depth_options_are_applied() {
     let truth = Truth::read();
     let options = ImportOptions {
         invert_masks: true,
@@ -59,7 +59,7 @@ fn axes_by_keys_or_by_the_option() {
 }
 
 #[test]
-fn a_training_and_a_test_split() {
+fn nerfstudio_training_and_test_splits_are_read() {
     let truth = Truth::read();
     let got = read("import/blender", Nerfstudio, &beside()).unwrap();
     let test = got.test.unwrap();
@@ -70,7 +70,7 @@ fn a_training_and_a_test_split() {
     for (frames, indices) in [(&got.train.frames, &[0, 2, 4][..]), (&test.frames, &[1, 3][..])] {
         for (frame, &i) in frames.iter().zip(indices) {
             truth.same_pose(i, frame);
-            truth.same_picture(i, &frame.rgb, (0, 0.0));
+            truth.same_image(i, &frame.rgb, (0, 0.0));
             let k = frame.camera.intrinsics;
             // one field of view, and the middle of the image
             let off = [k.fx - 50.0, k.fy - 50.0, k.cx - 24.0, k.cy - 18.0].map(f64::abs);
@@ -111,7 +111,7 @@ fn our_own_captures_round_trip_through_nerfstudio() {
 }
 
 #[test]
-fn files_that_list_their_splits() {
+fn listed_filenames_split_training_and_test() {
     let (_dir, here) = copied("import/nerfstudio");
     let file = here.join("transforms.json");
     let text = std::fs::read_to_string(&file).unwrap();
@@ -152,7 +152,7 @@ fn malformed_nerfstudio_is_rejected() {
     check("\"p2\": 0.0", "\"k4\": 0.5", &["k4 = 0.5"]);
     check("\"w\": 48", "\"w\": 96", &["w = 96", "48"]);
     check("\"applied_scale\": 0.5", "\"applied_scale\": 0", &["applied_scale"]);
-    check("images/frame_3.jpg", "images/frame_9.jpg", &["frame_9.jpg", "frame 4"]);
+    check("images/frame_3.jpg", "images/frame_9.jpg", &["frame_9.jpg", "frame 2"]);
     check(
         "\"transform_matrix\": [[",
         "\"transform_matrix\": [[9",

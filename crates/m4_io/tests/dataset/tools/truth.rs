@@ -27,9 +27,9 @@ pub struct Truth {
 }
 
 /// Options with the images of the clip.
-pub fn with_pictures() -> ImportOptions {
+pub fn with_images() -> ImportOptions {
     ImportOptions {
-        pictures: Some(fixture("import/clip/images")),
+        images: Some(fixture("import/clip/images")),
         ..ImportOptions::default()
     }
 }
@@ -63,7 +63,7 @@ impl Truth {
     pub fn read() -> Self {
         let clip: Clip = serde_json::from_slice(&std::fs::read(fixture("import/clip/clip.json")).unwrap()).unwrap();
         let matrix = |m: &[[f64; 4]; 4]| Se3::from_matrix(&Matrix4::from_fn(|i, j| m[i][j]));
-        let picture = |i| m4_io::image::read_rgb(&fixture(&format!("import/clip/images/{i:05}.png"))).unwrap();
+        let image = |i| m4_io::image::read_rgb(&fixture(&format!("import/clip/images/{i:05}.png"))).unwrap();
         Self {
             intrinsics: clip.intrinsics,
             c2w: clip.c2w.iter().map(matrix).collect(),
@@ -72,7 +72,7 @@ impl Truth {
                 .iter()
                 .map(|m| m.iter().map(|v| *v != 0.0).collect())
                 .collect(),
-            images: (0..FRAMES).map(picture).collect(),
+            images: (0..FRAMES).map(image).collect(),
         }
     }
 
@@ -81,7 +81,7 @@ impl Truth {
         assert_eq!(capture.frames.len(), FRAMES);
         for (i, frame) in capture.frames.iter().enumerate() {
             self.same_camera(i, frame);
-            self.same_picture(i, &frame.rgb, colours);
+            self.same_image(i, &frame.rgb, colours);
         }
     }
 
@@ -101,7 +101,7 @@ impl Truth {
         assert!(off < 1e-6, "frame {i}: {off:e}");
     }
 
-    pub fn same_picture(&self, i: usize, image: &RgbImage, (largest, mean): (u8, f64)) {
+    pub fn same_image(&self, i: usize, image: &RgbImage, (largest, mean): (u8, f64)) {
         assert_eq!(image.size(), SIZE);
         let pairs = image
             .data()

@@ -1,6 +1,6 @@
 //! ViPE's artifacts, EXR files by OpenEXR 3.5, the clip by x264.
 
-use super::truth::{Truth, read, with_pictures};
+use super::truth::{Truth, read, with_images};
 use crate::dataset::support::{copied, refused};
 use m4_io::dataset::ImportOptions;
 use m4_io::dataset::SourceFormat::Vipe;
@@ -21,7 +21,7 @@ fn vipe_matches_the_clip_it_was_written_from() {
         assert!(got.metric);
         assert!((got.duration_s.unwrap() - 0.4).abs() < 1e-3, "{:?}", got.duration_s);
     }
-    let got = read("import/vipe", Vipe, &with_pictures()).unwrap().train;
+    let got = read("import/vipe", Vipe, &with_images()).unwrap().train;
     truth.same_cameras(&got, (0, 0.0));
 }
 

@@ -1,7 +1,7 @@
 //! OpenEXR: the first part with a channel of depth, at full resolution; half and whole numbers become floats.
 
 use super::known;
-use crate::dataset::SourceFault;
+use crate::dataset::SourceErrorCause;
 use exr::meta::MetaData;
 use exr::meta::header::Header;
 use exr::prelude::{ReadChannels, ReadLayers, ReadSpecificChannel, read};
@@ -17,14 +17,14 @@ const MAX_NAMED: usize = 12;
 const MAX_RATIO: u64 = 1032;
 const FREE_BYTES: u64 = 8 << 20;
 
-/// A map of depth; 0 where it is not a number above 0.
+/// A map of depth; 0 where it is NaN, infinite or not above 0.
 ///
 /// # Errors
 ///
-/// [`SourceFault`]: damaged, more pixels than the file can hold, or no channel of depth.
-pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, SourceFault> {
+/// [`SourceErrorCause`]: damaged, more pixels than the file can hold, or no channel of depth.
+pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, SourceErrorCause> {
     let damaged =
-        |e: exr::error::Error| SourceFault::bad(format!("the EXR file cannot be read ({e})"), "export it again");
+        |e: exr::error::Error| SourceErrorCause::bad(format!("the EXR file cannot be read ({e})"), "export it again");
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(damaged)?;
     let needed: u64 = meta
         .headers
@@ -40,7 +40,7 @@ pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, SourceFault> {
             .saturating_add(FREE_BYTES)
     {
         let what = format!("{needed} bytes of pixels are claimed by a file of {}", bytes.len());
-        return Err(SourceFault::bad(what, "the file is damaged; export it again"));
+        return Err(SourceErrorCause::bad(what, "the file is damaged; export it again"));
     }
     let (wanted, header) = depth_channel(&meta)?;
     let (seen, whole) = (header.layer_size, header.shared_attributes.display_window.size);
@@ -49,7 +49,7 @@ pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, SourceFault> {
             "it holds {} x {} pixels of an image of {} x {}",
             seen.0, seen.1, whole.0, whole.1
         );
-        return Err(SourceFault::unsupported(what, "export the whole image"));
+        return Err(SourceErrorCause::unsupported(what, "export the whole image"));
     }
     let image = read()
         .no_deep_data()
@@ -69,7 +69,7 @@ pub fn decode_exr(bytes: &[u8]) -> Result<DepthMap, SourceFault> {
 }
 
 /// The channel of depth and the part of the file that has it.
-fn depth_channel(meta: &MetaData) -> Result<(String, &Header), SourceFault> {
+fn depth_channel(meta: &MetaData) -> Result<(String, &Header), SourceErrorCause> {
     let channels = || {
         let of = |h: &Header| h.channels.list.iter().map(|c| c.name.to_string()).collect::<Vec<_>>();
         meta.headers
@@ -90,5 +90,5 @@ fn depth_channel(meta: &MetaData) -> Result<(String, &Header), SourceFault> {
         .map(|(name, _)| name.chars().take(32).collect())
         .collect();
     let what = format!("none of the channels {} is depth", names.join(", "));
-    Err(SourceFault::bad(what, "name the channel Z"))
+    Err(SourceErrorCause::bad(what, "name the channel Z"))
 }

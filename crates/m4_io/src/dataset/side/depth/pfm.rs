@@ -2,7 +2,7 @@
 //! the bytes are least significant first.
 
 use super::known;
-use crate::dataset::SourceFault;
+use crate::dataset::SourceErrorCause;
 use m4_core::{DepthMap, Plane};
 
 /// Longest token of the head.
@@ -12,9 +12,9 @@ const MAX_TOKEN: usize = 32;
 ///
 /// # Errors
 ///
-/// [`SourceFault`]: three channels, a scale other than 1 or -1, or not as many numbers as the head says.
-pub fn decode_pfm(bytes: &[u8]) -> Result<DepthMap, SourceFault> {
-    let bad = |what: String| SourceFault::bad(what, "export the map again, as one channel with scale -1");
+/// [`SourceErrorCause`]: three channels, a scale other than 1 or -1, or not as many numbers as the head says.
+pub fn decode_pfm(bytes: &[u8]) -> Result<DepthMap, SourceErrorCause> {
+    let bad = |what: String| SourceErrorCause::bad(what, "export the map again, as one channel with scale -1");
     let mut rest = bytes;
     let mut token = || -> Option<&str> {
         let start = rest.iter().position(|b| !b.is_ascii_whitespace())?;

@@ -1,12 +1,12 @@
 //! The arrays of an archive of tracks, by name and shape.
 
-use crate::dataset::SourceFault;
-use crate::dataset::files::npy::{array_fault, array_of, present};
+use crate::dataset::SourceErrorCause;
+use crate::dataset::files::npy::{array_error, array_of, present};
 use crate::dataset::files::pose;
 use crate::npy::Npz;
 use m4_core::Se3;
 
-const REMEDY: &str = "give the tracks of this clip, one frame for each training frame";
+const HINT: &str = "give the tracks of this clip, one frame for each training frame";
 
 /// Numbers `[frames][second][third]`.
 pub(super) struct Numbers {
@@ -38,14 +38,14 @@ impl Read {
     }
 
     /// The first of `keys` that is there, `[frames][..][..]` or with a dimension of 1 before; two dimensions stand for a last one of 1.
-    pub(super) fn one_of<'k>(&mut self, keys: &[&'k str]) -> Result<Option<(&'k str, Numbers)>, SourceFault> {
+    pub(super) fn one_of<'k>(&mut self, keys: &[&'k str]) -> Result<Option<(&'k str, Numbers)>, SourceErrorCause> {
         let Some(key) = present(&self.npz, keys) else {
             return Ok(None);
         };
         Ok(Some((key, self.numbers(key)?)))
     }
 
-    fn numbers(&mut self, key: &str) -> Result<Numbers, SourceFault> {
+    fn numbers(&mut self, key: &str) -> Result<Numbers, SourceErrorCause> {
         let mut array = array_of(&mut self.npz, key, self.limit_bytes)?;
         let frames = self.frames;
         let (second, third) = match array.shape[..] {
@@ -54,27 +54,27 @@ impl Read {
             [1, n, k] if n == frames => (k, 1),
             _ => {
                 let what = format!("{key} has shape {:?} where {frames} frames were expected", array.shape);
-                return Err(SourceFault::bad(what, REMEDY));
+                return Err(SourceErrorCause::bad(what, HINT));
             }
         };
         let n = array.shape.iter().product();
-        let values = array.next_f64(n).map_err(|e| array_fault(key, e))?;
-        array.end().map_err(|e| array_fault(key, e))?;
+        let values = array.next_f64(n).map_err(|e| array_error(key, e))?;
+        array.end().map_err(|e| array_error(key, e))?;
         Ok(Numbers { second, third, values })
     }
 
     /// One pose per frame.
-    pub(super) fn cameras(&mut self, key: &str) -> Result<Option<Vec<Se3<f64>>>, SourceFault> {
+    pub(super) fn cameras(&mut self, key: &str) -> Result<Option<Vec<Se3<f64>>>, SourceErrorCause> {
         if !self.npz.has(key) {
             return Ok(None);
         }
         let Numbers { second, third, values } = self.numbers(key)?;
         if !(3..=4).contains(&second) || third != 4 {
             let what = format!("{key} are matrices of {second} x {third}; 4 x 4 were expected");
-            return Err(SourceFault::bad(what, REMEDY));
+            return Err(SourceErrorCause::bad(what, HINT));
         }
         let pose = |(i, m): (usize, &[f64])| {
-            // of 4x4 matrices the last row is not looked at
+            // of 4x4 matrices the last row is ignored
             pose::of_matrix(&format!("{key} of frame {i}"), &m[..12])
         };
         let poses: Result<Vec<_>, _> = values.chunks_exact(4 * second).enumerate().map(pose).collect();
@@ -82,8 +82,8 @@ impl Read {
     }
 
     /// Width and height of the images that were followed, by the shape of `video`.
-    pub(super) fn video_size(&mut self) -> Result<Option<(usize, usize)>, SourceFault> {
-        let array = self.npz.array("video", u64::MAX).map_err(|e| array_fault("video", e))?;
+    pub(super) fn video_size(&mut self) -> Result<Option<(usize, usize)>, SourceErrorCause> {
+        let array = self.npz.array("video", u64::MAX).map_err(|e| array_error("video", e))?;
         let Some(array) = array else { return Ok(None) };
         match array.shape[..] {
             [_, h, w, 3] | [_, 3, h, w] | [1, _, h, w, 3] | [1, _, 3, h, w] if w > 0 && h > 0 => Ok(Some((w, h))),
@@ -92,27 +92,27 @@ impl Read {
                     "video has shape {:?}; [frames, height, width, 3] was expected",
                     array.shape
                 );
-                Err(SourceFault::bad(what, REMEDY))
+                Err(SourceErrorCause::bad(what, HINT))
             }
         }
     }
 
     /// A colour per track.
-    pub(super) fn colours(&mut self, tracks: usize) -> Result<Option<Vec<[u8; 3]>>, SourceFault> {
+    pub(super) fn colours(&mut self, tracks: usize) -> Result<Option<Vec<[u8; 3]>>, SourceErrorCause> {
         let array = self
             .npz
             .array("colors", self.limit_bytes)
-            .map_err(|e| array_fault("colors", e))?;
+            .map_err(|e| array_error("colors", e))?;
         let Some(mut array) = array else { return Ok(None) };
         if array.shape != [tracks, 3] || array.number != crate::npy::Number::U8 {
             let what = format!(
                 "colors has shape {:?}; {tracks} colours of 8 bits were expected",
                 array.shape
             );
-            return Err(SourceFault::bad(what, REMEDY));
+            return Err(SourceErrorCause::bad(what, HINT));
         }
-        let bytes = array.next_u8(3 * tracks).map_err(|e| array_fault("colors", e))?;
-        array.end().map_err(|e| array_fault("colors", e))?;
+        let bytes = array.next_u8(3 * tracks).map_err(|e| array_error("colors", e))?;
+        array.end().map_err(|e| array_error("colors", e))?;
         Ok(Some(bytes.as_chunks::<3>().0.to_vec()))
     }
 }

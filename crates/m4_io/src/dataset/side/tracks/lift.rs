@@ -1,7 +1,7 @@
 //! Lifts tracks in pixels to 3D positions.
 
 use super::arrays::Numbers;
-use crate::dataset::{Distortion, Lens, ListedFrame, SourceFault, step};
+use crate::dataset::{Distortion, Lens, ListedFrame, SourceErrorCause, step};
 use m4_core::{CompactDepth, Progress, nalgebra::Vector3};
 
 /// Steps of the search for the ray of a distorted pixel, and how far from it the search may end, pixels of a focal length of 1.
@@ -15,7 +15,7 @@ pub(super) fn lift(
     frames: &[ListedFrame],
     size: Option<(usize, usize)>,
     progress: &dyn Progress,
-) -> Result<Vec<f64>, SourceFault> {
+) -> Result<Vec<f64>, SourceErrorCause> {
     let columns = tracks.third;
     let mut out = Vec::with_capacity(tracks.values.len() / columns.max(1) * 3);
     let rows = tracks.values.chunks(tracks.second.max(1) * columns);
@@ -32,7 +32,7 @@ pub(super) fn lift(
                     "tracks in pixels, and no depth of frame {} to lift them with",
                     frame.name
                 );
-                return Err(SourceFault::bad(what, "give depth maps too, or tracks in space"));
+                return Err(SourceErrorCause::bad(what, "give depth maps too, or tracks in space"));
             }
         };
         for place in row.chunks_exact(columns) {
@@ -85,7 +85,7 @@ mod tests {
     use m4_core::Intrinsics;
 
     #[test]
-    fn the_ray_of_a_pixel_comes_back_to_it() {
+    fn undistorted_rays_project_to_their_pixel() {
         let intrinsics = Intrinsics::centred(120, 80, 100.0);
         let distortion = Distortion::brown(-0.2, 0.05, 0.0, 0.002, -0.003);
         let lens = Lens { intrinsics, distortion };

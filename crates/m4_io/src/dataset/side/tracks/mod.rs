@@ -5,7 +5,7 @@ mod cameras;
 mod lift;
 
 use crate::dataset::files::npy::open_npz;
-use crate::dataset::{ListedFrame, SourceFault};
+use crate::dataset::{ListedFrame, SourceErrorCause};
 use arrays::Read;
 use m4_core::{Progress, Tracks};
 use std::path::Path;
@@ -30,18 +30,18 @@ const SEEN: f64 = 0.5;
 ///
 /// # Errors
 ///
-/// [`SourceFault`]: names, shapes or counts that do not fit, or no depth to look up.
+/// [`SourceErrorCause`]: names, shapes or counts that do not fit, or no depth to look up.
 pub fn read_tracks(
     path: &Path,
     frames: &[ListedFrame],
     limit_bytes: u64,
     progress: &dyn Progress,
-) -> Result<Tracks, SourceFault> {
+) -> Result<Tracks, SourceErrorCause> {
     let n = frames.len();
     let mut read = Read::new(open_npz(path)?, n, limit_bytes);
     let (key, places) = read.one_of(&["coords", "tracks", "pred_tracks"])?.ok_or_else(|| {
         let what = format!("coords, tracks or pred_tracks (there are: {})", read.names());
-        SourceFault::missing(what, "give an npz file of TAPIP3D, SpatialTracker or CoTracker")
+        SourceErrorCause::missing(what, "give an npz file of TAPIP3D, SpatialTracker or CoTracker")
     })?;
     let (k, columns) = (places.second, places.third);
     let xyz = match (key, columns) {
@@ -57,16 +57,16 @@ pub fn read_tracks(
             lift::lift(&places, frames, size, progress)?
         }
         _ => {
-            let what = format!("{key} has {columns} numbers a place; 3, or 2 for pixels, were expected");
-            return Err(SourceFault::bad(what, "save the tracks of one clip"));
+            let what = format!("{key} has {columns} numbers per point; 3, or 2 for pixels, were expected");
+            return Err(SourceErrorCause::bad(what, "save the tracks of one clip"));
         }
     };
     let (_, seen) = read
         .one_of(&["visibs", "visibility", "pred_visibility"])?
-        .ok_or_else(|| SourceFault::missing("visibs or visibility", "save which points were seen"))?;
+        .ok_or_else(|| SourceErrorCause::missing("visibs or visibility", "save which points were seen"))?;
     if (seen.second, seen.third) != (k, 1) {
         let what = format!("visibility of {} points for {k} tracks", seen.second * seen.third);
-        return Err(SourceFault::bad(what, "save one for each track and frame"));
+        return Err(SourceErrorCause::bad(what, "save one for each track and frame"));
     }
     let colours = read.colours(k)?;
     let place = |p: &[f64; 3]| {
@@ -75,7 +75,7 @@ pub fn read_tracks(
     };
     let xyz = xyz.as_chunks::<3>().0.iter().map(place).collect();
     let visible = seen.values.iter().map(|&v| v > SEEN).collect();
-    let wrong = |e: m4_core::ShapeError| SourceFault::bad(e.to_string(), "save the tracks again");
+    let wrong = |e: m4_core::ShapeError| SourceErrorCause::bad(e.to_string(), "save the tracks again");
     let tracks = Tracks::new(n, k, xyz, visible).map_err(wrong)?;
     match colours {
         Some(rgb) => tracks.with_colours(rgb).map_err(wrong),
