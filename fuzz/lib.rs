@@ -23,7 +23,7 @@ fn stages(family: &str) -> Vec<Stage<'static>> {
     stages.collect()
 }
 
-/// The first byte says which reader of the family reads the others; panics where what came of them is not sound or a message
+/// The first byte says which reader of the family reads the others; panics where what came of them is not valid or a message
 /// quotes the file.
 pub fn read(family: &str, input: &[u8]) {
     let Some((&which, bytes)) = input.split_first() else { return };

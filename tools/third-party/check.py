@@ -224,56 +224,6 @@ def check_fourdgs(checks, export, scene):
         checks.within(tool, f"centre of what is seen at {share:.0%}", state["centers"].mean(0), mean[seen].mean(0), 2e-3 * np.ptp(mean[seen], axis=0).max())
 
 
-def check_colmap(checks, export, scene):
-    path, result = export("colmap", "colmap")
-    import pycolmap
-
-    folder = path / "sparse" / "0" if (path / "sparse").exists() else path
-    tool = "pycolmap 4.2.1"
-    model = pycolmap.Reconstruction(str(folder))
-    checks.equal(tool, "images", model.num_images(), len(scene.t))
-    checks.equal(tool, "points", model.num_points3D(), result["splats"])
-    lenses = {tuple(k) for k in scene.intrinsics}
-    checks.equal(tool, "cameras", model.num_cameras(), len(lenses))
-    points = np.array([p.xyz for p in model.points3D.values()])
-    # points are splats of the middle of the clip
-    t = result["moments"][0] if result["moments"] else (scene.frames - 1) // 2
-    nearest = {tuple(np.round(p, 4)) for p in scene.instant(t)[1]}
-    strays = sum(tuple(np.round(p, 4)) not in nearest for p in points[:2000])
-    # a coordinate may be rounded to either side
-    checks.add(tool, "points are splats", strays <= 20, f"{2000 - strays} of the first 2000")
-    worst = 0.0
-    for i, image in enumerate(sorted(model.images.values(), key=lambda image: image.image_id)):
-        sample = points[:: max(1, len(points) // 200)]
-        pixels, depth = scene.pixels(i, sample)
-        pose = image.cam_from_world() if callable(image.cam_from_world) else image.cam_from_world
-        local = sample @ pose.rotation.matrix().T + pose.translation
-        front = depth > 0.1
-        found = model.cameras[image.camera_id].img_from_cam(local[front])
-        worst = max(worst, float(np.abs(np.array(found) - pixels[front]).max()))
-    checks.add(tool, "points land where the scene's cameras see them", worst < 1e-3, f"largest difference {worst:.2g} pixels in {len(scene.t)} images")
-
-
-def check_nerfstudio(checks, export, scene):
-    path, _ = export("nerfstudio", "transforms.json")
-    data = json.loads(path.read_text())
-    tool = "transforms.json, by its convention"
-    checks.equal(tool, "frames", len(data["frames"]), len(scene.t))
-    worst = 0.0
-    points = scene.mean[:: max(1, scene.count // 200)]
-    for i, frame in enumerate(data["frames"]):
-        lens = {**data, **frame}
-        pose = np.array(frame["transform_matrix"])
-        # OpenGL: right, up, back
-        p = (points - pose[:3, 3]) @ pose[:3, :3]
-        u = lens["cx"] + lens["fl_x"] * p[:, 0] / -p[:, 2]
-        v = lens["cy"] - lens["fl_y"] * p[:, 1] / -p[:, 2]
-        pixels, depth = scene.pixels(i, points)
-        front = depth > 0.1
-        worst = max(worst, float(np.abs(np.stack([u, v], 1) - pixels)[front].max()))
-    checks.add(tool, "points land where the scene's cameras see them", worst < 1e-3, f"largest difference {worst:.2g} pixels")
-
-
 def check_splatv(checks, export, scene, tools):
     path, result = export("splatv", "scene.splatv")
     tool = "gsplat.js 1.2.9"
@@ -310,8 +260,6 @@ def main():
         lambda: check_sequence(checks, export, scene, args.tools),
         lambda: check_spz(checks, export, scene, args.tools, t),
         lambda: check_gltf(checks, export, scene, args.tools, t),
-        lambda: check_colmap(checks, export, scene),
-        lambda: check_nerfstudio(checks, export, scene),
         lambda: check_mp4(checks, export, scene),
     ]
     for step in steps:

@@ -17,7 +17,7 @@ const MEASURING: [&str; 2] = ["m4_geometry", "m4_train"];
 const FOR_MEASURING: [&str; 1] = ["m4_io"];
 
 /// Crates whose tests compare what they made with what our own renderer draws of it ...
-const DRAWING: [&str; 2] = ["m4_formats", "m4_viewer"];
+const DRAWING: [&str; 1] = ["m4_viewer"];
 /// ... and where that is.
 const RENDERER: &str = "m4_kernels";
 

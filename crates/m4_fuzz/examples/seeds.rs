@@ -21,7 +21,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 Ok::<_, Box<dyn Error>>(())
             };
             for (k, seed) in reader.stage()?.seeds().iter().enumerate() {
-                write(&format!("sound-{k}"), seed)?;
+                write(&format!("valid-{k}"), seed)?;
             }
             for (name, bytes) in corpus(reader.name)? {
                 write(&format!("found-{name}"), &bytes)?;

@@ -1,7 +1,7 @@
 //! One reader, its folder, and the outcome of a read.
 
-use crate::dress::Dress;
 use crate::fixture;
+use crate::wrap::Wrap;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 use tempfile::TempDir;
@@ -13,12 +13,12 @@ pub const MAX_REASON: usize = 1000;
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Outcome {
-    /// They were read, and what was read is sound.
+    /// They were read, and what was read is valid.
     Read,
     /// They were refused, with this message.
     Refused(String),
-    /// They were taken, but what was read is not sound: what is wrong.
-    Unsound(String),
+    /// They were taken, but what was read is not valid: what is wrong.
+    Invalid(String),
 }
 
 impl Outcome {
@@ -26,7 +26,7 @@ impl Outcome {
     pub(crate) fn of<T, E: std::fmt::Display>(read: Result<T, E>, fault: impl FnOnce(&T) -> Option<String>) -> Self {
         match read {
             Err(e) => Self::Refused(e.to_string()),
-            Ok(value) => fault(&value).map_or(Self::Read, Self::Unsound),
+            Ok(value) => fault(&value).map_or(Self::Read, Self::Invalid),
         }
     }
 }
@@ -53,7 +53,7 @@ pub struct Reader {
     /// What the reader is given, below the stage.
     pub(crate) given: String,
     pub(crate) around: Around,
-    pub(crate) dress: Dress,
+    pub(crate) wrap: Wrap,
     pub(crate) seeds: Seeds,
     pub(crate) call: Call,
 }
@@ -136,7 +136,7 @@ impl Stage<'_> {
         // a file that is emptied and written again is sent to the disk at once by some file systems
         match fs::remove_file(&self.file) {
             Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
-            _ => fs::write(&self.file, self.reader.dress.on(bytes))?,
+            _ => fs::write(&self.file, self.reader.wrap.on(bytes))?,
         }
         let folder = self.folder.path().to_string_lossy();
         Ok(match (self.reader.call)(&self.given) {
@@ -145,12 +145,12 @@ impl Stage<'_> {
         })
     }
 
-    /// What is wrong with what came of some bytes: not sound, or a message that quotes the file.
+    /// What is wrong with what came of some bytes: not valid, or a message that quotes the file.
     #[must_use]
     pub fn fault(outcome: &Outcome) -> Option<String> {
         match outcome {
             Outcome::Read => None,
-            Outcome::Unsound(what) => Some(format!("unsound: {what}")),
+            Outcome::Invalid(what) => Some(format!("invalid: {what}")),
             Outcome::Refused(reason) => {
                 let n = reason.chars().count();
                 let start: String = reason.chars().take(160).collect();

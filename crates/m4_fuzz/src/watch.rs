@@ -10,7 +10,7 @@ use std::{fs, thread};
 /// Findings after which a reader is left alone.
 const MAX_FINDINGS: usize = 12;
 
-/// An input that did harm.
+/// An input that failed.
 #[derive(Debug, Clone)]
 pub struct Finding {
     /// The reader.

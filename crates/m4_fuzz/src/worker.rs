@@ -2,8 +2,8 @@
 //!
 //! ```text
 //! at I NAME                input I is read; its bytes lie in FOLDER/READER-current, should the process not come back
-//! found I WHY              a panic, something not sound, a long message, much memory, much time; the input lies in FOLDER/READER-I
-//! done READ REFUSED PEAK I so many were read and refused; the most memory that one took, bytes, and which
+//! found I WHY              a panic, something not valid, a long message, much memory, much time; the input lies in FOLDER/READER-I
+//! done READ REFUSED PEAK I counts of read and refused files; the most memory that one took, bytes, and which
 //! ```
 
 use crate::limit::limit_memory;
@@ -38,7 +38,7 @@ pub fn current(folder: &Path, reader: &str) -> PathBuf {
     folder.join(format!("{reader}-current"))
 }
 
-/// Where input `i`, which did harm, is kept.
+/// Where input `i`, which failed, is kept.
 pub fn saved(folder: &Path, reader: &str, i: usize) -> PathBuf {
     folder.join(format!("{reader}-{i}"))
 }

@@ -134,7 +134,7 @@ fn sync_folder(target: &Path) {
     }
 }
 
-/// Writes `bytes` to `path`, whole or not at all.
+/// Writes `bytes` to `path`, atomically.
 ///
 /// # Errors
 ///
@@ -152,7 +152,7 @@ mod tests {
     use std::io::Write;
 
     #[test]
-    fn a_file_appears_whole_and_replaces_the_old_one() {
+    fn files_are_replaced_atomically() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("deep/down/scene.bin");
         write(&path, b"old").unwrap();

@@ -2,7 +2,7 @@
 
 use std::io;
 
-/// The sort of a failure. Every error of this crate has a method `kind` that tells it.
+/// The sort of a failure. Every error of this crate has a method `kind` that returns it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ErrorKind {

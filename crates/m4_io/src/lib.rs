@@ -1,19 +1,19 @@
-//! Readers and writers for the types of m4_core: video, images, captures, scene files.
+//! Readers and writers for the types of m4_core: video, images, captures, data sets of other tools, scene files.
 //!
 //! Everything that comes from outside is checked here, once: counts in headers against the size of
 //! the file before anything is allocated, numbers for being numbers, sizes for agreeing. Axes and
 //! units are converted here too, so that the rest of the program knows one convention
-//! ([`m4_core`]). Every error names the file, what is wrong with it and what to do next, and tells
-//! its [`ErrorKind`]. What is written is written whole or not at all ([`atomic`]).
+//! ([`m4_core`]). Every error names the file, what is wrong with it and what to do next, and has
+//! its [`ErrorKind`]. Files are written atomically ([`atomic`]).
 #![forbid(unsafe_code)]
 
 pub mod atomic;
 pub mod capture;
+pub mod dataset;
 pub mod image;
-pub mod megasam;
 pub mod npy;
 pub mod reach;
-pub mod scene_file;
+pub mod scene;
 pub mod tracks;
 pub mod trajectory;
 pub mod video;

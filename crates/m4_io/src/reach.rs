@@ -91,7 +91,7 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn files_are_inside_by_where_they_lie() {
+    fn bounds_follow_links_and_parents() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         fs::create_dir_all(at("set/images")).unwrap();
@@ -123,12 +123,15 @@ mod tests {
             "set-2/private.png",
         ];
         for bad in outside {
-            let said = inside.check(&at(bad)).unwrap_err().to_string();
-            assert!(said.contains(bad) && said.contains("--allow-outside"), "{said}");
+            let message = inside.check(&at(bad)).unwrap_err().to_string();
+            assert!(
+                message.contains(bad) && message.contains("--allow-outside"),
+                "{message}"
+            );
         }
         // what a link points to is reported
-        let said = inside.check(&at("set/folder/private.png")).unwrap_err().to_string();
-        assert!(said.contains("set-2/private.png"), "{said}");
+        let message = inside.check(&at("set/folder/private.png")).unwrap_err().to_string();
+        assert!(message.contains("set-2/private.png"), "{message}");
         for bad in outside {
             Bounds::new(Reach::Anywhere, &at("set"), []).check(&at(bad)).unwrap();
         }
@@ -139,8 +142,8 @@ mod tests {
         let alias = Bounds::new(Reach::Inside, &at("alias"), []);
         alias.check(&at("set/images/a.png")).unwrap();
         // a name longer than the system takes
-        let said = alias.check(Path::new(&"../".repeat(100_000))).unwrap_err().to_string();
-        assert!(said.len() < 3000, "{}", said.len());
+        let message = alias.check(Path::new(&"../".repeat(100_000))).unwrap_err().to_string();
+        assert!(message.len() < 3000, "{}", message.len());
         let nowhere = Bounds::new(Reach::Inside, &at("nowhere"), []);
         assert!(nowhere.check(&at("private.png")).is_err());
         assert!(

@@ -69,16 +69,16 @@ mod tests {
             assert_eq!(shortened(&text), text);
         }
         let long = format!("start{}end; do this", "9ü".repeat(1_000_000));
-        let said = shortened(&long);
+        let message = shortened(&long);
         assert!(
-            said.starts_with("start9ü9ü") && said.ends_with("9üend; do this"),
-            "{said}"
+            message.starts_with("start9ü9ü") && message.ends_with("9üend; do this"),
+            "{message}"
         );
-        assert_eq!(said.chars().count(), 405);
+        assert_eq!(message.chars().count(), 405);
         // in pieces, as a formatter hands it over
         assert_eq!(
             shortened(format_args!("{}{}{}", &long[..8], &long[8..899], &long[899..])),
-            said
+            message
         );
     }
 }

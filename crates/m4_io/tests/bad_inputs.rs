@@ -5,8 +5,9 @@ use m4_core::{CounterRng, Plane, Progress, Silent};
 use m4_io::ErrorKind;
 use m4_io::capture::{self, CaptureOptions, Split};
 use m4_io::image::{read_depth, read_rgb, write_depth, write_mask, write_rgb};
+use m4_io::scene::safetensors;
+use m4_io::trajectory;
 use m4_io::video::{self, VideoOptions};
-use m4_io::{scene_file, trajectory};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
@@ -62,7 +63,7 @@ fn a_clip_without_bytes() {
 }
 
 #[test]
-fn a_clip_that_is_text_or_zeros_or_a_picture() {
+fn text_zeros_and_single_images_are_not_clips() {
     let (_dir, path) = file(b"this is no video, whatever its name says\n");
     says(
         &video_error(&path, &options(), ErrorKind::Unavailable),
@@ -132,7 +133,7 @@ fn a_clip_whose_end_is_missing_is_read_as_far_as_it_goes() {
 }
 
 #[test]
-fn sound_without_pictures() {
+fn audio_only_clips_are_refused() {
     let mut bytes = std::fs::read(pinwheel()).unwrap();
     let at = bytes.windows(4).position(|w| w == b"vide").unwrap();
     bytes[at..at + 4].copy_from_slice(b"soun");
@@ -156,7 +157,7 @@ fn a_clip_without_frames() {
 }
 
 #[test]
-fn counts_that_the_file_cannot_hold() {
+fn counts_beyond_the_file_size_are_refused() {
     for (kind, offset) in [
         (b"stsz", 12),
         (b"stts", 8),
@@ -285,14 +286,14 @@ fn survives(bytes: &[u8], what: &str) -> bool {
 
 #[test]
 fn flipped_and_missing_bytes_never_panic() {
-    let whole = std::fs::read(pinwheel()).unwrap();
-    let mdat = whole.windows(4).position(|w| w == b"mdat").unwrap();
+    let original = std::fs::read(pinwheel()).unwrap();
+    let mdat = original.windows(4).position(|w| w == b"mdat").unwrap();
     let mut rng = CounterRng::new(11, 0, 0);
     let (mut read, mut refused) = (0, 0);
     let mut note = |ok: bool| if ok { read += 1 } else { refused += 1 };
     // Every third byte of the index, set to extremes; then random places of the frames.
     for at in (0..mdat).step_by(7) {
-        let mut bytes = whole.clone();
+        let mut bytes = original.clone();
         bytes[at] = if at % 2 == 0 {
             0xff
         } else {
@@ -301,7 +302,7 @@ fn flipped_and_missing_bytes_never_panic() {
         note(survives(&bytes, &format!("byte {at}")));
     }
     for i in 0..60 {
-        let mut bytes = whole.clone();
+        let mut bytes = original.clone();
         for _ in 0..1 + i {
             let at = mdat + rng.below(200_000);
             bytes[at] = rng.next_u64() as u8;
@@ -309,7 +310,10 @@ fn flipped_and_missing_bytes_never_panic() {
         note(survives(&bytes, &format!("{i} bytes of the frames")));
     }
     for i in 0..40 {
-        note(survives(&whole[..mdat * i / 20], &format!("cut at {}", mdat * i / 20)));
+        note(survives(
+            &original[..mdat * i / 20],
+            &format!("cut at {}", mdat * i / 20),
+        ));
     }
     eprintln!("{read} read, {refused} refused");
     assert!(read > 100 && refused > 100, "{read} read, {refused} refused");
@@ -318,7 +322,7 @@ fn flipped_and_missing_bytes_never_panic() {
 // --- folders of images and single images ------------------------------------------------------
 
 #[test]
-fn a_folder_without_pictures_or_with_odd_ones() {
+fn folders_without_images_or_of_several_sizes_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("frames");
     std::fs::create_dir(&folder).unwrap();
@@ -339,7 +343,7 @@ fn a_folder_without_pictures_or_with_odd_ones() {
 }
 
 #[test]
-fn pictures_that_are_none() {
+fn malformed_images_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.png");
     let error = read_rgb(&path).unwrap_err();
@@ -349,20 +353,20 @@ fn pictures_that_are_none() {
     assert_eq!(error.kind(), ErrorKind::Unsupported);
     says(&error.to_string(), &["a.png", "not a PNG or JPEG", "convert"]);
     write_rgb(&path, &Plane::filled(40, 30, [1, 2, 3])).unwrap();
-    let whole = std::fs::read(&path).unwrap();
-    for cut in 8..whole.len() - 12 {
-        std::fs::write(&path, &whole[..cut]).unwrap();
+    let original = std::fs::read(&path).unwrap();
+    for cut in 8..original.len() - 12 {
+        std::fs::write(&path, &original[..cut]).unwrap();
         says(&read_rgb(&path).unwrap_err().to_string(), &["a.png", "damaged"]);
     }
     // A header that promises 4 billion pixels per side.
-    let mut huge = whole.clone();
+    let mut huge = original.clone();
     huge[16..24].fill(0x7f);
     std::fs::write(&path, &huge).unwrap();
     assert!(read_rgb(&path).is_err());
 }
 
 #[test]
-fn depth_of_the_wrong_kind() {
+fn depth_maps_must_be_16_bit_greyscale() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("d.png");
     write_rgb(&path, &Plane::filled(4, 4, [1; 3])).unwrap();
@@ -408,110 +412,114 @@ fn capture_error(spoil: impl FnOnce(&mut Value), kind: ErrorKind) -> String {
 }
 
 #[test]
-fn the_unspoilt_capture_is_read() {
+fn valid_capture_is_read() {
     let (dir, json) = good();
     std::fs::write(dir.path().join("transforms_train.json"), json.to_string()).unwrap();
     let got = capture::read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
     assert_eq!(got.frames.len(), 2);
 }
 
+type Spoil = fn(&mut Value);
+
 #[test]
-fn poses_that_are_none() {
-    let bad = ErrorKind::BadData;
-    let text = capture_error(
-        |j| drop(j["frames"][1].as_object_mut().unwrap().remove("transform_matrix")),
-        bad,
-    );
-    says(&text, &["frame 1", "1.png", "transform_matrix is missing"]);
-    let text = capture_error(|j| j["frames"][1]["transform_matrix"][0][0] = json!(-1), bad);
-    says(&text, &["frame 1", "determinant -1.0"]);
-    let text = capture_error(|j| j["frames"][0]["transform_matrix"][0][0] = json!(1.5), bad);
-    says(&text, &["frame 0", "determinant 1.5"]);
-    let text = capture_error(
-        |j| drop(j["frames"][0]["transform_matrix"].as_array_mut().unwrap().drain(1..)),
-        bad,
-    );
-    says(&text, &["frame 0", "1 rows of 4", "4 rows of 4"]);
-    let text = capture_error(|j| j["frames"][1]["transform_matrix"][2][1] = json!(null), bad);
-    says(&text, &["frame 1", "null"]);
-    let text = capture_error(|j| j["frames"][1]["transform_matrix"][3] = json!([4, 5, 6, 1]), bad);
-    says(
-        &text,
-        &["frame 1", "last", "transposed"].map(|s| if s == "last" { "[4.0, 5.0, 6.0, 1.0]" } else { s }),
-    );
+fn faults_of_frames_and_keys_are_named() {
+    use ErrorKind::{BadData, NotFound, Unsupported};
+    let cases: [(Spoil, ErrorKind, &[&str]); 20] = [
+        (
+            |j| drop(j["frames"][1].as_object_mut().unwrap().remove("transform_matrix")),
+            BadData,
+            &["frame 1", "1.png", "transform_matrix is missing"],
+        ),
+        (
+            |j| j["frames"][1]["transform_matrix"][0][0] = json!(-1),
+            BadData,
+            &["frame 1", "determinant -1.0"],
+        ),
+        (
+            |j| j["frames"][0]["transform_matrix"][0][0] = json!(1.5),
+            BadData,
+            &["frame 0", "determinant 1.5"],
+        ),
+        (
+            |j| drop(j["frames"][0]["transform_matrix"].as_array_mut().unwrap().drain(1..)),
+            BadData,
+            &["frame 0", "1 rows of 4", "4 rows of 4"],
+        ),
+        (
+            |j| j["frames"][1]["transform_matrix"][2][1] = json!(null),
+            BadData,
+            &["frame 1", "null"],
+        ),
+        (
+            |j| j["frames"][1]["transform_matrix"][3] = json!([4, 5, 6, 1]),
+            BadData,
+            &["frame 1", "[4.0, 5.0, 6.0, 1.0]", "transposed"],
+        ),
+        (|j| j["fl_x"] = json!(-5.0), BadData, &["frame 0", "-5", "above 0"]),
+        (
+            |j| drop(j.as_object_mut().unwrap().remove("fl_x")),
+            BadData,
+            &["frame 0", "fl_x", "missing"],
+        ),
+        (|j| j["cx"] = json!(900.0), BadData, &["(900, 5)", "20 x 10"]),
+        (|j| j["camera_model"] = json!("FOV"), Unsupported, &["FOV"]),
+        (
+            |j| j["depth_unit_scale_factor"] = json!(0),
+            BadData,
+            &["depth_unit_scale_factor", "it is 0"],
+        ),
+        (|j| j["duration_s"] = json!(-1), BadData, &["duration_s", "it is -1"]),
+        (|j| j["frames"] = json!([]), BadData, &["no frames"]),
+        (
+            |j| j["frames"][1]["time"] = json!(1.5),
+            BadData,
+            &["frame 1", "time = 1.5", "0 (first"],
+        ),
+        (
+            |j| j["frames"][1]["time"] = json!("soon"),
+            BadData,
+            &["frame 1", "soon"],
+        ),
+        (
+            |j| drop(j["frames"][1].as_object_mut().unwrap().remove("time")),
+            BadData,
+            &["1 of 2 frames have a time"],
+        ),
+        (
+            |j| j["frames"][0]["file_path"] = json!("gone.png"),
+            NotFound,
+            &["frame 0", "gone.png"],
+        ),
+        (|j| j["w"] = json!(40), BadData, &["0.png", "w = 40", "has 20"]),
+        (
+            |j| j["frames"][1]["depth_file_path"] = json!("0.png"),
+            BadData,
+            &["frame 1", "0.png", "16 bits"],
+        ),
+        (
+            |j| j["frames"][1]["mask_path"] = json!("mask/1.png"),
+            NotFound,
+            &["frame 1", "1.png"],
+        ),
+    ];
+    for (spoil, kind, words) in cases {
+        says(&capture_error(spoil, kind), words);
+    }
 }
 
 #[test]
-fn json_that_is_none() {
+fn malformed_or_missing_lists_of_frames_are_refused() {
     let (dir, json) = good();
     let path = dir.path().join("transforms_train.json");
     std::fs::write(&path, json.to_string().replace("30.0", "NaN")).unwrap();
     let read = || capture::read(&path, Split::Train, &CaptureOptions::default(), &Silent).unwrap_err();
     says(&read().to_string(), &["line 1", "neither NaN nor Infinity"]);
     std::fs::write(&path, &json.to_string()[..200]).unwrap();
-    says(&read().to_string(), &["is not a list of frames", "EOF"]);
+    says(&read().to_string(), &["not the JSON that was expected", "EOF"]);
     std::fs::remove_file(&path).unwrap();
     let error = capture::read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::NotFound);
     says(&error.to_string(), &["transforms_train.json", "a capture is a folder"]);
-}
-
-#[test]
-fn lenses_that_are_none() {
-    let bad = ErrorKind::BadData;
-    says(
-        &capture_error(|j| j["fl_x"] = json!(-5.0), bad),
-        &["frame 0", "fl_x = -5", "above 0"],
-    );
-    says(
-        &capture_error(|j| drop(j.as_object_mut().unwrap().remove("fl_x")), bad),
-        &["fl_x", "missing"],
-    );
-    says(
-        &capture_error(|j| j["cx"] = json!(900.0), bad),
-        &["cx = 900", "20 pixels"],
-    );
-    says(
-        &capture_error(|j| j["k1"] = json!(0.03), ErrorKind::Unsupported),
-        &["k1 = 0.03", "undistort"],
-    );
-    says(
-        &capture_error(|j| j["camera_model"] = json!("OPENCV_FISHEYE"), bad),
-        &["FISHEYE", "undistort"],
-    );
-    says(
-        &capture_error(|j| j["depth_unit_scale_factor"] = json!(0), bad),
-        &["depth_unit_scale_factor = 0"],
-    );
-}
-
-#[test]
-fn frames_that_are_none() {
-    let bad = ErrorKind::BadData;
-    says(&capture_error(|j| j["frames"] = json!([]), bad), &["no frames"]);
-    says(
-        &capture_error(|j| j["frames"][1]["time"] = json!(1.5), bad),
-        &["frame 1", "time = 1.5", "0 (first"],
-    );
-    says(
-        &capture_error(|j| j["frames"][1]["time"] = json!("soon"), bad),
-        &["frame 1", "soon"],
-    );
-    says(
-        &capture_error(|j| j["frames"][0]["file_path"] = json!("gone.png"), ErrorKind::NotFound),
-        &["frame 0", "gone.png"],
-    );
-    says(
-        &capture_error(|j| j["w"] = json!(40), bad),
-        &["0.png", "20 x 10", "w and h say 40 x 10"],
-    );
-    let text = capture_error(|j| j["frames"][1]["depth_file_path"] = json!("0.png"), bad);
-    says(&text, &["frame 1", "0.png", "16 bits"]);
-    let text = capture_error(
-        |j| j["frames"][1]["mask_path"] = json!("mask/1.png"),
-        ErrorKind::NotFound,
-    );
-    says(&text, &["frame 1", "1.png"]);
 }
 
 #[test]
@@ -535,19 +543,19 @@ fn a_capture_that_does_not_fit_in_memory() {
     };
     let error = capture::read(dir.path(), Split::Train, &small, &Silent).unwrap_err();
     assert_eq!(error.kind(), ErrorKind::Unsupported);
-    says(&error.to_string(), &["2 frames of 20 x 10", "max_memory_bytes"]);
+    says(&error.to_string(), &["2 frames", "max_memory_bytes"]);
 }
 
 // --- scenes and paths -----------------------------------------------------------------------------
 
 #[test]
-fn scenes_that_are_none() {
+fn malformed_scene_files_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.safetensors");
-    assert_eq!(scene_file::read(&path).unwrap_err().kind(), ErrorKind::NotFound);
+    assert_eq!(safetensors::read(&path).unwrap_err().kind(), ErrorKind::NotFound);
     let text = |bytes: &[u8]| {
         std::fs::write(&path, bytes).unwrap();
-        let error = scene_file::read(&path).unwrap_err();
+        let error = safetensors::read(&path).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::BadData);
         error.to_string()
     };

@@ -52,7 +52,7 @@ fn same(a: &Video, b: &Video) -> bool {
 }
 
 #[test]
-fn a_child_decodes_the_same_bits() {
+fn child_process_decodes_identical_frames() {
     let options = options(DecoderLimits::default());
     let here = read_with(None, &pinwheel(), &options, &Silent).unwrap();
     let there = read_with(Some(&program()), &pinwheel(), &options, &Silent).unwrap();
@@ -70,9 +70,9 @@ fn a_child_decodes_the_same_bits() {
 }
 
 /// The example with some bytes of its coded images, and now and then of its index, replaced.
-fn damaged(case: u32, whole: &[u8], mdat: usize) -> Vec<u8> {
+fn damaged(case: u32, original: &[u8], mdat: usize) -> Vec<u8> {
     let mut rng = CounterRng::new(17, 0, u64::from(case));
-    let mut bytes = whole.to_vec();
+    let mut bytes = original.to_vec();
     for _ in 0..1 + case % 7 {
         let (start, end) = match case % 8 {
             0 => (0, mdat),
@@ -87,9 +87,9 @@ fn damaged(case: u32, whole: &[u8], mdat: usize) -> Vec<u8> {
 }
 
 #[test]
-fn damaged_clips_end_as_they_do_here_and_never_take_us_along() {
-    let whole = std::fs::read(pinwheel()).unwrap();
-    let mdat = whole.windows(4).position(|w| w == b"mdat").unwrap();
+fn damaged_clips_never_crash_the_parent() {
+    let original = std::fs::read(pinwheel()).unwrap();
+    let mdat = original.windows(4).position(|w| w == b"mdat").unwrap();
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("clip.mp4");
     let part = VideoOptions {
@@ -99,7 +99,7 @@ fn damaged_clips_end_as_they_do_here_and_never_take_us_along() {
     };
     let (mut whole_clips, mut with_warnings, mut refused) = (0, 0, 0);
     for case in 0..160 {
-        std::fs::write(&path, damaged(case, &whole, mdat)).unwrap();
+        std::fs::write(&path, damaged(case, &original, mdat)).unwrap();
         let there = read_with(Some(&program()), &path, &part, &Silent);
         match &there {
             Ok(video) if video.warnings.is_empty() => whole_clips += 1,
@@ -140,8 +140,8 @@ fn a_decoder_without_memory() {
     let path = dir.path().join("large.mp4");
     let mut writer = Mp4Writer::create(&path, 3840, 2160, 24.0).unwrap();
     for i in 0..2 {
-        let picture = Plane::from_fn(3840, 2160, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);
-        writer.push(&picture).unwrap();
+        let image = Plane::from_fn(3840, 2160, |x, y| [(x + i) as u8, y as u8, (x ^ y) as u8]);
+        writer.push(&image).unwrap();
     }
     writer.finish().unwrap();
     let few = options(limits(|l| l.memory_mb = 64));
@@ -366,7 +366,7 @@ fn sent(second: u32) -> String {
 /// ffmpeg started by this process, and by a program that limits itself first.
 #[cfg(unix)]
 #[test]
-fn an_ffmpeg_that_hangs_crashes_or_talks_without_end() {
+fn hanging_crashing_or_verbose_ffmpeg_is_stopped() {
     for launcher in [None, Some(program())] {
         ffmpegs_that_fail(|probe, decode, limits| with_fake_ffmpeg(launcher.as_ref(), probe, decode, limits));
     }
@@ -376,8 +376,8 @@ fn an_ffmpeg_that_hangs_crashes_or_talks_without_end() {
 fn ffmpegs_that_fail(with_fake_ffmpeg: impl Fn(&str, &str, DecoderLimits) -> Result<Video, ReadVideoError>) {
     let patience = limits(|l| l.idle_seconds = 1);
     let usual = DecoderLimits::default();
-    let whole = [sent(0), sent(1), sent(2)].join("\n");
-    let video = with_fake_ffmpeg(PROBED, &whole, usual).unwrap();
+    let original = [sent(0), sent(1), sent(2)].join("\n");
+    let video = with_fake_ffmpeg(PROBED, &original, usual).unwrap();
     assert_eq!(
         (video.frames.len(), video.warnings.len()),
         (3, 0),
@@ -439,7 +439,7 @@ fn ffmpegs_that_fail(with_fake_ffmpeg: impl Fn(&str, &str, DecoderLimits) -> Res
     assert!(matches!(how, DecoderEnd::Messages { .. }));
 
     // Bytes are bad where a decoder says so, and nowhere else.
-    let fail = |said: &str| format!("echo '[error] {said}' >&2; exit 1");
+    let fail = |message: &str| format!("echo '[error] {message}' >&2; exit 1");
     let bad = fail("clip.mkv: Invalid data found when processing input");
     for (probe, decode) in [(bad.as_str(), ""), (PROBED, bad.as_str())] {
         let error = with_fake_ffmpeg(probe, decode, usual).err().unwrap();

@@ -71,10 +71,10 @@ fn note_takers(folder: &Path) -> (PathBuf, VideoOptions) {
     let packets = r#"echo '{"packets":[{"pts_time":"0","flags":"K_"}],
 "streams":[{"codec_name":"ffv1","width":4,"height":2,"pix_fmt":"yuv420p"}]}'"#;
     script(folder, "ffprobe", &body("ffprobe", packets));
-    let picture = "echo '[Parsed_showinfo_0 @ 0x5] [info] n: 0 pts: 0 pts_time:0 fmt:yuv420p sar:1/1 s:4x2 i:P' >&2
+    let image = "echo '[Parsed_showinfo_0 @ 0x5] [info] n: 0 pts: 0 pts_time:0 fmt:yuv420p sar:1/1 s:4x2 i:P' >&2
 printf 'abcdefghijklabcdefghijkl'";
     let options = VideoOptions {
-        ffmpeg: script(folder, "ffmpeg", &body("ffmpeg", picture)),
+        ffmpeg: script(folder, "ffmpeg", &body("ffmpeg", image)),
         size: None,
         ..VideoOptions::default()
     };
@@ -150,7 +150,7 @@ fn our_own_decoder_gets_no_secret_no_privilege_and_no_file() {
 }
 
 #[test]
-fn an_ffmpeg_that_cannot_be_started_is_no_fault_of_the_clip() {
+fn ffmpeg_start_failures_do_not_blame_the_clip() {
     let dir = tempfile::tempdir().unwrap();
     let (clip, options) = note_takers(dir.path());
     let probe = dir.path().join("ffprobe");

@@ -7,11 +7,13 @@ mod capture;
 #[cfg(test)]
 mod common;
 #[cfg(test)]
+mod dataset;
+#[cfg(test)]
 mod decoder;
 #[cfg(test)]
-mod isolation;
+mod exports;
 #[cfg(test)]
-mod megasam;
+mod isolation;
 #[cfg(test)]
 mod mp4_writer;
 #[cfg(test)]

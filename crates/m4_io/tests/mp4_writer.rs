@@ -62,7 +62,7 @@ fn a_written_clip_reads_back_and_plays_in_ffmpeg() {
         "default=nw=1",
     ];
     let output = Command::new("ffprobe").args(arguments).arg(&path).output().unwrap();
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let message = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
     for line in [
         "codec_name=h264",
@@ -73,7 +73,7 @@ fn a_written_clip_reads_back_and_plays_in_ffmpeg() {
         "avg_frame_rate=24/1",
         "nb_read_frames=60",
     ] {
-        assert!(said.contains(line), "{line} is not in:\n{said}");
+        assert!(message.contains(line), "{line} is not in:\n{message}");
     }
     let strict = ["-v", "error", "-xerror", "-err_detect", "explode", "-i"];
     let output = Command::new("ffmpeg")
@@ -100,12 +100,12 @@ fn the_same_frames_give_the_same_bytes() {
 }
 
 #[test]
-fn odd_sides_grow_and_one_frame_is_enough() {
+fn mp4_pads_odd_sides_and_accepts_one_frame() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("odd.mp4");
-    let picture = Plane::from_fn(101, 77, |x, y| [(x * 2) as u8, (y * 3) as u8, 128]);
+    let image = Plane::from_fn(101, 77, |x, y| [(x * 2) as u8, (y * 3) as u8, 128]);
     let mut writer = Mp4Writer::create(&path, 101, 77, 12.5).unwrap();
-    writer.push(&picture).unwrap();
+    writer.push(&image).unwrap();
     writer.finish().unwrap();
     let back = read(&path, &options(), &Silent).unwrap();
     assert_eq!(
@@ -115,7 +115,7 @@ fn odd_sides_grow_and_one_frame_is_enough() {
     for (x, y) in [(10, 10), (50, 40), (100, 76)] {
         let off = back.frames[0].rgb[(x, y)]
             .iter()
-            .zip(picture[(x, y)])
+            .zip(image[(x, y)])
             .map(|(a, b)| a.abs_diff(b))
             .max();
         assert!(off <= Some(8), "({x}, {y})");

@@ -3,14 +3,15 @@
 use crate::bad_inputs::good;
 use m4_core::{Capture, Plane, Silent};
 use m4_io::ErrorKind;
-use m4_io::capture::{self, CaptureOptions, ReadCaptureError, Split};
+use m4_io::capture::{self, CaptureOptions, Split};
+use m4_io::dataset::ReadSourceError;
 use m4_io::image::{write_mask, write_rgb};
 use m4_io::reach::Reach;
 use serde_json::{Value, json};
 use std::fs;
 use std::path::Path;
 
-fn read(folder: &Path, json: &Value, reach: Reach) -> Result<Capture, ReadCaptureError> {
+fn read(folder: &Path, json: &Value, reach: Reach) -> Result<Capture, ReadSourceError> {
     fs::write(folder.join("transforms_train.json"), json.to_string()).unwrap();
     let options = CaptureOptions {
         reach,
@@ -30,7 +31,7 @@ fn refused(folder: &Path, json: &Value, words: &[&str]) {
 }
 
 #[test]
-fn private_pictures_are_not_read() {
+fn files_outside_the_capture_are_not_read() {
     let (dir, json) = good();
     let folder = dir.path().join("set");
     fs::create_dir(&folder).unwrap();
@@ -42,18 +43,23 @@ fn private_pictures_are_not_read() {
     write_mask(&dir.path().join("mask.png"), &Plane::filled(20, 10, 255)).unwrap();
     read(&folder, &json, Reach::Inside).unwrap();
 
-    let whole = private.display().to_string();
-    for name in ["../private.png", "../private", "../set/../private.png", whole.as_str()] {
+    let original = private.display().to_string();
+    for name in [
+        "../private.png",
+        "../private",
+        "../set/../private.png",
+        original.as_str(),
+    ] {
         let mut json = json.clone();
         json["frames"][1]["file_path"] = json!(name);
-        refused(&folder, &json, &["frame 1", "file_path", "private.png"]);
+        refused(&folder, &json, &["frame 1", "private.png"]);
         let got = read(&folder, &json, Reach::Anywhere).unwrap();
         assert_eq!(got.frames[1].rgb[(0, 0)], [77; 3]);
     }
     for key in ["depth_file_path", "mask_path", "motion_path", "instance_path"] {
         let mut json = json.clone();
         json["frames"][0][key] = json!("../mask.png");
-        refused(&folder, &json, &["frame 0", key, "mask.png"]);
+        refused(&folder, &json, &["frame 0", "mask.png"]);
     }
     let mut with_mask = json.clone();
     with_mask["frames"][0]["mask_path"] = json!("../mask.png");
@@ -72,11 +78,11 @@ fn paths_within_the_folder_may_be_written_in_any_way() {
     let (dir, mut json) = good();
     fs::create_dir(dir.path().join("images")).unwrap();
     fs::rename(dir.path().join("0.png"), dir.path().join("images/0.png")).unwrap();
-    let whole = dir.path().join("1.png").display().to_string();
+    let original = dir.path().join("1.png").display().to_string();
     for (first, second) in [
         ("./images/0.png", "images/../1.png"),
         ("images/../images/0.png", "./1.png"),
-        ("images/0", whole.as_str()),
+        ("images/0", original.as_str()),
     ] {
         json["frames"][0]["file_path"] = json!(first);
         json["frames"][1]["file_path"] = json!(second);

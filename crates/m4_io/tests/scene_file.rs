@@ -2,9 +2,9 @@
 
 use m4_core::{
     Camera, Column, CounterRng, Exposure, Intrinsics, Scene, Se3, SourceFrame, SplatLayout, Splats, StateTensor,
-    TrainState, covariance4::VelocityForm, nalgebra::Vector6,
+    TrainState, nalgebra::Vector6,
 };
-use m4_io::scene_file::{ReadSceneError, read, read_covariance4, write, write_covariance4};
+use m4_io::scene::safetensors::{ReadSceneError, read, write};
 use std::collections::BTreeMap;
 
 fn splats(layout: SplatLayout, n_static: usize, n_dynamic: usize) -> Splats {
@@ -77,7 +77,7 @@ fn state() -> TrainState<'static> {
 }
 
 #[test]
-fn every_layout_comes_back_bit_by_bit() {
+fn every_layout_round_trips_exactly() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("deep/scene.safetensors");
     let pairs = BTreeMap::from([("key".to_owned(), "wert \"ü\"\n".to_owned())]);
@@ -105,7 +105,7 @@ fn every_layout_comes_back_bit_by_bit() {
 }
 
 #[test]
-fn the_arrays_are_as_documented() {
+fn scene_arrays_match_documentation() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.safetensors");
     let layout = layouts().nth(2).unwrap();
@@ -125,17 +125,17 @@ fn the_arrays_are_as_documented() {
 }
 
 #[test]
-fn no_damaged_file_is_taken_for_a_whole_one() {
+fn damaged_scene_files_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.safetensors");
     let layout = layouts().next().unwrap();
     write(&path, &scene(layout, 20, 10), Some(&state()), &BTreeMap::new()).unwrap();
-    let whole = std::fs::read(&path).unwrap();
+    let original = std::fs::read(&path).unwrap();
     let mut rng = CounterRng::new(9, 9, 9);
     let mut outcomes = BTreeMap::new();
     for i in 0..600 {
-        let mut bytes = whole.clone();
-        let at = if i < 200 { i * 3 } else { rng.below(whole.len()) };
+        let mut bytes = original.clone();
+        let at = if i < 200 { i * 3 } else { rng.below(original.len()) };
         if i % 3 == 0 {
             bytes.truncate(at);
         } else {
@@ -147,9 +147,9 @@ fn no_damaged_file_is_taken_for_a_whole_one() {
             // Spaces that pad the header mean nothing, nor does the order of keys.
             Ok(file) => {
                 assert!(
-                    whole[at] == b' ' || file.scene == scene(layout, 20, 10),
+                    original[at] == b' ' || file.scene == scene(layout, 20, 10),
                     "byte {at} of {}",
-                    whole.len()
+                    original.len()
                 );
                 continue;
             }
@@ -164,7 +164,7 @@ fn no_damaged_file_is_taken_for_a_whole_one() {
 }
 
 #[test]
-fn a_newer_format_says_so() {
+fn newer_versions_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("scene.safetensors");
     write(&path, &scene(layouts().next().unwrap(), 1, 1), None, &BTreeMap::new()).unwrap();
@@ -179,47 +179,4 @@ fn a_newer_format_says_so() {
         "{error}"
     );
     assert!(error.to_string().contains("update minute4d"), "{error}");
-}
-
-#[test]
-fn covariances_leave_and_come_back() {
-    let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("splats.safetensors");
-    let layout = layouts().nth(2).unwrap();
-    let splats = splats(layout, 4, 9);
-    write_covariance4(&path, &splats).unwrap();
-    let back = read_covariance4(&path, layout).unwrap();
-    assert_eq!((back.n_static(), back.n_dynamic()), (0, 9));
-    for i in 0..9 {
-        let a = VelocityForm::<f64>::from_splats(&splats, i).unwrap();
-        let b = VelocityForm::<f64>::from_splats(&back, i).unwrap();
-        for t in [-1.0, 0.3, 2.0] {
-            let (a, b) = (a.slice(t), b.slice(t));
-            let scale = a.covariance.norm();
-            assert!((a.mean - b.mean).norm() < 1e-3 * (1.0 + a.mean.norm()), "splat {i}");
-            assert!(
-                (a.covariance - b.covariance).norm() < 1e-3 * scale.max(1.0),
-                "splat {i}"
-            );
-            assert!((a.marginal - b.marginal).abs() < 1e-4, "splat {i}");
-        }
-        assert_eq!(a.colour, b.colour);
-    }
-
-    // A covariance that is none.
-    let mut bytes = std::fs::read(&path).unwrap();
-    let head = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
-    let json: serde_json::Value = serde_json::from_slice(&bytes[8..8 + head]).unwrap();
-    let start = json["covariance"]["data_offsets"][0].as_u64().unwrap() as usize + 8 + head;
-    // Entry tt of splat 2.
-    bytes[start + 4 * (10 * 2 + 9)..][..4].copy_from_slice(&(-1.0f32).to_le_bytes());
-    std::fs::write(&path, bytes).unwrap();
-    let error = read_covariance4(&path, layout).unwrap_err().to_string();
-    assert!(
-        error.contains("splat 2") && error.contains("variance in time"),
-        "{error}"
-    );
-    let other = SplatLayout { sh_degree: 0, ..layout };
-    let error = read_covariance4(&path, other).unwrap_err().to_string();
-    assert!(error.contains("\"colour\"") && error.contains("[9, 3, 3]"), "{error}");
 }

@@ -2,8 +2,8 @@
 
 use m4_core::{Camera, Capture, CaptureFrame, Intrinsics, Plane, Se3, Silent, Tracks};
 use m4_io::ErrorKind;
-use m4_io::capture::{self, CaptureOptions, ReadCaptureError, Split, TRACKS_FILE};
-use m4_io::tracks::{ReadTracksError, TracksFault, read, write};
+use m4_io::capture::{self, CaptureOptions, Split, TRACKS_FILE};
+use m4_io::tracks::{ReadTracksError, TracksErrorCause, read, write};
 use std::fs::{self, File};
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -40,7 +40,7 @@ fn same(a: &Tracks, b: &Tracks) {
 }
 
 #[test]
-fn tracks_come_back_bit_by_bit() {
+fn tracks_round_trip_exactly() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("tracks.npz");
     let plain = made(5, 7);
@@ -177,7 +177,7 @@ fn damaged_files_are_refused_with_a_reason() {
     for (bytes, says) in cases {
         let error = refused(&bytes);
         assert!(error.to_string().contains(says), "{error} for {says}");
-        let large = matches!(error.fault, TracksFault::TooLarge { .. });
+        let large = matches!(error.cause, TracksErrorCause::TooLarge { .. });
         assert_eq!(
             error.kind(),
             if large {
@@ -198,17 +198,17 @@ fn no_damage_makes_it_panic() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("t.npz");
     write(&path, &made(4, 5)).unwrap();
-    let whole = fs::read(&path).unwrap();
+    let original = fs::read(&path).unwrap();
     let mut refused = 0;
-    for at in 0..whole.len() {
-        let mut bytes = whole.clone();
+    for at in 0..original.len() {
+        let mut bytes = original.clone();
         bytes[at] ^= 0xff;
         fs::write(&path, &bytes).unwrap();
         refused += usize::from(read(&path, 4, LIMIT).is_err());
-        fs::write(&path, &whole[..at]).unwrap();
+        fs::write(&path, &original[..at]).unwrap();
         refused += usize::from(read(&path, 4, LIMIT).is_err());
     }
-    assert!(refused > whole.len(), "{refused} of {}", 2 * whole.len());
+    assert!(refused > original.len(), "{refused} of {}", 2 * original.len());
 }
 
 fn capture_with(tracks: Option<Tracks>) -> Capture {
@@ -236,7 +236,7 @@ fn capture_with(tracks: Option<Tracks>) -> Capture {
 }
 
 #[test]
-fn a_capture_brings_its_tracks() {
+fn capture_tracks_round_trip_and_follow_their_frames() {
     let dir = tempfile::tempdir().unwrap();
     let tracks = made(4, 6);
     let again = || capture::read(dir.path(), Split::Train, &CaptureOptions::default(), &Silent);
@@ -255,7 +255,7 @@ fn a_capture_brings_its_tracks() {
 
     fs::remove_file(dir.path().join(TRACKS_FILE)).unwrap();
     let error = again().unwrap_err();
-    assert!(matches!(error, ReadCaptureError::Tracks { .. }), "{error}");
+    assert!(error.to_string().contains(TRACKS_FILE), "{error}");
     assert_eq!(error.kind(), ErrorKind::NotFound);
 
     // Written again without tracks, the capture names none.

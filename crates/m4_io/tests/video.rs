@@ -26,7 +26,7 @@ fn clip(path: &Path, options: &VideoOptions) -> Video {
 }
 
 #[test]
-fn the_example_is_read_whole_and_in_order() {
+fn example_clip_is_read_in_order() {
     let video = clip(&pinwheel(), &all());
     assert_eq!(video.frames.len(), 96);
     assert_eq!(video.frames[0].rgb.size(), (480, 360));
@@ -37,7 +37,7 @@ fn the_example_is_read_whole_and_in_order() {
 }
 
 #[test]
-fn frames_match_the_pictures_that_the_example_was_made_of() {
+fn frames_match_the_images_that_the_example_was_made_of() {
     let Some(folder) = m4_testkit::shared("bench/mill-1/train") else {
         return;
     };
@@ -67,8 +67,8 @@ fn thinning_and_shrinking() {
         "{:?}",
         video.warnings
     );
-    let whole = clip(&pinwheel(), &all());
-    let small = m4_io::image::resize_rgb(&whole.frames[95].rgb, 240, 180).unwrap();
+    let original = clip(&pinwheel(), &all());
+    let small = m4_io::image::resize_rgb(&original.frames[95].rgb, 240, 180).unwrap();
     assert_eq!(video.frames[9].rgb, small);
 
     let part = VideoOptions {
@@ -78,7 +78,7 @@ fn thinning_and_shrinking() {
     };
     let video = clip(&pinwheel(), &part);
     assert_eq!((video.frames.len(), times(&video)[0]), (25, 1.0));
-    assert_eq!(video.frames[0].rgb, whole.frames[24].rgb);
+    assert_eq!(video.frames[0].rgb, original.frames[24].rgb);
 }
 
 #[test]
@@ -157,8 +157,8 @@ fn with_matrix(matrix: [i32; 4], path: &Path) {
 
 /// An image mapped by `x' = a x + c y`, `y' = b x + d y` around its middle: written apart from the
 /// reader's own code.
-fn mapped(picture: &RgbImage, [a, b, c, d]: [i32; 4]) -> RgbImage {
-    let (w, h) = (picture.width() as i32, picture.height() as i32);
+fn mapped(image: &RgbImage, [a, b, c, d]: [i32; 4]) -> RgbImage {
+    let (w, h) = (image.width() as i32, image.height() as i32);
     let (width, height) = ((a * w + c * h).abs(), (b * w + d * h).abs());
     let mut out = Plane::filled(width as usize, height as usize, [0u8; 3]);
     for y in 0..h {
@@ -167,7 +167,7 @@ fn mapped(picture: &RgbImage, [a, b, c, d]: [i32; 4]) -> RgbImage {
             let (u, v) = (2 * x - w + 1, 2 * y - h + 1);
             let (u, v) = (a * u + c * v, b * u + d * v);
             let (u, v) = ((u + width - 1) / 2, (v + height - 1) / 2);
-            out[(u as usize, v as usize)] = picture[(x as usize, y as usize)];
+            out[(u as usize, v as usize)] = image[(x as usize, y as usize)];
         }
     }
     out
@@ -295,14 +295,14 @@ fn variable_rate_and_edit_lists_keep_their_times() {
         &format!("-ss 1.0 -i {} -t 1.5 -c copy", pinwheel().display()),
         &cut
     ));
-    let (own, whole) = (clip(&cut, &all()), clip(&pinwheel(), &all()));
+    let (own, original) = (clip(&cut, &all()), clip(&pinwheel(), &all()));
     let mkv = dir.path().join("cut.mkv");
     assert!(ffmpeg(&format!("-i {} -c:v ffv1", cut.display()), &mkv));
     let theirs = clip(&mkv, &with_ffmpeg());
     // 36 frames of 1.5 seconds, one more or less at each end
     assert!((34..=38).contains(&own.frames.len()), "{} frames", own.frames.len());
     assert_eq!(own.frames.len(), theirs.frames.len());
-    assert_eq!(own.frames[0].rgb, whole.frames[24].rgb);
+    assert_eq!(own.frames[0].rgb, original.frames[24].rgb);
     for (a, b) in own.frames.iter().zip(&theirs.frames) {
         assert!((a.time_s - b.time_s).abs() < 2e-3);
     }
@@ -323,9 +323,9 @@ fn matrix_and_range_are_those_of_the_stream() {
         [255, 255, 255],
         [0, 0, 0],
     ];
-    let picture = Plane::from_fn(192, 64, |x, _| colours[x / 32]);
+    let image = Plane::from_fn(192, 64, |x, _| colours[x / 32]);
     let png = dir.path().join("patches.png");
-    m4_io::image::write_rgb(&png, &picture).unwrap();
+    m4_io::image::write_rgb(&png, &image).unwrap();
     for (name, matrix, range, tags) in [
         ("601-tv", "bt601", "tv", "-colorspace smpte170m -color_range tv"),
         ("709-tv", "bt709", "tv", "-colorspace bt709 -color_range tv"),
@@ -404,11 +404,11 @@ fn pixels_that_are_not_square_become_square() {
 }
 
 #[test]
-fn a_folder_of_pictures_is_a_clip() {
+fn a_folder_of_images_is_a_clip() {
     let dir = tempfile::tempdir().unwrap();
     for i in 0..12u8 {
-        let picture = Plane::filled(32, 24, [i * 20, 0, 0]);
-        m4_io::image::write_rgb(&dir.path().join(format!("f{i}.png")), &picture).unwrap();
+        let image = Plane::filled(32, 24, [i * 20, 0, 0]);
+        m4_io::image::write_rgb(&dir.path().join(format!("f{i}.png")), &image).unwrap();
     }
     std::fs::write(dir.path().join("notes.txt"), "not an image").unwrap();
     let options = VideoOptions {
@@ -423,7 +423,7 @@ fn a_folder_of_pictures_is_a_clip() {
 }
 
 #[test]
-fn a_camera_s_exif_block_turns_pictures_and_tells_the_lens() {
+fn exif_orientation_and_focal_length_are_applied() {
     // Orientation 6 (turn 90 degrees clockwise) and 26 mm on 35 mm film, as phones write them.
     let mut tiff = b"II*\0\x08\0\0\0".to_vec();
     tiff.extend([2, 0]);
@@ -434,8 +434,8 @@ fn a_camera_s_exif_block_turns_pictures_and_tells_the_lens() {
     for i in 0..2 {
         let path = dir.path().join(format!("IMG_{i}.JPG"));
         // Dark on the left: after the turn, dark at the top.
-        let picture = Plane::from_fn(400, 300, |x, _| [if x < 200 { 20 } else { 220 }; 3]);
-        m4_io::image::write_rgb(&path, &picture).unwrap();
+        let image = Plane::from_fn(400, 300, |x, _| [if x < 200 { 20 } else { 220 }; 3]);
+        m4_io::image::write_rgb(&path, &image).unwrap();
         let jpeg = std::fs::read(&path).unwrap();
         let mut with_exif = jpeg[..2].to_vec();
         with_exif.extend([0xff, 0xe1]);

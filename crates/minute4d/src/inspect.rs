@@ -7,7 +7,7 @@ use crate::{Error, Observer, hash, is_capture};
 use m4_core::{Capture, CompactMask, Scene};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::reach::Reach;
-use m4_io::scene_file;
+use m4_io::scene::safetensors;
 use m4_io::video::VideoOptions;
 use serde::Serialize;
 use std::fmt;
@@ -157,7 +157,7 @@ fn run_facts(path: &Path, record: RunRecord) -> Result<Inspection, Error> {
 }
 
 fn scene_facts(path: &Path) -> Result<SceneFacts, Error> {
-    let file = scene_file::read(path)?;
+    let file = safetensors::read(path)?;
     let scene: &Scene = &file.scene;
     let splats = &scene.splats;
     let layout = splats.layout();

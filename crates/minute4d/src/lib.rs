@@ -67,7 +67,6 @@ pub use settings::Settings;
 pub use m4_core as core;
 pub use m4_core::{Progress, Silent};
 pub use m4_eval as eval;
-pub use m4_formats as formats;
 pub use m4_geometry as reconstruction;
 #[cfg(feature = "gpu")]
 pub use m4_gpu as gpu;

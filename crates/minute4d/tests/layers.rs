@@ -3,7 +3,7 @@
 use crate::lifetimes::dynamic;
 use m4_core::{Scene, Silent};
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_io::scene_file;
+use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use minute4d::render::Painter;
 use std::path::PathBuf;
@@ -33,7 +33,7 @@ impl Mean {
 fn own_frames_of_a_run() {
     let runs = std::env::var("MINUTE4D_RUN").expect("MINUTE4D_RUN names the folder of a run");
     for run in runs.split(':').map(PathBuf::from) {
-        let scene = scene_file::read(&run.join("scene.safetensors")).unwrap().scene;
+        let scene = safetensors::read(&run.join("scene.safetensors")).unwrap().scene;
         let capture = capture::read(&run.join("capture"), Split::Train, &CaptureOptions::default(), &Silent).unwrap();
         let dynamic = Scene {
             splats: dynamic(&scene.splats),

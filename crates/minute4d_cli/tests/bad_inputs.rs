@@ -265,10 +265,10 @@ fn inconsistent_captures_are_rejected() {
     spoil(66, &["frame 3", "gone.png"], &|list, _| {
         list["frames"][3]["file_path"] = json!("train/gone.png")
     });
-    spoil(65, &["frame 4", "64 x 48", "600"], &|list, _| {
+    spoil(65, &["frame 4", "w = 600", "has 64"], &|list, _| {
         list["frames"][4]["w"] = json!(600)
     });
-    spoil(65, &["distortion", "k1"], &|list, _| list["k1"] = json!(0.2));
+    spoil(65, &["k4 = 0.2"], &|list, _| list["k4"] = json!(0.2));
     spoil(65, &["lists no frames"], &|list, _| list["frames"] = json!([]));
     spoil(65, &["frame 1", "time"], &|list, _| {
         list["frames"][1]["time"] = json!(7)

@@ -4,7 +4,7 @@
 use crate::common::{Scratch, refused, succeed};
 use m4_testkit::{SceneSpec, moving_scene, random_camera, random_splats};
 use minute4d::core::{Column, Exposure, Intrinsics, Scene, SourceFrame, SplatLayout};
-use minute4d::io::scene_file;
+use minute4d::io::scene::safetensors;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fs;
@@ -34,7 +34,7 @@ fn write_scene(dir: &Scratch, mip: bool) {
         source: made.cameras.into_iter().enumerate().map(frame).collect(),
     };
     fs::create_dir_all(dir.path("out")).unwrap();
-    scene_file::write(&dir.path("out/scene.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
+    safetensors::write(&dir.path("out/scene.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
 }
 
 fn number(value: &Value) -> f64 {
@@ -70,10 +70,8 @@ fn every_format_renders_like_its_source_scene() {
         }
         refused(&["export", &out, "--format", format], 73, &["--force"]);
     }
-    for (format, file) in [("colmap", "colmap/sparse/0"), ("nerfstudio", "transforms.json")] {
-        let report = succeed(&["export", &out, "--format", format, "--json"]).result();
-        assert_eq!(report["path"], dir.at(&format!("out/{file}")));
-        assert!(number(&report["bytes"]) > 1000.0 && report["comparison"].is_null());
+    for format in ["colmap", "nerfstudio"] {
+        refused(&["export", &out, "--format", format], 65, &[format, "stores captures"]);
     }
     // 17 numbers per splat, besides the header
     let still = succeed(&["export", &out, "--format", "ply", "--force", "--no-compare", "--json"]).result();
@@ -204,7 +202,7 @@ fn static_ply_of_another_program_gets_cameras() {
         near: 0.01,
         source: Vec::new(),
     };
-    scene_file::write(&dir.path("a.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
+    safetensors::write(&dir.path("a.safetensors"), &scene, None, &BTreeMap::new()).unwrap();
     // without cameras there is nothing to compare from, and no clip
     let report = succeed(&[
         "export",

@@ -96,7 +96,7 @@ fn invalid_requests_are_rejected_with_a_hint() {
         (
             vec!["import", &empty, "-o", &out, "--format", "megasam"],
             65,
-            "no array `images`",
+            "the array `images` is missing",
         ),
         (
             vec!["import", &ply, "-o", &out, "--fps", "3"],

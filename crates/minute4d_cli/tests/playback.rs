@@ -7,7 +7,7 @@ use minute4d::core::{
     Camera, Intrinsics, RgbImage, Scene, Se3,
     nalgebra::{Matrix3, Vector3},
 };
-use minute4d::io::scene_file;
+use minute4d::io::scene::safetensors;
 use minute4d::kernels::SimdLevel;
 use minute4d::render::Painter;
 use serde_json::Value;
@@ -123,7 +123,7 @@ fn playback_images_match_their_time() {
     write_clip(&dir.path("capture"), SIZE, FRAMES, FPS);
     let trained = train(&dir.at("capture"), &dir.at("out"), "300", &[]);
     assert_eq!(trained.code, 0, "{}", trained.stderr);
-    let scene = scene_file::read(&dir.path("out/scene.safetensors")).unwrap().scene;
+    let scene = safetensors::read(&dir.path("out/scene.safetensors")).unwrap().scene;
     let kept: Vec<u32> = (0..scene.splats.n_static() as u32).collect();
     let without = Scene {
         splats: scene.splats.gather(&kept).unwrap(),

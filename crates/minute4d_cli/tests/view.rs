@@ -3,7 +3,7 @@
 
 use crate::common::{Running, Scratch, program, refused, succeed, text, train, write_capture};
 use m4_testkit::{Chromium, find_chromium};
-use minute4d::io::scene_file;
+use minute4d::io::scene::safetensors;
 use minute4d::page::page;
 use minute4d::page::payload::decode;
 use serde_json::Value;
@@ -111,7 +111,7 @@ fn run_writes_a_page_with_its_scene() {
     assert_eq!(record["files"]["viewer.html"]["bytes"], html.len());
     assert!(record["stages"]["viewer"]["seconds"].as_f64().unwrap() > 0.0);
     let held = page::read(&html).unwrap();
-    let scene = scene_file::read(&dir.path("out/scene.safetensors")).unwrap().scene;
+    let scene = safetensors::read(&dir.path("out/scene.safetensors")).unwrap().scene;
     let splats = decode(&held.payload.unwrap()).unwrap();
     // invisible ones are left out
     assert!(splats.n() <= scene.splats.n() && splats.n() > scene.splats.n() / 2);

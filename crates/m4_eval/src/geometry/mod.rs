@@ -5,19 +5,16 @@
 //! rotation that fits them best (chordal mean, over camera axes: a nearly straight path leaves the
 //! rotation about itself undetermined), and depth after one factor for the whole clip (the median
 //! of truth / estimate over static pixels). [`evaluate`] does all of it;
-//! [`absolute_error`] and [`relative_error`] are the figures of the program `evo`, which papers on SLAM print; [`llff_truth`] reads camera
-//! truth in the LLFF layout.
+//! [`absolute_error`] and [`relative_error`] are the figures of the program `evo`, which papers on SLAM print.
 
 mod depth;
 mod error;
-mod llff;
 mod matching;
 mod pose_error;
 mod report;
 mod trajectory;
 
 pub use error::GeometryError;
-pub use llff::{LlffError, llff_truth};
 pub use matching::Matching;
 pub use pose_error::{AbsoluteError, ErrorStatistics, PathAlignment, RelativeError, absolute_error, relative_error};
 pub use report::{DepthError, GeometryReport, MaskScore, evaluate};

@@ -8,18 +8,15 @@ use std::path::Path;
 /// What is asked for where memory is limited, bytes.
 const MUCH: usize = 1 << 40;
 
-fn harmful(path: &Path) -> bool {
+fn fails_on(path: &Path) -> bool {
     std::fs::read(path).is_ok_and(|bytes| bytes.starts_with(b"!"))
 }
 
-fn broken(name: &'static str, harm: fn() -> Outcome) -> Reader {
+fn broken(name: &'static str, failure: fn() -> Outcome) -> Reader {
     let seeds = || vec![b"sound".to_vec(), b"!".to_vec(), b"sound too".to_vec()];
-    alone(
-        name,
-        "file",
-        seeds,
-        move |path| if harmful(path) { harm() } else { Outcome::Read },
-    )
+    alone(name, "file", seeds, move |path| {
+        if fails_on(path) { failure() } else { Outcome::Read }
+    })
 }
 
 pub fn rows() -> Vec<Reader> {
@@ -34,6 +31,6 @@ pub fn rows() -> Vec<Reader> {
             Outcome::Refused(format!("{} bytes", black_box(all).len()))
         }),
         broken("broken-message", || Outcome::Refused("long ".repeat(1000))),
-        broken("broken-unsound", || Outcome::Unsound("what was read".into())),
+        broken("broken-invalid", || Outcome::Invalid("what was read".into())),
     ]
 }

@@ -1,22 +1,22 @@
-//! Readers of `m4_import`: one row for each file that a format parses, in an otherwise valid clip.
+//! Readers of data sets: one row for each file that a format parses, in an otherwise valid clip.
 
 use super::{among, within};
-use crate::dress::Dress;
 use crate::fixture::{copy, fixture};
 use crate::reader::{Around, Outcome, Reader};
-use crate::sound;
+use crate::valid;
+use crate::wrap::Wrap;
 use m4_core::Silent;
-use m4_import::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
-use m4_import::{ImportOptions, formats::davis};
+use m4_io::dataset::SourceFormat::{self, Colmap, Dycheck, Megasam, Nerfstudio, Nvidia, Record3d, Vipe};
+use m4_io::dataset::{ImportOptions, davis};
 use m4_io::reach::Reach;
 use m4_io::video::VideoOptions;
 use std::path::Path;
 
-/// Reads a clip, and looks at what else it could be taken for.
+/// Reads a clip, and detects its format.
 pub fn clip(path: &Path, format: SourceFormat, options: &ImportOptions) -> Outcome {
-    let _ = m4_import::detect(path);
-    Outcome::of(m4_import::read(path, format, options, &Silent), |found| {
-        sound::capture(&found.train).or_else(|| found.test.as_ref().and_then(sound::capture))
+    let _ = m4_io::dataset::detect(path);
+    Outcome::of(m4_io::dataset::read(path, format, options, &Silent), |found| {
+        valid::capture(&found.train).or_else(|| found.test.as_ref().and_then(valid::capture))
     })
 }
 
@@ -25,18 +25,14 @@ fn plain(name: &'static str, format: SourceFormat, source: &str, file: &str) -> 
     let reader = among(name, &format!("import/{source}"), file, move |p| {
         clip(p, format, &ImportOptions::default())
     });
-    let dress = if file.ends_with(".png") {
-        Dress::Png
-    } else {
-        Dress::Plain
-    };
-    Reader { dress, ..reader }
+    let wrap = if file.ends_with(".png") { Wrap::Png } else { Wrap::Plain };
+    Reader { wrap, ..reader }
 }
 
 /// A file of a fixture whose images lie elsewhere.
-fn pictured(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
+fn with_images(name: &'static str, format: SourceFormat, source: &str, file: &str) -> Reader {
     let options = ImportOptions {
-        pictures: Some(fixture("import/clip/images")),
+        images: Some(fixture("import/clip/images")),
         ..ImportOptions::default()
     };
     among(name, &format!("import/{source}"), file, move |p| {
@@ -50,28 +46,34 @@ fn member(name: &'static str, format: SourceFormat, source: &str, file: &str, in
 }
 
 pub fn rows() -> Vec<Reader> {
-    [cameras_of_tools(), archives_of_tools(), telephones(), data_sets()]
-        .into_iter()
-        .flatten()
-        .collect()
+    [
+        cameras_of_tools(),
+        archives_of_tools(),
+        megasam(),
+        phones(),
+        data_sets(),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
 }
 
 fn cameras_of_tools() -> Vec<Reader> {
     vec![
-        pictured(
+        with_images(
             "import-colmap-cameras-txt",
             Colmap,
             "colmap_text",
             "sparse/0/cameras.txt",
         ),
-        pictured("import-colmap-images-txt", Colmap, "colmap_text", "sparse/0/images.txt"),
-        pictured(
+        with_images("import-colmap-images-txt", Colmap, "colmap_text", "sparse/0/images.txt"),
+        with_images(
             "import-colmap-cameras-bin",
             Colmap,
             "colmap_binary",
             "sparse/0/cameras.bin",
         ),
-        pictured(
+        with_images(
             "import-colmap-images-bin",
             Colmap,
             "colmap_binary",
@@ -88,7 +90,7 @@ fn cameras_of_tools() -> Vec<Reader> {
         plain("import-nerfstudio-depth", Nerfstudio, "nerfstudio", "depth/2.png"),
         plain("import-nerfstudio-mask", Nerfstudio, "nerfstudio", "masks/2.png"),
         plain(
-            "import-nerfstudio-picture",
+            "import-nerfstudio-image",
             Nerfstudio,
             "nerfstudio",
             "images/frame_2.jpg",
@@ -115,12 +117,26 @@ fn beside_clip(name: &'static str, file: &str) -> Reader {
     }
 }
 
+fn megasam() -> Vec<Reader> {
+    let read = |p: &Path| clip(p, Megasam, &ImportOptions::default());
+    let droid = |name| among(name, "megasam/outputs/dog_droid.npz", "", read);
+    let of_folder = |name, file| among(name, "megasam/reconstructions/dog", file, read);
+    vec![
+        droid("import-megasam"),
+        within("import-megasam-images", "images.npy", droid("")),
+        within("import-megasam-depths", "depths.npy", droid("")),
+        within("import-megasam-intrinsic", "intrinsic.npy", droid("")),
+        within("import-megasam-poses", "cam_c2w.npy", droid("")),
+        among("import-megasam-cvd", "megasam/outputs_cvd/dog_sgd_cvd_hr.npz", "", read),
+        of_folder("import-megasam-folder-images", "images.npy"),
+        of_folder("import-megasam-folder-disps", "disps.npy"),
+        of_folder("import-megasam-folder-poses", "poses.npy"),
+        of_folder("import-megasam-folder-intrinsics", "intrinsics.npy"),
+        of_folder("import-megasam-folder-motion", "motion_prob.npy"),
+    ]
+}
+
 fn archives_of_tools() -> Vec<Reader> {
-    let megasam = || {
-        among("import-megasam", "megasam/outputs/dog_droid.npz", "", |p| {
-            clip(p, Megasam, &ImportOptions::default())
-        })
-    };
     vec![
         plain("import-vipe-pose", Vipe, "vipe", "pose/dog.npz"),
         member("import-vipe-pose-data", Vipe, "vipe", "pose/dog.npz", "data.npy"),
@@ -134,11 +150,10 @@ fn archives_of_tools() -> Vec<Reader> {
         member("import-vipe-mask-png", Vipe, "vipe", "mask/dog.zip", "00002.png"),
         plain("import-vipe-names", Vipe, "vipe", "mask/dog.txt"),
         plain("import-vipe-video", Vipe, "vipe", "rgb/dog.mp4"),
-        megasam(),
     ]
 }
 
-fn telephones() -> Vec<Reader> {
+fn phones() -> Vec<Reader> {
     vec![
         plain("import-record3d", Record3d, "record3d/clip.r3d", ""),
         member(
@@ -162,13 +177,7 @@ fn telephones() -> Vec<Reader> {
             "",
             "rgbd/1.conf",
         ),
-        member(
-            "import-record3d-picture",
-            Record3d,
-            "record3d/clip.r3d",
-            "",
-            "rgbd/1.jpg",
-        ),
+        member("import-record3d-image", Record3d, "record3d/clip.r3d", "", "rgbd/1.jpg"),
         member(
             "import-record3d-large",
             Record3d,
@@ -200,7 +209,7 @@ fn data_sets() -> Vec<Reader> {
         |p| {
             let folder = p.join("JPEGImages/480p/ball");
             let read = davis::read_clip(&folder, &VideoOptions::default(), &Silent);
-            Outcome::of(read, |clip| sound::video(&clip.video))
+            Outcome::of(read, |clip| valid::video(&clip.video))
         },
     );
     vec![
@@ -215,7 +224,7 @@ fn data_sets() -> Vec<Reader> {
         plain("import-nvidia-disparity", Nvidia, "nvidia", "disp/001.npy"),
         plain("import-nvidia-mask", Nvidia, "nvidia", "motion_masks/001.png"),
         Reader {
-            dress: Dress::Png,
+            wrap: Wrap::Png,
             ..annotation
         },
     ]

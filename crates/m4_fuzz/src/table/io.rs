@@ -1,15 +1,14 @@
 //! Readers of `m4_io`.
 
 use super::{alone, among, made, within};
-use crate::dress::Dress;
 use crate::fixture::fixture_bytes;
 use crate::reader::{Around, Outcome, Reader};
-use crate::sound;
-use m4_core::{Plane, Silent, SplatLayout};
+use crate::valid;
+use crate::wrap::Wrap;
+use m4_core::{Plane, Silent};
 use m4_io::capture::{self, CaptureOptions, Split};
-use m4_io::megasam::{self, MegasamOptions};
-use m4_io::npy::{Array, ArrayFault, Npz};
-use m4_io::scene_file::{self, ReadSceneError};
+use m4_io::npy::{Array, ArrayError, Npz};
+use m4_io::scene::safetensors::{self, ReadSceneError};
 use m4_io::trajectory;
 use m4_io::video::{self, Mp4Writer, VideoOptions};
 use m4_io::{image, tracks};
@@ -20,38 +19,30 @@ use std::path::{Path, PathBuf};
 const MAX_ARRAY_BYTES: u64 = 64 << 20;
 
 pub fn rows() -> Vec<Reader> {
-    [
-        pictures(),
-        arrays(),
-        paths(),
-        captures(),
-        scenes(),
-        megasam_files(),
-        videos(),
-    ]
-    .into_iter()
-    .flatten()
-    .collect()
+    [images(), arrays(), paths(), captures(), scenes(), videos()]
+        .into_iter()
+        .flatten()
+        .collect()
 }
 
 fn png(reader: Reader) -> Reader {
     Reader {
-        dress: Dress::Png,
+        wrap: Wrap::Png,
         ..reader
     }
 }
 
-fn pictures() -> Vec<Reader> {
+fn images() -> Vec<Reader> {
     let jpegs = || {
         vec![
-            made::picture("a.jpg"),
+            made::image("a.jpg"),
             fixture_bytes("import/nerfstudio/images/frame_1.jpg"),
             with_exif(&fixture_bytes("import/davis/JPEGImages/480p/ball/00001.jpg")),
         ]
     };
     let pngs = || {
         vec![
-            made::picture("a.png"),
+            made::image("a.png"),
             fixture_bytes("import/side/masks_palette/frame8.png"),
         ]
     };
@@ -73,7 +64,7 @@ fn pictures() -> Vec<Reader> {
         let bytes = std::fs::read(p).unwrap_or_default();
         Outcome::of(image::decode_rgb(&bytes, p, 1 << 20), |_| None)
     };
-    let depth = |p: &Path| Outcome::of(image::read_depth(p, 0.001), sound::depth);
+    let depth = |p: &Path| Outcome::of(image::read_depth(p, 0.001), valid::depth);
     let ids = |p: &Path| Outcome::of(image::read_ids(p), |_| None);
     let ids_of_bytes = |p: &Path| {
         let bytes = std::fs::read(p).unwrap_or_default();
@@ -116,7 +107,7 @@ fn with_exif(jpeg: &[u8]) -> Vec<u8> {
 
 fn arrays() -> Vec<Reader> {
     let npys = || {
-        let mut all: Vec<Vec<u8>> = crate::dress::members("megasam/outputs/dog_droid.npz")
+        let mut all: Vec<Vec<u8>> = crate::wrap::members("megasam/outputs/dog_droid.npz")
             .into_iter()
             .filter(|(name, _)| name != "images.npy")
             .map(|(_, bytes)| bytes)
@@ -131,7 +122,7 @@ fn arrays() -> Vec<Reader> {
         alone(
             "io-npy-bytes",
             "a.npy",
-            || vec![crate::dress::members("tracks/numpy.npz")[1].1.clone()],
+            || vec![crate::wrap::members("tracks/numpy.npz")[1].1.clone()],
             bytes,
         ),
         among("io-npz", "tracks/numpy.npz", "", |p| Outcome::of(npz(p), |_| None)),
@@ -139,7 +130,7 @@ fn arrays() -> Vec<Reader> {
             "io-tracks",
             "tracks.npz",
             || vec![made::written("t.npz", |p| tracks::write(p, &made::tracks()))],
-            |p| Outcome::of(tracks::read(p, 2, MAX_ARRAY_BYTES), sound::tracks),
+            |p| Outcome::of(tracks::read(p, 2, MAX_ARRAY_BYTES), valid::tracks),
         ),
         within(
             "io-tracks-coords",
@@ -155,7 +146,7 @@ fn arrays() -> Vec<Reader> {
 }
 
 fn numpy_tracks(path: &Path) -> Outcome {
-    Outcome::of(tracks::read(path, 3, MAX_ARRAY_BYTES), sound::tracks)
+    Outcome::of(tracks::read(path, 3, MAX_ARRAY_BYTES), valid::tracks)
 }
 
 fn npy(path: &Path, whole: bool) -> Result<(), String> {
@@ -176,11 +167,11 @@ fn npz(path: &Path) -> Result<(), String> {
     Ok(())
 }
 
-/// The fault in words; who reads arrays puts it into a message of its own.
-fn said(fault: ArrayFault) -> String {
+/// The message of the error.
+fn said(fault: ArrayError) -> String {
     match fault {
-        ArrayFault::Bad(why) => m4_io::shortened(why),
-        ArrayFault::TooLarge { needed_bytes, .. } => format!("{needed_bytes} bytes"),
+        ArrayError::Bad(why) => m4_io::shortened(why),
+        ArrayError::TooLarge { needed_bytes, .. } => format!("{needed_bytes} bytes"),
     }
 }
 
@@ -196,13 +187,7 @@ fn drain(array: &mut Array<'_>, whole: bool) -> Result<(), String> {
 
 fn paths() -> Vec<Reader> {
     let seeds = || {
-        let texts: [&str; 4] = [
-            r#"{"camera_type": "perspective", "render_height": 100, "render_width": 200, "fps": 24, "seconds": 4, "camera_path": [
-              {"camera_to_world": [1,0,0,1, 0,1,0,0, 0,0,1,0, 0,0,0,1], "fov": 90, "aspect": 2},
-              {"camera_to_world": [0,0,1,2, 1,0,0,3, 0,1,0,4, 0,0,0,1], "fov": 90, "aspect": 2}]}"#,
-            r#"{"render_height": 10, "render_width": 20, "fps": 25, "default_transition_sec": 1.5, "default_fov": 40, "is_cycle": true,
-              "keyframes": [{"matrix": "[1,0,0,0,0,1,0,0,0,0,1,0,9,8,7,1]", "fov": 50, "render_time": 0.5},
-              {"matrix": [0,0,1,2, 1,0,0,3, 0,1,0,4, 0,0,0,1], "override_transition_enabled": true, "override_transition_sec": 0.5}]}"#,
+        let texts: [&str; 2] = [
             r#"{"fl_x": 30, "w": 20, "h": 10, "axes": "opencv", "frames": [
               {"transform_matrix": [[1,0,0,3],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "time": 1.0}]}"#,
             r#"{"format": "minute4d-path", "version": 1, "width": 40, "height": 30, "fps": 24, "back_s": 2, "keyframes": [
@@ -212,7 +197,7 @@ fn paths() -> Vec<Reader> {
         texts.map(|t| t.as_bytes().to_vec()).to_vec()
     };
     vec![alone("io-camera-path", "path.json", seeds, |p| {
-        Outcome::of(trajectory::load(p, 11), sound::trajectory)
+        Outcome::of(trajectory::load(p, 11), valid::trajectory)
     })]
 }
 
@@ -223,15 +208,11 @@ fn of_capture(name: &'static str, file: &str, split: Split) -> Reader {
         file: file.to_owned(),
         given: String::new(),
         around: Around::Made(made::capture_into),
-        dress: if file.ends_with(".png") {
-            Dress::Png
-        } else {
-            Dress::Plain
-        },
+        wrap: if file.ends_with(".png") { Wrap::Png } else { Wrap::Plain },
         seeds: Box::new(|file| vec![std::fs::read(file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))]),
         call: Box::new(move |folder| {
             let read = capture::read(folder, split, &CaptureOptions::default(), &Silent);
-            Outcome::of(read, sound::capture)
+            Outcome::of(read, valid::capture)
         }),
     }
 }
@@ -248,73 +229,27 @@ fn scenes() -> Vec<Reader> {
     let seeds = || {
         let write = |degree| {
             let pairs = BTreeMap::from([("a".to_owned(), "b".to_owned())]);
-            made::written("s", |p| scene_file::write(p, &made::scene(degree), None, &pairs))
+            made::written("s", |p| safetensors::write(p, &made::scene(degree), None, &pairs))
         };
         vec![write(0), write(2)]
     };
-    let covariance = || {
-        let mut scene = made::scene(1);
-        scene.splats = m4_testkit::random_splats(
-            1,
-            &scene.source[0].camera,
-            &m4_testkit::SceneSpec {
-                layout: scene.splats.layout(),
-                n_static: 0,
-                n_dynamic: 3,
-                ..m4_testkit::SceneSpec::default()
-            },
-        );
-        vec![made::written("s", |p| scene_file::write_covariance4(p, &scene.splats))]
-    };
-    let layout = SplatLayout {
-        isotropic: false,
-        sh_degree: 1,
-        time_degree: 0,
-    };
-    vec![
-        alone("io-scene-file", "scene.safetensors", seeds, sealed_scene),
-        alone("io-scene-covariance", "c.safetensors", covariance, move |p| {
-            Outcome::of(scene_file::read_covariance4(p, layout), sound::splats)
-        }),
-    ]
+    vec![alone("io-scene-file", "scene.safetensors", seeds, sealed_scene)]
 }
 
 /// Reads a scene file; where only its checksum is wrong, once more with the right one.
 fn sealed_scene(path: &Path) -> Outcome {
-    let read = scene_file::read(path);
+    let read = safetensors::read(path);
     if let Err(ReadSceneError::Checksum { expected, found, .. }) = &read {
         let mut bytes = std::fs::read(path).unwrap_or_default();
         let at = bytes.windows(expected.len()).position(|w| w == expected.as_bytes());
         if let Some(at) = at.filter(|_| expected.len() == found.len()) {
             bytes[at..at + found.len()].copy_from_slice(found.as_bytes());
             if std::fs::write(path, bytes).is_ok() {
-                return Outcome::of(scene_file::read(path), |file| sound::scene(&file.scene));
+                return Outcome::of(safetensors::read(path), |file| valid::scene(&file.scene));
             }
         }
     }
-    Outcome::of(read, |file| sound::scene(&file.scene))
-}
-
-fn megasam_files() -> Vec<Reader> {
-    let read = |p: &Path| Outcome::of(megasam::read(p, &MegasamOptions::default(), &Silent), sound::capture);
-    let droid = move || among("", "megasam/outputs/dog_droid.npz", "", read);
-    let of_folder = |name, file| among(name, "megasam/reconstructions/dog", file, read);
-    vec![
-        Reader {
-            name: "io-megasam-droid",
-            ..droid()
-        },
-        within("io-megasam-images", "images.npy", droid()),
-        within("io-megasam-depths", "depths.npy", droid()),
-        within("io-megasam-intrinsic", "intrinsic.npy", droid()),
-        within("io-megasam-poses", "cam_c2w.npy", droid()),
-        among("io-megasam-cvd", "megasam/outputs_cvd/dog_sgd_cvd_hr.npz", "", read),
-        of_folder("io-megasam-folder-images", "images.npy"),
-        of_folder("io-megasam-folder-disps", "disps.npy"),
-        of_folder("io-megasam-folder-poses", "poses.npy"),
-        of_folder("io-megasam-folder-intrinsics", "intrinsics.npy"),
-        of_folder("io-megasam-folder-motion", "motion_prob.npy"),
-    ]
+    Outcome::of(read, |file| valid::scene(&file.scene))
 }
 
 /// Nothing but what is decoded here, and few frames.
@@ -338,7 +273,7 @@ fn videos() -> Vec<Reader> {
         });
         vec![ours, fixture_bytes("import/vipe/rgb/dog.mp4")]
     };
-    let read = |p: &Path| Outcome::of(video::read(p, &own_video(), &Silent), sound::video);
+    let read = |p: &Path| Outcome::of(video::read(p, &own_video(), &Silent), valid::video);
     vec![
         alone("io-mp4", "a.mp4", seeds, read),
         png(among("io-video-folder", "import/clip/images", "00002.png", read)),

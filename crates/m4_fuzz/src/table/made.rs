@@ -14,9 +14,9 @@ pub fn written<T, E: fmt::Display>(name: &str, write: impl FnOnce(&Path) -> Resu
     let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("no temporary folder: {e}"));
     let path = folder.path().join(name);
     if let Err(e) = write(&path) {
-        panic!("cannot write the sound {name}: {e}");
+        panic!("cannot write the valid {name}: {e}");
     }
-    fs::read(&path).unwrap_or_else(|e| panic!("cannot read the sound {name}: {e}"))
+    fs::read(&path).unwrap_or_else(|e| panic!("cannot read the valid {name}: {e}"))
 }
 
 /// Few splats, of harmonics of that degree.
@@ -35,7 +35,7 @@ pub fn scene(sh_degree: usize) -> Scene {
 }
 
 /// Two posed frames of 12 x 8 pixels with all that a capture can have.
-fn clip() -> Capture {
+pub fn clip() -> Capture {
     let frame = |i: usize| CaptureFrame {
         name: format!("{i}.png"),
         camera: Camera {
@@ -77,7 +77,7 @@ pub fn capture_into(folder: &Path) {
 }
 
 /// A small image as a PNG file (of `name.png`) or a JPEG file.
-pub fn picture(name: &str) -> Vec<u8> {
-    let picture = Plane::from_fn(24, 18, |x, y| [x as u8 * 9, y as u8 * 11, (x * y) as u8]);
-    written(name, |path| m4_io::image::write_rgb(path, &picture))
+pub fn image(name: &str) -> Vec<u8> {
+    let image = Plane::from_fn(24, 18, |x, y| [x as u8 * 9, y as u8 * 11, (x * y) as u8]);
+    written(name, |path| m4_io::image::write_rgb(path, &image))
 }

@@ -6,7 +6,7 @@
 //! import    clips of other tools: one row for each file that is parsed
 //! side      depth, masks and tracks that are given with a clip
 //! program   settings, records, manifests of batches and records of their jobs
-//! broken    readers that do harm, for the tests of those who look for it
+//! broken    readers that fail, for the tests of the watcher
 //! ```
 
 mod broken;
@@ -17,9 +17,9 @@ mod made;
 mod program;
 mod side;
 
-use crate::dress::Dress;
 use crate::fixture::fixture_bytes;
 use crate::reader::{Around, Outcome, Reader};
+use crate::wrap::Wrap;
 use std::path::Path;
 
 /// Every reader, in the order of the crates; names are unique.
@@ -52,7 +52,7 @@ pub fn of_family(family: &str) -> Vec<Reader> {
     readers().into_iter().filter(|r| r.family() == family).collect()
 }
 
-/// Readers that do harm, each in its own way: what looks for harm has to find it in them.
+/// Readers that fail, each in its own way: what looks for failures has to find it in them.
 #[must_use]
 pub fn broken_readers() -> Vec<Reader> {
     broken::rows()
@@ -76,7 +76,7 @@ fn alone(
         file: file.to_owned(),
         given: file.to_owned(),
         around: Around::Nothing,
-        dress: Dress::Plain,
+        wrap: Wrap::Plain,
         seeds: Box::new(move |_| seeds()),
         call: Box::new(call),
     }
@@ -103,7 +103,7 @@ fn among(
         file: of(base),
         given: base.to_owned(),
         around: Around::Fixtures(vec![(source.to_owned(), base.to_owned())]),
-        dress: Dress::Plain,
+        wrap: Wrap::Plain,
         seeds: Box::new(move |_| vec![fixture_bytes(&seed)]),
         call: Box::new(call),
     }
@@ -122,12 +122,12 @@ fn within(name: &'static str, member: &'static str, of: Reader) -> Reader {
         }
         _ => panic!("{name} is within no fixture"),
     };
-    let dress = Dress::member(&archive, member);
+    let wrap = Wrap::member(&archive, member);
     Reader {
         name,
-        dress,
+        wrap,
         seeds: Box::new(move |_| {
-            let all = crate::dress::members(&archive);
+            let all = crate::wrap::members(&archive);
             all.into_iter()
                 .filter(|(n, _)| n == member)
                 .map(|(_, bytes)| bytes)

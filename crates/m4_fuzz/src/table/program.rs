@@ -47,11 +47,11 @@ fn below(
 }
 
 fn json(value: &impl Serialize) -> Vec<u8> {
-    serde_json::to_vec_pretty(value).unwrap_or_else(|e| panic!("a sound value: {e}"))
+    serde_json::to_vec_pretty(value).unwrap_or_else(|e| panic!("a valid value: {e}"))
 }
 
 fn settings() -> Vec<Vec<u8>> {
-    let text = |s: Settings| s.to_toml().unwrap_or_else(|e| panic!("sound settings: {e}"));
+    let text = |s: Settings| s.to_toml().unwrap_or_else(|e| panic!("valid settings: {e}"));
     vec![
         text(Settings::fast()).into_bytes(),
         text(Settings::faithful()).into_bytes(),
@@ -69,7 +69,7 @@ fn input() -> Input {
 fn runs() -> Vec<Vec<u8>> {
     let device = Device::here(minute4d::kernels::SimdLevel::best(), None);
     let record = RunRecord::begin(input(), &Settings::fast(), device);
-    vec![json(&record.unwrap_or_else(|e| panic!("a sound record: {e}")))]
+    vec![json(&record.unwrap_or_else(|e| panic!("a valid record: {e}")))]
 }
 
 fn geometries() -> Vec<Vec<u8>> {

@@ -2,16 +2,16 @@
 
 use super::import::clip;
 use super::{alone, among, within};
-use crate::dress::Dress;
 use crate::fixture::{fixture, fixture_bytes};
 use crate::reader::{Outcome, Reader};
-use crate::sound;
-use m4_import::side::depth::{decode_exr, decode_pfm, read_depth};
-use m4_import::side::mask::read_mask;
-use m4_import::{ImportOptions, SourceFormat};
+use crate::valid;
+use crate::wrap::Wrap;
+use m4_io::dataset::side::depth::{decode_exr, decode_pfm, read_depth};
+use m4_io::dataset::side::mask::read_mask;
+use m4_io::dataset::{ImportOptions, SourceFormat};
 use std::path::{Path, PathBuf};
 
-/// A sound clip with side files.
+/// A valid clip with side files.
 fn beside(change: impl FnOnce(&mut ImportOptions)) -> Outcome {
     let mut options = ImportOptions {
         depth_unit: Some(0.0005),
@@ -50,7 +50,7 @@ fn contents(files: &'static [&'static str]) -> impl Fn() -> Vec<Vec<u8>> + Send 
 }
 
 fn one_map(path: &Path) -> Outcome {
-    Outcome::of(read_depth(path, 0.001), sound::depth)
+    Outcome::of(read_depth(path, 0.001), valid::depth)
 }
 
 pub fn rows() -> Vec<Reader> {
@@ -62,10 +62,10 @@ pub fn rows() -> Vec<Reader> {
     let jpegs = || vec![fixture_bytes("import/nerfstudio/images/frame_1.jpg")];
     vec![
         alone("side-exr", "a.exr", contents(exrs), move |p| {
-            Outcome::of(decode_exr(&bytes(p)), sound::map)
+            Outcome::of(decode_exr(&bytes(p)), valid::map)
         }),
         alone("side-pfm", "a.pfm", contents(pfms), move |p| {
-            Outcome::of(decode_pfm(&bytes(p)), sound::map)
+            Outcome::of(decode_pfm(&bytes(p)), valid::map)
         }),
         alone(
             "side-depth",
@@ -74,7 +74,7 @@ pub fn rows() -> Vec<Reader> {
             one_map,
         ),
         Reader {
-            dress: Dress::Png,
+            wrap: Wrap::Png,
             ..alone("side-depth-png", "a.png", contents(&["depth_png/frame8.png"]), one_map)
         },
         given("side-depth-stack", "depth.npz", "", depth),
@@ -85,7 +85,7 @@ pub fn rows() -> Vec<Reader> {
         ),
         given("side-depth-folder", "depth_npy", "frame9.npy", depth),
         Reader {
-            dress: Dress::Png,
+            wrap: Wrap::Png,
             ..alone("side-mask-png", "a.png", contents(pngs), seen)
         },
         alone("side-mask-jpeg", "a.jpg", jpegs, seen),

@@ -45,10 +45,10 @@ impl Split {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CaptureOptions {
-    /// Bytes that the decoded frames (8 a pixel: colour, depth and mask) may take before reading is
+    /// Bytes that the decoded frames (about 5 per pixel: colour, depth and mask) may take before reading is
     /// refused, and each array of the tracks. Default 4 GiB: half of the memory of a small laptop.
     pub max_memory_bytes: u64,
-    /// Which files the list of frames may name. No setting of a file: who starts the program decides.
+    /// Which files the list of frames may name. Not a setting: only the command line can allow more.
     #[serde(skip)]
     pub reach: Reach,
 }

@@ -10,7 +10,7 @@ const EXACT_WITHIN: f64 = 1e-6;
 /// Why a matrix is no pose.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum PoseFault {
+pub enum PoseError {
     /// Not 4 rows (or 3, without the last) of 4 numbers.
     #[error("has {rows} rows of {columns} numbers where 4 rows of 4 were expected")]
     Shape {
@@ -56,11 +56,11 @@ impl Pose {
     ///
     /// # Errors
     ///
-    /// [`PoseFault`], in words that follow the name of the matrix.
-    pub fn from_rows<R: AsRef<[f64]>>(rows: &[R]) -> Result<Self, PoseFault> {
+    /// [`PoseError`], in words that follow the name of the matrix.
+    pub fn from_rows<R: AsRef<[f64]>>(rows: &[R]) -> Result<Self, PoseError> {
         let width = rows.iter().map(|r| r.as_ref().len()).find(|&n| n != 4).unwrap_or(4);
         if !(3..=4).contains(&rows.len()) || width != 4 {
-            return Err(PoseFault::Shape {
+            return Err(PoseError::Shape {
                 rows: rows.len(),
                 columns: width,
             });
@@ -68,7 +68,7 @@ impl Pose {
         for (row, values) in rows.iter().enumerate() {
             for (column, &value) in values.as_ref().iter().enumerate() {
                 if !value.is_finite() {
-                    return Err(PoseFault::NotFinite { row, column, value });
+                    return Err(PoseError::NotFinite { row, column, value });
                 }
             }
         }
@@ -77,14 +77,14 @@ impl Pose {
             let last = [at(3, 0), at(3, 1), at(3, 2), at(3, 3)];
             let off = [last[0], last[1], last[2], last[3] - 1.0];
             if off.iter().any(|v| v.abs() > EXACT_WITHIN) {
-                return Err(PoseFault::LastRow { row: last });
+                return Err(PoseError::LastRow { row: last });
             }
         }
         let rotation = Matrix3::from_fn(at);
         let off = (rotation.transpose() * rotation - Matrix3::identity()).amax();
         let determinant = rotation.determinant();
         if off > ORTHONORMAL_WITHIN || determinant < 0.0 {
-            return Err(PoseFault::NotRotation { determinant, off });
+            return Err(PoseError::NotRotation { determinant, off });
         }
         Ok(Self(Se3 {
             rotation: if off > EXACT_WITHIN {
@@ -108,7 +108,7 @@ fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Pose, PoseFault};
+    use super::{Pose, PoseError};
     use m4_core::{Se3, nalgebra::Matrix3, nalgebra::Vector6};
 
     fn rows(pose: &Se3<f64>) -> Vec<Vec<f64>> {
@@ -138,11 +138,11 @@ mod tests {
         let mut transposed = rows(&Se3::identity());
         transposed[3][0] = 5.0;
         let is = |m: &[Vec<f64>]| Pose::from_rows(m).err().unwrap();
-        assert!(matches!(is(&mirrored), PoseFault::NotRotation { determinant, .. } if determinant == -1.0));
+        assert!(matches!(is(&mirrored), PoseError::NotRotation { determinant, .. } if determinant == -1.0));
         assert!(is(&scaled).to_string().contains("determinant 8.0"));
-        assert!(matches!(is(&transposed), PoseFault::LastRow { .. }));
-        assert!(matches!(is(&scaled[..2]), PoseFault::Shape { rows: 2, .. }));
+        assert!(matches!(is(&transposed), PoseError::LastRow { .. }));
+        assert!(matches!(is(&scaled[..2]), PoseError::Shape { rows: 2, .. }));
         scaled[1][2] = f64::NAN;
-        assert!(matches!(is(&scaled), PoseFault::NotFinite { row: 1, column: 2, .. }));
+        assert!(matches!(is(&scaled), PoseError::NotFinite { row: 1, column: 2, .. }));
     }
 }

@@ -1,7 +1,7 @@
 //! Writes a [`Capture`] as a folder of posed frames.
 
-use super::json::{Frame, Lens, Transforms};
 use super::{Axes, Split, WriteCaptureError};
+use crate::dataset::nerfstudio::{Frame, LensKeys, Transforms, rows};
 use crate::{atomic, image, tracks};
 use m4_core::{Capture, CaptureFrame, Progress};
 use rayon::prelude::*;
@@ -23,7 +23,7 @@ const MAX_STEPS: f64 = 65535.0;
 ///
 /// # Errors
 ///
-/// [`WriteCaptureError`] when the file system refuses, a pose or time is not a number, or the caller
+/// [`WriteCaptureError`] when the file system refuses, a pose or time is NaN, or the caller
 /// asked to stop.
 pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Progress) -> Result<(), WriteCaptureError> {
     let list = folder.join(split.file_name());
@@ -59,7 +59,7 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
             if progress.cancelled() {
                 return Err(WriteCaptureError::Cancelled { path: list.clone() });
             }
-            let clipped = pictures(folder, frame, entry, unit)?;
+            let clipped = images(folder, frame, entry, unit)?;
             progress.update("write frames", done.fetch_add(1, Ordering::Relaxed) + 1, total, "");
             if let (Some(path), Some(motion)) = (&entry.motion_path, &frame.motion) {
                 image::write_grey(&folder.join(path), motion)?;
@@ -85,15 +85,18 @@ pub fn write(folder: &Path, capture: &Capture, split: Split, progress: &dyn Prog
     }
 
     let transforms = Transforms {
-        camera_model: Some("OPENCV".to_owned()),
-        lens: Lens::default(),
+        lens: LensKeys {
+            camera_model: Some("OPENCV".to_owned()),
+            ..LensKeys::default()
+        },
         depth_unit_scale_factor: Some(unit),
-        axes: Axes::OpenGl,
-        metric: capture.metric,
+        axes: Some(Axes::OpenGl),
+        metric: Some(capture.metric),
         duration_s: capture.duration_s,
         time_frames: (split == Split::Test).then_some(capture.time_frames),
         tracks_path,
         frames,
+        ..Transforms::default()
     };
     let text = serde_json::to_vec_pretty(&transforms).map_err(|e| io(e.into()))?;
     atomic::write(&list, &text).map_err(io)
@@ -119,11 +122,10 @@ fn entry(
         return Err(bad(format!("t = {}; 0 to {last} frames were expected", frame.t)));
     }
     let k = &frame.camera.intrinsics;
-    let pose = Axes::OpenGl.to_opencv(&frame.camera.c2w).matrix();
     let numbers = [k.fx, k.fy, k.cx, k.cy];
-    if !pose.iter().chain(&numbers).all(|v| v.is_finite()) {
+    if !frame.camera.c2w.matrix().iter().chain(&numbers).all(|v| v.is_finite()) {
         return Err(bad(format!(
-            "its camera holds a value that is not a number: {:?}",
+            "its camera holds a NaN or infinite value: {:?}",
             frame.camera
         )));
     }
@@ -134,33 +136,23 @@ fn entry(
             k.width, k.height
         )));
     }
-    let [picture, depth, mask, motion, instances] = split.folders().map(|folder| format!("{folder}/{index:05}.png"));
+    let [image, depth, mask, motion, instances] = split.folders().map(|folder| format!("{folder}/{index:05}.png"));
     Ok(Frame {
-        file_path: Some(picture),
+        file_path: image,
         depth_file_path: frame.depth.as_ref().map(|_| depth),
         mask_path: frame.mask.as_ref().map(|_| mask),
         motion_path: frame.motion.as_ref().map(|_| motion),
         instance_path: frame.instances.as_ref().map(|_| instances),
         time: Some(time),
         camera: frame.camera_index,
-        lens: Lens {
-            fl_x: Some(k.fx),
-            fl_y: Some(k.fy),
-            cx: Some(k.cx),
-            cy: Some(k.cy),
-            w: Some(k.width as f64),
-            h: Some(k.height as f64),
-            ..Lens::default()
-        },
-        transform_matrix: Some((0..4).map(|i| (0..4).map(|j| pose[(i, j)]).collect()).collect()),
+        lens: LensKeys::pinhole(k),
+        transform_matrix: Some(rows(&frame.camera.c2w)),
     })
 }
 
 /// Writes what belongs to one frame; how many depths were too far.
-fn pictures(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Result<usize, WriteCaptureError> {
-    if let Some(path) = &entry.file_path {
-        image::write_rgb(&folder.join(path), &frame.rgb)?;
-    }
+fn images(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Result<usize, WriteCaptureError> {
+    image::write_rgb(&folder.join(&entry.file_path), &frame.rgb)?;
     let mut clipped = 0;
     if let (Some(path), Some(depth)) = (&entry.depth_file_path, &frame.depth) {
         let depth = depth.to_map();
@@ -174,7 +166,7 @@ fn pictures(folder: &Path, frame: &CaptureFrame, entry: &Frame, unit: f64) -> Re
     Ok(clipped)
 }
 
-/// Scene units a step of the depth maps that [`write()`] makes: the finest with which the farthest depth fits, unless the near would become
+/// Scene units per step of the depth maps that [`write()`] makes: the finest with which the farthest depth fits, unless the near would become
 /// coarse; then the far is clipped.
 pub fn depth_unit(capture: &Capture) -> f64 {
     let mut known: Vec<f32> = capture

@@ -28,7 +28,7 @@ pub enum ReadImageError {
     Damaged {
         /// The file.
         path: PathBuf,
-        /// What the decoder said.
+        /// Message of the decoder.
         reason: String,
     },
     /// The image claims to be larger than the limit.
@@ -98,7 +98,7 @@ pub enum WriteImageError {
     Encode {
         /// The file.
         path: PathBuf,
-        /// What the encoder said.
+        /// Message of the encoder.
         reason: String,
     },
 }

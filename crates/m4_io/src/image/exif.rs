@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_phone_has_26_mm() {
+    fn focal_length_of_26_mm_is_read() {
         // 4:3: the diagonal is 5000 pixels.
         let focal = focal_px(&block(), 4000, 3000).unwrap();
         assert!((focal - 26.0 / 43.266_615 * 5000.0).abs() < 1e-9);

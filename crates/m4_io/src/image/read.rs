@@ -127,7 +127,7 @@ pub fn size(path: &Path) -> Result<(usize, usize), ReadImageError> {
 ///
 /// # Errors
 ///
-/// [`ReadImageError`] if it is not a whole PNG or JPEG image, or is larger.
+/// [`ReadImageError`] if it is not a complete PNG or JPEG image, or is larger.
 pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImage, ReadImageError> {
     let reader = ImageReader::new(Cursor::new(bytes));
     let reader = reader.with_guessed_format().map_err(|source| ReadImageError::Io {
@@ -160,7 +160,7 @@ pub fn decode_rgb(bytes: &[u8], name: &Path, most_pixels: u64) -> Result<RgbImag
 ///
 /// # Errors
 ///
-/// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
+/// [`ReadImageError`] if there is no such file or it is not a complete PNG or JPEG image.
 pub fn read_rgb(path: &Path) -> Result<RgbImage, ReadImageError> {
     rgb(path, decode(path)?)
 }
@@ -178,7 +178,7 @@ pub struct Photo {
 ///
 /// # Errors
 ///
-/// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
+/// [`ReadImageError`] if there is no such file or it is not a complete PNG or JPEG image.
 pub fn read_photo(path: &Path) -> Result<Photo, ReadImageError> {
     let mut decoder = open(path)?;
     let (width, height) = decoder.dimensions();
@@ -228,7 +228,7 @@ pub fn read_depth(path: &Path, unit: f64) -> Result<CompactDepth, ReadImageError
     }
 }
 
-/// Reads a map of which thing each pixel shows: a greyscale PNG of 8 or 16 bits, whose values are the numbers.
+/// Reads object ids per pixel: a greyscale PNG of 8 or 16 bits, whose values are the numbers.
 ///
 /// # Errors
 ///
@@ -280,7 +280,7 @@ fn is_png(path: &Path) -> Result<bool, ReadImageError> {
 ///
 /// # Errors
 ///
-/// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
+/// [`ReadImageError`] if there is no such file or it is not a complete PNG or JPEG image.
 pub fn read_mask(path: &Path) -> Result<CompactMask, ReadImageError> {
     Ok(read_grey(path)?.into())
 }
@@ -289,7 +289,7 @@ pub fn read_mask(path: &Path) -> Result<CompactMask, ReadImageError> {
 ///
 /// # Errors
 ///
-/// [`ReadImageError`] if there is no such file or it is not a whole PNG or JPEG image.
+/// [`ReadImageError`] if there is no such file or it is not a complete PNG or JPEG image.
 pub fn read_grey(path: &Path) -> Result<Plane<u8>, ReadImageError> {
     let grey = decode(path)?.into_luma8();
     let (width, height) = grey.dimensions();
@@ -304,12 +304,10 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn bytes_are_a_picture_within_the_limit_or_refused() {
+    fn decode_rgb_enforces_pixel_limit() {
         let mut bytes = Vec::new();
-        let picture = RgbImage::from_fn(5, 3, |x, y| image::Rgb([x as u8, y as u8, 77]));
-        picture
-            .write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png)
-            .unwrap();
+        let image = RgbImage::from_fn(5, 3, |x, y| image::Rgb([x as u8, y as u8, 77]));
+        image.write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png).unwrap();
         let decode = |bytes: &[u8], most| decode_rgb(bytes, Path::new("a.png"), most);
         let read = decode(&bytes, 15).unwrap();
         assert_eq!((read.size(), read[(4, 2)]), ((5, 3), [4, 2, 77]));

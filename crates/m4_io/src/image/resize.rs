@@ -27,7 +27,7 @@ mod tests {
     use m4_core::Plane;
 
     #[test]
-    fn a_fine_checkerboard_becomes_grey() {
+    fn shrinking_averages_a_fine_checkerboard() {
         let board = Plane::from_fn(64, 64, |x, y| if (x + y) % 2 == 0 { [255; 3] } else { [0; 3] });
         let small = resize_rgb(&board, 16, 16).unwrap();
         assert_eq!(small.size(), (16, 16));
@@ -35,7 +35,7 @@ mod tests {
     }
 
     #[test]
-    fn a_ramp_stays_where_it_is() {
+    fn resizing_keeps_a_ramp_in_place() {
         // Corner-based coordinates: the middle of target pixel x is source coordinate 4 x + 2.
         let ramp = Plane::from_fn(256, 4, |x, _| [x as u8; 3]);
         let small = resize_rgb(&ramp, 64, 1).unwrap();

@@ -92,7 +92,7 @@ pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), WriteImageError> {
     write_grey(path, mask)
 }
 
-/// Writes a map of which thing each pixel shows as a greyscale PNG, of 8 bits while no number is above 255 and of 16 beyond.
+/// Writes object ids per pixel as a greyscale PNG, of 8 bits if no id is above 255, else of 16.
 ///
 /// # Errors
 ///
@@ -128,7 +128,7 @@ mod tests {
     use m4_core::{CompactIds, Plane};
 
     #[test]
-    fn pictures_come_back_as_they_were() {
+    fn png_images_round_trip() {
         let dir = tempfile::tempdir().unwrap();
         let rgb = Plane::from_fn(37, 23, |x, y| [(x * 7) as u8, (y * 11) as u8, (x * y) as u8]);
         let path = dir.path().join("a.png");
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn depth_keeps_unknown_apart_from_near() {
+    fn unknown_depth_stays_distinct_from_near_depth() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("d.png");
         let depth = Plane::from_vec(3, 2, vec![0.0, 1e-9, 1.2344, 65.535, 1e9, f32::NAN]).unwrap();
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_of_things_come_back_exactly() {
+    fn instance_ids_round_trip_exactly() {
         let dir = tempfile::tempdir().unwrap();
         for (name, step) in [("small.png", 15u16), ("large.png", 4000)] {
             let path = dir.path().join(name);

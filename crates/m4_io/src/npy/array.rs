@@ -9,7 +9,7 @@ const MAX_RANK: usize = 8;
 
 /// Why an array cannot be read.
 #[derive(Debug)]
-pub enum ArrayFault {
+pub enum ArrayError {
     /// What is wrong with it, in words that follow "the array".
     Bad(String),
     /// It would take more memory than is allowed.
@@ -100,36 +100,36 @@ impl<'a> Array<'a> {
     ///
     /// # Errors
     ///
-    /// [`ArrayFault`]: no array, numbers of another type, or more of them than there are bytes for.
-    pub fn open(mut reader: impl Read + 'a, most_bytes: u64, limit_bytes: u64) -> Result<Self, ArrayFault> {
-        let header = Header::read(&mut reader).map_err(ArrayFault::Bad)?;
+    /// [`ArrayError`]: no array, numbers of another type, or more of them than there are bytes for.
+    pub fn open(mut reader: impl Read + 'a, most_bytes: u64, limit_bytes: u64) -> Result<Self, ArrayError> {
+        let header = Header::read(&mut reader).map_err(ArrayError::Bad)?;
         let Some((number, big_endian)) = Number::parse(&header.descr) else {
             let types = "booleans, integers and floats are read";
-            return Err(ArrayFault::Bad(format!(
+            return Err(ArrayError::Bad(format!(
                 "holds numbers of type {}; {types}",
                 header.descr
             )));
         };
         if header.shape.len() > MAX_RANK {
-            return Err(ArrayFault::Bad(format!("has {} dimensions", header.shape.len())));
+            return Err(ArrayError::Bad(format!("has {} dimensions", header.shape.len())));
         }
         let needed_bytes = header.len().and_then(|n| n.checked_mul(number.bytes() as u64));
         let needed_bytes = needed_bytes.unwrap_or(u64::MAX);
         if needed_bytes > most_bytes {
-            return Err(ArrayFault::Bad(format!(
+            return Err(ArrayError::Bad(format!(
                 "has shape {:?} of {}, more than the file can hold; it is damaged or cut off",
                 header.shape, header.descr
             )));
         }
         if needed_bytes > limit_bytes {
-            return Err(ArrayFault::TooLarge {
+            return Err(ArrayError::TooLarge {
                 needed_bytes,
                 limit_bytes,
             });
         }
         // with no dimension of 0 each is smaller than the product, which is no larger than the limit
         let shape: Result<Vec<usize>, _> = header.shape.iter().map(|&n| usize::try_from(n)).collect();
-        let shape = shape.map_err(|_| ArrayFault::Bad(format!("has shape {:?}", header.shape)))?;
+        let shape = shape.map_err(|_| ArrayError::Bad(format!("has shape {:?}", header.shape)))?;
         let mut array = Self {
             number,
             shape,
@@ -146,14 +146,14 @@ impl<'a> Array<'a> {
     }
 
     /// The next `n` bytes.
-    fn bytes(&mut self, n: usize) -> Result<Vec<u8>, ArrayFault> {
+    fn bytes(&mut self, n: usize) -> Result<Vec<u8>, ArrayError> {
         let mut bytes = Vec::with_capacity(n);
         let read = (&mut self.reader).take(n as u64).read_to_end(&mut bytes);
         read.map_err(unpacked)?;
         if bytes.len() == n {
             Ok(bytes)
         } else {
-            Err(ArrayFault::Bad(
+            Err(ArrayError::Bad(
                 "ends before all of its numbers; it is damaged or cut off".into(),
             ))
         }
@@ -163,8 +163,8 @@ impl<'a> Array<'a> {
     ///
     /// # Errors
     ///
-    /// [`ArrayFault::Bad`] if there are fewer.
-    pub fn next_u8(&mut self, n: usize) -> Result<Vec<u8>, ArrayFault> {
+    /// [`ArrayError::Bad`] if there are fewer.
+    pub fn next_u8(&mut self, n: usize) -> Result<Vec<u8>, ArrayError> {
         self.bytes(n)
     }
 
@@ -172,8 +172,8 @@ impl<'a> Array<'a> {
     ///
     /// # Errors
     ///
-    /// [`ArrayFault::Bad`] if there are fewer.
-    pub fn next_f64(&mut self, n: usize) -> Result<Vec<f64>, ArrayFault> {
+    /// [`ArrayError::Bad`] if there are fewer.
+    pub fn next_f64(&mut self, n: usize) -> Result<Vec<f64>, ArrayError> {
         let (number, big_endian) = (self.number, self.big_endian);
         let wide = |bytes: &[u8]| match (number, big_endian) {
             (Number::Bool, _) => f64::from(u8::from(bytes[0] != 0)),
@@ -207,19 +207,19 @@ impl<'a> Array<'a> {
     ///
     /// # Errors
     ///
-    /// [`ArrayFault::Bad`].
-    pub fn end(&mut self) -> Result<(), ArrayFault> {
+    /// [`ArrayError::Bad`].
+    pub fn end(&mut self) -> Result<(), ArrayError> {
         let mut one = [0];
         match self.reader.read(&mut one) {
             Ok(0) => Ok(()),
-            Ok(_) => Err(ArrayFault::Bad("continues after all of its numbers".into())),
+            Ok(_) => Err(ArrayError::Bad("continues after all of its numbers".into())),
             Err(e) => Err(unpacked(e)),
         }
     }
 }
 
-fn unpacked(error: io::Error) -> ArrayFault {
-    ArrayFault::Bad(format!("cannot be unpacked ({error}); it is damaged or cut off"))
+fn unpacked(error: io::Error) -> ArrayError {
+    ArrayError::Bad(format!("cannot be unpacked ({error}); it is damaged or cut off"))
 }
 
 /// The `N` bytes of a number: `chunks_exact` gives no other length.
@@ -251,7 +251,7 @@ fn in_c_order(bytes: &[u8], shape: &[usize], width: usize) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Array, ArrayFault, Number};
+    use super::{Array, ArrayError, Number};
     use crate::npy::Header;
 
     fn npy(descr: &str, fortran: bool, shape: &str, numbers: &[u8]) -> Vec<u8> {
@@ -264,7 +264,7 @@ mod tests {
         out
     }
 
-    fn values(bytes: &[u8]) -> Result<Vec<f64>, ArrayFault> {
+    fn values(bytes: &[u8]) -> Result<Vec<f64>, ArrayError> {
         let mut array = Array::open(bytes, bytes.len() as u64, 1 << 20)?;
         let n = array.shape.iter().product();
         let values = array.next_f64(n)?;
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn every_type_and_order_means_the_same() {
+    fn array_types_and_byte_orders_are_equivalent() {
         let flat = |f: &dyn Fn(f32) -> Vec<u8>| (0..6).flat_map(|k| f(k as f32 * 0.5)).collect::<Vec<u8>>();
         let half = |v: f32| half::f16::from_f32(v);
         let cases = [
@@ -321,10 +321,10 @@ mod tests {
     }
 
     #[test]
-    fn sizes_are_compared_before_anything_is_read() {
+    fn mismatched_image_sizes_are_refused() {
         let refused = |bytes: &[u8], limit| match Array::open(bytes, bytes.len() as u64, limit) {
             Ok(_) => panic!("it was taken"),
-            Err(fault) => fault,
+            Err(cause) => cause,
         };
         for shape in [
             "(2, 400)",
@@ -332,21 +332,21 @@ mod tests {
             "(4000000000, 4000000000)",
             "(0, 9999999999999999999999)",
         ] {
-            let fault = refused(&npy("<f8", false, shape, &[0; 24]), u64::MAX);
-            assert!(matches!(fault, ArrayFault::Bad(_)), "{shape}");
+            let cause = refused(&npy("<f8", false, shape, &[0; 24]), u64::MAX);
+            assert!(matches!(cause, ArrayError::Bad(_)), "{shape}");
         }
         let large = npy("|u1", false, "(2, 8)", &[0; 16]);
         assert!(matches!(
             refused(&large, 15),
-            ArrayFault::TooLarge { needed_bytes: 16, .. }
+            ArrayError::TooLarge { needed_bytes: 16, .. }
         ));
-        let ArrayFault::Bad(what) = refused(&npy("|O", false, "(1,)", &[0; 8]), 99) else {
+        let ArrayError::Bad(what) = refused(&npy("|O", false, "(1,)", &[0; 8]), 99) else {
             panic!("objects are not read");
         };
         assert!(what.contains("|O"), "{what}");
         assert!(values(&npy("<f4", false, "(2,)", &[0; 9])).is_err());
         let deep = npy("|u1", false, "(1,1,1,1,1,1,1,1,1)", &[0]);
-        assert!(matches!(refused(&deep, 99), ArrayFault::Bad(_)));
+        assert!(matches!(refused(&deep, 99), ArrayError::Bad(_)));
     }
 
     #[test]

@@ -109,7 +109,7 @@ mod tests {
     use super::Header;
 
     #[test]
-    fn a_header_comes_back() {
+    fn headers_round_trip() {
         for shape in [vec![], vec![7], vec![96, 20_000, 3]] {
             let header = Header::new("<f4", shape);
             let bytes = header.to_bytes();
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn headers_that_are_not_read_say_why() {
+    fn unsupported_headers_name_the_reason() {
         let refused = |bytes: &[u8]| Header::read(&mut &*bytes).unwrap_err();
         assert!(refused(b"PK").contains("ends in its header"));
         assert!(refused(b"\x93NUMPX\x01\x00\x02\x00{}").contains("not an npy"));

@@ -8,12 +8,12 @@
 //! Files are not trusted. A shape is compared with the bytes that the file can hold (for a deflated member: 1032 times
 //! what is packed, the most that deflate can do) before anything of its size is allocated, and pieces are read one by
 //! one. Booleans, integers of 8 to 64 bits and floats of 16, 32 and 64 bits are read, of either byte order; arrays in Fortran order are
-//! turned round. This is done here and not by a crate: `npyz` multiplies a shape without looking for an overflow.
+//! reversed. This is done here and not by a crate: `npyz` multiplies a shape without looking for an overflow.
 
 mod array;
 mod header;
 mod npz;
 
-pub use array::{Array, ArrayFault, Number};
+pub use array::{Array, ArrayError, Number};
 pub(crate) use header::Header;
 pub use npz::Npz;

@@ -1,6 +1,6 @@
 //! Archives of arrays.
 
-use super::{Array, ArrayFault};
+use super::{Array, ArrayError};
 use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::Path;
@@ -57,12 +57,12 @@ impl Npz {
     ///
     /// # Errors
     ///
-    /// [`ArrayFault`].
-    pub fn array(&mut self, name: &str, limit_bytes: u64) -> Result<Option<Array<'_>>, ArrayFault> {
+    /// [`ArrayError`].
+    pub fn array(&mut self, name: &str, limit_bytes: u64) -> Result<Option<Array<'_>>, ArrayError> {
         let member = match self.zip.by_name(&format!("{name}.npy")) {
             Ok(member) => member,
             Err(ZipError::FileNotFound) => return Ok(None),
-            Err(e) => return Err(ArrayFault::Bad(format!("cannot be unpacked ({e})"))),
+            Err(e) => return Err(ArrayError::Bad(format!("cannot be unpacked ({e})"))),
         };
         let packed = member.compressed_size().min(self.file_bytes);
         let most_bytes = match member.compression() {

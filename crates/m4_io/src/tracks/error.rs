@@ -7,19 +7,19 @@ use std::path::PathBuf;
 
 /// Why a file of tracks could not be read.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot read the tracks {}: {fault}", path.display(), fault = shortened(fault))]
+#[error("cannot read the tracks {}: {cause}", path.display(), cause = shortened(cause))]
 #[non_exhaustive]
 pub struct ReadTracksError {
     /// The file.
     pub path: PathBuf,
     /// The fault.
-    pub fault: TracksFault,
+    pub cause: TracksErrorCause,
 }
 
 /// What is wrong with a file of tracks.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum TracksFault {
+pub enum TracksErrorCause {
     /// The file could not be opened or read.
     #[error("{0}; give the file of the capture, or remove `tracks_path` from the list of frames")]
     Io(io::Error),
@@ -73,14 +73,14 @@ impl ReadTracksError {
     /// The sort of this failure.
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
-        match &self.fault {
-            TracksFault::Io(source) => ErrorKind::of_read(source),
-            TracksFault::TooLarge { .. } => ErrorKind::Unsupported,
-            TracksFault::Archive(_)
-            | TracksFault::Missing(_)
-            | TracksFault::Array { .. }
-            | TracksFault::Shape { .. }
-            | TracksFault::Infinite { .. } => ErrorKind::BadData,
+        match &self.cause {
+            TracksErrorCause::Io(source) => ErrorKind::of_read(source),
+            TracksErrorCause::TooLarge { .. } => ErrorKind::Unsupported,
+            TracksErrorCause::Archive(_)
+            | TracksErrorCause::Missing(_)
+            | TracksErrorCause::Array { .. }
+            | TracksErrorCause::Shape { .. }
+            | TracksErrorCause::Infinite { .. } => ErrorKind::BadData,
         }
     }
 }

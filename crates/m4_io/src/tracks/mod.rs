@@ -16,6 +16,6 @@ mod error;
 mod read;
 mod write;
 
-pub use error::{ReadTracksError, TracksFault};
+pub use error::{ReadTracksError, TracksErrorCause};
 pub use read::read;
 pub use write::write;

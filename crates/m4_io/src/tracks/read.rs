@@ -1,6 +1,6 @@
 //! Reads `tracks.npz` as [`Tracks`].
 
-use super::{ReadTracksError, TracksFault};
+use super::{ReadTracksError, TracksErrorCause};
 use crate::npy::Header;
 use m4_core::Tracks;
 use std::fs::File;
@@ -15,26 +15,26 @@ use zip::result::ZipError;
 ///
 /// [`ReadTracksError`]: the file cannot be read, is no such archive, is of another clip, or is too large.
 pub fn read(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, ReadTracksError> {
-    inner(path, frames, limit_bytes).map_err(|fault| ReadTracksError {
+    inner(path, frames, limit_bytes).map_err(|cause| ReadTracksError {
         path: path.to_path_buf(),
-        fault,
+        cause,
     })
 }
 
-fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, TracksFault> {
-    let file = BufReader::new(File::open(path).map_err(TracksFault::Io)?);
-    let mut archive = ZipArchive::new(file).map_err(|e| TracksFault::Archive(e.to_string()))?;
+fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, TracksErrorCause> {
+    let file = BufReader::new(File::open(path).map_err(TracksErrorCause::Io)?);
+    let mut archive = ZipArchive::new(file).map_err(|e| TracksErrorCause::Archive(e.to_string()))?;
 
     let of_clip = |shape: &[u64]| matches!(shape, [f, _, 3] if *f == frames as u64);
     let coords = array(&mut archive, "coords", &["<f4"], limit_bytes, &|shape| {
         (!of_clip(shape)).then(|| format!("({frames} frames, tracks, 3)"))
     })?
-    .ok_or(TracksFault::Missing("coords"))?;
+    .ok_or(TracksErrorCause::Missing("coords"))?;
     let count = coords.shape[1];
     let xyz: Vec<[f32; 3]> = coords.bytes.as_chunks::<12>().0.iter().map(place).collect();
     let tracks = count as usize;
     if let Some(at) = xyz.iter().position(|p| p.iter().any(|v| v.is_infinite())) {
-        return Err(TracksFault::Infinite {
+        return Err(TracksErrorCause::Infinite {
             frame: at / tracks.max(1),
             track: at % tracks.max(1),
         });
@@ -43,7 +43,7 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, TracksF
     let visible = array(&mut archive, "visibs", &byte, limit_bytes, &|shape| {
         (shape != [frames as u64, count]).then(|| format!("({frames} frames, {count} tracks)"))
     })?
-    .ok_or(TracksFault::Missing("visibs"))?;
+    .ok_or(TracksErrorCause::Missing("visibs"))?;
     let colours = array(&mut archive, "colors", &["|u1"], limit_bytes, &|shape| {
         (shape != [count, 3]).then(|| format!("({count} tracks, 3)"))
     })?;
@@ -52,7 +52,7 @@ fn inner(path: &Path, frames: usize, limit_bytes: u64) -> Result<Tracks, TracksF
         (shape != [frames as u64, count]).then(|| format!("({frames} frames, {count} tracks)"))
     })?;
 
-    let wrong = |e: m4_core::ShapeError| TracksFault::Archive(e.to_string());
+    let wrong = |e: m4_core::ShapeError| TracksErrorCause::Archive(e.to_string());
     let visible = visible.bytes.iter().map(|&b| b != 0).collect();
     let mut made = Tracks::new(frames, tracks, xyz, visible).map_err(wrong)?;
     if let Some(confidence) = confidence {
@@ -80,12 +80,12 @@ fn array(
     types: &[&str],
     limit_bytes: u64,
     unfit: &dyn Fn(&[u64]) -> Option<String>,
-) -> Result<Option<Array>, TracksFault> {
-    let bad = |reason: String| TracksFault::Array { array: name, reason };
+) -> Result<Option<Array>, TracksErrorCause> {
+    let bad = |reason: String| TracksErrorCause::Array { array: name, reason };
     let mut member = match archive.by_name(&format!("{name}.npy")) {
         Ok(member) => member,
         Err(ZipError::FileNotFound) => return Ok(None),
-        Err(e) => return Err(TracksFault::Archive(e.to_string())),
+        Err(e) => return Err(TracksErrorCause::Archive(e.to_string())),
     };
     let header = Header::read(&mut member).map_err(bad)?;
     if !types.contains(&header.descr.as_str()) {
@@ -96,7 +96,7 @@ fn array(
         return Err(bad("is in Fortran order; save it with numpy.ascontiguousarray".into()));
     }
     if let Some(expected) = unfit(&header.shape) {
-        return Err(TracksFault::Shape {
+        return Err(TracksErrorCause::Shape {
             array: name,
             found: header.shape,
             expected,
@@ -106,7 +106,7 @@ fn array(
     let width = if header.descr.ends_with('4') { 4 } else { 1 };
     let needed_bytes = header.len().and_then(|n| n.checked_mul(width)).unwrap_or(u64::MAX);
     if needed_bytes > limit_bytes {
-        return Err(TracksFault::TooLarge {
+        return Err(TracksErrorCause::TooLarge {
             array: name,
             needed_bytes,
             limit_bytes,

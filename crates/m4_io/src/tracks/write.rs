@@ -8,11 +8,11 @@ use std::path::Path;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
-/// Writes tracks, whole or not at all; the same tracks give the same bytes.
+/// Writes tracks, atomically; the same tracks give the same bytes.
 ///
 /// # Errors
 ///
-/// What the system said.
+/// Error of the operating system.
 pub fn write(path: &Path, tracks: &Tracks) -> io::Result<()> {
     let (frames, count) = (tracks.frames() as u64, tracks.count() as u64);
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));

@@ -18,11 +18,11 @@ pub enum ReadTrajectoryError {
         source: io::Error,
     },
     /// The file is not JSON of a known layout.
-    #[error("{} is not a camera path: {reason}; give a nerfstudio transforms.json or camera_path.json, or keyframes as docs/paths.md describes them", path.display(), reason = shortened(reason))]
+    #[error("{} is not a camera path: {reason}; give a nerfstudio transforms.json, or keyframes as docs/paths.md describes them", path.display(), reason = shortened(reason))]
     Json {
         /// The file.
         path: PathBuf,
-        /// What the parser said, or what is missing.
+        /// Message of the parser, or what is missing.
         reason: String,
     },
     /// A camera is wrong.

@@ -2,7 +2,7 @@
 
 use m4_core::{Se3, nalgebra::Vector3};
 
-/// A camera path as the places that it goes through.
+/// A camera path as keyframes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Keyed {
     /// In order of time; at least one.
@@ -11,10 +11,8 @@ pub struct Keyed {
     pub back_s: Option<f64>,
     /// Columns and rows of the images, where the file says.
     pub size: Option<(usize, usize)>,
-    /// Frames a second, where the file says.
+    /// Frames per second, where the file says.
     pub fps: Option<f64>,
-    /// What of the file has no effect, for people.
-    pub remarks: Vec<String>,
 }
 
 /// A place on a camera path.
@@ -61,6 +59,9 @@ pub enum SceneTime {
 /// Largest coordinate that is taken, world units: beyond, single precision has no places left.
 const MAX_COORDINATE: f64 = 1e9;
 
+/// Largest side of an image to render, pixels.
+const MAX_SIDE_PX: f64 = 16_384.0;
+
 /// Three finite numbers.
 pub fn vector(key: &str, values: &[f64]) -> Result<Vector3<f64>, String> {
     let &[x, y, z] = values else {
@@ -97,4 +98,13 @@ pub fn check_order(keyframes: &[Keyframe]) -> Result<(), (usize, String)> {
         earlier = key.time_s;
     }
     Ok(())
+}
+
+/// A number of pixels.
+pub fn side(key: &str, value: f64) -> Result<usize, String> {
+    if value.fract() == 0.0 && (1.0..=MAX_SIDE_PX).contains(&value) {
+        Ok(value as usize)
+    } else {
+        Err(format!("{key} = {value}; 1 to {MAX_SIDE_PX} pixels were expected"))
+    }
 }

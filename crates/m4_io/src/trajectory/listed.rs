@@ -1,105 +1,55 @@
-//! Files that list one camera per image: `transforms.json`, and `camera_path` of the nerfstudio viewer.
+//! `transforms.json` as a list of cameras, one per image.
 
-use super::Listed;
-use super::file::Fault;
-use super::keyed::fov;
-use super::nerfstudio::{Header, side};
-use crate::capture::{Axes, Lens, Pose};
+use super::file::BadPath;
+use super::keyed::side;
+use crate::capture::Pose;
+use crate::dataset::Distortion;
+use crate::dataset::nerfstudio::{Frame, LensKeys, Transforms, lens};
 use m4_core::{Camera, Intrinsics};
-use serde::Deserialize;
-
-#[derive(Deserialize)]
-pub struct PathFile {
-    #[serde(flatten)]
-    lens: Lens,
-    #[serde(flatten)]
-    header: Header,
-    #[serde(default)]
-    axes: Axes,
-    /// transforms.json
-    #[serde(default)]
-    frames: Vec<Stop>,
-    /// camera_path.json
-    #[serde(default)]
-    camera_path: Vec<Stop>,
-}
-
-#[derive(Deserialize)]
-struct Stop {
-    #[serde(flatten)]
-    lens: Lens,
-    transform_matrix: Option<Vec<Vec<f64>>>,
-    camera_to_world: Option<Vec<f64>>,
-    /// Vertical, degrees.
-    fov: Option<f64>,
-    time: Option<f64>,
-    render_time: Option<f64>,
-}
 
 /// The cameras with the moment of each: `time` (0..1) of the file times `last_frame`.
-pub fn listed(file: &PathFile, last_frame: f64) -> Result<Listed, Fault> {
-    let stops = if file.frames.is_empty() {
-        &file.camera_path
-    } else {
-        &file.frames
+pub fn listed(file: Transforms, last_frame: f64) -> Result<Vec<(Camera, f64)>, BadPath> {
+    let mut frames = Vec::with_capacity(file.frames.len());
+    for (i, value) in file.frames.into_iter().enumerate() {
+        let frame: Frame = serde_json::from_value(value).map_err(|e| (i, e.to_string()))?;
+        frames.push(frame);
+    }
+    let timed = frames.iter().filter(|f| f.time.is_some()).count();
+    let all = frames
+        .iter()
+        .enumerate()
+        .map(|(i, frame)| -> Result<(Camera, f64), BadPath> {
+            let bad = |what: String| (i, what);
+            let time = match frame.time {
+                Some(time) => time,
+                None if timed == 0 => i as f64 / (frames.len().max(2) - 1) as f64,
+                None => return Err(bad(format!("time is missing, but {timed} other cameras have one")).into()),
+            };
+            if !(0.0..=1.0).contains(&time) {
+                return Err(bad(format!("time = {time}; 0 to 1 was expected")).into());
+            }
+            let rows = frame.transform_matrix.as_ref();
+            let rows = rows.ok_or_else(|| bad("transform_matrix is missing".into()))?;
+            let Pose(pose) = Pose::from_rows(rows).map_err(|e| bad(format!("transform_matrix {e}")))?;
+            let camera = Camera {
+                intrinsics: intrinsics(frame, &file.lens).map_err(bad)?,
+                c2w: file.axes.unwrap_or_default().to_opencv(&pose),
+            };
+            Ok((camera, time * last_frame))
+        });
+    all.collect()
+}
+
+fn intrinsics(frame: &Frame, all: &LensKeys) -> Result<Intrinsics, String> {
+    let keys = frame.lens.or(all);
+    let pixels = |key: &str, value: Option<f64>| {
+        let value = value.ok_or_else(|| format!("{key}, the size of the image in pixels, is missing"))?;
+        side(key, value)
     };
-    let timed = stops.iter().filter(|s| s.time.or(s.render_time).is_some()).count();
-    let mut cameras = Vec::with_capacity(stops.len());
-    for (i, stop) in stops.iter().enumerate() {
-        let bad = |what: String| (i, what);
-        let time = match stop.time.or(stop.render_time) {
-            Some(time) => time,
-            None if timed == 0 => i as f64 / (stops.len().max(2) - 1) as f64,
-            None => return Err(bad(format!("time is missing, but {timed} other cameras have one")).into()),
-        };
-        if !(0.0..=1.0).contains(&time) {
-            return Err(bad(format!("time = {time}; 0 to 1 was expected")).into());
-        }
-        let camera = Camera {
-            intrinsics: file.intrinsics(stop).map_err(bad)?,
-            c2w: file.axes.to_opencv(&pose(stop).map_err(bad)?.0),
-        };
-        cameras.push((camera, time * last_frame));
+    let size = (pixels("w", keys.w)?, pixels("h", keys.h)?);
+    let lens = lens::of(&keys, size).map_err(|e| e.to_string())?;
+    if lens.distortion != Distortion::None {
+        return Err("the lens has distortion; only cameras without distortion are rendered".into());
     }
-    Ok(Listed {
-        cameras,
-        fps: file.header.fps()?,
-        remarks: file.header.remarks()?,
-    })
-}
-
-/// The matrix of a camera, whichever way it is written.
-fn pose(stop: &Stop) -> Result<Pose, String> {
-    let named = |key: &'static str| move |fault| format!("{key} {fault}");
-    if let Some(rows) = &stop.transform_matrix {
-        return Pose::from_rows(rows).map_err(named("transform_matrix"));
-    }
-    match &stop.camera_to_world {
-        Some(numbers) => {
-            let rows: Vec<&[f64]> = numbers.chunks(4).collect();
-            Pose::from_rows(&rows).map_err(named("camera_to_world"))
-        }
-        None => Err("transform_matrix or camera_to_world is missing".into()),
-    }
-}
-
-impl PathFile {
-    fn intrinsics(&self, stop: &Stop) -> Result<Intrinsics, String> {
-        let mut lens = stop.lens.or(&self.lens);
-        let pixels = |keys: &str, value: Option<f64>| {
-            let value = value.ok_or_else(|| format!("{keys}, the size of the image in pixels, is missing"))?;
-            side(keys, value)
-        };
-        let width = pixels("w (or render_width)", lens.w.or(self.header.render_width))?;
-        let height = pixels("h (or render_height)", lens.h.or(self.header.render_height))?;
-        if let Some((key, value)) = lens.distortion() {
-            return Err(format!("{key} = {value}; only cameras without distortion are rendered"));
-        }
-        if let Some(degrees) = stop.fov {
-            let half = 0.5 * fov("fov", degrees)?.to_radians();
-            lens.fl_x = Some(0.5 * height as f64 / half.tan());
-            lens.fl_y = None;
-        }
-        lens.intrinsics((width, height))
-    }
+    Ok(lens.intrinsics)
 }

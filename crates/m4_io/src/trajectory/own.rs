@@ -1,8 +1,7 @@
 //! The keyframes of minute4d; the layout is described for users in `docs/paths.md`.
 
-use super::file::Fault;
-use super::keyed::{fov, vector};
-use super::nerfstudio::size;
+use super::file::BadPath;
+use super::keyed::{fov, side, vector};
 use super::{KeyPose, Keyed, Keyframe, SceneTime};
 use crate::capture::{Axes, Pose};
 use serde::Deserialize;
@@ -51,23 +50,23 @@ fn opencv() -> Axes {
 }
 
 /// Checks everything but the order of the keyframes.
-pub fn keyed(file: KeyFile) -> Result<Keyed, Fault> {
+pub fn keyed(file: KeyFile) -> Result<Keyed, BadPath> {
     if file.version != VERSION {
-        return Err(Fault::File(format!(
+        return Err(BadPath::File(format!(
             "its version is {}; version {VERSION} is known",
             file.version
         )));
     }
     if file.keyframes.is_empty() {
-        return Err(Fault::File("it has no keyframes".to_owned()));
+        return Err(BadPath::File("it has no keyframes".to_owned()));
     }
     if let Some(fps) = file.fps.filter(|fps| !(0.1..=240.0).contains(fps)) {
-        return Err(Fault::File(format!("fps = {fps}; 0.1 to 240 were expected")));
+        return Err(BadPath::File(format!("fps = {fps}; 0.1 to 240 were expected")));
     }
     if let Some(back_s) = file.back_s.filter(|s| !(*s > 0.0 && *s <= MAX_SECONDS)) {
-        return Err(Fault::File(format!("back_s = {back_s}; a time above 0 was expected")));
+        return Err(BadPath::File(format!("back_s = {back_s}; a time above 0 was expected")));
     }
-    let keyframes: Result<Vec<Keyframe>, Fault> = file
+    let keyframes: Result<Vec<Keyframe>, BadPath> = file
         .keyframes
         .iter()
         .enumerate()
@@ -83,9 +82,16 @@ pub fn keyed(file: KeyFile) -> Result<Keyed, Fault> {
     Ok(Keyed {
         keyframes,
         back_s: file.back_s,
-        size: size(("width", file.width), ("height", file.height))?,
+        size: match (file.width, file.height) {
+            (Some(w), Some(h)) => Some((side("width", w)?, side("height", h)?)),
+            (None, None) => None,
+            _ => {
+                return Err(BadPath::File(
+                    "width and height belong together; one is missing".to_owned(),
+                ));
+            }
+        },
         fps: file.fps,
-        remarks: Vec::new(),
     })
 }
 

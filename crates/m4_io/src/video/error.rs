@@ -168,13 +168,13 @@ pub enum ReadVideoError {
     },
     /// A folder without images.
     #[error("the folder {} has no image whose name ends in .jpg, .jpeg or .png; give a video file or a folder of frames", path.display())]
-    NoPictures {
+    NoImages {
         /// The folder.
         path: PathBuf,
     },
     /// Images of one folder differ in size.
     #[error("the image {} is {} x {} pixels but those before it are {} x {}; frames of one camera must have one size", path.display(), found.0, found.1, expected.0, expected.1)]
-    PictureSize {
+    ImageSize {
         /// The first image that differs.
         path: PathBuf,
         /// Width and height of the others.
@@ -184,7 +184,7 @@ pub enum ReadVideoError {
     },
     /// An image of a folder could not be read.
     #[error(transparent)]
-    Picture(#[from] ReadImageError),
+    Image(#[from] ReadImageError),
     /// The caller asked to stop.
     #[error("stopped while reading the video {}", path.display())]
     Cancelled {
@@ -199,7 +199,7 @@ impl ReadVideoError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Io { source, .. } => ErrorKind::of_read(source),
-            Self::Picture(e) => e.kind(),
+            Self::Image(e) => e.kind(),
             Self::NeedsFfmpeg { .. } | Self::DecoderFailed { .. } => ErrorKind::Unavailable,
             Self::SizeChanges { .. } | Self::TooLarge { .. } => ErrorKind::Unsupported,
             Self::DecoderNotStarted { .. } => ErrorKind::Io,
@@ -214,8 +214,8 @@ impl ReadVideoError {
             | Self::DamagedFrames { .. }
             | Self::Ffmpeg { .. }
             | Self::BadOption { .. }
-            | Self::NoPictures { .. }
-            | Self::PictureSize { .. } => ErrorKind::BadData,
+            | Self::NoImages { .. }
+            | Self::ImageSize { .. } => ErrorKind::BadData,
         }
     }
 }

@@ -11,15 +11,15 @@ use std::sync::atomic::{AtomicUsize, Ordering as Atomic};
 
 /// Reads the images of a folder in natural order (`2.png` before `10.png`), evenly spaced in time.
 pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Result<Video, ReadVideoError> {
-    let pictures = pictures(path)?;
-    let times: Vec<f64> = (0..pictures.len()).map(|i| i as f64 / options.folder_fps).collect();
+    let files = image_files(path)?;
+    let times: Vec<f64> = (0..files.len()).map(|i| i as f64 / options.folder_fps).collect();
     let kept = plan::select(path, &times, options)?;
-    let expected = image::size(&pictures[0])?;
-    for picture in &pictures {
-        let found = image::size(picture)?;
+    let expected = image::size(&files[0])?;
+    for file in &files {
+        let found = image::size(file)?;
         if found != expected {
-            return Err(ReadVideoError::PictureSize {
-                path: picture.clone(),
+            return Err(ReadVideoError::ImageSize {
+                path: file.clone(),
                 expected,
                 found,
             });
@@ -38,7 +38,7 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
                     path: path.to_path_buf(),
                 });
             }
-            let mut photo = image::read_photo(&pictures[i])?;
+            let mut photo = image::read_photo(&files[i])?;
             let (w, h) = photo.rgb.size();
             let (width, height) = plan::target_size(w as f64, h as f64, options);
             if let Some(small) = image::resize_rgb(&photo.rgb, width, height) {
@@ -52,8 +52,8 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
     // Images turned by their EXIF blocks may differ although the files agree.
     let upright = frames.first().map_or(size, |f| f.rgb.size());
     if let Some(i) = frames.iter().position(|f| f.rgb.size() != upright) {
-        return Err(ReadVideoError::PictureSize {
-            path: pictures[kept[i]].clone(),
+        return Err(ReadVideoError::ImageSize {
+            path: files[kept[i]].clone(),
             expected: upright,
             found: frames[i].rgb.size(),
         });
@@ -66,7 +66,7 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
     }
     let inside = times.iter().filter(|&&t| plan::in_range(t, options)).count();
     collector.warnings.extend(plan::thinned(kept.len(), inside));
-    collector.finish(focal_px).ok_or_else(|| ReadVideoError::NoPictures {
+    collector.finish(focal_px).ok_or_else(|| ReadVideoError::NoImages {
         path: path.to_path_buf(),
     })
 }
@@ -76,27 +76,27 @@ pub fn read(path: &Path, options: &VideoOptions, progress: &dyn Progress) -> Res
 /// # Errors
 ///
 /// [`ReadVideoError`] if the folder cannot be read or has none.
-pub fn pictures(path: &Path) -> Result<Vec<PathBuf>, ReadVideoError> {
+pub fn image_files(path: &Path) -> Result<Vec<PathBuf>, ReadVideoError> {
     let io = |source| ReadVideoError::Io {
         path: path.to_path_buf(),
         source,
     };
-    let mut pictures = Vec::new();
+    let mut files = Vec::new();
     for entry in std::fs::read_dir(path).map_err(io)? {
         let file = entry.map_err(io)?.path();
         let hidden = file.file_name().is_none_or(|n| n.to_string_lossy().starts_with('.'));
         let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         if !hidden && matches!(extension.as_deref(), Some("png" | "jpg" | "jpeg")) && file.is_file() {
-            pictures.push(file);
+            files.push(file);
         }
     }
-    if pictures.is_empty() {
-        return Err(ReadVideoError::NoPictures {
+    if files.is_empty() {
+        return Err(ReadVideoError::NoImages {
             path: path.to_path_buf(),
         });
     }
-    pictures.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
-    Ok(pictures)
+    files.sort_by(|a, b| natural(&a.to_string_lossy(), &b.to_string_lossy()));
+    Ok(files)
 }
 
 /// Compares text in which runs of digits count as numbers: `2.png` before `10.png`.
@@ -137,7 +137,7 @@ mod tests {
     use std::cmp::Ordering;
 
     #[test]
-    fn numbers_in_names_count_as_numbers() {
+    fn natural_order_compares_numbers() {
         let mut names = [
             "img10.png",
             "img2.png",

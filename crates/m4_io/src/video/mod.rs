@@ -20,7 +20,7 @@
 //! # }
 //! ```
 //!
-//! The program `m4_decode_h264` of this crate is such a decoder, for those who cannot start themselves.
+//! The program `m4_decode_h264` of this crate is such a decoder, for callers that cannot start themselves.
 
 mod colour;
 mod decoder;
@@ -37,7 +37,7 @@ mod write;
 
 pub use decoder::{DecoderEnd, DecoderLimits, DecoderProgram, decoder_program, set_decoder_program};
 pub use error::{ReadVideoError, WriteVideoError};
-pub use folder::{natural, pictures};
+pub use folder::{image_files, natural};
 pub use h264::serve as serve_decoder;
 pub use options::VideoOptions;
 pub use plan::evenly;

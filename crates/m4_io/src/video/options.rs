@@ -20,10 +20,10 @@ pub struct VideoOptions {
     pub end_s: Option<f64>,
     /// Damaged frames are an error, in place of being left out with a warning. Default false.
     pub strict: bool,
-    /// Bytes that the frames (3 a pixel, after shrinking) may take before reading is refused.
+    /// Bytes that the frames (3 per pixel, after shrinking) may take before reading is refused.
     /// Default 4 GiB: half of the memory of a small laptop.
     pub max_memory_bytes: u64,
-    /// Frames a second of a folder of images, which has no times of its own. Default 30.
+    /// Frames per second of a folder of images, which has no times of its own. Default 30.
     pub folder_fps: f64,
     /// The program that decodes what this one does not (all but 8-bit H.264 in MP4 and MOV files);
     /// `ffprobe` is expected beside it. Default `ffmpeg`, looked up on the PATH.

@@ -43,7 +43,7 @@ impl Orientation {
     }
 
     /// The image as it is displayed.
-    pub fn apply(self, picture: RgbImage) -> RgbImage {
+    pub fn apply(self, image: RgbImage) -> RgbImage {
         if self
             == (Self {
                 transpose: false,
@@ -51,14 +51,14 @@ impl Orientation {
                 flip_y: false,
             })
         {
-            return picture;
+            return image;
         }
-        let (w, h) = picture.size();
+        let (w, h) = image.size();
         let (width, height) = if self.transpose { (h, w) } else { (w, h) };
         Plane::from_fn(width, height, |x, y| {
             let x = if self.flip_x { width - 1 - x } else { x };
             let y = if self.flip_y { height - 1 - y } else { y };
-            picture[if self.transpose { (y, x) } else { (x, y) }]
+            image[if self.transpose { (y, x) } else { (x, y) }]
         })
     }
 }
@@ -72,8 +72,8 @@ mod tests {
 
     fn turned(a: i32, b: i32, c: i32, d: i32) -> Vec<u8> {
         let matrix = [a * ONE, b * ONE, 0, c * ONE, d * ONE, 0, 0, 0, 1 << 30];
-        let picture = Plane::from_fn(3, 2, |x, y| [(1 + x + 3 * y) as u8; 3]);
-        let got = Orientation::from_matrix(matrix).unwrap().apply(picture);
+        let image = Plane::from_fn(3, 2, |x, y| [(1 + x + 3 * y) as u8; 3]);
+        let got = Orientation::from_matrix(matrix).unwrap().apply(image);
         assert_eq!(got.size(), if b == 0 { (3, 2) } else { (2, 3) });
         got.data().iter().map(|p| p[0]).collect()
     }
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn other_matrices_are_not_guessed() {
+    fn unknown_colour_matrices_are_refused() {
         assert_eq!(
             Orientation::from_matrix([46341, 46341, 0, -46341, 46341, 0, 0, 0, 1 << 30]),
             None

@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_range_is_cut_before_it_is_thinned() {
+    fn time_range_is_applied_before_thinning() {
         let times: Vec<f64> = (0..100).map(|i| f64::from(i) / 25.0).collect();
         let options = VideoOptions {
             start_s: Some(1.0),

@@ -70,9 +70,9 @@ pub fn read_with(
                 path: path.to_path_buf(),
                 reason: reason.to_owned(),
             }),
-            Err(ReadVideoError::NotVideo { path, reason: said }) => Err(ReadVideoError::NotVideo {
+            Err(ReadVideoError::NotVideo { path, reason: message }) => Err(ReadVideoError::NotVideo {
                 path,
-                reason: format!("{reason} ({said})"),
+                reason: format!("{reason} ({message})"),
             }),
             other => other,
         },
@@ -98,8 +98,8 @@ fn container(start: &[u8]) -> Result<&'static str, &'static str> {
     if start.first() == Some(&0x47) && start.get(188) == Some(&0x47) {
         return Ok("an MPEG transport stream");
     }
-    let pictures: [&[u8]; 2] = [b"\x89PNG", &[0xff, 0xd8, 0xff]];
-    if pictures.iter().any(|magic| start.starts_with(magic)) {
+    let images: [&[u8]; 2] = [b"\x89PNG", &[0xff, 0xd8, 0xff]];
+    if images.iter().any(|magic| start.starts_with(magic)) {
         return Err("it is a single image; give a video or the folder that holds all frames");
     }
     if start.iter().all(|&b| b == 0) {

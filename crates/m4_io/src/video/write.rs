@@ -21,7 +21,7 @@ const SIDES_PX: (usize, usize) = (16, 3840);
 const SHORT_SIDE_PX: usize = 2160;
 /// Quantisation: coding begins to be seen at 26, and below 18 it costs bits without a visible gain.
 const QP: (u8, u8) = (20, 22);
-/// Bits a second that the encoder asks for. It steers nothing in the mode that is used here.
+/// Bits per second that the encoder asks for. It steers nothing in the mode that is used here.
 const NOMINAL_BITS_PER_S: u32 = 2_000_000;
 /// Seconds between frames at which a player can enter.
 const KEY_EVERY_S: f64 = 2.0;
@@ -122,20 +122,20 @@ impl Mp4Writer {
     /// # Errors
     ///
     /// [`WriteVideoError`] if its size is not that of the clip or the encoder fails.
-    pub fn push(&mut self, picture: &RgbImage) -> Result<(), WriteVideoError> {
-        if picture.size() != self.size {
+    pub fn push(&mut self, image: &RgbImage) -> Result<(), WriteVideoError> {
+        if image.size() != self.size {
             return Err(WriteVideoError::FrameSize {
                 path: self.path.clone(),
                 frame: self.frames,
                 expected: self.size,
-                found: picture.size(),
+                found: image.size(),
             });
         }
         let encode = |reason: String| WriteVideoError::Encode {
             path: self.path.clone(),
             reason,
         };
-        let planes = Planes420::new(picture, &self.matrix);
+        let planes = Planes420::new(image, &self.matrix);
         let [cb, cr] = &planes.chroma;
         let half = planes.width / 2;
         let source = YUVSlices::new(

@@ -1,11 +1,13 @@
 //! What the tests of this crate share.
 
+pub mod fixtures;
+
 use m4_core::{RgbImage, Video};
 use m4_testkit::{Need, skip};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The example clip: 96 frames, 480x360, 24 a second, H.264 High with B-frames.
+/// The example clip: 96 frames, 480x360, 24 per second, H.264 High with B-frames.
 pub fn pinwheel() -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/pinwheel.mp4"))
 }
@@ -51,8 +53,8 @@ pub fn ffmpeg(arguments: &str, output: &Path) -> bool {
     match command.output() {
         Ok(o) if o.status.success() => true,
         Ok(o) => {
-            let said = String::from_utf8_lossy(&o.stderr);
-            skip(Need::Ffmpeg, &format!("ffmpeg {arguments}: {said}"));
+            let message = String::from_utf8_lossy(&o.stderr);
+            skip(Need::Ffmpeg, &format!("ffmpeg {arguments}: {message}"));
             false
         }
         Err(e) => {

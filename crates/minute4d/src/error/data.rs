@@ -1,9 +1,10 @@
 //! Errors of reading and writing videos, images, captures, scenes and cameras.
 
 use super::Category;
-use m4_io::capture::{ReadCaptureError, WriteCaptureError};
+use m4_io::capture::WriteCaptureError;
+use m4_io::dataset::ReadSourceError;
 use m4_io::image::{ReadImageError, WriteImageError};
-use m4_io::scene_file::{ReadSceneError, WriteSceneError};
+use m4_io::scene::safetensors::{ReadSceneError, WriteSceneError};
 use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
 
@@ -25,7 +26,7 @@ pub enum DataError {
     WriteImage(#[from] WriteImageError),
     /// Reading a capture.
     #[error(transparent)]
-    ReadCapture(#[from] ReadCaptureError),
+    ReadCapture(#[from] ReadSourceError),
     /// Writing a capture.
     #[error(transparent)]
     WriteCapture(#[from] WriteCaptureError),

@@ -28,9 +28,10 @@ use m4_geometry::dense::DenseError;
 use m4_geometry::megasam::MegasamError;
 use m4_geometry::sparse::SparseError;
 use m4_io::ErrorKind;
-use m4_io::capture::{ReadCaptureError, WriteCaptureError};
+use m4_io::capture::WriteCaptureError;
+use m4_io::dataset::ReadSourceError;
 use m4_io::image::{ReadImageError, WriteImageError};
-use m4_io::scene_file::{ReadSceneError, WriteSceneError};
+use m4_io::scene::safetensors::{ReadSceneError, WriteSceneError};
 use m4_io::trajectory::ReadTrajectoryError;
 use m4_io::video::{ReadVideoError, WriteVideoError};
 use m4_kernels::SimdLevelError;
@@ -188,7 +189,7 @@ macro_rules! from_parts_of {
 }
 
 from_parts_of! {
-    DataError: ReadVideoError, WriteVideoError, ReadImageError, WriteImageError, ReadCaptureError, WriteCaptureError,
+    DataError: ReadVideoError, WriteVideoError, ReadImageError, WriteImageError, ReadSourceError, WriteCaptureError,
         ReadSceneError, WriteSceneError, ReadTrajectoryError;
     ReconstructionError: SparseError, DenseError, MegasamError;
     ViewerError: PageError, FramesError, ServeError;

@@ -2,7 +2,7 @@
 
 use super::Protocol;
 use crate::Category;
-use m4_eval::geometry::{GeometryError, LlffError};
+use m4_eval::geometry::GeometryError;
 use m4_eval::image::ImageError;
 use std::path::PathBuf;
 
@@ -19,14 +19,6 @@ pub enum EvaluationError {
     /// Scoring geometry.
     #[error(transparent)]
     ScoreGeometry(#[from] GeometryError),
-    /// Ground-truth cameras in the LLFF layout.
-    #[error("{}: {source}", path.display())]
-    Llff {
-        /// The file.
-        path: PathBuf,
-        /// The fault.
-        source: LlffError,
-    },
     /// A capture without held-out views.
     #[error("{} has no transforms_test.json, so there are no held-out views to compare with; give a capture that has some", path.display())]
     NoTestList {
@@ -41,7 +33,7 @@ impl EvaluationError {
     pub fn category(&self) -> Category {
         match self {
             Self::Protocol(e) => e.category(),
-            Self::Score(_) | Self::ScoreGeometry(_) | Self::Llff { .. } | Self::NoTestList { .. } => Category::BadInput,
+            Self::Score(_) | Self::ScoreGeometry(_) | Self::NoTestList { .. } => Category::BadInput,
         }
     }
 }

@@ -10,7 +10,7 @@ use crate::{Error, Observer};
 use m4_core::{Camera, Capture, CaptureFrame, Exposure, RgbImage, Scene};
 use m4_io::capture::{CaptureOptions, Split};
 use m4_io::reach::Reach;
-use m4_io::scene_file;
+use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ impl HeldOut {
     /// [`EvaluationError::NoTestList`] without held-out views; else what could not be read.
     pub fn read(out: &Path, data: &Path, reach: Reach, observer: &dyn Observer) -> Result<Self, Error> {
         let path = out.join(SCENE_FILE);
-        let scene = scene_file::read(&path)?.scene;
+        let scene = safetensors::read(&path)?.scene;
         let options = CaptureOptions {
             reach,
             ..Settings::fast().capture

@@ -33,10 +33,10 @@ pub use views::{EvalOptions, EvalReport, OtherMean, views, views_by};
 use crate::settings::Settings;
 use crate::{Error, Observer};
 use m4_core::Capture;
-use m4_eval::geometry::{GeometryReport, evaluate, llff_truth};
+use m4_eval::geometry::{GeometryReport, evaluate};
 use m4_io::capture::{CaptureOptions, Split};
+use m4_io::dataset::llff;
 use m4_io::reach::Reach;
-use std::fs;
 use std::path::Path;
 
 /// Compares the cameras, depth and masks of a capture with a reference for the same video: another
@@ -62,27 +62,8 @@ fn known(path: &Path, options: &CaptureOptions, observer: &dyn Observer) -> Resu
             path: path.to_path_buf(),
         });
     }
-    if path.is_file() && holds_poses(path)? {
-        let text = read_text(path)?;
-        let truth = llff_truth(&text).map_err(|source| EvaluationError::Llff {
-            path: path.to_path_buf(),
-            source,
-        });
-        return Ok(truth?);
+    if path.is_file() && llff::detect(path) {
+        return Ok(llff::read(path)?);
     }
     Ok(m4_io::capture::read(path, Split::Train, options, observer)?)
-}
-
-/// True for JSON with `poses` and without `frames`: the LLFF layout.
-fn holds_poses(path: &Path) -> Result<bool, Error> {
-    let value: Option<serde_json::Value> = serde_json::from_str(&read_text(path)?).ok();
-    Ok(value.is_some_and(|v| v.get("poses").is_some() && v.get("frames").is_none()))
-}
-
-fn read_text(path: &Path) -> Result<String, Error> {
-    let bytes = fs::read(path).map_err(|source| Error::Read {
-        path: path.to_path_buf(),
-        source,
-    })?;
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
 }

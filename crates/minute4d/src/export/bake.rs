@@ -5,7 +5,7 @@ use m4_core::{
     nalgebra::{Matrix3, Vector3, Vector4},
     quat,
 };
-use m4_formats::Loss;
+use m4_io::scene::Loss;
 use m4_kernels::project::reference::{Pinhole, project};
 use rayon::prelude::*;
 

@@ -4,14 +4,15 @@ use super::{ExportError, ExportJob, ExportReport, Format, Losses, occupied};
 use crate::error::OutputError;
 use crate::{Error, Observer, Settings};
 use m4_core::Capture;
-use m4_formats::captures::{self, WriteCaptureAsError};
 use m4_io::capture::{self, CaptureOptions, Split};
+use m4_io::dataset::export::WriteCaptureAsError;
+use m4_io::dataset::{colmap, nerfstudio};
 use std::path::Path;
 use std::time::Instant;
 
 /// Writes the capture at `input`.
 pub(super) fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
-    let name = job.format.name_of_capture();
+    let name = job.format.file_name();
     let out = match &job.out {
         Some(out) => out.clone(),
         None if input.is_dir() => input.join(name),
@@ -51,10 +52,8 @@ fn write(
     observer: &dyn Observer,
 ) -> Result<(u64, Losses), Error> {
     let written = match format {
-        Format::Colmap => {
-            captures::colmap::write(out, train, &captures::colmap::CaptureColmapOptions::default(), observer)
-        }
-        Format::Nerfstudio => captures::nerfstudio::write(out, train, test, observer),
+        Format::Colmap => colmap::write(out, train, observer),
+        Format::Nerfstudio => nerfstudio::write(out, train, test, observer),
         other => {
             return Err(Error::Internal {
                 what: format!("{} was treated as a capture format", other.name()),

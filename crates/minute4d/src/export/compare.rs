@@ -128,7 +128,7 @@ fn looks(scene: &Scene, format: Format, moments: &[f64]) -> Vec<Look> {
                     let t = moments[moment];
                     Some(Look { camera, t, moment })
                 }
-                Time::Video | Time::Cameras => None,
+                Time::Video | Time::Capture => None,
             }
         })
         .collect()

@@ -2,14 +2,8 @@
 
 use super::Format;
 use crate::Category;
-use m4_formats::cameras::colmap::WriteColmapError;
-use m4_formats::cameras::nerfstudio::WriteNerfstudioError;
-use m4_formats::captures::WriteCaptureAsError;
-use m4_formats::fourdgs::WriteFourdgsError;
-use m4_formats::gltf::WriteGltfError;
-use m4_formats::ply::WritePlyError;
-use m4_formats::splatv::WriteSplatvError;
-use m4_formats::spz::WriteSpzError;
+use m4_io::dataset::export::WriteCaptureAsError;
+use m4_io::scene::WriteFileError;
 use std::path::PathBuf;
 
 /// Why an export failed.
@@ -36,6 +30,12 @@ pub enum ExportError {
         /// The capture.
         path: PathBuf,
     },
+    /// A scene for a format that holds a capture.
+    #[error("the format {} stores captures, not scenes; give the folder of a capture, or choose a format of scenes such as ply", format.name())]
+    NeedsCapture {
+        /// The format.
+        format: Format,
+    },
     /// A format that is not known.
     #[error("{given:?} is not a format; choose one of {}", Format::names())]
     Unknown {
@@ -56,27 +56,9 @@ pub enum ExportError {
     /// Writing a capture for another tool.
     #[error(transparent)]
     Capture(#[from] WriteCaptureAsError),
-    /// Writing `.4dgs`.
+    /// Writing a file of splats.
     #[error(transparent)]
-    Fourdgs(#[from] WriteFourdgsError),
-    /// Writing PLY.
-    #[error(transparent)]
-    Ply(#[from] WritePlyError),
-    /// Writing `.splatv`.
-    #[error(transparent)]
-    Splatv(#[from] WriteSplatvError),
-    /// Writing SPZ.
-    #[error(transparent)]
-    Spz(#[from] WriteSpzError),
-    /// Writing glTF.
-    #[error(transparent)]
-    Gltf(#[from] WriteGltfError),
-    /// Writing a COLMAP model.
-    #[error(transparent)]
-    Colmap(#[from] WriteColmapError),
-    /// Writing `transforms.json`.
-    #[error(transparent)]
-    Nerfstudio(#[from] WriteNerfstudioError),
+    File(#[from] WriteFileError),
 }
 
 impl ExportError {
@@ -85,16 +67,10 @@ impl ExportError {
     pub fn category(&self) -> Category {
         match self {
             Self::NoInstant { .. } | Self::NoRate { .. } | Self::Unknown { .. } => Category::Usage,
-            Self::NoCameras | Self::NeedsScene { .. } => Category::BadInput,
+            Self::NoCameras | Self::NeedsScene { .. } | Self::NeedsCapture { .. } => Category::BadInput,
             Self::Capture(e) => e.kind().into(),
+            Self::File(e) => e.kind().into(),
             Self::ReadBack { .. } => Category::Internal,
-            Self::Fourdgs(e) => e.kind().into(),
-            Self::Ply(e) => e.kind().into(),
-            Self::Splatv(e) => e.kind().into(),
-            Self::Spz(e) => e.kind().into(),
-            Self::Gltf(e) => e.kind().into(),
-            Self::Colmap(e) => e.kind().into(),
-            Self::Nerfstudio(e) => e.kind().into(),
         }
     }
 }

@@ -23,9 +23,9 @@ pub enum Format {
     Spz,
     /// Binary glTF with `KHR_gaussian_splatting`, one instant.
     Gltf,
-    /// A COLMAP model: cameras, and splats as points; of a capture, its images and masks with points of static regions.
+    /// Of a capture: a COLMAP model with images, masks and points of static regions.
     Colmap,
-    /// `transforms.json` of nerfstudio: cameras; of a capture, a folder with images, masks, depth and points.
+    /// Of a capture: a folder of nerfstudio with images, masks, depth and points.
     Nerfstudio,
     /// A video along the cameras of the source.
     Mp4,
@@ -42,8 +42,8 @@ pub enum Time {
     Sequence,
     /// It holds images.
     Video,
-    /// It holds no splats.
-    Cameras,
+    /// It holds a capture, no splats.
+    Capture,
 }
 
 /// A row of the table: format, name, usual name of the file, time.
@@ -56,8 +56,8 @@ const FORMATS: &[Entry] = &[
     (Format::Splatv, "splatv", "scene.splatv", Time::Clip),
     (Format::Spz, "spz", "scene.spz", Time::Instant),
     (Format::Gltf, "gltf", "scene.glb", Time::Instant),
-    (Format::Colmap, "colmap", "colmap", Time::Cameras),
-    (Format::Nerfstudio, "nerfstudio", "transforms.json", Time::Cameras),
+    (Format::Colmap, "colmap", "colmap", Time::Capture),
+    (Format::Nerfstudio, "nerfstudio", "nerfstudio", Time::Capture),
     (Format::Mp4, "mp4", "scene.mp4", Time::Video),
 ];
 
@@ -84,18 +84,10 @@ impl Format {
         self.entry().2
     }
 
-    /// The same for a capture.
-    pub(super) fn name_of_capture(self) -> &'static str {
-        match self {
-            Self::Nerfstudio => "nerfstudio",
-            other => other.file_name(),
-        }
-    }
-
-    /// Whether it can hold a capture, too.
+    /// Whether it holds captures.
     #[must_use]
     pub fn takes_capture(self) -> bool {
-        matches!(self, Self::Colmap | Self::Nerfstudio)
+        self.time() == Time::Capture
     }
 
     /// What it does with time.

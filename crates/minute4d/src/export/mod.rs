@@ -1,7 +1,7 @@
 //! Exports a scene for other tools, and reports bytes, seconds, and the loss in decibels against our own rendering.
 //!
 //! Adding a format: a variant of [`Format`] with its row in `format.rs`, an arm in `write.rs`, and, where
-//! there is a reader, one in `crate::import`. Formats that can hold a capture also have an arm in `capture.rs`.
+//! there is a reader, one in `crate::import`. Formats of captures have an arm in `capture.rs` instead.
 
 mod bake;
 mod capture;
@@ -22,7 +22,7 @@ use crate::folder::SCENE_FILE;
 use crate::render::{Moment, Span};
 use crate::{Error, Observer, is_capture};
 use m4_core::Scene;
-use m4_io::scene_file;
+use m4_io::scene::safetensors;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -47,7 +47,7 @@ pub struct ExportJob {
     /// Which files a capture may name.
     pub reach: m4_io::reach::Reach,
     /// Settings of single formats.
-    pub fourdgs: m4_formats::fourdgs::FourdgsConfig,
+    pub fourdgs: m4_io::scene::fourdgs::FourdgsConfig,
 }
 
 impl ExportJob {
@@ -63,12 +63,12 @@ impl ExportJob {
             compare: true,
             keep_mip: false,
             reach: m4_io::reach::Reach::Inside,
-            fourdgs: m4_formats::fourdgs::FourdgsConfig::default(),
+            fourdgs: m4_io::scene::fourdgs::FourdgsConfig::default(),
         }
     }
 }
 
-/// Exports a scene (a file, or the folder of a run) or, for a format that holds one, a capture; of the folder of a run the scene.
+/// Exports a scene (a file, or the folder of a run) or, in a format of captures, a capture.
 ///
 /// # Errors
 ///
@@ -77,8 +77,11 @@ impl ExportJob {
 pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<ExportReport, Error> {
     job.check()?;
     let lone_capture = is_capture(input) && !input.join(SCENE_FILE).is_file();
-    if lone_capture && job.format.takes_capture() {
-        return capture::make(input, job, observer);
+    if job.format.takes_capture() {
+        if is_capture(input) {
+            return capture::make(input, job, observer);
+        }
+        return Err(ExportError::NeedsCapture { format: job.format }.into());
     }
     if lone_capture {
         return Err(ExportError::NeedsScene {
@@ -100,7 +103,7 @@ pub fn make(input: &Path, job: &ExportJob, observer: &dyn Observer) -> Result<Ex
     if !job.replace && occupied(&out) {
         return Err(OutputError::WouldReplace { path: out }.into());
     }
-    let scene = scene_file::read(&file)?.scene;
+    let scene = safetensors::read(&file)?.scene;
     scene_to(&scene, &out, job, observer)
 }
 
@@ -113,7 +116,7 @@ pub fn scene_to(scene: &Scene, out: &Path, job: &ExportJob, observer: &dyn Obser
     job.check()?;
     let moments = job.moments(scene)?;
     let start = Instant::now();
-    let has_splats = !matches!(job.format.time(), Time::Video | Time::Cameras);
+    let has_splats = job.format.time() != Time::Video;
     let baked = if has_splats && !job.keep_mip {
         bake::bake(scene)
     } else {
@@ -165,7 +168,7 @@ impl ExportJob {
                 let count = (last / step + 1e-9).floor() as usize + 1;
                 Ok((0..count).map(|i| (i as f64 * step).min(last)).collect())
             }
-            Time::Clip | Time::Video | Time::Cameras => Ok(Vec::new()),
+            Time::Clip | Time::Video | Time::Capture => Ok(Vec::new()),
         }
     }
 }

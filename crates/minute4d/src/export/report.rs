@@ -2,7 +2,7 @@
 
 use super::{Comparison, Format, Time};
 use m4_core::Scene;
-use m4_formats::{Loss, Written};
+use m4_io::scene::{Loss, Written};
 use serde::Serialize;
 use std::fmt;
 use std::path::PathBuf;
@@ -73,7 +73,7 @@ impl ExportReport {
             Time::Instant => written.splats,
             _ => scene.splats.n(),
         };
-        let has_splats = !matches!(format.time(), Time::Video | Time::Cameras);
+        let has_splats = format.time() != Time::Video;
         let has_time = matches!(format.time(), Time::Clip | Time::Sequence | Time::Video);
         Self {
             format,

@@ -4,7 +4,7 @@ use super::ExportError;
 use crate::render::{Painter, source_fps};
 use crate::{Error, Observer};
 use m4_core::Scene;
-use m4_formats::{Loss, Written};
+use m4_io::scene::{Loss, Written};
 use m4_io::video::Mp4Writer;
 use m4_kernels::SimdLevel;
 use std::path::Path;

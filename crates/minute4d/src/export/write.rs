@@ -3,8 +3,7 @@
 use super::{ExportError, ExportJob, Format, video};
 use crate::{Error, Observer};
 use m4_core::Scene;
-use m4_formats::cameras::{colmap, nerfstudio};
-use m4_formats::{Written, fourdgs, gltf, ply, splatv, spz};
+use m4_io::scene::{Written, fourdgs, gltf, ply, splatv, spz};
 use std::path::Path;
 
 /// Writes `scene` to `out`; `moments` are those of [`ExportJob::moments`].
@@ -36,27 +35,9 @@ pub(super) fn write(
             }
             written
         }
-        Format::Spz => {
-            let options = spz::SpzOptions {
-                t,
-                ..spz::SpzOptions::default()
-            };
-            spz::write(out, scene, &options).map_err(ExportError::from)?
-        }
-        Format::Gltf => gltf::write(out, scene, &gltf::GltfOptions { t }).map_err(ExportError::from)?,
-        Format::Colmap => {
-            let options = colmap::ColmapOptions {
-                // the points are those of the middle of the clip
-                t: (scene.time_frames.saturating_sub(1) / 2) as f64,
-                ..colmap::ColmapOptions::default()
-            };
-            // where COLMAP and those who read its models look
-            colmap::write(&out.join("sparse/0"), scene, &options).map_err(ExportError::from)?
-        }
-        Format::Nerfstudio => {
-            let options = nerfstudio::NerfstudioOptions::default();
-            nerfstudio::write(out, scene, &options).map_err(ExportError::from)?
-        }
+        Format::Spz => spz::write(out, scene, t).map_err(ExportError::from)?,
+        Format::Gltf => gltf::write(out, scene, t).map_err(ExportError::from)?,
+        Format::Colmap | Format::Nerfstudio => return Err(ExportError::NeedsCapture { format: job.format }.into()),
         Format::Mp4 => video::write(out, scene, job.fps, observer)?,
     };
     Ok(written)

@@ -7,10 +7,9 @@ use crate::progress::RecordingObserver;
 use crate::record::{GEOMETRY_FORMAT, GeometryRecord, Input, Status, VERSION, plain_json};
 use crate::{Error, Observer, Settings, StageEvent, folder, geometry, hash};
 use m4_core::{Capture, CompactMask};
-use m4_import::formats::dycheck;
-use m4_import::{Imported, ReadSourceError, SourceFault, SourceFormat};
 use m4_io::capture::{self, Split};
-use m4_io::megasam::{self, MegasamFault, MegasamOptions, ReadMegasamError};
+use m4_io::dataset::dycheck;
+use m4_io::dataset::{Imported, ReadSourceError, SourceErrorCause, SourceFormat};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -67,10 +66,10 @@ pub(super) fn make(
     };
     // Read before the folder is made, so that a wrong file leaves nothing behind.
     observer.stage(STAGE, StageEvent::Started { because: None });
-    let mut imported = match format {
-        SourceFormat::Megasam => of_megasam(file, &options, job, &keeper)?,
-        source => m4_import::read(file, source, &options, &keeper).map_err(source_stopped)?,
-    };
+    if format == SourceFormat::Megasam {
+        check_megasam(&options)?;
+    }
+    let mut imported = m4_io::dataset::read(file, format, &options, &keeper).map_err(source_stopped)?;
     let check = if job.check || job.fix {
         let (found, fixed) = checked(imported, job.fix, &keeper)?;
         imported = fixed;
@@ -80,7 +79,7 @@ pub(super) fn make(
     };
     let part = Part {
         import: &options,
-        motion: &job.motion,
+        motion: &options.motion,
         fix: job.fix,
         format,
     };
@@ -156,33 +155,23 @@ pub(crate) fn write(
     Ok(capture::write(out, &imported.train, Split::Train, observer)?)
 }
 
-/// Files of MegaSaM, whose map of motion may lie elsewhere.
-fn of_megasam(
-    file: &Path,
-    options: &ImportOptions,
-    job: &ImportJob,
-    keeper: &RecordingObserver<'_>,
-) -> Result<Imported, Error> {
+/// Refuses options of what the files of MegaSaM hold themselves.
+fn check_megasam(options: &ImportOptions) -> Result<(), ImportError> {
     let beside = [
-        ("--images", options.pictures.is_some()),
+        ("--images", options.images.is_some()),
         ("--depth", options.depth.is_some()),
         ("--masks", options.masks.is_some()),
         ("--tracks", options.tracks.is_some()),
         ("--axes", options.axes.is_some()),
         ("--factor", options.factor.is_some()),
     ];
-    if let Some((option, _)) = beside.into_iter().find(|(_, is_given)| *is_given) {
-        let format = SourceFormat::Megasam.name();
-        return Err(ImportError::NotOfFormat { option, format }.into());
+    match beside.into_iter().find(|(_, is_given)| *is_given) {
+        Some((option, _)) => Err(ImportError::NotOfFormat {
+            option,
+            format: SourceFormat::Megasam.name(),
+        }),
+        None => Ok(()),
     }
-    let options = MegasamOptions {
-        fps: options.fps,
-        tau_motion: options.tau_motion,
-        motion: job.motion.clone(),
-        max_memory_bytes: options.max_memory_bytes,
-    };
-    let train = megasam::read(file, &options, keeper).map_err(megasam_stopped)?;
-    Ok(Imported { train, test: None })
 }
 
 const STOPPED: Error = Error::Stopped {
@@ -190,16 +179,9 @@ const STOPPED: Error = Error::Stopped {
     saved: false,
 };
 
-fn megasam_stopped(error: ReadMegasamError) -> Error {
-    match error.fault {
-        MegasamFault::Cancelled => STOPPED,
-        _ => ImportError::from(error).into(),
-    }
-}
-
 fn source_stopped(error: ReadSourceError) -> Error {
-    match error.fault {
-        SourceFault::Cancelled => STOPPED,
+    match error.cause {
+        SourceErrorCause::Cancelled => STOPPED,
         _ => ImportError::from(error).into(),
     }
 }

@@ -6,7 +6,7 @@ use crate::progress::RecordingObserver;
 use m4_core::Progress;
 use m4_geometry::consistency::{self, Cause, Consistency, ConsistencyError, Verdict};
 use m4_geometry::dense::InverseSearch;
-use m4_import::Imported;
+use m4_io::dataset::Imported;
 use serde::Serialize;
 use std::fmt;
 

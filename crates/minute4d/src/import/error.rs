@@ -1,11 +1,10 @@
 //! Errors of an import.
 
 use crate::Category;
-use m4_formats::fourdgs::ReadFourdgsError;
-use m4_formats::ply::ReadPlyError;
 use m4_geometry::consistency::ConsistencyError;
-use m4_import::ReadSourceError;
-use m4_io::megasam::{MegasamFault, ReadMegasamError};
+use m4_io::dataset::ReadSourceError;
+use m4_io::scene::fourdgs::ReadFourdgsError;
+use m4_io::scene::ply::ReadPlyError;
 use std::path::PathBuf;
 
 /// Why an import failed.
@@ -86,9 +85,6 @@ pub enum ImportError {
     /// Comparing a capture with the flow of its images.
     #[error("the capture cannot be checked: {0}; --no-check imports it anyway")]
     Check(#[from] ConsistencyError),
-    /// Reading files of MegaSaM.
-    #[error(transparent)]
-    Megasam(#[from] ReadMegasamError),
     /// Reading `.4dgs`.
     #[error(transparent)]
     Fourdgs(#[from] ReadFourdgsError),
@@ -108,11 +104,6 @@ impl ImportError {
             | Self::NoCaptureOption { .. }
             | Self::NotOfFormat { .. } => Category::Usage,
             Self::Source(e) => e.kind().into(),
-            Self::Megasam(ReadMegasamError {
-                fault: MegasamFault::Option { .. },
-                ..
-            }) => Category::Usage,
-            Self::Megasam(e) => e.kind().into(),
             Self::Folder { .. }
             | Self::Sequence { .. }
             | Self::NoPoses { .. }

@@ -2,9 +2,8 @@
 
 use super::ImportError;
 use crate::export::Format;
-use m4_formats::ply::frame_name;
-use m4_import::SourceFormat;
-use m4_io::megasam;
+use m4_io::dataset::{SourceFormat, megasam};
+use m4_io::scene::ply::frame_name;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -47,15 +46,15 @@ impl ImportFormat {
         if let Some(asked) = asked {
             return Ok(asked);
         }
-        if let Some(source) = m4_import::detect(path) {
+        if let Some(source) = m4_io::dataset::detect(path) {
             return Ok(Self::Source(source));
         }
         // by its name alone: its reader says what is wrong with it
-        if megasam::detect(path).is_some() {
+        if megasam::detect_name(path) {
             return Ok(Self::Source(SourceFormat::Megasam));
         }
         if path.is_dir() {
-            if m4_import::formats::davis::detect(path) {
+            if m4_io::dataset::davis::detect(path) {
                 return Err(ImportError::NoPoses {
                     path: path.to_path_buf(),
                 });
@@ -116,7 +115,7 @@ impl FromStr for ImportFormat {
 mod tests {
     use super::ImportFormat;
     use crate::export::Format;
-    use m4_import::SourceFormat;
+    use m4_io::dataset::SourceFormat;
 
     #[test]
     fn every_name_is_of_one_format() {

@@ -2,8 +2,7 @@
 
 use super::ImportFormat;
 use crate::folder::Existing;
-use m4_import::ImportOptions;
-use std::path::PathBuf;
+use m4_io::dataset::ImportOptions;
 
 /// What to import, and what its files do not say.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,8 +13,6 @@ pub struct ImportJob {
     pub existing: Existing,
     /// Of captures.
     pub options: ImportOptions,
-    /// MegaSaM's map of motion; `None` for the one that lies where MegaSaM writes it.
-    pub motion: Option<PathBuf>,
     /// Compare cameras and depth of a capture with the flow of its images.
     pub check: bool,
     /// Put right what that finds.
@@ -30,7 +27,6 @@ impl ImportJob {
             format,
             existing: Existing::Refuse,
             options: ImportOptions::default(),
-            motion: None,
             check: true,
             fix: false,
         }
@@ -42,8 +38,8 @@ impl ImportJob {
         let given = [
             ("--fps", o.fps != d.fps),
             ("--tau-motion", o.tau_motion != d.tau_motion),
-            ("--motion-prob", self.motion.is_some()),
-            ("--images", o.pictures != d.pictures),
+            ("--motion-prob", o.motion.is_some()),
+            ("--images", o.images != d.images),
             ("--depth", o.depth != d.depth),
             ("--depth-unit", o.depth_unit != d.depth_unit),
             ("--masks", o.masks != d.masks),

@@ -21,7 +21,7 @@ pub use checked::Checked;
 pub use error::ImportError;
 pub use format::ImportFormat;
 pub use job::ImportJob;
-pub use m4_import::{ImportOptions, SourceFormat};
+pub use m4_io::dataset::{ImportOptions, SourceFormat};
 pub(crate) use read::read_back;
 
 use crate::clock::Clock;
@@ -30,8 +30,8 @@ use crate::folder::{Existing, SCENE_FILE};
 use crate::record::{Input, RunRecord, SplatCount};
 use crate::workspace::Workspace;
 use crate::{Error, Job, Observer, Settings, hash};
-use m4_formats::Imported;
-use m4_io::scene_file;
+use m4_io::scene::Imported;
+use m4_io::scene::safetensors;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -143,7 +143,7 @@ fn scene(
             if cameras == 0 {
                 keeper.warn("the file has no cameras; a default path around its centre is used");
             }
-            Ok(scene_file::write(
+            Ok(safetensors::write(
                 &run.path(SCENE_FILE),
                 &scene,
                 None,

@@ -2,8 +2,8 @@
 
 use super::{ImportError, ImportFormat};
 use crate::export::Format;
-use m4_formats::ply::frame_name;
-use m4_formats::{Imported, fourdgs, ply};
+use m4_io::scene::ply::frame_name;
+use m4_io::scene::{Imported, fourdgs, ply};
 use std::path::Path;
 
 /// The scene in a file.

@@ -8,7 +8,7 @@ use crate::settings::Settings;
 use crate::{Error, hash, train};
 use m4_core::{Plane, Silent};
 use m4_io::image::{resize_rgb, write_rgb};
-use m4_io::scene_file;
+use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ pub fn poster(run: &Path, input: &Path, settings: &Settings) -> Result<PathBuf, 
     // Warnings about the capture were given while the scene was made.
     let made = run.join(CAPTURE_FOLDER);
     let capture = train::read(if made.is_dir() { &made } else { input }, settings, &Silent)?;
-    let scene = scene_file::read(&run.join(SCENE_FILE))?.scene;
+    let scene = safetensors::read(&run.join(SCENE_FILE))?.scene;
     let frame = sharpest::sharpest(&capture).min(scene.source.len().saturating_sub(1));
     let (Some(source), Some(photo)) = (scene.source.get(frame), capture.frames.get(frame)) else {
         return Err(Error::Internal {

@@ -27,7 +27,7 @@ use crate::device::DeviceChoice;
 use crate::folder::SCENE_FILE;
 use crate::{Error, Observer};
 use m4_core::Scene;
-use m4_io::scene_file;
+use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use sink::Sink;
 use std::path::Path;
@@ -133,13 +133,10 @@ pub fn make(scene: &Path, out: &Path, job: &RenderJob, observer: &dyn Observer) 
     } else {
         scene.to_path_buf()
     };
-    let scene = scene_file::read(&file)?.scene;
+    let scene = safetensors::read(&file)?.scene;
     let gpu = job.device.open()?;
     let mut renderer = SceneRenderer::new(&scene, level, gpu.as_ref())?;
     let plan = job.plan(&scene, renderer.painter())?;
-    for remark in &plan.remarks {
-        observer.warn(remark);
-    }
     let stops = &plan.stops;
     let mut sink = Sink::open(out, stops, plan.fps, job.replace)?;
     for (i, stop) in stops.iter().enumerate() {

@@ -3,7 +3,7 @@
 use super::{MissingScene, Suite};
 use crate::Category;
 use crate::evaluate::Protocol;
-use m4_import::ReadSourceError;
+use m4_io::dataset::ReadSourceError;
 use std::path::{Path, PathBuf};
 
 /// Why a table cannot be made.

@@ -18,8 +18,8 @@ use crate::folder::{self, EVAL_FILE, Existing};
 use crate::import;
 use crate::record::{RunRecord, write_json};
 use crate::{Error, Job, geometry, hash};
-use m4_import::{ImportOptions, SourceFormat};
 use m4_io::capture::{self, Split};
+use m4_io::dataset::{ImportOptions, SourceFormat};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -219,7 +219,7 @@ fn whole_capture(
         reach: job.settings.capture.reach,
         ..ImportOptions::default()
     };
-    let read = m4_import::read(&scene.path, format, &import, job.observer).map_err(ReproduceError::from)?;
+    let read = m4_io::dataset::read(&scene.path, format, &import, job.observer).map_err(ReproduceError::from)?;
     let source = (scene.path.as_path(), format);
     import::write_capture(whole, &read, source, options.factor, job.observer)?;
     write_json(&file, &Imported { key })?;

@@ -3,7 +3,7 @@
 use crate::folder;
 use crate::{Error, Observer};
 use m4_core::{Capture, Progress};
-use m4_io::scene_file::{self, SceneFile};
+use m4_io::scene::safetensors::{self, SceneFile};
 use m4_kernels::SimdLevel;
 use m4_train::{TrainConfig, Trainer};
 use std::collections::BTreeMap;
@@ -41,7 +41,7 @@ impl Checkpoints {
         progress: &dyn Progress,
     ) -> Result<Option<Trainer<'a>>, Error> {
         for (_, path) in folder::checkpoints(&self.folder).into_iter().rev() {
-            let file = match scene_file::read(&path) {
+            let file = match safetensors::read(&path) {
                 Ok(file) => file,
                 Err(error) => {
                     progress.warn(&format!("a checkpoint cannot be used: {error}"));
@@ -75,7 +75,7 @@ impl Checkpoints {
     pub fn save(&mut self, trainer: &mut Trainer<'_>) -> Result<(), Error> {
         let path = folder::checkpoint_file(&self.folder, trainer.iteration());
         let metadata = BTreeMap::from([(KEY.to_owned(), self.key.clone())]);
-        let mut write = || trainer.save(|scene, state| scene_file::write(&path, scene, Some(state), &metadata));
+        let mut write = || trainer.save(|scene, state| safetensors::write(&path, scene, Some(state), &metadata));
         if let Err(error) = write() {
             if !error.wants_room() {
                 return Err(error.into());

@@ -15,7 +15,7 @@ use crate::{Error, Job, Observer, Settings, StageEvent, hash, preview, viewer};
 use checkpoint::{CheckpointTimer, Checkpoints};
 use m4_core::{Capture, Progress, Scene, Splats, TrainState};
 use m4_io::capture::Split;
-use m4_io::scene_file;
+use m4_io::scene::safetensors;
 use m4_train::{DeviceError, DeviceMaker, MetricsEvent, Outcome, TrainError, Trainer};
 use metrics::MetricsLog;
 use serde::Serialize;
@@ -92,7 +92,7 @@ pub(crate) fn stage(run: &mut Workspace<'_>, capture: &Capture) -> Result<Scene,
     let (because, seconds) = match task {
         Task::Reuse => {
             run.job.observer.stage(STAGE, StageEvent::Reused);
-            return Ok(scene_file::read(&run.path(SCENE_FILE))?.scene);
+            return Ok(safetensors::read(&run.path(SCENE_FILE))?.scene);
         }
         Task::Work {
             because,
@@ -257,8 +257,8 @@ fn publish(path: &Path, scene: &Scene, state: &TrainState<'_>) -> Result<(), Err
             what: "training ended with values that are not finite".to_owned(),
         });
     }
-    scene_file::write(path, scene, Some(state), &BTreeMap::new())?;
-    let back = scene_file::read(path)?;
+    safetensors::write(path, scene, Some(state), &BTreeMap::new())?;
+    let back = safetensors::read(path)?;
     let differs = if back.scene != *scene {
         "the scene differs"
     } else if back.state.as_ref() != Some(state) {

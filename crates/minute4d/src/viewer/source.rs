@@ -8,7 +8,7 @@ use crate::record::{RunRecord, Status};
 use crate::{Error, is_capture};
 use m4_core::{Progress, Scene};
 use m4_io::capture::{CaptureOptions, Split};
-use m4_io::scene_file;
+use m4_io::scene::safetensors;
 use m4_kernels::SimdLevel;
 use m4_train::MetricsEvent;
 use m4_viewer::server::Metrics;
@@ -128,7 +128,7 @@ impl Source {
     ///
     /// [`Error::Data`] for a file that is no scene.
     pub fn load(&self, stamp: &Stamp, level: SimdLevel) -> Result<(Manifest, Vec<u8>, Scene), Error> {
-        let scene = scene_file::read(&stamp.path)?.scene;
+        let scene = safetensors::read(&stamp.path)?.scene;
         let (manifest, payload) = pack(&scene, &self.title(), median_depth(&scene, level));
         Ok((manifest, payload.bytes, scene))
     }

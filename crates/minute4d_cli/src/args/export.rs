@@ -9,10 +9,10 @@ use std::path::PathBuf;
 /// `minute4d export`
 #[derive(Debug, Args)]
 pub struct Export {
-    /// The folder of a run or a scene file; for colmap and nerfstudio also a capture
+    /// The folder of a run or a scene file; for colmap and nerfstudio a capture
     pub scene: PathBuf,
     /// Output format [default: by the extension of --out, or 4dgs]. 4dgs, splatv: the whole clip; ply, spz, gltf: one
-    /// instant; ply-sequence: one file per frame; colmap, nerfstudio: cameras, and for a capture also images, masks, points (and depth);
+    /// instant; ply-sequence: one file per frame; colmap, nerfstudio: cameras, images, masks and points of a capture (and depth);
     /// mp4: a video rendered from the source cameras
     #[arg(long, value_name = "FORMAT", value_parser = format)]
     pub format: Option<Format>,

@@ -89,7 +89,7 @@ impl Import {
             },
             options: ImportOptions {
                 fps: self.fps,
-                pictures: self.images.clone(),
+                images: self.images.clone(),
                 depth: self.depth.clone(),
                 depth_unit: self.depth_unit,
                 masks: self.masks.clone(),
@@ -100,11 +100,11 @@ impl Import {
                     AxesArg::Opencv => Axes::OpenCv,
                 }),
                 tau_motion: self.tau_motion.unwrap_or(defaults.tau_motion),
+                motion: self.motion_prob.clone(),
                 factor: self.factor,
                 reach: self.reach.reach(),
                 ..defaults
             },
-            motion: self.motion_prob.clone(),
             check: !self.no_check,
             fix: self.fix,
             ..ImportJob::new(self.format)

@@ -4,7 +4,7 @@ use crate::args::{Export, PrecisionArg};
 use crate::failure::Failure;
 use crate::output::Output;
 use minute4d::export::{ExportJob, Format};
-use minute4d::formats::fourdgs::{FourdgsConfig, Precision};
+use minute4d::io::scene::fourdgs::{FourdgsConfig, Precision};
 use minute4d::render::Moment;
 
 pub fn run(args: &Export, output: &Output) -> Result<(), Failure> {

@@ -20,10 +20,10 @@ pub struct Planes420 {
 impl Planes420 {
     /// Converts an image; odd sides grow by repeating the last column or row. Chroma is sited at the
     /// left luma column, between two rows, and weighed 1 2 1 along the row.
-    pub fn new(picture: &RgbImage, matrix: &YuvMatrix) -> Self {
-        let (w, h) = picture.size();
+    pub fn new(image: &RgbImage, matrix: &YuvMatrix) -> Self {
+        let (w, h) = image.size();
         let (width, height) = (w.next_multiple_of(2), h.next_multiple_of(2));
-        let pixel = |x: usize, y: usize| picture[(x.min(w - 1), y.min(h - 1))].map(f32::from);
+        let pixel = |x: usize, y: usize| image[(x.min(w - 1), y.min(h - 1))].map(f32::from);
         let mut luma = vec![0; width * height];
         luma.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
             for (x, value) in row.iter_mut().enumerate() {
@@ -61,23 +61,19 @@ mod tests {
     use m4_core::Plane;
 
     #[test]
-    fn a_smooth_picture_comes_back() {
+    fn smooth_images_survive_420_round_trip() {
         let matrix = YuvMatrix::from_code(1, 480, Range::Limited).unwrap();
-        let picture = Plane::from_fn(41, 27, |x, y| {
+        let image = Plane::from_fn(41, 27, |x, y| {
             [(x * 6) as u8, (y * 9) as u8, 200 - (x * 2 + y * 3) as u8]
         });
-        let planes = Planes420::new(&picture, &matrix);
+        let planes = Planes420::new(&image, &matrix);
         assert_eq!((planes.width, planes.height), (42, 28));
         let [cb, cr] = &planes.chroma;
-        let back = matrix.picture_420((42, 28), [&planes.luma, cb, cr], [42, 21]).unwrap();
+        let back = matrix.image_420((42, 28), [&planes.luma, cb, cr], [42, 21]).unwrap();
         for y in 0..27 {
             for x in 0..39 {
-                let off = back[(x, y)]
-                    .iter()
-                    .zip(picture[(x, y)])
-                    .map(|(a, b)| a.abs_diff(b))
-                    .max();
-                assert!(off <= Some(6), "({x}, {y}): {:?} {:?}", back[(x, y)], picture[(x, y)]);
+                let off = back[(x, y)].iter().zip(image[(x, y)]).map(|(a, b)| a.abs_diff(b)).max();
+                assert!(off <= Some(6), "({x}, {y}): {:?} {:?}", back[(x, y)], image[(x, y)]);
             }
         }
     }

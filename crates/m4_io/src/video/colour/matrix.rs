@@ -21,7 +21,7 @@ pub struct YuvMatrix {
 }
 
 impl YuvMatrix {
-    /// By the code of ITU-T H.273 table 4; what is not said (2) is guessed as players do: BT.601 below
+    /// By the code of ITU-T H.273 table 4; what is unspecified (2) is guessed as players do: BT.601 below
     /// 720 rows, BT.709 from there. `None` for codes of other kinds (RGB, YCgCo, constant luminance).
     pub fn from_code(code: u16, height: usize, range: Range) -> Option<Self> {
         let (kr, kb) = match code {
@@ -39,7 +39,7 @@ impl YuvMatrix {
     /// An image from 4:2:0 planes with the given strides. Chroma lies at the left luma column and
     /// between two luma rows (MPEG-2 siting, H.264's default) and is interpolated. `None` if a plane is
     /// too short.
-    pub fn picture_420(
+    pub fn image_420(
         &self,
         (width, height): (usize, usize),
         [luma, cb, cr]: [&[u8]; 3],
@@ -153,9 +153,7 @@ mod tests {
                     [0.0; 3],
                 ] {
                     let [l, u, v] = matrix.yuv(colour).map(|v| v.round() as u8);
-                    let got = matrix
-                        .picture_420((6, 4), [&[l; 24], &[u; 6], &[v; 6]], [6, 3])
-                        .unwrap();
+                    let got = matrix.image_420((6, 4), [&[l; 24], &[u; 6], &[v; 6]], [6, 3]).unwrap();
                     for (got, want) in got.data().iter().flatten().zip(colour.iter().cycle()) {
                         assert!(
                             (f32::from(*got) - want).abs() <= 3.0,
@@ -194,7 +192,7 @@ mod tests {
         let matrix = YuvMatrix::from_code(6, 480, Range::Full).unwrap();
         let cr: Vec<u8> = (0..4).flat_map(|_| (0..8).map(|i| 128 + 4 * i as u8)).collect();
         let got = matrix
-            .picture_420((16, 8), [&[100; 128], &[128; 32], &cr], [16, 8])
+            .image_420((16, 8), [&[100; 128], &[128; 32], &cr], [16, 8])
             .unwrap();
         for x in 0..15 {
             let want = 100.0 + 1.402 * 2.0 * x as f64;
@@ -202,7 +200,7 @@ mod tests {
         }
         assert!(
             matrix
-                .picture_420((16, 8), [&[0; 100], &[0; 32], &[0; 32]], [16, 8])
+                .image_420((16, 8), [&[0; 100], &[0; 32], &[0; 32]], [16, 8])
                 .is_none()
         );
     }

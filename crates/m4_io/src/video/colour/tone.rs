@@ -121,7 +121,7 @@ impl ToneMap {
     }
 
     /// An image of rows of `width` pixels of 3 little-endian 16-bit numbers; `None` if the length is wrong.
-    pub fn picture_16(&self, width: usize, height: usize, bytes: &[u8]) -> Option<RgbImage> {
+    pub fn image_16(&self, width: usize, height: usize, bytes: &[u8]) -> Option<RgbImage> {
         let pixel = |p: &[u8]| {
             let channel = |i: usize| u16::from_le_bytes([p[2 * i], p[2 * i + 1]]);
             self.pixel([channel(0), channel(1), channel(2)])
@@ -130,8 +130,8 @@ impl ToneMap {
     }
 
     /// An image that a decoder gave with 8 bits per channel.
-    pub fn picture_8(&self, picture: &RgbImage) -> RgbImage {
-        picture.map(|p| self.pixel(p.map(|v| u16::from(v) * 257)))
+    pub fn image_8(&self, image: &RgbImage) -> RgbImage {
+        image.map(|p| self.pixel(p.map(|v| u16::from(v) * 257)))
     }
 }
 
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn tones_rise_to_white_without_a_step() {
+    fn tone_curve_is_monotonic_and_continuous() {
         for hdr in [Hdr::Pq, Hdr::Hlg] {
             let map = ToneMap::new(hdr);
             let greys: Vec<[u8; 3]> = (0..=255u16).map(|v| map.pixel([v * 257; 3])).collect();

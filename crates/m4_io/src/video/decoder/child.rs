@@ -68,7 +68,7 @@ pub struct Child<'a> {
 /// How a child ended by itself.
 pub struct Exit {
     pub status: ExitStatus,
-    /// Seconds of one core that it took, where the system tells.
+    /// Seconds of one core that it took, where the system reports it.
     cpu_s: Option<f64>,
 }
 
@@ -224,7 +224,7 @@ impl<'a> Child<'a> {
     }
 
     /// Lines of its standard error that were kept.
-    pub fn said(&self) -> Vec<String> {
+    pub fn message(&self) -> Vec<String> {
         self.messages.kept()
     }
 

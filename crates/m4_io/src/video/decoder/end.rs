@@ -88,9 +88,9 @@ impl DecoderEnd {
             };
         }
         let Some(signal) = signal_of(status) else {
-            let said = words.last().map_or("no reason given", String::as_str);
+            let message = words.last().map_or("no reason given", String::as_str);
             return Self::Answer {
-                what: format!("it ended early ({status}): {said}"),
+                what: format!("it ended early ({status}): {message}"),
             };
         };
         // The kernel looks at the clock every few milliseconds.

@@ -57,7 +57,7 @@ fn is_program(file: &Path) -> bool {
 ///
 /// # Errors
 ///
-/// It returns only where that failed, with what the system said.
+/// It returns only where that failed, with the error of the system.
 pub fn become_program(line: &[OsString], allowed: &Allowed) -> io::Error {
     let Some((program, arguments)) = line.split_first() else {
         return io::Error::new(ErrorKind::InvalidInput, "a program was expected");
@@ -91,7 +91,7 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn programs_are_found_on_the_path_or_where_they_are_said_to_be() {
+    fn programs_are_found_on_the_path_or_at_the_given_place() {
         let shell = find(Path::new("sh")).unwrap();
         assert!(shell.is_absolute() && shell.ends_with("sh"));
         assert_eq!(find(&shell).unwrap(), shell);

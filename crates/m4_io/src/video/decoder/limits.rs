@@ -7,7 +7,7 @@ const MIB: u64 = 1 << 20;
 /// Address space of a decoder besides its images: ffmpeg 5.1 with 6 threads maps 0.5 GiB.
 const BASE_BYTES: u64 = 2 << 30;
 /// Images that a decoder may hold: 16 for reference, as many in flight in its threads, and some on their way out.
-const PICTURES: u64 = 40;
+const IMAGES: u64 = 40;
 /// Bytes of a pixel: two samples, and half of two more, of 16 bits.
 const PIXEL_BYTES: u64 = 4;
 /// The most that is granted by itself: half of the memory of a small workstation.
@@ -99,9 +99,9 @@ impl DecoderLimits {
 
     /// The limits of a process that does `work`.
     pub(crate) fn allowed(&self, work: Work) -> Allowed {
-        let pictures = work.pixels.saturating_mul(PICTURES * PIXEL_BYTES);
+        let images = work.pixels.saturating_mul(IMAGES * PIXEL_BYTES);
         let memory_bytes = match self.memory_mb {
-            0 => BASE_BYTES.saturating_add(pictures).min(MOST_BYTES),
+            0 => BASE_BYTES.saturating_add(images).min(MOST_BYTES),
             mb => mb.saturating_mul(MIB),
         };
         let cpu_s = match self.cpu_seconds {
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_limits_are_refused() {
+    fn invalid_limits_are_refused() {
         let with = |memory_mb, cpu_seconds, idle_seconds| DecoderLimits {
             memory_mb,
             cpu_seconds,

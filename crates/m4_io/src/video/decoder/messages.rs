@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Longest part of a line that is looked at, bytes.
+/// Longest part of a line that is read, bytes.
 const LINE_BYTES: u64 = 8 << 10;
 /// Lines that are kept: the first half and the last half.
 const KEPT_LINES: usize = 16;
@@ -68,7 +68,7 @@ fn drain(stderr: impl Read, limit_bytes: u64, mut on_line: OnLine, shared: &Shar
     loop {
         line.clear();
         match (&mut stderr).take(LINE_BYTES).read_until(b'\n', &mut line) {
-            // A pipe that breaks is a child that ended, which its exit status tells.
+            // A pipe that breaks is a child that ended, which its exit status reports.
             Ok(0) | Err(_) => break,
             Ok(_) => {}
         }

@@ -8,7 +8,7 @@ use m4_core::Progress;
 use serde::Deserialize;
 use std::path::Path;
 
-/// Longest description that is read, bytes: some 100 a frame, so a million frames.
+/// Longest description that is read, bytes: some 100 per frame, so a million frames.
 const MAX_OUTPUT_BYTES: usize = 256 << 20;
 /// Most bytes of complaints.
 const MESSAGE_BYTES: u64 = 64 << 20;
@@ -119,12 +119,12 @@ pub fn describe(
         if !matches!(how, DecoderEnd::Answer { .. }) {
             return Err(Halt::Failed(how).into_error(path, "ffprobe"));
         }
-        let said = child.said();
-        let last = said.last().map_or("no reason given", String::as_str);
+        let message = child.message();
+        let last = message.last().map_or("no reason given", String::as_str);
         if let Some((_, reason)) = last.split_once(NOT_STARTED).filter(|_| launcher.is_some()) {
             return Err(needed(reason.to_owned()));
         }
-        if !said.iter().any(|line| is_of_data(line)) {
+        if !message.iter().any(|line| is_of_data(line)) {
             let what = format!("it says {:?}", last.trim());
             return Err(Halt::Failed(DecoderEnd::Answer { what }).into_error(path, "ffprobe"));
         }

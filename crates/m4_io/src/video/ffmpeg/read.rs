@@ -19,7 +19,7 @@ const KEPT_COMPLAINTS: usize = 8;
 /// Bytes of messages that are read at most, and this many more for every image: a line on each takes some 300, and a
 /// damaged one may be complained of many times.
 const MESSAGE_BYTES: u64 = 64 << 20;
-const MESSAGE_BYTES_A_PICTURE: u64 = 8 << 10;
+const MESSAGE_BYTES_PER_IMAGE: u64 = 8 << 10;
 /// Most threads for one clip, as ffmpeg itself would take.
 const MAX_THREADS: usize = 16;
 
@@ -125,7 +125,7 @@ impl<'a> Decoder<'a> {
             frames: description.packets as u64,
             bytes: std::fs::metadata(path).map_or(0, |m| m.len()),
         };
-        let message_bytes = MESSAGE_BYTES + MESSAGE_BYTES_A_PICTURE * work.frames;
+        let message_bytes = MESSAGE_BYTES + MESSAGE_BYTES_PER_IMAGE * work.frames;
         let (sender, frames) = channel();
         let complaints = Arc::new(Mutex::new(Complaints::default()));
         let for_thread = Arc::clone(&complaints);
@@ -204,7 +204,7 @@ impl<'a> Decoder<'a> {
                     time_s,
                 });
             }
-            if !self.picture_bytes(&info, &mut bytes)? {
+            if !self.image_bytes(&info, &mut bytes)? {
                 break;
             }
             if !plan::in_range(time_s, self.options) {
@@ -215,7 +215,7 @@ impl<'a> Decoder<'a> {
                     Some(collector) => collector,
                     None => collector.insert(self.collector(&info)?),
                 };
-                collector.push(self.picture(&info, &bytes)?, time_s);
+                collector.push(self.image(&info, &bytes)?, time_s);
                 next += 1;
                 progress.update("decode video", seen + 1, total, "");
             }
@@ -232,7 +232,7 @@ impl<'a> Decoder<'a> {
     }
 
     /// Reads one image; false when the child ended before it was whole.
-    fn picture_bytes(&mut self, info: &FrameInfo, bytes: &mut Vec<u8>) -> Result<bool, ReadVideoError> {
+    fn image_bytes(&mut self, info: &FrameInfo, bytes: &mut Vec<u8>) -> Result<bool, ReadVideoError> {
         let pixels = info.width.saturating_mul(info.height);
         if pixels == 0 || pixels > MAX_PIXELS {
             let what = format!("its frames are {} x {} pixels", info.width, info.height);
@@ -243,15 +243,15 @@ impl<'a> Decoder<'a> {
         whole.map_err(|halt| self.halted(halt))
     }
 
-    fn picture(&self, info: &FrameInfo, bytes: &[u8]) -> Result<RgbImage, ReadVideoError> {
-        let picture = match &self.tone_map {
-            Some(map) => map.picture_16(info.width, info.height, bytes),
+    fn image(&self, info: &FrameInfo, bytes: &[u8]) -> Result<RgbImage, ReadVideoError> {
+        let image = match &self.tone_map {
+            Some(map) => map.image_16(info.width, info.height, bytes),
             None => {
                 let pixels = bytes.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
                 Plane::from_vec(info.width, info.height, pixels).ok()
             }
         };
-        picture.ok_or_else(|| self.failed("an image has the wrong length".into()))
+        image.ok_or_else(|| self.failed("an image has the wrong length".into()))
     }
 
     fn finish(mut self, collector: Option<Collector>, decoded: usize, kept: usize) -> Result<Video, ReadVideoError> {
@@ -275,18 +275,18 @@ impl<'a> Decoder<'a> {
             }
         }
         drop(self.child);
-        let said = complaints
+        let message = complaints
             .first
             .first()
             .cloned()
             .unwrap_or_else(|| "no reason given".into());
         if self.options.strict && (complaints.count > 0 || !complete) {
-            let reason = format!("{} errors with `strict`, the first: {said}", complaints.count.max(1));
+            let reason = format!("{} errors with `strict`, the first: {message}", complaints.count.max(1));
             return Err(ReadVideoError::Ffmpeg { path, reason });
         }
         let Some(mut collector) = collector else {
             let reason = complaints.first.join("; ");
-            let reason = if reason.is_empty() { said } else { reason };
+            let reason = if reason.is_empty() { message } else { reason };
             if !complaints.of_data {
                 // It shows no frame, and says nothing against the clip: it may not have been able to read it.
                 return Err(Halt::Failed(DecoderEnd::Answer { what: reason }).into_error(&path, "ffmpeg"));
@@ -304,7 +304,7 @@ impl<'a> Decoder<'a> {
         }
         if complaints.count > 0 {
             collector.warnings.push(format!(
-                "ffmpeg met {} errors while decoding, so frames may be damaged; the first: {said}",
+                "ffmpeg met {} errors while decoding, so frames may be damaged; the first: {message}",
                 complaints.count
             ));
         }
@@ -318,7 +318,7 @@ impl<'a> Decoder<'a> {
         collector.warnings.extend(plan::thinned(self.keep.len(), self.in_range));
         collector
             .finish(None)
-            .ok_or(ReadVideoError::NoFrames { path, reason: said })
+            .ok_or(ReadVideoError::NoFrames { path, reason: message })
     }
 
     fn halted(&self, halt: Halt) -> ReadVideoError {

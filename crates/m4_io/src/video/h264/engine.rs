@@ -113,8 +113,8 @@ impl<'a> Engine<'a> {
                 Frame::Whole(yuv) => {
                     let (luma, chroma, _) = yuv.strides();
                     let planes = [yuv.y(), yuv.u(), yuv.v()];
-                    let picture = self.matrix.picture_420(self.size, planes, [luma, chroma]);
-                    picture.map(Some)
+                    let image = self.matrix.image_420(self.size, planes, [luma, chroma]);
+                    image.map(Some)
                 }
             }),
             Place::There { child, .. } => {
@@ -137,7 +137,7 @@ impl<'a> Engine<'a> {
         match kind[0] {
             wire::DAMAGED => Ok(None),
             wire::DECODED => Ok(Some(None)),
-            wire::PICTURE => {
+            wire::IMAGE => {
                 let (luma, chroma) = plane_bytes(self.size);
                 let mut bytes = vec![0; luma + 2 * chroma];
                 if !child.read_exact(&mut bytes)? {
@@ -146,7 +146,7 @@ impl<'a> Engine<'a> {
                 let (y, rest) = bytes.split_at(luma);
                 let (u, v) = rest.split_at(chroma);
                 let strides = [self.size.0, self.size.0.div_ceil(2)];
-                Ok(self.matrix.picture_420(self.size, [y, u, v], strides).map(Some))
+                Ok(self.matrix.image_420(self.size, [y, u, v], strides).map(Some))
             }
             wire::NO_MEMORY => Err(Halt::Failed(DecoderEnd::Memory {
                 limit_mb: memory_bytes >> 20,

@@ -294,16 +294,16 @@ impl Run<'_> {
     fn take(&mut self, time_s: Option<f64>) -> Result<(), ReadVideoError> {
         let decoded = self.engine.take().map_err(|halt| halt.into_error(self.path, DECODER))?;
         match (decoded, time_s) {
-            (Some(Some(picture)), Some(time_s)) => {
-                let picture = match &self.tone_map {
-                    Some(map) => map.picture_8(&picture),
-                    None => picture,
+            (Some(Some(image)), Some(time_s)) => {
+                let image = match &self.tone_map {
+                    Some(map) => map.image_8(&image),
+                    None => image,
                 };
-                let picture = match self.orientation {
-                    Some(orientation) => orientation.apply(picture),
-                    None => picture,
+                let image = match self.orientation {
+                    Some(orientation) => orientation.apply(image),
+                    None => image,
                 };
-                self.collector.push(picture, time_s);
+                self.collector.push(image, time_s);
             }
             (None, Some(time_s)) => self.damaged.push(time_s),
             _ => {}

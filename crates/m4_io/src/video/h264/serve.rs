@@ -49,7 +49,7 @@ pub fn serve(limits: &[OsString], input: impl Read, output: impl Write) -> io::R
             Frame::NoMemory => output.write_all(&[wire::NO_MEMORY])?,
             Frame::Whole(_) if flags & wire::WANTED == 0 => output.write_all(&[wire::DECODED])?,
             Frame::Whole(yuv) => {
-                output.write_all(&[wire::PICTURE])?;
+                output.write_all(&[wire::IMAGE])?;
                 for plane in 0..3 {
                     for row in rows(&yuv, plane, size) {
                         output.write_all(row)?;

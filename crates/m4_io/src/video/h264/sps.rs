@@ -17,9 +17,9 @@ pub struct Sps {
     pub height: usize,
     /// Width of a pixel over its height.
     pub pixel_aspect: Option<f64>,
-    /// ITU-T H.273 table 3; 2 = not said.
+    /// ITU-T H.273 table 3; 2 = unspecified.
     pub transfer: u16,
-    /// ITU-T H.273 table 4; 2 = not said.
+    /// ITU-T H.273 table 4; 2 = unspecified.
     pub matrix: u16,
     pub full_range: Option<bool>,
 }
@@ -219,7 +219,7 @@ mod tests {
     use super::{Sps, undelayed};
 
     #[test]
-    fn a_high_profile_set_of_x264_is_understood() {
+    fn high_profile_sps_of_x264_is_parsed() {
         // Of the example clip: 480 x 360 (368 coded rows, cropped by 8), BT.709, limited range, square pixels.
         let nal = [
             0x67, 0x64, 0x00, 0x1f, 0xac, 0x76, 0x11, 0x07, 0x82, 0xff, 0x97, 0x01, 0x6a, 0x02, 0x02, 0x03, 0x4a, 0x00,
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_main_profile_set_keeps_its_meaning() {
+    fn main_profile_sps_is_parsed() {
         // x264, 320 x 240, Main.
         let nal = [
             0x67, 0x4d, 0x40, 0x0d, 0xe8, 0x8a, 0x0a, 0x0f, 0xcb, 0x80, 0xb5, 0x01, 0x01, 0x01, 0x40, 0x00, 0x00, 0x03,

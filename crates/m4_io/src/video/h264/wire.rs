@@ -5,7 +5,7 @@
 //! from the decoder:  MAGIC  ready u8
 //! then any number of times
 //! to the decoder:    flags u8  frame (u32, bytes with start codes)
-//! from the decoder:  answer u8, and for PICTURE the planes: luma, then both chroma, without padding
+//! from the decoder:  answer u8, and for IMAGE the planes: luma, then both chroma, without padding
 //! ```
 //!
 //! The decoder never says how long something is: its answers are the size that was agreed on.
@@ -23,7 +23,7 @@ pub const DAMAGED: u8 = 0;
 /// Answer: the frame was decoded, and is not needed.
 pub const DECODED: u8 = 1;
 /// Answer: the frame was decoded and follows.
-pub const PICTURE: u8 = 2;
+pub const IMAGE: u8 = 2;
 /// Answer: there is no memory for the frame.
 pub const NO_MEMORY: u8 = 3;
 

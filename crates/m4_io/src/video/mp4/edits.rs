@@ -31,7 +31,7 @@ struct Part {
 }
 
 impl Timeline {
-    /// `movie_scale` and `track_scale` are ticks a second, above 0.
+    /// `movie_scale` and `track_scale` are ticks per second, above 0.
     pub fn new(edits: &[Edit], movie_scale: u32, track_scale: u32) -> Self {
         let (movie, track) = (f64::from(movie_scale.max(1)), f64::from(track_scale.max(1)));
         let mut parts = Vec::new();
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_and_a_cut_move_frames() {
+    fn edit_list_delays_and_cuts_shift_frames() {
         let timeline = Timeline::new(&[edit(500, -1, 1.0), edit(1000, 24_000, 1.0)], 1000, 12_000);
         assert_eq!(timeline.shown_s(23_500), None);
         assert_eq!(timeline.shown_s(24_000), Some(0.5));
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn without_edits_everything_is_shown() {
+    fn clips_without_edit_lists_keep_all_frames() {
         let timeline = Timeline::new(&[], 600, 600);
         assert_eq!(timeline.shown_s(-300), Some(-0.5));
         let open = Timeline::new(&[edit(0, 1024, 1.0)], 600, 12_288);

@@ -109,7 +109,7 @@ fn track(trak: &[u8], movie_scale: u32, left: &mut u64) -> Result<Track, Mp4Erro
     let mut list = Vec::new();
     if &handler == b"vide" {
         if scale == 0 {
-            return Err(Mp4Error::Bad("its video track has 0 ticks a second".into()));
+            return Err(Mp4Error::Bad("its video track has 0 ticks per second".into()));
         }
         let minf = required(mdia, b"minf", "a track")?.bytes;
         let stbl = required(minf, b"stbl", "a track")?.bytes;

@@ -3,7 +3,7 @@
 use super::GivenError;
 use crate::Error;
 use m4_core::Video;
-use m4_io::video::pictures;
+use m4_io::video::image_files;
 use std::collections::HashMap;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ impl Clip {
         let source = if input.is_dir() {
             let index = |time_s: f64| (time_s * folder_fps).round() as usize;
             let chosen = video.frames.iter().map(|f| index(f.time_s)).collect();
-            Some((pictures(input)?, chosen))
+            Some((image_files(input)?, chosen))
         } else {
             None
         };
@@ -42,7 +42,7 @@ impl Clip {
             let path = folder.to_path_buf();
             return Err(GivenError::Read { path, source }.into());
         }
-        let files = pictures(folder)?;
+        let files = image_files(folder)?;
         if let Some((all, chosen)) = &self.source {
             let by_name: HashMap<&OsStr, &PathBuf> = files.iter().filter_map(|p| Some((p.file_stem()?, p))).collect();
             let named = |&i: &usize| Some((*by_name.get(all.get(i)?.file_stem()?)?).clone());

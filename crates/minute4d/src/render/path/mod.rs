@@ -74,8 +74,6 @@ pub struct Plan {
     pub stops: Vec<Stop>,
     /// Images a second.
     pub fps: f64,
-    /// Options without effect, as messages.
-    pub remarks: Vec<String>,
 }
 
 impl CameraPath {
@@ -116,7 +114,6 @@ impl CameraPath {
         Ok(Plan {
             stops: made.stops(self, painter)?,
             fps,
-            remarks: Vec::new(),
         })
     }
 
@@ -282,15 +279,14 @@ fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
                 }
                 .into());
             }
-            let stops = listed.cameras.into_iter().map(|(camera, t)| Stop {
+            let stops = listed.into_iter().map(|(camera, t)| Stop {
                 camera,
                 t,
                 exposure: Exposure::IDENTITY,
             });
             Ok(Plan {
                 stops: stops.collect(),
-                fps: job.fps.or(listed.fps).unwrap_or_else(|| source_fps(scene)),
-                remarks: listed.remarks,
+                fps: job.fps.unwrap_or_else(|| source_fps(scene)),
             })
         }
         Trajectory::Keyed(keyed) => {
@@ -312,7 +308,6 @@ fn file(path: &Path, scene: &Scene, job: &RenderJob) -> Result<Plan, Error> {
             Ok(Plan {
                 stops: (0..n).map(|i| through.at(pace * i as f64 / fps)).collect(),
                 fps,
-                remarks: keyed.remarks,
             })
         }
     }

@@ -1,7 +1,0 @@
-//! SPZ, glTF and cameras: written, taken apart, compared with numbers worked out by hand.
-#![expect(clippy::unwrap_used, reason = "a test that cannot go on fails")]
-
-mod cameras;
-mod common;
-mod gltf;
-mod spz;

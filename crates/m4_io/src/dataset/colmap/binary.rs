@@ -1,0 +1,210 @@
+//! The three tables as binary files: counts u64, identifiers of cameras and images u32, numbers f64, all little-endian.
+
+use super::tables::{ColmapCamera, ColmapImage, ColmapPoint, PlacedError, damaged};
+use crate::dataset::SourceErrorCause;
+
+/// COLMAP's models in the order of their numbers, each with how many parameters it has (`colmap/sensor/models.h`, 4.2).
+const MODELS: [(&str, usize); 18] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    ("SIMPLE_DIVISION", 4),
+    ("DIVISION", 5),
+    ("SIMPLE_FISHEYE", 3),
+    ("FISHEYE", 4),
+    ("EUCM", 6),
+    ("EQUIRECTANGULAR", 2),
+];
+
+pub fn cameras(rows: &[ColmapCamera]) -> Vec<u8> {
+    let mut out = (rows.len() as u64).to_le_bytes().to_vec();
+    for row in rows {
+        let model = MODELS.iter().position(|(name, _)| *name == row.model);
+        out.extend(row.id.to_le_bytes());
+        out.extend(model.map_or(-1, |model| model as i32).to_le_bytes());
+        out.extend(row.width.to_le_bytes());
+        out.extend(row.height.to_le_bytes());
+        numbers(&mut out, &row.parameters);
+    }
+    out
+}
+
+pub fn images(rows: &[ColmapImage]) -> Vec<u8> {
+    let mut out = (rows.len() as u64).to_le_bytes().to_vec();
+    for row in rows {
+        out.extend(row.id.to_le_bytes());
+        numbers(&mut out, &row.rotation);
+        numbers(&mut out, &row.translation);
+        out.extend(row.camera.to_le_bytes());
+        out.extend(row.name.as_bytes());
+        out.push(0);
+        out.extend(0u64.to_le_bytes());
+    }
+    out
+}
+
+pub fn points(rows: &[ColmapPoint]) -> Vec<u8> {
+    let mut out = (rows.len() as u64).to_le_bytes().to_vec();
+    for (i, row) in (1u64..).zip(rows) {
+        out.extend(i.to_le_bytes());
+        numbers(&mut out, &row.position);
+        out.extend(row.colour);
+        numbers(&mut out, &[-1.0]);
+        out.extend(0u64.to_le_bytes());
+    }
+    out
+}
+
+fn numbers(out: &mut Vec<u8>, values: &[f64]) {
+    values.iter().for_each(|v| out.extend(v.to_le_bytes()));
+}
+
+pub fn read_cameras(bytes: &[u8]) -> Result<Vec<ColmapCamera>, PlacedError> {
+    let mut from = Cursor { bytes, at: 0 };
+    let count = from.u64()?;
+    let mut rows = Vec::new();
+    for _ in 0..count {
+        let (id, model) = (from.u32()?, from.u32()? as i32);
+        let (width, height) = (from.u64()?, from.u64()?);
+        let known = usize::try_from(model).ok().and_then(|k| MODELS.get(k));
+        let &(name, len) = known.ok_or_else(|| {
+            let what = format!("its lens is of the unknown model {model}");
+            (
+                format!("camera {id}"),
+                SourceErrorCause::unsupported(what, "undistort the images (`colmap image_undistorter`)"),
+            )
+        })?;
+        let parameters: Vec<f64> = (0..len).map(|_| from.f64()).collect::<Result<_, _>>()?;
+        rows.push(ColmapCamera {
+            id,
+            model: name.to_owned(),
+            width,
+            height,
+            parameters,
+        });
+    }
+    from.end()?;
+    Ok(rows)
+}
+
+pub fn read_images(bytes: &[u8]) -> Result<Vec<ColmapImage>, PlacedError> {
+    let mut from = Cursor { bytes, at: 0 };
+    let count = from.u64()?;
+    let mut rows = Vec::new();
+    for _ in 0..count {
+        let id = from.u32()?;
+        let rotation = from.array()?;
+        let translation = from.array()?;
+        let camera = from.u32()?;
+        let name = from.name()?;
+        let seen = from.u64()?;
+        from.skip(seen, 24)?;
+        rows.push(ColmapImage {
+            id,
+            rotation,
+            translation,
+            camera,
+            name,
+        });
+    }
+    from.end()?;
+    Ok(rows)
+}
+
+pub fn read_points(bytes: &[u8]) -> Result<Vec<ColmapPoint>, PlacedError> {
+    let mut from = Cursor { bytes, at: 0 };
+    let count = from.u64()?;
+    let mut rows = Vec::new();
+    for _ in 0..count {
+        from.u64()?;
+        let position = from.array()?;
+        let colour = from.take(3)?;
+        let colour = [colour[0], colour[1], colour[2]];
+        from.f64()?;
+        let track = from.u64()?;
+        from.skip(track, 8)?;
+        rows.push(ColmapPoint { position, colour });
+    }
+    from.end()?;
+    Ok(rows)
+}
+
+/// A place in a file. Every row takes bytes, so tables grow no larger than the file.
+struct Cursor<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Cursor<'a> {
+    fn damaged(&self, reason: String) -> PlacedError {
+        damaged(format!("byte {}", self.at), reason)
+    }
+
+    fn take(&mut self, len: usize) -> Result<&'a [u8], PlacedError> {
+        let found = self.bytes.get(self.at..).and_then(|rest| rest.get(..len));
+        let Some(found) = found else {
+            let rest = self.bytes.len() - self.at;
+            return Err(self.damaged(format!("{rest} bytes are left where {len} were expected")));
+        };
+        self.at += len;
+        Ok(found)
+    }
+
+    fn fixed<const N: usize>(&mut self) -> Result<[u8; N], PlacedError> {
+        let bytes = self.take(N)?;
+        Ok(std::array::from_fn(|i| bytes[i]))
+    }
+
+    fn u32(&mut self) -> Result<u32, PlacedError> {
+        self.fixed().map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Result<u64, PlacedError> {
+        self.fixed().map(u64::from_le_bytes)
+    }
+
+    fn f64(&mut self) -> Result<f64, PlacedError> {
+        self.fixed().map(f64::from_le_bytes)
+    }
+
+    fn array<const N: usize>(&mut self) -> Result<[f64; N], PlacedError> {
+        let mut values = [0.0; N];
+        for v in &mut values {
+            *v = self.f64()?;
+        }
+        Ok(values)
+    }
+
+    /// `count` records of `width` bytes.
+    fn skip(&mut self, count: u64, width: u64) -> Result<(), PlacedError> {
+        let len = count.checked_mul(width).and_then(|n| usize::try_from(n).ok());
+        let len = len.ok_or_else(|| self.damaged(format!("a list of {count} records")))?;
+        self.take(len).map(|_| ())
+    }
+
+    fn name(&mut self) -> Result<String, PlacedError> {
+        let rest = &self.bytes[self.at..];
+        let end = rest.iter().position(|&b| b == 0);
+        let end = end.ok_or_else(|| self.damaged("a name does not end".into()))?;
+        let name = std::str::from_utf8(&rest[..end]);
+        let name = name.map_err(|_| self.damaged("a name is not UTF-8".into()))?;
+        self.at += end + 1;
+        Ok(name.to_owned())
+    }
+
+    fn end(&self) -> Result<(), PlacedError> {
+        match self.bytes.len() - self.at {
+            0 => Ok(()),
+            n => Err(self.damaged(format!("{n} bytes follow the last record"))),
+        }
+    }
+}

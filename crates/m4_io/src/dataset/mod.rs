@@ -1,0 +1,164 @@
+//! Imports clips with poses from other tools as captures for training.
+//!
+//! ```text
+//! data sets          dycheck, nvidia; davis, which has no poses and is read by itself
+//! phones             record3d
+//! reconstructions    colmap, nerfstudio, vipe, megasam
+//!
+//! path -> detect -> the format's list -> Listing: lens, pose, time and the places of images, depth and masks
+//!      -> side::attach: depth maps, masks and tracks that the options name
+//!      -> load: everything decoded in parallel within a memory limit, distortion removed -> Imported
+//! ```
+//!
+//! A format is one file or folder: its parser, and at the top the conventions that it converts. What it lists is in ours
+//! (OpenCV axes, camera to world, z-depth, principal points measured from the image's corner), and everything that follows is
+//! the same for all.
+//!
+//! Files are not trusted: counts are compared with the size of the file before memory is taken.
+
+pub mod colmap;
+pub mod davis;
+pub mod dycheck;
+pub mod export;
+pub mod llff;
+pub mod megasam;
+pub mod nerfstudio;
+mod nvidia;
+mod record3d;
+pub mod side;
+mod vipe;
+
+mod error;
+mod files;
+mod lens;
+mod listing;
+mod load;
+mod options;
+mod undistort;
+
+pub use error::{ReadSourceError, SourceErrorCause};
+pub use lens::{Distortion, Lens};
+pub use listing::{FrameSource, Imported, ListedFrame, Listing};
+pub use load::load;
+pub(crate) use load::{load_of, step};
+pub use options::ImportOptions;
+
+use m4_core::Progress;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// A format of posed clips, the special before the general: the order in which they are tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum SourceFormat {
+    /// Nerfies, HyperNeRF, DyCheck's iPhone scenes ([`dycheck`]).
+    Dycheck,
+    /// NVIDIA Dynamic Scenes and other clips with LLFF's `poses_bounds.npy`.
+    Nvidia,
+    /// Record3D's `.r3d`.
+    Record3d,
+    /// COLMAP's sparse model with its images.
+    Colmap,
+    /// `transforms.json` of nerfstudio, Blender, Instant4D, and our own captures.
+    Nerfstudio,
+    /// Artifacts of ViPE.
+    Vipe,
+    /// Files of MegaSaM.
+    Megasam,
+}
+
+/// What is known of one format.
+struct Row {
+    format: SourceFormat,
+    name: &'static str,
+    /// Detects a file or folder of the format by names and first bytes.
+    detect: fn(&Path) -> bool,
+    list: fn(&Path, &ImportOptions, &dyn Progress) -> Result<Listing, ReadSourceError>,
+}
+
+/// In the order of [`SourceFormat`].
+const ROWS: &[Row] = &[
+    Row {
+        format: SourceFormat::Dycheck,
+        name: "dycheck",
+        detect: dycheck::detect,
+        list: dycheck::list,
+    },
+    Row {
+        format: SourceFormat::Nvidia,
+        name: "nvidia",
+        detect: nvidia::detect,
+        list: nvidia::list,
+    },
+    Row {
+        format: SourceFormat::Record3d,
+        name: "record3d",
+        detect: record3d::detect,
+        list: record3d::list,
+    },
+    Row {
+        format: SourceFormat::Colmap,
+        name: "colmap",
+        detect: colmap::detect,
+        list: colmap::list,
+    },
+    Row {
+        format: SourceFormat::Nerfstudio,
+        name: "nerfstudio",
+        detect: nerfstudio::detect,
+        list: nerfstudio::list,
+    },
+    Row {
+        format: SourceFormat::Vipe,
+        name: "vipe",
+        detect: vipe::detect,
+        list: vipe::list,
+    },
+    Row {
+        format: SourceFormat::Megasam,
+        name: "megasam",
+        detect: megasam::detect,
+        list: megasam::list,
+    },
+];
+
+impl SourceFormat {
+    /// All variants.
+    pub fn all() -> impl Iterator<Item = Self> {
+        ROWS.iter().map(|row| row.format)
+    }
+
+    /// Returns the name on the command line.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        ROWS.iter().find(|row| row.format == self).map_or("", |row| row.name)
+    }
+}
+
+/// The format of what is at `path`, by names and first bytes; `None` if it is none of these.
+#[must_use]
+pub fn detect(path: &Path) -> Option<SourceFormat> {
+    ROWS.iter().find(|row| (row.detect)(path)).map(|row| row.format)
+}
+
+/// Reads a file or folder of that format; depth, masks and tracks that the options name take the place of its own.
+///
+/// # Errors
+///
+/// [`ReadSourceError`], which names the file and the place at fault.
+pub fn read(
+    path: &Path,
+    format: SourceFormat,
+    options: &ImportOptions,
+    progress: &dyn Progress,
+) -> Result<Imported, ReadSourceError> {
+    match ROWS.iter().find(|row| row.format == format) {
+        Some(row) => {
+            let mut listing = (row.list)(path, options, progress)?;
+            side::attach(&mut listing, options, progress)?;
+            load(path, listing, options, progress)
+        }
+        None => Err(SourceErrorCause::unsupported("no reader has this format", "name another").at(path)),
+    }
+}

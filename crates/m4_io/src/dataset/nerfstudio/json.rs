@@ -1,0 +1,151 @@
+//! The keys of `transforms*.json`, for reading and writing.
+
+use crate::capture::Axes;
+use m4_core::{Intrinsics, Se3};
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Serialize};
+
+/// Lens of all frames or of one; pixels.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct LensKeys {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera_model: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fl_x: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fl_y: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cx: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cy: Option<f64>,
+    /// Some exporters write `480.0`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub w: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub h: Option<f64>,
+    /// Horizontal field of view, radians: the synthetic NeRF scenes have it instead of `fl_x`.
+    #[serde(skip_serializing)]
+    pub camera_angle_x: Option<f64>,
+    #[serde(skip_serializing)]
+    pub camera_angle_y: Option<f64>,
+    #[serde(skip_serializing)]
+    pub k1: Option<f64>,
+    #[serde(skip_serializing)]
+    pub k2: Option<f64>,
+    #[serde(skip_serializing)]
+    pub k3: Option<f64>,
+    #[serde(skip_serializing)]
+    pub k4: Option<f64>,
+    #[serde(skip_serializing)]
+    pub p1: Option<f64>,
+    #[serde(skip_serializing)]
+    pub p2: Option<f64>,
+    #[serde(skip_serializing)]
+    pub is_fisheye: Option<bool>,
+}
+
+impl LensKeys {
+    /// The keys of a pinhole.
+    pub fn pinhole(k: &Intrinsics) -> Self {
+        Self {
+            fl_x: Some(k.fx),
+            fl_y: Some(k.fy),
+            cx: Some(k.cx),
+            cy: Some(k.cy),
+            w: Some(k.width as f64),
+            h: Some(k.height as f64),
+            ..Self::default()
+        }
+    }
+
+    /// These values, and where they are missing those of `all`.
+    pub fn or(&self, all: &Self) -> Self {
+        // a focal length in one place must not mix with a field of view in the other
+        let own_focal = self.fl_x.is_some() || self.camera_angle_x.is_some();
+        let focal = if own_focal { self } else { all };
+        Self {
+            fl_x: focal.fl_x,
+            fl_y: focal.fl_y,
+            camera_angle_x: focal.camera_angle_x,
+            camera_angle_y: focal.camera_angle_y,
+            cx: self.cx.or(all.cx),
+            cy: self.cy.or(all.cy),
+            w: self.w.or(all.w),
+            h: self.h.or(all.h),
+            k1: self.k1.or(all.k1),
+            k2: self.k2.or(all.k2),
+            k3: self.k3.or(all.k3),
+            k4: self.k4.or(all.k4),
+            p1: self.p1.or(all.p1),
+            p2: self.p2.or(all.p2),
+            camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
+            is_fisheye: self.is_fisheye.or(all.is_fisheye),
+        }
+    }
+}
+
+/// The file. Frames that are read stay unparsed, so that a fault names its frame.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(default, bound(deserialize = "F: Deserialize<'de> + Default"))]
+pub struct Transforms<F = serde_json::Value> {
+    #[serde(flatten)]
+    pub lens: LensKeys,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_unit_scale_factor: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub axes: Option<Axes>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metric: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub duration_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_frames: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tracks_path: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub train_filenames: Option<Vec<String>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub val_filenames: Option<Vec<String>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub test_filenames: Option<Vec<String>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ply_file_path: Option<String>,
+    #[serde(skip_serializing)]
+    pub applied_transform: Option<Vec<Vec<f64>>>,
+    #[serde(skip_serializing)]
+    pub applied_scale: Option<f64>,
+    #[serde(skip_serializing)]
+    pub orientation_override: Option<IgnoredAny>,
+    #[serde(skip_serializing)]
+    pub aabb_scale: Option<IgnoredAny>,
+    pub frames: Vec<F>,
+}
+
+/// One entry of `frames`.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Frame {
+    pub file_path: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_file_path: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mask_path: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motion_path: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub instance_path: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub camera: Option<u32>,
+    #[serde(flatten)]
+    pub lens: LensKeys,
+    pub transform_matrix: Option<Vec<Vec<f64>>>,
+}
+
+/// The rows of `transform_matrix` of a pose: OpenGL axes.
+pub fn rows(c2w: &Se3<f64>) -> Vec<Vec<f64>> {
+    let m = Axes::OpenGl.to_opencv(c2w).matrix();
+    (0..4).map(|i| (0..4).map(|j| m[(i, j)]).collect()).collect()
+}

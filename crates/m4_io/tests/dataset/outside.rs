@@ -1,0 +1,155 @@
+//! Sources that name files outside of their folder, or lead to them by links.
+
+use crate::dataset::support::{copied, fixture, refused};
+use m4_core::Silent;
+use m4_io::dataset::SourceFormat::{self, Nerfstudio};
+use m4_io::dataset::{ImportOptions, read};
+use m4_io::reach::Reach;
+use std::fs;
+use std::path::Path;
+
+fn anywhere() -> ImportOptions {
+    ImportOptions {
+        reach: Reach::Anywhere,
+        ..ImportOptions::default()
+    }
+}
+
+fn says(message: &str, words: &[&str]) {
+    for word in words {
+        assert!(message.contains(word), "{word:?} is not in: {message}");
+    }
+}
+
+#[test]
+fn a_list_that_names_private_files_is_refused() {
+    let (dir, here) = copied("import/nerfstudio");
+    let file = here.join("transforms.json");
+    let text = fs::read_to_string(&file).unwrap();
+    for (from, private) in [
+        ("images/frame_3.jpg", "private.jpg"),
+        ("depth/2.png", "private-depth.png"),
+        ("masks/2.png", "private-mask.png"),
+    ] {
+        fs::copy(here.join(from), dir.path().join(private)).unwrap();
+        let original = dir.path().join(private).display().to_string();
+        for name in [format!("../{private}"), format!("images/../../{private}"), original] {
+            let quoted = format!("\"{from}\"");
+            assert!(text.contains(&quoted));
+            fs::write(&file, text.replace(&quoted, &format!("{name:?}"))).unwrap();
+            let message = refused(&here, Nerfstudio, &ImportOptions::default());
+            says(
+                &message,
+                &["transforms.json", "frame ", private, "outside of", "--allow-outside"],
+            );
+            read(&here, Nerfstudio, &anywhere(), &Silent).unwrap();
+        }
+    }
+    // Blender's scenes leave the extension out
+    fs::write(&file, text.replace("\"images/frame_3.jpg\"", "\"../private\"")).unwrap();
+    says(
+        &refused(&here, Nerfstudio, &ImportOptions::default()),
+        &["private.jpg", "--allow-outside"],
+    );
+    let tracks = "{\"tracks_path\": \"../private.jpg\", ";
+    fs::write(&file, text.replacen('{', tracks, 1)).unwrap();
+    says(
+        &refused(&here, Nerfstudio, &ImportOptions::default()),
+        &["transforms.json", "tracks_path", "private.jpg", "--allow-outside"],
+    );
+}
+
+#[test]
+fn paths_within_the_folder_may_be_written_in_any_way() {
+    let (_dir, here) = copied("import/nerfstudio");
+    let file = here.join("transforms.json");
+    let text = fs::read_to_string(&file).unwrap();
+    let original = here.join("images/frame_3.jpg").display().to_string();
+    for name in [
+        "./images/frame_3.jpg",
+        "images/../images/frame_3.jpg",
+        original.as_str(),
+    ] {
+        fs::write(&file, text.replace("images/frame_3.jpg", name)).unwrap();
+        read(&here, Nerfstudio, &ImportOptions::default(), &Silent).unwrap();
+    }
+}
+
+#[test]
+fn folders_that_the_options_name_may_be_read() {
+    let options = ImportOptions {
+        images: Some(fixture("import/clip")),
+        ..ImportOptions::default()
+    };
+    read(&fixture("import/blender"), Nerfstudio, &options, &Silent).unwrap();
+    let message = refused(&fixture("import/blender"), Nerfstudio, &ImportOptions::default());
+    says(&message, &["transforms_train.json", "clip/images", "--allow-outside"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn links_out_of_a_source_are_not_followed() {
+    use SourceFormat::{Colmap, Dycheck, Nvidia, Vipe};
+    for (name, format, files) in [
+        ("colmap_opencv", Colmap, &["images/00000.png", "images"][..]),
+        (
+            "dycheck",
+            Dycheck,
+            &["rgb/2x/0_00001.png", "depth/2x/0_00002.npy", "rgb"],
+        ),
+        (
+            "nvidia",
+            Nvidia,
+            &[
+                "images_2/002.png",
+                "disp/003.npy",
+                "motion_masks/000.png",
+                "gt/v000_t001.png",
+            ],
+        ),
+        (
+            "nerfstudio",
+            Nerfstudio,
+            &["images/frame_2.jpg", "depth/3.png", "masks/2.png"],
+        ),
+        ("vipe", Vipe, &["rgb/dog.mp4", "depth/dog.zip", "mask/dog.zip"]),
+    ] {
+        for file in files {
+            let (dir, here) = copied(&format!("import/{name}"));
+            link(&here.join(file), dir.path());
+            let message = refused(&here, format, &ImportOptions::default());
+            says(
+                &message,
+                &[file.rsplit('/').next().unwrap(), "private", "--allow-outside"],
+            );
+            if let Err(e) = read(&here, format, &anywhere(), &Silent) {
+                panic!("{name}, {file}: {e}");
+            }
+        }
+    }
+}
+
+/// Moves a file or folder away, and leaves a link to it.
+#[cfg(unix)]
+fn link(file: &Path, to: &Path) {
+    let away = to.join(format!("private-{}", file.file_name().unwrap().to_string_lossy()));
+    fs::rename(file, &away).unwrap();
+    std::os::unix::fs::symlink(&away, file).unwrap();
+}
+
+#[cfg(unix)]
+#[test]
+fn links_out_of_folders_that_the_options_name_are_not_followed() {
+    let clip = fixture("import/record3d/clip.r3d");
+    let of = |reach, depth: &Path| ImportOptions {
+        depth: Some(depth.to_owned()),
+        depth_unit: Some(0.0005),
+        reach,
+        ..ImportOptions::default()
+    };
+    let (dir, here) = copied("import/side/depth_png");
+    link(&here.join("frame9.png"), dir.path());
+    let message = refused(&clip, SourceFormat::Record3d, &of(Reach::Inside, &here));
+    says(&message, &["frame9.png", "--allow-outside"]);
+    read(&clip, SourceFormat::Record3d, &of(Reach::Anywhere, &here), &Silent).unwrap();
+}
