@@ -11,7 +11,7 @@ use crate::{
 };
 use m4_core::{Exposure, Splats};
 use m4_kernels::adam::cpu::{AdamConfig, AdamState};
-use m4_kernels::photo::cpu::Target;
+use m4_kernels::loss::cpu::Target;
 use m4_kernels::{CameraGradient, View};
 
 /// Why a device cannot continue, in its own words.

@@ -1,7 +1,7 @@
 //! The training frames in the form that the loss needs.
 
 use m4_core::{Capture, CaptureFrame};
-use m4_kernels::photo::cpu::Target;
+use m4_kernels::loss::cpu::Target;
 use rayon::prelude::*;
 
 /// A frame of the capture, and what the trainer keeps of it.

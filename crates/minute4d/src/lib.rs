@@ -69,10 +69,10 @@ pub use m4_core::{Progress, Silent};
 pub use m4_eval as eval;
 pub use m4_formats as formats;
 pub use m4_geometry as reconstruction;
-#[cfg(feature = "gpu")]
-pub use m4_gpu as gpu;
 pub use m4_io as io;
 pub use m4_kernels as kernels;
+#[cfg(feature = "gpu")]
+pub use m4_kernels::gpu;
 #[cfg(feature = "nets")]
 pub use m4_nets as nets;
 pub use m4_train as training;

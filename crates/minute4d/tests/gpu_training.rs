@@ -5,7 +5,7 @@
 
 use m4_core::{Capture, CaptureFrame, Column, CounterRng, Exposure, Intrinsics, Plane, Silent, SplatLayout, Splats};
 use m4_kernels::adam::cpu::AdamState;
-use m4_kernels::photo::cpu::Target;
+use m4_kernels::loss::cpu::Target;
 use m4_kernels::{Renderer, SimdLevel, View};
 use m4_testkit::{MovingScene, Need, moving_scene, skip};
 use m4_train::config::PruneRule;

@@ -9,9 +9,9 @@ use m4_kernels::{
         cpu::{AdamConfig, AdamState, step},
         reference,
     },
-    photo::{
-        cpu::{PhotoScratch, Target, error_map, loss},
-        reference::photo,
+    loss::{
+        cpu::{LossScratch, Target, error_map, loss},
+        reference::photometric,
     },
     tile_binning::reference::tiles,
 };
@@ -57,7 +57,7 @@ fn a_photograph_is_the_picture_of_its_bytes() {
         every_level(|level| {
             let [a, b] = [target, &floating].map(|target| {
                 let mut gradient = Default::default();
-                let loss = loss(level, target, &x, 0.2, &mut PhotoScratch::default(), &mut gradient);
+                let loss = loss(level, target, &x, 0.2, &mut LossScratch::default(), &mut gradient);
                 (loss.total, exact(&gradient).concat())
             });
             assert!((a.0 - b.0).abs() < 1e-6, "{level}: {} for {}", a.0, b.0);
@@ -81,7 +81,7 @@ fn photo_of_every_size() {
         (101, 23),
     ];
     every_level(|level| {
-        let (mut scratch, mut got) = (PhotoScratch::default(), Default::default());
+        let (mut scratch, mut got) = (LossScratch::default(), Default::default());
         for (index, (width, height)) in sizes.into_iter().enumerate() {
             for lambda in [0.0, 0.2, 1.0] {
                 let n = width * height;
@@ -89,7 +89,7 @@ fn photo_of_every_size() {
                 let target = Target::new(width, height, y.clone()).unwrap();
                 let parts = loss(level, &target, &x, lambda, &mut scratch, &mut got);
                 let (a, b) = (exact(&x), exact(&y));
-                let (want, gradient) = photo(
+                let (want, gradient) = photometric(
                     [&a[0], &a[1], &a[2]],
                     [&b[0], &b[1], &b[2]],
                     width,
@@ -118,7 +118,7 @@ fn photo_of_equal_and_of_flat_pictures() {
         for x in [picture(9, width * height), flat] {
             let target = Target::new(width, height, x.clone()).unwrap();
             let mut gradient = Default::default();
-            let parts = loss(level, &target, &x, 0.2, &mut PhotoScratch::default(), &mut gradient);
+            let parts = loss(level, &target, &x, 0.2, &mut LossScratch::default(), &mut gradient);
             assert!(parts.total.abs() < 1e-6 && parts.l1 == 0.0, "{level}: {parts:?}");
             // per pixel and channel a wrong sign of L1 alone would be 0.8 / count = 3e-4
             let largest = gradient.iter().flatten().fold(0.0f32, |m, g| m.max(g.abs()));

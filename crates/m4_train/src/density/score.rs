@@ -8,7 +8,7 @@ use crate::{
     refine::{Refinement, expose},
 };
 use m4_core::Splats;
-use m4_kernels::photo::cpu::{PhotoScratch, error_map, loss};
+use m4_kernels::loss::cpu::{LossScratch, error_map, loss};
 use m4_kernels::{Renderer, SimdLevel, View};
 
 /// What scoring needs beside splats and frames.
@@ -20,7 +20,7 @@ pub(crate) struct ScoreInput<'a, 'c> {
     /// Exposures; `None` when they are not corrected.
     pub fit: Option<&'a Refinement>,
     pub renderer: &'a mut Renderer,
-    pub scratch: &'a mut PhotoScratch,
+    pub scratch: &'a mut LossScratch,
 }
 
 /// Draws `splats` in each of `frames`, with the view that goes with it, and adds up what is wrong

@@ -21,7 +21,7 @@ use cpu_time::ProcessTime;
 use gpu::GpuBackend;
 use m4_core::{Capture, Column, Progress, Splats, TrainState};
 use m4_kernels::adam::cpu::AdamState;
-use m4_kernels::photo::cpu::PhotoScratch;
+use m4_kernels::loss::cpu::LossScratch;
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, morton_order};
 use std::time::Instant;
 
@@ -67,7 +67,7 @@ pub struct Trainer<'a> {
     gradients: Gradients,
     /// Sum over the frames of a step; empty while a step is one frame.
     batch_sum: Gradients,
-    photo: PhotoScratch,
+    photo: LossScratch,
     exposed: [Vec<f32>; 3],
     totals: Totals,
     seconds: f64,
@@ -189,7 +189,7 @@ impl<'a> Trainer<'a> {
             frame_gradient: FrameGradient::default(),
             gradients: Gradients::default(),
             batch_sum: Gradients::default(),
-            photo: PhotoScratch::default(),
+            photo: LossScratch::default(),
             exposed: Default::default(),
             totals: Totals::default(),
             seconds: 0.0,

@@ -5,7 +5,7 @@ use crate::{
     TrainError, batch::add_touched, density::rearrange, metrics::psnr, rates::rates, refine::expose, schedule,
 };
 use m4_kernels::adam::cpu::{AdamState, step as adam_step};
-use m4_kernels::photo::cpu::loss;
+use m4_kernels::loss::cpu::loss;
 use m4_kernels::{Wanted, morton_order};
 
 /// What an iteration found.

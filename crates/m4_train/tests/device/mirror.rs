@@ -2,7 +2,7 @@
 
 use m4_core::{Column, Exposure, SplatLayout, Splats};
 use m4_kernels::adam::cpu::{AdamState, step as adam_step};
-use m4_kernels::photo::cpu::{PhotoScratch, Target, error_map, loss};
+use m4_kernels::loss::cpu::{LossScratch, Target, error_map, loss};
 use m4_kernels::{FrameGradient, Gradients, Renderer, SimdLevel, View, Wanted, morton_order};
 use m4_train::{
     Device, DeviceError,
@@ -79,7 +79,7 @@ pub struct Mirror {
     renderer: Renderer,
     gradient: FrameGradient,
     gradients: Gradients,
-    scratch: PhotoScratch,
+    scratch: LossScratch,
     found: DeviceFound,
     fails_at: usize,
     steps: usize,
@@ -105,7 +105,7 @@ impl Mirror {
             renderer: Renderer::new(SimdLevel::best()),
             gradient: FrameGradient::default(),
             gradients: Gradients::default(),
-            scratch: PhotoScratch::default(),
+            scratch: LossScratch::default(),
             found: DeviceFound::default(),
             fails_at,
             steps: 0,

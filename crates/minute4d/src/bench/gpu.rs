@@ -5,9 +5,9 @@ use super::{BenchConfig, Case, GpuCase, GpuMachine};
 use crate::device::DeviceChoice;
 use crate::{Error, Observer};
 use cpu_time::ProcessTime;
-use m4_gpu::{Bench, Choice, Drawing, Found, Gpu, GpuError, Laps, Plan, adapters, best};
 use m4_kernels::SimdLevel;
 use m4_kernels::bench::{Bench as Host, Counts, Kernel, SceneConfig};
+use m4_kernels::gpu::{Bench, Choice, Drawing, Found, Gpu, GpuError, Laps, Plan, adapters, best};
 use std::time::{Duration, Instant};
 
 /// Steps behind one another are repeated until they take this long at least, so that the one wait does not count.
@@ -16,7 +16,7 @@ const LONG: Duration = Duration::from_millis(500);
 const REPEATS: usize = 3;
 /// Steps behind one another at most.
 const MOST: usize = 20_000;
-/// Share of SSIM in the loss, as [`m4_gpu::Bench`] has it.
+/// Share of SSIM in the loss, as [`m4_kernels::gpu::Bench`] has it.
 const LAMBDA_SSIM: f64 = 0.2;
 
 /// The GPU that is chosen, started; `None` for the processor.

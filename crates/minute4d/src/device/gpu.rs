@@ -5,8 +5,8 @@ use super::training::GpuTraining;
 use crate::Error;
 use m4_core::Splats;
 #[cfg(feature = "nets")]
-use m4_gpu::Runtime;
-use m4_gpu::{Choice, Gpu, Renderer, adapters, best};
+use m4_kernels::gpu::Runtime;
+use m4_kernels::gpu::{Choice, Gpu, Renderer, adapters, best};
 use m4_kernels::{Frame, View};
 use m4_train::{Device, DeviceError};
 

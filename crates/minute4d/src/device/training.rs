@@ -1,10 +1,10 @@
 //! Training steps on a GPU, behind the trainer's interface.
 
 use m4_core::{Exposure, SplatLayout, Splats};
-use m4_gpu::{DensityRound, Gpu, GpuError, GrowRule, Look, Plan, ScoreRange, StepSettings, Trainer};
 use m4_kernels::View;
 use m4_kernels::adam::cpu::AdamState;
-use m4_kernels::photo::cpu::Target;
+use m4_kernels::gpu::{DensityRound, Gpu, GpuError, GrowRule, Look, Plan, ScoreRange, StepSettings, Trainer};
+use m4_kernels::loss::cpu::Target;
 use m4_train::config::{CloneOpacity, ErrorRange, PruneRule, SplitSize};
 use m4_train::density::{Rules, Scores};
 use m4_train::device::{
@@ -91,8 +91,8 @@ impl GpuTraining {
 /// Entries of tiles that a static splat usually has.
 const ENTRIES: usize = 4;
 
-fn score_settings(settings: &ScoreSettings) -> m4_gpu::ScoreSettings {
-    m4_gpu::ScoreSettings {
+fn score_settings(settings: &ScoreSettings) -> m4_kernels::gpu::ScoreSettings {
+    m4_kernels::gpu::ScoreSettings {
         lambda_ssim: settings.lambda_ssim,
         threshold: settings.threshold,
         range: match settings.range {
@@ -140,7 +140,7 @@ impl Device for GpuTraining {
             shape.n_static = next.n_static;
             shape.n_dynamic = next.rows.len() - next.n_static;
         }
-        let next = m4_gpu::DensifyPlan {
+        let next = m4_kernels::gpu::DensifyPlan {
             rows: next.rows,
             n_static: next.n_static,
             is_new: next.is_new,
@@ -222,8 +222,8 @@ impl Device for GpuTraining {
                 budget: due.budget(config, trainer.n()),
             }),
             prune: due.prune_by_score.then_some(match config.prune_rule {
-                PruneRule::Literal => m4_gpu::PruneRule::Literal { threshold },
-                PruneRule::WithOpacity { opacity, quantile } => m4_gpu::PruneRule::WithOpacity {
+                PruneRule::Literal => m4_kernels::gpu::PruneRule::Literal { threshold },
+                PruneRule::WithOpacity { opacity, quantile } => m4_kernels::gpu::PruneRule::WithOpacity {
                     threshold,
                     opacity,
                     quantile,
@@ -231,8 +231,8 @@ impl Device for GpuTraining {
             }),
             min_opacity,
             split_size: match config.split_size {
-                SplitSize::Extent { share } => m4_gpu::SplitSize::Everywhere(share * scale.extent),
-                SplitSize::Pixels { pixels } => m4_gpu::SplitSize::Pixels {
+                SplitSize::Extent { share } => m4_kernels::gpu::SplitSize::Everywhere(share * scale.extent),
+                SplitSize::Pixels { pixels } => m4_kernels::gpu::SplitSize::Pixels {
                     pixels,
                     focal_px: scale.focal_px,
                     centres: &scale.centres,
