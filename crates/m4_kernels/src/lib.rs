@@ -11,7 +11,7 @@
 //! | `slice` | 4D splat to 3D splat at an instant |
 //! | `project` | 3D splat to an ellipse on the image |
 //! | `shade` | 4D spherindrical harmonics to colour |
-//! | `bin` | ellipses to depth-ordered tile lists |
+//! | `tile_binning` | ellipses to depth-ordered tile lists |
 //! | `blend` | tile lists to an image |
 //! | `loss` | L1 + SSIM and its gradient |
 //! | `adam` | sparse parameter update |
@@ -51,8 +51,10 @@ mod order;
 mod renderer;
 mod simd;
 mod stage;
+mod stats;
 
 pub use frame::{CameraGradient, Frame, FrameGradient, Gradients, View, Wanted};
 pub use order::morton_order;
 pub use renderer::{FrameStats, Renderer};
 pub use simd::{ENV as SIMD_ENV, SimdLevel, SimdLevelError};
+pub use stats::StepStats;

@@ -1,11 +1,83 @@
 //! Sparse Adam: one unit per splat, for all its columns.
-use crate::gpu::found::check_parameter;
+use super::cpu::AdamConfig;
+use crate::gpu::Gpu;
+use crate::gpu::buffer::{Buffer, cubes, units};
+use crate::gpu::splats::{DeviceSplats, parts};
+use crate::gpu::tally::{Tally, check_parameter};
 use cubecl::prelude::*;
+
+/// The optimiser's state on the device.
+#[derive(Debug)]
+pub struct DeviceAdam {
+    /// First moments.
+    pub m: DeviceSplats,
+    /// Second moments.
+    pub v: DeviceSplats,
+    /// Steps of each splat.
+    pub steps: Buffer,
+}
+
+/// One step of the splats that `touched` names along `gradients`, one rate per column.
+pub fn step(
+    gpu: &Gpu,
+    splats: &DeviceSplats,
+    gradients: &DeviceSplats,
+    touched: &Buffer,
+    state: &DeviceAdam,
+    tally: &Tally,
+    config: &AdamConfig,
+    rates: &[f32],
+) {
+    let client = &gpu.client;
+    let (n, n_static) = (splats.n, splats.n_static);
+    count_steps::launch(
+        client,
+        cubes(n, 256),
+        units(),
+        touched.arg(),
+        state.steps.arg(),
+        n as u32,
+        config.sparse,
+    );
+    let buffers = [splats, gradients, &state.m, &state.v].map(DeviceSplats::buffers);
+    for (k, columns) in parts(splats.layout).into_iter().enumerate() {
+        let [x, g, m, v] = buffers.map(|buffers| buffers[k]);
+        let first = if k == 2 { n_static } else { 0 };
+        let rows = n - first;
+        if rows == 0 {
+            continue;
+        }
+        let count = columns.len() as u32;
+        let rates = Buffer::floats(client, &rates[columns]);
+        adam::launch(
+            client,
+            cubes(rows, 256),
+            units(),
+            x.arg(),
+            g.arg(),
+            m.arg(),
+            v.arg(),
+            touched.arg(),
+            state.steps.arg(),
+            rates.arg(),
+            tally.buffer.arg(),
+            rows as u32,
+            first as u32,
+            n_static as u32,
+            count,
+            config.beta1 as f32,
+            config.beta2 as f32,
+            config.beta2_dynamic as f32,
+            config.eps as f32,
+            config.sparse,
+        );
+    }
+}
 
 /// One optimiser step on `columns` columns of `rows` rows that start at splat `first`; `counts` are after this step's
 /// increment. `tally` notes parameters that are not finite.
 #[cube(launch)]
-pub(crate) fn adam(
+fn adam(
     x: &mut [f32],
     g: &[f32],
     m: &mut [f32],
@@ -60,7 +132,7 @@ pub(crate) fn adam(
 
 /// One more step for every splat that is stepped.
 #[cube(launch)]
-pub(crate) fn count_steps(touched: &[u32], counts: &mut [u32], n: u32, #[comptime] sparse: bool) {
+fn count_steps(touched: &[u32], counts: &mut [u32], n: u32, #[comptime] sparse: bool) {
     let i = ABSOLUTE_POS;
     if i < n as usize {
         let mut on = touched[i] != 0u32;

@@ -12,7 +12,7 @@
 
 pub mod cpu;
 #[cfg(feature = "gpu")]
-pub(crate) mod gpu;
+pub mod gpu;
 pub mod reference;
 
 /// The constants of Adam.

@@ -68,7 +68,7 @@ impl BenchScene {
         Ok(Self {
             splats: splats.gather(&morton_order(&splats))?,
             views: scene::views(width, height, kind),
-            target: Target::from_bytes(width, height, scene::picture(width, height))?,
+            target: Target::from_bytes(width, height, scene::image(width, height))?,
         })
     }
 }

@@ -7,13 +7,14 @@ use cubecl::server::Handle;
 
 /// Numbers of four bytes on the device. Clones share them.
 #[derive(Clone, Debug)]
-pub(crate) struct Buffer {
+pub struct Buffer {
     handle: Handle,
     len: usize,
 }
 
 impl Buffer {
     /// Room for `len` numbers (at least one), which hold anything.
+    #[must_use]
     pub fn empty(client: &Client, len: usize) -> Self {
         let len = len.max(1);
         Self {
@@ -22,6 +23,8 @@ impl Buffer {
         }
     }
 
+    /// A copy of `values`.
+    #[must_use]
     pub fn floats(client: &Client, values: &[f32]) -> Self {
         if values.is_empty() {
             return Self::empty(client, 1);
@@ -32,6 +35,21 @@ impl Buffer {
         }
     }
 
+    /// `len` zeros.
+    #[must_use]
+    pub fn zeros(client: &Client, len: usize) -> Self {
+        let out = Self::empty(client, len);
+        out.clear(client);
+        out
+    }
+
+    /// Sets every number to 0.
+    pub fn clear(&self, client: &Client) {
+        clear::launch(client, cubes(self.len, 256), units(), self.arg());
+    }
+
+    /// A copy of `values`.
+    #[must_use]
     pub fn words(client: &Client, values: &[u32]) -> Self {
         if values.is_empty() {
             return Self::empty(client, 1);
@@ -42,18 +60,26 @@ impl Buffer {
         }
     }
 
+    /// Numbers.
+    #[must_use]
+    #[expect(clippy::len_without_is_empty, reason = "there is at least one number")]
     pub fn len(&self) -> usize {
         self.len
     }
 
     /// Returns the argument for a kernel.
     #[expect(unsafe_code, reason = "the runtime takes the length on trust")]
+    #[must_use]
     pub fn arg(&self) -> BufferArg {
         // SAFETY: `handle` was made with room for `len` numbers of four bytes, and neither changes.
         unsafe { BufferArg::from_raw_parts(self.handle.clone(), self.len) }
     }
 
     /// Waits for what was asked for and copies it to the host.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed.
     pub fn read_floats(&self, client: &Client, doing: &'static str) -> Result<Vec<f32>, GpuError> {
         let bytes = client
             .read_one(self.handle.clone())
@@ -62,6 +88,10 @@ impl Buffer {
     }
 
     /// Waits for what was asked for and copies it to the host.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed.
     pub fn read_words(&self, client: &Client, doing: &'static str) -> Result<Vec<u32>, GpuError> {
         let bytes = client
             .read_one(self.handle.clone())
@@ -71,13 +101,22 @@ impl Buffer {
 }
 
 /// As many cubes as `n` things take where each does `per`. One dimension ends at 65,535.
-pub(crate) fn cubes(n: usize, per: usize) -> CubeCount {
+#[must_use]
+pub fn cubes(n: usize, per: usize) -> CubeCount {
     let count = u32::try_from(n.div_ceil(per).max(1)).unwrap_or(u32::MAX);
     let y = count.div_ceil(65_535);
     CubeCount::Static(count.div_ceil(y), y, 1)
 }
 
 /// Cubes of 256 units in a row.
-pub(crate) fn units() -> CubeDim {
+#[must_use]
+pub fn units() -> CubeDim {
     CubeDim::new_1d(256)
+}
+
+#[cube(launch)]
+fn clear(values: &mut [u32]) {
+    if ABSOLUTE_POS < values.len() {
+        values[ABSOLUTE_POS] = 0u32;
+    }
 }

@@ -63,7 +63,7 @@ pub(crate) enum Place {
     Cuda(usize),
 }
 
-/// What the runtime calls an adapter; others who use the same runtime share what was started.
+/// What the runtime calls an adapter; everything on the same runtime shares the started device.
 #[derive(Debug, Clone)]
 pub enum Runtime {
     /// Through Vulkan, Metal or DX12.
@@ -221,7 +221,8 @@ pub enum Choice {
 /// A GPU that is ready for work. Clones share it.
 #[derive(Clone)]
 pub struct Gpu {
-    pub(crate) client: Client,
+    /// The runtime's queue.
+    pub client: Client,
     adapter: Adapter,
 }
 
@@ -301,7 +302,11 @@ impl Gpu {
     }
 
     /// Whether a buffer of `bytes` is allowed.
-    pub(crate) fn fits(&self, what: &'static str, bytes: usize) -> Result<(), GpuError> {
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError::TooLarge`] if it is not.
+    pub fn fits(&self, what: &'static str, bytes: usize) -> Result<(), GpuError> {
         let limit = self.adapter.max_buffer_bytes as usize;
         if bytes <= limit {
             return Ok(());

@@ -11,10 +11,12 @@ const FINEST: f32 = 1.0 / 65_535.0;
 /// A frame as the kernels read it: planes of bytes, or of two bytes where `wide`, packed into words; each plane starts
 /// with a word of its own.
 #[derive(Debug, Clone)]
-pub(crate) struct DeviceFrame {
+pub struct DeviceFrame {
+    /// The planes.
     pub samples: Buffer,
     /// What one of a sample is worth.
     pub worth: f32,
+    /// Two bytes per sample.
     pub wide: bool,
 }
 
@@ -55,14 +57,20 @@ impl Place {
 
 /// Frames of one size.
 #[derive(Debug)]
-pub(crate) struct Frames {
+pub struct Frames {
+    /// Pixels.
     pub width: usize,
+    /// Pixels.
     pub height: usize,
     list: Vec<Stored>,
 }
 
 impl Frames {
     /// Packs `frames`. Those that fit into `budget_bytes` go to the device for good, in their order.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if there are none, they differ in size, or one does not fit.
     pub fn new<T: Borrow<Target>>(
         gpu: &Gpu,
         frames: impl IntoIterator<Item = T>,
@@ -99,12 +107,17 @@ impl Frames {
     }
 
     /// How many of them stay on the device.
+    #[must_use]
     pub fn resident(&self) -> usize {
         let there = |frame: &&Stored| matches!(frame.place, Place::Device(_));
         self.list.iter().filter(there).count()
     }
 
     /// Frame `index`, uploaded if it is missing.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if there is no such frame.
     pub fn get(&self, gpu: &Gpu, index: usize) -> Result<DeviceFrame, GpuError> {
         let frame = self.stored(index)?;
         Ok(DeviceFrame {

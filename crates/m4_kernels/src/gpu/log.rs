@@ -1,25 +1,27 @@
 //! Gradients of a frame's camera and exposure: one row of numbers per view, kept on the device until the host reads them.
 
+#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+
 use crate::gpu::buffer::{Buffer, cubes, units};
 use crate::gpu::{Gpu, GpuError};
 use crate::loss::gpu::cube_sum;
 use cubecl::prelude::*;
 
-/// Looks of a page.
+/// Views per page.
 const PAGE: usize = 256;
 
-/// Rows of `N` numbers since they were asked for the last time, in the order of the looks.
+/// Rows of `N` numbers since they were asked for the last time, in the order of the views.
 #[derive(Debug, Default)]
-pub(crate) struct Log<const N: usize> {
+pub struct Log<const N: usize> {
     frames: Vec<usize>,
-    /// Rows of as many looks each.
+    /// Rows of as many views each.
     pages: Vec<Buffer>,
-    /// Sums of the cubes of the look made last, and their number.
+    /// Sums of the cubes of the last view, and their number.
     parts: Option<(Buffer, usize)>,
 }
 
 impl<const N: usize> Log<N> {
-    /// Memory for a look at frame `frame`: `N` sums for each cube of 256 of `n` things. [`add_up`](Self::add_up) comes
+    /// Memory for a view of frame `frame`: `N` sums for each cube of 256 of `n` things. [`add_up`](Self::add_up) comes
     /// after they are written.
     pub fn next(&mut self, gpu: &Gpu, frame: usize, n: usize) -> Buffer {
         if self.frames.len() == self.pages.len() * PAGE {
@@ -35,9 +37,9 @@ impl<const N: usize> Log<N> {
         parts
     }
 
-    /// The sums of the cubes become the row of the look made last.
+    /// The sums of the cubes become the row of the last view.
     pub fn add_up(&self, gpu: &Gpu) {
-        let (Some((parts, count)), Some(page), Some(look)) =
+        let (Some((parts, count)), Some(page), Some(view)) =
             (&self.parts, self.pages.last(), self.frames.len().checked_sub(1))
         else {
             return;
@@ -49,12 +51,16 @@ impl<const N: usize> Log<N> {
             parts.arg(),
             page.arg(),
             *count as u32,
-            (look % PAGE) as u32,
+            (view % PAGE) as u32,
             N as u32,
         );
     }
 
-    /// Waits, and hands out frames and rows in the order of the looks.
+    /// Waits, and returns frames and rows in the order of the views.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed.
     pub fn take(&mut self, gpu: &Gpu, doing: &'static str) -> Result<Vec<(usize, [f64; N])>, GpuError> {
         let frames = std::mem::take(&mut self.frames);
         let mut values = Vec::new();
@@ -68,7 +74,7 @@ impl<const N: usize> Log<N> {
 
 /// Writes the sums of a cube of 256 units; each unit adds its own share. No unit may have returned before.
 #[cube]
-pub(crate) fn write_parts(share: &Array<f32>, parts: &mut [f32], #[comptime] numbers: usize) {
+pub fn write_parts(share: &Array<f32>, parts: &mut [f32], #[comptime] numbers: usize) {
     let mut shared = Shared::<[f32]>::new_slice(256usize);
     #[unroll]
     for k in 0usize..numbers {
@@ -81,7 +87,7 @@ pub(crate) fn write_parts(share: &Array<f32>, parts: &mut [f32], #[comptime] num
 }
 
 #[cube(launch)]
-fn add_up(parts: &[f32], rows: &mut [f32], count: u32, look: u32, #[comptime] numbers: u32) {
+fn add_up(parts: &[f32], rows: &mut [f32], count: u32, view: u32, #[comptime] numbers: u32) {
     let mut shared = Shared::<[f32]>::new_slice(256usize);
     #[unroll]
     for k in 0u32..numbers {
@@ -93,7 +99,7 @@ fn add_up(parts: &[f32], rows: &mut [f32], count: u32, look: u32, #[comptime] nu
         }
         let sum = cube_sum(mine, &mut shared);
         if UNIT_POS == 0u32 {
-            rows[(look * numbers + k) as usize] = sum;
+            rows[(view * numbers + k) as usize] = sum;
         }
     }
 }

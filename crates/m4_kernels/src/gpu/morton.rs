@@ -1,10 +1,11 @@
 //! The memory order of splats, computed on the device: the GPU version of [`crate::morton_order`].
 
+#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+
+use crate::gpu::Gpu;
 use crate::gpu::buffer::{Buffer, cubes, units};
-use crate::gpu::gather::gather_state;
 use crate::gpu::sort::{Pairs, Sort};
-use crate::gpu::splats::parts;
-use crate::gpu::{GpuError, Trainer};
+use crate::gpu::splats::{DeviceSplats, parts};
 use crate::tile_binning::gpu as tile_binning;
 use cubecl::prelude::*;
 use m4_core::Column;
@@ -16,92 +17,81 @@ const PLACE_BITS: u32 = 32;
 /// Bits of a slot of time: 0 for static splats, 1..=64 for dynamic ones; a multiple of what a pass of the sort takes.
 const SLOT_BITS: u32 = 8;
 
-impl Trainer {
-    /// Lays splats and the optimiser's state out again: static splats along a Morton curve, then dynamic ones by coarse
-    /// time, along a Morton curve within each slot of time. Nothing leaves the device.
-    ///
-    /// # Errors
-    ///
-    /// [`GpuError`] if the device failed; the trainer is not to be used after that.
-    pub fn reorder(&mut self) -> Result<(), GpuError> {
-        let (n, n_static) = (self.splats.n, self.splats.n_static);
-        if n == 0 {
-            return Ok(());
-        }
-        let client = &self.gpu.client;
-        let layout = self.splats.layout;
-        let all = Buffer::words(client, &[n as u32]);
-        let sort = Sort::new(client, n);
-        let limits = Buffer::empty(client, 8);
-        let mean = layout.column(Column::Mean);
-        let time = layout.column(Column::TimeMean) - parts(layout)[2].start;
-        let columns = [
-            (&self.splats.geometry, mean * n, n),
-            (&self.splats.geometry, (mean + 1) * n, n),
-            (&self.splats.geometry, (mean + 2) * n, n),
-            (&self.splats.time, time * (n - n_static), n - n_static),
-        ];
-        for (axis, (buffer, first, rows)) in columns.into_iter().enumerate() {
-            let pairs = Pairs::empty(client, n);
-            let count = Buffer::words(client, &[rows as u32]);
-            keys_of::launch(
-                client,
-                cubes(n, 256),
-                units(),
-                buffer.arg(),
-                pairs.keys.arg(),
-                first as u32,
-                rows as u32,
-            );
-            let sorted = sort.run(client, &pairs, &count, 32);
-            take_limits::launch(
-                client,
-                cubes(1, 1),
-                CubeDim::new_1d(1),
-                sorted.keys.arg(),
-                limits.arg(),
-                axis as u32,
-                rows as u32,
-            );
-        }
-        let (places, slots) = (Pairs::empty(client, n), Buffer::empty(client, n));
-        codes::launch(
+/// The rows of `splats` in the order of memory: static splats along a Morton curve, then dynamic ones by coarse time, along a
+/// Morton curve within each slot of time.
+#[must_use]
+pub fn morton_order(gpu: &Gpu, splats: &DeviceSplats) -> Buffer {
+    let (n, n_static) = (splats.n, splats.n_static);
+    let client = &gpu.client;
+    let layout = splats.layout;
+    let all = Buffer::words(client, &[n as u32]);
+    let sort = Sort::new(client, n);
+    let limits = Buffer::empty(client, 8);
+    let mean = layout.column(Column::Mean);
+    let time = layout.column(Column::TimeMean) - parts(layout)[2].start;
+    let columns = [
+        (&splats.geometry, mean * n, n),
+        (&splats.geometry, (mean + 1) * n, n),
+        (&splats.geometry, (mean + 2) * n, n),
+        (&splats.time, time * (n - n_static), n - n_static),
+    ];
+    for (axis, (buffer, first, rows)) in columns.into_iter().enumerate() {
+        let pairs = Pairs::empty(client, n);
+        let count = Buffer::words(client, &[rows as u32]);
+        keys_of::launch(
             client,
             cubes(n, 256),
             units(),
-            self.splats.geometry.arg(),
-            self.splats.time.arg(),
+            buffer.arg(),
+            pairs.keys.arg(),
+            first as u32,
+            rows as u32,
+        );
+        let sorted = sort.run(client, &pairs, &count, 32);
+        take_limits::launch(
+            client,
+            cubes(1, 1),
+            CubeDim::new_1d(1),
+            sorted.keys.arg(),
             limits.arg(),
-            places.keys.arg(),
-            places.values.arg(),
-            slots.arg(),
-            n as u32,
-            n_static as u32,
-            (mean * n) as u32,
-            (time * (n - n_static)) as u32,
+            axis as u32,
+            rows as u32,
         );
-        let by_place = sort.run(client, &places, &all, PLACE_BITS);
-        let by_slot = Pairs {
-            keys: Buffer::empty(client, n),
-            values: by_place.values.clone(),
-        };
-        tile_binning::gather::launch(
-            client,
-            cubes(n, 256),
-            units(),
-            by_place.values.arg(),
-            slots.arg(),
-            by_slot.keys.arg(),
-            n as u32,
-        );
-        let order = Sort::new(client, n)
-            .run(client, &by_slot, &all, SLOT_BITS)
-            .values
-            .clone();
-        gather_state(self, &order, (n, n_static));
-        self.splats = crate::gpu::gather::gathered(&self.gpu, &self.splats, &order, (n, n_static));
-        Ok(())
     }
+    let (places, slots) = (Pairs::empty(client, n), Buffer::empty(client, n));
+    codes::launch(
+        client,
+        cubes(n, 256),
+        units(),
+        splats.geometry.arg(),
+        splats.time.arg(),
+        limits.arg(),
+        places.keys.arg(),
+        places.values.arg(),
+        slots.arg(),
+        n as u32,
+        n_static as u32,
+        (mean * n) as u32,
+        (time * (n - n_static)) as u32,
+    );
+    let by_place = sort.run(client, &places, &all, PLACE_BITS);
+    let by_slot = Pairs {
+        keys: Buffer::empty(client, n),
+        values: by_place.values.clone(),
+    };
+    tile_binning::gather::launch(
+        client,
+        cubes(n, 256),
+        units(),
+        by_place.values.arg(),
+        slots.arg(),
+        by_slot.keys.arg(),
+        n as u32,
+    );
+    Sort::new(client, n)
+        .run(client, &by_slot, &all, SLOT_BITS)
+        .values
+        .clone()
 }
 
 /// Numbers that sort as the floats of a column do.
@@ -115,7 +105,7 @@ fn keys_of(column: &[f32], keys: &mut [u32], first: u32, rows: u32) {
 
 /// A number that sorts as `value` does.
 #[cube]
-pub(crate) fn key_of(value: f32) -> u32 {
+pub fn key_of(value: f32) -> u32 {
     let bits = u32::reinterpret(value);
     let mut key = bits | 0x8000_0000u32;
     if (bits >> 31u32) == 1u32 {
@@ -141,7 +131,7 @@ fn take_limits(keys: &[u32], limits: &mut [f32], axis: u32, rows: u32) {
 
 /// The float that became `key`.
 #[cube]
-pub(crate) fn float_of(key: u32) -> f32 {
+pub fn float_of(key: u32) -> f32 {
     let mut bits = key & 0x7fff_ffffu32;
     if (key >> 31u32) == 0u32 {
         bits = !key;

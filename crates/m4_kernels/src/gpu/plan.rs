@@ -4,7 +4,7 @@ use crate::gpu::scan::Scan;
 use crate::gpu::sort::Sort;
 use crate::gpu::splats::parts;
 use crate::gpu::work::{CHECKPOINT, Size};
-use crate::gpu::{Gpu, GpuError, eye::EYE, found::LOSSES};
+use crate::gpu::{Gpu, GpuError, eye::EYE, tally::LOSSES};
 use crate::project::gpu::RECORD;
 use crate::tile_binning::gpu::reach::{REACH, TILE};
 use m4_core::SplatLayout;
@@ -213,8 +213,8 @@ fn megabytes(bytes: u64) -> u64 {
     bytes.div_ceil(1_000_000)
 }
 
-/// What comes and goes: scores of splats and the order of a frame's errors, or the order of the scores and who grows and
-/// goes, or splats and a moment twice while their rows change, or the sums of colours.
+/// Temporary memory: scores of splats and the order of a frame's errors, or the order of the scores and the outcome of each
+/// splat, or splats and a moment twice while their rows change, or the sums of colours.
 fn density_control(columns: &[usize], n: usize, pixels: usize) -> Part {
     let mut scores = vec![2 * n, 2 * n, pixels, pixels, pixels, 2 * pixels.div_ceil(256)];
     scores.extend(Sort::lengths(pixels));
@@ -256,7 +256,7 @@ fn work(size: &Size) -> Vec<Part> {
     let mut parts = vec![
         part("splats of a frame", &splats),
         part("tile lists", &lists),
-        part("picture", &[5 * pixels, pixels]),
+        part("image", &[5 * pixels, pixels]),
     ];
     if size.training {
         let buckets = size.buckets();

@@ -1,5 +1,7 @@
 //! Exclusive sums.
 
+#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+
 use crate::gpu::buffer::{Buffer, cubes, units};
 use cubecl::prelude::*;
 
@@ -8,7 +10,7 @@ pub(crate) const BLOCK: usize = 1024;
 
 /// Exclusive sum of one value per unit over a cube of 256.
 #[cube]
-pub(crate) fn scan_cube(value: u32, shared: &mut Shared<[u32]>) -> u32 {
+pub fn scan_cube(value: u32, shared: &mut Shared<[u32]>) -> u32 {
     let unit = UNIT_POS as usize;
     shared[unit] = value;
     sync_cube();
@@ -96,7 +98,7 @@ const IN_ONE: usize = 8 * BLOCK;
 
 /// Exclusive sums of as many numbers every time.
 #[derive(Debug)]
-pub(crate) struct Scan {
+pub struct Scan {
     n: usize,
     totals: Buffer,
     /// The sums of the totals, where there is more than one.
@@ -105,6 +107,7 @@ pub(crate) struct Scan {
 
 impl Scan {
     /// Memory for `n` numbers.
+    #[must_use]
     pub fn new(client: &Client, n: usize) -> Self {
         let blocks = if n <= IN_ONE { 1 } else { n.div_ceil(BLOCK) };
         let above = (blocks > 1).then(|| (Buffer::empty(client, blocks), Box::new(Self::new(client, blocks))));
@@ -116,6 +119,7 @@ impl Scan {
     }
 
     /// The numbers in each of its buffers.
+    #[must_use]
     pub fn lengths(n: usize) -> Vec<usize> {
         let blocks = if n <= IN_ONE { 1 } else { n.div_ceil(BLOCK) };
         let mut out = vec![blocks];
@@ -143,6 +147,7 @@ impl Scan {
     }
 
     /// One number: the sum of everything.
+    #[must_use]
     pub fn total(&self) -> &Buffer {
         self.above.as_ref().map_or(&self.totals, |(_, above)| above.total())
     }

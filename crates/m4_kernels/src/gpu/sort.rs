@@ -91,7 +91,7 @@ fn scatter(
 
 /// Sorts as many keys every time.
 #[derive(Debug)]
-pub(crate) struct Sort {
+pub struct Sort {
     capacity: usize,
     digits: Buffer,
     places: Buffer,
@@ -102,12 +102,16 @@ pub(crate) struct Sort {
 
 /// Keys and values.
 #[derive(Debug, Clone)]
-pub(crate) struct Pairs {
+pub struct Pairs {
+    /// Sorted by.
     pub keys: Buffer,
+    /// Carried along.
     pub values: Buffer,
 }
 
 impl Pairs {
+    /// Room for `len` pairs.
+    #[must_use]
     pub fn empty(client: &Client, len: usize) -> Self {
         Self {
             keys: Buffer::empty(client, len),
@@ -118,6 +122,7 @@ impl Pairs {
 
 impl Sort {
     /// Memory for `capacity` pairs.
+    #[must_use]
     pub fn new(client: &Client, capacity: usize) -> Self {
         let digits = DIGITS * capacity.div_ceil(BLOCK).max(1);
         Self {
@@ -130,6 +135,7 @@ impl Sort {
     }
 
     /// The numbers in each of its buffers.
+    #[must_use]
     pub fn lengths(capacity: usize) -> Vec<usize> {
         let digits = DIGITS * capacity.div_ceil(BLOCK).max(1);
         let mut out = vec![digits, digits, capacity, capacity];
@@ -175,6 +181,7 @@ impl Sort {
     }
 
     /// Where [`run`](Self::run) left what it sorted.
+    #[must_use]
     pub fn result<'a>(&'a self, pairs: &'a Pairs, bits: u32) -> &'a Pairs {
         if bits.div_ceil(4).is_multiple_of(2) {
             pairs

@@ -9,23 +9,40 @@ use std::ops::Range;
 /// Columns of splats, or numbers for each of them, in three buffers of whole columns one after the other: geometry with
 /// opacity, colours, and what dynamic splats have besides.
 #[derive(Debug, Clone)]
-pub(crate) struct DeviceSplats {
+pub struct DeviceSplats {
+    /// Mean, scale, rotation, opacity.
     pub geometry: Buffer,
+    /// Coefficients of the colours.
     pub colour: Buffer,
+    /// Of dynamic splats only.
     pub time: Buffer,
+    /// The columns.
     pub layout: SplatLayout,
+    /// Splats.
     pub n: usize,
+    /// Static ones among them, the first rows.
     pub n_static: usize,
 }
 
 /// The columns of each buffer.
-pub(crate) fn parts(layout: SplatLayout) -> [Range<usize>; 3] {
+#[must_use]
+pub fn parts(layout: SplatLayout) -> [Range<usize>; 3] {
     let colour = layout.range(Column::Colour);
     [0..colour.start, colour, layout.shared_columns()..layout.columns()]
 }
 
 impl DeviceSplats {
+    /// Geometry, colours, time.
+    #[must_use]
+    pub fn buffers(&self) -> [&Buffer; 3] {
+        [&self.geometry, &self.colour, &self.time]
+    }
+
     /// Copies `splats` to the device.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if they do not fit.
     pub fn upload(gpu: &Gpu, splats: &Splats) -> Result<Self, GpuError> {
         let [geometry, colour, time] = parts(splats.layout()).map(|range| splats.columns()[range].concat());
         for (what, len) in [
@@ -45,6 +62,7 @@ impl DeviceSplats {
     }
 
     /// Room for as many numbers as `self` has; they are anything.
+    #[must_use]
     pub fn like(&self, gpu: &Gpu) -> Self {
         let empty = |buffer: &Buffer| Buffer::empty(&gpu.client, buffer.len());
         Self {
@@ -55,14 +73,15 @@ impl DeviceSplats {
         }
     }
 
-    /// Copies them back.
+    /// Waits, and copies them back.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed.
     pub fn download(&self, gpu: &Gpu, doing: &'static str) -> Result<Splats, GpuError> {
         let mut out = Splats::zeros(self.layout, self.n_static, self.n - self.n_static);
         let mut columns: Vec<&mut [f32]> = out.columns_mut().collect();
-        for (buffer, range) in [&self.geometry, &self.colour, &self.time]
-            .into_iter()
-            .zip(parts(self.layout))
-        {
+        for (buffer, range) in self.buffers().into_iter().zip(parts(self.layout)) {
             let values = buffer.read_floats(&gpu.client, doing)?;
             let mut rest = values.as_slice();
             for column in &mut columns[range] {
@@ -75,7 +94,7 @@ impl DeviceSplats {
     }
 
     /// What the kernels are compiled for.
-    pub fn spec(&self, mip: bool) -> Spec {
+    pub(crate) fn spec(&self, mip: bool) -> Spec {
         Spec {
             isotropic: self.layout.isotropic,
             sh_terms: self.layout.sh_terms() as u32,

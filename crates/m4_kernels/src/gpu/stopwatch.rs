@@ -11,7 +11,7 @@ pub type Laps = [Duration; Kernel::ALL.len()];
 
 /// Does nothing until it is started: only benches pay for it.
 #[derive(Debug, Default)]
-pub(crate) struct Stopwatch(Option<Running>);
+pub struct Stopwatch(Option<Running>);
 
 struct Running {
     window: Option<ProfileWindow>,
@@ -41,6 +41,10 @@ impl Stopwatch {
     }
 
     /// Waits for all laps, and stops counting; 0 everywhere if it was never started.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device cannot be timed.
     pub fn stop(&mut self, gpu: &Gpu) -> Result<Laps, GpuError> {
         let mut out = Laps::default();
         let Some(running) = self.0.take() else {

@@ -17,15 +17,16 @@ use cubecl::prelude::{CubeCount, CubeDim};
 /// Entries of a bucket, and units of its cube.
 const BUCKET: usize = 32;
 /// Numbers of a checkpoint: transmittance, colours, depth.
-pub(crate) const CHECKPOINT: usize = 5;
+pub const CHECKPOINT: usize = 5;
 
 /// The sizes that memory is allocated for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Size {
+pub struct Size {
     /// Splats.
     pub n: usize,
     /// Pixels.
     pub width: usize,
+    /// Pixels.
     pub height: usize,
     /// Entries of tiles at most; those beyond, the farthest, are left out.
     pub entries: usize,
@@ -38,14 +39,20 @@ impl Size {
         self.width.div_ceil(TILE)
     }
 
+    /// Tiles of the image.
+    #[must_use]
     pub fn tiles(&self) -> usize {
         self.across() * self.height.div_ceil(TILE)
     }
 
+    /// Pixels of the image.
+    #[must_use]
     pub fn pixels(&self) -> usize {
         self.width * self.height
     }
 
+    /// Buckets at most.
+    #[must_use]
     pub fn buckets(&self) -> usize {
         self.entries / BUCKET + self.tiles()
     }
@@ -58,31 +65,32 @@ impl Size {
 
 /// Buffers for frames of one size.
 #[derive(Debug)]
-pub(crate) struct Work {
+pub struct Work {
+    /// What there is room for.
     pub size: Size,
-    pub eye: Buffer,
-    pub records: Buffer,
+    pub(crate) eye: Buffer,
+    pub(crate) records: Buffer,
     reaches: Buffer,
-    pub depth: Pairs,
+    pub(crate) depth: Pairs,
     all: Buffer,
     by_depth: Sort,
     counts: Buffer,
-    pub sorted_counts: Buffer,
-    pub offsets: Buffer,
+    pub(crate) sorted_counts: Buffer,
+    pub(crate) offsets: Buffer,
     count: Scan,
     entries: Pairs,
     by_tile: Sort,
     splat_of_slot: Buffer,
-    pub splat_of_entry: Buffer,
-    pub ranges: Buffer,
+    pub(crate) splat_of_entry: Buffer,
+    pub(crate) ranges: Buffer,
     bucket_counts: Buffer,
-    pub bucket_offsets: Buffer,
+    pub(crate) bucket_offsets: Buffer,
     bucket_count: Scan,
-    pub tile_of_bucket: Buffer,
+    pub(crate) tile_of_bucket: Buffer,
     checkpoints: Buffer,
-    pub ends: Buffer,
+    pub(crate) ends: Buffer,
     planes: Buffer,
-    pub sums: Buffer,
+    pub(crate) sums: Buffer,
     /// The largest number of entries that a frame wanted, first of what may be more numbers.
     pub peak: Buffer,
     /// Off outside of benches.
@@ -97,6 +105,10 @@ pub(crate) struct Work {
 
 impl Work {
     /// Buffers for frames of `size`.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if a buffer is larger than the device allows.
     pub fn new(gpu: &Gpu, size: Size) -> Result<Self, GpuError> {
         let client = &gpu.client;
         let (n, tiles, pixels, entries) = (size.n, size.tiles(), size.pixels(), size.entries);
@@ -157,6 +169,10 @@ impl Work {
 
     /// Becomes memory for frames of `size`. What was there is given up first: both at once would be twice as much. After an
     /// error there is room for nothing.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if a buffer is larger than the device allows.
     pub fn remake(&mut self, gpu: &Gpu, size: Size) -> Result<(), GpuError> {
         let nothing = Size {
             n: 0,
@@ -233,7 +249,7 @@ impl Work {
             count.arg(),
             self.splat_of_entry.arg(),
         );
-        tile_binning::clear::launch(client, cubes(2 * tiles, 256), units(), self.ranges.arg());
+        self.ranges.clear(client);
         tile_binning::ranges::launch(
             client,
             cubes(size.entries, 256),
@@ -367,27 +383,35 @@ impl Work {
     }
 
     /// How many entries the frame drawn last wanted.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed.
     pub fn entries(&self, gpu: &Gpu, doing: &'static str) -> Result<usize, GpuError> {
         Ok(self.count.total().read_words(&gpu.client, doing)?[0] as usize)
     }
 
     /// The slot of each entry, tile after tile, of the frame drawn last.
-    pub fn slots(&self) -> &Buffer {
+    pub(crate) fn slots(&self) -> &Buffer {
         // where the sort left it: an odd number of passes ends in its own memory
         &self.by_tile.result(&self.entries, self.size.tile_bits()).values
     }
 
     /// How many buckets the frame drawn last has, one number.
-    pub fn buckets(&self) -> &Buffer {
+    pub(crate) fn buckets(&self) -> &Buffer {
         self.bucket_count.total()
     }
 
     /// Cubes of a bucket each, as many as there may be.
-    pub fn cubes_of_buckets(&self) -> (CubeCount, CubeDim) {
+    pub(crate) fn cubes_of_buckets(&self) -> (CubeCount, CubeDim) {
         (cubes(self.size.buckets(), 1), CubeDim::new_1d(BUCKET as u32))
     }
 
     /// The largest number of entries that a frame wanted since this memory was made.
+    ///
+    /// # Errors
+    ///
+    /// [`GpuError`] if the device failed.
     pub fn peak(&self, gpu: &Gpu, doing: &'static str) -> Result<usize, GpuError> {
         Ok(self.peak.read_words(&gpu.client, doing)?[0] as usize)
     }

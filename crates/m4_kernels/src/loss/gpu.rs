@@ -1,6 +1,13 @@
 //! L1 + SSIM and its gradient: one cube per tile of 16x16 pixels and channel.
+
+#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+
 use super::window;
 use cubecl::prelude::*;
+
+mod compare;
+
+pub use compare::Loss;
 
 const SSIM_C1: f32 = super::SSIM_C1 as f32;
 const SSIM_C2: f32 = super::SSIM_C2 as f32;
@@ -14,7 +21,7 @@ fn tap(#[comptime] k: u32) -> f32 {
 /// Colour `channel` of pixel `at` of a frame, 0..1: planes of bytes, or of words of two bytes, each of which starts with
 /// a number of its own; one of them is worth `worth`.
 #[cube]
-pub(crate) fn target_at(target: &[u32], at: u32, channel: u32, pixels: u32, worth: f32, #[comptime] wide: bool) -> f32 {
+pub fn target_at(target: &[u32], at: u32, channel: u32, pixels: u32, worth: f32, #[comptime] wide: bool) -> f32 {
     if comptime!(wide) {
         let plane = channel * ((pixels + 1u32) / 2u32);
         let both = target[(plane + at / 2u32) as usize];
@@ -28,7 +35,7 @@ pub(crate) fn target_at(target: &[u32], at: u32, channel: u32, pixels: u32, wort
 
 /// Sum over the cube's 256 units; every unit gets it.
 #[cube]
-pub(crate) fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
+pub fn cube_sum(value: f32, shared: &mut Shared<[f32]>) -> f32 {
     sync_cube();
     shared[UNIT_POS as usize] = value;
     sync_cube();

@@ -7,7 +7,7 @@
 
 pub mod cpu;
 #[cfg(feature = "gpu")]
-pub(crate) mod gpu;
+pub mod gpu;
 pub mod reference;
 mod segment;
 mod target;

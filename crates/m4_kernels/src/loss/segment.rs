@@ -73,7 +73,7 @@ pub(super) struct Buffers {
     /// A row of the target.
     row: Vec<f32>,
     /// Image and target, `[2][RING][stride]`.
-    pictures: Vec<Line>,
+    images: Vec<Line>,
     /// Blurred down the columns.
     moments: Turned<4, SPAN>,
     /// Of one block: blurred along the rows too.
@@ -90,7 +90,7 @@ impl Default for Buffers {
         Self {
             width: 0,
             row: Vec::new(),
-            pictures: Vec::new(),
+            images: Vec::new(),
             moments: [[zero; SPAN]; 4],
             blurred: [[zero; BLOCK]; 4],
             slopes: [[zero; SPAN]; 3],
@@ -102,13 +102,13 @@ impl Default for Buffers {
 impl Buffers {
     /// Makes room for rows of another length.
     fn fit(&mut self, width: usize, blocks: usize, stride: usize) {
-        if self.width == width && !self.pictures.is_empty() {
+        if self.width == width && !self.images.is_empty() {
             return;
         }
         self.width = width;
         self.row.clear();
         self.row.resize(blocks * BLOCK, 0.0);
-        for (buffer, rows) in [(&mut self.pictures, 2 * RING), (&mut self.pulls, 3 * RING)] {
+        for (buffer, rows) in [(&mut self.images, 2 * RING), (&mut self.pulls, 3 * RING)] {
             buffer.clear();
             buffer.resize(rows * stride, Line::default());
         }
@@ -278,9 +278,9 @@ fn within<S: Simd>(s: S, row: f32x16<S>, rows: &Range<usize>) -> mask32x16<S> {
 /// Fills a row of the rings.
 #[inline(always)]
 fn read_row<S: Simd>(s: S, f: &Frame<S>, segment: &Segment<'_>, row: usize, buffers: &mut Buffers) {
-    let (pictures, targets) = buffers.pictures.split_at_mut(RING * f.stride);
+    let (images, targets) = buffers.images.split_at_mut(RING * f.stride);
     let at = row % RING * f.stride;
-    let (picture, target) = (&mut pictures[at..at + f.blocks], &mut targets[at..at + f.blocks]);
+    let (image, target) = (&mut images[at..at + f.blocks], &mut targets[at..at + f.blocks]);
     match f.row(segment, row) {
         Some(y) => {
             let from = y * f.width;
@@ -292,16 +292,16 @@ fn read_row<S: Simd>(s: S, f: &Frame<S>, segment: &Segment<'_>, row: usize, buff
             let whole = f.width / BLOCK;
             for block in 0..whole {
                 let at = block * BLOCK..(block + 1) * BLOCK;
-                picture[block].set(f32x16::from_slice(s, &x[at.clone()]));
+                image[block].set(f32x16::from_slice(s, &x[at.clone()]));
                 target[block].set(f32x16::from_slice(s, &y[at]));
             }
             if whole < f.blocks {
-                picture[whole].set(load(s, x, whole * BLOCK, 0.0));
+                image[whole].set(load(s, x, whole * BLOCK, 0.0));
                 target[whole].set(f32x16::from_slice(s, &y[whole * BLOCK..]));
             }
         }
         None => {
-            picture.fill(Line::default());
+            image.fill(Line::default());
             target.fill(Line::default());
         }
     }
@@ -310,21 +310,21 @@ fn read_row<S: Simd>(s: S, f: &Frame<S>, segment: &Segment<'_>, row: usize, buff
 /// The moments of a block down the columns; `top` is the first row read.
 #[inline(always)]
 fn down<S: Simd>(s: S, f: &Frame<S>, top: usize, block: usize, buffers: &mut Buffers) {
-    let pictures = &buffers.pictures;
+    let images = &buffers.images;
     let places = [f.places(top, block), f.places(top + HALF, block)];
     let [of_x, of_y, of_square, of_product] = &mut buffers.moments;
     // images are loaded again for each moment: all at once they do not fit into the registers
     for (n, moments) in [of_x, of_y].into_iter().enumerate() {
-        let halves: [_; 2] = each!(2, half => f.blur(&f.rows(s, pictures, n, &places[half])));
+        let halves: [_; 2] = each!(2, half => f.blur(&f.rows(s, images, n, &places[half])));
         set_turned(moments, block, &halves);
     }
     let halves: [_; 2] = each!(2, half => {
-        let (x, y) = (f.rows(s, pictures, 0, &places[half]), f.rows(s, pictures, 1, &places[half]));
+        let (x, y) = (f.rows(s, images, 0, &places[half]), f.rows(s, images, 1, &places[half]));
         f.blur(&each!(18, k => x[k].mul_add(x[k], y[k] * y[k])))
     });
     set_turned(of_square, block, &halves);
     let halves: [_; 2] = each!(2, half => {
-        let (x, y) = (f.rows(s, pictures, 0, &places[half]), f.rows(s, pictures, 1, &places[half]));
+        let (x, y) = (f.rows(s, images, 0, &places[half]), f.rows(s, images, 1, &places[half]));
         f.blur(&each!(18, k => x[k] * y[k]))
     });
     set_turned(of_product, block, &halves);
@@ -429,13 +429,13 @@ fn gradient<S: Simd>(
     let (of_l1, of_ssim) = (all(s, segment.factors[0]), all(s, segment.factors[1]));
     // the images' rows start REACH above those of the pulls
     let at: [usize; HALF] = each!(8, row => (top + 2 * REACH + row) % RING * f.stride + block);
-    let (pictures, targets) = buffers.pictures.split_at(RING * f.stride);
+    let (images, targets) = buffers.images.split_at(RING * f.stride);
     let places = f.places(top, block);
     // one after the other: all at once they do not fit into the registers
     let mut ssim = f.blur(&f.rows(s, &buffers.pulls, 0, &places));
     let pull = f.blur(&f.rows(s, &buffers.pulls, 1, &places));
     for row in 0..HALF {
-        ssim[row] = pictures[at[row]].get(s).mul_add(pull[row], ssim[row]);
+        ssim[row] = images[at[row]].get(s).mul_add(pull[row], ssim[row]);
     }
     let pull = f.blur(&f.rows(s, &buffers.pulls, 2, &places));
     for row in 0..HALF {
@@ -443,7 +443,7 @@ fn gradient<S: Simd>(
     }
     let mut total = zero;
     for row in 0..HALF.min(segment.rows.len() - top) {
-        let d = pictures[at[row]].get(s) - targets[at[row]].get(s);
+        let d = images[at[row]].get(s) - targets[at[row]].get(s);
         let sign = d.simd_gt(zero).select(of_l1, d.simd_lt(zero).select(-of_l1, zero));
         let line = &mut out[(top + row) * f.width..][..f.width];
         store(ssim[row].mul_add(of_ssim, sign), line, block * BLOCK);

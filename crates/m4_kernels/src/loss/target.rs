@@ -99,7 +99,7 @@ impl Target {
         3 * self.width * self.height * each
     }
 
-    /// The image as it is kept: for those who keep it elsewhere.
+    /// The image as it is stored, for copies elsewhere.
     #[must_use]
     pub fn planes(&self) -> TargetPlanes<'_> {
         match &self.samples {

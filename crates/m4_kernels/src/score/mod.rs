@@ -11,5 +11,5 @@
 //! are the caller's: a twin adds a frame's score to what is there.
 
 #[cfg(feature = "gpu")]
-pub(crate) mod gpu;
+pub mod gpu;
 pub mod reference;

@@ -1,4 +1,7 @@
 //! A 4D splat at one instant, forward and backward.
+
+#![expect(missing_docs, reason = "`cube` generates items beside those that it is written at")]
+
 use crate::gpu::vector::{V3, v3};
 use cubecl::prelude::*;
 
@@ -14,13 +17,18 @@ pub(crate) struct Life {
 
 /// Size and orientation.
 #[derive(CubeType, Clone, Copy)]
-pub(crate) struct Shape {
+pub struct Shape {
+    /// Standard deviations.
     pub scale: V3,
     /// Rows of the rotation.
     pub r0: V3,
+    /// Second row.
     pub r1: V3,
+    /// Third row.
     pub r2: V3,
+    /// Real part of the quaternion as it is stored.
     pub w: f32,
+    /// Its other parts.
     pub q: V3,
     /// Two over the squared length of the quaternion.
     pub k: f32,
@@ -57,7 +65,7 @@ pub(crate) fn life(geometry: &[f32], time: &[f32], i: u32, n: u32, n_static: u32
 
 /// Scales and axes of splat `i`.
 #[cube]
-pub(crate) fn shape(geometry: &[f32], i: u32, n: u32, #[comptime] isotropic: bool) -> Shape {
+pub fn shape(geometry: &[f32], i: u32, n: u32, #[comptime] isotropic: bool) -> Shape {
     let at = i as usize;
     let rows = n as usize;
     if comptime!(isotropic) {

@@ -20,7 +20,7 @@
 
 pub(crate) mod cpu;
 #[cfg(feature = "gpu")]
-pub(crate) mod gpu;
+pub mod gpu;
 pub mod reference;
 
 /// Splats whose temporal marginal is at most this are left out of a frame: `|dt| > 2.448 sd`

@@ -116,9 +116,3 @@ pub(crate) fn ranges(keys: &[u32], count: &[u32], ranges: &mut [u32], capacity: 
         }
     }
 }
-#[cube(launch)]
-pub(crate) fn clear(values: &mut [u32]) {
-    if ABSOLUTE_POS < values.len() {
-        values[ABSOLUTE_POS] = 0u32;
-    }
-}

@@ -9,7 +9,7 @@
 pub(crate) mod cpu;
 pub(crate) mod extent;
 #[cfg(feature = "gpu")]
-pub(crate) mod gpu;
+pub mod gpu;
 pub(crate) mod handover;
 mod order;
 pub mod reference;

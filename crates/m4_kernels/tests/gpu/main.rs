@@ -3,15 +3,7 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-mod bench;
-mod colour;
-mod density;
 mod edge_cases;
-mod looks;
-mod rearrange;
-mod room;
-mod score;
-mod step;
 mod twins;
 
 use m4_kernels::gpu::{Choice, Gpu};

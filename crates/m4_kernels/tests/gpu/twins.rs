@@ -60,7 +60,7 @@ pub fn assert_same_gradients(what: &str, got: &Gradients, want: &Gradients) {
 }
 
 #[test]
-fn pictures_and_gradients_are_those_of_the_processor() {
+fn images_and_gradients_are_those_of_the_cpu() {
     let Some(gpu) = gpu("images and gradients") else {
         return;
     };

@@ -64,7 +64,7 @@ fn ssim_is_the_direct_convolution() {
 }
 
 #[test]
-fn equal_pictures_have_no_loss_and_no_gradient() {
+fn equal_images_have_no_loss_and_no_gradient() {
     let x = plane(2, 12 * 9);
     let (loss, gradient) = photometric([&x; 3], [&x; 3], 12, 9, 0.2);
     assert!(loss.abs() < 1e-14);
@@ -90,7 +90,7 @@ fn gradient_matches_central_differences() {
 }
 
 #[test]
-fn a_picture_without_pixels_has_no_loss() {
+fn an_image_without_pixels_has_no_loss() {
     let none: [&[f64]; 3] = [&[]; 3];
     assert_eq!(photometric(none, none, 0, 0, 0.2).0, 0.0);
 }
